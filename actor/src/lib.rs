@@ -1,0 +1,1 @@
+//! Steps environments, runs the ONNX policy and streams rollouts.

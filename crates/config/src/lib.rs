@@ -1,0 +1,1 @@
+//! The one typed TOML configuration, its presets and overrides.

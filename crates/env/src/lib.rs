@@ -1,0 +1,1 @@
+//! Vectorised environments: the task run on a physics engine, many lanes at a time.

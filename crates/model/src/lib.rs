@@ -1,0 +1,1 @@
+//! The robot model: MJCF subset plus robot file, checked and hashed.

@@ -1,0 +1,1 @@
+//! The policy file: ONNX graph, metadata, strict checks, inference with ONNX Runtime.

@@ -1,0 +1,1 @@
+//! The neutral log format for measured and simulated runs.

@@ -1,0 +1,1 @@
+//! Tracing set-up, metrics endpoint, banner, exit codes and shutdown signals shared by all binaries.

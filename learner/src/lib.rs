@@ -1,0 +1,1 @@
+//! PPO on libtorch: batches, update, checkpoints, ONNX export.

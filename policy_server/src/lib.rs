@@ -1,0 +1,1 @@
+//! The registry of policies: content-addressed store and gRPC service.

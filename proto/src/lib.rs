@@ -1,0 +1,1 @@
+//! Wire formats: protobuf messages, generated code and the checked conversions to domain types.

@@ -1,0 +1,1 @@
+//! Physics: engines behind one batch-first trait, servo, backlash, terrain, sensors.

@@ -1,0 +1,2 @@
+//! `caudata`: the command line.
+fn main() {}

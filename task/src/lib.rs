@@ -1,0 +1,1 @@
+//! The Markov decision process: observation, action filter, rewards, commands, episodes, randomisation, pushes.
