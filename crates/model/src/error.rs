@@ -1,0 +1,76 @@
+//! Everything that can be wrong with a robot's files.
+
+use std::path::PathBuf;
+
+/// Why a robot could not be loaded. Each message is one line that says what is wrong, where, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// A file could not be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// The reason given by the system.
+        source: std::io::Error,
+    },
+    /// A file is larger than any robot description.
+    #[error("{file} is {bytes} bytes long, more than the limit of {limit}; is it the right file?")]
+    TooLarge {
+        /// The file.
+        file: String,
+        /// Its size.
+        bytes: u64,
+        /// The limit.
+        limit: u64,
+    },
+    /// The robot file is not valid TOML, has an unknown or missing key, or a value of the wrong type.
+    #[error("{file}:{line}: {message}")]
+    RobotFile {
+        /// The file.
+        file: String,
+        /// Line, counted from 1.
+        line: usize,
+        /// What is wrong.
+        message: String,
+    },
+    /// The MJCF is not well-formed XML.
+    #[error("{file}: not well-formed XML: {message}")]
+    Xml {
+        /// The file.
+        file: String,
+        /// What is wrong, with its place.
+        message: String,
+    },
+    /// The MJCF uses something outside the supported subset, or a value is wrong.
+    #[error("{file}:{line}: <{element}>: {message}")]
+    Mjcf {
+        /// The file.
+        file: String,
+        /// Line, counted from 1.
+        line: u32,
+        /// Element (and attribute) at fault.
+        element: String,
+        /// What is wrong and what to do.
+        message: String,
+    },
+    /// The two files do not describe one valid robot.
+    #[error("{file}: {at}: {message}")]
+    Invalid {
+        /// The robot file.
+        file: String,
+        /// Key or thing at fault.
+        at: String,
+        /// What is wrong and what to do.
+        message: String,
+    },
+    /// An argument has the wrong length.
+    #[error("{what} has {got} values where this robot needs {need}")]
+    Length {
+        /// The argument.
+        what: &'static str,
+        /// Its length.
+        got: usize,
+        /// The right length.
+        need: usize,
+    },
+}

@@ -1,0 +1,140 @@
+//! Parameters from the robot file: servos, sensors, supply, play, contact, water. SI units; the file says where each value is from.
+
+use serde::{Deserialize, Serialize};
+
+/// One servo type: torque envelope, friction, and how it measures.
+///
+/// Envelope after ToddlerBot v2: the motor torque is limited to `tau_max_nm` up to the speed `qd_tau_max_radps`, then linearly down to
+/// `tau_qd_max_nm` at `qd_max_radps`; torque against the motion is limited to `tau_brake_max_nm`. Speeds are those at `reference_supply_v` and
+/// scale with the supply.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ServoParams {
+    /// Largest motor torque at low speed, N·m.
+    pub tau_max_nm: f64,
+    /// Speed up to which `tau_max_nm` is available, rad/s.
+    pub qd_tau_max_radps: f64,
+    /// Speed at which the taper ends, rad/s.
+    pub qd_max_radps: f64,
+    /// Torque left at `qd_max_radps`, N·m.
+    pub tau_qd_max_nm: f64,
+    /// Largest torque against the motion, N·m.
+    pub tau_brake_max_nm: f64,
+    /// Damping that the servo has beyond its Kd gain, N·m·s/rad.
+    pub kd_min_nm_s_per_rad: f64,
+    /// Factor on Kp while the load drives the joint against the servo's torque; 1: no change.
+    pub back_drive_kp_ratio: f64,
+    /// Coulomb friction at the joint, N·m.
+    pub friction_loss_nm: f64,
+    /// Viscous damping at the joint, N·m·s/rad.
+    pub damping_nm_s_per_rad: f64,
+    /// Rotor inertia seen at the joint, kg·m².
+    pub armature_kgm2: f64,
+    /// Supply at which the envelope was identified, V.
+    pub reference_supply_v: f64,
+    /// Position steps per turn of the output shaft.
+    pub encoder_counts_per_turn: u32,
+    /// Step of the reported velocity, rad/s.
+    pub velocity_lsb_radps: f64,
+    /// Step of the reported current, A.
+    pub current_lsb_a: f64,
+    /// Joint torque per ampere beyond the dead band, N·m/A.
+    pub torque_per_current_nm_per_a: f64,
+    /// Current that gives no torque yet, A.
+    pub current_dead_band_a: f64,
+    /// Full width of the play between motor and output shaft, rad.
+    pub gear_backlash_rad: f64,
+}
+
+impl ServoParams {
+    /// Position step of the encoder, rad.
+    pub fn encoder_lsb_rad(&self) -> f64 {
+        std::f64::consts::TAU / f64::from(self.encoder_counts_per_turn)
+    }
+}
+
+/// The inertial measurement unit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImuParams {
+    /// Site at which it sits; its axes are the site's.
+    pub site: String,
+    /// Gyroscope white noise, rad/s/√Hz.
+    pub gyro_noise_radps_per_sqrt_hz: f64,
+    /// Accelerometer white noise, m/s²/√Hz.
+    pub acc_noise_mps2_per_sqrt_hz: f64,
+    /// Standard deviation of the constant gyroscope offset from one power-up to the next, rad/s.
+    pub gyro_bias_std_radps: f64,
+    /// Standard deviation of the constant accelerometer offset, m/s².
+    pub acc_bias_std_mps2: f64,
+}
+
+/// Sensors of the whole robot (those inside a servo are in [`ServoParams`]).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SensorParams {
+    /// The IMU; `None` on a robot without one.
+    pub imu: Option<ImuParams>,
+}
+
+/// Supply voltages.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SupplyParams {
+    /// Voltage that simulations use unless told otherwise, V.
+    pub default_v: f64,
+    /// Bench supply, V.
+    pub bench_v: f64,
+    /// Full battery, V.
+    pub battery_full_v: f64,
+    /// Nominal battery, V.
+    pub battery_nominal_v: f64,
+}
+
+/// Play at the girdle connections.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BacklashParams {
+    /// `false`: the hinges are locked at zero.
+    pub enabled: bool,
+    /// Model indices of the backlash hinges, in model order.
+    pub joints: Vec<usize>,
+    /// The hinge moves freely within ± this angle, rad.
+    pub half_width_rad: f64,
+    /// Centring stiffness inside the play, N·m/rad.
+    pub stiffness_nm_per_rad: f64,
+    /// Viscous damping, N·m·s/rad.
+    pub damping_nm_s_per_rad: f64,
+    /// Coulomb friction, N·m.
+    pub friction_loss_nm: f64,
+}
+
+/// Ground contact.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ContactParams {
+    /// Sliding friction coefficient of the feet.
+    pub foot_friction: f64,
+    /// Sliding friction coefficient of everything else.
+    pub body_friction: f64,
+}
+
+/// Water, per link below the surface (drag from the link's equivalent inertia box).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WaterParams {
+    /// Density ρ, kg/m³.
+    pub density_kg_per_m3: f64,
+    /// Dynamic viscosity β, Pa·s.
+    pub viscosity_pa_s: f64,
+    /// k_b: buoyancy of a fully immersed link, as a multiple of its weight.
+    pub buoyancy_ratio: f64,
+    /// k_d: damping of vertical motion per link, N·s/m.
+    pub heave_damping_ns_per_m: f64,
+    /// Factors on the linear drag of the equivalent box along link x, y, z.
+    pub linear_drag_scale: [f64; 3],
+    /// Factors on the quadratic drag of the equivalent box along link x, y, z.
+    pub quadratic_drag_scale: [f64; 3],
+    /// Factors on the linear drag torque about link x, y, z.
+    pub linear_torque_scale: [f64; 3],
+    /// Factors on the quadratic drag torque about link x, y, z.
+    pub quadratic_torque_scale: [f64; 3],
+}

@@ -1,0 +1,209 @@
+//! Rigid transforms in plain arrays: what forward kinematics works with.
+//!
+//! Quaternions are `[w, x, y, z]`, right-handed, active: `rotate` takes a vector from the inner frame to the outer one.
+
+/// A rigid transform `outer_from_inner`: rotate by `quat_wxyz`, then shift by `pos_m`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Origin of the inner frame, in the outer frame, m.
+    pub pos_m: [f64; 3],
+    /// Rotation from the inner to the outer frame; unit quaternion w, x, y, z.
+    pub quat_wxyz: [f64; 4],
+}
+
+impl Pose {
+    /// No shift, no rotation.
+    pub const IDENTITY: Self = Self {
+        pos_m: [0.0; 3],
+        quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+    };
+
+    /// A pure shift by `pos_m`.
+    pub fn from_pos(pos_m: [f64; 3]) -> Self {
+        Self {
+            pos_m,
+            quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+        }
+    }
+
+    /// `self * inner`: the transform that applies `inner` first.
+    pub fn compose(&self, inner: &Self) -> Self {
+        Self {
+            pos_m: self.point(inner.pos_m),
+            quat_wxyz: quat_mul(self.quat_wxyz, inner.quat_wxyz),
+        }
+    }
+
+    /// A point of the inner frame, m, expressed in the outer frame, m.
+    pub fn point(&self, p: [f64; 3]) -> [f64; 3] {
+        add(self.pos_m, self.rotate(p))
+    }
+
+    /// A free vector of the inner frame expressed in the outer frame.
+    pub fn rotate(&self, v: [f64; 3]) -> [f64; 3] {
+        quat_rotate(self.quat_wxyz, v)
+    }
+
+    /// The inverse transform.
+    pub fn inverse(&self) -> Self {
+        let [w, x, y, z] = self.quat_wxyz;
+        let quat_wxyz = [w, -x, -y, -z];
+        let p = quat_rotate(quat_wxyz, self.pos_m);
+        Self {
+            pos_m: [-p[0], -p[1], -p[2]],
+            quat_wxyz,
+        }
+    }
+
+    /// Rotation matrix, rows first: `outer = R · inner`.
+    pub fn rotation(&self) -> [[f64; 3]; 3] {
+        quat_to_matrix(self.quat_wxyz)
+    }
+}
+
+/// Sum of two vectors.
+pub fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+/// `a - b`.
+pub fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// Dot product.
+pub fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Cross product.
+pub fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+/// Euclidean length.
+pub fn norm(a: [f64; 3]) -> f64 {
+    dot(a, a).sqrt()
+}
+
+/// Quaternion of a turn by `angle_rad` about the unit vector `axis`.
+pub fn quat_from_axis_angle(axis: [f64; 3], angle_rad: f64) -> [f64; 4] {
+    let (s, c) = (0.5 * angle_rad).sin_cos();
+    [c, s * axis[0], s * axis[1], s * axis[2]]
+}
+
+/// Hamilton product `a · b` (b is applied first).
+pub fn quat_mul(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+    [
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    ]
+}
+
+/// Rotates `v` by the unit quaternion `q`.
+pub fn quat_rotate(q: [f64; 4], v: [f64; 3]) -> [f64; 3] {
+    // v + 2 w (u × v) + 2 u × (u × v), with q = (w, u)
+    let u = [q[1], q[2], q[3]];
+    let t = cross(u, v);
+    let t2 = cross(u, t);
+    [
+        v[0] + 2.0 * (q[0] * t[0] + t2[0]),
+        v[1] + 2.0 * (q[0] * t[1] + t2[1]),
+        v[2] + 2.0 * (q[0] * t[2] + t2[2]),
+    ]
+}
+
+/// Rotation matrix (rows first) of a unit quaternion.
+pub fn quat_to_matrix(q: [f64; 4]) -> [[f64; 3]; 3] {
+    let cols = [
+        quat_rotate(q, [1.0, 0.0, 0.0]),
+        quat_rotate(q, [0.0, 1.0, 0.0]),
+        quat_rotate(q, [0.0, 0.0, 1.0]),
+    ];
+    let mut m = [[0.0; 3]; 3];
+    for r in 0..3 {
+        for c in 0..3 {
+            m[r][c] = cols[c][r];
+        }
+    }
+    m
+}
+
+/// The unit quaternion in the direction of `q`; `None` where `q` is (nearly) zero or not finite.
+pub fn quat_normalised(q: [f64; 4]) -> Option<[f64; 4]> {
+    let n = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    (n.is_finite() && n > 1e-9).then(|| q.map(|x| x / n))
+}
+
+/// `R · m · Rᵀ`: a symmetric tensor `m` of the inner frame expressed in the outer frame.
+pub fn rotate_tensor(q: [f64; 4], m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
+    let r = quat_to_matrix(q);
+    let mut out = [[0.0; 3]; 3];
+    for i in 0..3 {
+        for j in 0..3 {
+            for k in 0..3 {
+                for l in 0..3 {
+                    out[i][j] += r[i][k] * m[k][l] * r[j][l];
+                }
+            }
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::FRAC_PI_2;
+
+    fn close(a: [f64; 3], b: [f64; 3]) {
+        for i in 0..3 {
+            assert!((a[i] - b[i]).abs() < 1e-12, "{a:?} is not {b:?}");
+        }
+    }
+
+    #[test]
+    fn a_quarter_turn_about_z_takes_x_to_y() {
+        let pose = Pose {
+            pos_m: [1.0, 2.0, 3.0],
+            quat_wxyz: quat_from_axis_angle([0.0, 0.0, 1.0], FRAC_PI_2),
+        };
+        close(pose.rotate([1.0, 0.0, 0.0]), [0.0, 1.0, 0.0]);
+        close(pose.point([1.0, 0.0, 0.0]), [1.0, 3.0, 3.0]);
+        close(pose.inverse().point([1.0, 3.0, 3.0]), [1.0, 0.0, 0.0]);
+        let m = pose.rotation();
+        // R = [[0,-1,0],[1,0,0],[0,0,1]]
+        close(m[0], [0.0, -1.0, 0.0]);
+        close(m[1], [1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn compose_applies_the_inner_pose_first() {
+        let turn = Pose {
+            pos_m: [0.0, 0.0, 1.0],
+            quat_wxyz: quat_from_axis_angle([0.0, 1.0, 0.0], FRAC_PI_2),
+        };
+        // shift by x, then turn about y: x goes to -z, and one up again
+        close(
+            turn.compose(&Pose::from_pos([1.0, 0.0, 0.0])).pos_m,
+            [0.0, 0.0, 0.0],
+        );
+    }
+
+    #[test]
+    fn a_tensor_turned_a_quarter_about_z_swaps_its_x_and_y_parts() {
+        let q = quat_from_axis_angle([0.0, 0.0, 1.0], FRAC_PI_2);
+        let m = [[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]];
+        // x' = y, y' = -x: xx' = yy... worked: new xx = old yy, new xy = -old xy, new xz = -old yz, new yz = old xz
+        let t = rotate_tensor(q, m);
+        close(t[0], [2.0, -0.1, -0.3]);
+        close(t[1], [-0.1, 1.0, 0.2]);
+        close(t[2], [-0.3, 0.2, 3.0]);
+    }
+}

@@ -1,0 +1,200 @@
+//! What a robot is made of: links, joints, geoms, sites, feet.
+//!
+//! Frames: every link has its own frame; at zero joint positions `Link::parent_from_link` places it in its parent.
+//! Units are SI; positions m, angles rad, inertia kg·m².
+
+use crate::pose::Pose;
+
+/// A rigid body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Link {
+    /// Name of the MJCF body.
+    pub name: String,
+    /// Index of the parent link; `None` where the parent is the world (the root link).
+    pub parent: Option<usize>,
+    /// Pose of the link frame in the parent's link frame (or the world) with all joints at zero.
+    pub parent_from_link: Pose,
+    /// Mass, kg (> 0).
+    pub mass_kg: f64,
+    /// Centre of mass in the link frame, m.
+    pub com_m: [f64; 3],
+    /// Inertia about the centre of mass in link axes, kg·m², full symmetric matrix, rows first.
+    pub inertia_kgm2: [[f64; 3]; 3],
+    /// Model indices of the joints between the parent and this link, outermost (at the parent) first. Empty: welded, or the free root.
+    pub joints: Vec<usize>,
+    /// Shapes fixed to the link, in file order.
+    pub geoms: Vec<Geom>,
+}
+
+/// How a joint moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointMotion {
+    /// Turns about its axis; positions in rad, forces in N·m.
+    Hinge,
+    /// Slides along its axis; positions in m, forces in N.
+    Slide,
+}
+
+/// What moves a joint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointKind {
+    /// Driven by a servo; `index` is its place in the policy's joint order.
+    Actuated {
+        /// Place in the policy's joint order.
+        index: usize,
+    },
+    /// Not driven; spring and damper from the robot file.
+    Passive,
+    /// Play at a connection: free within its range, from the robot file's `[backlash]`.
+    Backlash,
+}
+
+/// One degree of freedom between a link and its parent.
+///
+/// For a slide read m for rad, N for N·m and kg for kg·m².
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// Name of the MJCF joint.
+    pub name: String,
+    /// Hinge or slide.
+    pub motion: JointMotion,
+    /// What moves it.
+    pub kind: JointKind,
+    /// Index of the link on the parent side; `None`: the world.
+    pub parent_link: Option<usize>,
+    /// Index of the link that this joint carries.
+    pub child_link: usize,
+    /// Unit axis in the child link's frame. Positive turns are right-handed about it.
+    pub axis: [f64; 3],
+    /// Anchor point in the child link's frame, m.
+    pub anchor_m: [f64; 3],
+    /// Lower and upper limit, rad; `None`: unlimited.
+    pub range_rad: Option<(f64, f64)>,
+    /// Spring stiffness, N·m/rad, towards `spring_ref_rad`.
+    pub stiffness_nm_per_rad: f64,
+    /// Position at which the spring is relaxed, rad.
+    pub spring_ref_rad: f64,
+    /// Viscous damping, N·m·s/rad.
+    pub damping_nm_s_per_rad: f64,
+    /// Inertia that the drive adds to the axis, kg·m².
+    pub armature_kgm2: f64,
+    /// Coulomb friction, N·m.
+    pub friction_loss_nm: f64,
+    /// Held at zero by the robot file (`[passive] locked`, `[backlash] enabled = false`); the joint keeps its place in model order.
+    pub locked: bool,
+}
+
+/// A primitive shape, centred on its own frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// Ball.
+    Sphere {
+        /// Radius, m.
+        radius_m: f64,
+    },
+    /// Cylinder along z with half-ball ends.
+    Capsule {
+        /// Radius, m.
+        radius_m: f64,
+        /// Half the length of the straight part, m.
+        half_length_m: f64,
+    },
+    /// Cylinder along z.
+    Cylinder {
+        /// Radius, m.
+        radius_m: f64,
+        /// Half the length, m.
+        half_length_m: f64,
+    },
+    /// Box.
+    Box {
+        /// Half the edges along x, y, z, m.
+        half_size_m: [f64; 3],
+    },
+    /// Ellipsoid.
+    Ellipsoid {
+        /// Semi-axes along x, y, z, m.
+        semi_axes_m: [f64; 3],
+    },
+    /// Infinite plane with normal z; only in the world.
+    Plane,
+}
+
+impl Shape {
+    /// Half the extent of the shape along the unit direction `dir` (in the shape's own frame), m; infinite for a plane.
+    ///
+    /// This is the support function of a shape that is symmetric about its centre.
+    pub fn half_extent_m(&self, dir: [f64; 3]) -> f64 {
+        match *self {
+            Self::Sphere { radius_m } => radius_m,
+            Self::Capsule {
+                radius_m,
+                half_length_m,
+            } => radius_m + half_length_m * dir[2].abs(),
+            Self::Cylinder {
+                radius_m,
+                half_length_m,
+            } => radius_m * dir[0].hypot(dir[1]) + half_length_m * dir[2].abs(),
+            Self::Box { half_size_m: h } => (0..3).map(|i| h[i] * dir[i].abs()).sum(),
+            Self::Ellipsoid { semi_axes_m: a } => {
+                (0..3).map(|i| (a[i] * dir[i]).powi(2)).sum::<f64>().sqrt()
+            }
+            Self::Plane => f64::INFINITY,
+        }
+    }
+}
+
+/// A shape fixed to a link (or to the world).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Geom {
+    /// Name, where the file gives one.
+    pub name: Option<String>,
+    /// The shape.
+    pub shape: Shape,
+    /// Pose of the shape in the link frame.
+    pub link_from_geom: Pose,
+    /// Sliding friction coefficient against the ground (robot file `[contact]` where the geom collides).
+    pub friction: f64,
+    /// MuJoCo collision bits: two geoms collide where `contype & other.conaffinity` or the reverse is not zero.
+    pub contype: u32,
+    /// See `contype`.
+    pub conaffinity: u32,
+}
+
+impl Geom {
+    /// Whether the geom touches anything at all; `false`: only to be looked at.
+    pub fn collides(&self) -> bool {
+        self.contype != 0 || self.conaffinity != 0
+    }
+
+    /// Whether this geom and `other` may touch (MuJoCo's rule, without the `exclude` list).
+    pub fn collides_with(&self, other: &Self) -> bool {
+        self.contype & other.conaffinity != 0 || other.contype & self.conaffinity != 0
+    }
+}
+
+/// A named frame on a link.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Site {
+    /// Name of the MJCF site.
+    pub name: String,
+    /// Index of the link that carries it.
+    pub link: usize,
+    /// Pose in the link frame.
+    pub link_from_site: Pose,
+}
+
+/// A foot: a ball at the end of a leg.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Foot {
+    /// Leg name, for example `FL`.
+    pub name: String,
+    /// Index of the link that carries the ball.
+    pub link: usize,
+    /// Index of the ball in that link's `geoms`.
+    pub geom: usize,
+    /// Centre of the ball in the link frame, m.
+    pub centre_m: [f64; 3],
+    /// Radius, m.
+    pub radius_m: f64,
+}
