@@ -1,0 +1,1 @@
+//! Typed client of the policy server: publish, list, fetch with resume, watch.
