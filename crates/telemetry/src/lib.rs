@@ -1,1 +1,42 @@
-//! Tracing set-up, metrics endpoint, banner, exit codes and shutdown signals shared by all binaries.
+//! What every `caudata` process shares with its surroundings: logs, metrics, the banner, exit codes,
+//! stop signals and the progress events between the learner and the command line.
+//!
+//! A binary's `main` then reads aloud:
+//!
+//! ```no_run
+//! use caudata_telemetry::{Failure, LogArgs, Process, parse_args};
+//! #[derive(clap::Parser)]
+//! struct Args {
+//!     #[command(flatten)]
+//!     log: LogArgs,
+//! }
+//! fn main() -> std::process::ExitCode {
+//!     let args: Args = parse_args(); // bad flag: exit code 64
+//!     Process::run("caudata-example", &args.log, |process| -> Result<(), Failure> {
+//!         process.stop.wait(std::time::Duration::from_secs(1)); // … work until asked to stop …
+//!         Ok(())
+//!     })
+//! }
+//! ```
+//!
+//! *Invariant:* nothing here knows robots, policies or rollouts.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod banner;
+mod exit;
+mod logging;
+mod metrics;
+mod parent;
+mod process;
+pub mod progress;
+mod serve;
+mod stop;
+
+pub use banner::{BuildInfo, build_info};
+pub use exit::{ExitCode, Failure, FailureExt};
+pub use logging::{LogArgs, LogFormat, LoggingError, init_logging};
+pub use metrics::{Counter, Gauge, Histogram, IntGauge, Metrics};
+pub use parent::{PARENT_PID_VAR, die_with_parent};
+pub use process::{Process, parse_args};
+pub use serve::{MetricsServer, ServeError};
+pub use stop::{DRAIN_DEADLINE, StopFlag, stop_on_signals};

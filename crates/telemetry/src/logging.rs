@@ -1,0 +1,129 @@
+//! Structured logs on standard error: readable on a terminal, one JSON object per line elsewhere.
+
+use std::io::IsTerminal;
+use std::str::FromStr;
+
+use tracing_subscriber::filter::EnvFilter;
+use tracing_subscriber::fmt::time::SystemTime;
+
+/// The two log flags that every binary has, and the address of its metrics.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct LogArgs {
+    /// Log format on standard error: auto (pretty on a terminal, else json), pretty, json
+    #[arg(
+        long,
+        value_name = "FORMAT",
+        default_value = "auto",
+        global = true,
+        help_heading = "Logging"
+    )]
+    pub log_format: LogFormat,
+    /// What to log, for instance `info` or `warn,caudata_learner=debug`
+    #[arg(
+        long,
+        value_name = "FILTER",
+        env = "CAUDATA_LOG",
+        default_value = "info",
+        global = true,
+        help_heading = "Logging"
+    )]
+    pub log: String,
+}
+
+/// How log lines look.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LogFormat {
+    /// Pretty when standard error is a terminal, JSON otherwise.
+    #[default]
+    Auto,
+    /// For people.
+    Pretty,
+    /// One JSON object per line, spans included.
+    Json,
+}
+
+impl FromStr for LogFormat {
+    type Err = LoggingError;
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "pretty" => Ok(Self::Pretty),
+            "json" => Ok(Self::Json),
+            other => Err(LoggingError::Format(other.to_owned())),
+        }
+    }
+}
+
+/// Why logging could not be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum LoggingError {
+    /// Not one of the formats.
+    #[error("log format `{0}` is not one of auto, pretty, json")]
+    Format(String),
+    /// The filter does not parse.
+    #[error("log filter `{filter}` is not valid: {reason}")]
+    Filter {
+        /// The text given.
+        filter: String,
+        /// What the parser says.
+        reason: String,
+    },
+}
+
+/// Sends events and spans of this process to standard error and writes the banner line.
+///
+/// A second call in the same process (tests, in-process actors) changes nothing.
+///
+/// # Errors
+/// [`LoggingError::Filter`] when `filter` does not parse.
+pub fn init_logging(
+    process_name: &str,
+    format: LogFormat,
+    filter: &str,
+) -> Result<(), LoggingError> {
+    let env_filter = EnvFilter::try_new(filter).map_err(|error| LoggingError::Filter {
+        filter: filter.to_owned(),
+        reason: error.to_string(),
+    })?;
+    let terminal = std::io::stderr().is_terminal();
+    let pretty = match format {
+        LogFormat::Auto => terminal,
+        LogFormat::Pretty => true,
+        LogFormat::Json => false,
+    };
+    let builder = tracing_subscriber::fmt()
+        .with_env_filter(env_filter)
+        .with_writer(std::io::stderr)
+        .with_timer(SystemTime);
+    let installed = if pretty {
+        builder.with_ansi(terminal).try_init()
+    } else {
+        builder
+            .json()
+            .flatten_event(true)
+            .with_span_list(true)
+            .try_init()
+    };
+    if installed.is_ok() {
+        crate::banner::log_banner(process_name);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bad_filter_and_a_bad_format_are_named() {
+        let error = init_logging("t", LogFormat::Json, "a=b=c").unwrap_err();
+        assert!(error.to_string().contains("a=b=c"), "{error}");
+        assert!(
+            "fancy"
+                .parse::<LogFormat>()
+                .unwrap_err()
+                .to_string()
+                .contains("fancy")
+        );
+    }
+}

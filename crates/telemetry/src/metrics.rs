@@ -1,0 +1,128 @@
+//! The metrics of one process, in the Prometheus text format. Cheap to clone; updating one is an atomic add.
+
+use std::sync::{Arc, PoisonError, RwLock};
+
+use prometheus_client::registry::Registry;
+
+/// A number that only grows.
+pub type Counter = prometheus_client::metrics::counter::Counter;
+/// A real number that goes up and down.
+pub type Gauge = prometheus_client::metrics::gauge::Gauge<f64, std::sync::atomic::AtomicU64>;
+/// A whole number that goes up and down.
+pub type IntGauge = prometheus_client::metrics::gauge::Gauge;
+/// A distribution over fixed buckets.
+pub type Histogram = prometheus_client::metrics::histogram::Histogram;
+
+/// The registry of one process. Names are full and in base units, as they appear on the page:
+/// `caudata_actor_steps_total`, `caudata_inference_latency_seconds`.
+#[derive(Clone, Debug, Default)]
+pub struct Metrics {
+    registry: Arc<RwLock<Registry>>,
+}
+
+impl Metrics {
+    /// An empty registry.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// A counter. `name` ends in `_total`.
+    pub fn counter(&self, name: &'static str, help: &'static str) -> Counter {
+        let counter = Counter::default();
+        // The encoder appends `_total` itself; we keep it in the name so that one string finds all uses.
+        self.register(
+            name.strip_suffix("_total").unwrap_or(name),
+            help,
+            counter.clone(),
+        );
+        counter
+    }
+
+    /// A gauge of a real number.
+    pub fn gauge(&self, name: &'static str, help: &'static str) -> Gauge {
+        let gauge = Gauge::default();
+        self.register(name, help, gauge.clone());
+        gauge
+    }
+
+    /// A gauge of a whole number.
+    pub fn int_gauge(&self, name: &'static str, help: &'static str) -> IntGauge {
+        let gauge = IntGauge::default();
+        self.register(name, help, gauge.clone());
+        gauge
+    }
+
+    /// A histogram over durations in seconds, with buckets from 10 µs to 100 s, three to a decade.
+    pub fn seconds(&self, name: &'static str, help: &'static str) -> Histogram {
+        let buckets = (-5..=1)
+            .flat_map(|decade| [1.0, 2.0, 5.0].map(|mantissa| mantissa * 10f64.powi(decade)));
+        self.histogram(name, help, buckets.chain([100.0]))
+    }
+
+    /// A histogram with the given upper bounds.
+    pub fn histogram(
+        &self,
+        name: &'static str,
+        help: &'static str,
+        buckets: impl IntoIterator<Item = f64>,
+    ) -> Histogram {
+        let histogram = Histogram::new(buckets);
+        self.register(name, help, histogram.clone());
+        histogram
+    }
+
+    /// Any other metric of `prometheus-client`, for instance a `Family` with labels. A counter's name
+    /// comes without `_total` here.
+    pub fn register(
+        &self,
+        name: &str,
+        help: &str,
+        metric: impl prometheus_client::registry::Metric,
+    ) {
+        // The encoder ends each help text with a full stop.
+        let help = help.trim_end_matches('.');
+        let mut registry = self
+            .registry
+            .write()
+            .unwrap_or_else(PoisonError::into_inner);
+        registry.register(name, help, metric);
+    }
+
+    /// The page as Prometheus reads it.
+    pub fn encode(&self) -> String {
+        let mut page = String::new();
+        let registry = self.registry.read().unwrap_or_else(PoisonError::into_inner);
+        // Writing to a String cannot fail.
+        let _ = prometheus_client::encoding::text::encode(&mut page, &registry);
+        page
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_shows_each_metric_under_its_full_name() {
+        let metrics = Metrics::new();
+        metrics
+            .counter("caudata_test_steps_total", "Steps")
+            .inc_by(3);
+        metrics.gauge("caudata_test_lag_seconds", "Lag").set(0.5);
+        metrics
+            .seconds("caudata_test_wait_seconds", "Waiting")
+            .observe(0.003);
+        let page = metrics.encode();
+        assert!(page.contains("\ncaudata_test_steps_total 3\n"), "{page}");
+        assert!(page.contains("\ncaudata_test_lag_seconds 0.5\n"), "{page}");
+        // 3 ms lies above 2 ms and below 5 ms.
+        assert!(
+            page.contains("caudata_test_wait_seconds_bucket{le=\"0.002\"} 0"),
+            "{page}"
+        );
+        assert!(
+            page.contains("caudata_test_wait_seconds_bucket{le=\"0.005\"} 1"),
+            "{page}"
+        );
+    }
+}

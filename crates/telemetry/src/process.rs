@@ -1,0 +1,61 @@
+//! The frame around every binary's work: logging, banner, signals, and one line when it fails.
+
+use std::process::ExitCode as OsExitCode;
+
+use crate::{DRAIN_DEADLINE, ExitCode, Failure, FailureExt, LogArgs, StopFlag, die_with_parent};
+
+/// What a running process has in its hands.
+#[derive(Clone, Debug)]
+pub struct Process {
+    /// Name in logs, for instance `caudata-actor`.
+    pub name: &'static str,
+    /// Raised by the first SIGINT or SIGTERM, or when the supervisor dies.
+    pub stop: StopFlag,
+}
+
+impl Process {
+    /// Sets up logs and signals, runs `work`, prints a failure as `error: …` and `hint: …`, and
+    /// returns the exit code.
+    pub fn run(
+        name: &'static str,
+        log: &LogArgs,
+        work: impl FnOnce(&Process) -> Result<(), Failure>,
+    ) -> OsExitCode {
+        let process = Process {
+            name,
+            stop: StopFlag::new(),
+        };
+        let result = process.set_up(log).and_then(|()| work(&process));
+        match result {
+            Ok(()) => ExitCode::Ok.into(),
+            Err(failure) => {
+                tracing::debug!(code = failure.code().number(), "ends with an error");
+                // Nothing is left to do when standard error itself is gone.
+                let _ = failure.write_to(&mut std::io::stderr());
+                failure.code().into()
+            }
+        }
+    }
+
+    fn set_up(&self, log: &LogArgs) -> Result<(), Failure> {
+        crate::init_logging(self.name, log.log_format, &log.log).or_exit(ExitCode::BadConfig)?;
+        crate::stop_on_signals(&self.stop, DRAIN_DEADLINE)
+            .or_exit_with(ExitCode::OsResource, || "cannot install signal handlers")?;
+        die_with_parent(&self.stop);
+        Ok(())
+    }
+}
+
+/// Parses the command line; a wrong one ends the process with [`ExitCode::BadConfig`] (64), `--help` and
+/// `--version` with 0.
+pub fn parse_args<A: clap::Parser>() -> A {
+    A::try_parse().unwrap_or_else(|error| {
+        let _ = error.print();
+        let code = if error.use_stderr() {
+            ExitCode::BadConfig
+        } else {
+            ExitCode::Ok
+        };
+        std::process::exit(i32::from(code.number()))
+    })
+}

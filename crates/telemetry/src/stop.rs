@@ -1,0 +1,141 @@
+//! Stopping: one flag that everything waits on, set by the first signal; the second one ends at once.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::ExitCode;
+
+/// How long a process may take to drain after the first signal before it is ended with
+/// [`ExitCode::TempFail`]. Larger than any single time limit inside (checkpoint, flush, upload).
+pub const DRAIN_DEADLINE: Duration = Duration::from_secs(60);
+
+/// A flag that is raised once and can be waited on. Cloning shares it.
+#[derive(Clone, Debug, Default)]
+pub struct StopFlag {
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    reason: Mutex<Option<String>>,
+    raised: Condvar,
+}
+
+impl StopFlag {
+    /// A flag that is down.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Raises the flag. The first reason is kept.
+    pub fn request(&self, reason: &str) {
+        let mut slot = self
+            .shared
+            .reason
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        slot.get_or_insert_with(|| reason.to_owned());
+        self.shared.raised.notify_all();
+    }
+
+    /// Whether somebody asked to stop.
+    pub fn is_set(&self) -> bool {
+        self.shared
+            .reason
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .is_some()
+    }
+
+    /// Why, once raised.
+    pub fn reason(&self) -> Option<String> {
+        self.shared
+            .reason
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
+    }
+
+    /// Waits until the flag is raised or `timeout` has passed; true when it is raised.
+    pub fn wait(&self, timeout: Duration) -> bool {
+        let deadline = Instant::now() + timeout;
+        let mut slot = self
+            .shared
+            .reason
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        while slot.is_none() {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return false;
+            }
+            slot = self
+                .shared
+                .raised
+                .wait_timeout(slot, left)
+                .unwrap_or_else(PoisonError::into_inner)
+                .0;
+        }
+        true
+    }
+}
+
+/// From now on SIGINT and SIGTERM raise `stop`; a second signal ends the process at once with
+/// [`ExitCode::Interrupted`], and draining longer than `drain_deadline` ends it with [`ExitCode::TempFail`].
+///
+/// The handler runs on a thread of its own that lives as long as the process.
+///
+/// # Errors
+/// When the operating system refuses the thread or the handlers.
+pub fn stop_on_signals(stop: &StopFlag, drain_deadline: Duration) -> std::io::Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    let (mut interrupt, mut terminate) = {
+        use tokio::signal::unix::{SignalKind, signal};
+        let _context = runtime.enter();
+        (
+            signal(SignalKind::interrupt())?,
+            signal(SignalKind::terminate())?,
+        )
+    };
+    let stop = stop.clone();
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(async {
+            let name = tokio::select! {
+                _ = interrupt.recv() => "SIGINT",
+                _ = terminate.recv() => "SIGTERM",
+            };
+            tracing::info!(signal = name, "stopping; a second signal ends at once");
+            stop.request(name);
+            tokio::select! {
+                _ = interrupt.recv() => end(ExitCode::Interrupted, "second signal: ended without draining"),
+                _ = terminate.recv() => end(ExitCode::Interrupted, "second signal: ended without draining"),
+                () = tokio::time::sleep(drain_deadline) => end(ExitCode::TempFail, "draining took too long: ended"),
+            }
+        });
+    })?;
+    Ok(())
+}
+
+fn end(code: ExitCode, why: &str) {
+    tracing::error!("{why}");
+    std::process::exit(i32::from(code.number()));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waiting_ends_when_another_thread_raises_the_flag() {
+        let stop = StopFlag::new();
+        assert!(!stop.wait(Duration::from_millis(1)));
+        let other = stop.clone();
+        let thread = std::thread::spawn(move || other.request("test"));
+        assert!(stop.wait(Duration::from_secs(60)));
+        thread.join().unwrap();
+        stop.request("later");
+        assert_eq!(stop.reason().as_deref(), Some("test"));
+    }
+}
