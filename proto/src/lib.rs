@@ -1,1 +1,16 @@
 //! Wire formats: protobuf messages, generated code and the checked conversions to domain types.
+//!
+//! *Invariant*: what comes from outside becomes a domain type here, once and completely checked;
+//! the generated types in [`wire`] are for encoders, decoders and gRPC services only.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod framing;
+pub mod registry;
+pub mod robot_link;
+pub mod rollout;
+pub mod wire;
+
+pub use rollout::{
+    ActorBye, ActorHello, DecodeError, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
+    Moments, RolloutChunk, decode, encode,
+};

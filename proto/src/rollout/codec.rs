@@ -1,0 +1,375 @@
+//! From domain types to bytes and back.
+
+use prost::Message;
+
+use super::check::{self, dimension, length, product};
+use super::{
+    ActorBye, ActorHello, DecodeError, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
+    Moments, ROLLOUT_PROTOCOL, RolloutChunk,
+};
+use crate::wire::rollout as pb;
+
+/// Bytes of a frame beside its tensors: identifiers, hashes, dimensions, field headers.
+const FRAME_OVERHEAD: usize = 1024;
+
+/// Writes a frame. Writes what it is given: [`RolloutChunk::check`] tells beforehand whether the
+/// far side will take it.
+pub fn encode(envelope: &Envelope) -> Vec<u8> {
+    let body = match envelope {
+        Envelope::Hello(hello) => pb::envelope::Body::Hello(hello_to_wire(hello)),
+        Envelope::Chunk(chunk) => pb::envelope::Body::Chunk(chunk_to_wire(chunk)),
+        Envelope::Bye(bye) => pb::envelope::Body::Bye(bye_to_wire(bye)),
+    };
+    pb::Envelope {
+        protocol: ROLLOUT_PROTOCOL,
+        body: Some(body),
+    }
+    .encode_to_vec()
+}
+
+/// Reads a frame and checks it completely.
+///
+/// # Errors
+/// The first thing that is not right; [`DecodeError::reason_id`] names it for counters.
+pub fn decode(frame: &[u8], limits: &DecodeLimits) -> Result<Envelope, DecodeError> {
+    if frame.len() > limits.max_frame_bytes {
+        return Err(DecodeError::FrameTooLarge {
+            bytes: frame.len(),
+            limit: limits.max_frame_bytes,
+        });
+    }
+    let message = pb::Envelope::decode(frame)?;
+    if message.protocol != ROLLOUT_PROTOCOL {
+        return Err(DecodeError::Protocol {
+            found: message.protocol,
+            expected: ROLLOUT_PROTOCOL,
+        });
+    }
+    match message.body.ok_or(DecodeError::Missing { field: "body" })? {
+        pb::envelope::Body::Hello(hello) => hello_from_wire(hello, limits).map(Envelope::Hello),
+        pb::envelope::Body::Chunk(chunk) => {
+            let chunk = chunk_from_wire(chunk, limits)?;
+            chunk.check(limits)?;
+            Ok(Envelope::Chunk(Box::new(chunk)))
+        }
+        pb::envelope::Body::Bye(bye) => bye_from_wire(bye).map(Envelope::Bye),
+    }
+}
+
+/// Upper bound on the bytes of a chunk's frame, for sizing buffers and shared-memory slots.
+///
+/// `ends` is the largest number of episodes that can end within the chunk, `terms` the number of
+/// reward terms.
+pub fn frame_bytes_bound(
+    steps: usize,
+    lanes: usize,
+    obs_dim: usize,
+    act_dim: usize,
+    ends: usize,
+    terms: usize,
+) -> usize {
+    let cells = product(&[steps, lanes]);
+    let rows = product(&[steps.saturating_add(1), lanes]);
+    // Floats of 4 bytes and the two flags; an end is a final observation (8 bytes and D floats)
+    // and a summary (18 bytes and its terms); moments are two f64 per component.
+    [
+        product(&[rows, obs_dim, 4]),
+        product(&[cells, act_dim, 8]),
+        product(&[cells, 10]),
+        product(&[act_dim, 4]),
+        product(&[
+            ends,
+            obs_dim
+                .saturating_add(terms)
+                .saturating_mul(4)
+                .saturating_add(26),
+        ]),
+        product(&[obs_dim, 16]),
+        FRAME_OVERHEAD,
+    ]
+    .into_iter()
+    .fold(0, usize::saturating_add)
+}
+
+fn hello_to_wire(hello: &ActorHello) -> pb::ActorHello {
+    pb::ActorHello {
+        run_id: hello.run_id.clone(),
+        actor_id: hello.actor_id,
+        incarnation: hello.incarnation,
+        lanes: to_u32(hello.lanes),
+        contract_hash: hello.contract_hash.to_vec(),
+        build: hello.build.clone(),
+    }
+}
+
+fn hello_from_wire(
+    hello: pb::ActorHello,
+    limits: &DecodeLimits,
+) -> Result<ActorHello, DecodeError> {
+    check::run_id(&hello.run_id)?;
+    check::line("build", &hello.build)?;
+    dimension("lanes", hello.lanes as usize, limits.max_lanes)?;
+    Ok(ActorHello {
+        run_id: hello.run_id,
+        actor_id: hello.actor_id,
+        incarnation: hello.incarnation,
+        lanes: hello.lanes as usize,
+        contract_hash: hash("contract_hash", &hello.contract_hash)?,
+        build: hello.build,
+    })
+}
+
+fn bye_to_wire(bye: &ActorBye) -> pb::ActorBye {
+    pb::ActorBye {
+        run_id: bye.run_id.clone(),
+        actor_id: bye.actor_id,
+        incarnation: bye.incarnation,
+        sent: bye.sent,
+        reason: bye.reason.clone(),
+    }
+}
+
+fn bye_from_wire(bye: pb::ActorBye) -> Result<ActorBye, DecodeError> {
+    check::run_id(&bye.run_id)?;
+    check::line("reason", &bye.reason)?;
+    Ok(ActorBye {
+        run_id: bye.run_id,
+        actor_id: bye.actor_id,
+        incarnation: bye.incarnation,
+        sent: bye.sent,
+        reason: bye.reason,
+    })
+}
+
+fn chunk_to_wire(chunk: &RolloutChunk) -> pb::RolloutChunk {
+    pb::RolloutChunk {
+        run_id: chunk.run_id.clone(),
+        actor_id: chunk.actor_id,
+        incarnation: chunk.incarnation,
+        sequence: chunk.sequence,
+        policy_version: chunk.policy_version,
+        policy_sha256: chunk.policy_sha256.to_vec(),
+        contract_hash: chunk.contract_hash.to_vec(),
+        steps: to_u32(chunk.steps),
+        lanes: to_u32(chunk.lanes),
+        obs_dim: to_u32(chunk.obs_dim),
+        act_dim: to_u32(chunk.act_dim),
+        observations: from_f32(&chunk.observations),
+        actions: from_f32(&chunk.actions),
+        action_means: from_f32(&chunk.action_means),
+        log_std: from_f32(&chunk.log_std),
+        log_probs: from_f32(&chunk.log_probs),
+        rewards: from_f32(&chunk.rewards),
+        terminated: from_flags(&chunk.terminated),
+        truncated: from_flags(&chunk.truncated),
+        final_observations: Some(finals_to_wire(&chunk.final_observations)),
+        episodes: Some(episodes_to_wire(&chunk.episodes)),
+        moments: Some(pb::Moments {
+            count: chunk.moments.count,
+            mean: from_f64(&chunk.moments.mean),
+            m2: from_f64(&chunk.moments.m2),
+        }),
+    }
+}
+
+fn chunk_from_wire(
+    chunk: pb::RolloutChunk,
+    limits: &DecodeLimits,
+) -> Result<RolloutChunk, DecodeError> {
+    let finals = chunk.final_observations.unwrap_or_default();
+    let episodes = chunk.episodes.unwrap_or_default();
+    let moments = chunk
+        .moments
+        .ok_or(DecodeError::Missing { field: "moments" })?;
+    let obs_dim = chunk.obs_dim as usize;
+    dimension("obs_dim", obs_dim, limits.max_obs_dim)?;
+    Ok(RolloutChunk {
+        run_id: chunk.run_id,
+        actor_id: chunk.actor_id,
+        incarnation: chunk.incarnation,
+        sequence: chunk.sequence,
+        policy_version: chunk.policy_version,
+        policy_sha256: hash("policy_sha256", &chunk.policy_sha256)?,
+        contract_hash: hash("contract_hash", &chunk.contract_hash)?,
+        steps: chunk.steps as usize,
+        lanes: chunk.lanes as usize,
+        obs_dim,
+        act_dim: chunk.act_dim as usize,
+        observations: to_f32("observations", &chunk.observations)?,
+        actions: to_f32("actions", &chunk.actions)?,
+        action_means: to_f32("action_means", &chunk.action_means)?,
+        log_std: to_f32("log_std", &chunk.log_std)?,
+        log_probs: to_f32("log_probs", &chunk.log_probs)?,
+        rewards: to_f32("rewards", &chunk.rewards)?,
+        terminated: to_flags("terminated", &chunk.terminated)?,
+        truncated: to_flags("truncated", &chunk.truncated)?,
+        final_observations: finals_from_wire(&finals, obs_dim)?,
+        episodes: episodes_from_wire(&episodes, limits)?,
+        moments: Moments {
+            count: moments.count,
+            mean: to_f64("moments.mean", &moments.mean)?,
+            m2: to_f64("moments.m2", &moments.m2)?,
+        },
+    })
+}
+
+fn finals_to_wire(finals: &[FinalObservation]) -> pb::FinalObservations {
+    pb::FinalObservations {
+        steps: from_u32(finals.iter().map(|f| to_u32(f.step))),
+        lanes: from_u32(finals.iter().map(|f| to_u32(f.lane))),
+        observations: finals
+            .iter()
+            .flat_map(|f| from_f32(&f.observation))
+            .collect(),
+    }
+}
+
+fn finals_from_wire(
+    finals: &pb::FinalObservations,
+    obs_dim: usize,
+) -> Result<Vec<FinalObservation>, DecodeError> {
+    let steps = to_u32s("final_observations.steps", &finals.steps)?;
+    let lanes = to_u32s("final_observations.lanes", &finals.lanes)?;
+    let values = to_f32("final_observations.observations", &finals.observations)?;
+    length("final_observations.lanes", lanes.len(), steps.len())?;
+    let expected = product(&[steps.len(), obs_dim]);
+    length("final_observations.observations", values.len(), expected)?;
+    Ok(steps
+        .iter()
+        .zip(&lanes)
+        .zip(values.chunks_exact(obs_dim))
+        .map(|((&step, &lane), observation)| FinalObservation {
+            step: step as usize,
+            lane: lane as usize,
+            observation: observation.to_vec(),
+        })
+        .collect())
+}
+
+fn episodes_to_wire(episodes: &[EpisodeSummary]) -> pb::Episodes {
+    pb::Episodes {
+        lanes: from_u32(episodes.iter().map(|e| e.lane)),
+        steps: from_u32(episodes.iter().map(|e| e.steps)),
+        returns: episodes
+            .iter()
+            .flat_map(|e| e.return_sum.to_le_bytes())
+            .collect(),
+        terms: to_u32(episodes.first().map_or(0, |e| e.terms.len())),
+        term_sums: episodes.iter().flat_map(|e| from_f32(&e.terms)).collect(),
+        terminated: episodes.iter().map(|e| u8::from(e.terminated)).collect(),
+        reasons: episodes.iter().map(|e| e.reason).collect(),
+        mean_speeds: episodes
+            .iter()
+            .flat_map(|e| e.mean_speed_mps.to_le_bytes())
+            .collect(),
+    }
+}
+
+fn episodes_from_wire(
+    episodes: &pb::Episodes,
+    limits: &DecodeLimits,
+) -> Result<Vec<EpisodeSummary>, DecodeError> {
+    let lanes = to_u32s("episodes.lanes", &episodes.lanes)?;
+    let steps = to_u32s("episodes.steps", &episodes.steps)?;
+    let returns = to_f32("episodes.returns", &episodes.returns)?;
+    let sums = to_f32("episodes.term_sums", &episodes.term_sums)?;
+    let terminated = to_flags("episodes.terminated", &episodes.terminated)?;
+    let speeds = to_f32("episodes.mean_speeds", &episodes.mean_speeds)?;
+    let (count, terms) = (lanes.len(), episodes.terms as usize);
+    if terms > limits.max_terms {
+        return Err(DecodeError::Dimension {
+            field: "episodes.terms",
+            found: terms,
+            limit: limits.max_terms,
+        });
+    }
+    length("episodes.steps", steps.len(), count)?;
+    length("episodes.returns", returns.len(), count)?;
+    length("episodes.term_sums", sums.len(), product(&[count, terms]))?;
+    length("episodes.terminated", terminated.len(), count)?;
+    length("episodes.reasons", episodes.reasons.len(), count)?;
+    length("episodes.mean_speeds", speeds.len(), count)?;
+    Ok((0..count)
+        .map(|i| EpisodeSummary {
+            lane: lanes[i],
+            steps: steps[i],
+            return_sum: returns[i],
+            terms: sums[i * terms..(i + 1) * terms].to_vec(),
+            terminated: terminated[i],
+            reason: episodes.reasons[i],
+            mean_speed_mps: speeds[i],
+        })
+        .collect())
+}
+
+/// A count for the wire. One that does not fit becomes `u32::MAX`, which every reader refuses.
+fn to_u32(value: usize) -> u32 {
+    u32::try_from(value).unwrap_or(u32::MAX)
+}
+
+fn hash(field: &'static str, bytes: &[u8]) -> Result<[u8; 32], DecodeError> {
+    bytes.try_into().map_err(|_| DecodeError::HashLength {
+        field,
+        found: bytes.len(),
+    })
+}
+
+fn from_f32(values: &[f32]) -> Vec<u8> {
+    let mut bytes = vec![0; values.len() * 4];
+    for (out, value) in bytes.chunks_exact_mut(4).zip(values) {
+        out.copy_from_slice(&value.to_le_bytes());
+    }
+    bytes
+}
+
+fn from_f64(values: &[f64]) -> Vec<u8> {
+    values.iter().flat_map(|x| x.to_le_bytes()).collect()
+}
+
+fn from_u32(values: impl Iterator<Item = u32>) -> Vec<u8> {
+    values.flat_map(u32::to_le_bytes).collect()
+}
+
+fn from_flags(flags: &[bool]) -> Vec<u8> {
+    flags.iter().map(|&f| u8::from(f)).collect()
+}
+
+fn to_f32(field: &'static str, bytes: &[u8]) -> Result<Vec<f32>, DecodeError> {
+    words(field, bytes, f32::from_le_bytes)
+}
+
+fn to_f64(field: &'static str, bytes: &[u8]) -> Result<Vec<f64>, DecodeError> {
+    words(field, bytes, f64::from_le_bytes)
+}
+
+fn to_u32s(field: &'static str, bytes: &[u8]) -> Result<Vec<u32>, DecodeError> {
+    words(field, bytes, u32::from_le_bytes)
+}
+
+/// Little-endian numbers of `W` bytes.
+fn words<const W: usize, T>(
+    field: &'static str,
+    bytes: &[u8],
+    read: fn([u8; W]) -> T,
+) -> Result<Vec<T>, DecodeError> {
+    let (chunks, rest) = bytes.as_chunks::<W>();
+    if !rest.is_empty() {
+        return Err(DecodeError::Ragged {
+            field,
+            bytes: bytes.len(),
+            width: W,
+        });
+    }
+    Ok(chunks.iter().map(|&chunk| read(chunk)).collect())
+}
+
+fn to_flags(field: &'static str, bytes: &[u8]) -> Result<Vec<bool>, DecodeError> {
+    if let Some(index) = bytes.iter().position(|&b| b > 1) {
+        return Err(DecodeError::Flag {
+            field,
+            index,
+            value: bytes[index],
+        });
+    }
+    Ok(bytes.iter().map(|&b| b == 1).collect())
+}
