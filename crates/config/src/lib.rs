@@ -1,1 +1,139 @@
-//! The one typed TOML configuration, its presets and overrides.
+//! The one configuration of a run: typed, checked as a whole, with presets, a file and `--set` on top of each other.
+//!
+//! Later layers win: built-in defaults, then a preset, then a file, then overrides. A key that nothing knows is an
+//! error with the nearest known key in it; so is a value outside its range. Everything is checked before any
+//! process starts or any port is bound.
+//!
+//! *Invariant:* plain data. Neither libtorch nor a network library is linked, so that the command line can check
+//! everything.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod error;
+mod keys;
+mod layers;
+mod presets;
+mod sections;
+mod validate;
+
+use std::path::{Path, PathBuf};
+
+use caudata_sim::{EngineConfig, TerrainConfig};
+use caudata_task::TaskConfig;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+pub use error::ConfigError;
+pub use layers::Source;
+pub use presets::{PRESETS, Preset};
+pub use sections::*;
+
+/// The whole configuration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Robot file (`*.robot.toml`). See [`Config::robot_path`] for where a relative path is looked for.
+    pub robot: PathBuf,
+    /// Name, seed, length.
+    pub run: RunConfig,
+    /// Who collects, and how much.
+    pub actors: ActorsConfig,
+    /// Networks and PPO.
+    pub learner: LearnerConfig,
+    /// Physics.
+    pub engine: EngineConfig,
+    /// Ground.
+    pub terrain: TerrainConfig,
+    /// The Markov decision process.
+    pub task: TaskConfig,
+    /// Between actors and learner.
+    pub transport: TransportSection,
+    /// The registry of policies.
+    pub policy_server: PolicyServerConfig,
+    /// Logs and metrics.
+    pub telemetry: TelemetryConfig,
+    /// What is done with the policy at the end.
+    pub evaluation: EvaluationConfig,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            robot: "robots/polymander.robot.toml".into(),
+            run: RunConfig::default(),
+            actors: ActorsConfig::default(),
+            learner: LearnerConfig::default(),
+            engine: EngineConfig::default(),
+            terrain: TerrainConfig::default(),
+            task: TaskConfig::default(),
+            transport: TransportSection::default(),
+            policy_server: PolicyServerConfig::default(),
+            telemetry: TelemetryConfig::default(),
+            evaluation: EvaluationConfig::default(),
+        }
+    }
+}
+
+impl Config {
+    /// Reads and checks a configuration.
+    ///
+    /// # Errors
+    /// A [`ConfigError`] that names the key, file or override that is wrong.
+    pub fn load(source: &Source) -> Result<Self, ConfigError> {
+        let config = layers::merge(source)?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// The whole configuration as TOML, every key with its value in effect.
+    ///
+    /// # Errors
+    /// [`ConfigError::Unrepresentable`] when a value has no TOML form (an integer above 2⁶³ − 1).
+    pub fn to_toml(&self) -> Result<String, ConfigError> {
+        toml::to_string(self).map_err(|error| ConfigError::Unrepresentable(error.to_string()))
+    }
+
+    /// SHA-256 of what decides how training goes: seed, actors, learner, engine, terrain and task.
+    ///
+    /// Left out are the names of things, how long the run is, how it is watched, and the robot (which has its own
+    /// hash), so that a longer or moved run keeps its hash.
+    pub fn hash(&self) -> [u8; 32] {
+        let decisive = (
+            self.run.seed,
+            &self.actors,
+            &self.learner,
+            &self.engine,
+            &self.terrain,
+            &self.task,
+        );
+        // Plain structs always have a JSON form; the order of their fields is fixed.
+        let json = serde_json::to_vec(&decisive).unwrap_or_default();
+        Sha256::digest(json).into()
+    }
+
+    /// [`Config::hash`] as 64 hex digits.
+    pub fn hash_hex(&self) -> String {
+        self.hash().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// The robot file. A relative path is looked for in the current directory and then in the folders above
+    /// this executable, so that a checkout's `target/release/caudata` finds `robots/` from anywhere.
+    pub fn robot_path(&self) -> PathBuf {
+        find_upwards(&self.robot, std::env::current_exe().ok().as_deref())
+    }
+
+    /// Every key with its value in effect, in the order of the file: `("learner.ppo.gamma", "0.97")`.
+    pub fn entries(&self) -> Vec<(String, String)> {
+        keys::entries(&keys::table_of(self))
+    }
+}
+
+fn find_upwards(path: &Path, exe: Option<&Path>) -> PathBuf {
+    if path.is_absolute() || path.exists() {
+        return path.to_owned();
+    }
+    exe.into_iter()
+        .flat_map(Path::ancestors)
+        .map(|folder| folder.join(path))
+        .find(|candidate| candidate.exists())
+        .unwrap_or_else(|| path.to_owned())
+}

@@ -1,0 +1,141 @@
+//! Defaults, preset, file and overrides, laid on top of each other.
+
+use std::path::{Path, PathBuf};
+
+use toml::{Table, Value};
+
+use crate::{Config, ConfigError, PRESETS, Preset, keys};
+
+/// Where a configuration comes from. Later fields win over earlier ones.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Source {
+    /// Name of a preset.
+    pub preset: Option<String>,
+    /// A TOML file; keys it does not have come from the preset and the defaults.
+    pub file: Option<PathBuf>,
+    /// `a.b=c`, in order.
+    pub overrides: Vec<String>,
+}
+
+impl Source {
+    /// A preset alone.
+    pub fn preset(name: &str) -> Self {
+        Self { preset: Some(name.to_owned()), ..Self::default() }
+    }
+
+    /// A file alone.
+    pub fn file(path: &Path) -> Self {
+        Self { file: Some(path.to_owned()), ..Self::default() }
+    }
+
+    /// With one more override.
+    #[must_use]
+    pub fn set(mut self, assignment: impl Into<String>) -> Self {
+        self.overrides.push(assignment.into());
+        self
+    }
+}
+
+/// Lays the layers on top of each other; the result has the right types, its values are not checked.
+pub(crate) fn merge(source: &Source) -> Result<Config, ConfigError> {
+    let known = keys::table_of(&Config::default());
+    let mut merged = known.clone();
+    for (origin, layer) in layers(source)? {
+        let unknown = keys::first_unknown(&layer, &known);
+        lay_over(&mut merged, layer);
+        // The types decide what is known (a section may have optional keys); the tree finds the place.
+        if let Err(error) = Config::deserialize_from(&merged) {
+            return Err(match unknown {
+                Some(key) => {
+                    let suggestion = keys::nearest(&key, &known);
+                    ConfigError::UnknownKey { key, origin, suggestion }
+                }
+                None => wrong_type(&error),
+            });
+        }
+    }
+    Config::deserialize_from(&merged).map_err(|error| wrong_type(&error))
+}
+
+impl Config {
+    fn deserialize_from(table: &Table) -> Result<Self, toml::de::Error> {
+        table.clone().try_into()
+    }
+}
+
+fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
+    let mut layers = Vec::new();
+    if let Some(name) = &source.preset {
+        let preset = Preset::find(name).ok_or_else(|| ConfigError::UnknownPreset {
+            name: name.clone(),
+            known: PRESETS.map(|preset| preset.name).join(", "),
+        })?;
+        let origin = format!("preset `{name}`");
+        layers.push((origin.clone(), parse(&origin, preset.text)?));
+    }
+    if let Some(path) = &source.file {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+        let origin = path.display().to_string();
+        layers.push((origin.clone(), parse(&origin, &text)?));
+    }
+    for assignment in &source.overrides {
+        layers.push((format!("override `{assignment}`"), parse_override(assignment)?));
+    }
+    Ok(layers)
+}
+
+fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {
+    text.parse().map_err(|error: toml::de::Error| {
+        let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+        ConfigError::Syntax {
+            origin: origin.to_owned(),
+            line: before.matches('\n').count() + 1,
+            column: before.rsplit('\n').next().unwrap_or_default().chars().count() + 1,
+            message: error.message().to_owned(),
+        }
+    })
+}
+
+/// `a.b=c` as a tree. The value is TOML; a bare word is taken as a string.
+fn parse_override(assignment: &str) -> Result<Table, ConfigError> {
+    let bad = || ConfigError::BadOverride(assignment.to_owned());
+    let (key, value) = assignment.split_once('=').ok_or_else(bad)?;
+    let value = value.trim();
+    let value = format!("v = {value}")
+        .parse::<Table>()
+        .ok()
+        .and_then(|mut table| table.remove("v"))
+        .unwrap_or_else(|| Value::String(value.to_owned()));
+    let mut words: Vec<&str> = key.trim().split('.').map(str::trim).collect();
+    if words.iter().any(|word| word.is_empty()) {
+        return Err(bad());
+    }
+    let last = words.pop().ok_or_else(bad)?;
+    let mut tree = Table::from_iter([(last.to_owned(), value)]);
+    for word in words.into_iter().rev() {
+        tree = Table::from_iter([(word.to_owned(), Value::Table(tree))]);
+    }
+    Ok(tree)
+}
+
+fn lay_over(base: &mut Table, layer: Table) {
+    for (key, value) in layer {
+        match (base.get_mut(&key), value) {
+            (Some(Value::Table(base)), Value::Table(layer)) => lay_over(base, layer),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+/// The parser says `… in \`a.b\`` below its message; that is the key.
+fn wrong_type(error: &toml::de::Error) -> ConfigError {
+    let text = error.to_string();
+    let key = text
+        .lines()
+        .find_map(|line| line.strip_prefix("in `")?.strip_suffix('`'))
+        .map(str::to_owned);
+    ConfigError::WrongType { key, message: error.message().to_owned() }
+}

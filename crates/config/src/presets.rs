@@ -1,0 +1,33 @@
+//! The configurations that come with the program.
+
+/// A named configuration, embedded.
+#[derive(Clone, Copy, Debug)]
+pub struct Preset {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// One line about it.
+    pub about: &'static str,
+    /// Its TOML text: only what differs from the defaults.
+    pub text: &'static str,
+}
+
+/// All presets.
+pub const PRESETS: [Preset; 2] = [
+    Preset {
+        name: "quick",
+        about: "a few minutes on two cores: the robot begins to walk on flat ground",
+        text: include_str!("../presets/quick.toml"),
+    },
+    Preset {
+        name: "flat",
+        about: "flat ground, commands in all directions, full randomisation; hours on this engine",
+        text: include_str!("../presets/flat.toml"),
+    },
+];
+
+impl Preset {
+    /// The preset of this name.
+    pub fn find(name: &str) -> Option<&'static Preset> {
+        PRESETS.iter().find(|preset| preset.name == name)
+    }
+}

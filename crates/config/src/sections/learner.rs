@@ -1,0 +1,217 @@
+//! `[learner]`: networks, PPO, staleness, checkpoints.
+
+use serde::{Deserialize, Serialize};
+
+/// `[learner]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearnerConfig {
+    /// Where tensors live. `auto` takes CUDA when libtorch has it.
+    pub device: Device,
+    /// Threads of libtorch on the CPU. 1 to 256. Small networks gain little above 1; the last bits of the
+    /// weights depend on it.
+    pub threads: u32,
+    /// Every how many iterations a policy goes to the policy server (the last one always does). 1 to 1,000,000.
+    /// Actors get every version regardless.
+    pub publish_every: u64,
+    /// Every how many iterations the full state goes to disk (also at the end and when stopped). 1 to 1,000,000.
+    pub checkpoint_every: u64,
+    /// Checkpoints that are kept, newest first. 1 to 10,000.
+    pub keep_checkpoints: u32,
+    /// Seconds to wait for a full batch before going on with what has come. Above 0, to 86,400. Too short: a slow
+    /// actor's work is lost; too long: a dead one holds everybody up.
+    pub batch_timeout_s: f64,
+    /// Share of a full batch without which the learner does not learn. Above 0, to 1. Below it after
+    /// `starve_timeout_s` the run ends with exit code 75.
+    pub min_batch_share: f64,
+    /// Seconds without `min_batch_share` after which the run ends. At least `batch_timeout_s`, to 86,400.
+    pub starve_timeout_s: f64,
+    /// Networks, exploration noise, normaliser.
+    pub network: NetworkConfig,
+    /// The update.
+    pub ppo: PpoConfig,
+    /// Data from older policies.
+    pub staleness: StalenessConfig,
+}
+
+impl Default for LearnerConfig {
+    fn default() -> Self {
+        Self {
+            device: Device::Auto,
+            threads: 1,
+            publish_every: 25,
+            checkpoint_every: 25,
+            keep_checkpoints: 3,
+            batch_timeout_s: 30.0,
+            min_batch_share: 0.5,
+            starve_timeout_s: 300.0,
+            network: NetworkConfig::default(),
+            ppo: PpoConfig::default(),
+            staleness: StalenessConfig::default(),
+        }
+    }
+}
+
+/// Where tensors live.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Device {
+    /// CUDA when there, else the CPU.
+    #[default]
+    Auto,
+    /// The CPU.
+    Cpu,
+    /// The first CUDA device, or an error.
+    Cuda,
+}
+
+/// `[learner.network]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Hidden layers of the policy. 1 to 8 layers of 1 to 4,096 units.
+    pub policy_hidden: Vec<u32>,
+    /// Hidden layers of the value function.
+    pub value_hidden: Vec<u32>,
+    /// Non-linearity of the hidden layers.
+    pub activation: Activation,
+    /// Standard deviation of the action noise at the start, in units of the action. 0.01 to 5. A slow
+    /// action filter needs a large one.
+    pub init_std: f64,
+    /// Smallest standard deviation that the policy may learn. Above 0, below `std_max`. Too small: exploration
+    /// dies and log-probabilities explode.
+    pub std_min: f64,
+    /// Largest standard deviation that the policy may learn. To 10.
+    pub std_max: f64,
+    /// Whether observations are shifted and scaled by their running mean and standard deviation.
+    pub normalise_observations: bool,
+    /// Normalised observations are clipped to ± this. 1 to 100. Too small cuts signal, too large lets rare
+    /// spikes through.
+    pub observation_clip: f64,
+}
+
+impl Default for NetworkConfig {
+    fn default() -> Self {
+        Self {
+            policy_hidden: vec![128, 128],
+            value_hidden: vec![128, 128],
+            activation: Activation::Elu,
+            init_std: 0.7,
+            std_min: 0.05,
+            std_max: 1.5,
+            normalise_observations: true,
+            observation_clip: 10.0,
+        }
+    }
+}
+
+/// Non-linearity of the hidden layers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Activation {
+    /// x for x > 0, else eˣ − 1 (rsl_rl's default).
+    #[default]
+    Elu,
+    /// x·σ(x) (brax's default).
+    Swish,
+    /// Hyperbolic tangent.
+    Tanh,
+    /// max(x, 0).
+    Relu,
+}
+
+/// `[learner.ppo]`. The objective is decoupled PPO (Hilton et al. 2022): clipping against the policy before the
+/// update, importance weights against the one that acted.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PpoConfig {
+    /// Passes over a batch. 1 to 100. More: more learnt per sample, and more drift from the data.
+    pub epochs: u32,
+    /// Parts that a batch is split into per pass. 1 to 1,024, at most the samples of a batch.
+    pub minibatches: u32,
+    /// Discount per 20 ms step. 0 to below 1. 0.97 looks 0.7 s ahead, 0.99 2 s.
+    pub gamma: f64,
+    /// λ of GAE and V-trace. 0 to 1. Small: leans on the critic; large: noisy.
+    pub lambda: f64,
+    /// Clip range ε of the probability ratio. Above 0, below 1.
+    pub clip: f64,
+    /// Weight of the value loss. 0 to 100.
+    pub value_loss_weight: f64,
+    /// Weight of the entropy bonus. 0 to 1. Too small: early collapse; too large: noise for its own sake.
+    pub entropy_weight: f64,
+    /// Largest norm of the gradient. Above 0, to 1,000.
+    pub max_grad_norm: f64,
+    /// Learning rate of Adam at the start. Above 0, to 1.
+    pub learning_rate: f64,
+    /// KL divergence per update that the learning rate is adapted to, nats (rsl_rl's rule: above twice it the rate
+    /// falls by 1.5, below half of it it rises by 1.5). 0 keeps the rate. 0 to 1.
+    pub target_kl: f64,
+    /// Bounds of the adapted learning rate.
+    pub learning_rate_min: f64,
+    /// Bounds of the adapted learning rate.
+    pub learning_rate_max: f64,
+    /// Over what advantages are shifted and scaled to mean 0 and variance 1.
+    pub advantage_scale: AdvantageScale,
+}
+
+impl Default for PpoConfig {
+    fn default() -> Self {
+        Self {
+            epochs: 4,
+            minibatches: 4,
+            gamma: 0.97,
+            lambda: 0.95,
+            clip: 0.2,
+            value_loss_weight: 1.0,
+            entropy_weight: 0.003,
+            max_grad_norm: 1.0,
+            learning_rate: 1e-3,
+            target_kl: 0.01,
+            learning_rate_min: 1e-5,
+            learning_rate_max: 1e-2,
+            advantage_scale: AdvantageScale::Batch,
+        }
+    }
+}
+
+/// Over what advantages are normalised.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AdvantageScale {
+    /// The whole batch (rsl_rl).
+    #[default]
+    Batch,
+    /// Each minibatch (brax).
+    Minibatch,
+    /// Not at all.
+    None,
+}
+
+/// `[learner.staleness]`: what happens to data from older policies.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StalenessConfig {
+    /// Policy versions after which a chunk is dropped and counted. 0 to 1,000. 0 uses only the newest policy's.
+    pub max_lag: u64,
+    /// ρ̄ of V-trace (Espeholt et al. 2018): cap of the ratio in the correction of values. 0.1 to 10; 1 is the paper's.
+    pub rho_max: f64,
+    /// c̄ of V-trace: cap of the trace, multiplied by λ. 0.1 to 10; 1 makes it GAE at lag 0.
+    pub c_max: f64,
+    /// Cap of the weight π_prox/μ in the loss. 1 to 100. Large: noisy; 1: biased towards the old policy.
+    pub weight_max: f64,
+    /// Effective sample size, as a share of the batch, below which the learning rate is halved for this batch and
+    /// a warning is given. 0 to 1.
+    pub min_effective_share: f64,
+}
+
+impl Default for StalenessConfig {
+    fn default() -> Self {
+        Self {
+            max_lag: 4,
+            rho_max: 1.0,
+            c_max: 1.0,
+            weight_max: 2.0,
+            min_effective_share: 0.5,
+        }
+    }
+}

@@ -1,0 +1,14 @@
+//! The sections of the configuration that belong to no other crate. Each field says its unit, its range, and what
+//! happens when it is too small or too large.
+
+mod actors;
+mod learner;
+mod run;
+mod services;
+
+pub use actors::ActorsConfig;
+pub use learner::{
+    Activation, AdvantageScale, Device, LearnerConfig, NetworkConfig, PpoConfig, StalenessConfig,
+};
+pub use run::{EvaluationConfig, RunConfig};
+pub use services::{LogStyle, PolicyServerConfig, TelemetryConfig, TransportKind, TransportSection};

@@ -1,0 +1,149 @@
+//! `[transport]`, `[policy_server]` and `[telemetry]`.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+/// `[transport]`: how rollouts reach the learner and policies reach the actors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TransportSection {
+    /// Which transport.
+    pub kind: TransportKind,
+    /// Largest rollout frame, bytes. 1 to 268,435,456. A chunk is about
+    /// `4 × chunk_steps × lanes × (observations + 2 × actions + 4)` bytes and must fit.
+    pub max_frame_bytes: u64,
+    /// Largest policy, bytes. 1 to 268,435,456.
+    pub max_policy_bytes: u64,
+    /// Frames of one actor that may wait unread at the learner. 1 to 1,024. Few: actors stall while the learner
+    /// learns; many: memory, and older data.
+    pub window_frames: u32,
+    /// Actors connected at once. 1 to 1,024. One more is refused.
+    pub max_actors: u32,
+    /// How often the sides tell each other that they live, ms. 10 to 60,000.
+    pub heartbeat_ms: u64,
+    /// Silence after which the other side counts as gone, ms. At least three heartbeats, to 3,600,000.
+    pub peer_timeout_ms: u64,
+    /// iceoryx2: folder for its bookkeeping files; empty takes one in the system's temporary folder. Keep it short.
+    pub iceoryx2_root: PathBuf,
+    /// zenoh: where the learner listens. No authentication: other addresses than this host's belong on a
+    /// trusted network.
+    pub zenoh_listen: Vec<String>,
+    /// zenoh: what to connect to (a router, or the learner).
+    pub zenoh_connect: Vec<String>,
+}
+
+impl Default for TransportSection {
+    fn default() -> Self {
+        Self {
+            kind: TransportKind::Inproc,
+            max_frame_bytes: 8 << 20,
+            max_policy_bytes: 16 << 20,
+            window_frames: 4,
+            max_actors: 64,
+            heartbeat_ms: 250,
+            peer_timeout_ms: 3_000,
+            iceoryx2_root: PathBuf::new(),
+            zenoh_listen: vec!["tcp/127.0.0.1:0".into()],
+            zenoh_connect: Vec::new(),
+        }
+    }
+}
+
+/// Which transport.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TransportKind {
+    /// Actors are threads of the learner.
+    #[default]
+    Inproc,
+    /// Actors are processes on the learner's machine: shared memory.
+    Iceoryx2,
+    /// Actors are processes anywhere that reaches the learner or a common router.
+    Zenoh,
+}
+
+impl TransportKind {
+    /// The word used in the file and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Inproc => "inproc",
+            Self::Iceoryx2 => "iceoryx2",
+            Self::Zenoh => "zenoh",
+        }
+    }
+}
+
+/// `[policy_server]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PolicyServerConfig {
+    /// Address of the gRPC service. Port 0 takes any free one.
+    pub addr: SocketAddr,
+    /// Folder of the store, under the run folder unless absolute.
+    pub dir: PathBuf,
+    /// Versions kept, newest first. 1 to 100,000.
+    pub keep_versions: u32,
+    /// Name under which the policies of this run are published. Letters, digits, `-`, `_` and `.`, 1 to 64 of them.
+    pub stream: String,
+}
+
+impl Default for PolicyServerConfig {
+    fn default() -> Self {
+        Self { addr: any_local_port(), dir: "registry".into(), keep_versions: 64, stream: "walk".into() }
+    }
+}
+
+/// `[telemetry]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TelemetryConfig {
+    /// Whether processes serve `/metrics` and `/healthz`.
+    pub metrics: bool,
+    /// Where the learner serves them; the other processes take any free port of the same address. Port 0 takes any.
+    pub metrics_addr: SocketAddr,
+    /// How the logs of child processes look in `logs/`.
+    pub log_format: LogStyle,
+    /// What they log, for instance `info` or `warn,caudata_learner=debug`.
+    pub log: String,
+}
+
+impl Default for TelemetryConfig {
+    fn default() -> Self {
+        Self {
+            metrics: true,
+            metrics_addr: any_local_port(),
+            log_format: LogStyle::Auto,
+            log: "info".into(),
+        }
+    }
+}
+
+/// How log lines look.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LogStyle {
+    /// Pretty on a terminal, JSON otherwise.
+    #[default]
+    Auto,
+    /// For people.
+    Pretty,
+    /// One JSON object per line.
+    Json,
+}
+
+impl LogStyle {
+    /// The word used in the file and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Pretty => "pretty",
+            Self::Json => "json",
+        }
+    }
+}
+
+fn any_local_port() -> SocketAddr {
+    (Ipv4Addr::LOCALHOST, 0).into()
+}
