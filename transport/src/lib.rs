@@ -1,1 +1,26 @@
 //! Rollouts and policy versions between actors and learner over one trait: in-process, iceoryx2, zenoh.
+//!
+//! Frames are opaque bytes: what is inside is the business of `caudata-proto`. Rollout frames go
+//! many-to-one from [`ActorLink`]s to the [`LearnerLink`], in order per actor link, each delivered
+//! once while both sides live. Policies go one-to-many, latest only: an actor sees the newest one,
+//! never an older one after it, and a late actor gets the newest at once.
+//!
+//! Nothing is dropped silently. When the learner falls behind, [`ActorLink::send`] returns
+//! [`SendError::Full`] at its deadline and the frame has *not* been taken: the caller tries again.
+//! `docs/transport.md` has the protocol, the limits and the fault table.
+
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod config;
+mod error;
+mod inproc;
+mod link;
+mod policy_cell;
+
+pub use config::{Iceoryx2Config, InprocConfig, Limits, TransportConfig, ZenohConfig};
+pub use error::{SendError, TransportError};
+pub use inproc::InprocHub;
+pub use link::{
+    ActorLink, Control, Frame, LearnerLink, LinkStats, PolicyUpdate, actor_link, clean_up,
+    learner_link,
+};

@@ -1,0 +1,341 @@
+//! Actors as threads of the learner's process: one lock, a bounded queue and a policy cell.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::policy_cell::{PolicyCell, Seen};
+use crate::{
+    ActorLink, Frame, InprocConfig, LearnerLink, LinkStats, PolicyUpdate, SendError,
+    TransportConfig, TransportError,
+};
+
+/// Makes the two kinds of ends of one in-process run. Cheap to clone.
+///
+/// There is one learner end; once it has been dropped, every actor end reports `Closed`.
+#[derive(Clone)]
+pub struct InprocHub {
+    shared: Arc<Shared>,
+}
+
+impl InprocHub {
+    /// A hub without ends yet.
+    ///
+    /// # Errors
+    /// The limits do not work.
+    pub fn new(config: &InprocConfig) -> Result<Self, TransportError> {
+        config.limits.check()?;
+        Ok(Self {
+            shared: Arc::new(Shared {
+                config: config.clone(),
+                state: Mutex::default(),
+                arrived: Condvar::new(),
+                room: Condvar::new(),
+                policy: PolicyCell::new(config.limits.max_policy_bytes),
+            }),
+        })
+    }
+
+    /// The learner's end.
+    ///
+    /// # Errors
+    /// It has been taken before.
+    pub fn learner(&self) -> Result<Box<dyn LearnerLink>, TransportError> {
+        let mut state = self.shared.lock();
+        if state.learner != LearnerState::NotYet {
+            return Err(TransportError::AlreadyRunning {
+                run_id: "in-process".to_owned(),
+                detail: "this hub's learner end has been taken".to_owned(),
+            });
+        }
+        state.learner = LearnerState::Alive;
+        Ok(Box::new(InprocLearner {
+            shared: Arc::clone(&self.shared),
+            stats: LinkStats::default(),
+        }))
+    }
+
+    /// One more actor's end.
+    ///
+    /// # Errors
+    /// `max_actors` ends exist.
+    pub fn actor(&self) -> Result<Box<dyn ActorLink>, TransportError> {
+        let limits = &self.shared.config.limits;
+        let mut state = self.shared.lock();
+        if state.actors >= limits.max_actors {
+            return Err(TransportError::Config(format!(
+                "limits.max_actors = {} actors are connected",
+                limits.max_actors
+            )));
+        }
+        state.actors += 1;
+        let slot = state.free.pop().unwrap_or_else(|| {
+            state.waiting.push(0);
+            state.waiting.len() - 1
+        });
+        Ok(Box::new(InprocActor {
+            shared: Arc::clone(&self.shared),
+            slot,
+            seen: Seen::default(),
+            stats: LinkStats::default(),
+        }))
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Default)]
+enum LearnerState {
+    #[default]
+    NotYet,
+    Alive,
+    Gone,
+}
+
+#[derive(Default)]
+struct State {
+    learner: LearnerState,
+    actors: usize,
+    /// Frames of all actors in order of arrival, each with its actor's slot.
+    queue: VecDeque<(usize, Vec<u8>)>,
+    /// Per slot: how many of its frames are in `queue`.
+    waiting: Vec<usize>,
+    /// Slots of dropped actors whose frames have all been read.
+    free: Vec<usize>,
+    /// Slots of dropped actors with frames still in `queue`.
+    leaving: Vec<usize>,
+}
+
+impl State {
+    fn pop(&mut self) -> Option<Vec<u8>> {
+        let (slot, bytes) = self.queue.pop_front()?;
+        self.waiting[slot] -= 1;
+        if self.waiting[slot] == 0
+            && let Some(at) = self.leaving.iter().position(|&s| s == slot)
+        {
+            self.leaving.swap_remove(at);
+            self.free.push(slot);
+        }
+        Some(bytes)
+    }
+}
+
+struct Shared {
+    config: InprocConfig,
+    state: Mutex<State>,
+    arrived: Condvar,
+    room: Condvar,
+    policy: PolicyCell,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+struct InprocActor {
+    shared: Arc<Shared>,
+    slot: usize,
+    seen: Seen,
+    stats: LinkStats,
+}
+
+impl InprocActor {
+    fn enqueue(&self, frame: &[u8], timeout: Duration) -> Result<(), SendError> {
+        let limits = &self.shared.config.limits;
+        if frame.len() > limits.max_frame_bytes {
+            return Err(SendError::TooLarge {
+                size: frame.len(),
+                max: limits.max_frame_bytes,
+            });
+        }
+        let full = |state: &mut State| {
+            state.learner != LearnerState::Gone && state.waiting[self.slot] >= limits.window_frames
+        };
+        let (mut state, _) = self
+            .shared
+            .room
+            .wait_timeout_while(self.shared.lock(), timeout, full)
+            .unwrap_or_else(PoisonError::into_inner);
+        if state.learner == LearnerState::Gone {
+            return Err(SendError::Closed);
+        }
+        if full(&mut state) {
+            return Err(SendError::Full {
+                unacknowledged: state.waiting[self.slot],
+            });
+        }
+        state.waiting[self.slot] += 1;
+        state.queue.push_back((self.slot, frame.to_vec()));
+        drop(state);
+        self.shared.arrived.notify_one();
+        Ok(())
+    }
+}
+
+impl ActorLink for InprocActor {
+    fn send(&mut self, frame: &[u8], timeout: Duration) -> Result<(), SendError> {
+        let result = self.enqueue(frame, timeout);
+        match result {
+            Ok(()) => {
+                self.stats.frames += 1;
+                self.stats.bytes += frame.len() as u64;
+            }
+            Err(_) => self.stats.refused += 1,
+        }
+        result
+    }
+
+    fn next_policy(&mut self, timeout: Duration) -> Result<Option<PolicyUpdate>, TransportError> {
+        let update = self.shared.policy.next(&mut self.seen, timeout)?;
+        self.stats.policies += u64::from(update.is_some());
+        Ok(update)
+    }
+
+    /// The queue is in the learner's process: whatever was sent is there already.
+    fn flush(&mut self, _timeout: Duration) -> Result<(), SendError> {
+        match self.shared.lock().learner {
+            LearnerState::Gone => Err(SendError::Closed),
+            _ => Ok(()),
+        }
+    }
+
+    fn stop_requested(&self) -> bool {
+        self.shared.policy.stop_requested()
+    }
+
+    fn is_connected(&self) -> bool {
+        self.shared.lock().learner == LearnerState::Alive
+    }
+
+    fn stats(&self) -> LinkStats {
+        let state = self.shared.lock();
+        LinkStats {
+            depth: state.waiting[self.slot],
+            peers: usize::from(state.learner == LearnerState::Alive),
+            ..self.stats
+        }
+    }
+}
+
+impl Drop for InprocActor {
+    fn drop(&mut self) {
+        let mut state = self.shared.lock();
+        state.actors -= 1;
+        // What it sent stays readable; the slot is reused once that has been read.
+        if state.waiting[self.slot] == 0 {
+            state.free.push(self.slot);
+        } else {
+            state.leaving.push(self.slot);
+        }
+    }
+}
+
+struct InprocLearner {
+    shared: Arc<Shared>,
+    stats: LinkStats,
+}
+
+impl LearnerLink for InprocLearner {
+    fn recv(&mut self, timeout: Duration) -> Result<Option<Frame>, TransportError> {
+        let (mut state, _) = self
+            .shared
+            .arrived
+            .wait_timeout_while(self.shared.lock(), timeout, |state| state.queue.is_empty())
+            .unwrap_or_else(PoisonError::into_inner);
+        let Some(bytes) = state.pop() else {
+            return Ok(None);
+        };
+        drop(state);
+        self.shared.room.notify_all();
+        self.stats.frames += 1;
+        self.stats.bytes += bytes.len() as u64;
+        Ok(Some(Frame { bytes }))
+    }
+
+    fn publish_policy(&mut self, update: PolicyUpdate) -> Result<(), TransportError> {
+        self.shared.policy.publish(update)?;
+        self.stats.policies += 1;
+        Ok(())
+    }
+
+    fn actor_config(&self) -> TransportConfig {
+        TransportConfig::Inproc(self.shared.config.clone())
+    }
+
+    fn stats(&self) -> LinkStats {
+        let state = self.shared.lock();
+        LinkStats {
+            depth: state.queue.len(),
+            peers: state.actors,
+            ..self.stats
+        }
+    }
+}
+
+impl Drop for InprocLearner {
+    fn drop(&mut self) {
+        let mut state = self.shared.lock();
+        state.learner = LearnerState::Gone;
+        state.queue.clear();
+        drop(state);
+        self.shared.room.notify_all();
+        self.shared.policy.close();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Limits;
+
+    const SOON: Duration = Duration::from_millis(10);
+
+    fn hub(window_frames: usize) -> InprocHub {
+        let limits = Limits {
+            window_frames,
+            max_actors: 2,
+            ..Limits::default()
+        };
+        InprocHub::new(&InprocConfig { limits }).unwrap()
+    }
+
+    #[test]
+    fn there_is_one_learner_and_a_bounded_number_of_actors() {
+        let hub = hub(1);
+        let _learner = hub.learner().unwrap();
+        assert!(hub.learner().is_err());
+        let first = hub.actor().unwrap();
+        let _second = hub.actor().unwrap();
+        assert!(hub.actor().is_err());
+        drop(first);
+        assert!(hub.actor().is_ok());
+    }
+
+    #[test]
+    fn frames_of_a_dropped_actor_stay_readable_and_its_slot_waits_for_that() {
+        let hub = hub(1);
+        let mut learner = hub.learner().unwrap();
+        let mut first = hub.actor().unwrap();
+        first.send(b"a", SOON).unwrap();
+        drop(first);
+        // The new actor has a window of its own although the old frame is still unread.
+        let mut second = hub.actor().unwrap();
+        second.send(b"b", SOON).unwrap();
+        assert_eq!(learner.stats().depth, 2);
+        assert_eq!(learner.recv(SOON).unwrap().unwrap().bytes, b"a");
+        assert_eq!(learner.recv(SOON).unwrap().unwrap().bytes, b"b");
+        assert_eq!(hub.shared.lock().free.len(), 1);
+    }
+
+    #[test]
+    fn actors_see_that_the_learner_has_gone() {
+        let hub = hub(1);
+        let learner = hub.learner().unwrap();
+        let mut actor = hub.actor().unwrap();
+        assert!(actor.is_connected());
+        drop(learner);
+        assert_eq!(actor.send(b"x", SOON), Err(SendError::Closed));
+        assert_eq!(actor.flush(SOON), Err(SendError::Closed));
+        assert_eq!(actor.next_policy(SOON), Err(TransportError::Closed));
+    }
+}
