@@ -12,16 +12,18 @@
 mod error;
 mod kinematics;
 mod load;
+mod mjcf;
 mod model;
 mod params;
 pub mod pose;
+mod robot_file;
 mod types;
 
 pub use error::ModelError;
 pub use kinematics::{JointFrame, Kinematics};
 pub use model::{BaseKind, RobotModel};
 pub use params::{
-    BacklashParams, ContactParams, ImuParams, SensorParams, ServoParams, SupplyParams, WaterParams,
+    BacklashParams, ContactParams, DragScale, ImuParams, SensorParams, ServoParams, SupplyParams, WaterParams,
 };
 pub use pose::Pose;
 pub use types::{Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site};

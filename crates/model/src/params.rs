@@ -117,24 +117,33 @@ pub struct ContactParams {
     pub body_friction: f64,
 }
 
-/// Water, per link below the surface (drag from the link's equivalent inertia box).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// Water. Forces act per link in proportion to how much of it is below the surface.
+///
+/// Drag is that of the link's equivalent inertia box (edges b_i = √(6(I_j+I_k−I_i)/m), d their mean), times the link's [`DragScale`].
+#[derive(Clone, Debug, PartialEq)]
 pub struct WaterParams {
     /// Density ρ, kg/m³.
     pub density_kg_per_m3: f64,
     /// Dynamic viscosity β, Pa·s.
     pub viscosity_pa_s: f64,
-    /// k_b: buoyancy of a fully immersed link, as a multiple of its weight.
+    /// k_b: buoyancy of a fully immersed link as a multiple of its weight.
     pub buoyancy_ratio: f64,
-    /// k_d: damping of vertical motion per link, N·s/m.
+    /// k_d: damping of the vertical motion of a fully immersed link, N·s/m.
     pub heave_damping_ns_per_m: f64,
-    /// Factors on the linear drag of the equivalent box along link x, y, z.
-    pub linear_drag_scale: [f64; 3],
-    /// Factors on the quadratic drag of the equivalent box along link x, y, z.
-    pub quadratic_drag_scale: [f64; 3],
-    /// Factors on the linear drag torque about link x, y, z.
-    pub linear_torque_scale: [f64; 3],
-    /// Factors on the quadratic drag torque about link x, y, z.
-    pub quadratic_torque_scale: [f64; 3],
+    /// One per link.
+    pub drag: Vec<DragScale>,
+}
+
+/// Factors on the box drag of a link, along (or about) the link's x, y and z axes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DragScale {
+    /// On the linear force 3π·d·β·v.
+    pub linear_force: [f64; 3],
+    /// On the quadratic force ½·ρ·b_j·b_k·|v|·v.
+    pub quadratic_force: [f64; 3],
+    /// On the linear torque π·d³·β·ω.
+    pub linear_torque: [f64; 3],
+    /// On the quadratic torque ρ·b_i·(b_j⁴+b_k⁴)/64·|ω|·ω.
+    pub quadratic_torque: [f64; 3],
 }

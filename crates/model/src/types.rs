@@ -20,7 +20,7 @@ pub struct Link {
     pub com_m: [f64; 3],
     /// Inertia about the centre of mass in link axes, kg·m², full symmetric matrix, rows first.
     pub inertia_kgm2: [[f64; 3]; 3],
-    /// Model indices of the joints between the parent and this link, outermost (at the parent) first. Empty: welded, or the free root.
+    /// Model indices of the joints between the parent and this link, outermost (at the parent) first. Empty only for the root.
     pub joints: Vec<usize>,
     /// Shapes fixed to the link, in file order.
     pub geoms: Vec<Geom>,
@@ -153,7 +153,7 @@ pub struct Geom {
     pub shape: Shape,
     /// Pose of the shape in the link frame.
     pub link_from_geom: Pose,
-    /// Sliding friction coefficient against the ground (robot file `[contact]` where the geom collides).
+    /// Sliding friction coefficient against the ground: on a link from the robot file's `[contact]`, in the world from the MJCF.
     pub friction: f64,
     /// MuJoCo collision bits: two geoms collide where `contype & other.conaffinity` or the reverse is not zero.
     pub contype: u32,

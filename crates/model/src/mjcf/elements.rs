@@ -1,0 +1,326 @@
+//! Single MJCF elements: joint, geom, site, inertial, actuator.
+
+use crate::error::ModelError;
+use crate::pose::{self, Pose};
+use crate::types::{Geom, JointMotion, Shape};
+
+use super::xml::Element;
+use super::{Actuator, Compiler, MjJoint, MjSite};
+
+/// MuJoCo's default sliding friction coefficient.
+const DEFAULT_FRICTION: f64 = 1.0;
+
+// Attributes by element. Those after the blank line steer MuJoCo's own solver or viewer; they are accepted and have no effect here.
+#[rustfmt::skip]
+pub(super) const JOINT: &[&str] = &[
+    "name", "class", "type", "pos", "axis", "range", "limited", "stiffness", "springref", "damping", "armature", "frictionloss",
+    
+    "solreflimit", "solimplimit", "group",
+];
+#[rustfmt::skip]
+pub(super) const GEOM: &[&str] = &[
+    "name", "class", "type", "size", "pos", "quat", "euler", "fromto", "friction", "contype", "conaffinity",
+
+    "priority", "condim", "solref", "solimp", "group", "rgba",
+];
+#[rustfmt::skip]
+pub(super) const SITE: &[&str] = &[
+    "name", "class", "pos", "quat", "euler",
+
+    "type", "size", "group", "rgba",
+];
+pub(super) const INERTIAL: &[&str] =
+    &["pos", "quat", "euler", "mass", "diaginertia", "fullinertia"];
+#[rustfmt::skip]
+pub(super) const ACTUATOR: &[&str] = &[
+    "name", "class", "joint",
+
+    "kp", "kv", "ctrlrange", "ctrllimited", "forcerange", "forcelimited", "group",
+];
+
+/// Elements that may have defaults, with the attributes that they support.
+pub(super) fn attributes_of(tag: &str) -> Option<&'static [&'static str]> {
+    match tag {
+        "joint" => Some(JOINT),
+        "geom" => Some(GEOM),
+        "site" => Some(SITE),
+        "position" | "motor" => Some(ACTUATOR),
+        _ => None,
+    }
+}
+
+/// Pose from `pos` and `quat` or `euler`.
+pub(super) fn pose(e: &Element<'_, '_>, compiler: &Compiler) -> Result<Pose, ModelError> {
+    let pos_m = e.array::<3>("pos")?.unwrap_or([0.0; 3]);
+    let quat_wxyz = match (e.array::<4>("quat")?, e.array::<3>("euler")?) {
+        (Some(_), Some(_)) => return Err(e.error("euler", "stands beside `quat`; give one of them")),
+        (Some(q), None) => pose::quat_normalised(q)
+            .ok_or_else(|| e.error("quat", "has length zero; it needs a direction"))?,
+        (None, Some(angles)) => compiler.euler_to_quat(angles),
+        (None, None) => [1.0, 0.0, 0.0, 0.0],
+    };
+    Ok(Pose { pos_m, quat_wxyz })
+}
+
+pub(super) fn joint(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjJoint, ModelError> {
+    e.source.only_attributes(e.node, JOINT)?;
+    e.source.no_children(e.node)?;
+    let motion = match e.text("type").unwrap_or("hinge") {
+        "hinge" => JointMotion::Hinge,
+        "slide" => JointMotion::Slide,
+        "free" => return Err(e.error("type", "write the free joint as <freejoint/>")),
+        other => {
+            return Err(e.error("type", format!("`{other}` is not supported (hinge or slide)")));
+        }
+    };
+    let unit = match motion {
+        JointMotion::Hinge => compiler.rad_per_unit,
+        JointMotion::Slide => 1.0,
+    };
+    let range = e.array::<2>("range")?.map(|[lo, hi]| (lo * unit, hi * unit));
+    if let Some((lo, hi)) = range
+        && lo >= hi
+    {
+        return Err(e.error("range", "its lower end is not below its upper end"));
+    }
+    let limited = match e.text("limited").unwrap_or("auto") {
+        "true" => true,
+        "false" => false,
+        "auto" if compiler.autolimits => range.is_some(),
+        "auto" if range.is_none() => false,
+        "auto" => return Err(e.error("limited", "must be given beside `range` when autolimits is off")),
+        other => return Err(e.error("limited", format!("`{other}` is not true, false or auto"))),
+    };
+    if limited && range.is_none() {
+        return Err(e.error("range", "is missing on a limited joint"));
+    }
+    Ok(MjJoint {
+        name: e.required_text("name")?.to_owned(),
+        line: e.source.doc.text_pos_at(e.node.range().start).row,
+        motion,
+        axis: e.direction("axis")?.unwrap_or([0.0, 0.0, 1.0]),
+        anchor_m: e.array::<3>("pos")?.unwrap_or([0.0; 3]),
+        range_rad: range.filter(|_| limited),
+        stiffness: e.non_negative("stiffness")?,
+        spring_ref: e.number("springref")?.unwrap_or(0.0) * unit,
+        damping: e.non_negative("damping")?,
+        armature: e.non_negative("armature")?,
+        friction_loss: e.non_negative("frictionloss")?,
+    })
+}
+
+pub(super) fn geom(
+    e: &Element<'_, '_>,
+    compiler: &Compiler,
+    in_world: bool,
+) -> Result<Geom, ModelError> {
+    e.source.only_attributes(e.node, GEOM)?;
+    e.source.no_children(e.node)?;
+    let kind = e.text("type").unwrap_or("sphere");
+    let (shape, link_from_geom) = match e.array::<6>("fromto")? {
+        Some(ends) => segment(e, kind, ends)?,
+        None => (shape(e, kind)?, pose(e, compiler)?),
+    };
+    if shape == Shape::Plane && !in_world {
+        return Err(e.error("type", "a plane belongs in <worldbody>, not on a link"));
+    }
+    let friction = e.numbers("friction", 1, 3)?.map_or(DEFAULT_FRICTION, |f| f[0]);
+    if friction < 0.0 {
+        return Err(e.error("friction", format!("is {friction}; it must not be negative")));
+    }
+    Ok(Geom {
+        name: e.node.attribute("name").map(str::to_owned),
+        shape,
+        link_from_geom,
+        friction,
+        contype: e.bits("contype", 1)?,
+        conaffinity: e.bits("conaffinity", 1)?,
+    })
+}
+
+/// Sizes of a geom, all > 0.
+fn sizes<const N: usize>(e: &Element<'_, '_>) -> Result<[f64; N], ModelError> {
+    // MuJoCo ignores sizes beyond those that the type needs.
+    let Some(v) = e.numbers("size", N, 3)? else {
+        return Err(e.error("size", "is missing"));
+    };
+    let mut out = [0.0; N];
+    out.copy_from_slice(&v[..N]);
+    if let Some(bad) = out.iter().find(|x| **x <= 0.0) {
+        return Err(e.error("size", format!("{bad} is not above zero")));
+    }
+    Ok(out)
+}
+
+fn shape(e: &Element<'_, '_>, kind: &str) -> Result<Shape, ModelError> {
+    Ok(match kind {
+        "sphere" => Shape::Sphere { radius_m: sizes::<1>(e)?[0] },
+        "capsule" => {
+            let [radius_m, half_length_m] = sizes::<2>(e)?;
+            Shape::Capsule { radius_m, half_length_m }
+        }
+        "cylinder" => {
+            let [radius_m, half_length_m] = sizes::<2>(e)?;
+            Shape::Cylinder { radius_m, half_length_m }
+        }
+        "box" => Shape::Box { half_size_m: sizes::<3>(e)? },
+        "ellipsoid" => Shape::Ellipsoid { semi_axes_m: sizes::<3>(e)? },
+        "plane" => Shape::Plane,
+        other => {
+            return Err(e.error(
+                "type",
+                format!("`{other}` is not supported (sphere, capsule, cylinder, box, ellipsoid; plane in the world)"),
+            ));
+        }
+    })
+}
+
+/// A capsule or cylinder given by its end points.
+fn segment(e: &Element<'_, '_>, kind: &str, ends: [f64; 6]) -> Result<(Shape, Pose), ModelError> {
+    for other in ["pos", "quat", "euler"] {
+        if e.node.attribute(other).is_some() {
+            return Err(e.error(other, "stands beside `fromto`; give one of them"));
+        }
+    }
+    let a = [ends[0], ends[1], ends[2]];
+    let b = [ends[3], ends[4], ends[5]];
+    // MuJoCo lets the geom's z axis run from the second point to the first; a symmetric shape does not care.
+    let d = pose::sub(a, b);
+    let length = pose::norm(d);
+    if length < 1e-9 {
+        return Err(e.error("fromto", "its two points coincide"));
+    }
+    let radius_m = sizes::<1>(e)?[0];
+    let half_length_m = 0.5 * length;
+    let shape = match kind {
+        "capsule" => Shape::Capsule { radius_m, half_length_m },
+        "cylinder" => Shape::Cylinder { radius_m, half_length_m },
+        _ => return Err(e.error("fromto", "is only supported on capsules and cylinders")),
+    };
+    let pos_m = [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])];
+    let quat_wxyz = z_to(d.map(|x| x / length));
+    Ok((shape, Pose { pos_m, quat_wxyz }))
+}
+
+/// The shortest turn that takes the z axis to the unit vector `d`.
+fn z_to(d: [f64; 3]) -> [f64; 4] {
+    let w = 1.0 + d[2];
+    if w < 1e-12 {
+        return [0.0, 1.0, 0.0, 0.0]; // half a turn about x
+    }
+    // (1 + z·d, z × d), normalised
+    pose::quat_normalised([w, -d[1], d[0], 0.0]).unwrap_or([1.0, 0.0, 0.0, 0.0])
+}
+
+pub(super) fn site(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjSite, ModelError> {
+    e.source.only_attributes(e.node, SITE)?;
+    e.source.no_children(e.node)?;
+    Ok(MjSite { name: e.required_text("name")?.to_owned(), link_from_site: pose(e, compiler)? })
+}
+
+/// Mass (kg), centre of mass (m) and inertia about it in link axes (kg·m²).
+pub(super) type Inertial = (f64, [f64; 3], [[f64; 3]; 3]);
+
+pub(super) fn inertial(e: &Element<'_, '_>, compiler: &Compiler) -> Result<Inertial, ModelError> {
+    e.source.only_attributes(e.node, INERTIAL)?;
+    e.source.no_children(e.node)?;
+    e.required_text("pos")?;
+    let link_from_inertial = pose(e, compiler)?;
+    let mass = e.number("mass")?.ok_or_else(|| e.error("mass", "is missing"))?;
+    if mass <= 0.0 {
+        return Err(e.error("mass", format!("is {mass} kg; it must be above zero")));
+    }
+    let turned = link_from_inertial.quat_wxyz != [1.0, 0.0, 0.0, 0.0];
+    let (attribute, inertia) = match (e.array::<3>("diaginertia")?, e.array::<6>("fullinertia")?) {
+        (Some(_), Some(_)) => {
+            return Err(e.error("fullinertia", "stands beside `diaginertia`; give one of them"));
+        }
+        (None, None) => return Err(e.error("diaginertia", "is missing (or `fullinertia`)")),
+        (Some([x, y, z]), None) => {
+            ("diaginertia", [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]])
+        }
+        (None, Some(_)) if turned => {
+            return Err(e.error("fullinertia", "cannot stand beside an orientation (as in MuJoCo)"));
+        }
+        // MJCF order: xx, yy, zz, xy, xz, yz
+        (None, Some([xx, yy, zz, xy, xz, yz])) => {
+            ("fullinertia", [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        }
+    };
+    check_inertia(inertia).map_err(|m| e.error(attribute, m))?;
+    let inertia = pose::rotate_tensor(link_from_inertial.quat_wxyz, inertia);
+    Ok((mass, link_from_inertial.pos_m, inertia))
+}
+
+/// Whether an inertia tensor can belong to a body.
+///
+/// The second moments Σ = ½·tr(I)·E − I = ∫ r rᵀ dm must be positive semi-definite: that is the triangle inequality of the principal
+/// moments (each at most the sum of the other two). A 3×3 matrix is, when all its principal minors are ≥ 0.
+fn check_inertia(i: [[f64; 3]; 3]) -> Result<(), String> {
+    let half_trace = 0.5 * (i[0][0] + i[1][1] + i[2][2]);
+    if !(i[0][0] > 0.0 && i[1][1] > 0.0 && i[2][2] > 0.0) {
+        return Err("the moments of inertia must be above zero".to_owned());
+    }
+    // scaled to trace 1, so that the tolerance is relative
+    let s = |r: usize, c: usize| {
+        (if r == c { half_trace - i[r][c] } else { -i[r][c] }) / (2.0 * half_trace)
+    };
+    let minor2 = |a: usize, b: usize| s(a, a) * s(b, b) - s(a, b) * s(b, a);
+    let det = s(0, 0) * minor2(1, 2) - s(0, 1) * (s(1, 0) * s(2, 2) - s(1, 2) * s(2, 0))
+        + s(0, 2) * (s(1, 0) * s(2, 1) - s(1, 1) * s(2, 0));
+    let minors = [s(0, 0), s(1, 1), s(2, 2), minor2(0, 1), minor2(0, 2), minor2(1, 2), det];
+    const TOLERANCE: f64 = 1e-9;
+    if minors.iter().any(|m| *m < -TOLERANCE) {
+        return Err("no body has this inertia: a principal moment exceeds the sum of the other two \
+                    (triangle inequality)"
+            .to_owned());
+    }
+    Ok(())
+}
+
+pub(super) fn actuator(e: &Element<'_, '_>) -> Result<Actuator, ModelError> {
+    e.source.only_attributes(e.node, ACTUATOR)?;
+    e.source.no_children(e.node)?;
+    for attribute in ["kp", "kv"] {
+        e.non_negative(attribute)?;
+    }
+    for attribute in ["ctrlrange", "forcerange"] {
+        e.array::<2>(attribute)?;
+    }
+    let joint = e.required_text("joint")?.to_owned();
+    Ok(Actuator {
+        name: e.text("name").unwrap_or(&joint).to_owned(),
+        line: e.source.doc.text_pos_at(e.node.range().start).row,
+        joint,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inertia_of_a_thin_rod_is_the_limit_of_what_exists() {
+        let diag = |a: f64, b: f64, c: f64| [[a, 0.0, 0.0], [0.0, b, 0.0], [0.0, 0.0, c]];
+        // thin rod along x: (0, m l²/12, m l²/12); nearly that is fine
+        assert!(check_inertia(diag(1e-9, 1.0, 1.0)).is_ok());
+        // disc: Izz = Ixx + Iyy, the other limit
+        assert!(check_inertia(diag(1.0, 1.0, 2.0)).is_ok());
+        assert!(check_inertia(diag(1.0, 1.0, 2.001)).is_err());
+        assert!(check_inertia(diag(0.0, 1.0, 1.0)).is_err());
+        // positive diagonal, but not a tensor of anything: off-diagonal larger than the diagonal allows
+        assert!(check_inertia([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_err());
+        // Σ = [[0.5, -0.4, 0], [-0.4, 0.5, 0], [0, 0, 0.5]] is positive definite
+        assert!(check_inertia([[1.0, 0.4, 0.0], [0.4, 1.0, 0.0], [0.0, 0.0, 1.0]]).is_ok());
+    }
+
+    #[test]
+    fn z_to_points_the_z_axis() {
+        for d in [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.6, 0.0, -0.8], [0.0, -0.6, 0.8]] {
+            let z = pose::quat_rotate(z_to(d), [0.0, 0.0, 1.0]);
+            for i in 0..3 {
+                assert!((z[i] - d[i]).abs() < 1e-12, "{d:?} gave {z:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,409 @@
+//! Parser for the supported subset of MJCF.
+//!
+//! | element | attributes |
+//! |---|---|
+//! | `mujoco` | model |
+//! | `compiler` | angle, autolimits, eulerseq, coordinate (local), inertiafromgeom (false, auto), balanceinertia (false) |
+//! | `option` | gravity; accepted without effect: timestep, integrator, cone, impratio, solver, iterations, ls_iterations, tolerance |
+//! | `default` | class, nested; defaults of joint, geom, site, position, motor |
+//! | `worldbody` | geom (fixed scenery, planes), body (one tree) |
+//! | `body` | name, pos, quat, euler, childclass; holds inertial (required), freejoint (root), joint, geom, site, body |
+//! | `joint`, `geom`, `site`, `inertial` | see `elements.rs` |
+//! | `actuator` | position, motor: name, joint; accepted without effect (the robot file decides): kp, kv, ctrlrange, forcerange |
+//! | `contact` | exclude body1, body2 |
+//!
+//! Everything else is refused by name, attribute and line: nothing in a file is ever passed over in silence.
+
+mod elements;
+mod xml;
+
+use std::collections::BTreeSet;
+
+use roxmltree::{Document, Node};
+
+use crate::error::ModelError;
+use crate::pose::{self, Pose};
+use crate::types::{Geom, JointMotion};
+
+use xml::{DEPTH_LIMIT, Defaults, Source};
+
+/// Most bodies of one robot.
+const BODY_LIMIT: usize = 512;
+/// Standard gravity of MuJoCo's default, m/s².
+const DEFAULT_GRAVITY_MPS2: [f64; 3] = [0.0, 0.0, -9.81];
+
+/// What the MJCF says, before the robot file is applied.
+pub(crate) struct MjModel {
+    pub gravity_mps2: [f64; 3],
+    pub free_base: bool,
+    pub bodies: Vec<MjBody>,
+    pub joints: Vec<MjJoint>,
+    pub sites: Vec<(usize, MjSite)>,
+    pub world_geoms: Vec<Geom>,
+    pub actuators: Vec<Actuator>,
+    pub excluded: Vec<(usize, usize)>,
+}
+
+pub(crate) struct MjBody {
+    pub name: String,
+    pub parent: Option<usize>,
+    pub parent_from_body: Pose,
+    pub mass_kg: f64,
+    pub com_m: [f64; 3],
+    pub inertia_kgm2: [[f64; 3]; 3],
+    pub joints: Vec<usize>,
+    pub geoms: Vec<Geom>,
+}
+
+pub(crate) struct MjJoint {
+    pub name: String,
+    pub line: u32,
+    pub motion: JointMotion,
+    pub axis: [f64; 3],
+    pub anchor_m: [f64; 3],
+    pub range_rad: Option<(f64, f64)>,
+    pub stiffness: f64,
+    pub spring_ref: f64,
+    pub damping: f64,
+    pub armature: f64,
+    pub friction_loss: f64,
+}
+
+pub(crate) struct MjSite {
+    pub name: String,
+    pub link_from_site: Pose,
+}
+
+pub(crate) struct Actuator {
+    pub name: String,
+    pub line: u32,
+    pub joint: String,
+}
+
+/// `<compiler>` settings.
+pub(super) struct Compiler {
+    rad_per_unit: f64,
+    autolimits: bool,
+    /// Axis index and whether it turns with the frame, for each of the three Euler angles.
+    euler: [(usize, bool); 3],
+}
+
+impl Default for Compiler {
+    fn default() -> Self {
+        Self {
+            rad_per_unit: 1f64.to_radians(),
+            autolimits: true,
+            euler: [(0, true), (1, true), (2, true)],
+        }
+    }
+}
+
+impl Compiler {
+    fn read(&mut self, source: &Source<'_>, node: Node<'_, '_>) -> Result<(), ModelError> {
+        source.only_attributes(
+            node,
+            &["angle", "autolimits", "eulerseq", "coordinate", "inertiafromgeom", "balanceinertia"],
+        )?;
+        source.no_children(node)?;
+        for a in node.attributes() {
+            let bad = |m: String| Err(source.error(node, Some(a.name()), m));
+            match (a.name(), a.value()) {
+                ("angle", "radian") => self.rad_per_unit = 1.0,
+                ("angle", "degree") => self.rad_per_unit = 1f64.to_radians(),
+                ("autolimits", "true") => self.autolimits = true,
+                ("autolimits", "false") => self.autolimits = false,
+                ("coordinate", "local") | ("inertiafromgeom", "false" | "auto") => {}
+                ("balanceinertia", "false") => {}
+                ("eulerseq", v) => match euler_sequence(v) {
+                    Some(s) => self.euler = s,
+                    None => return bad(format!("`{v}` is not three of x y z X Y Z")),
+                },
+                (_, v) => return bad(format!("`{v}` is not supported")),
+            }
+        }
+        Ok(())
+    }
+
+    fn euler_to_quat(&self, angles: [f64; 3]) -> [f64; 4] {
+        let mut q = [1.0, 0.0, 0.0, 0.0];
+        for (&(axis, moving), angle) in self.euler.iter().zip(angles) {
+            let mut unit = [0.0; 3];
+            unit[axis] = 1.0;
+            let turn = pose::quat_from_axis_angle(unit, angle * self.rad_per_unit);
+            q = if moving { pose::quat_mul(q, turn) } else { pose::quat_mul(turn, q) };
+        }
+        q
+    }
+}
+
+fn euler_sequence(text: &str) -> Option<[(usize, bool); 3]> {
+    let mut out = [(0, true); 3];
+    if text.chars().count() != 3 {
+        return None;
+    }
+    for (slot, c) in out.iter_mut().zip(text.chars()) {
+        let axis = "xyz".find(c.to_ascii_lowercase())?;
+        *slot = (axis, c.is_ascii_lowercase());
+    }
+    Some(out)
+}
+
+/// Parses an MJCF text; `file` names it in errors.
+pub(crate) fn parse(file: &str, text: &str) -> Result<MjModel, ModelError> {
+    let doc = Document::parse(text)
+        .map_err(|e| ModelError::Xml { file: file.to_owned(), message: e.to_string() })?;
+    let source = Source { file, doc: &doc };
+    let root = doc.root_element();
+    if root.tag_name().name() != "mujoco" {
+        return Err(source.error(root, None, "is not <mujoco>; this is not an MJCF file"));
+    }
+    source.only_attributes(root, &["model"])?;
+    let mut gravity_mps2 = DEFAULT_GRAVITY_MPS2;
+    let mut compiler = Compiler::default();
+    let mut defaults = Defaults::default();
+    let sections = source.children(root)?;
+    // settings first: MJCF sections may stand in any order
+    for &node in &sections {
+        match node.tag_name().name() {
+            "compiler" => compiler.read(&source, node)?,
+            "default" => defaults.read(&source, node, &elements::attributes_of)?,
+            "option" => gravity_mps2 = read_option(&source, &defaults, node)?,
+            "worldbody" | "actuator" | "contact" => {}
+            _ => return Err(source.error(node, None, "is outside the supported subset")),
+        }
+    }
+    let mut reader = Reader {
+        source: &source,
+        compiler: &compiler,
+        defaults: &defaults,
+        out: MjModel {
+            gravity_mps2,
+            free_base: false,
+            bodies: Vec::new(),
+            joints: Vec::new(),
+            sites: Vec::new(),
+            world_geoms: Vec::new(),
+            actuators: Vec::new(),
+            excluded: Vec::new(),
+        },
+        names: BTreeSet::new(),
+    };
+    for &node in sections.iter().filter(|n| n.tag_name().name() == "worldbody") {
+        reader.world(node)?;
+    }
+    for &node in &sections {
+        match node.tag_name().name() {
+            "actuator" => reader.actuators(node)?,
+            "contact" => reader.contact(node)?,
+            _ => {}
+        }
+    }
+    if reader.out.bodies.is_empty() {
+        return Err(source.error(root, None, "has no <body> in its <worldbody>"));
+    }
+    Ok(reader.out)
+}
+
+fn read_option(
+    source: &Source<'_>,
+    defaults: &Defaults,
+    node: Node<'_, '_>,
+) -> Result<[f64; 3], ModelError> {
+    #[rustfmt::skip]
+    source.only_attributes(node, &[
+        "gravity", "timestep", "integrator", "cone", "impratio", "solver", "iterations", "ls_iterations", "tolerance",
+    ])?;
+    source.no_children(node)?;
+    let e = defaults.element(source, node, None)?;
+    Ok(e.array::<3>("gravity")?.unwrap_or(DEFAULT_GRAVITY_MPS2))
+}
+
+struct Reader<'a> {
+    source: &'a Source<'a>,
+    compiler: &'a Compiler,
+    defaults: &'a Defaults,
+    out: MjModel,
+    names: BTreeSet<(&'static str, String)>,
+}
+
+impl Reader<'_> {
+    fn unique(&mut self, node: Node<'_, '_>, kind: &'static str, name: &str) -> Result<(), ModelError> {
+        if self.names.insert((kind, name.to_owned())) {
+            return Ok(());
+        }
+        Err(self.source.error(node, Some("name"), format!("there are two {kind}s called `{name}`")))
+    }
+
+    fn world(&mut self, node: Node<'_, '_>) -> Result<(), ModelError> {
+        self.source.only_attributes(node, &[])?;
+        for child in self.source.children(node)? {
+            match child.tag_name().name() {
+                "geom" => {
+                    let e = self.defaults.element(self.source, child, None)?;
+                    self.out.world_geoms.push(elements::geom(&e, self.compiler, true)?);
+                }
+                "body" if !self.out.bodies.is_empty() => {
+                    return Err(self.source.error(
+                        child,
+                        None,
+                        "is a second tree in <worldbody>; a robot is one tree",
+                    ));
+                }
+                "body" => self.body(child, None, None, 0)?,
+                _ => {
+                    return Err(self.source.error(child, None, "is not supported in <worldbody>"));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn body(
+        &mut self,
+        node: Node<'_, '_>,
+        parent: Option<usize>,
+        childclass: Option<&str>,
+        depth: usize,
+    ) -> Result<(), ModelError> {
+        let source = self.source;
+        source.only_attributes(node, &["name", "pos", "quat", "euler", "childclass"])?;
+        if depth > DEPTH_LIMIT || self.out.bodies.len() >= BODY_LIMIT {
+            return Err(source.error(
+                node,
+                None,
+                format!("exceeds {DEPTH_LIMIT} nested or {BODY_LIMIT} bodies in all"),
+            ));
+        }
+        let childclass = node.attribute("childclass").or(childclass);
+        let e = self.defaults.element(source, node, childclass)?;
+        let name = e.required_text("name")?.to_owned();
+        let parent_from_body = elements::pose(&e, self.compiler)?;
+        self.unique(node, "body", &name)?;
+        let index = self.out.bodies.len();
+        let children = source.children(node)?;
+        let inertials: Vec<_> =
+            children.iter().filter(|c| c.tag_name().name() == "inertial").collect();
+        let (mass_kg, com_m, inertia_kgm2) = match inertials.as_slice() {
+            [one] => elements::inertial(&self.defaults.element(source, **one, None)?, self.compiler)?,
+            [] => return Err(source.error(node, None, "has no <inertial>; every link needs one")),
+            [_, second, ..] => return Err(source.error(**second, None, "stands twice in one body")),
+        };
+        self.out.bodies.push(MjBody {
+            name,
+            parent,
+            parent_from_body,
+            mass_kg,
+            com_m,
+            inertia_kgm2,
+            joints: Vec::new(),
+            geoms: Vec::new(),
+        });
+        // a link's own joints come before those of its children, whatever the order in the file
+        for &child in children.iter().filter(|c| c.tag_name().name() != "body") {
+            self.part(child, index, childclass)?;
+        }
+        if parent.is_some() && self.out.bodies[index].joints.is_empty() {
+            return Err(source.error(
+                node,
+                None,
+                "has no joint, so it is welded to its parent; merge it into the parent",
+            ));
+        }
+        for &child in children.iter().filter(|c| c.tag_name().name() == "body") {
+            self.body(child, Some(index), childclass, depth + 1)?;
+        }
+        Ok(())
+    }
+
+    fn part(
+        &mut self,
+        node: Node<'_, '_>,
+        body: usize,
+        childclass: Option<&str>,
+    ) -> Result<(), ModelError> {
+        let source = self.source;
+        let e = self.defaults.element(source, node, childclass)?;
+        match node.tag_name().name() {
+            "inertial" => {}
+            "freejoint" => {
+                source.only_attributes(node, &["name"])?;
+                if self.out.bodies[body].parent.is_some() {
+                    return Err(source.error(node, None, "belongs in the root body only"));
+                }
+                if self.out.free_base || !self.out.bodies[body].joints.is_empty() {
+                    return Err(source.error(node, None, "must be the only joint of its body"));
+                }
+                self.out.free_base = true;
+            }
+            "joint" => {
+                let joint = elements::joint(&e, self.compiler)?;
+                if self.out.free_base && self.out.bodies[body].parent.is_none() {
+                    return Err(source.error(node, None, "stands beside <freejoint>"));
+                }
+                self.unique(node, "joint", &joint.name)?;
+                self.out.bodies[body].joints.push(self.out.joints.len());
+                self.out.joints.push(joint);
+            }
+            "geom" => {
+                let geom = elements::geom(&e, self.compiler, false)?;
+                if let Some(name) = &geom.name {
+                    self.unique(node, "geom", name)?;
+                }
+                self.out.bodies[body].geoms.push(geom);
+            }
+            "site" => {
+                let site = elements::site(&e, self.compiler)?;
+                self.unique(node, "site", &site.name)?;
+                self.out.sites.push((body, site));
+            }
+            _ => return Err(source.error(node, None, "is not supported inside <body>")),
+        }
+        Ok(())
+    }
+
+    fn actuators(&mut self, node: Node<'_, '_>) -> Result<(), ModelError> {
+        self.source.only_attributes(node, &[])?;
+        for child in self.source.children(node)? {
+            if !matches!(child.tag_name().name(), "position" | "motor") {
+                return Err(self.source.error(
+                    child,
+                    None,
+                    "is not a supported actuator (position or motor)",
+                ));
+            }
+            let e = self.defaults.element(self.source, child, None)?;
+            let actuator = elements::actuator(&e)?;
+            self.unique(child, "actuator", &actuator.name)?;
+            if !self.out.joints.iter().any(|j| j.name == actuator.joint) {
+                return Err(self.source.error(
+                    child,
+                    Some("joint"),
+                    format!("there is no joint `{}`", actuator.joint),
+                ));
+            }
+            self.out.actuators.push(actuator);
+        }
+        Ok(())
+    }
+
+    fn contact(&mut self, node: Node<'_, '_>) -> Result<(), ModelError> {
+        self.source.only_attributes(node, &[])?;
+        for child in self.source.children(node)? {
+            if child.tag_name().name() != "exclude" {
+                return Err(self.source.error(child, None, "is not supported in <contact> (exclude)"));
+            }
+            self.source.only_attributes(child, &["name", "body1", "body2"])?;
+            let mut pair = [0; 2];
+            for (slot, attribute) in pair.iter_mut().zip(["body1", "body2"]) {
+                let name = child
+                    .attribute(attribute)
+                    .ok_or_else(|| self.source.error(child, Some(attribute), "is missing"))?;
+                *slot = self.out.bodies.iter().position(|b| b.name == name).ok_or_else(|| {
+                    self.source.error(child, Some(attribute), format!("there is no body `{name}`"))
+                })?;
+            }
+            self.out.excluded.push((pair[0], pair[1]));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,284 @@
+//! The robot file (`*.robot.toml`) as written, and the checks on its single values.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+
+use crate::error::ModelError;
+use crate::params::{ContactParams, DragScale, ImuParams, ServoParams, SupplyParams};
+
+/// Value of `format` that this version reads.
+pub(crate) const FORMAT: &str = "caudata.robot.v1";
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct RobotFile {
+    pub format: String,
+    pub name: String,
+    pub mjcf: String,
+    pub base: BaseWord,
+    pub joints: JointsTable,
+    pub pose: PoseTable,
+    pub control: ControlTable,
+    pub servo: ServoTable,
+    pub supply: SupplyParams,
+    pub contact: ContactParams,
+    #[serde(default)]
+    pub feet: Vec<FootEntry>,
+    pub frames: Option<FramesTable>,
+    pub imu: Option<ImuParams>,
+    pub passive: Option<PassiveTable>,
+    pub backlash: Option<BacklashTable>,
+    pub water: Option<WaterTable>,
+}
+
+#[derive(Clone, Copy, Deserialize, PartialEq)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum BaseWord {
+    Free,
+    Fixed,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct JointsTable {
+    pub actuated: Vec<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PoseTable {
+    pub nominal_rad: BTreeMap<String, f64>,
+    pub swimming_rad: Option<BTreeMap<String, f64>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ControlTable {
+    pub kp_nm_per_rad: f64,
+    pub kd_nm_s_per_rad: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct ServoTable {
+    pub default: String,
+    #[serde(default)]
+    pub joint: BTreeMap<String, String>,
+    pub preset: BTreeMap<String, ServoParams>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FootEntry {
+    pub name: String,
+    pub geom: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FramesTable {
+    pub torso: String,
+    pub heading_hind: Option<String>,
+    pub heading_front: Option<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PassiveTable {
+    pub locked: bool,
+    pub joint: BTreeMap<String, PassiveJoint>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PassiveJoint {
+    pub stiffness_nm_per_rad: f64,
+    pub damping_nm_s_per_rad: f64,
+    pub friction_loss_nm: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct BacklashTable {
+    pub enabled: bool,
+    pub joints: Vec<String>,
+    pub half_width_rad: f64,
+    pub stiffness_nm_per_rad: f64,
+    pub damping_nm_s_per_rad: f64,
+    pub friction_loss_nm: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct WaterTable {
+    pub density_kg_per_m3: f64,
+    pub viscosity_pa_s: f64,
+    pub buoyancy_ratio: f64,
+    pub heave_damping_ns_per_m: f64,
+    pub drag: BTreeMap<String, DragGroup>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct DragGroup {
+    pub links: Vec<String>,
+    pub scale: DragScale,
+}
+
+/// Parses the robot file and checks every value that needs no other file.
+pub(crate) fn parse(label: &str, text: &str) -> Result<RobotFile, ModelError> {
+    let file: RobotFile = toml::from_str(text).map_err(|e| ModelError::RobotFile {
+        file: label.to_owned(),
+        line: e.span().map_or(1, |s| 1 + text[..s.start.min(text.len())].matches('\n').count()),
+        message: e.message().replace('\n', " "),
+    })?;
+    let checker = Checker { file: label };
+    checker.run(&file)?;
+    Ok(file)
+}
+
+/// Makes errors about the robot file.
+pub(crate) struct Checker<'a> {
+    pub file: &'a str,
+}
+
+impl Checker<'_> {
+    pub fn error(&self, at: impl Into<String>, message: impl Into<String>) -> ModelError {
+        ModelError::Invalid {
+            file: self.file.to_owned(),
+            at: at.into(),
+            message: message.into(),
+        }
+    }
+
+    fn above(&self, at: &str, x: f64) -> Result<(), ModelError> {
+        if x.is_finite() && x > 0.0 {
+            return Ok(());
+        }
+        Err(self.error(at, format!("is {x}; it must be above zero")))
+    }
+
+    fn within(&self, at: &str, x: f64, lo: f64, hi: f64) -> Result<(), ModelError> {
+        if x.is_finite() && (lo..=hi).contains(&x) {
+            return Ok(());
+        }
+        Err(self.error(at, format!("is {x}; it must be between {lo} and {hi}")))
+    }
+
+    fn run(&self, f: &RobotFile) -> Result<(), ModelError> {
+        if f.format != FORMAT {
+            return Err(self.error("format", format!("is `{}`; this version reads `{FORMAT}`", f.format)));
+        }
+        if f.name.is_empty() || !f.name.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c)) {
+            return Err(self.error("name", "needs letters, digits, _ and - only"));
+        }
+        if f.mjcf.is_empty() || f.mjcf.contains(['/', '\\']) || f.mjcf == ".." {
+            return Err(self.error("mjcf", "names a file in the same folder, without a path"));
+        }
+        // Ranges: wide enough for any robot of this kind, narrow enough to catch a wrong unit.
+        self.within("control.kp_nm_per_rad", f.control.kp_nm_per_rad, 0.0, 1e4)?;
+        self.within("control.kd_nm_s_per_rad", f.control.kd_nm_s_per_rad, 0.0, 1e3)?;
+        for (name, preset) in &f.servo.preset {
+            self.servo(name, preset)?;
+        }
+        for (at, v) in [
+            ("supply.default_v", f.supply.default_v),
+            ("supply.bench_v", f.supply.bench_v),
+            ("supply.battery_full_v", f.supply.battery_full_v),
+            ("supply.battery_nominal_v", f.supply.battery_nominal_v),
+        ] {
+            self.within(at, v, 1.0, 100.0)?;
+        }
+        self.within("contact.foot_friction", f.contact.foot_friction, 0.0, 4.0)?;
+        self.within("contact.body_friction", f.contact.body_friction, 0.0, 4.0)?;
+        if let Some(imu) = &f.imu {
+            self.within("imu.gyro_noise_radps_per_sqrt_hz", imu.gyro_noise_radps_per_sqrt_hz, 0.0, 1.0)?;
+            self.within("imu.acc_noise_mps2_per_sqrt_hz", imu.acc_noise_mps2_per_sqrt_hz, 0.0, 1.0)?;
+            self.within("imu.gyro_bias_std_radps", imu.gyro_bias_std_radps, 0.0, 1.0)?;
+            self.within("imu.acc_bias_std_mps2", imu.acc_bias_std_mps2, 0.0, 10.0)?;
+        }
+        if let Some(p) = &f.passive {
+            for (name, j) in &p.joint {
+                self.spring(
+                    &format!("passive.joint.{name}"),
+                    [j.stiffness_nm_per_rad, j.damping_nm_s_per_rad, j.friction_loss_nm],
+                )?;
+            }
+        }
+        if let Some(b) = &f.backlash {
+            self.within("backlash.half_width_rad", b.half_width_rad, 0.0, 0.5)?;
+            self.spring(
+                "backlash",
+                [b.stiffness_nm_per_rad, b.damping_nm_s_per_rad, b.friction_loss_nm],
+            )?;
+        }
+        if let Some(w) = &f.water {
+            self.water(w)?;
+        }
+        Ok(())
+    }
+
+    fn spring(&self, at: &str, values: [f64; 3]) -> Result<(), ModelError> {
+        let names = ["stiffness_nm_per_rad", "damping_nm_s_per_rad", "friction_loss_nm"];
+        for (name, v) in names.iter().zip(values) {
+            self.within(&format!("{at}.{name}"), v, 0.0, 1e4)?;
+        }
+        Ok(())
+    }
+
+    fn servo(&self, name: &str, s: &ServoParams) -> Result<(), ModelError> {
+        let at = |key: &str| format!("servo.preset.{name}.{key}");
+        for (key, v) in [
+            ("tau_max_nm", s.tau_max_nm),
+            ("qd_max_radps", s.qd_max_radps),
+            ("tau_brake_max_nm", s.tau_brake_max_nm),
+            ("reference_supply_v", s.reference_supply_v),
+            ("torque_per_current_nm_per_a", s.torque_per_current_nm_per_a),
+            ("velocity_lsb_radps", s.velocity_lsb_radps),
+            ("current_lsb_a", s.current_lsb_a),
+            ("encoder_counts_per_turn", f64::from(s.encoder_counts_per_turn)),
+        ] {
+            self.above(&at(key), v)?;
+        }
+        for (key, v, hi) in [
+            ("kd_min_nm_s_per_rad", s.kd_min_nm_s_per_rad, 1e3),
+            ("back_drive_kp_ratio", s.back_drive_kp_ratio, 10.0),
+            ("friction_loss_nm", s.friction_loss_nm, 1e3),
+            ("damping_nm_s_per_rad", s.damping_nm_s_per_rad, 1e3),
+            ("armature_kgm2", s.armature_kgm2, 1e2),
+            ("current_dead_band_a", s.current_dead_band_a, 1e2),
+            ("gear_backlash_rad", s.gear_backlash_rad, 0.5),
+        ] {
+            self.within(&at(key), v, 0.0, hi)?;
+        }
+        if !(0.0 <= s.qd_tau_max_radps && s.qd_tau_max_radps < s.qd_max_radps) {
+            return Err(self.error(at("qd_tau_max_radps"), "must be ≥ 0 and below qd_max_radps"));
+        }
+        if !(0.0 <= s.tau_qd_max_nm && s.tau_qd_max_nm <= s.tau_max_nm) {
+            return Err(self.error(at("tau_qd_max_nm"), "must be ≥ 0 and at most tau_max_nm"));
+        }
+        Ok(())
+    }
+
+    fn water(&self, w: &WaterTable) -> Result<(), ModelError> {
+        self.within("water.density_kg_per_m3", w.density_kg_per_m3, 1.0, 2e4)?;
+        self.within("water.viscosity_pa_s", w.viscosity_pa_s, 0.0, 10.0)?;
+        self.within("water.buoyancy_ratio", w.buoyancy_ratio, 0.0, 20.0)?;
+        self.within("water.heave_damping_ns_per_m", w.heave_damping_ns_per_m, 0.0, 1e3)?;
+        for (name, group) in &w.drag {
+            let s = &group.scale;
+            for (key, v) in [
+                ("linear_force", s.linear_force),
+                ("quadratic_force", s.quadratic_force),
+                ("linear_torque", s.linear_torque),
+                ("quadratic_torque", s.quadratic_torque),
+            ] {
+                for x in v {
+                    self.within(&format!("water.drag.{name}.scale.{key}"), x, 0.0, 1e4)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
