@@ -1,1 +1,61 @@
-//! Physics: engines behind one batch-first trait, servo, backlash, terrain, sensors.
+//! Physics: engines behind one batch-first trait, servo, terrain, sensors.
+//!
+//! [`Engine`] steps `N` independent lanes, each one robot in its own world, by one control period
+//! at a time. [`build`] is the one factory. Around it, pure functions: [`servo`] (torque envelope),
+//! [`terrain`] (ground height), [`sensors`] (what encoders, IMU and current sensing make of a state).
+//!
+//! Invariant: nothing here knows a network, a clock or a file being watched; the same seed, lane
+//! parameters and commands give the same bits for any number of threads.
+#![cfg_attr(
+    test,
+    allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)
+)]
+
+pub mod config;
+pub mod delay;
+pub mod engine;
+pub mod error;
+pub mod joint;
+pub mod rapier;
+pub mod sensors;
+pub mod servo;
+pub mod state;
+pub mod terrain;
+
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+
+pub use config::{EngineConfig, EngineKind};
+pub use engine::{Engine, InitialState, LaneParams};
+pub use error::SimError;
+pub use state::State;
+pub use terrain::{Terrain, TerrainConfig, TerrainKind};
+
+/// Builds the engine that `config.kind` names, `lanes` robots on one terrain.
+///
+/// `seed` draws the terrain (nothing else here is random); `threads` splits the lanes over that many
+/// threads (at least one, at most one per lane) and never changes a result. Every lane starts with
+/// [`LaneParams::nominal`] in its nominal pose at the origin.
+///
+/// # Errors
+/// [`SimError`] when a configuration value is out of range, or the model cannot be built.
+pub fn build(
+    model: Arc<RobotModel>,
+    lanes: usize,
+    config: &EngineConfig,
+    terrain: &TerrainConfig,
+    seed: u64,
+    threads: usize,
+) -> Result<Box<dyn Engine>, SimError> {
+    let terrain = Arc::new(Terrain::generate(terrain, seed)?);
+    match config.kind {
+        EngineKind::Rapier => Ok(Box::new(rapier::RapierEngine::new(
+            model,
+            lanes,
+            config.clone(),
+            terrain,
+            threads,
+        )?)),
+    }
+}

@@ -1,0 +1,138 @@
+//! `[engine]` of the configuration file.
+
+use serde::{Deserialize, Serialize};
+
+use crate::SimError;
+
+/// Which engine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EngineKind {
+    /// Rapier multibody joints, one world per lane.
+    Rapier,
+}
+
+/// Table `[engine]`: step sizes and solver settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EngineConfig {
+    /// The engine. Default `rapier`.
+    pub kind: EngineKind,
+    /// Physics step, s, 0.0002..=0.01. Default 0.004. Smaller is more accurate and proportionally slower; above about 5 ms
+    /// the explicit servo loop gets soft and foot contact coarse.
+    pub dt_s: f64,
+    /// Physics steps per control period, 1..=200; `substeps * dt_s` is the control period. Default 5 (20 ms).
+    pub substeps: u32,
+    /// Solver iterations per physics step, 1..=16. Each costs nearly a whole step. Default 1.
+    pub solver_iterations: u32,
+    /// Natural frequency of the contact constraint, Hz, 1..=1000. Higher is stiffer: less sinking in, harder impacts. Default 60 (Rapier's
+    /// value against fixed ground).
+    pub contact_frequency_hz: f64,
+    /// Damping ratio of the contact constraint, 0.1..=50. Higher pushes penetration out more slowly. Default 10 (Rapier's).
+    pub contact_damping_ratio: f64,
+    /// Gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink in before they are
+    /// noticed. Too large: more contact points to solve. Default 0.005.
+    pub contact_margin_m: f64,
+    /// Whether links of the robot can touch each other (joined neighbours and the model's excluded pairs never do). Default false:
+    /// faster, and the joint limits keep the legs apart.
+    pub self_collision: bool,
+    /// Stiffness of joint end stops, N·m/rad, 1..=10000. Default 200: the servo's full torque bends a stop by half a degree.
+    pub stop_stiffness_nm_per_rad: f64,
+    /// Damping of joint end stops while touched, N·m·s/rad, 0..=100. Default 1.
+    pub stop_damping_nms_per_rad: f64,
+    /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default false.
+    pub fixed_base: bool,
+    /// Joint speed beyond which a lane counts as diverged, rad/s. Default 200 (the servos end at 8).
+    pub max_joint_speed_radps: f64,
+    /// Base speed beyond which a lane counts as diverged, m/s. Default 50.
+    pub max_base_speed_mps: f64,
+}
+
+impl Default for EngineConfig {
+    fn default() -> Self {
+        Self {
+            kind: EngineKind::Rapier,
+            dt_s: 0.004,
+            substeps: 5,
+            solver_iterations: 1,
+            contact_frequency_hz: 60.0,
+            contact_damping_ratio: 10.0,
+            contact_margin_m: 0.005,
+            self_collision: false,
+            stop_stiffness_nm_per_rad: 200.0,
+            stop_damping_nms_per_rad: 1.0,
+            fixed_base: false,
+            max_joint_speed_radps: 200.0,
+            max_base_speed_mps: 50.0,
+        }
+    }
+}
+
+impl EngineConfig {
+    /// The control period, s.
+    #[must_use]
+    pub fn control_period_s(&self) -> f64 {
+        self.dt_s * f64::from(self.substeps)
+    }
+
+    /// Checks every field's range.
+    ///
+    /// # Errors
+    /// [`SimError::Config`] naming the field.
+    pub fn validate(&self) -> Result<(), SimError> {
+        let check = |field, value: f64, low: f64, high: f64, reason| {
+            check_range("engine", field, value, low, high, reason)
+        };
+        check("dt_s", self.dt_s, 0.0002, 0.01, "must be 0.0002 to 0.01 s")?;
+        check("substeps", f64::from(self.substeps), 1.0, 200.0, "must be 1 to 200")?;
+        check("solver_iterations", f64::from(self.solver_iterations), 1.0, 16.0, "must be 1 to 16")?;
+        check("contact_frequency_hz", self.contact_frequency_hz, 1.0, 1000.0, "must be 1 to 1000 Hz")?;
+        check("contact_damping_ratio", self.contact_damping_ratio, 0.1, 50.0, "must be 0.1 to 50")?;
+        check("contact_margin_m", self.contact_margin_m, 0.0, 0.05, "must be 0 to 0.05 m")?;
+        check("stop_stiffness_nm_per_rad", self.stop_stiffness_nm_per_rad, 1.0, 1e4, "must be 1 to 10000 N·m/rad")?;
+        check("stop_damping_nms_per_rad", self.stop_damping_nms_per_rad, 0.0, 100.0, "must be 0 to 100 N·m·s/rad")?;
+        check("max_joint_speed_radps", self.max_joint_speed_radps, 10.0, 1e4, "must be 10 to 10000 rad/s")?;
+        check("max_base_speed_mps", self.max_base_speed_mps, 1.0, 1e3, "must be 1 to 1000 m/s")
+    }
+}
+
+/// Refuses a value outside `low..=high` (and not-a-number).
+pub(crate) fn check_range(
+    table: &'static str,
+    field: &'static str,
+    value: f64,
+    low: f64,
+    high: f64,
+    reason: &'static str,
+) -> Result<(), SimError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(SimError::Config { table, field, value: value.to_string(), reason })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn default_is_valid_and_makes_50_hz() {
+        let c = EngineConfig::default();
+        c.validate().unwrap();
+        assert!((c.control_period_s() - 0.02).abs() < 1e-12);
+    }
+
+    #[test]
+    fn names_the_field_that_is_wrong() {
+        let c = EngineConfig { dt_s: 0.1, ..EngineConfig::default() };
+        assert_eq!(c.validate().unwrap_err().to_string(), "engine.dt_s = 0.1: must be 0.0002 to 0.01 s");
+        let c = EngineConfig { contact_margin_m: f64::NAN, ..EngineConfig::default() };
+        assert!(c.validate().is_err());
+    }
+
+    #[test]
+    fn unknown_keys_are_errors() {
+        let text = r#"{ "dt_s": 0.002, "sub_steps": 10 }"#;
+        assert!(serde_json::from_str::<EngineConfig>(text).is_err());
+    }
+}

@@ -1,0 +1,61 @@
+//! What can go wrong in an engine.
+
+use thiserror::Error;
+
+/// Why an engine refused.
+#[derive(Debug, Error)]
+pub enum SimError {
+    /// A configuration value is out of its range.
+    #[error("{table}.{field} = {value}: {reason}")]
+    Config {
+        /// TOML table, `engine` or `terrain`.
+        table: &'static str,
+        /// Field in that table.
+        field: &'static str,
+        /// The value as given.
+        value: String,
+        /// What would be accepted.
+        reason: &'static str,
+    },
+    /// The robot model has something this engine cannot simulate.
+    #[error("robot model cannot be simulated: {0}")]
+    Model(String),
+    /// An array has the wrong length.
+    #[error("{what} has {got} values, expected {expected}")]
+    Shape {
+        /// Which array.
+        what: &'static str,
+        /// Its length.
+        got: usize,
+        /// The length this engine needs.
+        expected: usize,
+    },
+    /// A number is NaN, infinite or outside its physical range.
+    #[error("{what} is {value} in lane {lane}: {reason}")]
+    Value {
+        /// Which quantity.
+        what: &'static str,
+        /// The value.
+        value: f32,
+        /// The lane it was given for.
+        lane: usize,
+        /// What would be accepted.
+        reason: &'static str,
+    },
+    /// A lane index is out of range.
+    #[error("lane {lane} does not exist, the engine has {lanes}")]
+    Lane {
+        /// The lane asked for.
+        lane: usize,
+        /// How many there are.
+        lanes: usize,
+    },
+    /// A snapshot could not be written or read.
+    #[error("snapshot cannot be {action}: {reason}")]
+    Snapshot {
+        /// `written` or `restored`.
+        action: &'static str,
+        /// What was wrong with it.
+        reason: String,
+    },
+}
