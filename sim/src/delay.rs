@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::engine::MAX_COMMAND_DELAY_S;
+use crate::params::MAX_COMMAND_DELAY_S;
 
 /// The last commands of one lane, newest first, enough for [`MAX_COMMAND_DELAY_S`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -31,7 +31,7 @@ pub enum SimError {
         expected: usize,
     },
     /// A number is NaN, infinite or outside its physical range.
-    #[error("{what} is {value} in lane {lane}: {reason}")]
+    #[error("{what} is {value} in lane {lane}, must be {low} to {high}")]
     Value {
         /// Which quantity.
         what: &'static str,
@@ -39,8 +39,10 @@ pub enum SimError {
         value: f32,
         /// The lane it was given for.
         lane: usize,
-        /// What would be accepted.
-        reason: &'static str,
+        /// Smallest value accepted.
+        low: f32,
+        /// Largest value accepted.
+        high: f32,
     },
     /// A lane index is out of range.
     #[error("lane {lane} does not exist, the engine has {lanes}")]

@@ -16,6 +16,7 @@ pub mod delay;
 pub mod engine;
 pub mod error;
 pub mod joint;
+pub mod params;
 pub mod rapier;
 pub mod sensors;
 pub mod servo;
@@ -27,8 +28,9 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 
 pub use config::{EngineConfig, EngineKind};
-pub use engine::{Engine, InitialState, LaneParams};
+pub use engine::Engine;
 pub use error::SimError;
+pub use params::{InitialState, LaneParams, MAX_COMMAND_DELAY_S};
 pub use state::State;
 pub use terrain::{Terrain, TerrainConfig, TerrainKind};
 

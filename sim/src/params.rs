@@ -1,0 +1,190 @@
+//! What one lane is given: physical parameters and a state to start from.
+
+use caudata_model::{JointKind, RobotModel};
+use serde::{Deserialize, Serialize};
+
+use crate::SimError;
+
+/// Longest command delay an engine keeps history for, s.
+pub const MAX_COMMAND_DELAY_S: f32 = 0.1;
+
+/// Largest absolute position, velocity or angle an initial state may hold (m, m/s, rad, rad/s).
+const MAX_INITIAL: f32 = 1000.0;
+
+/// One lane's physical parameters. Start from [`LaneParams::nominal`] and change what should differ.
+///
+/// `L` links, `A` actuated joints (policy order), `B` backlash hinges (model order).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LaneParams {
+    /// Gravity, world, m/s². Nominal: the model's.
+    pub gravity_mps2: [f32; 3],
+    /// Coulomb friction coefficient between foot balls and the ground, 0..=10.
+    pub foot_friction: f32,
+    /// Coulomb friction coefficient between everything else and the ground, 0..=10.
+    pub body_friction: f32,
+    /// Factor on each link's mass and inertia, 0.01..=100. `[L]`
+    pub link_mass_scale: Vec<f32>,
+    /// Shift of each link's centre of mass in its own frame, m, each within ±1. `[L]`
+    pub com_offset_m: Vec<[f32; 3]>,
+    /// Coulomb friction of each actuated joint, N·m, 0..=100. `[A]`
+    pub joint_friction_nm: Vec<f32>,
+    /// Reflected rotor inertia of each actuated joint, kg·m², 0..=10. `[A]`
+    pub joint_armature_kgm2: Vec<f32>,
+    /// Viscous damping of each actuated joint, N·m·s/rad, 0..=100 (not the servo's Kd). `[A]`
+    pub joint_damping_nms_per_rad: Vec<f32>,
+    /// Servo proportional gain at the joint, N·m/rad, 0..=1000. `[A]`
+    pub kp_nm_per_rad: Vec<f32>,
+    /// Servo derivative gain at the joint, N·m·s/rad, 0..=100. `[A]`
+    pub kd_nms_per_rad: Vec<f32>,
+    /// Factor on every torque limit of the servo envelope, 0..=100. `[A]`
+    pub torque_scale: Vec<f32>,
+    /// Supply voltage, V, 0.1..=1000. The speeds of the servo envelope scale with it.
+    pub supply_v: f32,
+    /// Delay from [`Engine::step`](crate::Engine::step)'s targets to the servo, s, 0..=[`MAX_COMMAND_DELAY_S`]; fractions of a
+    /// physics step count.
+    pub command_delay_s: f32,
+    /// Half of the free play of each backlash hinge, rad, 0..=1. `[B]`
+    pub backlash_half_width_rad: Vec<f32>,
+}
+
+impl LaneParams {
+    /// The model's own values: no scaling, no offset, no delay, default supply.
+    #[must_use]
+    pub fn nominal(model: &RobotModel) -> Self {
+        let per_servo = |f: &dyn Fn(usize) -> f64| -> Vec<f32> {
+            (0..model.actuated().len()).map(|a| f(a) as f32).collect()
+        };
+        let actuated_joint = |a: usize| &model.joints()[model.actuated()[a]];
+        Self {
+            gravity_mps2: model.gravity_mps2().map(|g| g as f32),
+            foot_friction: model.contact().foot_friction as f32,
+            body_friction: model.contact().body_friction as f32,
+            link_mass_scale: vec![1.0; model.links().len()],
+            com_offset_m: vec![[0.0; 3]; model.links().len()],
+            joint_friction_nm: per_servo(&|a| actuated_joint(a).friction_loss_nm),
+            joint_armature_kgm2: per_servo(&|a| actuated_joint(a).armature_kgm2),
+            joint_damping_nms_per_rad: per_servo(&|a| actuated_joint(a).damping_nm_s_per_rad),
+            kp_nm_per_rad: per_servo(&|_| model.kp_nm_per_rad()),
+            kd_nms_per_rad: per_servo(&|_| model.kd_nm_s_per_rad()),
+            torque_scale: per_servo(&|_| 1.0),
+            supply_v: model.supply_v() as f32,
+            command_delay_s: 0.0,
+            backlash_half_width_rad: backlash_joints(model)
+                .map(|j| model.joints()[j].range_rad.map_or(0.0, |(_, high)| high) as f32)
+                .collect(),
+        }
+    }
+
+    /// Checks lengths and ranges against `model`; `lane` goes into the error.
+    ///
+    /// # Errors
+    /// [`SimError::Shape`] or [`SimError::Value`] naming the field.
+    pub fn validate(&self, model: &RobotModel, lane: usize) -> Result<(), SimError> {
+        let actuated = model.actuated().len();
+        let offsets: Vec<f32> = self.com_offset_m.iter().flatten().copied().collect();
+        let checks: [(&'static str, &[f32], usize, f32, f32); 13] = [
+            ("gravity_mps2", &self.gravity_mps2, 3, -1000.0, 1000.0),
+            ("foot_friction", &[self.foot_friction], 1, 0.0, 10.0),
+            ("body_friction", &[self.body_friction], 1, 0.0, 10.0),
+            ("link_mass_scale", &self.link_mass_scale, model.links().len(), 0.01, 100.0),
+            ("com_offset_m", &offsets, 3 * model.links().len(), -1.0, 1.0),
+            ("joint_friction_nm", &self.joint_friction_nm, actuated, 0.0, 100.0),
+            ("joint_armature_kgm2", &self.joint_armature_kgm2, actuated, 0.0, 10.0),
+            ("joint_damping_nms_per_rad", &self.joint_damping_nms_per_rad, actuated, 0.0, 100.0),
+            ("kp_nm_per_rad", &self.kp_nm_per_rad, actuated, 0.0, 1000.0),
+            ("kd_nms_per_rad", &self.kd_nms_per_rad, actuated, 0.0, 100.0),
+            ("torque_scale", &self.torque_scale, actuated, 0.0, 100.0),
+            ("supply_v", &[self.supply_v], 1, 0.1, 1000.0),
+            ("command_delay_s", &[self.command_delay_s], 1, 0.0, MAX_COMMAND_DELAY_S),
+        ];
+        for (what, values, expected, low, high) in checks {
+            check_values(what, values, expected, low, high, lane)?;
+        }
+        let play = backlash_joints(model).count();
+        check_values("backlash_half_width_rad", &self.backlash_half_width_rad, play, 0.0, 1.0, lane)
+    }
+}
+
+/// Where a lane starts. Start from [`InitialState::nominal`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct InitialState {
+    /// Position of the base link's origin on the ground plane, world, m.
+    pub base_xy_m: [f32; 2],
+    /// Height of the base link's origin, world, m. `None`: found so that the lowest geom just touches the terrain.
+    pub base_z_m: Option<f32>,
+    /// Roll, pitch, yaw of the base (R = Rz(yaw)·Ry(pitch)·Rx(roll)), rad.
+    pub base_rpy_rad: [f32; 3],
+    /// Velocity of the base link's origin, world, m/s.
+    pub base_vel_mps: [f32; 3],
+    /// Angular velocity of the base link, body frame, rad/s.
+    pub base_angvel_radps: [f32; 3],
+    /// Actuated joint positions, policy order, rad; also what the servos hold until a delayed command arrives. `[A]`
+    /// (Passive and backlash hinges start at 0.)
+    pub joint_pos_rad: Vec<f32>,
+    /// Actuated joint velocities, policy order, rad/s. `[A]`
+    pub joint_vel_radps: Vec<f32>,
+}
+
+impl InitialState {
+    /// At rest in the nominal pose above the origin, facing +x.
+    #[must_use]
+    pub fn nominal(model: &RobotModel) -> Self {
+        Self {
+            base_xy_m: [0.0; 2],
+            base_z_m: None,
+            base_rpy_rad: [0.0; 3],
+            base_vel_mps: [0.0; 3],
+            base_angvel_radps: [0.0; 3],
+            joint_pos_rad: model.nominal_pos_rad().iter().map(|&q| q as f32).collect(),
+            joint_vel_radps: vec![0.0; model.actuated().len()],
+        }
+    }
+
+    /// Checks lengths and ranges against `model`; `lane` goes into the error.
+    ///
+    /// # Errors
+    /// [`SimError::Shape`] or [`SimError::Value`] naming the field.
+    pub fn validate(&self, model: &RobotModel, lane: usize) -> Result<(), SimError> {
+        let actuated = model.actuated().len();
+        let checks: [(&'static str, &[f32], usize); 7] = [
+            ("base_xy_m", &self.base_xy_m, 2),
+            ("base_z_m", &[self.base_z_m.unwrap_or(0.0)], 1),
+            ("base_rpy_rad", &self.base_rpy_rad, 3),
+            ("base_vel_mps", &self.base_vel_mps, 3),
+            ("base_angvel_radps", &self.base_angvel_radps, 3),
+            ("joint_pos_rad", &self.joint_pos_rad, actuated),
+            ("joint_vel_radps", &self.joint_vel_radps, actuated),
+        ];
+        for (what, values, expected) in checks {
+            check_values(what, values, expected, -MAX_INITIAL, MAX_INITIAL, lane)?;
+        }
+        Ok(())
+    }
+}
+
+/// Model indices of the backlash hinges, model order.
+pub(crate) fn backlash_joints(model: &RobotModel) -> impl Iterator<Item = usize> + '_ {
+    model
+        .joints()
+        .iter()
+        .enumerate()
+        .filter(|(_, j)| j.kind == JointKind::Backlash)
+        .map(|(i, _)| i)
+}
+
+fn check_values(
+    what: &'static str,
+    values: &[f32],
+    expected: usize,
+    low: f32,
+    high: f32,
+    lane: usize,
+) -> Result<(), SimError> {
+    if values.len() != expected {
+        return Err(SimError::Shape { what, got: values.len(), expected });
+    }
+    match values.iter().find(|v| !(low..=high).contains(*v)) {
+        Some(&value) => Err(SimError::Value { what, value, lane, low, high }),
+        None => Ok(()),
+    }
+}
