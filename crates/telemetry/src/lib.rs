@@ -22,6 +22,7 @@
 //! *Invariant:* nothing here knows robots, policies or rollouts.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod announce;
 mod banner;
 mod exit;
 mod logging;
@@ -32,10 +33,11 @@ pub mod progress;
 mod serve;
 mod stop;
 
+pub use announce::{Listening, announce, read_announcement};
 pub use banner::{BuildInfo, build_info};
 pub use exit::{ExitCode, Failure, FailureExt};
 pub use logging::{LogArgs, LogFormat, LoggingError, init_logging};
-pub use metrics::{Counter, Gauge, Histogram, IntGauge, Metrics};
+pub use metrics::{Counter, Gauge, Histogram, IntGauge, Metrics, SecondsCounter};
 pub use parent::{PARENT_PID_VAR, die_with_parent};
 pub use process::{Process, parse_args};
 pub use serve::{MetricsServer, ServeError};

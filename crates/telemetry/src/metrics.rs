@@ -6,6 +6,9 @@ use prometheus_client::registry::Registry;
 
 /// A number that only grows.
 pub type Counter = prometheus_client::metrics::counter::Counter;
+/// Seconds spent on something; only grows.
+pub type SecondsCounter =
+    prometheus_client::metrics::counter::Counter<f64, std::sync::atomic::AtomicU64>;
 /// A real number that goes up and down.
 pub type Gauge = prometheus_client::metrics::gauge::Gauge<f64, std::sync::atomic::AtomicU64>;
 /// A whole number that goes up and down.
@@ -35,6 +38,13 @@ impl Metrics {
             help,
             counter.clone(),
         );
+        counter
+    }
+
+    /// A counter of seconds. `name` ends in `_seconds_total`.
+    pub fn seconds_counter(&self, name: &'static str, help: &'static str) -> SecondsCounter {
+        let counter = SecondsCounter::default();
+        self.register(name.strip_suffix("_total").unwrap_or(name), help, counter.clone());
         counter
     }
 

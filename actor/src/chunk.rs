@@ -1,0 +1,121 @@
+//! Collecting one chunk: `T` steps of all lanes under one policy.
+
+use std::time::Instant;
+
+use caudata_env::{EpisodeStats, StepOutput, VecEnv};
+use caudata_proto::{EpisodeSummary, FinalObservation, RolloutChunk};
+use caudata_telemetry::StopFlag;
+
+use crate::moments::moments_of;
+use crate::policy::LoadedPolicy;
+use crate::{ActorError, ActorMetrics, ActorSettings, gaussian};
+
+/// Collects a chunk, or `None` when asked to stop in the middle of it (its steps are then lost, and were never sent).
+pub(crate) fn collect(
+    settings: &ActorSettings,
+    env: &mut VecEnv,
+    policy: &mut LoadedPolicy,
+    sequence: u64,
+    metrics: &ActorMetrics,
+    stop: &StopFlag,
+) -> Result<Option<RolloutChunk>, ActorError> {
+    let (lanes, act_dim) = (env.lanes(), env.act_dim());
+    let mut chunk = empty_chunk(settings, env, policy, sequence);
+    let mut means = vec![0.0; lanes * act_dim];
+    let mut actions = vec![0.0; lanes * act_dim];
+    for step in 0..settings.chunk_steps {
+        if stop.is_set() {
+            return Ok(None);
+        }
+        chunk.observations.extend_from_slice(env.observations());
+        let started = Instant::now();
+        policy.run(env.observations(), lanes, &mut means)?;
+        metrics.inference.observe(started.elapsed().as_secs_f64());
+        for lane in 0..lanes {
+            let row = lane * act_dim..(lane + 1) * act_dim;
+            let (mean, action) = (&means[row.clone()], &mut actions[row]);
+            gaussian::sample(mean, &policy.std, env.action_stream(lane), action);
+            chunk.log_probs.push(gaussian::log_prob(action, mean, &policy.log_std));
+        }
+        chunk.actions.extend_from_slice(&actions);
+        chunk.action_means.extend_from_slice(&means);
+        let started = Instant::now();
+        let output = env.step(&actions)?;
+        metrics.env_seconds.inc_by(started.elapsed().as_secs_f64());
+        metrics.steps.inc_by(lanes as u64);
+        metrics.episodes.inc_by(output.episodes.len() as u64);
+        record(&mut chunk, step, output);
+    }
+    let counted = chunk.observations.len();
+    chunk.observations.extend_from_slice(env.observations());
+    chunk.moments = moments_of(&chunk.observations[..counted], chunk.obs_dim);
+    Ok(Some(chunk))
+}
+
+/// What a step gave.
+fn record(chunk: &mut RolloutChunk, step: usize, output: &StepOutput) {
+    chunk.rewards.extend_from_slice(&output.rewards);
+    chunk.terminated.extend_from_slice(&output.terminated);
+    chunk.truncated.extend_from_slice(&output.truncated);
+    // The learner bootstraps from a final observation only where the time limit ended the episode.
+    let mut finals: Vec<_> = output
+        .final_observations
+        .iter()
+        .filter(|(lane, _)| output.truncated[*lane])
+        .map(|(lane, observation)| FinalObservation {
+            step,
+            lane: *lane,
+            observation: observation.clone(),
+        })
+        .collect();
+    finals.sort_by_key(|end| end.lane);
+    chunk.final_observations.append(&mut finals);
+    chunk.episodes.extend(output.episodes.iter().map(summary));
+}
+
+fn summary(episode: &EpisodeStats) -> EpisodeSummary {
+    EpisodeSummary {
+        lane: episode.lane,
+        steps: episode.steps,
+        return_sum: episode.return_sum,
+        terms: episode.terms.clone(),
+        terminated: episode.terminated,
+        reason: episode.reason.map_or(0, |reason| reason as u8),
+        mean_speed_mps: episode.mean_speed,
+    }
+}
+
+fn empty_chunk(
+    settings: &ActorSettings,
+    env: &VecEnv,
+    policy: &LoadedPolicy,
+    sequence: u64,
+) -> RolloutChunk {
+    let (steps, lanes) = (settings.chunk_steps, env.lanes());
+    let (obs_dim, act_dim) = (env.obs_dim(), env.act_dim());
+    let cells = steps * lanes;
+    RolloutChunk {
+        run_id: settings.run_id.clone(),
+        actor_id: settings.actor_id,
+        incarnation: settings.incarnation,
+        sequence,
+        policy_version: policy.version,
+        policy_sha256: policy.sha256,
+        contract_hash: env.contract().hash(),
+        steps,
+        lanes,
+        obs_dim,
+        act_dim,
+        observations: Vec::with_capacity((steps + 1) * lanes * obs_dim),
+        actions: Vec::with_capacity(cells * act_dim),
+        action_means: Vec::with_capacity(cells * act_dim),
+        log_std: policy.log_std.to_vec(),
+        log_probs: Vec::with_capacity(cells),
+        rewards: Vec::with_capacity(cells),
+        terminated: Vec::with_capacity(cells),
+        truncated: Vec::with_capacity(cells),
+        final_observations: Vec::new(),
+        episodes: Vec::new(),
+        moments: moments_of(&[], obs_dim),
+    }
+}

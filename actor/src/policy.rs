@@ -1,0 +1,60 @@
+//! A policy that an actor acts with: exactly the bytes that arrived, checked before use.
+
+use caudata_policy::{Inference, PolicyFile};
+use caudata_task::{ACT_DIM, PolicyContract};
+use caudata_transport::PolicyUpdate;
+use sha2::{Digest, Sha256};
+
+use crate::ActorError;
+
+/// A checked policy, ready to run.
+pub(crate) struct LoadedPolicy {
+    /// Version announced with it and written in it.
+    pub version: u64,
+    /// SHA-256 of its bytes.
+    pub sha256: [u8; 32],
+    /// Natural logarithm of the action noise's standard deviation.
+    pub log_std: [f32; ACT_DIM],
+    /// `exp(log_std)`.
+    pub std: [f32; ACT_DIM],
+    inference: Inference,
+}
+
+impl LoadedPolicy {
+    /// Checks hash, file, contract and version, then hands the bytes to ONNX Runtime.
+    pub fn load(
+        update: &PolicyUpdate,
+        expected: &PolicyContract,
+        threads: usize,
+    ) -> Result<Self, ActorError> {
+        let version = update.version;
+        let refused = |source| ActorError::PolicyRefused { version, source };
+        let sha256: [u8; 32] = Sha256::digest(&update.bytes).into();
+        if sha256 != update.sha256 {
+            return Err(ActorError::PolicyHash { version });
+        }
+        let file = PolicyFile::parse(update.bytes.clone()).map_err(refused)?;
+        file.check_contract(expected).map_err(refused)?;
+        let metadata = file.metadata();
+        if metadata.version != version {
+            return Err(ActorError::PolicyVersion { announced: version, found: metadata.version });
+        }
+        let log_std = metadata.log_std;
+        let inference = Inference::new(&file, threads).map_err(refused)?;
+        Ok(Self { version, sha256, log_std, std: log_std.map(f32::exp), inference })
+    }
+
+    /// `means [N, 16]` for `observations [N, D]`, refused when one is not finite.
+    pub fn run(
+        &mut self,
+        observations: &[f32],
+        lanes: usize,
+        means: &mut [f32],
+    ) -> Result<(), ActorError> {
+        self.inference.run(observations, lanes, means).map_err(ActorError::Inference)?;
+        match means.iter().position(|mean| !mean.is_finite()) {
+            None => Ok(()),
+            Some(at) => Err(ActorError::NotFinite { version: self.version, lane: at / ACT_DIM }),
+        }
+    }
+}

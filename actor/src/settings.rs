@@ -1,0 +1,102 @@
+//! What an actor is told, and how its environments are made.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use caudata_config::Config;
+use caudata_env::VecEnv;
+use caudata_model::RobotModel;
+use caudata_telemetry::build_info;
+
+use crate::ActorError;
+
+/// What an actor is told. All of it comes from the configuration except who it is.
+#[derive(Clone, Debug)]
+pub struct ActorSettings {
+    /// The training run.
+    pub run_id: String,
+    /// Number within the run, from 0.
+    pub actor_id: u32,
+    /// How many times this actor was started before.
+    pub incarnation: u64,
+    /// Steps per chunk, T.
+    pub chunk_steps: usize,
+    /// Chunks per policy version.
+    pub chunks_per_version: u32,
+    /// Quotas that may be collected ahead.
+    pub max_lead: u32,
+    /// Threads of ONNX Runtime.
+    pub inference_threads: usize,
+    /// Longest wait for a policy, or for the learner to come back.
+    pub policy_timeout: Duration,
+    /// Longest wait at the end for the learner to take what was sent.
+    pub flush_timeout: Duration,
+    /// File with the count of chunks sent.
+    pub ledger: Option<PathBuf>,
+    /// Version and commit of this program, for the learner's log.
+    pub build: String,
+}
+
+impl ActorSettings {
+    /// Settings of actor `actor_id` as the configuration has them.
+    pub fn from_config(config: &Config, run_id: &str, actor_id: u32, incarnation: u64) -> Self {
+        let actors = &config.actors;
+        let build = build_info();
+        Self {
+            run_id: run_id.to_owned(),
+            actor_id,
+            incarnation,
+            chunk_steps: actors.chunk_steps as usize,
+            chunks_per_version: actors.chunks_per_version,
+            max_lead: actors.max_lead,
+            inference_threads: actors.inference_threads as usize,
+            policy_timeout: Duration::from_secs_f64(actors.policy_timeout_s),
+            flush_timeout: Duration::from_secs_f64(actors.flush_timeout_s),
+            ledger: None,
+            build: format!("{} {}", build.version, build.commit),
+        }
+    }
+}
+
+/// The actor number in the keys of the random streams: every incarnation draws its own episodes, so that a restarted
+/// actor does not collect the same ones again.
+pub fn actor_key(actor_id: u32, incarnation: u64) -> u64 {
+    (incarnation << 32) | u64::from(actor_id)
+}
+
+/// The environments of one actor: engine, terrain and task as configured. `actor_key` comes from [`actor_key`], or
+/// from a saved actor that goes on.
+///
+/// All actors share the run's terrain, which is drawn from the run's seed.
+///
+/// # Errors
+/// The engine refuses the robot or its settings, or the task refuses its own.
+pub fn build_env(
+    config: &Config,
+    model: Arc<RobotModel>,
+    actor_key: u64,
+) -> Result<VecEnv, ActorError> {
+    let engine = caudata_sim::build(
+        Arc::clone(&model),
+        config.actors.lanes as usize,
+        &config.engine,
+        &config.terrain,
+        config.run.seed,
+        config.actors.threads as usize,
+    )
+    .map_err(|error| ActorError::Env(error.into()))?;
+    Ok(VecEnv::new(model, config.task.clone(), engine, config.run.seed, actor_key)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_incarnation_has_its_own_key() {
+        assert_eq!(actor_key(3, 0), 3);
+        assert_eq!(actor_key(3, 1), (1 << 32) + 3);
+        assert_ne!(actor_key(4, 1), actor_key(3, 1));
+    }
+}
