@@ -1,1 +1,342 @@
 //! Typed client of the policy server: publish, list, fetch with resume, watch.
+//!
+//! Every answer is checked (`caudata-proto`) before a caller sees it, every call has a deadline, and a fetch that is cut
+//! goes on where it stopped. The bytes that [`RegistryClient::fetch`] returns hash to what was asked for.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+use std::time::Duration;
+
+use caudata_proto::registry::{
+    FetchPart, ListPage, MAX_PUBLISH_CHUNK_BYTES, Manifest, Published, RegistryError, StreamName, WatchEvent,
+};
+use caudata_proto::wire::registry as wire;
+use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
+use sha2::{Digest, Sha256};
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Code, Status};
+
+/// Time to reach the server.
+pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// Time for one call that is not a stream.
+pub const CALL_TIMEOUT: Duration = Duration::from_secs(30);
+/// Longest silence within a fetch.
+pub const FETCH_IDLE_MAX: Duration = Duration::from_secs(15);
+/// How often a cut fetch is taken up again.
+pub const FETCH_RETRIES: u32 = 5;
+/// First pause before a retry; doubles each time.
+pub const RETRY_PAUSE: Duration = Duration::from_millis(200);
+/// A watch that is silent for this long is dead: the server sends progress every 10 s.
+pub const WATCH_IDLE_MAX: Duration = Duration::from_secs(35);
+
+/// What a call to the policy server can end with.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The address is not one.
+    #[error("`{address}` is not an address like 127.0.0.1:7401")]
+    Address {
+        /// What was given.
+        address: String,
+    },
+    /// Nobody answers.
+    #[error("policy server {address} does not answer: {reason}; is it running?")]
+    Unreachable {
+        /// Where it was expected.
+        address: String,
+        /// What the network said.
+        reason: String,
+    },
+    /// The server answered with a refusal.
+    #[error("policy server refuses ({code:?}): {message}")]
+    Refused {
+        /// gRPC status code.
+        code: Code,
+        /// The server's words.
+        message: String,
+    },
+    /// An answer that does not pass the checks.
+    #[error("policy server sent a bad answer: {0}")]
+    BadAnswer(#[from] RegistryError),
+    /// A fetch that broke the rules: too many bytes, or bytes of another file.
+    #[error("fetched bytes are not those asked for: {reason}")]
+    WrongBytes {
+        /// What is wrong.
+        reason: String,
+    },
+    /// The call took too long.
+    #[error("policy server did not finish {what} in time; try again")]
+    TimedOut {
+        /// Which call.
+        what: &'static str,
+    },
+}
+
+impl ClientError {
+    /// True where the same call may succeed later.
+    #[must_use]
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::Unreachable { .. } | Self::TimedOut { .. } => true,
+            Self::Refused { code, .. } => matches!(
+                code,
+                Code::Unavailable | Code::DeadlineExceeded | Code::Aborted | Code::Cancelled | Code::Unknown
+            ),
+            _ => false,
+        }
+    }
+
+    /// True where the server does not hold what was asked for.
+    #[must_use]
+    pub fn is_not_found(&self) -> bool {
+        matches!(self, Self::Refused { code: Code::NotFound, .. })
+    }
+}
+
+/// A connection to one policy server; cloning shares it. Reconnects by itself.
+#[derive(Clone, Debug)]
+pub struct RegistryClient {
+    address: String,
+    inner: PolicyRegistryClient<Channel>,
+}
+
+impl RegistryClient {
+    /// A client for `address` (`host:port`). Connects with the first call, so a server that starts later is fine.
+    ///
+    /// # Errors
+    /// [`ClientError::Address`].
+    pub fn new(address: &str) -> Result<Self, ClientError> {
+        let bad = || ClientError::Address {
+            address: address.to_owned(),
+        };
+        let host = address.strip_prefix("http://").unwrap_or(address);
+        let port = host.rsplit_once(':').map(|(_, port)| port.parse::<u16>());
+        if !matches!(port, Some(Ok(_))) {
+            return Err(bad());
+        }
+        let endpoint = Endpoint::from_shared(format!("http://{host}"))
+            .map_err(|_| bad())?
+            .connect_timeout(CONNECT_TIMEOUT)
+            .http2_keep_alive_interval(Duration::from_secs(20))
+            .keep_alive_timeout(Duration::from_secs(10));
+        Ok(Self {
+            address: host.to_owned(),
+            inner: PolicyRegistryClient::new(endpoint.connect_lazy()),
+        })
+    }
+
+    /// Where the server is expected.
+    #[must_use]
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// Publishes one file. Safe to repeat: the same version with the same bytes is stored once.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn publish(&mut self, manifest: Manifest, bytes: &[u8]) -> Result<Published, ClientError> {
+        let header = wire::PublishRequest {
+            part: Some(wire::publish_request::Part::Header(manifest.into())),
+        };
+        let pieces = bytes.chunks(MAX_PUBLISH_CHUNK_BYTES).map(|piece| wire::PublishRequest {
+            part: Some(wire::publish_request::Part::Data(piece.to_vec())),
+        });
+        let messages: Vec<_> = std::iter::once(header).chain(pieces).collect();
+        let call = self.inner.publish(tokio_stream::iter(messages));
+        let answer = within("publish", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(answer.into_inner().try_into()?)
+    }
+
+    /// Manifests of `stream` (`None`: of all), newest first, at most `limit` (0: the server's limit).
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn list(
+        &mut self,
+        stream: Option<&StreamName>,
+        limit: u32,
+        below_version: Option<u64>,
+    ) -> Result<ListPage, ClientError> {
+        let request = wire::ListRequest {
+            stream: stream.map(ToString::to_string).unwrap_or_default(),
+            limit,
+            below_version,
+        };
+        let call = self.inner.list(request);
+        let answer = within("list", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(answer.into_inner().try_into()?)
+    }
+
+    /// One manifest; `None`: the newest.
+    ///
+    /// # Errors
+    /// See [`ClientError`]; [`ClientError::is_not_found`] where there is none.
+    pub async fn manifest(&mut self, stream: &StreamName, version: Option<u64>) -> Result<Manifest, ClientError> {
+        let request = wire::GetManifestRequest {
+            stream: stream.to_string(),
+            version,
+        };
+        let call = self.inner.get_manifest(request);
+        let answer = within("get manifest", CALL_TIMEOUT, &self.address, call).await?;
+        let manifest = answer.into_inner().manifest.ok_or(RegistryError::Missing { field: "manifest" })?;
+        Ok(manifest.try_into()?)
+    }
+
+    /// The bytes that `manifest` names: exactly its size, hashing to its SHA-256. A cut transfer goes on by offset.
+    ///
+    /// # Errors
+    /// See [`ClientError`]; the last one after [`FETCH_RETRIES`] retries.
+    pub async fn fetch(&mut self, manifest: &Manifest) -> Result<Vec<u8>, ClientError> {
+        let mut bytes = Vec::with_capacity(usize::try_from(manifest.size).unwrap_or(0));
+        let mut pause = RETRY_PAUSE;
+        for attempt in 0..=FETCH_RETRIES {
+            match self.fetch_rest(manifest, &mut bytes).await {
+                Ok(()) => break,
+                Err(error) if error.is_transient() && attempt < FETCH_RETRIES => {
+                    tracing::warn!(%error, got = bytes.len(), size = manifest.size, "fetch cut, going on");
+                    tokio::time::sleep(pause).await;
+                    pause *= 2;
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        let actual: [u8; 32] = Sha256::digest(&bytes).into();
+        if bytes.len() as u64 != manifest.size || actual != manifest.sha256 {
+            return Err(ClientError::WrongBytes {
+                reason: format!("{} of {} bytes came, or their hash differs", bytes.len(), manifest.size),
+            });
+        }
+        Ok(bytes)
+    }
+
+    /// Appends what is missing to `bytes`; on an error `bytes` holds what came so far.
+    async fn fetch_rest(&mut self, manifest: &Manifest, bytes: &mut Vec<u8>) -> Result<(), ClientError> {
+        let offset = bytes.len() as u64;
+        if offset == manifest.size {
+            return Ok(());
+        }
+        let request = wire::FetchRequest {
+            sha256: manifest.sha256.to_vec(),
+            offset,
+            if_none_match: Vec::new(),
+        };
+        let call = self.inner.fetch(request);
+        let mut answer = within("fetch", CALL_TIMEOUT, &self.address, call).await?.into_inner();
+        while let Some(message) = within("fetch", FETCH_IDLE_MAX, &self.address, answer.message()).await? {
+            match FetchPart::try_from(message)? {
+                FetchPart::Info(info) if info.offset == offset && info.size == manifest.size => {}
+                FetchPart::Data(piece) if bytes.len() as u64 + piece.len() as u64 <= manifest.size => {
+                    bytes.extend_from_slice(&piece);
+                }
+                _ => {
+                    return Err(ClientError::WrongBytes {
+                        reason: format!("the server left the {} bytes of the manifest", manifest.size),
+                    });
+                }
+            }
+        }
+        if (bytes.len() as u64) < manifest.size {
+            return Err(ClientError::TimedOut { what: "fetch" });
+        }
+        Ok(())
+    }
+
+    /// Follows changes of `stream` from a generation on (0: a snapshot first).
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn watch(&mut self, stream: Option<&StreamName>, since_generation: u64) -> Result<Watch, ClientError> {
+        let request = wire::WatchRequest {
+            stream: stream.map(ToString::to_string).unwrap_or_default(),
+            since_generation,
+        };
+        let call = self.inner.watch(request);
+        let answer = within("watch", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(Watch {
+            address: self.address.clone(),
+            events: answer.into_inner(),
+        })
+    }
+}
+
+/// An open watch.
+#[derive(Debug)]
+pub struct Watch {
+    address: String,
+    events: tonic::Streaming<wire::WatchEvent>,
+}
+
+impl Watch {
+    /// The next event; `None` when the server closed the watch in order.
+    ///
+    /// # Errors
+    /// See [`ClientError`]; [`ClientError::TimedOut`] after [`WATCH_IDLE_MAX`] of silence.
+    pub async fn next(&mut self) -> Result<Option<WatchEvent>, ClientError> {
+        let message = within("watch", WATCH_IDLE_MAX, &self.address, self.events.message()).await?;
+        Ok(message.map(WatchEvent::try_from).transpose()?)
+    }
+}
+
+async fn within<T>(
+    what: &'static str,
+    limit: Duration,
+    address: &str,
+    call: impl Future<Output = Result<T, Status>>,
+) -> Result<T, ClientError> {
+    match tokio::time::timeout(limit, call).await {
+        Err(_) => Err(ClientError::TimedOut { what }),
+        Ok(Err(status)) => Err(refusal(address, &status)),
+        Ok(Ok(answer)) => Ok(answer),
+    }
+}
+
+/// A status without a message from the far side is the network's own.
+fn refusal(address: &str, status: &Status) -> ClientError {
+    use std::error::Error;
+    let from_network = status.source().is_some();
+    if status.code() == Code::Unavailable && from_network {
+        return ClientError::Unreachable {
+            address: address.to_owned(),
+            reason: innermost(status),
+        };
+    }
+    ClientError::Refused {
+        code: status.code(),
+        message: status.message().to_owned(),
+    }
+}
+
+fn innermost(error: &dyn std::error::Error) -> String {
+    let mut last = error;
+    while let Some(source) = last.source() {
+        last = source;
+    }
+    last.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_need_a_port() {
+        assert!(RegistryClient::new("127.0.0.1").is_err());
+        assert!(RegistryClient::new("robot:x").is_err());
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let _context = runtime.enter();
+        let client = RegistryClient::new("http://127.0.0.1:7401").unwrap();
+        assert_eq!(client.address(), "127.0.0.1:7401");
+    }
+
+    #[test]
+    fn nobody_there_is_told_in_one_line() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            // Port 1 is reserved and closed on any machine that runs tests.
+            let mut client = RegistryClient::new("127.0.0.1:1").unwrap();
+            let error = client.list(None, 0, None).await.unwrap_err();
+            assert!(matches!(error, ClientError::Unreachable { .. }), "{error:?}");
+            assert!(error.is_transient());
+            assert!(error.to_string().contains("127.0.0.1:1"), "{error}");
+        });
+    }
+}

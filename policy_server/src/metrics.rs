@@ -1,0 +1,38 @@
+//! What the policy server counts.
+
+use caudata_telemetry::{Counter, IntGauge, Metrics};
+
+/// Handles into the process's registry; cloning shares them.
+#[derive(Clone, Debug)]
+pub struct ServerMetrics {
+    /// New versions stored.
+    pub published: Counter,
+    /// Publications of a version that was there already.
+    pub repeated: Counter,
+    /// Publications refused.
+    pub refused: Counter,
+    /// Fetches answered.
+    pub fetched: Counter,
+    /// Watches open now.
+    pub watchers: IntGauge,
+    /// Versions in the store.
+    pub versions: IntGauge,
+    /// Streams in the store.
+    pub streams: IntGauge,
+}
+
+impl ServerMetrics {
+    /// Registers all of them.
+    #[must_use]
+    pub fn register(metrics: &Metrics) -> Self {
+        Self {
+            published: metrics.counter("caudata_policy_published_total", "New policy versions stored"),
+            repeated: metrics.counter("caudata_policy_repeated_total", "Publications of a version already stored"),
+            refused: metrics.counter("caudata_policy_refused_total", "Publications refused"),
+            fetched: metrics.counter("caudata_policy_fetched_total", "Policy fetches answered"),
+            watchers: metrics.int_gauge("caudata_policy_watchers", "Watches open now"),
+            versions: metrics.int_gauge("caudata_policy_versions", "Policy versions in the store"),
+            streams: metrics.int_gauge("caudata_policy_streams", "Policy streams in the store"),
+        }
+    }
+}

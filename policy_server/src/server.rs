@@ -1,0 +1,110 @@
+//! Puts the registry, health and reflection services on one port and stops them in order.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use caudata_proto::wire::FILE_DESCRIPTOR_SET;
+use caudata_proto::wire::registry::policy_registry_server::PolicyRegistryServer;
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use tokio_stream::wrappers::TcpListenerStream;
+use tonic::transport::Server;
+
+use crate::metrics::ServerMetrics;
+use crate::service::RegistryService;
+use crate::store::Store;
+
+/// Requests served at once on one connection; further ones wait.
+const STREAMS_PER_CONNECTION: u32 = 32;
+/// Largest message accepted; uploads come in pieces of 128 KiB.
+const MESSAGE_SIZE_MAX: usize = 256 << 10;
+/// A connection that is silent for this long is asked for a sign of life.
+const KEEPALIVE: Duration = Duration::from_secs(30);
+/// After the stop signal, open requests get this long to finish.
+pub const DRAIN_MAX: Duration = Duration::from_secs(10);
+
+/// Why the server ended.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// Another process listens there.
+    #[error("address {0} is in use; stop the other process or choose another --addr")]
+    InUse(SocketAddr),
+    /// The system refuses the address.
+    #[error("cannot listen on {addr}: {source}")]
+    Listen {
+        /// The address asked for.
+        addr: SocketAddr,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// The gRPC server failed.
+    #[error("the gRPC server failed: {0}")]
+    Transport(#[from] tonic::transport::Error),
+    /// The reflection service could not read the descriptors.
+    #[error("the service descriptors are not readable: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+}
+
+/// Binds the address (port 0: any free one).
+///
+/// # Errors
+/// [`ServeError::InUse`], [`ServeError::Listen`].
+pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
+    TcpListener::bind(addr).await.map_err(|source| match source.kind() {
+        std::io::ErrorKind::AddrInUse => ServeError::InUse(addr),
+        _ => ServeError::Listen { addr, source },
+    })
+}
+
+/// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish for
+/// [`DRAIN_MAX`].
+///
+/// # Errors
+/// [`ServeError::Transport`], [`ServeError::Reflection`].
+pub async fn serve(
+    listener: TcpListener,
+    store: Store,
+    metrics: ServerMetrics,
+    stop: watch::Receiver<bool>,
+) -> Result<(), ServeError> {
+    let registry = RegistryService::new(store, stop.clone(), metrics);
+    let (health, health_service) = tonic_health::server::health_reporter();
+    health
+        .set_serving::<PolicyRegistryServer<RegistryService>>()
+        .await;
+    let reflection = tonic_reflection::server::Builder::configure()
+        .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
+        .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+        .build_v1()?;
+    let mut stopped = stop.clone();
+    let drained = async move {
+        // An error means that the sender is gone, which is a stop as well.
+        let _ = stopped.wait_for(|stop| *stop).await;
+        health
+            .set_not_serving::<PolicyRegistryServer<RegistryService>>()
+            .await;
+    };
+    let server = Server::builder()
+        .concurrency_limit_per_connection(STREAMS_PER_CONNECTION as usize)
+        .max_concurrent_streams(STREAMS_PER_CONNECTION)
+        .http2_keepalive_interval(Some(KEEPALIVE))
+        .add_service(health_service)
+        .add_service(reflection)
+        .add_service(
+            PolicyRegistryServer::new(registry)
+                .max_decoding_message_size(MESSAGE_SIZE_MAX)
+                .max_encoding_message_size(MESSAGE_SIZE_MAX * 4),
+        )
+        .serve_with_incoming_shutdown(TcpListenerStream::new(listener), drained);
+    let mut stopping = stop;
+    tokio::select! {
+        ended = server => Ok(ended?),
+        () = async {
+            let _ = stopping.wait_for(|stop| *stop).await;
+            tokio::time::sleep(DRAIN_MAX).await;
+        } => {
+            tracing::warn!("open requests did not finish in time and were cut off");
+            Ok(())
+        }
+    }
+}

@@ -1,0 +1,495 @@
+//! The gRPC service: checks what comes in, asks the store, and answers with the status codes that clients act on.
+//!
+//! | case | status |
+//! |---|---|
+//! | malformed request, hash or header mismatch | `INVALID_ARGUMENT` |
+//! | version taken by other bytes | `ALREADY_EXISTS` |
+//! | contract other than the stream's | `FAILED_PRECONDITION` |
+//! | too large, too many streams, disk full, watcher too slow | `RESOURCE_EXHAUSTED` |
+//! | unknown stream, version, blob | `NOT_FOUND` |
+//! | generation no longer known | `OUT_OF_RANGE` |
+//! | stored bytes damaged | `DATA_LOSS` |
+//! | shutting down | `UNAVAILABLE` |
+
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use caudata_policy::PolicyFile;
+use caudata_proto::registry::{
+    FETCH_CHUNK_BYTES, FetchRequest, ListRequest, Manifest, ManifestRequest, RegistryError, StreamName, WatchRequest,
+};
+use caudata_proto::wire::registry as wire;
+use caudata_proto::wire::registry::policy_registry_server::PolicyRegistry;
+use tokio::sync::{broadcast, mpsc, watch};
+use tokio_stream::Stream;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status, Streaming};
+
+use crate::error::StoreError;
+use crate::metrics::ServerMetrics;
+use crate::record::Record;
+use crate::store::{Published, Store, hex};
+
+/// A publisher must send its next piece within this time.
+pub const UPLOAD_IDLE_MAX: Duration = Duration::from_secs(30);
+/// Manifests in one list answer at most.
+pub const LIST_MAX: usize = 500;
+/// Pause between progress messages of a watch.
+pub const WATCH_PROGRESS: Duration = Duration::from_secs(10);
+/// Changes that a slow watcher may lag behind before it is cut off.
+const WATCH_BACKLOG: usize = 64;
+/// Messages queued towards one client before the server waits for it.
+const REPLY_QUEUE: usize = 8;
+
+/// The service over one store.
+#[derive(Clone)]
+pub struct RegistryService {
+    store: Arc<Mutex<Store>>,
+    changes: broadcast::Sender<Arc<Record>>,
+    draining: watch::Receiver<bool>,
+    metrics: ServerMetrics,
+}
+
+type ReplyStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+impl RegistryService {
+    /// A service over `store` that refuses new work once `draining` turns true.
+    pub fn new(store: Store, draining: watch::Receiver<bool>, metrics: ServerMetrics) -> Self {
+        let (changes, _) = broadcast::channel(WATCH_BACKLOG);
+        let service = Self {
+            store: Arc::new(Mutex::new(store)),
+            changes,
+            draining,
+            metrics,
+        };
+        service.update_gauges();
+        service
+    }
+
+    fn store(&self) -> MutexGuard<'_, Store> {
+        self.store.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn update_gauges(&self) {
+        let store = self.store();
+        self.metrics
+            .versions
+            .set(i64::try_from(store.records(None).count()).unwrap_or(i64::MAX));
+        self.metrics
+            .streams
+            .set(i64::try_from(store.stream_names().count()).unwrap_or(i64::MAX));
+    }
+
+    fn refuse_when_draining(&self) -> Result<(), Status> {
+        if *self.draining.borrow() {
+            return Err(Status::unavailable("the server is shutting down; try again in a moment"));
+        }
+        Ok(())
+    }
+
+    /// Runs disk work away from the network threads.
+    async fn on_disk<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Store) -> T + Send + 'static,
+    ) -> Result<T, Status> {
+        let service = self.clone();
+        tokio::task::spawn_blocking(move || work(&mut service.store()))
+            .await
+            .map_err(|error| Status::internal(format!("store task failed: {error}")))
+    }
+
+    async fn publish_file(&self, manifest: Manifest, bytes: Vec<u8>) -> Result<Published, Status> {
+        let published = self
+            .on_disk(move |store| -> Result<Published, Status> {
+                check_against_file(&manifest, &bytes)?;
+                store.publish(manifest, &bytes).map_err(|error| status_of(&error))
+            })
+            .await??;
+        if published.already_present {
+            self.metrics.repeated.inc();
+        } else {
+            self.metrics.published.inc();
+            self.update_gauges();
+            // No watcher listening is fine.
+            let _ = self.changes.send(Arc::new(published.record.clone()));
+        }
+        Ok(published)
+    }
+}
+
+#[tonic::async_trait]
+impl PolicyRegistry for RegistryService {
+    async fn publish(
+        &self,
+        request: Request<Streaming<wire::PublishRequest>>,
+    ) -> Result<Response<wire::PublishResponse>, Status> {
+        self.refuse_when_draining()?;
+        let (manifest, bytes) = receive_upload(request.into_inner()).await.inspect_err(|_| {
+            self.metrics.refused.inc();
+        })?;
+        let stream = manifest.stream.to_string();
+        let version = manifest.version;
+        let published = self.publish_file(manifest, bytes).await.inspect_err(|status| {
+            self.metrics.refused.inc();
+            tracing::warn!(stream, version, code = ?status.code(), "publication refused: {}", status.message());
+        })?;
+        let record = &published.record;
+        tracing::info!(
+            stream,
+            version,
+            generation = record.generation,
+            sha256 = hex(&record.manifest.sha256),
+            already_present = published.already_present,
+            "published"
+        );
+        Ok(Response::new(wire::PublishResponse {
+            manifest: Some(record.manifest.clone().into()),
+            generation: record.generation,
+            already_present: published.already_present,
+        }))
+    }
+
+    async fn list(
+        &self,
+        request: Request<wire::ListRequest>,
+    ) -> Result<Response<wire::ListResponse>, Status> {
+        let request = checked::<_, ListRequest>(request)?;
+        let limit = match usize::try_from(request.limit).unwrap_or(LIST_MAX) {
+            0 => LIST_MAX,
+            asked => asked.min(LIST_MAX),
+        };
+        let below = request.below_version.unwrap_or(u64::MAX);
+        let store = self.store();
+        let mut manifests: Vec<wire::Manifest> = store
+            .records(request.stream.as_ref())
+            .filter(|record| record.manifest.version < below)
+            .take(limit + 1)
+            .map(|record| record.manifest.clone().into())
+            .collect();
+        let more = manifests.len() > limit;
+        manifests.truncate(limit);
+        Ok(Response::new(wire::ListResponse {
+            manifests,
+            generation: store.generation(),
+            more,
+        }))
+    }
+
+    async fn get_manifest(
+        &self,
+        request: Request<wire::GetManifestRequest>,
+    ) -> Result<Response<wire::GetManifestResponse>, Status> {
+        let request = checked::<_, ManifestRequest>(request)?;
+        let store = self.store();
+        let record = store
+            .manifest(&request.stream, request.version)
+            .map_err(|error| status_of(&error))?;
+        Ok(Response::new(wire::GetManifestResponse {
+            manifest: Some(record.manifest.clone().into()),
+            generation: record.generation,
+        }))
+    }
+
+    type FetchStream = ReplyStream<wire::FetchResponse>;
+
+    async fn fetch(
+        &self,
+        request: Request<wire::FetchRequest>,
+    ) -> Result<Response<Self::FetchStream>, Status> {
+        self.refuse_when_draining()?;
+        let FetchRequest {
+            sha256,
+            offset,
+            if_none_match,
+        } = checked(request)?;
+        let bytes = self
+            .on_disk(move |store| store.read_blob(&sha256))
+            .await?
+            .map_err(|error| status_of(&error))?;
+        let size = bytes.len() as u64;
+        if offset > size {
+            return Err(Status::invalid_argument(format!(
+                "offset {offset} lies beyond the file's {size} bytes"
+            )));
+        }
+        let not_modified = if_none_match == Some(sha256);
+        let info = wire::FetchInfo {
+            status: match not_modified {
+                true => wire::fetch_info::Status::NotModified,
+                false => wire::fetch_info::Status::ContentFollows,
+            }
+            .into(),
+            sha256: sha256.to_vec(),
+            size,
+            offset,
+        };
+        self.metrics.fetched.inc();
+        let from = if not_modified { size } else { offset };
+        let rest = bytes.get(usize::try_from(from).unwrap_or(usize::MAX)..).unwrap_or_default().to_vec();
+        Ok(Response::new(send_file(info, rest)))
+    }
+
+    type WatchStream = ReplyStream<wire::WatchEvent>;
+
+    async fn watch(
+        &self,
+        request: Request<wire::WatchRequest>,
+    ) -> Result<Response<Self::WatchStream>, Status> {
+        self.refuse_when_draining()?;
+        let request = checked::<_, WatchRequest>(request)?;
+        // Subscribe before reading the store, so that no change falls between the two.
+        let changes = self.changes.subscribe();
+        let (first, seen) = self.first_events(&request)?;
+        let (reply, queue) = mpsc::channel(REPLY_QUEUE);
+        let watcher = Watcher {
+            stream: request.stream,
+            seen,
+            changes,
+            draining: self.draining.clone(),
+            reply,
+        };
+        self.metrics.watchers.inc();
+        let gauge = self.metrics.watchers.clone();
+        tokio::spawn(async move {
+            watcher.run(first).await;
+            gauge.dec();
+        });
+        Ok(Response::new(Box::pin(ReceiverStream::new(queue))))
+    }
+}
+
+impl RegistryService {
+    /// What a new watcher gets first, and the generation it has then seen.
+    fn first_events(
+        &self,
+        request: &WatchRequest,
+    ) -> Result<(Vec<wire::WatchEvent>, u64), Status> {
+        let store = self.store();
+        let now = store.generation();
+        if request.since_generation == 0 {
+            return Ok((vec![snapshot(&store, request.stream.as_ref())], now));
+        }
+        let mut missed: Vec<&Record> = store
+            .records(None)
+            .filter(|record| record.generation > request.since_generation)
+            .collect();
+        // Generations count publications one by one: fewer records than that means that some were retired.
+        let expected = now.checked_sub(request.since_generation);
+        if expected != Some(missed.len() as u64) {
+            return Err(Status::out_of_range(format!(
+                "generation {} is not known any more; watch again from 0",
+                request.since_generation
+            )));
+        }
+        missed.sort_by_key(|record| record.generation);
+        let events = missed
+            .into_iter()
+            .filter(|record| follows(request.stream.as_ref(), record))
+            .map(published_event)
+            .collect();
+        Ok((events, now))
+    }
+}
+
+/// One watch: sends what came before, then each change, and progress in between.
+struct Watcher {
+    stream: Option<StreamName>,
+    seen: u64,
+    changes: broadcast::Receiver<Arc<Record>>,
+    draining: watch::Receiver<bool>,
+    reply: mpsc::Sender<Result<wire::WatchEvent, Status>>,
+}
+
+impl Watcher {
+    /// Ends when the client goes, when it falls too far behind, or when the server drains.
+    async fn run(mut self, first: Vec<wire::WatchEvent>) {
+        for event in first {
+            if self.reply.send(Ok(event)).await.is_err() {
+                return;
+            }
+        }
+        let mut progress = tokio::time::interval(WATCH_PROGRESS);
+        progress.tick().await;
+        loop {
+            let event = tokio::select! {
+                () = self.reply.closed() => return,
+                _ = self.draining.wait_for(|draining| *draining) => {
+                    let gone = Status::unavailable("the server is shutting down; watch again in a moment");
+                    let _ = self.reply.try_send(Err(gone));
+                    return;
+                }
+                change = self.changes.recv() => match self.next_event(change) {
+                    Ok(Some(event)) => event,
+                    Ok(None) => continue,
+                    Err(status) => {
+                        let _ = self.reply.try_send(Err(status));
+                        return;
+                    }
+                },
+                _ = progress.tick() => wire::WatchEvent {
+                    generation: self.seen,
+                    event: Some(wire::watch_event::Event::Progress(wire::Progress {})),
+                },
+            };
+            if self.reply.send(Ok(event)).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    fn next_event(
+        &mut self,
+        change: Result<Arc<Record>, broadcast::error::RecvError>,
+    ) -> Result<Option<wire::WatchEvent>, Status> {
+        match change {
+            Ok(record) if record.generation <= self.seen => Ok(None),
+            Ok(record) => {
+                self.seen = record.generation;
+                Ok(follows(self.stream.as_ref(), &record).then(|| published_event(&record)))
+            }
+            Err(broadcast::error::RecvError::Lagged(missed)) => Err(Status::resource_exhausted(
+                format!("this watcher missed {missed} changes; watch again from generation {}", self.seen),
+            )),
+            Err(broadcast::error::RecvError::Closed) => {
+                Err(Status::unavailable("the server is shutting down"))
+            }
+        }
+    }
+}
+
+fn follows(stream: Option<&StreamName>, record: &Record) -> bool {
+    stream.is_none_or(|wanted| record.manifest.stream == *wanted)
+}
+
+fn snapshot(store: &Store, stream: Option<&StreamName>) -> wire::WatchEvent {
+    let manifests = store
+        .stream_names()
+        .filter(|name| stream.is_none_or(|wanted| *name == wanted))
+        .filter_map(|name| store.newest(name))
+        .map(|record| record.manifest.clone().into())
+        .collect();
+    wire::WatchEvent {
+        generation: store.generation(),
+        event: Some(wire::watch_event::Event::Snapshot(wire::Snapshot { manifests })),
+    }
+}
+
+fn published_event(record: &Record) -> wire::WatchEvent {
+    wire::WatchEvent {
+        generation: record.generation,
+        event: Some(wire::watch_event::Event::Published(record.manifest.clone().into())),
+    }
+}
+
+/// Reads a whole upload: a checked header, then exactly the announced number of bytes.
+async fn receive_upload(
+    mut upload: Streaming<wire::PublishRequest>,
+) -> Result<(Manifest, Vec<u8>), Status> {
+    let header = match next_part(&mut upload).await? {
+        Some(wire::publish_request::Part::Header(header)) => header,
+        _ => return Err(Status::invalid_argument("the first message must be the header")),
+    };
+    let manifest = Manifest::try_from(header).map_err(|error| refusal(&error))?;
+    let mut bytes = Vec::with_capacity(usize::try_from(manifest.size).unwrap_or(0));
+    while let Some(part) = next_part(&mut upload).await? {
+        let wire::publish_request::Part::Data(piece) = part else {
+            return Err(Status::invalid_argument("a second header came in the middle of the file"));
+        };
+        if (bytes.len() + piece.len()) as u64 > manifest.size {
+            return Err(Status::invalid_argument(format!(
+                "more bytes came than the announced {}",
+                manifest.size
+            )));
+        }
+        bytes.extend_from_slice(&piece);
+    }
+    if bytes.len() as u64 != manifest.size {
+        return Err(Status::invalid_argument(format!(
+            "upload ended after {} of {} bytes; send the file again",
+            bytes.len(),
+            manifest.size
+        )));
+    }
+    Ok((manifest, bytes))
+}
+
+async fn next_part(
+    upload: &mut Streaming<wire::PublishRequest>,
+) -> Result<Option<wire::publish_request::Part>, Status> {
+    let message = tokio::time::timeout(UPLOAD_IDLE_MAX, upload.message())
+        .await
+        .map_err(|_| Status::deadline_exceeded("the upload stalled; send the file again"))??;
+    match message {
+        None => Ok(None),
+        Some(wire::PublishRequest { part: Some(part) }) => Ok(Some(part)),
+        Some(_) => Err(Status::invalid_argument("an upload message is empty")),
+    }
+}
+
+/// The server stores only files that the strict checker accepts and whose metadata say what the header says.
+fn check_against_file(manifest: &Manifest, bytes: &[u8]) -> Result<(), Status> {
+    let file = PolicyFile::parse(bytes.into())
+        .map_err(|error| Status::invalid_argument(format!("not a caudata policy: {error}")))?;
+    let metadata = file.metadata();
+    let fields = [
+        ("contract hash", hex(&manifest.contract_hash), hex(&metadata.contract.hash())),
+        ("robot hash", hex(&manifest.robot_hash), metadata.contract.robot_hash.to_string()),
+        ("run id", manifest.run_id.clone(), metadata.run_id.clone()),
+        ("version", manifest.version.to_string(), metadata.version.to_string()),
+    ];
+    for (field, header, file) in fields {
+        if header != file {
+            let error = StoreError::HeaderMismatch { field, header, file };
+            return Err(status_of(&error));
+        }
+    }
+    Ok(())
+}
+
+fn send_file(info: wire::FetchInfo, bytes: Vec<u8>) -> ReplyStream<wire::FetchResponse> {
+    let (reply, queue) = mpsc::channel(REPLY_QUEUE);
+    tokio::spawn(async move {
+        let first = wire::FetchResponse { part: Some(wire::fetch_response::Part::Info(info)) };
+        if reply.send(Ok(first)).await.is_err() {
+            return;
+        }
+        for piece in bytes.chunks(FETCH_CHUNK_BYTES) {
+            let data = wire::FetchResponse {
+                part: Some(wire::fetch_response::Part::Data(piece.to_vec())),
+            };
+            if reply.send(Ok(data)).await.is_err() {
+                return;
+            }
+        }
+    });
+    Box::pin(ReceiverStream::new(queue))
+}
+
+/// The checked form of a request.
+fn checked<W, D: TryFrom<W, Error = RegistryError>>(request: Request<W>) -> Result<D, Status> {
+    D::try_from(request.into_inner()).map_err(|error| refusal(&error))
+}
+
+fn refusal(error: &RegistryError) -> Status {
+    match error {
+        RegistryError::Range { field: "size", .. } => Status::resource_exhausted(error.to_string()),
+        _ => Status::invalid_argument(error.to_string()),
+    }
+}
+
+fn status_of(error: &StoreError) -> Status {
+    let message = error.to_string();
+    match error {
+        StoreError::VersionTaken { .. } => Status::already_exists(message),
+        StoreError::HashMismatch { .. } | StoreError::HeaderMismatch { .. } => {
+            Status::invalid_argument(message)
+        }
+        StoreError::ContractMismatch { .. } => Status::failed_precondition(message),
+        StoreError::NotFound { .. } => Status::not_found(message),
+        StoreError::Damaged { .. } => Status::data_loss(message),
+        StoreError::TooManyStreams { .. } => Status::resource_exhausted(message),
+        StoreError::Durable(durable) if durable.is_disk_full() => Status::resource_exhausted(message),
+        StoreError::Durable(_) | StoreError::Unusable { .. } => Status::internal(message),
+    }
+}
