@@ -1,43 +1,36 @@
-//! How a server tells whoever started it where it listens: one JSON line on standard output.
+//! How a service tells its supervisor where it listens: one JSON line on standard output.
 
-use std::io::{self, BufRead, Write};
+use std::io::Write;
 use std::net::SocketAddr;
 
 use serde::{Deserialize, Serialize};
 
-/// The line: `{"listening":"policy_server","address":"127.0.0.1:40123"}`.
+/// `{"listening":"policy_server","addr":"127.0.0.1:7401"}`
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Listening {
-    /// Which service.
+pub struct Announcement {
+    /// What listens.
     pub listening: String,
-    /// Where it is bound.
-    pub address: SocketAddr,
+    /// The bound address; never port 0.
+    pub addr: SocketAddr,
 }
 
-/// Writes the line for `service` to standard output. A reader that is gone does no harm.
-pub fn announce(service: &str, address: SocketAddr) {
-    let line = Listening {
-        listening: service.to_owned(),
-        address,
-    };
-    let mut out = io::stdout().lock();
-    if let Ok(text) = serde_json::to_string(&line) {
-        let _ = writeln!(out, "{text}").and_then(|()| out.flush());
+impl Announcement {
+    /// The announcement in a line, if it is one.
+    pub fn parse(line: &str) -> Option<Self> {
+        serde_json::from_str(line).ok()
     }
 }
 
-/// Reads lines until `service` announces its address; `None` when the stream ends before.
-pub fn read_announcement(service: &str, out: &mut dyn BufRead) -> Option<SocketAddr> {
-    let mut line = String::new();
-    loop {
-        line.clear();
-        if out.read_line(&mut line).ok()? == 0 {
-            return None;
-        }
-        match serde_json::from_str::<Listening>(line.trim()) {
-            Ok(found) if found.listening == service => return Some(found.address),
-            _ => {}
-        }
+/// Prints where `listening` is bound, so that whoever started this process with port 0 finds it. A reader that has
+/// gone away is no error: the log has the address too.
+pub fn announce(listening: &str, addr: SocketAddr) {
+    let announcement = Announcement {
+        listening: listening.to_owned(),
+        addr,
+    };
+    let mut out = std::io::stdout().lock();
+    if serde_json::to_writer(&mut out, &announcement).is_ok() {
+        let _ = out.write_all(b"\n").and_then(|()| out.flush());
     }
 }
 
@@ -46,11 +39,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_right_line_is_found_among_others() {
-        let text = "noise\n{\"listening\":\"other\",\"address\":\"127.0.0.1:1\"}\n\
-                    {\"listening\":\"policy_server\",\"address\":\"127.0.0.1:2\"}\n";
-        let found = read_announcement("policy_server", &mut text.as_bytes());
-        assert_eq!(found, Some(SocketAddr::from(([127, 0, 0, 1], 2))));
-        assert_eq!(read_announcement("robot", &mut text.as_bytes()), None);
+    fn a_line_is_an_announcement_or_it_is_not() {
+        let line = r#"{"listening":"policy_server","addr":"127.0.0.1:7401"}"#;
+        let found = Announcement::parse(line).unwrap();
+        assert_eq!(
+            (found.listening.as_str(), found.addr.port()),
+            ("policy_server", 7401)
+        );
+        assert_eq!(serde_json::to_string(&found).unwrap(), line);
+        assert_eq!(Announcement::parse("{\"event\":\"started\"}"), None);
     }
 }

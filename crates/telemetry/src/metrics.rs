@@ -44,7 +44,11 @@ impl Metrics {
     /// A counter of seconds. `name` ends in `_seconds_total`.
     pub fn seconds_counter(&self, name: &'static str, help: &'static str) -> SecondsCounter {
         let counter = SecondsCounter::default();
-        self.register(name.strip_suffix("_total").unwrap_or(name), help, counter.clone());
+        self.register(
+            name.strip_suffix("_total").unwrap_or(name),
+            help,
+            counter.clone(),
+        );
         counter
     }
 
