@@ -1,0 +1,195 @@
+//! What an action means: joint offsets, clipped, low-pass filtered, scaled and kept within the joint limits.
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::require;
+use crate::{ACT_DIM, JointTable, TaskError};
+
+/// Table `[task.action]`: `q_des = q_nominal + scale · filter(clip(a))`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ActionConfig {
+    /// Radians of joint offset per unit of action, > 0. Default 0.5 (MuJoCo Playground; the paper gives none).
+    /// Too small: the legs cannot reach. Too large: a network's small errors become large motions.
+    pub scale: f32,
+    /// First-order low pass at the control rate: y ← y + α(a − y), in (0, 1]; 1 is no filter. Default 0.5.
+    /// At 50 Hz α = 0.15 passes up to about 1.3 Hz, 0.5 up to about 6 Hz. Too large: policies learn to vibrate;
+    /// too small: they cannot react to a push.
+    pub filter_alpha: f32,
+    /// Actions beyond ± this are cut off before the filter, > 0. Default 5. Far outside what a policy
+    /// should want; it keeps the observed past actions bounded when an exploration draw is extreme.
+    pub clip: f32,
+}
+
+impl Default for ActionConfig {
+    fn default() -> Self {
+        Self {
+            scale: 0.5,
+            filter_alpha: 0.5,
+            clip: 5.0,
+        }
+    }
+}
+
+impl ActionConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`TaskError::Config`] names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), TaskError> {
+        require(
+            self.scale > 0.0 && self.scale <= 10.0,
+            "action.scale",
+            self.scale,
+            "must be above 0 and at most 10 rad",
+        )?;
+        require(
+            self.filter_alpha > 0.0 && self.filter_alpha <= 1.0,
+            "action.filter_alpha",
+            self.filter_alpha,
+            "must be above 0 and at most 1 (1 is no filter)",
+        )?;
+        require(
+            self.clip > 0.0 && self.clip <= 1e3,
+            "action.clip",
+            self.clip,
+            "must be above 0 and at most 1000",
+        )
+    }
+
+    /// The action cut off at ± `clip`; what the policy will see as its past action. Not a number becomes 0.
+    pub fn clipped(&self, action: &[f32; ACT_DIM]) -> [f32; ACT_DIM] {
+        action.map(|a| {
+            if a.is_nan() {
+                0.0
+            } else {
+                a.clamp(-self.clip, self.clip)
+            }
+        })
+    }
+}
+
+/// Filter state of one environment (or of the robot): the smoothed action.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ActionFilter {
+    smoothed: [f32; ACT_DIM],
+}
+
+impl ActionFilter {
+    /// At rest in the nominal pose.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The smoothed action, in units of action.
+    pub fn smoothed(&self) -> &[f32; ACT_DIM] {
+        &self.smoothed
+    }
+
+    /// Takes one action and gives the position targets, rad, within the joint limits.
+    pub fn apply(
+        &mut self,
+        config: &ActionConfig,
+        action: &[f32; ACT_DIM],
+        joints: &JointTable,
+    ) -> [f32; ACT_DIM] {
+        let action = config.clipped(action);
+        let mut targets = [0.0; ACT_DIM];
+        for i in 0..ACT_DIM {
+            self.smoothed[i] += config.filter_alpha * (action[i] - self.smoothed[i]);
+            let target = joints.nominal_rad[i] + config.scale * self.smoothed[i];
+            // Not `clamp`: that panics on reversed limits; here the upper limit would win.
+            targets[i] = target.max(joints.lower_rad[i]).min(joints.upper_rad[i]);
+        }
+        targets
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn joints() -> JointTable {
+        JointTable {
+            nominal_rad: [0.1; ACT_DIM],
+            lower_rad: [-0.5; ACT_DIM],
+            upper_rad: [0.4; ACT_DIM],
+        }
+    }
+
+    #[test]
+    fn low_pass_scale_and_offset() {
+        let config = ActionConfig {
+            scale: 0.5,
+            filter_alpha: 0.25,
+            clip: 5.0,
+        };
+        let mut filter = ActionFilter::new();
+        // y1 = 0 + 0.25·(0.8 − 0) = 0.2;      target 0.1 + 0.5·0.2 = 0.2
+        // y2 = 0.2 + 0.25·(0.8 − 0.2) = 0.35; target 0.1 + 0.5·0.35 = 0.275
+        // y3 = 0.35 + 0.25·(−0.8 − 0.35) = 0.0625; target 0.13125
+        for (action, expected) in [(0.8, 0.2), (0.8, 0.275), (-0.8, 0.13125)] {
+            let targets = filter.apply(&config, &[action; ACT_DIM], &joints());
+            for target in targets {
+                assert!((target - expected).abs() < 1e-6, "{target} for {expected}");
+            }
+        }
+        assert!((filter.smoothed()[3] - 0.0625).abs() < 1e-6);
+    }
+
+    #[test]
+    fn actions_are_clipped_and_targets_stay_within_limits() {
+        let config = ActionConfig {
+            scale: 1.0,
+            filter_alpha: 1.0,
+            clip: 2.0,
+        };
+        let mut filter = ActionFilter::new();
+        // 100 is cut to 2: y = 2, target 2.1, upper limit 0.4.
+        assert_eq!(
+            filter.apply(&config, &[100.0; ACT_DIM], &joints()),
+            [0.4; ACT_DIM]
+        );
+        assert_eq!(filter.smoothed(), &[2.0; ACT_DIM]);
+        assert_eq!(
+            filter.apply(&config, &[f32::NEG_INFINITY; ACT_DIM], &joints()),
+            [-0.5; ACT_DIM]
+        );
+        // Not a number counts as no offset.
+        assert_eq!(
+            filter.apply(&config, &[f32::NAN; ACT_DIM], &joints()),
+            [0.1; ACT_DIM]
+        );
+    }
+
+    #[test]
+    fn values_out_of_range_are_named() {
+        let good = ActionConfig::default();
+        good.validate().unwrap();
+        let bad = [
+            (ActionConfig { scale: 0.0, ..good }, "action.scale"),
+            (
+                ActionConfig {
+                    filter_alpha: 1.1,
+                    ..good
+                },
+                "action.filter_alpha",
+            ),
+            (
+                ActionConfig {
+                    filter_alpha: f32::NAN,
+                    ..good
+                },
+                "action.filter_alpha",
+            ),
+            (ActionConfig { clip: -1.0, ..good }, "action.clip"),
+        ];
+        for (config, name) in bad {
+            let error = config.validate().unwrap_err();
+            assert!(
+                matches!(&error, TaskError::Config { field, .. } if *field == name),
+                "{error}"
+            );
+        }
+    }
+}

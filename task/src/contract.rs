@@ -1,0 +1,352 @@
+//! The policy contract: all that a policy's numbers depend on. It is written into every policy file, its hash
+//! rides in every rollout, and every reader compares it with its own.
+
+use caudata_model::RobotModel;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::action::ActionConfig;
+use crate::phase::{PhaseConfig, TROT_OFFSETS_RAD};
+use crate::{ACT_DIM, FEET, JointTable, ObservationLayout, TaskConfig, TaskError};
+
+/// What a policy was made for. Joint arrays are in policy order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PolicyContract {
+    /// Name of the robot.
+    pub robot: String,
+    /// SHA-256 of the robot's files, lower-case hexadecimal.
+    pub robot_hash: String,
+    /// Names of the actuated joints. `[A]`
+    pub joint_names: Vec<String>,
+    /// Nominal pose, rad. `[A]`
+    pub nominal_pos_rad: Vec<f32>,
+    /// Lower position limits, rad. `[A]`
+    pub lower_limit_rad: Vec<f32>,
+    /// Upper position limits, rad. `[A]`
+    pub upper_limit_rad: Vec<f32>,
+    /// Proportional gains at the joint, N·m/rad. `[A]`
+    pub kp_nm_per_rad: Vec<f32>,
+    /// Derivative gains at the joint, N·m·s/rad. `[A]`
+    pub kd_nm_s_per_rad: Vec<f32>,
+    /// Time between two actions, s.
+    pub control_period_s: f64,
+    /// What an action means.
+    pub action: ActionConfig,
+    /// Where each quantity lies in the observation.
+    pub observation: ObservationLayout,
+    /// The gait clock.
+    pub phase: PhaseContract,
+    /// Commands that the policy was trained for.
+    pub command: CommandContract,
+}
+
+/// The gait clock of a contract.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PhaseContract {
+    /// Feet, in the order of the observation.
+    pub feet: Vec<String>,
+    /// Phase of each foot relative to the clock, rad.
+    pub offsets_rad: Vec<f32>,
+    /// Stride frequencies seen in training, Hz, [min, max].
+    pub frequency_hz: [f32; 2],
+    /// Height of the foot reference, m.
+    pub swing_height_m: f32,
+    /// Commands up to this norm stop the clock (see [`PhaseConfig`]).
+    pub stand_command_norm: f32,
+}
+
+impl PhaseContract {
+    /// The clock's configuration, to run a [`crate::phase::PhaseClock`] with.
+    pub fn config(&self) -> PhaseConfig {
+        PhaseConfig {
+            frequency_hz: self.frequency_hz,
+            swing_height_m: self.swing_height_m,
+            stand_command_norm: self.stand_command_norm,
+        }
+    }
+}
+
+/// Ranges of the commands of a contract, [min, max].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CommandContract {
+    /// Forward velocity, m/s.
+    pub vx_mps: [f32; 2],
+    /// Velocity to the left, m/s.
+    pub vy_mps: [f32; 2],
+    /// Yaw rate, rad/s.
+    pub yaw_rate_radps: [f32; 2],
+}
+
+/// A field in which two contracts differ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ContractDifference {
+    /// Another robot.
+    Robot,
+    /// The same robot with other parameters (its files have another hash).
+    RobotModel,
+    /// Other joints, or the same in another order.
+    JointOrder,
+    /// Another nominal pose.
+    NominalPose,
+    /// Other joint limits.
+    JointLimits,
+    /// Other gains.
+    Gains,
+    /// Another control rate.
+    ControlPeriod,
+    /// Another meaning of actions.
+    Action,
+    /// Another observation.
+    Observation,
+    /// Another gait clock.
+    Phase,
+    /// Other command ranges.
+    CommandRange,
+}
+
+impl ContractDifference {
+    /// Whether a policy would compute nonsense. Not so where only the training conditions differ: a robot
+    /// file with other physical parameters (as diagnosis writes), or other command ranges.
+    pub fn is_breaking(self) -> bool {
+        !matches!(self, Self::RobotModel | Self::CommandRange)
+    }
+
+    /// What differs, in words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Robot => "robot",
+            Self::RobotModel => "robot model",
+            Self::JointOrder => "joint order",
+            Self::NominalPose => "nominal pose",
+            Self::JointLimits => "joint limits",
+            Self::Gains => "gains",
+            Self::ControlPeriod => "control period",
+            Self::Action => "action",
+            Self::Observation => "observation layout",
+            Self::Phase => "gait phase",
+            Self::CommandRange => "command range",
+        }
+    }
+}
+
+impl PolicyContract {
+    /// The contract of `task` on `model`.
+    ///
+    /// # Errors
+    /// [`TaskError`] when the configuration is invalid or the robot is not one that the task can drive.
+    pub fn new(model: &RobotModel, task: &TaskConfig) -> Result<Self, TaskError> {
+        task.validate()?;
+        let joints = JointTable::from_model(model)?;
+        Ok(Self {
+            robot: model.name().to_owned(),
+            robot_hash: model.hash_hex(),
+            joint_names: model
+                .actuated_names()
+                .into_iter()
+                .map(str::to_owned)
+                .collect(),
+            nominal_pos_rad: joints.nominal_rad.to_vec(),
+            lower_limit_rad: joints.lower_rad.to_vec(),
+            upper_limit_rad: joints.upper_rad.to_vec(),
+            kp_nm_per_rad: vec![model.kp_nm_per_rad() as f32; ACT_DIM],
+            kd_nm_s_per_rad: vec![model.kd_nm_s_per_rad() as f32; ACT_DIM],
+            control_period_s: task.control_period_s,
+            action: task.action,
+            observation: task.layout(),
+            phase: PhaseContract {
+                feet: model.feet().iter().map(|foot| foot.name.clone()).collect(),
+                offsets_rad: TROT_OFFSETS_RAD.to_vec(),
+                frequency_hz: task.phase.frequency_hz,
+                swing_height_m: task.phase.swing_height_m,
+                stand_command_norm: task.phase.stand_command_norm,
+            },
+            command: CommandContract {
+                vx_mps: task.command.vx_mps,
+                vy_mps: task.command.vy_mps,
+                yaw_rate_radps: task.command.yaw_rate_radps,
+            },
+        })
+    }
+
+    /// Checks a contract that came from outside: lengths, finite numbers, ranges.
+    ///
+    /// # Errors
+    /// [`TaskError::Contract`] names the first field that is wrong, [`TaskError::Config`] a value of its
+    /// action or phase.
+    pub fn validate(&self) -> Result<(), TaskError> {
+        let refuse = |what, reason: String| Err(TaskError::Contract { what, reason });
+        if self.joint_names.len() != ACT_DIM {
+            return refuse(
+                "joint_names",
+                format!("has {} entries, expected {ACT_DIM}", self.joint_names.len()),
+            );
+        }
+        let arrays = [
+            ("nominal_pos_rad", &self.nominal_pos_rad, ACT_DIM),
+            ("lower_limit_rad", &self.lower_limit_rad, ACT_DIM),
+            ("upper_limit_rad", &self.upper_limit_rad, ACT_DIM),
+            ("kp_nm_per_rad", &self.kp_nm_per_rad, ACT_DIM),
+            ("kd_nm_s_per_rad", &self.kd_nm_s_per_rad, ACT_DIM),
+            ("phase.offsets_rad", &self.phase.offsets_rad, FEET),
+        ];
+        for (what, values, len) in arrays {
+            if values.len() != len {
+                return refuse(
+                    what,
+                    format!("has {} entries, expected {len}", values.len()),
+                );
+            }
+            if values.iter().any(|v| !v.is_finite()) {
+                return refuse(what, "has a value that is not finite".to_owned());
+            }
+        }
+        for i in 0..ACT_DIM {
+            if self.lower_limit_rad[i] > self.upper_limit_rad[i] {
+                return refuse(
+                    "lower_limit_rad",
+                    format!("is above the upper limit at joint {i}"),
+                );
+            }
+        }
+        if self.phase.feet.len() != FEET {
+            return refuse(
+                "phase.feet",
+                format!("has {} entries, expected {FEET}", self.phase.feet.len()),
+            );
+        }
+        let known = [false, true].map(ObservationLayout::new);
+        if !known.contains(&self.observation) {
+            return refuse(
+                "observation",
+                "is not a layout that this version knows".to_owned(),
+            );
+        }
+        if !(1e-4..=1.0).contains(&self.control_period_s) {
+            return refuse(
+                "control_period_s",
+                format!("is {}, expected 0.0001 to 1", self.control_period_s),
+            );
+        }
+        self.action.validate()?;
+        self.phase.config().validate()
+    }
+
+    /// Length of an observation.
+    pub fn obs_dim(&self) -> usize {
+        self.observation.dim()
+    }
+
+    /// Length of an action.
+    pub fn act_dim(&self) -> usize {
+        self.joint_names.len()
+    }
+
+    /// Nominal pose and limits in the form that the action filter takes; `None` unless there are 16 of each
+    /// (a contract that passed [`Self::validate`] has them).
+    pub fn joint_table(&self) -> Option<JointTable> {
+        Some(JointTable {
+            nominal_rad: self.nominal_pos_rad.as_slice().try_into().ok()?,
+            lower_rad: self.lower_limit_rad.as_slice().try_into().ok()?,
+            upper_rad: self.upper_limit_rad.as_slice().try_into().ok()?,
+        })
+    }
+
+    /// Everything in which `self` differs from `other`, most telling first.
+    pub fn differences(&self, other: &Self) -> Vec<ContractDifference> {
+        use ContractDifference as D;
+        [
+            (D::Robot, self.robot == other.robot),
+            (D::JointOrder, self.joint_names == other.joint_names),
+            (D::Observation, self.observation == other.observation),
+            (D::Action, self.action == other.action),
+            (
+                D::ControlPeriod,
+                self.control_period_s == other.control_period_s,
+            ),
+            (
+                D::NominalPose,
+                self.nominal_pos_rad == other.nominal_pos_rad,
+            ),
+            (
+                D::JointLimits,
+                self.lower_limit_rad == other.lower_limit_rad
+                    && self.upper_limit_rad == other.upper_limit_rad,
+            ),
+            (
+                D::Gains,
+                self.kp_nm_per_rad == other.kp_nm_per_rad
+                    && self.kd_nm_s_per_rad == other.kd_nm_s_per_rad,
+            ),
+            (D::Phase, self.phase == other.phase),
+            (D::RobotModel, self.robot_hash == other.robot_hash),
+            (D::CommandRange, self.command == other.command),
+        ]
+        .into_iter()
+        .filter_map(|(difference, same)| (!same).then_some(difference))
+        .collect()
+    }
+
+    /// The contract as canonical JSON: keys sorted, no white space, shortest numbers that read back exactly.
+    pub fn canonical_json(&self) -> String {
+        // Through text, so that a f32 is written as its own shortest decimal (0.15), which is also what a
+        // reader of the policy file in any language gets back, and not as that f32 in double precision.
+        let value = serde_json::to_string(self)
+            .and_then(|text| serde_json::from_str::<serde_json::Value>(&text))
+            .unwrap_or_default();
+        let mut out = String::new();
+        write_canonical(&value, &mut out);
+        out
+    }
+
+    /// SHA-256 of the canonical JSON.
+    pub fn hash(&self) -> [u8; 32] {
+        Sha256::digest(self.canonical_json().as_bytes()).into()
+    }
+
+    /// [`Self::hash`] in lower-case hexadecimal.
+    pub fn hash_hex(&self) -> String {
+        self.hash()
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect()
+    }
+}
+
+/// Writes `value` with sorted keys, whatever map type `serde_json` was built with.
+fn write_canonical(value: &serde_json::Value, out: &mut String) {
+    use serde_json::Value;
+    match value {
+        Value::Array(items) => {
+            out.push('[');
+            for (i, item) in items.iter().enumerate() {
+                if i > 0 {
+                    out.push(',');
+                }
+                write_canonical(item, out);
+            }
+            out.push(']');
+        }
+        Value::Object(map) => {
+            let mut entries: Vec<_> = map.iter().collect();
+            entries.sort_by_key(|(key, _)| *key);
+            out.push('{');
+            for (i, (key, item)) in entries.into_iter().enumerate() {
+                if i > 0 {
+                    out.push(',');
+                }
+                out.push_str(&Value::from(key.as_str()).to_string());
+                out.push(':');
+                write_canonical(item, out);
+            }
+            out.push('}');
+        }
+        leaf => out.push_str(&leaf.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,154 @@
+//! Worked examples of contracts.
+
+use super::*;
+use crate::TaskConfig;
+
+/// The contract of the default task on a made-up robot.
+fn contract() -> PolicyContract {
+    let task = TaskConfig::default();
+    PolicyContract {
+        robot: "newt".to_owned(),
+        robot_hash: "ab".repeat(32),
+        joint_names: (0..ACT_DIM).map(|i| format!("joint_{i}")).collect(),
+        nominal_pos_rad: vec![0.1; ACT_DIM],
+        lower_limit_rad: vec![-1.274_090_3; ACT_DIM],
+        upper_limit_rad: vec![1.274_090_3; ACT_DIM],
+        kp_nm_per_rad: vec![15.0; ACT_DIM],
+        kd_nm_s_per_rad: vec![0.15; ACT_DIM],
+        control_period_s: task.control_period_s,
+        action: task.action,
+        observation: task.layout(),
+        phase: PhaseContract {
+            feet: ["FL", "FR", "HL", "HR"].map(str::to_owned).to_vec(),
+            offsets_rad: TROT_OFFSETS_RAD.to_vec(),
+            frequency_hz: task.phase.frequency_hz,
+            swing_height_m: task.phase.swing_height_m,
+            stand_command_norm: task.phase.stand_command_norm,
+        },
+        command: CommandContract {
+            vx_mps: task.command.vx_mps,
+            vy_mps: task.command.vy_mps,
+            yaw_rate_radps: task.command.yaw_rate_radps,
+        },
+    }
+}
+
+#[test]
+fn survives_json_with_the_same_hash() {
+    let made = contract();
+    made.validate().unwrap();
+    for text in [
+        serde_json::to_string(&made).unwrap(),
+        serde_json::to_string_pretty(&made).unwrap(),
+        made.canonical_json(),
+    ] {
+        let read: PolicyContract = serde_json::from_str(&text).unwrap();
+        assert_eq!(read, made);
+        assert_eq!(read.hash(), made.hash());
+    }
+}
+
+#[test]
+fn canonical_json_is_sorted_compact_and_short() {
+    let text = contract().canonical_json();
+    assert!(
+        text.starts_with(r#"{"action":{"clip":5.0,"filter_alpha":0.5,"scale":0.5},"command":{"vx_mps":[-0.2,0.5],"#),
+        "{text}"
+    );
+    assert!(text.contains(r#""kd_nm_s_per_rad":[0.15,0.15,"#));
+    assert!(text.contains(r#""upper_limit_rad":[1.2740903,"#));
+    assert!(!text.contains("\": ") && !text.contains("\", "));
+}
+
+#[test]
+fn the_hash_is_that_of_the_canonical_text() {
+    let made = contract();
+    let expected: [u8; 32] = Sha256::digest(made.canonical_json().as_bytes()).into();
+    assert_eq!(made.hash(), expected);
+    assert_eq!(made.hash_hex().len(), 64);
+    assert_eq!(&made.hash_hex()[..2], format!("{:02x}", expected[0]));
+}
+
+#[test]
+fn every_change_is_named_and_changes_the_hash() {
+    use ContractDifference as D;
+    type Change = fn(&mut PolicyContract);
+    let changes: [(D, Change); 12] = [
+        (D::Robot, |c| c.robot = "axolotl".to_owned()),
+        (D::RobotModel, |c| c.robot_hash = "cd".repeat(32)),
+        (D::JointOrder, |c| c.joint_names.swap(0, 1)),
+        (D::NominalPose, |c| c.nominal_pos_rad[3] += 1e-6),
+        (D::JointLimits, |c| c.lower_limit_rad[3] = -1.0),
+        (D::JointLimits, |c| c.upper_limit_rad[3] = 1.0),
+        (D::Gains, |c| c.kp_nm_per_rad[0] = 14.0),
+        (D::ControlPeriod, |c| c.control_period_s = 0.01),
+        (D::Action, |c| c.action.filter_alpha = 0.15),
+        (D::Observation, |c| {
+            c.observation = ObservationLayout::new(true)
+        }),
+        (D::Phase, |c| c.phase.swing_height_m = 0.06),
+        (D::CommandRange, |c| c.command.vx_mps = [0.0, 0.3]),
+    ];
+    let base = contract();
+    assert_eq!(base.differences(&base), []);
+    for (expected, change) in changes {
+        let mut changed = base.clone();
+        change(&mut changed);
+        assert_eq!(base.differences(&changed), [expected]);
+        assert_ne!(base.hash(), changed.hash(), "{expected:?}");
+        let harmless = matches!(expected, D::RobotModel | D::CommandRange);
+        assert_eq!(expected.is_breaking(), !harmless);
+        assert!(!expected.name().is_empty());
+    }
+}
+
+#[test]
+fn several_differences_are_all_named_most_telling_first() {
+    use ContractDifference as D;
+    let mut other = contract();
+    other.robot_hash = "00".repeat(32);
+    other.joint_names.swap(4, 5);
+    other.action.scale = 1.0;
+    assert_eq!(
+        contract().differences(&other),
+        [D::JointOrder, D::Action, D::RobotModel]
+    );
+}
+
+#[test]
+fn damaged_contracts_are_refused() {
+    type Change = fn(&mut PolicyContract);
+    let changes: [(&str, Change); 9] = [
+        ("joint_names", |c| c.joint_names.truncate(15)),
+        ("nominal_pos_rad", |c| c.nominal_pos_rad.push(0.0)),
+        ("kp_nm_per_rad", |c| c.kp_nm_per_rad[2] = f32::NAN),
+        ("lower_limit_rad", |c| c.lower_limit_rad[2] = 2.0),
+        ("phase.feet", |c| c.phase.feet.clear()),
+        ("phase.offsets_rad", |c| c.phase.offsets_rad.clear()),
+        ("control_period_s", |c| c.control_period_s = 0.0),
+        ("action.scale", |c| c.action.scale = -1.0),
+        ("phase.frequency_hz", |c| c.phase.frequency_hz = [2.0, 1.0]),
+    ];
+    for (field, change) in changes {
+        let mut changed = contract();
+        change(&mut changed);
+        let message = changed.validate().unwrap_err().to_string();
+        assert!(message.contains(field), "{message}");
+    }
+    let unknown = serde_json::to_string(&contract()).unwrap().replacen(
+        "\"robot\"",
+        "\"colour\":1,\"robot\"",
+        1,
+    );
+    assert!(serde_json::from_str::<PolicyContract>(&unknown).is_err());
+}
+
+#[test]
+fn the_joint_table_is_the_contracts() {
+    let table = contract().joint_table().unwrap();
+    assert_eq!(table.nominal_rad, [0.1; ACT_DIM]);
+    assert_eq!(table.upper_rad, [1.274_090_3; ACT_DIM]);
+    let mut short = contract();
+    short.upper_limit_rad.pop();
+    assert!(short.joint_table().is_none());
+}

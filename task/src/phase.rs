@@ -1,0 +1,248 @@
+//! The gait clock: a phase per foot, and the foot height that each phase asks for.
+
+use std::f32::consts::{PI, TAU};
+
+use caudata_random::Stream;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{require, require_range};
+use crate::{COMMAND_DIM, FEET, TaskError};
+
+/// Phase of each foot relative to the clock, rad: a trot, FL with HR, and FR with HL half a cycle later.
+pub const TROT_OFFSETS_RAD: [f32; FEET] = [0.0, PI, PI, 0.0];
+
+/// Table `[task.phase]`: the gait clock.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PhaseConfig {
+    /// Stride frequency, Hz: each episode draws its own, uniformly. Default 1.25 to 1.5 (MuJoCo Playground).
+    /// Too low: speed needs long strides; too high: the servos cannot follow and power rises.
+    pub frequency_hz: [f32; 2],
+    /// Height h of the foot reference at the top of the swing, m. Default 0.05; 0.06 to 0.07 suits rough ground.
+    /// Too low: feet drag; too high: the trunk has to roll to lift them.
+    pub swing_height_m: f32,
+    /// Commands whose norm (m/s and rad/s together) is at most this stop the clock: every phase is then π
+    /// (foot reference 0), so that the robot stands instead of trotting on the spot. Default 0.01 (MuJoCo
+    /// Playground); 0 stops it for the zero command only; negative: the clock never stops.
+    pub stand_command_norm: f32,
+}
+
+impl Default for PhaseConfig {
+    fn default() -> Self {
+        Self {
+            frequency_hz: [1.25, 1.5],
+            swing_height_m: 0.05,
+            stand_command_norm: 0.01,
+        }
+    }
+}
+
+impl PhaseConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`TaskError::Config`] names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), TaskError> {
+        require_range(
+            self.frequency_hz,
+            0.01,
+            10.0,
+            "phase.frequency_hz",
+            "must be [min, max] within 0.01 to 10 Hz",
+        )?;
+        require(
+            (0.0..=0.5).contains(&self.swing_height_m),
+            "phase.swing_height_m",
+            self.swing_height_m,
+            "must be 0 to 0.5 m",
+        )?;
+        require(
+            self.stand_command_norm.is_finite(),
+            "phase.stand_command_norm",
+            self.stand_command_norm,
+            "must be finite (negative: the clock never stops)",
+        )
+    }
+}
+
+/// The clock of one environment (or of the robot).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PhaseClock {
+    /// Phase of the clock, rad, (−π, π].
+    phase_rad: f32,
+    frequency_hz: f32,
+    standing: bool,
+}
+
+impl PhaseClock {
+    /// A clock at `phase_rad` running at `frequency_hz`.
+    pub fn new(phase_rad: f32, frequency_hz: f32) -> Self {
+        Self {
+            phase_rad: wrap_angle(phase_rad),
+            frequency_hz,
+            standing: false,
+        }
+    }
+
+    /// Draws the frequency and the start phase of an episode.
+    pub fn draw(config: &PhaseConfig, stream: &mut Stream) -> Self {
+        let [lo, hi] = config.frequency_hz;
+        let frequency_hz = stream.uniform(lo, hi);
+        Self::new(stream.uniform(-PI, PI), frequency_hz)
+    }
+
+    /// Stride frequency, Hz.
+    pub fn frequency_hz(&self) -> f32 {
+        self.frequency_hz
+    }
+
+    /// Whether the clock is stopped because the command asks to stand.
+    pub fn standing(&self) -> bool {
+        self.standing
+    }
+
+    /// Tells the clock the command: it stops while the command asks to stand.
+    pub fn set_command(&mut self, config: &PhaseConfig, command: &[f32; COMMAND_DIM]) {
+        let norm = command.iter().map(|c| c * c).sum::<f32>().sqrt();
+        self.standing = norm <= config.stand_command_norm;
+    }
+
+    /// Moves on by `dt_s`, unless standing.
+    pub fn advance(&mut self, dt_s: f32) {
+        if !self.standing {
+            self.phase_rad = wrap_angle(self.phase_rad + TAU * self.frequency_hz * dt_s);
+        }
+    }
+
+    /// Phase of each foot, rad, (−π, π]; all π while standing.
+    pub fn phases_rad(&self) -> [f32; FEET] {
+        if self.standing {
+            return [PI; FEET];
+        }
+        TROT_OFFSETS_RAD.map(|offset| wrap_angle(self.phase_rad + offset))
+    }
+}
+
+/// The angle brought into (−π, π].
+pub fn wrap_angle(angle_rad: f32) -> f32 {
+    let wrapped = angle_rad - TAU * (angle_rad / TAU).round();
+    if wrapped <= -PI || wrapped > PI {
+        PI
+    } else {
+        wrapped
+    }
+}
+
+/// Height of the foot's lowest point above the ground that `phase_rad` (in [−π, π]) asks for, m.
+///
+/// With x = (φ + π)/2π and b(s) = 3s² − 2s³: h·b(2x) up to x = ½, then h·(1 − b(2x − 1)): up during the first
+/// half of the cycle, down during the second (MuJoCo Playground's `get_rz`).
+pub fn reference_height_m(phase_rad: f32, swing_height_m: f32) -> f32 {
+    let x = (phase_rad + PI) / TAU;
+    let blend = |s: f32| s * s * (3.0 - 2.0 * s);
+    if x <= 0.5 {
+        swing_height_m * blend(2.0 * x)
+    } else {
+        swing_height_m * (1.0 - blend(2.0 * x - 1.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use caudata_random::{Key, Purpose};
+    use std::f32::consts::FRAC_PI_2;
+
+    fn close(a: f32, b: f32) {
+        assert!((a - b).abs() < 2e-6, "{a} is not {b}");
+    }
+
+    #[test]
+    fn reference_height_rises_then_falls() {
+        let h = 0.08;
+        close(reference_height_m(-PI, h), 0.0); // x = 0
+        // x = ¼: b(½) = 3/4 − 2/8 = ½
+        close(reference_height_m(-FRAC_PI_2, h), 0.04);
+        close(reference_height_m(0.0, h), 0.08); // x = ½
+        close(reference_height_m(FRAC_PI_2, h), 0.04);
+        close(reference_height_m(PI, h), 0.0);
+        // φ = −3π/4: x = 1/8, b(¼) = 3/16 − 2/64 = 5/32; 0.08·5/32 = 0.0125
+        close(reference_height_m(-0.75 * PI, h), 0.0125);
+        // φ = 3π/4: x = 7/8, b(3/4) = 27/16 − 27/32 = 27/32; 0.08·5/32
+        close(reference_height_m(0.75 * PI, h), 0.0125);
+    }
+
+    #[test]
+    fn trot_offsets_pair_the_diagonals() {
+        let clock = PhaseClock::new(0.5, 1.25);
+        let [fl, fr, hl, hr] = clock.phases_rad();
+        close(fl, 0.5);
+        close(hr, 0.5);
+        // 0.5 + π − 2π
+        close(fr, 0.5 - PI);
+        close(hl, fr);
+    }
+
+    #[test]
+    fn advances_by_two_pi_f_dt_and_wraps() {
+        // 2π·1.25·0.02 = π/20 per control step: 40 steps are one cycle.
+        let mut clock = PhaseClock::new(0.0, 1.25);
+        clock.advance(0.02);
+        close(clock.phases_rad()[0], PI / 20.0);
+        for _ in 0..39 {
+            clock.advance(0.02);
+        }
+        assert!(clock.phases_rad()[0].abs() < 1e-4);
+        for _ in 0..100_000 {
+            clock.advance(0.02);
+            for phase in clock.phases_rad() {
+                assert!(phase > -PI && phase <= PI);
+            }
+        }
+    }
+
+    #[test]
+    fn stops_for_the_zero_command_and_goes_on_where_it_was() {
+        let config = PhaseConfig::default();
+        let mut clock = PhaseClock::new(0.3, 1.25);
+        clock.set_command(&config, &[0.0, 0.0, 0.0]);
+        clock.advance(0.02);
+        assert!(clock.standing());
+        assert_eq!(clock.phases_rad(), [PI; FEET]);
+        close(reference_height_m(PI, config.swing_height_m), 0.0);
+        clock.set_command(&config, &[0.0, 0.0, 0.2]);
+        close(clock.phases_rad()[0], 0.3);
+        let never = PhaseConfig {
+            stand_command_norm: -1.0,
+            ..config
+        };
+        clock.set_command(&never, &[0.0; 3]);
+        assert!(!clock.standing());
+    }
+
+    #[test]
+    fn draws_frequencies_from_the_range() {
+        let config = PhaseConfig::default();
+        let mut stream = Stream::new(Key::for_run(1), Purpose::Reset);
+        let clocks: Vec<_> = (0..200)
+            .map(|_| PhaseClock::draw(&config, &mut stream))
+            .collect();
+        assert!(
+            clocks
+                .iter()
+                .all(|c| (1.25..=1.5).contains(&c.frequency_hz()))
+        );
+        assert!(clocks.iter().any(|c| c.frequency_hz() < 1.3));
+        assert!(clocks.iter().any(|c| c.frequency_hz() > 1.45));
+        assert!(clocks.iter().any(|c| c.phases_rad()[0] < -1.0));
+        assert!(clocks.iter().any(|c| c.phases_rad()[0] > 1.0));
+    }
+
+    #[test]
+    fn angles_wrap_into_the_half_open_interval() {
+        close(wrap_angle(PI + 0.1), 0.1 - PI);
+        close(wrap_angle(-PI), PI);
+        close(wrap_angle(7.0 * TAU + 0.25), 0.25);
+        assert!(wrap_angle(f32::NAN).is_nan());
+    }
+}

@@ -1,0 +1,349 @@
+//! Randomisation of the physics: each episode runs on a slightly different robot.
+//!
+//! Draws are multipliers and offsets on the nominal robot; what they mean for an engine is the business of
+//! `caudata-env`.
+
+use caudata_random::Stream;
+use serde::{Deserialize, Serialize};
+
+use crate::error::require_range;
+use crate::{ACT_DIM, TaskError};
+
+/// Table `[task.randomisation]`: ranges [min, max] of uniform draws, once per episode. `[1, 1]` (or `[0, 0]`
+/// for offsets) leaves a quantity alone. Ranges too narrow: the policy fits one simulator; too wide: it walks
+/// carefully everywhere and well nowhere. The paper names the quantities, not their ranges; the defaults are
+/// what MuJoCo Playground and ToddlerBot use for robots with such servos.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RandomisationConfig {
+    /// Whether anything is randomised. Default true.
+    pub enabled: bool,
+    /// Factor on the friction of the feet. Default 0.6 to 1.2.
+    pub foot_friction_scale: [f32; 2],
+    /// Factor on the friction of everything else. Default 0.7 to 1.3.
+    pub body_friction_scale: [f32; 2],
+    /// Factor on the mass and inertia of all links together (payload). Default 0.95 to 1.1.
+    pub total_mass_scale: [f32; 2],
+    /// Factor on the mass and inertia of each link, on top. Default 0.9 to 1.1.
+    pub link_mass_scale: [f32; 2],
+    /// Shift of each link's centre of mass along each axis, m. Default ±0.003.
+    pub com_offset_m: [f32; 2],
+    /// Factor on each joint's friction loss. Default 0.5 to 2: dry friction is what models know least.
+    pub joint_friction_scale: [f32; 2],
+    /// Factor on each joint's armature. Default 0.9 to 1.2.
+    pub armature_scale: [f32; 2],
+    /// Factor on each joint's viscous damping. Default 0.7 to 1.3.
+    pub damping_scale: [f32; 2],
+    /// Factor on each servo's Kp. Default 0.85 to 1.1.
+    pub kp_scale: [f32; 2],
+    /// Factor on each servo's Kd. Default 0.85 to 1.15.
+    pub kd_scale: [f32; 2],
+    /// Factor on all servos' torque limits (heat). Default 0.85 to 1.
+    pub torque_scale: [f32; 2],
+    /// Factor on the supply voltage (battery charge). Default 0.85 to 1.02.
+    pub supply_scale: [f32; 2],
+    /// Delay from a command to the servo acting on it, s. Default 0 to 0.02: bus and loop of the real robot.
+    pub command_delay_s: [f32; 2],
+    /// Factor on the width of each backlash joint's play. Default 0.5 to 1.2.
+    pub backlash_scale: [f32; 2],
+}
+
+impl Default for RandomisationConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            foot_friction_scale: [0.6, 1.2],
+            body_friction_scale: [0.7, 1.3],
+            total_mass_scale: [0.95, 1.1],
+            link_mass_scale: [0.9, 1.1],
+            com_offset_m: [-0.003, 0.003],
+            joint_friction_scale: [0.5, 2.0],
+            armature_scale: [0.9, 1.2],
+            damping_scale: [0.7, 1.3],
+            kp_scale: [0.85, 1.1],
+            kd_scale: [0.85, 1.15],
+            torque_scale: [0.85, 1.0],
+            supply_scale: [0.85, 1.02],
+            command_delay_s: [0.0, 0.02],
+            backlash_scale: [0.5, 1.2],
+        }
+    }
+}
+
+/// Longest command delay that may be asked for, s (engines keep a bounded history of commands).
+pub const MAX_COMMAND_DELAY_S: f32 = 0.1;
+
+impl RandomisationConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`TaskError::Config`] names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), TaskError> {
+        // A mass, gain or voltage of zero is no robot; friction, damping and play may vanish.
+        let positive = [
+            (self.total_mass_scale, "randomisation.total_mass_scale"),
+            (self.link_mass_scale, "randomisation.link_mass_scale"),
+            (self.kp_scale, "randomisation.kp_scale"),
+            (self.torque_scale, "randomisation.torque_scale"),
+            (self.supply_scale, "randomisation.supply_scale"),
+        ];
+        for (range, field) in positive {
+            require_range(
+                range,
+                0.05,
+                20.0,
+                field,
+                "must be [min, max] within 0.05 to 20",
+            )?;
+        }
+        let may_vanish = [
+            (
+                self.foot_friction_scale,
+                "randomisation.foot_friction_scale",
+            ),
+            (
+                self.body_friction_scale,
+                "randomisation.body_friction_scale",
+            ),
+            (
+                self.joint_friction_scale,
+                "randomisation.joint_friction_scale",
+            ),
+            (self.armature_scale, "randomisation.armature_scale"),
+            (self.damping_scale, "randomisation.damping_scale"),
+            (self.kd_scale, "randomisation.kd_scale"),
+            (self.backlash_scale, "randomisation.backlash_scale"),
+        ];
+        for (range, field) in may_vanish {
+            require_range(range, 0.0, 20.0, field, "must be [min, max] within 0 to 20")?;
+        }
+        require_range(
+            self.com_offset_m,
+            -0.5,
+            0.5,
+            "randomisation.com_offset_m",
+            "must be [min, max] within ±0.5 m",
+        )?;
+        require_range(
+            self.command_delay_s,
+            0.0,
+            MAX_COMMAND_DELAY_S,
+            "randomisation.command_delay_s",
+            "must be [min, max] within 0 to 0.1 s",
+        )
+    }
+}
+
+/// The physics of one episode, relative to the nominal robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RandomDraw {
+    /// Factor on the friction of the feet.
+    pub foot_friction_scale: f32,
+    /// Factor on the friction of everything else.
+    pub body_friction_scale: f32,
+    /// Factor on each link's mass and inertia. `[L]`
+    pub link_mass_scale: Vec<f32>,
+    /// Shift of each link's centre of mass, m, link frame. `[L]`
+    pub com_offset_m: Vec<[f32; 3]>,
+    /// Factor on each joint's friction loss.
+    pub joint_friction_scale: [f32; ACT_DIM],
+    /// Factor on each joint's armature.
+    pub armature_scale: [f32; ACT_DIM],
+    /// Factor on each joint's viscous damping.
+    pub damping_scale: [f32; ACT_DIM],
+    /// Factor on each servo's Kp.
+    pub kp_scale: [f32; ACT_DIM],
+    /// Factor on each servo's Kd.
+    pub kd_scale: [f32; ACT_DIM],
+    /// Factor on all torque limits.
+    pub torque_scale: f32,
+    /// Factor on the supply voltage.
+    pub supply_scale: f32,
+    /// Delay of commands, s.
+    pub command_delay_s: f32,
+    /// Factor on each backlash joint's play. `[B]`
+    pub backlash_scale: Vec<f32>,
+}
+
+impl RandomDraw {
+    /// The nominal robot: every factor 1, every offset 0.
+    pub fn nominal(links: usize, backlash_joints: usize) -> Self {
+        Self {
+            foot_friction_scale: 1.0,
+            body_friction_scale: 1.0,
+            link_mass_scale: vec![1.0; links],
+            com_offset_m: vec![[0.0; 3]; links],
+            joint_friction_scale: [1.0; ACT_DIM],
+            armature_scale: [1.0; ACT_DIM],
+            damping_scale: [1.0; ACT_DIM],
+            kp_scale: [1.0; ACT_DIM],
+            kd_scale: [1.0; ACT_DIM],
+            torque_scale: 1.0,
+            supply_scale: 1.0,
+            command_delay_s: 0.0,
+            backlash_scale: vec![1.0; backlash_joints],
+        }
+    }
+
+    /// Draws anew in place (the lengths stay); the nominal robot when randomisation is off.
+    pub fn redraw(&mut self, config: &RandomisationConfig, stream: &mut Stream) {
+        if !config.enabled {
+            *self = Self::nominal(self.link_mass_scale.len(), self.backlash_scale.len());
+            return;
+        }
+        let mut draw = |[lo, hi]: [f32; 2]| stream.uniform(lo, hi);
+        self.foot_friction_scale = draw(config.foot_friction_scale);
+        self.body_friction_scale = draw(config.body_friction_scale);
+        let total = draw(config.total_mass_scale);
+        for scale in &mut self.link_mass_scale {
+            *scale = total * draw(config.link_mass_scale);
+        }
+        for offset in self.com_offset_m.iter_mut().flatten() {
+            *offset = draw(config.com_offset_m);
+        }
+        for i in 0..ACT_DIM {
+            self.joint_friction_scale[i] = draw(config.joint_friction_scale);
+            self.armature_scale[i] = draw(config.armature_scale);
+            self.damping_scale[i] = draw(config.damping_scale);
+            self.kp_scale[i] = draw(config.kp_scale);
+            self.kd_scale[i] = draw(config.kd_scale);
+        }
+        self.torque_scale = draw(config.torque_scale);
+        self.supply_scale = draw(config.supply_scale);
+        self.command_delay_s = draw(config.command_delay_s);
+        for scale in &mut self.backlash_scale {
+            *scale = draw(config.backlash_scale);
+        }
+    }
+}
+
+/// Draws the physics of one episode for a robot with `links` links and `backlash_joints` joints with play.
+pub fn draw(
+    config: &RandomisationConfig,
+    stream: &mut Stream,
+    links: usize,
+    backlash_joints: usize,
+) -> RandomDraw {
+    let mut drawn = RandomDraw::nominal(links, backlash_joints);
+    drawn.redraw(config, stream);
+    drawn
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use caudata_random::{Key, Purpose};
+
+    fn stream() -> Stream {
+        Stream::new(Key::for_run(11), Purpose::Randomisation)
+    }
+
+    #[test]
+    fn draws_stay_within_their_ranges_and_use_them() {
+        let config = RandomisationConfig::default();
+        let mut stream = stream();
+        let draws: Vec<_> = (0..300)
+            .map(|_| draw(&config, &mut stream, 19, 4))
+            .collect();
+        let spans = |get: &dyn Fn(&RandomDraw) -> f32, [lo, hi]: [f32; 2]| {
+            let values: Vec<f32> = draws.iter().map(get).collect();
+            let (min, max) = values
+                .iter()
+                .fold((f32::MAX, f32::MIN), |(a, b), &v| (a.min(v), b.max(v)));
+            let slack = 0.05 * (hi - lo);
+            assert!(min >= lo - 1e-6 && min < lo + slack, "{min} against {lo}");
+            assert!(max <= hi + 1e-6 && max > hi - slack, "{max} against {hi}");
+        };
+        spans(&|d| d.foot_friction_scale, config.foot_friction_scale);
+        spans(&|d| d.body_friction_scale, config.body_friction_scale);
+        spans(&|d| d.com_offset_m[18][2], config.com_offset_m);
+        spans(&|d| d.joint_friction_scale[15], config.joint_friction_scale);
+        spans(&|d| d.armature_scale[0], config.armature_scale);
+        spans(&|d| d.damping_scale[3], config.damping_scale);
+        spans(&|d| d.kp_scale[7], config.kp_scale);
+        spans(&|d| d.kd_scale[8], config.kd_scale);
+        spans(&|d| d.torque_scale, config.torque_scale);
+        spans(&|d| d.supply_scale, config.supply_scale);
+        spans(&|d| d.command_delay_s, config.command_delay_s);
+        spans(&|d| d.backlash_scale[3], config.backlash_scale);
+        // Ratio of two links' factors: the payload cancels, 0.9/1.1 to 1.1/0.9 remain.
+        for d in &draws {
+            let ratio = d.link_mass_scale[0] / d.link_mass_scale[5];
+            assert!((0.81..1.23).contains(&ratio));
+        }
+    }
+
+    #[test]
+    fn switched_off_is_the_nominal_robot() {
+        let config = RandomisationConfig {
+            enabled: false,
+            ..RandomisationConfig::default()
+        };
+        assert_eq!(
+            draw(&config, &mut stream(), 19, 4),
+            RandomDraw::nominal(19, 4)
+        );
+        let mut used = draw(&RandomisationConfig::default(), &mut stream(), 19, 4);
+        used.redraw(&config, &mut stream());
+        assert_eq!(used, RandomDraw::nominal(19, 4));
+    }
+
+    #[test]
+    fn the_same_stream_gives_the_same_robot() {
+        let config = RandomisationConfig::default();
+        assert_eq!(
+            draw(&config, &mut stream(), 19, 4),
+            draw(&config, &mut stream(), 19, 4)
+        );
+    }
+
+    #[test]
+    fn values_out_of_range_are_named() {
+        let good = RandomisationConfig::default();
+        good.validate().unwrap();
+        let bad = [
+            (
+                RandomisationConfig {
+                    kp_scale: [0.0, 1.0],
+                    ..good
+                },
+                "randomisation.kp_scale",
+            ),
+            (
+                RandomisationConfig {
+                    kd_scale: [-0.1, 1.0],
+                    ..good
+                },
+                "randomisation.kd_scale",
+            ),
+            (
+                RandomisationConfig {
+                    com_offset_m: [0.1, -0.1],
+                    ..good
+                },
+                "randomisation.com_offset_m",
+            ),
+            (
+                RandomisationConfig {
+                    command_delay_s: [0.0, 0.2],
+                    ..good
+                },
+                "randomisation.command_delay_s",
+            ),
+            (
+                RandomisationConfig {
+                    link_mass_scale: [f32::NAN, 1.0],
+                    ..good
+                },
+                "randomisation.link_mass_scale",
+            ),
+        ];
+        for (config, name) in bad {
+            let error = config.validate().unwrap_err();
+            assert!(
+                matches!(&error, TaskError::Config { field, .. } if *field == name),
+                "{error}"
+            );
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! Where an episode starts: the nominal pose with some noise.
+
+use std::f32::consts::PI;
+
+use caudata_random::Stream;
+use serde::{Deserialize, Serialize};
+
+use crate::error::require;
+use crate::{ACT_DIM, JointTable, TaskError};
+
+/// Table `[task.reset]`: how far episodes start from the nominal pose at rest.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ResetConfig {
+    /// Joint positions start within ± this of nominal (kept within the limits), rad. Default 0.1.
+    /// Too large: episodes start with a fall.
+    pub joint_pos_noise_rad: f32,
+    /// Joint velocities start within ± this, rad/s. Default 0.
+    pub joint_vel_noise_radps: f32,
+    /// The base starts with a horizontal velocity within ± this along x and y, m/s. Default 0.1.
+    pub base_vel_noise_mps: f32,
+    /// Heading within ± this, rad. Default π: any direction, which matters on uneven ground.
+    pub yaw_range_rad: f32,
+    /// The base starts within ± this along x and y, m. Default 0; on uneven ground choose it so that
+    /// different episodes meet different ground.
+    pub spawn_half_extent_m: f32,
+}
+
+impl Default for ResetConfig {
+    fn default() -> Self {
+        Self {
+            joint_pos_noise_rad: 0.1,
+            joint_vel_noise_radps: 0.0,
+            base_vel_noise_mps: 0.1,
+            yaw_range_rad: PI,
+            spawn_half_extent_m: 0.0,
+        }
+    }
+}
+
+impl ResetConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`TaskError::Config`] names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), TaskError> {
+        let up_to = |value: f32, most: f32, field, reason| {
+            require((0.0..=most).contains(&value), field, value, reason)
+        };
+        up_to(
+            self.joint_pos_noise_rad,
+            PI,
+            "reset.joint_pos_noise_rad",
+            "must be 0 to π",
+        )?;
+        up_to(
+            self.joint_vel_noise_radps,
+            50.0,
+            "reset.joint_vel_noise_radps",
+            "must be 0 to 50",
+        )?;
+        up_to(
+            self.base_vel_noise_mps,
+            10.0,
+            "reset.base_vel_noise_mps",
+            "must be 0 to 10",
+        )?;
+        up_to(
+            self.yaw_range_rad,
+            PI,
+            "reset.yaw_range_rad",
+            "must be 0 to π",
+        )?;
+        up_to(
+            self.spawn_half_extent_m,
+            1e3,
+            "reset.spawn_half_extent_m",
+            "must be 0 to 1000",
+        )
+    }
+}
+
+/// One drawn start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ResetDraw {
+    /// Base position, m, world x and y.
+    pub base_xy_m: [f32; 2],
+    /// Heading, rad.
+    pub yaw_rad: f32,
+    /// Velocity of the base, m/s, world x and y.
+    pub base_vel_mps: [f32; 2],
+    /// Joint positions, rad, within the limits.
+    pub joint_pos_rad: [f32; ACT_DIM],
+    /// Joint velocities, rad/s.
+    pub joint_vel_radps: [f32; ACT_DIM],
+}
+
+/// Draws a start.
+pub fn draw(config: &ResetConfig, joints: &JointTable, stream: &mut Stream) -> ResetDraw {
+    let mut around_zero = |half: f32| stream.uniform(-half, half);
+    ResetDraw {
+        base_xy_m: std::array::from_fn(|_| around_zero(config.spawn_half_extent_m)),
+        yaw_rad: around_zero(config.yaw_range_rad),
+        base_vel_mps: std::array::from_fn(|_| around_zero(config.base_vel_noise_mps)),
+        joint_pos_rad: std::array::from_fn(|i| {
+            (joints.nominal_rad[i] + around_zero(config.joint_pos_noise_rad))
+                .max(joints.lower_rad[i])
+                .min(joints.upper_rad[i])
+        }),
+        joint_vel_radps: std::array::from_fn(|_| around_zero(config.joint_vel_noise_radps)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use caudata_random::{Key, Purpose};
+
+    const JOINTS: JointTable = JointTable {
+        nominal_rad: [0.5; ACT_DIM],
+        lower_rad: [-1.0; ACT_DIM],
+        upper_rad: [0.55; ACT_DIM],
+    };
+
+    #[test]
+    fn draws_stay_within_noise_and_limits() {
+        let config = ResetConfig {
+            joint_vel_noise_radps: 2.0,
+            spawn_half_extent_m: 3.0,
+            ..ResetConfig::default()
+        };
+        let mut stream = Stream::new(Key::for_run(1), Purpose::Reset);
+        let mut at_limit = 0;
+        for _ in 0..100 {
+            let start = draw(&config, &JOINTS, &mut stream);
+            for q in start.joint_pos_rad {
+                // 0.5 ± 0.1, cut at the limit 0.55.
+                assert!((0.4..=0.55).contains(&q));
+                at_limit += i32::from(q == 0.55);
+            }
+            assert!(start.joint_vel_radps.iter().all(|v| v.abs() <= 2.0));
+            assert!(start.base_xy_m.iter().all(|x| x.abs() <= 3.0));
+            assert!(start.base_vel_mps.iter().all(|v| v.abs() <= 0.1));
+            assert!(start.yaw_rad.abs() <= PI);
+        }
+        // A quarter of 1,600 lies beyond the limit, standard deviation 17.
+        assert!((at_limit - 400).abs() < 78, "{at_limit}");
+    }
+
+    #[test]
+    fn no_noise_is_exactly_the_nominal_pose_at_the_origin() {
+        let config = ResetConfig {
+            joint_pos_noise_rad: 0.0,
+            joint_vel_noise_radps: 0.0,
+            base_vel_noise_mps: 0.0,
+            yaw_range_rad: 0.0,
+            spawn_half_extent_m: 0.0,
+        };
+        let start = draw(
+            &config,
+            &JOINTS,
+            &mut Stream::new(Key::for_run(1), Purpose::Reset),
+        );
+        assert_eq!(start.joint_pos_rad, JOINTS.nominal_rad);
+        assert_eq!(start.joint_vel_radps, [0.0; ACT_DIM]);
+        assert_eq!(
+            (start.base_xy_m, start.base_vel_mps, start.yaw_rad),
+            ([0.0; 2], [0.0; 2], 0.0)
+        );
+    }
+}

@@ -1,0 +1,284 @@
+//! Rewards: named, weighted terms of one control step.
+//!
+//! `reward = dt · Σ weight · value`: terms that reward have weights ≥ 0, terms that cost have weights ≤ 0, and
+//! every value is ≥ 0, so that a wrong sign is refused when the configuration is read.
+//!
+//! To add a term, write its function in [`terms`] and add one row to the table below.
+
+pub mod terms;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::require;
+use crate::{ACT_DIM, COMMAND_DIM, FEET, JointTable, TaskError};
+
+/// Whether a term pays or costs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sense {
+    /// Weight ≥ 0.
+    Reward,
+    /// Weight ≤ 0.
+    Cost,
+}
+
+/// A row of the table of terms.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TermInfo {
+    /// Name in configuration and logs.
+    pub name: &'static str,
+    /// Whether it pays or costs.
+    pub sense: Sense,
+    /// Unit of its value, before the weight.
+    pub unit: &'static str,
+    /// Weight unless the configuration says otherwise.
+    pub default_weight: f32,
+}
+
+/// Makes, from one row per term: the weights (with their documentation), the table and the evaluation.
+macro_rules! reward_terms {
+    ($($(#[doc = $doc:literal])+ $name:ident: $sense:ident, $unit:literal, $default:literal;)+) => {
+        /// Table `[task.reward.weights]`: weight of each term; 0 switches a term off (it is then not computed).
+        #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields, default)]
+        pub struct RewardWeights {
+            $($(#[doc = $doc])+ pub $name: f32,)+
+        }
+
+        impl Default for RewardWeights {
+            fn default() -> Self {
+                Self { $($name: $default,)+ }
+            }
+        }
+
+        impl RewardWeights {
+            /// Checks that each weight is finite and has its term's sign.
+            ///
+            /// # Errors
+            /// [`TaskError::Config`] names the first weight that is wrong.
+            pub fn validate(&self) -> Result<(), TaskError> {
+                $(check_weight(Sense::$sense, self.$name, concat!("reward.weights.", stringify!($name)))?;)+
+                Ok(())
+            }
+
+            /// The weights in the order of [`TERMS`].
+            pub fn to_array(&self) -> [f32; TERM_COUNT] {
+                [$(self.$name),+]
+            }
+        }
+
+        /// Every term, in the order of all per-term arrays.
+        pub const TERMS: &[TermInfo] = &[$(TermInfo {
+            name: stringify!($name),
+            sense: Sense::$sense,
+            unit: $unit,
+            default_weight: $default,
+        }),+];
+
+        /// Number of terms.
+        pub const TERM_COUNT: usize = [$(stringify!($name)),+].len();
+
+        /// Evaluates all terms for one control step of `dt_s` seconds. `contributions` (in the order of
+        /// [`TERMS`]) receives each term's part, weight and `dt_s` included; the sum is the reward.
+        pub fn evaluate(
+            config: &RewardConfig,
+            input: &RewardInput<'_>,
+            dt_s: f32,
+            contributions: &mut [f32; TERM_COUNT],
+        ) -> f32 {
+            let weights = &config.weights;
+            *contributions = [$(
+                if weights.$name == 0.0 { 0.0 } else { dt_s * weights.$name * terms::$name(config, input) }
+            ),+];
+            contributions.iter().sum()
+        }
+    };
+}
+
+reward_terms! {
+    /// exp(−‖v_cmd − v_xy‖²/`lin_vel_sigma`): follow the commanded velocity. Default 1.0 (paper).
+    tracking_lin_vel: Reward, "1", 1.0;
+    /// exp(−(ω_cmd − ω_z)²/`yaw_rate_sigma`): follow the commanded yaw rate. Default 0.5 (paper).
+    tracking_yaw_rate: Reward, "1", 0.5;
+    /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock. Default 1.0 (paper);
+    /// too small: the policy shuffles or vibrates.
+    phase: Reward, "1", 1.0;
+    /// Σ|q̇τ|, mechanical power of all motors in either direction. Default −1e-3 (paper); −3e-3 curbs
+    /// vibration; too strong: standing still pays more than walking.
+    power: Cost, "W", -1e-3;
+    /// Σ(a_t − a_{t−1})², of the actions as the policy gave them (clipped). Default 0 (not in the paper).
+    action_rate: Cost, "1", 0.0;
+    /// Σ τ², motor torques. Default 0 (not in the paper).
+    torque: Cost, "N²m²", 0.0;
+    /// Σ((q̇_t − q̇_{t−1})/dt)², joint accelerations. Default 0 (not in the paper).
+    joint_acceleration: Cost, "rad²/s⁴", 0.0;
+    /// Σ over joints of how far they are beyond `soft_limit_share` of their range, rad. Default 0.
+    joint_limits: Cost, "rad", 0.0;
+    /// Sum of the horizontal speeds of the feet that are in contact. Default 0 (not in the paper).
+    slip: Cost, "m/s", 0.0;
+    /// g_x² + g_y² of the gravity direction in the body frame: lean and roll. Default 0.
+    orientation: Cost, "1", 0.0;
+    /// Contact force on anything but the feet, as a share of `trunk_force_n`, at most 1. Default 0.
+    trunk_contact: Cost, "1", 0.0;
+    /// v_z² of the whole body: hopping. Default 0.
+    vertical_velocity: Cost, "m²/s²", 0.0;
+    /// ω_x² + ω_y² in the body frame: rocking. Default 0.
+    rocking: Cost, "rad²/s²", 0.0;
+    /// Σ|q − q_nominal| while the command is to stand. Default 0.
+    stand_still: Cost, "rad", 0.0;
+}
+
+fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {
+    match sense {
+        Sense::Reward => require(
+            (0.0..=1e4).contains(&weight),
+            field,
+            weight,
+            "this term rewards, its weight must be 0 to 10000",
+        ),
+        Sense::Cost => require(
+            (-1e4..=0.0).contains(&weight),
+            field,
+            weight,
+            "this term costs, its weight must be -10000 to 0",
+        ),
+    }
+}
+
+/// Table `[task.reward]`: shapes of the terms; their weights are in `[task.reward.weights]`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RewardConfig {
+    /// σ_v of `tracking_lin_vel`, (m/s)². Default 0.25 (MuJoCo Playground, for robots that do 1 m/s). On a
+    /// 0.3 m/s robot standing still then earns exp(−0.09/0.25) = 70 %; 0.04 to 0.07 makes it walk.
+    /// Too small: no gradient from a standstill.
+    pub lin_vel_sigma: f32,
+    /// σ_ω of `tracking_yaw_rate`, (rad/s)². Default 0.25 (MuJoCo Playground); 0.1 to 0.15 follows turns better.
+    pub yaw_rate_sigma: f32,
+    /// σ_phase of `phase`, m². Default 0.01 (MuJoCo Playground), that is 10 cm over all feet together; 0.004
+    /// with a swing of 5 cm makes the feet follow.
+    pub phase_sigma: f32,
+    /// Vertical force from which a foot counts as in contact, N. Default 1: a foot carries about 6 N standing.
+    pub contact_force_n: f32,
+    /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
+    pub trunk_force_n: f32,
+    /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
+    pub soft_limit_share: f32,
+    /// Weight of each term.
+    pub weights: RewardWeights,
+}
+
+impl Default for RewardConfig {
+    fn default() -> Self {
+        Self {
+            lin_vel_sigma: 0.25,
+            yaw_rate_sigma: 0.25,
+            phase_sigma: 0.01,
+            contact_force_n: 1.0,
+            trunk_force_n: 5.0,
+            soft_limit_share: 0.95,
+            weights: RewardWeights::default(),
+        }
+    }
+}
+
+impl RewardConfig {
+    /// Shapes and weights matched to this robot's speed, with which walking was learnt on flat ground instead
+    /// of vibrating or standing (see DESIGN 4.1). To go with [`crate::ActionConfig`] `scale = 1.0` and
+    /// `filter_alpha = 0.15`, a swing of 5 cm and an initial exploration of 0.6 to 0.8.
+    pub fn matched() -> Self {
+        Self {
+            lin_vel_sigma: 0.05,
+            yaw_rate_sigma: 0.12,
+            phase_sigma: 0.004,
+            weights: RewardWeights {
+                phase: 1.75,
+                power: -3e-3,
+                action_rate: -0.05,
+                slip: -1.0,
+                orientation: -0.5,
+                trunk_contact: -1.0,
+                ..RewardWeights::default()
+            },
+            ..Self::default()
+        }
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`TaskError::Config`] names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), TaskError> {
+        let positive = [
+            (self.lin_vel_sigma, "reward.lin_vel_sigma"),
+            (self.yaw_rate_sigma, "reward.yaw_rate_sigma"),
+            (self.phase_sigma, "reward.phase_sigma"),
+            (self.contact_force_n, "reward.contact_force_n"),
+            (self.trunk_force_n, "reward.trunk_force_n"),
+        ];
+        for (value, field) in positive {
+            require(
+                value > 0.0 && value <= 1e6,
+                field,
+                value,
+                "must be above 0 and at most 1000000",
+            )?;
+        }
+        require(
+            self.soft_limit_share > 0.0 && self.soft_limit_share <= 1.0,
+            "reward.soft_limit_share",
+            self.soft_limit_share,
+            "must be above 0 and at most 1",
+        )?;
+        self.weights.validate()
+    }
+}
+
+/// What the terms look at: the true state after a control step, without sensor noise.
+#[derive(Clone, Copy, Debug)]
+pub struct RewardInput<'a> {
+    /// The joints' nominal pose and limits.
+    pub joints: &'a JointTable,
+    /// Length of the control step, s.
+    pub dt_s: f32,
+    /// Height of the foot reference at the top of the swing, m.
+    pub swing_height_m: f32,
+    /// Command that held during the step: vx, vy (m/s), yaw rate (rad/s).
+    pub command: [f32; COMMAND_DIM],
+    /// Whether that command is to stand.
+    pub standing: bool,
+    /// Phase of each foot after the step, rad, (−π, π].
+    pub phase_rad: [f32; FEET],
+    /// Velocity of the whole body's centre of mass, m/s, heading frame.
+    pub com_vel_mps: [f32; 3],
+    /// Yaw rate of the whole body's equivalent rotation, rad/s.
+    pub yaw_rate_radps: f32,
+    /// Angular velocity of the body, rad/s, body frame.
+    pub gyro_radps: [f32; 3],
+    /// Direction of gravity, unit vector, body frame.
+    pub gravity: [f32; 3],
+    /// Joint positions, rad.
+    pub joint_pos_rad: &'a [f32; ACT_DIM],
+    /// Joint velocities, rad/s.
+    pub joint_vel_radps: &'a [f32; ACT_DIM],
+    /// Joint velocities after the step before, rad/s.
+    pub previous_joint_vel_radps: &'a [f32; ACT_DIM],
+    /// Motor torques, mean over the step, N·m.
+    pub motor_torque_nm: &'a [f32; ACT_DIM],
+    /// Mechanical power of each motor, mean over the step, signed, W.
+    pub mech_power_w: &'a [f32; ACT_DIM],
+    /// Height of each foot's lowest point above the ground, m.
+    pub foot_height_m: &'a [f32; FEET],
+    /// Velocity of each foot, m/s, world.
+    pub foot_vel_mps: &'a [[f32; 3]; FEET],
+    /// Contact force on each foot, mean over the step, N, world.
+    pub foot_force_n: &'a [[f32; 3]; FEET],
+    /// Sum of contact forces on everything but the feet, N.
+    pub trunk_force_n: f32,
+    /// The action of this step, clipped.
+    pub action: &'a [f32; ACT_DIM],
+    /// The action of the step before, clipped.
+    pub previous_action: &'a [f32; ACT_DIM],
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,111 @@
+//! The value of each term: a pure function, ≥ 0, of one control step.
+
+use super::{RewardConfig, RewardInput};
+use crate::ACT_DIM;
+use crate::phase::reference_height_m;
+
+/// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame. Paper.
+pub fn tracking_lin_vel(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let dx = input.command[0] - input.com_vel_mps[0];
+    let dy = input.command[1] - input.com_vel_mps[1];
+    (-(dx * dx + dy * dy) / config.lin_vel_sigma).exp()
+}
+
+/// exp(−(ω_cmd − ω_z)²/σ_ω), ω of the whole body's equivalent rotation. Paper.
+pub fn tracking_yaw_rate(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let error = input.command[2] - input.yaw_rate_radps;
+    (-error * error / config.yaw_rate_sigma).exp()
+}
+
+/// exp(−Σ (z_j − z_ref(φ_j))²/σ_phase), z the height of the foot's lowest point above the ground. Paper;
+/// z_ref of MuJoCo Playground.
+pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let error: f32 = input
+        .foot_height_m
+        .iter()
+        .zip(input.phase_rad)
+        .map(|(z, phase)| (z - reference_height_m(phase, input.swing_height_m)).powi(2))
+        .sum();
+    (-error / config.phase_sigma).exp()
+}
+
+/// Σ|q̇τ|, W. Paper. Braking counts as much as driving: a servo cannot feed energy back.
+pub fn power(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    input.mech_power_w.iter().map(|p| p.abs()).sum()
+}
+
+/// Σ(a_t − a_{t−1})².
+pub fn action_rate(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    squared_distance(input.action, input.previous_action)
+}
+
+/// Σ τ², N²m².
+pub fn torque(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    input.motor_torque_nm.iter().map(|t| t * t).sum()
+}
+
+/// Σ((q̇_t − q̇_{t−1})/dt)², rad²/s⁴.
+pub fn joint_acceleration(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    squared_distance(input.joint_vel_radps, input.previous_joint_vel_radps)
+        / (input.dt_s * input.dt_s)
+}
+
+/// Σ of how far joints are outside the middle `soft_limit_share` of their range, rad.
+pub fn joint_limits(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let joints = input.joints;
+    (0..ACT_DIM)
+        .map(|i| {
+            let middle = 0.5 * (joints.lower_rad[i] + joints.upper_rad[i]);
+            let half = 0.5 * config.soft_limit_share * (joints.upper_rad[i] - joints.lower_rad[i]);
+            ((input.joint_pos_rad[i] - middle).abs() - half).max(0.0)
+        })
+        .sum()
+}
+
+/// Σ of the horizontal speeds of the feet in contact, m/s.
+pub fn slip(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    input
+        .foot_vel_mps
+        .iter()
+        .zip(input.foot_force_n)
+        .filter(|(_, force)| force[2] > config.contact_force_n)
+        .map(|(v, _)| (v[0] * v[0] + v[1] * v[1]).sqrt())
+        .sum()
+}
+
+/// g_x² + g_y², the squared sine of the lean.
+pub fn orientation(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    input.gravity[0].powi(2) + input.gravity[1].powi(2)
+}
+
+/// Force on everything but the feet, as a share of `trunk_force_n`, at most 1.
+pub fn trunk_contact(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    (input.trunk_force_n / config.trunk_force_n).clamp(0.0, 1.0)
+}
+
+/// v_z² of the whole body's centre of mass, m²/s².
+pub fn vertical_velocity(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    input.com_vel_mps[2].powi(2)
+}
+
+/// ω_x² + ω_y² of the body, rad²/s².
+pub fn rocking(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    input.gyro_radps[0].powi(2) + input.gyro_radps[1].powi(2)
+}
+
+/// Σ|q − q_nominal| while the command is to stand, rad.
+pub fn stand_still(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    if !input.standing {
+        return 0.0;
+    }
+    input
+        .joint_pos_rad
+        .iter()
+        .zip(input.joints.nominal_rad)
+        .map(|(q, nominal)| (q - nominal).abs())
+        .sum()
+}
+
+fn squared_distance(a: &[f32; ACT_DIM], b: &[f32; ACT_DIM]) -> f32 {
+    a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
+}

@@ -1,0 +1,289 @@
+//! Worked examples of every term and of the sum.
+
+use std::f32::consts::PI;
+
+use super::*;
+
+const JOINTS: JointTable = JointTable {
+    nominal_rad: [0.1; ACT_DIM],
+    lower_rad: [-1.0; ACT_DIM],
+    upper_rad: [1.0; ACT_DIM],
+};
+const ZEROS: [f32; ACT_DIM] = [0.0; ACT_DIM];
+
+/// Standing still in the nominal pose, feet down, with the zero command.
+fn rest() -> RewardInput<'static> {
+    RewardInput {
+        joints: &JOINTS,
+        dt_s: 0.02,
+        swing_height_m: 0.05,
+        command: [0.0; COMMAND_DIM],
+        standing: false,
+        phase_rad: [PI; FEET],
+        com_vel_mps: [0.0; 3],
+        yaw_rate_radps: 0.0,
+        gyro_radps: [0.0; 3],
+        gravity: [0.0, 0.0, -1.0],
+        joint_pos_rad: &JOINTS.nominal_rad,
+        joint_vel_radps: &ZEROS,
+        previous_joint_vel_radps: &ZEROS,
+        motor_torque_nm: &ZEROS,
+        mech_power_w: &ZEROS,
+        foot_height_m: &[0.0; FEET],
+        foot_vel_mps: &[[0.0; 3]; FEET],
+        foot_force_n: &[[0.0, 0.0, 6.0]; FEET],
+        trunk_force_n: 0.0,
+        action: &ZEROS,
+        previous_action: &ZEROS,
+    }
+}
+
+#[track_caller]
+fn check(term: fn(&RewardConfig, &RewardInput<'_>) -> f32, input: &RewardInput<'_>, expected: f32) {
+    let found = term(&RewardConfig::default(), input);
+    assert!(
+        (found - expected).abs() <= 1e-5 * expected.abs().max(1.0),
+        "{found} is not {expected}"
+    );
+}
+
+fn with(index: usize, value: f32) -> [f32; ACT_DIM] {
+    std::array::from_fn(|i| if i == index { value } else { 0.0 })
+}
+
+#[test]
+fn tracking_of_velocity() {
+    check(terms::tracking_lin_vel, &rest(), 1.0);
+    // Command (0.3, −0.1), velocity (0.1, 0.1): 0.2² + 0.2² = 0.08; exp(−0.08/0.25) = 0.726149
+    let input = RewardInput {
+        command: [0.3, -0.1, 9.0],
+        com_vel_mps: [0.1, 0.1, 9.0],
+        ..rest()
+    };
+    check(terms::tracking_lin_vel, &input, 0.726_149);
+    // Standing under a 0.3 m/s command: exp(−0.09/0.25) = 0.697676, the 70 % of DESIGN 4.1.
+    let input = RewardInput {
+        command: [0.3, 0.0, 0.0],
+        ..rest()
+    };
+    check(terms::tracking_lin_vel, &input, 0.697_676);
+}
+
+#[test]
+fn tracking_of_yaw_rate() {
+    // (0.5 − (−0.25))² = 0.5625; exp(−0.5625/0.25) = exp(−2.25) = 0.105399
+    let input = RewardInput {
+        command: [9.0, 9.0, 0.5],
+        yaw_rate_radps: -0.25,
+        ..rest()
+    };
+    check(terms::tracking_yaw_rate, &input, 0.105_399);
+}
+
+#[test]
+fn phase_of_the_feet() {
+    check(terms::phase, &rest(), 1.0);
+    // φ = 0 asks FL and HR for 5 cm; they are at 2 and 5 cm; FR and HL asked for 0, at 0 and 1 cm:
+    // 0.03² + 0 + 0.01² + 0 = 0.001; exp(−0.001/0.01) = 0.904837
+    let input = RewardInput {
+        phase_rad: [0.0, PI, PI, 0.0],
+        foot_height_m: &[0.02, 0.0, 0.01, 0.05],
+        ..rest()
+    };
+    check(terms::phase, &input, 0.904_837);
+}
+
+#[test]
+fn power_counts_braking_as_well() {
+    let power = std::array::from_fn(|i| if i % 2 == 0 { 0.5 } else { -0.25 });
+    // 8·0.5 + 8·0.25 = 6 W
+    check(
+        terms::power,
+        &RewardInput {
+            mech_power_w: &power,
+            ..rest()
+        },
+        6.0,
+    );
+}
+
+#[test]
+fn action_rate_torque_and_acceleration() {
+    let (a, b) = (with(3, 0.5), with(3, -0.1));
+    // 0.6² = 0.36
+    check(
+        terms::action_rate,
+        &RewardInput {
+            action: &a,
+            previous_action: &b,
+            ..rest()
+        },
+        0.36,
+    );
+    check(
+        terms::torque,
+        &RewardInput {
+            motor_torque_nm: &a,
+            ..rest()
+        },
+        0.25,
+    );
+    // 0.6 rad/s in 0.02 s: 30 rad/s²; 900
+    let input = RewardInput {
+        joint_vel_radps: &a,
+        previous_joint_vel_radps: &b,
+        ..rest()
+    };
+    check(terms::joint_acceleration, &input, 900.0);
+}
+
+#[test]
+fn joint_limits_start_at_the_soft_share() {
+    check(terms::joint_limits, &rest(), 0.0);
+    // Range ±1, soft ±0.95: −0.99 is 0.04 beyond, 1.05 is 0.1 beyond.
+    let mut pos = ZEROS;
+    (pos[0], pos[15], pos[7]) = (-0.99, 1.05, 0.94);
+    check(
+        terms::joint_limits,
+        &RewardInput {
+            joint_pos_rad: &pos,
+            ..rest()
+        },
+        0.14,
+    );
+}
+
+#[test]
+fn slip_counts_only_feet_in_contact() {
+    // FL slides at 0.5 m/s (3-4-5), its vertical speed does not count; FR is in the air (0.5 N); HL slides back.
+    let input = RewardInput {
+        foot_vel_mps: &[[0.3, 0.4, 7.0], [9.0, 0.0, 0.0], [-0.1, 0.0, 0.0], [0.0; 3]],
+        foot_force_n: &[[0.0, 0.0, 6.0], [0.0, 0.0, 0.5], [1.0, 1.0, 2.0], [0.0; 3]],
+        ..rest()
+    };
+    check(terms::slip, &input, 0.6);
+}
+
+#[test]
+fn posture_terms() {
+    // Rolled by 30°: g_y² = 0.25.
+    let input = RewardInput {
+        gravity: [0.0, -0.5, -0.866_025],
+        ..rest()
+    };
+    check(terms::orientation, &input, 0.25);
+    // 2 N of 5 N; 50 N is cut at 1.
+    check(
+        terms::trunk_contact,
+        &RewardInput {
+            trunk_force_n: 2.0,
+            ..rest()
+        },
+        0.4,
+    );
+    check(
+        terms::trunk_contact,
+        &RewardInput {
+            trunk_force_n: 50.0,
+            ..rest()
+        },
+        1.0,
+    );
+    let input = RewardInput {
+        com_vel_mps: [9.0, 9.0, -0.3],
+        ..rest()
+    };
+    check(terms::vertical_velocity, &input, 0.09);
+    let input = RewardInput {
+        gyro_radps: [0.6, -0.8, 9.0],
+        ..rest()
+    };
+    check(terms::rocking, &input, 1.0);
+}
+
+#[test]
+fn stand_still_only_when_told_to_stand() {
+    // 16·|0 − 0.1| = 1.6 rad
+    let input = RewardInput {
+        joint_pos_rad: &ZEROS,
+        ..rest()
+    };
+    check(terms::stand_still, &input, 0.0);
+    check(
+        terms::stand_still,
+        &RewardInput {
+            standing: true,
+            ..input
+        },
+        1.6,
+    );
+}
+
+#[test]
+fn the_reward_is_the_weighted_sum_times_dt() {
+    let power = [0.5; ACT_DIM];
+    let input = RewardInput {
+        command: [0.3, 0.0, 0.0],
+        mech_power_w: &power,
+        trunk_force_n: 50.0,
+        ..rest()
+    };
+    let mut parts = [f32::NAN; TERM_COUNT];
+    let total = evaluate(&RewardConfig::default(), &input, 0.02, &mut parts);
+    // Paper: 1.0·0.697676 + 0.5·1 + 1.0·1 − 1e-3·8 = 2.189676; times 0.02 = 0.0437935. Trunk contact: weight 0.
+    assert!((total - 0.043_793_5).abs() < 1e-7, "{total}");
+    assert_eq!(total, parts.iter().sum::<f32>());
+    let part = |name: &str| parts[TERMS.iter().position(|t| t.name == name).unwrap()];
+    assert!((part("tracking_lin_vel") - 0.013_953_5).abs() < 1e-7);
+    assert!((part("power") + 0.000_16).abs() < 1e-9);
+    assert_eq!(part("trunk_contact"), 0.0);
+    let _ = evaluate(&RewardConfig::matched(), &input, 0.02, &mut parts);
+    let part = |name: &str| parts[TERMS.iter().position(|t| t.name == name).unwrap()];
+    // Matched: exp(−0.09/0.05) = 0.165299 · 0.02; trunk contact −1·1·0.02.
+    assert!((part("tracking_lin_vel") - 0.003_305_98).abs() < 1e-7);
+    assert!((part("trunk_contact") + 0.02).abs() < 1e-8);
+}
+
+#[test]
+fn the_table_matches_the_weights() {
+    let defaults = RewardWeights::default().to_array();
+    assert_eq!(TERMS.len(), TERM_COUNT);
+    for (term, weight) in TERMS.iter().zip(defaults) {
+        assert_eq!(term.default_weight, weight, "{}", term.name);
+        assert!(match term.sense {
+            Sense::Reward => weight >= 0.0,
+            Sense::Cost => weight <= 0.0,
+        });
+    }
+    RewardConfig::matched().validate().unwrap();
+}
+
+#[test]
+fn a_wrong_sign_or_scale_is_refused_by_name() {
+    let mut config = RewardConfig::default();
+    config.weights.power = 3e-3;
+    assert_eq!(
+        config.validate().unwrap_err().to_string(),
+        "task.reward.weights.power is 0.003: this term costs, its weight must be -10000 to 0"
+    );
+    config = RewardConfig::default();
+    config.weights.phase = -1.0;
+    assert!(
+        config
+            .validate()
+            .unwrap_err()
+            .to_string()
+            .contains("reward.weights.phase")
+    );
+    config = RewardConfig {
+        phase_sigma: 0.0,
+        ..RewardConfig::default()
+    };
+    assert!(
+        config
+            .validate()
+            .unwrap_err()
+            .to_string()
+            .contains("reward.phase_sigma")
+    );
+}

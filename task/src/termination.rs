@@ -1,0 +1,214 @@
+//! When an episode ends by failing. Reaching the time limit is not failing: that is truncation, and the
+//! learner goes on from the value of the last observation.
+
+use serde::{Deserialize, Serialize};
+
+use crate::TaskError;
+use crate::error::{require, require_range};
+
+/// Table `[task.termination]`: states that end an episode.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TerminationConfig {
+    /// Largest angle between the body's z axis and the vertical, rad, above 0 to π. Default 1.0 (57°): steeper
+    /// than the hardest terrain (25°) plus the trunk's roll in a step. Too small: episodes end on slopes.
+    pub max_tilt_rad: f32,
+    /// Allowed height of the whole-body centre of mass above the ground under the feet, m, [min, max].
+    /// Default −0.1 to 1.0, which catches falling through the ground and flying off; lying on the belly
+    /// (about 0.04) is allowed, because the robot can crawl and swim that way.
+    pub com_height_m: [f32; 2],
+}
+
+impl Default for TerminationConfig {
+    fn default() -> Self {
+        Self {
+            max_tilt_rad: 1.0,
+            com_height_m: [-0.1, 1.0],
+        }
+    }
+}
+
+impl TerminationConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`TaskError::Config`] names the first field that is out of range.
+    pub fn validate(&self) -> Result<(), TaskError> {
+        require(
+            self.max_tilt_rad > 0.0 && self.max_tilt_rad <= std::f32::consts::PI,
+            "termination.max_tilt_rad",
+            self.max_tilt_rad,
+            "must be above 0 and at most π",
+        )?;
+        require_range(
+            self.com_height_m,
+            -100.0,
+            100.0,
+            "termination.com_height_m",
+            "must be [min, max] within ±100 m",
+        )
+    }
+}
+
+/// Why an episode ended by failing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TerminationReason {
+    /// The simulation broke down or gave a value that is not finite.
+    Diverged,
+    /// The body's z axis points below the horizontal.
+    UpsideDown,
+    /// The body leans more than `max_tilt_rad`.
+    Tilted,
+    /// The centre of mass is too low.
+    TooLow,
+    /// The centre of mass is too high.
+    TooHigh,
+}
+
+impl TerminationReason {
+    /// Every reason, in the order of their numbers in counters.
+    pub const ALL: [Self; 5] = [
+        Self::Diverged,
+        Self::UpsideDown,
+        Self::Tilted,
+        Self::TooLow,
+        Self::TooHigh,
+    ];
+
+    /// Name used in logs and counters.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Diverged => "diverged",
+            Self::UpsideDown => "upside_down",
+            Self::Tilted => "tilted",
+            Self::TooLow => "too_low",
+            Self::TooHigh => "too_high",
+        }
+    }
+}
+
+/// What the check looks at.
+#[derive(Clone, Copy, Debug)]
+pub struct TerminationInput {
+    /// The engine gave the lane up, or a value was not finite.
+    pub diverged: bool,
+    /// Direction of gravity, unit vector, body (upright: 0, 0, −1). True, without sensor noise.
+    pub gravity: [f32; 3],
+    /// Height of the whole-body centre of mass above the ground under the feet, m.
+    pub com_height_m: f32,
+}
+
+/// The first reason to end the episode, if any. A value that is not a number counts as failed, never as
+/// fine; the tilt test is signed, so that lying on the back is not mistaken for standing.
+pub fn check(config: &TerminationConfig, input: &TerminationInput) -> Option<TerminationReason> {
+    let upright = -input.gravity[2];
+    let height = input.com_height_m;
+    if input.diverged || upright.is_nan() || height.is_nan() {
+        Some(TerminationReason::Diverged)
+    } else if upright < config.max_tilt_rad.cos() {
+        Some(if upright < 0.0 {
+            TerminationReason::UpsideDown
+        } else {
+            TerminationReason::Tilted
+        })
+    } else if height < config.com_height_m[0] {
+        Some(TerminationReason::TooLow)
+    } else if height > config.com_height_m[1] {
+        Some(TerminationReason::TooHigh)
+    } else {
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STANDING: TerminationInput = TerminationInput {
+        diverged: false,
+        gravity: [0.0, 0.0, -1.0],
+        com_height_m: 0.12,
+    };
+
+    /// Gravity seen by a body rolled by `roll`: (0, −sin, −cos).
+    fn rolled(roll: f32) -> TerminationInput {
+        TerminationInput {
+            gravity: [0.0, -roll.sin(), -roll.cos()],
+            ..STANDING
+        }
+    }
+
+    #[test]
+    fn each_reason() {
+        let config = TerminationConfig::default();
+        let check = |input: TerminationInput| check(&config, &input);
+        assert_eq!(check(STANDING), None);
+        // 45° = 0.785 rad is below the limit of 1 rad, 60° = 1.047 rad is beyond.
+        assert_eq!(check(rolled(0.785)), None);
+        assert_eq!(check(rolled(1.047)), Some(TerminationReason::Tilted));
+        assert_eq!(check(rolled(-1.047)), Some(TerminationReason::Tilted));
+        // 170° and exactly upside down: |g_z| is as large as when standing, only the sign differs.
+        assert_eq!(check(rolled(2.967)), Some(TerminationReason::UpsideDown));
+        let on_its_back = TerminationInput {
+            gravity: [0.0, 0.0, 1.0],
+            ..STANDING
+        };
+        assert_eq!(check(on_its_back), Some(TerminationReason::UpsideDown));
+        assert_eq!(
+            check(TerminationInput {
+                com_height_m: -0.2,
+                ..STANDING
+            }),
+            Some(TerminationReason::TooLow)
+        );
+        assert_eq!(
+            check(TerminationInput {
+                com_height_m: 1.5,
+                ..STANDING
+            }),
+            Some(TerminationReason::TooHigh)
+        );
+        assert_eq!(
+            check(TerminationInput {
+                diverged: true,
+                ..STANDING
+            }),
+            Some(TerminationReason::Diverged)
+        );
+    }
+
+    #[test]
+    fn a_tilt_limit_beyond_ninety_degrees_works() {
+        // With π nothing is too tilted, not even upside down.
+        let config = TerminationConfig {
+            max_tilt_rad: std::f32::consts::PI,
+            ..TerminationConfig::default()
+        };
+        assert_eq!(check(&config, &rolled(3.1)), None);
+    }
+
+    #[test]
+    fn not_a_number_is_a_failure() {
+        let config = TerminationConfig::default();
+        let tilt = TerminationInput {
+            gravity: [0.0, 0.0, f32::NAN],
+            ..STANDING
+        };
+        let height = TerminationInput {
+            com_height_m: f32::NAN,
+            ..STANDING
+        };
+        for input in [tilt, height] {
+            assert_eq!(check(&config, &input), Some(TerminationReason::Diverged));
+        }
+    }
+
+    #[test]
+    fn reasons_have_distinct_names() {
+        let mut names = TerminationReason::ALL.map(TerminationReason::name).to_vec();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), TerminationReason::ALL.len());
+    }
+}
