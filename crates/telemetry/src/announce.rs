@@ -1,36 +1,43 @@
-//! How a service tells its supervisor where it listens: one JSON line on standard output.
+//! How a server tells whoever started it where it listens: one JSON line on standard output.
 
-use std::io::Write;
+use std::io::{self, BufRead, Write};
 use std::net::SocketAddr;
 
 use serde::{Deserialize, Serialize};
 
-/// `{"listening":"policy_server","addr":"127.0.0.1:7401"}`
+/// The line: `{"listening":"policy_server","address":"127.0.0.1:40123"}`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Announcement {
-    /// What listens.
+pub struct Listening {
+    /// Which service.
     pub listening: String,
-    /// The bound address; never port 0.
-    pub addr: SocketAddr,
+    /// Where it is bound.
+    pub address: SocketAddr,
 }
 
-impl Announcement {
-    /// The announcement in a line, if it is one.
-    pub fn parse(line: &str) -> Option<Self> {
-        serde_json::from_str(line).ok()
+/// Writes the line for `service` to standard output. A reader that is gone does no harm.
+pub fn announce(service: &str, address: SocketAddr) {
+    let line = Listening {
+        listening: service.to_owned(),
+        address,
+    };
+    let mut out = io::stdout().lock();
+    if let Ok(text) = serde_json::to_string(&line) {
+        let _ = writeln!(out, "{text}").and_then(|()| out.flush());
     }
 }
 
-/// Prints where `listening` is bound, so that whoever started this process with port 0 finds it. A reader that has
-/// gone away is no error: the log has the address too.
-pub fn announce(listening: &str, addr: SocketAddr) {
-    let announcement = Announcement {
-        listening: listening.to_owned(),
-        addr,
-    };
-    let mut out = std::io::stdout().lock();
-    if serde_json::to_writer(&mut out, &announcement).is_ok() {
-        let _ = out.write_all(b"\n").and_then(|()| out.flush());
+/// Reads lines until `service` announces its address; `None` when the stream ends before.
+pub fn read_announcement(service: &str, out: &mut dyn BufRead) -> Option<SocketAddr> {
+    let mut line = String::new();
+    loop {
+        line.clear();
+        if out.read_line(&mut line).ok()? == 0 {
+            return None;
+        }
+        match serde_json::from_str::<Listening>(line.trim()) {
+            Ok(found) if found.listening == service => return Some(found.address),
+            _ => {}
+        }
     }
 }
 
@@ -39,14 +46,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_an_announcement_or_it_is_not() {
-        let line = r#"{"listening":"policy_server","addr":"127.0.0.1:7401"}"#;
-        let found = Announcement::parse(line).unwrap();
-        assert_eq!(
-            (found.listening.as_str(), found.addr.port()),
-            ("policy_server", 7401)
-        );
-        assert_eq!(serde_json::to_string(&found).unwrap(), line);
-        assert_eq!(Announcement::parse("{\"event\":\"started\"}"), None);
+    fn the_right_line_is_found_among_others() {
+        let text = "noise\n{\"listening\":\"other\",\"address\":\"127.0.0.1:1\"}\n\
+                    {\"listening\":\"policy_server\",\"address\":\"127.0.0.1:2\"}\n";
+        let found = read_announcement("policy_server", &mut text.as_bytes());
+        assert_eq!(found, Some(SocketAddr::from(([127, 0, 0, 1], 2))));
+        assert_eq!(read_announcement("robot", &mut text.as_bytes()), None);
     }
 }

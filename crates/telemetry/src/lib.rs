@@ -23,7 +23,6 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod announce;
-mod announce;
 mod banner;
 mod exit;
 mod logging;
@@ -34,7 +33,6 @@ pub mod progress;
 mod serve;
 mod stop;
 
-pub use announce::{Announcement, announce};
 pub use announce::{Listening, announce, read_announcement};
 pub use banner::{BuildInfo, build_info};
 pub use exit::{ExitCode, Failure, FailureExt};
