@@ -1,1 +1,28 @@
 //! The policy file: ONNX graph, metadata, strict checks, inference with ONNX Runtime.
+//!
+//! The learner writes one with [`build_onnx`]; actors, evaluation and the robot read it with
+//! [`PolicyFile::parse`] and run it with [`Inference`], all on the same bytes. `docs/policy-file.md`
+//! describes the format.
+//!
+//! *Invariant*: bytes from outside reach ONNX Runtime only as a [`PolicyFile`]; the runtime is no
+//! sandbox.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod error;
+mod file;
+mod inference;
+mod metadata;
+mod mlp;
+mod onnx;
+mod runtime;
+
+pub use error::PolicyError;
+pub use file::PolicyFile;
+pub use inference::Inference;
+pub use metadata::{METADATA_KEY, PolicyMetadata};
+pub use mlp::{Activation, Dense, MAX_LAYERS, MAX_WIDTH, MIN_OBS_STD, MlpSpec, evaluate_mlp};
+pub use onnx::build::build_onnx;
+pub use runtime::{Lookup, runtime_library};
+
+/// Largest policy file, bytes. The paper's network (512, 256, 128) takes 0.9 MB.
+pub const MAX_FILE_BYTES: usize = 8 << 20;
