@@ -4,7 +4,6 @@ use std::time::Instant;
 
 use caudata_env::{EpisodeStats, StepOutput, VecEnv};
 use caudata_proto::{EpisodeSummary, FinalObservation, RolloutChunk};
-use caudata_telemetry::StopFlag;
 
 use crate::moments::moments_of;
 use crate::policy::LoadedPolicy;
@@ -17,14 +16,14 @@ pub(crate) fn collect(
     policy: &mut LoadedPolicy,
     sequence: u64,
     metrics: &ActorMetrics,
-    stop: &StopFlag,
+    should_stop: &dyn Fn() -> bool,
 ) -> Result<Option<RolloutChunk>, ActorError> {
     let (lanes, act_dim) = (env.lanes(), env.act_dim());
     let mut chunk = empty_chunk(settings, env, policy, sequence);
     let mut means = vec![0.0; lanes * act_dim];
     let mut actions = vec![0.0; lanes * act_dim];
     for step in 0..settings.chunk_steps {
-        if stop.is_set() {
+        if should_stop() {
             return Ok(None);
         }
         chunk.observations.extend_from_slice(env.observations());

@@ -119,13 +119,14 @@ impl Actor<'_> {
                 continue;
             }
             let Some(policy) = &mut self.policy else { continue };
+            let (link, stop) = (&self.link, self.stop);
             let collected = chunk::collect(
                 self.settings,
                 &mut self.env,
                 policy,
                 self.sent,
                 self.metrics,
-                self.stop,
+                &|| stop.is_set() || link.stop_requested(),
             )?;
             let Some(chunk) = collected else { continue };
             self.quota.chunk_collected();

@@ -20,12 +20,18 @@ pub struct Source {
 impl Source {
     /// A preset alone.
     pub fn preset(name: &str) -> Self {
-        Self { preset: Some(name.to_owned()), ..Self::default() }
+        Self {
+            preset: Some(name.to_owned()),
+            ..Self::default()
+        }
     }
 
     /// A file alone.
     pub fn file(path: &Path) -> Self {
-        Self { file: Some(path.to_owned()), ..Self::default() }
+        Self {
+            file: Some(path.to_owned()),
+            ..Self::default()
+        }
     }
 
     /// With one more override.
@@ -48,7 +54,11 @@ pub(crate) fn merge(source: &Source) -> Result<Config, ConfigError> {
             return Err(match unknown {
                 Some(key) => {
                     let suggestion = keys::nearest(&key, &known);
-                    ConfigError::UnknownKey { key, origin, suggestion }
+                    ConfigError::UnknownKey {
+                        key,
+                        origin,
+                        suggestion,
+                    }
                 }
                 None => wrong_type(&error),
             });
@@ -74,24 +84,38 @@ fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
         layers.push((origin.clone(), parse(&origin, preset.text)?));
     }
     if let Some(path) = &source.file {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Read { path: path.clone(), source })?;
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+            path: path.clone(),
+            source,
+        })?;
         let origin = path.display().to_string();
         layers.push((origin.clone(), parse(&origin, &text)?));
     }
     for assignment in &source.overrides {
-        layers.push((format!("override `{assignment}`"), parse_override(assignment)?));
+        layers.push((
+            format!("override `{assignment}`"),
+            parse_override(assignment)?,
+        ));
     }
     Ok(layers)
 }
 
 fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {
     text.parse().map_err(|error: toml::de::Error| {
-        let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+        let before = error
+            .span()
+            .and_then(|span| text.get(..span.start))
+            .unwrap_or_default();
         ConfigError::Syntax {
             origin: origin.to_owned(),
             line: before.matches('\n').count() + 1,
-            column: before.rsplit('\n').next().unwrap_or_default().chars().count() + 1,
+            column: before
+                .rsplit('\n')
+                .next()
+                .unwrap_or_default()
+                .chars()
+                .count()
+                + 1,
             message: error.message().to_owned(),
         }
     })
@@ -137,5 +161,8 @@ fn wrong_type(error: &toml::de::Error) -> ConfigError {
         .lines()
         .find_map(|line| line.strip_prefix("in `")?.strip_suffix('`'))
         .map(str::to_owned);
-    ConfigError::WrongType { key, message: error.message().to_owned() }
+    ConfigError::WrongType {
+        key,
+        message: error.message().to_owned(),
+    }
 }

@@ -8,6 +8,7 @@
 //! everything.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod args;
 mod error;
 mod keys;
 mod layers;
@@ -22,6 +23,7 @@ use caudata_task::TaskConfig;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+pub use args::ConfigArgs;
 pub use error::ConfigError;
 pub use layers::Source;
 pub use presets::{PRESETS, Preset};
@@ -112,7 +114,10 @@ impl Config {
 
     /// [`Config::hash`] as 64 hex digits.
     pub fn hash_hex(&self) -> String {
-        self.hash().iter().map(|byte| format!("{byte:02x}")).collect()
+        self.hash()
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect()
     }
 
     /// The robot file. A relative path is looked for in the current directory and then in the folders above

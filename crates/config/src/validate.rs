@@ -23,7 +23,11 @@ fn positive(key: &'static str, value: f64, high: f64) -> Check {
 }
 
 fn broken(key: &'static str, value: impl Display, rule: impl Into<String>) -> Check {
-    Err(ConfigError::OutOfRange { key, value: value.to_string(), rule: rule.into() })
+    Err(ConfigError::OutOfRange {
+        key,
+        value: value.to_string(),
+        rule: rule.into(),
+    })
 }
 
 fn word(key: &'static str, value: &str, longest: usize, extra: &str) -> Check {
@@ -60,7 +64,12 @@ impl Config {
         let evaluation = &self.evaluation;
         within("evaluation.episodes", evaluation.episodes, 0, 10_000)?;
         within("evaluation.robot_run_s", evaluation.robot_run_s, 0.0, 600.0)?;
-        within("evaluation.robot_command_mps", evaluation.robot_command_mps, -1.0, 1.0)
+        within(
+            "evaluation.robot_command_mps",
+            evaluation.robot_command_mps,
+            -1.0,
+            1.0,
+        )
     }
 
     fn check_actors(&self) -> Check {
@@ -68,21 +77,41 @@ impl Config {
         within("actors.count", actors.count, 1, 1_024)?;
         within("actors.lanes", actors.lanes, 1, 65_536)?;
         within("actors.chunk_steps", actors.chunk_steps, 1, 1_024)?;
-        within("actors.chunks_per_version", actors.chunks_per_version, 1, 64)?;
+        within(
+            "actors.chunks_per_version",
+            actors.chunks_per_version,
+            1,
+            64,
+        )?;
         within("actors.max_lead", actors.max_lead, 0, 8)?;
         within("actors.threads", actors.threads, 1, 256)?;
         within("actors.inference_threads", actors.inference_threads, 1, 64)?;
         positive("actors.policy_timeout_s", actors.policy_timeout_s, 86_400.0)?;
         positive("actors.flush_timeout_s", actors.flush_timeout_s, 600.0)?;
-        within("actors.restarts_per_minute", actors.restarts_per_minute, 0, 60)
+        within(
+            "actors.restarts_per_minute",
+            actors.restarts_per_minute,
+            0,
+            60,
+        )
     }
 
     fn check_learner(&self) -> Check {
         let learner = &self.learner;
         within("learner.threads", learner.threads, 1, 256)?;
         within("learner.publish_every", learner.publish_every, 1, 1_000_000)?;
-        within("learner.checkpoint_every", learner.checkpoint_every, 1, 1_000_000)?;
-        within("learner.keep_checkpoints", learner.keep_checkpoints, 1, 10_000)?;
+        within(
+            "learner.checkpoint_every",
+            learner.checkpoint_every,
+            1,
+            1_000_000,
+        )?;
+        within(
+            "learner.keep_checkpoints",
+            learner.keep_checkpoints,
+            1,
+            10_000,
+        )?;
         positive("learner.batch_timeout_s", learner.batch_timeout_s, 86_400.0)?;
         positive("learner.min_batch_share", learner.min_batch_share, 1.0)?;
         let (shortest, starve) = (learner.batch_timeout_s, learner.starve_timeout_s);
@@ -93,16 +122,35 @@ impl Config {
         let network = &self.learner.network;
         let layers = |key, hidden: &[u32]| {
             if !(1..=8).contains(&hidden.len()) || hidden.iter().any(|n| !(1..=4_096).contains(n)) {
-                return broken(key, format!("{hidden:?}"), "must be 1 to 8 layers of 1 to 4096 units");
+                return broken(
+                    key,
+                    format!("{hidden:?}"),
+                    "must be 1 to 8 layers of 1 to 4096 units",
+                );
             }
             Ok(())
         };
         layers("learner.network.policy_hidden", &network.policy_hidden)?;
         layers("learner.network.value_hidden", &network.value_hidden)?;
         positive("learner.network.std_min", network.std_min, 10.0)?;
-        within("learner.network.std_max", network.std_max, network.std_min, 10.0)?;
-        within("learner.network.init_std", network.init_std, network.std_min, network.std_max)?;
-        within("learner.network.observation_clip", network.observation_clip, 1.0, 100.0)
+        within(
+            "learner.network.std_max",
+            network.std_max,
+            network.std_min,
+            10.0,
+        )?;
+        within(
+            "learner.network.init_std",
+            network.init_std,
+            network.std_min,
+            network.std_max,
+        )?;
+        within(
+            "learner.network.observation_clip",
+            network.observation_clip,
+            1.0,
+            100.0,
+        )
     }
 
     fn check_ppo(&self) -> Check {
@@ -110,13 +158,22 @@ impl Config {
         within("learner.ppo.epochs", ppo.epochs, 1, 100)?;
         within("learner.ppo.minibatches", ppo.minibatches, 1, 1_024)?;
         if !(0.0..1.0).contains(&ppo.gamma) {
-            return broken("learner.ppo.gamma", ppo.gamma, "must be at least 0 and below 1");
+            return broken(
+                "learner.ppo.gamma",
+                ppo.gamma,
+                "must be at least 0 and below 1",
+            );
         }
         within("learner.ppo.lambda", ppo.lambda, 0.0, 1.0)?;
         if !(ppo.clip > 0.0 && ppo.clip < 1.0) {
             return broken("learner.ppo.clip", ppo.clip, "must be above 0 and below 1");
         }
-        within("learner.ppo.value_loss_weight", ppo.value_loss_weight, 0.0, 100.0)?;
+        within(
+            "learner.ppo.value_loss_weight",
+            ppo.value_loss_weight,
+            0.0,
+            100.0,
+        )?;
         within("learner.ppo.entropy_weight", ppo.entropy_weight, 0.0, 1.0)?;
         positive("learner.ppo.max_grad_norm", ppo.max_grad_norm, 1_000.0)?;
         positive("learner.ppo.learning_rate_min", ppo.learning_rate_min, 1.0)?;
@@ -136,13 +193,19 @@ impl Config {
         let staleness = &self.learner.staleness;
         let lead = u64::from(self.actors.max_lead);
         if staleness.max_lag < lead {
-            let rule = format!("must be at least actors.max_lead = {lead}, or all early work is dropped");
+            let rule =
+                format!("must be at least actors.max_lead = {lead}, or all early work is dropped");
             return broken("learner.staleness.max_lag", staleness.max_lag, rule);
         }
         within("learner.staleness.max_lag", staleness.max_lag, 0, 1_000)?;
         within("learner.staleness.rho_max", staleness.rho_max, 0.1, 10.0)?;
         within("learner.staleness.c_max", staleness.c_max, 0.1, 10.0)?;
-        within("learner.staleness.weight_max", staleness.weight_max, 1.0, 100.0)?;
+        within(
+            "learner.staleness.weight_max",
+            staleness.weight_max,
+            1.0,
+            100.0,
+        )?;
         let share = staleness.min_effective_share;
         within("learner.staleness.min_effective_share", share, 0.0, 1.0)
     }
@@ -152,9 +215,13 @@ impl Config {
             section,
             message: error.to_string(),
         };
-        self.engine.validate().map_err(|error| section("engine", &error))?;
-        self.task.validate().map_err(|error| section("task", &error))?;
-        let (physics, policy) = (self.engine.control_period_s(), f64::from(self.task.control_period_s));
+        self.engine
+            .validate()
+            .map_err(|error| section("engine", &error))?;
+        self.task
+            .validate()
+            .map_err(|error| section("task", &error))?;
+        let (physics, policy) = (self.engine.control_period_s(), self.task.control_period_s);
         if (physics - policy).abs() > 1e-6 {
             let rule = format!(
                 "must be engine.dt_s × engine.substeps = {physics}, so that one action lasts one control period"
@@ -168,17 +235,47 @@ impl Config {
         /// 256 MiB, the transports' own bound.
         const BYTES_MAX: u64 = 256 << 20;
         let transport = &self.transport;
-        within("transport.max_frame_bytes", transport.max_frame_bytes, 1, BYTES_MAX)?;
-        within("transport.max_policy_bytes", transport.max_policy_bytes, 1, BYTES_MAX)?;
+        within(
+            "transport.max_frame_bytes",
+            transport.max_frame_bytes,
+            1,
+            BYTES_MAX,
+        )?;
+        within(
+            "transport.max_policy_bytes",
+            transport.max_policy_bytes,
+            1,
+            BYTES_MAX,
+        )?;
         within("transport.window_frames", transport.window_frames, 1, 1_024)?;
-        within("transport.max_actors", transport.max_actors, self.actors.count, 1_024)?;
+        within(
+            "transport.max_actors",
+            transport.max_actors,
+            self.actors.count,
+            1_024,
+        )?;
         within("transport.heartbeat_ms", transport.heartbeat_ms, 10, 60_000)?;
         let silence = transport.peer_timeout_ms;
-        within("transport.peer_timeout_ms", silence, 3 * transport.heartbeat_ms, 3_600_000)
+        within(
+            "transport.peer_timeout_ms",
+            silence,
+            3 * transport.heartbeat_ms,
+            3_600_000,
+        )
     }
 
     fn check_services(&self) -> Check {
-        within("policy_server.keep_versions", self.policy_server.keep_versions, 1, 100_000)?;
-        word("policy_server.stream", &self.policy_server.stream, 64, "-_.")
+        within(
+            "policy_server.keep_versions",
+            self.policy_server.keep_versions,
+            1,
+            100_000,
+        )?;
+        word(
+            "policy_server.stream",
+            &self.policy_server.stream,
+            64,
+            "-_.",
+        )
     }
 }

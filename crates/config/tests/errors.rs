@@ -27,7 +27,11 @@ fn defaults_and_presets_are_valid_and_survive_being_written() {
     sources.extend(PRESETS.iter().map(|preset| Source::preset(preset.name)));
     for source in sources {
         let config = Config::load(&source).unwrap();
-        assert_eq!(load_text(&config.to_toml().unwrap()).unwrap(), config, "{source:?}");
+        assert_eq!(
+            load_text(&config.to_toml().unwrap()).unwrap(),
+            config,
+            "{source:?}"
+        );
     }
 }
 
@@ -36,9 +40,20 @@ fn later_layers_win() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("my.toml");
     std::fs::write(&path, "[run]\nseed = 5\niterations = 7\n").unwrap();
-    let source = Source { preset: Some("quick".into()), file: Some(path), overrides: vec!["run.seed=6".into()] };
+    let source = Source {
+        preset: Some("quick".into()),
+        file: Some(path),
+        overrides: vec!["run.seed=6".into()],
+    };
     let config = Config::load(&source).unwrap();
-    assert_eq!((config.run.name.as_str(), config.run.iterations, config.run.seed), ("quick", 7, 6));
+    assert_eq!(
+        (
+            config.run.name.as_str(),
+            config.run.iterations,
+            config.run.seed
+        ),
+        ("quick", 7, 6)
+    );
 }
 
 #[test]
@@ -65,21 +80,32 @@ fn an_unknown_key_is_named_with_the_nearest_known_one() {
     let text = complaint(load_with("learner.gamma=0.9"));
     assert!(text.contains("did you mean `learner.ppo.gamma`?"), "{text}");
     let text = complaint(load_text("xyzzy = 1\n"));
-    assert!(text.contains("unknown key `xyzzy`") && !text.contains("did you mean"), "{text}");
+    assert!(
+        text.contains("unknown key `xyzzy`") && !text.contains("did you mean"),
+        "{text}"
+    );
 }
 
 #[test]
 fn a_wrong_type_names_its_key() {
     let text = complaint(load_with("actors.count=many"));
-    assert!(text.contains("`actors.count`") && text.contains("many"), "{text}");
+    assert!(
+        text.contains("`actors.count`") && text.contains("many"),
+        "{text}"
+    );
     let text = complaint(load_with("transport.kind=carrier-pigeon"));
-    assert!(text.contains("`transport.kind`") && text.contains("iceoryx2"), "{text}");
+    assert!(
+        text.contains("`transport.kind`") && text.contains("iceoryx2"),
+        "{text}"
+    );
 }
 
 #[test]
 fn not_toml_names_file_line_and_column() {
     let error = load_text("[run]\nseed = = 1\n").unwrap_err();
-    let ConfigError::Syntax { line, column, .. } = error else { panic!("{error:?}") };
+    let ConfigError::Syntax { line, column, .. } = error else {
+        panic!("{error:?}")
+    };
     assert_eq!((line, column), (2, 8));
 }
 
@@ -90,7 +116,10 @@ fn a_missing_file_a_missing_preset_and_a_bad_override_are_told_apart() {
     let text = complaint(Config::load(&Source::preset("fast")));
     assert!(text.contains("quick, flat"), "{text}");
     for bad in ["no-equals-sign", "=1", "a..b=1"] {
-        assert!(matches!(load_with(bad), Err(ConfigError::BadOverride(_))), "{bad}");
+        assert!(
+            matches!(load_with(bad), Err(ConfigError::BadOverride(_))),
+            "{bad}"
+        );
     }
 }
 
@@ -105,7 +134,10 @@ fn values_out_of_range_name_key_value_and_rule() {
         ("learner.ppo.gamma=nan", "learner.ppo.gamma"),
         ("learner.ppo.minibatches=1024", "learner.ppo.minibatches"),
         ("learner.network.init_std=9", "learner.network.init_std"),
-        ("learner.network.policy_hidden=[]", "learner.network.policy_hidden"),
+        (
+            "learner.network.policy_hidden=[]",
+            "learner.network.policy_hidden",
+        ),
         ("learner.min_batch_share=0", "learner.min_batch_share"),
         ("learner.starve_timeout_s=1", "learner.starve_timeout_s"),
         ("transport.peer_timeout_ms=500", "transport.peer_timeout_ms"),
@@ -114,9 +146,14 @@ fn values_out_of_range_name_key_value_and_rule() {
     ];
     for (assignment, key) in cases {
         // Few steps, so that 1,024 minibatches are too many.
-        let source = Source::default().set("actors.lanes=2").set("actors.chunk_steps=2").set(assignment);
+        let source = Source::default()
+            .set("actors.lanes=2")
+            .set("actors.chunk_steps=2")
+            .set(assignment);
         match Config::load(&source) {
-            Err(ConfigError::OutOfRange { key: named, .. }) => assert_eq!(named, key, "{assignment}"),
+            Err(ConfigError::OutOfRange { key: named, .. }) => {
+                assert_eq!(named, key, "{assignment}")
+            }
             other => panic!("{assignment}: {other:?}"),
         }
     }
@@ -126,10 +163,20 @@ fn values_out_of_range_name_key_value_and_rule() {
 fn the_hash_covers_what_decides_training_and_nothing_else() {
     let hash = |assignment: &str| load_with(assignment).unwrap().hash_hex();
     let base = Config::default().hash_hex();
-    for same in ["run.iterations=9", "run.name=x", "telemetry.metrics=false", "transport.kind=zenoh"] {
+    for same in [
+        "run.iterations=9",
+        "run.name=x",
+        "telemetry.metrics=false",
+        "transport.kind=zenoh",
+    ] {
         assert_eq!(hash(same), base, "{same}");
     }
-    for other in ["run.seed=2", "learner.ppo.gamma=0.9", "actors.lanes=2", "engine.solver_iterations=3"] {
+    for other in [
+        "run.seed=2",
+        "learner.ppo.gamma=0.9",
+        "actors.lanes=2",
+        "engine.solver_iterations=3",
+    ] {
         assert_ne!(hash(other), base, "{other}");
     }
 }

@@ -11,4 +11,6 @@ pub use learner::{
     Activation, AdvantageScale, Device, LearnerConfig, NetworkConfig, PpoConfig, StalenessConfig,
 };
 pub use run::{EvaluationConfig, RunConfig};
-pub use services::{LogStyle, PolicyServerConfig, TelemetryConfig, TransportKind, TransportSection};
+pub use services::{
+    LogStyle, PolicyServerConfig, TelemetryConfig, TransportKind, TransportSection,
+};

@@ -20,7 +20,12 @@ pub struct RunConfig {
 
 impl Default for RunConfig {
     fn default() -> Self {
-        Self { name: "caudata".into(), seed: 1, iterations: 500, out_dir: "runs".into() }
+        Self {
+            name: "caudata".into(),
+            seed: 1,
+            iterations: 500,
+            out_dir: "runs".into(),
+        }
     }
 }
 
@@ -39,6 +44,10 @@ pub struct EvaluationConfig {
 
 impl Default for EvaluationConfig {
     fn default() -> Self {
-        Self { episodes: 16, robot_run_s: 10.0, robot_command_mps: 0.2 }
+        Self {
+            episodes: 16,
+            robot_run_s: 10.0,
+            robot_command_mps: 0.2,
+        }
     }
 }

@@ -91,7 +91,12 @@ pub struct PolicyServerConfig {
 
 impl Default for PolicyServerConfig {
     fn default() -> Self {
-        Self { addr: any_local_port(), dir: "registry".into(), keep_versions: 64, stream: "walk".into() }
+        Self {
+            addr: any_local_port(),
+            dir: "registry".into(),
+            keep_versions: 64,
+            stream: "walk".into(),
+        }
     }
 }
 

@@ -1,0 +1,38 @@
+//! The flags that choose a configuration, the same in every binary.
+
+use std::path::PathBuf;
+
+use crate::{Config, ConfigError, Source};
+
+/// Flags that choose a configuration. Later ones win: preset, file, overrides.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub struct ConfigArgs {
+    /// A configuration that comes with the program: quick, flat
+    #[arg(long, value_name = "NAME", help_heading = "Configuration")]
+    pub preset: Option<String>,
+    /// A TOML file; keys it does not have come from the preset and the defaults
+    #[arg(long, value_name = "FILE.toml", help_heading = "Configuration")]
+    pub config: Option<PathBuf>,
+    /// Set one key, for instance learner.ppo.gamma=0.98; may be given several times
+    #[arg(long = "set", value_name = "KEY=VALUE", help_heading = "Configuration")]
+    pub overrides: Vec<String>,
+}
+
+impl ConfigArgs {
+    /// The source that the flags describe.
+    pub fn source(&self) -> Source {
+        Source {
+            preset: self.preset.clone(),
+            file: self.config.clone(),
+            overrides: self.overrides.clone(),
+        }
+    }
+
+    /// Reads and checks the configuration that the flags describe.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn load(&self) -> Result<Config, ConfigError> {
+        Config::load(&self.source())
+    }
+}
