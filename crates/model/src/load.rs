@@ -22,7 +22,13 @@ pub(crate) fn from_path(robot_toml: &Path) -> Result<RobotModel, ModelError> {
     let file = robot_file::parse(&label, utf8(&label, &toml_bytes)?)?;
     let mjcf_path = robot_toml.with_file_name(&file.mjcf);
     let mjcf_bytes = read(&mjcf_path)?;
-    build(&label, &mjcf_path.display().to_string(), file, &toml_bytes, &mjcf_bytes)
+    build(
+        &label,
+        &mjcf_path.display().to_string(),
+        file,
+        &toml_bytes,
+        &mjcf_bytes,
+    )
 }
 
 pub(crate) fn from_bytes(
@@ -36,7 +42,10 @@ pub(crate) fn from_bytes(
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
-    let failed = |source| ModelError::Read { path: path.to_owned(), source };
+    let failed = |source| ModelError::Read {
+        path: path.to_owned(),
+        source,
+    };
     let bytes = fs::metadata(path).map_err(failed)?.len();
     if bytes > FILE_LIMIT_BYTES {
         return Err(ModelError::TooLarge {
@@ -51,7 +60,10 @@ fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
 fn utf8<'a>(file: &str, bytes: &'a [u8]) -> Result<&'a str, ModelError> {
     std::str::from_utf8(bytes).map_err(|e| ModelError::RobotFile {
         file: file.to_owned(),
-        line: 1 + bytes[..e.valid_up_to()].iter().filter(|b| **b == b'\n').count(),
+        line: 1 + bytes[..e.valid_up_to()]
+            .iter()
+            .filter(|b| **b == b'\n')
+            .count(),
         message: "is not UTF-8 text".to_owned(),
     })
 }
@@ -79,7 +91,15 @@ fn build(
     let actuated = actuated_joints(&c, mjcf_label, &file, &mj)?;
     let (servo_presets, servo_of) = servos(&c, &file)?;
     let backlash = backlash(&c, &file, &mj)?;
-    let joints = joints(&c, &file, &mj, &actuated, &backlash, &servo_presets, &servo_of)?;
+    let joints = joints(
+        &c,
+        &file,
+        &mj,
+        &actuated,
+        &backlash,
+        &servo_presets,
+        &servo_of,
+    )?;
     let mut limits_rad = Vec::new();
     for &j in &actuated {
         let joint = &joints[j];
@@ -90,7 +110,13 @@ fn build(
             message: "attribute `range`: is missing; an actuated joint needs limits".to_owned(),
         })?);
     }
-    let nominal_pos_rad = pose(&c, "pose.nominal_rad", &file.pose.nominal_rad, &file, &limits_rad)?;
+    let nominal_pos_rad = pose(
+        &c,
+        "pose.nominal_rad",
+        &file.pose.nominal_rad,
+        &file,
+        &limits_rad,
+    )?;
     let swimming_pos_rad = match &file.pose.swimming_rad {
         Some(p) => Some(pose(&c, "pose.swimming_rad", p, &file, &limits_rad)?),
         None => None,
@@ -100,9 +126,10 @@ fn build(
     let feet = feet(&c, &file, &mut links)?;
     let water = water(&c, &file, &links)?;
     let site_index = |at: &str, name: &str| {
-        sites.iter().position(|s| s.name == name).ok_or_else(|| {
-            c.error(at, format!("there is no site `{name}` in the MJCF"))
-        })
+        sites
+            .iter()
+            .position(|s| s.name == name)
+            .ok_or_else(|| c.error(at, format!("there is no site `{name}` in the MJCF")))
     };
     let imu_site = match &file.imu {
         Some(imu) => Some(site_index("imu.site", &imu.site)?),
@@ -111,13 +138,20 @@ fn build(
     let mut torso_link = 0;
     let mut heading_sites = None;
     if let Some(f) = &file.frames {
-        torso_link = links.iter().position(|l| l.name == f.torso).ok_or_else(|| {
-            c.error("frames.torso", format!("there is no body `{}` in the MJCF", f.torso))
-        })?;
+        torso_link = links
+            .iter()
+            .position(|l| l.name == f.torso)
+            .ok_or_else(|| {
+                c.error(
+                    "frames.torso",
+                    format!("there is no body `{}` in the MJCF", f.torso),
+                )
+            })?;
         heading_sites = match (&f.heading_hind, &f.heading_front) {
-            (Some(h), Some(f)) => {
-                Some((site_index("frames.heading_hind", h)?, site_index("frames.heading_front", f)?))
-            }
+            (Some(h), Some(f)) => Some((
+                site_index("frames.heading_hind", h)?,
+                site_index("frames.heading_front", f)?,
+            )),
             (None, None) => None,
             _ => return Err(c.error("frames", "heading_hind and heading_front go together")),
         };
@@ -156,12 +190,14 @@ fn base_kind(c: &Checker<'_>, file: &RobotFile, mj: &MjModel) -> Result<BaseKind
     match (file.base, mj.free_base) {
         (BaseWord::Free, true) => Ok(BaseKind::Free),
         (BaseWord::Fixed, false) => Ok(BaseKind::Fixed),
-        (BaseWord::Free, false) => {
-            Err(c.error("base", "is `free`, but the MJCF's root body has no <freejoint>"))
-        }
-        (BaseWord::Fixed, true) => {
-            Err(c.error("base", "is `fixed`, but the MJCF's root body has a <freejoint>"))
-        }
+        (BaseWord::Free, false) => Err(c.error(
+            "base",
+            "is `free`, but the MJCF's root body has no <freejoint>",
+        )),
+        (BaseWord::Fixed, true) => Err(c.error(
+            "base",
+            "is `fixed`, but the MJCF's root body has a <freejoint>",
+        )),
     }
 }
 
@@ -179,9 +215,11 @@ fn actuated_joints(
     }
     let mut out = Vec::with_capacity(names.len());
     for (i, name) in names.iter().enumerate() {
-        let j = mj.joints.iter().position(|j| &j.name == name).ok_or_else(|| {
-            c.error(at, format!("there is no joint `{name}` in the MJCF"))
-        })?;
+        let j = mj
+            .joints
+            .iter()
+            .position(|j| &j.name == name)
+            .ok_or_else(|| c.error(at, format!("there is no joint `{name}` in the MJCF")))?;
         if out.contains(&j) {
             return Err(c.error(at, format!("names `{name}` twice")));
         }
@@ -206,7 +244,10 @@ fn actuated_joints(
         }
     }
     if let Some(extra) = mj.actuators.get(names.len()) {
-        return Err(c.error(at, format!("lacks `{}`, which the MJCF actuates", extra.joint)));
+        return Err(c.error(
+            at,
+            format!("lacks `{}`, which the MJCF actuates", extra.joint),
+        ));
     }
     Ok(out)
 }
@@ -214,11 +255,25 @@ fn actuated_joints(
 type Presets = Vec<(String, ServoParams)>;
 
 fn servos(c: &Checker<'_>, file: &RobotFile) -> Result<(Presets, Vec<usize>), ModelError> {
-    let presets: Presets = file.servo.preset.iter().map(|(n, s)| (n.clone(), s.clone())).collect();
-    let known = || presets.iter().map(|p| p.0.as_str()).collect::<Vec<_>>().join(", ");
+    let presets: Presets = file
+        .servo
+        .preset
+        .iter()
+        .map(|(n, s)| (n.clone(), s.clone()))
+        .collect();
+    let known = || {
+        presets
+            .iter()
+            .map(|p| p.0.as_str())
+            .collect::<Vec<_>>()
+            .join(", ")
+    };
     let find = |at: &str, name: &str| {
         presets.iter().position(|p| p.0 == name).ok_or_else(|| {
-            c.error(at, format!("there is no servo preset `{name}` (known: {})", known()))
+            c.error(
+                at,
+                format!("there is no servo preset `{name}` (known: {})", known()),
+            )
         })
     };
     for name in file.servo.joint.keys() {
@@ -237,19 +292,22 @@ fn servos(c: &Checker<'_>, file: &RobotFile) -> Result<(Presets, Vec<usize>), Mo
     Ok((presets, of))
 }
 
-fn backlash(
-    c: &Checker<'_>,
-    file: &RobotFile,
-    mj: &MjModel,
-) -> Result<BacklashParams, ModelError> {
+fn backlash(c: &Checker<'_>, file: &RobotFile, mj: &MjModel) -> Result<BacklashParams, ModelError> {
     let Some(b) = &file.backlash else {
         return Ok(BacklashParams::default());
     };
     let mut joints = Vec::new();
     for name in &b.joints {
-        let j = mj.joints.iter().position(|j| &j.name == name).ok_or_else(|| {
-            c.error("backlash.joints", format!("there is no joint `{name}` in the MJCF"))
-        })?;
+        let j = mj
+            .joints
+            .iter()
+            .position(|j| &j.name == name)
+            .ok_or_else(|| {
+                c.error(
+                    "backlash.joints",
+                    format!("there is no joint `{name}` in the MJCF"),
+                )
+            })?;
         if file.joints.actuated.contains(name) || joints.contains(&j) {
             return Err(c.error("backlash.joints", format!("`{name}` already has a role")));
         }
@@ -314,7 +372,10 @@ fn joints(
                 let Some((table, p)) = table.and_then(|t| Some((t, t.joint.get(&m.name)?))) else {
                     return Err(c.error(
                         "passive.joint",
-                        format!("lacks `{}`: the MJCF joint is neither actuated nor backlash", m.name),
+                        format!(
+                            "lacks `{}`: the MJCF joint is neither actuated nor backlash",
+                            m.name
+                        ),
                     ));
                 };
                 joint.stiffness_nm_per_rad = p.stiffness_nm_per_rad;
@@ -326,7 +387,10 @@ fn joints(
         }
     }
     for name in file.passive.iter().flat_map(|t| t.joint.keys()) {
-        if !out.iter().any(|j| &j.name == name && j.kind == JointKind::Passive) {
+        if !out
+            .iter()
+            .any(|j| &j.name == name && j.kind == JointKind::Passive)
+        {
             return Err(c.error(
                 format!("passive.joint.{name}"),
                 "there is no such joint in the MJCF, or it already has a role",
@@ -351,7 +415,9 @@ fn pose(
     }
     let mut out = Vec::new();
     for (name, &(lo, hi)) in file.joints.actuated.iter().zip(limits_rad) {
-        let q = *by_name.get(name).ok_or_else(|| c.error(at, format!("lacks `{name}`")))?;
+        let q = *by_name
+            .get(name)
+            .ok_or_else(|| c.error(at, format!("lacks `{name}`")))?;
         if !(lo..=hi).contains(&q) {
             return Err(c.error(
                 format!("{at}.{name}"),
@@ -363,7 +429,12 @@ fn pose(
     Ok(out)
 }
 
-type Parts = (Vec<Link>, Vec<Site>, Vec<crate::types::Geom>, Vec<(usize, usize)>);
+type Parts = (
+    Vec<Link>,
+    Vec<Site>,
+    Vec<crate::types::Geom>,
+    Vec<(usize, usize)>,
+);
 
 fn parts(mj: MjModel) -> Parts {
     let links = mj
@@ -383,7 +454,11 @@ fn parts(mj: MjModel) -> Parts {
     let sites = mj
         .sites
         .into_iter()
-        .map(|(link, s)| Site { name: s.name, link, link_from_site: s.link_from_site })
+        .map(|(link, s)| Site {
+            name: s.name,
+            link,
+            link_from_site: s.link_from_site,
+        })
         .collect();
     (links, sites, mj.world_geoms, mj.excluded)
 }
@@ -397,7 +472,10 @@ fn feet(c: &Checker<'_>, file: &RobotFile, links: &mut [Link]) -> Result<Vec<Foo
     for entry in &file.feet {
         let at = format!("feet.{}", entry.name);
         let found = links.iter().enumerate().find_map(|(l, link)| {
-            let g = link.geoms.iter().position(|g| g.name.as_ref() == Some(&entry.geom))?;
+            let g = link
+                .geoms
+                .iter()
+                .position(|g| g.name.as_ref() == Some(&entry.geom))?;
             Some((l, g))
         });
         let Some((link, geom)) = found else {
@@ -408,14 +486,29 @@ fn feet(c: &Checker<'_>, file: &RobotFile, links: &mut [Link]) -> Result<Vec<Foo
             return Err(c.error(at, format!("geom `{}` is not a sphere", entry.geom)));
         };
         if !g.collides() {
-            return Err(c.error(at, format!("geom `{}` touches nothing (contype, conaffinity)", entry.geom)));
+            return Err(c.error(
+                at,
+                format!(
+                    "geom `{}` touches nothing (contype, conaffinity)",
+                    entry.geom
+                ),
+            ));
         }
-        if out.iter().any(|f| f.name == entry.name || (f.link, f.geom) == (link, geom)) {
+        if out
+            .iter()
+            .any(|f| f.name == entry.name || (f.link, f.geom) == (link, geom))
+        {
             return Err(c.error(at, "is listed twice"));
         }
         g.friction = file.contact.foot_friction;
         let centre_m = g.link_from_geom.pos_m;
-        out.push(Foot { name: entry.name.clone(), link, geom, centre_m, radius_m });
+        out.push(Foot {
+            name: entry.name.clone(),
+            link,
+            geom,
+            centre_m,
+            radius_m,
+        });
     }
     Ok(out)
 }

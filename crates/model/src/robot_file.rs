@@ -130,7 +130,9 @@ pub(crate) struct DragGroup {
 pub(crate) fn parse(label: &str, text: &str) -> Result<RobotFile, ModelError> {
     let file: RobotFile = toml::from_str(text).map_err(|e| ModelError::RobotFile {
         file: label.to_owned(),
-        line: e.span().map_or(1, |s| 1 + text[..s.start.min(text.len())].matches('\n').count()),
+        line: e.span().map_or(1, |s| {
+            1 + text[..s.start.min(text.len())].matches('\n').count()
+        }),
         message: e.message().replace('\n', " "),
     })?;
     let checker = Checker { file: label };
@@ -168,9 +170,17 @@ impl Checker<'_> {
 
     fn run(&self, f: &RobotFile) -> Result<(), ModelError> {
         if f.format != FORMAT {
-            return Err(self.error("format", format!("is `{}`; this version reads `{FORMAT}`", f.format)));
+            return Err(self.error(
+                "format",
+                format!("is `{}`; this version reads `{FORMAT}`", f.format),
+            ));
         }
-        if f.name.is_empty() || !f.name.chars().all(|c| c.is_ascii_alphanumeric() || "_-".contains(c)) {
+        if f.name.is_empty()
+            || !f
+                .name
+                .chars()
+                .all(|c| c.is_ascii_alphanumeric() || "_-".contains(c))
+        {
             return Err(self.error("name", "needs letters, digits, _ and - only"));
         }
         if f.mjcf.is_empty() || f.mjcf.contains(['/', '\\']) || f.mjcf == ".." {
@@ -178,7 +188,12 @@ impl Checker<'_> {
         }
         // Ranges: wide enough for any robot of this kind, narrow enough to catch a wrong unit.
         self.within("control.kp_nm_per_rad", f.control.kp_nm_per_rad, 0.0, 1e4)?;
-        self.within("control.kd_nm_s_per_rad", f.control.kd_nm_s_per_rad, 0.0, 1e3)?;
+        self.within(
+            "control.kd_nm_s_per_rad",
+            f.control.kd_nm_s_per_rad,
+            0.0,
+            1e3,
+        )?;
         for (name, preset) in &f.servo.preset {
             self.servo(name, preset)?;
         }
@@ -193,8 +208,18 @@ impl Checker<'_> {
         self.within("contact.foot_friction", f.contact.foot_friction, 0.0, 4.0)?;
         self.within("contact.body_friction", f.contact.body_friction, 0.0, 4.0)?;
         if let Some(imu) = &f.imu {
-            self.within("imu.gyro_noise_radps_per_sqrt_hz", imu.gyro_noise_radps_per_sqrt_hz, 0.0, 1.0)?;
-            self.within("imu.acc_noise_mps2_per_sqrt_hz", imu.acc_noise_mps2_per_sqrt_hz, 0.0, 1.0)?;
+            self.within(
+                "imu.gyro_noise_radps_per_sqrt_hz",
+                imu.gyro_noise_radps_per_sqrt_hz,
+                0.0,
+                1.0,
+            )?;
+            self.within(
+                "imu.acc_noise_mps2_per_sqrt_hz",
+                imu.acc_noise_mps2_per_sqrt_hz,
+                0.0,
+                1.0,
+            )?;
             self.within("imu.gyro_bias_std_radps", imu.gyro_bias_std_radps, 0.0, 1.0)?;
             self.within("imu.acc_bias_std_mps2", imu.acc_bias_std_mps2, 0.0, 10.0)?;
         }
@@ -202,7 +227,11 @@ impl Checker<'_> {
             for (name, j) in &p.joint {
                 self.spring(
                     &format!("passive.joint.{name}"),
-                    [j.stiffness_nm_per_rad, j.damping_nm_s_per_rad, j.friction_loss_nm],
+                    [
+                        j.stiffness_nm_per_rad,
+                        j.damping_nm_s_per_rad,
+                        j.friction_loss_nm,
+                    ],
                 )?;
             }
         }
@@ -210,7 +239,11 @@ impl Checker<'_> {
             self.within("backlash.half_width_rad", b.half_width_rad, 0.0, 0.5)?;
             self.spring(
                 "backlash",
-                [b.stiffness_nm_per_rad, b.damping_nm_s_per_rad, b.friction_loss_nm],
+                [
+                    b.stiffness_nm_per_rad,
+                    b.damping_nm_s_per_rad,
+                    b.friction_loss_nm,
+                ],
             )?;
         }
         if let Some(w) = &f.water {
@@ -220,7 +253,11 @@ impl Checker<'_> {
     }
 
     fn spring(&self, at: &str, values: [f64; 3]) -> Result<(), ModelError> {
-        let names = ["stiffness_nm_per_rad", "damping_nm_s_per_rad", "friction_loss_nm"];
+        let names = [
+            "stiffness_nm_per_rad",
+            "damping_nm_s_per_rad",
+            "friction_loss_nm",
+        ];
         for (name, v) in names.iter().zip(values) {
             self.within(&format!("{at}.{name}"), v, 0.0, 1e4)?;
         }
@@ -237,7 +274,10 @@ impl Checker<'_> {
             ("torque_per_current_nm_per_a", s.torque_per_current_nm_per_a),
             ("velocity_lsb_radps", s.velocity_lsb_radps),
             ("current_lsb_a", s.current_lsb_a),
-            ("encoder_counts_per_turn", f64::from(s.encoder_counts_per_turn)),
+            (
+                "encoder_counts_per_turn",
+                f64::from(s.encoder_counts_per_turn),
+            ),
         ] {
             self.above(&at(key), v)?;
         }
@@ -265,7 +305,12 @@ impl Checker<'_> {
         self.within("water.density_kg_per_m3", w.density_kg_per_m3, 1.0, 2e4)?;
         self.within("water.viscosity_pa_s", w.viscosity_pa_s, 0.0, 10.0)?;
         self.within("water.buoyancy_ratio", w.buoyancy_ratio, 0.0, 20.0)?;
-        self.within("water.heave_damping_ns_per_m", w.heave_damping_ns_per_m, 0.0, 1e3)?;
+        self.within(
+            "water.heave_damping_ns_per_m",
+            w.heave_damping_ns_per_m,
+            0.0,
+            1e3,
+        )?;
         for (name, group) in &w.drag {
             let s = &group.scale;
             for (key, v) in [

@@ -53,7 +53,9 @@ pub(super) fn attributes_of(tag: &str) -> Option<&'static [&'static str]> {
 pub(super) fn pose(e: &Element<'_, '_>, compiler: &Compiler) -> Result<Pose, ModelError> {
     let pos_m = e.array::<3>("pos")?.unwrap_or([0.0; 3]);
     let quat_wxyz = match (e.array::<4>("quat")?, e.array::<3>("euler")?) {
-        (Some(_), Some(_)) => return Err(e.error("euler", "stands beside `quat`; give one of them")),
+        (Some(_), Some(_)) => {
+            return Err(e.error("euler", "stands beside `quat`; give one of them"));
+        }
         (Some(q), None) => pose::quat_normalised(q)
             .ok_or_else(|| e.error("quat", "has length zero; it needs a direction"))?,
         (None, Some(angles)) => compiler.euler_to_quat(angles),
@@ -70,14 +72,19 @@ pub(super) fn joint(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjJoint,
         "slide" => JointMotion::Slide,
         "free" => return Err(e.error("type", "write the free joint as <freejoint/>")),
         other => {
-            return Err(e.error("type", format!("`{other}` is not supported (hinge or slide)")));
+            return Err(e.error(
+                "type",
+                format!("`{other}` is not supported (hinge or slide)"),
+            ));
         }
     };
     let unit = match motion {
         JointMotion::Hinge => compiler.rad_per_unit,
         JointMotion::Slide => 1.0,
     };
-    let range = e.array::<2>("range")?.map(|[lo, hi]| (lo * unit, hi * unit));
+    let range = e
+        .array::<2>("range")?
+        .map(|[lo, hi]| (lo * unit, hi * unit));
     if let Some((lo, hi)) = range
         && lo >= hi
     {
@@ -88,7 +95,12 @@ pub(super) fn joint(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjJoint,
         "false" => false,
         "auto" if compiler.autolimits => range.is_some(),
         "auto" if range.is_none() => false,
-        "auto" => return Err(e.error("limited", "must be given beside `range` when autolimits is off")),
+        "auto" => {
+            return Err(e.error(
+                "limited",
+                "must be given beside `range` when autolimits is off",
+            ));
+        }
         other => return Err(e.error("limited", format!("`{other}` is not true, false or auto"))),
     };
     if limited && range.is_none() {
@@ -124,9 +136,14 @@ pub(super) fn geom(
     if shape == Shape::Plane && !in_world {
         return Err(e.error("type", "a plane belongs in <worldbody>, not on a link"));
     }
-    let friction = e.numbers("friction", 1, 3)?.map_or(DEFAULT_FRICTION, |f| f[0]);
+    let friction = e
+        .numbers("friction", 1, 3)?
+        .map_or(DEFAULT_FRICTION, |f| f[0]);
     if friction < 0.0 {
-        return Err(e.error("friction", format!("is {friction}; it must not be negative")));
+        return Err(e.error(
+            "friction",
+            format!("is {friction}; it must not be negative"),
+        ));
     }
     Ok(Geom {
         name: e.node.attribute("name").map(str::to_owned),
@@ -154,17 +171,29 @@ fn sizes<const N: usize>(e: &Element<'_, '_>) -> Result<[f64; N], ModelError> {
 
 fn shape(e: &Element<'_, '_>, kind: &str) -> Result<Shape, ModelError> {
     Ok(match kind {
-        "sphere" => Shape::Sphere { radius_m: sizes::<1>(e)?[0] },
+        "sphere" => Shape::Sphere {
+            radius_m: sizes::<1>(e)?[0],
+        },
         "capsule" => {
             let [radius_m, half_length_m] = sizes::<2>(e)?;
-            Shape::Capsule { radius_m, half_length_m }
+            Shape::Capsule {
+                radius_m,
+                half_length_m,
+            }
         }
         "cylinder" => {
             let [radius_m, half_length_m] = sizes::<2>(e)?;
-            Shape::Cylinder { radius_m, half_length_m }
+            Shape::Cylinder {
+                radius_m,
+                half_length_m,
+            }
         }
-        "box" => Shape::Box { half_size_m: sizes::<3>(e)? },
-        "ellipsoid" => Shape::Ellipsoid { semi_axes_m: sizes::<3>(e)? },
+        "box" => Shape::Box {
+            half_size_m: sizes::<3>(e)?,
+        },
+        "ellipsoid" => Shape::Ellipsoid {
+            semi_axes_m: sizes::<3>(e)?,
+        },
         "plane" => Shape::Plane,
         other => {
             return Err(e.error(
@@ -193,11 +222,21 @@ fn segment(e: &Element<'_, '_>, kind: &str, ends: [f64; 6]) -> Result<(Shape, Po
     let radius_m = sizes::<1>(e)?[0];
     let half_length_m = 0.5 * length;
     let shape = match kind {
-        "capsule" => Shape::Capsule { radius_m, half_length_m },
-        "cylinder" => Shape::Cylinder { radius_m, half_length_m },
+        "capsule" => Shape::Capsule {
+            radius_m,
+            half_length_m,
+        },
+        "cylinder" => Shape::Cylinder {
+            radius_m,
+            half_length_m,
+        },
         _ => return Err(e.error("fromto", "is only supported on capsules and cylinders")),
     };
-    let pos_m = [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])];
+    let pos_m = [
+        0.5 * (a[0] + b[0]),
+        0.5 * (a[1] + b[1]),
+        0.5 * (a[2] + b[2]),
+    ];
     let quat_wxyz = z_to(d.map(|x| x / length));
     Ok((shape, Pose { pos_m, quat_wxyz }))
 }
@@ -215,7 +254,10 @@ fn z_to(d: [f64; 3]) -> [f64; 4] {
 pub(super) fn site(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjSite, ModelError> {
     e.source.only_attributes(e.node, SITE)?;
     e.source.no_children(e.node)?;
-    Ok(MjSite { name: e.required_text("name")?.to_owned(), link_from_site: pose(e, compiler)? })
+    Ok(MjSite {
+        name: e.required_text("name")?.to_owned(),
+        link_from_site: pose(e, compiler)?,
+    })
 }
 
 /// Mass (kg), centre of mass (m) and inertia about it in link axes (kg·m²).
@@ -226,21 +268,27 @@ pub(super) fn inertial(e: &Element<'_, '_>, compiler: &Compiler) -> Result<Inert
     e.source.no_children(e.node)?;
     e.required_text("pos")?;
     let link_from_inertial = pose(e, compiler)?;
-    let mass = e.number("mass")?.ok_or_else(|| e.error("mass", "is missing"))?;
+    let mass = e
+        .number("mass")?
+        .ok_or_else(|| e.error("mass", "is missing"))?;
     if mass <= 0.0 {
         return Err(e.error("mass", format!("is {mass} kg; it must be above zero")));
     }
     let turned = link_from_inertial.quat_wxyz != [1.0, 0.0, 0.0, 0.0];
     let (attribute, inertia) = match (e.array::<3>("diaginertia")?, e.array::<6>("fullinertia")?) {
         (Some(_), Some(_)) => {
-            return Err(e.error("fullinertia", "stands beside `diaginertia`; give one of them"));
+            return Err(e.error(
+                "fullinertia",
+                "stands beside `diaginertia`; give one of them",
+            ));
         }
         (None, None) => return Err(e.error("diaginertia", "is missing (or `fullinertia`)")),
-        (Some([x, y, z]), None) => {
-            ("diaginertia", [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]])
-        }
+        (Some([x, y, z]), None) => ("diaginertia", [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]),
         (None, Some(_)) if turned => {
-            return Err(e.error("fullinertia", "cannot stand beside an orientation (as in MuJoCo)"));
+            return Err(e.error(
+                "fullinertia",
+                "cannot stand beside an orientation (as in MuJoCo)",
+            ));
         }
         // MJCF order: xx, yy, zz, xy, xz, yz
         (None, Some([xx, yy, zz, xy, xz, yz])) => {
@@ -263,17 +311,31 @@ fn check_inertia(i: [[f64; 3]; 3]) -> Result<(), String> {
     }
     // scaled to trace 1, so that the tolerance is relative
     let s = |r: usize, c: usize| {
-        (if r == c { half_trace - i[r][c] } else { -i[r][c] }) / (2.0 * half_trace)
+        (if r == c {
+            half_trace - i[r][c]
+        } else {
+            -i[r][c]
+        }) / (2.0 * half_trace)
     };
     let minor2 = |a: usize, b: usize| s(a, a) * s(b, b) - s(a, b) * s(b, a);
     let det = s(0, 0) * minor2(1, 2) - s(0, 1) * (s(1, 0) * s(2, 2) - s(1, 2) * s(2, 0))
         + s(0, 2) * (s(1, 0) * s(2, 1) - s(1, 1) * s(2, 0));
-    let minors = [s(0, 0), s(1, 1), s(2, 2), minor2(0, 1), minor2(0, 2), minor2(1, 2), det];
+    let minors = [
+        s(0, 0),
+        s(1, 1),
+        s(2, 2),
+        minor2(0, 1),
+        minor2(0, 2),
+        minor2(1, 2),
+        det,
+    ];
     const TOLERANCE: f64 = 1e-9;
     if minors.iter().any(|m| *m < -TOLERANCE) {
-        return Err("no body has this inertia: a principal moment exceeds the sum of the other two \
+        return Err(
+            "no body has this inertia: a principal moment exceeds the sum of the other two \
                     (triangle inequality)"
-            .to_owned());
+                .to_owned(),
+        );
     }
     Ok(())
 }
@@ -316,7 +378,13 @@ mod tests {
 
     #[test]
     fn z_to_points_the_z_axis() {
-        for d in [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.6, 0.0, -0.8], [0.0, -0.6, 0.8]] {
+        for d in [
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -1.0],
+            [1.0, 0.0, 0.0],
+            [0.6, 0.0, -0.8],
+            [0.0, -0.6, 0.8],
+        ] {
             let z = pose::quat_rotate(z_to(d), [0.0, 0.0, 1.0]);
             for i in 0..3 {
                 assert!((z[i] - d[i]).abs() < 1e-12, "{d:?} gave {z:?}");

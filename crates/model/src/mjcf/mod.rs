@@ -102,7 +102,14 @@ impl Compiler {
     fn read(&mut self, source: &Source<'_>, node: Node<'_, '_>) -> Result<(), ModelError> {
         source.only_attributes(
             node,
-            &["angle", "autolimits", "eulerseq", "coordinate", "inertiafromgeom", "balanceinertia"],
+            &[
+                "angle",
+                "autolimits",
+                "eulerseq",
+                "coordinate",
+                "inertiafromgeom",
+                "balanceinertia",
+            ],
         )?;
         source.no_children(node)?;
         for a in node.attributes() {
@@ -130,7 +137,11 @@ impl Compiler {
             let mut unit = [0.0; 3];
             unit[axis] = 1.0;
             let turn = pose::quat_from_axis_angle(unit, angle * self.rad_per_unit);
-            q = if moving { pose::quat_mul(q, turn) } else { pose::quat_mul(turn, q) };
+            q = if moving {
+                pose::quat_mul(q, turn)
+            } else {
+                pose::quat_mul(turn, q)
+            };
         }
         q
     }
@@ -150,8 +161,10 @@ fn euler_sequence(text: &str) -> Option<[(usize, bool); 3]> {
 
 /// Parses an MJCF text; `file` names it in errors.
 pub(crate) fn parse(file: &str, text: &str) -> Result<MjModel, ModelError> {
-    let doc = Document::parse(text)
-        .map_err(|e| ModelError::Xml { file: file.to_owned(), message: e.to_string() })?;
+    let doc = Document::parse(text).map_err(|e| ModelError::Xml {
+        file: file.to_owned(),
+        message: e.to_string(),
+    })?;
     let source = Source { file, doc: &doc };
     let root = doc.root_element();
     if root.tag_name().name() != "mujoco" {
@@ -188,7 +201,10 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<MjModel, ModelError> {
         },
         names: BTreeSet::new(),
     };
-    for &node in sections.iter().filter(|n| n.tag_name().name() == "worldbody") {
+    for &node in sections
+        .iter()
+        .filter(|n| n.tag_name().name() == "worldbody")
+    {
         reader.world(node)?;
     }
     for &node in &sections {
@@ -227,11 +243,20 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn unique(&mut self, node: Node<'_, '_>, kind: &'static str, name: &str) -> Result<(), ModelError> {
+    fn unique(
+        &mut self,
+        node: Node<'_, '_>,
+        kind: &'static str,
+        name: &str,
+    ) -> Result<(), ModelError> {
         if self.names.insert((kind, name.to_owned())) {
             return Ok(());
         }
-        Err(self.source.error(node, Some("name"), format!("there are two {kind}s called `{name}`")))
+        Err(self.source.error(
+            node,
+            Some("name"),
+            format!("there is already a {kind} called `{name}`"),
+        ))
     }
 
     fn world(&mut self, node: Node<'_, '_>) -> Result<(), ModelError> {
@@ -240,7 +265,9 @@ impl Reader<'_> {
             match child.tag_name().name() {
                 "geom" => {
                     let e = self.defaults.element(self.source, child, None)?;
-                    self.out.world_geoms.push(elements::geom(&e, self.compiler, true)?);
+                    self.out
+                        .world_geoms
+                        .push(elements::geom(&e, self.compiler, true)?);
                 }
                 "body" if !self.out.bodies.is_empty() => {
                     return Err(self.source.error(
@@ -251,7 +278,9 @@ impl Reader<'_> {
                 }
                 "body" => self.body(child, None, None, 0)?,
                 _ => {
-                    return Err(self.source.error(child, None, "is not supported in <worldbody>"));
+                    return Err(self
+                        .source
+                        .error(child, None, "is not supported in <worldbody>"));
                 }
             }
         }
@@ -281,12 +310,18 @@ impl Reader<'_> {
         self.unique(node, "body", &name)?;
         let index = self.out.bodies.len();
         let children = source.children(node)?;
-        let inertials: Vec<_> =
-            children.iter().filter(|c| c.tag_name().name() == "inertial").collect();
+        let inertials: Vec<_> = children
+            .iter()
+            .filter(|c| c.tag_name().name() == "inertial")
+            .collect();
         let (mass_kg, com_m, inertia_kgm2) = match inertials.as_slice() {
-            [one] => elements::inertial(&self.defaults.element(source, **one, None)?, self.compiler)?,
+            [one] => {
+                elements::inertial(&self.defaults.element(source, **one, None)?, self.compiler)?
+            }
             [] => return Err(source.error(node, None, "has no <inertial>; every link needs one")),
-            [_, second, ..] => return Err(source.error(**second, None, "stands twice in one body")),
+            [_, second, ..] => {
+                return Err(source.error(**second, None, "stands twice in one body"));
+            }
         };
         self.out.bodies.push(MjBody {
             name,
@@ -390,17 +425,31 @@ impl Reader<'_> {
         self.source.only_attributes(node, &[])?;
         for child in self.source.children(node)? {
             if child.tag_name().name() != "exclude" {
-                return Err(self.source.error(child, None, "is not supported in <contact> (exclude)"));
+                return Err(self.source.error(
+                    child,
+                    None,
+                    "is not supported in <contact> (exclude)",
+                ));
             }
-            self.source.only_attributes(child, &["name", "body1", "body2"])?;
+            self.source
+                .only_attributes(child, &["name", "body1", "body2"])?;
             let mut pair = [0; 2];
             for (slot, attribute) in pair.iter_mut().zip(["body1", "body2"]) {
                 let name = child
                     .attribute(attribute)
                     .ok_or_else(|| self.source.error(child, Some(attribute), "is missing"))?;
-                *slot = self.out.bodies.iter().position(|b| b.name == name).ok_or_else(|| {
-                    self.source.error(child, Some(attribute), format!("there is no body `{name}`"))
-                })?;
+                *slot = self
+                    .out
+                    .bodies
+                    .iter()
+                    .position(|b| b.name == name)
+                    .ok_or_else(|| {
+                        self.source.error(
+                            child,
+                            Some(attribute),
+                            format!("there is no body `{name}`"),
+                        )
+                    })?;
             }
             self.out.excluded.push((pair[0], pair[1]));
         }

@@ -46,7 +46,11 @@ impl Source<'_> {
     pub fn children<'n>(&self, node: Node<'n, 'n>) -> Result<Vec<Node<'n, 'n>>, ModelError> {
         for child in node.children() {
             if child.is_text() && !child.text().unwrap_or("").trim().is_empty() {
-                return Err(self.error(node, None, "holds text; MJCF has only elements and attributes"));
+                return Err(self.error(
+                    node,
+                    None,
+                    "holds text; MJCF has only elements and attributes",
+                ));
             }
         }
         Ok(node.children().filter(Node::is_element).collect())
@@ -71,7 +75,10 @@ impl Source<'_> {
                 return Err(self.error(
                     node,
                     Some(a.name()),
-                    format!("is outside the supported subset (supported: {})", allowed.join(", ")),
+                    format!(
+                        "is outside the supported subset (supported: {})",
+                        allowed.join(", ")
+                    ),
                 ));
             }
         }
@@ -96,9 +103,11 @@ impl Element<'_, '_> {
 
     /// The value of an attribute: the element's own, else its class's.
     pub fn text(&self, attribute: &str) -> Option<&str> {
-        self.node
-            .attribute(attribute)
-            .or_else(|| self.defaults.and_then(|d| d.get(attribute)).map(String::as_str))
+        self.node.attribute(attribute).or_else(|| {
+            self.defaults
+                .and_then(|d| d.get(attribute))
+                .map(String::as_str)
+        })
     }
 
     pub fn required_text(&self, attribute: &str) -> Result<&str, ModelError> {
@@ -129,10 +138,15 @@ impl Element<'_, '_> {
             out.push(x);
         }
         if out.len() < min || out.len() > max {
-            let need = if min == max { format!("{min}") } else { format!("{min} to {max}") };
-            return Err(
-                self.error(attribute, format!("has {} numbers where {need} belong", out.len()))
-            );
+            let need = if min == max {
+                format!("{min}")
+            } else {
+                format!("{min} to {max}")
+            };
+            return Err(self.error(
+                attribute,
+                format!("has {} numbers where {need} belong", out.len()),
+            ));
         }
         Ok(Some(out))
     }
@@ -233,7 +247,11 @@ impl Defaults {
             let map = own.entry(tag.to_owned()).or_default();
             for a in child.attributes() {
                 if matches!(a.name(), "name" | "class") {
-                    return Err(source.error(child, Some(a.name()), "does not belong in a default"));
+                    return Err(source.error(
+                        child,
+                        Some(a.name()),
+                        "does not belong in a default",
+                    ));
                 }
                 map.insert(a.name().to_owned(), a.value().to_owned());
             }
@@ -243,13 +261,22 @@ impl Defaults {
                 let Some(class) = child.attribute("class") else {
                     return Err(source.error(child, Some("class"), "is missing"));
                 };
-                self.read_class(source, child, class.to_owned(), own.clone(), attributes_of, depth + 1)?;
+                self.read_class(
+                    source,
+                    child,
+                    class.to_owned(),
+                    own.clone(),
+                    attributes_of,
+                    depth + 1,
+                )?;
             }
         }
         match self.classes.entry(name) {
-            Entry::Occupied(e) => {
-                Err(source.error(node, Some("class"), format!("`{}` is defined twice", e.key())))
-            }
+            Entry::Occupied(e) => Err(source.error(
+                node,
+                Some("class"),
+                format!("`{}` is defined twice", e.key()),
+            )),
             Entry::Vacant(e) => {
                 e.insert(own);
                 Ok(())
@@ -267,7 +294,11 @@ impl Defaults {
         let class = node.attribute("class").or(childclass);
         let tags = match (class, self.classes.get(class.unwrap_or(MAIN_CLASS))) {
             (Some(name), None) => {
-                let attribute = if node.attribute("class").is_some() { "class" } else { "childclass" };
+                let attribute = if node.attribute("class").is_some() {
+                    "class"
+                } else {
+                    "childclass"
+                };
                 return Err(source.error(
                     node,
                     Some(attribute),
@@ -276,6 +307,10 @@ impl Defaults {
             }
             (_, tags) => tags,
         };
-        Ok(Element { source, node, defaults: tags.and_then(|t| t.get(node.tag_name().name())) })
+        Ok(Element {
+            source,
+            node,
+            defaults: tags.and_then(|t| t.get(node.tag_name().name())),
+        })
     }
 }
