@@ -33,9 +33,6 @@ pub struct EngineConfig {
     /// Gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink in before they are
     /// noticed. Too large: more contact points to solve. Default 0.005.
     pub contact_margin_m: f64,
-    /// Whether links of the robot can touch each other (joined neighbours and the model's excluded pairs never do). Default false:
-    /// faster, and the joint limits keep the legs apart.
-    pub self_collision: bool,
     /// Stiffness of joint end stops, N·m/rad, 1..=10000. Default 200: the servo's full torque bends a stop by half a degree.
     pub stop_stiffness_nm_per_rad: f64,
     /// Damping of joint end stops while touched, N·m·s/rad, 0..=100. Default 1.
@@ -58,7 +55,6 @@ impl Default for EngineConfig {
             contact_frequency_hz: 60.0,
             contact_damping_ratio: 10.0,
             contact_margin_m: 0.005,
-            self_collision: false,
             stop_stiffness_nm_per_rad: 200.0,
             stop_damping_nms_per_rad: 1.0,
             fixed_base: false,

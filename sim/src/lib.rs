@@ -16,6 +16,7 @@ pub mod delay;
 pub mod engine;
 pub mod error;
 pub mod joint;
+mod observe;
 pub mod params;
 pub mod rapier;
 pub mod sensors;

@@ -96,4 +96,73 @@ impl State {
             diverged: vec![false; lanes],
         }
     }
+
+    /// Copies the only lane of `from` over lane `lane` of `self`; both have the same shape otherwise.
+    pub(crate) fn copy_lane(&mut self, lane: usize, from: &Self) {
+        self.diverged[lane] = from.diverged[0];
+        for (to, from) in self.fields_mut().into_iter().zip(from.fields()) {
+            let k = from.len();
+            to[lane * k..(lane + 1) * k].copy_from_slice(from);
+        }
+    }
+
+    /// Whether every number is finite.
+    pub(crate) fn is_finite(&self) -> bool {
+        self.fields().iter().all(|f| f.iter().all(|v| v.is_finite()))
+    }
+
+    /// Every numeric field, in the order of declaration.
+    #[must_use]
+    pub fn fields(&self) -> [&[f32]; FIELDS] {
+        [
+            &self.base_pos_m,
+            &self.base_quat_wxyz,
+            &self.base_vel_mps,
+            &self.base_angvel_radps,
+            &self.joint_pos_rad,
+            &self.joint_vel_radps,
+            &self.motor_torque_nm,
+            &self.mech_power_w,
+            &self.com_pos_m,
+            &self.com_vel_mps,
+            &self.com_angvel_radps,
+            &self.heading_rad,
+            &self.foot_pos_m,
+            &self.foot_vel_mps,
+            &self.foot_height_m,
+            &self.foot_force_n,
+            &self.trunk_force_n,
+            &self.imu_gyro_radps,
+            &self.imu_acc_mps2,
+            &self.imu_gravity,
+        ]
+    }
+
+    fn fields_mut(&mut self) -> [&mut [f32]; FIELDS] {
+        [
+            &mut self.base_pos_m,
+            &mut self.base_quat_wxyz,
+            &mut self.base_vel_mps,
+            &mut self.base_angvel_radps,
+            &mut self.joint_pos_rad,
+            &mut self.joint_vel_radps,
+            &mut self.motor_torque_nm,
+            &mut self.mech_power_w,
+            &mut self.com_pos_m,
+            &mut self.com_vel_mps,
+            &mut self.com_angvel_radps,
+            &mut self.heading_rad,
+            &mut self.foot_pos_m,
+            &mut self.foot_vel_mps,
+            &mut self.foot_height_m,
+            &mut self.foot_force_n,
+            &mut self.trunk_force_n,
+            &mut self.imu_gyro_radps,
+            &mut self.imu_acc_mps2,
+            &mut self.imu_gravity,
+        ]
+    }
 }
+
+/// Number of numeric fields of [`State`].
+const FIELDS: usize = 20;
