@@ -15,7 +15,7 @@ use crate::termination::TerminationConfig;
 use crate::{ObservationLayout, TaskError};
 
 /// The task. Defaults are the paper's values, and MuJoCo Playground's where the paper gives none.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TaskConfig {
     /// Time between two actions, s; must be a whole number of physics steps. Default 0.02 (50 Hz, paper).

@@ -50,24 +50,26 @@ impl TerminationConfig {
     }
 }
 
-/// Why an episode ended by failing.
+/// Why an episode ended by failing. The numbers go over the wire, where 0 stands for the time limit: never
+/// renumber them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[repr(u8)]
 pub enum TerminationReason {
     /// The simulation broke down or gave a value that is not finite.
-    Diverged,
+    Diverged = 1,
     /// The body's z axis points below the horizontal.
-    UpsideDown,
+    UpsideDown = 2,
     /// The body leans more than `max_tilt_rad`.
-    Tilted,
+    Tilted = 3,
     /// The centre of mass is too low.
-    TooLow,
+    TooLow = 4,
     /// The centre of mass is too high.
-    TooHigh,
+    TooHigh = 5,
 }
 
 impl TerminationReason {
-    /// Every reason, in the order of their numbers in counters.
+    /// Every reason, in the order of their numbers.
     pub const ALL: [Self; 5] = [
         Self::Diverged,
         Self::UpsideDown,
@@ -205,7 +207,11 @@ mod tests {
     }
 
     #[test]
-    fn reasons_have_distinct_names() {
+    fn reasons_have_fixed_numbers_and_distinct_names() {
+        assert_eq!(
+            TerminationReason::ALL.map(|reason| reason as u8),
+            [1, 2, 3, 4, 5]
+        );
         let mut names = TerminationReason::ALL.map(TerminationReason::name).to_vec();
         names.sort_unstable();
         names.dedup();

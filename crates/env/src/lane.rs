@@ -1,0 +1,146 @@
+//! What is kept of one lane between steps.
+
+use caudata_random::{Key, Purpose, Stream};
+use caudata_task::action::ActionFilter;
+use caudata_task::command::CommandState;
+use caudata_task::phase::PhaseClock;
+use caudata_task::push::PushSchedule;
+use caudata_task::reward::TERM_COUNT;
+use caudata_task::termination::TerminationReason;
+use caudata_task::{ACT_DIM, ACTION_HISTORY, FEET, TaskConfig};
+use serde::{Deserialize, Serialize};
+
+use crate::measure::Truth;
+use crate::output::EpisodeStats;
+
+/// One lane: its episode, controllers, disturbances and streams.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Lane {
+    /// Number of the episode, from 0.
+    pub episode: u64,
+    /// Control steps done in it.
+    pub step: u32,
+    /// Time limit of this episode, control steps.
+    pub step_limit: u32,
+    pub command: CommandState,
+    pub clock: PhaseClock,
+    pub filter: ActionFilter,
+    pub push: PushSchedule,
+    /// Past actions, clipped, newest first.
+    pub actions: [[f32; ACT_DIM]; ACTION_HISTORY],
+    /// True joint velocities after the last step, rad/s.
+    pub joint_vel_radps: [f32; ACT_DIM],
+    /// Constant error of the joint positions in this episode, rad.
+    pub joint_offset_rad: [f32; ACT_DIM],
+    pub command_stream: Stream,
+    pub push_stream: Stream,
+    pub sensor_stream: Stream,
+    pub action_stream: Stream,
+    pub tally: Tally,
+}
+
+impl Lane {
+    /// The state at the start of the episode of `key`, except for its start pose.
+    /// `reset_stream` gives the clock's start and, where `stagger` asks for it, a random length.
+    pub fn start(task: &TaskConfig, key: Key, stagger: bool, reset_stream: &mut Stream) -> Self {
+        let control_period_s = task.control_period_s as f32;
+        let mut command_stream = Stream::new(key, Purpose::Command);
+        let mut push_stream = Stream::new(key, Purpose::Push);
+        let mut sensor_stream = Stream::new(key, Purpose::Sensor);
+        let command = CommandState::draw(&task.command, control_period_s, &mut command_stream);
+        let mut clock = PhaseClock::draw(&task.phase, reset_stream);
+        clock.set_command(&task.phase, &command.value);
+        let step_limit = if stagger {
+            1 + reset_stream.below(u64::from(task.episode_steps)) as u32
+        } else {
+            task.episode_steps
+        };
+        Self {
+            episode: key.episode,
+            step: 0,
+            step_limit,
+            command,
+            clock,
+            filter: ActionFilter::new(),
+            push: PushSchedule::draw(&task.push, control_period_s, &mut push_stream),
+            actions: [[0.0; ACT_DIM]; ACTION_HISTORY],
+            joint_vel_radps: [0.0; ACT_DIM],
+            joint_offset_rad: task.noise.draw_joint_offsets(&mut sensor_stream),
+            command_stream,
+            push_stream,
+            sensor_stream,
+            action_stream: Stream::new(key, Purpose::Action),
+            tally: Tally::default(),
+        }
+    }
+
+    /// Puts a clipped action in front of the past ones.
+    pub fn remember(&mut self, action: [f32; ACT_DIM]) {
+        self.actions.rotate_right(1);
+        self.actions[0] = action;
+    }
+
+    /// What the ended episode reports, except for its reward terms.
+    pub fn stats(&self, lane: usize, reason: Option<TerminationReason>) -> EpisodeStats {
+        let tally = &self.tally;
+        let steps = f64::from(self.step.max(1));
+        let mean = |sum: f64| (sum / steps) as f32;
+        EpisodeStats {
+            lane: lane as u32,
+            episode: self.episode,
+            steps: self.step,
+            return_sum: tally.return_sum as f32,
+            terms: Vec::new(),
+            terminated: reason.is_some(),
+            reason,
+            mean_speed_mps: mean(tally.speed_mps),
+            mean_velocity_error_mps: mean(tally.velocity_error_mps),
+            mean_power_w: mean(tally.power_w),
+            trunk_contact_share: mean(f64::from(tally.trunk_contacts)),
+            duty_factor: mean(f64::from(tally.foot_contacts) / FEET as f64),
+            mean_slip_mps: (tally.slip_mps / f64::from(tally.foot_contacts.max(1))) as f32,
+        }
+    }
+}
+
+/// Sums over the steps of an episode.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Tally {
+    pub return_sum: f64,
+    pub terms: [f64; TERM_COUNT],
+    speed_mps: f64,
+    velocity_error_mps: f64,
+    power_w: f64,
+    slip_mps: f64,
+    trunk_contacts: u32,
+    foot_contacts: u32,
+}
+
+impl Tally {
+    /// Counts one step.
+    pub fn add(
+        &mut self,
+        reward: f32,
+        terms: &[f32; TERM_COUNT],
+        truth: &Truth,
+        command: &[f32; 3],
+        contact_force_n: f32,
+    ) {
+        self.return_sum += f64::from(reward);
+        for (sum, term) in self.terms.iter_mut().zip(terms) {
+            *sum += f64::from(*term);
+        }
+        let [vx, vy, _] = truth.com_vel_mps;
+        let speed_of = |x: f32, y: f32| f64::from((x * x + y * y).sqrt());
+        self.speed_mps += speed_of(vx, vy);
+        self.velocity_error_mps += speed_of(command[0] - vx, command[1] - vy);
+        self.power_w += f64::from(truth.mech_power_w.iter().map(|p| p.abs()).sum::<f32>());
+        self.trunk_contacts += u32::from(truth.trunk_force_n > 0.0);
+        for (v, force) in truth.foot_vel_mps.iter().zip(&truth.foot_force_n) {
+            if force[2] > contact_force_n {
+                self.foot_contacts += 1;
+                self.slip_mps += speed_of(v[0], v[1]);
+            }
+        }
+    }
+}

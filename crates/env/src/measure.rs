@@ -1,0 +1,116 @@
+//! One lane out of the engine's state: the truth that rewards look at, and what sensors make of it.
+
+use caudata_sim::State;
+use caudata_task::noise::Readings;
+use caudata_task::{ACT_DIM, FEET};
+
+/// The true state of one lane after a control step, in the task's order and frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Truth {
+    pub joint_pos_rad: [f32; ACT_DIM],
+    pub joint_vel_radps: [f32; ACT_DIM],
+    pub motor_torque_nm: [f32; ACT_DIM],
+    pub mech_power_w: [f32; ACT_DIM],
+    /// Whole body, heading frame.
+    pub com_vel_mps: [f32; 3],
+    /// Whole body.
+    pub yaw_rate_radps: f32,
+    /// Above the ground under the feet.
+    pub com_height_m: f32,
+    pub gyro_radps: [f32; 3],
+    pub gravity: [f32; 3],
+    pub foot_height_m: [f32; FEET],
+    pub foot_vel_mps: [[f32; 3]; FEET],
+    pub foot_force_n: [[f32; 3]; FEET],
+    pub trunk_force_n: f32,
+}
+
+/// What reading a lane needs to know of the robot.
+#[derive(Clone, Debug)]
+pub(crate) struct Reader {
+    /// Model index of each actuated joint.
+    pub actuated: [usize; ACT_DIM],
+    pub foot_radius_m: [f32; FEET],
+}
+
+impl Reader {
+    /// Reads lane `lane`.
+    pub fn read(&self, state: &State, lane: usize) -> Truth {
+        let joints = state.joints;
+        let pos = &state.joint_pos_rad[lane * joints..][..joints];
+        let vel = &state.joint_vel_radps[lane * joints..][..joints];
+        let foot_pos: [[f32; 3]; FEET] = vectors(&state.foot_pos_m, lane);
+        let foot_height_m = row(&state.foot_height_m, lane);
+        let com: [f32; 3] = row(&state.com_pos_m, lane);
+        let ground_m = (0..FEET)
+            .map(|j| foot_pos[j][2] - self.foot_radius_m[j] - foot_height_m[j])
+            .sum::<f32>()
+            / FEET as f32;
+        Truth {
+            joint_pos_rad: self.actuated.map(|j| pos[j]),
+            joint_vel_radps: self.actuated.map(|j| vel[j]),
+            motor_torque_nm: row(&state.motor_torque_nm, lane),
+            mech_power_w: row(&state.mech_power_w, lane),
+            com_vel_mps: into_heading(row(&state.com_vel_mps, lane), state.heading_rad[lane]),
+            yaw_rate_radps: state.com_angvel_radps[3 * lane + 2],
+            com_height_m: com[2] - ground_m,
+            gyro_radps: row(&state.imu_gyro_radps, lane),
+            gravity: row(&state.imu_gravity, lane),
+            foot_height_m,
+            foot_vel_mps: vectors(&state.foot_vel_mps, lane),
+            foot_force_n: vectors(&state.foot_force_n, lane),
+            trunk_force_n: state.trunk_force_n[lane],
+        }
+    }
+}
+
+impl Truth {
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        // 0·x is 0 for finite x and not a number otherwise; sums of it need no branches.
+        let zero = |values: &[f32]| values.iter().map(|v| v * 0.0).sum::<f32>();
+        let sum = zero(&self.joint_pos_rad)
+            + zero(&self.joint_vel_radps)
+            + zero(&self.motor_torque_nm)
+            + zero(&self.mech_power_w)
+            + zero(&self.com_vel_mps)
+            + zero(&[self.yaw_rate_radps, self.com_height_m, self.trunk_force_n])
+            + zero(&self.gyro_radps)
+            + zero(&self.gravity)
+            + zero(&self.foot_height_m)
+            + zero(self.foot_vel_mps.as_flattened())
+            + zero(self.foot_force_n.as_flattened());
+        sum == 0.0
+    }
+
+    /// What perfect sensors would read.
+    pub fn readings(&self) -> Readings {
+        Readings {
+            joint_vel_radps: self.joint_vel_radps,
+            joint_pos_rad: self.joint_pos_rad,
+            gyro_radps: self.gyro_radps,
+            gravity: self.gravity,
+        }
+    }
+}
+
+/// A world vector in the heading frame: turned by −heading about z.
+fn into_heading(v: [f32; 3], heading_rad: f32) -> [f32; 3] {
+    let (sin, cos) = heading_rad.sin_cos();
+    [cos * v[0] + sin * v[1], cos * v[1] - sin * v[0], v[2]]
+}
+
+/// Row `lane` of a `[N, K]` array.
+fn row<const K: usize>(values: &[f32], lane: usize) -> [f32; K] {
+    let mut out = [0.0; K];
+    out.copy_from_slice(&values[lane * K..][..K]);
+    out
+}
+
+/// Row `lane` of a `[N, K, 3]` array.
+fn vectors<const K: usize>(values: &[f32], lane: usize) -> [[f32; 3]; K] {
+    let mut out = [[0.0; 3]; K];
+    out.as_flattened_mut()
+        .copy_from_slice(&values[lane * K * 3..][..K * 3]);
+    out
+}

@@ -1,0 +1,408 @@
+//! The vectorised environment.
+
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+use caudata_random::{Key, Purpose, Stream};
+use caudata_sim::{Engine, State};
+use caudata_task::observation::ObservationInput;
+use caudata_task::reward::{self, RewardInput, TERM_COUNT};
+use caudata_task::termination::{self, TerminationInput, TerminationReason};
+use caudata_task::{ACT_DIM, FEET, JointTable, ObservationLayout, PolicyContract, TaskConfig};
+
+use crate::EnvError;
+use crate::lane::Lane;
+use crate::measure::{Reader, Truth};
+use crate::output::{OutputBuffers, StepOutput};
+use crate::physics::PhysicsDraws;
+
+/// How far the engine's control period may be from the task's, s.
+const CONTROL_PERIOD_TOLERANCE_S: f64 = 1e-9;
+
+/// Many environments of one task on one engine. `N` lanes, `D` observation values, 16 actions.
+pub struct VecEnv {
+    pub(crate) task: TaskConfig,
+    pub(crate) contract: PolicyContract,
+    pub(crate) engine: Box<dyn Engine>,
+    pub(crate) lanes: Vec<Lane>,
+    /// `[N, D]`
+    pub(crate) observations: Vec<f32>,
+    /// Environment steps of the whole run, for what grows with progress.
+    pub(crate) progress: u64,
+    pub(crate) seed: u64,
+    pub(crate) actor: u64,
+    layout: ObservationLayout,
+    joints: JointTable,
+    reader: Reader,
+    physics: PhysicsDraws,
+    buffers: OutputBuffers,
+    /// `[N, 16]`, rad.
+    targets_rad: Vec<f32>,
+    /// `[N, 6]`, force (N) and torque (N·m).
+    wrenches: Vec<f32>,
+    /// Lanes whose episode ended in this step.
+    ended: Vec<usize>,
+}
+
+impl VecEnv {
+    /// Environments of `task` on `engine`, every lane at the start of its first episode.
+    ///
+    /// `seed` is the run's, `actor` tells apart the actors of a run: they see different episodes.
+    ///
+    /// # Errors
+    /// When the task is invalid, does not fit the robot, or the engine simulates another robot or rate.
+    pub fn new(
+        model: Arc<RobotModel>,
+        task: TaskConfig,
+        engine: Box<dyn Engine>,
+        seed: u64,
+        actor: u64,
+    ) -> Result<Self, EnvError> {
+        let contract = PolicyContract::new(&model, &task)?;
+        let joints = JointTable::from_model(&model)?;
+        check_engine(&model, &task, engine.as_ref())?;
+        let lanes = engine.lanes();
+        let layout = task.layout();
+        let mut env = Self {
+            contract,
+            lanes: Vec::with_capacity(lanes),
+            observations: vec![0.0; lanes * layout.dim()],
+            progress: 0,
+            seed,
+            actor,
+            joints,
+            reader: Reader {
+                actuated: std::array::from_fn(|i| model.actuated()[i]),
+                foot_radius_m: std::array::from_fn(|i| model.feet()[i].radius_m as f32),
+            },
+            physics: PhysicsDraws::new(&model),
+            buffers: OutputBuffers::new(lanes),
+            targets_rad: vec![0.0; lanes * ACT_DIM],
+            wrenches: vec![0.0; lanes * 6],
+            ended: Vec::with_capacity(lanes),
+            layout,
+            task,
+            engine,
+        };
+        for lane in 0..lanes {
+            let started = env.start_episode(lane, 0, env.task.stagger_first_episode)?;
+            env.lanes.push(started);
+            env.observe_start(lane);
+        }
+        Ok(env)
+    }
+
+    /// Number of lanes `N`.
+    pub fn lanes(&self) -> usize {
+        self.lanes.len()
+    }
+
+    /// Length `D` of an observation.
+    pub fn obs_dim(&self) -> usize {
+        self.layout.dim()
+    }
+
+    /// Length of an action.
+    pub fn act_dim(&self) -> usize {
+        ACT_DIM
+    }
+
+    /// What a policy for this environment must be made for.
+    pub fn contract(&self) -> &PolicyContract {
+        &self.contract
+    }
+
+    /// The task.
+    pub fn task(&self) -> &TaskConfig {
+        &self.task
+    }
+
+    /// The engine's state, the truth behind the observations.
+    pub fn state(&self) -> &State {
+        self.engine.state()
+    }
+
+    /// The engine.
+    pub fn engine(&self) -> &dyn Engine {
+        self.engine.as_ref()
+    }
+
+    /// Present command of a lane: vx, vy (m/s), yaw rate (rad/s).
+    pub fn command(&self, lane: usize) -> [f32; 3] {
+        self.lanes[lane].command.value
+    }
+
+    /// Present phase of each foot of a lane, rad, (−π, π].
+    pub fn phases_rad(&self, lane: usize) -> [f32; FEET] {
+        self.lanes[lane].clock.phases_rad()
+    }
+
+    /// Stride frequency of a lane's gait clock in this episode, Hz.
+    pub fn stride_frequency_hz(&self, lane: usize) -> f32 {
+        self.lanes[lane].clock.frequency_hz()
+    }
+
+    /// Observations as the sensors report them, not normalised. `[N, D]`
+    pub fn observations(&self) -> &[f32] {
+        &self.observations
+    }
+
+    /// The stream for exploration noise of a lane's present episode.
+    pub fn action_stream(&mut self, lane: usize) -> &mut Stream {
+        &mut self.lanes[lane].action_stream
+    }
+
+    /// Tells how many environment steps the whole run has done; pushes may grow with it.
+    pub fn set_progress(&mut self, env_steps_total: u64) {
+        self.progress = env_steps_total;
+    }
+
+    /// Starts a new episode in every lane, of staggered lengths where the task says so; does nothing where
+    /// all lanes are at a start already.
+    ///
+    /// # Errors
+    /// When the engine refuses.
+    pub fn reset_all(&mut self) -> Result<(), EnvError> {
+        if self.lanes.iter().all(|lane| lane.step == 0) {
+            return Ok(());
+        }
+        for lane in 0..self.lanes.len() {
+            self.next_episode(lane, self.task.stagger_first_episode)?;
+        }
+        Ok(())
+    }
+
+    /// One control step of all lanes. `actions` `[N, 16]`; lanes whose episode ends start the next one.
+    ///
+    /// # Errors
+    /// When `actions` has the wrong length or a value that is not finite (nothing has changed then), or the
+    /// engine refuses (the environments are then of no use until a snapshot is restored).
+    pub fn step(&mut self, actions: &[f32]) -> Result<&StepOutput, EnvError> {
+        check_actions(actions, self.lanes.len())?;
+        self.buffers.clear();
+        self.prepare(actions);
+        self.engine.step(&self.targets_rad, &self.wrenches)?;
+        self.ended.clear();
+        for lane in 0..self.lanes.len() {
+            self.settle(lane);
+        }
+        for i in 0..self.ended.len() {
+            self.next_episode(self.ended[i], false)?;
+        }
+        Ok(&self.buffers.output)
+    }
+
+    /// Turns actions into position targets, and draws pushes.
+    fn prepare(&mut self, actions: &[f32]) {
+        let control_period_s = self.task.control_period_s as f32;
+        let strength = self.task.push.strength(self.progress);
+        for (i, lane) in self.lanes.iter_mut().enumerate() {
+            let mut action = [0.0; ACT_DIM];
+            action.copy_from_slice(&actions[i * ACT_DIM..][..ACT_DIM]);
+            let targets = lane.filter.apply(&self.task.action, &action, &self.joints);
+            self.targets_rad[i * ACT_DIM..][..ACT_DIM].copy_from_slice(&targets);
+            lane.remember(self.task.action.clipped(&action));
+            let force = lane.push.next_force(
+                &self.task.push,
+                strength,
+                control_period_s,
+                &mut lane.push_stream,
+            );
+            self.wrenches[i * 6..][..2].copy_from_slice(&force);
+        }
+    }
+
+    /// After the engine's step: reward, end of episode, next command, observation of one lane.
+    fn settle(&mut self, lane: usize) {
+        let state = self.engine.state();
+        let truth = self.reader.read(state, lane);
+        let diverged = state.diverged[lane] || !truth.is_finite();
+        let now = &mut self.lanes[lane];
+        let control_period_s = self.task.control_period_s as f32;
+        now.step += 1;
+        now.clock.advance(control_period_s);
+
+        let mut terms = [0.0; TERM_COUNT];
+        let mut reward = 0.0;
+        if !diverged {
+            let input = reward_input(&self.task, &self.joints, now, &truth);
+            reward = reward::evaluate(&self.task.reward, &input, control_period_s, &mut terms);
+            let contact_force_n = self.task.reward.contact_force_n;
+            let command = now.command.value;
+            now.tally
+                .add(reward, &terms, &truth, &command, contact_force_n);
+        }
+        self.buffers.output.rewards[lane] = reward;
+        now.joint_vel_radps = truth.joint_vel_radps;
+
+        let input = TerminationInput {
+            diverged,
+            gravity: truth.gravity,
+            com_height_m: truth.com_height_m,
+        };
+        let reason = termination::check(&self.task.termination, &input);
+        let ended = reason.is_some() || now.step >= now.step_limit;
+        if !ended
+            && now.command.tick(
+                &self.task.command,
+                control_period_s,
+                &mut now.command_stream,
+            )
+        {
+            now.clock.set_command(&self.task.phase, &now.command.value);
+        }
+        if reason != Some(TerminationReason::Diverged) {
+            self.observe(lane, &truth);
+        }
+        if ended {
+            let dim = self.layout.dim();
+            let now = &self.lanes[lane];
+            let last = &self.observations[lane * dim..][..dim];
+            self.buffers
+                .finish(now.stats(lane, reason), &now.tally.terms, last);
+            self.ended.push(lane);
+        }
+    }
+
+    /// Starts the lane's next episode and observes its start.
+    fn next_episode(&mut self, lane: usize, stagger: bool) -> Result<(), EnvError> {
+        let episode = self.lanes[lane].episode + 1;
+        self.lanes[lane] = self.start_episode(lane, episode, stagger)?;
+        self.observe_start(lane);
+        Ok(())
+    }
+
+    /// Draws an episode, and puts the engine's lane at its start.
+    fn start_episode(
+        &mut self,
+        lane: usize,
+        episode: u64,
+        stagger: bool,
+    ) -> Result<Lane, EnvError> {
+        let key = Key {
+            seed: self.seed,
+            actor: self.actor,
+            env: lane as u64,
+            episode,
+        };
+        let mut physics_stream = Stream::new(key, Purpose::Randomisation);
+        self.physics
+            .draw
+            .redraw(&self.task.randomisation, &mut physics_stream);
+        self.physics.apply_draw();
+        let mut reset_stream = Stream::new(key, Purpose::Reset);
+        let start = caudata_task::reset::draw(&self.task.reset, &self.joints, &mut reset_stream);
+        self.physics.apply_start(&start);
+        self.engine.set_params(lane, &self.physics.params)?;
+        self.engine.reset(lane, &self.physics.init)?;
+        let mut started = Lane::start(&self.task, key, stagger, &mut reset_stream);
+        started.joint_vel_radps = start.joint_vel_radps;
+        Ok(started)
+    }
+
+    fn observe_start(&mut self, lane: usize) {
+        let truth = self.reader.read(self.engine.state(), lane);
+        self.observe(lane, &truth);
+    }
+
+    /// Writes the observation of one lane, with sensor noise.
+    fn observe(&mut self, lane: usize, truth: &Truth) {
+        let now = &mut self.lanes[lane];
+        let mut readings = truth.readings();
+        for (pos, offset) in readings.joint_pos_rad.iter_mut().zip(now.joint_offset_rad) {
+            *pos += offset;
+        }
+        self.task.noise.add(&mut readings, &mut now.sensor_stream);
+        let dim = self.layout.dim();
+        ObservationInput {
+            joint_vel_radps: &readings.joint_vel_radps,
+            joint_pos_rad: &readings.joint_pos_rad,
+            gyro_radps: readings.gyro_radps,
+            gravity: readings.gravity,
+            phase_rad: now.clock.phases_rad(),
+            command: now.command.value,
+            previous_actions: &now.actions,
+            medium: None,
+        }
+        .write(
+            &self.layout,
+            &self.joints.nominal_rad,
+            &mut self.observations[lane * dim..][..dim],
+        );
+    }
+}
+
+/// What the reward of the step just done looks at.
+fn reward_input<'a>(
+    task: &TaskConfig,
+    joints: &'a JointTable,
+    lane: &'a Lane,
+    truth: &'a Truth,
+) -> RewardInput<'a> {
+    RewardInput {
+        joints,
+        dt_s: task.control_period_s as f32,
+        swing_height_m: task.phase.swing_height_m,
+        command: lane.command.value,
+        standing: lane.clock.standing(),
+        phase_rad: lane.clock.phases_rad(),
+        com_vel_mps: truth.com_vel_mps,
+        yaw_rate_radps: truth.yaw_rate_radps,
+        gyro_radps: truth.gyro_radps,
+        gravity: truth.gravity,
+        joint_pos_rad: &truth.joint_pos_rad,
+        joint_vel_radps: &truth.joint_vel_radps,
+        previous_joint_vel_radps: &lane.joint_vel_radps,
+        motor_torque_nm: &truth.motor_torque_nm,
+        mech_power_w: &truth.mech_power_w,
+        foot_height_m: &truth.foot_height_m,
+        foot_vel_mps: &truth.foot_vel_mps,
+        foot_force_n: &truth.foot_force_n,
+        trunk_force_n: truth.trunk_force_n,
+        action: &lane.actions[0],
+        previous_action: &lane.actions[1],
+    }
+}
+
+fn check_engine(
+    model: &RobotModel,
+    task: &TaskConfig,
+    engine: &dyn Engine,
+) -> Result<(), EnvError> {
+    if engine.lanes() == 0 {
+        return Err(EnvError::NoLanes);
+    }
+    if engine.model().hash() != model.hash() {
+        return Err(EnvError::OtherRobot {
+            task: model.name().to_owned(),
+            engine: engine.model().name().to_owned(),
+        });
+    }
+    let engine_s = engine.config().control_period_s();
+    if (engine_s - task.control_period_s).abs() > CONTROL_PERIOD_TOLERANCE_S {
+        return Err(EnvError::ControlPeriod {
+            task_s: task.control_period_s,
+            engine_s,
+        });
+    }
+    Ok(())
+}
+
+fn check_actions(actions: &[f32], lanes: usize) -> Result<(), EnvError> {
+    let expected = lanes * ACT_DIM;
+    if actions.len() != expected {
+        return Err(EnvError::Shape {
+            what: "actions",
+            found: actions.len(),
+            expected,
+        });
+    }
+    match actions.iter().position(|a| !a.is_finite()) {
+        None => Ok(()),
+        Some(index) => Err(EnvError::Action {
+            lane: index / ACT_DIM,
+            action: index % ACT_DIM,
+            value: actions[index],
+        }),
+    }
+}
