@@ -1,1 +1,208 @@
-//! Tests.
+//! Round trips and refusals of the registry's messages.
+
+use super::*;
+use crate::wire::registry as pb;
+
+fn manifest() -> Manifest {
+    Manifest {
+        stream: StreamName::new("polymander/flat").unwrap(),
+        version: 3,
+        sha256: [1; 32],
+        size: 900_000,
+        created_unix_ms: 1_770_000_000_000,
+        run_id: "2026-01-01_quick".into(),
+        contract_hash: [2; 32],
+        robot_name: "polymander".into(),
+        robot_hash: [3; 32],
+        env_steps: 1_000_000,
+        training_commit: "abc123".into(),
+        config_hash: "def456".into(),
+        evaluation_json: Some(r#"{"speed_mps": 0.3}"#.into()),
+        signatures: vec![Signature {
+            key_id: "release-1".into(),
+            signature: vec![9; 64],
+        }],
+    }
+}
+
+/// To the wire and back.
+fn round_trip<W, T>(value: &T)
+where
+    T: Clone + PartialEq + std::fmt::Debug + TryFrom<W, Error = RegistryError>,
+    W: From<T>,
+{
+    assert_eq!(&T::try_from(W::from(value.clone())).unwrap(), value);
+}
+
+#[test]
+fn every_message_survives_the_round_trip() {
+    let bare = Manifest {
+        evaluation_json: None,
+        signatures: vec![],
+        ..manifest()
+    };
+    let stream = manifest().stream;
+    round_trip::<pb::Manifest, _>(&manifest());
+    round_trip::<pb::Manifest, _>(&bare);
+    round_trip::<pb::PublishResponse, _>(&Published {
+        manifest: manifest(),
+        generation: 5,
+        already_present: true,
+    });
+    for stream in [None, Some(stream.clone())] {
+        round_trip::<pb::ListRequest, _>(&ListRequest {
+            stream: stream.clone(),
+            limit: 10,
+            below_version: Some(0),
+        });
+        round_trip::<pb::WatchRequest, _>(&WatchRequest {
+            stream,
+            since_generation: 8,
+        });
+    }
+    round_trip::<pb::ListResponse, _>(&ListPage {
+        manifests: vec![manifest(), bare.clone()],
+        generation: 6,
+        more: true,
+    });
+    for version in [None, Some(0), Some(7)] {
+        let request = ManifestRequest {
+            stream: stream.clone(),
+            version,
+        };
+        round_trip::<pb::GetManifestRequest, _>(&request);
+    }
+    for if_none_match in [None, Some([4; 32])] {
+        let request = FetchRequest {
+            sha256: [1; 32],
+            offset: 65_536,
+            if_none_match,
+        };
+        round_trip::<pb::FetchRequest, _>(&request);
+    }
+    for part in [
+        FetchPart::NotModified,
+        FetchPart::Info(FetchInfo {
+            sha256: [1; 32],
+            size: 10,
+            offset: 10,
+        }),
+        FetchPart::Data(vec![1, 2, 3]),
+    ] {
+        round_trip::<pb::FetchResponse, _>(&part);
+    }
+    for change in [
+        WatchChange::Snapshot(vec![bare]),
+        WatchChange::Published(Box::new(manifest())),
+        WatchChange::Progress,
+    ] {
+        round_trip::<pb::WatchEvent, _>(&WatchEvent {
+            generation: 4,
+            change,
+        });
+    }
+}
+
+#[test]
+fn stream_names_are_safe_as_paths() {
+    for good in ["flat", "polymander/flat", "a/b/c-1_2.x"] {
+        assert_eq!(StreamName::new(good).unwrap().to_string(), good);
+    }
+    let long = "x".repeat(65);
+    for bad in [
+        "", "/", "/a", "a/", "a//b", "..", "a/../b", ".hidden", "A", "a b", "a\0", &long,
+    ] {
+        assert_eq!(
+            StreamName::new(bad),
+            Err(RegistryError::StreamName),
+            "{bad:?}"
+        );
+    }
+}
+
+#[test]
+fn manifests_that_cannot_be_are_refused_by_name() {
+    let refused = |change: fn(&mut pb::Manifest)| {
+        let mut wire = pb::Manifest::from(manifest());
+        change(&mut wire);
+        Manifest::try_from(wire).unwrap_err()
+    };
+    let range = |field, found, min, max| RegistryError::Range {
+        field,
+        found,
+        min,
+        max,
+    };
+    assert_eq!(
+        refused(|m| m.size = 0),
+        range("size", 0, 1, MAX_POLICY_BYTES)
+    );
+    assert_eq!(
+        refused(|m| m.size = (8 << 20) + 1),
+        range("size", (8 << 20) + 1, 1, MAX_POLICY_BYTES)
+    );
+    assert_eq!(
+        refused(|m| m.sha256.truncate(20)),
+        RegistryError::HashLength {
+            field: "sha256",
+            found: 20
+        }
+    );
+    assert_eq!(
+        refused(|m| m.run_id.clear()),
+        RegistryError::Text {
+            field: "run_id",
+            min: 1,
+            max: 128
+        }
+    );
+    assert_eq!(
+        refused(|m| m.training_commit = "a\nb".into()),
+        RegistryError::Text {
+            field: "training_commit",
+            min: 0,
+            max: 64
+        }
+    );
+    assert_eq!(
+        refused(|m| m.signatures = vec![m.signatures[0].clone(); 17]),
+        range("signatures", 17, 0, 16)
+    );
+    assert_eq!(
+        refused(|m| m.signatures[0].signature.clear()),
+        range("signature", 0, 1, 512)
+    );
+    for bad in ["[1]", "{", "{} {}", "null"] {
+        let mut wire = pb::Manifest::from(manifest());
+        wire.evaluation_json = bad.into();
+        assert_eq!(
+            Manifest::try_from(wire),
+            Err(RegistryError::Evaluation),
+            "{bad}"
+        );
+    }
+}
+
+#[test]
+fn fetched_pieces_are_bounded_and_never_empty() {
+    let data = |bytes| {
+        FetchPart::try_from(pb::FetchResponse {
+            part: Some(pb::fetch_response::Part::Data(vec![0; bytes])),
+        })
+    };
+    assert!(data(FETCH_CHUNK_BYTES).is_ok());
+    assert!(data(FETCH_CHUNK_BYTES + 1).is_err());
+    assert!(
+        data(0).is_err(),
+        "an endless stream of nothing must not look like progress"
+    );
+    let beyond = FetchInfo {
+        sha256: [0; 32],
+        size: 10,
+        offset: 11,
+    };
+    let beyond = pb::FetchResponse::from(FetchPart::Info(beyond));
+    assert!(FetchPart::try_from(beyond).is_err());
+    let none = FetchPart::try_from(pb::FetchResponse { part: None });
+    assert_eq!(none, Err(RegistryError::Missing { field: "part" }));
+}

@@ -350,7 +350,7 @@ fn to_u32s(field: &'static str, bytes: &[u8]) -> Result<Vec<u32>, DecodeError> {
 fn words<const W: usize, T>(
     field: &'static str,
     bytes: &[u8],
-    read: fn([u8; W]) -> T,
+    read: impl Fn([u8; W]) -> T,
 ) -> Result<Vec<T>, DecodeError> {
     let (chunks, rest) = bytes.as_chunks::<W>();
     if !rest.is_empty() {

@@ -154,7 +154,7 @@ pub struct Moments {
 /// Bounds on what [`decode`] accepts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DecodeLimits {
-    /// Bytes of one frame. Reading a frame takes at most about four times this.
+    /// Bytes of one frame. Reading a frame takes at most about five times this.
     pub max_frame_bytes: usize,
     /// T.
     pub max_steps: usize,
