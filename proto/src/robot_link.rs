@@ -22,7 +22,7 @@ pub const MAX_MESSAGE_BYTES: usize = 4096;
 #[derive(Debug, Clone, PartialEq)]
 pub enum RobotMessage {
     /// First message of either side.
-    Hello(Hello),
+    Hello(Box<Hello>),
     /// Robot program to robot.
     Command(Command),
     /// Robot to robot program.
@@ -177,7 +177,9 @@ pub fn decode(payload: &[u8]) -> Result<RobotMessage, LinkError> {
     let message = pb::RobotMessage::decode(payload)?;
     Ok(
         match message.body.ok_or(LinkError::Missing { field: "body" })? {
-            pb::robot_message::Body::Hello(hello) => RobotMessage::Hello(hello_from_wire(hello)?),
+            pb::robot_message::Body::Hello(hello) => {
+                RobotMessage::Hello(Box::new(hello_from_wire(hello)?))
+            }
             pb::robot_message::Body::Command(command) => RobotMessage::Command(Command {
                 tick: command.tick,
                 targets_rad: numbers("targets_rad", &command.targets_rad)?,

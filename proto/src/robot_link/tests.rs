@@ -48,7 +48,7 @@ fn messages() -> Vec<RobotMessage> {
         ..sensors()
     };
     vec![
-        RobotMessage::Hello(hello()),
+        RobotMessage::Hello(Box::new(hello())),
         RobotMessage::Command(command()),
         RobotMessage::Sensors(Box::new(sensors())),
         RobotMessage::Sensors(Box::new(bare)),
@@ -96,7 +96,7 @@ fn wrong_messages_are_refused_by_name() {
         }
     }
     let command = || RobotMessage::Command(command());
-    let hello = || RobotMessage::Hello(hello());
+    let hello = || RobotMessage::Hello(Box::new(hello()));
     assert_eq!(
         refused(|w| with_command(w).targets_rad.truncate(15), command()),
         LinkError::Length {
