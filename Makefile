@@ -1,0 +1,82 @@
+# One command per thing that users and CI do; `make help` lists them.
+# Needs Rust, a C++ compiler, make, and Python 3 with pip. Everything else is provisioned by `make setup`.
+#
+# All code is built in the release profile, so that `make train`, `make test` and `make check` share what
+# they compile (the C++ of torch-sys alone takes minutes).
+
+PROVISION := python3 setup/provision.py
+# LIBTORCH, ORT_DYLIB_PATH and, after `make test`, CAUDATA_MUJOCO_PYTHON.
+ENV := . ./.cargo/env.sh &&
+DENY_VERSION := 0.20.2
+ARGS ?=
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help setup build train test check lint doc deny advisories bench test-faults clean tools
+
+help: ## list the targets
+	@echo 'caudata: make <target> [ARGS="..."]'
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: tools ## provision libtorch and ONNX Runtime into ~/.cache/caudata (LIBTORCH, ORT_DYLIB_PATH: your own)
+	@$(PROVISION)
+
+build: setup ## build the release binaries into target/release
+	@$(ENV) cargo build --release --locked --workspace
+
+train: build ## train the quick preset on this machine; more with ARGS="--actors 4 --out runs/mine"
+	@$(ENV) target/release/caudata train --preset quick $(ARGS)
+
+test: tools ## run all tests but the long fault suites; ARGS goes to cargo test
+	@$(PROVISION) --with-mujoco
+	@cd setup && python3 -m unittest -b test_provision
+	@$(ENV) cargo test --release --locked --workspace $(ARGS)
+
+test-faults: setup ## run the long suites that `make test` leaves out (faults, soak)
+	@$(ENV) cargo test --release --locked --workspace $(ARGS) -- --ignored --nocapture
+
+bench: build ## measure this machine: ARGS="sim", "policy", "transport" or "learner", with --json for figures
+	@$(ENV) target/release/caudata bench $(or $(ARGS),sim)
+
+check: lint doc deny ## everything a change must pass besides the tests: lint, doc, deny
+
+lint: setup ## format and clippy, warnings are errors
+	$(call need-cargo,fmt,rustup component add rustfmt)
+	$(call need-cargo,clippy,rustup component add clippy)
+	@cargo fmt --all --check
+	@$(ENV) cargo clippy --release --locked --workspace --all-targets -- -D warnings
+
+doc: setup ## build the documentation, warnings are errors
+	@$(ENV) RUSTDOCFLAGS='-D warnings' cargo doc --release --locked --workspace --no-deps
+
+deny: tools ## licences, duplicate dependencies, sources (installs cargo-deny into the cache once, minutes)
+	@$(DENY) && cargo deny --locked check --hide-inclusion-graph bans licenses sources
+
+advisories: tools ## known security advisories of the dependencies (fetches the advisory database with git)
+	@$(DENY) && cargo deny --locked check advisories
+
+clean: ## remove target/ (the provisioned libraries stay in ~/.cache/caudata)
+	@cargo clean
+
+# The pinned cargo-deny on PATH: the user's own if it is that version, else built into the cache.
+# Installed into a folder of its own and renamed last, so that a broken build is not taken for a finished one.
+define DENY
+cache="$${XDG_CACHE_HOME:-$$HOME/.cache}/caudata"; root="$$cache/cargo-deny-$(DENY_VERSION)"; \
+export PATH="$$root/bin:$$PATH"; \
+if [ "$$(cargo deny --version 2>/dev/null)" != "cargo-deny $(DENY_VERSION)" ]; then \
+	echo "make: installing cargo-deny $(DENY_VERSION) into $$root, this takes minutes"; \
+	rm -rf "$$root.tmp" && \
+	cargo install --quiet --locked --no-track --root "$$root.tmp" cargo-deny@$(DENY_VERSION) && \
+	rm -rf "$$root" && mv "$$root.tmp" "$$root"; \
+fi
+endef
+
+# $(call need,TOOL,WHAT TO DO) and $(call need-cargo,SUBCOMMAND,WHAT TO DO): one line where something is missing.
+need = @command -v $(1) >/dev/null 2>&1 || { echo "make: $(1) is missing: $(2)" >&2; exit 1; }
+need-cargo = @cargo $(1) --version >/dev/null 2>&1 || { echo "make: cargo $(1) is missing: $(2)" >&2; exit 1; }
+
+tools:
+	$(call need,cargo,install Rust with rustup and put ~/.cargo/bin on PATH)
+	$(call need,$${CXX:-c++},install a C++17 compiler (Debian: apt install g++) or set CXX)
+	$(call need,python3,install Python 3.8 or newer (Debian: apt install python3 python3-pip))
+	@python3 -m pip --version >/dev/null 2>&1 || { echo "make: pip is missing: install it (Debian: apt install python3-pip)" >&2; exit 1; }
