@@ -8,7 +8,9 @@ use caudata_durable::DurableError;
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The same version was published before with other bytes.
-    #[error("{stream} version {version} exists with other bytes ({stored}); publish a higher version instead")]
+    #[error(
+        "{stream} version {version} exists with other bytes ({stored}); publish a higher version instead"
+    )]
     VersionTaken {
         /// Stream in question.
         stream: String,
@@ -26,7 +28,9 @@ pub enum StoreError {
         actual: String,
     },
     /// The stream's robots expect another contract.
-    #[error("contract {actual} does not fit stream {stream}, which holds {expected}; use another stream")]
+    #[error(
+        "contract {actual} does not fit stream {stream}, which holds {expected}; use another stream"
+    )]
     ContractMismatch {
         /// Stream in question.
         stream: String,

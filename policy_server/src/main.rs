@@ -5,9 +5,12 @@ use std::path::PathBuf;
 use std::process::ExitCode as OsExitCode;
 use std::time::Duration;
 
-use caudata_policy_server::{ServeError, ServerMetrics, Store, StoreError, StoreLimits, listen, serve};
+use caudata_policy_server::{
+    ServeError, ServerMetrics, Store, StoreError, StoreLimits, listen, serve,
+};
 use caudata_telemetry::{
-    ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, StopFlag, announce, parse_args,
+    ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, StopFlag, announce,
+    parse_args,
 };
 use clap::Parser;
 use tokio::sync::watch;
@@ -34,7 +37,9 @@ struct Args {
 
 fn main() -> OsExitCode {
     let args: Args = parse_args();
-    Process::run("caudata-policy-server", &args.log, |process| run(&args, &process.stop))
+    Process::run("caudata-policy-server", &args.log, |process| {
+        run(&args, &process.stop)
+    })
 }
 
 fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
@@ -65,7 +70,9 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
         let bound = listener.local_addr().or_exit(ExitCode::OsResource)?;
         tracing::info!(addr = %bound, data = %args.data.display(), "serving policies");
         announce("policy_server", bound);
-        serve(listener, store, counters, stopped).await.map_err(serve_failure)
+        serve(listener, store, counters, stopped)
+            .await
+            .map_err(serve_failure)
     })
 }
 

@@ -26,8 +26,14 @@ impl ServerMetrics {
     #[must_use]
     pub fn register(metrics: &Metrics) -> Self {
         Self {
-            published: metrics.counter("caudata_policy_published_total", "New policy versions stored"),
-            repeated: metrics.counter("caudata_policy_repeated_total", "Publications of a version already stored"),
+            published: metrics.counter(
+                "caudata_policy_published_total",
+                "New policy versions stored",
+            ),
+            repeated: metrics.counter(
+                "caudata_policy_repeated_total",
+                "Publications of a version already stored",
+            ),
             refused: metrics.counter("caudata_policy_refused_total", "Publications refused"),
             fetched: metrics.counter("caudata_policy_fetched_total", "Policy fetches answered"),
             watchers: metrics.int_gauge("caudata_policy_watchers", "Watches open now"),

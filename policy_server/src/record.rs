@@ -25,7 +25,9 @@ pub enum RecordError {
     #[error("not a record: {0}")]
     Json(#[from] serde_json::Error),
     /// Written by another version of the server.
-    #[error("record format {found} is unknown, this server writes {RECORD_FORMAT}; use a newer server")]
+    #[error(
+        "record format {found} is unknown, this server writes {RECORD_FORMAT}; use a newer server"
+    )]
     Format {
         /// The format found.
         found: u32,
@@ -199,7 +201,9 @@ mod tests {
         let bad = text.replace(&hex(&record.manifest.robot_hash), "zz");
         assert!(matches!(
             Record::from_json(bad.as_bytes()),
-            Err(RecordError::Hex { field: "robot_hash" })
+            Err(RecordError::Hex {
+                field: "robot_hash"
+            })
         ));
     }
 }

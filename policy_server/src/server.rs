@@ -50,10 +50,12 @@ pub enum ServeError {
 /// # Errors
 /// [`ServeError::InUse`], [`ServeError::Listen`].
 pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
-    TcpListener::bind(addr).await.map_err(|source| match source.kind() {
-        std::io::ErrorKind::AddrInUse => ServeError::InUse(addr),
-        _ => ServeError::Listen { addr, source },
-    })
+    TcpListener::bind(addr)
+        .await
+        .map_err(|source| match source.kind() {
+            std::io::ErrorKind::AddrInUse => ServeError::InUse(addr),
+            _ => ServeError::Listen { addr, source },
+        })
 }
 
 /// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish for

@@ -17,7 +17,8 @@ use std::time::Duration;
 
 use caudata_policy::PolicyFile;
 use caudata_proto::registry::{
-    FETCH_CHUNK_BYTES, FetchRequest, ListRequest, Manifest, ManifestRequest, RegistryError, StreamName, WatchRequest,
+    FETCH_CHUNK_BYTES, FetchRequest, ListRequest, Manifest, ManifestRequest, RegistryError,
+    StreamName, WatchRequest,
 };
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistry;
@@ -83,7 +84,9 @@ impl RegistryService {
 
     fn refuse_when_draining(&self) -> Result<(), Status> {
         if *self.draining.borrow() {
-            return Err(Status::unavailable("the server is shutting down; try again in a moment"));
+            return Err(Status::unavailable(
+                "the server is shutting down; try again in a moment",
+            ));
         }
         Ok(())
     }
@@ -103,7 +106,9 @@ impl RegistryService {
         let published = self
             .on_disk(move |store| -> Result<Published, Status> {
                 check_against_file(&manifest, &bytes)?;
-                store.publish(manifest, &bytes).map_err(|error| status_of(&error))
+                store
+                    .publish(manifest, &bytes)
+                    .map_err(|error| status_of(&error))
             })
             .await??;
         if published.already_present {
@@ -125,9 +130,11 @@ impl PolicyRegistry for RegistryService {
         request: Request<Streaming<wire::PublishRequest>>,
     ) -> Result<Response<wire::PublishResponse>, Status> {
         self.refuse_when_draining()?;
-        let (manifest, bytes) = receive_upload(request.into_inner()).await.inspect_err(|_| {
-            self.metrics.refused.inc();
-        })?;
+        let (manifest, bytes) = receive_upload(request.into_inner())
+            .await
+            .inspect_err(|_| {
+                self.metrics.refused.inc();
+            })?;
         let stream = manifest.stream.to_string();
         let version = manifest.version;
         let published = self.publish_file(manifest, bytes).await.inspect_err(|status| {
@@ -226,7 +233,10 @@ impl PolicyRegistry for RegistryService {
         };
         self.metrics.fetched.inc();
         let from = if not_modified { size } else { offset };
-        let rest = bytes.get(usize::try_from(from).unwrap_or(usize::MAX)..).unwrap_or_default().to_vec();
+        let rest = bytes
+            .get(usize::try_from(from).unwrap_or(usize::MAX)..)
+            .unwrap_or_default()
+            .to_vec();
         Ok(Response::new(send_file(info, rest)))
     }
 
@@ -261,10 +271,7 @@ impl PolicyRegistry for RegistryService {
 
 impl RegistryService {
     /// What a new watcher gets first, and the generation it has then seen.
-    fn first_events(
-        &self,
-        request: &WatchRequest,
-    ) -> Result<(Vec<wire::WatchEvent>, u64), Status> {
+    fn first_events(&self, request: &WatchRequest) -> Result<(Vec<wire::WatchEvent>, u64), Status> {
         let store = self.store();
         let now = store.generation();
         if request.since_generation == 0 {
@@ -312,29 +319,37 @@ impl Watcher {
         let mut progress = tokio::time::interval(WATCH_PROGRESS);
         progress.tick().await;
         loop {
-            let event = tokio::select! {
+            let change = tokio::select! {
                 () = self.reply.closed() => return,
-                _ = self.draining.wait_for(|draining| *draining) => {
-                    let gone = Status::unavailable("the server is shutting down; watch again in a moment");
-                    let _ = self.reply.try_send(Err(gone));
+                _ = self.draining.wait_for(|draining| *draining) => None,
+                change = self.changes.recv() => Some(Some(change)),
+                _ = progress.tick() => Some(None),
+            };
+            let event = match change {
+                None => Err(Status::unavailable(
+                    "the server is shutting down; watch again in a moment",
+                )),
+                Some(None) => Ok(Some(self.progress())),
+                Some(Some(change)) => self.next_event(change),
+            };
+            let event = match event {
+                Ok(Some(event)) => event,
+                Ok(None) => continue,
+                Err(status) => {
+                    let _ = self.reply.try_send(Err(status));
                     return;
                 }
-                change = self.changes.recv() => match self.next_event(change) {
-                    Ok(Some(event)) => event,
-                    Ok(None) => continue,
-                    Err(status) => {
-                        let _ = self.reply.try_send(Err(status));
-                        return;
-                    }
-                },
-                _ = progress.tick() => wire::WatchEvent {
-                    generation: self.seen,
-                    event: Some(wire::watch_event::Event::Progress(wire::Progress {})),
-                },
             };
             if self.reply.send(Ok(event)).await.is_err() {
                 return;
             }
+        }
+    }
+
+    fn progress(&self) -> wire::WatchEvent {
+        wire::WatchEvent {
+            generation: self.seen,
+            event: Some(wire::watch_event::Event::Progress(wire::Progress {})),
         }
     }
 
@@ -348,9 +363,12 @@ impl Watcher {
                 self.seen = record.generation;
                 Ok(follows(self.stream.as_ref(), &record).then(|| published_event(&record)))
             }
-            Err(broadcast::error::RecvError::Lagged(missed)) => Err(Status::resource_exhausted(
-                format!("this watcher missed {missed} changes; watch again from generation {}", self.seen),
-            )),
+            Err(broadcast::error::RecvError::Lagged(missed)) => {
+                Err(Status::resource_exhausted(format!(
+                    "this watcher missed {missed} changes; watch again from generation {}",
+                    self.seen
+                )))
+            }
             Err(broadcast::error::RecvError::Closed) => {
                 Err(Status::unavailable("the server is shutting down"))
             }
@@ -371,14 +389,18 @@ fn snapshot(store: &Store, stream: Option<&StreamName>) -> wire::WatchEvent {
         .collect();
     wire::WatchEvent {
         generation: store.generation(),
-        event: Some(wire::watch_event::Event::Snapshot(wire::Snapshot { manifests })),
+        event: Some(wire::watch_event::Event::Snapshot(wire::Snapshot {
+            manifests,
+        })),
     }
 }
 
 fn published_event(record: &Record) -> wire::WatchEvent {
     wire::WatchEvent {
         generation: record.generation,
-        event: Some(wire::watch_event::Event::Published(record.manifest.clone().into())),
+        event: Some(wire::watch_event::Event::Published(
+            record.manifest.clone().into(),
+        )),
     }
 }
 
@@ -388,13 +410,19 @@ async fn receive_upload(
 ) -> Result<(Manifest, Vec<u8>), Status> {
     let header = match next_part(&mut upload).await? {
         Some(wire::publish_request::Part::Header(header)) => header,
-        _ => return Err(Status::invalid_argument("the first message must be the header")),
+        _ => {
+            return Err(Status::invalid_argument(
+                "the first message must be the header",
+            ));
+        }
     };
     let manifest = Manifest::try_from(header).map_err(|error| refusal(&error))?;
     let mut bytes = Vec::with_capacity(usize::try_from(manifest.size).unwrap_or(0));
     while let Some(part) = next_part(&mut upload).await? {
         let wire::publish_request::Part::Data(piece) = part else {
-            return Err(Status::invalid_argument("a second header came in the middle of the file"));
+            return Err(Status::invalid_argument(
+                "a second header came in the middle of the file",
+            ));
         };
         if (bytes.len() + piece.len()) as u64 > manifest.size {
             return Err(Status::invalid_argument(format!(
@@ -433,14 +461,30 @@ fn check_against_file(manifest: &Manifest, bytes: &[u8]) -> Result<(), Status> {
         .map_err(|error| Status::invalid_argument(format!("not a caudata policy: {error}")))?;
     let metadata = file.metadata();
     let fields = [
-        ("contract hash", hex(&manifest.contract_hash), hex(&metadata.contract.hash())),
-        ("robot hash", hex(&manifest.robot_hash), metadata.contract.robot_hash.to_string()),
+        (
+            "contract hash",
+            hex(&manifest.contract_hash),
+            hex(&metadata.contract.hash()),
+        ),
+        (
+            "robot hash",
+            hex(&manifest.robot_hash),
+            metadata.contract.robot_hash.to_string(),
+        ),
         ("run id", manifest.run_id.clone(), metadata.run_id.clone()),
-        ("version", manifest.version.to_string(), metadata.version.to_string()),
+        (
+            "version",
+            manifest.version.to_string(),
+            metadata.version.to_string(),
+        ),
     ];
     for (field, header, file) in fields {
         if header != file {
-            let error = StoreError::HeaderMismatch { field, header, file };
+            let error = StoreError::HeaderMismatch {
+                field,
+                header,
+                file,
+            };
             return Err(status_of(&error));
         }
     }
@@ -450,7 +494,9 @@ fn check_against_file(manifest: &Manifest, bytes: &[u8]) -> Result<(), Status> {
 fn send_file(info: wire::FetchInfo, bytes: Vec<u8>) -> ReplyStream<wire::FetchResponse> {
     let (reply, queue) = mpsc::channel(REPLY_QUEUE);
     tokio::spawn(async move {
-        let first = wire::FetchResponse { part: Some(wire::fetch_response::Part::Info(info)) };
+        let first = wire::FetchResponse {
+            part: Some(wire::fetch_response::Part::Info(info)),
+        };
         if reply.send(Ok(first)).await.is_err() {
             return;
         }
@@ -489,7 +535,9 @@ fn status_of(error: &StoreError) -> Status {
         StoreError::NotFound { .. } => Status::not_found(message),
         StoreError::Damaged { .. } => Status::data_loss(message),
         StoreError::TooManyStreams { .. } => Status::resource_exhausted(message),
-        StoreError::Durable(durable) if durable.is_disk_full() => Status::resource_exhausted(message),
+        StoreError::Durable(durable) if durable.is_disk_full() => {
+            Status::resource_exhausted(message)
+        }
         StoreError::Durable(_) | StoreError::Unusable { .. } => Status::internal(message),
     }
 }

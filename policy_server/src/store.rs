@@ -134,7 +134,11 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::NotFound`].
-    pub fn manifest(&self, stream: &StreamName, version: Option<u64>) -> Result<&Record, StoreError> {
+    pub fn manifest(
+        &self,
+        stream: &StreamName,
+        version: Option<u64>,
+    ) -> Result<&Record, StoreError> {
         let found = match version {
             Some(version) => self.find(stream, version),
             None => self.newest(stream),
@@ -266,7 +270,9 @@ impl Store {
         let bytes = fs::read(path).map_err(|error| unusable(path, &error.to_string()))?;
         let record = match Record::from_json(&bytes) {
             Ok(record) => record,
-            Err(error @ RecordError::Format { .. }) => return Err(unusable(path, &error.to_string())),
+            Err(error @ RecordError::Format { .. }) => {
+                return Err(unusable(path, &error.to_string()));
+            }
             Err(error) => {
                 tracing::warn!(path = %path.display(), %error, "record unreadable, set aside");
                 self.set_aside(path);
@@ -353,7 +359,9 @@ impl Store {
     }
 
     fn blob_path(&self, sha256: &[u8; 32]) -> PathBuf {
-        self.root.join("blobs").join(format!("{}.onnx", hex(sha256)))
+        self.root
+            .join("blobs")
+            .join(format!("{}.onnx", hex(sha256)))
     }
 
     fn record_path(&self, stream: &StreamName, version: u64) -> PathBuf {
@@ -372,8 +380,12 @@ fn stream_folder(stream: &StreamName) -> String {
 fn lock(root: &Path) -> Result<fs::File, StoreError> {
     let path = root.join("lock");
     let file = fs::File::create(&path).map_err(|error| unusable(root, &error.to_string()))?;
-    file.try_lock()
-        .map_err(|_| unusable(root, "another policy server holds its lock; stop it or choose another --data"))?;
+    file.try_lock().map_err(|_| {
+        unusable(
+            root,
+            "another policy server holds its lock; stop it or choose another --data",
+        )
+    })?;
     Ok(file)
 }
 
@@ -458,7 +470,9 @@ mod tests {
     fn bytes_that_do_not_match_the_header_leave_no_trace() {
         let folder = tempfile::tempdir().unwrap();
         let mut store = open(&folder);
-        let error = store.publish(manifest("s", 1, b"one"), b"other").unwrap_err();
+        let error = store
+            .publish(manifest("s", 1, b"one"), b"other")
+            .unwrap_err();
         assert!(matches!(error, StoreError::HashMismatch { .. }));
         assert_eq!(files_below(&folder.path().join("blobs")), 0);
         assert_eq!(files_below(&folder.path().join("streams")), 0);
@@ -522,7 +536,10 @@ mod tests {
         }
         let versions: Vec<u64> = store.records(None).map(|r| r.manifest.version).collect();
         assert_eq!(versions, [3, 2]);
-        assert_eq!(store.read_blob(&manifest("s", 3, b"aaa").sha256).unwrap(), b"aaa");
+        assert_eq!(
+            store.read_blob(&manifest("s", 3, b"aaa").sha256).unwrap(),
+            b"aaa"
+        );
     }
 
     #[test]
@@ -530,7 +547,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let _first = open(&folder);
         let error = Store::open(folder.path(), StoreLimits::default()).unwrap_err();
-        assert!(error.to_string().contains("another policy server"), "{error}");
+        assert!(
+            error.to_string().contains("another policy server"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -71,13 +71,22 @@ fn every_path_that_the_maps_name_exists() {
     for map in MAPS {
         let text = std::fs::read_to_string(root.join(map)).expect(map);
         for word in text.split('`').skip(1).step_by(2) {
-            if looks_like_a_path(word, &root) && !word.starts_with("target/") && !word.starts_with("runs/") {
-                assert!(root.join(word).exists(), "{map} names `{word}`, which does not exist");
+            if looks_like_a_path(word, &root)
+                && !word.starts_with("target/")
+                && !word.starts_with("runs/")
+            {
+                assert!(
+                    root.join(word).exists(),
+                    "{map} names `{word}`, which does not exist"
+                );
                 checked += 1;
             }
         }
     }
-    assert!(checked > 20, "the maps should name many paths, found {checked}");
+    assert!(
+        checked > 20,
+        "the maps should name many paths, found {checked}"
+    );
 }
 
 #[test]
@@ -121,20 +130,55 @@ fn what_may_depend_on_what() {
     let metadata = metadata();
     // (package, packages that it must not link, why)
     let rules: [(&str, &[&str], &str); 9] = [
-        ("caudata-deploy", &["caudata-sim", "rapier3d", "caudata-env"], "the robot runs no simulator"),
-        ("caudata-task", &["caudata-sim", "tokio", "tonic", "zenoh"], "the task is pure"),
-        ("caudata-sim", &["tokio", "tonic", "zenoh", "caudata-task"], "physics knows no network and no task"),
-        ("caudata-env", &["tokio", "tonic", "zenoh"], "environments know no network"),
-        ("caudata-transport", &["caudata-proto", "caudata-task"], "transport moves opaque frames"),
+        (
+            "caudata-deploy",
+            &["caudata-sim", "rapier3d", "caudata-env"],
+            "the robot runs no simulator",
+        ),
+        (
+            "caudata-task",
+            &["caudata-sim", "tokio", "tonic", "zenoh"],
+            "the task is pure",
+        ),
+        (
+            "caudata-sim",
+            &["tokio", "tonic", "zenoh", "caudata-task"],
+            "physics knows no network and no task",
+        ),
+        (
+            "caudata-env",
+            &["tokio", "tonic", "zenoh"],
+            "environments know no network",
+        ),
+        (
+            "caudata-transport",
+            &["caudata-proto", "caudata-task"],
+            "transport moves opaque frames",
+        ),
         ("caudata-model", &["tokio", "rapier3d"], "the model is data"),
-        ("caudata-policy", &["caudata-sim", "tokio"], "the policy file needs no simulator"),
-        ("caudata-policy-server", &["caudata-sim", "zenoh"], "the server stores and serves"),
-        ("caudata-config", &["zenoh", "iceoryx2", "tokio"], "configuration is data"),
+        (
+            "caudata-policy",
+            &["caudata-sim", "tokio"],
+            "the policy file needs no simulator",
+        ),
+        (
+            "caudata-policy-server",
+            &["caudata-sim", "zenoh"],
+            "the server stores and serves",
+        ),
+        (
+            "caudata-config",
+            &["zenoh", "iceoryx2", "tokio"],
+            "configuration is data",
+        ),
     ];
     for (package, forbidden, why) in rules {
         let linked = linked_by(&metadata, package);
         for name in forbidden {
-            assert!(!linked.contains(*name), "{package} must not link {name}: {why}");
+            assert!(
+                !linked.contains(*name),
+                "{package} must not link {name}: {why}"
+            );
         }
     }
 }
@@ -143,7 +187,14 @@ fn what_may_depend_on_what() {
 fn generated_code_stays_in_proto() {
     let metadata = metadata();
     // tonic services are implemented and called with generated types: only the server and the gRPC clients see them.
-    let allowed = ["caudata-proto", "caudata-policy-server", "caudata-deploy", "caudata-learner", "caudata", "caudata-policy"];
+    let allowed = [
+        "caudata-proto",
+        "caudata-policy-server",
+        "caudata-deploy",
+        "caudata-learner",
+        "caudata",
+        "caudata-policy",
+    ];
     for package in metadata.workspace_packages() {
         let uses_prost = package.dependencies.iter().any(|dep| dep.name == "prost");
         assert!(
@@ -173,7 +224,9 @@ fn every_module_says_what_it_is_for() {
     assert!(files.len() > 50);
     for file in files {
         let text = std::fs::read_to_string(&file).expect("utf-8");
-        let first = text.lines().find(|line| !line.trim().is_empty() && !line.starts_with("#!["));
+        let first = text
+            .lines()
+            .find(|line| !line.trim().is_empty() && !line.starts_with("#!["));
         assert!(
             first.is_some_and(|line| line.starts_with("//!")),
             "{} does not begin with a `//!` line",
@@ -190,7 +243,10 @@ fn every_crate_inherits_the_workspace_lints() {
         assert!(
             text.contains("[lints]\nworkspace = true"),
             "{} does not inherit the workspace lints",
-            package.manifest_path.strip_prefix(&root).unwrap_or(&package.manifest_path)
+            package
+                .manifest_path
+                .strip_prefix(&root)
+                .unwrap_or(&package.manifest_path)
         );
     }
 }
@@ -199,7 +255,11 @@ fn every_crate_inherits_the_workspace_lints() {
 fn nothing_is_left_to_do_in_the_code() {
     let mut files = Vec::new();
     rust_files(&repository_root(), &mut files);
-    let marks = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("XX", "X:")];
+    let marks = [
+        concat!("TO", "DO"),
+        concat!("FIX", "ME"),
+        concat!("XX", "X:"),
+    ];
     for file in files {
         let text = std::fs::read_to_string(&file).expect("utf-8");
         for (number, line) in text.lines().enumerate() {

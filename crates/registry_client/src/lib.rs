@@ -6,8 +6,10 @@
 
 use std::time::Duration;
 
+use caudata_policy::PolicyFile;
 use caudata_proto::registry::{
-    FetchPart, ListPage, MAX_PUBLISH_CHUNK_BYTES, Manifest, Published, RegistryError, StreamName, WatchEvent,
+    FetchPart, ListPage, MAX_PUBLISH_CHUNK_BYTES, Manifest, Published, RegistryError, StreamName,
+    WatchEvent,
 };
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
@@ -78,7 +80,11 @@ impl ClientError {
             Self::Unreachable { .. } | Self::TimedOut { .. } => true,
             Self::Refused { code, .. } => matches!(
                 code,
-                Code::Unavailable | Code::DeadlineExceeded | Code::Aborted | Code::Cancelled | Code::Unknown
+                Code::Unavailable
+                    | Code::DeadlineExceeded
+                    | Code::Aborted
+                    | Code::Cancelled
+                    | Code::Unknown
             ),
             _ => false,
         }
@@ -87,7 +93,13 @@ impl ClientError {
     /// True where the server does not hold what was asked for.
     #[must_use]
     pub fn is_not_found(&self) -> bool {
-        matches!(self, Self::Refused { code: Code::NotFound, .. })
+        matches!(
+            self,
+            Self::Refused {
+                code: Code::NotFound,
+                ..
+            }
+        )
     }
 }
 
@@ -133,13 +145,19 @@ impl RegistryClient {
     ///
     /// # Errors
     /// See [`ClientError`].
-    pub async fn publish(&mut self, manifest: Manifest, bytes: &[u8]) -> Result<Published, ClientError> {
+    pub async fn publish(
+        &mut self,
+        manifest: Manifest,
+        bytes: &[u8],
+    ) -> Result<Published, ClientError> {
         let header = wire::PublishRequest {
             part: Some(wire::publish_request::Part::Header(manifest.into())),
         };
-        let pieces = bytes.chunks(MAX_PUBLISH_CHUNK_BYTES).map(|piece| wire::PublishRequest {
-            part: Some(wire::publish_request::Part::Data(piece.to_vec())),
-        });
+        let pieces = bytes
+            .chunks(MAX_PUBLISH_CHUNK_BYTES)
+            .map(|piece| wire::PublishRequest {
+                part: Some(wire::publish_request::Part::Data(piece.to_vec())),
+            });
         let messages: Vec<_> = std::iter::once(header).chain(pieces).collect();
         let call = self.inner.publish(tokio_stream::iter(messages));
         let answer = within("publish", CALL_TIMEOUT, &self.address, call).await?;
@@ -170,14 +188,21 @@ impl RegistryClient {
     ///
     /// # Errors
     /// See [`ClientError`]; [`ClientError::is_not_found`] where there is none.
-    pub async fn manifest(&mut self, stream: &StreamName, version: Option<u64>) -> Result<Manifest, ClientError> {
+    pub async fn manifest(
+        &mut self,
+        stream: &StreamName,
+        version: Option<u64>,
+    ) -> Result<Manifest, ClientError> {
         let request = wire::GetManifestRequest {
             stream: stream.to_string(),
             version,
         };
         let call = self.inner.get_manifest(request);
         let answer = within("get manifest", CALL_TIMEOUT, &self.address, call).await?;
-        let manifest = answer.into_inner().manifest.ok_or(RegistryError::Missing { field: "manifest" })?;
+        let manifest = answer
+            .into_inner()
+            .manifest
+            .ok_or(RegistryError::Missing { field: "manifest" })?;
         Ok(manifest.try_into()?)
     }
 
@@ -202,14 +227,22 @@ impl RegistryClient {
         let actual: [u8; 32] = Sha256::digest(&bytes).into();
         if bytes.len() as u64 != manifest.size || actual != manifest.sha256 {
             return Err(ClientError::WrongBytes {
-                reason: format!("{} of {} bytes came, or their hash differs", bytes.len(), manifest.size),
+                reason: format!(
+                    "{} of {} bytes came, or their hash differs",
+                    bytes.len(),
+                    manifest.size
+                ),
             });
         }
         Ok(bytes)
     }
 
     /// Appends what is missing to `bytes`; on an error `bytes` holds what came so far.
-    async fn fetch_rest(&mut self, manifest: &Manifest, bytes: &mut Vec<u8>) -> Result<(), ClientError> {
+    async fn fetch_rest(
+        &mut self,
+        manifest: &Manifest,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), ClientError> {
         let offset = bytes.len() as u64;
         if offset == manifest.size {
             return Ok(());
@@ -220,16 +253,25 @@ impl RegistryClient {
             if_none_match: Vec::new(),
         };
         let call = self.inner.fetch(request);
-        let mut answer = within("fetch", CALL_TIMEOUT, &self.address, call).await?.into_inner();
-        while let Some(message) = within("fetch", FETCH_IDLE_MAX, &self.address, answer.message()).await? {
+        let mut answer = within("fetch", CALL_TIMEOUT, &self.address, call)
+            .await?
+            .into_inner();
+        while let Some(message) =
+            within("fetch", FETCH_IDLE_MAX, &self.address, answer.message()).await?
+        {
             match FetchPart::try_from(message)? {
                 FetchPart::Info(info) if info.offset == offset && info.size == manifest.size => {}
-                FetchPart::Data(piece) if bytes.len() as u64 + piece.len() as u64 <= manifest.size => {
+                FetchPart::Data(piece)
+                    if bytes.len() as u64 + piece.len() as u64 <= manifest.size =>
+                {
                     bytes.extend_from_slice(&piece);
                 }
                 _ => {
                     return Err(ClientError::WrongBytes {
-                        reason: format!("the server left the {} bytes of the manifest", manifest.size),
+                        reason: format!(
+                            "the server left the {} bytes of the manifest",
+                            manifest.size
+                        ),
                     });
                 }
             }
@@ -244,7 +286,11 @@ impl RegistryClient {
     ///
     /// # Errors
     /// See [`ClientError`].
-    pub async fn watch(&mut self, stream: Option<&StreamName>, since_generation: u64) -> Result<Watch, ClientError> {
+    pub async fn watch(
+        &mut self,
+        stream: Option<&StreamName>,
+        since_generation: u64,
+    ) -> Result<Watch, ClientError> {
         let request = wire::WatchRequest {
             stream: stream.map(ToString::to_string).unwrap_or_default(),
             since_generation,
@@ -271,9 +317,58 @@ impl Watch {
     /// # Errors
     /// See [`ClientError`]; [`ClientError::TimedOut`] after [`WATCH_IDLE_MAX`] of silence.
     pub async fn next(&mut self) -> Result<Option<WatchEvent>, ClientError> {
-        let message = within("watch", WATCH_IDLE_MAX, &self.address, self.events.message()).await?;
+        let message = within(
+            "watch",
+            WATCH_IDLE_MAX,
+            &self.address,
+            self.events.message(),
+        )
+        .await?;
         Ok(message.map(WatchEvent::try_from).transpose()?)
     }
+}
+
+/// The manifest under which `file` is published on `stream`: everything that the file says about itself.
+///
+/// # Errors
+/// [`RegistryError`] where the robot hash in the file's contract is not a SHA-256.
+pub fn manifest_of(
+    stream: StreamName,
+    file: &PolicyFile,
+    created_unix_ms: u64,
+) -> Result<Manifest, RegistryError> {
+    let metadata = file.metadata();
+    Ok(Manifest {
+        stream,
+        version: metadata.version,
+        sha256: file.sha256(),
+        size: file.bytes().len() as u64,
+        created_unix_ms,
+        run_id: metadata.run_id.clone(),
+        contract_hash: metadata.contract.hash(),
+        robot_name: metadata.contract.robot.clone(),
+        robot_hash: hash_from_hex(&metadata.contract.robot_hash)?,
+        env_steps: metadata.env_steps,
+        training_commit: metadata.training_commit.clone(),
+        config_hash: metadata.config_hash.clone(),
+        evaluation_json: metadata.evaluation.as_ref().map(ToString::to_string),
+        signatures: Vec::new(),
+    })
+}
+
+fn hash_from_hex(text: &str) -> Result<[u8; 32], RegistryError> {
+    let wrong = RegistryError::HashLength {
+        field: "robot_hash",
+        found: text.len() / 2,
+    };
+    let mut hash = [0; 32];
+    if text.len() != 64 || !text.is_ascii() {
+        return Err(wrong);
+    }
+    for (byte, at) in hash.iter_mut().zip((0..64).step_by(2)) {
+        *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| wrong.clone())?;
+    }
+    Ok(hash)
 }
 
 async fn within<T>(
@@ -321,7 +416,10 @@ mod tests {
     fn addresses_need_a_port() {
         assert!(RegistryClient::new("127.0.0.1").is_err());
         assert!(RegistryClient::new("robot:x").is_err());
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .unwrap();
         let _context = runtime.enter();
         let client = RegistryClient::new("http://127.0.0.1:7401").unwrap();
         assert_eq!(client.address(), "127.0.0.1:7401");
@@ -329,12 +427,18 @@ mod tests {
 
     #[test]
     fn nobody_there_is_told_in_one_line() {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .unwrap();
         runtime.block_on(async {
             // Port 1 is reserved and closed on any machine that runs tests.
             let mut client = RegistryClient::new("127.0.0.1:1").unwrap();
             let error = client.list(None, 0, None).await.unwrap_err();
-            assert!(matches!(error, ClientError::Unreachable { .. }), "{error:?}");
+            assert!(
+                matches!(error, ClientError::Unreachable { .. }),
+                "{error:?}"
+            );
             assert!(error.is_transient());
             assert!(error.to_string().contains("127.0.0.1:1"), "{error}");
         });

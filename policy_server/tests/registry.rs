@@ -1,0 +1,322 @@
+//! The service from the outside: a real server on a port of its own, talked to through the client that everybody uses.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::Path;
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
+use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve};
+use caudata_proto::registry::{StreamName, WatchChange};
+use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
+use caudata_task::{PolicyContract, TaskConfig};
+use caudata_telemetry::Metrics;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tonic::Code;
+
+struct Server {
+    client: RegistryClient,
+    stop: watch::Sender<bool>,
+    ended: JoinHandle<()>,
+}
+
+impl Server {
+    async fn start(data: &Path, versions_kept: usize) -> Self {
+        let limits = StoreLimits {
+            versions_kept,
+            ..StoreLimits::default()
+        };
+        let store = Store::open(data, limits).unwrap();
+        let listener = listen("127.0.0.1:0".parse().unwrap()).await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let (stop, stopped) = watch::channel(false);
+        let metrics = ServerMetrics::register(&Metrics::new());
+        let ended =
+            tokio::spawn(async move { serve(listener, store, metrics, stopped).await.unwrap() });
+        Self {
+            client: RegistryClient::new(&address.to_string()).unwrap(),
+            stop,
+            ended,
+        }
+    }
+
+    async fn stop(self) {
+        drop(self.client);
+        self.stop.send(true).unwrap();
+        self.ended.await.unwrap();
+    }
+}
+
+fn stream() -> StreamName {
+    StreamName::new("polymander/test").unwrap()
+}
+
+/// A real policy file whose weights depend on `version`.
+fn policy(version: u64) -> PolicyFile {
+    let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
+    let model = RobotModel::load(&robot).unwrap();
+    let contract = PolicyContract::new(&model, &TaskConfig::default()).unwrap();
+    let (obs, act) = (contract.obs_dim(), contract.act_dim());
+    let spec = MlpSpec {
+        obs_mean: vec![0.0; obs],
+        obs_std: vec![1.0; obs],
+        obs_clip: None,
+        layers: vec![Dense {
+            out: act,
+            input: obs,
+            weight: vec![version as f32; act * obs],
+            bias: vec![0.0; act],
+        }],
+        activation: Activation::Elu,
+    };
+    let metadata = PolicyMetadata {
+        contract,
+        version,
+        run_id: "run-1".into(),
+        training_commit: String::new(),
+        config_hash: String::new(),
+        env_steps: 10 * version,
+        seed: 1,
+        log_std: vec![0.0; act],
+        created_unix_s: None,
+        evaluation: None,
+    };
+    PolicyFile::parse(Arc::from(build_onnx(&spec, &metadata).unwrap())).unwrap()
+}
+
+async fn publish(client: &mut RegistryClient, file: &PolicyFile) -> Result<bool, ClientError> {
+    let manifest = manifest_of(stream(), file, 5).unwrap();
+    let published = client.publish(manifest, file.bytes()).await?;
+    Ok(published.already_present)
+}
+
+fn code(error: &ClientError) -> Code {
+    match error {
+        ClientError::Refused { code, .. } => *code,
+        other => panic!("not a refusal: {other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn what_is_published_comes_back_byte_for_byte_also_after_a_restart() {
+    let data = tempfile::tempdir().unwrap();
+    let mut server = Server::start(data.path(), 8).await;
+    let file = policy(1);
+    assert!(!publish(&mut server.client, &file).await.unwrap());
+    assert!(
+        publish(&mut server.client, &file).await.unwrap(),
+        "a repeat is the same version"
+    );
+    server.stop().await;
+
+    let mut server = Server::start(data.path(), 8).await;
+    let manifest = server.client.manifest(&stream(), None).await.unwrap();
+    assert_eq!(manifest.sha256, file.sha256());
+    assert_eq!(manifest.env_steps, 10);
+    assert_eq!(
+        server.client.fetch(&manifest).await.unwrap(),
+        file.bytes().as_ref()
+    );
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn refusals_have_their_own_codes() {
+    let data = tempfile::tempdir().unwrap();
+    let mut server = Server::start(data.path(), 8).await;
+    let client = &mut server.client;
+    publish(client, &policy(1)).await.unwrap();
+
+    // The same version with other bytes.
+    let other = policy(2);
+    let mut manifest = manifest_of(stream(), &other, 5).unwrap();
+    manifest.version = 1;
+    let error = client.publish(manifest, other.bytes()).await.unwrap_err();
+    assert_eq!(
+        code(&error),
+        Code::InvalidArgument,
+        "header and file disagree: {error}"
+    );
+
+    // Bytes that are no policy at all.
+    let mut manifest = manifest_of(stream(), &other, 5).unwrap();
+    let garbage = vec![7; other.bytes().len()];
+    let error = client
+        .publish(manifest.clone(), &garbage)
+        .await
+        .unwrap_err();
+    assert_eq!(code(&error), Code::InvalidArgument, "{error}");
+
+    // Fewer and more bytes than announced.
+    let short = &other.bytes()[..100];
+    let error = client.publish(manifest.clone(), short).await.unwrap_err();
+    assert_eq!(code(&error), Code::InvalidArgument, "{error}");
+    manifest.size -= 1;
+    let error = client.publish(manifest, other.bytes()).await.unwrap_err();
+    assert_eq!(code(&error), Code::InvalidArgument, "{error}");
+
+    // Unknown things.
+    let error = client.manifest(&stream(), Some(99)).await.unwrap_err();
+    assert!(error.is_not_found(), "{error}");
+    let mut unknown = manifest_of(stream(), &other, 5).unwrap();
+    unknown.sha256 = [1; 32];
+    assert!(client.fetch(&unknown).await.unwrap_err().is_not_found());
+
+    // Nothing of all this became visible.
+    let page = client.list(None, 0, None).await.unwrap();
+    assert_eq!(page.manifests.len(), 1);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn lists_come_in_pages_newest_first() {
+    let data = tempfile::tempdir().unwrap();
+    let mut server = Server::start(data.path(), 8).await;
+    for version in 1..=5 {
+        publish(&mut server.client, &policy(version)).await.unwrap();
+    }
+    let name = stream();
+    let page = server.client.list(Some(&name), 2, None).await.unwrap();
+    let versions: Vec<u64> = page.manifests.iter().map(|m| m.version).collect();
+    assert_eq!((versions, page.more), (vec![5, 4], true));
+    let page = server.client.list(Some(&name), 0, Some(4)).await.unwrap();
+    let versions: Vec<u64> = page.manifests.iter().map(|m| m.version).collect();
+    assert_eq!((versions, page.more), (vec![3, 2, 1], false));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_watch_begins_with_a_snapshot_and_resumes_without_gaps() {
+    let data = tempfile::tempdir().unwrap();
+    let mut server = Server::start(data.path(), 2).await;
+    let name = stream();
+    publish(&mut server.client, &policy(1)).await.unwrap();
+
+    let mut watch = server.client.watch(Some(&name), 0).await.unwrap();
+    let first = watch.next().await.unwrap().unwrap();
+    assert!(
+        matches!(&first.change, WatchChange::Snapshot(all) if all.len() == 1 && all[0].version == 1)
+    );
+    publish(&mut server.client, &policy(2)).await.unwrap();
+    let second = watch.next().await.unwrap().unwrap();
+    assert!(matches!(&second.change, WatchChange::Published(m) if m.version == 2));
+    drop(watch);
+
+    // From generation 1 on nothing is missing; the server still knows version 2.
+    let mut watch = server
+        .client
+        .watch(Some(&name), first.generation)
+        .await
+        .unwrap();
+    let event = watch.next().await.unwrap().unwrap();
+    assert!(matches!(&event.change, WatchChange::Published(m) if m.version == 2));
+    drop(watch);
+
+    // Two more publications retire version 2 (two are kept): generation 1 is forgotten.
+    for version in [3, 4] {
+        publish(&mut server.client, &policy(version)).await.unwrap();
+    }
+    let error = server
+        .client
+        .watch(Some(&name), first.generation)
+        .await
+        .unwrap_err();
+    assert_eq!(code(&error), Code::OutOfRange, "{error}");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn health_and_reflection_answer() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), 2).await;
+    let address = format!("http://{}", server.client.address());
+    let channel = tonic::transport::Endpoint::from_shared(address)
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
+    let mut health = tonic_health::pb::health_client::HealthClient::new(channel.clone());
+    let request = tonic_health::pb::HealthCheckRequest {
+        service: "caudata.registry.v1.PolicyRegistry".into(),
+    };
+    let status = health.check(request).await.unwrap().into_inner().status;
+    assert_eq!(
+        status,
+        i32::from(tonic_health::pb::health_check_response::ServingStatus::Serving)
+    );
+
+    use tonic_reflection::pb::v1 as reflection;
+    let mut client = reflection::server_reflection_client::ServerReflectionClient::new(channel);
+    let request = reflection::ServerReflectionRequest {
+        host: String::new(),
+        message_request: Some(
+            reflection::server_reflection_request::MessageRequest::ListServices(String::new()),
+        ),
+    };
+    let mut answers = client
+        .server_reflection_info(tokio_stream::iter([request]))
+        .await
+        .unwrap()
+        .into_inner();
+    let answer = answers.message().await.unwrap().unwrap();
+    let text = format!("{answer:?}");
+    assert!(
+        text.contains("caudata.registry.v1.PolicyRegistry"),
+        "{text}"
+    );
+    drop(answers);
+    drop(client);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_stopping_server_ends_its_watches_and_a_taken_port_is_named() {
+    let data = tempfile::tempdir().unwrap();
+    let mut server = Server::start(data.path(), 2).await;
+    let address = server.client.address().to_owned();
+    let taken = listen(address.parse().unwrap()).await.unwrap_err();
+    assert!(taken.to_string().contains(&address), "{taken}");
+
+    let mut watch = server.client.watch(None, 0).await.unwrap();
+    watch.next().await.unwrap().unwrap();
+    server.stop.send(true).unwrap();
+    let error = watch.next().await.unwrap_err();
+    assert!(error.is_transient(), "{error}");
+    drop(watch);
+    drop(server.client);
+    server.ended.await.unwrap();
+}
+
+#[tokio::test]
+async fn many_publishers_of_one_version_agree_on_one_winner() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Server::start(data.path(), 8).await;
+    // Same version, different bytes: env_steps differs, so the files do.
+    let tasks: Vec<_> = (0..8u64)
+        .map(|variant| {
+            let mut client = server.client.clone();
+            tokio::spawn(async move {
+                let file = policy(1);
+                let spec = file.spec().clone();
+                let mut metadata = file.metadata().clone();
+                metadata.env_steps = variant;
+                let bytes = build_onnx(&spec, &metadata).unwrap();
+                let file = PolicyFile::parse(Arc::from(bytes)).unwrap();
+                publish(&mut client, &file).await
+            })
+        })
+        .collect();
+    let mut won = 0;
+    for task in tasks {
+        match task.await.unwrap() {
+            Ok(already_present) => {
+                assert!(!already_present);
+                won += 1;
+            }
+            Err(error) => assert_eq!(code(&error), Code::AlreadyExists, "{error}"),
+        }
+    }
+    assert_eq!(won, 1);
+    server.stop().await;
+}
