@@ -1,0 +1,196 @@
+//! `log.toml`: the circumstances of a run.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::LogError;
+
+/// How the base was held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BaseHold {
+    /// Clamped.
+    Fixed,
+    /// On the ground.
+    Free,
+    /// In water.
+    Water,
+}
+
+/// Value of a setting that this format has no field for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Setting {
+    /// true or false.
+    Switch(bool),
+    /// A number (SI unit, named in the key).
+    Number(f64),
+    /// A text.
+    Text(String),
+}
+
+/// Contents of `log.toml`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LogMeta {
+    /// Robot name or robot file.
+    pub robot: String,
+    /// How the base was held.
+    pub base: BaseHold,
+    /// What it stood on; empty: not known.
+    #[serde(default)]
+    pub terrain: String,
+    /// Nominal rows per second, Hz; 0 < rate ≤ 100 000.
+    pub rate_hz: f64,
+    /// Anything worth knowing.
+    #[serde(default)]
+    pub notes: String,
+    /// Proportional gain in force, N·m/rad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kp: Option<f64>,
+    /// Derivative gain in force, N·m·s/rad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kd: Option<f64>,
+    /// Supply voltage, V.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub supply_v: Option<f64>,
+    /// Every other setting that was known, by key.
+    #[serde(flatten)]
+    pub settings: BTreeMap<String, Setting>,
+}
+
+/// Highest sampling rate that a log may claim, Hz.
+const MAX_RATE_HZ: f64 = 1e5;
+
+impl LogMeta {
+    /// A run of `robot` with nothing else known.
+    pub fn new(robot: impl Into<String>, base: BaseHold, rate_hz: f64) -> Self {
+        Self {
+            robot: robot.into(),
+            base,
+            terrain: String::new(),
+            rate_hz,
+            notes: String::new(),
+            kp: None,
+            kd: None,
+            supply_v: None,
+            settings: BTreeMap::new(),
+        }
+    }
+
+    /// Reads the text of a `log.toml`; `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`LogError::Meta`] with the line.
+    pub fn parse(file: &str, text: &str) -> Result<Self, LogError> {
+        let meta: Self = toml::from_str(text).map_err(|e| LogError::Meta {
+            file: file.to_owned(),
+            line: e.span().map_or(1, |s| {
+                1 + text[..s.start.min(text.len())].matches('\n').count()
+            }),
+            message: e.message().replace('\n', " "),
+        })?;
+        meta.check().map_err(|message| LogError::Meta {
+            file: file.to_owned(),
+            line: 1,
+            message,
+        })?;
+        Ok(meta)
+    }
+
+    /// The text of `log.toml`.
+    ///
+    /// # Errors
+    /// [`LogError::Refused`] where a value is not valid.
+    pub fn to_toml(&self) -> Result<String, LogError> {
+        self.check().map_err(LogError::Refused)?;
+        toml::to_string(self).map_err(|e| LogError::Refused(e.to_string()))
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.robot.is_empty() {
+            return Err("`robot` is empty; name the robot or its file".to_owned());
+        }
+        if !(self.rate_hz > 0.0 && self.rate_hz <= MAX_RATE_HZ) {
+            return Err(format!(
+                "`rate_hz` is {}; it must be above 0 and at most {MAX_RATE_HZ}",
+                self.rate_hz
+            ));
+        }
+        let gains = [
+            ("kp", self.kp),
+            ("kd", self.kd),
+            ("supply_v", self.supply_v),
+        ];
+        for (key, value) in gains {
+            if value.is_some_and(|v| !(v.is_finite() && v >= 0.0)) {
+                return Err(format!("`{key}` must be a number ≥ 0"));
+            }
+        }
+        for (key, value) in &self.settings {
+            if matches!(value, Setting::Number(x) if !x.is_finite()) {
+                return Err(format!("`{key}` is not a finite number"));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_what_the_format_lists_and_keeps_other_settings() {
+        let text = "robot = \"polymander\"\nbase = \"water\"\nterrain = \"pool\"\nrate_hz = 50\nnotes = \"first\"\nkp = 15\n\
+                    kd = 0.15\nsupply_v = 14.0\nwater_level_m = 0.2\ntether = true\n";
+        let meta = LogMeta::parse("log.toml", text).unwrap();
+        assert_eq!(
+            (meta.base, meta.rate_hz, meta.kp),
+            (BaseHold::Water, 50.0, Some(15.0))
+        );
+        assert_eq!(meta.settings["water_level_m"], Setting::Number(0.2));
+        assert_eq!(meta.settings["tether"], Setting::Switch(true));
+        assert_eq!(
+            LogMeta::parse("log.toml", &meta.to_toml().unwrap()).unwrap(),
+            meta
+        );
+    }
+
+    #[test]
+    fn wrong_meta_says_where() {
+        let check = |text: &str, want: &str| {
+            let e = LogMeta::parse("log.toml", text).unwrap_err().to_string();
+            assert!(e.contains(want) && !e.contains('\n'), "{e}");
+        };
+        check(
+            "robot = \"p\"\nbase = \"flying\"\nrate_hz = 50\n",
+            "log.toml:2: unknown variant `flying`",
+        );
+        check(
+            "robot = \"p\"\nbase = \"free\"\n",
+            "missing field `rate_hz`",
+        );
+        check(
+            "robot = \"p\"\nbase = \"free\"\nrate_hz = 0\n",
+            "`rate_hz` is 0",
+        );
+        check(
+            "robot = \"p\"\nbase = \"free\"\nrate_hz = nan\n",
+            "`rate_hz` is NaN",
+        );
+        check(
+            "robot = \"\"\nbase = \"free\"\nrate_hz = 50\n",
+            "`robot` is empty",
+        );
+        check(
+            "robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nkp = -1\n",
+            "`kp` must be",
+        );
+        check(
+            "robot = \"p\"\nbase = \"free\"\nrate_hz = 50\nlist = [1]\n",
+            "did not match",
+        );
+        check("robot = \"p\nbase = \"free\"\n", "log.toml:1");
+    }
+}

@@ -1,0 +1,284 @@
+//! Signal names, as they stand in the header of `log.csv`.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Longest name of a joint, leg or marker.
+const MAX_NAME_BYTES: usize = 64;
+
+/// A coordinate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Axis {
+    /// Forward.
+    X,
+    /// Left.
+    Y,
+    /// Up.
+    Z,
+}
+
+impl Axis {
+    /// x, y, z.
+    pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
+}
+
+/// A part of a quaternion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum QuatPart {
+    /// Real part.
+    W,
+    /// Imaginary part along x.
+    X,
+    /// Imaginary part along y.
+    Y,
+    /// Imaginary part along z.
+    Z,
+}
+
+impl QuatPart {
+    /// w, x, y, z.
+    pub const ALL: [Self; 4] = [Self::W, Self::X, Self::Y, Self::Z];
+}
+
+/// What a column holds. The `Display` form is the column's name; `FromStr` reads it back.
+///
+/// Names of joints, legs and markers have 1 to 64 letters, digits, `_` or `-`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Signal {
+    /// `cmd.<joint>`: position command as sent, rad.
+    Command(String),
+    /// `pos.<joint>`: measured joint position, rad.
+    Position(String),
+    /// `vel.<joint>`: joint velocity as the servo reports it, rad/s.
+    Velocity(String),
+    /// `cur.<joint>`: motor current, A.
+    Current(String),
+    /// `tau.<joint>`: joint torque, N·m.
+    Torque(String),
+    /// `temp.<joint>`: servo temperature, °C.
+    Temperature(String),
+    /// `volt`: supply voltage, V.
+    Voltage,
+    /// `imu.gyro.<axis>`: angular velocity in the IMU frame, rad/s.
+    Gyro(Axis),
+    /// `imu.acc.<axis>`: specific force in the IMU frame, m/s².
+    Acceleration(Axis),
+    /// `imu.grav.<axis>`: direction of gravity in the IMU frame, unit vector.
+    Gravity(Axis),
+    /// `base.pos.<axis>`: position of the base in the world, m.
+    BasePosition(Axis),
+    /// `base.quat.<part>`: orientation world_from_base.
+    BaseQuaternion(QuatPart),
+    /// `base.vel.<axis>`: velocity of the base in the world, m/s.
+    BaseVelocity(Axis),
+    /// `mocap.<marker>.<axis>`: position of a marker in the world, m.
+    Mocap(String, Axis),
+    /// `foot.<leg>.<axis>`: position of a foot in the world, m.
+    Foot(String, Axis),
+    /// `contact.<leg>`: foot on the ground (1) or not (0).
+    Contact(String),
+}
+
+impl Signal {
+    /// Unit of the column's values; empty where there is none.
+    pub fn unit(&self) -> &'static str {
+        match self {
+            Self::Command(_) | Self::Position(_) => "rad",
+            Self::Velocity(_) | Self::Gyro(_) => "rad/s",
+            Self::Current(_) => "A",
+            Self::Torque(_) => "N·m",
+            Self::Temperature(_) => "°C",
+            Self::Voltage => "V",
+            Self::Acceleration(_) => "m/s²",
+            Self::BasePosition(_) | Self::Mocap(..) | Self::Foot(..) => "m",
+            Self::BaseVelocity(_) => "m/s",
+            Self::Gravity(_) | Self::BaseQuaternion(_) | Self::Contact(_) => "",
+        }
+    }
+
+    /// The joint that the signal belongs to.
+    pub fn joint(&self) -> Option<&str> {
+        match self {
+            Self::Command(j)
+            | Self::Position(j)
+            | Self::Velocity(j)
+            | Self::Current(j)
+            | Self::Torque(j)
+            | Self::Temperature(j) => Some(j),
+            _ => None,
+        }
+    }
+
+    /// Whether the signal's names can be written and read back; a signal built by hand may hold a name with a dot, comma or blank.
+    pub(crate) fn check(&self) -> Result<(), SignalError> {
+        match self {
+            Self::Mocap(n, _) | Self::Foot(n, _) | Self::Contact(n) => name(n).map(drop),
+            other => other.joint().map_or(Ok(()), |n| name(n).map(drop)),
+        }
+    }
+}
+
+impl fmt::Display for Axis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Z => "z",
+        })
+    }
+}
+
+impl fmt::Display for QuatPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::W => "w",
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Z => "z",
+        })
+    }
+}
+
+impl fmt::Display for Signal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Command(j) => write!(f, "cmd.{j}"),
+            Self::Position(j) => write!(f, "pos.{j}"),
+            Self::Velocity(j) => write!(f, "vel.{j}"),
+            Self::Current(j) => write!(f, "cur.{j}"),
+            Self::Torque(j) => write!(f, "tau.{j}"),
+            Self::Temperature(j) => write!(f, "temp.{j}"),
+            Self::Voltage => f.write_str("volt"),
+            Self::Gyro(a) => write!(f, "imu.gyro.{a}"),
+            Self::Acceleration(a) => write!(f, "imu.acc.{a}"),
+            Self::Gravity(a) => write!(f, "imu.grav.{a}"),
+            Self::BasePosition(a) => write!(f, "base.pos.{a}"),
+            Self::BaseQuaternion(p) => write!(f, "base.quat.{p}"),
+            Self::BaseVelocity(a) => write!(f, "base.vel.{a}"),
+            Self::Mocap(m, a) => write!(f, "mocap.{m}.{a}"),
+            Self::Foot(l, a) => write!(f, "foot.{l}.{a}"),
+            Self::Contact(l) => write!(f, "contact.{l}"),
+        }
+    }
+}
+
+/// Why a text is not a signal name.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SignalError {
+    /// None of the known forms.
+    #[error(
+        "`{0}` is not a signal (cmd|pos|vel|cur|tau|temp.<joint>, volt, imu.gyro|acc|grav.x|y|z, base.pos|vel.x|y|z, base.quat.w|x|y|z, mocap.<marker>.x|y|z, foot.<leg>.x|y|z, contact.<leg>)"
+    )]
+    Unknown(String),
+    /// The part that names a joint, leg or marker.
+    #[error("`{0}` is not a name of 1 to 64 letters, digits, _ or -")]
+    Name(String),
+}
+
+fn name(text: &str) -> Result<String, SignalError> {
+    let good = |b: u8| b.is_ascii_alphanumeric() || b == b'_' || b == b'-';
+    if (1..=MAX_NAME_BYTES).contains(&text.len()) && text.bytes().all(good) {
+        return Ok(text.to_owned());
+    }
+    Err(SignalError::Name(text.to_owned()))
+}
+
+impl FromStr for Signal {
+    type Err = SignalError;
+
+    fn from_str(text: &str) -> Result<Self, SignalError> {
+        let unknown = || SignalError::Unknown(text.to_owned());
+        let axis = |t: &str| match t {
+            "x" => Ok(Axis::X),
+            "y" => Ok(Axis::Y),
+            "z" => Ok(Axis::Z),
+            _ => Err(unknown()),
+        };
+        let parts: Vec<&str> = text.split('.').collect();
+        match parts.as_slice() {
+            ["volt"] => Ok(Self::Voltage),
+            ["cmd", j] => Ok(Self::Command(name(j)?)),
+            ["pos", j] => Ok(Self::Position(name(j)?)),
+            ["vel", j] => Ok(Self::Velocity(name(j)?)),
+            ["cur", j] => Ok(Self::Current(name(j)?)),
+            ["tau", j] => Ok(Self::Torque(name(j)?)),
+            ["temp", j] => Ok(Self::Temperature(name(j)?)),
+            ["contact", l] => Ok(Self::Contact(name(l)?)),
+            ["imu", "gyro", a] => Ok(Self::Gyro(axis(a)?)),
+            ["imu", "acc", a] => Ok(Self::Acceleration(axis(a)?)),
+            ["imu", "grav", a] => Ok(Self::Gravity(axis(a)?)),
+            ["base", "pos", a] => Ok(Self::BasePosition(axis(a)?)),
+            ["base", "vel", a] => Ok(Self::BaseVelocity(axis(a)?)),
+            ["base", "quat", "w"] => Ok(Self::BaseQuaternion(QuatPart::W)),
+            ["base", "quat", "x"] => Ok(Self::BaseQuaternion(QuatPart::X)),
+            ["base", "quat", "y"] => Ok(Self::BaseQuaternion(QuatPart::Y)),
+            ["base", "quat", "z"] => Ok(Self::BaseQuaternion(QuatPart::Z)),
+            ["mocap", m, a] => Ok(Self::Mocap(name(m)?, axis(a)?)),
+            ["foot", l, a] => Ok(Self::Foot(name(l)?, axis(a)?)),
+            _ => Err(unknown()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn every_form_of_the_format_reads_and_writes_as_listed() {
+        for (text, unit) in [
+            ("cmd.FL_hip", "rad"),
+            ("pos.FL_hip", "rad"),
+            ("vel.spine_1", "rad/s"),
+            ("cur.tail_3", "A"),
+            ("tau.tail_3", "N·m"),
+            ("volt", "V"),
+            ("temp.HR_knee", "°C"),
+            ("imu.gyro.x", "rad/s"),
+            ("imu.acc.y", "m/s²"),
+            ("imu.grav.z", ""),
+            ("base.pos.x", "m"),
+            ("base.quat.w", ""),
+            ("base.quat.z", ""),
+            ("base.vel.y", "m/s"),
+            ("mocap.head-1.z", "m"),
+            ("foot.FL.x", "m"),
+            ("contact.HR", ""),
+        ] {
+            let signal: Signal = text.parse().unwrap();
+            assert_eq!(signal.to_string(), text);
+            assert_eq!(signal.unit(), unit, "{text}");
+            assert!(signal.check().is_ok());
+        }
+        assert_eq!(
+            "pos.FL_hip".parse::<Signal>().unwrap().joint(),
+            Some("FL_hip")
+        );
+        assert_eq!("volt".parse::<Signal>().unwrap().joint(), None);
+    }
+
+    #[test]
+    fn near_misses_are_refused() {
+        #[rustfmt::skip]
+        let wrong = [
+            "", "t", "T", "pos", "pos.", "pos.a.b", "pos.a b", "Pos.a", "volt.a", "imu.gyro", "imu.gyro.w", "imu.mag.x", "base.quat.q",
+            "base.acc.x", "mocap.x", "mocap..x", "foot.FL", "foot.FL.w", "contact", "contact.FL.x", "pos.é", " pos.a",
+        ];
+        for text in wrong {
+            assert!(text.parse::<Signal>().is_err(), "{text}");
+        }
+        assert!(format!("pos.{}", "a".repeat(64)).parse::<Signal>().is_ok());
+        assert!(format!("pos.{}", "a".repeat(65)).parse::<Signal>().is_err());
+        assert!(Signal::Position("a,b".to_owned()).check().is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_parses_prints_the_same(text in "(cmd|pos|imu|base|foot|volt)(\\.[a-z_]{1,4}){0,3}") {
+            if let Ok(signal) = text.parse::<Signal>() {
+                prop_assert_eq!(signal.to_string(), text);
+            }
+        }
+    }
+}
