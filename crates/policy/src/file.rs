@@ -20,8 +20,8 @@ pub struct PolicyFile {
 }
 
 impl PolicyFile {
-    /// Reads a file strictly: only what [`crate::build_onnx`] can write is accepted, which leaves
-    /// nothing in the bytes that nobody looked at.
+    /// Reads a file strictly: only graphs and fields of the kind that [`crate::build_onnx`] writes
+    /// are accepted, so that nothing in the bytes goes unlooked at.
     ///
     /// # Errors
     /// The first thing that is not right.

@@ -1,7 +1,8 @@
 //! Running a policy with ONNX Runtime.
 
+use ort::environment::Environment;
 use ort::memory::Allocator;
-use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
+use ort::session::builder::GraphOptimizationLevel;
 use ort::session::{IoBinding, Session};
 use ort::value::Tensor;
 
@@ -40,11 +41,7 @@ impl Inference {
     /// refuses the model.
     pub fn new(file: &PolicyFile, threads: usize) -> Result<Self, PolicyError> {
         let environment = runtime::environment()?;
-        let builder = Session::builder(&environment).map_err(runtime_error)?;
-        let session = options(builder, threads.max(1))
-            .map_err(|e| PolicyError::Runtime(e.to_string()))?
-            .commit_from_memory(file.bytes())
-            .map_err(runtime_error)?;
+        let session = session(&environment, file.bytes(), threads.max(1)).map_err(runtime_error)?;
         Ok(Self {
             session,
             obs_dim: file.spec().obs_dim(),
@@ -103,17 +100,15 @@ impl Inference {
     }
 }
 
-fn options(
-    builder: SessionBuilder,
-    threads: usize,
-) -> Result<SessionBuilder, ort::Error<SessionBuilder>> {
-    builder
+fn session(environment: &Environment, bytes: &[u8], threads: usize) -> ort::Result<Session> {
+    Session::builder(environment)?
         .with_optimization_level(GraphOptimizationLevel::All)?
         .with_intra_threads(threads)?
         .with_inter_threads(1)?
         // Threads that spin while they wait would take the simulator's cores.
         .with_intra_op_spinning(false)?
-        .with_deterministic_compute(true)
+        .with_deterministic_compute(true)?
+        .commit_from_memory(bytes)
 }
 
 fn runtime_error(error: ort::Error) -> PolicyError {

@@ -15,6 +15,8 @@ mod metadata;
 mod mlp;
 mod onnx;
 mod runtime;
+#[cfg(test)]
+mod tests;
 
 pub use error::PolicyError;
 pub use file::PolicyFile;

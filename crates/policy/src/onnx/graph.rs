@@ -84,7 +84,10 @@ fn network(graph: &Graph) -> Result<MlpSpec, PolicyError> {
         }
         let next = walk.activation_step()?;
         if activation.is_some_and(|a| a != next) {
-            return Err(walk.fail("another activation than before"));
+            return Err(PolicyError::Chain {
+                node: walk.at - 1,
+                problem: "another activation than before",
+            });
         }
         activation = Some(next);
     }
