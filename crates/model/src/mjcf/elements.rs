@@ -4,8 +4,9 @@ use crate::error::ModelError;
 use crate::pose::{self, Pose};
 use crate::types::{Geom, JointMotion, Shape};
 
+use super::compiler::Compiler;
 use super::xml::Element;
-use super::{Actuator, Compiler, MjJoint, MjSite};
+use super::{Actuator, MjJoint, MjSite};
 
 /// MuJoCo's default sliding friction coefficient.
 const DEFAULT_FRICTION: f64 = 1.0;

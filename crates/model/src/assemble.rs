@@ -1,0 +1,391 @@
+//! Putting the robot file and the MJCF together: who plays which role, and whether the two agree.
+
+use std::collections::BTreeMap;
+
+use crate::error::ModelError;
+use crate::mjcf::MjModel;
+use crate::model::BaseKind;
+use crate::params::{BacklashParams, ServoParams, WaterParams};
+use crate::robot_file::{BaseWord, Checker, RobotFile};
+use crate::types::{Foot, Joint, JointKind, Link, Shape, Site};
+
+pub(crate) fn base_kind(
+    c: &Checker<'_>,
+    file: &RobotFile,
+    mj: &MjModel,
+) -> Result<BaseKind, ModelError> {
+    match (file.base, mj.free_base) {
+        (BaseWord::Free, true) => Ok(BaseKind::Free),
+        (BaseWord::Fixed, false) => Ok(BaseKind::Fixed),
+        (BaseWord::Free, false) => Err(c.error(
+            "base",
+            "is `free`, but the MJCF's root body has no <freejoint>",
+        )),
+        (BaseWord::Fixed, true) => Err(c.error(
+            "base",
+            "is `fixed`, but the MJCF's root body has a <freejoint>",
+        )),
+    }
+}
+
+/// Model index of each actuated joint; the MJCF's actuators must stand in the same order.
+pub(crate) fn actuated_joints(
+    c: &Checker<'_>,
+    mjcf_label: &str,
+    file: &RobotFile,
+    mj: &MjModel,
+) -> Result<Vec<usize>, ModelError> {
+    let at = "joints.actuated";
+    let names = &file.joints.actuated;
+    if names.is_empty() {
+        return Err(c.error(at, "is empty; name at least one joint"));
+    }
+    let mut out = Vec::with_capacity(names.len());
+    for (i, name) in names.iter().enumerate() {
+        let j = mj
+            .joints
+            .iter()
+            .position(|j| &j.name == name)
+            .ok_or_else(|| c.error(at, format!("there is no joint `{name}` in the MJCF")))?;
+        if out.contains(&j) {
+            return Err(c.error(at, format!("names `{name}` twice")));
+        }
+        out.push(j);
+        match mj.actuators.get(i) {
+            Some(a) if &a.joint == name => {}
+            Some(a) => {
+                return Err(ModelError::Mjcf {
+                    file: mjcf_label.to_owned(),
+                    line: a.line,
+                    element: format!("actuator `{}`", a.name),
+                    message: format!(
+                        "drives `{}` where the robot file's joint order has `{name}` (place {}); use one order in both files",
+                        a.joint,
+                        i + 1
+                    ),
+                });
+            }
+            None => {
+                return Err(c.error(at, format!("joint `{name}` has no actuator in the MJCF")));
+            }
+        }
+    }
+    if let Some(extra) = mj.actuators.get(names.len()) {
+        return Err(c.error(
+            at,
+            format!("lacks `{}`, which the MJCF actuates", extra.joint),
+        ));
+    }
+    Ok(out)
+}
+
+pub(crate) type Presets = Vec<(String, ServoParams)>;
+
+pub(crate) fn servos(
+    c: &Checker<'_>,
+    file: &RobotFile,
+) -> Result<(Presets, Vec<usize>), ModelError> {
+    let presets: Presets = file
+        .servo
+        .preset
+        .iter()
+        .map(|(n, s)| (n.clone(), s.clone()))
+        .collect();
+    let known = || {
+        presets
+            .iter()
+            .map(|p| p.0.as_str())
+            .collect::<Vec<_>>()
+            .join(", ")
+    };
+    let find = |at: &str, name: &str| {
+        presets.iter().position(|p| p.0 == name).ok_or_else(|| {
+            c.error(
+                at,
+                format!("there is no servo preset `{name}` (known: {})", known()),
+            )
+        })
+    };
+    for name in file.servo.joint.keys() {
+        if !file.joints.actuated.contains(name) {
+            return Err(c.error("servo.joint", format!("`{name}` is not an actuated joint")));
+        }
+    }
+    let default = find("servo.default", &file.servo.default)?;
+    let mut of = Vec::new();
+    for name in &file.joints.actuated {
+        of.push(match file.servo.joint.get(name) {
+            Some(p) => find(&format!("servo.joint.{name}"), p)?,
+            None => default,
+        });
+    }
+    Ok((presets, of))
+}
+
+pub(crate) fn backlash(
+    c: &Checker<'_>,
+    file: &RobotFile,
+    mj: &MjModel,
+) -> Result<BacklashParams, ModelError> {
+    let Some(b) = &file.backlash else {
+        return Ok(BacklashParams::default());
+    };
+    let mut joints = Vec::new();
+    for name in &b.joints {
+        let j = mj
+            .joints
+            .iter()
+            .position(|j| &j.name == name)
+            .ok_or_else(|| {
+                c.error(
+                    "backlash.joints",
+                    format!("there is no joint `{name}` in the MJCF"),
+                )
+            })?;
+        if file.joints.actuated.contains(name) || joints.contains(&j) {
+            return Err(c.error("backlash.joints", format!("`{name}` already has a role")));
+        }
+        joints.push(j);
+    }
+    joints.sort_unstable();
+    Ok(BacklashParams {
+        enabled: b.enabled,
+        joints,
+        half_width_rad: b.half_width_rad,
+        stiffness_nm_per_rad: b.stiffness_nm_per_rad,
+        damping_nm_s_per_rad: b.damping_nm_s_per_rad,
+        friction_loss_nm: b.friction_loss_nm,
+    })
+}
+
+/// All joints in model order, with the numbers of the robot file where it has them.
+pub(crate) fn joints(
+    c: &Checker<'_>,
+    file: &RobotFile,
+    mj: &MjModel,
+    actuated: &[usize],
+    backlash: &BacklashParams,
+    presets: &Presets,
+    servo_of: &[usize],
+) -> Result<Vec<Joint>, ModelError> {
+    let mut out = Vec::with_capacity(mj.joints.len());
+    for (link, body) in mj.bodies.iter().enumerate() {
+        for &j in &body.joints {
+            let m = &mj.joints[j];
+            let mut joint = Joint {
+                name: m.name.clone(),
+                motion: m.motion,
+                kind: JointKind::Passive,
+                parent_link: body.parent,
+                child_link: link,
+                axis: m.axis,
+                anchor_m: m.anchor_m,
+                range_rad: m.range_rad,
+                stiffness_nm_per_rad: m.stiffness,
+                spring_ref_rad: m.spring_ref,
+                damping_nm_s_per_rad: m.damping,
+                armature_kgm2: m.armature,
+                friction_loss_nm: m.friction_loss,
+                locked: false,
+            };
+            if let Some(index) = actuated.iter().position(|&a| a == j) {
+                let s = &presets[servo_of[index]].1;
+                joint.kind = JointKind::Actuated { index };
+                joint.damping_nm_s_per_rad = s.damping_nm_s_per_rad;
+                joint.armature_kgm2 = s.armature_kgm2;
+                joint.friction_loss_nm = s.friction_loss_nm;
+            } else if backlash.joints.contains(&j) {
+                joint.kind = JointKind::Backlash;
+                joint.range_rad = Some((-backlash.half_width_rad, backlash.half_width_rad));
+                joint.stiffness_nm_per_rad = backlash.stiffness_nm_per_rad;
+                joint.damping_nm_s_per_rad = backlash.damping_nm_s_per_rad;
+                joint.friction_loss_nm = backlash.friction_loss_nm;
+                joint.locked = !backlash.enabled;
+            } else {
+                let table = file.passive.as_ref();
+                let Some((table, p)) = table.and_then(|t| Some((t, t.joint.get(&m.name)?))) else {
+                    return Err(c.error(
+                        "passive.joint",
+                        format!(
+                            "lacks `{}`: the MJCF joint is neither actuated nor backlash",
+                            m.name
+                        ),
+                    ));
+                };
+                joint.stiffness_nm_per_rad = p.stiffness_nm_per_rad;
+                joint.damping_nm_s_per_rad = p.damping_nm_s_per_rad;
+                joint.friction_loss_nm = p.friction_loss_nm;
+                joint.locked = table.locked;
+            }
+            out.push(joint);
+        }
+    }
+    for name in file.passive.iter().flat_map(|t| t.joint.keys()) {
+        if !out
+            .iter()
+            .any(|j| &j.name == name && j.kind == JointKind::Passive)
+        {
+            return Err(c.error(
+                format!("passive.joint.{name}"),
+                "there is no such joint in the MJCF, or it already has a role",
+            ));
+        }
+    }
+    Ok(out)
+}
+
+/// A pose by joint name, complete and within the limits, in policy order.
+pub(crate) fn pose(
+    c: &Checker<'_>,
+    at: &str,
+    by_name: &BTreeMap<String, f64>,
+    file: &RobotFile,
+    limits_rad: &[(f64, f64)],
+) -> Result<Vec<f64>, ModelError> {
+    for name in by_name.keys() {
+        if !file.joints.actuated.contains(name) {
+            return Err(c.error(at, format!("`{name}` is not an actuated joint")));
+        }
+    }
+    let mut out = Vec::new();
+    for (name, &(lo, hi)) in file.joints.actuated.iter().zip(limits_rad) {
+        let q = *by_name
+            .get(name)
+            .ok_or_else(|| c.error(at, format!("lacks `{name}`")))?;
+        if !(lo..=hi).contains(&q) {
+            return Err(c.error(
+                format!("{at}.{name}"),
+                format!("{q} rad is outside the joint's limits {lo} to {hi}"),
+            ));
+        }
+        out.push(q);
+    }
+    Ok(out)
+}
+
+type Parts = (
+    Vec<Link>,
+    Vec<Site>,
+    Vec<crate::types::Geom>,
+    Vec<(usize, usize)>,
+);
+
+pub(crate) fn parts(mj: MjModel) -> Parts {
+    let links = mj
+        .bodies
+        .into_iter()
+        .map(|b| Link {
+            name: b.name,
+            parent: b.parent,
+            parent_from_link: b.parent_from_body,
+            mass_kg: b.mass_kg,
+            com_m: b.com_m,
+            inertia_kgm2: b.inertia_kgm2,
+            joints: b.joints,
+            geoms: b.geoms,
+        })
+        .collect();
+    let sites = mj
+        .sites
+        .into_iter()
+        .map(|(link, s)| Site {
+            name: s.name,
+            link,
+            link_from_site: s.link_from_site,
+        })
+        .collect();
+    (links, sites, mj.world_geoms, mj.excluded)
+}
+
+/// The feet; also gives every geom on a link the friction of the robot file.
+pub(crate) fn feet(
+    c: &Checker<'_>,
+    file: &RobotFile,
+    links: &mut [Link],
+) -> Result<Vec<Foot>, ModelError> {
+    for geom in links.iter_mut().flat_map(|l| &mut l.geoms) {
+        geom.friction = file.contact.body_friction;
+    }
+    let mut out: Vec<Foot> = Vec::new();
+    for entry in &file.feet {
+        let at = format!("feet.{}", entry.name);
+        let found = links.iter().enumerate().find_map(|(l, link)| {
+            let g = link
+                .geoms
+                .iter()
+                .position(|g| g.name.as_ref() == Some(&entry.geom))?;
+            Some((l, g))
+        });
+        let Some((link, geom)) = found else {
+            return Err(c.error(at, format!("there is no geom `{}` on a link", entry.geom)));
+        };
+        let g = &mut links[link].geoms[geom];
+        let Shape::Sphere { radius_m } = g.shape else {
+            return Err(c.error(at, format!("geom `{}` is not a sphere", entry.geom)));
+        };
+        if !g.collides() {
+            return Err(c.error(
+                at,
+                format!(
+                    "geom `{}` touches nothing (contype, conaffinity)",
+                    entry.geom
+                ),
+            ));
+        }
+        if out
+            .iter()
+            .any(|f| f.name == entry.name || (f.link, f.geom) == (link, geom))
+        {
+            return Err(c.error(at, "is listed twice"));
+        }
+        g.friction = file.contact.foot_friction;
+        let centre_m = g.link_from_geom.pos_m;
+        out.push(Foot {
+            name: entry.name.clone(),
+            link,
+            geom,
+            centre_m,
+            radius_m,
+        });
+    }
+    Ok(out)
+}
+
+/// Water parameters with one drag scale per link: each link belongs to exactly one group.
+pub(crate) fn water(
+    c: &Checker<'_>,
+    file: &RobotFile,
+    links: &[Link],
+) -> Result<Option<WaterParams>, ModelError> {
+    let Some(w) = &file.water else {
+        return Ok(None);
+    };
+    for (group, g) in &w.drag {
+        for name in &g.links {
+            if !links.iter().any(|l| &l.name == name) {
+                return Err(c.error(
+                    format!("water.drag.{group}.links"),
+                    format!("there is no body `{name}` in the MJCF"),
+                ));
+            }
+        }
+    }
+    let mut drag = Vec::with_capacity(links.len());
+    for link in links {
+        let mut scales = w.drag.values().filter(|g| g.links.contains(&link.name));
+        let (Some(one), None) = (scales.next(), scales.next()) else {
+            return Err(c.error(
+                "water.drag",
+                format!("link `{}` must be in exactly one group", link.name),
+            ));
+        };
+        drag.push(one.scale.clone());
+    }
+    Ok(Some(WaterParams {
+        density_kg_per_m3: w.density_kg_per_m3,
+        viscosity_pa_s: w.viscosity_pa_s,
+        buoyancy_ratio: w.buoyancy_ratio,
+        heave_damping_ns_per_m: w.heave_damping_ns_per_m,
+        drag,
+    }))
+}
