@@ -114,3 +114,83 @@ fn vectors<const K: usize>(values: &[f32], lane: usize) -> [[f32; 3]; K] {
         .copy_from_slice(&values[lane * K * 3..][..K * 3]);
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f32::consts::FRAC_PI_2;
+
+    const READER: Reader = Reader {
+        actuated: [0, 1, 2, 3, 4, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17],
+        foot_radius_m: [0.02; FEET],
+    };
+
+    fn state() -> State {
+        State::zeros(2, 18, ACT_DIM, FEET)
+    }
+
+    #[test]
+    fn velocity_is_turned_into_the_heading() {
+        // Heading +y (90°), moving at 0.3 along world y and 0.1 along world x: forward 0.3, to the right 0.1.
+        let mut state = state();
+        state.heading_rad[1] = FRAC_PI_2;
+        state.com_vel_mps[3..].copy_from_slice(&[0.1, 0.3, 0.05]);
+        state.com_angvel_radps[3..].copy_from_slice(&[7.0, 8.0, 0.4]);
+        let truth = READER.read(&state, 1);
+        for (found, expected) in truth.com_vel_mps.iter().zip([0.3, -0.1, 0.05]) {
+            assert!((found - expected).abs() < 1e-6, "{:?}", truth.com_vel_mps);
+        }
+        assert_eq!(truth.yaw_rate_radps, 0.4);
+        assert_eq!(READER.read(&state, 0).com_vel_mps, [0.0; 3]);
+    }
+
+    #[test]
+    fn joints_come_in_policy_order() {
+        let mut state = state();
+        for j in 0..18 {
+            state.joint_pos_rad[18 + j] = j as f32;
+            state.joint_vel_radps[18 + j] = -(j as f32);
+        }
+        let truth = READER.read(&state, 1);
+        assert_eq!(truth.joint_pos_rad[5], 6.0);
+        assert_eq!(truth.joint_vel_radps[15], -17.0);
+        assert_eq!(truth.readings().joint_pos_rad, truth.joint_pos_rad);
+    }
+
+    #[test]
+    fn height_is_above_the_ground_under_the_feet() {
+        // Feet centres at 0.52, balls of 0.02, the lowest points 0.10, 0.10, 0 and 0 above the ground: ground at
+        // 0.40, 0.40, 0.50, 0.50, mean 0.45. Centre of mass at 0.57: 0.12 above.
+        let mut state = state();
+        for foot in 0..FEET {
+            state.foot_pos_m[3 * foot + 2] = 0.52;
+        }
+        state.foot_height_m[..4].copy_from_slice(&[0.1, 0.1, 0.0, 0.0]);
+        state.com_pos_m[2] = 0.57;
+        assert!((READER.read(&state, 0).com_height_m - 0.12).abs() < 1e-6);
+    }
+
+    #[test]
+    fn any_value_that_is_not_finite_is_noticed() {
+        type Part = fn(&mut State) -> &mut f32;
+        let parts: [Part; 8] = [
+            |s| &mut s.joint_pos_rad[17],
+            |s| &mut s.joint_vel_radps[0],
+            |s| &mut s.mech_power_w[15],
+            |s| &mut s.com_vel_mps[2],
+            |s| &mut s.heading_rad[0],
+            |s| &mut s.imu_gravity[1],
+            |s| &mut s.foot_force_n[11],
+            |s| &mut s.trunk_force_n[0],
+        ];
+        assert!(READER.read(&state(), 0).is_finite());
+        for (i, part) in parts.iter().enumerate() {
+            for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                let mut state = state();
+                *part(&mut state) = bad;
+                assert!(!READER.read(&state, 0).is_finite(), "part {i} {bad}");
+                assert!(READER.read(&state, 1).is_finite());
+            }
+        }
+    }
+}

@@ -108,3 +108,33 @@ impl OutputBuffers {
         self.output.episodes.push(stats);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn buffers_of_ended_episodes_are_used_again() {
+        let mut buffers = OutputBuffers::new(3);
+        let mut seen = Vec::new();
+        for round in 0..5 {
+            buffers.clear();
+            let stats = EpisodeStats {
+                lane: 2,
+                terminated: round % 2 == 0,
+                ..EpisodeStats::default()
+            };
+            buffers.finish(stats, &[0.5; TERM_COUNT], &[round as f32; 97]);
+            let output = &buffers.output;
+            assert_eq!(output.terminated, [false, false, round % 2 == 0]);
+            assert_eq!(output.truncated, [false, false, round % 2 == 1]);
+            assert_eq!(output.final_observations, [(2, vec![round as f32; 97])]);
+            assert_eq!(output.episodes[0].terms, [0.5; TERM_COUNT]);
+            seen.push((
+                output.final_observations[0].1.as_ptr(),
+                output.episodes[0].terms.as_ptr(),
+            ));
+        }
+        assert!(seen.iter().all(|pointers| *pointers == seen[0]));
+    }
+}
