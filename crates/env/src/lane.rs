@@ -1,6 +1,7 @@
 //! What is kept of one lane between steps.
 
 use caudata_random::{Key, Purpose, Stream};
+use caudata_sim::sensors::ImuBias;
 use caudata_task::action::ActionFilter;
 use caudata_task::command::CommandState;
 use caudata_task::phase::PhaseClock;
@@ -10,7 +11,7 @@ use caudata_task::termination::TerminationReason;
 use caudata_task::{ACT_DIM, ACTION_HISTORY, FEET, TaskConfig};
 use serde::{Deserialize, Serialize};
 
-use crate::measure::Truth;
+use crate::measure::{Sensors, Truth};
 use crate::output::EpisodeStats;
 
 /// One lane: its episode, controllers, disturbances and streams.
@@ -32,6 +33,8 @@ pub(crate) struct Lane {
     pub joint_vel_radps: [f32; ACT_DIM],
     /// Constant error of the joint positions in this episode, rad.
     pub joint_offset_rad: [f32; ACT_DIM],
+    /// Constant error of the IMU in this episode.
+    pub imu_bias: ImuBias,
     pub command_stream: Stream,
     pub push_stream: Stream,
     pub sensor_stream: Stream,
@@ -42,7 +45,13 @@ pub(crate) struct Lane {
 impl Lane {
     /// The state at the start of the episode of `key`, except for its start pose.
     /// `reset_stream` gives the clock's start and, where `stagger` asks for it, a random length.
-    pub fn start(task: &TaskConfig, key: Key, stagger: bool, reset_stream: &mut Stream) -> Self {
+    pub fn start(
+        task: &TaskConfig,
+        sensors: Option<&Sensors>,
+        key: Key,
+        stagger: bool,
+        reset_stream: &mut Stream,
+    ) -> Self {
         let control_period_s = task.control_period_s as f32;
         let mut command_stream = Stream::new(key, Purpose::Command);
         let mut push_stream = Stream::new(key, Purpose::Push);
@@ -50,6 +59,10 @@ impl Lane {
         let command = CommandState::draw(&task.command, control_period_s, &mut command_stream);
         let mut clock = PhaseClock::draw(&task.phase, reset_stream);
         clock.set_command(&task.phase, &command.value);
+        let joint_offset_rad = task.noise.draw_joint_offsets(&mut sensor_stream);
+        let imu_bias = sensors
+            .map(|s| s.draw_bias(&mut sensor_stream))
+            .unwrap_or_default();
         let step_limit = if stagger {
             1 + reset_stream.below(u64::from(task.episode_steps)) as u32
         } else {
@@ -65,7 +78,8 @@ impl Lane {
             push: PushSchedule::draw(&task.push, control_period_s, &mut push_stream),
             actions: [[0.0; ACT_DIM]; ACTION_HISTORY],
             joint_vel_radps: [0.0; ACT_DIM],
-            joint_offset_rad: task.noise.draw_joint_offsets(&mut sensor_stream),
+            joint_offset_rad,
+            imu_bias,
             command_stream,
             push_stream,
             sensor_stream,

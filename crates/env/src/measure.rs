@@ -1,6 +1,8 @@
 //! One lane out of the engine's state: the truth that rewards look at, and what sensors make of it.
 
-use caudata_sim::State;
+use caudata_model::{ImuParams, RobotModel, ServoParams};
+use caudata_random::Stream;
+use caudata_sim::{State, sensors};
 use caudata_task::noise::Readings;
 use caudata_task::{ACT_DIM, FEET};
 
@@ -90,6 +92,46 @@ impl Truth {
             joint_pos_rad: self.joint_pos_rad,
             gyro_radps: self.gyro_radps,
             gravity: self.gravity,
+        }
+    }
+}
+
+/// The robot's encoders and IMU, as its file describes them.
+#[derive(Clone, Debug)]
+pub(crate) struct Sensors {
+    servos: Vec<ServoParams>,
+    imu: Option<ImuParams>,
+    control_period_s: f64,
+}
+
+impl Sensors {
+    pub fn new(model: &RobotModel, control_period_s: f64) -> Self {
+        Self {
+            servos: (0..ACT_DIM).map(|i| model.servo(i).clone()).collect(),
+            imu: model.sensors().imu.clone(),
+            control_period_s,
+        }
+    }
+
+    /// Offsets of the IMU in one episode.
+    pub fn draw_bias(&self, stream: &mut Stream) -> sensors::ImuBias {
+        self.imu
+            .as_ref()
+            .map(|imu| sensors::ImuBias::draw(imu, stream))
+            .unwrap_or_default()
+    }
+
+    /// Turns true values into readings, in place. (Gravity comes from an attitude estimate, not from a sensor.)
+    pub fn measure(&self, readings: &mut Readings, bias: &sensors::ImuBias, stream: &mut Stream) {
+        for (i, servo) in self.servos.iter().enumerate() {
+            let pos = &mut readings.joint_pos_rad[i];
+            *pos = sensors::encoder_pos_rad(servo, *pos, 0.0);
+            let vel = &mut readings.joint_vel_radps[i];
+            *vel = sensors::encoder_vel_radps(servo, *vel);
+        }
+        if let Some(imu) = &self.imu {
+            let gyro = &mut readings.gyro_radps;
+            *gyro = sensors::gyro_radps(imu, bias, *gyro, self.control_period_s, stream);
         }
     }
 }

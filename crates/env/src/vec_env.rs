@@ -12,7 +12,7 @@ use caudata_task::{ACT_DIM, FEET, JointTable, ObservationLayout, PolicyContract,
 
 use crate::EnvError;
 use crate::lane::Lane;
-use crate::measure::{Reader, Truth};
+use crate::measure::{Reader, Sensors, Truth};
 use crate::output::{OutputBuffers, StepOutput};
 use crate::physics::PhysicsDraws;
 
@@ -34,6 +34,8 @@ pub struct VecEnv {
     layout: ObservationLayout,
     joints: JointTable,
     reader: Reader,
+    /// `None`: perfect sensors.
+    sensors: Option<Sensors>,
     physics: PhysicsDraws,
     buffers: OutputBuffers,
     /// `[N, 16]`, rad.
@@ -75,6 +77,8 @@ impl VecEnv {
                 actuated: std::array::from_fn(|i| model.actuated()[i]),
                 foot_radius_m: std::array::from_fn(|i| model.feet()[i].radius_m as f32),
             },
+            sensors: (task.noise.enabled && task.noise.sensor_models)
+                .then(|| Sensors::new(&model, task.control_period_s)),
             physics: PhysicsDraws::new(&model),
             buffers: OutputBuffers::new(lanes),
             targets_rad: vec![0.0; lanes * ACT_DIM],
@@ -295,7 +299,13 @@ impl VecEnv {
         self.physics.apply_start(&start);
         self.engine.set_params(lane, &self.physics.params)?;
         self.engine.reset(lane, &self.physics.init)?;
-        let mut started = Lane::start(&self.task, key, stagger, &mut reset_stream);
+        let mut started = Lane::start(
+            &self.task,
+            self.sensors.as_ref(),
+            key,
+            stagger,
+            &mut reset_stream,
+        );
         started.joint_vel_radps = start.joint_vel_radps;
         Ok(started)
     }
@@ -311,6 +321,9 @@ impl VecEnv {
         let mut readings = truth.readings();
         for (pos, offset) in readings.joint_pos_rad.iter_mut().zip(now.joint_offset_rad) {
             *pos += offset;
+        }
+        if let Some(sensors) = &self.sensors {
+            sensors.measure(&mut readings, &now.imu_bias, &mut now.sensor_stream);
         }
         self.task.noise.add(&mut readings, &mut now.sensor_stream);
         let dim = self.layout.dim();

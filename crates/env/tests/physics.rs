@@ -160,3 +160,33 @@ fn commands_change_while_an_episode_runs_and_a_zero_command_stops_the_clock() {
         "{standing} {walking} {changes}"
     );
 }
+
+#[test]
+fn sensors_quantise_and_drift_as_the_robot_file_says() {
+    let mut task = calm_task();
+    let noise = &mut task.noise;
+    noise.enabled = true;
+    noise.joint_vel_std_radps = 0.0;
+    noise.joint_pos_std_rad = 0.0;
+    noise.joint_offset_std_rad = 0.0;
+    noise.gyro_std_radps = 0.0;
+    noise.gravity_std = 0.0;
+    task.reset.joint_vel_noise_radps = 1.0;
+    let env = env(&task, 1, 1);
+    let (model, state, obs) = (model(), env.state(), env.observations());
+    let servo = model.servo(0);
+    for (i, &j) in model.actuated().iter().enumerate() {
+        let position = obs[16 + i] + model.nominal_pos_rad()[i] as f32;
+        let counts = f64::from(position) / servo.encoder_lsb_rad();
+        assert!((counts - counts.round()).abs() < 1e-3, "{counts}");
+        assert!((position - state.joint_pos_rad[j]).abs() < 0.51 * servo.encoder_lsb_rad() as f32);
+        let steps = f64::from(obs[i]) / servo.velocity_lsb_radps;
+        assert!((steps - steps.round()).abs() < 1e-3, "{steps}");
+    }
+    // The toy does not turn: what the gyroscope reads is its bias and noise.
+    let imu = model.sensors().imu.as_ref().unwrap();
+    for rate in &obs[32..35] {
+        assert!(*rate != 0.0 && f64::from(rate.abs()) < 5.0 * imu.gyro_bias_std_radps + 0.01);
+    }
+    assert_eq!(obs[35..38], state.imu_gravity[..3]);
+}
