@@ -11,6 +11,6 @@ pub mod rollout;
 pub mod wire;
 
 pub use rollout::{
-    ActorBye, ActorHello, DecodeError, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
-    Moments, RolloutChunk, decode, encode,
+    ActorBye, ActorHello, ChunkIdentity, DecodeError, DecodeLimits, Envelope, EpisodeSummary,
+    FinalObservation, Moments, RolloutChunk, chunk_identity, decode, encode,
 };

@@ -3,6 +3,7 @@
 use prost::Message;
 
 use super::check::{self, dimension, length, product};
+use super::tensors::{self, Tensors};
 use super::{
     ActorBye, ActorHello, DecodeError, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
     Moments, ROLLOUT_PROTOCOL, RolloutChunk,
@@ -16,8 +17,10 @@ const FRAME_OVERHEAD: usize = 1024;
 /// far side will take it.
 pub fn encode(envelope: &Envelope) -> Vec<u8> {
     let body = match envelope {
+        Envelope::Chunk(chunk) => {
+            return tensors::join(&head_to_wire(chunk).encode_to_vec(), chunk);
+        }
         Envelope::Hello(hello) => pb::envelope::Body::Hello(hello_to_wire(hello)),
-        Envelope::Chunk(chunk) => pb::envelope::Body::Chunk(chunk_to_wire(chunk)),
         Envelope::Bye(bye) => pb::envelope::Body::Bye(bye_to_wire(bye)),
     };
     pb::Envelope {
@@ -38,7 +41,9 @@ pub fn decode(frame: &[u8], limits: &DecodeLimits) -> Result<Envelope, DecodeErr
             limit: limits.max_frame_bytes,
         });
     }
-    let message = pb::Envelope::decode(frame)?;
+    let (rest, tensors) = tensors::split(frame)?;
+    let message = pb::Envelope::decode(rest.as_slice())?;
+    drop(rest);
     if message.protocol != ROLLOUT_PROTOCOL {
         return Err(DecodeError::Protocol {
             found: message.protocol,
@@ -48,7 +53,7 @@ pub fn decode(frame: &[u8], limits: &DecodeLimits) -> Result<Envelope, DecodeErr
     match message.body.ok_or(DecodeError::Missing { field: "body" })? {
         pb::envelope::Body::Hello(hello) => hello_from_wire(hello, limits).map(Envelope::Hello),
         pb::envelope::Body::Chunk(chunk) => {
-            let chunk = chunk_from_wire(chunk, limits)?;
+            let chunk = chunk_from_wire(chunk, &tensors, limits)?;
             chunk.check(limits)?;
             Ok(Envelope::Chunk(Box::new(chunk)))
         }
@@ -141,7 +146,8 @@ fn bye_from_wire(bye: pb::ActorBye) -> Result<ActorBye, DecodeError> {
     })
 }
 
-fn chunk_to_wire(chunk: &RolloutChunk) -> pb::RolloutChunk {
+/// All of a chunk but its tensors.
+fn head_to_wire(chunk: &RolloutChunk) -> pb::RolloutChunk {
     pb::RolloutChunk {
         run_id: chunk.run_id.clone(),
         actor_id: chunk.actor_id,
@@ -154,14 +160,6 @@ fn chunk_to_wire(chunk: &RolloutChunk) -> pb::RolloutChunk {
         lanes: to_u32(chunk.lanes),
         obs_dim: to_u32(chunk.obs_dim),
         act_dim: to_u32(chunk.act_dim),
-        observations: from_f32(&chunk.observations),
-        actions: from_f32(&chunk.actions),
-        action_means: from_f32(&chunk.action_means),
-        log_std: from_f32(&chunk.log_std),
-        log_probs: from_f32(&chunk.log_probs),
-        rewards: from_f32(&chunk.rewards),
-        terminated: from_flags(&chunk.terminated),
-        truncated: from_flags(&chunk.truncated),
         final_observations: Some(finals_to_wire(&chunk.final_observations)),
         episodes: Some(episodes_to_wire(&chunk.episodes)),
         moments: Some(pb::Moments {
@@ -169,11 +167,13 @@ fn chunk_to_wire(chunk: &RolloutChunk) -> pb::RolloutChunk {
             mean: from_f64(&chunk.moments.mean),
             m2: from_f64(&chunk.moments.m2),
         }),
+        ..pb::RolloutChunk::default()
     }
 }
 
 fn chunk_from_wire(
     chunk: pb::RolloutChunk,
+    tensors: &Tensors<'_>,
     limits: &DecodeLimits,
 ) -> Result<RolloutChunk, DecodeError> {
     let finals = chunk.final_observations.unwrap_or_default();
@@ -195,14 +195,14 @@ fn chunk_from_wire(
         lanes: chunk.lanes as usize,
         obs_dim,
         act_dim: chunk.act_dim as usize,
-        observations: to_f32("observations", &chunk.observations)?,
-        actions: to_f32("actions", &chunk.actions)?,
-        action_means: to_f32("action_means", &chunk.action_means)?,
-        log_std: to_f32("log_std", &chunk.log_std)?,
-        log_probs: to_f32("log_probs", &chunk.log_probs)?,
-        rewards: to_f32("rewards", &chunk.rewards)?,
-        terminated: to_flags("terminated", &chunk.terminated)?,
-        truncated: to_flags("truncated", &chunk.truncated)?,
+        observations: to_f32("observations", tensors[0])?,
+        actions: to_f32("actions", tensors[1])?,
+        action_means: to_f32("action_means", tensors[2])?,
+        log_std: to_f32("log_std", tensors[3])?,
+        log_probs: to_f32("log_probs", tensors[4])?,
+        rewards: to_f32("rewards", tensors[5])?,
+        terminated: to_flags("terminated", tensors[6])?,
+        truncated: to_flags("truncated", tensors[7])?,
         final_observations: finals_from_wire(&finals, obs_dim)?,
         episodes: episodes_from_wire(&episodes, limits)?,
         moments: Moments {
@@ -328,10 +328,6 @@ fn from_f64(values: &[f64]) -> Vec<u8> {
 
 fn from_u32(values: impl Iterator<Item = u32>) -> Vec<u8> {
     values.flat_map(u32::to_le_bytes).collect()
-}
-
-fn from_flags(flags: &[bool]) -> Vec<u8> {
-    flags.iter().map(|&f| u8::from(f)).collect()
 }
 
 fn to_f32(field: &'static str, bytes: &[u8]) -> Result<Vec<f32>, DecodeError> {

@@ -7,11 +7,14 @@
 mod check;
 mod codec;
 mod error;
+mod identity;
+mod tensors;
 #[cfg(test)]
 mod tests;
 
 pub use codec::{decode, encode, frame_bytes_bound};
 pub use error::{DecodeError, REASON_IDS};
+pub use identity::{ChunkIdentity, chunk_identity};
 
 /// Version of the meaning of the rollout frames; a frame of any other is refused.
 pub const ROLLOUT_PROTOCOL: u32 = 1;

@@ -119,6 +119,38 @@ fn every_kind_of_frame_survives_the_round_trip() {
 }
 
 #[test]
+fn a_refused_chunk_still_says_whose_it_is() {
+    let mut poisoned = chunk();
+    poisoned.rewards[0] = f32::NAN;
+    let identity = chunk_identity(&frame(&poisoned)).unwrap();
+    assert_eq!(identity.run_id, "2026-01-01_quick");
+    let numbers = (identity.actor_id, identity.incarnation, identity.sequence);
+    assert_eq!(numbers, (7, 3, u64::MAX));
+    let cut = &frame(&chunk())[..300];
+    assert_eq!(chunk_identity(cut), None);
+    poisoned.run_id = "forged\nline".into();
+    assert_eq!(chunk_identity(&frame(&poisoned)), None);
+}
+
+#[test]
+fn frames_are_ordinary_protobuf() {
+    let sent = chunk();
+    let message = pb::Envelope::decode(frame(&sent).as_slice()).unwrap();
+    let Some(pb::envelope::Body::Chunk(wire)) = &message.body else {
+        panic!("not a chunk")
+    };
+    // -1.0 is 0xbf800000; the flags of the six cells, lane after lane.
+    assert_eq!(wire.observations[..4], [0, 0, 0x80, 0xbf]);
+    assert_eq!(wire.truncated, [0, 1, 0, 0, 1, 0]);
+    assert_eq!((wire.rewards.len(), wire.log_std.len()), (24, 8));
+    // What another writer of the same message puts in another order reads the same.
+    let Envelope::Chunk(got) = decode(&message.encode_to_vec(), &limits()).unwrap() else {
+        panic!("not a chunk")
+    };
+    assert_eq!(*got, sent);
+}
+
+#[test]
 fn denormals_and_negative_zero_keep_their_bits() {
     let mut sent = chunk();
     sent.observations[5] = f32::from_bits(1);
