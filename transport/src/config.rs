@@ -25,9 +25,9 @@ pub enum TransportConfig {
 #[serde(deny_unknown_fields, default)]
 pub struct Limits {
     /// Largest rollout frame, bytes. Default 8 MiB; at most 256 MiB. Too small: `TooLarge` on send.
-    /// Too large: iceoryx2 reserves `window_frames + 3` of them per actor in shared memory.
+    /// Too large: iceoryx2 reserves `window_frames + 4` of them per actor in shared memory.
     pub max_frame_bytes: usize,
-    /// Largest policy, bytes. Default 16 MiB; at most 256 MiB.
+    /// Largest policy, bytes. Default 8 MiB; at most 256 MiB. iceoryx2 reserves four of them.
     pub max_policy_bytes: usize,
     /// Frames of one actor that may wait unread at the learner. Default 4; 1 to 1024. Smaller: actors
     /// stall while the learner learns. Larger: more memory (`max_actors * window_frames * frame`), older data.
@@ -45,7 +45,7 @@ impl Default for Limits {
     fn default() -> Self {
         Self {
             max_frame_bytes: 8 << 20,
-            max_policy_bytes: 16 << 20,
+            max_policy_bytes: 8 << 20,
             window_frames: 4,
             max_actors: 64,
             heartbeat_ms: 250,
@@ -104,9 +104,9 @@ pub struct InprocConfig {
 pub struct Iceoryx2Config {
     /// Bounds.
     pub limits: Limits,
-    /// Directory under which each run gets its own directory for iceoryx2's bookkeeping files
-    /// (mode 0700, removed with the run). Default: `caudata-<uid>` in the system's temporary directory.
-    /// Keep it short: socket paths must stay under 108 bytes.
+    /// Directory under which each run gets its own directory for iceoryx2's bookkeeping files (mode 0700,
+    /// removed with the run); the same for learner and actors. Default `/dev/shm/caudata-<uid>`.
+    /// At most 32 bytes long: socket paths are short.
     pub root: Option<PathBuf>,
 }
 

@@ -11,11 +11,18 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod actor_core;
 mod config;
+mod crew;
 mod error;
+mod iceoryx2_link;
+mod identity;
 mod inproc;
+mod learner_core;
 mod link;
 mod policy_cell;
+mod reliable;
+mod zenoh_link;
 
 pub use config::{Iceoryx2Config, InprocConfig, Limits, TransportConfig, ZenohConfig};
 pub use error::{SendError, TransportError};

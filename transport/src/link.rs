@@ -116,7 +116,8 @@ pub fn learner_link(
     check(config, run_id)?;
     match config {
         TransportConfig::Inproc(_) => Err(not_from_here()),
-        _ => Err(TransportError::Config("not there yet".to_owned())),
+        TransportConfig::Zenoh(config) => crate::zenoh_link::learner(config, run_id),
+        TransportConfig::Iceoryx2(config) => crate::iceoryx2_link::learner(config, run_id),
     }
 }
 
@@ -131,10 +132,11 @@ pub fn actor_link(
     actor_id: u32,
 ) -> Result<Box<dyn ActorLink>, TransportError> {
     check(config, run_id)?;
-    let _ = actor_id;
+    tracing::debug!(run_id, actor_id, "making an actor's link");
     match config {
         TransportConfig::Inproc(_) => Err(not_from_here()),
-        _ => Err(TransportError::Config("not there yet".to_owned())),
+        TransportConfig::Zenoh(config) => crate::zenoh_link::actor(config, run_id),
+        TransportConfig::Iceoryx2(config) => crate::iceoryx2_link::actor(config, run_id),
     }
 }
 
@@ -144,7 +146,11 @@ pub fn actor_link(
 /// # Errors
 /// [`TransportError::AlreadyRunning`] while the learner lives, [`TransportError::Stale`] for foreign files.
 pub fn clean_up(config: &TransportConfig, run_id: &str) -> Result<(), TransportError> {
-    check(config, run_id)
+    check(config, run_id)?;
+    match config {
+        TransportConfig::Iceoryx2(config) => crate::iceoryx2_link::clean_up(config, run_id),
+        TransportConfig::Inproc(_) | TransportConfig::Zenoh(_) => Ok(()),
+    }
 }
 
 fn check(config: &TransportConfig, run_id: &str) -> Result<(), TransportError> {

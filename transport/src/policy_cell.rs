@@ -65,6 +65,23 @@ impl PolicyCell {
         Ok(generation)
     }
 
+    /// A carrier's way in on the actor's side, where the learner has checked already. A restarted learner may
+    /// begin with an older version.
+    pub(crate) fn replace(&self, update: PolicyUpdate) {
+        let mut state = self.lock();
+        state.newest = Some(update);
+        state.generation += 1;
+        drop(state);
+        self.changed.notify_all();
+    }
+
+    /// The newest policy with its generation, for a carrier to hand on.
+    pub(crate) fn newest(&self) -> Option<(u64, PolicyUpdate)> {
+        let state = self.lock();
+        let newest = state.newest.clone()?;
+        Some((state.generation, newest))
+    }
+
     /// The reader's way out: the newest policy when it is news to `seen`, waiting at most `timeout` for one.
     pub(crate) fn next(
         &self,

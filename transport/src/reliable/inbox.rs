@@ -1,0 +1,293 @@
+//! The learner's half of the protocol: which arrivals are new, and what to answer.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant};
+
+use super::{Status, UpHead, UpKind};
+use crate::Limits;
+
+/// Links whose counters are remembered, those that are gone included, so that a link that comes back after
+/// a long silence is not taken for a new one. The one silent longest is forgotten first.
+const MAX_KNOWN_LINKS: usize = 4096;
+
+/// Frames received and not yet read, and the position of every link.
+pub(crate) struct Inbox {
+    epoch: u64,
+    window: u64,
+    max_frame_bytes: usize,
+    max_actors: usize,
+    peer_timeout: Duration,
+    links: BTreeMap<u64, Link>,
+    queue: VecDeque<(u64, Vec<u8>)>,
+    generation: u64,
+    stop: bool,
+    refused: u64,
+    duplicates: u64,
+}
+
+struct Link {
+    received: u64,
+    /// How many of the received are still in the queue.
+    waiting: u64,
+    probe: u64,
+    heard: Instant,
+    gone: bool,
+    /// Something has changed since the last answer.
+    answer: bool,
+}
+
+impl Inbox {
+    pub(crate) fn new(epoch: u64, limits: &Limits) -> Self {
+        Self {
+            epoch,
+            window: limits.window_frames as u64,
+            max_frame_bytes: limits.max_frame_bytes,
+            max_actors: limits.max_actors,
+            peer_timeout: limits.peer_timeout(),
+            links: BTreeMap::new(),
+            queue: VecDeque::new(),
+            generation: 0,
+            stop: false,
+            refused: 0,
+            duplicates: 0,
+        }
+    }
+
+    /// One message of an actor. True when a frame was queued.
+    pub(crate) fn on_message(&mut self, head: &UpHead, frame: Vec<u8>, now: Instant) -> bool {
+        if !self.links.contains_key(&head.link) && !self.admit(head, now) {
+            return false;
+        }
+        let Some(link) = self.links.get_mut(&head.link) else {
+            return false;
+        };
+        link.heard = now;
+        link.gone = head.kind == UpKind::Bye;
+        link.answer = !link.gone;
+        match head.kind {
+            UpKind::Probe => link.probe = link.probe.max(head.number),
+            UpKind::Data if head.number <= link.received => self.duplicates += 1,
+            // A gap: something before it was lost. The next probe shows the actor what.
+            UpKind::Data if head.number > link.received + 1 => {}
+            UpKind::Data if frame.len() > self.max_frame_bytes || link.waiting >= self.window => {
+                self.refused += 1;
+            }
+            UpKind::Data => {
+                link.received = head.number;
+                link.waiting += 1;
+                self.queue.push_back((head.link, frame));
+                return true;
+            }
+            UpKind::Bye => {}
+        }
+        false
+    }
+
+    /// Counts an arrival that was not a message of ours.
+    pub(crate) fn on_malformed(&mut self) {
+        self.refused += 1;
+    }
+
+    /// The oldest unread frame; its link may send one more.
+    pub(crate) fn pop(&mut self) -> Option<Vec<u8>> {
+        let (link, frame) = self.queue.pop_front()?;
+        if let Some(link) = self.links.get_mut(&link) {
+            link.waiting -= 1;
+            link.answer = true;
+        }
+        Some(frame)
+    }
+
+    /// Announces a policy to every link.
+    pub(crate) fn announce(&mut self, generation: u64, stop: bool) {
+        self.generation = generation;
+        self.stop = stop;
+        for link in self.links.values_mut() {
+            link.answer = true;
+        }
+    }
+
+    /// Whether some answer is owed before the next heartbeat.
+    pub(crate) fn owes_answers(&self) -> bool {
+        self.links.values().any(|link| link.answer && !link.gone)
+    }
+
+    /// The answers owed, or one for every link that is there.
+    pub(crate) fn answers(&mut self, everyone: bool, now: Instant) -> Vec<Status> {
+        let mut answers = Vec::new();
+        for (&id, link) in &mut self.links {
+            let there = !link.gone && now.duration_since(link.heard) < self.peer_timeout;
+            if there && (everyone || link.answer) {
+                answers.push(Status {
+                    epoch: self.epoch,
+                    link: id,
+                    received: link.received,
+                    granted: link.received - link.waiting + self.window,
+                    probe: link.probe,
+                    generation: self.generation,
+                    stop: self.stop,
+                });
+            }
+            link.answer = false;
+        }
+        answers
+    }
+
+    /// Links heard within the peer time-out that have not said goodbye.
+    pub(crate) fn peers(&self, now: Instant) -> usize {
+        let there = |link: &&Link| !link.gone && now.duration_since(link.heard) < self.peer_timeout;
+        self.links.values().filter(there).count()
+    }
+
+    pub(crate) fn depth(&self) -> usize {
+        self.queue.len()
+    }
+
+    pub(crate) fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    pub(crate) fn duplicates(&self) -> u64 {
+        self.duplicates
+    }
+
+    /// Makes room for a link not known yet; false when it is one actor too many.
+    fn admit(&mut self, head: &UpHead, now: Instant) -> bool {
+        if head.kind == UpKind::Bye {
+            return false;
+        }
+        if self.peers(now) >= self.max_actors {
+            self.refused += 1;
+            return false;
+        }
+        if self.links.len() >= MAX_KNOWN_LINKS {
+            let silent = |(_, link): &(&u64, &Link)| link.waiting == 0;
+            let oldest = self
+                .links
+                .iter()
+                .filter(silent)
+                .min_by_key(|(_, link)| link.heard);
+            let Some((&oldest, _)) = oldest else {
+                self.refused += 1;
+                return false;
+            };
+            self.links.remove(&oldest);
+        }
+        let link = Link {
+            received: head.base - 1,
+            waiting: 0,
+            probe: 0,
+            heard: now,
+            gone: false,
+            answer: true,
+        };
+        self.links.insert(head.link, link);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn inbox() -> Inbox {
+        let limits = Limits {
+            max_frame_bytes: 4,
+            window_frames: 2,
+            max_actors: 2,
+            heartbeat_ms: 100,
+            peer_timeout_ms: 300,
+            ..Limits::default()
+        };
+        Inbox::new(9, &limits)
+    }
+
+    fn data(link: u64, number: u64) -> UpHead {
+        UpHead {
+            kind: UpKind::Data,
+            link,
+            number,
+            base: 1,
+        }
+    }
+
+    fn probe(link: u64, number: u64) -> UpHead {
+        UpHead {
+            kind: UpKind::Probe,
+            ..data(link, number)
+        }
+    }
+
+    #[test]
+    fn each_frame_is_queued_once_and_in_order() {
+        let now = Instant::now();
+        let mut inbox = inbox();
+        assert!(inbox.on_message(&data(1, 1), b"a".to_vec(), now));
+        assert!(!inbox.on_message(&data(1, 1), b"a".to_vec(), now));
+        assert!(!inbox.on_message(&data(1, 3), b"c".to_vec(), now));
+        assert!(inbox.on_message(&data(1, 2), b"b".to_vec(), now));
+        // The window of two is full: an actor that keeps to its grant does not send this.
+        assert!(!inbox.on_message(&data(1, 3), b"c".to_vec(), now));
+        assert_eq!((inbox.duplicates(), inbox.refused()), (1, 1));
+        assert_eq!(inbox.pop().as_deref(), Some(&b"a"[..]));
+        // Received 2, read 1, window 2: numbers up to 3 are granted.
+        let answers = inbox.answers(false, now);
+        assert_eq!(
+            (answers[0].received, answers[0].granted, answers[0].epoch),
+            (2, 3, 9)
+        );
+        assert!(inbox.answers(false, now).is_empty());
+        assert_eq!(inbox.answers(true, now).len(), 1);
+        assert!(inbox.on_message(&data(1, 3), b"c".to_vec(), now));
+    }
+
+    #[test]
+    fn an_unknown_link_begins_at_its_base() {
+        let now = Instant::now();
+        let mut inbox = inbox();
+        let head = UpHead {
+            number: 5,
+            base: 4,
+            ..data(1, 5)
+        };
+        assert!(!inbox.on_message(&head, b"e".to_vec(), now));
+        let head = UpHead { number: 4, ..head };
+        assert!(inbox.on_message(&head, b"d".to_vec(), now));
+    }
+
+    #[test]
+    fn actors_beyond_the_limit_wait_until_one_has_gone_or_fallen_silent() {
+        let now = Instant::now();
+        let mut inbox = inbox();
+        inbox.on_message(&probe(1, 1), Vec::new(), now);
+        inbox.on_message(&probe(2, 1), Vec::new(), now);
+        inbox.on_message(&probe(3, 1), Vec::new(), now);
+        assert_eq!((inbox.peers(now), inbox.refused()), (2, 1));
+        let bye = UpHead {
+            kind: UpKind::Bye,
+            ..data(1, 0)
+        };
+        inbox.on_message(&bye, Vec::new(), now);
+        assert_eq!(inbox.peers(now), 1);
+        inbox.on_message(&probe(3, 2), Vec::new(), now);
+        assert_eq!(inbox.peers(now), 2);
+        // 300 ms of silence and both count as gone; what they sent is remembered.
+        let later = now + Duration::from_millis(300);
+        assert_eq!(inbox.peers(later), 0);
+        inbox.on_message(&data(2, 1), b"x".to_vec(), later);
+        assert_eq!(inbox.answers(false, later).len(), 1);
+    }
+
+    #[test]
+    fn frames_over_the_limit_are_refused_and_links_remembered_are_bounded() {
+        let now = Instant::now();
+        let mut inbox = inbox();
+        assert!(!inbox.on_message(&data(1, 1), b"12345".to_vec(), now));
+        assert_eq!(inbox.refused(), 1);
+        for link in 2..MAX_KNOWN_LINKS as u64 + 10 {
+            let at = now + Duration::from_secs(link);
+            inbox.on_message(&probe(link, 1), Vec::new(), at);
+        }
+        assert_eq!(inbox.links.len(), MAX_KNOWN_LINKS);
+    }
+}

@@ -1,0 +1,214 @@
+//! The learner's end over zenoh: arrivals on zenoh's threads, one thread for answers, one for policy pieces.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use zenoh::handlers::{RingChannel, RingChannelHandler};
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{Query, Queryable};
+use zenoh::sample::Sample;
+use zenoh::{Session, Wait};
+
+use super::{PIECE_BYTES, PieceRequest, down_key, policy_key, session, up_key};
+use crate::learner_core::{Downlink, LearnerCore, RemoteLearner};
+use crate::reliable::{PolicyHead, Status};
+use crate::{LearnerLink, TransportConfig, TransportError, ZenohConfig, identity};
+
+/// How long a starting learner looks for another one of its run behind a router.
+const LOOK_AROUND: Duration = Duration::from_millis(500);
+/// How often the policy thread looks whether the link is closing.
+const POLICY_TICK: Duration = Duration::from_millis(50);
+
+/// The learner's end of `run_id`.
+pub(crate) fn learner(
+    config: &ZenohConfig,
+    run_id: &str,
+) -> Result<Box<dyn LearnerLink>, TransportError> {
+    let (session, connect) = session::open_learner(config)?;
+    if !config.connect.is_empty() {
+        check_alone(&session, run_id)?;
+    }
+    let core = LearnerCore::new(identity::fresh(), &config.limits);
+    let mut downlink = ZenohDownlink {
+        owed: Arc::default(),
+        threads: Vec::new(),
+        session: session.clone(),
+    };
+    downlink
+        .start(&core, run_id)
+        .map_err(|e| TransportError::Backend(e.to_string()))?;
+    let actor_config = TransportConfig::Zenoh(ZenohConfig {
+        limits: config.limits.clone(),
+        listen: Vec::new(),
+        connect,
+    });
+    Ok(Box::new(RemoteLearner::new(core, downlink, actor_config)))
+}
+
+/// Asks behind the router whether the run has a learner. (Without a router the port itself tells.)
+fn check_alone(session: &Session, run_id: &str) -> Result<(), TransportError> {
+    let backend = |e: zenoh::Error| TransportError::Backend(e.to_string());
+    let request = PieceRequest {
+        generation: 0,
+        offset: 0,
+    };
+    let replies = session
+        .get(policy_key(run_id))
+        .payload(request.encode())
+        .timeout(LOOK_AROUND)
+        .wait()
+        .map_err(backend)?;
+    match replies.recv() {
+        Ok(_) => Err(TransportError::AlreadyRunning {
+            run_id: run_id.to_owned(),
+            detail: "it answers through the router".to_owned(),
+        }),
+        Err(_) => Ok(()),
+    }
+}
+
+/// Wakes the answering thread.
+#[derive(Default)]
+struct Owed {
+    flag: Mutex<bool>,
+    raised: Condvar,
+}
+
+impl Owed {
+    fn raise(&self) {
+        *self.flag.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        self.raised.notify_one();
+    }
+
+    fn wait(&self, time: Duration) {
+        let flag = self.flag.lock().unwrap_or_else(PoisonError::into_inner);
+        let (mut flag, _) = self
+            .raised
+            .wait_timeout_while(flag, time, |raised| !*raised)
+            .unwrap_or_else(PoisonError::into_inner);
+        *flag = false;
+    }
+}
+
+struct ZenohDownlink {
+    owed: Arc<Owed>,
+    threads: Vec<JoinHandle<()>>,
+    session: Session,
+}
+
+impl ZenohDownlink {
+    fn start(&mut self, core: &Arc<LearnerCore>, run_id: &str) -> Result<(), zenoh::Error> {
+        let (arrivals, owed) = (Arc::clone(core), Arc::clone(&self.owed));
+        let on_message = move |sample: Sample| {
+            let head = sample.attachment().map(|head| head.to_bytes());
+            let frame = sample.payload().to_bytes().into_owned();
+            arrivals.on_message(&head.unwrap_or_default(), frame);
+            owed.raise();
+        };
+        self.session
+            .declare_subscriber(up_key(run_id, "*"))
+            .callback(on_message)
+            .background()
+            .wait()?;
+        // Each actor asks one piece at a time; what does not fit is dropped and asked again.
+        let queryable = self
+            .session
+            .declare_queryable(policy_key(run_id))
+            .complete(true)
+            .with(RingChannel::new(2 * core.limits.max_actors))
+            .wait()?;
+        let (answers, pieces) = (Arc::clone(core), Arc::clone(core));
+        let (owed, session) = (Arc::clone(&self.owed), self.session.clone());
+        let run_id = run_id.to_owned();
+        let answerer = move || answer_until_closed(&answers, &owed, &session, &run_id);
+        self.threads.push(core.spawn("caudata-answer", answerer)?);
+        let server = move || serve_pieces_until_closed(&pieces, &queryable);
+        self.threads.push(core.spawn("caudata-policy", server)?);
+        Ok(())
+    }
+}
+
+impl Downlink for ZenohDownlink {
+    fn wake(&self) {
+        self.owed.raise();
+    }
+
+    fn close(&mut self) {
+        self.owed.raise();
+        for thread in self.threads.drain(..) {
+            // A thread that panicked has been reported by the crew.
+            let _ = thread.join();
+        }
+        if let Err(error) = self.session.close().wait() {
+            tracing::debug!(%error, "closing the zenoh session");
+        }
+    }
+}
+
+fn answer_until_closed(core: &LearnerCore, owed: &Owed, session: &Session, run_id: &str) {
+    let heartbeat = core.limits.heartbeat();
+    let mut beat = Instant::now();
+    while !core.crew.is_closing() {
+        owed.wait(heartbeat.saturating_sub(beat.elapsed()));
+        let everyone = beat.elapsed() >= heartbeat;
+        if everyone {
+            beat = Instant::now();
+        }
+        for status in core.answers(everyone) {
+            answer(session, run_id, &status);
+        }
+    }
+}
+
+/// Never waits for a congested actor: what is dropped is said again at the next heartbeat.
+fn answer(session: &Session, run_id: &str, status: &Status) {
+    let put = session
+        .put(down_key(run_id, status.link), status.encode())
+        .congestion_control(CongestionControl::Drop)
+        .priority(Priority::InteractiveHigh)
+        .express(true)
+        .wait();
+    if let Err(error) = put {
+        tracing::debug!(%error, link = status.link, "answering an actor");
+    }
+}
+
+fn serve_pieces_until_closed(core: &LearnerCore, queryable: &Queryable<RingChannelHandler<Query>>) {
+    while !core.crew.is_closing() {
+        let Ok(Some(query)) = queryable.recv_timeout(POLICY_TICK) else {
+            continue;
+        };
+        let piece = piece(core, &query);
+        if let Some(piece) = piece
+            && let Err(error) = query.reply(query.key_expr(), piece).wait()
+        {
+            tracing::debug!(%error, "sending a piece of the policy");
+        }
+    }
+}
+
+/// The piece asked for, or the first piece of the newest policy when something older was asked for. A learner
+/// that has no policy yet still answers, with an empty head, so that another one finds it.
+fn piece(core: &LearnerCore, query: &Query) -> Option<Vec<u8>> {
+    let request = PieceRequest::decode(&query.payload()?.to_bytes())?;
+    let (generation, update) = core.policy.newest().unwrap_or_else(|| (0, nothing_yet()));
+    let offset = if request.generation == generation {
+        usize::try_from(request.offset).ok()?
+    } else {
+        0
+    };
+    let bytes = update.bytes.get(offset..)?;
+    let bytes = &bytes[..bytes.len().min(PIECE_BYTES)];
+    let head = PolicyHead::of(&update, core.epoch, generation, offset);
+    Some([&head.encode()[..], bytes].concat())
+}
+
+fn nothing_yet() -> crate::PolicyUpdate {
+    crate::PolicyUpdate {
+        version: 0,
+        sha256: [0; 32],
+        bytes: Arc::default(),
+        control: crate::Control::Run,
+    }
+}

@@ -1,0 +1,217 @@
+//! zenoh's settings, every one that matters written out: no scouting, no defaults without a bound.
+
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs};
+
+use zenoh::{Config, Session, Wait};
+
+use super::PIECE_BYTES;
+use crate::{Limits, TransportError, ZenohConfig};
+
+/// Connections that may exist besides one per actor: actors that are being replaced.
+const SPARE_SESSIONS: usize = 16;
+/// First and longest pause between attempts to reach the other side again, ms.
+const RETRY_MS: (u32, u32) = (100, 1_000);
+/// Shortest lease, ms: a host that is merely busy is not taken for dead.
+const MIN_LEASE_MS: u64 = 5_000;
+/// Ports tried when another process takes the one that the system had offered.
+const PORT_ATTEMPTS: usize = 8;
+
+/// Opens the learner's session. Returns it with the endpoints that actors connect to.
+pub(super) fn open_learner(config: &ZenohConfig) -> Result<(Session, Vec<String>), TransportError> {
+    if config.listen.is_empty() {
+        if config.connect.is_empty() {
+            return Err(TransportError::Config(
+                "zenoh.listen and zenoh.connect are both empty".to_owned(),
+            ));
+        }
+        let session = open("client", &[], &config.connect, &config.limits)?;
+        return Ok((session, config.connect.clone()));
+    }
+    let mut attempt = 1;
+    loop {
+        let listen = with_ports(&config.listen)?;
+        match open("peer", &listen, &config.connect, &config.limits) {
+            Ok(session) if config.connect.is_empty() => return Ok((session, reachable(&listen))),
+            Ok(session) => return Ok((session, config.connect.clone())),
+            // Somebody else took the port between our asking for one and zenoh's binding it.
+            Err(_) if listen != config.listen && attempt < PORT_ATTEMPTS => attempt += 1,
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Where an actor with this configuration connects: `connect`, else what a learner with it listens on.
+pub(super) fn actor_endpoints(config: &ZenohConfig) -> Result<Vec<String>, TransportError> {
+    if !config.connect.is_empty() {
+        return Ok(config.connect.clone());
+    }
+    if config.listen.is_empty() || config.listen.iter().any(|e| e.ends_with(":0")) {
+        return Err(TransportError::Config(
+            "an actor needs zenoh.connect: the learner's or a router's address".to_owned(),
+        ));
+    }
+    Ok(reachable(&config.listen))
+}
+
+/// Opens an actor's session; fails when nobody answers. Once open it reconnects by itself.
+pub(super) fn open_actor(endpoints: &[String], limits: &Limits) -> Result<Session, TransportError> {
+    open("client", &[], endpoints, limits)
+}
+
+fn open(
+    mode: &str,
+    listen: &[String],
+    connect: &[String],
+    limits: &Limits,
+) -> Result<Session, TransportError> {
+    let endpoints = || [listen, connect].concat().join(", ");
+    let failed = |error: zenoh::Error| TransportError::Endpoint {
+        endpoint: endpoints(),
+        reason: error.to_string(),
+    };
+    let config = settings(mode, listen, connect, limits).map_err(failed)?;
+    zenoh::open(config).wait().map_err(failed)
+}
+
+fn settings(
+    mode: &str,
+    listen: &[String],
+    connect: &[String],
+    limits: &Limits,
+) -> Result<Config, zenoh::Error> {
+    let list = |endpoints: &[String]| format!("{endpoints:?}");
+    let lease_ms = limits.peer_timeout_ms.max(MIN_LEASE_MS);
+    let (retry_first_ms, retry_longest_ms) = RETRY_MS;
+    // A client opens at once or fails, so that the caller can report it and try again; a learner that listens
+    // and connects to a router keeps trying in the background.
+    let connect_timeout_ms = if mode == "client" { 0 } else { -1 };
+    // Head, key and zenoh's own fields are far below the slack.
+    let message = limits.max_frame_bytes.max(PIECE_BYTES) + (64 << 10);
+    let settings = [
+        ("mode", format!("{mode:?}")),
+        ("listen/endpoints", list(listen)),
+        ("listen/timeout_ms", "0".to_owned()),
+        ("listen/exit_on_failure", "true".to_owned()),
+        ("connect/endpoints", list(connect)),
+        ("connect/timeout_ms", connect_timeout_ms.to_string()),
+        ("connect/exit_on_failure", (mode == "client").to_string()),
+        (
+            "connect/retry",
+            format!(
+                "{{ period_init_ms: {retry_first_ms}, period_max_ms: {retry_longest_ms}, period_increase_factor: 2 }}"
+            ),
+        ),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("scouting/gossip/enabled", "false".to_owned()),
+        ("adminspace/enabled", "false".to_owned()),
+        (
+            "transport/unicast/max_sessions",
+            (limits.max_actors + SPARE_SESSIONS).to_string(),
+        ),
+        (
+            "transport/unicast/open_timeout",
+            limits.peer_timeout_ms.to_string(),
+        ),
+        (
+            "transport/unicast/accept_timeout",
+            limits.peer_timeout_ms.to_string(),
+        ),
+        ("transport/link/tx/lease", lease_ms.to_string()),
+        (
+            "transport/link/tx/queue/congestion_control/block/wait_before_close",
+            (limits.peer_timeout_ms * 1_000).to_string(),
+        ),
+        ("transport/link/rx/max_message_size", message.to_string()),
+    ];
+    let mut config = Config::default();
+    for (key, value) in settings {
+        config.insert_json5(key, &value)?;
+    }
+    Ok(config)
+}
+
+/// The endpoints with every TCP port 0 replaced by a free port, so that it is known before anyone connects.
+fn with_ports(endpoints: &[String]) -> Result<Vec<String>, TransportError> {
+    endpoints.iter().map(|e| with_port(e)).collect()
+}
+
+fn with_port(endpoint: &str) -> Result<String, TransportError> {
+    let Some(address) = endpoint.strip_prefix("tcp/") else {
+        return Ok(endpoint.to_owned());
+    };
+    if !address.ends_with(":0") {
+        return Ok(endpoint.to_owned());
+    }
+    let failed = |error: std::io::Error| TransportError::Endpoint {
+        endpoint: endpoint.to_owned(),
+        reason: error.to_string(),
+    };
+    let mut addresses = address.to_socket_addrs().map_err(failed)?;
+    let address = addresses
+        .next()
+        .ok_or_else(|| failed(std::io::Error::other("no address")))?;
+    let listener = TcpListener::bind(address).map_err(failed)?;
+    Ok(format!("tcp/{}", listener.local_addr().map_err(failed)?))
+}
+
+/// The endpoints as this host can connect to them: "any address" becomes the loopback address.
+fn reachable(endpoints: &[String]) -> Vec<String> {
+    endpoints
+        .iter()
+        .map(|endpoint| {
+            let address = endpoint
+                .strip_prefix("tcp/")
+                .and_then(|address| address.parse::<SocketAddr>().ok());
+            match address {
+                Some(address) if address.ip().is_unspecified() => {
+                    let ip = if address.is_ipv4() {
+                        Ipv4Addr::LOCALHOST.into()
+                    } else {
+                        Ipv6Addr::LOCALHOST.into()
+                    };
+                    format!("tcp/{}", SocketAddr::new(ip, address.port()))
+                }
+                _ => endpoint.clone(),
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn port_zero_becomes_a_port_and_other_endpoints_stay() {
+        let listen = ["tcp/127.0.0.1:0", "tcp/192.0.2.1:7447"].map(str::to_owned);
+        let chosen = with_ports(&listen).unwrap();
+        assert_ne!(chosen[0], listen[0]);
+        assert!(chosen[0].starts_with("tcp/127.0.0.1:"));
+        assert_eq!(chosen[1], listen[1]);
+    }
+
+    #[test]
+    fn actors_reach_any_address_by_loopback() {
+        let listen = ["tcp/0.0.0.0:7447", "tcp/[::]:7448", "tcp/node7:7449"].map(str::to_owned);
+        let reached = ["tcp/127.0.0.1:7447", "tcp/[::1]:7448", "tcp/node7:7449"];
+        assert_eq!(reachable(&listen), reached);
+    }
+
+    #[test]
+    fn an_actor_needs_to_know_where_to_connect() {
+        let mut config = ZenohConfig::default();
+        assert!(actor_endpoints(&config).is_err());
+        config.listen = vec!["tcp/0.0.0.0:7447".to_owned()];
+        assert_eq!(actor_endpoints(&config).unwrap(), ["tcp/127.0.0.1:7447"]);
+        config.connect = vec!["tcp/router:7447".to_owned()];
+        assert_eq!(actor_endpoints(&config).unwrap(), ["tcp/router:7447"]);
+    }
+
+    #[test]
+    fn every_setting_is_one_that_zenoh_knows() {
+        for mode in ["peer", "client"] {
+            let listen = ["tcp/127.0.0.1:7447".to_owned()];
+            settings(mode, &listen, &listen, &Limits::default()).unwrap();
+        }
+    }
+}
