@@ -223,7 +223,7 @@ pub enum PolicyError {
     },
     /// No ONNX Runtime where it is looked for.
     #[error(
-        "no ONNX Runtime: {reason}; set ORT_DYLIB_PATH to libonnxruntime.so or run `make deps`"
+        "no ONNX Runtime: {reason}; set ORT_DYLIB_PATH to libonnxruntime.so or run `make setup`"
     )]
     RuntimeNotFound {
         /// Where was looked.
