@@ -33,9 +33,10 @@ pub struct EngineConfig {
     /// Gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink in before they are
     /// noticed. Too large: more contact points to solve. Default 0.005.
     pub contact_margin_m: f64,
-    /// Stiffness of joint end stops, N·m/rad, 1..=10000. Default 200: the servo's full torque bends a stop by half a degree.
+    /// Stiffness of joint end stops, N·m/rad, 1..=10000. Default 1000: the servo's full torque bends a stop by a tenth of a degree.
+    /// (They are implicit: stiff stops do not need small steps.)
     pub stop_stiffness_nm_per_rad: f64,
-    /// Damping of joint end stops while touched, N·m·s/rad, 0..=100. Default 1.
+    /// Damping of joint end stops while touched, N·m·s/rad, 0..=100. Default 2.
     pub stop_damping_nms_per_rad: f64,
     /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default false.
     pub fixed_base: bool,
@@ -55,8 +56,8 @@ impl Default for EngineConfig {
             contact_frequency_hz: 60.0,
             contact_damping_ratio: 10.0,
             contact_margin_m: 0.005,
-            stop_stiffness_nm_per_rad: 200.0,
-            stop_damping_nms_per_rad: 1.0,
+            stop_stiffness_nm_per_rad: 1000.0,
+            stop_damping_nms_per_rad: 2.0,
             fixed_base: false,
             max_joint_speed_radps: 200.0,
             max_base_speed_mps: 50.0,
@@ -80,15 +81,69 @@ impl EngineConfig {
             check_range("engine", field, value, low, high, reason)
         };
         check("dt_s", self.dt_s, 0.0002, 0.01, "must be 0.0002 to 0.01 s")?;
-        check("substeps", f64::from(self.substeps), 1.0, 200.0, "must be 1 to 200")?;
-        check("solver_iterations", f64::from(self.solver_iterations), 1.0, 16.0, "must be 1 to 16")?;
-        check("contact_frequency_hz", self.contact_frequency_hz, 1.0, 1000.0, "must be 1 to 1000 Hz")?;
-        check("contact_damping_ratio", self.contact_damping_ratio, 0.1, 50.0, "must be 0.1 to 50")?;
-        check("contact_margin_m", self.contact_margin_m, 0.0, 0.05, "must be 0 to 0.05 m")?;
-        check("stop_stiffness_nm_per_rad", self.stop_stiffness_nm_per_rad, 1.0, 1e4, "must be 1 to 10000 N·m/rad")?;
-        check("stop_damping_nms_per_rad", self.stop_damping_nms_per_rad, 0.0, 100.0, "must be 0 to 100 N·m·s/rad")?;
-        check("max_joint_speed_radps", self.max_joint_speed_radps, 10.0, 1e4, "must be 10 to 10000 rad/s")?;
-        check("max_base_speed_mps", self.max_base_speed_mps, 1.0, 1e3, "must be 1 to 1000 m/s")
+        check(
+            "substeps",
+            f64::from(self.substeps),
+            1.0,
+            200.0,
+            "must be 1 to 200",
+        )?;
+        check(
+            "solver_iterations",
+            f64::from(self.solver_iterations),
+            1.0,
+            16.0,
+            "must be 1 to 16",
+        )?;
+        check(
+            "contact_frequency_hz",
+            self.contact_frequency_hz,
+            1.0,
+            1000.0,
+            "must be 1 to 1000 Hz",
+        )?;
+        check(
+            "contact_damping_ratio",
+            self.contact_damping_ratio,
+            0.1,
+            50.0,
+            "must be 0.1 to 50",
+        )?;
+        check(
+            "contact_margin_m",
+            self.contact_margin_m,
+            0.0,
+            0.05,
+            "must be 0 to 0.05 m",
+        )?;
+        check(
+            "stop_stiffness_nm_per_rad",
+            self.stop_stiffness_nm_per_rad,
+            1.0,
+            1e4,
+            "must be 1 to 10000 N·m/rad",
+        )?;
+        check(
+            "stop_damping_nms_per_rad",
+            self.stop_damping_nms_per_rad,
+            0.0,
+            100.0,
+            "must be 0 to 100 N·m·s/rad",
+        )?;
+        check(
+            "max_joint_speed_radps",
+            self.max_joint_speed_radps,
+            10.0,
+            1e4,
+            "must be 10 to 10000 rad/s",
+        )?;
+        check(
+            "max_base_speed_mps",
+            self.max_base_speed_mps,
+            1.0,
+            1e3,
+            "must be 1 to 1000 m/s",
+        )
     }
 }
 
@@ -104,7 +159,12 @@ pub(crate) fn check_range(
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err(SimError::Config { table, field, value: value.to_string(), reason })
+    Err(SimError::Config {
+        table,
+        field,
+        value: value.to_string(),
+        reason,
+    })
 }
 
 #[cfg(test)]
@@ -120,9 +180,18 @@ mod tests {
 
     #[test]
     fn names_the_field_that_is_wrong() {
-        let c = EngineConfig { dt_s: 0.1, ..EngineConfig::default() };
-        assert_eq!(c.validate().unwrap_err().to_string(), "engine.dt_s = 0.1: must be 0.0002 to 0.01 s");
-        let c = EngineConfig { contact_margin_m: f64::NAN, ..EngineConfig::default() };
+        let c = EngineConfig {
+            dt_s: 0.1,
+            ..EngineConfig::default()
+        };
+        assert_eq!(
+            c.validate().unwrap_err().to_string(),
+            "engine.dt_s = 0.1: must be 0.0002 to 0.01 s"
+        );
+        let c = EngineConfig {
+            contact_margin_m: f64::NAN,
+            ..EngineConfig::default()
+        };
         assert!(c.validate().is_err());
     }
 

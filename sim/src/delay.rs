@@ -18,7 +18,10 @@ impl CommandHistory {
     pub fn new(period_s: f64, rest: &[f32]) -> Self {
         // One more than whole periods of delay, one for the command before it.
         let depth = (f64::from(MAX_COMMAND_DELAY_S) / period_s).floor() as usize + 2;
-        Self { width: rest.len(), values: rest.repeat(depth) }
+        Self {
+            width: rest.len(),
+            values: rest.repeat(depth),
+        }
     }
 
     /// A new command, valid from now on.
@@ -32,7 +35,14 @@ impl CommandHistory {
     /// What joint `joint` is told during the physics step that starts `since_push_s` after the last push and lasts `dt_s`:
     /// the delayed stepwise command, averaged over that step (so a delay of a fraction of a step acts as one).
     #[must_use]
-    pub fn delayed(&self, joint: usize, delay_s: f64, period_s: f64, since_push_s: f64, dt_s: f64) -> f32 {
+    pub fn delayed(
+        &self,
+        joint: usize,
+        delay_s: f64,
+        period_s: f64,
+        since_push_s: f64,
+        dt_s: f64,
+    ) -> f32 {
         // A delay of whole periods looks further back; what is left shifts the switch-over inside this period.
         let whole = (delay_s / period_s).floor();
         let left_s = delay_s - whole * period_s;

@@ -21,6 +21,17 @@ pub struct StopParams {
     pub damping_nms_per_rad: f32,
 }
 
+impl StopParams {
+    /// Stiffness and damping times `factor`.
+    #[must_use]
+    pub fn times(self, factor: f32) -> Self {
+        Self {
+            stiffness_nm_per_rad: self.stiffness_nm_per_rad * factor,
+            damping_nms_per_rad: self.damping_nms_per_rad * factor,
+        }
+    }
+}
+
 /// Passive properties of one hinge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassiveParams {
@@ -104,7 +115,11 @@ impl SpringSum {
     }
 
     fn rest(&self) -> f32 {
-        if self.stiffness > 0.0 { self.moment / self.stiffness } else { 0.0 }
+        if self.stiffness > 0.0 {
+            self.moment / self.stiffness
+        } else {
+            0.0
+        }
     }
 }
 
@@ -112,7 +127,10 @@ impl SpringSum {
 mod tests {
     use super::*;
 
-    const STOP: StopParams = StopParams { stiffness_nm_per_rad: 200.0, damping_nms_per_rad: 1.0 };
+    const STOP: StopParams = StopParams {
+        stiffness_nm_per_rad: 200.0,
+        damping_nms_per_rad: 1.0,
+    };
 
     fn hinge() -> PassiveParams {
         PassiveParams {
@@ -142,7 +160,11 @@ mod tests {
 
     #[test]
     fn friction_sticks_then_slides_at_its_bound() {
-        let p = PassiveParams { stiffness_nm_per_rad: 0.0, friction_nm: 0.04, ..hinge() };
+        let p = PassiveParams {
+            stiffness_nm_per_rad: 0.0,
+            friction_nm: 0.04,
+            ..hinge()
+        };
         // sticking: 0.04/0.002 = 20 N·m/rad about q − bristle
         let t = passive_torque(&p, STOP, 0.2, 0.0, 0.001, 0.004);
         assert!((t.stiffness_nm_per_rad - 20.0).abs() < 1e-5);

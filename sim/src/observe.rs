@@ -67,8 +67,16 @@ impl Motion {
         for (i, link) in model.links().iter().enumerate() {
             // velocity of the material point at `point`, first on the parent's side
             let (mut vel, mut angvel, mut point) = match link.parent {
-                Some(p) => (self.vel_mps[p], self.angvel_radps[p], self.places.links[p].pos_m),
-                None => (at.base_vel_mps, at.base_angvel_radps, self.places.links[i].pos_m),
+                Some(p) => (
+                    self.vel_mps[p],
+                    self.angvel_radps[p],
+                    self.places.links[p].pos_m,
+                ),
+                None => (
+                    at.base_vel_mps,
+                    at.base_angvel_radps,
+                    self.places.links[i].pos_m,
+                ),
             };
             for &j in &link.joints {
                 let frame = self.places.joints[j];
@@ -81,7 +89,8 @@ impl Motion {
                 }
             }
             let origin = self.places.links[i].pos_m;
-            self.vel_mps.push(add(vel, cross(angvel, sub(origin, point))));
+            self.vel_mps
+                .push(add(vel, cross(angvel, sub(origin, point))));
             self.angvel_radps.push(angvel);
         }
         Ok(())
@@ -91,7 +100,10 @@ impl Motion {
     pub fn point(&self, link: usize, local_m: [f64; 3]) -> ([f64; 3], [f64; 3]) {
         let pose = &self.places.links[link];
         let arm = pose.rotate(local_m);
-        (add(pose.pos_m, arm), add(self.vel_mps[link], cross(self.angvel_radps[link], arm)))
+        (
+            add(pose.pos_m, arm),
+            add(self.vel_mps[link], cross(self.angvel_radps[link], arm)),
+        )
     }
 }
 
@@ -120,11 +132,18 @@ impl WholeBody {
             let rotation = Matrix3::from_fn(|r, c| motion.places.links[i].rotation()[r][c]);
             let own = rotation * m.inertia_kgm2 * rotation.transpose();
             let spin = Vector3::from(motion.angvel_radps[i]);
-            inertia += own + (Matrix3::identity() * d.norm_squared() - d * d.transpose()) * m.mass_kg;
+            inertia +=
+                own + (Matrix3::identity() * d.norm_squared() - d * d.transpose()) * m.mass_kg;
             momentum += own * spin + d.cross(&u) * m.mass_kg;
         }
-        let angvel = inertia.try_inverse().map_or(Vector3::zeros(), |inv| inv * momentum);
-        Self { com_m: com.into(), vel_mps: vel.into(), angvel_radps: angvel.into() }
+        let angvel = inertia
+            .try_inverse()
+            .map_or(Vector3::zeros(), |inv| inv * momentum);
+        Self {
+            com_m: com.into(),
+            vel_mps: vel.into(),
+            angvel_radps: angvel.into(),
+        }
     }
 }
 
@@ -144,7 +163,11 @@ pub(crate) fn write_kinematics(
     put(&mut out.base_pos_m, lane, base.pos_m);
     put(&mut out.base_quat_wxyz, lane, base.quat_wxyz);
     put(&mut out.base_vel_mps, lane, motion.vel_mps[0]);
-    put(&mut out.base_angvel_radps, lane, unrotate(base, motion.angvel_radps[0]));
+    put(
+        &mut out.base_angvel_radps,
+        lane,
+        unrotate(base, motion.angvel_radps[0]),
+    );
     put_all(&mut out.joint_pos_rad, lane, &at.joint_pos_rad);
     put_all(&mut out.joint_vel_radps, lane, &at.joint_vel_radps);
 
@@ -160,13 +183,25 @@ pub(crate) fn write_kinematics(
         let ground = f64::from(terrain.height_m(p[0] as f32, p[1] as f32));
         put(&mut out.foot_pos_m, lane * feet + f, p);
         put(&mut out.foot_vel_mps, lane * feet + f, v);
-        put(&mut out.foot_height_m, lane * feet + f, [p[2] - foot.radius_m - ground]);
+        put(
+            &mut out.foot_height_m,
+            lane * feet + f,
+            [p[2] - foot.radius_m - ground],
+        );
     }
 
     let (link, link_from_imu) = imu_place(model);
     let world_from_imu = motion.places.links[link].compose(&link_from_imu);
-    put(&mut out.imu_gyro_radps, lane, unrotate(&world_from_imu, motion.angvel_radps[link]));
-    put(&mut out.imu_gravity, lane, unrotate(&world_from_imu, unit_or_down(gravity_mps2)));
+    put(
+        &mut out.imu_gyro_radps,
+        lane,
+        unrotate(&world_from_imu, motion.angvel_radps[link]),
+    );
+    put(
+        &mut out.imu_gravity,
+        lane,
+        unrotate(&world_from_imu, unit_or_down(gravity_mps2)),
+    );
     motion.point(link, link_from_imu.pos_m).1
 }
 
@@ -184,12 +219,18 @@ pub(crate) fn write_specific_force(
     let world_from_imu = motion.places.links[link].compose(&link_from_imu);
     let acceleration = vel_change_mps.map(|v| v / period_s);
     let force = sub(acceleration, gravity_mps2.map(f64::from));
-    put(&mut out.imu_acc_mps2, lane, unrotate(&world_from_imu, force));
+    put(
+        &mut out.imu_acc_mps2,
+        lane,
+        unrotate(&world_from_imu, force),
+    );
 }
 
 /// The IMU's link and pose in it; the base frame on a robot without one.
 fn imu_place(model: &RobotModel) -> (usize, Pose) {
-    model.imu_site().map_or((0, Pose::IDENTITY), |s| (s.link, s.link_from_site))
+    model
+        .imu_site()
+        .map_or((0, Pose::IDENTITY), |s| (s.link, s.link_from_site))
 }
 
 fn heading_rad(model: &RobotModel, motion: &Motion) -> f64 {
@@ -211,7 +252,11 @@ fn unrotate(pose: &Pose, world: [f64; 3]) -> [f64; 3] {
 fn unit_or_down(v: [f32; 3]) -> [f64; 3] {
     let v = v.map(f64::from);
     let length = dot(v, v).sqrt();
-    if length > 0.0 { v.map(|x| x / length) } else { [0.0, 0.0, -1.0] }
+    if length > 0.0 {
+        v.map(|x| x / length)
+    } else {
+        [0.0, 0.0, -1.0]
+    }
 }
 
 fn put<const K: usize>(field: &mut [f32], row: usize, values: [f64; K]) {
@@ -229,11 +274,18 @@ impl Coordinates {
     /// The coordinates `init` asks for, the base's height left at 0.
     pub fn start(model: &RobotModel, init: &InitialState) -> Result<Self, SimError> {
         let wide = |v: &[f32]| -> Vec<f64> { v.iter().map(|&x| f64::from(x)).collect() };
-        let full = |v: &[f32]| model.full_pos_rad(&wide(v)).map_err(|e| SimError::Model(e.to_string()));
+        let full = |v: &[f32]| {
+            model
+                .full_pos_rad(&wide(v))
+                .map_err(|e| SimError::Model(e.to_string()))
+        };
         let [roll, pitch, yaw] = init.base_rpy_rad.map(f64::from);
         let turn = nalgebra::UnitQuaternion::from_euler_angles(roll, pitch, yaw);
         let [x, y] = init.base_xy_m.map(f64::from);
-        let world_from_base = Pose { pos_m: [x, y, 0.0], quat_wxyz: [turn.w, turn.i, turn.j, turn.k] };
+        let world_from_base = Pose {
+            pos_m: [x, y, 0.0],
+            quat_wxyz: [turn.w, turn.i, turn.j, turn.k],
+        };
         Ok(Self {
             base_vel_mps: init.base_vel_mps.map(f64::from),
             base_angvel_radps: world_from_base.rotate(init.base_angvel_radps.map(f64::from)),
@@ -246,7 +298,11 @@ impl Coordinates {
 
 /// Height of the base's origin at which the lowest colliding geom just touches the terrain, m. Exact on flat ground; elsewhere each
 /// geom is kept above the highest ground under its bounding square, so it may hang a little.
-pub(crate) fn touching_height_m(model: &RobotModel, terrain: &Terrain, at: &Coordinates) -> Result<f64, SimError> {
+pub(crate) fn touching_height_m(
+    model: &RobotModel,
+    terrain: &Terrain,
+    at: &Coordinates,
+) -> Result<f64, SimError> {
     let mut placed = at.world_from_base;
     placed.pos_m[2] = 0.0;
     let places = model
@@ -257,7 +313,11 @@ pub(crate) fn touching_height_m(model: &RobotModel, terrain: &Terrain, at: &Coor
         for geom in link.geoms.iter().filter(|g| g.collides()) {
             let world = pose.compose(&geom.link_from_geom);
             let reach = |axis: [f64; 3]| geom.shape.half_extent_m(world.inverse().rotate(axis));
-            let (rx, ry, rz) = (reach([1.0, 0.0, 0.0]), reach([0.0, 1.0, 0.0]), reach([0.0, 0.0, 1.0]));
+            let (rx, ry, rz) = (
+                reach([1.0, 0.0, 0.0]),
+                reach([0.0, 1.0, 0.0]),
+                reach([0.0, 0.0, 1.0]),
+            );
             let ground = highest_ground_m(terrain, world.pos_m, rx, ry);
             height = height.max(ground - (world.pos_m[2] - rz));
         }

@@ -86,22 +86,59 @@ impl LaneParams {
             ("gravity_mps2", &self.gravity_mps2, 3, -1000.0, 1000.0),
             ("foot_friction", &[self.foot_friction], 1, 0.0, 10.0),
             ("body_friction", &[self.body_friction], 1, 0.0, 10.0),
-            ("link_mass_scale", &self.link_mass_scale, model.links().len(), 0.01, 100.0),
+            (
+                "link_mass_scale",
+                &self.link_mass_scale,
+                model.links().len(),
+                0.01,
+                100.0,
+            ),
             ("com_offset_m", &offsets, 3 * model.links().len(), -1.0, 1.0),
-            ("joint_friction_nm", &self.joint_friction_nm, actuated, 0.0, 100.0),
-            ("joint_armature_kgm2", &self.joint_armature_kgm2, actuated, 0.0, 10.0),
-            ("joint_damping_nms_per_rad", &self.joint_damping_nms_per_rad, actuated, 0.0, 100.0),
+            (
+                "joint_friction_nm",
+                &self.joint_friction_nm,
+                actuated,
+                0.0,
+                100.0,
+            ),
+            (
+                "joint_armature_kgm2",
+                &self.joint_armature_kgm2,
+                actuated,
+                0.0,
+                10.0,
+            ),
+            (
+                "joint_damping_nms_per_rad",
+                &self.joint_damping_nms_per_rad,
+                actuated,
+                0.0,
+                100.0,
+            ),
             ("kp_nm_per_rad", &self.kp_nm_per_rad, actuated, 0.0, 1000.0),
             ("kd_nms_per_rad", &self.kd_nms_per_rad, actuated, 0.0, 100.0),
             ("torque_scale", &self.torque_scale, actuated, 0.0, 100.0),
             ("supply_v", &[self.supply_v], 1, 0.1, 1000.0),
-            ("command_delay_s", &[self.command_delay_s], 1, 0.0, MAX_COMMAND_DELAY_S),
+            (
+                "command_delay_s",
+                &[self.command_delay_s],
+                1,
+                0.0,
+                MAX_COMMAND_DELAY_S,
+            ),
         ];
         for (what, values, expected, low, high) in checks {
             check_values(what, values, expected, low, high, lane)?;
         }
         let play = backlash_joints(model).count();
-        check_values("backlash_half_width_rad", &self.backlash_half_width_rad, play, 0.0, 1.0, lane)
+        check_values(
+            "backlash_half_width_rad",
+            &self.backlash_half_width_rad,
+            play,
+            0.0,
+            1.0,
+            lane,
+        )
     }
 }
 
@@ -181,10 +218,20 @@ fn check_values(
     lane: usize,
 ) -> Result<(), SimError> {
     if values.len() != expected {
-        return Err(SimError::Shape { what, got: values.len(), expected });
+        return Err(SimError::Shape {
+            what,
+            got: values.len(),
+            expected,
+        });
     }
     match values.iter().find(|v| !(low..=high).contains(*v)) {
-        Some(&value) => Err(SimError::Value { what, value, lane, low, high }),
+        Some(&value) => Err(SimError::Value {
+            what,
+            value,
+            lane,
+            low,
+            high,
+        }),
         None => Ok(()),
     }
 }

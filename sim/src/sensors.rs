@@ -1,1 +1,221 @@
-//! Measurement models (pure).
+//! What sensors make of a state: offsets, quantisation, noise, bias. Pure functions of values and a random stream.
+//!
+//! Draw a robot's own imperfections once per episode ([`ImuBias::draw`], [`encoder_offsets_rad`]), then measure every control period.
+//! A white noise of density n (unit/√Hz, one-sided, as data sheets give it) sampled every `period_s` and band-limited to half the
+//! sampling rate has standard deviation n·√(1/(2·period_s)).
+
+use caudata_model::{ImuParams, ServoParams};
+use caudata_random::Stream;
+use serde::{Deserialize, Serialize};
+
+/// Position as a servo reports it: the true one plus its mounting offset, rounded to encoder counts, rad.
+#[must_use]
+pub fn encoder_pos_rad(servo: &ServoParams, true_rad: f32, offset_rad: f32) -> f32 {
+    quantise(true_rad + offset_rad, servo.encoder_lsb_rad())
+}
+
+/// Velocity as a servo reports it, rounded to its step, rad/s.
+#[must_use]
+pub fn encoder_vel_radps(servo: &ServoParams, true_radps: f32) -> f32 {
+    quantise(true_radps, servo.velocity_lsb_radps)
+}
+
+/// Mounting offsets of `joints` encoders, normal with standard deviation `std_rad`, rad.
+#[must_use]
+pub fn encoder_offsets_rad(joints: usize, std_rad: f32, stream: &mut Stream) -> Vec<f32> {
+    (0..joints).map(|_| std_rad * stream.normal()).collect()
+}
+
+/// Current as a servo reports it for a motor torque, A: beyond the dead band proportional to torque, rounded to its step.
+///
+/// No torque reads as no current, although anything inside the dead band would give none.
+#[must_use]
+pub fn current_a(servo: &ServoParams, torque_nm: f32) -> f32 {
+    if torque_nm == 0.0 {
+        return 0.0;
+    }
+    let torque = f64::from(torque_nm);
+    let amps = torque.abs() / servo.torque_per_current_nm_per_a + servo.current_dead_band_a;
+    quantise((amps * torque.signum()) as f32, servo.current_lsb_a)
+}
+
+/// The torque that a measured current stands for, N·m: the inverse of [`current_a`] but for rounding.
+#[must_use]
+pub fn torque_from_current_nm(servo: &ServoParams, current_a: f32) -> f32 {
+    let amps = f64::from(current_a);
+    let beyond = (amps.abs() - servo.current_dead_band_a).max(0.0);
+    (beyond * servo.torque_per_current_nm_per_a * amps.signum()) as f32
+}
+
+/// Offsets of an IMU that stay from power-up to power-down.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct ImuBias {
+    /// Gyroscope, IMU frame, rad/s.
+    pub gyro_radps: [f32; 3],
+    /// Accelerometer, IMU frame, m/s².
+    pub acc_mps2: [f32; 3],
+}
+
+impl ImuBias {
+    /// Normal offsets with the standard deviations of `imu`.
+    #[must_use]
+    pub fn draw(imu: &ImuParams, stream: &mut Stream) -> Self {
+        let mut axes = |std: f64| [(); 3].map(|()| std as f32 * stream.normal());
+        Self {
+            gyro_radps: axes(imu.gyro_bias_std_radps),
+            acc_mps2: axes(imu.acc_bias_std_mps2),
+        }
+    }
+}
+
+/// Gyroscope reading, IMU frame, rad/s.
+#[must_use]
+pub fn gyro_radps(
+    imu: &ImuParams,
+    bias: &ImuBias,
+    true_radps: [f32; 3],
+    period_s: f64,
+    stream: &mut Stream,
+) -> [f32; 3] {
+    let std = noise_std(imu.gyro_noise_radps_per_sqrt_hz, period_s);
+    noisy(true_radps, bias.gyro_radps, std, stream)
+}
+
+/// Accelerometer reading (specific force), IMU frame, m/s².
+#[must_use]
+pub fn acc_mps2(
+    imu: &ImuParams,
+    bias: &ImuBias,
+    true_mps2: [f32; 3],
+    period_s: f64,
+    stream: &mut Stream,
+) -> [f32; 3] {
+    let std = noise_std(imu.acc_noise_mps2_per_sqrt_hz, period_s);
+    noisy(true_mps2, bias.acc_mps2, std, stream)
+}
+
+/// Standard deviation of white noise of one-sided density `density` sampled every `period_s`.
+fn noise_std(density: f64, period_s: f64) -> f32 {
+    (density * (0.5 / period_s).sqrt()) as f32
+}
+
+fn noisy(truth: [f32; 3], bias: [f32; 3], std: f32, stream: &mut Stream) -> [f32; 3] {
+    [0, 1, 2].map(|i| truth[i] + bias[i] + std * stream.normal())
+}
+
+/// Nearest multiple of `lsb` (0: as it is).
+fn quantise(value: f32, lsb: f64) -> f32 {
+    if lsb > 0.0 {
+        ((f64::from(value) / lsb).round() * lsb) as f32
+    } else {
+        value
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::servo::tests::w210;
+    use caudata_random::{Key, Purpose};
+
+    fn imu() -> ImuParams {
+        ImuParams {
+            site: "imu".to_owned(),
+            gyro_noise_radps_per_sqrt_hz: 6.6323e-5,
+            acc_noise_mps2_per_sqrt_hz: 6.865e-4,
+            gyro_bias_std_radps: 0.01745,
+            acc_bias_std_mps2: 0.1961,
+        }
+    }
+
+    fn stream(env: u64) -> Stream {
+        Stream::new(
+            Key {
+                env,
+                ..Key::for_run(5)
+            },
+            Purpose::Sensor,
+        )
+    }
+
+    #[test]
+    fn encoder_rounds_to_counts() {
+        // 2π/4096 = 0.00153398 rad; 0.1 + 0.001 is 65.84 counts → 66 → 0.101243
+        assert!((encoder_pos_rad(&w210(), 0.1, 0.001) - 0.101_243).abs() < 1e-6);
+        // 1.0/0.02398 = 41.70 → 42 → 1.00716
+        assert!((encoder_vel_radps(&w210(), 1.0) - 1.007_16).abs() < 1e-5);
+        assert_eq!(encoder_vel_radps(&w210(), -0.011), 0.0);
+    }
+
+    #[test]
+    fn current_has_a_dead_band() {
+        // 1.11 N·m → 1 + 0.145 A = 425.65 steps of 2.69 mA → 426 → 1.14594 A
+        assert!((current_a(&w210(), 1.11) - 1.145_94).abs() < 1e-5);
+        assert!((current_a(&w210(), -1.11) + 1.145_94).abs() < 1e-5);
+        assert_eq!(current_a(&w210(), 0.0), 0.0);
+        assert_eq!(torque_from_current_nm(&w210(), 0.1), 0.0);
+        // and back, within a step: 1.11·0.00269/2 = 0.0015 N·m
+        for torque in [-1.5, -0.2, 0.3, 1.9] {
+            let back = torque_from_current_nm(&w210(), current_a(&w210(), torque));
+            assert!(
+                (back - torque).abs() < 0.0016,
+                "{torque} came back as {back}"
+            );
+        }
+    }
+
+    #[test]
+    fn imu_noise_has_the_data_sheets_spread() {
+        // at 50 Hz: gyro 6.6323e-5·√25 = 3.316e-4 rad/s, acc 6.865e-4·5 = 3.4325e-3 m/s²
+        let (imu, none) = (imu(), ImuBias::default());
+        let mut s = stream(0);
+        const N: usize = 20_000;
+        let (mut gyro, mut acc) = (0.0, 0.0);
+        for _ in 0..N {
+            gyro += gyro_radps(&imu, &none, [0.0; 3], 0.02, &mut s)
+                .map(|v| f64::from(v * v))
+                .iter()
+                .sum::<f64>();
+            acc += acc_mps2(&imu, &none, [0.0; 3], 0.02, &mut s)
+                .map(|v| f64::from(v * v))
+                .iter()
+                .sum::<f64>();
+        }
+        // the spread of 60,000 samples is known to 0.3 %
+        assert!(((gyro / 6e4).sqrt() / 3.316e-4 - 1.0).abs() < 0.012);
+        assert!(((acc / 6e4).sqrt() / 3.4325e-3 - 1.0).abs() < 0.012);
+    }
+
+    #[test]
+    fn bias_is_a_constant_offset_drawn_per_robot() {
+        let imu = ImuParams {
+            gyro_noise_radps_per_sqrt_hz: 0.0,
+            ..imu()
+        };
+        let bias = ImuBias::draw(&imu, &mut stream(1));
+        assert_eq!(bias, ImuBias::draw(&imu, &mut stream(1)));
+        assert_ne!(bias, ImuBias::draw(&imu, &mut stream(2)));
+        let read = gyro_radps(&imu, &bias, [1.0, 0.0, 0.0], 0.02, &mut stream(3));
+        assert_eq!(
+            read,
+            [
+                1.0 + bias.gyro_radps[0],
+                bias.gyro_radps[1],
+                bias.gyro_radps[2]
+            ]
+        );
+        // spread over robots: 0.01745 rad/s
+        let sum: f64 = (0..2000)
+            .flat_map(|e| ImuBias::draw(&imu, &mut stream(e)).gyro_radps)
+            .map(|b| f64::from(b * b))
+            .sum();
+        assert!(((sum / 6000.0).sqrt() / 0.01745 - 1.0).abs() < 0.04);
+    }
+
+    #[test]
+    fn offsets_differ_per_joint() {
+        let offsets = encoder_offsets_rad(16, 0.01, &mut stream(0));
+        assert_eq!(offsets.len(), 16);
+        assert!(offsets.windows(2).all(|w| w[0] != w[1]) && offsets.iter().all(|o| o.abs() < 0.06));
+    }
+}

@@ -87,7 +87,13 @@ impl Envelope {
 ///
 /// `q_rad`, `qd_radps`: joint position and velocity; `q_des_rad`: position command.
 #[must_use]
-pub fn torque_nm(envelope: &Envelope, gains: Gains, q_rad: f32, qd_radps: f32, q_des_rad: f32) -> f32 {
+pub fn torque_nm(
+    envelope: &Envelope,
+    gains: Gains,
+    q_rad: f32,
+    qd_radps: f32,
+    q_des_rad: f32,
+) -> f32 {
     let error = q_des_rad - q_rad;
     let kd = gains.kd_nms_per_rad + envelope.kd_min_nms_per_rad;
     let kp = gains.kp_nm_per_rad * back_drive_factor(envelope.back_drive_kp_ratio, error, qd_radps);
@@ -102,11 +108,11 @@ fn back_drive_factor(ratio: f32, error_rad: f32, qd_radps: f32) -> f32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// XM430-W210 as identified for ToddlerBot v2 (DESIGN section 3), at 12 V.
-    fn w210() -> ServoParams {
+    pub(crate) fn w210() -> ServoParams {
         ServoParams {
             tau_max_nm: 1.94,
             qd_tau_max_radps: 0.8,
@@ -128,7 +134,10 @@ mod tests {
         }
     }
 
-    const PD: Gains = Gains { kp_nm_per_rad: 15.0, kd_nms_per_rad: 0.15 };
+    const PD: Gains = Gains {
+        kp_nm_per_rad: 15.0,
+        kd_nms_per_rad: 0.15,
+    };
 
     fn check(got: f32, want: f32) {
         assert!((got - want).abs() < 1e-4, "got {got}, want {want}");

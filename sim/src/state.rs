@@ -108,7 +108,9 @@ impl State {
 
     /// Whether every number is finite.
     pub(crate) fn is_finite(&self) -> bool {
-        self.fields().iter().all(|f| f.iter().all(|v| v.is_finite()))
+        self.fields()
+            .iter()
+            .all(|f| f.iter().all(|v| v.is_finite()))
     }
 
     /// Every numeric field, in the order of declaration.

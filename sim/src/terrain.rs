@@ -82,10 +82,28 @@ impl TerrainConfig {
         check("size_m", self.size_m, 4.0, 100.0, "must be 4 to 100 m")?;
         check("cell_m", self.cell_m, 0.02, 1.0, "must be 0.02 to 1 m")?;
         check("height_m", self.height_m, 0.0, 0.3, "must be 0 to 0.3 m")?;
-        check("slope_deg", self.slope_deg, 0.0, 40.0, "must be 0 to 40 degrees")?;
-        check("wavelength_m", self.wavelength_m, 0.5, 20.0, "must be 0.5 to 20 m")?;
+        check(
+            "slope_deg",
+            self.slope_deg,
+            0.0,
+            40.0,
+            "must be 0 to 40 degrees",
+        )?;
+        check(
+            "wavelength_m",
+            self.wavelength_m,
+            0.5,
+            20.0,
+            "must be 0.5 to 20 m",
+        )?;
         let points = self.size_m / self.cell_m;
-        check("cell_m", points, 1.0, MAX_POINTS, "gives more than 2048 grid points along an edge; use a larger cell or a smaller field")
+        check(
+            "cell_m",
+            points,
+            1.0,
+            MAX_POINTS,
+            "gives more than 2048 grid points along an edge; use a larger cell or a smaller field",
+        )
     }
 }
 
@@ -126,7 +144,10 @@ impl HeightGrid {
         if !inside {
             return None; // also where x or y is not a number
         }
-        let (ix, iy) = ((gx as usize).min(self.points - 2), (gy as usize).min(self.points - 2));
+        let (ix, iy) = (
+            (gx as usize).min(self.points - 2),
+            (gy as usize).min(self.points - 2),
+        );
         let (u, v) = (gx - ix as f64, gy - iy as f64);
         let h = |dx: usize, dy: usize| f64::from(self.at(ix + dx, iy + dy));
         let (du, dv) = if u >= v {
@@ -134,7 +155,10 @@ impl HeightGrid {
         } else {
             (h(1, 1) - h(0, 1), h(0, 1) - h(0, 0))
         };
-        Some((h(0, 0) + u * du + v * dv, [du / self.cell_m, dv / self.cell_m]))
+        Some((
+            h(0, 0) + u * du + v * dv,
+            [du / self.cell_m, dv / self.cell_m],
+        ))
     }
 }
 
@@ -172,7 +196,11 @@ impl Terrain {
         }
         lower_margin(&mut heights, points, config.cell_m);
         let heights_m = heights.iter().map(|&h| h as f32).collect();
-        Ok(Self::HeightField(HeightGrid { points, cell_m: config.cell_m, heights_m }))
+        Ok(Self::HeightField(HeightGrid {
+            points,
+            cell_m: config.cell_m,
+            heights_m,
+        }))
     }
 
     /// Height of the ground at `(x, y)`, world, m.
@@ -195,7 +223,11 @@ impl Terrain {
         };
         let [sx, sy] = slope.map_or([0.0, 0.0], |(_, s)| s);
         let length = (sx * sx + sy * sy + 1.0).sqrt();
-        [(-sx / length) as f32, (-sy / length) as f32, (1.0 / length) as f32]
+        [
+            (-sx / length) as f32,
+            (-sy / length) as f32,
+            (1.0 / length) as f32,
+        ]
     }
 }
 
@@ -207,14 +239,24 @@ fn hills(config: &TerrainConfig, points: usize, slope: f64, stream: &mut Stream)
             let (sin, cos) = stream.uniform_f64(0.0, TAU).sin_cos();
             let phase = stream.uniform_f64(0.0, TAU);
             // amplitude proportional to the wavelength: every wave is equally steep
-            [cos * TAU / wavelength, sin * TAU / wavelength, phase, wavelength]
+            [
+                cos * TAU / wavelength,
+                sin * TAU / wavelength,
+                phase,
+                wavelength,
+            ]
         })
         .collect();
     let mut heights = Vec::with_capacity(points * points);
     for iy in 0..points {
         for ix in 0..points {
             let (x, y) = (ix as f64 * config.cell_m, iy as f64 * config.cell_m);
-            heights.push(waves.iter().map(|[kx, ky, phase, a]| a * (kx * x + ky * y + phase).sin()).sum());
+            heights.push(
+                waves
+                    .iter()
+                    .map(|[kx, ky, phase, a]| a * (kx * x + ky * y + phase).sin())
+                    .sum(),
+            );
         }
     }
     let steepest = steepest_facet(&heights, points, config.cell_m).max(1e-12);
@@ -273,13 +315,20 @@ mod tests {
     }
 
     fn config(kind: TerrainKind) -> TerrainConfig {
-        TerrainConfig { kind, ..TerrainConfig::default() }
+        TerrainConfig {
+            kind,
+            ..TerrainConfig::default()
+        }
     }
 
     #[test]
     fn heights_are_interpolated_on_two_triangles() {
         // One cell of 2 m: corners h00 = 0, h10 = 1, h01 = 2, h11 = 5 (first index x).
-        let t = Terrain::HeightField(HeightGrid { points: 2, cell_m: 2.0, heights_m: vec![0.0, 1.0, 2.0, 5.0] });
+        let t = Terrain::HeightField(HeightGrid {
+            points: 2,
+            cell_m: 2.0,
+            heights_m: vec![0.0, 1.0, 2.0, 5.0],
+        });
         // u = 0.75, v = 0.25 (right triangle): 0 + 0.75·1 + 0.25·(5 − 1) = 1.75
         assert!((t.height_m(0.5, -0.5) - 1.75).abs() < 1e-6);
         // u = 0.25, v = 0.75 (left triangle): 0 + 0.25·(5 − 2) + 0.75·2 = 2.25
@@ -338,11 +387,26 @@ mod tests {
 
     #[test]
     fn refuses_what_is_out_of_range() {
-        let tiny = TerrainConfig { cell_m: 0.001, ..config(TerrainKind::Rugged) };
-        assert!(Terrain::generate(&tiny, 0).unwrap_err().to_string().starts_with("terrain.cell_m = 0.001"));
-        let many = TerrainConfig { size_m: 100.0, cell_m: 0.02, ..config(TerrainKind::Rugged) };
+        let tiny = TerrainConfig {
+            cell_m: 0.001,
+            ..config(TerrainKind::Rugged)
+        };
+        assert!(
+            Terrain::generate(&tiny, 0)
+                .unwrap_err()
+                .to_string()
+                .starts_with("terrain.cell_m = 0.001")
+        );
+        let many = TerrainConfig {
+            size_m: 100.0,
+            cell_m: 0.02,
+            ..config(TerrainKind::Rugged)
+        };
         assert!(many.validate().is_err());
-        let nan = TerrainConfig { slope_deg: f64::NAN, ..config(TerrainKind::Hills) };
+        let nan = TerrainConfig {
+            slope_deg: f64::NAN,
+            ..config(TerrainKind::Hills)
+        };
         assert!(nan.validate().is_err());
     }
 }

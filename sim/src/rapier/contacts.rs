@@ -26,10 +26,15 @@ impl ContactImpulses {
     /// Adds what the last step's contacts did.
     pub fn add(&mut self, world: &PhysicsWorld) {
         for pair in world.narrow_phase.contact_pairs() {
-            let tag = |h: ColliderHandle| world.colliders.get(h).map_or(GROUND_TAG, |c| c.user_data);
+            let tag =
+                |h: ColliderHandle| world.colliders.get(h).map_or(GROUND_TAG, |c| c.user_data);
             let (tag1, tag2) = (tag(pair.collider1), tag(pair.collider2));
             // Impulses are those on the first body; the robot may be the second one.
-            let (robot, sign) = if tag1 == GROUND_TAG { (tag2, -1.0) } else { (tag1, 1.0) };
+            let (robot, sign) = if tag1 == GROUND_TAG {
+                (tag2, -1.0)
+            } else {
+                (tag1, 1.0)
+            };
             for manifold in pair.solver_manifolds() {
                 self.add_manifold(manifold, robot, sign);
             }
@@ -43,9 +48,13 @@ impl ContactImpulses {
                 self.trunk_ns += f64::from(point.data.impulse);
                 continue;
             }
-            let impulse = towards_first * point.data.impulse + friction_impulse(&point.data, towards_first);
+            let impulse =
+                towards_first * point.data.impulse + friction_impulse(&point.data, towards_first);
             let foot = 3 * (robot as usize - 1);
-            for (sum, part) in self.feet_ns[foot..foot + 3].iter_mut().zip(convert::array(impulse)) {
+            for (sum, part) in self.feet_ns[foot..foot + 3]
+                .iter_mut()
+                .zip(convert::array(impulse))
+            {
                 *sum += sign * part;
             }
         }

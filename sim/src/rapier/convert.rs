@@ -26,7 +26,10 @@ pub(super) fn pose(p: &ModelPose) -> Pose {
 pub(super) fn model_pose(p: &Pose) -> ModelPose {
     let q = [p.rotation.w, p.rotation.x, p.rotation.y, p.rotation.z].map(f64::from);
     let length = q.iter().map(|c| c * c).sum::<f64>().sqrt();
-    ModelPose { pos_m: array(p.translation), quat_wxyz: q.map(|c| c / length) }
+    ModelPose {
+        pos_m: array(p.translation),
+        quat_wxyz: q.map(|c| c / length),
+    }
 }
 
 /// Rotation that takes the x axis to the unit vector `axis`.
@@ -45,5 +48,10 @@ pub(super) fn mass_properties(mass_kg: f64, inertia_kgm2: &Matrix3<f64>) -> Mass
     let column = |c: usize| vector([axes[(0, c)], axes[(1, c)], axes[(2, c)]]);
     let frame = Rotation::from_mat3(&Matrix::from_cols(column(0), column(1), column(2)));
     let principal = vector(eigen.eigenvalues.map(|e| e.max(0.0)).into());
-    MassProperties::with_principal_inertia_frame(Vector::ZERO, mass_kg as f32, principal, frame.normalize())
+    MassProperties::with_principal_inertia_frame(
+        Vector::ZERO,
+        mass_kg as f32,
+        principal,
+        frame.normalize(),
+    )
 }

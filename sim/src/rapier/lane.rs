@@ -1,6 +1,6 @@
 //! One lane: one robot in its own Rapier world.
 
-use caudata_model::{JointKind, Pose as ModelPose, RobotModel};
+use caudata_model::{JointKind, JointMotion, Pose as ModelPose, RobotModel};
 use rapier3d::math::{Pose, Vector};
 use rapier3d::prelude::*;
 
@@ -59,6 +59,14 @@ struct Load {
     torque_nm: Vector,
 }
 
+/// A joint at the start of a physics step, and the motor torque it gets.
+#[derive(Clone, Copy, Default)]
+struct JointStep {
+    q_rad: f32,
+    qd_radps: f32,
+    motor_nm: f32,
+}
+
 /// Sums over one control period.
 #[derive(Default)]
 struct Sums {
@@ -74,11 +82,13 @@ impl Lane {
     pub fn new(shared: &Shared, params: LaneParams, init: &InitialState) -> Result<Self, SimError> {
         let model = &*shared.model;
         let masses = observe::link_masses(model, &params);
-        let (world, handles) = world::build(model, &shared.config, &params, &masses, &shared.terrain)?;
+        let (world, handles) =
+            world::build(model, &shared.config, &params, &masses, &shared.terrain)?;
         let joints = model.joints().len();
         let servos = (0..model.actuated().len())
             .map(|a| {
-                let envelope = Envelope::new(model.servo(a), params.torque_scale[a], params.supply_v);
+                let envelope =
+                    Envelope::new(model.servo(a), params.torque_scale[a], params.supply_v);
                 let gains = Gains {
                     kp_nm_per_rad: params.kp_nm_per_rad[a],
                     kd_nms_per_rad: params.kd_nms_per_rad[a],
@@ -132,8 +142,15 @@ impl Lane {
 
     /// Moves the freshly built robot (all joints at zero) to `self.at` and reports that state.
     fn place(&mut self, shared: &Shared) -> Result<(), SimError> {
-        let root_offset = if self.handles.free_base { self.masses[0].com_m } else { [0.0; 3] };
-        let root_pose = self.at.world_from_base.compose(&ModelPose::from_pos(root_offset));
+        let root_offset = if self.handles.free_base {
+            self.masses[0].com_m
+        } else {
+            [0.0; 3]
+        };
+        let root_pose = self
+            .at
+            .world_from_base
+            .compose(&ModelPose::from_pos(root_offset));
         let root = self.handles.bodies[0];
         let arm = self.at.world_from_base.rotate(root_offset);
         let spin = caudata_model::pose::cross(self.at.base_angvel_radps, arm);
@@ -160,7 +177,9 @@ impl Lane {
                 }
             }
             multibody.apply_displacements(&moves);
-            multibody.generalized_velocity_mut().copy_from_slice(&speeds);
+            multibody
+                .generalized_velocity_mut()
+                .copy_from_slice(&speeds);
             multibody.forward_kinematics(&self.world.bodies, true);
             multibody.update_rigid_bodies(&mut self.world.bodies, true);
         }
@@ -168,7 +187,15 @@ impl Lane {
         self.memory.imu_vel_mps = self.report(shared)?;
         let standing = [0.0; 3];
         let out = &mut self.memory.out;
-        observe::write_specific_force(out, 0, &shared.model, &self.motion, self.params.gravity_mps2, standing, 1.0);
+        observe::write_specific_force(
+            out,
+            0,
+            &shared.model,
+            &self.motion,
+            self.params.gravity_mps2,
+            standing,
+            1.0,
+        );
         Ok(())
     }
 
@@ -187,7 +214,8 @@ impl Lane {
     fn run_period(&mut self, shared: &Shared, targets_rad: &[f32], wrench: &[f32]) -> bool {
         let config = &shared.config;
         self.memory.history.push(targets_rad);
-        self.sums.clear(self.servos.len(), shared.model.feet().len());
+        self.sums
+            .clear(self.servos.len(), shared.model.feet().len());
         for substep in 0..config.substeps {
             self.substep(shared, f64::from(substep) * config.dt_s, wrench);
             if !self.is_sound(config) {
@@ -204,7 +232,15 @@ impl Lane {
         let change = caudata_model::pose::sub(imu_vel, self.memory.imu_vel_mps);
         self.memory.imu_vel_mps = imu_vel;
         let out = &mut self.memory.out;
-        observe::write_specific_force(out, 0, &shared.model, &self.motion, self.params.gravity_mps2, change, period);
+        observe::write_specific_force(
+            out,
+            0,
+            &shared.model,
+            &self.motion,
+            self.params.gravity_mps2,
+            change,
+            period,
+        );
         self.sums.write(out, period);
         let sound = out.is_finite();
         if !sound {
@@ -232,65 +268,112 @@ impl Lane {
         self.account_motion(shared, &before);
     }
 
-    /// Applies servo and passive torques of every joint for the coming step. Returns each joint's position and motor torque.
-    fn load_joints(&mut self, shared: &Shared, since_command_s: f64) -> Vec<(f32, f32)> {
+    /// Applies servo and passive torques of every joint for the coming step. Returns where each joint starts.
+    fn load_joints(&mut self, shared: &Shared, since_command_s: f64) -> Vec<JointStep> {
         let config = &shared.config;
         let stop = StopParams {
             stiffness_nm_per_rad: config.stop_stiffness_nm_per_rad as f32,
             damping_nms_per_rad: config.stop_damping_nms_per_rad as f32,
         };
-        let mut joints = vec![(0.0, 0.0); self.handles.dofs.len()];
-        let Some(handle) = self.handles.multibody else { return joints };
-        let Some((multibody, _)) = self.world.multibody_joints.get_mut(handle) else { return joints };
+        let mut joints = vec![JointStep::default(); self.handles.dofs.len()];
+        let Some(handle) = self.handles.multibody else {
+            return joints;
+        };
+        let Some((multibody, _)) = self.world.multibody_joints.get_mut(handle) else {
+            return joints;
+        };
         for (j, joint) in shared.model.joints().iter().enumerate() {
-            let Some(dof) = self.handles.dofs[j] else { continue };
+            let Some(dof) = self.handles.dofs[j] else {
+                continue;
+            };
             let (q, qd) = read_dof(multibody, &dof);
             let motor = match joint.kind {
                 JointKind::Actuated { index } => {
                     let (envelope, gains) = &self.servos[index];
                     let delay = f64::from(self.params.command_delay_s);
                     let period = config.control_period_s();
-                    let target = self.memory.history.delayed(index, delay, period, since_command_s, config.dt_s);
+                    let target = self.memory.history.delayed(
+                        index,
+                        delay,
+                        period,
+                        since_command_s,
+                        config.dt_s,
+                    );
                     servo::torque_nm(envelope, *gains, q, qd, target)
                 }
                 JointKind::Passive | JointKind::Backlash => 0.0,
             };
             let bristle = self.memory.bristle_rad[j];
-            let passive = joint::passive_torque(&self.passive[j], stop, q, qd, bristle, config.dt_s as f32);
+            let stop = if joint.motion == JointMotion::Slide {
+                stop.times(SLIDE_STOP_FACTOR)
+            } else {
+                stop
+            };
+            let passive =
+                joint::passive_torque(&self.passive[j], stop, q, qd, bristle, config.dt_s as f32);
             multibody.damping_mut()[dof.assembly] = passive.damping_nms_per_rad;
-            let Some(link) = multibody.link_mut(dof.link) else { continue };
-            link.joint.set_spring(dof.axis, passive.stiffness_nm_per_rad, passive.rest_rad);
+            let Some(link) = multibody.link_mut(dof.link) else {
+                continue;
+            };
+            link.joint
+                .set_spring(dof.axis, passive.stiffness_nm_per_rad, passive.rest_rad);
             let frame = *link.local_to_world() * link.joint.data.local_frame2;
             let axis = frame.rotation * Vector::X;
-            apply_pair(&mut self.loads, &dof, &frame, axis * (motor + passive.constant_nm), &self.world.bodies, &self.handles.bodies);
-            joints[j] = (q, motor);
+            apply_pair(
+                &mut self.loads,
+                &dof,
+                &frame,
+                axis * (motor + passive.constant_nm),
+                &self.world.bodies,
+                &self.handles.bodies,
+            );
+            joints[j] = JointStep {
+                q_rad: q,
+                qd_radps: qd,
+                motor_nm: motor,
+            };
         }
         joints
     }
 
     /// After a step: drags the friction bristles and sums motor torque and work. `before`: see [`Self::load_joints`].
-    fn account_motion(&mut self, shared: &Shared, before: &[(f32, f32)]) {
-        let Some(handle) = self.handles.multibody else { return };
-        let Some((multibody, _)) = self.world.multibody_joints.get(handle) else { return };
+    fn account_motion(&mut self, shared: &Shared, before: &[JointStep]) {
+        let Some(handle) = self.handles.multibody else {
+            return;
+        };
+        let Some((multibody, _)) = self.world.multibody_joints.get(handle) else {
+            return;
+        };
         for (j, joint) in shared.model.joints().iter().enumerate() {
-            let Some(dof) = &self.handles.dofs[j] else { continue };
-            let (q_before, motor) = before[j];
-            let moved = read_dof(multibody, dof).0 - q_before;
-            self.memory.bristle_rad[j] = joint::drag_bristle(self.memory.bristle_rad[j], moved);
+            let Some(dof) = &self.handles.dofs[j] else {
+                continue;
+            };
+            let (start, (q, qd)) = (&before[j], read_dof(multibody, dof));
+            self.memory.bristle_rad[j] =
+                joint::drag_bristle(self.memory.bristle_rad[j], q - start.q_rad);
             if let JointKind::Actuated { index } = joint.kind {
-                self.sums.torque[index] += f64::from(motor) * shared.config.dt_s;
-                self.sums.work[index] += f64::from(motor) * f64::from(moved);
+                let impulse = f64::from(start.motor_nm) * shared.config.dt_s;
+                self.sums.torque[index] += impulse;
+                // Mean speed, not way moved: an Euler step moves by its final speed, which would count τ²·dt²/2I twice.
+                self.sums.work[index] += impulse * 0.5 * f64::from(start.qd_radps + qd);
             }
         }
     }
 
     /// Whether speeds are finite and sane, and Rapier has not taken a body out.
     fn is_sound(&self, config: &EngineConfig) -> bool {
-        let (joint_limit, base_limit) = (config.max_joint_speed_radps as f32, config.max_base_speed_mps as f32);
+        let (joint_limit, base_limit) = (
+            config.max_joint_speed_radps as f32,
+            config.max_base_speed_mps as f32,
+        );
         let below = |limit: f32, v: f32| v.abs() <= limit; // false for not-a-number
         let joints = self.multibody().is_none_or(|m| {
             let speed = m.generalized_velocity();
-            self.handles.dofs.iter().flatten().all(|d| below(joint_limit, speed[d.assembly]))
+            self.handles
+                .dofs
+                .iter()
+                .flatten()
+                .all(|d| below(joint_limit, speed[d.assembly]))
         });
         let (linvel, angvel) = self.root_velocity();
         let base = linvel.to_array().iter().all(|&v| below(base_limit, v))
@@ -320,16 +403,22 @@ impl Lane {
             && let Some(body) = self.world.bodies.get(self.handles.bodies[0])
         {
             let com = self.masses[0].com_m;
-            let pose = convert::model_pose(body.position()).compose(&ModelPose::from_pos(com.map(|c| -c)));
+            let pose =
+                convert::model_pose(body.position()).compose(&ModelPose::from_pos(com.map(|c| -c)));
             let (linvel, angvel) = self.root_velocity();
             let (linvel, angvel) = (convert::array(linvel), convert::array(angvel));
             let arm = pose.rotate(com);
-            self.at.base_vel_mps = caudata_model::pose::sub(linvel, caudata_model::pose::cross(angvel, arm));
+            self.at.base_vel_mps =
+                caudata_model::pose::sub(linvel, caudata_model::pose::cross(angvel, arm));
             self.at.base_angvel_radps = angvel;
             self.at.world_from_base = pose;
         }
-        let Some(handle) = self.handles.multibody else { return };
-        let Some((multibody, _)) = self.world.multibody_joints.get(handle) else { return };
+        let Some(handle) = self.handles.multibody else {
+            return;
+        };
+        let Some((multibody, _)) = self.world.multibody_joints.get(handle) else {
+            return;
+        };
         for (j, dof) in self.handles.dofs.iter().enumerate() {
             if let Some(dof) = dof {
                 let (q, qd) = read_dof(multibody, dof);
@@ -342,10 +431,21 @@ impl Lane {
     /// Writes the kinematic fields of the report. Returns the IMU point's velocity.
     fn report(&mut self, shared: &Shared) -> Result<[f64; 3], SimError> {
         let model = &*shared.model;
-        self.motion.update(model, &self.at).map_err(|e| SimError::Model(e.to_string()))?;
+        self.motion
+            .update(model, &self.at)
+            .map_err(|e| SimError::Model(e.to_string()))?;
         let out = &mut self.memory.out;
         let gravity = self.params.gravity_mps2;
-        Ok(observe::write_kinematics(out, 0, model, &self.masses, &shared.terrain, gravity, &self.at, &self.motion))
+        Ok(observe::write_kinematics(
+            out,
+            0,
+            model,
+            &self.masses,
+            &shared.terrain,
+            gravity,
+            &self.at,
+            &self.motion,
+        ))
     }
 
     /// Takes over other parameters where the robot is: positions, velocities, commands under way and friction bristles stay, contact
@@ -361,28 +461,46 @@ impl Lane {
         lane.at = self.at.clone();
         lane.place(shared)?;
         let imu_vel_mps = lane.memory.imu_vel_mps;
-        lane.memory = Memory { imu_vel_mps, ..self.memory.clone() };
+        lane.memory = Memory {
+            imu_vel_mps,
+            ..self.memory.clone()
+        };
         *self = lane;
         Ok(())
     }
 
     fn multibody(&self) -> Option<&Multibody> {
-        self.world.multibody_joints.get(self.handles.multibody?).map(|(m, _)| m)
+        self.world
+            .multibody_joints
+            .get(self.handles.multibody?)
+            .map(|(m, _)| m)
     }
 
     fn multibody_mut(&mut self) -> Option<&mut Multibody> {
-        self.world.multibody_joints.get_mut(self.handles.multibody?).map(|(m, _)| m)
+        self.world
+            .multibody_joints
+            .get_mut(self.handles.multibody?)
+            .map(|(m, _)| m)
     }
 }
 
 /// Position and velocity of a joint.
 fn read_dof(multibody: &Multibody, dof: &Dof) -> (f32, f32) {
-    let q = multibody.link(dof.link).map_or(0.0, |l| l.joint().coords()[dof.axis]);
+    let q = multibody
+        .link(dof.link)
+        .map_or(0.0, |l| l.joint().coords()[dof.axis]);
     (q, multibody.generalized_velocity()[dof.assembly])
 }
 
 /// Puts a joint's effort (along its axis, world) on the body it carries and its opposite on the other one.
-fn apply_pair(loads: &mut [Load], dof: &Dof, frame: &Pose, effort: Vector, bodies: &RigidBodySet, handles: &[RigidBodyHandle]) {
+fn apply_pair(
+    loads: &mut [Load],
+    dof: &Dof,
+    frame: &Pose,
+    effort: Vector,
+    bodies: &RigidBodySet,
+    handles: &[RigidBodyHandle],
+) {
     if dof.axis >= 3 {
         loads[dof.child].torque_nm += effort;
         loads[dof.parent].torque_nm -= effort;
@@ -390,7 +508,9 @@ fn apply_pair(loads: &mut [Load], dof: &Dof, frame: &Pose, effort: Vector, bodie
     }
     // A force pair must act along one line, else it turns the robot.
     for (body, force) in [(dof.child, effort), (dof.parent, -effort)] {
-        let com = bodies.get(handles[body]).map_or(frame.translation, |b| b.center_of_mass());
+        let com = bodies
+            .get(handles[body])
+            .map_or(frame.translation, |b| b.center_of_mass());
         loads[body].force_n += force;
         loads[body].torque_nm += (frame.translation - com).cross(force);
     }
@@ -401,12 +521,19 @@ fn passive_params(model: &RobotModel, params: &LaneParams) -> Vec<PassiveParams>
         .joints()
         .iter()
         .map(|j| {
-            let range = j.range_rad.map_or((f32::NEG_INFINITY, f32::INFINITY), |(l, h)| (l as f32, h as f32));
+            let range = j
+                .range_rad
+                .map_or((f32::NEG_INFINITY, f32::INFINITY), |(l, h)| {
+                    (l as f32, h as f32)
+                });
             let (damping, friction) = match j.kind {
-                JointKind::Actuated { index } => {
-                    (params.joint_damping_nms_per_rad[index], params.joint_friction_nm[index])
+                JointKind::Actuated { index } => (
+                    params.joint_damping_nms_per_rad[index],
+                    params.joint_friction_nm[index],
+                ),
+                JointKind::Passive | JointKind::Backlash => {
+                    (j.damping_nm_s_per_rad as f32, j.friction_loss_nm as f32)
                 }
-                JointKind::Passive | JointKind::Backlash => (j.damping_nm_s_per_rad as f32, j.friction_loss_nm as f32),
             };
             PassiveParams {
                 stiffness_nm_per_rad: j.stiffness_nm_per_rad as f32,
@@ -423,6 +550,9 @@ fn passive_params(model: &RobotModel, params: &LaneParams) -> Vec<PassiveParams>
     all
 }
 
+/// A slide's end stop in N/m per N·m/rad of a hinge's: the same stop met at a lever of 0.1 m.
+const SLIDE_STOP_FACTOR: f32 = 100.0;
+
 /// How high above touching height a held robot hangs unless told otherwise, m.
 const HELD_CLEARANCE_M: f64 = 0.2;
 
@@ -436,7 +566,12 @@ fn start_height_m(shared: &Shared, init: &InitialState, at: &Coordinates) -> Res
         return Ok(0.0); // where the model puts it
     }
     let touching = observe::touching_height_m(&shared.model, &shared.terrain, at)?;
-    Ok(touching + if shared.config.fixed_base { HELD_CLEARANCE_M } else { 0.0 })
+    Ok(touching
+        + if shared.config.fixed_base {
+            HELD_CLEARANCE_M
+        } else {
+            0.0
+        })
 }
 
 impl Sums {

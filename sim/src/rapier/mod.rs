@@ -49,16 +49,35 @@ impl RapierEngine {
     ) -> Result<Self, SimError> {
         config.validate()?;
         if lanes == 0 || lanes > MAX_LANES {
-            return Err(SimError::Shape { what: "lanes", got: lanes, expected: lanes.clamp(1, MAX_LANES) });
+            return Err(SimError::Shape {
+                what: "lanes",
+                got: lanes,
+                expected: lanes.clamp(1, MAX_LANES),
+            });
         }
         let params = LaneParams::nominal(&model);
         let init = InitialState::nominal(&model);
-        let state = State::zeros(lanes, model.joints().len(), model.actuated().len(), model.feet().len());
-        let shared = Shared { model, config, terrain };
+        let state = State::zeros(
+            lanes,
+            model.joints().len(),
+            model.actuated().len(),
+            model.feet().len(),
+        );
+        let shared = Shared {
+            model,
+            config,
+            terrain,
+        };
         let built = (0..lanes)
             .map(|_| Lane::new(&shared, params.clone(), &init))
             .collect::<Result<Vec<_>, _>>()?;
-        let mut engine = Self { shared, lanes: built, pending: vec![None; lanes], state, threads: threads.clamp(1, lanes) };
+        let mut engine = Self {
+            shared,
+            lanes: built,
+            pending: vec![None; lanes],
+            state,
+            threads: threads.clamp(1, lanes),
+        };
         for lane in 0..lanes {
             engine.publish(lane);
         }
@@ -73,7 +92,10 @@ impl RapierEngine {
         if lane < self.lanes.len() {
             return Ok(());
         }
-        Err(SimError::Lane { lane, lanes: self.lanes.len() })
+        Err(SimError::Lane {
+            lane,
+            lanes: self.lanes.len(),
+        })
     }
 }
 
@@ -91,7 +113,9 @@ impl Engine for RapierEngine {
     }
 
     fn params(&self, lane: usize) -> &LaneParams {
-        self.pending[lane].as_ref().unwrap_or(&self.lanes[lane].params)
+        self.pending[lane]
+            .as_ref()
+            .unwrap_or(&self.lanes[lane].params)
     }
 
     fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
@@ -123,7 +147,12 @@ impl Engine for RapierEngine {
         }
         let shared = &self.shared;
         // A joint-less robot has empty rows, which cannot be cut by width.
-        let row = |i: usize| (&targets_rad[i * width..(i + 1) * width], &wrenches[i * WRENCH..(i + 1) * WRENCH]);
+        let row = |i: usize| {
+            (
+                &targets_rad[i * width..(i + 1) * width],
+                &wrenches[i * WRENCH..(i + 1) * WRENCH],
+            )
+        };
         let share = self.lanes.len().div_ceil(self.threads);
         let run = |first: usize, part: &mut [Lane]| {
             for (i, lane) in part.iter_mut().enumerate() {
@@ -169,5 +198,9 @@ fn check_len(what: &'static str, values: &[f32], expected: usize) -> Result<(), 
     if values.len() == expected {
         return Ok(());
     }
-    Err(SimError::Shape { what, got: values.len(), expected })
+    Err(SimError::Shape {
+        what,
+        got: values.len(),
+        expected,
+    })
 }

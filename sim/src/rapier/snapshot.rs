@@ -38,7 +38,11 @@ struct SavedLane {
 }
 
 /// All lanes as bytes, the last eight of them a check sum.
-pub(super) fn save(shared: &Shared, lanes: &[Lane], pending: &[Option<LaneParams>]) -> Result<Vec<u8>, SimError> {
+pub(super) fn save(
+    shared: &Shared,
+    lanes: &[Lane],
+    pending: &[Option<LaneParams>],
+) -> Result<Vec<u8>, SimError> {
     let terrain = terrain_bytes(shared)?;
     let lanes = lanes
         .iter()
@@ -63,18 +67,37 @@ pub(super) fn load(
     bytes: &[u8],
     expected: usize,
 ) -> Result<(Vec<Lane>, Vec<Option<LaneParams>>), SimError> {
-    let (body, sum) = bytes.split_last_chunk::<8>().ok_or_else(|| refused("it is too short"))?;
+    let (body, sum) = bytes
+        .split_last_chunk::<8>()
+        .ok_or_else(|| refused("it is too short"))?;
     if fingerprint(body) != u64::from_le_bytes(*sum) {
-        return Err(refused("its check sum is wrong; it is damaged or not a snapshot"));
+        return Err(refused(
+            "its check sum is wrong; it is damaged or not a snapshot",
+        ));
     }
     let snapshot: Snapshot = decode(body)?;
     let terrain = terrain_bytes(shared)?;
     let matches = [
-        (snapshot.format == FORMAT, "it was written by another version"),
-        (snapshot.model_hash == shared.model.hash(), "it belongs to another robot model"),
-        (snapshot.config == config_text(shared), "it was taken with another engine configuration"),
-        (snapshot.terrain == fingerprint(&terrain), "it was taken on another terrain"),
-        (snapshot.lanes.len() == expected, "it has another number of lanes"),
+        (
+            snapshot.format == FORMAT,
+            "it was written by another version",
+        ),
+        (
+            snapshot.model_hash == shared.model.hash(),
+            "it belongs to another robot model",
+        ),
+        (
+            snapshot.config == config_text(shared),
+            "it was taken with another engine configuration",
+        ),
+        (
+            snapshot.terrain == fingerprint(&terrain),
+            "it was taken on another terrain",
+        ),
+        (
+            snapshot.lanes.len() == expected,
+            "it has another number of lanes",
+        ),
     ];
     if let Some((_, reason)) = matches.iter().find(|(ok, _)| !ok) {
         return Err(refused(reason));
@@ -88,17 +111,37 @@ pub(super) fn load(
     Ok((lanes, pending))
 }
 
-fn save_lane(lane: &Lane, pending: Option<LaneParams>, terrain: &[u8]) -> Result<SavedLane, SimError> {
+fn save_lane(
+    lane: &Lane,
+    pending: Option<LaneParams>,
+    terrain: &[u8],
+) -> Result<SavedLane, SimError> {
     let mut world = encode(&lane.world)?;
-    let terrain_at = if terrain.is_empty() { None } else { find(&world, terrain) };
+    let terrain_at = if terrain.is_empty() {
+        None
+    } else {
+        find(&world, terrain)
+    };
     if let Some(at) = terrain_at {
         world.drain(at..at + terrain.len());
     }
-    Ok(SavedLane { params: lane.params.clone(), pending, memory: lane.memory.clone(), world, terrain_at })
+    Ok(SavedLane {
+        params: lane.params.clone(),
+        pending,
+        memory: lane.memory.clone(),
+        world,
+        terrain_at,
+    })
 }
 
 fn load_lane(shared: &Shared, saved: SavedLane, terrain: &[u8]) -> Result<Lane, SimError> {
-    let SavedLane { params, memory, mut world, terrain_at, .. } = saved;
+    let SavedLane {
+        params,
+        memory,
+        mut world,
+        terrain_at,
+        ..
+    } = saved;
     params.validate(&shared.model, 0)?;
     if let Some(at) = terrain_at {
         if at > world.len() {
@@ -145,7 +188,10 @@ fn fingerprint(bytes: &[u8]) -> u64 {
 }
 
 fn encode<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>, SimError> {
-    postcard::to_stdvec(value).map_err(|e| SimError::Snapshot { action: "written", reason: e.to_string() })
+    postcard::to_stdvec(value).map_err(|e| SimError::Snapshot {
+        action: "written",
+        reason: e.to_string(),
+    })
 }
 
 fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SimError> {
@@ -153,5 +199,8 @@ fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, SimError> {
 }
 
 fn refused(reason: &str) -> SimError {
-    SimError::Snapshot { action: "restored", reason: reason.to_owned() }
+    SimError::Snapshot {
+        action: "restored",
+        reason: reason.to_owned(),
+    }
 }

@@ -72,7 +72,14 @@ pub(super) fn build(
         ..PhysicsWorld::default()
     };
     insert_ground(&mut world, terrain);
-    let handles = Builder { world: &mut world, model, config, params, masses }.insert_robot()?;
+    let handles = Builder {
+        world: &mut world,
+        model,
+        config,
+        params,
+        masses,
+    }
+    .insert_robot()?;
     Ok((world, handles))
 }
 
@@ -103,7 +110,11 @@ fn insert_ground(world: &mut PhysicsWorld, terrain: &Terrain) {
             .friction(0.0)
             .friction_combine_rule(CoefficientCombineRule::Max)
             .restitution(0.0)
-            .collision_groups(InteractionGroups::new(GROUND, ROBOT, InteractionTestMode::And))
+            .collision_groups(InteractionGroups::new(
+                GROUND,
+                ROBOT,
+                InteractionTestMode::And,
+            ))
             .user_data(GROUND_TAG)
     };
     let plane = |z: f64| {
@@ -117,7 +128,9 @@ fn insert_ground(world: &mut PhysicsWorld, terrain: &Terrain) {
         Terrain::HeightField(_) => {
             if let Some(shape) = height_field(terrain) {
                 let upright = Rotation::from_rotation_x(std::f32::consts::FRAC_PI_2);
-                world.colliders.insert(finish(ColliderBuilder::new(shape)).position(Pose::from_rotation(upright)));
+                world.colliders.insert(
+                    finish(ColliderBuilder::new(shape)).position(Pose::from_rotation(upright)),
+                );
             }
             world.colliders.insert(plane(-APRON_DROP_M));
         }
@@ -126,7 +139,9 @@ fn insert_ground(world: &mut PhysicsWorld, terrain: &Terrain) {
 
 /// The terrain's height field as Rapier has it: in x–z with y up, rows along z. Turned by 90° about x, its rows run against our y.
 pub(super) fn height_field(terrain: &Terrain) -> Option<SharedShape> {
-    let Terrain::HeightField(grid) = terrain else { return None };
+    let Terrain::HeightField(grid) = terrain else {
+        return None;
+    };
     let n = grid.points();
     let mut heights = Array2::zeros(n, n);
     for iy in 0..n {
@@ -135,7 +150,10 @@ pub(super) fn height_field(terrain: &Terrain) -> Option<SharedShape> {
         }
     }
     let size = grid.size_m() as Real;
-    Some(SharedShape::heightfield(heights, Vector::new(size, 1.0, size)))
+    Some(SharedShape::heightfield(
+        heights,
+        Vector::new(size, 1.0, size),
+    ))
 }
 
 struct Builder<'a> {
@@ -174,7 +192,12 @@ impl Builder<'_> {
     }
 
     /// Inserts the root link; a held one hangs on a fixed anchor at the world's origin.
-    fn insert_root(&mut self, handles: &mut RobotHandles, i: usize, link: &Link) -> Result<usize, SimError> {
+    fn insert_root(
+        &mut self,
+        handles: &mut RobotHandles,
+        i: usize,
+        link: &Link,
+    ) -> Result<usize, SimError> {
         if handles.free_base {
             let at = Pose::from_translation(convert::vector(self.masses[i].com_m));
             return Ok(self.insert_body(handles, self.link_body(i).pose(at)));
@@ -204,10 +227,19 @@ impl Builder<'_> {
         let (mut parent, parent_com) = from;
         // Placement of the current frame in the parent body's frame, before the joint moves.
         let mut placed = ModelPose::from_pos(parent_com.map(|c| -c)).compose(parent_from_link);
-        for (k, slot) in joints.iter().map(Some).chain(joints.is_empty().then_some(None)).enumerate() {
+        for (k, slot) in joints
+            .iter()
+            .map(Some)
+            .chain(joints.is_empty().then_some(None))
+            .enumerate()
+        {
             let last = k + 1 >= joints.len();
             let com = if last { self.masses[i].com_m } else { [0.0; 3] };
-            let builder = if last { self.link_body(i) } else { massless_body() };
+            let builder = if last {
+                self.link_body(i)
+            } else {
+                massless_body()
+            };
             let child = self.insert_body(handles, builder);
             let joint = match slot {
                 Some(&j) => self.moving_joint(j, &placed, com),
@@ -217,14 +249,25 @@ impl Builder<'_> {
                 .world
                 .multibody_joints
                 .insert(handles.bodies[parent], handles.bodies[child], joint, true)
-                .ok_or_else(|| SimError::Model(format!("link {} cannot be joined to its parent", self.model.links()[i].name)))?;
+                .ok_or_else(|| {
+                    SimError::Model(format!(
+                        "link {} cannot be joined to its parent",
+                        self.model.links()[i].name
+                    ))
+                })?;
             handles.multibody = Some(handle);
             if let Some(&j) = slot {
                 let axis = match self.model.joints()[j].motion {
                     JointMotion::Slide => 0,
                     JointMotion::Hinge => 3,
                 };
-                handles.dofs[j] = Some(Dof { link: 0, axis, assembly: 0, child, parent });
+                handles.dofs[j] = Some(Dof {
+                    link: 0,
+                    axis,
+                    assembly: 0,
+                    child,
+                    parent,
+                });
             }
             parent = child;
             placed = ModelPose::IDENTITY;
@@ -245,9 +288,14 @@ impl Builder<'_> {
             JointMotion::Slide => JointAxesMask::LOCKED_PRISMATIC_AXES,
             JointMotion::Hinge => JointAxesMask::LOCKED_REVOLUTE_AXES,
         };
-        let frame1 = convert::pose(placed) * Pose::from_parts(convert::vector(joint.anchor_m), axis);
+        let frame1 =
+            convert::pose(placed) * Pose::from_parts(convert::vector(joint.anchor_m), axis);
         let frame2 = Pose::from_parts(convert::vector(sub(joint.anchor_m, com_m)), axis);
-        GenericJointBuilder::new(locked).local_frame1(frame1).local_frame2(frame2).contacts_enabled(false).build()
+        GenericJointBuilder::new(locked)
+            .local_frame1(frame1)
+            .local_frame2(frame2)
+            .contacts_enabled(false)
+            .build()
     }
 
     fn link_body(&self, i: usize) -> RigidBodyBuilder {
@@ -256,30 +304,51 @@ impl Builder<'_> {
     }
 
     fn insert_geom(&mut self, link: usize, index: usize, geom: &Geom, body: RigidBodyHandle) {
-        let foot = self.model.feet().iter().position(|f| f.link == link && f.geom == index);
-        let Some((shape, turn)) = collider_shape(geom.shape) else { return };
-        let in_body = ModelPose::from_pos(self.masses[link].com_m.map(|c| -c)).compose(&geom.link_from_geom);
+        let foot = self
+            .model
+            .feet()
+            .iter()
+            .position(|f| f.link == link && f.geom == index);
+        let Some((shape, turn)) = collider_shape(geom.shape) else {
+            return;
+        };
+        let in_body =
+            ModelPose::from_pos(self.masses[link].com_m.map(|c| -c)).compose(&geom.link_from_geom);
         let collider = ColliderBuilder::new(shape)
             .position(convert::pose(&in_body) * Pose::from_rotation(turn))
             .density(0.0)
-            .friction(if foot.is_some() { self.params.foot_friction } else { self.params.body_friction })
+            .friction(if foot.is_some() {
+                self.params.foot_friction
+            } else {
+                self.params.body_friction
+            })
             .friction_combine_rule(CoefficientCombineRule::Max)
             .restitution(0.0)
-            .collision_groups(InteractionGroups::new(ROBOT, GROUND, InteractionTestMode::And))
+            .collision_groups(InteractionGroups::new(
+                ROBOT,
+                GROUND,
+                InteractionTestMode::And,
+            ))
             .user_data(foot.map_or(TRUNK_TAG, foot_tag));
-        self.world.colliders.insert_with_parent(collider, body, &mut self.world.bodies);
+        self.world
+            .colliders
+            .insert_with_parent(collider, body, &mut self.world.bodies);
     }
 
     /// Settles the multibody (its root may only now turn out to be fixed) and looks up where each joint ended up.
     fn assign_dofs(&mut self, handles: &mut RobotHandles) {
-        let Some(handle) = handles.multibody else { return };
+        let Some(handle) = handles.multibody else {
+            return;
+        };
         let joints = &mut self.world.multibody_joints;
         for dof in handles.dofs.iter_mut().flatten() {
             if let Some(id) = joints.rigid_body_link(handles.bodies[dof.child]) {
                 dof.link = id.id;
             }
         }
-        let Some((multibody, _)) = joints.get_mut(handle) else { return };
+        let Some((multibody, _)) = joints.get_mut(handle) else {
+            return;
+        };
         multibody.set_self_contacts_enabled(false);
         multibody.forward_kinematics(&self.world.bodies, true);
         // Rapier gives angular degrees of freedom a damping of 0.1 by default.
@@ -293,7 +362,9 @@ impl Builder<'_> {
 }
 
 fn body() -> RigidBodyBuilder {
-    RigidBodyBuilder::dynamic().can_sleep(false).ccd_enabled(false)
+    RigidBodyBuilder::dynamic()
+        .can_sleep(false)
+        .ccd_enabled(false)
 }
 
 fn massless_body() -> RigidBodyBuilder {
@@ -315,13 +386,23 @@ fn collider_shape(shape: Shape) -> Option<(SharedShape, Rotation)> {
     let as_is = Rotation::IDENTITY;
     Some(match shape {
         Shape::Sphere { radius_m } => (SharedShape::ball(radius_m as Real), as_is),
-        Shape::Capsule { radius_m, half_length_m } => {
-            (SharedShape::capsule_z(half_length_m as Real, radius_m as Real), as_is)
-        }
-        Shape::Cylinder { radius_m, half_length_m } => {
-            (SharedShape::cylinder(half_length_m as Real, radius_m as Real), upright)
-        }
-        Shape::Box { half_size_m: [x, y, z] } => (SharedShape::cuboid(x as Real, y as Real, z as Real), as_is),
+        Shape::Capsule {
+            radius_m,
+            half_length_m,
+        } => (
+            SharedShape::capsule_z(half_length_m as Real, radius_m as Real),
+            as_is,
+        ),
+        Shape::Cylinder {
+            radius_m,
+            half_length_m,
+        } => (
+            SharedShape::cylinder(half_length_m as Real, radius_m as Real),
+            upright,
+        ),
+        Shape::Box {
+            half_size_m: [x, y, z],
+        } => (SharedShape::cuboid(x as Real, y as Real, z as Real), as_is),
         Shape::Ellipsoid { semi_axes_m } => (ellipsoid(semi_axes_m)?, as_is),
         Shape::Plane => return None,
     })
@@ -336,7 +417,11 @@ fn ellipsoid(semi_axes_m: [f64; 3]) -> Option<SharedShape> {
         let polar = std::f64::consts::PI * f64::from(r) / f64::from(RINGS);
         for s in 0..SECTORS {
             let azimuth = std::f64::consts::TAU * f64::from(s) / f64::from(SECTORS);
-            let unit = [polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos()];
+            let unit = [
+                polar.sin() * azimuth.cos(),
+                polar.sin() * azimuth.sin(),
+                polar.cos(),
+            ];
             points.push(convert::vector([0, 1, 2].map(|i| unit[i] * semi_axes_m[i])));
         }
     }

@@ -1,0 +1,103 @@
+//! Snapshot and restore.
+
+use caudata_sim::{EngineConfig, InitialState, LaneParams, TerrainConfig, TerrainKind, build};
+
+use crate::determinism::{bits, prepare, streams, thrash};
+use crate::{engine, robots};
+
+pub fn continues_bit_exactly(config: &EngineConfig) {
+    check(config, &TerrainConfig::default());
+}
+
+pub fn continues_bit_exactly_on_a_height_field(config: &EngineConfig) {
+    let rough = TerrainConfig {
+        kind: TerrainKind::Rough,
+        size_m: 8.0,
+        ..TerrainConfig::default()
+    };
+    check(config, &rough);
+}
+
+/// 200 periods straight through, against 100, snapshot, restore in a fresh engine, 100 more: all bits equal after every period.
+fn check(config: &EngineConfig, terrain: &TerrainConfig) {
+    let model = robots::polymander();
+    let fresh = || build(model.clone(), 2, config, terrain, 9, 1).unwrap();
+    let mut through = fresh();
+    let mut inputs = streams(2);
+    prepare(through.as_mut(), &model);
+    // commands under way and a changed parameter must survive as well
+    let late = LaneParams {
+        command_delay_s: 0.033,
+        ..LaneParams::nominal(&model)
+    };
+    through.set_params(1, &late).unwrap();
+    thrash(through.as_mut(), &model, &mut inputs, 100);
+    through.set_params(0, &late).unwrap();
+    let bytes = through.snapshot().unwrap();
+    let mut restored = fresh();
+    restored.restore(&bytes).unwrap();
+    assert_eq!(bits(restored.state()), bits(through.state()));
+    assert_eq!(restored.params(1), &late);
+    assert_eq!(restored.params(0), &late);
+    let mut same_inputs = inputs.clone();
+    for period in 0..100 {
+        thrash(through.as_mut(), &model, &mut inputs, 1);
+        thrash(restored.as_mut(), &model, &mut same_inputs, 1);
+        assert_eq!(
+            bits(through.state()),
+            bits(restored.state()),
+            "period {period} after the snapshot"
+        );
+    }
+    assert!(through.state().diverged.iter().all(|d| !d));
+}
+
+/// Damage, other lane counts, other configurations, other terrains, other robots: refused, and nothing changes.
+pub fn refuses_what_is_not_its_own(config: &EngineConfig) {
+    let model = robots::polymander();
+    let mut e = engine(config, &model, 2);
+    let bytes = e.snapshot().unwrap();
+    e.reset(
+        0,
+        &InitialState {
+            base_xy_m: [1.0, 2.0],
+            ..InitialState::nominal(&model)
+        },
+    )
+    .unwrap();
+    let before = bits(e.state());
+    let mut damaged = bytes.clone();
+    damaged[bytes.len() / 2] ^= 4;
+    for wrong in [
+        &damaged[..],
+        &bytes[..bytes.len() - 3],
+        &[],
+        b"not a snapshot",
+    ] {
+        let message = e.restore(wrong).unwrap_err().to_string();
+        assert!(
+            message.starts_with("snapshot cannot be restored"),
+            "{message}"
+        );
+    }
+    let other_config = EngineConfig {
+        substeps: config.substeps + 1,
+        ..config.clone()
+    };
+    let valley = TerrainConfig {
+        kind: TerrainKind::Valley,
+        size_m: 4.0,
+        ..TerrainConfig::default()
+    };
+    let others = [
+        engine(config, &model, 3),
+        engine(&other_config, &model, 2),
+        build(model.clone(), 2, config, &valley, 0, 1).unwrap(),
+        engine(config, &robots::table(), 2),
+    ];
+    for mut other in others {
+        assert!(other.restore(&bytes).is_err());
+    }
+    assert_eq!(bits(e.state()), before);
+    e.restore(&bytes).unwrap();
+}
