@@ -210,7 +210,6 @@ impl ActorLink for InprocActor {
     fn stats(&self) -> LinkStats {
         let state = self.shared.lock();
         LinkStats {
-            depth: state.waiting[self.slot],
             peers: usize::from(state.learner == LearnerState::Alive),
             ..self.stats
         }

@@ -98,7 +98,8 @@ pub struct LinkStats {
     pub duplicates: u64,
     /// Policies: returned by `next_policy` (actor), published (learner).
     pub policies: u64,
-    /// Frames waiting now: not yet acknowledged (actor), not yet handed out (learner).
+    /// Frames waiting now. Actor: taken, not yet known to be in the learner's process (in-process: always 0).
+    /// Learner: in its process, not yet handed out.
     pub depth: usize,
     /// Other ends heard within the peer time-out.
     pub peers: usize,
