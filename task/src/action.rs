@@ -59,13 +59,15 @@ impl ActionConfig {
 
     /// The action cut off at ± `clip`; what the policy will see as its past action. Not a number becomes 0.
     pub fn clipped(&self, action: &[f32; ACT_DIM]) -> [f32; ACT_DIM] {
-        action.map(|a| {
-            if a.is_nan() {
+        let mut clipped = *action;
+        for a in &mut clipped {
+            *a = if a.is_nan() {
                 0.0
             } else {
-                a.clamp(-self.clip, self.clip)
-            }
-        })
+                a.max(-self.clip).min(self.clip)
+            };
+        }
+        clipped
     }
 }
 

@@ -27,15 +27,15 @@ pub enum TaskError {
         /// How many there must be.
         expected: usize,
     },
-    /// A number that must be finite is not.
-    #[error("{what} at index {index} is {value}, it must be finite")]
-    NotFinite {
-        /// Which quantity.
+    /// An array has the wrong length.
+    #[error("{what} has {found} values, expected {expected}")]
+    Shape {
+        /// Which array.
         what: &'static str,
-        /// Where in it.
-        index: usize,
-        /// The value.
-        value: f32,
+        /// Its length.
+        found: usize,
+        /// The length needed.
+        expected: usize,
     },
     /// A policy contract does not describe a valid policy.
     #[error("policy contract: {what} {reason}")]

@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::require;
 use crate::{ACT_DIM, TaskError};
 
-/// Table `[task.noise]`: noise on the observation, normal with the given standard deviations.
+/// Table `[task.noise]`: noise on the observation, bell-shaped with the given standard deviations (and never
+/// beyond 3.45 of them).
 ///
 /// It comes on top of the sensors' own quantisation and noise from the robot file (`sensor_models`), and
 /// stands for what those leave out: filtering, mounting, vibration, the attitude estimator.
@@ -73,7 +74,7 @@ impl ObservationNoiseConfig {
     pub fn draw_joint_offsets(&self, stream: &mut Stream) -> [f32; ACT_DIM] {
         let mut offsets = [0.0; ACT_DIM];
         if self.enabled {
-            add_normal(&mut offsets, self.joint_offset_std_rad, stream);
+            add_noise(&mut offsets, self.joint_offset_std_rad, stream);
         }
         offsets
     }
@@ -83,15 +84,15 @@ impl ObservationNoiseConfig {
         if !self.enabled {
             return;
         }
-        add_normal(
+        add_noise(
             &mut readings.joint_vel_radps,
             self.joint_vel_std_radps,
             stream,
         );
-        add_normal(&mut readings.joint_pos_rad, self.joint_pos_std_rad, stream);
-        add_normal(&mut readings.gyro_radps, self.gyro_std_radps, stream);
+        add_noise(&mut readings.joint_pos_rad, self.joint_pos_std_rad, stream);
+        add_noise(&mut readings.gyro_radps, self.gyro_std_radps, stream);
         if self.gravity_std > 0.0 {
-            add_normal(&mut readings.gravity, self.gravity_std, stream);
+            add_noise(&mut readings.gravity, self.gravity_std, stream);
             let norm = readings.gravity.iter().map(|g| g * g).sum::<f32>().sqrt();
             if norm > 1e-6 {
                 readings.gravity = readings.gravity.map(|g| g / norm);
@@ -113,11 +114,9 @@ pub struct Readings {
     pub gravity: [f32; 3],
 }
 
-fn add_normal(values: &mut [f32], std: f32, stream: &mut Stream) {
+fn add_noise(values: &mut [f32], std: f32, stream: &mut Stream) {
     if std > 0.0 {
-        for value in values {
-            *value += std * stream.normal();
-        }
+        stream.add_bell_noise(values, std);
     }
 }
 
@@ -177,7 +176,7 @@ mod tests {
     #[test]
     fn joint_offsets_are_drawn_per_joint() {
         let offsets = ObservationNoiseConfig::default().draw_joint_offsets(&mut stream());
-        assert!(offsets.iter().all(|o| *o != 0.0 && o.abs() < 0.06));
+        assert!(offsets.iter().all(|o| o.abs() < 0.035));
         assert_ne!(offsets[0], offsets[1]);
     }
 

@@ -1,7 +1,7 @@
 //! Assembly of one observation from measured quantities.
 
 use crate::layout::{ACTIONS, COMMAND, GRAVITY, GYRO, JOINT_POS, JOINT_VEL, MEDIUM, PHASE};
-use crate::{ACT_DIM, ACTION_HISTORY, COMMAND_DIM, FEET, ObservationLayout};
+use crate::{ACT_DIM, ACTION_HISTORY, COMMAND_DIM, FEET, ObservationLayout, TaskError};
 
 /// What goes into an observation: values as the sensors report them.
 #[derive(Clone, Copy, Debug)]
@@ -25,28 +25,53 @@ pub struct ObservationInput<'a> {
 }
 
 impl ObservationInput<'_> {
-    /// Writes the observation into `out`, whose length should be `layout.dim()`; values beyond a shorter
-    /// `out` are left out, so that a wrong length cannot panic in a control loop.
-    pub fn write(&self, layout: &ObservationLayout, nominal_rad: &[f32; ACT_DIM], out: &mut [f32]) {
-        let mut full = [0.0f32; MEDIUM + 1];
-        full[JOINT_VEL..JOINT_POS].copy_from_slice(self.joint_vel_radps);
+    /// Writes the observation into `out`, of length `layout.dim()`.
+    ///
+    /// # Errors
+    /// [`TaskError::Shape`] when `out` has another length; nothing is written then.
+    pub fn write(
+        &self,
+        layout: &ObservationLayout,
+        nominal_rad: &[f32; ACT_DIM],
+        out: &mut [f32],
+    ) -> Result<(), TaskError> {
+        let expected = layout.dim();
+        if out.len() != expected {
+            return Err(TaskError::Shape {
+                what: "observation",
+                found: out.len(),
+                expected,
+            });
+        }
+        out[JOINT_VEL..JOINT_POS].copy_from_slice(self.joint_vel_radps);
+        let offsets = &mut out[JOINT_POS..GYRO];
         for i in 0..ACT_DIM {
-            full[JOINT_POS + i] = self.joint_pos_rad[i] - nominal_rad[i];
+            offsets[i] = self.joint_pos_rad[i] - nominal_rad[i];
         }
-        full[GYRO..GRAVITY].copy_from_slice(&self.gyro_radps);
-        full[GRAVITY..PHASE].copy_from_slice(&self.gravity);
+        out[GYRO..GRAVITY].copy_from_slice(&self.gyro_radps);
+        out[GRAVITY..PHASE].copy_from_slice(&self.gravity);
+        self.write_phase(&mut out[PHASE..COMMAND]);
+        out[COMMAND..ACTIONS].copy_from_slice(&self.command);
+        out[ACTIONS..MEDIUM].copy_from_slice(self.previous_actions.as_flattened());
+        if let Some(medium) = out.get_mut(MEDIUM) {
+            *medium = self.medium.unwrap_or(0.0);
+        }
+        Ok(())
+    }
+
+    /// cos and sin of each phase. In a trot diagonal feet share a phase, and so its cos and sin.
+    fn write_phase(&self, out: &mut [f32]) {
         for (foot, phase) in self.phase_rad.iter().enumerate() {
-            full[PHASE + 2 * foot] = phase.cos();
-            full[PHASE + 2 * foot + 1] = phase.sin();
+            let same = self.phase_rad[..foot]
+                .iter()
+                .position(|earlier| earlier == phase);
+            let (sin, cos) = match same {
+                Some(earlier) => (out[2 * earlier + 1], out[2 * earlier]),
+                None => phase.sin_cos(),
+            };
+            out[2 * foot] = cos;
+            out[2 * foot + 1] = sin;
         }
-        full[COMMAND..ACTIONS].copy_from_slice(&self.command);
-        for (age, action) in self.previous_actions.iter().enumerate() {
-            let start = ACTIONS + age * ACT_DIM;
-            full[start..start + ACT_DIM].copy_from_slice(action);
-        }
-        full[MEDIUM] = self.medium.unwrap_or(0.0);
-        let len = out.len().min(layout.dim()).min(full.len());
-        out[..len].copy_from_slice(&full[..len]);
     }
 }
 
@@ -76,7 +101,8 @@ mod tests {
         for medium in [false, true] {
             let layout = ObservationLayout::new(medium);
             let mut out = vec![f32::NAN; layout.dim()];
-            input.write(&layout, &nominal, &mut out);
+            input.write(&layout, &nominal, &mut out).unwrap();
+            assert!(input.write(&layout, &nominal, &mut out[1..]).is_err());
             let part = |name: &str| {
                 let s = layout.slice(name).unwrap();
                 &out[s.start..s.start + s.len]

@@ -124,12 +124,20 @@ impl PhaseClock {
 }
 
 /// The angle brought into (−π, π].
+#[inline]
 pub fn wrap_angle(angle_rad: f32) -> f32 {
-    let wrapped = angle_rad - TAU * (angle_rad / TAU).round();
-    if wrapped <= -PI || wrapped > PI {
-        PI
+    // Most angles need at most one turn, which is much cheaper than rounding.
+    if angle_rad > -PI && angle_rad <= PI {
+        angle_rad
+    } else if angle_rad > PI && angle_rad <= 3.0 * PI {
+        angle_rad - TAU
     } else {
-        wrapped
+        let wrapped = angle_rad - TAU * (angle_rad / TAU).round();
+        if wrapped <= -PI || wrapped > PI {
+            PI
+        } else {
+            wrapped
+        }
     }
 }
 
@@ -244,5 +252,24 @@ mod tests {
         close(wrap_angle(-PI), PI);
         close(wrap_angle(7.0 * TAU + 0.25), 0.25);
         assert!(wrap_angle(f32::NAN).is_nan());
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn wrapped_angles_are_in_range_and_point_the_same_way(angle in -1e3f32..1e3) {
+            let wrapped = wrap_angle(angle);
+            proptest::prop_assert!(wrapped > -PI && wrapped <= PI);
+            // f32 angles near 1000 are 6e-5 apart.
+            proptest::prop_assert!((wrapped.sin() - angle.sin()).abs() < 2e-4);
+            proptest::prop_assert!((wrapped.cos() - angle.cos()).abs() < 2e-4);
+        }
+
+        #[test]
+        fn the_reference_is_between_zero_and_the_swing_height(phase in -PI..PI, h in 0.0f32..0.2) {
+            let z = reference_height_m(phase, h);
+            proptest::prop_assert!((-1e-6..=h + 1e-6).contains(&z));
+            // Symmetric about the top of the swing.
+            proptest::prop_assert!((z - reference_height_m(-phase, h)).abs() < 1e-6);
+        }
     }
 }

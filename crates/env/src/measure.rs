@@ -49,8 +49,8 @@ impl Reader {
             .sum::<f32>()
             / FEET as f32;
         Truth {
-            joint_pos_rad: self.actuated.map(|j| pos[j]),
-            joint_vel_radps: self.actuated.map(|j| vel[j]),
+            joint_pos_rad: pick(pos, &self.actuated),
+            joint_vel_radps: pick(vel, &self.actuated),
             motor_torque_nm: row(&state.motor_torque_nm, lane),
             mech_power_w: row(&state.mech_power_w, lane),
             com_vel_mps: into_heading(row(&state.com_vel_mps, lane), state.heading_rad[lane]),
@@ -69,20 +69,20 @@ impl Reader {
 impl Truth {
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
-        // 0·x is 0 for finite x and not a number otherwise; sums of it need no branches.
-        let zero = |values: &[f32]| values.iter().map(|v| v * 0.0).sum::<f32>();
-        let sum = zero(&self.joint_pos_rad)
-            + zero(&self.joint_vel_radps)
-            + zero(&self.motor_torque_nm)
-            + zero(&self.mech_power_w)
-            + zero(&self.com_vel_mps)
-            + zero(&[self.yaw_rate_radps, self.com_height_m, self.trunk_force_n])
-            + zero(&self.gyro_radps)
-            + zero(&self.gravity)
-            + zero(&self.foot_height_m)
-            + zero(self.foot_vel_mps.as_flattened())
-            + zero(self.foot_force_n.as_flattened());
-        sum == 0.0
+        // Without short cuts, so that the comparisons run side by side.
+        let bad = |values: &[f32]| values.iter().fold(false, |bad, v| bad | !v.is_finite());
+        let any_bad = bad(&self.joint_pos_rad)
+            | bad(&self.joint_vel_radps)
+            | bad(&self.motor_torque_nm)
+            | bad(&self.mech_power_w)
+            | bad(&self.com_vel_mps)
+            | bad(&[self.yaw_rate_radps, self.com_height_m, self.trunk_force_n])
+            | bad(&self.gyro_radps)
+            | bad(&self.gravity)
+            | bad(&self.foot_height_m)
+            | bad(self.foot_vel_mps.as_flattened())
+            | bad(self.foot_force_n.as_flattened());
+        !any_bad
     }
 
     /// What perfect sensors would read.
@@ -140,6 +140,15 @@ impl Sensors {
 fn into_heading(v: [f32; 3], heading_rad: f32) -> [f32; 3] {
     let (sin, cos) = heading_rad.sin_cos();
     [cos * v[0] + sin * v[1], cos * v[1] - sin * v[0], v[2]]
+}
+
+/// The values at the given places. (A loop: `map` over an array of this length is not inlined.)
+fn pick(values: &[f32], places: &[usize; ACT_DIM]) -> [f32; ACT_DIM] {
+    let mut out = [0.0; ACT_DIM];
+    for i in 0..ACT_DIM {
+        out[i] = values[places[i]];
+    }
+    out
 }
 
 /// Row `lane` of a `[N, K]` array.

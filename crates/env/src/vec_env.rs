@@ -91,7 +91,7 @@ impl VecEnv {
         for lane in 0..lanes {
             let started = env.start_episode(lane, 0, env.task.stagger_first_episode)?;
             env.lanes.push(started);
-            env.observe_start(lane);
+            env.observe_start(lane)?;
         }
         Ok(env)
     }
@@ -188,7 +188,7 @@ impl VecEnv {
         self.engine.step(&self.targets_rad, &self.wrenches)?;
         self.ended.clear();
         for lane in 0..self.lanes.len() {
-            self.settle(lane);
+            self.settle(lane)?;
         }
         for i in 0..self.ended.len() {
             self.next_episode(self.ended[i], false)?;
@@ -217,7 +217,7 @@ impl VecEnv {
     }
 
     /// After the engine's step: reward, end of episode, next command, observation of one lane.
-    fn settle(&mut self, lane: usize) {
+    fn settle(&mut self, lane: usize) -> Result<(), EnvError> {
         let state = self.engine.state();
         let truth = self.reader.read(state, lane);
         let diverged = state.diverged[lane] || !truth.is_finite();
@@ -256,7 +256,7 @@ impl VecEnv {
             now.clock.set_command(&self.task.phase, &now.command.value);
         }
         if reason != Some(TerminationReason::Diverged) {
-            self.observe(lane, &truth);
+            self.observe(lane, &truth)?;
         }
         if ended {
             let dim = self.layout.dim();
@@ -266,14 +266,14 @@ impl VecEnv {
                 .finish(now.stats(lane, reason), &now.tally.terms, last);
             self.ended.push(lane);
         }
+        Ok(())
     }
 
     /// Starts the lane's next episode and observes its start.
     fn next_episode(&mut self, lane: usize, stagger: bool) -> Result<(), EnvError> {
         let episode = self.lanes[lane].episode + 1;
         self.lanes[lane] = self.start_episode(lane, episode, stagger)?;
-        self.observe_start(lane);
-        Ok(())
+        self.observe_start(lane)
     }
 
     /// Draws an episode, and puts the engine's lane at its start.
@@ -310,13 +310,13 @@ impl VecEnv {
         Ok(started)
     }
 
-    fn observe_start(&mut self, lane: usize) {
+    fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
         let truth = self.reader.read(self.engine.state(), lane);
-        self.observe(lane, &truth);
+        self.observe(lane, &truth)
     }
 
     /// Writes the observation of one lane, with sensor noise.
-    fn observe(&mut self, lane: usize, truth: &Truth) {
+    fn observe(&mut self, lane: usize, truth: &Truth) -> Result<(), EnvError> {
         let now = &mut self.lanes[lane];
         let mut readings = truth.readings();
         for (pos, offset) in readings.joint_pos_rad.iter_mut().zip(now.joint_offset_rad) {
@@ -341,7 +341,8 @@ impl VecEnv {
             &self.layout,
             &self.joints.nominal_rad,
             &mut self.observations[lane * dim..][..dim],
-        );
+        )?;
+        Ok(())
     }
 }
 

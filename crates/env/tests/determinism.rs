@@ -11,8 +11,10 @@ use support::{FakeEngine, calm_task, env, model, wiggle};
 
 /// Everything random that a task has.
 fn busy_task() -> TaskConfig {
-    let mut task = TaskConfig::default();
-    task.episode_steps = 30;
+    let mut task = TaskConfig {
+        episode_steps: 30,
+        ..TaskConfig::default()
+    };
     task.command.resample_s = [0.1, 0.3];
     task.push.interval_s = [0.1, 0.2];
     task.push.full_after_env_steps = 1000;

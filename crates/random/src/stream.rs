@@ -88,6 +88,23 @@ impl Stream {
         StandardNormal.sample(&mut self.rng)
     }
 
+    /// Adds bell-shaped noise of standard deviation `std` to every value: much faster than [`Self::normal`], for
+    /// sensor noise.
+    ///
+    /// Each draw is the sum of the four bytes of one word (Irwin–Hall distribution), so it is at most 3.45
+    /// standard deviations from 0, and comes in steps of 0.007 standard deviations.
+    #[inline]
+    pub fn add_bell_noise(&mut self, values: &mut [f32], std: f32) {
+        // A byte, uniform over 0 to 255, has variance (256² − 1)/12 = 5461.25; four of them 21,845.
+        let scale = std / 21_845.0f32.sqrt();
+        for value in values {
+            let word = self.rng.next_u32();
+            let pairs = (word & 0x00ff_00ff) + ((word >> 8) & 0x00ff_00ff);
+            let sum = (pairs & 0xffff) + (pairs >> 16);
+            *value += scale * (sum as f32 - 510.0);
+        }
+    }
+
     /// A whole number from 0 to `n − 1`, each equally likely; 0 when `n` is 0.
     ///
     /// Multiplies a 64-bit draw by `n` and rejects the draws that would favour some results

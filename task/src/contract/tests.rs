@@ -152,3 +152,21 @@ fn the_joint_table_is_the_contracts() {
     short.upper_limit_rad.pop();
     assert!(short.joint_table().is_none());
 }
+
+proptest::proptest! {
+    #[test]
+    fn any_numbers_survive_json_with_the_same_hash(
+        values in proptest::array::uniform16(proptest::num::f32::NORMAL | proptest::num::f32::ZERO),
+        period in 1e-4f64..1.0,
+    ) {
+        let mut made = contract();
+        made.nominal_pos_rad = values.to_vec();
+        made.control_period_s = period;
+        let read: PolicyContract =
+            serde_json::from_str(&serde_json::to_string(&made).unwrap()).unwrap();
+        proptest::prop_assert_eq!(&read, &made);
+        proptest::prop_assert_eq!(read.hash(), made.hash());
+        let again: PolicyContract = serde_json::from_str(&made.canonical_json()).unwrap();
+        proptest::prop_assert_eq!(again, made);
+    }
+}

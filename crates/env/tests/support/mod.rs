@@ -26,9 +26,11 @@ pub fn model() -> Arc<RobotModel> {
 
 /// The default task without anything random but commands and starts.
 pub fn calm_task() -> TaskConfig {
-    let mut task = TaskConfig::default();
-    task.episode_steps = 20;
-    task.stagger_first_episode = false;
+    let mut task = TaskConfig {
+        episode_steps: 20,
+        stagger_first_episode: false,
+        ..TaskConfig::default()
+    };
     task.randomisation.enabled = false;
     task.push.enabled = false;
     task.noise.enabled = false;

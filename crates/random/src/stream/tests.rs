@@ -175,6 +175,37 @@ fn normal_has_the_right_moments() {
 }
 
 #[test]
+fn bell_noise_is_the_sum_of_four_bytes() {
+    // The first word is 501440786 = 0x1DE3_6112: 0x1D + 0xE3 + 0x61 + 0x12 = 29 + 227 + 97 + 18 = 371;
+    // 371 − 510 = −139; √21845 = 147.80; 1 + 2·(−139/147.80) = −0.88091
+    let mut stream = Stream::new(key(), Purpose::Reset);
+    let mut values = [1.0];
+    stream.add_bell_noise(&mut values, 2.0);
+    assert!((values[0] + 0.880_91).abs() < 1e-5, "{}", values[0]);
+    assert_eq!(stream.word_position(), 1);
+}
+
+#[test]
+fn bell_noise_has_the_right_moments() {
+    // Mean 0, variance 1, kurtosis 3 − 1.2/4 = 2.7; n = 200,000: standard errors 0.0022, 0.0029, 0.016.
+    let mut stream = Stream::new(key(), Purpose::Sensor);
+    let n = 200_000;
+    let mut values = vec![0.0f32; n];
+    stream.add_bell_noise(&mut values, 1.0);
+    let moment = |power| {
+        values
+            .iter()
+            .map(|x| f64::from(*x).powi(power))
+            .sum::<f64>()
+            / n as f64
+    };
+    assert!(moment(1).abs() < 0.01);
+    assert!((moment(2) - 1.0).abs() < 0.013);
+    assert!((moment(4) - 2.7).abs() < 0.08);
+    assert!(values.iter().all(|x| x.abs() < 3.46));
+}
+
+#[test]
 fn below_is_unbiased_and_in_range() {
     // 6 faces, n = 60,000: 10,000 each, standard deviation √(n·1/6·5/6) = 91.
     let mut stream = Stream::new(key(), Purpose::Minibatch);
