@@ -149,7 +149,7 @@ impl Tally {
         self.speed_mps += speed_of(vx, vy);
         self.velocity_error_mps += speed_of(command[0] - vx, command[1] - vy);
         self.power_w += f64::from(truth.mech_power_w.iter().map(|p| p.abs()).sum::<f32>());
-        self.trunk_contacts += u32::from(truth.trunk_force_n > 0.0);
+        self.trunk_contacts += u32::from(truth.trunk_force_n > contact_force_n);
         for (v, force) in truth.foot_vel_mps.iter().zip(&truth.foot_force_n) {
             if force[2] > contact_force_n {
                 self.foot_contacts += 1;

@@ -44,9 +44,10 @@ pub struct EpisodeStats {
     pub mean_velocity_error_mps: f32,
     /// Mean of Σ|q̇τ|, W.
     pub mean_power_w: f32,
-    /// Share of steps in which anything but the feet touched the ground.
+    /// Share of steps in which the contact force on anything but the feet was above `contact_force_n`.
     pub trunk_contact_share: f32,
-    /// Share of foot-steps with the foot in contact (mean duty factor of the four feet).
+    /// Share of foot-steps with the foot in contact, that is with more than `contact_force_n` on it (mean duty
+    /// factor of the four feet).
     pub duty_factor: f32,
     /// Mean horizontal speed of feet in contact, m/s.
     pub mean_slip_mps: f32,
