@@ -69,6 +69,8 @@ fn main() {
     );
     for (name, terrain) in [("flat", &flat), ("rough", &rough)] {
         for (dt_ms, substeps, iterations) in [
+            (10.0, 2, 1),
+            (20.0 / 3.0, 3, 1),
             (5.0, 4, 1),
             (4.0, 5, 1),
             (4.0, 5, 2),

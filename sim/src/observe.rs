@@ -147,11 +147,10 @@ impl WholeBody {
     }
 }
 
-/// Fills the kinematic fields of lane `lane` of `out`: base, joints, centre of mass, heading, feet, gyro and gravity.
+/// Fills the kinematic fields of `out` (one lane): base, joints, centre of mass, heading, feet, gyro and gravity.
 /// Returns the IMU point's velocity (world, m/s), which the caller differentiates.
 pub(crate) fn write_kinematics(
     out: &mut State,
-    lane: usize,
     model: &RobotModel,
     masses: &[LinkMass],
     terrain: &Terrain,
@@ -160,70 +159,58 @@ pub(crate) fn write_kinematics(
     motion: &Motion,
 ) -> [f64; 3] {
     let base = &motion.places.links[0];
-    put(&mut out.base_pos_m, lane, base.pos_m);
-    put(&mut out.base_quat_wxyz, lane, base.quat_wxyz);
-    put(&mut out.base_vel_mps, lane, motion.vel_mps[0]);
+    put(&mut out.base_pos_m, 0, base.pos_m);
+    put(&mut out.base_quat_wxyz, 0, base.quat_wxyz);
+    put(&mut out.base_vel_mps, 0, motion.vel_mps[0]);
     put(
         &mut out.base_angvel_radps,
-        lane,
+        0,
         unrotate(base, motion.angvel_radps[0]),
     );
-    put_all(&mut out.joint_pos_rad, lane, &at.joint_pos_rad);
-    put_all(&mut out.joint_vel_radps, lane, &at.joint_vel_radps);
+    put_all(&mut out.joint_pos_rad, 0, &at.joint_pos_rad);
+    put_all(&mut out.joint_vel_radps, 0, &at.joint_vel_radps);
 
     let whole = WholeBody::of(motion, masses);
-    put(&mut out.com_pos_m, lane, whole.com_m);
-    put(&mut out.com_vel_mps, lane, whole.vel_mps);
-    put(&mut out.com_angvel_radps, lane, whole.angvel_radps);
-    put(&mut out.heading_rad, lane, [heading_rad(model, motion)]);
+    put(&mut out.com_pos_m, 0, whole.com_m);
+    put(&mut out.com_vel_mps, 0, whole.vel_mps);
+    put(&mut out.com_angvel_radps, 0, whole.angvel_radps);
+    put(&mut out.heading_rad, 0, [heading_rad(model, motion)]);
 
-    let feet = model.feet().len();
     for (f, foot) in model.feet().iter().enumerate() {
         let (p, v) = motion.point(foot.link, foot.centre_m);
         let ground = f64::from(terrain.height_m(p[0] as f32, p[1] as f32));
-        put(&mut out.foot_pos_m, lane * feet + f, p);
-        put(&mut out.foot_vel_mps, lane * feet + f, v);
-        put(
-            &mut out.foot_height_m,
-            lane * feet + f,
-            [p[2] - foot.radius_m - ground],
-        );
+        put(&mut out.foot_pos_m, f, p);
+        put(&mut out.foot_vel_mps, f, v);
+        put(&mut out.foot_height_m, f, [p[2] - foot.radius_m - ground]);
     }
 
     let (link, link_from_imu) = imu_place(model);
     let world_from_imu = motion.places.links[link].compose(&link_from_imu);
     put(
         &mut out.imu_gyro_radps,
-        lane,
+        0,
         unrotate(&world_from_imu, motion.angvel_radps[link]),
     );
     put(
         &mut out.imu_gravity,
-        lane,
+        0,
         unrotate(&world_from_imu, unit_or_down(gravity_mps2)),
     );
     motion.point(link, link_from_imu.pos_m).1
 }
 
-/// Writes the mean specific force over a period that changed the IMU point's velocity by `vel_change_mps` (world).
+/// Writes the specific force that goes with the IMU point's acceleration (world, m/s²).
 pub(crate) fn write_specific_force(
     out: &mut State,
-    lane: usize,
     model: &RobotModel,
     motion: &Motion,
     gravity_mps2: [f32; 3],
-    vel_change_mps: [f64; 3],
-    period_s: f64,
+    acceleration_mps2: [f64; 3],
 ) {
     let (link, link_from_imu) = imu_place(model);
     let world_from_imu = motion.places.links[link].compose(&link_from_imu);
-    let acceleration = vel_change_mps.map(|v| v / period_s);
-    let force = sub(acceleration, gravity_mps2.map(f64::from));
-    put(
-        &mut out.imu_acc_mps2,
-        lane,
-        unrotate(&world_from_imu, force),
-    );
+    let force = sub(acceleration_mps2, gravity_mps2.map(f64::from));
+    put(&mut out.imu_acc_mps2, 0, unrotate(&world_from_imu, force));
 }
 
 /// The IMU's link and pose in it; the base frame on a robot without one.

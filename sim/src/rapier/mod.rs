@@ -11,7 +11,9 @@
 
 mod contacts;
 mod convert;
+mod drive;
 mod lane;
+mod robot;
 mod snapshot;
 mod world;
 

@@ -116,7 +116,7 @@ fn save_lane(
     pending: Option<LaneParams>,
     terrain: &[u8],
 ) -> Result<SavedLane, SimError> {
-    let mut world = encode(&lane.world)?;
+    let mut world = encode(&lane.robot.world)?;
     let terrain_at = if terrain.is_empty() {
         None
     } else {
@@ -151,7 +151,7 @@ fn load_lane(shared: &Shared, saved: SavedLane, terrain: &[u8]) -> Result<Lane, 
     }
     // Building is deterministic, so the fresh lane's handles are valid in the restored world.
     let mut lane = Lane::new(shared, params, &InitialState::nominal(&shared.model))?;
-    lane.world = decode::<PhysicsWorld>(&world)?;
+    lane.robot.world = decode::<PhysicsWorld>(&world)?;
     lane.memory = memory;
     Ok(lane)
 }

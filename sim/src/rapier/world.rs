@@ -6,7 +6,9 @@
 //! Welded links and locked joints are joints without degrees of freedom.
 
 use caudata_model::pose::sub;
-use caudata_model::{BaseKind, Geom, JointMotion, Link, Pose as ModelPose, RobotModel, Shape};
+use caudata_model::{
+    BaseKind, Geom, JointKind, JointMotion, Link, Pose as ModelPose, RobotModel, Shape,
+};
 use rapier3d::math::{Pose, Real, Rotation, Vector};
 use rapier3d::prelude::*;
 
@@ -44,6 +46,13 @@ pub(super) struct Dof {
     pub parent: usize,
 }
 
+impl Dof {
+    /// Whether it turns (else it slides).
+    pub fn is_hinge(&self) -> bool {
+        self.axis >= 3
+    }
+}
+
 /// What the lane needs to find its way in the world it built.
 pub(super) struct RobotHandles {
     /// Every body of the robot, massless ones and a fixed base's anchor included.
@@ -52,8 +61,8 @@ pub(super) struct RobotHandles {
     pub links: Vec<usize>,
     /// `[J]`, model order.
     pub dofs: Vec<Option<Dof>>,
-    /// Any joint of the multibody; `None` for a robot without joints.
-    pub multibody: Option<MultibodyJointHandle>,
+    /// A joint of the multibody, which stands for it.
+    pub multibody: MultibodyJointHandle,
     /// Whether the base moves freely.
     pub free_base: bool,
 }
@@ -96,6 +105,9 @@ fn integration_parameters(config: &EngineConfig) -> IntegrationParameters {
         normalized_prediction_distance: config.contact_margin_m as Real,
         // Speeds here are far below what could pass through the ground within a step.
         max_ccd_substeps: 0,
+        // Friction otherwise only acts after positions have moved; with one iteration per step that lets feet slip: this brings the
+        // travel of an open-loop trot at 4 ms from 6 % below its small-step limit to 4 %, at 10 ms from 19 % to 10 %.
+        friction_in_bias_pass: true,
         // Recycled contacts lag behind rolling feet; and a ball has one contact, so there is nothing to merge.
         contact_recycling: false,
         contact_clustering: false,
@@ -171,7 +183,7 @@ impl Builder<'_> {
             bodies: Vec::new(),
             links: Vec::new(),
             dofs: vec![None; self.model.joints().len()],
-            multibody: None,
+            multibody: MultibodyJointHandle::invalid(),
             free_base,
         };
         for (i, link) in self.model.links().iter().enumerate() {
@@ -187,7 +199,7 @@ impl Builder<'_> {
                 self.insert_geom(i, g, geom, handles.bodies[body]);
             }
         }
-        self.assign_dofs(&mut handles);
+        self.assign_dofs(&mut handles)?;
         Ok(handles)
     }
 
@@ -222,7 +234,7 @@ impl Builder<'_> {
             .joints
             .iter()
             .copied()
-            .filter(|&j| !self.model.joints()[j].locked)
+            .filter(|&j| !self.is_locked(j))
             .collect();
         let (mut parent, parent_com) = from;
         // Placement of the current frame in the parent body's frame, before the joint moves.
@@ -255,7 +267,7 @@ impl Builder<'_> {
                         self.model.links()[i].name
                     ))
                 })?;
-            handles.multibody = Some(handle);
+            handles.multibody = handle;
             if let Some(&j) = slot {
                 let axis = match self.model.joints()[j].motion {
                     JointMotion::Slide => 0,
@@ -298,6 +310,11 @@ impl Builder<'_> {
             .build()
     }
 
+    fn is_locked(&self, j: usize) -> bool {
+        let joint = &self.model.joints()[j];
+        joint.locked || self.config.lock_backlash && joint.kind == JointKind::Backlash
+    }
+
     fn link_body(&self, i: usize) -> RigidBodyBuilder {
         let m = &self.masses[i];
         body().additional_mass_properties(convert::mass_properties(m.mass_kg, &m.inertia_kgm2))
@@ -336,19 +353,16 @@ impl Builder<'_> {
     }
 
     /// Settles the multibody (its root may only now turn out to be fixed) and looks up where each joint ended up.
-    fn assign_dofs(&mut self, handles: &mut RobotHandles) {
-        let Some(handle) = handles.multibody else {
-            return;
-        };
+    fn assign_dofs(&mut self, handles: &mut RobotHandles) -> Result<(), SimError> {
         let joints = &mut self.world.multibody_joints;
         for dof in handles.dofs.iter_mut().flatten() {
             if let Some(id) = joints.rigid_body_link(handles.bodies[dof.child]) {
                 dof.link = id.id;
             }
         }
-        let Some((multibody, _)) = joints.get_mut(handle) else {
-            return;
-        };
+        let (multibody, _) = joints
+            .get_mut(handles.multibody)
+            .ok_or_else(|| SimError::Model("it has no joints".to_owned()))?;
         multibody.set_self_contacts_enabled(false);
         multibody.forward_kinematics(&self.world.bodies, true);
         // Rapier gives angular degrees of freedom a damping of 0.1 by default.
@@ -358,6 +372,7 @@ impl Builder<'_> {
                 dof.assembly = link.assembly_id();
             }
         }
+        Ok(())
     }
 }
 

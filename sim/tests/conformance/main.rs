@@ -120,6 +120,7 @@ macro_rules! suite {
                 stands_still,
                 signs_of_joints,
                 play_is_free_then_stops,
+                play_can_be_locked,
                 walks_like_mujoco,
                 stands_on_rugged_ground,
             },

@@ -121,8 +121,36 @@ pub fn play_is_free_then_stops(config: &EngineConfig) {
     }
 }
 
+/// With `lock_backlash` the play hinges keep their places in the state and stay at zero.
+pub fn play_can_be_locked(config: &EngineConfig) {
+    let model = robots::polymander();
+    let locked = EngineConfig {
+        lock_backlash: true,
+        ..config.clone()
+    };
+    let mut e = engine(&locked, &model, 1);
+    run(
+        e.as_mut(),
+        periods(config, 1.0),
+        &nominal_targets(&model, 1),
+        |_, _| (),
+    );
+    let s = e.state();
+    for &j in &model.backlash().joints {
+        assert_eq!((s.joint_pos_rad[j], s.joint_vel_radps[j]), (0.0, 0.0));
+    }
+    let weight = model.total_mass_kg() * 9.81;
+    let feet: f64 = s.foot_force_n.chunks(3).map(|f| f64::from(f[2])).sum();
+    near(
+        "feet and tail",
+        feet + f64::from(s.trunk_force_n[0]),
+        weight,
+        0.02 * weight,
+    );
+}
+
 /// Ten seconds of an open-loop trot. MuJoCo 3 on the same MJCF with the same servo, converged in step size, travels 2.13 m
-/// and spends 6.93 W (elliptic cone, 0.5 ms). Rapier gives 2.03 to 2.18 m between 5 and 0.5 ms.
+/// and spends 6.93 W (elliptic cone, 0.5 ms). Rapier gives 2.05 to 2.15 m between 5 and 0.5 ms.
 pub fn walks_like_mujoco(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 1);
