@@ -1,1 +1,13 @@
 //! PPO on libtorch: batches, update, checkpoints, ONNX export.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+pub mod adam;
+pub mod batch;
+mod error;
+pub mod network;
+pub mod normaliser;
+pub mod ppo;
+pub mod report;
+pub mod returns;
+
+pub use error::LearnerError;

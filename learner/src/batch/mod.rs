@@ -1,0 +1,12 @@
+//! From frames to batches: what is accepted, in which order, and what became of everything else.
+
+mod accounting;
+mod collector;
+mod identity;
+mod rows;
+
+pub use accounting::{
+    Accounting, ActorKey, Arrival, DropReason, IncarnationAccount, Report, ReportRow,
+};
+pub use collector::{Collector, CollectorSettings, Outcome, STRIKES_MAX};
+pub use rows::{Batch, Segment};

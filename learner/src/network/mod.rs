@@ -1,0 +1,306 @@
+//! The actor-critic: a policy network for the mean of the actions, a value network, and a standard deviation per
+//! action that does not depend on the state.
+//!
+//! N observations of size D go in, normalised; A is the number of actions.
+
+mod init;
+mod layout;
+mod mlp;
+
+pub use init::orthogonal;
+pub use layout::{Layout, Parameter};
+pub use mlp::{Mlp, Tape};
+
+use caudata_config::{Activation, NetworkConfig};
+use caudata_random::{Key, Purpose, Stream};
+use tch::{Device, Kind, Tensor};
+
+use crate::LearnerError;
+use mlp::LayerIndices;
+
+/// Gain of the policy's last layer: actions near zero at first, so that the noise explores around the nominal
+/// pose (Andrychowicz et al. 2021, "What matters in on-policy reinforcement learning", section 3.2).
+const POLICY_OUTPUT_GAIN: f64 = 0.01;
+/// How far inside its bounds the initial std must lie, as a share of their distance on the log scale; at a bound
+/// itself the map below would be flat and the parameter stuck.
+const STD_MARGIN: f64 = 0.01;
+
+/// Sizes, non-linearity and bounds of an [`ActorCritic`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct NetworkSpec {
+    /// D.
+    pub obs_dim: usize,
+    /// A.
+    pub act_dim: usize,
+    /// Hidden layers of the policy.
+    pub policy_hidden: Vec<usize>,
+    /// Hidden layers of the value function.
+    pub value_hidden: Vec<usize>,
+    /// Between the layers.
+    pub activation: Activation,
+    /// Standard deviation of the action noise at the start.
+    pub init_std: f64,
+    /// Its lower bound.
+    pub std_min: f64,
+    /// Its upper bound.
+    pub std_max: f64,
+}
+
+impl NetworkSpec {
+    /// The networks of a configuration for a task with `obs_dim` observations and `act_dim` actions.
+    ///
+    /// # Errors
+    /// [`LearnerError::Setting`] when a size is zero or the bounds of the std do not enclose its start.
+    pub fn new(
+        config: &NetworkConfig,
+        obs_dim: usize,
+        act_dim: usize,
+    ) -> Result<Self, LearnerError> {
+        let spec = Self {
+            obs_dim,
+            act_dim,
+            policy_hidden: config.policy_hidden.iter().map(|&n| n as usize).collect(),
+            value_hidden: config.value_hidden.iter().map(|&n| n as usize).collect(),
+            activation: config.activation,
+            init_std: config.init_std,
+            std_min: config.std_min,
+            std_max: config.std_max,
+        };
+        let mut sizes = spec.policy_hidden.iter().chain(&spec.value_hidden);
+        if obs_dim == 0 || act_dim == 0 || sizes.any(|&n| n == 0) {
+            return Err(LearnerError::setting(
+                "a layer of the networks has no units",
+            ));
+        }
+        let ordered = 0.0 < spec.std_min && spec.std_min < spec.std_max;
+        if !ordered || spec.init_std < spec.std_min || spec.init_std > spec.std_max {
+            return Err(LearnerError::setting(
+                "learner.network: 0 < std_min <= init_std <= std_max does not hold",
+            ));
+        }
+        Ok(spec)
+    }
+
+    /// Layer sizes of the policy, input and output included.
+    fn policy_sizes(&self) -> Vec<usize> {
+        sizes(self.obs_dim, &self.policy_hidden, self.act_dim)
+    }
+
+    fn value_sizes(&self) -> Vec<usize> {
+        sizes(self.obs_dim, &self.value_hidden, 1)
+    }
+}
+
+fn sizes(input: usize, hidden: &[usize], output: usize) -> Vec<usize> {
+    [&[input], hidden, &[output]].concat()
+}
+
+/// Policy and value networks over one flat vector of parameters.
+///
+/// The log-std is `lo + (hi − lo)·σ(raw)` with the bounds' logarithms `lo`, `hi` and the learnt parameter `raw`:
+/// it cannot leave its bounds, and unlike a hard clamp it always has a gradient that leads back.
+#[derive(Debug)]
+pub struct ActorCritic {
+    spec: NetworkSpec,
+    layout: Layout,
+    indices: Indices,
+    flat: Tensor,
+    policy: Mlp,
+    value: Mlp,
+    /// `[A]`.
+    raw_log_std: Tensor,
+}
+
+#[derive(Clone, Debug)]
+struct Indices {
+    policy: LayerIndices,
+    value: LayerIndices,
+    raw_log_std: usize,
+}
+
+impl ActorCritic {
+    /// A network with fresh weights: orthogonal, gain √2 in hidden layers, 1 at the value, 0.01 at the actions;
+    /// biases zero. The same seed gives the same weights, on every device and machine.
+    pub fn new(spec: NetworkSpec, seed: u64, device: Device) -> Self {
+        let (layout, indices) = lay_out(&spec);
+        let values = initial_values(&spec, &layout, &indices, seed);
+        let flat = Tensor::from_slice(&values).to_device(device);
+        Self::over(spec, layout, indices, flat)
+    }
+
+    /// The same network, sharing the memory of the parameters: for another thread. Whoever changes them must see
+    /// to it that nobody reads at the same time.
+    pub fn share(&self) -> Self {
+        self.with_flat(self.flat.shallow_clone())
+    }
+
+    /// Same shapes over zeros of its own: room for a gradient.
+    pub fn zeros_like(&self) -> Self {
+        self.with_flat(self.flat.zeros_like())
+    }
+
+    fn with_flat(&self, flat: Tensor) -> Self {
+        Self::over(
+            self.spec.clone(),
+            self.layout.clone(),
+            self.indices.clone(),
+            flat,
+        )
+    }
+
+    fn over(spec: NetworkSpec, layout: Layout, indices: Indices, flat: Tensor) -> Self {
+        Self {
+            policy: Mlp::over(&layout, &indices.policy, &flat, spec.activation),
+            value: Mlp::over(&layout, &indices.value, &flat, spec.activation),
+            raw_log_std: layout.view(&flat, indices.raw_log_std),
+            spec,
+            layout,
+            indices,
+            flat,
+        }
+    }
+
+    /// Sizes and bounds.
+    pub fn spec(&self) -> &NetworkSpec {
+        &self.spec
+    }
+
+    /// Where each parameter lies in [`ActorCritic::flat`].
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// All parameters, `[P]`. Changing it in place changes the network.
+    pub fn flat(&self) -> &Tensor {
+        &self.flat
+    }
+
+    /// Where the parameters live.
+    pub fn device(&self) -> Device {
+        self.flat.device()
+    }
+
+    /// The network whose output is the mean of the actions.
+    pub fn policy(&self) -> &Mlp {
+        &self.policy
+    }
+
+    /// The network whose output, `[N, 1]`, is the value.
+    pub fn value(&self) -> &Mlp {
+        &self.value
+    }
+
+    /// Natural logarithm of the standard deviation of each action, `[A]`.
+    pub fn log_std(&self) -> Tensor {
+        let (lo, hi) = self.log_std_bounds();
+        self.raw_log_std.sigmoid() * (hi - lo) + lo
+    }
+
+    /// Turns a gradient with respect to the log-std, `[A]`, into one with respect to its parameter and writes it
+    /// into `gradient`: d log_std / d raw = (log_std − lo)(hi − log_std)/(hi − lo).
+    pub fn log_std_backward(&self, grad_log_std: &Tensor, gradient: &ActorCritic) {
+        let (lo, hi) = self.log_std_bounds();
+        let log_std = self.log_std();
+        let slope = (&log_std - lo) * (hi - &log_std) / (hi - lo);
+        gradient
+            .raw_log_std
+            .shallow_clone()
+            .copy_(&(grad_log_std * slope));
+    }
+
+    fn log_std_bounds(&self) -> (f64, f64) {
+        (self.spec.std_min.ln(), self.spec.std_max.ln())
+    }
+
+    /// All parameters on the host, in the order of the flat vector.
+    ///
+    /// # Errors
+    /// When the device does not hand them over.
+    pub fn to_vec(&self) -> Result<Vec<f32>, LearnerError> {
+        Ok(Vec::try_from(&self.flat.to_device(Device::Cpu))?)
+    }
+
+    /// Replaces all parameters.
+    ///
+    /// # Errors
+    /// [`LearnerError::Setting`] when the number of values is not that of this network.
+    pub fn copy_from_slice(&self, values: &[f32]) -> Result<(), LearnerError> {
+        if values.len() != self.layout.len() {
+            return Err(LearnerError::setting(format!(
+                "{} parameters given to a network with {}",
+                values.len(),
+                self.layout.len()
+            )));
+        }
+        self.flat.shallow_clone().copy_(&Tensor::from_slice(values));
+        Ok(())
+    }
+}
+
+fn lay_out(spec: &NetworkSpec) -> (Layout, Indices) {
+    let mut layout = Layout::default();
+    let policy = push_layers(&mut layout, "policy", &spec.policy_sizes());
+    let raw_log_std = layout.push("raw_log_std".into(), &[spec.act_dim as i64]);
+    let value = push_layers(&mut layout, "value", &spec.value_sizes());
+    let indices = Indices {
+        policy,
+        value,
+        raw_log_std,
+    };
+    (layout, indices)
+}
+
+fn push_layers(layout: &mut Layout, name: &str, sizes: &[usize]) -> LayerIndices {
+    let mut indices = LayerIndices::new();
+    for (number, pair) in sizes.windows(2).enumerate() {
+        let (input, output) = (pair[0] as i64, pair[1] as i64);
+        let weight = layout.push(format!("{name}.{number}.weight"), &[output, input]);
+        let bias = layout.push(format!("{name}.{number}.bias"), &[output]);
+        indices.push((weight, bias));
+    }
+    indices
+}
+
+fn initial_values(spec: &NetworkSpec, layout: &Layout, indices: &Indices, seed: u64) -> Vec<f32> {
+    let key = Key {
+        seed,
+        actor: 0,
+        env: 0,
+        episode: 0,
+    };
+    let mut stream = Stream::new(key, Purpose::Init);
+    let mut values = vec![0.0_f32; layout.len()];
+    for (layers, output_gain) in [(&indices.policy, POLICY_OUTPUT_GAIN), (&indices.value, 1.0)] {
+        for (number, &(weight, _)) in layers.iter().enumerate() {
+            let last = number + 1 == layers.len();
+            let gain = if last {
+                output_gain
+            } else {
+                std::f64::consts::SQRT_2
+            };
+            let parameter = &layout.parameters()[weight];
+            let (rows, columns) = (parameter.shape[0] as usize, parameter.shape[1] as usize);
+            let matrix = orthogonal(&mut stream, rows, columns, gain);
+            values[parameter.offset..][..matrix.len()].copy_from_slice(&matrix);
+        }
+    }
+    let parameter = &layout.parameters()[indices.raw_log_std];
+    values[parameter.offset..][..spec.act_dim].fill(raw_of_std(spec) as f32);
+    values
+}
+
+/// The parameter that gives the initial std: the inverse of the map of [`ActorCritic`].
+fn raw_of_std(spec: &NetworkSpec) -> f64 {
+    let (lo, hi) = (spec.std_min.ln(), spec.std_max.ln());
+    let share = (spec.init_std.ln() - lo) / (hi - lo);
+    let share = share.clamp(STD_MARGIN, 1.0 - STD_MARGIN);
+    (share / (1.0 - share)).ln()
+}
+
+/// Zeros `[n]` of the kind that parameters have.
+pub(crate) fn zeros(n: usize, device: Device) -> Tensor {
+    Tensor::zeros([n as i64], (Kind::Float, device))
+}
+
+#[cfg(test)]
+mod tests;

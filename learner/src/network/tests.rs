@@ -1,0 +1,156 @@
+//! The network's forward and backward passes against autograd, and what the seed and the bounds promise.
+
+use super::*;
+
+fn spec(activation: Activation) -> NetworkSpec {
+    NetworkSpec {
+        obs_dim: 5,
+        act_dim: 3,
+        policy_hidden: vec![8, 7],
+        value_hidden: vec![6],
+        activation,
+        init_std: 0.7,
+        std_min: 0.05,
+        std_max: 1.5,
+    }
+}
+
+fn input(rows: i64) -> Tensor {
+    // A fixed, irregular grid of numbers in ±2: no generator needed.
+    let n = rows * 5;
+    let values: Vec<f32> = (0..n)
+        .map(|i| ((i * 37 % 101) as f32 / 25.0) - 2.0)
+        .collect();
+    Tensor::from_slice(&values).view([rows, 5])
+}
+
+/// The same function in autograd's terms.
+fn reference(mlp: &Mlp, activation: Activation, x: &Tensor, leaves: &mut Vec<Tensor>) -> Tensor {
+    let layers: Vec<_> = mlp.layers().collect();
+    let mut h = x.shallow_clone();
+    for (number, (weight, bias)) in layers.iter().enumerate() {
+        let (weight, bias) = (
+            weight.copy().set_requires_grad(true),
+            bias.copy().set_requires_grad(true),
+        );
+        h = h.linear(&weight, Some(&bias));
+        if number + 1 < layers.len() {
+            h = match activation {
+                Activation::Elu => h.elu(),
+                Activation::Swish => h.silu(),
+                Activation::Tanh => h.tanh(),
+                Activation::Relu => h.relu(),
+            };
+        }
+        leaves.extend([weight, bias]);
+    }
+    h
+}
+
+fn close(a: &Tensor, b: &Tensor, tolerance: f64, what: &str) {
+    let worst = (a - b).abs().max().double_value(&[]);
+    assert!(worst <= tolerance, "{what}: off by {worst}");
+}
+
+#[test]
+fn forward_and_backward_agree_with_autograd() {
+    for activation in [
+        Activation::Elu,
+        Activation::Swish,
+        Activation::Tanh,
+        Activation::Relu,
+    ] {
+        let net = ActorCritic::new(spec(activation), 7, Device::Cpu);
+        let gradient = net.zeros_like();
+        let x = input(9);
+        let (output, tape) = net.policy().forward_with_tape(&x);
+        close(
+            &output,
+            &net.policy().forward(&x),
+            0.0,
+            "with and without tape",
+        );
+
+        let mut leaves = Vec::new();
+        let expected = reference(net.policy(), activation, &x, &mut leaves);
+        close(&output, &expected, 1e-6, "output");
+
+        // Loss = ½ Σ y²: its gradient with respect to y is y.
+        (expected.square().sum(Kind::Float) * 0.5).backward();
+        net.policy().backward(&tape, output, gradient.policy());
+        let own = gradient.policy().layers().flat_map(|(w, b)| [w, b]);
+        for (number, (own, leaf)) in own.zip(&leaves).enumerate() {
+            close(
+                own,
+                &leaf.grad(),
+                2e-6,
+                &format!("{activation:?}, parameter {number}"),
+            );
+        }
+    }
+}
+
+#[test]
+fn log_std_starts_where_told_stays_in_bounds_and_has_autograds_gradient() {
+    let net = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu);
+    close(&net.log_std(), &Tensor::from(0.7_f64.ln()), 1e-6, "start");
+
+    let gradient = net.zeros_like();
+    let upstream = Tensor::from_slice(&[1.0_f32, -2.0, 0.5]);
+    net.log_std_backward(&upstream, &gradient);
+    let raw = net.raw_log_std.copy().set_requires_grad(true);
+    let (lo, hi) = (0.05_f64.ln(), 1.5_f64.ln());
+    ((raw.sigmoid() * (hi - lo) + lo) * upstream)
+        .sum(Kind::Float)
+        .backward();
+    close(&gradient.raw_log_std, &raw.grad(), 1e-6, "slope");
+
+    for raw in [-100.0, 100.0] {
+        let _ = net.raw_log_std.shallow_clone().fill_(raw);
+        let std = net.log_std().exp().double_value(&[0]);
+        assert!((0.05 - 1e-6..=1.5 + 1e-6).contains(&std), "{std}");
+    }
+}
+
+#[test]
+fn the_seed_decides_the_weights_and_nothing_else_does() {
+    tch::manual_seed(1);
+    let a = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu)
+        .to_vec()
+        .unwrap();
+    tch::manual_seed(2);
+    let b = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu)
+        .to_vec()
+        .unwrap();
+    let c = ActorCritic::new(spec(Activation::Elu), 8, Device::Cpu)
+        .to_vec()
+        .unwrap();
+    assert_eq!(a, b);
+    assert_ne!(a, c);
+}
+
+#[test]
+fn shared_networks_see_changes_and_zeros_do_not() {
+    let net = ActorCritic::new(spec(Activation::Tanh), 7, Device::Cpu);
+    let (shared, zeros) = (net.share(), net.zeros_like());
+    net.copy_from_slice(&vec![0.5; net.layout().len()]).unwrap();
+    assert_eq!(shared.flat().double_value(&[0]), 0.5);
+    assert_eq!(zeros.flat().double_value(&[0]), 0.0);
+    assert!(net.copy_from_slice(&[1.0]).is_err());
+}
+
+#[test]
+fn specs_that_cannot_work_are_refused() {
+    let config = NetworkConfig {
+        init_std: 2.0,
+        ..NetworkConfig::default()
+    };
+    let error = NetworkSpec::new(&config, 4, 2).unwrap_err();
+    assert!(error.to_string().contains("init_std <= std_max"), "{error}");
+    let config = NetworkConfig {
+        policy_hidden: vec![0],
+        ..NetworkConfig::default()
+    };
+    assert!(NetworkSpec::new(&config, 4, 2).is_err());
+    assert!(NetworkSpec::new(&NetworkConfig::default(), 4, 2).is_ok());
+}

@@ -1,0 +1,547 @@
+//! One update: values and log-probabilities of the batch, advantages, then epochs of minibatches.
+
+use caudata_config::{AdvantageScale, PpoConfig, StalenessConfig};
+use caudata_random::Stream;
+use tch::{Device, Tensor};
+
+use super::loss::{LossSettings, Outputs, Samples, entropy, log_prob, loss_and_gradient, sums};
+use super::pool::{Pool, SHARD_ROWS, Worker, rows, shards};
+use crate::LearnerError;
+use crate::adam::Adam;
+use crate::batch::{Batch, Segment};
+use crate::network::ActorCritic;
+use crate::normaliser::Scaling;
+use crate::returns::{Trajectories, VtraceSettings, mean_and_std, vtrace};
+
+/// Factor of rsl_rl's rule for the learning rate.
+const RATE_FACTOR: f64 = 1.5;
+/// Keeps divisions by a spread or a norm finite.
+const TINY: f64 = 1e-8;
+
+/// The hyper-parameters of an update.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PpoSettings {
+    /// `[learner.ppo]`.
+    pub ppo: PpoConfig,
+    /// `[learner.staleness]`.
+    pub staleness: StalenessConfig,
+}
+
+/// What an update did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UpdateStats {
+    /// Mean clipped surrogate loss.
+    pub surrogate: f64,
+    /// Mean value loss, ¼·MSE.
+    pub value_loss: f64,
+    /// Entropy of the policy afterwards, nats.
+    pub entropy: f64,
+    /// Mean KL divergence from the policy before the update to the one at each minibatch, nats.
+    pub kl: f64,
+    /// Share of samples whose ratio was outside 1 ± ε.
+    pub clip_fraction: f64,
+    /// Mean norm of the gradient before clipping.
+    pub gradient_norm: f64,
+    /// Effective sample size of the importance weights, as a share of the batch: 1 when nothing is stale.
+    pub effective_share: f64,
+    /// Share of the variance of the value targets that the critic explained before the update.
+    pub explained_variance: f64,
+    /// Learning rate after the update.
+    pub learning_rate: f64,
+    /// Mean standard deviation of the action noise afterwards.
+    pub mean_std: f64,
+    /// Minibatches that changed the weights.
+    pub updates: u64,
+    /// Minibatches left out because the loss or its gradient was not finite.
+    pub skipped: u64,
+}
+
+/// Network, optimiser and learning rate, and the threads that work on them.
+#[derive(Debug)]
+pub struct Ppo {
+    net: ActorCritic,
+    adam: Adam,
+    pool: Pool,
+    settings: PpoSettings,
+    learning_rate: f64,
+    shard_rows: usize,
+}
+
+/// Everything about the batch that the epochs draw from, on the device.
+struct Prepared {
+    /// Normalised, `[B, D]`.
+    observations: Tensor,
+    /// Actions, means of π_prox, and the columns of [`Column`]: `[B, 2A + 4]`.
+    samples: Tensor,
+    prox_log_std: Tensor,
+    effective_share: f64,
+    explained_variance: f64,
+}
+
+/// Columns of [`Prepared::samples`] behind actions and means.
+#[repr(usize)]
+enum Column {
+    ProxLogProb = 0,
+    Advantage = 1,
+    Target = 2,
+    Weight = 3,
+}
+const COLUMNS: usize = 4;
+
+/// Host-side results of the pass before the update.
+struct Targets {
+    advantages: Vec<f32>,
+    targets: Vec<f32>,
+    weights: Vec<f32>,
+}
+
+struct GradientJob {
+    observations: Tensor,
+    /// As [`Prepared::samples`].
+    samples: Tensor,
+    prox_log_std: Tensor,
+    minibatch_rows: usize,
+    settings: LossSettings,
+}
+
+/// Sums over the minibatches of an update, in the order of [`sums`].
+#[derive(Default)]
+struct Tally {
+    sums: [f64; sums::COUNT],
+    rows: f64,
+    gradient_norm: f64,
+    updates: u64,
+    skipped: u64,
+}
+
+impl Ppo {
+    /// The start: fresh optimiser, the learning rate of the configuration, `threads` threads on the CPU.
+    ///
+    /// # Errors
+    /// When the operating system refuses a thread.
+    pub fn new(
+        net: ActorCritic,
+        settings: PpoSettings,
+        threads: usize,
+    ) -> Result<Self, LearnerError> {
+        let on_cpu = net.device() == Device::Cpu;
+        Ok(Self {
+            adam: Adam::new(net.layout().len(), net.device()),
+            // One GPU works on whole minibatches; a second thread could only queue behind the first.
+            pool: Pool::new(&net, if on_cpu { threads } else { 1 })?,
+            shard_rows: if on_cpu { SHARD_ROWS } else { usize::MAX },
+            learning_rate: settings.ppo.learning_rate,
+            net,
+            settings,
+        })
+    }
+
+    /// The network.
+    pub fn net(&self) -> &ActorCritic {
+        &self.net
+    }
+
+    /// The optimiser.
+    pub fn adam(&self) -> &Adam {
+        &self.adam
+    }
+
+    /// The optimiser, for restoring its state.
+    pub fn adam_mut(&mut self) -> &mut Adam {
+        &mut self.adam
+    }
+
+    /// Learning rate of the next update.
+    pub fn learning_rate(&self) -> f64 {
+        self.learning_rate
+    }
+
+    /// Sets the learning rate, for restoring it.
+    pub fn set_learning_rate(&mut self, rate: f64) {
+        self.learning_rate = rate;
+    }
+
+    /// Learns from `batch`, whose observations the current policy (version `policy_version`) sees through `scaling`.
+    /// `order` decides which samples meet in a minibatch.
+    ///
+    /// A minibatch whose loss or gradient is not finite changes nothing and is counted.
+    ///
+    /// # Errors
+    /// [`LearnerError::Setting`] for a batch of other dimensions, or an error of libtorch.
+    pub fn update(
+        &mut self,
+        batch: &Batch,
+        scaling: &Scaling,
+        policy_version: u64,
+        order: &mut Stream,
+    ) -> Result<UpdateStats, LearnerError> {
+        let _no_grad = tch::no_grad_guard();
+        self.check(batch)?;
+        let prepared = self.prepare(batch, scaling, policy_version)?;
+        let guard = if prepared.effective_share < self.settings.staleness.min_effective_share {
+            0.5
+        } else {
+            1.0
+        };
+        let mut tally = Tally::default();
+        let mut indices: Vec<i64> = (0..batch.rows as i64).collect();
+        for _ in 0..self.settings.ppo.epochs {
+            order.shuffle(&mut indices);
+            let index = Tensor::from_slice(&indices).to_device(self.net.device());
+            let observations = prepared.observations.index_select(0, &index);
+            let samples = prepared.samples.index_select(0, &index);
+            for part in self.minibatches(batch.rows) {
+                let (observations, samples) = (rows(&observations, part), rows(&samples, part));
+                self.minibatch(&observations, &samples, &prepared, guard, &mut tally)?;
+            }
+        }
+        Ok(self.stats(&tally, &prepared))
+    }
+
+    fn check(&self, batch: &Batch) -> Result<(), LearnerError> {
+        let spec = self.net.spec();
+        if batch.rows == 0 || batch.obs_dim != spec.obs_dim || batch.act_dim != spec.act_dim {
+            return Err(LearnerError::setting(format!(
+                "batch of {} samples with {} observations and {} actions for a network with {} and {}",
+                batch.rows, batch.obs_dim, batch.act_dim, spec.obs_dim, spec.act_dim
+            )));
+        }
+        Ok(())
+    }
+
+    /// Parts of as equal size as possible: (first row, rows).
+    fn minibatches(&self, rows: usize) -> Vec<(usize, usize)> {
+        let count = (self.settings.ppo.minibatches as usize).clamp(1, rows);
+        let cut = |part: usize| part * rows / count;
+        (0..count)
+            .map(|part| (cut(part), cut(part + 1) - cut(part)))
+            .collect()
+    }
+
+    fn prepare(
+        &mut self,
+        batch: &Batch,
+        scaling: &Scaling,
+        policy_version: u64,
+    ) -> Result<Prepared, LearnerError> {
+        let device = self.net.device();
+        let (rows_all, obs_dim) = (
+            batch.observations.len() / batch.obs_dim,
+            batch.obs_dim as i64,
+        );
+        let raw = Tensor::from_slice(&batch.observations).view([rows_all as i64, obs_dim]);
+        let all = scaling.apply(&raw.to_device(device));
+        let observations = rows(&all, (0, batch.rows));
+        let actions = Tensor::from_slice(&batch.actions)
+            .view([batch.rows as i64, batch.act_dim as i64])
+            .to_device(device);
+
+        let values: Vec<f32> = host(&Tensor::cat(&self.pool.map(self.cut(&all), value_of)?, 0))?;
+        let prox_means = Tensor::cat(&self.pool.map(self.cut(&observations), mean_of)?, 0);
+        let prox_log_std = self.net.log_std();
+        let prox_log_probs: Vec<f32> = host(&log_prob(&actions, &prox_means, &prox_log_std))?;
+
+        let targets = self.targets(batch, &values, &prox_log_probs, policy_version);
+        let columns = interleave(&prox_log_probs, &targets);
+        let columns = Tensor::from_slice(&columns)
+            .view([batch.rows as i64, COLUMNS as i64])
+            .to_device(device);
+        Ok(Prepared {
+            observations,
+            samples: Tensor::cat(&[actions, prox_means, columns], 1),
+            prox_log_std,
+            effective_share: effective_share(&targets.weights),
+            explained_variance: explained_variance(&values[..batch.rows], &targets.targets),
+        })
+    }
+
+    fn cut(&self, t: &Tensor) -> Vec<Tensor> {
+        let all = t.size()[0] as usize;
+        shards(all, self.shard_rows)
+            .into_iter()
+            .map(|part| rows(t, part))
+            .collect()
+    }
+
+    /// Advantages (scaled over the batch if so configured), value targets and importance weights.
+    fn targets(
+        &self,
+        batch: &Batch,
+        values: &[f32],
+        prox_log_probs: &[f32],
+        policy_version: u64,
+    ) -> Targets {
+        let mut out = Targets {
+            advantages: vec![0.0; batch.rows],
+            targets: vec![0.0; batch.rows],
+            weights: vec![1.0; batch.rows],
+        };
+        for segment in &batch.segments {
+            self.segment_targets(
+                batch,
+                segment,
+                values,
+                prox_log_probs,
+                policy_version,
+                &mut out,
+            );
+        }
+        if self.settings.ppo.advantage_scale == AdvantageScale::Batch {
+            let (mean, std) = mean_and_std(&out.advantages);
+            let scaled = |a: f32| ((f64::from(a) - mean) / (std + TINY)) as f32;
+            out.advantages.iter_mut().for_each(|a| *a = scaled(*a));
+        }
+        out
+    }
+
+    fn segment_targets(
+        &self,
+        batch: &Batch,
+        segment: &Segment,
+        values: &[f32],
+        prox_log_probs: &[f32],
+        policy_version: u64,
+        out: &mut Targets,
+    ) {
+        let cells = segment.first_row..segment.first_row + segment.steps * segment.lanes;
+        let finals_row = segment.bootstrap_row + segment.lanes;
+        // The same policy computed by ONNX Runtime and by libtorch differs in the last bits; that is no staleness.
+        let ratios: Option<Vec<f32>> = (segment.policy_version != policy_version).then(|| {
+            let ratio = |i: usize| (prox_log_probs[i] - batch.behaviour_log_probs[i]).exp();
+            cells.clone().map(ratio).collect()
+        });
+        if let Some(ratios) = &ratios {
+            let cap = self.settings.staleness.weight_max as f32;
+            let weights = &mut out.weights[cells.clone()];
+            weights
+                .iter_mut()
+                .zip(ratios)
+                .for_each(|(w, r)| *w = r.min(cap));
+        }
+        let chunk = Trajectories {
+            lanes: segment.lanes,
+            rewards: &batch.rewards[cells.clone()],
+            terminated: &batch.terminated[cells.clone()],
+            truncated: &batch.truncated[cells.clone()],
+            values: &values[cells.clone()],
+            bootstrap_values: &values[segment.bootstrap_row..finals_row],
+            final_values: &values[finals_row..finals_row + segment.finals],
+            ratios: ratios.as_deref(),
+        };
+        let settings = VtraceSettings {
+            gamma: self.settings.ppo.gamma as f32,
+            lambda: self.settings.ppo.lambda as f32,
+            rho_max: self.settings.staleness.rho_max as f32,
+            c_max: self.settings.staleness.c_max as f32,
+        };
+        vtrace(
+            &settings,
+            &chunk,
+            &mut out.advantages[cells.clone()],
+            &mut out.targets[cells],
+        );
+    }
+
+    /// Gradient of one minibatch, and the step that it gives.
+    fn minibatch(
+        &mut self,
+        observations: &Tensor,
+        samples: &Tensor,
+        prepared: &Prepared,
+        rate_guard: f64,
+        tally: &mut Tally,
+    ) -> Result<(), LearnerError> {
+        let minibatch_rows = observations.size()[0] as usize;
+        self.scale_advantages(samples);
+        let ppo = &self.settings.ppo;
+        let settings = LossSettings {
+            clip: ppo.clip,
+            value_weight: ppo.value_loss_weight,
+            entropy_weight: ppo.entropy_weight,
+        };
+        let jobs = shards(minibatch_rows, self.shard_rows)
+            .into_iter()
+            .map(|part| GradientJob {
+                observations: rows(observations, part),
+                samples: rows(samples, part),
+                prox_log_std: prepared.prox_log_std.shallow_clone(),
+                minibatch_rows,
+                settings,
+            });
+        let answers = self.pool.map(jobs.collect(), shard_gradient)?;
+        let mut sums = [0.0; sums::COUNT];
+        let mut total: Option<Tensor> = None;
+        for (shard_sums, gradient) in answers {
+            let shard_sums: Vec<f32> = host(&shard_sums)?;
+            sums.iter_mut()
+                .zip(shard_sums)
+                .for_each(|(sum, s)| *sum += f64::from(s));
+            total = Some(match total {
+                Some(mut total) => total.g_add_(&gradient),
+                None => gradient,
+            });
+        }
+        let Some(gradient) = total else { return Ok(()) };
+        let norm = gradient.norm().double_value(&[]);
+        if !norm.is_finite() || sums.iter().any(|sum| !sum.is_finite()) {
+            tally.skipped += 1;
+            return Ok(());
+        }
+        let kl = sums[sums::KL] / minibatch_rows as f64;
+        self.learning_rate = adapted_rate(&self.settings.ppo, self.learning_rate, kl);
+        self.step(gradient, norm, self.learning_rate * rate_guard);
+        tally.add(&sums, minibatch_rows, norm);
+        Ok(())
+    }
+
+    /// Per minibatch, where so configured: in place, in the minibatch's own copy of the samples.
+    fn scale_advantages(&self, samples: &Tensor) {
+        if self.settings.ppo.advantage_scale != AdvantageScale::Minibatch {
+            return;
+        }
+        let column = 2 * self.net.spec().act_dim + Column::Advantage as usize;
+        let mut advantages = samples.narrow(1, column as i64, 1);
+        let mean = advantages.mean(tch::Kind::Float);
+        let std = advantages.std(false).g_add_scalar_(TINY);
+        let _ = advantages.g_sub_(&mean).g_div_(&std);
+    }
+
+    fn step(&mut self, mut gradient: Tensor, norm: f64, rate: f64) {
+        let largest = self.settings.ppo.max_grad_norm;
+        if norm > largest {
+            gradient = gradient.g_mul_scalar_(largest / norm);
+        }
+        self.adam.step(self.net.flat(), &gradient, rate);
+    }
+
+    fn stats(&self, tally: &Tally, prepared: &Prepared) -> UpdateStats {
+        let log_std = self.net.log_std();
+        let mean = |index: usize| tally.sums[index] / tally.rows.max(1.0);
+        UpdateStats {
+            surrogate: mean(sums::SURROGATE),
+            value_loss: mean(sums::VALUE),
+            entropy: entropy(&log_std),
+            kl: mean(sums::KL),
+            clip_fraction: mean(sums::CLIPPED),
+            gradient_norm: tally.gradient_norm / tally.updates.max(1) as f64,
+            effective_share: prepared.effective_share,
+            explained_variance: prepared.explained_variance,
+            learning_rate: self.learning_rate,
+            mean_std: log_std.exp().mean(tch::Kind::Double).double_value(&[]),
+            updates: tally.updates,
+            skipped: tally.skipped,
+        }
+    }
+}
+
+impl Tally {
+    fn add(&mut self, sums: &[f64], rows: usize, norm: f64) {
+        self.sums
+            .iter_mut()
+            .zip(sums)
+            .for_each(|(total, sum)| *total += sum);
+        self.rows += rows as f64;
+        self.gradient_norm += norm;
+        self.updates += 1;
+    }
+}
+
+fn value_of(worker: &mut Worker, observations: Tensor) -> Tensor {
+    worker.net.value().forward(&observations)
+}
+
+fn mean_of(worker: &mut Worker, observations: Tensor) -> Tensor {
+    worker.net.policy().forward(&observations)
+}
+
+/// Forward and backward of one shard; answers the sums of the loss and the gradient `[P]`.
+fn shard_gradient(worker: &mut Worker, job: GradientJob) -> (Tensor, Tensor) {
+    let (net, gradient) = worker.next_gradient();
+    let actions = net.spec().act_dim as i64;
+    let column = |c: Column| job.samples.narrow(1, 2 * actions + c as i64, 1);
+    let samples = Samples {
+        actions: job.samples.narrow(1, 0, actions),
+        prox_means: job.samples.narrow(1, actions, actions),
+        prox_log_probs: column(Column::ProxLogProb),
+        advantages: column(Column::Advantage),
+        targets: column(Column::Target),
+        weights: column(Column::Weight),
+    };
+    let (means, policy_tape) = net.policy().forward_with_tape(&job.observations);
+    let (values, value_tape) = net.value().forward_with_tape(&job.observations);
+    let outputs = Outputs { means, values };
+    let (sums, output_gradient) = loss_and_gradient(
+        &job.settings,
+        job.minibatch_rows,
+        &outputs,
+        &net.log_std(),
+        &job.prox_log_std,
+        &samples,
+    );
+    net.policy()
+        .backward(&policy_tape, output_gradient.means, gradient.policy());
+    net.value()
+        .backward(&value_tape, output_gradient.values, gradient.value());
+    net.log_std_backward(&output_gradient.log_std, gradient);
+    (sums, gradient.flat().shallow_clone())
+}
+
+/// rsl_rl's rule; the rate stays when no target is set.
+fn adapted_rate(ppo: &PpoConfig, rate: f64, kl: f64) -> f64 {
+    if ppo.target_kl <= 0.0 {
+        return rate;
+    }
+    if kl > 2.0 * ppo.target_kl {
+        (rate / RATE_FACTOR).max(ppo.learning_rate_min)
+    } else if kl > 0.0 && kl < 0.5 * ppo.target_kl {
+        (rate * RATE_FACTOR).min(ppo.learning_rate_max)
+    } else {
+        rate
+    }
+}
+
+/// (Σw)²/(N·Σw²): 1 when all weights are equal.
+fn effective_share(weights: &[f32]) -> f64 {
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for &w in weights {
+        sum += f64::from(w);
+        squares += f64::from(w).powi(2);
+    }
+    if squares > 0.0 {
+        sum * sum / (weights.len() as f64 * squares)
+    } else {
+        0.0
+    }
+}
+
+/// 1 − Var(target − V)/Var(target); 0 where the targets do not vary.
+fn explained_variance(values: &[f32], targets: &[f32]) -> f64 {
+    let errors: Vec<f32> = targets.iter().zip(values).map(|(t, v)| t - v).collect();
+    let (spread, left) = (mean_and_std(targets).1, mean_and_std(&errors).1);
+    if spread > 0.0 {
+        1.0 - (left / spread).powi(2)
+    } else {
+        0.0
+    }
+}
+
+fn interleave(prox_log_probs: &[f32], targets: &Targets) -> Vec<f32> {
+    let mut columns = vec![0.0; prox_log_probs.len() * COLUMNS];
+    for (i, row) in columns.chunks_exact_mut(COLUMNS).enumerate() {
+        row[Column::ProxLogProb as usize] = prox_log_probs[i];
+        row[Column::Advantage as usize] = targets.advantages[i];
+        row[Column::Target as usize] = targets.targets[i];
+        row[Column::Weight as usize] = targets.weights[i];
+    }
+    columns
+}
+
+/// All numbers of a tensor, on the host.
+fn host(t: &Tensor) -> Result<Vec<f32>, LearnerError> {
+    Ok(Vec::try_from(
+        &t.to_device(Device::Cpu).contiguous().view([-1]),
+    )?)
+}
+
+#[cfg(test)]
+mod tests;

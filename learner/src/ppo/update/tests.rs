@@ -1,0 +1,213 @@
+//! Updates as a whole: determinism, guards, rules.
+
+use super::*;
+use crate::network::NetworkSpec;
+use caudata_config::NetworkConfig;
+use caudata_random::{Key, Purpose};
+
+fn stream(purpose: Purpose) -> Stream {
+    Stream::new(
+        Key {
+            seed: 5,
+            actor: 0,
+            env: 0,
+            episode: 0,
+        },
+        purpose,
+    )
+}
+
+const OBS: usize = 6;
+const ACT: usize = 2;
+
+fn ppo(change: impl FnOnce(&mut PpoSettings), threads: usize) -> Ppo {
+    let config = NetworkConfig {
+        policy_hidden: vec![16, 16],
+        value_hidden: vec![16],
+        ..NetworkConfig::default()
+    };
+    let spec = NetworkSpec::new(&config, OBS, ACT).unwrap();
+    let mut settings = PpoSettings {
+        ppo: PpoConfig::default(),
+        staleness: StalenessConfig::default(),
+    };
+    change(&mut settings);
+    Ppo::new(ActorCritic::new(spec, 1, Device::Cpu), settings, threads).unwrap()
+}
+
+/// Two chunks of `steps × lanes`, of version 0, with noise in place of a world.
+fn batch(steps: usize, lanes: usize) -> Batch {
+    let mut noise = stream(Purpose::Sensor);
+    let (cells, chunks) = (steps * lanes, 2);
+    let rows = chunks * cells;
+    let extra = chunks * lanes + 1;
+    let mut draw = |n: usize| (0..n).map(|_| noise.normal()).collect::<Vec<f32>>();
+    let mut batch = Batch {
+        obs_dim: OBS,
+        act_dim: ACT,
+        rows,
+        observations: draw((rows + extra) * OBS),
+        actions: draw(rows * ACT),
+        behaviour_log_probs: draw(rows).iter().map(|x| -2.5 + x).collect(),
+        rewards: draw(rows),
+        terminated: vec![false; rows],
+        truncated: vec![false; rows],
+        segments: Vec::new(),
+        moments: Vec::new(),
+    };
+    // One truncated step in the second chunk; its final observation is the last row.
+    batch.truncated[cells + 1] = true;
+    batch.terminated[0] = true;
+    for chunk in 0..chunks {
+        batch.segments.push(Segment {
+            first_row: chunk * cells,
+            steps,
+            lanes,
+            bootstrap_row: rows + chunk * lanes,
+            finals: chunk,
+            policy_version: 0,
+        });
+    }
+    batch
+}
+
+fn scaling() -> Scaling {
+    Scaling::identity(OBS, 10.0)
+}
+
+fn update(ppo: &mut Ppo, batch: &Batch, version: u64) -> UpdateStats {
+    ppo.update(batch, &scaling(), version, &mut stream(Purpose::Minibatch))
+        .unwrap()
+}
+
+#[test]
+fn the_bits_do_not_depend_on_the_number_of_threads() {
+    let batch = batch(30, 40); // 2,400 samples: minibatches of 600 make two shards
+    let mut results = Vec::new();
+    for threads in [1, 2, 3] {
+        let mut ppo = ppo(|_| {}, threads);
+        let stats = update(&mut ppo, &batch, 0);
+        results.push((ppo.net().to_vec().unwrap(), stats));
+    }
+    assert_eq!(results[0].1.updates, 16);
+    assert_eq!(results[0], results[1]);
+    assert_eq!(results[0], results[2]);
+}
+
+#[test]
+fn poison_changes_nothing_and_is_counted() {
+    let mut poisoned = batch(8, 8);
+    poisoned.rewards[3] = f32::NAN;
+    let mut ppo = ppo(|_| {}, 1);
+    let before = ppo.net().to_vec().unwrap();
+    let stats = update(&mut ppo, &poisoned, 0);
+    // The advantages are scaled over the batch, so that the poison is in every minibatch.
+    assert_eq!((stats.updates, stats.skipped), (0, 16));
+    assert_eq!(ppo.net().to_vec().unwrap(), before);
+    let clean = update(&mut ppo, &batch(8, 8), 0);
+    assert_eq!((clean.updates, clean.skipped), (16, 0));
+    assert!(clean.surrogate.is_finite() && clean.value_loss.is_finite());
+}
+
+#[test]
+fn poison_stays_in_its_own_minibatch() {
+    let mut poisoned = batch(8, 8);
+    poisoned.actions[0] = f32::INFINITY;
+    let mut ppo = ppo(|s| s.ppo.advantage_scale = AdvantageScale::None, 1);
+    let stats = update(&mut ppo, &poisoned, 0);
+    // One of four minibatches per epoch holds the sample.
+    assert_eq!((stats.updates, stats.skipped), (12, 4));
+    assert!(ppo.net().to_vec().unwrap().iter().all(|x| x.is_finite()));
+}
+
+#[test]
+fn stale_data_with_wild_weights_halves_the_step() {
+    // One epoch, one minibatch, one Adam step from rest: its size is the learning rate.
+    let one_step = |guard: f64, version: u64| {
+        let mut ppo = ppo(
+            |s| {
+                (s.ppo.epochs, s.ppo.minibatches, s.ppo.target_kl) = (1, 1, 0.0);
+                (s.staleness.min_effective_share, s.staleness.weight_max) = (guard, 100.0);
+            },
+            1,
+        );
+        let before = ppo.net().flat().copy();
+        let stats = update(&mut ppo, &batch(8, 8), version);
+        (
+            (ppo.net().flat() - before).abs().max().double_value(&[]),
+            stats.effective_share,
+        )
+    };
+    let (fresh, share) = one_step(0.9, 0);
+    assert_eq!(share, 1.0, "the version that acted is the current one");
+    let (unguarded, share) = one_step(0.0, 1);
+    assert!(share < 0.9, "{share}");
+    let (guarded, _) = one_step(0.9, 1);
+    assert!((fresh - 1e-3).abs() < 1e-5 && (unguarded - 1e-3).abs() < 1e-5);
+    assert!((guarded - 0.5e-3).abs() < 1e-5);
+}
+
+#[test]
+fn the_rate_follows_the_divergence() {
+    let config = PpoConfig {
+        target_kl: 0.01,
+        ..PpoConfig::default()
+    };
+    assert_eq!(adapted_rate(&config, 3e-3, 0.021), 2e-3);
+    assert_eq!(adapted_rate(&config, 2e-3, 0.004), 3e-3);
+    assert_eq!(adapted_rate(&config, 2e-3, 0.01), 2e-3);
+    assert_eq!(
+        adapted_rate(&config, 2e-3, 0.0),
+        2e-3,
+        "nothing has changed yet"
+    );
+    assert_eq!(adapted_rate(&config, 1.2e-5, 1.0), config.learning_rate_min);
+    assert_eq!(adapted_rate(&config, 9e-3, 0.001), config.learning_rate_max);
+    let fixed = PpoConfig {
+        target_kl: 0.0,
+        ..config
+    };
+    assert_eq!(adapted_rate(&fixed, 2e-3, 5.0), 2e-3);
+}
+
+#[test]
+fn shares_and_parts_by_hand() {
+    assert_eq!(effective_share(&[1.0; 4]), 1.0);
+    // (2)²/(4·4) and (1+2)²/(2·5).
+    assert_eq!(effective_share(&[2.0, 0.0, 0.0, 0.0]), 0.25);
+    assert_eq!(effective_share(&[1.0, 2.0]), 0.9);
+    assert_eq!(explained_variance(&[1.0, 2.0, 3.0], &[1.0, 2.0, 3.0]), 1.0);
+    assert_eq!(explained_variance(&[0.0, 0.0], &[1.0, 3.0]), 0.0);
+    let ppo = ppo(|s| s.ppo.minibatches = 4, 1);
+    assert_eq!(ppo.minibatches(10), [(0, 2), (2, 3), (5, 2), (7, 3)]);
+    assert_eq!(ppo.minibatches(2), [(0, 1), (1, 1)]);
+}
+
+#[test]
+fn advantages_of_a_minibatch_are_shifted_and_scaled() {
+    let ppo = ppo(|s| s.ppo.advantage_scale = AdvantageScale::Minibatch, 1);
+    let samples = Tensor::zeros(
+        [3, 2 * ACT as i64 + COLUMNS as i64],
+        (tch::Kind::Float, Device::Cpu),
+    );
+    let advantages = samples.narrow(1, 2 * ACT as i64 + 1, 1);
+    advantages
+        .shallow_clone()
+        .copy_(&Tensor::from_slice(&[1.0_f32, 2.0, 6.0]).view([3, 1]));
+    ppo.scale_advantages(&samples);
+    // Mean 3, variance (4 + 1 + 9)/3.
+    let expected = [-2.0, -1.0, 3.0].map(|x| x / (14.0_f64 / 3.0).sqrt());
+    for (i, expected) in expected.iter().enumerate() {
+        assert!((advantages.double_value(&[i as i64, 0]) - expected).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn a_batch_of_another_size_is_refused() {
+    let mut wrong = batch(2, 2);
+    wrong.obs_dim = 3;
+    let error = ppo(|_| {}, 1)
+        .update(&wrong, &scaling(), 0, &mut stream(Purpose::Minibatch))
+        .unwrap_err();
+    assert!(error.to_string().contains("3 observations"), "{error}");
+}

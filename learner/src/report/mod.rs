@@ -1,0 +1,9 @@
+//! What people look at while and after training: TensorBoard files and pictures of the curves.
+
+mod curves;
+mod history;
+mod tensorboard;
+
+pub use curves::draw_curves;
+pub use history::{History, Point};
+pub use tensorboard::EventFile;

@@ -1,0 +1,96 @@
+//! Value targets and advantages: V-trace (Espeholt et al. 2018, "IMPALA", section 4.1) with time limits told apart
+//! from failures.
+//!
+//! With δ_t = ρ_t·(r_t + γ·V'_t − V_t), where V'_t is 0 after a termination, the value of the final observation after
+//! a truncation and V_{t+1} otherwise, the advantage is A_t = δ_t + γ·c_t·A_{t+1} (no A_{t+1} across the end of an
+//! episode) and the target is V_t + A_t. ρ_t = min(ρ̄, π/μ), c_t = λ·min(c̄, π/μ). Where the behaviour is the current
+//! policy, π/μ = 1 and A_t is GAE(λ) (Schulman et al. 2016) exactly.
+
+/// Discounts and caps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VtraceSettings {
+    /// γ per step.
+    pub gamma: f32,
+    /// λ.
+    pub lambda: f32,
+    /// ρ̄, cap of the ratio in δ.
+    pub rho_max: f32,
+    /// c̄, cap of the ratio in the trace.
+    pub c_max: f32,
+}
+
+/// One chunk of experience: T steps of N lanes, row-major `[T, N]` unless said otherwise.
+#[derive(Clone, Copy, Debug)]
+pub struct Trajectories<'a> {
+    /// N.
+    pub lanes: usize,
+    /// Rewards.
+    pub rewards: &'a [f32],
+    /// The episode ended by failure at this step: nothing follows.
+    pub terminated: &'a [bool],
+    /// The episode was cut off after this step: `final_values` says what would have followed.
+    pub truncated: &'a [bool],
+    /// V of each observation that was acted on.
+    pub values: &'a [f32],
+    /// V of the observation after the last step, `[N]`.
+    pub bootstrap_values: &'a [f32],
+    /// V of the final observation of each truncated step, in the order of the steps, then lanes.
+    pub final_values: &'a [f32],
+    /// π/μ of each action; `None` when the behaviour is the current policy, where it is 1.
+    pub ratios: Option<&'a [f32]>,
+}
+
+/// Writes the advantages `[T, N]` and the value targets `[T, N]`.
+///
+/// Arrays of the wrong length are a mistake of the caller and are caught in debug builds.
+pub fn vtrace(
+    settings: &VtraceSettings,
+    chunk: &Trajectories,
+    advantages: &mut [f32],
+    targets: &mut [f32],
+) {
+    let lanes = chunk.lanes;
+    let steps = chunk.rewards.len() / lanes.max(1);
+    debug_assert!(advantages.len() == steps * lanes && targets.len() == steps * lanes);
+    debug_assert_eq!(
+        chunk.final_values.len(),
+        chunk.truncated.iter().filter(|&&t| t).count()
+    );
+    let mut finals = chunk.final_values.iter().rev();
+    for t in (0..steps).rev() {
+        // From the last lane to the first, so that the final values come in their reversed order.
+        for n in (0..lanes).rev() {
+            let i = t * lanes + n;
+            let ratio = chunk.ratios.map_or(1.0, |ratios| ratios[i]);
+            let rho = ratio.min(settings.rho_max);
+            let trace = settings.lambda * ratio.min(settings.c_max);
+            let (next_value, next_advantage) = if chunk.truncated[i] {
+                (finals.next().copied().unwrap_or(0.0), 0.0)
+            } else if chunk.terminated[i] {
+                (0.0, 0.0)
+            } else if t + 1 == steps {
+                (chunk.bootstrap_values[n], 0.0)
+            } else {
+                (chunk.values[i + lanes], advantages[i + lanes])
+            };
+            let delta = rho * (chunk.rewards[i] + settings.gamma * next_value - chunk.values[i]);
+            advantages[i] = delta + settings.gamma * trace * next_advantage;
+            targets[i] = chunk.values[i] + advantages[i];
+        }
+    }
+}
+
+/// Mean and standard deviation (population) of `xs`, in f64.
+pub fn mean_and_std(xs: &[f32]) -> (f64, f64) {
+    let n = xs.len().max(1) as f64;
+    let mean = xs.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
+    let variance = xs
+        .iter()
+        .map(|&x| (f64::from(x) - mean).powi(2))
+        .sum::<f64>()
+        / n;
+    (mean, variance.sqrt())
+}
+
+#[cfg(test)]
+mod tests;
