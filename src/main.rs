@@ -1,2 +1,77 @@
-//! `caudata`: the command line.
-fn main() {}
+//! `caudata`: the command line. Each command is thin: the work is in the crates.
+// Printing to standard output is what a command line is for.
+#![allow(clippy::print_stdout)]
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod commands;
+mod say;
+
+use caudata_telemetry::{Failure, LogArgs, Process, parse_args};
+use clap::{Parser, Subcommand};
+
+/// Trains whole-body locomotion policies for a salamander robot and carries them to the robot.
+///
+/// A first run: `caudata train --preset quick`. It takes a few minutes on two cores and ends with the paths of its
+/// curves, its policy and a log of the simulated robot.
+#[derive(Debug, Parser)]
+#[command(name = "caudata", version, max_term_width = 100, after_help = EXIT_CODES)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+    #[command(flatten)]
+    log: LogArgs,
+}
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 done · 64 configuration or flag · 65 bad input file · 66 input missing · 69 service gone
+  70 internal · 71 port in use or system resource · 73 output cannot be made · 74 disk full or I/O
+  75 starved or timed out · 76 protocol · 77 policy refused · 78 checkpoint damaged · 130 interrupted twice";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Train on this machine: start, watch and stop everything, then evaluate the policy
+    Train(commands::train::TrainArgs),
+    /// Measure a policy in simulation
+    Eval(commands::eval::EvalArgs),
+    /// Print or check the configuration in effect
+    #[command(subcommand)]
+    Config(commands::config::ConfigCommand),
+    /// Simulate without training
+    #[command(subcommand)]
+    Sim(commands::sim::SimCommand),
+    /// Policies: on a policy server, or in a file
+    #[command(subcommand)]
+    Policy(commands::policy::PolicyCommand),
+    /// Robot files
+    #[command(subcommand)]
+    RobotModel(commands::robot_model::RobotModelCommand),
+    /// Measure how fast the parts are on this machine
+    #[command(subcommand)]
+    Bench(commands::bench::BenchCommand),
+}
+
+fn main() -> std::process::ExitCode {
+    let mut args: Args = parse_args();
+    if args.log.log == QUIET_DEFAULT_OF.0 {
+        // On a terminal the progress line belongs to the user; the children's logs are in files.
+        args.log.log = QUIET_DEFAULT_OF.1.to_owned();
+    }
+    Process::run("caudata", &args.log, |process| {
+        dispatch(&args.command, process)
+    })
+}
+
+/// The shared default filter, and what the command line makes of it.
+const QUIET_DEFAULT_OF: (&str, &str) = ("info", "warn");
+
+fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
+    match command {
+        Command::Train(args) => commands::train::run(args, process),
+        Command::Eval(args) => commands::eval::run(args, process),
+        Command::Config(command) => commands::config::run(command),
+        Command::Sim(command) => commands::sim::run(command, process),
+        Command::Policy(command) => commands::policy::run(command),
+        Command::RobotModel(command) => commands::robot_model::run(command),
+        Command::Bench(command) => commands::bench::run(command),
+    }
+}

@@ -34,7 +34,9 @@ pub(crate) fn collect(
             let row = lane * act_dim..(lane + 1) * act_dim;
             let (mean, action) = (&means[row.clone()], &mut actions[row]);
             gaussian::sample(mean, &policy.std, env.action_stream(lane), action);
-            chunk.log_probs.push(gaussian::log_prob(action, mean, &policy.log_std));
+            chunk
+                .log_probs
+                .push(gaussian::log_prob(action, mean, &policy.log_std));
         }
         chunk.actions.extend_from_slice(&actions);
         chunk.action_means.extend_from_slice(&means);
@@ -80,7 +82,7 @@ fn summary(episode: &EpisodeStats) -> EpisodeSummary {
         terms: episode.terms.clone(),
         terminated: episode.terminated,
         reason: episode.reason.map_or(0, |reason| reason as u8),
-        mean_speed_mps: episode.mean_speed,
+        mean_speed_mps: episode.mean_speed_mps,
     }
 }
 
@@ -108,7 +110,7 @@ fn empty_chunk(
         observations: Vec::with_capacity((steps + 1) * lanes * obs_dim),
         actions: Vec::with_capacity(cells * act_dim),
         action_means: Vec::with_capacity(cells * act_dim),
-        log_std: policy.log_std.to_vec(),
+        log_std: policy.log_std.clone(),
         log_probs: Vec::with_capacity(cells),
         rewards: Vec::with_capacity(cells),
         terminated: Vec::with_capacity(cells),

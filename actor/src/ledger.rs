@@ -21,8 +21,15 @@ impl Ledger {
     /// # Errors
     /// When the file cannot be created or written.
     pub fn create(path: &Path) -> io::Result<Self> {
-        let file = OpenOptions::new().create(true).truncate(true).write(true).open(path)?;
-        let ledger = Self { file, path: path.to_owned() };
+        let file = OpenOptions::new()
+            .create(true)
+            .truncate(true)
+            .write(true)
+            .open(path)?;
+        let ledger = Self {
+            file,
+            path: path.to_owned(),
+        };
         ledger.write(0)?;
         Ok(ledger)
     }

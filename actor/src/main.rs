@@ -58,12 +58,15 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
     }
     let transport = match &args.transport {
         None => transport_config(&config.transport),
-        Some(text) => decode_transport(text)
-            .or_exit_with(ExitCode::BadConfig, || "--transport is not what a learner prints")?,
+        Some(text) => decode_transport(text).or_exit_with(
+            ExitCode::BadConfig,
+            || "--transport is not what a learner prints",
+        )?,
     };
     let robot_path = config.robot_path();
-    let model = RobotModel::load(&robot_path)
-        .or_exit_with(ExitCode::BadInput, || format!("robot file {}", robot_path.display()))?;
+    let model = RobotModel::load(&robot_path).or_exit_with(ExitCode::BadInput, || {
+        format!("robot file {}", robot_path.display())
+    })?;
 
     let registry = Metrics::new();
     let metrics = ActorMetrics::register(&registry);

@@ -32,23 +32,36 @@ impl ActorMetrics {
     pub fn register(metrics: &Metrics) -> Self {
         Self {
             steps: metrics.counter("caudata_actor_steps_total", "Environment steps"),
-            chunks: metrics.counter("caudata_actor_chunks_sent_total", "Chunks that the link took"),
+            chunks: metrics.counter(
+                "caudata_actor_chunks_sent_total",
+                "Chunks that the link took",
+            ),
             bytes: metrics.counter("caudata_actor_bytes_sent_total", "Bytes of the chunks sent"),
             retries: metrics.counter(
                 "caudata_actor_send_retries_total",
                 "Times that a chunk was offered again because the learner was behind or away",
             ),
             episodes: metrics.counter("caudata_actor_episodes_total", "Episodes that ended"),
-            policy_version: metrics
-                .int_gauge("caudata_actor_policy_version", "Version of the policy in use"),
-            inference: metrics
-                .seconds("caudata_inference_latency_seconds", "One inference for all lanes"),
-            env_seconds: metrics
-                .seconds_counter("caudata_actor_env_seconds_total", "Time stepping environments"),
-            wait_seconds: metrics
-                .seconds_counter("caudata_actor_wait_seconds_total", "Time waiting for a policy"),
-            send_seconds: metrics
-                .seconds_counter("caudata_actor_send_seconds_total", "Time handing chunks over"),
+            policy_version: metrics.int_gauge(
+                "caudata_actor_policy_version",
+                "Version of the policy in use",
+            ),
+            inference: metrics.seconds(
+                "caudata_inference_latency_seconds",
+                "One inference for all lanes",
+            ),
+            env_seconds: metrics.seconds_counter(
+                "caudata_actor_env_seconds_total",
+                "Time stepping environments",
+            ),
+            wait_seconds: metrics.seconds_counter(
+                "caudata_actor_wait_seconds_total",
+                "Time waiting for a policy",
+            ),
+            send_seconds: metrics.seconds_counter(
+                "caudata_actor_send_seconds_total",
+                "Time handing chunks over",
+            ),
         }
     }
 }

@@ -11,12 +11,14 @@ use crate::ActorError;
 pub(crate) struct LoadedPolicy {
     /// Version announced with it and written in it.
     pub version: u64,
+    /// Environment steps that training had seen when it was made.
+    pub env_steps: u64,
     /// SHA-256 of its bytes.
     pub sha256: [u8; 32],
     /// Natural logarithm of the action noise's standard deviation.
-    pub log_std: [f32; ACT_DIM],
+    pub log_std: Vec<f32>,
     /// `exp(log_std)`.
-    pub std: [f32; ACT_DIM],
+    pub std: Vec<f32>,
     inference: Inference,
 }
 
@@ -37,11 +39,23 @@ impl LoadedPolicy {
         file.check_contract(expected).map_err(refused)?;
         let metadata = file.metadata();
         if metadata.version != version {
-            return Err(ActorError::PolicyVersion { announced: version, found: metadata.version });
+            return Err(ActorError::PolicyVersion {
+                announced: version,
+                found: metadata.version,
+            });
         }
-        let log_std = metadata.log_std;
+        let log_std = metadata.log_std.clone();
+        let std = log_std.iter().map(|x| x.exp()).collect();
         let inference = Inference::new(&file, threads).map_err(refused)?;
-        Ok(Self { version, sha256, log_std, std: log_std.map(f32::exp), inference })
+        let env_steps = metadata.env_steps;
+        Ok(Self {
+            version,
+            env_steps,
+            sha256,
+            log_std,
+            std,
+            inference,
+        })
     }
 
     /// `means [N, 16]` for `observations [N, D]`, refused when one is not finite.
@@ -51,10 +65,15 @@ impl LoadedPolicy {
         lanes: usize,
         means: &mut [f32],
     ) -> Result<(), ActorError> {
-        self.inference.run(observations, lanes, means).map_err(ActorError::Inference)?;
+        self.inference
+            .run(observations, lanes, means)
+            .map_err(ActorError::Inference)?;
         match means.iter().position(|mean| !mean.is_finite()) {
             None => Ok(()),
-            Some(at) => Err(ActorError::NotFinite { version: self.version, lane: at / ACT_DIM }),
+            Some(at) => Err(ActorError::NotFinite {
+                version: self.version,
+                lane: at / ACT_DIM,
+            }),
         }
     }
 }

@@ -86,7 +86,13 @@ pub fn build_env(
         config.actors.threads as usize,
     )
     .map_err(|error| ActorError::Env(error.into()))?;
-    Ok(VecEnv::new(model, config.task.clone(), engine, config.run.seed, actor_key)?)
+    Ok(VecEnv::new(
+        model,
+        config.task.clone(),
+        engine,
+        config.run.seed,
+        actor_key,
+    )?)
 }
 
 #[cfg(test)]

@@ -48,7 +48,13 @@ impl ActorSnapshot {
             return None;
         }
         let policy_version = (known == 1).then_some(version);
-        Some(Self { actor_id, actor_key, policy_version, credits, env: rest.to_vec() })
+        Some(Self {
+            actor_id,
+            actor_key,
+            policy_version,
+            credits,
+            env: rest.to_vec(),
+        })
     }
 }
 
@@ -144,7 +150,13 @@ mod tests {
 
     fn example() -> ActorSnapshot {
         let env = vec![9, 8, 7];
-        ActorSnapshot { actor_id: 2, actor_key: 5 << 32 | 2, policy_version: Some(11), credits: 1, env }
+        ActorSnapshot {
+            actor_id: 2,
+            actor_key: 5 << 32 | 2,
+            policy_version: Some(11),
+            credits: 1,
+            env,
+        }
     }
 
     #[test]
@@ -153,7 +165,11 @@ mod tests {
         let bytes = snapshot.to_bytes();
         assert_eq!(ActorSnapshot::from_bytes(&bytes), Some(snapshot));
         for cut in 0..bytes.len() {
-            assert_eq!(ActorSnapshot::from_bytes(&bytes[..cut]), None, "cut at {cut}");
+            assert_eq!(
+                ActorSnapshot::from_bytes(&bytes[..cut]),
+                None,
+                "cut at {cut}"
+            );
         }
         let mut longer = bytes.clone();
         longer.push(0);
@@ -170,8 +186,16 @@ mod tests {
         }
         port.answer(|| Ok(example()));
         assert_eq!(thread.join().unwrap(), Ok(example()));
-        assert!(port.take(Duration::from_millis(1)).unwrap_err().contains("did not answer"));
+        assert!(
+            port.take(Duration::from_millis(1))
+                .unwrap_err()
+                .contains("did not answer")
+        );
         port.close();
-        assert!(port.take(Duration::from_secs(60)).unwrap_err().contains("ended"));
+        assert!(
+            port.take(Duration::from_secs(60))
+                .unwrap_err()
+                .contains("ended")
+        );
     }
 }

@@ -20,8 +20,20 @@ fn collect(table: &Table, prefix: &str, out: &mut Vec<(String, String)>) {
         let key = join(prefix, name);
         match value {
             Value::Table(inner) => collect(inner, &key, out),
-            leaf => out.push((key, leaf.to_string())),
+            leaf => out.push((key, text_of(leaf))),
         }
+    }
+}
+
+/// A value as TOML text. Fields of type f32 arrive widened; they are shown as they were written.
+fn text_of(value: &Value) -> String {
+    match value {
+        Value::Float(x) if f64::from(*x as f32) == *x => format!("{:?}", *x as f32),
+        Value::Array(items) => {
+            let items: Vec<String> = items.iter().map(text_of).collect();
+            format!("[{}]", items.join(", "))
+        }
+        other => other.to_string(),
     }
 }
 
@@ -103,6 +115,12 @@ mod tests {
         for (typed, meant) in cases {
             assert_eq!(nearest(typed, &known()).as_deref(), meant, "{typed}");
         }
+    }
+
+    #[test]
+    fn single_precision_is_shown_as_it_was_written() {
+        let widened = Value::Array(vec![Value::Float(f64::from(0.1f32)), Value::Float(0.3)]);
+        assert_eq!(text_of(&widened), "[0.1, 0.3]");
     }
 
     #[test]

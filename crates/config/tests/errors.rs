@@ -142,7 +142,7 @@ fn values_out_of_range_name_key_value_and_rule() {
         ("learner.starve_timeout_s=1", "learner.starve_timeout_s"),
         ("transport.peer_timeout_ms=500", "transport.peer_timeout_ms"),
         ("engine.substeps=4", "task.control_period_s"),
-        ("policy_server.stream=\"\"", "policy_server.stream"),
+        ("policy_server.stream=a/b", "policy_server.stream"),
     ];
     for (assignment, key) in cases {
         // Few steps, so that 1,024 minibatches are too many.

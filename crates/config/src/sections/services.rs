@@ -39,7 +39,7 @@ impl Default for TransportSection {
         Self {
             kind: TransportKind::Inproc,
             max_frame_bytes: 8 << 20,
-            max_policy_bytes: 16 << 20,
+            max_policy_bytes: 8 << 20,
             window_frames: 4,
             max_actors: 64,
             heartbeat_ms: 250,
@@ -85,7 +85,8 @@ pub struct PolicyServerConfig {
     pub dir: PathBuf,
     /// Versions kept, newest first. 1 to 100,000.
     pub keep_versions: u32,
-    /// Name under which the policies of this run are published. Letters, digits, `-`, `_` and `.`, 1 to 64 of them.
+    /// Stream under which the policies of this run are published. Letters, digits, `-`, `_` and `.`, at most 64 of them;
+    /// empty takes the run's id, so that runs never compete for a version number.
     pub stream: String,
 }
 
@@ -95,7 +96,18 @@ impl Default for PolicyServerConfig {
             addr: any_local_port(),
             dir: "registry".into(),
             keep_versions: 64,
-            stream: "walk".into(),
+            stream: String::new(),
+        }
+    }
+}
+
+impl PolicyServerConfig {
+    /// The stream under which the policies of run `run_id` are published.
+    pub fn stream_of<'a>(&'a self, run_id: &'a str) -> &'a str {
+        if self.stream.is_empty() {
+            run_id
+        } else {
+            &self.stream
         }
     }
 }

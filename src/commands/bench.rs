@@ -1,0 +1,373 @@
+//! `caudata bench`: how fast the parts are on this machine. One number per question, measured for a given time.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use caudata_actor::{build_env, transport_config};
+use caudata_config::{ConfigArgs, TransportKind, TransportSection};
+use caudata_policy::{
+    Activation, Dense, Inference, MlpSpec, PolicyFile, PolicyMetadata, build_onnx,
+};
+use caudata_task::{ACT_DIM, PolicyContract};
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_transport::{
+    ActorLink, InprocConfig, InprocHub, LearnerLink, SendError, TransportConfig, actor_link,
+    learner_link,
+};
+use clap::{Args, Subcommand, ValueEnum};
+use serde::Serialize;
+
+use crate::commands::robot_model;
+use crate::say;
+
+#[derive(Debug, Subcommand)]
+pub enum BenchCommand {
+    /// Environment steps per second: physics, task, resets
+    Sim {
+        #[command(flatten)]
+        common: Common,
+        /// Environments
+        #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+        lanes: u32,
+        /// Threads
+        #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
+        threads: u32,
+        /// Robot, engine, terrain and task; the preset `quick` without these flags
+        #[command(flatten)]
+        config: ConfigArgs,
+    },
+    /// Inferences per second of a network of the configured size, on ONNX Runtime
+    Policy {
+        #[command(flatten)]
+        common: Common,
+        /// Observations per inference
+        #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+        batch: u32,
+        /// Threads
+        #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
+        threads: u32,
+        /// Network and robot; the preset `quick` without these flags
+        #[command(flatten)]
+        config: ConfigArgs,
+    },
+    /// Rollout frames per second from one actor to a learner on this machine
+    Transport {
+        #[command(flatten)]
+        common: Common,
+        /// Which transport
+        #[arg(long, value_enum, default_value_t = Kind::Inproc)]
+        kind: Kind,
+        /// Size of a frame, bytes
+        #[arg(long, default_value_t = 1 << 20)]
+        frame_bytes: usize,
+    },
+}
+
+#[derive(Debug, Args)]
+pub struct Common {
+    /// How long to measure, s
+    #[arg(long, default_value_t = 3.0)]
+    seconds: f64,
+    /// One JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Kind {
+    /// Between threads
+    Inproc,
+    /// Shared memory
+    Iceoryx2,
+    /// TCP on this machine
+    Zenoh,
+}
+
+impl From<Kind> for TransportKind {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::Inproc => TransportKind::Inproc,
+            Kind::Iceoryx2 => TransportKind::Iceoryx2,
+            Kind::Zenoh => TransportKind::Zenoh,
+        }
+    }
+}
+
+/// What a benchmark found.
+#[derive(Debug, Serialize)]
+struct Finding {
+    benchmark: &'static str,
+    /// Units of work done per second.
+    per_second: f64,
+    /// What one unit is.
+    unit: &'static str,
+    /// Rounds measured.
+    rounds: u64,
+    /// Time measured, s.
+    seconds: f64,
+    /// Median time of a round, s.
+    round_median_s: f64,
+    /// 99th percentile of it, s.
+    round_p99_s: f64,
+    /// Sizes that matter.
+    settings: serde_json::Value,
+}
+
+pub fn run(command: &BenchCommand) -> Result<(), Failure> {
+    let (common, finding) = match command {
+        BenchCommand::Sim {
+            common,
+            lanes,
+            threads,
+            config,
+        } => (common, bench_sim(common, *lanes, *threads, config)?),
+        BenchCommand::Policy {
+            common,
+            batch,
+            threads,
+            config,
+        } => (common, bench_policy(common, *batch, *threads, config)?),
+        BenchCommand::Transport {
+            common,
+            kind,
+            frame_bytes,
+        } => (
+            common,
+            bench_transport(common, (*kind).into(), *frame_bytes)?,
+        ),
+    };
+    if common.json {
+        return say::json(&finding);
+    }
+    say::line(format!(
+        "{}: {:.0} {}/s  (one round {:.3} ms median, {:.3} ms p99, {} rounds, {})",
+        finding.benchmark,
+        finding.per_second,
+        finding.unit,
+        1e3 * finding.round_median_s,
+        1e3 * finding.round_p99_s,
+        finding.rounds,
+        finding.settings
+    ));
+    Ok(())
+}
+
+/// Repeats `round` until the time is over, after one round to warm up. `units` is the work in one round.
+fn measure(
+    benchmark: &'static str,
+    (unit, units): (&'static str, u64),
+    common: &Common,
+    settings: serde_json::Value,
+    mut round: impl FnMut() -> Result<(), Failure>,
+) -> Result<Finding, Failure> {
+    let limit = Duration::try_from_secs_f64(common.seconds).or_exit(ExitCode::BadConfig)?;
+    round()?;
+    let mut times_s = Vec::new();
+    let began = Instant::now();
+    while began.elapsed() < limit || times_s.is_empty() {
+        let started = Instant::now();
+        round()?;
+        times_s.push(started.elapsed().as_secs_f64());
+    }
+    let seconds = began.elapsed().as_secs_f64();
+    let rounds = times_s.len() as u64;
+    times_s.sort_by(f64::total_cmp);
+    let quantile = |q: f64| times_s[((times_s.len() - 1) as f64 * q).round() as usize];
+    Ok(Finding {
+        benchmark,
+        per_second: (rounds * units) as f64 / seconds,
+        unit,
+        rounds,
+        seconds,
+        round_median_s: quantile(0.5),
+        round_p99_s: quantile(0.99),
+        settings,
+    })
+}
+
+/// The flags' configuration, `quick` without any.
+fn load(flags: &ConfigArgs) -> Result<caudata_config::Config, Failure> {
+    let mut flags = flags.clone();
+    if flags.preset.is_none() && flags.config.is_none() {
+        flags.preset = Some("quick".into());
+    }
+    flags.load().or_exit(ExitCode::BadConfig)
+}
+
+fn bench_sim(
+    common: &Common,
+    lanes: u32,
+    threads: u32,
+    config: &ConfigArgs,
+) -> Result<Finding, Failure> {
+    let mut config = load(config)?;
+    (config.actors.lanes, config.actors.threads) = (lanes, threads);
+    let model = Arc::new(robot_model::load(&config.robot_path())?);
+    let mut env = build_env(&config, model, 0).map_err(|error| error.into_failure())?;
+    env.reset_all().or_exit(ExitCode::Internal)?;
+    // A gait-like motion, so that contacts come and go.
+    let mut actions = vec![0.0f32; lanes as usize * ACT_DIM];
+    let mut step = 0u32;
+    let settings = serde_json::json!({
+        "engine": config.engine.kind, "lanes": lanes, "threads": threads,
+        "dt_s": config.engine.dt_s, "substeps": config.engine.substeps,
+    });
+    measure(
+        "sim",
+        ("environment steps", u64::from(lanes)),
+        common,
+        settings,
+        || {
+            for (i, action) in actions.iter_mut().enumerate() {
+                *action = 0.5 * (step as f32 * 0.16 + (i % ACT_DIM) as f32).sin();
+            }
+            step += 1;
+            env.step(&actions).map(|_| ()).or_exit(ExitCode::Internal)
+        },
+    )
+}
+
+fn bench_policy(
+    common: &Common,
+    batch: u32,
+    threads: u32,
+    config: &ConfigArgs,
+) -> Result<Finding, Failure> {
+    let config = load(config)?;
+    let model = robot_model::load(&config.robot_path())?;
+    let contract = PolicyContract::new(&model, &config.task).or_exit(ExitCode::BadInput)?;
+    let hidden = &config.learner.network.policy_hidden;
+    let file =
+        PolicyFile::parse(example_policy(&contract, hidden)?.into()).or_exit(ExitCode::Internal)?;
+    let mut inference = Inference::new(&file, threads as usize).or_exit(ExitCode::NoInput)?;
+    let lanes = batch as usize;
+    let observations: Vec<f32> = (0..lanes * contract.obs_dim())
+        .map(|i| (i as f32 * 0.37).sin())
+        .collect();
+    let mut actions = vec![0.0; lanes * contract.act_dim()];
+    let settings =
+        serde_json::json!({ "batch": batch, "threads": threads, "policy_hidden": hidden });
+    measure(
+        "policy",
+        ("inferences", u64::from(batch)),
+        common,
+        settings,
+        || {
+            inference
+                .run(&observations, lanes, &mut actions)
+                .or_exit(ExitCode::Internal)
+        },
+    )
+}
+
+/// A policy file with made-up weights: only its size matters.
+fn example_policy(contract: &PolicyContract, hidden: &[u32]) -> Result<Vec<u8>, Failure> {
+    let sizes: Vec<usize> = std::iter::once(contract.obs_dim())
+        .chain(hidden.iter().map(|&n| n as usize))
+        .chain([contract.act_dim()])
+        .collect();
+    let layers = sizes
+        .windows(2)
+        .map(|pair| Dense {
+            input: pair[0],
+            out: pair[1],
+            weight: (0..pair[0] * pair[1])
+                .map(|i| 0.05 * (i as f32).sin())
+                .collect(),
+            bias: vec![0.0; pair[1]],
+        })
+        .collect();
+    let spec = MlpSpec {
+        obs_mean: vec![0.0; contract.obs_dim()],
+        obs_std: vec![1.0; contract.obs_dim()],
+        obs_clip: Some(10.0),
+        layers,
+        activation: Activation::Elu,
+    };
+    let metadata = PolicyMetadata {
+        contract: contract.clone(),
+        version: 0,
+        run_id: "bench".into(),
+        training_commit: String::new(),
+        config_hash: String::new(),
+        env_steps: 0,
+        seed: 0,
+        log_std: vec![0.0; contract.act_dim()],
+        created_unix_s: None,
+        evaluation: None,
+    };
+    build_onnx(&spec, &metadata).or_exit(ExitCode::Internal)
+}
+
+type Links = (Box<dyn LearnerLink>, Box<dyn ActorLink>);
+
+fn bench_transport(
+    common: &Common,
+    kind: TransportKind,
+    frame_bytes: usize,
+) -> Result<Finding, Failure> {
+    let section = TransportSection {
+        kind,
+        ..TransportSection::default()
+    };
+    let config = transport_config(&section);
+    let (mut learner, mut actor) = links(&config)?;
+    let mut frame = vec![0u8; frame_bytes];
+    let settings = serde_json::json!({ "kind": kind.name(), "frame_bytes": frame_bytes });
+    const PATIENCE: Duration = Duration::from_secs(10);
+    let mut number = 0u64;
+    let mut finding = measure("transport", ("frames", 1), common, settings, || {
+        // Each frame differs, so that nothing can be answered from a cache.
+        number += 1;
+        if let Some(head) = frame.first_chunk_mut() {
+            *head = number.to_le_bytes();
+        }
+        send(actor.as_mut(), &frame, PATIENCE)?;
+        match learner.recv(PATIENCE).or_exit(ExitCode::Internal)? {
+            Some(got) if got.bytes == frame => Ok(()),
+            Some(_) => Err(Failure::message(
+                ExitCode::Internal,
+                "a frame came back different",
+            )),
+            None => Err(Failure::message(
+                ExitCode::TempFail,
+                "a frame did not arrive",
+            )),
+        }
+    })?;
+    if let serde_json::Value::Object(settings) = &mut finding.settings {
+        let rate = finding.per_second * frame_bytes as f64 / 1e6;
+        settings.insert("megabytes_per_second".into(), rate.round().into());
+    }
+    Ok(finding)
+}
+
+fn send(actor: &mut dyn ActorLink, frame: &[u8], patience: Duration) -> Result<(), Failure> {
+    let deadline = Instant::now() + patience;
+    loop {
+        match actor.send(frame, Duration::from_millis(100)) {
+            Err(SendError::Full { .. } | SendError::Disconnected { .. })
+                if Instant::now() < deadline => {}
+            result => return result.or_exit(ExitCode::Unavailable),
+        }
+    }
+}
+
+/// Both ends of a run of this process's own.
+fn links(config: &TransportConfig) -> Result<Links, Failure> {
+    if let TransportConfig::Inproc(inproc) = config {
+        return inproc_links(inproc);
+    }
+    let run_id = format!("bench-{}", std::process::id());
+    let learner = learner_link(config, &run_id).or_exit(ExitCode::OsResource)?;
+    let actor = actor_link(&learner.actor_config(), &run_id, 0).or_exit(ExitCode::OsResource)?;
+    Ok((learner, actor))
+}
+
+fn inproc_links(config: &InprocConfig) -> Result<Links, Failure> {
+    let hub = InprocHub::new(config).or_exit(ExitCode::BadConfig)?;
+    Ok((
+        hub.learner().or_exit(ExitCode::Internal)?,
+        hub.actor().or_exit(ExitCode::Internal)?,
+    ))
+}

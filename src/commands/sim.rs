@@ -1,0 +1,21 @@
+//! `caudata sim`: simulate without training.
+
+use caudata_telemetry::{Failure, Process};
+use clap::Subcommand;
+
+use super::{sim_robot, sim_rollout};
+
+#[derive(Debug, Subcommand)]
+pub enum SimCommand {
+    /// Open loop: joint commands in, simulated signals out
+    Rollout(sim_rollout::RolloutArgs),
+    /// A simulated robot as a process of its own, for caudata-robot
+    Robot(sim_robot::SimRobotArgs),
+}
+
+pub fn run(command: &SimCommand, process: &Process) -> Result<(), Failure> {
+    match command {
+        SimCommand::Rollout(args) => sim_rollout::run(args, &process.stop),
+        SimCommand::Robot(args) => sim_robot::run(args, &process.stop),
+    }
+}

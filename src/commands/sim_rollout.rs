@@ -1,0 +1,311 @@
+//! `caudata sim rollout`: open loop. Joint commands in, simulated signals out, both in the log format.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use caudata_config::{Config, ConfigArgs};
+use caudata_model::RobotModel;
+use caudata_runlog::{Axis, QuatPart, Signal, Table, TableWriter};
+use caudata_sim::{Engine, InitialState, State, TerrainKind};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
+use clap::{Args, ValueEnum};
+use serde_json::json;
+
+use crate::commands::eval::EngineName;
+use crate::commands::robot_model;
+use crate::say;
+
+/// A foot counts as on the ground above this much force, N.
+const CONTACT_FORCE_N: f32 = 0.1;
+
+#[derive(Debug, Args)]
+pub struct RolloutArgs {
+    /// Robot file
+    #[arg(long, value_name = "R.robot.toml")]
+    robot: PathBuf,
+    /// Columns `t` (s) and `cmd.<joint>` (rad); a joint without a column holds its nominal position
+    #[arg(long, value_name = "C.csv")]
+    commands: PathBuf,
+    /// Where the signals go
+    #[arg(long, value_name = "T.csv")]
+    out: PathBuf,
+    /// On which engine
+    #[arg(long, value_enum, default_value_t = EngineName::Rapier)]
+    engine: EngineName,
+    /// Whether the base is held in the air
+    #[arg(long, value_enum, default_value_t = Base::Free)]
+    base: Base,
+    /// Shape of the ground
+    #[arg(long, value_enum, default_value_t = Ground::Flat)]
+    terrain: Ground,
+    /// Seed of the ground
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// One JSON object on the last line
+    #[arg(long)]
+    json: bool,
+    /// Step sizes and solver come from `[engine]`
+    #[command(flatten)]
+    config: ConfigArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Base {
+    /// On the ground
+    Free,
+    /// On a stand
+    Fixed,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Ground {
+    /// The plane z = 0
+    Flat,
+    /// Smooth hills
+    Hills,
+    /// Random heights
+    Rugged,
+    /// Hills with random heights on top
+    Rough,
+    /// A valley along x
+    Valley,
+}
+
+impl From<Ground> for TerrainKind {
+    fn from(ground: Ground) -> Self {
+        match ground {
+            Ground::Flat => TerrainKind::Flat,
+            Ground::Hills => TerrainKind::Hills,
+            Ground::Rugged => TerrainKind::Rugged,
+            Ground::Rough => TerrainKind::Rough,
+            Ground::Valley => TerrainKind::Valley,
+        }
+    }
+}
+
+pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
+    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
+    config.engine.kind = args.engine.into();
+    config.engine.fixed_base = args.base == Base::Fixed;
+    config.terrain.kind = args.terrain.into();
+    config.run.seed = args.seed;
+    let model = Arc::new(robot_model::load(&args.robot)?);
+    let table = Table::read(&args.commands).or_exit_with(ExitCode::BadInput, || {
+        format!("commands {}", args.commands.display())
+    })?;
+    let commands = Commands::new(&table, &model)?;
+    let mut engine = build_engine(&config, &model)?;
+    let rows = simulate(engine.as_mut(), &model, &commands, &args.out, stop)?;
+    if args.json {
+        return say::json(
+            &json!({ "rows": rows, "out": args.out, "diverged": engine.state().diverged[0] }),
+        );
+    }
+    say::line(format!("{rows} rows are in {}", args.out.display()));
+    if engine.state().diverged[0] {
+        say::line("warning: the simulation broke down; the last rows stand still");
+    }
+    Ok(())
+}
+
+fn build_engine(config: &Config, model: &Arc<RobotModel>) -> Result<Box<dyn Engine>, Failure> {
+    let model = Arc::clone(model);
+    caudata_sim::build(
+        model,
+        1,
+        &config.engine,
+        &config.terrain,
+        config.run.seed,
+        1,
+    )
+    .or_exit(ExitCode::BadConfig)
+}
+
+/// Joint commands over time; each holds until the next row.
+#[derive(Debug)]
+struct Commands {
+    time_s: Vec<f64>,
+    /// One row of 16 per time.
+    rows: Vec<Vec<f32>>,
+}
+
+impl Commands {
+    /// Empty cells keep the command before; joints without a column stay where they are nominally.
+    fn new(table: &Table, model: &RobotModel) -> Result<Self, Failure> {
+        let joints = model.actuated_names();
+        let bad = |message: String| Err(Failure::message(ExitCode::BadInput, message));
+        for signal in table.signals() {
+            if let Signal::Command(joint) = signal
+                && !joints.contains(&joint.as_str())
+            {
+                return bad(format!("the robot has no actuated joint `{joint}`"));
+            }
+        }
+        if table.is_empty() {
+            return bad("the command file has no rows".into());
+        }
+        let mut row: Vec<f32> = model.nominal_pos_rad().iter().map(|&q| q as f32).collect();
+        let columns: Vec<_> = joints
+            .iter()
+            .map(|joint| table.column(&Signal::Command((*joint).to_owned())))
+            .collect();
+        let mut rows = Vec::with_capacity(table.len());
+        for at in 0..table.len() {
+            for (value, column) in row.iter_mut().zip(&columns) {
+                if let Some(command) = column.and_then(|column| column[at]) {
+                    *value = command as f32;
+                }
+            }
+            rows.push(row.clone());
+        }
+        Ok(Self {
+            time_s: table.time_s().to_vec(),
+            rows,
+        })
+    }
+
+    /// What is commanded from `t_s` on.
+    fn at(&self, t_s: f64) -> &[f32] {
+        // Grid times are sums of periods; a row at the same time up to rounding counts as reached.
+        const ROUNDING_S: f64 = 1e-9;
+        let reached = self.time_s.partition_point(|&t| t <= t_s + ROUNDING_S);
+        &self.rows[reached.saturating_sub(1)]
+    }
+}
+
+/// Steps through the commands and writes one row per control period: the command from that time on, and the state at
+/// that time.
+fn simulate(
+    engine: &mut dyn Engine,
+    model: &RobotModel,
+    commands: &Commands,
+    out: &Path,
+    stop: &StopFlag,
+) -> Result<u64, Failure> {
+    let cannot_write = || format!("cannot write {}", out.display());
+    let file = File::create(out).or_exit_with(ExitCode::CannotCreate, cannot_write)?;
+    let signals = signals(model);
+    let mut table = TableWriter::new(BufWriter::new(file), &signals, 0.5)
+        .or_exit_with(ExitCode::IoError, cannot_write)?;
+    engine
+        .reset(0, &InitialState::nominal(model))
+        .or_exit(ExitCode::BadInput)?;
+    let period_s = engine.config().control_period_s();
+    let (first, last) = (
+        commands.time_s[0],
+        commands.time_s[commands.time_s.len() - 1],
+    );
+    let periods = ((last - first) / period_s).round() as u64;
+    let mut values = Vec::with_capacity(signals.len());
+    for period in 0..=periods {
+        if let Some(reason) = stop.reason() {
+            return Err(Failure::message(
+                ExitCode::TempFail,
+                format!("stopped by {reason}"),
+            ));
+        }
+        let t_s = first + period as f64 * period_s;
+        let command = commands.at(t_s);
+        values.clear();
+        values.extend(command.iter().map(|&x| Some(f64::from(x))));
+        push_state(&mut values, model, engine.state());
+        table
+            .row(t_s, &values)
+            .or_exit_with(ExitCode::IoError, cannot_write)?;
+        if period < periods {
+            engine
+                .step(command, &[0.0; 6])
+                .or_exit(ExitCode::Internal)?;
+        }
+    }
+    let rows = table.rows();
+    table
+        .finish()
+        .or_exit_with(ExitCode::IoError, cannot_write)?;
+    Ok(rows)
+}
+
+/// The columns, in the order of [`push_state`].
+fn signals(model: &RobotModel) -> Vec<Signal> {
+    let joints: Vec<String> = model
+        .actuated_names()
+        .into_iter()
+        .map(str::to_owned)
+        .collect();
+    let feet = || model.feet().iter().map(|foot| foot.name.clone());
+    let mut signals: Vec<Signal> = joints.iter().cloned().map(Signal::Command).collect();
+    signals.extend(joints.iter().cloned().map(Signal::Position));
+    signals.extend(joints.iter().cloned().map(Signal::Velocity));
+    signals.extend(joints.into_iter().map(Signal::Torque));
+    signals.extend(Axis::ALL.map(Signal::Gyro));
+    signals.extend(Axis::ALL.map(Signal::Acceleration));
+    signals.extend(Axis::ALL.map(Signal::Gravity));
+    signals.extend(Axis::ALL.map(Signal::BasePosition));
+    signals.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
+    signals.extend(Axis::ALL.map(Signal::BaseVelocity));
+    signals.extend(feet().flat_map(|leg| Axis::ALL.map(|axis| Signal::Foot(leg.clone(), axis))));
+    signals.extend(feet().map(Signal::Contact));
+    signals
+}
+
+/// The state of the only lane, without the commands that stand before it.
+fn push_state(values: &mut Vec<Option<f64>>, model: &RobotModel, state: &State) {
+    let mut push = |slice: &[f32]| values.extend(slice.iter().map(|&x| Some(f64::from(x))));
+    let actuated = |all: &[f32]| -> Vec<f32> { model.actuated().iter().map(|&j| all[j]).collect() };
+    push(&actuated(&state.joint_pos_rad));
+    push(&actuated(&state.joint_vel_radps));
+    push(&state.motor_torque_nm);
+    push(&state.imu_gyro_radps);
+    push(&state.imu_acc_mps2);
+    push(&state.imu_gravity);
+    push(&state.base_pos_m);
+    push(&state.base_quat_wxyz);
+    push(&state.base_vel_mps);
+    push(&state.foot_pos_m);
+    let forces = state.foot_force_n.chunks_exact(3);
+    let contact: Vec<f32> = forces
+        .map(|f| {
+            let force_n = f.iter().map(|x| x * x).sum::<f32>().sqrt();
+            f32::from(u8::from(force_n > CONTACT_FORCE_N))
+        })
+        .collect();
+    push(&contact);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model() -> RobotModel {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/polymander.robot.toml");
+        RobotModel::load(&path).unwrap()
+    }
+
+    fn commands(csv: &str) -> Result<Commands, Failure> {
+        Commands::new(&Table::parse("c.csv", csv.as_bytes()).unwrap(), &model())
+    }
+
+    #[test]
+    fn commands_hold_and_missing_joints_are_nominal() {
+        let commands = commands("t,cmd.FL_hip\n0.0,0.1\n0.1,\n0.2,0.3\n").unwrap();
+        // Policy order: 8 spine and tail joints, then FL_hip (8), FL_knee (9, nominally 36°).
+        let hip = |t| commands.at(t)[8];
+        assert_eq!(
+            (hip(0.0), hip(0.15), hip(0.2), hip(9.0)),
+            (0.1, 0.1, 0.3, 0.3)
+        );
+        assert!((commands.at(0.0)[9] - 36f32.to_radians()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn an_unknown_joint_and_an_empty_file_are_refused() {
+        let failure = commands("t,cmd.wing\n0.0,0.1\n").unwrap_err();
+        assert!(failure.to_string().contains("wing"), "{failure}");
+        assert_eq!(
+            commands("t,cmd.FL_hip\n").unwrap_err().code(),
+            ExitCode::BadInput
+        );
+    }
+}

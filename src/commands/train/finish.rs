@@ -1,0 +1,224 @@
+//! The end of a run: is the policy the same everywhere, how well does it walk, does the account add up.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use caudata_config::Config;
+use caudata_model::RobotModel;
+use caudata_proto::registry::StreamName;
+use caudata_registry_client::RegistryClient;
+use caudata_telemetry::progress::{Finished, MeanSe};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
+use serde::Serialize;
+
+use super::accounting::{Balance, balance};
+use super::folder::RunFolder;
+use super::robot::{RobotRun, run_robot};
+use super::supervise::Outcome;
+use super::view::clock;
+use crate::commands::eval::{self, Evaluation, Suite};
+use crate::commands::policy::{block_on, hex};
+use crate::say;
+
+/// What a run amounts to; `report.json`, and the last line with `--json`.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    /// Run.
+    run_id: String,
+    /// Its folder.
+    folder: PathBuf,
+    /// The learner's last word.
+    finished: Finished,
+    /// Actors that were started again.
+    actor_restarts: usize,
+    /// What became of every chunk.
+    accounting: Balance,
+    /// The policy's SHA-256 wherever it lies.
+    policy: PolicyHashes,
+    /// In the environment, if it was evaluated there.
+    evaluation: Option<Evaluation>,
+    /// On the simulated robot, if it was run there.
+    robot: Option<RobotRun>,
+}
+
+/// The policy's SHA-256 wherever it lies, hex.
+#[derive(Debug, Serialize)]
+struct PolicyHashes {
+    version: u64,
+    learner: String,
+    run_folder: String,
+    server: String,
+    robot: Option<String>,
+    /// Whether all are the same.
+    same: bool,
+}
+
+/// Looks at what the run has left: account, hashes, evaluation, robot.
+pub fn evaluate(
+    config: &Config,
+    folder: &RunFolder,
+    model: Arc<RobotModel>,
+    outcome: &mut Outcome,
+    stop: &StopFlag,
+) -> Result<Report, Failure> {
+    let policy = eval::read_policy(&folder.policy())?;
+    let on_server = hash_on_server(config.policy_server.stream_of(folder.run_id()), outcome)?;
+    let robot = match config.evaluation.robot_run_s > 0.0 {
+        true => Some(run_robot(
+            config,
+            folder,
+            &outcome.server_addr.to_string(),
+            stop,
+        )?),
+        false => None,
+    };
+    let episodes = config.evaluation.episodes;
+    let evaluation = match episodes > 0 {
+        true => Some(eval::evaluate(
+            config,
+            model,
+            &policy,
+            Suite::Flat,
+            episodes,
+            stop,
+        )?),
+        false => None,
+    };
+    let finished = outcome.finished.clone();
+    let robot_hash = robot.as_ref().map(|robot| robot.policy_sha256.clone());
+    let hashes = [policy.sha256_hex(), on_server.clone()];
+    let same = hashes
+        .iter()
+        .chain(&robot_hash)
+        .all(|hash| *hash == finished.policy_sha256);
+    Ok(Report {
+        run_id: folder.run_id().to_owned(),
+        folder: folder.root().to_owned(),
+        actor_restarts: outcome.restarts,
+        accounting: balance(&finished.actors, &outcome.ledgers),
+        policy: PolicyHashes {
+            version: finished.policy_version,
+            learner: finished.policy_sha256.clone(),
+            run_folder: policy.sha256_hex(),
+            server: on_server,
+            robot: robot_hash,
+            same,
+        },
+        finished,
+        evaluation,
+        robot,
+    })
+}
+
+fn hash_on_server(stream: &str, outcome: &Outcome) -> Result<String, Failure> {
+    let stream = StreamName::new(stream).or_exit(ExitCode::BadConfig)?;
+    let address = outcome.server_addr.to_string();
+    let version = outcome.finished.policy_version;
+    let manifest = block_on(async {
+        RegistryClient::new(&address)?
+            .manifest(&stream, Some(version))
+            .await
+    })?;
+    Ok(hex(&manifest.sha256))
+}
+
+impl Report {
+    /// An error when the run broke a promise: a chunk unaccounted for, or a policy that is not the same everywhere.
+    pub fn verdict(&self) -> Result<(), Failure> {
+        if let Some(problem) = self.accounting.problems.first() {
+            return Err(Failure::message(
+                ExitCode::Internal,
+                format!("accounting: {problem}"),
+            ));
+        }
+        if !self.policy.same {
+            let message = "the policy is not the same everywhere; report.json has the hashes";
+            return Err(Failure::message(ExitCode::Internal, message));
+        }
+        Ok(())
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.join(name).display().to_string()
+    }
+}
+
+/// The report as lines for a person.
+pub fn print(report: &Report) {
+    let finished = &report.finished;
+    say::line(format!(
+        "trained {} iterations, {} environment steps, in {}",
+        finished.iteration,
+        finished.steps_total,
+        clock(finished.wall_s)
+    ));
+    if let (Some(first), Some(last)) = (finished.first_tenth, finished.last_tenth) {
+        say::line(improvement(first, last));
+    }
+    let account = &report.accounting;
+    say::line(format!(
+        "rollouts: {} sent = {} accepted + {} rejected + {} dropped + {} lost with killed actors ({})",
+        account.sent,
+        account.accepted,
+        account.rejected,
+        account.dropped,
+        account.lost,
+        if account.holds {
+            "adds up"
+        } else {
+            "does NOT add up"
+        }
+    ));
+    if report.actor_restarts > 0 {
+        say::line(format!("actors started again: {}", report.actor_restarts));
+    }
+    say::line(format!(
+        "policy version {}, sha256 {} {}",
+        report.policy.version,
+        report.policy.learner,
+        if report.policy.same {
+            "(the same everywhere)"
+        } else {
+            "(NOT the same everywhere)"
+        }
+    ));
+    if let Some(evaluation) = &report.evaluation {
+        eval::print(evaluation);
+    }
+    if let Some(robot) = &report.robot {
+        robot.print();
+    }
+    say::line(format!("curves   {}", report.path("curves")));
+    say::line(format!("policy   {}", report.path("policy.onnx")));
+    if let Some(robot) = &report.robot {
+        say::line(format!("log      {}", robot.log.display()));
+    }
+    say::line(format!("report   {}", report.path("report.json")));
+}
+
+/// How far the last tenth lies above the first, in standard errors of the difference.
+fn improvement(first: MeanSe, last: MeanSe) -> String {
+    let error = (first.standard_error.powi(2) + last.standard_error.powi(2)).sqrt();
+    let gain = last.mean - first.mean;
+    let in_errors = if error > 0.0 { gain / error } else { 0.0 };
+    format!(
+        "return of the first tenth {:.3} ± {:.3}, of the last {:.3} ± {:.3}: {in_errors:+.1} standard errors",
+        first.mean, first.standard_error, last.mean, last.standard_error
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn improvement_by_hand() {
+        // (2 − 1)/√(0.3² + 0.4²) = 1/0.5 = 2.
+        let at = |mean, standard_error| MeanSe {
+            mean,
+            standard_error,
+            n: 10,
+        };
+        assert!(improvement(at(1.0, 0.3), at(2.0, 0.4)).ends_with("+2.0 standard errors"));
+    }
+}

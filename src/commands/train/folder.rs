@@ -1,0 +1,281 @@
+//! The run folder: where everything that a run leaves behind lies.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+
+/// Longest `git.diff` that is kept, bytes. A larger one is cut, and says so.
+const DIFF_BYTES_MAX: usize = 4 << 20;
+
+/// `runs/<time>_<name>/`.
+#[derive(Clone, Debug)]
+pub struct RunFolder {
+    root: PathBuf,
+    run_id: String,
+}
+
+impl RunFolder {
+    /// Makes the folder of a new run: at `out`, or `<out_dir>/<time>_<name>`.
+    pub fn create(out: Option<&Path>, out_dir: &Path, name: &str) -> Result<Self, Failure> {
+        let time = timestamp(SystemTime::now());
+        let root = out.map_or_else(|| out_dir.join(format!("{time}_{name}")), Path::to_owned);
+        if root.join("config.toml").exists() {
+            let message = format!("{} holds a run already", root.display());
+            return Err(Failure::message(ExitCode::CannotCreate, message)
+                .hint("add --resume to go on with it, or give another --out"));
+        }
+        let run_id = format!("{name}-{time}-{}", std::process::id());
+        let folder = Self {
+            root: absolute(&root)?,
+            run_id,
+        };
+        for part in [
+            folder.logs(),
+            folder.ledgers(),
+            folder.checkpoints(),
+            folder.curves(),
+        ] {
+            fs::create_dir_all(&part).or_exit_with(ExitCode::CannotCreate, || {
+                format!("cannot make {}", part.display())
+            })?;
+        }
+        folder.write("run_id.txt", folder.run_id.as_bytes())?;
+        folder.write_git_state()?;
+        Ok(folder)
+    }
+
+    /// The folder of an earlier run: `out`, or the newest one under `out_dir`.
+    pub fn reopen(out: Option<&Path>, out_dir: &Path) -> Result<Self, Failure> {
+        let root = match out {
+            Some(out) => out.to_owned(),
+            None => newest(out_dir).ok_or_else(|| {
+                let message = format!("there is no run to resume under {}", out_dir.display());
+                Failure::message(ExitCode::NoInput, message).hint("give its folder with --out")
+            })?,
+        };
+        let id_path = root.join("run_id.txt");
+        let run_id = fs::read_to_string(&id_path).or_exit_with(ExitCode::NoInput, || {
+            format!(
+                "{} is no run folder: cannot read {}",
+                root.display(),
+                id_path.display()
+            )
+        })?;
+        let folder = Self {
+            root: absolute(&root)?,
+            run_id: run_id.trim().to_owned(),
+        };
+        for part in [folder.logs(), folder.ledgers()] {
+            fs::create_dir_all(&part).or_exit_with(ExitCode::CannotCreate, || {
+                format!("cannot make {}", part.display())
+            })?;
+        }
+        Ok(folder)
+    }
+
+    /// The folder itself, absolute.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Identifier of the run, the same after a resume.
+    pub fn run_id(&self) -> &str {
+        &self.run_id
+    }
+
+    /// The configuration in effect.
+    pub fn config(&self) -> PathBuf {
+        self.root.join("config.toml")
+    }
+
+    /// Logs of the child processes.
+    pub fn logs(&self) -> PathBuf {
+        self.root.join("logs")
+    }
+
+    /// The actors' counts.
+    pub fn ledgers(&self) -> PathBuf {
+        self.root.join("ledgers")
+    }
+
+    /// The learner's checkpoints.
+    pub fn checkpoints(&self) -> PathBuf {
+        self.root.join("checkpoints")
+    }
+
+    /// Curves as pictures.
+    pub fn curves(&self) -> PathBuf {
+        self.root.join("curves")
+    }
+
+    /// The newest policy.
+    pub fn policy(&self) -> PathBuf {
+        self.root.join("policy.onnx")
+    }
+
+    /// The log of the simulated robot.
+    pub fn robot_log(&self) -> PathBuf {
+        self.root.join("robot")
+    }
+
+    /// Every event of the learner, one JSON object per line.
+    pub fn progress(&self) -> PathBuf {
+        self.root.join("progress.jsonl")
+    }
+
+    /// Ledger of one incarnation of one actor.
+    pub fn ledger(&self, actor_id: u32, incarnation: u64) -> PathBuf {
+        self.ledgers()
+            .join(format!("actor-{actor_id}-{incarnation}.ledger"))
+    }
+
+    /// The first incarnation of this actor that has not been used in this run.
+    pub fn next_incarnation(&self, actor_id: u32) -> u64 {
+        let prefix = format!("actor-{actor_id}-");
+        let used = |name: &str| {
+            name.strip_prefix(&prefix)?
+                .strip_suffix(".ledger")?
+                .parse::<u64>()
+                .ok()
+        };
+        let names = fs::read_dir(self.ledgers()).into_iter().flatten().flatten();
+        names
+            .filter_map(|entry| used(entry.file_name().to_str()?))
+            .max()
+            .map_or(0, |largest| largest + 1)
+    }
+
+    /// Writes a whole file into the folder.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<PathBuf, Failure> {
+        let path = self.root.join(name);
+        caudata_durable::replace(&path, bytes).or_exit_with(ExitCode::IoError, || {
+            format!("cannot write {}", path.display())
+        })?;
+        Ok(path)
+    }
+
+    /// The state of the code, as rsl_rl keeps it: commit and status in `git.txt`, changes in `git.diff`.
+    fn write_git_state(&self) -> Result<(), Failure> {
+        let built = caudata_telemetry::build_info();
+        let commit = git(&["rev-parse", "HEAD"]).unwrap_or_else(|| "no repository\n".into());
+        let status = git(&["status", "--short"]).unwrap_or_default();
+        let text = format!(
+            "caudata {} built from {}\ncheckout at {commit}{status}",
+            built.version, built.commit
+        );
+        self.write("git.txt", text.as_bytes())?;
+        let mut diff = git(&["diff", "HEAD"]).unwrap_or_default().into_bytes();
+        if diff.len() > DIFF_BYTES_MAX {
+            diff.truncate(DIFF_BYTES_MAX);
+            diff.extend(b"\n(cut here: the difference is larger than 4 MiB)\n");
+        }
+        self.write("git.diff", &diff)?;
+        Ok(())
+    }
+}
+
+/// What git says about the checkout around this executable, else around the current directory.
+fn git(arguments: &[&str]) -> Option<String> {
+    let beside = std::env::current_exe().ok()?;
+    let places = [beside.parent()?.to_owned(), PathBuf::from(".")];
+    places.iter().find_map(|place| {
+        let output = Command::new("git")
+            .arg("-C")
+            .arg(place)
+            .args(arguments)
+            .output()
+            .ok()?;
+        output
+            .status
+            .success()
+            .then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+    })
+}
+
+fn absolute(path: &Path) -> Result<PathBuf, Failure> {
+    std::path::absolute(path).or_exit_with(ExitCode::CannotCreate, || {
+        format!("no such path: {}", path.display())
+    })
+}
+
+/// The newest folder that can be resumed. Names begin with the time, so that the last in order is the newest.
+fn newest(out_dir: &Path) -> Option<PathBuf> {
+    let folders = fs::read_dir(out_dir)
+        .ok()?
+        .flatten()
+        .map(|entry| entry.path());
+    folders
+        .filter(|path| path.join("run_id.txt").exists())
+        .max()
+}
+
+/// `20261121T083312` (UTC): sorts by time and needs no escaping anywhere.
+fn timestamp(now: SystemTime) -> String {
+    let seconds = now
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or(Duration::ZERO)
+        .as_secs();
+    let (year, month, day) = civil_from_days(seconds / 86_400);
+    let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
+    format!("{year:04}{month:02}{day:02}T{hour:02}{minute:02}{second:02}")
+}
+
+/// Day of the Gregorian calendar, from days since 1970-01-01 (Hinnant, "chrono-compatible low-level date
+/// algorithms", `civil_from_days`).
+fn civil_from_days(days: u64) -> (u64, u64, u64) {
+    let z = days + 719_468;
+    let era = z / 146_097;
+    let day_of_era = z % 146_097;
+    let year_of_era =
+        (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted_month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
+    let month = if shifted_month < 10 {
+        shifted_month + 3
+    } else {
+        shifted_month - 9
+    };
+    (year_of_era + era * 400 + u64::from(month <= 2), month, day)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn timestamps_of_known_days() {
+        // `date -u -d @951782400` is 2000-02-29, a leap day; 1767225599 is the last second of 2025.
+        let at = |seconds| timestamp(UNIX_EPOCH + Duration::from_secs(seconds));
+        assert_eq!(at(0), "19700101T000000");
+        assert_eq!(at(951_782_400), "20000229T000000");
+        assert_eq!(at(1_767_225_599), "20251231T235959");
+    }
+
+    #[test]
+    fn a_folder_is_made_once_and_found_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let made = RunFolder::create(None, dir.path(), "walk").unwrap();
+        fs::write(made.config(), "").unwrap();
+        assert_eq!(made.next_incarnation(3), 0);
+        fs::write(made.ledger(3, 4), [0; 8]).unwrap();
+        let again = RunFolder::reopen(None, dir.path()).unwrap();
+        assert_eq!((again.run_id(), again.root()), (made.run_id(), made.root()));
+        assert_eq!(
+            (again.next_incarnation(3), again.next_incarnation(30)),
+            (5, 0)
+        );
+        let taken = RunFolder::create(Some(made.root()), dir.path(), "walk").unwrap_err();
+        assert_eq!(taken.code(), ExitCode::CannotCreate);
+    }
+
+    #[test]
+    fn nothing_to_resume_is_said() {
+        let dir = tempfile::tempdir().unwrap();
+        let failure = RunFolder::reopen(None, dir.path()).unwrap_err();
+        assert_eq!(failure.code(), ExitCode::NoInput);
+    }
+}

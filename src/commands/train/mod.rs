@@ -1,0 +1,219 @@
+//! `caudata train`: everything on this machine, started, watched and stopped.
+
+mod accounting;
+mod backoff;
+mod children;
+mod finish;
+mod folder;
+mod robot;
+mod supervise;
+mod view;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use caudata_config::{Config, ConfigArgs, Source, TransportKind};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
+use clap::{Args, ValueEnum};
+
+use crate::commands::robot_model;
+use crate::say;
+use folder::RunFolder;
+use supervise::Supervisor;
+use view::View;
+
+#[derive(Debug, Args)]
+pub struct TrainArgs {
+    /// Actors: threads of the learner with inproc, processes otherwise
+    #[arg(long, value_name = "N")]
+    actors: Option<u32>,
+    /// Iterations at which the run ends
+    #[arg(long, value_name = "N")]
+    iterations: Option<u64>,
+    /// How rollouts reach the learner
+    #[arg(long, value_enum)]
+    transport: Option<Transport>,
+    /// Seed of everything random
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Run folder; otherwise runs/<time>_<name>
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Go on with the run in --out, or with the newest one
+    #[arg(long)]
+    resume: bool,
+    /// Events as JSON lines; the last line is the report
+    #[arg(long)]
+    json: bool,
+    /// Without these flags the preset is `quick`
+    #[command(flatten)]
+    config: ConfigArgs,
+}
+
+/// The transports, as words on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Transport {
+    /// Actors are threads of the learner: fastest on one machine with few cores
+    Inproc,
+    /// Actors are processes, over shared memory
+    Iceoryx2,
+    /// Actors are processes, over TCP
+    Zenoh,
+}
+
+impl From<Transport> for TransportKind {
+    fn from(transport: Transport) -> Self {
+        match transport {
+            Transport::Inproc => TransportKind::Inproc,
+            Transport::Iceoryx2 => TransportKind::Iceoryx2,
+            Transport::Zenoh => TransportKind::Zenoh,
+        }
+    }
+}
+
+pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
+    let (config, folder) = prepare(args)?;
+    let model = Arc::new(robot_model::load(&config.robot_path())?);
+    for name in ["caudata-policy-server", "caudata-learner", "caudata-actor"] {
+        children::sibling(name)?;
+    }
+    let view = View::new(args.json);
+    view.note(&format!("run folder {}", folder.root().display()));
+    let supervisor = Supervisor::start(&config, &folder, &process.stop, view, args.resume)?;
+    let mut outcome = supervisor.watch()?;
+    if outcome.finished.reason != "completed" {
+        outcome.stop_server();
+        return stopped_early(args, &folder, &outcome);
+    }
+    let report = finish::evaluate(&config, &folder, model, &mut outcome, &process.stop)?;
+    outcome.stop_server();
+    let text = serde_json::to_string_pretty(&report).or_exit(ExitCode::Internal)?;
+    folder.write("report.json", text.as_bytes())?;
+    if args.json {
+        say::json(&report)?;
+    } else {
+        finish::print(&report);
+    }
+    report.verdict()
+}
+
+/// The configuration in effect and the run folder that it lies in.
+fn prepare(args: &TrainArgs) -> Result<(Config, RunFolder), Failure> {
+    let mut config = Config::load(&source(args, None)).or_exit(ExitCode::BadConfig)?;
+    let out = args.out.as_deref();
+    let folder = if args.resume {
+        let folder = RunFolder::reopen(out, &config.run.out_dir)?;
+        let before = Config::load(&Source::file(&folder.config())).or_exit(ExitCode::BadConfig)?;
+        config =
+            Config::load(&source(args, Some(&folder.config()))).or_exit(ExitCode::BadConfig)?;
+        if before.hash() != config.hash() {
+            let message = "a resumed run must keep what decides its training";
+            return Err(Failure::message(ExitCode::BadConfig, message)
+                .hint("only names, length, transport, services and telemetry may change"));
+        }
+        folder
+    } else {
+        // A robot that cannot be read must not leave a folder behind.
+        robot_model::load(&config.robot_path())?;
+        RunFolder::create(out, &config.run.out_dir, &config.run.name)?
+    };
+    config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
+    folder.write(
+        "config.toml",
+        config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes(),
+    )?;
+    Ok((config, folder))
+}
+
+/// Preset, file and overrides as the flags say; with `resumed`, that file instead of preset and file.
+fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
+    let mut source = match resumed {
+        Some(path) => Source {
+            overrides: args.config.overrides.clone(),
+            ..Source::file(path)
+        },
+        None => args.config.source(),
+    };
+    if source.preset.is_none() && source.file.is_none() {
+        source.preset = Some("quick".into());
+    }
+    let mut set = |key: &str, value: Option<String>| {
+        source
+            .overrides
+            .extend(value.map(|value| format!("{key}={value}")));
+    };
+    set("actors.count", args.actors.map(|n| n.to_string()));
+    set("run.iterations", args.iterations.map(|n| n.to_string()));
+    set("run.seed", args.seed.map(|seed| seed.to_string()));
+    set(
+        "transport.kind",
+        args.transport
+            .map(|t| TransportKind::from(t).name().to_owned()),
+    );
+    source
+}
+
+/// Says where the run stands and how to go on.
+fn stopped_early(
+    args: &TrainArgs,
+    folder: &RunFolder,
+    outcome: &supervise::Outcome,
+) -> Result<(), Failure> {
+    let finished = &outcome.finished;
+    let balance = accounting::balance(&finished.actors, &outcome.ledgers);
+    if args.json {
+        return say::json(&serde_json::json!({
+            "stopped": finished.reason,
+            "iteration": finished.iteration,
+            "checkpoint": finished.checkpoint_path,
+            "accounting": balance,
+            "folder": folder.root(),
+        }));
+    }
+    say::line(format!(
+        "stopped ({}) after iteration {}; go on with: caudata train --resume --out {}",
+        finished.reason,
+        finished.iteration,
+        folder.root().display()
+    ));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        train: TrainArgs,
+    }
+
+    fn args(line: &str) -> TrainArgs {
+        Command::parse_from(std::iter::once("train").chain(line.split_whitespace())).train
+    }
+
+    #[test]
+    fn flags_become_overrides_and_quick_is_the_default() {
+        let source = source(&args("--actors 3 --transport zenoh --set run.name=a"), None);
+        assert_eq!(source.preset.as_deref(), Some("quick"));
+        assert_eq!(
+            source.overrides,
+            ["run.name=a", "actors.count=3", "transport.kind=zenoh"]
+        );
+    }
+
+    #[test]
+    fn a_resumed_run_takes_its_own_configuration_and_the_flags_on_top() {
+        let source = source(
+            &args("--iterations 9 --preset flat"),
+            Some(Path::new("r/config.toml")),
+        );
+        assert_eq!(
+            (source.preset, source.file),
+            (None, Some("r/config.toml".into()))
+        );
+        assert_eq!(source.overrides, ["run.iterations=9"]);
+    }
+}

@@ -1,0 +1,500 @@
+//! Starting, watching and stopping the processes of a run.
+
+use std::net::SocketAddr;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use caudata_config::{Config, TransportKind};
+use caudata_telemetry::progress::{Event, Finished};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Listening, StopFlag};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use nix::sys::signal::Signal;
+
+use super::accounting::LedgerCount;
+use super::backoff::{Backoff, Verdict};
+use super::children::{self, LineSink, Process};
+use super::folder::RunFolder;
+use super::view::View;
+
+/// Lines of the learner that may wait to be shown; then the learner waits.
+const LINES_WAITING_MAX: usize = 256;
+/// How long the loop sleeps at most between two looks at the children.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// How long the policy server may take to start.
+const SERVER_START_MAX: Duration = Duration::from_secs(15);
+/// How long the learner may take to finish its iteration, save, and say goodbye. Shorter than the deadline of the
+/// supervisor itself, so that it is the supervisor who tells.
+const LEARNER_STOP_MAX: Duration = Duration::from_secs(45);
+/// How long other children may take to stop.
+const CHILD_STOP_MAX: Duration = Duration::from_secs(5);
+/// Restarts of the policy server per minute.
+const SERVER_RESTARTS_PER_MINUTE: u32 = 5;
+
+/// The processes of a run.
+pub struct Supervisor<'a> {
+    config: &'a Config,
+    folder: &'a RunFolder,
+    stop: &'a StopFlag,
+    view: View,
+    began: Instant,
+    server: Process,
+    server_addr: SocketAddr,
+    server_backoff: Backoff,
+    learner: Process,
+    lines: Receiver<String>,
+    progress: std::fs::File,
+    actors: Vec<ActorSlot>,
+    /// Endpoint for actors, once the learner has said it.
+    transport: Option<String>,
+    finished: Option<Finished>,
+    /// What ended the run early.
+    fatal: Option<Failure>,
+    /// When the learner was asked to stop.
+    stopping_since: Option<Instant>,
+}
+
+/// One actor over all its incarnations.
+struct ActorSlot {
+    id: u32,
+    process: Option<Process>,
+    backoff: Backoff,
+    /// When it shall be started (again).
+    due: Option<Instant>,
+    /// Incarnations started by this supervisor.
+    started: Vec<u64>,
+}
+
+/// How a run went.
+pub struct Outcome {
+    /// The learner's last word.
+    pub finished: Finished,
+    /// What the actors counted themselves.
+    pub ledgers: Vec<LedgerCount>,
+    /// Actors that were started again.
+    pub restarts: usize,
+    /// The policy server, still running.
+    pub server: Process,
+    /// Where it listens.
+    pub server_addr: SocketAddr,
+}
+
+impl<'a> Supervisor<'a> {
+    /// Starts the policy server and the learner.
+    pub fn start(
+        config: &'a Config,
+        folder: &'a RunFolder,
+        stop: &'a StopFlag,
+        view: View,
+        resume: bool,
+    ) -> Result<Self, Failure> {
+        let progress = std::fs::OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(folder.progress())
+            .or_exit_with(ExitCode::CannotCreate, || "cannot write progress.jsonl")?;
+        let (server, server_addr) = start_server(config, folder, config.policy_server.addr)?;
+        let (sender, lines) = bounded(LINES_WAITING_MAX);
+        let learner = start_learner(config, folder, server_addr, resume, sender)?;
+        let processes = match config.transport.kind {
+            TransportKind::Inproc => 0,
+            TransportKind::Iceoryx2 | TransportKind::Zenoh => config.actors.count,
+        };
+        let actors = (0..processes)
+            .map(|id| ActorSlot {
+                id,
+                process: None,
+                backoff: Backoff::new(config.actors.restarts_per_minute),
+                due: None,
+                started: Vec::new(),
+            })
+            .collect();
+        Ok(Self {
+            config,
+            folder,
+            stop,
+            view,
+            began: Instant::now(),
+            server,
+            server_addr,
+            server_backoff: Backoff::new(SERVER_RESTARTS_PER_MINUTE),
+            learner,
+            lines,
+            progress,
+            actors,
+            transport: None,
+            finished: None,
+            fatal: None,
+            stopping_since: None,
+        })
+    }
+
+    /// Watches until the learner has ended, then stops the actors. The policy server stays up for the evaluation.
+    pub fn watch(mut self) -> Result<Outcome, Failure> {
+        while self.learner.ended().is_none() {
+            self.take_lines(LOOK_EVERY)?;
+            self.watch_actors()?;
+            self.watch_server()?;
+            self.pass_stop_on();
+        }
+        self.take_lines(Duration::ZERO)?;
+        self.view.done();
+        self.stop_actors();
+        let status = self.learner.ended();
+        if let Some(fatal) = self.fatal {
+            return Err(fatal);
+        }
+        let clean = status.is_some_and(|status| status.success());
+        let Some(finished) = self.finished.filter(|_| clean) else {
+            let (code, how) = match status {
+                Some(status) if !status.success() => {
+                    (children::exit_code(status), children::describe(status))
+                }
+                _ => (ExitCode::Internal, "ended without a last word".into()),
+            };
+            return Err(failed_child(&self.learner, code, &how));
+        };
+        let restarts = self
+            .actors
+            .iter()
+            .map(|actor| actor.started.len().saturating_sub(1))
+            .sum();
+        let ledgers = self
+            .actors
+            .iter()
+            .flat_map(|actor| read_ledgers(self.folder, actor))
+            .collect();
+        let (server, server_addr) = (self.server, self.server_addr);
+        Ok(Outcome {
+            finished,
+            ledgers,
+            restarts,
+            server,
+            server_addr,
+        })
+    }
+
+    /// Shows and keeps what the learner has said, waiting at most `patience` for the first line.
+    fn take_lines(&mut self, patience: Duration) -> Result<(), Failure> {
+        let mut line = match self.lines.recv_timeout(patience) {
+            Ok(line) => Some(line),
+            Err(RecvTimeoutError::Timeout) => None,
+            Err(RecvTimeoutError::Disconnected) => {
+                // It has closed its standard output and is about to end.
+                std::thread::sleep(patience);
+                None
+            }
+        };
+        while let Some(text) = line {
+            self.take_line(&text)?;
+            line = self.lines.try_recv().ok();
+        }
+        Ok(())
+    }
+
+    fn take_line(&mut self, line: &str) -> Result<(), Failure> {
+        let Ok(event) = serde_json::from_str::<Event>(line) else {
+            tracing::warn!(line, "the learner printed something that is no event");
+            return Ok(());
+        };
+        use std::io::Write;
+        writeln!(self.progress, "{line}")
+            .or_exit_with(ExitCode::IoError, || "cannot write progress.jsonl")?;
+        self.view.event(&event, line);
+        match event {
+            Event::Started(started) => {
+                self.transport = Some(started.transport);
+                let now = Instant::now();
+                self.actors
+                    .iter_mut()
+                    .for_each(|actor| actor.due = Some(now));
+            }
+            Event::Finished(finished) => self.finished = Some(*finished),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn watch_actors(&mut self) -> Result<(), Failure> {
+        let winding_down = self.stopping_since.is_some() || self.finished.is_some();
+        for index in 0..self.actors.len() {
+            self.look_at_actor(index, winding_down);
+            let due = self.actors[index]
+                .due
+                .is_some_and(|due| Instant::now() >= due);
+            if due && !winding_down {
+                self.start_actor(index)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Notices that an actor has ended and decides what follows.
+    fn look_at_actor(&mut self, index: usize, winding_down: bool) {
+        let actor = &mut self.actors[index];
+        let Some(process) = &mut actor.process else {
+            return;
+        };
+        let Some(status) = process.ended() else {
+            return;
+        };
+        let (pid, log) = (process.pid(), process.log().to_owned());
+        actor.process = None;
+        if winding_down || status.success() {
+            return;
+        }
+        let how = children::describe(status);
+        let reason = children::last_error(&log)
+            .map(|text| format!(": {text}"))
+            .unwrap_or_default();
+        if status
+            .code()
+            .and_then(ExitCode::from_number)
+            .is_some_and(is_permanent)
+        {
+            let message = format!("actor {} cannot work ({how}){reason}", actor.id);
+            self.end_early(Failure::message(children::exit_code(status), message));
+            return;
+        }
+        match actor.backoff.died(self.began.elapsed()) {
+            Verdict::RestartAfter(pause) => {
+                actor.due = Some(Instant::now() + pause);
+                let text = format!(
+                    "actor {} (process {pid}) {how}; it is started again in {:.2} s{reason}",
+                    actor.id,
+                    pause.as_secs_f64()
+                );
+                self.view.note(&text);
+            }
+            Verdict::GiveUp => {
+                actor.due = None;
+                let text = format!("actor {} {how} too often and stays down{reason}", actor.id);
+                self.view.note(&text);
+                let any_left = self
+                    .actors
+                    .iter()
+                    .any(|other| other.process.is_some() || other.due.is_some());
+                if !any_left {
+                    let failure =
+                        Failure::message(ExitCode::TempFail, format!("no actor is left: {text}"));
+                    self.end_early(failure.hint(format!("see {}", log.display())));
+                }
+            }
+        }
+    }
+
+    fn start_actor(&mut self, index: usize) -> Result<(), Failure> {
+        let Some(transport) = self.transport.clone() else {
+            return Ok(());
+        };
+        let (config, folder) = (self.config, self.folder);
+        let actor = &mut self.actors[index];
+        actor.due = None;
+        let incarnation = folder.next_incarnation(actor.id);
+        let ledger = folder.ledger(actor.id, incarnation);
+        let mut command = Command::new(children::sibling("caudata-actor")?);
+        command.arg("--config").arg(folder.config());
+        command.args(["--run-id", folder.run_id()]);
+        command.args(["--actor-id", &actor.id.to_string()]);
+        command.args(["--incarnation", &incarnation.to_string()]);
+        command.args(["--transport", &transport]);
+        command.arg("--ledger").arg(ledger);
+        add_telemetry(&mut command, config, true);
+        let log = folder.logs().join(format!("actor-{}.log", actor.id));
+        actor.started.push(incarnation);
+        actor.process = Some(Process::start(
+            &format!("actor {}", actor.id),
+            command,
+            &log,
+            None,
+        )?);
+        Ok(())
+    }
+
+    /// A policy server that died is started again at its old address; training goes on meanwhile.
+    fn watch_server(&mut self) -> Result<(), Failure> {
+        let Some(status) = self.server.ended() else {
+            return Ok(());
+        };
+        if self.fatal.is_some() {
+            return Ok(());
+        }
+        let how = children::describe(status);
+        match self.server_backoff.died(self.began.elapsed()) {
+            Verdict::RestartAfter(pause) => {
+                self.view
+                    .note(&format!("the policy server {how}; it is started again"));
+                std::thread::sleep(pause);
+                let restarted = start_server(self.config, self.folder, self.server_addr);
+                match restarted {
+                    Ok((server, _)) => self.server = server,
+                    Err(failure) => self.end_early(failure),
+                }
+            }
+            Verdict::GiveUp => {
+                let failure = failed_child(&self.server, ExitCode::Unavailable, &how);
+                self.end_early(failure);
+            }
+        }
+        Ok(())
+    }
+
+    /// Asks the learner to stop; `failure` is what the run ends with.
+    fn end_early(&mut self, failure: Failure) {
+        self.fatal.get_or_insert(failure);
+    }
+
+    /// Passes a stop on to the learner, which then stops the actors; kills it when it takes too long.
+    fn pass_stop_on(&mut self) {
+        if !self.stop.is_set() && self.fatal.is_none() {
+            return;
+        }
+        match self.stopping_since {
+            None => {
+                self.stopping_since = Some(Instant::now());
+                self.view.note(
+                    "stopping: the learner finishes its iteration and saves; again to end at once",
+                );
+                self.learner.signal(Signal::SIGTERM);
+            }
+            Some(since) if since.elapsed() > LEARNER_STOP_MAX => {
+                self.learner.finish(Duration::ZERO);
+            }
+            Some(_) => {}
+        }
+    }
+
+    fn stop_actors(&mut self) {
+        let patience = CHILD_STOP_MAX + Duration::from_secs_f64(self.config.actors.flush_timeout_s);
+        let processes = || {
+            self.actors
+                .iter()
+                .filter_map(|actor| actor.process.as_ref())
+        };
+        processes().for_each(|process| process.signal(Signal::SIGTERM));
+        for actor in &mut self.actors {
+            if let Some(mut process) = actor.process.take() {
+                process.finish(patience);
+            }
+        }
+    }
+}
+
+impl Outcome {
+    /// Stops the policy server.
+    pub fn stop_server(&mut self) {
+        self.server.signal(Signal::SIGTERM);
+        self.server.finish(CHILD_STOP_MAX);
+    }
+}
+
+/// Exit codes that starting again does not cure.
+fn is_permanent(code: ExitCode) -> bool {
+    matches!(
+        code,
+        ExitCode::BadConfig
+            | ExitCode::BadInput
+            | ExitCode::NoInput
+            | ExitCode::Protocol
+            | ExitCode::PolicyRefused
+            | ExitCode::CannotCreate
+    )
+}
+
+/// The failure that a child's end amounts to: its own error line, and where its log is.
+pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
+    let message = match children::last_error(child.log()) {
+        Some(error) => format!("{}: {error}", child.name()),
+        None => format!("{} {how}", child.name()),
+    };
+    Failure::message(code, message).hint(format!("its log is {}", child.log().display()))
+}
+
+fn start_server(
+    config: &Config,
+    folder: &RunFolder,
+    addr: SocketAddr,
+) -> Result<(Process, SocketAddr), Failure> {
+    let mut command = Command::new(children::sibling("caudata-policy-server")?);
+    command
+        .arg("--data")
+        .arg(folder.root().join(&config.policy_server.dir));
+    command.args(["--addr", &addr.to_string()]);
+    command.args(["--keep", &config.policy_server.keep_versions.to_string()]);
+    add_telemetry(&mut command, config, true);
+    let (sender, announced) = bounded(1);
+    let sink: LineSink = Box::new(move |line| {
+        if let Ok(listening) = serde_json::from_str::<Listening>(&line)
+            && listening.listening == "policy_server"
+        {
+            let _ = sender.try_send(listening.address);
+        }
+    });
+    let log = folder.logs().join("policy_server.log");
+    let mut server = Process::start("the policy server", command, &log, Some(sink))?;
+    match announced.recv_timeout(SERVER_START_MAX) {
+        Ok(addr) => Ok((server, addr)),
+        Err(_) => Err(match server.finish(Duration::ZERO) {
+            Some(status) if status.code().is_some() => failed_child(
+                &server,
+                children::exit_code(status),
+                &children::describe(status),
+            ),
+            _ => failed_child(&server, ExitCode::TempFail, "did not start in time"),
+        }),
+    }
+}
+
+fn start_learner(
+    config: &Config,
+    folder: &RunFolder,
+    server: SocketAddr,
+    resume: bool,
+    lines: Sender<String>,
+) -> Result<Process, Failure> {
+    let mut command = Command::new(children::sibling("caudata-learner")?);
+    command.arg("--config").arg(folder.config());
+    command.arg("--run-dir").arg(folder.root());
+    command.args(["--run-id", folder.run_id()]);
+    command.args(["--policy-server", &server.to_string()]);
+    if resume {
+        command.arg("--resume");
+    }
+    add_telemetry(&mut command, config, false);
+    let sink: LineSink = Box::new(move |line| {
+        // Blocks while the queue is full; nobody reads any more when the supervisor ends.
+        let _ = lines.send(line);
+    });
+    Process::start(
+        "the learner",
+        command,
+        &folder.logs().join("learner.log"),
+        Some(sink),
+    )
+}
+
+/// Log flags, and with `own_metrics` a metrics endpoint on any free port of the configured address.
+fn add_telemetry(command: &mut Command, config: &Config, own_metrics: bool) {
+    let telemetry = &config.telemetry;
+    command.args([
+        "--log-format",
+        telemetry.log_format.name(),
+        "--log",
+        &telemetry.log,
+    ]);
+    if own_metrics && telemetry.metrics {
+        let any_port = SocketAddr::new(telemetry.metrics_addr.ip(), 0);
+        command.args(["--metrics-addr", &any_port.to_string()]);
+    }
+}
+
+fn read_ledgers(folder: &RunFolder, actor: &ActorSlot) -> Vec<LedgerCount> {
+    let count = |&incarnation: &u64| {
+        let sent = caudata_actor::read_ledger(&folder.ledger(actor.id, incarnation)).ok()?;
+        Some(LedgerCount {
+            actor_id: actor.id,
+            incarnation,
+            sent,
+        })
+    };
+    actor.started.iter().filter_map(count).collect()
+}
