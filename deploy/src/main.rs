@@ -1,2 +1,13 @@
-//! Entry point.
-fn main() {}
+//! `caudata-robot`: pulls, verifies and runs the policy at 50 Hz.
+
+use std::process::ExitCode;
+
+use caudata_deploy::commands::{Args, dispatch};
+use caudata_telemetry::{Process, parse_args};
+
+fn main() -> ExitCode {
+    let args: Args = parse_args();
+    Process::run("caudata-robot", &args.log, |process| {
+        dispatch(&args, process)
+    })
+}

@@ -1,0 +1,113 @@
+//! What the control loop needs of a robot: a servo bus and an IMU. The simulated robot is one implementation; hardware is another.
+
+use std::time::Duration;
+
+use caudata_task::{ACT_DIM, FEET};
+
+/// What the servos report, policy order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ServoReadings {
+    /// When they were read, s since the robot's start; never goes back.
+    pub time_s: f64,
+    /// Joint positions, rad.
+    pub pos_rad: [f32; ACT_DIM],
+    /// Joint velocities, rad/s.
+    pub vel_radps: [f32; ACT_DIM],
+    /// Currents, A.
+    pub current_a: [f32; ACT_DIM],
+    /// Supply voltage, V.
+    pub supply_v: f32,
+}
+
+/// What the IMU reports, in its own frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuReading {
+    /// Angular velocity, rad/s.
+    pub gyro_radps: [f32; 3],
+    /// Specific force, m/s².
+    pub acc_mps2: [f32; 3],
+    /// Direction of gravity, unit vector, where the IMU works it out itself.
+    pub gravity: Option<[f32; 3]>,
+}
+
+/// What only a simulated robot (or motion capture) knows; for logs, never for control.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GroundTruth {
+    /// Position of the base, world, m.
+    pub base_pos_m: Option<[f32; 3]>,
+    /// Orientation of the base w, x, y, z, world from body.
+    pub base_quat_wxyz: Option<[f32; 4]>,
+    /// Which feet touch the ground.
+    pub foot_contacts: Option<[bool; FEET]>,
+}
+
+/// Why a bus did not do what was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum BusError {
+    /// Nothing came within the deadline; the next try may go well.
+    #[error("the robot did not answer within {} ms", deadline.as_millis())]
+    Timeout {
+        /// The deadline.
+        deadline: Duration,
+    },
+    /// There is no robot at this address.
+    #[error("no robot at {address}: {reason}")]
+    Connect {
+        /// Where it was looked for.
+        address: String,
+        /// Why not.
+        reason: String,
+    },
+    /// It is another robot, or speaks otherwise.
+    #[error("the robot at {address} is not the one expected: {reason}")]
+    Protocol {
+        /// Its address.
+        address: String,
+        /// What differs.
+        reason: String,
+    },
+    /// The connection broke, or too many answers in a row were missing.
+    #[error("lost the robot: {reason}")]
+    Lost {
+        /// How.
+        reason: String,
+    },
+}
+
+/// Sixteen position servos.
+pub trait ServoBus {
+    /// Reads all servos, waiting at most `deadline`.
+    ///
+    /// # Errors
+    /// [`BusError::Timeout`] where the next call may go well, else the bus is gone.
+    fn read(&mut self, deadline: Duration) -> Result<ServoReadings, BusError>;
+
+    /// Sends position targets, rad, policy order, with the torque on.
+    ///
+    /// # Errors
+    /// [`BusError::Lost`].
+    fn write(&mut self, targets_rad: &[f32; ACT_DIM]) -> Result<(), BusError>;
+
+    /// Lets all servos go limp.
+    ///
+    /// # Errors
+    /// [`BusError::Lost`].
+    fn torque_off(&mut self) -> Result<(), BusError>;
+}
+
+/// An inertial measurement unit.
+pub trait Imu {
+    /// The newest reading.
+    ///
+    /// # Errors
+    /// [`BusError`] where there is none.
+    fn reading(&mut self) -> Result<ImuReading, BusError>;
+}
+
+/// A whole robot.
+pub trait Robot: ServoBus + Imu {
+    /// What is known beyond the robot's own sensors.
+    fn ground_truth(&self) -> GroundTruth {
+        GroundTruth::default()
+    }
+}

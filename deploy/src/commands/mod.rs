@@ -1,0 +1,153 @@
+//! The commands of `caudata-robot`.
+
+mod pull;
+mod run;
+mod status;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+use caudata_proto::registry::StreamName;
+use caudata_task::TaskConfig;
+use caudata_telemetry::{Failure, LogArgs, Metrics, Process};
+use clap::{Parser, Subcommand};
+use serde::Serialize;
+
+use crate::keeper::Keeper;
+use crate::metrics::RobotMetrics;
+use crate::store::PolicyStore;
+use crate::{DeployError, failure};
+
+pub use run::{BusAddress, RunArgs};
+
+/// Pulls, verifies and runs a policy on the robot.
+#[derive(Debug, Parser)]
+#[command(name = "caudata-robot", version, max_term_width = 100, after_help = EXIT_CODES)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+    /// Logging.
+    #[command(flatten)]
+    pub log: LogArgs,
+}
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 done · 64 flag · 65 bad input file or state · 66 input missing · 69 server or robot gone, nothing to run
+  70 internal · 71 system resource · 73 output cannot be made · 74 disk full or I/O · 76 another protocol or robot
+  77 policy refused, nothing else to run · 130 interrupted twice";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Pull the newest policy and run it at 50 Hz
+    Run(Box<RunArgs>),
+    /// Pull, verify and store the newest policy; run nothing
+    Pull(pull::PullArgs),
+    /// Show which policies this robot holds and trusts
+    Status(status::StatusArgs),
+}
+
+/// Where policies come from and where they are kept.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SourceArgs {
+    /// Robot file
+    #[arg(
+        long,
+        value_name = "FILE.robot.toml",
+        default_value = "robots/polymander.robot.toml"
+    )]
+    pub robot: PathBuf,
+    /// Policy server
+    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:7401")]
+    pub policy_server: String,
+    /// Stream to follow; training publishes under its run id
+    #[arg(long, value_name = "NAME")]
+    pub stream: String,
+    /// Folder in which this robot keeps its policies
+    #[arg(long, value_name = "DIR")]
+    pub state: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The failure that ends the process.
+pub fn dispatch(args: &Args, process: &Process) -> Result<(), Failure> {
+    match &args.command {
+        Command::Run(args) => run::run(args, process),
+        Command::Pull(args) => pull::run(args),
+        Command::Status(args) => status::run(args),
+    }
+    .map_err(failure)
+}
+
+/// What every command that gets policies begins with.
+struct Source {
+    model: Arc<RobotModel>,
+    control_period_s: f64,
+    stream: StreamName,
+    address: String,
+    keeper: Keeper,
+}
+
+impl Source {
+    fn open(args: &SourceArgs, metrics: &Metrics) -> Result<(Self, RobotMetrics), DeployError> {
+        let model = load_model(&args.robot)?;
+        let stream = StreamName::new(&args.stream).map_err(|source| DeployError::Stream {
+            name: args.stream.clone(),
+            source,
+        })?;
+        let metrics = RobotMetrics::register(metrics);
+        let store = PolicyStore::open(&args.state)?;
+        let source = Self {
+            keeper: Keeper::new(store, model.clone(), metrics.clone()),
+            model,
+            control_period_s: TaskConfig::default().control_period_s,
+            stream,
+            address: args.policy_server.clone(),
+        };
+        Ok((source, metrics))
+    }
+
+    /// Pulls on a runtime of its own, which ends with the call.
+    fn pull(&self) -> Result<crate::verify::Verified, DeployError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|source| DeployError::System {
+                what: "a network runtime",
+                source,
+            })?;
+        runtime.block_on(async {
+            let mut client = caudata_registry_client::RegistryClient::new(&self.address)?;
+            self.keeper.pull(&mut client, &self.stream).await
+        })
+    }
+}
+
+fn load_model(path: &Path) -> Result<Arc<RobotModel>, DeployError> {
+    let model = RobotModel::load(path).map_err(|source| DeployError::Robot {
+        path: path.to_owned(),
+        source,
+    })?;
+    // Refuses a robot that the task cannot drive, before anything is fetched.
+    caudata_task::JointTable::from_model(&model).map_err(|source| DeployError::Task {
+        path: path.to_owned(),
+        source,
+    })?;
+    Ok(Arc::new(model))
+}
+
+/// One line on standard output; a reader that is gone does no harm.
+fn say(line: &str) {
+    let _ = writeln!(std::io::stdout(), "{line}");
+}
+
+fn say_json(value: &impl Serialize) -> Result<(), DeployError> {
+    let line = serde_json::to_string(value).map_err(|e| DeployError::Internal {
+        what: e.to_string(),
+    })?;
+    say(&line);
+    Ok(())
+}

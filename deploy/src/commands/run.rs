@@ -1,0 +1,326 @@
+//! `caudata-robot run`.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use caudata_telemetry::{Metrics, MetricsServer, Process};
+use crossbeam_channel::Receiver;
+
+use crate::DeployError;
+use crate::commands::{Source, SourceArgs, say, say_json};
+use crate::control::{ControlLoop, RunPlan};
+use crate::flight_log::{FlightLog, LogCounts, meta};
+use crate::follower::Follower;
+use crate::gate::HELD_IN_A_ROW_MAX;
+use crate::keeper::Keeper;
+use crate::metrics::RobotMetrics;
+use crate::pacing::SystemClock;
+use crate::report::{Ended, RunSummary};
+use crate::runner::PolicyRunner;
+use crate::sim_link::SimLink;
+use crate::updates::{PolicyEvent, Slot, Updates};
+use crate::verify::Verified;
+use crate::walk_command::{CommandTable, WalkCommand};
+
+/// Targets may move this many times as fast as the fastest servo turns without load: what a policy of training asks for
+/// passes, a jump does not.
+const RATE_LIMIT_FACTOR: f64 = 2.0;
+
+/// Flags of `caudata-robot run`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct RunArgs {
+    #[command(flatten)]
+    source: SourceArgs,
+    /// The robot: `sim:HOST:PORT` is a simulated one (`caudata sim robot`)
+    #[arg(long, value_name = "BUS")]
+    bus: BusAddress,
+    /// Folder for the log of this run; none when absent
+    #[arg(long, value_name = "DIR")]
+    log_dir: Option<PathBuf>,
+    /// What the robot stands on, for the log
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    terrain: String,
+    /// Velocity forward and to the left (m/s) and yaw rate (rad/s)
+    #[arg(
+        long,
+        value_name = "VX,VY,YAW",
+        default_value = "0,0,0",
+        allow_hyphen_values = true,
+        conflicts_with = "commands"
+    )]
+    command: WalkCommand,
+    /// CSV file of commands over time: t,vx,vy,yaw_rate
+    #[arg(long, value_name = "FILE.csv")]
+    commands: Option<PathBuf>,
+    /// How long the policy is in charge, s; until stopped when absent
+    #[arg(long, value_name = "N", value_parser = positive)]
+    seconds: Option<f64>,
+    /// Swap in newer policies as they are published
+    #[arg(long)]
+    follow: bool,
+    /// Address of /metrics and /healthz; none when absent
+    #[arg(long, value_name = "ADDR")]
+    metrics_addr: Option<SocketAddr>,
+    /// One JSON object as the last line of standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// Where the robot is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum BusAddress {
+    /// A simulated robot at `host:port`.
+    Sim(String),
+}
+
+impl FromStr for BusAddress {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            Some(("sim", address)) if address.contains(':') => Ok(Self::Sim(address.to_owned())),
+            _ => Err("must be sim:HOST:PORT".to_owned()),
+        }
+    }
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
+        _ => Err("must be above 0 and at most 1000000".to_owned()),
+    }
+}
+
+pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
+    let commands = match &args.commands {
+        Some(path) => CommandTable::read(path)?,
+        None => CommandTable::constant(args.command),
+    };
+    let registry = Metrics::new();
+    let (source, metrics) = Source::open(&args.source, &registry)?;
+    let _endpoint = match args.metrics_addr {
+        Some(addr) => Some(metrics_endpoint(addr, registry, process)?),
+        None => None,
+    };
+    let verified = choose(&source)?;
+    let BusAddress::Sim(address) = &args.bus;
+    let mut robot = SimLink::connect(address, &source.model, source.control_period_s)?;
+    let slot = Slot::default();
+    let (updates, events) = Updates::new(slot.clone());
+    let follower = match args.follow {
+        true => Some(Follower::start(
+            source.keeper.clone(),
+            &source.address,
+            source.stream.clone(),
+            verified.policy.clone(),
+            slot,
+        )?),
+        false => None,
+    };
+    let housekeeper = keep_house(source.keeper.clone(), events)?;
+    let plan = RunPlan {
+        period: Duration::from_secs_f64(source.control_period_s),
+        walk_s: args.seconds,
+        commands,
+        step_max_rad: step_max_rad(&source),
+    };
+    let result = drive(
+        args, &source, &mut robot, plan, verified, updates, metrics, process,
+    );
+    drop(follower);
+    if housekeeper.join().is_err() {
+        tracing::error!("the housekeeping thread panicked");
+    }
+    finish(args, result?)
+}
+
+/// The server's newest policy, or else the best on the disk.
+fn choose(source: &Source) -> Result<Verified, DeployError> {
+    let error = match source.pull() {
+        Ok(verified) => return Ok(verified),
+        Err(
+            error @ (DeployError::Server(_)
+            | DeployError::NoPolicy { .. }
+            | DeployError::Refused { .. }),
+        ) => error,
+        Err(error) => return Err(error),
+    };
+    match source.keeper.from_disk()? {
+        Some(verified) => {
+            tracing::warn!(%error, running = %verified.policy, "running what is on disk");
+            Ok(verified)
+        }
+        None => Err(error),
+    }
+}
+
+/// The run itself.
+fn drive(
+    args: &RunArgs,
+    source: &Source,
+    robot: &mut SimLink,
+    plan: RunPlan,
+    verified: Verified,
+    updates: Updates,
+    metrics: RobotMetrics,
+    process: &Process,
+) -> Result<RunSummary, DeployError> {
+    let clock = SystemClock::new();
+    let runner = PolicyRunner::new(verified, None)?;
+    warn_of_untrained(&plan, &runner);
+    let mut control = ControlLoop::start(robot, &clock, plan, runner, updates, metrics)?;
+    if let (Some(folder), Some(first)) = (&args.log_dir, control.first()) {
+        let policy = control.runner().policy();
+        let supply_v = first.servos.supply_v;
+        let meta = meta(
+            &source.model,
+            policy,
+            source.control_period_s,
+            supply_v,
+            &args.terrain,
+        );
+        let log = FlightLog::create(folder, &source.model, &meta, &first.truth)?;
+        control.set_log(log);
+    }
+    let result = control.run(&process.stop);
+    let policy = control.runner().policy().clone();
+    let (log, counts) = control.into_parts();
+    // The log is closed whatever happened; the run's own error comes first.
+    let rows = log.map(FlightLog::finish).transpose();
+    let ended = result?;
+    let rows: LogCounts = rows?.unwrap_or_default();
+    let commanded = counts.mean_command();
+    let travel = counts.odometer.result();
+    Ok(RunSummary {
+        robot: source.model.name().to_owned(),
+        policy_stream: policy.stream,
+        policy_version: policy.version,
+        policy_sha256: policy.sha256,
+        policy_swaps: counts.swaps,
+        ended,
+        walked_s: counts.walked_s,
+        ticks: counts.ticks,
+        overruns: counts.overruns,
+        late_readings: counts.late_readings,
+        tick_p50_us: counts.tick_latency.quantile_us(0.5),
+        tick_p99_us: counts.tick_latency.quantile_us(0.99),
+        wake_late_p99_us: counts.wake_latency.quantile_us(0.99),
+        held_actions: counts.held,
+        rate_limited_ticks: counts.rate_limited,
+        log_rows: rows.written,
+        log_dropped: rows.dropped,
+        commanded,
+        achieved: travel.map(|(velocity, _)| velocity),
+        distance_m: travel.map(|(_, distance)| distance),
+    })
+}
+
+fn warn_of_untrained(plan: &RunPlan, runner: &PolicyRunner) {
+    let wanted = plan.commands.at(0.0);
+    let given = runner.trained_command(wanted);
+    if wanted != given {
+        tracing::warn!(
+            ?wanted,
+            ?given,
+            "the policy was not trained for this command; it gets the nearest it knows"
+        );
+    }
+}
+
+/// Prints the summary; a policy that had to be stopped is a failure.
+fn finish(args: &RunArgs, summary: RunSummary) -> Result<(), DeployError> {
+    if args.json {
+        say_json(&summary)?;
+    } else {
+        print(&summary, args);
+    }
+    if summary.ended == Ended::BadActions {
+        return Err(DeployError::BadActions {
+            policy: crate::state::PolicyRef {
+                stream: summary.policy_stream,
+                version: summary.policy_version,
+                sha256: summary.policy_sha256,
+            },
+            in_a_row: HELD_IN_A_ROW_MAX,
+        });
+    }
+    Ok(())
+}
+
+fn print(summary: &RunSummary, args: &RunArgs) {
+    say(&format!(
+        "{} version {} walked {:.1} s ({:?}): {} ticks, {} skipped, tick p50 {} µs, p99 {} µs",
+        summary.policy_stream,
+        summary.policy_version,
+        summary.walked_s,
+        summary.ended,
+        summary.ticks,
+        summary.overruns,
+        summary.tick_p50_us,
+        summary.tick_p99_us,
+    ));
+    if let (Some(achieved), Some(distance)) = (summary.achieved, summary.distance_m) {
+        let commanded = summary.commanded;
+        say(&format!(
+            "commanded {:.3} {:.3} m/s {:.3} rad/s, achieved {:.3} {:.3} m/s {:.3} rad/s, {distance:.2} m from the start",
+            commanded.vx_mps,
+            commanded.vy_mps,
+            commanded.yaw_rate_radps,
+            achieved.vx_mps,
+            achieved.vy_mps,
+            achieved.yaw_rate_radps,
+        ));
+    }
+    if let Some(folder) = &args.log_dir {
+        say(&format!(
+            "log: {} ({} rows)",
+            folder.display(),
+            summary.log_rows
+        ));
+    }
+}
+
+fn step_max_rad(source: &Source) -> f32 {
+    let joints = source.model.actuated().len();
+    let fastest = (0..joints)
+        .map(|i| source.model.servo(i).qd_max_radps)
+        .fold(0.0, f64::max);
+    (RATE_LIMIT_FACTOR * fastest * source.control_period_s) as f32
+}
+
+fn metrics_endpoint(
+    addr: SocketAddr,
+    registry: Metrics,
+    process: &Process,
+) -> Result<MetricsServer, DeployError> {
+    MetricsServer::start(addr, registry, process.stop.clone()).map_err(|error| {
+        DeployError::System {
+            what: "the metrics address",
+            source: std::io::Error::other(error.to_string()),
+        }
+    })
+}
+
+/// Writes what the loop learns to the disk, and takes replaced policies apart; ends when the loop is gone.
+fn keep_house(
+    keeper: Keeper,
+    events: Receiver<PolicyEvent>,
+) -> Result<JoinHandle<()>, DeployError> {
+    let work = move || {
+        for event in events {
+            if let Err(error) = keeper.note(event) {
+                tracing::error!(%error, "cannot write down what was learnt about a policy");
+            }
+        }
+    };
+    std::thread::Builder::new()
+        .name("housekeeping".into())
+        .spawn(work)
+        .map_err(|source| DeployError::System {
+            what: "a thread",
+            source,
+        })
+}

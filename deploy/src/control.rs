@@ -1,0 +1,416 @@
+//! The control loop: sense, decide, check, send, fifty times a second.
+
+use std::time::Duration;
+
+use caudata_task::{ACT_DIM, COMMAND_DIM};
+use caudata_telemetry::StopFlag;
+
+use crate::DeployError;
+use crate::bus::{BusError, GroundTruth, ImuReading, Robot, ServoReadings};
+use crate::flight_log::{FlightLog, LogRow};
+use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate};
+use crate::metrics::RobotMetrics;
+use crate::motion::{Motion, Stage};
+use crate::orientation::GravityFilter;
+use crate::pacing::{Clock, Pacer};
+use crate::report::{Ended, Latencies, Odometer, Velocity};
+use crate::runner::{PolicyRunner, View};
+use crate::updates::{PolicyEvent, Updates};
+use crate::walk_command::CommandTable;
+
+/// How long a tick waits for readings.
+pub const READ_DEADLINE: Duration = Duration::from_millis(7);
+/// Ticks in a row without readings after which the robot counts as lost (2 s).
+pub const LATE_IN_A_ROW_MAX: u32 = 100;
+/// Walking ticks after which a policy that never gave a bad action counts as good (10 s).
+pub const TRIAL_TICKS: u32 = 500;
+/// Gravity's z in the IMU frame above which the robot lies on its side or back (tilt beyond 78°).
+pub const FALLEN_GRAVITY_Z: f32 = -0.2;
+/// Ticks in a row of that before the robot is stopped (0.5 s).
+pub const FALLEN_TICKS: u32 = 25;
+
+/// What a run is asked to do.
+#[derive(Clone, Debug)]
+pub struct RunPlan {
+    /// Control period.
+    pub period: Duration,
+    /// How long a policy is in charge, s of the robot's time; `None`: until asked to stop.
+    pub walk_s: Option<f64>,
+    /// Where to go.
+    pub commands: CommandTable,
+    /// How far a target may move per tick, rad.
+    pub step_max_rad: f32,
+}
+
+/// Everything sensed at one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Sensed {
+    /// Servos.
+    pub servos: ServoReadings,
+    /// IMU.
+    pub imu: ImuReading,
+    /// Direction of gravity, IMU frame.
+    pub gravity: [f32; 3],
+    /// What a simulation knows.
+    pub truth: GroundTruth,
+}
+
+/// What the loop counted.
+#[derive(Clone, Debug, Default)]
+pub struct Counts {
+    /// Ticks.
+    pub ticks: u64,
+    /// Ticks without readings.
+    pub late_readings: u64,
+    /// Policies swapped in.
+    pub swaps: u64,
+    /// Periods skipped.
+    pub overruns: u64,
+    /// Actions held.
+    pub held: u64,
+    /// Ticks with a slowed target.
+    pub rate_limited: u64,
+    /// Time that a policy was in charge, s of the robot's time.
+    pub walked_s: f64,
+    /// Sum of the commands over walking ticks, and their number.
+    command_sum: [f64; COMMAND_DIM],
+    walking_ticks: u64,
+    /// From waking to sent.
+    pub tick_latency: Latencies,
+    /// From due to woken.
+    pub wake_latency: Latencies,
+    /// How far it went.
+    pub odometer: Odometer,
+}
+
+impl Counts {
+    /// Mean of the commands given.
+    pub fn mean_command(&self) -> Velocity {
+        let mean = |i: usize| self.command_sum[i] / self.walking_ticks.max(1) as f64;
+        Velocity {
+            vx_mps: mean(0),
+            vy_mps: mean(1),
+            yaw_rate_radps: mean(2),
+        }
+    }
+}
+
+/// The loop over one robot. It ends with the torque off whatever happens, as far as the bus lets it.
+pub struct ControlLoop<'a, R: Robot, C: Clock> {
+    robot: &'a mut R,
+    clock: &'a C,
+    plan: RunPlan,
+    runner: PolicyRunner,
+    updates: Updates,
+    log: Option<FlightLog>,
+    metrics: RobotMetrics,
+    gravity: GravityFilter,
+    gate: OutputGate,
+    motion: Motion,
+    /// Sensed by [`ControlLoop::start`], used by the first tick.
+    first: Option<Sensed>,
+    last_time_s: f64,
+    walk_start_s: Option<f64>,
+    trial_ticks: u32,
+    fallen_ticks: u32,
+    late_in_a_row: u32,
+    ended: Option<Ended>,
+    counts: Counts,
+}
+
+impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
+    /// Takes the first readings; nothing moves yet.
+    ///
+    /// # Errors
+    /// [`DeployError::Bus`].
+    pub fn start(
+        robot: &'a mut R,
+        clock: &'a C,
+        plan: RunPlan,
+        runner: PolicyRunner,
+        updates: Updates,
+        metrics: RobotMetrics,
+    ) -> Result<Self, DeployError> {
+        let mut gravity = GravityFilter::new();
+        let period_s = plan.period.as_secs_f32();
+        let servos = robot.read(FIRST_READ_DEADLINE)?;
+        let first = complete(robot, &mut gravity, servos, period_s)?;
+        let joints = *runner.joints();
+        metrics.policy_version.set(version_gauge(&runner));
+        Ok(Self {
+            gate: OutputGate::new(&joints, plan.step_max_rad, first.servos.pos_rad),
+            motion: Motion::new(joints.nominal_rad, period_s),
+            last_time_s: first.servos.time_s,
+            first: Some(first),
+            robot,
+            clock,
+            plan,
+            runner,
+            updates,
+            log: None,
+            metrics,
+            gravity,
+            walk_start_s: None,
+            trial_ticks: 0,
+            fallen_ticks: 0,
+            late_in_a_row: 0,
+            ended: None,
+            counts: Counts::default(),
+        })
+    }
+
+    /// What was sensed first, until [`ControlLoop::run`] begins.
+    pub fn first(&self) -> Option<&Sensed> {
+        self.first.as_ref()
+    }
+
+    /// Writes every tick to `log`.
+    pub fn set_log(&mut self, log: FlightLog) {
+        self.log = Some(log);
+    }
+
+    /// The policy that runs.
+    pub fn runner(&self) -> &PolicyRunner {
+        &self.runner
+    }
+
+    /// Gives the log and the counts back, after [`ControlLoop::run`].
+    pub fn into_parts(self) -> (Option<FlightLog>, Counts) {
+        (self.log, self.counts)
+    }
+
+    /// Stands up, walks, stands, lets go.
+    ///
+    /// # Errors
+    /// [`DeployError::Bus`] where the robot is lost; the torque was switched off as far as that was possible.
+    pub fn run(&mut self, stop: &StopFlag) -> Result<Ended, DeployError> {
+        let mut pacer = Pacer::new(self.clock.now(), self.plan.period);
+        let result = loop {
+            let due = pacer.next(self.clock.now());
+            self.metrics.overruns.inc_by(due.skipped);
+            self.clock.sleep_until(due.at);
+            let woke = self.clock.now();
+            match self.tick(stop) {
+                Err(error) => break Err(error),
+                Ok(()) if self.motion.stage() == Stage::Off => break Ok(()),
+                Ok(()) => {}
+            }
+            self.note_latency(due.at, woke);
+        };
+        self.counts.overruns = pacer.overruns();
+        self.counts.held = self.gate.held();
+        self.counts.rate_limited = self.gate.rate_limited();
+        let limp = self.robot.torque_off();
+        result?;
+        limp?;
+        Ok(self.ended.unwrap_or(Ended::Signal))
+    }
+
+    fn note_latency(&mut self, due: Duration, woke: Duration) {
+        let took = self.clock.now().saturating_sub(woke);
+        self.counts.tick_latency.add(took);
+        self.counts.wake_latency.add(woke.saturating_sub(due));
+        self.metrics.tick_seconds.observe(took.as_secs_f64());
+    }
+
+    fn tick(&mut self, stop: &StopFlag) -> Result<(), DeployError> {
+        let Some(sensed) = self.sense()? else {
+            return Ok(());
+        };
+        self.counts.ticks += 1;
+        self.metrics.ticks.inc();
+        let dt_s = sensed.servos.time_s - self.last_time_s;
+        self.last_time_s = sensed.servos.time_s;
+        self.watch_for_the_end(stop, &sensed);
+        self.swap_policy();
+        let sent = self.gate.last_rad();
+        let wanted = if self.motion.stage() == Stage::Walk {
+            self.walk(&sensed, dt_s)
+        } else {
+            Some(sent)
+        };
+        let targets = match wanted {
+            Some(policy) => self.motion.targets(policy, sent, sensed.servos.pos_rad),
+            None => sent,
+        };
+        let targets = self.gate.pass(targets);
+        self.robot.write(&targets)?;
+        if let Some(log) = &mut self.log {
+            log.push(LogRow {
+                command_rad: targets,
+                torque: true,
+                servos: sensed.servos,
+                imu: sensed.imu,
+                gravity: sensed.gravity,
+                truth: sensed.truth,
+            });
+        }
+        Ok(())
+    }
+
+    /// Everything sensed; `None` where it did not come in time.
+    fn sense(&mut self) -> Result<Option<Sensed>, DeployError> {
+        if let Some(first) = self.first.take() {
+            return Ok(Some(first));
+        }
+        match self.robot.read(READ_DEADLINE) {
+            Ok(servos) => {
+                self.late_in_a_row = 0;
+                let dt_s = (servos.time_s - self.last_time_s) as f32;
+                Ok(Some(complete(self.robot, &mut self.gravity, servos, dt_s)?))
+            }
+            Err(BusError::Timeout { .. }) if self.late_in_a_row < LATE_IN_A_ROW_MAX => {
+                self.late_in_a_row += 1;
+                self.counts.late_readings += 1;
+                self.metrics.late_readings.inc();
+                Ok(None)
+            }
+            Err(BusError::Timeout { .. }) => Err(BusError::Lost {
+                reason: format!("no readings for {LATE_IN_A_ROW_MAX} ticks"),
+            }
+            .into()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Time over, asked to stop, or fallen.
+    fn watch_for_the_end(&mut self, stop: &StopFlag, sensed: &Sensed) {
+        let walked_s = self
+            .walk_start_s
+            .map_or(0.0, |start| sensed.servos.time_s - start);
+        // Half a period early is nearer than half a period late.
+        let margin_s = 0.5 * self.plan.period.as_secs_f64();
+        let over = self
+            .plan
+            .walk_s
+            .is_some_and(|wanted| walked_s + margin_s >= wanted);
+        if self.motion.stage() == Stage::Walk && self.walk_start_s.is_some() && over {
+            self.ended.get_or_insert(Ended::Time);
+            self.motion.finish();
+        }
+        if stop.is_set() {
+            self.ended.get_or_insert(Ended::Signal);
+            self.motion.finish();
+        }
+        let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z;
+        self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
+        if self.fallen_ticks == FALLEN_TICKS && self.motion.stage() == Stage::Walk {
+            tracing::error!(gravity = ?sensed.gravity, "the robot fell: stopping");
+            self.ended = Some(Ended::Fallen);
+            self.motion.damp();
+        }
+    }
+
+    /// Takes over a newer policy, with empty history, blended in from what was sent last.
+    fn swap_policy(&mut self) {
+        if !matches!(
+            self.motion.stage(),
+            Stage::Rise | Stage::Settle | Stage::Walk
+        ) {
+            return;
+        }
+        let Some(verified) = self.updates.take() else {
+            return;
+        };
+        match PolicyRunner::new(verified, Some(self.runner.clock())) {
+            Ok(runner) => {
+                tracing::info!(policy = %runner.policy(), "policy swapped in");
+                let old = std::mem::replace(&mut self.runner, runner);
+                self.updates.tell(PolicyEvent::Replaced(Box::new(old)));
+                self.metrics.policy_version.set(version_gauge(&self.runner));
+                self.counts.swaps += 1;
+                self.trial_ticks = 0;
+                self.motion.blend_again(self.gate.last_rad());
+            }
+            Err(error) => tracing::error!(%error, "policy not swapped in"),
+        }
+    }
+
+    /// The policy's targets; `None`: hold what was sent last.
+    fn walk(&mut self, sensed: &Sensed, dt_s: f64) -> Option<[f32; ACT_DIM]> {
+        let start_s = match self.walk_start_s {
+            Some(start) => {
+                self.runner.advance(self.periods(dt_s));
+                start
+            }
+            None => *self.walk_start_s.insert(sensed.servos.time_s),
+        };
+        self.counts.walked_s = sensed.servos.time_s - start_s + self.plan.period.as_secs_f64();
+        if let (Some(pos), Some(quat)) = (sensed.truth.base_pos_m, sensed.truth.base_quat_wxyz) {
+            self.counts.odometer.add(pos, quat, dt_s);
+        }
+        let wanted = self.plan.commands.at(sensed.servos.time_s - start_s);
+        let command = self.runner.trained_command(wanted);
+        for (sum, value) in self.counts.command_sum.iter_mut().zip(command) {
+            *sum += f64::from(value);
+        }
+        self.counts.walking_ticks += 1;
+        let view = View {
+            servos: &sensed.servos,
+            gyro_radps: sensed.imu.gyro_radps,
+            gravity: sensed.gravity,
+            command,
+        };
+        match self.runner.act(&view) {
+            Some(targets) => {
+                self.gate.good();
+                self.trial_ticks += 1;
+                if self.trial_ticks == TRIAL_TICKS {
+                    self.updates
+                        .tell(PolicyEvent::Good(self.runner.policy().sha256));
+                }
+                Some(targets)
+            }
+            None => {
+                self.bad_action();
+                None
+            }
+        }
+    }
+
+    fn bad_action(&mut self) {
+        self.metrics.held_actions.inc();
+        self.trial_ticks = 0;
+        if self.gate.hold() == Held::Stop {
+            let policy = self.runner.policy().clone();
+            tracing::error!(%policy, "actions are not finite: stopping");
+            let reason = format!("gave {HELD_IN_A_ROW_MAX} actions in a row that are not finite");
+            self.updates.tell(PolicyEvent::Bad { policy, reason });
+            self.ended = Some(Ended::BadActions);
+            self.motion.damp();
+        }
+    }
+
+    /// Whole periods in `dt_s`, at least one; a long gap does not send the gait clock round and round.
+    fn periods(&self, dt_s: f64) -> u32 {
+        let periods = (dt_s / self.plan.period.as_secs_f64()).round();
+        periods.clamp(1.0, 50.0) as u32
+    }
+}
+
+/// How long the first readings may take.
+const FIRST_READ_DEADLINE: Duration = Duration::from_secs(5);
+
+fn version_gauge(runner: &PolicyRunner) -> i64 {
+    i64::try_from(runner.policy().version).unwrap_or(i64::MAX)
+}
+
+/// Adds the IMU and what follows from it to servo readings taken `dt_s` after the last ones.
+fn complete<R: Robot>(
+    robot: &mut R,
+    filter: &mut GravityFilter,
+    servos: ServoReadings,
+    dt_s: f32,
+) -> Result<Sensed, DeployError> {
+    let imu = robot.reading()?;
+    let estimate = filter.update(imu.gyro_radps, imu.acc_mps2, dt_s);
+    Ok(Sensed {
+        servos,
+        imu,
+        gravity: imu.gravity.unwrap_or(estimate),
+        truth: robot.ground_truth(),
+    })
+}
+
+#[cfg(test)]
+mod tests;

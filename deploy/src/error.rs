@@ -1,0 +1,194 @@
+//! What can go wrong on the robot, and the exit code of each.
+
+use std::io;
+use std::path::PathBuf;
+
+use caudata_durable::DurableError;
+use caudata_model::ModelError;
+use caudata_policy::PolicyError;
+use caudata_proto::registry::RegistryError;
+use caudata_registry_client::ClientError;
+use caudata_runlog::LogError;
+use caudata_telemetry::{ExitCode, Failure};
+
+use crate::bus::BusError;
+use crate::state::PolicyRef;
+use crate::verify::Refusal;
+
+/// Errors of this crate.
+#[derive(Debug, thiserror::Error)]
+pub enum DeployError {
+    /// The robot file is missing or wrong.
+    #[error("robot file {}: {source}", path.display())]
+    Robot {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        source: ModelError,
+    },
+    /// The robot is not one that the task can drive.
+    #[error("robot file {}: {source}", path.display())]
+    Task {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        source: caudata_task::TaskError,
+    },
+    /// The stream's name.
+    #[error("stream `{name}`: {source}")]
+    Stream {
+        /// What was given.
+        name: String,
+        /// What a name must be.
+        source: RegistryError,
+    },
+    /// The policy server.
+    #[error(transparent)]
+    Server(#[from] ClientError),
+    /// The server has no policy in this stream.
+    #[error("policy server has no policy in stream `{stream}`")]
+    NoPolicy {
+        /// Which stream.
+        stream: String,
+    },
+    /// A policy must not run here.
+    #[error("policy {policy} refused: {refusal}")]
+    Refused {
+        /// Which one.
+        policy: PolicyRef,
+        /// Why.
+        refusal: Refusal,
+    },
+    /// A policy gave actions that are not finite.
+    #[error(
+        "policy {policy} gave {in_a_row} actions in a row that are not finite; the robot was stopped and the policy is quarantined"
+    )]
+    BadActions {
+        /// Which one.
+        policy: PolicyRef,
+        /// How many.
+        in_a_row: u32,
+    },
+    /// ONNX Runtime is not there.
+    #[error(transparent)]
+    Runtime(PolicyError),
+    /// The state file.
+    #[error("{} cannot be trusted: {reason}", path.display())]
+    StateDamaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A folder or file cannot be used.
+    #[error("cannot use {}: {source}", path.display())]
+    Folder {
+        /// Which.
+        path: PathBuf,
+        /// The system's words.
+        source: io::Error,
+    },
+    /// A policy that the state names is not on the disk.
+    #[error("policy file {} cannot be read: {source}", path.display())]
+    BlobMissing {
+        /// Where it should be.
+        path: PathBuf,
+        /// The system's words.
+        source: io::Error,
+    },
+    /// A policy on the disk has other bytes than those that were verified.
+    #[error("policy file {} is damaged: its hash differs from its name", path.display())]
+    BlobDamaged {
+        /// Which file.
+        path: PathBuf,
+    },
+    /// The disk refuses.
+    #[error(transparent)]
+    Durable(#[from] DurableError),
+    /// The servo bus or the IMU.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The flight log.
+    #[error("flight log: {0}")]
+    Log(#[from] LogError),
+    /// The command file.
+    #[error("command file {}: {reason}", path.display())]
+    Commands {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// Threads or sockets are refused.
+    #[error("the system refuses {what}: {source}")]
+    System {
+        /// What was asked for.
+        what: &'static str,
+        /// Its words.
+        source: io::Error,
+    },
+    /// A bug.
+    #[error("internal error: {what}")]
+    Internal {
+        /// What happened.
+        what: String,
+    },
+}
+
+impl DeployError {
+    /// The exit code that the error stands for.
+    pub fn exit_code(&self) -> ExitCode {
+        match self {
+            Self::Robot {
+                source: ModelError::Read { .. },
+                ..
+            }
+            | Self::BlobMissing { .. }
+            | Self::Runtime(_) => ExitCode::NoInput,
+            Self::Robot { .. }
+            | Self::Task { .. }
+            | Self::StateDamaged { .. }
+            | Self::BlobDamaged { .. }
+            | Self::Commands { .. } => ExitCode::BadInput,
+            Self::Stream { .. } | Self::Server(ClientError::Address { .. }) => ExitCode::BadConfig,
+            Self::Server(ClientError::BadAnswer(_)) | Self::Bus(BusError::Protocol { .. }) => {
+                ExitCode::Protocol
+            }
+            Self::Server(_) | Self::NoPolicy { .. } | Self::Bus(_) => ExitCode::Unavailable,
+            Self::Refused { .. } | Self::BadActions { .. } => ExitCode::PolicyRefused,
+            Self::Durable(e) if e.is_disk_full() => ExitCode::IoError,
+            Self::Folder { .. } | Self::Durable(_) => ExitCode::CannotCreate,
+            Self::Log(LogError::Io { source, .. }) => ExitCode::of_io(source, true),
+            Self::Log(_) => ExitCode::CannotCreate,
+            Self::System { .. } => ExitCode::OsResource,
+            Self::Internal { .. } => ExitCode::Internal,
+        }
+    }
+
+    /// What the user can do, where that is not in the message.
+    pub fn hint(&self) -> Option<&'static str> {
+        match self {
+            Self::StateDamaged { .. } => {
+                Some("move the state folder away; the next run fetches the newest policy again")
+            }
+            Self::NoPolicy { .. } => {
+                Some("`caudata policy list` shows the streams; training publishes under its run id")
+            }
+            Self::Refused { .. } => Some("nothing else is on this robot's disk to run instead"),
+            Self::Bus(BusError::Connect { .. }) => {
+                Some("`caudata sim robot` starts a simulated robot and prints its address")
+            }
+            _ => None,
+        }
+    }
+}
+
+/// The failure that ends the process.
+pub fn failure(error: DeployError) -> Failure {
+    let hint = error.hint();
+    let failure = Failure::new(error.exit_code(), error);
+    match hint {
+        Some(hint) => failure.hint(hint),
+        None => failure,
+    }
+}

@@ -1,0 +1,137 @@
+//! The last thing between a policy and the servos: finite, within the joint limits, not too far from what was sent last.
+
+use caudata_task::{ACT_DIM, JointTable};
+
+/// Actions in a row that may be held because they were not finite; with this many the robot is stopped.
+pub const HELD_IN_A_ROW_MAX: u32 = 3;
+
+/// What became of an action that is not finite.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Held {
+    /// The last target is sent again.
+    Hold,
+    /// The policy cannot be trusted any more.
+    Stop,
+}
+
+/// Checks every target before it is sent.
+#[derive(Clone, Debug)]
+pub struct OutputGate {
+    lower_rad: [f32; ACT_DIM],
+    upper_rad: [f32; ACT_DIM],
+    step_max_rad: f32,
+    last_rad: [f32; ACT_DIM],
+    in_a_row: u32,
+    held: u64,
+    rate_limited: u64,
+}
+
+impl OutputGate {
+    /// A gate for the limits of `joints`; targets move by at most `step_max_rad` per tick, from `start_rad` on.
+    pub fn new(joints: &JointTable, step_max_rad: f32, start_rad: [f32; ACT_DIM]) -> Self {
+        Self {
+            lower_rad: joints.lower_rad,
+            upper_rad: joints.upper_rad,
+            step_max_rad,
+            last_rad: start_rad,
+            in_a_row: 0,
+            held: 0,
+            rate_limited: 0,
+        }
+    }
+
+    /// What may be sent instead of `targets_rad`: within the limits, and near enough to the last one.
+    pub fn pass(&mut self, targets_rad: [f32; ACT_DIM]) -> [f32; ACT_DIM] {
+        let mut limited = false;
+        for i in 0..ACT_DIM {
+            // A target that is not a number leaves the joint where it was sent last.
+            let wanted = if targets_rad[i].is_nan() {
+                self.last_rad[i]
+            } else {
+                targets_rad[i].max(self.lower_rad[i]).min(self.upper_rad[i])
+            };
+            let step = wanted - self.last_rad[i];
+            limited |= step.abs() > self.step_max_rad;
+            self.last_rad[i] += step.max(-self.step_max_rad).min(self.step_max_rad);
+        }
+        self.rate_limited += u64::from(limited);
+        self.last_rad
+    }
+
+    /// Counts an action that is not finite.
+    pub fn hold(&mut self) -> Held {
+        self.held += 1;
+        self.in_a_row += 1;
+        if self.in_a_row >= HELD_IN_A_ROW_MAX {
+            return Held::Stop;
+        }
+        Held::Hold
+    }
+
+    /// A good action came: the row is broken.
+    pub fn good(&mut self) {
+        self.in_a_row = 0;
+    }
+
+    /// What was sent last, rad.
+    pub fn last_rad(&self) -> [f32; ACT_DIM] {
+        self.last_rad
+    }
+
+    /// Actions held so far.
+    pub fn held(&self) -> u64 {
+        self.held
+    }
+
+    /// Ticks in which at least one joint's target was slowed down.
+    pub fn rate_limited(&self) -> u64 {
+        self.rate_limited
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gate() -> OutputGate {
+        let joints = JointTable {
+            nominal_rad: [0.0; ACT_DIM],
+            lower_rad: [-0.5; ACT_DIM],
+            upper_rad: [1.0; ACT_DIM],
+        };
+        OutputGate::new(&joints, 0.25, [0.0; ACT_DIM])
+    }
+
+    #[test]
+    fn targets_stay_within_the_limits() {
+        let mut gate = gate();
+        // 0 → 9: limited to 1.0 by the joint, reached in steps of 0.25.
+        let sent: Vec<f32> = (0..5).map(|_| gate.pass([9.0; ACT_DIM])[3]).collect();
+        assert_eq!(sent, [0.25, 0.5, 0.75, 1.0, 1.0]);
+        assert_eq!(gate.rate_limited(), 3, "the last two steps were 0.25 and 0");
+        for _ in 0..10 {
+            gate.pass([f32::NEG_INFINITY; ACT_DIM]);
+        }
+        assert_eq!(gate.last_rad(), [-0.5; ACT_DIM]);
+    }
+
+    #[test]
+    fn a_target_that_is_not_a_number_moves_nothing() {
+        let mut gate = gate();
+        gate.pass([0.2; ACT_DIM]);
+        let mut targets = [0.3; ACT_DIM];
+        targets[7] = f32::NAN;
+        let sent = gate.pass(targets);
+        assert_eq!((sent[7], sent[8]), (0.2, 0.3));
+    }
+
+    #[test]
+    fn three_bad_actions_in_a_row_stop_two_do_not() {
+        let mut gate = gate();
+        assert_eq!([gate.hold(), gate.hold()], [Held::Hold; 2]);
+        gate.good();
+        assert_eq!([gate.hold(), gate.hold()], [Held::Hold; 2]);
+        assert_eq!(gate.hold(), Held::Stop);
+        assert_eq!(gate.held(), 5);
+    }
+}

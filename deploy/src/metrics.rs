@@ -1,0 +1,55 @@
+//! What the robot tells Prometheus.
+
+use caudata_telemetry::{Counter, Histogram, IntGauge, Metrics};
+
+/// Metrics of the control loop and of the policies.
+#[derive(Clone, Debug)]
+pub struct RobotMetrics {
+    /// Control ticks.
+    pub ticks: Counter,
+    /// Periods skipped because a tick took too long.
+    pub overruns: Counter,
+    /// Ticks without readings in time.
+    pub late_readings: Counter,
+    /// Actions that were not finite.
+    pub held_actions: Counter,
+    /// From waking to the command sent, s.
+    pub tick_seconds: Histogram,
+    /// Version that runs.
+    pub policy_version: IntGauge,
+    /// Policies that were refused.
+    pub refused: Counter,
+}
+
+impl RobotMetrics {
+    /// Registers everything.
+    pub fn register(metrics: &Metrics) -> Self {
+        Self {
+            ticks: metrics.counter("caudata_robot_ticks_total", "Control ticks"),
+            overruns: metrics.counter(
+                "caudata_control_deadline_missed_total",
+                "Control periods skipped because a tick took too long",
+            ),
+            late_readings: metrics.counter(
+                "caudata_robot_late_readings_total",
+                "Control ticks without sensor readings in time",
+            ),
+            held_actions: metrics.counter(
+                "caudata_robot_held_actions_total",
+                "Actions that were not finite; the last target was held",
+            ),
+            tick_seconds: metrics.seconds(
+                "caudata_robot_tick_seconds",
+                "From waking to the command sent",
+            ),
+            policy_version: metrics.int_gauge(
+                "caudata_robot_policy_version",
+                "Version of the policy that runs",
+            ),
+            refused: metrics.counter(
+                "caudata_robot_policies_refused_total",
+                "Policies that must not run on this robot",
+            ),
+        }
+    }
+}

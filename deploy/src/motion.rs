@@ -1,0 +1,247 @@
+//! From limp to walking and back: soft start, blend into the policy, return to stand, damped stop.
+//!
+//! ```text
+//! Rise ──▶ Settle ──▶ Walk ──▶ Return ──▶ Rest ──▶ Off
+//!   └────────┴── asked to stop ──▲                  ▲
+//!   any ── policy or body out of order ──▶ Damped ──┘
+//! ```
+//! Pure: one call per control tick, time counts in ticks.
+
+use caudata_task::ACT_DIM;
+
+/// How fast joints move towards the nominal pose, rad/s.
+pub const RAMP_RADPS: f32 = 0.5;
+/// Standing still before the policy takes over, and before the torque goes off, s.
+pub const SETTLE_S: f32 = 0.5;
+/// From the pose held to the policy's targets, s.
+pub const BLEND_S: f32 = 0.5;
+/// How long the servos only brake before they go limp, s.
+pub const DAMPED_S: f32 = 1.0;
+
+/// What the robot is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// From wherever it lies to the nominal pose.
+    Rise,
+    /// Standing.
+    Settle,
+    /// The policy decides.
+    Walk,
+    /// Back to the nominal pose.
+    Return,
+    /// Standing, about to let go.
+    Rest,
+    /// Targets follow the measured pose: only the damping works.
+    Damped,
+    /// Torque off; done.
+    Off,
+}
+
+/// The sequence of one run.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    stage: Stage,
+    nominal_rad: [f32; ACT_DIM],
+    ticks_in_stage: u32,
+    period_s: f32,
+    blend_from_rad: [f32; ACT_DIM],
+    blend_tick: u32,
+}
+
+impl Motion {
+    /// Begins in [`Stage::Rise`].
+    pub fn new(nominal_rad: [f32; ACT_DIM], period_s: f32) -> Self {
+        Self {
+            stage: Stage::Rise,
+            nominal_rad,
+            ticks_in_stage: 0,
+            period_s,
+            blend_from_rad: nominal_rad,
+            blend_tick: 0,
+        }
+    }
+
+    /// The present stage.
+    pub fn stage(&self) -> Stage {
+        self.stage
+    }
+
+    /// Asks to come to an end in order: stand, then torque off.
+    pub fn finish(&mut self) {
+        if matches!(self.stage, Stage::Rise | Stage::Settle | Stage::Walk) {
+            self.enter(Stage::Return);
+        }
+    }
+
+    /// Stops at once: brake, then torque off.
+    pub fn damp(&mut self) {
+        if !matches!(self.stage, Stage::Damped | Stage::Off) {
+            self.enter(Stage::Damped);
+        }
+    }
+
+    /// Blends anew, from `from_rad` into a policy that was just changed.
+    pub fn blend_again(&mut self, from_rad: [f32; ACT_DIM]) {
+        self.blend_from_rad = from_rad;
+        self.blend_tick = 0;
+    }
+
+    /// The targets of this tick. `policy_rad` counts in [`Stage::Walk`] only; `sent_rad` went out in the tick before (the
+    /// measured pose before the first), `measured_rad` is the present pose.
+    pub fn targets(
+        &mut self,
+        policy_rad: [f32; ACT_DIM],
+        sent_rad: [f32; ACT_DIM],
+        measured_rad: [f32; ACT_DIM],
+    ) -> [f32; ACT_DIM] {
+        self.ticks_in_stage += 1;
+        match self.stage {
+            Stage::Rise => self.ramp(sent_rad, Stage::Settle),
+            Stage::Settle => {
+                if self.in_stage_for(SETTLE_S) {
+                    self.enter(Stage::Walk);
+                    self.blend_again(sent_rad);
+                }
+                self.nominal_rad
+            }
+            Stage::Walk => self.blended(policy_rad),
+            Stage::Return => self.ramp(sent_rad, Stage::Rest),
+            Stage::Rest => {
+                if self.in_stage_for(SETTLE_S) {
+                    self.enter(Stage::Off);
+                }
+                self.nominal_rad
+            }
+            Stage::Damped => {
+                if self.in_stage_for(DAMPED_S) {
+                    self.enter(Stage::Off);
+                }
+                measured_rad
+            }
+            Stage::Off => sent_rad,
+        }
+    }
+
+    fn enter(&mut self, stage: Stage) {
+        tracing::debug!(from = ?self.stage, to = ?stage, "stage");
+        self.stage = stage;
+        self.ticks_in_stage = 0;
+    }
+
+    fn in_stage_for(&self, seconds: f32) -> bool {
+        self.ticks_in_stage >= ticks(seconds, self.period_s)
+    }
+
+    /// One step of at most `RAMP_RADPS` per joint towards the nominal pose.
+    fn ramp(&mut self, sent_rad: [f32; ACT_DIM], then: Stage) -> [f32; ACT_DIM] {
+        let step = RAMP_RADPS * self.period_s;
+        let targets: [f32; ACT_DIM] = std::array::from_fn(|i| {
+            sent_rad[i] + (self.nominal_rad[i] - sent_rad[i]).max(-step).min(step)
+        });
+        if targets == self.nominal_rad {
+            self.enter(then);
+        }
+        targets
+    }
+
+    fn blended(&mut self, policy_rad: [f32; ACT_DIM]) -> [f32; ACT_DIM] {
+        let whole = ticks(BLEND_S, self.period_s);
+        self.blend_tick = (self.blend_tick + 1).min(whole);
+        if self.blend_tick == whole {
+            return policy_rad;
+        }
+        let share = self.blend_tick as f32 / whole as f32;
+        std::array::from_fn(|i| (1.0 - share) * self.blend_from_rad[i] + share * policy_rad[i])
+    }
+}
+
+/// Ticks that make up `seconds`, at least one.
+fn ticks(seconds: f32, period_s: f32) -> u32 {
+    ((seconds / period_s).round() as u32).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ZERO: [f32; ACT_DIM] = [0.0; ACT_DIM];
+    const POLICY: [f32; ACT_DIM] = [0.5; ACT_DIM];
+
+    /// Runs until the stage changes; how many ticks that took, and the last targets.
+    fn run(motion: &mut Motion, sent: &mut [f32; ACT_DIM]) -> u32 {
+        let stage = motion.stage();
+        for tick in 1..10_000 {
+            *sent = motion.targets(POLICY, *sent, [0.3; ACT_DIM]);
+            if motion.stage() != stage {
+                return tick;
+            }
+        }
+        panic!("stays in {stage:?}");
+    }
+
+    #[test]
+    fn rises_at_half_a_radian_per_second() {
+        // The farthest joint is 0.2 rad away: 0.01 rad per tick (0.5 rad/s at 50 Hz), 20 ticks.
+        let mut motion = Motion::new(ZERO, 0.02);
+        let mut sent = [0.05; ACT_DIM];
+        sent[4] = -0.2;
+        let first = motion.targets(POLICY, sent, sent);
+        assert!((first[4] + 0.19).abs() < 1e-6 && (first[0] - 0.04).abs() < 1e-6);
+        sent = first;
+        assert!((19..=20).contains(&run(&mut motion, &mut sent)));
+        assert_eq!((motion.stage(), sent), (Stage::Settle, ZERO));
+        // 0.5 s of standing are 25 ticks.
+        assert_eq!(run(&mut motion, &mut sent), 25);
+        assert_eq!((motion.stage(), sent), (Stage::Walk, ZERO));
+    }
+
+    fn walking() -> Motion {
+        let mut motion = Motion::new(ZERO, 0.02);
+        let mut sent = ZERO;
+        while motion.stage() != Stage::Walk {
+            sent = motion.targets(POLICY, sent, ZERO);
+        }
+        motion
+    }
+
+    #[test]
+    fn the_policy_is_blended_in_over_25_ticks() {
+        let mut motion = walking();
+        let sent: Vec<f32> = (0..26)
+            .map(|_| motion.targets(POLICY, ZERO, ZERO)[0])
+            .collect();
+        // Tick k of 25 gives k/25 of 0.5.
+        assert!((sent[0] - 0.02).abs() < 1e-6);
+        assert!((sent[11] - 0.24).abs() < 1e-6);
+        assert_eq!(sent[24..], [0.5, 0.5]);
+        // A changed policy is blended in from what was sent last.
+        motion.blend_again([1.0; ACT_DIM]);
+        assert!((motion.targets(POLICY, ZERO, ZERO)[0] - 0.98).abs() < 1e-6);
+    }
+
+    #[test]
+    fn asked_to_finish_it_stands_before_it_lets_go() {
+        let mut motion = walking();
+        let mut sent = [0.1; ACT_DIM];
+        motion.finish();
+        assert_eq!(motion.stage(), Stage::Return);
+        // 0.1 rad at 0.01 rad per tick.
+        assert!((10..=11).contains(&run(&mut motion, &mut sent)));
+        assert_eq!((motion.stage(), sent), (Stage::Rest, ZERO));
+        assert_eq!(run(&mut motion, &mut sent), 25);
+        assert_eq!(motion.stage(), Stage::Off);
+        motion.finish();
+        assert_eq!(motion.stage(), Stage::Off, "off is the end");
+    }
+
+    #[test]
+    fn damped_follows_the_measured_pose_for_a_second_then_lets_go() {
+        let mut motion = walking();
+        motion.damp();
+        let mut sent = ZERO;
+        assert_eq!(run(&mut motion, &mut sent), 50);
+        assert_eq!((motion.stage(), sent), (Stage::Off, [0.3; ACT_DIM]));
+        motion.damp();
+        assert_eq!(motion.stage(), Stage::Off);
+    }
+}

@@ -1,0 +1,141 @@
+//! A policy at work: observation, inference, action filter and gait clock, by the same code as in training.
+
+use caudata_policy::Inference;
+use caudata_task::action::{ActionConfig, ActionFilter};
+use caudata_task::observation::ObservationInput;
+use caudata_task::phase::{PhaseClock, PhaseConfig};
+use caudata_task::{ACT_DIM, ACTION_HISTORY, COMMAND_DIM, JointTable, ObservationLayout};
+
+use crate::DeployError;
+use crate::bus::ServoReadings;
+use crate::state::PolicyRef;
+use crate::verify::Verified;
+
+/// Commands that a policy was trained for, [min, max] of vx, vy (m/s) and yaw rate (rad/s).
+pub type CommandRanges = [[f32; 2]; COMMAND_DIM];
+
+/// Runs one policy.
+#[derive(Debug)]
+pub struct PolicyRunner {
+    policy: PolicyRef,
+    inference: Inference,
+    layout: ObservationLayout,
+    joints: JointTable,
+    action_config: ActionConfig,
+    phase_config: PhaseConfig,
+    ranges: CommandRanges,
+    period_s: f32,
+    clock: PhaseClock,
+    filter: ActionFilter,
+    /// Clipped, newest first.
+    actions: [[f32; ACT_DIM]; ACTION_HISTORY],
+    obs: Vec<f32>,
+}
+
+/// What the policy sees of one moment.
+#[derive(Clone, Copy, Debug)]
+pub struct View<'a> {
+    /// The servos.
+    pub servos: &'a ServoReadings,
+    /// Angular velocity, rad/s, IMU frame.
+    pub gyro_radps: [f32; 3],
+    /// Direction of gravity, unit vector, IMU frame.
+    pub gravity: [f32; 3],
+    /// Commanded vx, vy (m/s), yaw rate (rad/s).
+    pub command: [f32; COMMAND_DIM],
+}
+
+impl PolicyRunner {
+    /// Takes over a policy that passed every check. `carry_on` is the clock of the policy before it, whose phase goes on.
+    ///
+    /// # Errors
+    /// [`DeployError::Internal`] where the contract lacks joints, which verification excludes.
+    pub fn new(verified: Verified, carry_on: Option<&PhaseClock>) -> Result<Self, DeployError> {
+        let contract = &verified.file.metadata().contract;
+        let joints = contract.joint_table().ok_or(DeployError::Internal {
+            what: "a verified policy lacks joints".to_owned(),
+        })?;
+        let [low_hz, high_hz] = contract.phase.frequency_hz;
+        let command = &contract.command;
+        let phase_rad = carry_on.map_or(0.0, |clock| clock.phases_rad()[0]);
+        Ok(Self {
+            layout: contract.observation.clone(),
+            joints,
+            action_config: contract.action,
+            phase_config: contract.phase.config(),
+            ranges: [command.vx_mps, command.vy_mps, command.yaw_rate_radps],
+            period_s: contract.control_period_s as f32,
+            clock: PhaseClock::new(phase_rad, 0.5 * (low_hz + high_hz)),
+            filter: ActionFilter::new(),
+            actions: [[0.0; ACT_DIM]; ACTION_HISTORY],
+            obs: vec![0.0; contract.obs_dim()],
+            policy: verified.policy,
+            inference: verified.inference,
+        })
+    }
+
+    /// Which policy this is.
+    pub fn policy(&self) -> &PolicyRef {
+        &self.policy
+    }
+
+    /// Its gait clock.
+    pub fn clock(&self) -> &PhaseClock {
+        &self.clock
+    }
+
+    /// The joints as the policy knows them.
+    pub fn joints(&self) -> &JointTable {
+        &self.joints
+    }
+
+    /// `wanted` brought into the range that the policy was trained for; a command to stand stays one.
+    pub fn trained_command(&self, wanted: [f32; COMMAND_DIM]) -> [f32; COMMAND_DIM] {
+        if wanted == [0.0; COMMAND_DIM] {
+            return wanted;
+        }
+        std::array::from_fn(|i| wanted[i].max(self.ranges[i][0]).min(self.ranges[i][1]))
+    }
+
+    /// Moves the gait clock on by whole control periods.
+    pub fn advance(&mut self, periods: u32) {
+        for _ in 0..periods {
+            self.clock.advance(self.period_s);
+        }
+    }
+
+    /// Position targets, rad, within the joint limits. `None` where inference failed or gave a number that is not finite;
+    /// history and filter are then as before.
+    pub fn act(&mut self, view: &View) -> Option<[f32; ACT_DIM]> {
+        self.clock.set_command(&self.phase_config, &view.command);
+        let observation = ObservationInput {
+            joint_vel_radps: &view.servos.vel_radps,
+            joint_pos_rad: &view.servos.pos_rad,
+            gyro_radps: view.gyro_radps,
+            gravity: view.gravity,
+            phase_rad: self.clock.phases_rad(),
+            command: view.command,
+            previous_actions: &self.actions,
+            medium: None,
+        };
+        let mut action = [0.0; ACT_DIM];
+        let nominal = &self.joints.nominal_rad;
+        if let Err(error) = observation.write(&self.layout, nominal, &mut self.obs) {
+            tracing::error!(%error, "no observation");
+            return None;
+        }
+        if let Err(error) = self.inference.run(&self.obs, 1, &mut action) {
+            tracing::error!(%error, "inference failed");
+            return None;
+        }
+        if !action.iter().all(|a| a.is_finite()) {
+            return None;
+        }
+        self.actions.rotate_right(1);
+        self.actions[0] = self.action_config.clipped(&action);
+        Some(
+            self.filter
+                .apply(&self.action_config, &action, &self.joints),
+        )
+    }
+}

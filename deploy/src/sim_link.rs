@@ -1,0 +1,234 @@
+//! The simulated robot in another process, over TCP: servo bus and IMU in one.
+//!
+//! The two sides run in lock-step: the robot answers each command with the readings at the end of that control period.
+//! Reads have deadlines; a reading that comes late is taken by a later tick, and the robot's time stands still meanwhile.
+
+use std::io::ErrorKind;
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::{Duration, Instant};
+
+use caudata_model::RobotModel;
+use caudata_proto::framing::{FrameError, FrameReader, write_frame};
+use caudata_proto::robot_link::{
+    Command, Hello, JOINTS, MAX_MESSAGE_BYTES, RobotMessage, Sensors, decode, encode,
+};
+
+use crate::bus::{BusError, GroundTruth, Imu, ImuReading, Robot, ServoBus, ServoReadings};
+
+/// Time to connect, and for the robot to say hello and give its first readings.
+pub const HELLO_TIMEOUT: Duration = Duration::from_secs(10);
+/// Time for one command to leave.
+pub const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
+/// How far the two sides' control periods may be apart, s.
+const PERIOD_TOLERANCE_S: f64 = 1e-9;
+
+/// A connection to a simulated robot.
+#[derive(Debug)]
+pub struct SimLink {
+    address: String,
+    stream: TcpStream,
+    reader: FrameReader,
+    tick: u64,
+    /// The newest readings, and whether [`ServoBus::read`] gave them out.
+    sensors: Option<(Box<Sensors>, bool)>,
+}
+
+impl SimLink {
+    /// Connects to `address` (`host:port`) and compares hellos.
+    ///
+    /// # Errors
+    /// [`BusError::Connect`] where nobody answers, [`BusError::Protocol`] where it is another robot.
+    pub fn connect(
+        address: &str,
+        model: &RobotModel,
+        control_period_s: f64,
+    ) -> Result<Self, BusError> {
+        let stream = connect(address).map_err(|reason| BusError::Connect {
+            address: address.to_owned(),
+            reason,
+        })?;
+        let mut link = Self {
+            address: address.to_owned(),
+            stream,
+            reader: FrameReader::new(MAX_MESSAGE_BYTES),
+            tick: 0,
+            sensors: None,
+        };
+        let own = hello_of(model, control_period_s);
+        link.send(&RobotMessage::Hello(Box::new(own.clone())))?;
+        let RobotMessage::Hello(theirs) = link.receive(HELLO_TIMEOUT)? else {
+            return Err(link.protocol("it did not say hello"));
+        };
+        if let Some(reason) = compare(&own, &theirs) {
+            return Err(link.protocol(reason));
+        }
+        let first = link.receive_sensors(HELLO_TIMEOUT)?;
+        link.sensors = Some((first, false));
+        Ok(link)
+    }
+
+    fn send(&mut self, message: &RobotMessage) -> Result<(), BusError> {
+        write_frame(&mut self.stream, &encode(message), MAX_MESSAGE_BYTES).map_err(|e| {
+            BusError::Lost {
+                reason: e.to_string(),
+            }
+        })
+    }
+
+    /// The next message, waiting at most `deadline` for all of it.
+    fn receive(&mut self, deadline: Duration) -> Result<RobotMessage, BusError> {
+        let lost = |reason: String| BusError::Lost { reason };
+        let end = Instant::now() + deadline;
+        loop {
+            let left = end.saturating_duration_since(Instant::now());
+            // The system takes a time-out of zero for none at all.
+            let left = left.max(Duration::from_micros(1));
+            self.stream
+                .set_read_timeout(Some(left))
+                .map_err(|e| lost(e.to_string()))?;
+            match self.reader.read(&mut self.stream) {
+                Ok(Some(payload)) => {
+                    let message = decode(payload).map_err(|e| e.to_string());
+                    return message.map_err(|reason| self.protocol(reason));
+                }
+                Ok(None) => return Err(lost("it hung up".to_owned())),
+                Err(FrameError::Io(e)) if e.kind() == ErrorKind::Interrupted => {}
+                Err(e) if e.is_timeout() && Instant::now() < end => {}
+                Err(e) if e.is_timeout() => return Err(BusError::Timeout { deadline }),
+                Err(e) => return Err(lost(e.to_string())),
+            }
+        }
+    }
+
+    fn receive_sensors(&mut self, deadline: Duration) -> Result<Box<Sensors>, BusError> {
+        match self.receive(deadline)? {
+            RobotMessage::Sensors(sensors) => Ok(sensors),
+            _ => Err(self.protocol("expected readings")),
+        }
+    }
+
+    fn command(&mut self, targets_rad: [f32; JOINTS], torque: bool) -> Result<(), BusError> {
+        self.tick += 1;
+        self.send(&RobotMessage::Command(Command {
+            tick: self.tick,
+            targets_rad,
+            torque_enabled: torque,
+        }))
+    }
+
+    fn protocol(&self, reason: impl Into<String>) -> BusError {
+        BusError::Protocol {
+            address: self.address.clone(),
+            reason: reason.into(),
+        }
+    }
+
+    fn newest(&self) -> Result<&Sensors, BusError> {
+        let newest = self.sensors.as_ref().map(|(sensors, _)| sensors.as_ref());
+        newest.ok_or(BusError::Lost {
+            reason: "no readings yet".to_owned(),
+        })
+    }
+}
+
+impl ServoBus for SimLink {
+    fn read(&mut self, deadline: Duration) -> Result<ServoReadings, BusError> {
+        if self.sensors.as_ref().is_none_or(|(_, given)| *given) {
+            let sensors = self.receive_sensors(deadline)?;
+            if sensors.tick != self.tick {
+                let reason = format!("it answers tick {}, asked was {}", sensors.tick, self.tick);
+                return Err(self.protocol(reason));
+            }
+            self.sensors = Some((sensors, false));
+        }
+        if let Some((_, given)) = &mut self.sensors {
+            *given = true;
+        }
+        let newest = self.newest()?;
+        Ok(ServoReadings {
+            time_s: newest.time_s,
+            pos_rad: newest.joint_pos_rad,
+            vel_radps: newest.joint_vel_radps,
+            current_a: newest.current_a,
+            supply_v: newest.supply_v,
+        })
+    }
+
+    fn write(&mut self, targets_rad: &[f32; JOINTS]) -> Result<(), BusError> {
+        self.command(*targets_rad, true)
+    }
+
+    fn torque_off(&mut self) -> Result<(), BusError> {
+        self.command([0.0; JOINTS], false)
+    }
+}
+
+impl Imu for SimLink {
+    fn reading(&mut self) -> Result<ImuReading, BusError> {
+        let newest = self.newest()?;
+        Ok(ImuReading {
+            gyro_radps: newest.gyro_radps,
+            acc_mps2: newest.acc_mps2,
+            gravity: newest.imu_gravity,
+        })
+    }
+}
+
+impl Robot for SimLink {
+    fn ground_truth(&self) -> GroundTruth {
+        let Ok(newest) = self.newest() else {
+            return GroundTruth::default();
+        };
+        GroundTruth {
+            base_pos_m: newest.base_pose.as_ref().map(|p| p.pos_m),
+            base_quat_wxyz: newest.base_pose.as_ref().map(|p| p.quat_wxyz),
+            foot_contacts: newest.foot_contacts,
+        }
+    }
+}
+
+/// What this side says about the robot. A robot with other than 16 joints has no hello; its missing names stay empty and
+/// the far side refuses them.
+fn hello_of(model: &RobotModel, control_period_s: f64) -> Hello {
+    let names = model.actuated_names();
+    Hello {
+        robot_name: model.name().to_owned(),
+        robot_hash: model.hash(),
+        joint_names: std::array::from_fn(|i| names.get(i).copied().unwrap_or_default().to_owned()),
+        control_period_s,
+    }
+}
+
+/// What differs between two hellos.
+fn compare(own: &Hello, theirs: &Hello) -> Option<String> {
+    if own.robot_name != theirs.robot_name {
+        return Some(format!("it is a `{}`", theirs.robot_name));
+    }
+    if own.joint_names != theirs.joint_names {
+        return Some("its joints have another order".to_owned());
+    }
+    if own.robot_hash != theirs.robot_hash {
+        return Some("it was built from another robot file; give both the same --robot".to_owned());
+    }
+    if (own.control_period_s - theirs.control_period_s).abs() > PERIOD_TOLERANCE_S {
+        let period = theirs.control_period_s;
+        return Some(format!("its control period is {period} s"));
+    }
+    None
+}
+
+fn connect(address: &str) -> Result<TcpStream, String> {
+    let resolved = address.to_socket_addrs().map_err(|e| e.to_string())?;
+    let mut reason = "the name has no address".to_owned();
+    for candidate in resolved {
+        match TcpStream::connect_timeout(&candidate, HELLO_TIMEOUT) {
+            Ok(stream) => {
+                stream.set_nodelay(true).map_err(|e| e.to_string())?;
+                let timeout = stream.set_write_timeout(Some(WRITE_TIMEOUT));
+                return timeout.map(|()| stream).map_err(|e| e.to_string());
+            }
+            Err(e) => reason = e.to_string(),
+        }
+    }
+    Err(reason)
+}

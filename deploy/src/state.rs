@@ -1,0 +1,315 @@
+//! Which policies the robot holds and trusts: a pure state machine, kept in `state.json`.
+//!
+//! ```text
+//! offered ──▶ fetched and verified ──▶ active ──▶ ran well ──▶ last good
+//!     └──────────── refused, or misbehaved ──▶ quarantined (with the reason)
+//! ```
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// `format` of the state file.
+pub const STATE_FORMAT: &str = "caudata.robot_state.v1";
+/// Quarantined policies that are remembered; older ones are forgotten.
+pub const QUARANTINE_MAX: usize = 64;
+
+/// A SHA-256, written as 64 lower-case hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Sha256Digest(pub [u8; 32]);
+
+impl fmt::Display for Sha256Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for Sha256Digest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+impl FromStr for Sha256Digest {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let digit = |b: u8| match b {
+            b'0'..=b'9' => Some(b - b'0'),
+            b'a'..=b'f' => Some(b - b'a' + 10),
+            _ => None,
+        };
+        let wrong = || format!("`{text}` is not a SHA-256 of 64 lower-case hexadecimal digits");
+        let digits: Option<Vec<u8>> = text.bytes().map(digit).collect();
+        let digits = digits.filter(|d| d.len() == 64).ok_or_else(wrong)?;
+        Ok(Self(std::array::from_fn(|i| {
+            digits[2 * i] << 4 | digits[2 * i + 1]
+        })))
+    }
+}
+
+impl TryFrom<String> for Sha256Digest {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
+    }
+}
+
+impl From<Sha256Digest> for String {
+    fn from(digest: Sha256Digest) -> Self {
+        digest.to_string()
+    }
+}
+
+/// One published policy: where it is from, and which bytes it is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PolicyRef {
+    /// Stream on the policy server.
+    pub stream: String,
+    /// Version in that stream.
+    pub version: u64,
+    /// SHA-256 of the file.
+    pub sha256: Sha256Digest,
+}
+
+impl fmt::Display for PolicyRef {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} version {}", self.stream, self.version)
+    }
+}
+
+/// A policy that must not run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Quarantined {
+    /// Which one.
+    pub policy: PolicyRef,
+    /// Why, in one line.
+    pub reason: String,
+    /// False: the bytes were damaged on their way, another try may bring the right ones.
+    pub for_good: bool,
+}
+
+/// What to do about a policy that the server offers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Decision {
+    /// Unknown: fetch and verify it.
+    Fetch,
+    /// It is the active one.
+    HaveIt,
+    /// Older than the active one of the same stream: streams only grow.
+    Older {
+        /// Version that is active.
+        have: u64,
+    },
+    /// Refused before.
+    Refused {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// What the robot knows about policies; `state.json`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotState {
+    /// [`STATE_FORMAT`].
+    pub format: String,
+    /// Grows with every change.
+    pub generation: u64,
+    /// Verified, and the one to run.
+    pub active: Option<PolicyRef>,
+    /// Ran well; what is run when the active one turns out bad.
+    pub last_good: Option<PolicyRef>,
+    /// Refused, oldest first.
+    pub quarantined: Vec<Quarantined>,
+}
+
+impl Default for RobotState {
+    fn default() -> Self {
+        Self {
+            format: STATE_FORMAT.to_owned(),
+            generation: 0,
+            active: None,
+            last_good: None,
+            quarantined: Vec::new(),
+        }
+    }
+}
+
+impl RobotState {
+    /// What to do about `offered`.
+    pub fn decide(&self, offered: &PolicyRef) -> Decision {
+        if let Some(entry) = self.entry(offered.sha256).filter(|e| e.for_good) {
+            return Decision::Refused {
+                reason: entry.reason.clone(),
+            };
+        }
+        match &self.active {
+            Some(active) if active == offered => Decision::HaveIt,
+            Some(active) if active.stream == offered.stream && active.version > offered.version => {
+                Decision::Older {
+                    have: active.version,
+                }
+            }
+            _ => Decision::Fetch,
+        }
+    }
+
+    /// `policy` passed every check: it is the one to run from now on.
+    pub fn adopt(&mut self, policy: PolicyRef) {
+        self.quarantined
+            .retain(|e| e.policy.sha256 != policy.sha256);
+        self.active = Some(policy);
+        self.generation += 1;
+    }
+
+    /// The policy with these bytes ran well.
+    pub fn confirm(&mut self, sha256: Sha256Digest) {
+        if let Some(active) = self.active.clone().filter(|a| a.sha256 == sha256) {
+            self.last_good = Some(active);
+            self.generation += 1;
+        }
+    }
+
+    /// `policy` must not run. Where it was active, the last good one is active again.
+    pub fn quarantine(&mut self, policy: PolicyRef, reason: String, for_good: bool) {
+        let sha256 = policy.sha256;
+        self.quarantined.retain(|e| e.policy.sha256 != sha256);
+        if self.quarantined.len() >= QUARANTINE_MAX {
+            self.quarantined.remove(0);
+        }
+        self.quarantined.push(Quarantined {
+            policy,
+            reason,
+            for_good,
+        });
+        self.last_good.take_if(|p| p.sha256 == sha256);
+        if self.active.as_ref().is_some_and(|p| p.sha256 == sha256) {
+            self.active = self.last_good.clone();
+        }
+        self.generation += 1;
+    }
+
+    /// What may be run without a server, best first.
+    pub fn on_disk(&self) -> Vec<PolicyRef> {
+        let mut all: Vec<PolicyRef> = self.active.iter().chain(&self.last_good).cloned().collect();
+        all.dedup();
+        all
+    }
+
+    /// Whether the file with these bytes is still needed.
+    pub fn needs(&self, sha256: Sha256Digest) -> bool {
+        self.on_disk().iter().any(|p| p.sha256 == sha256)
+    }
+
+    fn entry(&self, sha256: Sha256Digest) -> Option<&Quarantined> {
+        self.quarantined.iter().find(|e| e.policy.sha256 == sha256)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn policy(version: u64) -> PolicyRef {
+        PolicyRef {
+            stream: "flat".to_owned(),
+            version,
+            sha256: Sha256Digest([version as u8; 32]),
+        }
+    }
+
+    /// Version 1 ran well, version 2 is active.
+    fn state() -> RobotState {
+        let mut state = RobotState::default();
+        state.adopt(policy(1));
+        state.confirm(policy(1).sha256);
+        state.adopt(policy(2));
+        state
+    }
+
+    #[test]
+    fn new_ones_are_fetched_old_and_known_ones_are_not() {
+        let state = state();
+        assert_eq!(state.decide(&policy(3)), Decision::Fetch);
+        assert_eq!(state.decide(&policy(2)), Decision::HaveIt);
+        assert_eq!(state.decide(&policy(1)), Decision::Older { have: 2 });
+        let mut elsewhere = policy(1);
+        elsewhere.stream = "rough".to_owned();
+        assert_eq!(state.decide(&elsewhere), Decision::Fetch);
+        assert_eq!(RobotState::default().decide(&policy(1)), Decision::Fetch);
+    }
+
+    #[test]
+    fn a_policy_is_trusted_once_it_ran_well() {
+        let mut state = state();
+        assert_eq!(state.last_good, Some(policy(1)));
+        state.confirm(policy(9).sha256);
+        assert_eq!(state.last_good, Some(policy(1)), "something else ran");
+        state.confirm(policy(2).sha256);
+        assert_eq!(state.last_good, Some(policy(2)));
+        assert_eq!(state.on_disk(), [policy(2)]);
+    }
+
+    #[test]
+    fn a_bad_one_gives_way_to_the_last_good_one_and_stays_out() {
+        let mut state = state();
+        state.quarantine(policy(2), "joint 3 differs".to_owned(), true);
+        assert_eq!(state.active, Some(policy(1)));
+        assert_eq!(
+            state.decide(&policy(2)),
+            Decision::Refused {
+                reason: "joint 3 differs".to_owned()
+            }
+        );
+        // Even the good one can turn out bad: then there is nothing.
+        state.quarantine(policy(1), "not finite".to_owned(), true);
+        assert_eq!(state.on_disk(), []);
+    }
+
+    #[test]
+    fn an_offer_that_is_refused_leaves_the_active_one_alone() {
+        let mut state = state();
+        state.quarantine(policy(3), "wrong robot".to_owned(), true);
+        assert_eq!(state.on_disk(), [policy(2), policy(1)]);
+    }
+
+    #[test]
+    fn bytes_damaged_on_the_way_may_come_again() {
+        let mut state = state();
+        state.quarantine(policy(3), "other bytes".to_owned(), false);
+        assert_eq!(state.decide(&policy(3)), Decision::Fetch);
+        state.adopt(policy(3));
+        assert!(state.quarantined.is_empty());
+    }
+
+    #[test]
+    fn the_quarantine_is_bounded_and_forgets_the_oldest() {
+        let mut state = RobotState::default();
+        for version in 0..100 {
+            state.quarantine(policy(version), String::new(), true);
+        }
+        assert_eq!(state.quarantined.len(), QUARANTINE_MAX);
+        assert_eq!(state.quarantined[0].policy, policy(36));
+    }
+
+    #[test]
+    fn digests_read_back_and_paths_are_not_digests() {
+        let text = "00ff".repeat(16);
+        assert_eq!(text.parse::<Sha256Digest>().unwrap().to_string(), text);
+        for bad in [
+            "",
+            "../state",
+            &"0".repeat(63),
+            &"G".repeat(64),
+            &"0F".repeat(32),
+        ] {
+            assert!(bad.parse::<Sha256Digest>().is_err(), "{bad}");
+        }
+    }
+}

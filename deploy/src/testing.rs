@@ -1,0 +1,63 @@
+//! What the tests of this crate share: small but real policy files for the real robot.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+use caudata_policy::{Activation, Dense, MlpSpec, PolicyMetadata, build_onnx};
+use caudata_task::{PolicyContract, TaskConfig};
+
+/// The robot file of the repository.
+pub const ROBOT_FILE: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../robots/polymander.robot.toml"
+);
+
+/// The real robot.
+pub fn model() -> Arc<RobotModel> {
+    Arc::new(RobotModel::load(Path::new(ROBOT_FILE)).unwrap())
+}
+
+/// A policy file of one layer: every action is `0.01 · version` of the sum of the observation, plus 0.1. `change` makes it
+/// what a test needs.
+pub fn policy_file(
+    version: u64,
+    change: impl FnOnce(&mut MlpSpec, &mut PolicyMetadata),
+) -> Vec<u8> {
+    let contract = PolicyContract::new(&model(), &TaskConfig::default()).unwrap();
+    let (obs, act) = (contract.obs_dim(), contract.act_dim());
+    let mut spec = MlpSpec {
+        obs_mean: vec![0.0; obs],
+        obs_std: vec![1.0; obs],
+        obs_clip: None,
+        layers: vec![Dense {
+            out: act,
+            input: obs,
+            weight: vec![0.01 * version as f32; act * obs],
+            bias: vec![0.1; act],
+        }],
+        activation: Activation::Elu,
+    };
+    let mut metadata = PolicyMetadata {
+        contract,
+        version,
+        run_id: "run-1".into(),
+        training_commit: String::new(),
+        config_hash: String::new(),
+        env_steps: 10 * version,
+        seed: 1,
+        log_std: vec![0.0; act],
+        created_unix_s: None,
+        evaluation: None,
+    };
+    change(&mut spec, &mut metadata);
+    build_onnx(&spec, &metadata).unwrap()
+}
+
+/// A policy that stands: zero weights, zero bias.
+pub fn standing(version: u64) -> Vec<u8> {
+    policy_file(version, |spec, _| {
+        spec.layers[0].weight.fill(0.0);
+        spec.layers[0].bias.fill(0.0);
+    })
+}

@@ -1,0 +1,227 @@
+//! Whether a policy may run on this robot: hash, strict reading, contract, a probe of inference.
+
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+use caudata_policy::{Inference, MlpSpec, PolicyError, PolicyFile, evaluate_mlp};
+use caudata_proto::registry::Manifest;
+use caudata_task::command::CommandConfig;
+use caudata_task::{ACT_DIM, PolicyContract, TaskConfig, TaskError};
+use sha2::{Digest, Sha256};
+
+use crate::state::{PolicyRef, Sha256Digest};
+
+/// Observations that the probe evaluates.
+pub const PROBE_COUNT: usize = 32;
+/// Makes neighbouring probes start at unrelated fractions.
+const PROBE_STRIDE: usize = 137;
+/// How far ONNX Runtime and the plain evaluation may be apart, per unit of action (and of 1).
+pub const PROBE_TOLERANCE: f32 = 1e-4;
+
+/// A policy that passed every check, ready to run.
+#[derive(Debug)]
+pub struct Verified {
+    /// Where it is from.
+    pub policy: PolicyRef,
+    /// What it says.
+    pub file: PolicyFile,
+    /// Loaded.
+    pub inference: Inference,
+}
+
+/// Why a policy must not run here.
+#[derive(Debug, thiserror::Error)]
+pub enum Refusal {
+    /// The bytes are others than announced.
+    #[error("its bytes have SHA-256 {found}, announced was {expected}")]
+    WrongHash {
+        /// Hash of the bytes.
+        found: Sha256Digest,
+        /// Hash that was announced.
+        expected: Sha256Digest,
+    },
+    /// The file, or what it says, does not fit.
+    #[error("{0}")]
+    Policy(#[from] PolicyError),
+    /// It asks for something that the task here does not allow.
+    #[error("its contract is not one for this program: {0}")]
+    Task(#[from] TaskError),
+    /// The announcement does not fit this robot.
+    #[error("it is for robot `{found}`, this is `{expected}`")]
+    OtherRobot {
+        /// Robot announced.
+        found: String,
+        /// Robot here.
+        expected: String,
+    },
+    /// The announcement names another model of this robot.
+    #[error("it was trained on model {found} of the robot, this one is {expected}")]
+    OtherModel {
+        /// Hash announced.
+        found: Sha256Digest,
+        /// Hash here.
+        expected: Sha256Digest,
+    },
+    /// The file has another version than announced.
+    #[error("the file says version {found}, announced was {expected}")]
+    OtherVersion {
+        /// Version in the file.
+        found: u64,
+        /// Version announced.
+        expected: u64,
+    },
+    /// Inference does not do what the file says.
+    #[error("probe {index}: {problem}")]
+    Probe {
+        /// Which observation.
+        index: usize,
+        /// What is wrong.
+        problem: String,
+    },
+    /// It was refused before.
+    #[error("refused before: {0}")]
+    Before(String),
+    /// The server's newest is older than what the robot has.
+    #[error("the server offers an older version than {have}, which this robot has")]
+    Older {
+        /// Version here.
+        have: u64,
+    },
+}
+
+impl Refusal {
+    /// False where another transfer of the same policy may go well.
+    pub fn is_for_good(&self) -> bool {
+        !matches!(self, Self::WrongHash { .. })
+    }
+}
+
+/// Why [`verify`] gave no policy.
+#[derive(Debug, thiserror::Error)]
+pub enum VerifyError {
+    /// The policy must not run.
+    #[error("{0}")]
+    Refused(#[from] Refusal),
+    /// Nothing is wrong with the policy: ONNX Runtime is not there.
+    #[error("{0}")]
+    Runtime(PolicyError),
+}
+
+/// Refuses what is not for this robot before anything is downloaded.
+///
+/// # Errors
+/// [`Refusal::OtherRobot`], [`Refusal::OtherModel`].
+pub fn check_manifest(manifest: &Manifest, model: &RobotModel) -> Result<(), Refusal> {
+    if manifest.robot_name != model.name() {
+        return Err(Refusal::OtherRobot {
+            found: manifest.robot_name.clone(),
+            expected: model.name().to_owned(),
+        });
+    }
+    if manifest.robot_hash != model.hash() {
+        return Err(Refusal::OtherModel {
+            found: Sha256Digest(manifest.robot_hash),
+            expected: Sha256Digest(model.hash()),
+        });
+    }
+    Ok(())
+}
+
+/// Checks the bytes of `policy` completely.
+///
+/// # Errors
+/// [`VerifyError::Refused`] with the first thing that is wrong.
+pub fn verify(
+    bytes: Arc<[u8]>,
+    policy: &PolicyRef,
+    model: &RobotModel,
+) -> Result<Verified, VerifyError> {
+    let found = Sha256Digest(Sha256::digest(&bytes).into());
+    if found != policy.sha256 {
+        let expected = policy.sha256;
+        return Err(Refusal::WrongHash { found, expected }.into());
+    }
+    let file = PolicyFile::parse(bytes).map_err(Refusal::from)?;
+    if file.metadata().version != policy.version {
+        return Err(Refusal::OtherVersion {
+            found: file.metadata().version,
+            expected: policy.version,
+        }
+        .into());
+    }
+    let expected = expected_contract(model, &file.metadata().contract).map_err(Refusal::from)?;
+    file.check_contract(&expected).map_err(Refusal::from)?;
+    let mut inference = Inference::new(&file, 1).map_err(|error| match error {
+        PolicyError::RuntimeNotFound { .. } | PolicyError::RuntimeLoad { .. } => {
+            VerifyError::Runtime(error)
+        }
+        other => Refusal::from(other).into(),
+    })?;
+    probe(&file, &mut inference)?;
+    Ok(Verified {
+        policy: policy.clone(),
+        file,
+        inference,
+    })
+}
+
+/// The contract that a policy must have here: the robot file's values, and this program's observation and control rate.
+/// Only what a policy chooses itself (meaning of actions, stride, trained commands) is taken from it, checked.
+///
+/// # Errors
+/// [`TaskError`] where one of its choices is out of range.
+pub fn expected_contract(
+    model: &RobotModel,
+    policy: &PolicyContract,
+) -> Result<PolicyContract, TaskError> {
+    let task = TaskConfig {
+        action: policy.action,
+        phase: policy.phase.config(),
+        command: CommandConfig {
+            vx_mps: policy.command.vx_mps,
+            vy_mps: policy.command.vy_mps,
+            yaw_rate_radps: policy.command.yaw_rate_radps,
+            ..CommandConfig::default()
+        },
+        ..TaskConfig::default()
+    };
+    PolicyContract::new(model, &task)
+}
+
+/// Runs a few observations through ONNX Runtime and through the plain evaluation.
+fn probe(file: &PolicyFile, inference: &mut Inference) -> Result<(), Refusal> {
+    let dim = file.spec().obs_dim();
+    let mut obs = vec![0.0; dim];
+    let (mut actions, mut expected) = ([0.0; ACT_DIM], [0.0; ACT_DIM]);
+    for index in 0..PROBE_COUNT {
+        probe_observation(index, file.spec(), &mut obs);
+        inference.run(&obs, 1, &mut actions)?;
+        evaluate_mlp(file.spec(), &obs, 1, &mut expected)?;
+        for joint in 0..ACT_DIM {
+            let (found, reference) = (actions[joint], expected[joint]);
+            let problem = if !found.is_finite() || !reference.is_finite() {
+                format!("action {joint} is not finite")
+            } else if (found - reference).abs() > PROBE_TOLERANCE * (1.0 + reference.abs()) {
+                format!("action {joint} is {found}, worked out plainly it is {reference}")
+            } else {
+                continue;
+            };
+            return Err(Refusal::Probe { index, problem });
+        }
+    }
+    Ok(())
+}
+
+/// Observation `index`: around the policy's mean observation, from 0 up to ±3 of its standard deviations, which is what it was
+/// trained on; far outside, rounding alone may set two correct evaluations apart. The same on every machine.
+fn probe_observation(index: usize, spec: &MlpSpec, obs: &mut [f32]) {
+    let size = 3.0 * index as f32 / (PROBE_COUNT - 1) as f32;
+    for (i, value) in obs.iter_mut().enumerate() {
+        // Fractions of multiples of the golden ratio fill the interval evenly.
+        let fraction = ((index * PROBE_STRIDE + i) as f32 * 0.618_034).fract();
+        *value = spec.obs_mean[i] + spec.obs_std[i] * size * (2.0 * fraction - 1.0);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,143 @@
+use caudata_policy::PolicyMetadata;
+
+use super::*;
+use crate::testing::{model, policy_file};
+
+fn reference(version: u64, bytes: &[u8]) -> PolicyRef {
+    PolicyRef {
+        stream: "s".to_owned(),
+        version,
+        sha256: Sha256Digest(Sha256::digest(bytes).into()),
+    }
+}
+
+#[track_caller]
+fn refusal(bytes: Vec<u8>, policy: &PolicyRef) -> Refusal {
+    match verify(bytes.into(), policy, &model()) {
+        Err(VerifyError::Refused(refusal)) => refusal,
+        Err(error) => panic!("not a refusal: {error}"),
+        Ok(_) => panic!("accepted"),
+    }
+}
+
+/// The refusal of a whole file whose metadata was changed.
+#[track_caller]
+fn refused(change: impl FnOnce(&mut PolicyMetadata)) -> String {
+    let bytes = policy_file(1, |_, metadata| change(metadata));
+    let policy = reference(1, &bytes);
+    refusal(bytes, &policy).to_string()
+}
+
+#[test]
+fn a_good_policy_is_accepted_with_its_own_stride_and_action_scale() {
+    let bytes = policy_file(7, |_, metadata| {
+        metadata.contract.action.scale = 1.0;
+        metadata.contract.action.filter_alpha = 0.15;
+        metadata.contract.phase.swing_height_m = 0.07;
+        metadata.contract.command.vx_mps = [0.0, 0.3];
+    });
+    let policy = reference(7, &bytes);
+    let mut verified = verify(bytes.into(), &policy, &model()).unwrap();
+    let mut action = [0.0; ACT_DIM];
+    verified.inference.run(&[1.0; 97], 1, &mut action).unwrap();
+    // 97 · 0.07 + 0.1
+    assert!((action[5] - 6.89).abs() < 1e-4, "{action:?}");
+}
+
+#[test]
+fn bytes_with_another_hash_are_refused_but_may_come_again() {
+    let bytes = policy_file(1, |_, _| {});
+    let other = reference(1, b"other");
+    let refusal = refusal(bytes, &other);
+    assert!(matches!(refusal, Refusal::WrongHash { .. }), "{refusal}");
+    assert!(!refusal.is_for_good());
+}
+
+#[test]
+fn a_truncated_file_is_refused() {
+    let mut bytes = policy_file(1, |_, _| {});
+    bytes.truncate(bytes.len() / 2);
+    // Even where the announcement is of the truncated bytes.
+    let policy = reference(1, &bytes);
+    let refusal = refusal(bytes, &policy);
+    assert!(matches!(refusal, Refusal::Policy(_)), "{refusal}");
+    assert!(refusal.is_for_good());
+}
+
+#[test]
+fn weights_that_are_not_numbers_are_refused() {
+    let mark = 0.123_456_f32.to_le_bytes();
+    let mut bytes = policy_file(1, |spec, _| spec.layers[0].weight[40] = 0.123_456);
+    let at = bytes.windows(4).position(|w| w == mark).unwrap();
+    bytes[at..at + 4].copy_from_slice(&f32::NAN.to_le_bytes());
+    let policy = reference(1, &bytes);
+    let line = refusal(bytes, &policy).to_string();
+    assert!(line.contains("NaN") && line.contains("index 40"), "{line}");
+}
+
+#[test]
+fn weights_whose_products_overflow_are_found_by_the_probe() {
+    let bytes = policy_file(1, |spec, _| spec.layers[0].weight.fill(3e38));
+    let policy = reference(1, &bytes);
+    let refusal = refusal(bytes, &policy);
+    assert!(matches!(refusal, Refusal::Probe { .. }), "{refusal}");
+}
+
+#[test]
+fn a_policy_for_something_else_is_refused_in_one_clear_line() {
+    let line = refused(|m| m.contract.joint_names.swap(2, 3));
+    assert_eq!(
+        line,
+        "joint 2 is `spine_4` in the policy and `spine_3` here"
+    );
+    let line = refused(|m| m.contract.robot_hash = "0".repeat(64));
+    assert!(
+        line.starts_with("policy was trained on model 000"),
+        "{line}"
+    );
+    let line = refused(|m| m.contract.robot = "newt".to_owned());
+    assert!(
+        line.contains("`newt`") && line.contains("`polymander`"),
+        "{line}"
+    );
+    let line = refused(|m| m.contract.control_period_s = 0.01);
+    assert_eq!(
+        line,
+        "the policy's control period differs from the one here"
+    );
+    let line = refused(|m| m.contract.nominal_pos_rad[9] += 0.1);
+    assert_eq!(line, "the policy's nominal pose differs from the one here");
+    let line = refused(|m| m.contract.kp_nm_per_rad[0] = 20.0);
+    assert_eq!(line, "the policy's gains differs from the one here");
+    let line = refused(|m| m.contract.phase.offsets_rad = vec![0.0; 4]);
+    assert_eq!(line, "the policy's gait phase differs from the one here");
+}
+
+#[test]
+fn a_policy_that_must_know_whether_it_swims_is_refused() {
+    let task = TaskConfig {
+        observe_medium: true,
+        ..TaskConfig::default()
+    };
+    let bytes = policy_file(1, |spec, metadata| {
+        metadata.contract = PolicyContract::new(&model(), &task).unwrap();
+        spec.obs_mean.push(0.0);
+        spec.obs_std.push(1.0);
+        spec.layers[0].input = 98;
+        spec.layers[0].weight.resize(98 * ACT_DIM, 0.0);
+    });
+    let policy = reference(1, &bytes);
+    let line = refusal(bytes, &policy).to_string();
+    assert_eq!(
+        line,
+        "the policy's observation layout differs from the one here"
+    );
+}
+
+#[test]
+fn another_version_than_announced_is_refused() {
+    let bytes = policy_file(4, |_, _| {});
+    let policy = reference(5, &bytes);
+    let line = refusal(bytes, &policy).to_string();
+    assert_eq!(line, "the file says version 4, announced was 5");
+}

@@ -1,0 +1,272 @@
+//! The program from outside: a real policy server, a robot on a port, and what is left on the disk.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::path::Path;
+use std::time::Duration;
+
+use caudata_runlog::{Axis, RunLog, Signal};
+use common::policies::{policy_file, standing};
+use common::{Server, ended, error_lines, outcome, perfect_robot, program, start};
+use nix::sys::signal::{Signal as Posix, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
+
+const NOBODY: &str = "127.0.0.1:1";
+
+/// `run` for a short while on `robot`.
+fn run(
+    server: std::net::SocketAddr,
+    state: &Path,
+    robot: std::net::SocketAddr,
+) -> std::process::Command {
+    let mut command = program("run", server, state);
+    command.args(["--bus", &format!("sim:{robot}"), "--seconds", "0.5"]);
+    command
+}
+
+fn status(state: &Path) -> Value {
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    command.args(["status", "--json", "--state"]).arg(state);
+    outcome(command).1
+}
+
+/// The only file in the state's `blobs`.
+fn blob(state: &Path) -> std::path::PathBuf {
+    let mut files = std::fs::read_dir(state.join("blobs")).unwrap();
+    let file = files.next().unwrap().unwrap().path();
+    assert!(files.next().is_none());
+    file
+}
+
+#[test]
+fn pulls_runs_and_logs() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(policy_file(3, |_, _| {}));
+    let (state, log) = (folder.path().join("state"), folder.path().join("log"));
+
+    let (code, pulled, errors) = outcome(program("pull", server.address, &state));
+    assert_eq!(
+        (code, &pulled["policy"]["version"]),
+        (0, &Value::from(3)),
+        "{errors}"
+    );
+
+    let mut command = run(server.address, &state, perfect_robot());
+    command
+        .args(["--command", "0.2,0,0", "--terrain", "flat", "--log-dir"])
+        .arg(&log);
+    let (code, summary, errors) = outcome(command);
+    assert_eq!(code, 0, "{errors}");
+    assert_eq!(summary["policy_version"], 3);
+    assert_eq!(summary["policy_sha256"], pulled["policy"]["sha256"]);
+    assert_eq!(summary["ended"], "time");
+    assert_eq!(summary["held_actions"], 0);
+    // 25 ticks of standing, 25 of walking, the way back, 25 of standing, at least.
+    assert!(summary["ticks"].as_u64().unwrap() >= 75, "{summary}");
+    assert!((summary["commanded"]["vx_mps"].as_f64().unwrap() - 0.2).abs() < 1e-6);
+    // 4 mm per tick of 20 ms.
+    assert!(
+        (summary["achieved"]["vx_mps"].as_f64().unwrap() - 0.2).abs() < 1e-3,
+        "{summary}"
+    );
+
+    let log = RunLog::read(&log).unwrap();
+    assert_eq!(log.meta().terrain, "flat");
+    assert!(
+        log.meta()
+            .notes
+            .contains(summary["policy_sha256"].as_str().unwrap())
+    );
+    let table = log.table();
+    assert_eq!(table.len() as u64, summary["log_rows"].as_u64().unwrap());
+    assert_eq!(summary["log_rows"], summary["ticks"]);
+    // Servos are where they were sent a tick before.
+    let column = |signal: Signal| table.column(&signal).unwrap();
+    let (sent, read) = (
+        column(Signal::Command("FL_knee".into())),
+        column(Signal::Position("FL_knee".into())),
+    );
+    assert_eq!(sent[..sent.len() - 1], read[1..]);
+    assert!(
+        column(Signal::BasePosition(Axis::X))
+            .iter()
+            .all(Option::is_some)
+    );
+    assert!(
+        column(Signal::Contact("HR".into()))
+            .iter()
+            .all(|c| *c == Some(1.0))
+    );
+    // A log is not overwritten.
+    let mut again = run(server.address, &state, perfect_robot());
+    again.arg("--log-dir").arg(folder.path().join("log"));
+    let (code, _, errors) = outcome(again);
+    assert_eq!((code, error_lines(&errors).len()), (73, 1), "{errors}");
+    server.stop();
+}
+
+#[test]
+fn a_bad_policy_is_refused_and_the_last_one_keeps_running() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let server = Server::start(&folder.path().join("server"));
+    let robot = perfect_robot();
+    let bad = policy_file(1, |_, m| m.contract.joint_names.swap(2, 3));
+    server.publish(bad);
+    // Nothing else to run: 77, one line, recorded.
+    let (code, _, errors) = outcome(run(server.address, &state, robot));
+    assert_eq!(code, 77, "{errors}");
+    let expected = "error: policy test version 1 refused: joint 2 is `spine_4` in the policy and `spine_3` here";
+    assert_eq!(error_lines(&errors), [expected]);
+    let reason = &status(&state)["quarantined"][0]["reason"];
+    assert_eq!(
+        reason,
+        "joint 2 is `spine_4` in the policy and `spine_3` here"
+    );
+    // It stays refused.
+    let (code, _, errors) = outcome(program("pull", server.address, &state));
+    assert_eq!(code, 77, "{errors}");
+    assert!(errors.contains("refused before: joint 2"), "{errors}");
+
+    server.publish(standing(2));
+    assert_eq!(outcome(program("pull", server.address, &state)).0, 0);
+    server.publish(policy_file(3, |_, m| {
+        m.contract.robot_hash = "0".repeat(64)
+    }));
+    let (code, summary, errors) = outcome(run(server.address, &state, robot));
+    assert_eq!(
+        (code, &summary["policy_version"]),
+        (0, &Value::from(2)),
+        "{errors}"
+    );
+    assert!(errors.contains("running what is on disk"), "{errors}");
+    assert_eq!(status(&state)["active"]["version"], 2);
+    server.stop();
+}
+
+#[test]
+fn without_a_server_the_disk_is_enough_and_without_both_it_is_69() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let robot = perfect_robot();
+    let nobody = NOBODY.parse().unwrap();
+    let (code, _, errors) = outcome(run(nobody, &state, robot));
+    assert_eq!((code, error_lines(&errors).len()), (69, 1), "{errors}");
+
+    let server = Server::start(&folder.path().join("server"));
+    // A stream without a policy is as good as no server.
+    let (code, _, errors) = outcome(run(server.address, &state, robot));
+    assert_eq!(code, 69, "{errors}");
+    server.publish(standing(4));
+    assert_eq!(outcome(program("pull", server.address, &state)).0, 0);
+
+    let (code, summary, errors) = outcome(run(nobody, &state, robot));
+    assert_eq!(
+        (code, &summary["policy_version"]),
+        (0, &Value::from(4)),
+        "{errors}"
+    );
+    assert!(errors.contains("does not answer"), "{errors}");
+
+    // A truncated file on the disk is noticed, does not run, and is fetched again where there is a server.
+    let file = blob(&state);
+    let whole = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &whole[..whole.len() - 1]).unwrap();
+    let (code, _, errors) = outcome(run(nobody, &state, robot));
+    assert_eq!(code, 69, "{errors}");
+    assert!(
+        errors.contains("is damaged: its hash differs from its name"),
+        "{errors}"
+    );
+    let (code, _, errors) = outcome(run(server.address, &state, robot));
+    assert_eq!(code, 0, "{errors}");
+    assert_eq!(std::fs::read(&file).unwrap(), whole);
+    server.stop();
+}
+
+#[test]
+fn follows_newer_policies_while_it_walks_and_stops_on_a_signal() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let mut command = program("run", server.address, &state);
+    command.args(["--bus", &format!("sim:{}", perfect_robot()), "--follow"]);
+    let running = start(command);
+    let active = |version: u64| {
+        // Bounded by the patience of whoever runs the tests; nothing is asserted about time.
+        while status(&state)["active"]["version"] != version {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    };
+    active(1);
+    server.publish(policy_file(2, |_, m| m.contract.kp_nm_per_rad[0] = 1.0));
+    while status(&state)["quarantined"]
+        .as_array()
+        .is_none_or(Vec::is_empty)
+    {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    server.publish(standing(3));
+    active(3);
+    // Time for the loop to take it over; later it would only not be counted.
+    std::thread::sleep(Duration::from_secs(2));
+    kill(Pid::from_raw(running.id() as i32), Posix::SIGTERM).unwrap();
+    let (code, summary, errors) = ended(running);
+    assert_eq!(
+        (code, &summary["ended"]),
+        (0, &Value::from("signal")),
+        "{errors}"
+    );
+    assert_eq!(summary["policy_version"], 3, "{errors}");
+    assert_eq!(summary["policy_swaps"], 1);
+    assert!(errors.contains("the policy's gains differs"), "{errors}");
+    server.stop();
+}
+
+#[test]
+fn wrong_input_has_its_own_codes() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let nobody: std::net::SocketAddr = NOBODY.parse().unwrap();
+    let check = |command: std::process::Command, expected: i32| {
+        let (code, _, errors) = outcome(command);
+        assert_eq!(code, expected, "{errors}");
+        assert!(errors.contains("error: "), "{errors}");
+    };
+    let mut flag = program("run", nobody, &state);
+    flag.args(["--bus", "can0"]);
+    check(flag, 64);
+    let mut command = program("run", nobody, &state);
+    command.args(["--bus", "sim:127.0.0.1:1", "--command", "0.2,x,0"]);
+    check(command, 64);
+    let mut robot = program("pull", nobody, &state);
+    robot.args(["--robot", "no/such.robot.toml"]);
+    check(robot, 64); // given twice
+    let mut missing = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    missing
+        .args([
+            "pull",
+            "--robot",
+            "no/such.robot.toml",
+            "--stream",
+            "s",
+            "--state",
+        ])
+        .arg(&state);
+    check(missing, 66);
+    std::fs::create_dir_all(&state).unwrap();
+    std::fs::write(state.join("state.json"), "{").unwrap();
+    check(program("pull", nobody, &state), 65);
+    std::fs::remove_file(state.join("state.json")).unwrap();
+    // A policy, but no robot.
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let mut nowhere = program("run", server.address, &state);
+    nowhere.args(["--bus", "sim:127.0.0.1:1"]);
+    check(nowhere, 69);
+    server.stop();
+}
