@@ -199,4 +199,17 @@ pub(crate) mod tests {
         check(torque_nm(&e, PD, 0.0, -0.05, 0.1), 1.14165);
         check(torque_nm(&e, PD, 0.0, -0.1, 0.1), 0.7833);
     }
+
+    proptest::proptest! {
+        /// Turning everything round turns the torque round; no torque is beyond the larger limit.
+        #[test]
+        fn symmetric_and_bounded(q in -3.0_f32..3.0, qd in -20.0_f32..20.0, q_des in -3.0_f32..3.0, volt in 5.0_f32..15.0) {
+            let e = Envelope::new(&w210(), 1.0, volt);
+            let torque = torque_nm(&e, PD, q, qd, q_des);
+            proptest::prop_assert_eq!(torque, -torque_nm(&e, PD, -q, -qd, -q_des));
+            proptest::prop_assert!(torque.abs() <= 2.2);
+            // along the motion it is never above the flat limit
+            proptest::prop_assert!(torque * qd.signum() <= 1.94);
+        }
+    }
 }
