@@ -351,6 +351,39 @@ fn killing(kind: Kind, kills: u64, others: u64) {
     rig.finish();
 }
 
+/// An actor that stands still in mid-stream, longer than the peer time-out, holds up neither the others' frames nor their
+/// policies; when it goes on it loses nothing.
+fn an_actor_that_stands_still_holds_up_nobody(kind: Kind) {
+    const FRAMES: u64 = 400;
+    let mut rig = Rig::new(kind, limits());
+    let still = Helper::actor(&rig.run_id, &rig.config, 0, 1, FRAMES, 20_000);
+    let mut ledger = Ledger::default();
+    while ledger.count(0, 1) < 10 {
+        ledger.take(&recv(&mut *rig.learner));
+    }
+    still.signal(Signal::SIGSTOP);
+    let mut actor = rig.actor(1);
+    for number in 1..=FRAMES {
+        send(&mut *actor, &frame(label(1, number), 20_000));
+        if number % 100 == 0 {
+            let update = policy(number, 50_000, Control::Run);
+            rig.learner.publish_policy(update.clone()).unwrap();
+            assert_eq!(next_policy(&mut *actor), update);
+        }
+        while ledger.count(1, 1) < number {
+            ledger.take(&recv(&mut *rig.learner));
+        }
+    }
+    wait_until("the silence to be seen", || rig.learner.stats().peers == 1);
+    still.signal(Signal::SIGCONT);
+    while ledger.count(0, 1) < FRAMES {
+        ledger.take(&recv(&mut *rig.learner));
+    }
+    still.join();
+    drop(actor);
+    rig.finish();
+}
+
 /// The learner is killed and another takes the run over: the actor is told, reconnects by itself, and everything the
 /// first one did not acknowledge goes to the second, in order. Nothing of the first is left.
 fn actors_find_a_restarted_learner(kind: Kind) {
@@ -549,6 +582,38 @@ fn iceoryx2_reports_limits_that_differ() {
     drop((actor, learner));
 }
 
+/// The smaller of the two frame limits counts: a frame that the learner would not take is refused at the source.
+#[test]
+fn zenoh_keeps_to_the_learners_frame_limit() {
+    let learner = learner_link(&remote(Kind::Zenoh, limits()), "limits").unwrap();
+    let TransportConfig::Zenoh(mut config) = learner.actor_config() else {
+        panic!("another transport");
+    };
+    let max = config.limits.max_frame_bytes;
+    config.limits.max_frame_bytes = 2 * max;
+    let mut actor = actor_link(&TransportConfig::Zenoh(config), "limits", 0).unwrap();
+    wait_until("the learner", || actor.is_connected());
+    let refused = actor.send(&vec![0; max + 1], PATIENCE);
+    assert_eq!(refused, Err(SendError::TooLarge { size: max + 1, max }));
+    drop((actor, learner));
+}
+
+/// zenoh panics when asked to wait on a thread of a single-threaded tokio runtime; the links do not ask it to.
+#[test]
+fn zenoh_links_work_inside_a_single_threaded_runtime() {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .build()
+        .unwrap();
+    runtime.block_on(async {
+        let mut rig = Rig::new(Kind::Zenoh, limits());
+        let mut actor = rig.actor(0);
+        send(&mut *actor, b"x");
+        assert_eq!(recv(&mut *rig.learner).bytes, b"x");
+        drop(actor);
+        rig.finish();
+    });
+}
+
 /// Learner and actors meet at a router: neither listens.
 #[test]
 fn zenoh_works_through_a_router() {
@@ -675,6 +740,7 @@ on! {
         the_learner_counts_its_actors
         one_actor_too_many_waits_for_its_turn
         a_killed_actor_harms_nobody
+        an_actor_that_stands_still_holds_up_nobody
         actors_find_a_restarted_learner
         a_learner_that_stands_still_loses_nothing
         an_actor_may_come_before_its_learner;
@@ -689,6 +755,7 @@ on! {
         the_learner_counts_its_actors
         one_actor_too_many_waits_for_its_turn
         a_killed_actor_harms_nobody
+        an_actor_that_stands_still_holds_up_nobody
         actors_find_a_restarted_learner
         a_learner_that_stands_still_loses_nothing
         an_actor_may_come_before_its_learner;

@@ -55,7 +55,7 @@ impl Inbox {
 
     /// One message of an actor. True when a frame was queued.
     pub(crate) fn on_message(&mut self, head: &UpHead, frame: Vec<u8>, now: Instant) -> bool {
-        if !self.links.contains_key(&head.link) && !self.admit(head, now) {
+        if !self.is_seated(head.link, now) && !self.admit(head, now) {
             return false;
         }
         let Some(link) = self.links.get_mut(&head.link) else {
@@ -116,8 +116,7 @@ impl Inbox {
     pub(crate) fn answers(&mut self, everyone: bool, now: Instant) -> Vec<Status> {
         let mut answers = Vec::new();
         for (&id, link) in &mut self.links {
-            let there = !link.gone && now.duration_since(link.heard) < self.peer_timeout;
-            if there && (everyone || link.answer) {
+            if link.is_there(now, self.peer_timeout) && (everyone || link.answer) {
                 answers.push(Status {
                     epoch: self.epoch,
                     link: id,
@@ -125,6 +124,7 @@ impl Inbox {
                     granted: link.received - link.waiting + self.window,
                     probe: link.probe,
                     generation: self.generation,
+                    max_frame_bytes: self.max_frame_bytes as u64,
                     stop: self.stop,
                 });
             }
@@ -135,7 +135,7 @@ impl Inbox {
 
     /// Links heard within the peer time-out that have not said goodbye.
     pub(crate) fn peers(&self, now: Instant) -> usize {
-        let there = |link: &&Link| !link.gone && now.duration_since(link.heard) < self.peer_timeout;
+        let there = |link: &&Link| link.is_there(now, self.peer_timeout);
         self.links.values().filter(there).count()
     }
 
@@ -151,38 +151,58 @@ impl Inbox {
         self.duplicates
     }
 
-    /// Makes room for a link not known yet; false when it is one actor too many.
+    /// Whether the link has one of the `max_actors` seats: it is there, or what it sent is still unread. So there are
+    /// never more than `max_actors * window_frames` unread frames, however often actors are replaced.
+    fn is_seated(&self, link: u64, now: Instant) -> bool {
+        self.links
+            .get(&link)
+            .is_some_and(|link| link.waiting > 0 || link.is_there(now, self.peer_timeout))
+    }
+
+    /// Seats a link that is new or has been away; false when it is one actor too many.
     fn admit(&mut self, head: &UpHead, now: Instant) -> bool {
         if head.kind == UpKind::Bye {
             return false;
         }
-        if self.peers(now) >= self.max_actors {
+        let seated = self
+            .links
+            .keys()
+            .filter(|&&link| self.is_seated(link, now))
+            .count();
+        let known = self.links.contains_key(&head.link);
+        if seated >= self.max_actors || (!known && !self.forget_one_of_too_many()) {
             self.refused += 1;
             return false;
         }
-        if self.links.len() >= MAX_KNOWN_LINKS {
-            let silent = |(_, link): &(&u64, &Link)| link.waiting == 0;
-            let oldest = self
-                .links
-                .iter()
-                .filter(silent)
-                .min_by_key(|(_, link)| link.heard);
-            let Some((&oldest, _)) = oldest else {
-                self.refused += 1;
-                return false;
-            };
-            self.links.remove(&oldest);
-        }
-        let link = Link {
+        self.links.entry(head.link).or_insert(Link {
             received: head.base - 1,
             waiting: 0,
             probe: 0,
             heard: now,
             gone: false,
             answer: true,
-        };
-        self.links.insert(head.link, link);
+        });
         true
+    }
+
+    /// Keeps the number of remembered links bounded; false when none can be forgotten.
+    fn forget_one_of_too_many(&mut self) -> bool {
+        if self.links.len() < MAX_KNOWN_LINKS {
+            return true;
+        }
+        let forgettable = self.links.iter().filter(|(_, link)| link.waiting == 0);
+        let oldest = forgettable.min_by_key(|(_, link)| link.heard);
+        let Some((&oldest, _)) = oldest else {
+            return false;
+        };
+        self.links.remove(&oldest);
+        true
+    }
+}
+
+impl Link {
+    fn is_there(&self, now: Instant, peer_timeout: Duration) -> bool {
+        !self.gone && now.duration_since(self.heard) < peer_timeout
     }
 }
 
@@ -276,6 +296,28 @@ mod tests {
         assert_eq!(inbox.peers(later), 0);
         inbox.on_message(&data(2, 1), b"x".to_vec(), later);
         assert_eq!(inbox.answers(false, later).len(), 1);
+    }
+
+    /// Two seats, windows of two: a killed actor's unread frames keep its seat, so no more than four are ever unread.
+    #[test]
+    fn unread_frames_keep_the_seat_of_an_actor_that_has_gone() {
+        let now = Instant::now();
+        let mut inbox = inbox();
+        for link in [1, 2] {
+            inbox.on_message(&data(link, 1), b"a".to_vec(), now);
+            inbox.on_message(&data(link, 2), b"b".to_vec(), now);
+        }
+        let later = now + Duration::from_millis(300);
+        assert_eq!(inbox.peers(later), 0);
+        assert!(!inbox.on_message(&data(3, 1), b"c".to_vec(), later));
+        assert_eq!((inbox.depth(), inbox.refused()), (4, 1));
+        // Both frames of link 1 read: its seat is free.
+        inbox.pop();
+        assert!(!inbox.on_message(&data(3, 1), b"c".to_vec(), later));
+        inbox.pop();
+        assert!(inbox.on_message(&data(3, 1), b"c".to_vec(), later));
+        // Link 1 comes back and finds both seats taken: 2 has unread frames, 3 is there.
+        assert!(!inbox.on_message(&data(1, 3), b"d".to_vec(), later));
     }
 
     #[test]

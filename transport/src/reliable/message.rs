@@ -92,7 +92,7 @@ impl UpHead {
     }
 }
 
-/// The learner's answer to one link. Every field only grows within an epoch, so only the newest matters.
+/// The learner's answer to one link. Within an epoch no field goes back, so only the newest answer matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Status {
     /// Which learner process this is; another one starts over.
@@ -106,12 +106,14 @@ pub(crate) struct Status {
     pub probe: u64,
     /// Counts policies; the actor fetches when it grows. 0: none yet.
     pub generation: u64,
+    /// Largest frame the learner takes, bytes: its limit counts when the two sides differ.
+    pub max_frame_bytes: u64,
     /// The newest policy says stop.
     pub stop: bool,
 }
 
 impl Status {
-    pub(crate) const LEN: usize = 56;
+    pub(crate) const LEN: usize = 64;
 
     pub(crate) fn encode(&self) -> [u8; Self::LEN] {
         let mut out = [0; Self::LEN];
@@ -124,6 +126,7 @@ impl Status {
             self.granted,
             self.probe,
             self.generation,
+            self.max_frame_bytes,
         ];
         for (slot, field) in out[8..].chunks_exact_mut(8).zip(fields) {
             slot.copy_from_slice(&field.to_le_bytes());
@@ -149,6 +152,7 @@ impl Status {
             granted: reader.u64()?,
             probe: reader.u64()?,
             generation: reader.u64()?,
+            max_frame_bytes: reader.u64()?,
             stop,
         })
     }
@@ -257,9 +261,9 @@ mod tests {
         }
 
         #[test]
-        fn statuses_and_policy_heads_round_trip(numbers: [u64; 6], stop: bool, sha256: [u8; 32], bytes: Vec<u8>) {
-            let [epoch, link, received, granted, probe, generation] = numbers;
-            let status = Status { epoch, link, received, granted, probe, generation, stop };
+        fn statuses_and_policy_heads_round_trip(numbers: [u64; 7], stop: bool, sha256: [u8; 32], bytes: Vec<u8>) {
+            let [epoch, link, received, granted, probe, generation, max_frame_bytes] = numbers;
+            let status = Status { epoch, link, received, granted, probe, generation, max_frame_bytes, stop };
             prop_assert_eq!(Status::decode(&status.encode()), Some(status));
             let control = if stop { Control::Stop } else { Control::Run };
             let update = PolicyUpdate { version: link, sha256, bytes: bytes.clone().into(), control };

@@ -15,6 +15,7 @@ pub(crate) struct Outbox {
     link: u64,
     heartbeat: Duration,
     peer_timeout: Duration,
+    /// Ours, or the learner's where that is smaller.
     max_frame_bytes: usize,
     /// Number of the first frame in `frames`; everything below is acknowledged.
     base: u64,
@@ -170,6 +171,9 @@ impl Outbox {
             self.start_over(status.epoch);
         }
         self.granted = self.granted.max(status.granted);
+        if let Ok(theirs) = usize::try_from(status.max_frame_bytes) {
+            self.max_frame_bytes = self.max_frame_bytes.min(theirs);
+        }
         self.generation = self.generation.max(status.generation);
         self.stop |= status.stop;
         while self.base <= status.received && self.frames.pop_front().is_some() {
@@ -247,6 +251,7 @@ mod tests {
             granted,
             probe,
             generation: 0,
+            max_frame_bytes: 8,
             stop: false,
         }
     }
@@ -336,6 +341,21 @@ mod tests {
         };
         assert!(outbox.on_status(&restarted, start));
         assert_eq!(number(&outbox.step(start)), (UpKind::Data, 2));
+    }
+
+    #[test]
+    fn the_smaller_frame_limit_counts() {
+        let start = Instant::now();
+        let mut outbox = Outbox::new(7, &limits());
+        let strict = Status {
+            max_frame_bytes: 3,
+            ..status(0, 4, 0)
+        };
+        outbox.on_status(&strict, start);
+        assert_eq!(
+            outbox.take(b"1234", start),
+            Err(SendError::TooLarge { size: 4, max: 3 })
+        );
     }
 
     #[test]

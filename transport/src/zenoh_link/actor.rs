@@ -61,10 +61,8 @@ impl Uplink for ZenohUplink {
 
 impl Drop for ZenohUplink {
     fn drop(&mut self) {
-        if let Some(session) = self.session.get()
-            && let Err(error) = session.close().wait()
-        {
-            tracing::debug!(%error, "closing the zenoh session");
+        if let Some(session) = self.session.get() {
+            session::close(session);
         }
     }
 }

@@ -25,6 +25,10 @@ pub(crate) fn learner(
     config: &ZenohConfig,
     run_id: &str,
 ) -> Result<Box<dyn LearnerLink>, TransportError> {
+    session::aside(|| open(config, run_id))?
+}
+
+fn open(config: &ZenohConfig, run_id: &str) -> Result<Box<dyn LearnerLink>, TransportError> {
     let (session, connect) = session::open_learner(config)?;
     if !config.connect.is_empty() {
         check_alone(&session, run_id)?;
@@ -140,9 +144,7 @@ impl Downlink for ZenohDownlink {
             // A thread that panicked has been reported by the crew.
             let _ = thread.join();
         }
-        if let Err(error) = self.session.close().wait() {
-            tracing::debug!(%error, "closing the zenoh session");
-        }
+        session::close(&self.session);
     }
 }
 

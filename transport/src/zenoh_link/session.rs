@@ -16,6 +16,21 @@ const MIN_LEASE_MS: u64 = 5_000;
 /// Ports tried when another process takes the one that the system had offered.
 const PORT_ATTEMPTS: usize = 8;
 
+/// Does something that waits for zenoh on a thread of its own: zenoh panics when asked to wait on a thread that
+/// drives a single-threaded tokio runtime, and a caller may be one.
+pub(super) fn aside<T: Send>(body: impl FnOnce() -> T + Send) -> Result<T, TransportError> {
+    let result = std::thread::scope(|scope| scope.spawn(body).join());
+    result.map_err(|_| TransportError::Backend("zenoh panicked".to_owned()))
+}
+
+/// Closes a session.
+pub(super) fn close(session: &Session) {
+    let closed = aside(|| session.close().wait().map_err(|error| error.to_string()));
+    if !matches!(closed, Ok(Ok(()))) {
+        tracing::debug!(?closed, "closing the zenoh session");
+    }
+}
+
 /// Opens the learner's session. Returns it with the endpoints that actors connect to.
 pub(super) fn open_learner(config: &ZenohConfig) -> Result<(Session, Vec<String>), TransportError> {
     if config.listen.is_empty() {
