@@ -3,29 +3,30 @@
 //! What of Rapier is used, and what is not (0.36.1, checked by tests):
 //! - Armature, joint damping and joint springs of its multibodies are implicit and exact for a pendulum; they carry rotor
 //!   inertia, passive springs, end stops and sticking friction. Its own limits, motors and dry-friction rows are not used: each
-//!   costs a solve with the mass matrix per step, and a row solved once per step does not hold a load.
+//!   costs a solve with the mass matrix per step.
 //! - The servo's torque is a torque pair on the two bodies of its hinge, constant over a physics step (explicit). Rotor inertia keeps this
 //!   stable: with 15 N·m/rad and 0.0022 kg·m², ω·dt is 0.33 at 4 ms, the limit being 2.
 //! - Contacts are Rapier's own (Coulomb friction per point, warm started), between robot and ground only.
 //! - Continuous collision detection, sleeping, contact recycling and clustering are off.
 //!
-//! Cost and accuracy (`examples/engine_bench.rs`: 10 s of an open-loop trot, one thread of a shared 2.7 GHz Xeon, so speeds are
-//! within ± 30 %). MuJoCo 3 on the same MJCF and servo goes 2.13 m with 6.90 W at 0.5 ms:
+//! Cost and accuracy (`examples/engine_bench.rs`: an open-loop trot on flat ground, one thread of a 2.7 GHz Xeon; travel and power over
+//! 10 s). MuJoCo 3 on the same MJCF and servo goes 2.14 m with 6.90 W at 0.5 ms:
 //!
 //! | step, iterations | physics steps/s | times real time | travel, m | power, W |
 //! |---|---|---|---|---|
-//! | 10 ms, 1 | 7,800 | 78 | 1.95 | 7.04 |
-//! | 5 ms, 1 | 7,000 | 35 | 2.04 | 6.68 |
-//! | 4 ms, 1 | 7,000 | 28 | 2.09 | 6.64 |
-//! | 4 ms, 2 | 3,900 | 16 | 2.13 | 6.70 |
-//! | 4 ms, 4 | 1,900 | 8 | 2.17 | 6.71 |
-//! | 2 ms, 1 | 7,000 | 14 | 2.15 | 6.59 |
-//! | 0.5 ms, 1 | 7,000 | 3.5 | 2.15 | 6.67 |
+//! | 10 ms, 1 | 8,000 | 80 | 1.95 | 7.04 |
+//! | 5 ms, 1 | 8,000 | 40 | 2.04 | 6.68 |
+//! | 4 ms, 1 | 8,000 | 32 | 2.09 | 6.64 |
+//! | 4 ms, 2 | 4,400 | 18 | 2.13 | 6.70 |
+//! | 4 ms, 4 | 2,300 | 9 | 2.17 | 6.71 |
+//! | 2 ms, 1 | 8,200 | 16 | 2.15 | 6.59 |
+//! | 0.5 ms, 1 | 8,300 | 4 | 2.15 | 6.67 |
 //!
-//! So time is better spent on smaller steps than on iterations. Two thirds of it is the dense mass matrix; without the four play hinges
-//! ([`EngineConfig::lock_backlash`]) a step costs two thirds. At 10 ms, feet driven hard into rough ground go through it.
+//! On rugged ground it makes 7,200. So time is better spent on smaller steps than on iterations. Two thirds of it is the dense mass matrix; without
+//! the four play hinges ([`EngineConfig::lock_backlash`]) a step costs two thirds. At 10 ms, feet driven hard into rough ground go
+//! through it.
 //!
-//! Same bits for any number of threads; not across processors, whose linear algebra kernels are chosen at run time.
+//! Same bits for any number of threads; across processors they may differ, as linear algebra kernels are chosen at run time.
 
 mod contacts;
 mod convert;
@@ -42,7 +43,7 @@ use caudata_model::RobotModel;
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 use lane::{Lane, Shared};
 
-/// Most lanes one engine takes; memory is about 1 MB per lane.
+/// Most lanes one engine takes; each needs about 0.25 MB of memory, and its own copy of a height field.
 pub const MAX_LANES: usize = 65_536;
 
 /// The Rapier engine.
