@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use caudata_model::pose::sub;
 use caudata_model::{BaseKind, RobotModel};
+use rapier3d::prelude::SharedShape;
 use serde::{Deserialize, Serialize};
 
 use super::drive::Drive;
@@ -20,6 +21,8 @@ pub(super) struct Shared {
     pub model: Arc<RobotModel>,
     pub config: EngineConfig,
     pub terrain: Arc<Terrain>,
+    /// The terrain's height field as Rapier has it, shared by all worlds.
+    pub ground: Option<SharedShape>,
 }
 
 /// Everything of a lane that changes while it runs, besides the Rapier world.

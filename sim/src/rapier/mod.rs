@@ -43,7 +43,7 @@ use caudata_model::RobotModel;
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 use lane::{Lane, Shared};
 
-/// Most lanes one engine takes; each needs about 0.25 MB of memory, and its own copy of a height field.
+/// Most lanes one engine takes; each needs about 0.25 MB of memory.
 pub const MAX_LANES: usize = 65_536;
 
 /// The Rapier engine.
@@ -85,6 +85,7 @@ impl RapierEngine {
             model.feet().len(),
         );
         let shared = Shared {
+            ground: world::height_field(&terrain),
             model,
             config,
             terrain,

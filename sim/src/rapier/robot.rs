@@ -44,13 +44,7 @@ impl Robot {
         params: &LaneParams,
         masses: &[LinkMass],
     ) -> Result<Self, SimError> {
-        let (world, handles) = world::build(
-            &shared.model,
-            &shared.config,
-            params,
-            masses,
-            &shared.terrain,
-        )?;
+        let (world, handles) = world::build(shared, params, masses)?;
         let mut robot = Self {
             root_com_m: if handles.free_base {
                 masses[0].com_m

@@ -9,7 +9,6 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::lane::{Lane, Memory, Shared};
-use super::world::height_field;
 use crate::{InitialState, LaneParams, SimError};
 
 /// Changes whenever the layout below or Rapier's own layout does.
@@ -158,7 +157,7 @@ fn load_lane(shared: &Shared, saved: SavedLane, terrain: &[u8]) -> Result<Lane, 
 
 /// The height field as it stands in a serialised collider set; empty on flat ground.
 fn terrain_bytes(shared: &Shared) -> Result<Vec<u8>, SimError> {
-    match height_field(&shared.terrain) {
+    match &shared.ground {
         Some(shape) => shape.as_heightfield().map_or(Ok(Vec::new()), encode),
         None => Ok(Vec::new()),
     }
