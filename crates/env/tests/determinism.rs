@@ -158,3 +158,17 @@ fn progress_makes_pushes_grow() {
     assert!((change(50) / change(100) - 0.5).abs() < 1e-3);
     assert_eq!(change(100), change(100_000));
 }
+
+#[test]
+fn environments_can_move_between_threads() {
+    let mut env = env(&calm_task(), 2, 1);
+    let expected = run(&mut env, 0..3);
+    let moved = std::thread::spawn(|| {
+        let mut env = support::env(&calm_task(), 2, 1);
+        let output = run(&mut env, 0..3);
+        (env, output)
+    });
+    let (mut moved, found) = moved.join().unwrap();
+    assert_eq!(found, expected);
+    assert_eq!(run(&mut moved, 3..6), run(&mut env, 3..6));
+}

@@ -61,7 +61,7 @@ fn tracking_of_velocity() {
         ..rest()
     };
     check(terms::tracking_lin_vel, &input, 0.726_149);
-    // Standing under a 0.3 m/s command: exp(−0.09/0.25) = 0.697676, the 70 % of DESIGN 4.1.
+    // Standing under a 0.3 m/s command: exp(−0.09/0.25) = 0.697676: 70 % for doing nothing.
     let input = RewardInput {
         command: [0.3, 0.0, 0.0],
         ..rest()
