@@ -24,7 +24,7 @@ pub(super) type DataHead = [u8; UpHead::LEN];
 pub(super) type PolicyHeadBytes = [[u8; 16]; PolicyHead::LEN / 16];
 
 /// Ports beyond one per actor: those of killed actors not yet cleaned up.
-const SPARE_PORTS: usize = 16;
+const SPARE_PORTS: usize = 8;
 /// Messages that may lie in a connection besides the window's frames: a probe and a farewell.
 const SPARE_MESSAGES: usize = 2;
 /// Policies in shared memory at once: the newest, the next, and those that actors are copying right now. Should

@@ -61,7 +61,7 @@ impl Uplink for ZenohUplink {
 
 impl Drop for ZenohUplink {
     fn drop(&mut self) {
-        if let Some(session) = self.session.get() {
+        if let Some(session) = self.session.take() {
             session::close(session);
         }
     }

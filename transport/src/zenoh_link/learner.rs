@@ -37,10 +37,10 @@ fn open(config: &ZenohConfig, run_id: &str) -> Result<Box<dyn LearnerLink>, Tran
     let mut downlink = ZenohDownlink {
         owed: Arc::default(),
         threads: Vec::new(),
-        session: session.clone(),
+        session: Some(session.clone()),
     };
     downlink
-        .start(&core, run_id)
+        .start(&session, &core, run_id)
         .map_err(|e| TransportError::Backend(e.to_string()))?;
     let actor_config = TransportConfig::Zenoh(ZenohConfig {
         limits: config.limits.clone(),
@@ -98,11 +98,17 @@ impl Owed {
 struct ZenohDownlink {
     owed: Arc<Owed>,
     threads: Vec<JoinHandle<()>>,
-    session: Session,
+    /// Empty once closed.
+    session: Option<Session>,
 }
 
 impl ZenohDownlink {
-    fn start(&mut self, core: &Arc<LearnerCore>, run_id: &str) -> Result<(), zenoh::Error> {
+    fn start(
+        &mut self,
+        session: &Session,
+        core: &Arc<LearnerCore>,
+        run_id: &str,
+    ) -> Result<(), zenoh::Error> {
         let (arrivals, owed) = (Arc::clone(core), Arc::clone(&self.owed));
         let on_message = move |sample: Sample| {
             let head = sample.attachment().map(|head| head.to_bytes());
@@ -110,20 +116,19 @@ impl ZenohDownlink {
             arrivals.on_message(&head.unwrap_or_default(), frame);
             owed.raise();
         };
-        self.session
+        session
             .declare_subscriber(up_key(run_id, "*"))
             .callback(on_message)
             .background()
             .wait()?;
         // Each actor asks one piece at a time; what does not fit is dropped and asked again.
-        let queryable = self
-            .session
+        let queryable = session
             .declare_queryable(policy_key(run_id))
             .complete(true)
             .with(RingChannel::new(2 * core.limits.max_actors))
             .wait()?;
         let (answers, pieces) = (Arc::clone(core), Arc::clone(core));
-        let (owed, session) = (Arc::clone(&self.owed), self.session.clone());
+        let (owed, session) = (Arc::clone(&self.owed), session.clone());
         let run_id = run_id.to_owned();
         let answerer = move || answer_until_closed(&answers, &owed, &session, &run_id);
         self.threads.push(core.spawn("caudata-answer", answerer)?);
@@ -144,7 +149,9 @@ impl Downlink for ZenohDownlink {
             // A thread that panicked has been reported by the crew.
             let _ = thread.join();
         }
-        session::close(&self.session);
+        if let Some(session) = self.session.take() {
+            session::close(session);
+        }
     }
 }
 

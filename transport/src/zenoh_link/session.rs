@@ -23,9 +23,9 @@ pub(super) fn aside<T: Send>(body: impl FnOnce() -> T + Send) -> Result<T, Trans
     result.map_err(|_| TransportError::Backend("zenoh panicked".to_owned()))
 }
 
-/// Closes a session.
-pub(super) fn close(session: &Session) {
-    let closed = aside(|| session.close().wait().map_err(|error| error.to_string()));
+/// Closes a session. Takes it, because dropping the last handle waits for zenoh as well.
+pub(super) fn close(session: Session) {
+    let closed = aside(move || session.close().wait().map_err(|error| error.to_string()));
     if !matches!(closed, Ok(Ok(()))) {
         tracing::debug!(?closed, "closing the zenoh session");
     }

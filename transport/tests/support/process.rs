@@ -5,9 +5,12 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
 use caudata_transport::{TransportConfig, actor_link, learner_link};
+use nix::sys::prctl::set_pdeathsig;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde::{Deserialize, Serialize};
 
-use super::frames::{Label, check, flush, frame, send};
+use super::frames::{Label, check, flush, frame, send, wait_until};
 
 const ORDER: &str = "CAUDATA_TRANSPORT_TEST_ORDER";
 
@@ -84,9 +87,28 @@ impl Helper {
         assert!(self.child.wait().unwrap().success());
     }
 
-    pub fn signal(&self, signal: nix::sys::signal::Signal) {
-        let pid = nix::unistd::Pid::from_raw(self.child.id().try_into().unwrap());
-        nix::sys::signal::kill(pid, signal).unwrap();
+    /// Makes it stand still, every thread of it, as a debugger or a full disk would.
+    pub fn stop(&self) {
+        self.signal(Signal::SIGSTOP);
+        let tasks = format!("/proc/{}/task", self.child.id());
+        wait_until("the helper to stand still", || {
+            let mut tasks = std::fs::read_dir(&tasks).unwrap();
+            tasks.all(|task| {
+                let stat = std::fs::read_to_string(task.unwrap().path().join("stat"));
+                // "pid (name) state ..."; a thread that has just ended stands still enough.
+                stat.map_or(true, |stat| stat.contains(") T "))
+            })
+        });
+    }
+
+    /// Lets it go on.
+    pub fn go_on(&self) {
+        self.signal(Signal::SIGCONT);
+    }
+
+    fn signal(&self, signal: Signal) {
+        let pid = Pid::from_raw(self.child.id().try_into().unwrap());
+        kill(pid, signal).unwrap();
     }
 
     /// The next line that begins with `mark`, without it. The test harness prints lines of its own.
@@ -113,6 +135,8 @@ pub fn run_order() {
     let Ok(order) = std::env::var(ORDER) else {
         return;
     };
+    // A test that aborts leaves no helper behind.
+    set_pdeathsig(Signal::SIGKILL).unwrap();
     match toml::from_str(&order).unwrap() {
         Order::Actor {
             run_id,
