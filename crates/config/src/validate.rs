@@ -271,11 +271,9 @@ impl Config {
             1,
             100_000,
         )?;
-        word(
-            "policy_server.stream",
-            &self.policy_server.stream,
-            64,
-            "-_.",
-        )
+        match self.policy_server.stream.as_str() {
+            "" => Ok(()),
+            stream => word("policy_server.stream", stream, 64, "-_."),
+        }
     }
 }
