@@ -18,9 +18,15 @@ const ACT: usize = 16;
 const LANES: usize = 128;
 
 fn main() {
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let arguments: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|a| a != "--bench")
+        .collect();
     let number = |at: usize, default: usize| {
-        arguments.get(at).and_then(|text| text.parse().ok()).unwrap_or(default)
+        arguments
+            .get(at)
+            .and_then(|text| text.parse().ok())
+            .unwrap_or(default)
     };
     let (threads, samples) = (number(0, 1), number(1, 6144));
     let hidden: Vec<u32> = arguments.get(2).map_or(vec![128, 128], |text| {
@@ -32,8 +38,10 @@ fn main() {
         ..NetworkConfig::default()
     };
     let spec = NetworkSpec::new(&network, OBS, ACT).unwrap();
-    let settings =
-        PpoSettings { ppo: PpoConfig::default(), staleness: StalenessConfig::default() };
+    let settings = PpoSettings {
+        ppo: PpoConfig::default(),
+        staleness: StalenessConfig::default(),
+    };
     let epochs = settings.ppo.epochs;
     let net = ActorCritic::new(spec, 1, tch::Device::Cpu);
     let mut ppo = Ppo::new(net, settings, threads).unwrap();
@@ -56,7 +64,15 @@ fn main() {
 }
 
 fn stream(purpose: Purpose) -> Stream {
-    Stream::new(Key { seed: 1, actor: 0, env: 0, episode: 0 }, purpose)
+    Stream::new(
+        Key {
+            seed: 1,
+            actor: 0,
+            env: 0,
+            episode: 0,
+        },
+        purpose,
+    )
 }
 
 fn noise(steps: usize) -> Batch {

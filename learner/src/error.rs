@@ -36,6 +36,12 @@ pub enum LearnerError {
     /// A file that must survive a crash cannot be written.
     #[error(transparent)]
     Durable(#[from] caudata_durable::DurableError),
+    /// The policy cannot become a file.
+    #[error("policy: {0}")]
+    Policy(#[from] caudata_policy::PolicyError),
+    /// The policy server cannot be addressed.
+    #[error(transparent)]
+    Registry(#[from] caudata_registry_client::ClientError),
     /// A picture cannot be drawn.
     #[error("cannot draw a curve: {0}")]
     Picture(String),
@@ -68,13 +74,15 @@ impl LearnerError {
     /// The exit code of a process that ends with this error.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Setting(_) | Self::NoCuda => ExitCode::BadConfig,
+            Self::Setting(_) | Self::NoCuda | Self::Registry(_) => ExitCode::BadConfig,
             Self::Write { source, .. } => ExitCode::of_io(source, true),
             Self::Durable(caudata_durable::DurableError::Io { source, .. }) => {
                 ExitCode::of_io(source, true)
             }
             Self::Durable(_) => ExitCode::IoError,
-            Self::Torch(_) | Self::Worker | Self::Picture(_) => ExitCode::Internal,
+            Self::Torch(_) | Self::Worker | Self::Picture(_) | Self::Policy(_) => {
+                ExitCode::Internal
+            }
             Self::Thread(_) => ExitCode::OsResource,
             Self::CheckpointDamaged { .. } => ExitCode::CheckpointDamaged,
         }

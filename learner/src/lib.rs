@@ -3,10 +3,13 @@
 
 pub mod adam;
 pub mod batch;
+pub mod checkpoint;
 mod error;
+pub mod export;
 pub mod network;
 pub mod normaliser;
 pub mod ppo;
+pub mod publish;
 pub mod report;
 pub mod returns;
 

@@ -10,7 +10,15 @@ use caudata_random::{Key, Purpose, Stream};
 use tch::{Device, Tensor};
 
 fn stream(seed: u64, purpose: Purpose) -> Stream {
-    Stream::new(Key { seed, actor: 0, env: 0, episode: 0 }, purpose)
+    Stream::new(
+        Key {
+            seed,
+            actor: 0,
+            env: 0,
+            episode: 0,
+        },
+        purpose,
+    )
 }
 
 fn learner(seed: u64, obs_dim: usize, act_dim: usize, ppo: PpoConfig) -> Ppo {
@@ -22,7 +30,10 @@ fn learner(seed: u64, obs_dim: usize, act_dim: usize, ppo: PpoConfig) -> Ppo {
         ..NetworkConfig::default()
     };
     let spec = NetworkSpec::new(&network, obs_dim, act_dim).unwrap();
-    let settings = PpoSettings { ppo, staleness: StalenessConfig::default() };
+    let settings = PpoSettings {
+        ppo,
+        staleness: StalenessConfig::default(),
+    };
     Ppo::new(ActorCritic::new(spec, seed, Device::Cpu), settings, 1).unwrap()
 }
 
@@ -60,7 +71,9 @@ fn bandit_return(ppo: &Ppo, scaling: &Scaling) -> f64 {
 
 fn bandit_rewards(observations: &[f32], actions: &[f32]) -> Vec<f32> {
     let pairs = observations.chunks_exact(2).zip(actions.chunks_exact(2));
-    pairs.map(|(s, a)| -(a[0] - s[0] - s[1]).powi(2) - (a[1] - s[0] + 0.5).powi(2)).collect()
+    pairs
+        .map(|(s, a)| -(a[0] - s[0] - s[1]).powi(2) - (a[1] - s[0] + 0.5).powi(2))
+        .collect()
 }
 
 fn mean_bandit_reward(observations: &[f32], actions: &[f32]) -> f64 {
@@ -71,12 +84,21 @@ fn mean_bandit_reward(observations: &[f32], actions: &[f32]) -> f64 {
 #[test]
 fn a_contextual_bandit_is_solved_in_fifty_updates() {
     for seed in [1, 2] {
-        let ppo_config = PpoConfig { gamma: 0.0, ..PpoConfig::default() };
+        let ppo_config = PpoConfig {
+            gamma: 0.0,
+            ..PpoConfig::default()
+        };
         let mut ppo = learner(seed, 2, 2, ppo_config);
         let scaling = Scaling::identity(2, 10.0);
-        let (mut noise, mut order) = (stream(seed, Purpose::Action), stream(seed, Purpose::Minibatch));
+        let (mut noise, mut order) = (
+            stream(seed, Purpose::Action),
+            stream(seed, Purpose::Minibatch),
+        );
         let before = bandit_return(&ppo, &scaling);
-        assert!((before + 1.25).abs() < 0.1, "an untrained policy does nothing: {before}");
+        assert!(
+            (before + 1.25).abs() < 0.1,
+            "an untrained policy does nothing: {before}"
+        );
         for version in 0..50 {
             let rows = 512;
             let observations: Vec<f32> = (0..rows * 2).map(|_| noise.uniform(-1.0, 1.0)).collect();
@@ -142,7 +164,9 @@ impl PointMasses {
 
     fn observations(&self) -> Vec<f32> {
         // Odd scales and an offset, for the normaliser to earn its keep.
-        (0..self.x.len()).flat_map(|l| [100.0 + 20.0 * self.x[l], 0.1 * self.v[l]]).collect()
+        (0..self.x.len())
+            .flat_map(|l| [100.0 + 20.0 * self.x[l], 0.1 * self.v[l]])
+            .collect()
     }
 
     fn step(&mut self, lane: usize, a: f32) -> f32 {
@@ -178,7 +202,9 @@ fn point_mass_return(ppo: &Ppo, scaling: &Scaling) -> f64 {
     let mut sum = 0.0;
     for _ in 0..LIMIT {
         let actions = means(ppo, scaling, &world.observations(), 2);
-        sum += (0..lanes).map(|lane| f64::from(world.step(lane, actions[lane]))).sum::<f64>();
+        sum += (0..lanes)
+            .map(|lane| f64::from(world.step(lane, actions[lane])))
+            .sum::<f64>();
     }
     sum / lanes as f64
 }
@@ -192,7 +218,12 @@ fn collect(
     version: u64,
 ) -> Batch {
     let (steps, lanes) = (16, world.x.len());
-    let mut batch = Batch { obs_dim: 2, act_dim: 1, rows: steps * lanes, ..Batch::default() };
+    let mut batch = Batch {
+        obs_dim: 2,
+        act_dim: 1,
+        rows: steps * lanes,
+        ..Batch::default()
+    };
     let mut finals: Vec<f32> = Vec::new();
     for _ in 0..steps {
         let observations = world.observations();
@@ -232,7 +263,11 @@ fn collect(
 #[test]
 fn a_point_mass_is_steered_nearly_as_well_as_riccati_does() {
     let best = best_return();
-    let config = PpoConfig { gamma: 0.98, minibatches: 4, ..PpoConfig::default() };
+    let config = PpoConfig {
+        gamma: 0.98,
+        minibatches: 4,
+        ..PpoConfig::default()
+    };
     let mut ppo = learner(3, 2, 1, config);
     let mut moments = Moments::new(2);
     let mut scaling = moments.scaling(10.0);
@@ -247,6 +282,9 @@ fn a_point_mass_is_steered_nearly_as_well_as_riccati_does() {
     }
     let after = point_mass_return(&ppo, &scaling);
     // Doing nothing costs 40·⅓ = 13.3; the best feedback costs about a quarter of that.
-    assert!(before < -12.0 && best > -4.0, "before {before}, best {best}");
+    assert!(
+        before < -12.0 && best > -4.0,
+        "before {before}, best {best}"
+    );
     assert!(after > 1.15 * best, "after {after}, best {best}");
 }
