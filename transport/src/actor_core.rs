@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crate::crew::Crew;
 use crate::policy_cell::{PolicyCell, Seen};
-use crate::reliable::{Outbox, Status, Step, UpHead};
+use crate::reliable::{Outbox, PolicyId, Status, Step, UpHead};
 use crate::{ActorLink, Limits, LinkStats, PolicyUpdate, SendError, TransportError};
 
 /// How long the transmitting thread rests when a frame could not be handed on.
@@ -71,20 +71,21 @@ impl ActorCore {
         self.wake_everyone();
     }
 
-    /// For a carrier's thread: rests until the learner speaks of a policy other than `have`, the link closes,
-    /// or `time` has passed. Returns epoch and generation of the newest policy spoken of.
+    /// For a carrier's thread: rests until the learner speaks of a policy that is news to `have`, the link closes, or
+    /// `time` has passed. Returns the news.
     pub(crate) fn wait_for_policy_news(
         &self,
-        have: Option<(u64, u64)>,
+        have: Option<PolicyId>,
         time: Duration,
-    ) -> Option<(u64, u64)> {
-        let no_news =
-            |outbox: &mut Outbox| outbox.newest_policy() == have && !self.crew.is_closing();
+    ) -> Option<PolicyId> {
+        let news = |outbox: &Outbox| outbox.newest_policy().filter(|id| id.is_news_to(have));
         let (outbox, _) = self
             .changed
-            .wait_timeout_while(self.outbox(), time, no_news)
+            .wait_timeout_while(self.outbox(), time, |outbox| {
+                news(outbox).is_none() && !self.crew.is_closing()
+            })
             .unwrap_or_else(PoisonError::into_inner);
-        outbox.newest_policy()
+        news(&outbox)
     }
 
     fn wake_everyone(&self) {

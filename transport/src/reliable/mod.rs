@@ -19,4 +19,4 @@ mod simulation;
 
 pub(crate) use inbox::Inbox;
 pub(crate) use message::{PolicyHead, Status, UpHead, UpKind};
-pub(crate) use outbox::{Outbox, Step};
+pub(crate) use outbox::{Outbox, PolicyId, Step};

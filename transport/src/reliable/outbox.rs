@@ -36,6 +36,20 @@ pub(crate) struct Outbox {
     retransmits: u64,
 }
 
+/// A policy of one learner process: its epoch, and which of its policies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct PolicyId {
+    pub epoch: u64,
+    pub generation: u64,
+}
+
+impl PolicyId {
+    /// Whether this one comes after what is there. Another learner's is news whatever its number.
+    pub(crate) fn is_news_to(self, have: Option<Self>) -> bool {
+        have.is_none_or(|have| have.epoch != self.epoch || have.generation < self.generation)
+    }
+}
+
 /// What the transmitting thread does next.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Step {
@@ -87,10 +101,13 @@ impl Outbox {
         self.stop
     }
 
-    /// Epoch and generation of the newest policy the learner has spoken of; `None` before there is one.
-    pub(crate) fn newest_policy(&self) -> Option<(u64, u64)> {
-        let epoch = self.epoch?;
-        (self.generation > 0).then_some((epoch, self.generation))
+    /// The newest policy the learner has spoken of; `None` before there is one.
+    pub(crate) fn newest_policy(&self) -> Option<PolicyId> {
+        let id = PolicyId {
+            epoch: self.epoch?,
+            generation: self.generation,
+        };
+        (id.generation > 0).then_some(id)
     }
 
     /// Takes the frame if the learner is there and has granted its number. `Full` and `Disconnected` pass with time.

@@ -10,7 +10,7 @@ use zenoh::{Session, Wait};
 
 use super::{PieceRequest, down_key, policy_key, session, up_key};
 use crate::actor_core::{ActorCore, RemoteActor, Uplink};
-use crate::reliable::{PolicyHead, Status, UpHead};
+use crate::reliable::{PolicyHead, PolicyId, Status, UpHead};
 use crate::{ActorLink, PolicyUpdate, TransportError, ZenohConfig, identity};
 
 /// Pause between attempts to open the session while nobody answers, and after a piece that did not come.
@@ -83,13 +83,11 @@ impl Puller {
         let session = self.uplink.session.get_or_init(|| session);
         let mut have = None;
         while !self.core.crew.is_closing() {
-            let newest = self
-                .core
-                .wait_for_policy_news(have, self.core.limits.heartbeat());
-            let Some(newest) = newest.filter(|_| newest != have) else {
+            let heartbeat = self.core.limits.heartbeat();
+            let Some(news) = self.core.wait_for_policy_news(have, heartbeat) else {
                 continue;
             };
-            match self.pull(session, newest) {
+            match self.pull(session, news) {
                 Ok(Some((got, update))) => {
                     have = Some(got);
                     self.core.policy.replace(update);
@@ -128,22 +126,22 @@ impl Puller {
         Ok(session)
     }
 
-    /// Pulls the newest policy of the learner `newest` speaks of, from its start. `None` when a piece does not
+    /// Pulls the wanted policy, or a newer one of the same learner. `None` when a piece does not
     /// come or another learner answers: try again. An error is for good.
     fn pull(
         &self,
         session: &Session,
-        newest: (u64, u64),
-    ) -> Result<Option<((u64, u64), PolicyUpdate)>, String> {
-        let (epoch, mut generation) = newest;
+        mut wanted: PolicyId,
+    ) -> Result<Option<(PolicyId, PolicyUpdate)>, String> {
         let mut bytes = Vec::new();
         while !self.core.crew.is_closing() {
             let offset = bytes.len() as u64;
+            let generation = wanted.generation;
             let Some((head, piece)) = self.ask(session, &PieceRequest { generation, offset })
             else {
                 return Ok(None);
             };
-            if head.epoch != epoch || head.generation < generation {
+            if head.epoch != wanted.epoch || head.generation < generation {
                 return Ok(None);
             }
             let max = self.core.limits.max_policy_bytes;
@@ -155,7 +153,7 @@ impl Puller {
             }
             if head.generation != generation {
                 // A newer one has taken its place: begin again with that.
-                generation = head.generation;
+                wanted.generation = head.generation;
                 bytes.clear();
             }
             if head.offset != bytes.len() as u64 || (piece.is_empty() && head.offset < head.total) {
@@ -163,7 +161,7 @@ impl Puller {
             }
             bytes.extend_from_slice(&piece);
             if bytes.len() as u64 == head.total {
-                return Ok(Some(((epoch, generation), head.into_update(bytes))));
+                return Ok(Some((wanted, head.into_update(bytes))));
             }
         }
         Ok(None)
