@@ -2,6 +2,7 @@
 //! anew when another learner has taken the run over.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -12,7 +13,7 @@ use super::WAKE;
 use super::run_dir::{Note, RunPaths, sweep_segments};
 use super::services::{DataHead, Ipc, PolicyHeadBytes, Services, backend, check_room_for_actor};
 use crate::actor_core::{ActorCore, RemoteActor, Uplink};
-use crate::reliable::{PolicyHead, Status, UpHead};
+use crate::reliable::{PolicyHead, PolicyId, Status, UpHead};
 use crate::{ActorLink, Iceoryx2Config, Limits, TransportError, identity};
 
 /// An actor's end of `run_id`.
@@ -182,14 +183,15 @@ impl Reader {
     /// Reads until the link closes or another learner is in charge.
     fn follow(&self, session: &Session) {
         let heartbeat = self.core.limits.heartbeat();
-        let mut looked = std::time::Instant::now();
+        let mut have = None;
+        let mut looked = Instant::now();
         while !self.core.crew.is_closing() {
             // Interrupted or not: what counts is what is there now.
             let _ = session.woken.timed_wait(|_| (), WAKE);
             self.read_answers(session);
-            self.read_policies(session);
+            self.read_policies(session, &mut have);
             if looked.elapsed() >= heartbeat {
-                looked = std::time::Instant::now();
+                looked = Instant::now();
                 if !session.is_current() {
                     return;
                 }
@@ -210,14 +212,20 @@ impl Reader {
         }
     }
 
-    fn read_policies(&self, session: &Session) {
+    fn read_policies(&self, session: &Session, have: &mut Option<PolicyId>) {
         while let Ok(Some(sample)) = session.policy.receive() {
             let head = *sample.user_header();
             let bytes = sample.payload().to_vec();
             drop(sample);
-            if let Some((head, _)) = PolicyHead::decode(head.as_flattened())
-                && head.total == bytes.len() as u64
-            {
+            let Some((head, _)) = PolicyHead::decode(head.as_flattened()) else {
+                continue;
+            };
+            let id = PolicyId {
+                epoch: head.epoch,
+                generation: head.generation,
+            };
+            if id.is_news_to(*have) && head.total == bytes.len() as u64 {
+                *have = Some(id);
                 self.core.policy.replace(head.into_update(bytes));
             }
         }
