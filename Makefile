@@ -30,9 +30,10 @@ train: build ## train the quick preset on this machine; more with ARGS="--actors
 test: tools ## run all tests but the long fault suites; ARGS goes to cargo test
 	@$(PROVISION) --with-mujoco
 	@cd setup && python3 -m unittest -b test_provision
+	@$(ENV) cargo build --release --locked --workspace
 	@$(ENV) cargo test --release --locked --workspace $(ARGS)
 
-test-faults: setup ## run the long suites that `make test` leaves out (faults, soak)
+test-faults: build ## run the long suites that `make test` leaves out (faults, soak)
 	@$(ENV) cargo test --release --locked --workspace $(ARGS) -- --ignored --nocapture
 
 bench: build ## measure this machine: ARGS="sim", "policy", "transport" or "learner", with --json for figures

@@ -1,1 +1,136 @@
-//! Helpers for the end-to-end tests.
+//! What the end-to-end tests share: the built binaries, small training runs, and a look into run folders.
+//!
+//! The binaries are those of this build, beside the test executable (`make test` builds them first).
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use anyhow::{Context, Result, ensure};
+use serde_json::Value;
+
+/// The repository.
+#[must_use]
+pub fn repository_root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap_or(Path::new("."))
+        .to_path_buf()
+}
+
+/// One of the project's binaries.
+///
+/// # Errors
+/// When it has not been built.
+pub fn binary(name: &str) -> Result<PathBuf> {
+    // .../target/release/deps/<test> → .../target/release/<name>
+    let test = std::env::current_exe()?;
+    let folder = test
+        .parent()
+        .and_then(Path::parent)
+        .context("the test lies in target/<profile>/deps")?;
+    let path = folder.join(name);
+    ensure!(
+        path.is_file(),
+        "{} is not built: run `make test`, or `cargo build --release --workspace` first",
+        path.display()
+    );
+    Ok(path)
+}
+
+/// A command on one of the binaries, run from the repository, with plain logs.
+///
+/// # Errors
+/// When it has not been built.
+pub fn command(name: &str, args: &[&str]) -> Result<Command> {
+    let mut command = Command::new(binary(name)?);
+    command.args(args).current_dir(repository_root());
+    Ok(command)
+}
+
+/// Flags for `caudata train` that make a run of seconds: few lanes, a small network, no long evaluation.
+pub const TINY: &[&str] = &[
+    "--preset",
+    "quick",
+    "--actors",
+    "2",
+    "--set",
+    "actors.lanes=3",
+    "--set",
+    "actors.chunk_steps=8",
+    "--set",
+    "learner.network.policy_hidden=[16]",
+    "--set",
+    "learner.network.value_hidden=[16]",
+    "--set",
+    "learner.ppo.minibatches=2",
+    "--set",
+    "evaluation.episodes=0",
+    "--set",
+    "evaluation.robot_run_s=0",
+    "--set",
+    "telemetry.metrics=false",
+    "--json",
+];
+
+/// `caudata train` with [`TINY`], `extra` flags, into `out`.
+///
+/// # Errors
+/// When the binary is not built.
+pub fn train(out: &Path, extra: &[&str]) -> Result<Command> {
+    let mut command = command("caudata", &["train"])?;
+    command.args(TINY).arg("--out").arg(out).args(extra);
+    Ok(command)
+}
+
+/// Runs to the end; standard output and error come back as text for messages.
+///
+/// # Errors
+/// When it cannot be started.
+pub fn finish(mut command: Command) -> Result<Finished> {
+    let output: Output = command.output().context("cannot start")?;
+    Ok(Finished {
+        code: output.status.code(),
+        stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
+        stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+    })
+}
+
+/// How a command ended.
+#[derive(Debug)]
+pub struct Finished {
+    /// Exit code; `None` when a signal ended it.
+    pub code: Option<i32>,
+    /// Everything on standard output.
+    pub stdout: String,
+    /// Everything on standard error.
+    pub stderr: String,
+}
+
+impl Finished {
+    /// The lines `error: …` of standard error.
+    #[must_use]
+    pub fn errors(&self) -> Vec<&str> {
+        self.stderr
+            .lines()
+            .filter(|line| line.starts_with("error: "))
+            .collect()
+    }
+
+    /// The JSON object on the last line of standard output.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn last_json(&self) -> Result<Value> {
+        let line = self.stdout.lines().last().context("nothing on standard output")?;
+        serde_json::from_str(line).with_context(|| format!("not JSON: {line}"))
+    }
+}
+
+/// A JSON file.
+///
+/// # Errors
+/// When it is absent or not JSON.
+pub fn json_file(path: &Path) -> Result<Value> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    Ok(serde_json::from_str(&text)?)
+}

@@ -272,3 +272,21 @@ fn nothing_is_left_to_do_in_the_code() {
         }
     }
 }
+
+#[test]
+fn the_page_on_exit_codes_matches_the_code() {
+    let page = std::fs::read_to_string(repository_root().join("docs/exit-codes.md")).expect("page");
+    let on_page: BTreeMap<u8, String> = page
+        .lines()
+        .filter_map(|line| {
+            let mut cells = line.split('|').map(str::trim).skip(1);
+            let number = cells.next()?.parse().ok()?;
+            Some((number, cells.next()?.to_owned()))
+        })
+        .collect();
+    let in_code: BTreeMap<u8, String> = caudata_telemetry::ExitCode::ALL
+        .into_iter()
+        .map(|code| (code.number(), format!("{code:?}")))
+        .collect();
+    assert_eq!(on_page, in_code);
+}
