@@ -62,7 +62,9 @@ impl Keeper {
         manifest: &Manifest,
     ) -> Result<Verified, DeployError> {
         let policy = reference(manifest);
-        match self.store().state().decide(&policy) {
+        // Its own statement: the store must not stay locked while the decision is carried out.
+        let decision = self.store().state().decide(&policy);
+        match decision {
             Decision::Refused { reason } => {
                 return Err(self.refused(policy, Refusal::Before(reason)));
             }

@@ -25,7 +25,7 @@ use tokio::runtime::Runtime;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
-/// Stream of all tests.
+/// Stream that tests use where it does not matter.
 pub const STREAM: &str = "test";
 
 /// A policy server; dropped or stopped, it is gone and its port closed.
@@ -61,8 +61,13 @@ impl Server {
     }
 
     pub fn publish(&self, bytes: Vec<u8>) {
+        self.publish_to(STREAM, bytes);
+    }
+
+    /// A stream takes policies of one contract only.
+    pub fn publish_to(&self, stream: &str, bytes: Vec<u8>) {
         let file = PolicyFile::parse(Arc::from(bytes)).unwrap();
-        let manifest = manifest_of(StreamName::new(STREAM).unwrap(), &file, 5).unwrap();
+        let manifest = manifest_of(StreamName::new(stream).unwrap(), &file, 5).unwrap();
         let address = self.address.to_string();
         self.runtime.block_on(async move {
             let mut client = RegistryClient::new(&address).unwrap();
@@ -113,7 +118,7 @@ fn serve_robot(mut stream: TcpStream) {
         }),
         foot_contacts: Some([true; 4]),
     };
-    let mut send = |stream: &mut TcpStream, message| {
+    let send = |stream: &mut TcpStream, message| {
         let _ = write_frame(stream, &encode(&message), MAX_MESSAGE_BYTES);
     };
     let mut reader = FrameReader::new(MAX_MESSAGE_BYTES);
@@ -142,9 +147,14 @@ fn serve_robot(mut stream: TcpStream) {
 
 /// The program with `command` and what every call needs.
 pub fn program(command: &str, server: SocketAddr, state: &Path) -> Command {
+    program_on(STREAM, command, server, state)
+}
+
+/// The same on another stream.
+pub fn program_on(stream: &str, command: &str, server: SocketAddr, state: &Path) -> Command {
     let mut program = Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
     program
-        .args([command, "--robot", policies::ROBOT_FILE, "--stream", STREAM])
+        .args([command, "--robot", policies::ROBOT_FILE, "--stream", stream])
         .args(["--policy-server", &server.to_string()])
         .arg("--state")
         .arg(state)
