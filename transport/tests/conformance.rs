@@ -17,6 +17,7 @@ use support::frames::{
     ATTEMPT, Label, Ledger, PATIENCE, check, flush, frame, recv, send, wait_until,
 };
 use support::process::{Helper, run_order, start_learner};
+use support::proxy::Proxy;
 use support::rig::{Kind, Residue, Rig, fresh_run_id, limits, remote};
 
 fn label(sender: u64, number: u64) -> Label {
@@ -580,6 +581,46 @@ fn iceoryx2_reports_limits_that_differ() {
         Err(TransportError::Backend(_))
     ));
     drop((actor, learner));
+}
+
+/// The connection is cut in the middle of a stream of large frames, five times: every frame arrives once and in order, and
+/// the policy gets through.
+#[test]
+fn zenoh_a_cut_connection_loses_nothing() {
+    const CUTS: u64 = 5;
+    const BETWEEN: u64 = 60;
+    let mut rig = Rig::new(Kind::Zenoh, limits());
+    let TransportConfig::Zenoh(config) = &mut rig.config else {
+        panic!("another transport");
+    };
+    let learner = config.connect[0].strip_prefix("tcp/").unwrap();
+    let proxy = Proxy::to(learner.parse().unwrap());
+    config.connect = vec![format!("tcp/{}", proxy.address())];
+    let mut actor = rig.actor(0);
+    let total = CUTS * BETWEEN;
+    std::thread::scope(|scope| {
+        let sender = scope.spawn(move || {
+            for number in 1..=total {
+                send(&mut *actor, &frame(label(0, number), 60_000));
+            }
+            flush(&mut *actor);
+            while next_policy(&mut *actor).version < CUTS {}
+            actor.stats()
+        });
+        let mut ledger = Ledger::default();
+        for cut in 1..=CUTS {
+            rig.learner
+                .publish_policy(policy(cut, 60_000, Control::Run))
+                .unwrap();
+            read(&mut *rig.learner, &mut ledger, cut * BETWEEN - BETWEEN / 2);
+            wait_until("a connection to cut", || proxy.cut());
+            read(&mut *rig.learner, &mut ledger, cut * BETWEEN);
+        }
+        assert_nothing_more(&mut *rig.learner);
+        let stats = sender.join().unwrap();
+        assert_eq!((stats.frames, stats.depth), (total, 0));
+    });
+    rig.finish();
 }
 
 /// The smaller of the two frame limits counts: a frame that the learner would not take is refused at the source.

@@ -1,6 +1,8 @@
 //! zenoh's settings, every one that matters written out: no scouting, no defaults without a bound.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs};
+use std::sync::mpsc;
+use std::time::Duration;
 
 use zenoh::{Config, Session, Wait};
 
@@ -13,6 +15,8 @@ const SPARE_SESSIONS: usize = 16;
 const RETRY_MS: (u32, u32) = (100, 1_000);
 /// Shortest lease, ms: a host that is merely busy is not taken for dead.
 const MIN_LEASE_MS: u64 = 5_000;
+/// Longest wait for a session to close.
+const CLOSE_WAIT: Duration = Duration::from_secs(2);
 /// Ports tried when another process takes the one that the system had offered.
 const PORT_ATTEMPTS: usize = 8;
 
@@ -23,11 +27,24 @@ pub(super) fn aside<T: Send>(body: impl FnOnce() -> T + Send) -> Result<T, Trans
     result.map_err(|_| TransportError::Backend("zenoh panicked".to_owned()))
 }
 
-/// Closes a session. Takes it, because dropping the last handle waits for zenoh as well.
+/// Closes a session, waiting for at most [`CLOSE_WAIT`]; zenoh itself would wait 10 s for another side that stands still.
+/// Takes the session, because dropping the last handle waits as well.
 pub(super) fn close(session: Session) {
-    let closed = aside(move || session.close().wait().map_err(|error| error.to_string()));
-    if !matches!(closed, Ok(Ok(()))) {
-        tracing::debug!(?closed, "closing the zenoh session");
+    let (done, closed) = mpsc::sync_channel(1);
+    let body = move || {
+        let result = session.close().wait().map_err(|error| error.to_string());
+        drop(session);
+        // Nobody listens any more when it took too long.
+        let _ = done.send(result);
+    };
+    let thread = std::thread::Builder::new().name("caudata-close".to_owned());
+    if let Err(error) = thread.spawn(body) {
+        tracing::debug!(%error, "no thread to close the zenoh session on");
+        return;
+    }
+    match closed.recv_timeout(CLOSE_WAIT) {
+        Ok(Ok(())) => {}
+        other => tracing::debug!(?other, "closing the zenoh session"),
     }
 }
 
