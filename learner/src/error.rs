@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use caudata_telemetry::ExitCode;
+use caudata_telemetry::{ExitCode, Failure};
+use caudata_transport::TransportError;
 
 /// Why the learner cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -45,6 +46,78 @@ pub enum LearnerError {
     /// A picture cannot be drawn.
     #[error("cannot draw a curve: {0}")]
     Picture(String),
+    /// The link to the actors failed.
+    #[error("transport: {0}")]
+    Transport(#[from] caudata_transport::TransportError),
+    /// The robot file cannot be used.
+    #[error("robot file {path}: {source}")]
+    Robot {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: caudata_model::ModelError,
+    },
+    /// The task does not fit the robot.
+    #[error("task: {0}")]
+    Task(#[from] caudata_task::TaskError),
+    /// An actor of this process failed.
+    #[error("actor {id}: {source}")]
+    Actor {
+        /// Which.
+        id: u32,
+        /// Why.
+        source: caudata_actor::ActorError,
+    },
+    /// An actor of this process has left although the run goes on.
+    #[error("actor {id} has ended before the run")]
+    ActorEnded {
+        /// Which.
+        id: u32,
+    },
+    /// An actor of this process has panicked.
+    #[error("actor {id} has died; its message is above")]
+    ActorPanicked {
+        /// Which.
+        id: u32,
+    },
+    /// An actor of this process could not be saved.
+    #[error("actor {id} cannot be saved: {reason}")]
+    Snapshot {
+        /// Which.
+        id: u32,
+        /// Why.
+        reason: String,
+    },
+    /// Too few rollouts for too long.
+    #[error("only {chunks} chunks came within {waited_s:.0} s; are the actors alive?")]
+    Starved {
+        /// How long was waited.
+        waited_s: f64,
+        /// What came.
+        chunks: usize,
+    },
+    /// Nothing could be learnt for many iterations.
+    #[error(
+        "{iterations} iterations in a row had no finite update; the weights are those of before"
+    )]
+    NotFinite {
+        /// How many.
+        iterations: u32,
+    },
+    /// A checkpoint of another configuration.
+    #[error(
+        "{path} was written under another configuration; resume with the run's own config.toml"
+    )]
+    CheckpointConfig {
+        /// The checkpoint.
+        path: String,
+    },
+    /// A checkpoint of another task or robot.
+    #[error("{path} was written for another robot or task")]
+    CheckpointContract {
+        /// The checkpoint.
+        path: String,
+    },
     /// A checkpoint cannot be used.
     #[error("checkpoint {path} is damaged: {reason}")]
     CheckpointDamaged {
@@ -74,7 +147,9 @@ impl LearnerError {
     /// The exit code of a process that ends with this error.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Setting(_) | Self::NoCuda | Self::Registry(_) => ExitCode::BadConfig,
+            Self::Setting(_) | Self::NoCuda | Self::Registry(_) | Self::CheckpointConfig { .. } => {
+                ExitCode::BadConfig
+            }
             Self::Write { source, .. } => ExitCode::of_io(source, true),
             Self::Durable(caudata_durable::DurableError::Io { source, .. }) => {
                 ExitCode::of_io(source, true)
@@ -84,7 +159,45 @@ impl LearnerError {
                 ExitCode::Internal
             }
             Self::Thread(_) => ExitCode::OsResource,
+            Self::Transport(TransportError::Config(_) | TransportError::PolicyTooLarge { .. }) => {
+                ExitCode::BadConfig
+            }
+            Self::Transport(_) => ExitCode::OsResource,
+            Self::Robot { .. } | Self::Task(_) => ExitCode::BadInput,
+            Self::Actor { source, .. } => source.exit_code(),
+            Self::ActorEnded { .. } | Self::ActorPanicked { .. } | Self::Snapshot { .. } => {
+                ExitCode::Internal
+            }
+            Self::NotFinite { .. } => ExitCode::Internal,
+            Self::Starved { .. } => ExitCode::TempFail,
+            Self::CheckpointContract { .. } => ExitCode::PolicyRefused,
             Self::CheckpointDamaged { .. } => ExitCode::CheckpointDamaged,
+        }
+    }
+
+    /// As the failure of a process, with what the user can do about it.
+    pub fn into_failure(self) -> Failure {
+        let hint = match &self {
+            Self::CheckpointDamaged {
+                good: Some(good), ..
+            } => Some(format!(
+                "{good} is whole: resume with --resume-from {good}; what was learnt after it is learnt again"
+            )),
+            Self::CheckpointDamaged { good: None, .. } => {
+                Some("no other checkpoint is whole; start a new run".to_owned())
+            }
+            Self::Durable(error) if error.is_disk_full() => Some(
+                "free some space and resume; the checkpoints saved before are whole".to_owned(),
+            ),
+            Self::Starved { .. } => {
+                Some("the logs of the actors say what they were doing".to_owned())
+            }
+            _ => None,
+        };
+        let failure = Failure::new(self.exit_code(), self);
+        match hint {
+            Some(hint) => failure.hint(hint),
+            None => failure,
         }
     }
 }

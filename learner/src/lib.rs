@@ -12,5 +12,6 @@ pub mod ppo;
 pub mod publish;
 pub mod report;
 pub mod returns;
+pub mod train;
 
 pub use error::LearnerError;

@@ -1,2 +1,102 @@
-//! Entry point.
-fn main() {}
+//! `caudata-learner`: PPO on libtorch as a process. Started by `caudata train`, by hand, or by a cluster's scheduler.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use caudata_actor::decode_transport;
+use caudata_config::{ConfigArgs, TransportKind};
+use caudata_learner::LearnerError;
+use caudata_learner::train::{Resume, TrainSettings, train};
+use caudata_telemetry::{
+    ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, parse_args,
+};
+use clap::Parser;
+
+/// Learns from the rollouts of actors and hands out policies. Progress goes to standard output, one JSON object per line.
+#[derive(Debug, Parser)]
+#[command(version, about)]
+struct Args {
+    #[command(flatten)]
+    config: ConfigArgs,
+    /// Folder of the run: checkpoints, policy, curves, TensorBoard files
+    #[arg(long, value_name = "DIR")]
+    run_dir: PathBuf,
+    /// Identifier of the run, the same for learner and actors
+    #[arg(long, value_name = "ID")]
+    run_id: String,
+    /// Go on from the newest checkpoint of the run folder
+    #[arg(long)]
+    resume: bool,
+    /// Go on from this checkpoint, for instance iter_000100
+    #[arg(long, value_name = "NAME", conflicts_with = "resume")]
+    resume_from: Option<String>,
+    /// Policy server to publish to
+    #[arg(long, value_name = "HOST:PORT")]
+    policy_server: Option<String>,
+    /// Transport to the actors (JSON), instead of what [transport] says
+    #[arg(long, value_name = "JSON", conflicts_with = "inproc")]
+    transport: Option<String>,
+    /// Run the actors as threads of this process
+    #[arg(long)]
+    inproc: bool,
+    /// Serve /metrics and /healthz here (port 0: any free port), instead of where [telemetry] says
+    #[arg(long, value_name = "ADDR")]
+    metrics_addr: Option<SocketAddr>,
+    #[command(flatten)]
+    log: LogArgs,
+}
+
+fn main() -> std::process::ExitCode {
+    let args: Args = parse_args();
+    Process::run("caudata-learner", &args.log, |process| {
+        learn(&args, process)
+    })
+}
+
+fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
+    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
+    if args.inproc {
+        config.transport.kind = TransportKind::Inproc;
+    }
+    let transport = args
+        .transport
+        .as_deref()
+        .map(decode_transport)
+        .transpose()
+        .or_exit_with(
+            ExitCode::BadConfig,
+            || "--transport is not a transport configuration",
+        )?;
+    std::fs::create_dir_all(&args.run_dir).or_exit_with(ExitCode::CannotCreate, || {
+        format!("cannot make {}", args.run_dir.display())
+    })?;
+
+    let metrics = Metrics::new();
+    let configured = config
+        .telemetry
+        .metrics
+        .then_some(config.telemetry.metrics_addr);
+    let server = args
+        .metrics_addr
+        .or(configured)
+        .map(|addr| MetricsServer::start(addr, metrics.clone(), process.stop.clone()))
+        .transpose()?;
+    let resume = match &args.resume_from {
+        Some(name) => Resume::Named(name.clone()),
+        None if args.resume => Resume::Latest,
+        None => Resume::No,
+    };
+    let settings = TrainSettings {
+        config,
+        run_dir: args.run_dir.clone(),
+        run_id: args.run_id.clone(),
+        resume,
+        policy_server: args.policy_server.clone(),
+        transport,
+        metrics,
+        metrics_addr: server.as_ref().map(|server| server.addr().to_string()),
+        events: Box::new(std::io::stdout()),
+    };
+    train(settings, &process.stop).map_err(LearnerError::into_failure)?;
+    Ok(())
+}

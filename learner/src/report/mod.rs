@@ -4,6 +4,6 @@ mod curves;
 mod history;
 mod tensorboard;
 
-pub use curves::draw_curves;
+pub use curves::{TERM_PREFIX, draw_curves};
 pub use history::{History, Point};
 pub use tensorboard::EventFile;

@@ -1,0 +1,133 @@
+//! Waiting for a batch: the clock and the link around the [`Collector`].
+
+use std::time::{Duration, Instant};
+
+use caudata_config::LearnerConfig;
+use caudata_proto::RolloutChunk;
+use caudata_telemetry::StopFlag;
+use caudata_transport::LearnerLink;
+
+use super::fleet::Fleet;
+use super::metrics::LearnerMetrics;
+use crate::LearnerError;
+use crate::batch::{Collector, Outcome};
+
+/// Longest single wait on the link; between two the clock and the stop flag are looked at.
+const SLICE: Duration = Duration::from_millis(50);
+/// How long an iteration may still take once the run is asked to stop.
+const STOP_PATIENCE: Duration = Duration::from_secs(15);
+/// How long actors have to say goodbye.
+const BYE_PATIENCE: Duration = Duration::from_secs(10);
+
+/// How waiting for a batch ended.
+pub(super) enum Collected {
+    Batch(Vec<RolloutChunk>),
+    /// Asked to stop, and no batch came in time.
+    Stopped,
+}
+
+/// Waits for a full batch, or what there is of it after the time-out.
+pub(super) fn collect(
+    collector: &mut Collector,
+    link: &mut dyn LearnerLink,
+    mut fleet: Option<&mut Fleet>,
+    config: &LearnerConfig,
+    stop: &StopFlag,
+    metrics: &LearnerMetrics,
+) -> Result<Collected, LearnerError> {
+    let started = Instant::now();
+    let timeout = Duration::from_secs_f64(config.batch_timeout_s);
+    let starved = Duration::from_secs_f64(config.starve_timeout_s);
+    let mut stopping: Option<Instant> = None;
+    loop {
+        if collector.is_ready() {
+            return Ok(Collected::Batch(collector.take()));
+        }
+        if started.elapsed() >= timeout && collector.has_enough() {
+            tracing::warn!(
+                chunks = collector.waiting(),
+                "going on with part of a batch"
+            );
+            return Ok(Collected::Batch(collector.take()));
+        }
+        if started.elapsed() >= starved {
+            let (waited_s, chunks) = (started.elapsed().as_secs_f64(), collector.waiting());
+            return Err(LearnerError::Starved { waited_s, chunks });
+        }
+        if stop.is_set() && stopping.get_or_insert_with(Instant::now).elapsed() >= STOP_PATIENCE {
+            return Ok(Collected::Stopped);
+        }
+        if let Some(frame) = link.recv(SLICE)? {
+            let outcome = collector.offer(&frame.bytes);
+            tell(&outcome, metrics);
+        } else if let Some(fleet) = fleet.as_deref_mut() {
+            // Only when nothing is left to read: an actor's last frames come before its end.
+            fleet.check()?;
+        }
+        metrics.waiting.set(collector.waiting() as i64);
+        metrics.actors.set(collector.present() as i64);
+    }
+}
+
+/// Takes what still comes after the stop, until every actor has said goodbye or the time is up.
+pub(super) fn drain(
+    collector: &mut Collector,
+    link: &mut dyn LearnerLink,
+    fleet: Option<&Fleet>,
+    metrics: &LearnerMetrics,
+) {
+    let deadline = Instant::now() + BYE_PATIENCE;
+    collector.close();
+    while Instant::now() < deadline {
+        match link.recv(SLICE) {
+            Ok(Some(frame)) => {
+                let outcome = collector.offer(&frame.bytes);
+                tell(&outcome, metrics);
+            }
+            // Nothing waits: done when nobody is left to send.
+            Ok(None) if collector.all_gone() || fleet.is_some_and(Fleet::is_gone) => return,
+            Ok(None) => {}
+            Err(error) => {
+                tracing::warn!(%error, "the link failed while the actors left");
+                return;
+            }
+        }
+    }
+    tracing::warn!(
+        actors = collector.present(),
+        "some actors did not say goodbye in time"
+    );
+}
+
+fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
+    match outcome {
+        Outcome::Hello((actor, incarnation)) => {
+            tracing::info!(actor, incarnation, "an actor is here");
+            metrics.frame("hello");
+        }
+        Outcome::Bye((actor, incarnation)) => {
+            tracing::info!(actor, incarnation, "an actor left");
+            metrics.frame("bye");
+        }
+        Outcome::Waiting(_) => metrics.frame("waiting"),
+        Outcome::Duplicate((actor, incarnation)) => {
+            tracing::debug!(actor, incarnation, "a chunk came again");
+            metrics.frame("duplicate");
+        }
+        Outcome::Dropped((actor, incarnation), reason) => {
+            tracing::debug!(
+                actor,
+                incarnation,
+                reason = reason.id(),
+                "a chunk is not used"
+            );
+            metrics.frame(reason.id());
+        }
+        // Once quarantined, an actor may send a lot; the first refusals have said why.
+        Outcome::Rejected(_, reason @ "quarantined", _) => metrics.frame(reason),
+        Outcome::Rejected(actor, reason, message) => {
+            tracing::warn!(?actor, reason, message, "a frame is refused");
+            metrics.frame(reason);
+        }
+    }
+}

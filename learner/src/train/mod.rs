@@ -1,0 +1,12 @@
+//! The training run: set up, the loop over iterations, and the end.
+
+mod collect;
+mod fleet;
+mod metrics;
+mod report;
+mod resume;
+mod run;
+mod setup;
+
+pub use resume::Resume;
+pub use setup::{TrainSettings, train};

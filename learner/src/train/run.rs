@@ -1,0 +1,533 @@
+//! The loop: collect, learn, export, publish, report, save; and the end of it.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use caudata_config::Config;
+use caudata_policy::PolicyFile;
+use caudata_proto::RolloutChunk;
+use caudata_random::Stream;
+use caudata_telemetry::StopFlag;
+use caudata_telemetry::progress::{Checkpoint, Event, Finished, MeanSe};
+use caudata_transport::{Control, LearnerLink, PolicyUpdate};
+
+use super::collect::{Collected, collect, drain};
+use super::fleet::Fleet;
+use super::report::{IterationReport, Reporter};
+use crate::LearnerError;
+use crate::batch::{Batch, Collector};
+use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow, FORMAT, Saved};
+use crate::export::{PolicyIdentity, export, write_policy};
+use crate::normaliser::{Moments, Scaling};
+use crate::ppo::{Ppo, UpdateStats};
+use crate::publish::{Notice, Publisher};
+use crate::report::History;
+
+/// Iterations in a row without any finite update after which the run ends.
+const NOT_FINITE_MAX: u32 = 10;
+/// How long the last policy may take to reach the policy server.
+const PUBLISH_PATIENCE: Duration = Duration::from_secs(10);
+/// Iterations below which the first and the last tenth say nothing.
+const TENTHS_MIN: usize = 20;
+
+/// What changes from iteration to iteration besides the network and the accounts.
+pub(super) struct Progress {
+    pub iteration: u64,
+    pub steps_total: u64,
+    /// Seconds of training in earlier processes.
+    pub wall_s: f64,
+    pub moments: Moments,
+    pub order: Stream,
+    pub episodes: EpisodeWindow,
+    pub step_rewards: Vec<f64>,
+    pub history: History,
+}
+
+/// A run with everything in its hands.
+pub(super) struct Run<'a> {
+    pub config: &'a Config,
+    pub run_dir: PathBuf,
+    pub stop: &'a StopFlag,
+    pub identity: PolicyIdentity,
+    pub store: CheckpointStore,
+    pub ppo: Ppo,
+    pub collector: Collector,
+    pub link: Box<dyn LearnerLink>,
+    pub fleet: Option<Fleet>,
+    pub publisher: Option<Publisher>,
+    pub reporter: Reporter,
+    pub progress: Progress,
+    pub began: Instant,
+}
+
+/// What the end needs to know about the loop.
+struct LoopState {
+    policy: PolicyFile,
+    scaling: Scaling,
+    /// Iteration and folder of the newest checkpoint.
+    saved: Option<(u64, PathBuf)>,
+    /// Whether every actor waits for the policy of the current iteration, so that their states belong together.
+    actors_wait: bool,
+    not_finite: u32,
+    /// The first iteration of this process.
+    first: u64,
+}
+
+impl Run<'_> {
+    /// Trains to the end, or until stopped or unable; then winds everything down.
+    pub fn train(mut self) -> Result<Finished, LearnerError> {
+        let scaling = self.scaling();
+        let policy = self.export(&scaling)?;
+        let mut state = LoopState {
+            policy,
+            scaling,
+            saved: None,
+            actors_wait: false,
+            not_finite: 0,
+            first: self.progress.iteration,
+        };
+        let result = self.iterate(&mut state);
+        if let Err(error) = &result {
+            tracing::error!(%error, "training ends early");
+        }
+        let wound_down = self.wind_down(&mut state, result.is_ok());
+        let reason = result?;
+        wound_down?;
+        Ok(self.finished(&state, reason))
+    }
+
+    fn iterate(&mut self, state: &mut LoopState) -> Result<String, LearnerError> {
+        self.announce(&state.policy)?;
+        while self.progress.iteration < self.config.run.iterations {
+            let started = Instant::now();
+            let chunks = {
+                let _span = tracing::info_span!("collect").entered();
+                let (link, fleet) = (self.link.as_mut(), self.fleet.as_mut());
+                let (learner, metrics) = (&self.config.learner, &self.reporter.metrics);
+                collect(
+                    &mut self.collector,
+                    link,
+                    fleet,
+                    learner,
+                    self.stop,
+                    metrics,
+                )?
+            };
+            let Collected::Batch(chunks) = chunks else {
+                return Ok(self.stop_reason());
+            };
+            let collection_s = started.elapsed().as_secs_f64();
+            state.actors_wait = true;
+            self.learn(chunks, state, started, collection_s)?;
+            self.tell_published();
+            if self.stop.is_set() {
+                return Ok(self.stop_reason());
+            }
+            if self.progress.iteration < self.config.run.iterations {
+                self.hand_out(state)?;
+            }
+        }
+        Ok("completed".to_owned())
+    }
+
+    /// One iteration from its chunks on, up to the next policy.
+    fn learn(
+        &mut self,
+        chunks: Vec<RolloutChunk>,
+        state: &mut LoopState,
+        started: Instant,
+        collection_s: f64,
+    ) -> Result<(), LearnerError> {
+        let version = self.progress.iteration;
+        for episode in chunks.iter().flat_map(|chunk| &chunk.episodes) {
+            self.progress.episodes.push(episode);
+        }
+        let batch = Batch::new(chunks);
+        let learning = Instant::now();
+        let stats = {
+            let _span = tracing::info_span!("learn", samples = batch.rows).entered();
+            self.ppo
+                .update(&batch, &state.scaling, version, &mut self.progress.order)?
+        };
+        let learning_s = learning.elapsed().as_secs_f64();
+        self.watch_finite(&stats, state)?;
+        // The policy that acted saw the old normaliser; the next one sees this batch as well.
+        batch
+            .moments
+            .iter()
+            .for_each(|moments| self.progress.moments.merge(moments));
+        self.progress.iteration += 1;
+        self.progress.steps_total += batch.rows as u64;
+        self.progress.step_rewards.push(batch.mean_reward());
+        state.scaling = self.scaling();
+        state.policy = {
+            let _span = tracing::info_span!("export").entered();
+            self.export(&state.scaling)?
+        };
+        self.report(
+            &batch,
+            &stats,
+            version,
+            state.first,
+            [started.elapsed().as_secs_f64(), collection_s, learning_s],
+        );
+        Ok(())
+    }
+
+    /// Gives the actors the new policy, and saves and publishes where it is time to.
+    fn hand_out(&mut self, state: &mut LoopState) -> Result<(), LearnerError> {
+        let learner = &self.config.learner;
+        let iteration = self.progress.iteration;
+        let save = iteration.is_multiple_of(learner.checkpoint_every);
+        // Before the actors go on; the file is written while they are at work.
+        let checkpoint = if save { Some(self.state(state)?) } else { None };
+        self.announce(&state.policy)?;
+        state.actors_wait = false;
+        if iteration.is_multiple_of(learner.publish_every) {
+            self.publish(&state.policy)?;
+        }
+        if let Some(checkpoint) = checkpoint {
+            state.saved = Some((iteration, self.save(&checkpoint)?));
+        }
+        Ok(())
+    }
+
+    fn watch_finite(
+        &mut self,
+        stats: &UpdateStats,
+        state: &mut LoopState,
+    ) -> Result<(), LearnerError> {
+        if stats.skipped > 0 {
+            let (skipped, iteration) = (stats.skipped, self.progress.iteration + 1);
+            self.reporter.warn(format!(
+                "iteration {iteration}: {skipped} minibatches left out because something was not finite"
+            ));
+        }
+        if stats.effective_share < self.config.learner.staleness.min_effective_share {
+            let share = stats.effective_share;
+            self.reporter.warn(format!(
+                "the data is stale: effective sample share {share:.2}; the learning rate was halved for this batch"
+            ));
+        }
+        state.not_finite = if stats.updates == 0 {
+            state.not_finite + 1
+        } else {
+            0
+        };
+        match state.not_finite {
+            NOT_FINITE_MAX => Err(LearnerError::NotFinite {
+                iterations: NOT_FINITE_MAX,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    fn report(
+        &mut self,
+        batch: &Batch,
+        stats: &UpdateStats,
+        version: u64,
+        first: u64,
+        [total_s, collection_s, learning_s]: [f64; 3],
+    ) {
+        let lags: Vec<u64> = batch
+            .segments
+            .iter()
+            .map(|s| version - s.policy_version)
+            .collect();
+        let progress = &mut self.progress;
+        let here_s = self.began.elapsed().as_secs_f64();
+        let per_iteration = here_s / (progress.iteration - first).max(1) as f64;
+        let left = self
+            .config
+            .run
+            .iterations
+            .saturating_sub(progress.iteration);
+        let report = IterationReport {
+            iteration: progress.iteration,
+            iterations: self.config.run.iterations,
+            steps_total: progress.steps_total,
+            batch_steps: batch.rows,
+            mean_step_reward: batch.mean_reward(),
+            lag_mean: lags.iter().sum::<u64>() as f64 / lags.len().max(1) as f64,
+            lag_max: lags.iter().copied().max().unwrap_or(0),
+            stats,
+            episodes: &progress.episodes,
+            accounting: self.collector.accounting(),
+            collection_s,
+            learning_s,
+            total_s,
+            wall_s: progress.wall_s + here_s,
+            eta_s: per_iteration * left as f64,
+        };
+        self.reporter.iteration(&report, &mut progress.history);
+    }
+
+    fn scaling(&self) -> Scaling {
+        let network = &self.config.learner.network;
+        let clip = network.observation_clip as f32;
+        match network.normalise_observations {
+            true => self.progress.moments.scaling(clip),
+            false => Scaling::identity(self.progress.moments.mean.len(), clip),
+        }
+    }
+
+    fn export(&self, scaling: &Scaling) -> Result<PolicyFile, LearnerError> {
+        let Progress {
+            iteration,
+            steps_total,
+            ..
+        } = self.progress;
+        export(
+            self.ppo.net(),
+            scaling,
+            &self.identity,
+            iteration,
+            steps_total,
+        )
+    }
+
+    /// Makes `policy` the one that actors use.
+    fn announce(&mut self, policy: &PolicyFile) -> Result<(), LearnerError> {
+        let (version, sha256) = (policy.metadata().version, policy.sha256());
+        self.collector.policy_published(version, sha256);
+        let bytes = policy.bytes().clone();
+        Ok(self.link.publish_policy(PolicyUpdate {
+            version,
+            sha256,
+            bytes,
+            control: Control::Run,
+        })?)
+    }
+
+    /// To the run folder and, in the background, to the policy server.
+    fn publish(&self, policy: &PolicyFile) -> Result<(), LearnerError> {
+        write_policy(&self.policy_path(), policy)?;
+        if let Some(publisher) = &self.publisher {
+            publisher.publish(policy.clone());
+        }
+        Ok(())
+    }
+
+    fn policy_path(&self) -> PathBuf {
+        self.run_dir.join("policy.onnx")
+    }
+
+    /// Passes on what the background task has said.
+    fn tell_published(&mut self) {
+        let notices = self
+            .publisher
+            .as_ref()
+            .map(Publisher::notices)
+            .unwrap_or_default();
+        for notice in notices {
+            match notice {
+                Notice::Published(published) => self.reporter.event(&Event::Published(published)),
+                Notice::Failed {
+                    version,
+                    reason,
+                    again,
+                } => {
+                    self.reporter.metrics.publish_failures.inc();
+                    let then = if again {
+                        "it is tried again"
+                    } else {
+                        "it is not tried again"
+                    };
+                    self.reporter.warn(format!(
+                        "version {version} is not published ({then}): {reason}"
+                    ));
+                }
+            }
+        }
+    }
+
+    /// The whole state between two iterations. The actors' states go in where they belong together: in one process,
+    /// in turns.
+    fn state(&self, state: &LoopState) -> Result<CheckpointState, LearnerError> {
+        let in_turns = self.config.actors.max_lead == 0 && state.actors_wait;
+        let actors = match self.fleet.as_ref().filter(|_| in_turns) {
+            Some(fleet) => fleet.snapshots()?,
+            None => Vec::new(),
+        };
+        let (adam_m, adam_v, adam_steps) = self.ppo.adam().state()?;
+        let progress = &self.progress;
+        Ok(CheckpointState {
+            saved: Saved {
+                format: FORMAT,
+                run_id: self.identity.run_id.clone(),
+                iteration: progress.iteration,
+                steps_total: progress.steps_total,
+                wall_s: progress.wall_s + self.began.elapsed().as_secs_f64(),
+                config_hash: self.identity.config_hash.clone(),
+                contract_hash: self.identity.contract.hash_hex(),
+                policy_sha256: state.policy.sha256_hex(),
+                adam_steps,
+                minibatch_order: progress.order.clone(),
+                episodes: progress.episodes.clone(),
+                accounting: self.collector.accounting().clone(),
+            },
+            parameters: self.ppo.net().to_vec()?,
+            adam_m,
+            adam_v,
+            learning_rate: self.ppo.learning_rate(),
+            moments: progress.moments.clone(),
+            step_rewards: progress.step_rewards.clone(),
+            history: progress.history.clone(),
+            actors,
+        })
+    }
+
+    fn save(&mut self, checkpoint: &CheckpointState) -> Result<PathBuf, LearnerError> {
+        let _span = tracing::info_span!("checkpoint").entered();
+        let started = Instant::now();
+        let files = checkpoint
+            .to_files(self.ppo.net().layout())
+            .map_err(LearnerError::setting)?;
+        let folder = self.store.save(checkpoint.saved.iteration, &files)?;
+        self.reporter
+            .metrics
+            .checkpoint
+            .observe(started.elapsed().as_secs_f64());
+        let (path, iteration) = (folder.display().to_string(), checkpoint.saved.iteration);
+        self.reporter
+            .event(&Event::Checkpoint(Checkpoint { path, iteration }));
+        self.reporter
+            .pictures(&self.progress.history, self.collector.accounting());
+        Ok(folder)
+    }
+
+    /// Saves, publishes the last policy, stops the actors, accounts for everything. Does all of it even where a part
+    /// fails; answers the first failure. `healthy`: the loop ended as it should.
+    fn wind_down(&mut self, state: &mut LoopState, healthy: bool) -> Result<(), LearnerError> {
+        let mut first_failure = Ok(());
+        let mut note = |result: Result<(), LearnerError>| {
+            if let Err(error) = result {
+                tracing::error!(%error, "while winding down");
+                if first_failure.is_ok() {
+                    first_failure = Err(error);
+                }
+            }
+        };
+        let iteration = self.progress.iteration;
+        if state
+            .saved
+            .as_ref()
+            .is_none_or(|(saved, _)| *saved != iteration)
+            && iteration > state.first
+        {
+            // An actor that failed cannot be saved any more; the weights can.
+            state.actors_wait &= healthy;
+            let saved = self
+                .state(state)
+                .and_then(|checkpoint| self.save(&checkpoint));
+            note(saved.map(|folder| state.saved = Some((iteration, folder))));
+        }
+        note(self.publish(&state.policy));
+        let stop = PolicyUpdate {
+            version: state.policy.metadata().version,
+            sha256: state.policy.sha256(),
+            bytes: state.policy.bytes().clone(),
+            control: Control::Stop,
+        };
+        note(self.link.publish_policy(stop).map_err(LearnerError::from));
+        let (link, metrics) = (self.link.as_mut(), &self.reporter.metrics);
+        drain(&mut self.collector, link, self.fleet.as_ref(), metrics);
+        self.fleet = None;
+        read_ledgers(&self.run_dir.join("ledgers"), &mut self.collector);
+        if !self.collector.accounting().holds() {
+            self.reporter
+                .warn("the accounts of the chunks do not add up; see accounting.json".into());
+        }
+        self.reporter
+            .pictures(&self.progress.history, self.collector.accounting());
+        if self
+            .publisher
+            .as_ref()
+            .is_some_and(|publisher| !publisher.finish(PUBLISH_PATIENCE))
+        {
+            self.reporter
+                .warn("the policy server did not take the last policy in time".into());
+        }
+        self.tell_published();
+        first_failure
+    }
+
+    fn stop_reason(&self) -> String {
+        self.stop.reason().unwrap_or_else(|| "stopped".to_owned())
+    }
+
+    fn finished(mut self, state: &LoopState, reason: String) -> Finished {
+        let progress = &self.progress;
+        let tenth = progress.step_rewards.len() / 10;
+        let enough = progress.step_rewards.len() >= TENTHS_MIN;
+        let rewards = &progress.step_rewards;
+        let finished = Finished {
+            reason,
+            iteration: progress.iteration,
+            steps_total: progress.steps_total,
+            wall_s: self.began.elapsed().as_secs_f64(),
+            policy_version: state.policy.metadata().version,
+            policy_sha256: state.policy.sha256_hex(),
+            policy_path: self.policy_path().display().to_string(),
+            checkpoint_path: state
+                .saved
+                .as_ref()
+                .map(|(_, folder)| folder.display().to_string())
+                .unwrap_or_default(),
+            first_tenth: enough.then(|| mean_se(&rewards[..tenth])),
+            last_tenth: enough.then(|| mean_se(&rewards[rewards.len() - tenth..])),
+            accounting: self.collector.accounting().summary(),
+            actors: self.collector.accounting().per_actor(),
+        };
+        self.reporter
+            .event(&Event::Finished(Box::new(finished.clone())));
+        finished
+    }
+}
+
+/// Adds what the ledgers of killed actors say: `actor-<id>-<incarnation>.ledger`.
+fn read_ledgers(folder: &Path, collector: &mut Collector) {
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let key = name
+            .strip_prefix("actor-")
+            .and_then(|rest| rest.strip_suffix(".ledger"));
+        let Some((id, incarnation)) = key.and_then(|key| key.split_once('-')) else {
+            continue;
+        };
+        let (Ok(id), Ok(incarnation)) = (id.parse(), incarnation.parse()) else {
+            continue;
+        };
+        match caudata_actor::read_ledger(&entry.path()) {
+            Ok(sent) => collector.accounting_mut().ledger((id, incarnation), sent),
+            Err(error) => tracing::warn!(name, %error, "a ledger cannot be read"),
+        }
+    }
+}
+
+/// Mean and standard error of the mean (sample standard deviation over √n).
+fn mean_se(values: &[f64]) -> MeanSe {
+    let n = values.len().max(1) as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let squares = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
+    let standard_error = (squares / (n - 1.0).max(1.0) / n).sqrt();
+    MeanSe {
+        mean,
+        standard_error,
+        n: values.len() as u64,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mean_and_standard_error_by_hand() {
+        // {1, 2, 6}: mean 3, squares 4 + 1 + 9 = 14, variance 7, standard error √(7/3).
+        let found = mean_se(&[1.0, 2.0, 6.0]);
+        assert_eq!((found.mean, found.n), (3.0, 3));
+        assert!((found.standard_error - (7.0_f64 / 3.0).sqrt()).abs() < 1e-12);
+    }
+}
