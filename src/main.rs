@@ -11,10 +11,10 @@ use clap::{Parser, Subcommand};
 
 /// Trains whole-body locomotion policies for a salamander robot and carries them to the robot.
 ///
-/// A first run: `caudata train --preset quick`. It takes a few minutes on two cores and ends with the paths of its
-/// curves, its policy and a log of the simulated robot.
+/// A first run: `caudata train --preset quick`. It takes a few minutes on two cores and ends with
+/// the paths of its curves, its policy and a log of the simulated robot.
 #[derive(Debug, Parser)]
-#[command(name = "caudata", version, max_term_width = 100, after_help = EXIT_CODES)]
+#[command(name = "caudata", version, verbatim_doc_comment, after_help = EXIT_CODES)]
 struct Args {
     #[command(subcommand)]
     command: Command,

@@ -28,6 +28,8 @@ use crate::commands::robot_model;
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// A client that says nothing for this long is gone.
 const SILENCE_MAX: Duration = Duration::from_secs(60);
+/// Standard gravity, m/s².
+const G_MPS2: f32 = 9.806_65;
 /// Time for one answer to leave.
 const WRITE_MAX: Duration = Duration::from_secs(5);
 
@@ -249,7 +251,12 @@ impl SimulatedRobot {
         let period_s = self.engine.config().control_period_s();
         let (model, state) = (self.engine.model(), self.engine.state());
         let joint = |i: usize| model.actuated()[i];
-        let (gyro, acc) = (three(&state.imu_gyro_radps), three(&state.imu_acc_mps2));
+        // Forces are means over a period; before the first one the robot is at rest and feels its weight.
+        let gyro = three(&state.imu_gyro_radps);
+        let acc = match self.tick {
+            0 => three(&state.imu_gravity).map(|g| -G_MPS2 * g),
+            _ => three(&state.imu_acc_mps2),
+        };
         let (gyro_radps, acc_mps2) = match &model.sensors().imu {
             Some(imu) => (
                 sensors::gyro_radps(imu, &self.bias, gyro, period_s, &mut self.stream),

@@ -15,15 +15,38 @@ use nix::unistd::Pid;
 /// How often a child that shall end is looked at.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// The executable `name` that was installed beside this one.
-pub fn sibling(name: &str) -> Result<PathBuf, Failure> {
-    let own = std::env::current_exe().or_exit(ExitCode::Internal)?;
-    let path = own.with_file_name(name);
-    if path.is_file() {
-        return Ok(path);
+/// Where the other executables are.
+#[derive(Clone, Debug)]
+pub struct Programs {
+    folder: PathBuf,
+}
+
+impl Programs {
+    /// Those that were installed beside this one.
+    pub fn beside_this_one() -> Result<Self, Failure> {
+        let own = std::env::current_exe().or_exit(ExitCode::Internal)?;
+        Ok(Self {
+            folder: own.with_file_name(""),
+        })
     }
-    let message = format!("{name} is not beside {}", own.display());
-    Err(Failure::message(ExitCode::NoInput, message).hint("`make build` makes all executables"))
+
+    /// Those in `folder`.
+    #[cfg(test)]
+    pub fn inside(folder: &Path) -> Self {
+        Self {
+            folder: folder.to_owned(),
+        }
+    }
+
+    /// The executable `name`.
+    pub fn find(&self, name: &str) -> Result<PathBuf, Failure> {
+        let path = self.folder.join(name);
+        if path.is_file() {
+            return Ok(path);
+        }
+        let message = format!("{name} is not in {}", self.folder.display());
+        Err(Failure::message(ExitCode::NoInput, message).hint("`make build` makes all executables"))
+    }
 }
 
 /// A running child. Dropped while it runs, it is killed: no child outlives an error.

@@ -27,7 +27,8 @@ impl RunFolder {
             return Err(Failure::message(ExitCode::CannotCreate, message)
                 .hint("add --resume to go on with it, or give another --out"));
         }
-        let run_id = format!("{name}-{time}-{}", std::process::id());
+        // Also the name of the stream on the policy server, which knows no capitals.
+        let run_id = format!("{name}-{time}-{}", std::process::id()).to_ascii_lowercase();
         let folder = Self {
             root: absolute(&root)?,
             run_id,
@@ -220,7 +221,7 @@ fn timestamp(now: SystemTime) -> String {
         .as_secs();
     let (year, month, day) = civil_from_days(seconds / 86_400);
     let (hour, minute, second) = (seconds / 3600 % 24, seconds / 60 % 60, seconds % 60);
-    format!("{year:04}{month:02}{day:02}T{hour:02}{minute:02}{second:02}")
+    format!("{year:04}{month:02}{day:02}-{hour:02}{minute:02}{second:02}")
 }
 
 /// Day of the Gregorian calendar, from days since 1970-01-01 (Hinnant, "chrono-compatible low-level date
@@ -250,9 +251,9 @@ mod tests {
     fn timestamps_of_known_days() {
         // `date -u -d @951782400` is 2000-02-29, a leap day; 1767225599 is the last second of 2025.
         let at = |seconds| timestamp(UNIX_EPOCH + Duration::from_secs(seconds));
-        assert_eq!(at(0), "19700101T000000");
-        assert_eq!(at(951_782_400), "20000229T000000");
-        assert_eq!(at(1_767_225_599), "20251231T235959");
+        assert_eq!(at(0), "19700101-000000");
+        assert_eq!(at(951_782_400), "20000229-000000");
+        assert_eq!(at(1_767_225_599), "20251231-235959");
     }
 
     #[test]

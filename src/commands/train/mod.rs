@@ -18,6 +18,7 @@ use clap::{Args, ValueEnum};
 
 use crate::commands::robot_model;
 use crate::say;
+use children::Programs;
 use folder::RunFolder;
 use supervise::Supervisor;
 use view::View;
@@ -74,12 +75,25 @@ impl From<Transport> for TransportKind {
 pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let (config, folder) = prepare(args)?;
     let model = Arc::new(robot_model::load(&config.robot_path())?);
-    for name in ["caudata-policy-server", "caudata-learner", "caudata-actor"] {
-        children::sibling(name)?;
+    let programs = Programs::beside_this_one()?;
+    for name in [
+        "caudata-policy-server",
+        "caudata-learner",
+        "caudata-actor",
+        "caudata-robot",
+    ] {
+        programs.find(name)?;
     }
     let view = View::new(args.json);
     view.note(&format!("run folder {}", folder.root().display()));
-    let supervisor = Supervisor::start(&config, &folder, &process.stop, view, args.resume)?;
+    let supervisor = Supervisor::start(
+        &programs,
+        &config,
+        &folder,
+        &process.stop,
+        view,
+        args.resume,
+    )?;
     let mut outcome = supervisor.watch()?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();

@@ -13,7 +13,7 @@ use nix::sys::signal::Signal;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::children::{self, LineSink, Process};
+use super::children::{self, LineSink, Process, Programs};
 use super::folder::RunFolder;
 use super::supervise::failed_child;
 use crate::say;
@@ -92,7 +92,7 @@ fn run_client(
     stop: &StopFlag,
 ) -> Result<Value, Failure> {
     let evaluation = &config.evaluation;
-    let mut command = Command::new(children::sibling("caudata-robot")?);
+    let mut command = Command::new(Programs::beside_this_one()?.find("caudata-robot")?);
     command.args(["run", "--json", "--policy-server", server]);
     command.args(["--stream", config.policy_server.stream_of(folder.run_id())]);
     command.arg("--robot").arg(&config.robot);

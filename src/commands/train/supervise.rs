@@ -12,7 +12,7 @@ use nix::sys::signal::Signal;
 
 use super::accounting::LedgerCount;
 use super::backoff::{Backoff, Verdict};
-use super::children::{self, LineSink, Process};
+use super::children::{self, LineSink, Process, Programs};
 use super::folder::RunFolder;
 use super::view::View;
 
@@ -32,6 +32,7 @@ const SERVER_RESTARTS_PER_MINUTE: u32 = 5;
 
 /// The processes of a run.
 pub struct Supervisor<'a> {
+    programs: &'a Programs,
     config: &'a Config,
     folder: &'a RunFolder,
     stop: &'a StopFlag,
@@ -81,6 +82,7 @@ pub struct Outcome {
 impl<'a> Supervisor<'a> {
     /// Starts the policy server and the learner.
     pub fn start(
+        programs: &'a Programs,
         config: &'a Config,
         folder: &'a RunFolder,
         stop: &'a StopFlag,
@@ -92,9 +94,10 @@ impl<'a> Supervisor<'a> {
             .append(true)
             .open(folder.progress())
             .or_exit_with(ExitCode::CannotCreate, || "cannot write progress.jsonl")?;
-        let (server, server_addr) = start_server(config, folder, config.policy_server.addr)?;
+        let (server, server_addr) =
+            start_server(programs, config, folder, config.policy_server.addr)?;
         let (sender, lines) = bounded(LINES_WAITING_MAX);
-        let learner = start_learner(config, folder, server_addr, resume, sender)?;
+        let learner = start_learner(programs, config, folder, server_addr, resume, sender)?;
         let processes = match config.transport.kind {
             TransportKind::Inproc => 0,
             TransportKind::Iceoryx2 | TransportKind::Zenoh => config.actors.count,
@@ -109,6 +112,7 @@ impl<'a> Supervisor<'a> {
             })
             .collect();
         Ok(Self {
+            programs,
             config,
             folder,
             stop,
@@ -291,7 +295,7 @@ impl<'a> Supervisor<'a> {
         actor.due = None;
         let incarnation = folder.next_incarnation(actor.id);
         let ledger = folder.ledger(actor.id, incarnation);
-        let mut command = Command::new(children::sibling("caudata-actor")?);
+        let mut command = Command::new(self.programs.find("caudata-actor")?);
         command.arg("--config").arg(folder.config());
         command.args(["--run-id", folder.run_id()]);
         command.args(["--actor-id", &actor.id.to_string()]);
@@ -324,7 +328,8 @@ impl<'a> Supervisor<'a> {
                 self.view
                     .note(&format!("the policy server {how}; it is started again"));
                 std::thread::sleep(pause);
-                let restarted = start_server(self.config, self.folder, self.server_addr);
+                let restarted =
+                    start_server(self.programs, self.config, self.folder, self.server_addr);
                 match restarted {
                     Ok((server, _)) => self.server = server,
                     Err(failure) => self.end_early(failure),
@@ -410,11 +415,12 @@ pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
 }
 
 fn start_server(
+    programs: &Programs,
     config: &Config,
     folder: &RunFolder,
     addr: SocketAddr,
 ) -> Result<(Process, SocketAddr), Failure> {
-    let mut command = Command::new(children::sibling("caudata-policy-server")?);
+    let mut command = Command::new(programs.find("caudata-policy-server")?);
     command
         .arg("--data")
         .arg(folder.root().join(&config.policy_server.dir));
@@ -445,13 +451,14 @@ fn start_server(
 }
 
 fn start_learner(
+    programs: &Programs,
     config: &Config,
     folder: &RunFolder,
     server: SocketAddr,
     resume: bool,
     lines: Sender<String>,
 ) -> Result<Process, Failure> {
-    let mut command = Command::new(children::sibling("caudata-learner")?);
+    let mut command = Command::new(programs.find("caudata-learner")?);
     command.arg("--config").arg(folder.config());
     command.arg("--run-dir").arg(folder.root());
     command.args(["--run-id", folder.run_id()]);
@@ -498,3 +505,6 @@ fn read_ledgers(folder: &RunFolder, actor: &ActorSlot) -> Vec<LedgerCount> {
     };
     actor.started.iter().filter_map(count).collect()
 }
+
+#[cfg(test)]
+mod tests;

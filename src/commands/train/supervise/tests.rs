@@ -1,0 +1,195 @@
+//! The supervisor against tiny programs, one per fault.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+
+use caudata_config::Source;
+
+use super::*;
+
+const SERVER: &str =
+    r#"echo '{"listening":"policy_server","address":"127.0.0.1:1"}'; exec sleep 600"#;
+const STARTED: &str = r#"echo '{"event":"started","run_id":"r","transport":"{}","metrics":null,"iteration":0,"iterations":9,"resumed_from":null,"device":"cpu"}'"#;
+
+/// A learner's last line.
+fn finished(reason: &str) -> String {
+    let event = Event::Finished(Box::new(Finished {
+        reason: reason.into(),
+        ..Finished::default()
+    }));
+    format!("echo '{}'", serde_json::to_string(&event).unwrap())
+}
+
+/// A folder with a run and programs that are shell scripts. `$RUN` is the run folder.
+struct Stage {
+    dir: tempfile::TempDir,
+    folder: RunFolder,
+    config: Config,
+    stop: StopFlag,
+}
+
+impl Stage {
+    fn new(learner: &str, actor: &str) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(Some(&dir.path().join("run")), dir.path(), "t").unwrap();
+        let scripts = [
+            ("caudata-policy-server", SERVER),
+            ("caudata-learner", learner),
+            ("caudata-actor", actor),
+        ];
+        for (name, script) in scripts {
+            let path = dir.path().join(name);
+            let run = folder.root().display();
+            fs::write(&path, format!("#!/bin/sh\nRUN={run}\n{script}\n")).unwrap();
+            fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+        }
+        let source = Source::default()
+            .set("transport.kind=zenoh")
+            .set("actors.count=1")
+            .set("actors.flush_timeout_s=0.1");
+        let config = Config::load(&source).unwrap();
+        Self {
+            dir,
+            folder,
+            config,
+            stop: StopFlag::new(),
+        }
+    }
+
+    fn run(&self) -> Result<Outcome, Failure> {
+        let programs = Programs::inside(self.dir.path());
+        let view = View::Plain { last: None };
+        Supervisor::start(
+            &programs,
+            &self.config,
+            &self.folder,
+            &self.stop,
+            view,
+            false,
+        )?
+        .watch()
+    }
+}
+
+/// Waits for a file, as a shell script.
+fn wait_for(file: &str) -> String {
+    format!("while [ ! -e {file} ]; do sleep 0.02; done")
+}
+
+#[test]
+fn the_learner_s_exit_code_and_error_line_pass_through() {
+    let stage = Stage::new(
+        "echo 'error: checkpoint 7 is damaged' >&2; exit 78",
+        "exec sleep 600",
+    );
+    let failure = stage.run().err().unwrap();
+    assert_eq!(failure.code(), ExitCode::CheckpointDamaged);
+    assert_eq!(failure.to_string(), "the learner: checkpoint 7 is damaged");
+    assert!(failure.hint_text().unwrap().contains("learner.log"));
+}
+
+#[test]
+fn a_killed_learner_is_a_failure_even_after_its_last_word() {
+    let stage = Stage::new(
+        &format!("{}; kill -9 $$", finished("completed")),
+        "exec sleep 600",
+    );
+    let failure = stage.run().err().unwrap();
+    assert!(failure.to_string().contains("SIGKILL"), "{failure}");
+}
+
+#[test]
+fn a_killed_actor_is_started_again_as_its_next_incarnation() {
+    // The first incarnation sends 5 chunks and is killed, the second sends 6 and stays.
+    let actor = r#"
+        case "$*" in
+            *'--incarnation 0'*) printf '\5\0\0\0\0\0\0\0' > $RUN/ledgers/actor-0-0.ledger; kill -9 $$;;
+            *'--incarnation 1'*) printf '\6\0\0\0\0\0\0\0' > $RUN/ledgers/actor-0-1.ledger; exec sleep 600;;
+        esac"#;
+    let learner = format!(
+        "{STARTED}; {}; {}",
+        wait_for("$RUN/ledgers/actor-0-1.ledger"),
+        finished("completed")
+    );
+    let stage = Stage::new(&learner, actor);
+    let outcome = stage.run().unwrap();
+    assert_eq!(outcome.restarts, 1);
+    let counts: Vec<_> = outcome
+        .ledgers
+        .iter()
+        .map(|l| (l.incarnation, l.sent))
+        .collect();
+    assert_eq!(counts, [(0, 5), (1, 6)]);
+    assert_eq!(outcome.finished.reason, "completed");
+}
+
+#[test]
+fn an_actor_that_cannot_work_ends_the_run_with_its_exit_code() {
+    let learner = format!(
+        "{STARTED}; trap '{}; exit 0' TERM; {}",
+        finished("SIGTERM").replace('\'', "'\\''"),
+        "while :; do sleep 0.02; done"
+    );
+    let actor = "echo 'error: policy version 0 is refused: wrong joint order' >&2; exit 77";
+    let stage = Stage::new(&learner, actor);
+    let failure = stage.run().err().unwrap();
+    assert_eq!(failure.code(), ExitCode::PolicyRefused);
+    assert!(
+        failure.to_string().contains("wrong joint order"),
+        "{failure}"
+    );
+}
+
+#[test]
+fn an_actor_that_keeps_dying_is_given_up() {
+    let learner = format!("{STARTED}; trap 'exit 0' TERM; while :; do sleep 0.02; done");
+    let mut stage = Stage::new(&learner, "exit 70");
+    stage.config.actors.restarts_per_minute = 1;
+    let failure = stage.run().err().unwrap();
+    assert_eq!(failure.code(), ExitCode::TempFail);
+    assert!(
+        failure.to_string().contains("no actor is left"),
+        "{failure}"
+    );
+    assert_eq!(
+        stage.folder.next_incarnation(0),
+        0,
+        "the script makes no ledger"
+    );
+}
+
+#[test]
+fn a_stop_reaches_the_learner_which_saves_and_says_so() {
+    let learner = format!(
+        "trap '{}; exit 0' TERM; touch $RUN/ready; while :; do sleep 0.02; done",
+        finished("SIGTERM").replace('\'', "'\\''")
+    );
+    let stage = Stage::new(&learner, "exec sleep 600");
+    let (stop, ready) = (stage.stop.clone(), stage.folder.root().join("ready"));
+    let stopper = std::thread::spawn(move || {
+        while !ready.exists() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        stop.request("test");
+    });
+    let outcome = stage.run().unwrap();
+    stopper.join().unwrap();
+    assert_eq!(outcome.finished.reason, "SIGTERM");
+}
+
+#[test]
+fn a_server_that_cannot_start_passes_its_exit_code_on() {
+    let stage = Stage::new("exit 0", "exit 0");
+    let server = stage.dir.path().join("caudata-policy-server");
+    fs::write(
+        server,
+        "#!/bin/sh\necho 'error: 127.0.0.1:1 is in use' >&2; exit 71\n",
+    )
+    .unwrap();
+    let failure = stage.run().err().unwrap();
+    assert_eq!(failure.code(), ExitCode::OsResource);
+    assert_eq!(
+        failure.to_string(),
+        "the policy server: 127.0.0.1:1 is in use"
+    );
+}
