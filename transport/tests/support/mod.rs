@@ -2,6 +2,7 @@
 //! a network that breaks.
 
 pub mod frames;
+pub mod policies;
 pub mod process;
 pub mod proxy;
 pub mod rig;

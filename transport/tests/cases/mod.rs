@@ -1,0 +1,7 @@
+//! The cases: generic ones for every transport and for links between processes, and those of one transport.
+
+pub mod configuration;
+pub mod every;
+pub mod iceoryx2;
+pub mod processes;
+pub mod zenoh;
