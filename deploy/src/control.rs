@@ -13,7 +13,7 @@ use crate::metrics::RobotMetrics;
 use crate::motion::{Motion, Stage};
 use crate::orientation::GravityFilter;
 use crate::pacing::{Clock, Pacer};
-use crate::report::{Ended, Latencies, Odometer, Velocity};
+use crate::report::{Ended, Latencies, Odometer, Velocity, rounded};
 use crate::runner::{PolicyRunner, View};
 use crate::updates::{PolicyEvent, Updates};
 use crate::walk_command::CommandTable;
@@ -86,7 +86,7 @@ pub struct Counts {
 impl Counts {
     /// Mean of the commands given.
     pub fn mean_command(&self) -> Velocity {
-        let mean = |i: usize| self.command_sum[i] / self.walking_ticks.max(1) as f64;
+        let mean = |i: usize| rounded(self.command_sum[i] / self.walking_ticks.max(1) as f64);
         Velocity {
             vx_mps: mean(0),
             vy_mps: mean(1),

@@ -57,7 +57,7 @@ pub enum DeployError {
         /// Which one.
         policy: PolicyRef,
         /// Why.
-        refusal: Refusal,
+        refusal: Box<Refusal>,
     },
     /// A policy gave actions that are not finite.
     #[error(

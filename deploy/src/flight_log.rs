@@ -131,14 +131,13 @@ pub fn meta(
     meta.notes = format!("policy {policy}, sha256 {}", policy.sha256);
     let texts = [
         ("policy_stream", policy.stream.clone()),
+        ("policy_version", policy.version.to_string()),
         ("policy_sha256", policy.sha256.to_string()),
         ("robot_hash", model.hash_hex()),
     ];
     for (key, text) in texts {
         meta.settings.insert(key.to_owned(), Setting::Text(text));
     }
-    let version = Setting::Number(policy.version as f64);
-    meta.settings.insert("policy_version".to_owned(), version);
     meta
 }
 

@@ -159,7 +159,10 @@ impl Keeper {
 
     fn refused(&self, policy: PolicyRef, refusal: Refusal) -> DeployError {
         self.metrics.refused.inc();
-        DeployError::Refused { policy, refusal }
+        DeployError::Refused {
+            policy,
+            refusal: Box::new(refusal),
+        }
     }
 
     fn store(&self) -> MutexGuard<'_, PolicyStore> {

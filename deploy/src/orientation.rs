@@ -24,7 +24,7 @@ pub struct GravityFilter {
 }
 
 impl GravityFilter {
-    /// A filter that takes its first accelerometer reading as it is.
+    /// A filter that takes its first believable accelerometer reading as it is.
     pub fn new() -> Self {
         Self::default()
     }
@@ -32,17 +32,14 @@ impl GravityFilter {
     /// Takes one pair of readings, `dt_s` after the last one, and gives the direction of gravity (unit vector, IMU frame;
     /// level: 0, 0, −1). The specific force at rest points up, so gravity is its opposite.
     pub fn update(&mut self, gyro_radps: [f32; 3], acc_mps2: [f32; 3], dt_s: f32) -> [f32; 3] {
-        let size = norm(acc_mps2);
-        let shown = unit(acc_mps2.map(|a| -a));
+        let trust = (1.0 - (norm(acc_mps2) / G_MPS2 - 1.0).abs() / TRUST_ZERO_AT).max(0.0);
+        let shown = unit(acc_mps2.map(|a| -a)).filter(|_| trust > 0.0);
         let Some(gravity) = self.gravity else {
-            // Free fall shows no direction; level is the best guess until there is one.
+            // A jolt or free fall shows no direction; level is the best guess until there is one.
             self.gravity = shown;
             return shown.unwrap_or([0.0, 0.0, -1.0]);
         };
-        let error = shown.map_or([0.0; 3], |shown| {
-            let trust = (1.0 - (size / G_MPS2 - 1.0).abs() / TRUST_ZERO_AT).max(0.0);
-            cross(shown, gravity).map(|e| e * trust)
-        });
+        let error = shown.map_or([0.0; 3], |shown| cross(shown, gravity).map(|e| e * trust));
         for i in 0..3 {
             let bias = self.bias_radps[i] - KI_PER_S2 * error[i] * dt_s;
             self.bias_radps[i] = bias.clamp(-BIAS_MAX_RADPS, BIAS_MAX_RADPS);
@@ -121,6 +118,15 @@ mod tests {
             [0.5, 0.0, -0.866_025],
             1e-5,
         );
+    }
+
+    #[test]
+    fn free_fall_shows_no_direction_to_begin_with() {
+        let mut filter = GravityFilter::new();
+        let level = [0.0, 0.0, -1.0];
+        assert_eq!(filter.update([0.0; 3], [0.2, 0.1, -0.1], DT), level);
+        let tilted = filter.update([0.0; 3], [0.0, 0.6 * G_MPS2, 0.8 * G_MPS2], DT);
+        close(tilted, [0.0, -0.6, -0.8], 1e-6);
     }
 
     #[test]

@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn a_little_late_runs_in_its_slot_and_the_grid_stays() {
-        let mut pacer = Pacer::new(MS * 0, MS * 20);
+        let mut pacer = Pacer::new(Duration::ZERO, MS * 20);
         assert_eq!(due(&mut pacer, 0), (0, 0));
         // 9 ms after slot 20: runs at once (its time has passed), the next one is at 40 again.
         assert_eq!(due(&mut pacer, 29), (20, 0));
@@ -124,7 +124,7 @@ mod tests {
 
     #[test]
     fn missed_ticks_are_skipped_and_counted_never_replayed() {
-        let mut pacer = Pacer::new(MS * 0, MS * 20);
+        let mut pacer = Pacer::new(Duration::ZERO, MS * 20);
         assert_eq!(due(&mut pacer, 0), (0, 0));
         // 10 ms after slot 20 is half a period: wait for 40 instead.
         assert_eq!(due(&mut pacer, 30), (40, 1));
@@ -137,7 +137,7 @@ mod tests {
     #[test]
     fn two_ticks_are_never_closer_than_half_a_period() {
         // Whatever the work takes (a fixed, irregular sequence of durations, ms).
-        let mut pacer = Pacer::new(MS * 0, MS * 20);
+        let mut pacer = Pacer::new(Duration::ZERO, MS * 20);
         let mut now = Duration::ZERO;
         let mut last: Option<Duration> = None;
         for k in 0..1000_u32 {

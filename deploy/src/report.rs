@@ -133,12 +133,12 @@ impl Odometer {
         }
         self.close_window();
         let velocity = Velocity {
-            vx_mps: self.forward_m / self.duration_s,
-            vy_mps: self.left_m / self.duration_s,
-            yaw_rate_radps: self.turned_rad / self.duration_s,
+            vx_mps: rounded(self.forward_m / self.duration_s),
+            vy_mps: rounded(self.left_m / self.duration_s),
+            yaw_rate_radps: rounded(self.turned_rad / self.duration_s),
         };
         let distance = (self.last_m[0] - start[0]).hypot(self.last_m[1] - start[1]);
-        Some((velocity, distance))
+        Some((velocity, rounded(distance)))
     }
 }
 
@@ -146,6 +146,11 @@ impl Odometer {
 fn yaw_rad([w, x, y, z]: [f32; 4]) -> f64 {
     let [w, x, y, z] = [w, x, y, z].map(f64::from);
     (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+}
+
+/// To six decimals: micrometres are below what anybody knows, and single precision does not show.
+pub fn rounded(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
 }
 
 /// A velocity in the heading frame.

@@ -18,7 +18,7 @@ use crate::gate::HELD_IN_A_ROW_MAX;
 use crate::keeper::Keeper;
 use crate::metrics::RobotMetrics;
 use crate::pacing::SystemClock;
-use crate::report::{Ended, RunSummary};
+use crate::report::{Ended, RunSummary, rounded};
 use crate::runner::PolicyRunner;
 use crate::sim_link::SimLink;
 use crate::updates::{PolicyEvent, Slot, Updates};
@@ -201,7 +201,7 @@ fn drive(
         policy_sha256: policy.sha256,
         policy_swaps: counts.swaps,
         ended,
-        walked_s: counts.walked_s,
+        walked_s: rounded(counts.walked_s),
         ticks: counts.ticks,
         overruns: counts.overruns,
         late_readings: counts.late_readings,
