@@ -75,3 +75,61 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Bench(command) => commands::bench::run(command),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    /// The page of a command and, below it, those of its subcommands.
+    fn write_pages(command: &mut clap::Command, path: &str, out: &mut String) {
+        use std::fmt::Write;
+        let help = command.render_help().to_string();
+        let lines: Vec<&str> = help.lines().map(str::trim_end).collect();
+        write!(
+            out,
+            "\n## {path}\n\n```text\n{}\n```\n",
+            lines.join("\n").trim()
+        )
+        .unwrap();
+        for inner in command
+            .get_subcommands_mut()
+            .filter(|inner| inner.get_name() != "help")
+        {
+            let path = format!("{path} {}", inner.get_name());
+            write_pages(inner, &path, out);
+        }
+    }
+
+    /// `docs/command-line.md` is what `-h` prints. When this fails, run it with `CAUDATA_WRITE_DOCS=1`, read what has
+    /// changed, and commit it.
+    #[test]
+    fn the_help_reads_as_it_is_documented() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/command-line.md");
+        let mut page = String::from(
+            "# Command line\n\nWhat `-h` prints; `--help` says more. Made by a test in `src/main.rs`; edit the flags there.\n",
+        );
+        let mut command = Args::command();
+        command.build();
+        write_pages(&mut command, "caudata", &mut page);
+        if std::env::var_os("CAUDATA_WRITE_DOCS").is_some() {
+            std::fs::write(path, &page).unwrap();
+        }
+        let kept = std::fs::read_to_string(path).unwrap_or_default();
+        assert!(
+            kept == page,
+            "docs/command-line.md is out of date: run this test with CAUDATA_WRITE_DOCS=1"
+        );
+    }
+
+    #[test]
+    fn the_exit_codes_of_the_help_are_those_of_the_program() {
+        for code in caudata_telemetry::ExitCode::ALL {
+            let number = code.number().to_string();
+            assert!(
+                EXIT_CODES.split_whitespace().any(|word| word == number),
+                "{number} is missing"
+            );
+        }
+    }
+}

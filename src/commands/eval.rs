@@ -334,6 +334,27 @@ fn reasons(falls: &BTreeMap<&'static str, usize>) -> String {
     format!(" ({})", list.join(", "))
 }
 
+/// An evaluation with nothing in it.
+#[cfg(test)]
+pub fn example() -> Evaluation {
+    Evaluation {
+        suite: Suite::Flat,
+        episodes: 0,
+        episode_return: Estimate::default(),
+        episode_steps: Estimate::default(),
+        falls: BTreeMap::new(),
+        fall_share: 0.0,
+        speed_mps: Estimate::default(),
+        velocity_error_mps: Estimate::default(),
+        power_w: Estimate::default(),
+        trunk_contact_share: 0.0,
+        duty_factor: 0.0,
+        slip_mps: 0.0,
+        policy_version: 0,
+        policy_sha256: String::new(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

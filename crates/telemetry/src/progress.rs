@@ -240,4 +240,48 @@ mod tests {
         let text = serde_json::to_string(&event).unwrap();
         assert_eq!(serde_json::from_str::<Event>(&text).unwrap(), event);
     }
+
+    /// All keys of objects inside `value`.
+    fn keys(value: &serde_json::Value, out: &mut Vec<String>) {
+        match value {
+            serde_json::Value::Object(map) => {
+                for (key, value) in map {
+                    out.push(key.clone());
+                    keys(value, out);
+                }
+            }
+            serde_json::Value::Array(items) => items.iter().for_each(|item| keys(item, out)),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn the_documentation_names_every_event_and_key() {
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/json.md");
+        let page = std::fs::read_to_string(page).unwrap();
+        let finished = Finished {
+            first_tenth: Some(MeanSe::default()),
+            actors: vec![ActorAccount::default()],
+            ..Finished::default()
+        };
+        let events = [
+            Event::Started(Started::default()),
+            Event::Iteration(Box::default()),
+            Event::Checkpoint(Checkpoint::default()),
+            Event::Published(Published::default()),
+            Event::Warning(Warning::default()),
+            Event::Finished(Box::new(finished)),
+        ];
+        for event in events {
+            let value = serde_json::to_value(&event).unwrap();
+            let mut names = vec![value["event"].as_str().unwrap().to_owned()];
+            keys(&value, &mut names);
+            for name in names {
+                assert!(
+                    page.contains(&format!("`{name}`")),
+                    "docs/json.md does not name `{name}`"
+                );
+            }
+        }
+    }
 }

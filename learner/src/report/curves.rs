@@ -13,8 +13,12 @@ const CHART_PX: (u32, u32) = (760, 420);
 /// Size of one chart among several in a picture, pixels.
 const PANEL_PX: (u32, u32) = (480, 280);
 const PANELS_PER_ROW: usize = 2;
-/// Where axis labels of large numbers of steps begin to count millions.
-const MILLION: f64 = 1e6;
+/// Units of the horizontal axis: from how many steps on, how many steps each, and their name.
+const UNITS: [(f64, f64, &str); 3] = [
+    (1e6, 1e6, "environment steps, millions"),
+    (1e4, 1e3, "environment steps, thousands"),
+    (0.0, 1.0, "environment steps"),
+];
 /// Prefix of the names of reward terms in the history.
 pub const TERM_PREFIX: &str = "term/";
 
@@ -74,7 +78,9 @@ pub fn draw_curves(folder: &Path, history: &History) -> Result<(), LearnerError>
             save(folder, file, &svg)?;
         }
     }
-    let terms = history.names(TERM_PREFIX);
+    // A term without weight is zero throughout and has no curve worth a panel.
+    let mut terms = history.names(TERM_PREFIX);
+    terms.retain(|name| history.series(name).iter().any(|point| point.1 != 0.0));
     if !terms.is_empty() {
         save(folder, "reward_terms", &term_panels(history, &terms)?)?;
     }
@@ -116,14 +122,8 @@ fn picture(size: (u32, u32), draw: impl FnOnce(&Area) -> Drawn) -> Result<String
 }
 
 fn chart(area: &Area, title: &str, label: &str, series: &[(f64, f64)]) -> Drawn {
-    let (x_max, unit) = series.last().map_or((1.0, 1.0), |last| {
-        (last.0, if last.0 >= MILLION { MILLION } else { 1.0 })
-    });
-    let x_label = if unit > 1.0 {
-        "environment steps, millions"
-    } else {
-        "environment steps"
-    };
+    let x_max = series.last().map_or(1.0, |last| last.0);
+    let (_, unit, x_label) = UNITS.into_iter().find(|unit| x_max >= unit.0).unwrap_or(UNITS[2]);
     let (low, high) = vertical_range(series);
     let mut context = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 20))
@@ -139,7 +139,7 @@ fn chart(area: &Area, title: &str, label: &str, series: &[(f64, f64)]) -> Drawn 
         .y_labels(6)
         .light_line_style(WHITE)
         .x_label_formatter(&|x| number(*x))
-        .y_label_formatter(&|y| number(*y))
+        .y_label_formatter(&|y| number(if y.abs() < 1e-6 * (high - low) { 0.0 } else { *y }))
         .label_style(("sans-serif", 13))
         .axis_desc_style(("sans-serif", 14))
         .draw()?;

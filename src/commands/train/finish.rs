@@ -202,7 +202,7 @@ fn improvement(first: MeanSe, last: MeanSe) -> String {
     let gain = last.mean - first.mean;
     let in_errors = if error > 0.0 { gain / error } else { 0.0 };
     format!(
-        "return of the first tenth {:.3} ± {:.3}, of the last {:.3} ± {:.3}: {in_errors:+.1} standard errors",
+        "reward per step, first tenth {:.4} ± {:.4}, last tenth {:.4} ± {:.4}: {in_errors:+.1} standard errors",
         first.mean, first.standard_error, last.mean, last.standard_error
     )
 }
@@ -220,5 +220,44 @@ mod tests {
             n: 10,
         };
         assert!(improvement(at(1.0, 0.3), at(2.0, 0.4)).ends_with("+2.0 standard errors"));
+    }
+
+    #[test]
+    fn the_documentation_names_every_key_of_the_report() {
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/json.md");
+        let page = std::fs::read_to_string(page).unwrap();
+        let report = Report {
+            run_id: "r".into(),
+            folder: "f".into(),
+            finished: Finished::default(),
+            actor_restarts: 0,
+            accounting: Balance::default(),
+            policy: PolicyHashes {
+                version: 0,
+                learner: String::new(),
+                run_folder: String::new(),
+                server: String::new(),
+                robot: None,
+                same: true,
+            },
+            evaluation: Some(eval::example()),
+            robot: None,
+        };
+        let report = serde_json::to_value(&report).unwrap();
+        let objects = [
+            &report,
+            &report["accounting"],
+            &report["policy"],
+            &report["evaluation"],
+        ];
+        for key in objects
+            .iter()
+            .flat_map(|object| object.as_object().unwrap().keys())
+        {
+            assert!(
+                page.contains(&format!("`{key}`")),
+                "docs/json.md does not name `{key}`"
+            );
+        }
     }
 }

@@ -99,7 +99,8 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
         outcome.stop_server();
         return stopped_early(args, &folder, &outcome);
     }
-    let report = finish::evaluate(&config, &folder, model, &mut outcome, &process.stop)?;
+    let report = finish::evaluate(&config, &folder, model, &mut outcome, &process.stop)
+        .map_err(|failure| after_training(failure, &folder))?;
     outcome.stop_server();
     let text = serde_json::to_string_pretty(&report).or_exit(ExitCode::Internal)?;
     folder.write("report.json", text.as_bytes())?;
@@ -165,6 +166,16 @@ fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
             .map(|t| TransportKind::from(t).name().to_owned()),
     );
     source
+}
+
+/// Training itself went well: the policy is there.
+fn after_training(failure: Failure, folder: &RunFolder) -> Failure {
+    let policy = folder.policy().display().to_string();
+    failure
+        .context("training is complete, its evaluation is not")
+        .hint(format!(
+            "the policy is {policy}; measure it with: caudata eval --policy {policy}"
+        ))
 }
 
 /// Says where the run stands and how to go on.

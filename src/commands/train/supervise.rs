@@ -144,6 +144,9 @@ impl<'a> Supervisor<'a> {
         self.view.done();
         self.stop_actors();
         let status = self.learner.ended();
+        if !status.is_some_and(|status| status.success()) {
+            self.clean_up_transport();
+        }
         if let Some(fatal) = self.fatal {
             return Err(fatal);
         }
@@ -267,12 +270,12 @@ impl<'a> Supervisor<'a> {
                     actor.id,
                     pause.as_secs_f64()
                 );
-                self.view.note(&text);
+                self.view.warn(&text);
             }
             Verdict::GiveUp => {
                 actor.due = None;
                 let text = format!("actor {} {how} too often and stays down{reason}", actor.id);
-                self.view.note(&text);
+                self.view.warn(&text);
                 let any_left = self
                     .actors
                     .iter()
@@ -326,7 +329,7 @@ impl<'a> Supervisor<'a> {
         match self.server_backoff.died(self.began.elapsed()) {
             Verdict::RestartAfter(pause) => {
                 self.view
-                    .note(&format!("the policy server {how}; it is started again"));
+                    .warn(&format!("the policy server {how}; it is started again"));
                 std::thread::sleep(pause);
                 let restarted =
                     start_server(self.programs, self.config, self.folder, self.server_addr);
@@ -365,6 +368,14 @@ impl<'a> Supervisor<'a> {
                 self.learner.finish(Duration::ZERO);
             }
             Some(_) => {}
+        }
+    }
+
+    /// Removes what a learner that was killed has left in shared memory.
+    fn clean_up_transport(&self) {
+        let transport = caudata_actor::transport_config(&self.config.transport);
+        if let Err(error) = caudata_transport::clean_up(&transport, self.folder.run_id()) {
+            tracing::warn!(%error, "something of the transport may be left behind");
         }
     }
 

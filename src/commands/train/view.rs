@@ -3,7 +3,7 @@
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-use caudata_telemetry::progress::{Event, Iteration, Started};
+use caudata_telemetry::progress::{Event, Iteration, Started, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::say;
@@ -47,17 +47,30 @@ impl View {
             (View::Json, _) => say::line(line),
             (_, Event::Started(started)) => self.started(started),
             (_, Event::Iteration(iteration)) => self.iteration(iteration),
-            (_, Event::Warning(warning)) => self.note(&format!("warning: {}", warning.message)),
+            (_, Event::Warning(warning)) => self.warn(&warning.message),
             (_, Event::Checkpoint(_) | Event::Published(_) | Event::Finished(_)) => {}
         }
     }
 
-    /// A line for a person, above the bar. With `--json` it goes to standard error.
+    /// A line for a person, above the bar; not among the events.
     pub fn note(&self, text: &str) {
         match self {
             View::Bar(bar) => bar.println(text),
             View::Plain { .. } => say::line(text),
-            View::Json => tracing::warn!("{text}"),
+            View::Json => tracing::info!("{text}"),
+        }
+    }
+
+    /// Something that should not have happened; with `--json` an event.
+    pub fn warn(&self, text: &str) {
+        let View::Json = self else {
+            return self.note(&format!("warning: {text}"));
+        };
+        let warning = Event::Warning(Warning {
+            message: text.to_owned(),
+        });
+        if let Ok(line) = serde_json::to_string(&warning) {
+            say::line(line);
         }
     }
 
