@@ -41,7 +41,14 @@ fn policy_of(version: u64, seed: u64) -> PolicyFile {
         config_hash: String::new(),
         seed: 1,
     };
-    export(&net, &Scaling::identity(obs_dim, 10.0), &identity, version, 0).unwrap()
+    export(
+        &net,
+        &Scaling::identity(obs_dim, 10.0),
+        &identity,
+        version,
+        0,
+    )
+    .unwrap()
 }
 
 /// Serves at `addr` until the sender says stop.
@@ -55,7 +62,10 @@ fn server(runtime: &Runtime, addr: SocketAddr, data: &Path) -> watch::Sender<boo
 }
 
 fn free_address() -> SocketAddr {
-    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+    std::net::TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
 }
 
 /// Notices until `enough` of them have come.
@@ -75,7 +85,10 @@ fn versions(runtime: &Runtime, addr: SocketAddr) -> Vec<(u64, [u8; 32])> {
         let mut client = RegistryClient::new(&addr.to_string()).unwrap();
         let stream = StreamName::new("test").unwrap();
         let page = client.list(Some(&stream), 0, None).await.unwrap();
-        page.manifests.iter().map(|m| (m.version, m.sha256)).collect()
+        page.manifests
+            .iter()
+            .map(|m| (m.version, m.sha256))
+            .collect()
     })
 }
 
@@ -88,7 +101,17 @@ fn the_latest_policy_arrives_once_the_server_is_there() {
     publisher.publish(policy(1));
     let failed = |heard: &[Notice]| !heard.is_empty();
     let heard = wait_for(&publisher, failed);
-    assert!(matches!(heard[0], Notice::Failed { version: 1, again: true, .. }), "{heard:?}");
+    assert!(
+        matches!(
+            heard[0],
+            Notice::Failed {
+                version: 1,
+                again: true,
+                ..
+            }
+        ),
+        "{heard:?}"
+    );
     // Two more while nobody listens: only the last of them matters.
     publisher.publish(policy(2));
     publisher.publish(policy(3));
@@ -96,9 +119,14 @@ fn the_latest_policy_arrives_once_the_server_is_there() {
     assert!(publisher.finish(PATIENCE));
     let stored = versions(&runtime, addr);
     assert_eq!(stored.first(), Some(&(3, policy(3).sha256())));
-    assert!(!stored.iter().any(|(version, _)| *version == 1), "given up for newer ones");
+    assert!(
+        !stored.iter().any(|(version, _)| *version == 1),
+        "given up for newer ones"
+    );
     let published = |heard: &[Notice]| {
-        heard.iter().any(|n| matches!(n, Notice::Published(done) if done.version == 3))
+        heard
+            .iter()
+            .any(|n| matches!(n, Notice::Published(done) if done.version == 3))
     };
     wait_for(&publisher, published);
 }
@@ -116,7 +144,14 @@ fn a_refusal_is_not_tried_again_and_nothing_waits_for_ever() {
     publisher.publish(policy_of(5, 99));
     let refused = |heard: &[Notice]| heard.iter().any(|n| matches!(n, Notice::Failed { .. }));
     let heard = wait_for(&publisher, refused);
-    assert!(heard.iter().any(|n| matches!(n, Notice::Failed { version: 5, again: false, .. })));
+    assert!(heard.iter().any(|n| matches!(
+        n,
+        Notice::Failed {
+            version: 5,
+            again: false,
+            ..
+        }
+    )));
     assert!(publisher.finish(PATIENCE));
     assert_eq!(versions(&runtime, addr), [(5, policy(5).sha256())]);
 

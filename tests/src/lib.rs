@@ -121,7 +121,11 @@ impl Finished {
     /// # Errors
     /// When there is none.
     pub fn last_json(&self) -> Result<Value> {
-        let line = self.stdout.lines().last().context("nothing on standard output")?;
+        let line = self
+            .stdout
+            .lines()
+            .last()
+            .context("nothing on standard output")?;
         serde_json::from_str(line).with_context(|| format!("not JSON: {line}"))
     }
 }

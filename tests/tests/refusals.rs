@@ -11,10 +11,20 @@ use caudata_tests::{Finished, binary, command, finish, repository_root, train};
 /// It ended with `code` and exactly one error line, which holds each of `words`.
 fn refused(finished: &Finished, code: i32, words: &[&str]) {
     let errors = finished.errors();
-    assert_eq!(finished.code, Some(code), "{}\n{}", finished.stdout, finished.stderr);
+    assert_eq!(
+        finished.code,
+        Some(code),
+        "{}\n{}",
+        finished.stdout,
+        finished.stderr
+    );
     assert_eq!(errors.len(), 1, "one line says it: {}", finished.stderr);
     for word in words {
-        assert!(errors[0].contains(word), "`{word}` is not in: {}", errors[0]);
+        assert!(
+            errors[0].contains(word),
+            "`{word}` is not in: {}",
+            errors[0]
+        );
     }
     assert!(!finished.stderr.contains("panicked"), "{}", finished.stderr);
 }
@@ -27,13 +37,20 @@ fn an_unknown_configuration_key_names_the_one_that_was_meant() {
     let out = folder.path().join("run");
     let run = train(&out, &["--config", file.to_str().unwrap()]).unwrap();
     refused(&finish(run).unwrap(), 64, &["gama", "gamma"]);
-    assert!(!out.exists(), "a refused configuration leaves no run folder");
+    assert!(
+        !out.exists(),
+        "a refused configuration leaves no run folder"
+    );
 }
 
 #[test]
 fn a_value_out_of_range_is_refused_before_anything_starts() {
     let folder = tempfile::tempdir().unwrap();
-    let run = train(&folder.path().join("run"), &["--set", "learner.ppo.gamma=1.5"]).unwrap();
+    let run = train(
+        &folder.path().join("run"),
+        &["--set", "learner.ppo.gamma=1.5"],
+    )
+    .unwrap();
     refused(&finish(run).unwrap(), 64, &["gamma"]);
 }
 
@@ -44,12 +61,19 @@ fn a_wrong_robot_file_is_refused_by_name() {
     let text = fs::read_to_string(robots.join("polymander.robot.toml")).unwrap();
     let wrong = folder.path().join("wrong.robot.toml");
     fs::write(&wrong, text.replacen("spine_1", "spine_9", 1)).unwrap();
-    fs::copy(robots.join("polymander.xml"), folder.path().join("polymander.xml")).unwrap();
+    fs::copy(
+        robots.join("polymander.xml"),
+        folder.path().join("polymander.xml"),
+    )
+    .unwrap();
     let robot = format!("robot={:?}", wrong.to_str().unwrap());
     let run = train(&folder.path().join("run"), &["--set", &robot]).unwrap();
     refused(&finish(run).unwrap(), 65, &["spine_9"]);
 
-    let robot = format!("robot={:?}", folder.path().join("none.robot.toml").to_str().unwrap());
+    let robot = format!(
+        "robot={:?}",
+        folder.path().join("none.robot.toml").to_str().unwrap()
+    );
     let run = train(&folder.path().join("run"), &["--set", &robot]).unwrap();
     refused(&finish(run).unwrap(), 66, &["none.robot.toml"]);
 }
@@ -60,7 +84,11 @@ fn a_port_in_use_is_named() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let addr = format!("policy_server.addr={address:?}");
-    let run = train(&folder.path().join("run"), &["--iterations", "1", "--set", &addr]).unwrap();
+    let run = train(
+        &folder.path().join("run"),
+        &["--iterations", "1", "--set", &addr],
+    )
+    .unwrap();
     refused(&finish(run).unwrap(), 71, &[&address]);
 }
 
@@ -89,7 +117,11 @@ fn a_truncated_checkpoint_is_refused_and_left_as_it_is() {
     let run = train(&out, &["--iterations", "3", "--resume"]).unwrap();
     refused(&finish(run).unwrap(), 78, &["checkpoint"]);
     for (state, length) in states {
-        assert_eq!(fs::metadata(state).unwrap().len(), length as u64, "nothing was overwritten");
+        assert_eq!(
+            fs::metadata(state).unwrap().len(),
+            length as u64,
+            "nothing was overwritten"
+        );
     }
     assert!(out.join("policy.onnx").is_file());
 }
@@ -121,8 +153,18 @@ fn a_policy_with_another_joint_order_is_refused() {
     let out = trained(folder.path());
     let wrong = out.join("wrong.onnx");
     fs::write(&wrong, with_joints_exchanged(&out.join("policy.onnx"))).unwrap();
-    let arguments = ["eval", "--episodes", "1", "--policy", wrong.to_str().unwrap()];
-    refused(&finish(command("caudata", &arguments).unwrap()).unwrap(), 77, &["spine_1", "spine_2"]);
+    let arguments = [
+        "eval",
+        "--episodes",
+        "1",
+        "--policy",
+        wrong.to_str().unwrap(),
+    ];
+    refused(
+        &finish(command("caudata", &arguments).unwrap()).unwrap(),
+        77,
+        &["spine_1", "spine_2"],
+    );
 }
 
 #[test]
@@ -133,7 +175,11 @@ fn bytes_that_are_no_policy_are_refused() {
     let torn = folder.path().join("torn.onnx");
     fs::write(&torn, &bytes[..bytes.len() - 100]).unwrap();
     let arguments = ["policy", "show", torn.to_str().unwrap()];
-    refused(&finish(command("caudata", &arguments).unwrap()).unwrap(), 65, &["torn.onnx"]);
+    refused(
+        &finish(command("caudata", &arguments).unwrap()).unwrap(),
+        65,
+        &["torn.onnx"],
+    );
 }
 
 #[test]
@@ -141,7 +187,13 @@ fn a_robot_without_server_and_without_policy_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
     // Port 1 is reserved and closed.
-    let arguments = ["pull", "--robot", "robots/polymander.robot.toml", "--policy-server", "127.0.0.1:1"];
+    let arguments = [
+        "pull",
+        "--robot",
+        "robots/polymander.robot.toml",
+        "--policy-server",
+        "127.0.0.1:1",
+    ];
     let mut pull = command("caudata-robot", &arguments).unwrap();
     pull.args(["--stream", "walk", "--state"]).arg(&state);
     refused(&finish(pull).unwrap(), 69, &["127.0.0.1:1"]);
@@ -189,7 +241,11 @@ fn a_full_disk_ends_the_run_and_keeps_what_was_saved() {
     assert!(filled.is_err(), "the disk is full");
     let run = finish(train(&out, &["--iterations", "4", "--resume"]).unwrap()).unwrap();
     refused(&run, 74, &["disk full"]);
-    assert_eq!(fs::read(out.join("policy.onnx")).unwrap(), policy, "the old policy stands");
+    assert_eq!(
+        fs::read(out.join("policy.onnx")).unwrap(),
+        policy,
+        "the old policy stands"
+    );
 
     // With space again, the run goes on from what was saved.
     fs::remove_file(&ballast).unwrap();
@@ -200,7 +256,13 @@ fn a_full_disk_ends_the_run_and_keeps_what_was_saved() {
 
 #[test]
 fn every_binary_explains_itself_and_refuses_unknown_flags() {
-    for name in ["caudata", "caudata-actor", "caudata-learner", "caudata-policy-server", "caudata-robot"] {
+    for name in [
+        "caudata",
+        "caudata-actor",
+        "caudata-learner",
+        "caudata-policy-server",
+        "caudata-robot",
+    ] {
         assert!(binary(name).is_ok(), "{name}");
         let help = finish(command(name, &["--help"]).unwrap()).unwrap();
         assert_eq!(help.code, Some(0), "{name}");

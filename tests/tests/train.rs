@@ -11,13 +11,23 @@ use nix::unistd::Pid;
 use serde_json::Value;
 
 fn ended_well(finished: &Finished) -> Value {
-    assert_eq!(finished.code, Some(0), "{}\n{}", finished.stdout, finished.stderr);
+    assert_eq!(
+        finished.code,
+        Some(0),
+        "{}\n{}",
+        finished.stdout,
+        finished.stderr
+    );
     finished.last_json().unwrap()
 }
 
 fn account_holds(report: &Value) {
     let account = &report["accounting"];
-    let count = |key: &str| account[key].as_u64().unwrap_or_else(|| panic!("{key} in {account}"));
+    let count = |key: &str| {
+        account[key]
+            .as_u64()
+            .unwrap_or_else(|| panic!("{key} in {account}"))
+    };
     assert!(count("sent") > 0, "{account}");
     assert_eq!(
         count("sent"),
@@ -31,7 +41,14 @@ fn account_holds(report: &Value) {
 fn trains_end_to_end(transport: &str) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let flags = ["--transport", transport, "--iterations", "4", "--set", "evaluation.robot_run_s=1"];
+    let flags = [
+        "--transport",
+        transport,
+        "--iterations",
+        "4",
+        "--set",
+        "evaluation.robot_run_s=1",
+    ];
     let report = ended_well(&finish(train(&out, &flags).unwrap()).unwrap());
     account_holds(&report);
     assert_eq!(report["finished"]["iteration"], 4);
@@ -40,12 +57,22 @@ fn trains_end_to_end(transport: &str) {
     let policy = &report["policy"];
     assert_eq!(policy["same"], true, "{policy}");
     assert_eq!(policy["learner"], policy["robot"], "{policy}");
-    for name in ["config.toml", "git.txt", "policy.onnx", "report.json", "progress.jsonl", "robot/log.csv"] {
+    for name in [
+        "config.toml",
+        "git.txt",
+        "policy.onnx",
+        "report.json",
+        "progress.jsonl",
+        "robot/log.csv",
+    ] {
         assert!(out.join(name).is_file(), "{name} is missing");
     }
     assert!(files_like(&out, "events.out.tfevents").len() == 1);
     assert!(!files_like(&out.join("curves"), ".svg").is_empty());
-    assert_eq!(json_file(&out.join("report.json")).unwrap()["policy"], *policy);
+    assert_eq!(
+        json_file(&out.join("report.json")).unwrap()["policy"],
+        *policy
+    );
 }
 
 fn files_like(folder: &Path, part: &str) -> Vec<PathBuf> {
@@ -76,7 +103,9 @@ fn trains_end_to_end_over_tcp() {
 
 /// The state file of the newest checkpoint; every bit of weights and optimiser is in it.
 fn newest_state(out: &Path) -> Vec<u8> {
-    let newest = files_like(&out.join("checkpoints"), "iter_").pop().expect("a checkpoint");
+    let newest = files_like(&out.join("checkpoints"), "iter_")
+        .pop()
+        .expect("a checkpoint");
     std::fs::read(newest.join("state.safetensors")).unwrap()
 }
 
@@ -90,8 +119,14 @@ fn a_run_that_was_stopped_and_resumed_has_the_same_weights_bit_for_bit() {
     let resume = ["--iterations", "6", "--resume"];
     let report = ended_well(&finish(train(&halves, &resume).unwrap()).unwrap());
     assert_eq!(report["finished"]["iteration"], 6);
-    assert!(newest_state(&whole) != half, "three more iterations change the weights");
-    assert!(newest_state(&whole) == newest_state(&halves), "the weights differ");
+    assert!(
+        newest_state(&whole) != half,
+        "three more iterations change the weights"
+    );
+    assert!(
+        newest_state(&whole) == newest_state(&halves),
+        "the weights differ"
+    );
 }
 
 #[test]
@@ -116,9 +151,17 @@ struct Running {
 
 impl Running {
     fn start(mut command: Command) -> Self {
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut child = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
         let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        Self { child, lines, last: String::new() }
+        Self {
+            child,
+            lines,
+            last: String::new(),
+        }
     }
 
     fn next_event(&mut self) -> Option<Value> {
@@ -171,7 +214,9 @@ fn actor_processes(out: &Path) -> Vec<i32> {
     let mark = out.join("ledgers").display().to_string();
     let mut found = Vec::new();
     for entry in std::fs::read_dir("/proc").unwrap().flatten() {
-        let Ok(pid) = entry.file_name().to_string_lossy().parse::<i32>() else { continue };
+        let Ok(pid) = entry.file_name().to_string_lossy().parse::<i32>() else {
+            continue;
+        };
         let arguments = std::fs::read(entry.path().join("cmdline")).unwrap_or_default();
         let arguments = String::from_utf8_lossy(&arguments).replace('\0', " ");
         if arguments.contains("caudata-actor") && arguments.contains(&mark) {

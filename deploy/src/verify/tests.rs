@@ -1,3 +1,5 @@
+//! Bad policies, each refused by name.
+
 use caudata_policy::PolicyMetadata;
 
 use super::*;

@@ -34,9 +34,11 @@ pub(crate) fn learner(
     let ports = Ports::new(&run_dir, &tag, limits)?;
     let wake = ports.services.up.notifier_builder().create();
     let wake = wake.map_err(backend)?;
+    // Posted before the thread starts: an error here leaves no thread behind. Actors that come at once find the
+    // services, and are read from a moment later.
+    run_dir.post(&tag, limits)?;
     let body = Arc::clone(&core);
     let thread = core.spawn("caudata-shm", move || ports.run_until_closed(&body))?;
-    run_dir.post(&tag, limits)?;
     let downlink = Iceoryx2Downlink {
         wake,
         thread: Some(thread),

@@ -39,9 +39,12 @@ fn open(config: &ZenohConfig, run_id: &str) -> Result<Box<dyn LearnerLink>, Tran
         threads: Vec::new(),
         session: Some(session.clone()),
     };
-    downlink
-        .start(&session, &core, run_id)
-        .map_err(|e| TransportError::Backend(e.to_string()))?;
+    if let Err(error) = downlink.start(&session, &core, run_id) {
+        // Whatever has started already ends.
+        core.crew.close();
+        downlink.close();
+        return Err(TransportError::Backend(error.to_string()));
+    }
     let actor_config = TransportConfig::Zenoh(ZenohConfig {
         limits: config.limits.clone(),
         listen: Vec::new(),
