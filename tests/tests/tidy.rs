@@ -54,14 +54,15 @@ fn linked_by(metadata: &Metadata, package: &str) -> BTreeSet<String> {
 /// Markdown files whose back-quoted paths must exist.
 const MAPS: [&str; 2] = ["ARCHITECTURE.md", "README.md"];
 
-/// A back-quoted word counts as a path when it begins with one of the repository's folders or names a root file.
+/// A back-quoted word counts as a path when it begins with one of the repository's folders or names a root file; one
+/// that begins with `/` is part of a web address.
 fn looks_like_a_path(word: &str, root: &Path) -> bool {
     let plain = word
         .chars()
         .all(|c| c.is_ascii_alphanumeric() || "._-/".contains(c));
     let first = word.split('/').next().unwrap_or_default();
     let known_top = root.join(first).exists() || word.ends_with(".md") || word.ends_with('/');
-    plain && known_top && (word.contains('/') || word.ends_with(".md"))
+    plain && !first.is_empty() && known_top && (word.contains('/') || word.ends_with(".md"))
 }
 
 #[test]
