@@ -1,5 +1,10 @@
 //! Bad input, one small program per fault: one clear line, its own exit code, and nothing that was saved is lost.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 use std::fs;
 use std::net::TcpListener;

@@ -109,7 +109,9 @@ fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
             tracing::info!(actor, incarnation, "an actor left");
             metrics.frame("bye");
         }
-        Outcome::Waiting(_) => metrics.frame("waiting"),
+        Outcome::Waiting(_) => {
+            metrics.frame("waiting");
+        }
         Outcome::Duplicate((actor, incarnation)) => {
             tracing::debug!(actor, incarnation, "a chunk came again");
             metrics.frame("duplicate");
@@ -123,11 +125,12 @@ fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
             );
             metrics.frame(reason.id());
         }
-        // Once quarantined, an actor may send a lot; the first refusals have said why.
-        Outcome::Rejected(_, reason @ "quarantined", _) => metrics.frame(reason),
         Outcome::Rejected(actor, reason, message) => {
-            tracing::warn!(?actor, reason, message, "a frame is refused");
-            metrics.frame(reason);
+            let count = metrics.frame(reason);
+            // The 1st, 2nd, 4th, 8th, …: whoever floods the learner shall not flood its log.
+            if count.is_power_of_two() {
+                tracing::warn!(?actor, reason, count, message, "a frame is refused");
+            }
         }
     }
 }

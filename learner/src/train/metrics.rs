@@ -89,9 +89,10 @@ impl LearnerMetrics {
     }
 
     /// Counts a frame under `outcome`: `waiting`, `duplicate`, `hello`, `bye`, or the reason why it was not taken.
-    pub fn frame(&self, outcome: &str) {
-        self.frames
-            .get_or_create(&vec![("outcome".to_owned(), outcome.to_owned())])
-            .inc();
+    /// Answers the count.
+    pub fn frame(&self, outcome: &str) -> u64 {
+        let labels = vec![("outcome".to_owned(), outcome.to_owned())];
+        let counter = self.frames.get_or_create(&labels).clone();
+        counter.inc() + 1
     }
 }
