@@ -16,6 +16,7 @@ pub mod joint;
 mod observe;
 pub mod params;
 pub mod rapier;
+pub mod real;
 pub mod sensors;
 pub mod servo;
 pub mod state;
