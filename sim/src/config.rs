@@ -72,10 +72,10 @@ pub struct EngineConfig {
     /// `batch`: penetration at which that damping is full, m, 1e-6..=0.01. Default 0.0002. Smaller: touching begins with a jump of the
     /// force; larger: feet bounce.
     pub contact_damping_depth_m: f64,
-    /// `batch`: stiffness of a contact point's friction bristle, N/m, 100..=1e6. Default 15000. Softer: feet give way sideways before they
+    /// `batch`: stiffness of a contact point's friction bristle, N/m, 100..=1e6. Default 30000. Softer: feet give way sideways before they
     /// hold. Stiffer: sticking needs smaller steps.
     pub bristle_stiffness_n_per_m: f64,
-    /// `batch`: damping of that bristle, N·s/m, 0..=1e4. Default 50.
+    /// `batch`: damping of that bristle, N·s/m, 0..=1e4. Default 100: sticking feet come to rest within a step or two. Zero: they ring.
     pub bristle_damping_ns_per_m: f64,
 }
 
@@ -100,8 +100,8 @@ impl Default for EngineConfig {
             contact_stiffness_n_per_m: 15_000.0,
             contact_damping_ns_per_m: 150.0,
             contact_damping_depth_m: 2e-4,
-            bristle_stiffness_n_per_m: 15_000.0,
-            bristle_damping_ns_per_m: 50.0,
+            bristle_stiffness_n_per_m: 30_000.0,
+            bristle_damping_ns_per_m: 100.0,
         }
     }
 }

@@ -7,6 +7,10 @@ use crate::simd::Lanes;
 /// Speed over which the back-driven gain ratio fades in, rad/s (see [`crate::servo`]).
 const BACK_DRIVE_FADE_RADPS: f64 = 0.1;
 
+/// Damping of the friction bristle as a time: it feels where it would be that much later. Without it a joint that should be held rings on its
+/// bristle and creeps; with much more, friction acts ahead of time at every reversal.
+const BRISTLE_DAMPING_S: f64 = 0.02;
+
 /// Torque of a joint, linear in its acceleration: `torque − inertia·q̈`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Load<R> {
@@ -45,18 +49,18 @@ pub(super) fn passive<R: Lanes>(j: &JointLane<R>, s: Step<R>, q: R, qd: R, brist
     stiffness += stop;
     damping += R::select(outside, j.stop_damping, o);
     // friction: a bristle up to its full deflection, then constant
-    let deflection = (bristle + moved) * R::splat(1.0 / PRESLIDING_RAD as f64);
-    let sticks = deflection.abs().le(one);
+    let per_rad = R::splat(1.0 / f64::from(PRESLIDING_RAD));
+    let soon = R::splat(BRISTLE_DAMPING_S);
+    let deflection = (bristle + (s.dt + soon) * qd) * per_rad;
+    let sticks = R::select(deflection.abs().le(one), j.friction * per_rad, o);
     torque -= j.friction * deflection.clamp(-one, one);
-    stiffness += R::select(
-        sticks,
-        j.friction * R::splat(1.0 / PRESLIDING_RAD as f64),
-        o,
-    );
     torque -= damping * qd;
     Load {
         torque,
-        inertia: stiffness.mul_add(s.dt2, damping.mul_add(s.dt, j.armature)),
+        inertia: (stiffness + sticks).mul_add(
+            s.dt2,
+            (sticks.mul_add(soon, damping)).mul_add(s.dt, j.armature),
+        ),
         motor: o,
         motor_inertia: o,
     }

@@ -3,9 +3,9 @@
 //! Positions, velocities and inertias are about the base's origin in world axes, so bodies add up without transforms. Bias accelerations (what
 //! moves without any joint accelerating: Coriolis and centrifugal) are accumulated here, so that the articulated passes see none.
 
-use super::contact::{ContactLaw, Touch, touch};
+use super::contact::{ContactLaw, MEMORY, Touch, touch};
 use super::ground::Ground;
-use super::lanes::{GroupParams, Layout};
+use super::lanes::{GroupParams, Layout, layout};
 use super::program::{Node, Part, Program};
 use super::vec3::{
     Inertia, V3, add, add_cross, add_scaled, columns, cross, dot, scale, sub, sym_times, turn,
@@ -28,6 +28,10 @@ pub(super) struct Frame<R> {
     pub ang: V3<R>,
     /// Velocity of the material point at the base's origin, m/s.
     pub lin: V3<R>,
+    /// `ang` in the middle between this step's start and the last one's, see [`super::period`].
+    pub ang_mid: V3<R>,
+    /// `lin` likewise.
+    pub lin_mid: V3<R>,
     /// Bias acceleration, angular, rad/s².
     pub bias_ang: V3<R>,
     /// Bias acceleration, linear (spatial), m/s².
@@ -44,6 +48,8 @@ impl<R: Lanes> Frame<R> {
             axis_lin: o,
             ang: o,
             lin: o,
+            ang_mid: o,
+            lin_mid: o,
             bias_ang: o,
             bias_lin: o,
         }
@@ -65,15 +71,17 @@ impl<R: Lanes> Frame<R> {
 
 /// The base's frame.
 #[inline(always)]
-pub(super) fn base_frame<R: Lanes>(free: bool, x: &[R]) -> Frame<R> {
+pub(super) fn base_frame<R: Lanes>(free: bool, x: &[R], half_dt: R) -> Frame<R> {
     let q = Layout::QUAT;
     let mut frame = Frame::zero();
     frame.rot = columns([x[q], x[q + 1], x[q + 2], x[q + 3]]);
     if free {
         frame.lin = take3(x, Layout::VEL);
         frame.ang = take3(x, Layout::ANG);
+        frame.lin_mid = add_scaled(frame.lin, take3(x, Layout::ACC), half_dt);
+        frame.ang_mid = add_scaled(frame.ang, take3(x, Layout::SPIN_ACC), half_dt);
         // spatial: its origin's own acceleration is then what the solver adds
-        frame.bias_lin = cross(frame.lin, frame.ang);
+        frame.bias_lin = cross(frame.lin_mid, frame.ang_mid);
     }
     frame
 }
@@ -85,7 +93,13 @@ pub(super) fn take3<R: Lanes>(x: &[R], at: usize) -> V3<R> {
 
 /// A node's frame from its parent's.
 #[inline(always)]
-pub(super) fn next_frame<R: Lanes>(node: &Node<R>, parent: &Frame<R>, q: R, qd: R) -> Frame<R> {
+pub(super) fn next_frame<R: Lanes>(
+    node: &Node<R>,
+    parent: &Frame<R>,
+    q: R,
+    qd: R,
+    qd_mid: R,
+) -> Frame<R> {
     let mut pos = parent.pos;
     for c in 0..3 {
         if node.has_offset[c] {
@@ -105,9 +119,9 @@ pub(super) fn next_frame<R: Lanes>(node: &Node<R>, parent: &Frame<R>, q: R, qd: 
     }
     // one copy of the code below per axis, so that columns are known when it is compiled
     match node.axis {
-        0 => joint(node, parent, rot, pos, q, qd, 0, 1, 2),
-        1 => joint(node, parent, rot, pos, q, qd, 1, 2, 0),
-        _ => joint(node, parent, rot, pos, q, qd, 2, 0, 1),
+        0 => joint(node, parent, rot, pos, q, qd, qd_mid, 0, 1, 2),
+        1 => joint(node, parent, rot, pos, q, qd, qd_mid, 1, 2, 0),
+        _ => joint(node, parent, rot, pos, q, qd, qd_mid, 2, 0, 1),
     }
 }
 
@@ -119,6 +133,7 @@ fn joint<R: Lanes>(
     mut pos: V3<R>,
     q: R,
     qd: R,
+    qd_mid: R,
     along: usize,
     first: usize,
     second: usize,
@@ -129,17 +144,19 @@ fn joint<R: Lanes>(
     } else {
         column
     };
-    let (pa, pl) = (parent.ang, parent.lin);
+    let (pa, pl) = (parent.ang_mid, parent.lin_mid);
     if node.slide {
         pos = add_scaled(pos, axis, q);
-        let moved = scale(axis, qd);
+        let moved = scale(axis, qd_mid);
         return Frame {
             rot,
             pos,
             axis_ang: zero3(),
             axis_lin: axis,
-            ang: pa,
-            lin: add(pl, moved),
+            ang: parent.ang,
+            lin: add_scaled(parent.lin, axis, qd),
+            ang_mid: pa,
+            lin_mid: add(pl, moved),
             bias_ang: parent.bias_ang,
             bias_lin: add_cross(parent.bias_lin, pa, moved),
         };
@@ -150,14 +167,16 @@ fn joint<R: Lanes>(
     rot[first] = add_scaled(scale(a, cos), b, sin);
     rot[second] = add_scaled(scale(b, cos), a, -sin);
     let moment = cross(pos, axis);
-    let (turn_ang, turn_lin) = (scale(axis, qd), scale(moment, qd));
+    let (turn_ang, turn_lin) = (scale(axis, qd_mid), scale(moment, qd_mid));
     Frame {
         rot,
         pos,
         axis_ang: axis,
         axis_lin: moment,
-        ang: add(pa, turn_ang),
-        lin: add(pl, turn_lin),
+        ang: add_scaled(parent.ang, axis, qd),
+        lin: add_scaled(parent.lin, moment, qd),
+        ang_mid: add(pa, turn_ang),
+        lin_mid: add(pl, turn_lin),
         bias_ang: add_cross(parent.bias_ang, pa, turn_ang),
         bias_lin: add_cross(add_cross(parent.bias_lin, pa, turn_lin), pl, turn_ang),
     }
@@ -190,17 +209,17 @@ pub(super) fn body_inertia<R: Lanes>(
         }
         let own = turn_sym(&frame.rot, &local);
         let com = add(frame.pos, turn(&frame.rot, lane.com));
-        let vel = frame.velocity(com);
+        let vel = add_cross(frame.lin_mid, frame.ang_mid, com);
         let bias = add_cross(
             add_cross(frame.bias_lin, frame.bias_ang, com),
-            frame.ang,
+            frame.ang_mid,
             vel,
         );
         let mut f = scale(sub(bias, params.gravity), lane.mass);
         let mut n = add_cross(
             sym_times(&own, frame.bias_ang),
-            frame.ang,
-            sym_times(&own, frame.ang),
+            frame.ang_mid,
+            sym_times(&own, frame.ang_mid),
         );
         if i == program.torso {
             f = sub(f, push.force);
@@ -245,17 +264,20 @@ pub(super) struct World<'a, R: Lanes> {
     pub law: &'a ContactLaw<R>,
     pub params: &'a GroupParams<R>,
     pub push: Push<R>,
+    /// Half a step, s.
+    pub half_dt: R::Elem,
 }
 
 /// Frames only.
 #[inline(always)]
 pub(super) fn frames<R: Lanes>(program: &Program<R>, x: &[R], frames: &mut [Frame<R>]) {
-    frames[0] = base_frame(program.free, x);
+    frames[0] = base_frame(program.free, x, R::zero());
     let n = program.nodes.len();
-    let (q, qd) = (&x[16..16 + n], &x[16 + n..16 + 2 * n]);
+    let lay = layout(program);
+    let (q, qd) = (&x[lay.q()..lay.q() + n], &x[lay.qd()..lay.qd() + n]);
     for (i, node) in program.nodes.iter().enumerate() {
         let parent = frames[node.parent];
-        frames[i + 1] = next_frame(node, &parent, q[i], qd[i]);
+        frames[i + 1] = next_frame(node, &parent, q[i], qd[i], qd[i]);
     }
 }
 
@@ -271,21 +293,38 @@ pub(super) fn outward<R: Lanes, const FLAT: bool>(
     let program = world.program;
     let n = program.nodes.len();
     let base = take3(x, Layout::POS);
-    frames[0] = base_frame(program.free, x);
-    let (head, stick) = x.split_at_mut(16 + 3 * n);
-    let (q, qd) = (&head[16..16 + n], &head[16 + n..16 + 2 * n]);
+    let half_dt = R::uniform(world.half_dt);
+    frames[0] = base_frame(program.free, x, half_dt);
+    let lay = layout(program);
+    let (head, memory) = x.split_at_mut(lay.contacts());
+    let (q, qd) = (&head[lay.q()..lay.q() + n], &head[lay.qd()..lay.qd() + n]);
+    let qdd = &head[lay.qdd()..lay.qdd() + n];
     if program.free {
-        carry::<R, FLAT>(world, 0, &frames[0], base, stick, &mut inertias[0], touches);
+        carry::<R, FLAT>(
+            world,
+            0,
+            &frames[0],
+            base,
+            memory,
+            &mut inertias[0],
+            touches,
+        );
     }
     for (i, node) in program.nodes.iter().enumerate() {
-        let frame = next_frame(node, &frames[node.parent], q[i], qd[i]);
+        let frame = next_frame(
+            node,
+            &frames[node.parent],
+            q[i],
+            qd[i],
+            qdd[i].mul_add(half_dt, qd[i]),
+        );
         frames[i + 1] = frame;
         carry::<R, FLAT>(
             world,
             i + 1,
             &frame,
             base,
-            stick,
+            memory,
             &mut inertias[i + 1],
             touches,
         );
@@ -299,7 +338,7 @@ fn carry<R: Lanes, const FLAT: bool>(
     k: usize,
     frame: &Frame<R>,
     base: V3<R>,
-    stick: &mut [R],
+    memory: &mut [R],
     to: &mut Inertia<R>,
     touches: &mut [Touch<R>],
 ) {
@@ -322,7 +361,7 @@ fn carry<R: Lanes, const FLAT: bool>(
             point.centre,
             point.radius,
             friction,
-            &mut stick[3 * p..3 * p + 3],
+            &mut memory[MEMORY * p..MEMORY * (p + 1)],
             &mut inertia,
             &mut touches[p],
         );

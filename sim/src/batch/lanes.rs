@@ -2,6 +2,7 @@
 
 use caudata_model::{JointKind, JointMotion, RobotModel};
 
+use super::contact::MEMORY;
 use super::program::Program;
 use crate::params::backlash_joints;
 use crate::simd::Lanes;
@@ -30,7 +31,11 @@ impl Layout {
     pub const ANG: usize = 10;
     /// Velocity of the IMU point at the end of the last period, world, m/s.
     pub const IMU: usize = 13;
-    const HEAD: usize = 16;
+    /// Acceleration of the base's origin in the last step, world, m/s².
+    pub const ACC: usize = 16;
+    /// Angular acceleration of the base in the last step, world, rad/s².
+    pub const SPIN_ACC: usize = 19;
+    const HEAD: usize = 22;
 
     /// Joint positions.
     pub fn q(self) -> usize {
@@ -44,9 +49,17 @@ impl Layout {
     pub fn bristle(self) -> usize {
         Self::HEAD + 2 * self.joints
     }
+    /// Joint accelerations in the last step.
+    pub fn qdd(self) -> usize {
+        Self::HEAD + 3 * self.joints
+    }
+    /// What contact points keep, [`MEMORY`] each.
+    pub fn contacts(self) -> usize {
+        Self::HEAD + 4 * self.joints
+    }
     /// Length of the whole.
     pub fn len(self) -> usize {
-        Self::HEAD + 3 * self.joints + 3 * self.points
+        Self::HEAD + 4 * self.joints + MEMORY * self.points
     }
 }
 

@@ -1,7 +1,11 @@
 //! One control period of one group of lanes: the physics steps, then the report.
+//!
+//! A step is semi-implicit Euler, which is leapfrog with velocities half a step off the positions. Coriolis and centrifugal forces
+//! belong to the positions' time, so they are taken at the velocity half a step on, extrapolated with the last step's acceleration: with
+//! the velocity as it is, a chaotic double pendulum gains 5 % of its energy in 1.4 s at 2 ms.
 
 use super::aba::{self, Hinge};
-use super::contact::{ContactLaw, Touch};
+use super::contact::{ContactLaw, MEMORY, Touch};
 use super::drive::{self, Load, Step};
 use super::ground::Ground;
 use super::kinematics::{self, Frame, Push, World};
@@ -247,6 +251,7 @@ fn step<R: Lanes, const FLAT: bool>(
         law: &shared.law,
         params: &group.params,
         push,
+        half_dt: R::elem(0.5 * shared.dt_s),
     };
     kinematics::outward::<R, FLAT>(
         &world,
@@ -321,6 +326,7 @@ fn sum_contacts<R: Lanes, const FLAT: bool>(
 ) {
     let feet = 2 * program.actuated;
     let trunk = feet + 3 * program.feet.len();
+    let contacts = layout(program).contacts();
     for k in 0..program.frames() {
         if k == 0 && !program.free {
             continue;
@@ -332,6 +338,12 @@ fn sum_contacts<R: Lanes, const FLAT: bool>(
                 continue;
             }
             let force = touch.force(ang, lin);
+            let normal = if FLAT {
+                force[2]
+            } else {
+                dot(force, touch.normal)
+            };
+            group.x[contacts + MEMORY * p + 3] = normal.max(R::zero());
             match program.points[p].part {
                 Part::Foot(f) => {
                     for c in 0..3 {
@@ -339,11 +351,7 @@ fn sum_contacts<R: Lanes, const FLAT: bool>(
                     }
                 }
                 Part::Trunk => {
-                    group.sums[trunk] += if FLAT {
-                        force[2]
-                    } else {
-                        dot(force, touch.normal)
-                    };
+                    group.sums[trunk] += normal;
                 }
             }
         }
@@ -363,13 +371,15 @@ fn integrate<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch: &Scrat
     let (head, rest) = group.x.split_at_mut(lay.q());
     let (q, rest) = rest.split_at_mut(n);
     let (qd, rest) = rest.split_at_mut(n);
-    let bristle = &mut rest[..n];
+    let (bristle, rest) = rest.split_at_mut(n);
+    let qdd = &mut rest[..n];
     let half = R::splat(0.5);
     for i in 0..n {
         let (before, acceleration) = (qd[i], scratch.qdd[i]);
         let now = acceleration.mul_add(dt, before);
         let moved = now * dt;
         qd[i] = now;
+        qdd[i] = acceleration;
         q[i] += moved;
         bristle[i] = (bristle[i] + moved).clamp(-presliding, presliding);
         sound = sound & now.abs().le(fastest);
@@ -390,6 +400,8 @@ fn integrate<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch: &Scrat
             head[Layout::VEL + c] = vel[c];
             head[Layout::ANG + c] = spin[c];
             head[Layout::POS + c] = pos[c];
+            head[Layout::ACC + c] = lin[c];
+            head[Layout::SPIN_ACC + c] = ang[c];
         }
         for c in 0..4 {
             head[Layout::QUAT + c] = quat[c];
