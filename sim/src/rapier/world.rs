@@ -24,8 +24,10 @@ const ROBOT: Group = Group::GROUP_1;
 const GROUND: Group = Group::GROUP_2;
 /// `user_data` of the ground's colliders; see [`foot_tag`] for the rest.
 pub(super) const GROUND_TAG: u128 = 0;
-/// `user_data` of every robot collider that is not a foot.
+/// `user_data` of the colliders that are no feet, on links that carry feet.
 pub(super) const TRUNK_TAG: u128 = u128::MAX;
+/// `user_data` of the colliders of all other links.
+pub(super) const TAIL_TAG: u128 = u128::MAX - 1;
 
 /// `user_data` of foot `index`'s collider.
 pub(super) fn foot_tag(index: usize) -> u128 {
@@ -322,6 +324,11 @@ impl Builder<'_> {
         let Some((shape, turn)) = collider_shape(geom.shape) else {
             return;
         };
+        let tag = match foot {
+            Some(foot) => foot_tag(foot),
+            None if self.model.carries_feet(link) => TRUNK_TAG,
+            None => TAIL_TAG,
+        };
         let in_body =
             ModelPose::from_pos(self.masses[link].com_m.map(|c| -c)).compose(&geom.link_from_geom);
         let collider = ColliderBuilder::new(shape)
@@ -339,7 +346,7 @@ impl Builder<'_> {
                 GROUND,
                 InteractionTestMode::And,
             ))
-            .user_data(foot.map_or(TRUNK_TAG, foot_tag));
+            .user_data(tag);
         self.world
             .colliders
             .insert_with_parent(collider, body, &mut self.world.bodies);
