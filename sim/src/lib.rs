@@ -31,7 +31,7 @@ pub use engine::Engine;
 pub use error::SimError;
 pub use params::{InitialState, LaneParams, MAX_COMMAND_DELAY_S};
 pub use state::State;
-pub use terrain::{Terrain, TerrainConfig, TerrainKind};
+pub use terrain::{HeightGrid, Terrain, TerrainConfig, TerrainKind};
 
 /// Builds the engine that `config.kind` names, `lanes` robots on one terrain.
 ///

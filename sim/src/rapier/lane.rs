@@ -8,6 +8,7 @@ use rapier3d::prelude::SharedShape;
 use serde::{Deserialize, Serialize};
 
 use super::drive::Drive;
+use super::grip::Grip;
 use super::robot::Robot;
 use crate::delay::CommandHistory;
 use crate::observe::{self, Coordinates, LinkMass, Motion};
@@ -23,6 +24,8 @@ pub(super) struct Shared {
     pub terrain: Arc<Terrain>,
     /// The terrain's height field as Rapier has it, shared by all worlds.
     pub ground: Option<SharedShape>,
+    /// Slippery places of the ground.
+    pub grip: Grip,
 }
 
 /// Everything of a lane that changes while it runs, besides the Rapier world.
@@ -147,7 +150,7 @@ impl Lane {
                 since_s,
                 bristle_rad,
             );
-            self.robot.step();
+            self.robot.step(&shared.grip);
             self.drive.account(shared, &self.robot, bristle_rad);
             if !self.robot.is_sound(config) {
                 return false;

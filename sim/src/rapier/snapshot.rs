@@ -52,7 +52,7 @@ pub(super) fn save(
         format: FORMAT.to_owned(),
         model_hash: shared.model.hash(),
         config: config_text(shared),
-        terrain: fingerprint(&terrain),
+        terrain: shared.terrain.fingerprint(),
         lanes,
     })?;
     let sum = fingerprint(&bytes);
@@ -90,7 +90,7 @@ pub(super) fn load(
             "it was taken with another engine configuration",
         ),
         (
-            snapshot.terrain == fingerprint(&terrain),
+            snapshot.terrain == shared.terrain.fingerprint(),
             "it was taken on another terrain",
         ),
         (

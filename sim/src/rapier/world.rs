@@ -81,7 +81,7 @@ pub(super) fn build(
         integration_parameters: integration_parameters(&shared.config),
         ..PhysicsWorld::default()
     };
-    insert_ground(&mut world, shared.ground.as_ref());
+    insert_ground(&mut world, shared);
     let handles = Builder {
         world: &mut world,
         model: &shared.model,
@@ -116,7 +116,7 @@ fn integration_parameters(config: &EngineConfig) -> IntegrationParameters {
     }
 }
 
-fn insert_ground(world: &mut PhysicsWorld, height_field: Option<&SharedShape>) {
+fn insert_ground(world: &mut PhysicsWorld, shared: &Shared) {
     // The robot's own coefficient counts (the larger one wins, the ground has none).
     let finish = |builder: ColliderBuilder| {
         builder
@@ -134,21 +134,26 @@ fn insert_ground(world: &mut PhysicsWorld, height_field: Option<&SharedShape>) {
         finish(ColliderBuilder::new(SharedShape::halfspace(Vector::Z)))
             .position(Pose::from_translation(Vector::new(0.0, 0.0, z as f32)))
     };
-    let Some(shape) = height_field else {
+    let Some(shape) = &shared.ground else {
         world.colliders.insert(plane(0.0));
         return;
     };
     let upright = Rotation::from_rotation_x(std::f32::consts::FRAC_PI_2);
-    let field = finish(ColliderBuilder::new(shape.clone())).position(Pose::from_rotation(upright));
+    let hooks = if shared.grip.is_needed() {
+        ActiveHooks::MODIFY_SOLVER_CONTACTS
+    } else {
+        ActiveHooks::empty()
+    };
+    let field = finish(ColliderBuilder::new(shape.clone()))
+        .position(Pose::from_rotation(upright))
+        .active_hooks(hooks);
     world.colliders.insert(field);
     world.colliders.insert(plane(-APRON_DROP_M));
 }
 
 /// The terrain's height field as Rapier has it: in x–z with y up, rows along z. Turned by 90° about x, its rows run against our y.
 pub(super) fn height_field(terrain: &Terrain) -> Option<SharedShape> {
-    let Terrain::HeightField(grid) = terrain else {
-        return None;
-    };
+    let grid = terrain.grid()?;
     let n = grid.points();
     let mut heights = Array2::zeros(n, n);
     for iy in 0..n {
