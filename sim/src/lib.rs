@@ -35,7 +35,7 @@ pub use params::{
     MAX_COMMAND_DELAY_S,
 };
 pub use state::State;
-pub use terrain::{Terrain, TerrainConfig, TerrainKind};
+pub use terrain::{HeightGrid, Terrain, TerrainConfig, TerrainKind};
 
 /// Builds the engine that `config.kind` names, `lanes` robots on one terrain.
 ///

@@ -310,8 +310,8 @@ impl Coordinates {
     }
 }
 
-/// Height of the base's origin at which the lowest colliding geom just touches the terrain, m. Exact on flat ground; elsewhere each
-/// geom is kept above the highest ground under its bounding square, so it may hang a little.
+/// Height of the base's origin at which the lowest colliding geom just touches the terrain, m; in deeper water the base's origin is at its
+/// surface. Exact on flat ground; elsewhere each geom is kept above the highest ground under its bounding square, so it may hang a little.
 pub(crate) fn touching_height_m(
     model: &RobotModel,
     terrain: &Terrain,
@@ -336,7 +336,9 @@ pub(crate) fn touching_height_m(
             height = height.max(ground - (world.pos_m[2] - rz));
         }
     }
-    Ok(if height.is_finite() { height } else { 0.0 })
+    let standing = if height.is_finite() { height } else { 0.0 };
+    let floating = terrain.water_level_m().map_or(f64::NEG_INFINITY, f64::from);
+    Ok(standing.max(floating))
 }
 
 /// Highest ground in the square of half edges `rx`, `ry` around a point, sampled.

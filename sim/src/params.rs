@@ -244,7 +244,8 @@ impl LaneParams {
 pub struct InitialState {
     /// Position of the base link's origin on the ground plane, world, m.
     pub base_xy_m: [f32; 2],
-    /// Height of the base link's origin, world, m. `None`: found so that the lowest geom just touches the terrain.
+    /// Height of the base link's origin, world, m. `None`: found so that the lowest geom just touches the terrain; in
+    /// deeper water, the surface.
     pub base_z_m: Option<f32>,
     /// Roll, pitch, yaw of the base (R = Rz(yaw)·Ry(pitch)·Rx(roll)), rad.
     pub base_rpy_rad: [f32; 3],

@@ -205,5 +205,6 @@ impl Drive {
         mean(&mut out.mech_power_w, &self.work_sum);
         mean(&mut out.foot_force_n, &self.contacts.feet_ns);
         mean(&mut out.trunk_force_n, &[self.contacts.trunk_ns]);
+        mean(&mut out.tail_force_n, &[self.contacts.tail_ns]);
     }
 }

@@ -8,6 +8,7 @@ use rapier3d::prelude::SharedShape;
 use serde::{Deserialize, Serialize};
 
 use super::drive::{Drive, DriveMemory};
+use super::grip::Grip;
 use super::robot::Robot;
 use crate::drive::ServoDrive;
 use crate::observe::{self, Coordinates, LinkMass, Motion};
@@ -23,6 +24,8 @@ pub(super) struct Shared {
     pub terrain: Arc<Terrain>,
     /// The terrain's height field as Rapier has it, shared by all worlds.
     pub ground: Option<SharedShape>,
+    /// Slippery places of the ground.
+    pub grip: Grip,
 }
 
 /// Everything of a lane that changes while it runs, besides the Rapier world.
@@ -135,7 +138,7 @@ impl Lane {
             self.robot.push_link(shared.model.torso_link(), wrench);
             self.drive
                 .load(shared, &mut self.robot, &mut self.memory.drive, since_s);
-            self.robot.step();
+            self.robot.step(&shared.grip);
             self.drive
                 .account(shared, &self.robot, &mut self.memory.drive);
             if !self.robot.is_sound(config) {

@@ -31,6 +31,7 @@
 mod contacts;
 mod convert;
 mod drive;
+mod grip;
 mod lane;
 mod robot;
 mod snapshot;
@@ -86,6 +87,7 @@ impl RapierEngine {
         );
         let shared = Shared {
             ground: world::height_field(&terrain),
+            grip: grip::Grip::new(Arc::clone(&terrain)),
             model,
             config,
             terrain,

@@ -6,6 +6,7 @@ use rapier3d::math::Vector;
 use rapier3d::prelude::*;
 
 use super::convert;
+use super::grip::Grip;
 use super::lane::Shared;
 use super::world::{self, RobotHandles};
 use crate::drive::{ImplicitTorque, ServoDrive};
@@ -196,7 +197,7 @@ impl Robot {
     }
 
     /// One physics step under the loads.
-    pub fn step(&mut self) {
+    pub fn step(&mut self, grip: &Grip) {
         for (&handle, load) in self.handles.bodies.iter().zip(&self.loads) {
             if let Some(body) = self.world.bodies.get_mut(handle) {
                 body.reset_forces(false);
@@ -205,7 +206,11 @@ impl Robot {
                 body.add_torque(load.torque_nm, false);
             }
         }
-        self.world.step();
+        if grip.is_needed() {
+            self.world.step_with_events(grip, &());
+        } else {
+            self.world.step();
+        }
     }
 
     /// Whether speeds are finite and sane, and Rapier has not taken a body out.

@@ -109,6 +109,7 @@ macro_rules! suite {
                 contact_force_carries_the_weight,
                 landing_gives_the_momentum_back,
                 rests_on_a_slope,
+                slippery_patches_scale_friction,
             },
             observation::{
                 imu_at_rest_and_in_fall,
