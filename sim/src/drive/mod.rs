@@ -97,3 +97,6 @@ impl<R: Real> ImplicitTorque<R> {
         self.now_nm - self.stiffness_nm_per_rad * moved_rad - self.damping_nms_per_rad * qd_radps
     }
 }
+
+#[cfg(test)]
+mod tests;
