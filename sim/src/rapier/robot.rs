@@ -9,7 +9,7 @@ use super::convert;
 use super::grip::Grip;
 use super::lane::Shared;
 use super::world::{self, RobotHandles};
-use crate::joint::ImplicitTorque;
+use crate::drive::{ImplicitTorque, ServoDrive};
 use crate::observe::{Coordinates, LinkMass};
 use crate::{EngineConfig, LaneParams, SimError};
 
@@ -43,6 +43,7 @@ impl Robot {
     pub fn new(
         shared: &Shared,
         params: &LaneParams,
+        servos: &[ServoDrive<f64>],
         masses: &[LinkMass],
     ) -> Result<Self, SimError> {
         let (world, handles) = world::build(shared, params, masses)?;
@@ -56,12 +57,12 @@ impl Robot {
             world,
             handles,
         };
-        robot.set_armature(shared, params);
+        robot.set_armature(shared, servos);
         Ok(robot)
     }
 
     /// Rotor inertia of the actuated joints (the lane's), and of the others (the model's).
-    fn set_armature(&mut self, shared: &Shared, params: &LaneParams) {
+    fn set_armature(&mut self, shared: &Shared, servos: &[ServoDrive<f64>]) {
         let Self { world, handles, .. } = self;
         let Some(multibody) = multibody_mut(world, handles) else {
             return;
@@ -69,7 +70,7 @@ impl Robot {
         for (joint, dof) in shared.model.joints().iter().zip(&handles.dofs) {
             let Some(dof) = dof else { continue };
             multibody.armature_mut()[dof.assembly] = match joint.kind {
-                JointKind::Actuated { index } => params.joint_armature_kgm2[index],
+                JointKind::Actuated { index } => servos[index].armature_kgm2() as f32,
                 JointKind::Passive | JointKind::Backlash => joint.armature_kgm2 as f32,
             };
         }
@@ -158,8 +159,8 @@ impl Robot {
         load.torque_nm += Vector::from_slice(&wrench[3..6]);
     }
 
-    /// Loads joint `j` for the coming step: spring and damper implicitly, their constant and `effort` (N·m, or N of a slide) as they are.
-    pub fn load_joint(&mut self, j: usize, passive: &ImplicitTorque, effort: f32) {
+    /// Loads joint `j` for the coming step (N·m, or N of a slide): spring and damper implicitly, the rest as it is.
+    pub fn load_joint(&mut self, j: usize, torque: &ImplicitTorque<f32>) {
         let Self {
             world,
             handles,
@@ -170,14 +171,16 @@ impl Robot {
         let Some(multibody) = multibody_mut(world, handles) else {
             return;
         };
-        multibody.damping_mut()[dof.assembly] = passive.damping_nms_per_rad;
+        multibody.damping_mut()[dof.assembly] = torque.damping_nms_per_rad;
         let Some(link) = multibody.link_mut(dof.link) else {
             return;
         };
+        // Relaxed where the joint is now: what the spring gives there already is in the constant part.
+        let here = link.joint.coords()[dof.axis];
         link.joint
-            .set_spring(dof.axis, passive.stiffness_nm_per_rad, passive.rest_rad);
+            .set_spring(dof.axis, torque.stiffness_nm_per_rad, here);
         let frame = *link.local_to_world() * link.joint.data.local_frame2;
-        let along_axis = frame.rotation * Vector::X * (effort + passive.constant_nm);
+        let along_axis = frame.rotation * Vector::X * torque.now_nm;
         for (body, sign) in [(dof.child, 1.0), (dof.parent, -1.0)] {
             if dof.is_hinge() {
                 loads[body].torque_nm += along_axis * sign;

@@ -339,10 +339,9 @@ impl Builder<'_> {
         let collider = ColliderBuilder::new(shape)
             .position(convert::pose(&in_body) * Pose::from_rotation(turn))
             .density(0.0)
-            .friction(if foot.is_some() {
-                self.params.foot_friction
-            } else {
-                self.params.body_friction
+            .friction(match foot {
+                Some(foot) => self.params.foot_friction * self.params.foot_friction_scale[foot],
+                None => self.params.body_friction,
             })
             .friction_combine_rule(CoefficientCombineRule::Max)
             .restitution(0.0)
