@@ -12,6 +12,16 @@ pub enum EngineKind {
     Rapier,
 }
 
+impl EngineKind {
+    /// Its name in configuration files and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rapier => "rapier",
+        }
+    }
+}
+
 /// Table `[engine]`: step sizes and solver settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
