@@ -19,6 +19,8 @@ use crate::bus::{BusError, GroundTruth, Imu, ImuReading, Robot, ServoBus, ServoR
 pub const HELLO_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time for one command to leave.
 pub const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
+/// How long the answer to letting go is waited for.
+pub const LAST_ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 /// How far the two sides' control periods may be apart, s.
 const PERIOD_TOLERANCE_S: f64 = 1e-9;
 
@@ -159,7 +161,16 @@ impl ServoBus for SimLink {
     }
 
     fn torque_off(&mut self) -> Result<(), BusError> {
-        self.command([0.0; JOINTS], false)
+        self.command([0.0; JOINTS], false)?;
+        // Takes the answers that are still on their way: to hang up on them looks like a broken connection over there.
+        while self.newest()?.tick < self.tick {
+            match self.receive_sensors(LAST_ANSWER_TIMEOUT) {
+                Ok(sensors) => self.sensors = Some((sensors, false)),
+                Err(BusError::Timeout { .. }) => break,
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
     }
 }
 

@@ -14,6 +14,17 @@ pub enum EngineKind {
     Rapier,
 }
 
+impl EngineKind {
+    /// Its name in configuration files and on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Batch => "batch",
+            Self::Rapier => "rapier",
+        }
+    }
+}
+
 /// Numbers that the batch engine computes with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -63,10 +74,10 @@ pub struct EngineConfig {
     pub lane_width: u32,
     /// `batch`: `single` or `double`. Default `single`.
     pub precision: Precision,
-    /// `batch`: stiffness of a contact point, N/m, 100..=1e6. Default 15000: a foot of the standing Polymander sinks in by 0.4 mm, as in MuJoCo
-    /// with its default solver settings. Softer: feet sink in and the gait loses clearance. Stiffer: friction needs smaller steps to settle.
+    /// `batch`: stiffness of a contact point, N/m, 100..=1e6. Default 10000: a foot of the standing Polymander sinks in by 0.6 mm (MuJoCo with its
+    /// default solver settings: 0.4). Softer: feet sink in and the gait loses clearance. Stiffer: friction needs smaller steps to settle.
     pub contact_stiffness_n_per_m: f64,
-    /// `batch`: damping of a contact point once it is `contact_damping_depth_m` deep, N·s/m, 0..=1e4. Default 150: about critical
+    /// `batch`: damping of a contact point once it is `contact_damping_depth_m` deep, N·s/m, 0..=1e4. Default 60: about two thirds of critical
     /// for a lower leg (0.2 kg) on that stiffness, so feet do not bounce.
     pub contact_damping_ns_per_m: f64,
     /// `batch`: penetration at which that damping is full, m, 1e-6..=0.01. Default 0.0002. Smaller: touching begins with a jump of the
@@ -97,8 +108,8 @@ impl Default for EngineConfig {
             max_base_speed_mps: 50.0,
             lane_width: 0,
             precision: Precision::Single,
-            contact_stiffness_n_per_m: 15_000.0,
-            contact_damping_ns_per_m: 150.0,
+            contact_stiffness_n_per_m: 10_000.0,
+            contact_damping_ns_per_m: 60.0,
             contact_damping_depth_m: 2e-4,
             bristle_stiffness_n_per_m: 30_000.0,
             bristle_damping_ns_per_m: 100.0,

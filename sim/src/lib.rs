@@ -1,8 +1,8 @@
 //! Physics: engines behind one batch-first trait, servo, terrain, sensors.
 //!
 //! [`Engine`] steps `N` independent lanes, each one robot in its own world, by one control period
-//! at a time. [`build`] is the one factory. Around it, pure functions: [`servo`] (torque envelope),
-//! [`terrain`] (ground height), [`sensors`] (what encoders, IMU and current sensing make of a state).
+//! at a time. [`build`] is the one factory. Around it, formulas over [`real::Real`]: [`drive`] (from command to joint torque),
+//! [`water`] (a link in water); and pure functions: [`terrain`] (ground height), [`sensors`] (what encoders, IMU and current sensing make of a state).
 //!
 //! Invariant: nothing here knows a network, a clock or a file being watched; the same seed, lane
 //! parameters and commands give the same bits for any number of threads.
@@ -10,19 +10,20 @@
 
 pub mod batch;
 pub mod config;
-pub mod delay;
+pub mod drive;
+pub mod effects;
 pub mod engine;
 pub mod error;
-pub mod joint;
+pub mod lanes;
 mod observe;
 pub mod params;
 pub mod rapier;
 pub mod real;
 pub mod sensors;
-pub mod servo;
 pub(crate) mod simd;
 pub mod state;
 pub mod terrain;
+pub mod water;
 
 use std::sync::Arc;
 
@@ -31,9 +32,12 @@ use caudata_model::RobotModel;
 pub use config::{EngineConfig, EngineKind, Precision};
 pub use engine::Engine;
 pub use error::SimError;
-pub use params::{InitialState, LaneParams, MAX_COMMAND_DELAY_S};
+pub use params::{
+    CommandLoss, HingeEffects, InitialState, JointEffects, LaneParams, LinkWater,
+    MAX_COMMAND_DELAY_S,
+};
 pub use state::State;
-pub use terrain::{Terrain, TerrainConfig, TerrainKind};
+pub use terrain::{HeightGrid, Terrain, TerrainConfig, TerrainKind};
 
 /// Builds the engine that `config.kind` names, `lanes` robots on one terrain.
 ///

@@ -32,19 +32,46 @@ pub(crate) struct LinkMass {
     pub inertia_kgm2: Matrix3<f64>,
 }
 
-/// The model's link masses with the lane's scale and offset applied.
+/// The model's link masses with the lane's scales, offsets and payload.
 pub(crate) fn link_masses(model: &RobotModel, params: &LaneParams) -> Vec<LinkMass> {
-    let lane = params.link_mass_scale.iter().zip(&params.com_offset_m);
-    model
+    let mut all: Vec<LinkMass> = model
         .links()
         .iter()
-        .zip(lane)
-        .map(|(link, (&scale, offset))| LinkMass {
-            mass_kg: link.mass_kg * f64::from(scale),
-            com_m: add(link.com_m, offset.map(f64::from)),
-            inertia_kgm2: Matrix3::from_fn(|r, c| link.inertia_kgm2[r][c]) * f64::from(scale),
+        .enumerate()
+        .map(|(i, link)| {
+            let mass = f64::from(params.link_mass_scale[i]);
+            let inertia = mass * f64::from(params.link_inertia_scale[i]);
+            LinkMass {
+                mass_kg: link.mass_kg * mass,
+                com_m: add(link.com_m, params.com_offset_m[i].map(f64::from)),
+                inertia_kgm2: Matrix3::from_fn(|r, c| link.inertia_kgm2[r][c]) * inertia,
+            }
         })
-        .collect()
+        .collect();
+    if params.payload_kg > 0.0 {
+        let torso = &mut all[model.torso_link()];
+        *torso = with_point_mass(
+            torso,
+            f64::from(params.payload_kg),
+            params.payload_m.map(f64::from),
+        );
+    }
+    all
+}
+
+/// A link with a point mass fixed to it.
+fn with_point_mass(link: &LinkMass, mass_kg: f64, at_m: [f64; 3]) -> LinkMass {
+    let total = link.mass_kg + mass_kg;
+    let share = mass_kg / total;
+    let apart = Vector3::from(sub(at_m, link.com_m));
+    // Both about their common centre of mass: the reduced mass at their distance.
+    let reduced = link.mass_kg * share;
+    LinkMass {
+        mass_kg: total,
+        com_m: add(link.com_m, (apart * share).into()),
+        inertia_kgm2: link.inertia_kgm2
+            + (Matrix3::identity() * apart.norm_squared() - apart * apart.transpose()) * reduced,
+    }
 }
 
 /// Where every link is and how it moves.
@@ -283,8 +310,8 @@ impl Coordinates {
     }
 }
 
-/// Height of the base's origin at which the lowest colliding geom just touches the terrain, m. Exact on flat ground; elsewhere each
-/// geom is kept above the highest ground under its bounding square, so it may hang a little.
+/// Height of the base's origin at which the lowest colliding geom just touches the terrain, m; in deeper water the base's origin is at its
+/// surface. Exact on flat ground; elsewhere each geom is kept above the highest ground under its bounding square, so it may hang a little.
 pub(crate) fn touching_height_m(
     model: &RobotModel,
     terrain: &Terrain,
@@ -309,7 +336,9 @@ pub(crate) fn touching_height_m(
             height = height.max(ground - (world.pos_m[2] - rz));
         }
     }
-    Ok(if height.is_finite() { height } else { 0.0 })
+    let standing = if height.is_finite() { height } else { 0.0 };
+    let floating = terrain.water_level_m().map_or(f64::NEG_INFINITY, f64::from);
+    Ok(standing.max(floating))
 }
 
 /// Highest ground in the square of half edges `rx`, `ry` around a point, sampled.

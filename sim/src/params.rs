@@ -1,31 +1,42 @@
 //! What one lane is given: physical parameters and a state to start from.
 
-use caudata_model::{JointKind, RobotModel};
+use caudata_model::{Joint, JointKind, RobotModel};
 use serde::{Deserialize, Serialize};
 
 use crate::SimError;
-
-/// Longest command delay an engine keeps history for, s.
-pub const MAX_COMMAND_DELAY_S: f32 = 0.1;
+pub use crate::drive::command::MAX_COMMAND_DELAY_S;
+pub use crate::drive::loss::CommandLoss;
+pub use crate::effects::{EffectField, HingeEffects, JointEffects, LinkWater};
 
 /// Largest absolute position, velocity or angle an initial state may hold (m, m/s, rad, rad/s).
 const MAX_INITIAL: f32 = 1000.0;
 
+/// Smallest rotor inertia of a gear with play, kg·m²: a twentieth of a small servo's.
+const MIN_ROTOR_KGM2: f32 = 1e-4;
+
 /// One lane's physical parameters. Start from [`LaneParams::nominal`] and change what should differ.
 ///
-/// `L` links, `A` actuated joints (policy order), `B` backlash hinges (model order).
+/// `L` links, `A` actuated joints (policy order), `B` backlash hinges, `H` hinges without a servo (both model order), `F` feet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LaneParams {
     /// Gravity, world, m/s². Nominal: the model's.
     pub gravity_mps2: [f32; 3],
     /// Coulomb friction coefficient between foot balls and the ground, 0..=10.
     pub foot_friction: f32,
-    /// Coulomb friction coefficient between everything else and the ground, 0..=10.
+    /// Factor on `foot_friction` of each foot, 0..=100. Nominal 1. `[F]`
+    pub foot_friction_scale: Vec<f32>,
+    /// Coulomb friction coefficient between everything else (belly, tail) and the ground, 0..=10.
     pub body_friction: f32,
     /// Factor on each link's mass and inertia, 0.01..=100. `[L]`
     pub link_mass_scale: Vec<f32>,
+    /// Factor on each link's inertia about its centre of mass, on top of `link_mass_scale`, 0.01..=100. Nominal 1. `[L]`
+    pub link_inertia_scale: Vec<f32>,
     /// Shift of each link's centre of mass in its own frame, m, each within ±1. `[L]`
     pub com_offset_m: Vec<[f32; 3]>,
+    /// Mass of a payload on the torso link, kg, 0..=1000. It displaces no water. Nominal 0.
+    pub payload_kg: f32,
+    /// Where it is in the torso link's frame, m, each within ±10. Nominal 0.
+    pub payload_m: [f32; 3],
     /// Coulomb friction of each actuated joint, N·m, 0..=100. `[A]`
     pub joint_friction_nm: Vec<f32>,
     /// Reflected rotor inertia of each actuated joint, kg·m², 0..=10. `[A]`
@@ -40,11 +51,27 @@ pub struct LaneParams {
     pub torque_scale: Vec<f32>,
     /// Supply voltage, V, 0.1..=1000. The speeds of the servo envelope scale with it.
     pub supply_v: f32,
+    /// Resistance of battery and wiring, Ω, 0..=100: all motors' currents together lower the voltage of all. Nominal: the model's.
+    pub supply_resistance_ohm: f32,
+    /// Time constant with which the voltage follows, s, 0..=10. Nominal: the model's.
+    pub supply_lag_s: f32,
     /// Delay from [`Engine::step`](crate::Engine::step)'s targets to the servo, s, 0..=[`MAX_COMMAND_DELAY_S`]; fractions of a
     /// physics step count.
     pub command_delay_s: f32,
+    /// Command frames that never arrive. Nominal: none.
+    pub command_loss: CommandLoss,
+    /// Drive-line of each actuated joint. `[A]`
+    pub joints: Vec<JointEffects>,
+    /// Hinges without a servo. `[H]`
+    pub hinges: Vec<HingeEffects>,
     /// Half of the free play of each backlash hinge, rad, 0..=1. `[B]`
     pub backlash_half_width_rad: Vec<f32>,
+    /// Each link in water. `[L]`
+    pub water: Vec<LinkWater>,
+    /// How much higher the water's surface is than the terrain says, m, within ±100. Nominal 0.
+    pub water_level_offset_m: f32,
+    /// Velocity of the water, world, m/s, each within ±100. Nominal 0.
+    pub water_current_mps: [f32; 3],
 }
 
 impl LaneParams {
@@ -58,9 +85,13 @@ impl LaneParams {
         Self {
             gravity_mps2: model.gravity_mps2().map(|g| g as f32),
             foot_friction: model.contact().foot_friction as f32,
+            foot_friction_scale: vec![1.0; model.feet().len()],
             body_friction: model.contact().body_friction as f32,
             link_mass_scale: vec![1.0; model.links().len()],
+            link_inertia_scale: vec![1.0; model.links().len()],
             com_offset_m: vec![[0.0; 3]; model.links().len()],
+            payload_kg: 0.0,
+            payload_m: [0.0; 3],
             joint_friction_nm: per_servo(&|a| actuated_joint(a).friction_loss_nm),
             joint_armature_kgm2: per_servo(&|a| actuated_joint(a).armature_kgm2),
             joint_damping_nms_per_rad: per_servo(&|a| actuated_joint(a).damping_nm_s_per_rad),
@@ -68,11 +99,31 @@ impl LaneParams {
             kd_nms_per_rad: per_servo(&|_| model.kd_nm_s_per_rad()),
             torque_scale: per_servo(&|_| 1.0),
             supply_v: model.supply_v() as f32,
+            supply_resistance_ohm: model.supply().resistance_ohm as f32,
+            supply_lag_s: model.supply().lag_s as f32,
             command_delay_s: 0.0,
+            command_loss: CommandLoss::default(),
+            joints: (0..model.actuated().len())
+                .map(|a| JointEffects::nominal(model.servo(a), actuated_joint(a)))
+                .collect(),
+            hinges: unactuated(model).map(HingeEffects::nominal).collect(),
             backlash_half_width_rad: backlash_joints(model)
                 .map(|j| model.joints()[j].range_rad.map_or(0.0, |(_, high)| high) as f32)
                 .collect(),
+            water: (0..model.links().len())
+                .map(|link| LinkWater::nominal(model.water(), link))
+                .collect(),
+            water_level_offset_m: 0.0,
+            water_current_mps: [0.0; 3],
         }
+    }
+
+    /// Tilts the floor by turning gravity instead: a floor that rises by `pitch_rad` towards +x and by `roll_rad` towards +y.
+    pub fn tilt_floor(&mut self, roll_rad: f32, pitch_rad: f32) {
+        let g = self.gravity_mps2.iter().map(|g| g * g).sum::<f32>().sqrt();
+        let (x, y) = (pitch_rad.tan(), roll_rad.tan());
+        let down = g / (1.0 + x * x + y * y).sqrt();
+        self.gravity_mps2 = [-down * x, -down * y, -down];
     }
 
     /// Checks lengths and ranges against `model`; `lane` goes into the error.
@@ -80,45 +131,58 @@ impl LaneParams {
     /// # Errors
     /// [`SimError::Shape`] or [`SimError::Value`] naming the field.
     pub fn validate(&self, model: &RobotModel, lane: usize) -> Result<(), SimError> {
-        let actuated = model.actuated().len();
+        let (a, l) = (model.actuated().len(), model.links().len());
         let offsets: Vec<f32> = self.com_offset_m.iter().flatten().copied().collect();
-        let checks: [(&'static str, &[f32], usize, f32, f32); 13] = [
+        let loss = &self.command_loss;
+        let checks: &[(&'static str, &[f32], usize, f32, f32)] = &[
             ("gravity_mps2", &self.gravity_mps2, 3, -1000.0, 1000.0),
             ("foot_friction", &[self.foot_friction], 1, 0.0, 10.0),
-            ("body_friction", &[self.body_friction], 1, 0.0, 10.0),
             (
-                "link_mass_scale",
-                &self.link_mass_scale,
-                model.links().len(),
-                0.01,
-                100.0,
-            ),
-            ("com_offset_m", &offsets, 3 * model.links().len(), -1.0, 1.0),
-            (
-                "joint_friction_nm",
-                &self.joint_friction_nm,
-                actuated,
+                "foot_friction_scale",
+                &self.foot_friction_scale,
+                model.feet().len(),
                 0.0,
                 100.0,
             ),
+            ("body_friction", &[self.body_friction], 1, 0.0, 10.0),
+            ("link_mass_scale", &self.link_mass_scale, l, 0.01, 100.0),
+            (
+                "link_inertia_scale",
+                &self.link_inertia_scale,
+                l,
+                0.01,
+                100.0,
+            ),
+            ("com_offset_m", &offsets, 3 * l, -1.0, 1.0),
+            ("payload_kg", &[self.payload_kg], 1, 0.0, 1000.0),
+            ("payload_m", &self.payload_m, 3, -10.0, 10.0),
+            ("joint_friction_nm", &self.joint_friction_nm, a, 0.0, 100.0),
             (
                 "joint_armature_kgm2",
                 &self.joint_armature_kgm2,
-                actuated,
+                a,
                 0.0,
                 10.0,
             ),
             (
                 "joint_damping_nms_per_rad",
                 &self.joint_damping_nms_per_rad,
-                actuated,
+                a,
                 0.0,
                 100.0,
             ),
-            ("kp_nm_per_rad", &self.kp_nm_per_rad, actuated, 0.0, 1000.0),
-            ("kd_nms_per_rad", &self.kd_nms_per_rad, actuated, 0.0, 100.0),
-            ("torque_scale", &self.torque_scale, actuated, 0.0, 100.0),
+            ("kp_nm_per_rad", &self.kp_nm_per_rad, a, 0.0, 1000.0),
+            ("kd_nms_per_rad", &self.kd_nms_per_rad, a, 0.0, 100.0),
+            ("torque_scale", &self.torque_scale, a, 0.0, 100.0),
             ("supply_v", &[self.supply_v], 1, 0.1, 1000.0),
+            (
+                "supply_resistance_ohm",
+                &[self.supply_resistance_ohm],
+                1,
+                0.0,
+                100.0,
+            ),
+            ("supply_lag_s", &[self.supply_lag_s], 1, 0.0, 10.0),
             (
                 "command_delay_s",
                 &[self.command_delay_s],
@@ -126,8 +190,24 @@ impl LaneParams {
                 0.0,
                 MAX_COMMAND_DELAY_S,
             ),
+            ("command_loss.share", &[loss.share], 1, 0.0, 0.9),
+            ("command_loss.burst", &[loss.burst], 1, 1.0, 100.0),
+            (
+                "water_level_offset_m",
+                &[self.water_level_offset_m],
+                1,
+                -100.0,
+                100.0,
+            ),
+            (
+                "water_current_mps",
+                &self.water_current_mps,
+                3,
+                -100.0,
+                100.0,
+            ),
         ];
-        for (what, values, expected, low, high) in checks {
+        for &(what, values, expected, low, high) in checks {
             check_values(what, values, expected, low, high, lane)?;
         }
         let play = backlash_joints(model).count();
@@ -138,7 +218,24 @@ impl LaneParams {
             0.0,
             1.0,
             lane,
-        )
+        )?;
+        check_effects("joints", &self.joints, a, JointEffects::wrong, lane)?;
+        let hinges = unactuated(model).count();
+        check_effects("hinges", &self.hinges, hinges, HingeEffects::wrong, lane)?;
+        check_effects("water", &self.water, l, LinkWater::wrong, lane)?;
+        let stops = (self.joints.iter().map(|j| (j.low_rad, j.high_rad)))
+            .chain(self.hinges.iter().map(|h| (h.low_rad, h.high_rad)));
+        for (low, high) in stops {
+            check_values("high_rad", &[high], 1, low, f32::INFINITY, lane)?;
+        }
+        // A rotor that is a body of its own needs inertia: its speed is divided by it.
+        for (joint, armature) in self.joints.iter().zip(&self.joint_armature_kgm2) {
+            if joint.gear_half_gap_rad > 0.0 || joint.gear_stiffness_nm_per_rad > 0.0 {
+                let what = "joint_armature_kgm2 (of a joint with play or compliance in its gear)";
+                check_values(what, &[*armature], 1, MIN_ROTOR_KGM2, 10.0, lane)?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -147,7 +244,8 @@ impl LaneParams {
 pub struct InitialState {
     /// Position of the base link's origin on the ground plane, world, m.
     pub base_xy_m: [f32; 2],
-    /// Height of the base link's origin, world, m. `None`: found so that the lowest geom just touches the terrain.
+    /// Height of the base link's origin, world, m. `None`: found so that the lowest geom just touches the terrain; in
+    /// deeper water, the surface.
     pub base_z_m: Option<f32>,
     /// Roll, pitch, yaw of the base (R = Rz(yaw)·Ry(pitch)·Rx(roll)), rad.
     pub base_rpy_rad: [f32; 3],
@@ -207,6 +305,40 @@ pub(crate) fn backlash_joints(model: &RobotModel) -> impl Iterator<Item = usize>
         .enumerate()
         .filter(|(_, j)| j.kind == JointKind::Backlash)
         .map(|(i, _)| i)
+}
+
+/// Hinges without a servo, model order.
+pub(crate) fn unactuated(model: &RobotModel) -> impl Iterator<Item = &Joint> {
+    model
+        .joints()
+        .iter()
+        .filter(|j| !matches!(j.kind, JointKind::Actuated { .. }))
+}
+
+fn check_effects<T>(
+    what: &'static str,
+    all: &[T],
+    expected: usize,
+    wrong: impl Fn(&T) -> Option<(EffectField, f32)>,
+    lane: usize,
+) -> Result<(), SimError> {
+    if all.len() != expected {
+        return Err(SimError::Shape {
+            what,
+            got: all.len(),
+            expected,
+        });
+    }
+    match all.iter().find_map(wrong) {
+        Some((field, value)) => Err(SimError::Value {
+            what: field.name,
+            value,
+            lane,
+            low: field.low,
+            high: field.high,
+        }),
+        None => Ok(()),
+    }
 }
 
 fn check_values(

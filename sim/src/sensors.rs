@@ -115,7 +115,7 @@ fn quantise(value: f32, lsb: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::servo::tests::w210;
+    use crate::drive::servo::tests::w210;
     use caudata_random::{Key, Purpose};
 
     fn imu() -> ImuParams {

@@ -50,8 +50,11 @@ pub struct State {
     pub foot_height_m: Vec<f32>,
     /// Contact force on each foot from everything it touches, mean over the period, world, N. `[N, F, 3]`
     pub foot_force_n: Vec<f32>,
-    /// Sum of normal contact forces on everything but the feet, mean over the period, N. `[N, 1]`
+    /// Sum of normal contact forces on links that carry feet, the feet themselves left out
+    /// ([`RobotModel::carries_feet`](caudata_model::RobotModel::carries_feet)), mean over the period, N. `[N, 1]`
     pub trunk_force_n: Vec<f32>,
+    /// Sum of normal contact forces on links that carry no feet (the tail), mean over the period, N. `[N, 1]`
+    pub tail_force_n: Vec<f32>,
     /// Angular velocity in the IMU frame, rad/s. `[N, 3]`
     pub imu_gyro_radps: Vec<f32>,
     /// Specific force in the IMU frame (at rest: +g along up), m/s². Mean over the period: the change of
@@ -90,6 +93,7 @@ impl State {
             foot_height_m: z(feet),
             foot_force_n: z(feet * 3),
             trunk_force_n: z(1),
+            tail_force_n: z(1),
             imu_gyro_radps: z(3),
             imu_acc_mps2: z(3),
             imu_gravity: z(3),
@@ -134,6 +138,7 @@ impl State {
             &self.foot_height_m,
             &self.foot_force_n,
             &self.trunk_force_n,
+            &self.tail_force_n,
             &self.imu_gyro_radps,
             &self.imu_acc_mps2,
             &self.imu_gravity,
@@ -164,6 +169,7 @@ impl State {
             &mut self.foot_height_m,
             &mut self.foot_force_n,
             &mut self.trunk_force_n,
+            &mut self.tail_force_n,
             &mut self.imu_gyro_radps,
             &mut self.imu_acc_mps2,
             &mut self.imu_gravity,
@@ -173,4 +179,4 @@ impl State {
 }
 
 /// Number of numeric fields of [`State`].
-pub(crate) const FIELDS: usize = 20;
+pub(crate) const FIELDS: usize = 21;

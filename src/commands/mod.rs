@@ -3,9 +3,12 @@
 pub mod bench;
 pub mod config;
 pub mod eval;
+pub mod ground;
+pub mod lane_params;
 pub mod policy;
 pub mod robot_model;
 pub mod sim;
 pub mod sim_robot;
 pub mod sim_rollout;
+pub mod sim_show;
 pub mod train;

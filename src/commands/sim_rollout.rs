@@ -7,13 +7,15 @@ use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::RobotModel;
-use caudata_runlog::{Axis, QuatPart, Signal, Table, TableWriter};
-use caudata_sim::{Engine, InitialState, State, TerrainKind};
+use caudata_runlog::{Axis, BaseHold, LogMeta, QuatPart, Setting, Signal, Table, TableWriter};
+use caudata_sim::{Engine, InitialState, LaneParams, State};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use crate::commands::eval::EngineName;
+use crate::commands::ground::{Ground, pair};
+use crate::commands::lane_params;
 use crate::commands::robot_model;
 use crate::say;
 
@@ -28,7 +30,7 @@ pub struct RolloutArgs {
     /// Columns `t` (s) and `cmd.<joint>` (rad); a joint without a column holds its nominal position
     #[arg(long, value_name = "C.csv")]
     commands: PathBuf,
-    /// Where the signals go
+    /// Where the signals go; the circumstances of the run go beside it, as T.toml
     #[arg(long, value_name = "T.csv")]
     out: PathBuf,
     /// On which engine
@@ -37,16 +39,26 @@ pub struct RolloutArgs {
     /// Whether the base is held in the air
     #[arg(long, value_enum, default_value_t = Base::Free)]
     base: Base,
-    /// Shape of the ground
-    #[arg(long, value_enum, default_value_t = Ground::Flat)]
-    terrain: Ground,
+    /// Shape of the ground; default: `terrain.kind` of the configuration
+    #[arg(long, value_enum)]
+    terrain: Option<Ground>,
     /// Seed of the ground
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Where on the ground the robot starts, m
+    #[arg(long, value_name = "X,Y", value_parser = pair, default_value = "0,0", allow_hyphen_values = true)]
+    place: [f32; 2],
+    /// How long to simulate, s; default: until the last command, which holds if this is longer
+    #[arg(long, value_name = "S")]
+    duration_s: Option<f64>,
+    /// Rows, and control periods, per second; default: `engine.substeps` and `engine.dt_s` decide (50)
+    #[arg(long, value_name = "HZ")]
+    rate_hz: Option<f64>,
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
-    /// Step sizes and solver come from `[engine]`
+    /// Step sizes and solver come from `[engine]`; `--set lane.KEY=VALUE` changes the robot's physical parameters, for instance
+    /// lane.foot_friction=0.5, lane.kp_nm_per_rad=12, lane.kp_nm_per_rad.FL_hip=9
     #[command(flatten)]
     config: ConfigArgs,
 }
@@ -59,55 +71,135 @@ enum Base {
     Fixed,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Ground {
-    /// The plane z = 0
-    Flat,
-    /// Smooth hills
-    Hills,
-    /// Random heights
-    Rugged,
-    /// Hills with random heights on top
-    Rough,
-    /// A valley along x
-    Valley,
-}
-
-impl From<Ground> for TerrainKind {
-    fn from(ground: Ground) -> Self {
-        match ground {
-            Ground::Flat => TerrainKind::Flat,
-            Ground::Hills => TerrainKind::Hills,
-            Ground::Rugged => TerrainKind::Rugged,
-            Ground::Rough => TerrainKind::Rough,
-            Ground::Valley => TerrainKind::Valley,
-        }
-    }
-}
-
 pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
-    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
+    let (flags, changes) = lane_params::split(&args.config);
+    let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
     config.engine.kind = args.engine.into();
     config.engine.fixed_base = args.base == Base::Fixed;
-    config.terrain.kind = args.terrain.into();
+    if let Some(Ground(kind)) = args.terrain {
+        config.terrain.kind = kind;
+    }
     config.run.seed = args.seed;
+    if let Some(rate_hz) = args.rate_hz {
+        config.engine.substeps = substeps(config.engine.dt_s, rate_hz)?;
+    }
     let model = Arc::new(robot_model::load(&args.robot)?);
-    let table = Table::read(&args.commands).or_exit_with(ExitCode::BadInput, || {
-        format!("commands {}", args.commands.display())
-    })?;
+    let params = lane_params::changed(&model, &changes)?;
+    let code = match args.commands.try_exists() {
+        Ok(true) => ExitCode::BadInput,
+        _ => ExitCode::NoInput,
+    };
+    let table = Table::read(&args.commands)
+        .or_exit_with(code, || format!("commands {}", args.commands.display()))?;
     let commands = Commands::new(&table, &model)?;
+    let periods = periods(args, &commands, config.engine.control_period_s())?;
     let mut engine = build_engine(&config, &model)?;
-    let rows = simulate(engine.as_mut(), &model, &commands, &args.out, stop)?;
+    engine.set_params(0, &params).or_exit(ExitCode::BadConfig)?;
+    let start = InitialState {
+        base_xy_m: args.place,
+        ..InitialState::nominal(&model)
+    };
+    engine.reset(0, &start).or_exit(ExitCode::BadConfig)?;
+    let rows = simulate(engine.as_mut(), &commands, periods, &args.out, stop)?;
+    let meta_path = args.out.with_extension("toml");
+    let meta = circumstances(args, &config, &params, engine.as_ref())
+        .to_toml()
+        .or_exit(ExitCode::Internal)?;
+    std::fs::write(&meta_path, meta).or_exit_with(ExitCode::CannotCreate, || {
+        format!("cannot write {}", meta_path.display())
+    })?;
+    let diverged = engine.state().diverged[0];
     if args.json {
         return say::json(
-            &json!({ "rows": rows, "out": args.out, "diverged": engine.state().diverged[0] }),
+            &json!({ "rows": rows, "out": args.out, "meta": meta_path, "diverged": diverged }),
         );
     }
     say::line(format!("{rows} rows are in {}", args.out.display()));
-    if engine.state().diverged[0] {
+    if diverged {
         say::line("warning: the simulation broke down; the last rows stand still");
     }
     Ok(())
+}
+
+/// Physics steps per row.
+fn substeps(dt_s: f64, rate_hz: f64) -> Result<u32, Failure> {
+    let exact = 1.0 / (rate_hz * dt_s);
+    let whole = exact.round();
+    if rate_hz.is_finite() && whole >= 1.0 && (exact - whole).abs() < 1e-6 * whole {
+        return Ok(whole as u32);
+    }
+    Err(Failure::message(
+        ExitCode::BadConfig,
+        format!("--rate-hz {rate_hz} does not divide into steps of engine.dt_s = {dt_s} s"),
+    ))
+}
+
+/// Control periods to simulate.
+fn periods(args: &RolloutArgs, commands: &Commands, period_s: f64) -> Result<u64, Failure> {
+    const LONGEST_S: f64 = 24.0 * 3600.0;
+    let times = &commands.time_s;
+    let duration_s = args.duration_s.unwrap_or(times[times.len() - 1] - times[0]);
+    if !(0.0..=LONGEST_S).contains(&duration_s) {
+        let message = format!("a duration of {duration_s} s is not within 0 s to a day");
+        return Err(Failure::message(ExitCode::BadConfig, message));
+    }
+    Ok((duration_s / period_s).round() as u64)
+}
+
+/// What `log.toml` says about the run.
+fn circumstances(
+    args: &RolloutArgs,
+    config: &Config,
+    params: &LaneParams,
+    engine: &dyn Engine,
+) -> LogMeta {
+    let ground = caudata_sim::Terrain::generate(&config.terrain, args.seed);
+    let wet = ground.is_ok_and(|t| t.water_level_m().is_some());
+    let base = match args.base {
+        Base::Fixed => BaseHold::Fixed,
+        Base::Free if wet => BaseHold::Water,
+        Base::Free => BaseHold::Free,
+    };
+    let rate_hz = 1.0 / engine.config().control_period_s();
+    let mut meta = LogMeta::new(args.robot.display().to_string(), base, rate_hz);
+    meta.terrain = config.terrain.kind.name().to_owned();
+    meta.notes = "caudata sim rollout".to_owned();
+    let same = |values: &[f32]| {
+        let first = *values.first()?;
+        values.iter().all(|v| *v == first).then(|| f64::from(first))
+    };
+    meta.kp = same(&params.kp_nm_per_rad);
+    meta.kd = same(&params.kd_nms_per_rad);
+    meta.supply_v = Some(f64::from(params.supply_v));
+    let mut put = |key: &str, value| meta.settings.insert(key.to_owned(), value);
+    put("seed", Setting::Number(args.seed as f64));
+    put("dt_s", Setting::Number(config.engine.dt_s));
+    let engine_name = serde_json::to_value(config.engine.kind).unwrap_or_default();
+    put(
+        "engine",
+        Setting::Text(engine_name.as_str().unwrap_or_default().to_owned()),
+    );
+    if !args.config.overrides.is_empty() {
+        put("set", Setting::Text(args.config.overrides.join(" ")));
+    }
+    for (key, value) in terrain_changes(config) {
+        put(&format!("terrain_{key}"), Setting::Number(value));
+    }
+    meta
+}
+
+/// The terrain's keys that are not the defaults.
+fn terrain_changes(config: &Config) -> Vec<(String, f64)> {
+    let keys = |terrain| match serde_json::to_value(terrain) {
+        Ok(serde_json::Value::Object(keys)) => keys,
+        _ => serde_json::Map::new(),
+    };
+    let defaults = keys(caudata_sim::TerrainConfig::default());
+    keys(config.terrain.clone())
+        .into_iter()
+        .filter(|(key, value)| defaults.get(key) != Some(value))
+        .filter_map(|(key, value)| Some((key, value.as_f64()?)))
+        .collect()
 }
 
 fn build_engine(config: &Config, model: &Arc<RobotModel>) -> Result<Box<dyn Engine>, Failure> {
@@ -179,25 +271,18 @@ impl Commands {
 /// that time.
 fn simulate(
     engine: &mut dyn Engine,
-    model: &RobotModel,
     commands: &Commands,
+    periods: u64,
     out: &Path,
     stop: &StopFlag,
 ) -> Result<u64, Failure> {
     let cannot_write = || format!("cannot write {}", out.display());
     let file = File::create(out).or_exit_with(ExitCode::CannotCreate, cannot_write)?;
-    let signals = signals(model);
+    let signals = signals(engine.model());
     let mut table = TableWriter::new(BufWriter::new(file), &signals, 0.5)
         .or_exit_with(ExitCode::IoError, cannot_write)?;
-    engine
-        .reset(0, &InitialState::nominal(model))
-        .or_exit(ExitCode::BadInput)?;
     let period_s = engine.config().control_period_s();
-    let (first, last) = (
-        commands.time_s[0],
-        commands.time_s[commands.time_s.len() - 1],
-    );
-    let periods = ((last - first) / period_s).round() as u64;
+    let first = commands.time_s[0];
     let mut values = Vec::with_capacity(signals.len());
     for period in 0..=periods {
         if let Some(reason) = stop.reason() {
@@ -210,7 +295,7 @@ fn simulate(
         let command = commands.at(t_s);
         values.clear();
         values.extend(command.iter().map(|&x| Some(f64::from(x))));
-        push_state(&mut values, model, engine.state());
+        push_state(&mut values, engine.model(), engine.state());
         table
             .row(t_s, &values)
             .or_exit_with(ExitCode::IoError, cannot_write)?;

@@ -10,10 +10,11 @@ use std::path::{Path, PathBuf};
 use caudata_config::{Config, PRESETS, Source};
 
 /// Where the structs of the configuration are.
-const SOURCES: [&str; 5] = [
+const SOURCES: [&str; 6] = [
     "crates/config/src",
     "crates/config/src/sections",
     "sim/src",
+    "sim/src/terrain",
     "task/src",
     "task/src/reward",
 ];

@@ -4,7 +4,7 @@ use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::sensors::ImuBias;
 use caudata_task::action::ActionFilter;
 use caudata_task::command::CommandState;
-use caudata_task::phase::PhaseClock;
+use caudata_task::phase::{PhaseClock, PhaseConfig};
 use caudata_task::push::PushSchedule;
 use caudata_task::reward::TERM_COUNT;
 use caudata_task::termination::TerminationReason;
@@ -85,6 +85,17 @@ impl Lane {
             sensor_stream,
             action_stream: Stream::new(key, Purpose::Action),
             tally: Tally::default(),
+        }
+    }
+
+    /// Follows `command` for the rest of the episode, if there is one.
+    pub fn hold(&mut self, phase: &PhaseConfig, command: Option<&[f32; 3]>) {
+        if let Some(&value) = command {
+            self.command = CommandState {
+                value,
+                steps_left: u32::MAX,
+            };
+            self.clock.set_command(phase, &value);
         }
     }
 

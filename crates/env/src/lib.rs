@@ -19,5 +19,6 @@ mod snapshot;
 mod vec_env;
 
 pub use error::EnvError;
+pub use measure::Truth;
 pub use output::{EpisodeStats, StepOutput};
 pub use vec_env::VecEnv;

@@ -6,12 +6,16 @@ use caudata_sim::{State, sensors};
 use caudata_task::noise::Readings;
 use caudata_task::{ACT_DIM, FEET};
 
-/// The true state of one lane after a control step, in the task's order and frames.
+/// The true state of one lane after a control step, in the task's order and frames. World frame where nothing else is said.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Truth {
+pub struct Truth {
+    /// Actuated joints, policy order.
     pub joint_pos_rad: [f32; ACT_DIM],
+    /// Actuated joints, policy order.
     pub joint_vel_radps: [f32; ACT_DIM],
+    /// Mean over the control period.
     pub motor_torque_nm: [f32; ACT_DIM],
+    /// Mean over the control period, signed.
     pub mech_power_w: [f32; ACT_DIM],
     /// Whole body, heading frame.
     pub com_vel_mps: [f32; 3],
@@ -19,11 +23,17 @@ pub(crate) struct Truth {
     pub yaw_rate_radps: f32,
     /// Above the ground under the feet.
     pub com_height_m: f32,
+    /// IMU frame.
     pub gyro_radps: [f32; 3],
+    /// Unit vector of gravity, IMU frame.
     pub gravity: [f32; 3],
+    /// Lowest point of each foot above the ground.
     pub foot_height_m: [f32; FEET],
+    /// Centre of each foot.
     pub foot_vel_mps: [[f32; 3]; FEET],
+    /// Contact force on each foot, mean over the control period.
     pub foot_force_n: [[f32; 3]; FEET],
+    /// Contact force on trunk and legs but not the feet, mean over the control period.
     pub trunk_force_n: f32,
 }
 

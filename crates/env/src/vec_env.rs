@@ -44,6 +44,8 @@ pub struct VecEnv {
     wrenches: Vec<f32>,
     /// Lanes whose episode ended in this step.
     ended: Vec<usize>,
+    /// The command that each lane follows for good; empty: commands are drawn. `[N]` or empty.
+    held_commands: Vec<[f32; 3]>,
 }
 
 impl VecEnv {
@@ -84,6 +86,7 @@ impl VecEnv {
             targets_rad: vec![0.0; lanes * ACT_DIM],
             wrenches: vec![0.0; lanes * 6],
             ended: Vec::with_capacity(lanes),
+            held_commands: Vec::new(),
             layout,
             task,
             engine,
@@ -129,6 +132,32 @@ impl VecEnv {
     /// The engine.
     pub fn engine(&self) -> &dyn Engine {
         self.engine.as_ref()
+    }
+
+    /// The true state of one lane, in the task's order and frames.
+    pub fn truth(&self, lane: usize) -> Truth {
+        self.reader.read(self.engine.state(), lane)
+    }
+
+    /// Makes each lane follow the one command given for it, from now on and in later episodes, instead of drawing commands.
+    /// Not part of a snapshot. `[N]`
+    ///
+    /// # Errors
+    /// When there is not one command per lane.
+    pub fn hold_commands(&mut self, commands: &[[f32; 3]]) -> Result<(), EnvError> {
+        if commands.len() != self.lanes.len() {
+            return Err(EnvError::Shape {
+                what: "commands",
+                found: commands.len(),
+                expected: self.lanes.len(),
+            });
+        }
+        self.held_commands = commands.to_vec();
+        for lane in 0..self.lanes.len() {
+            self.lanes[lane].hold(&self.task.phase, self.held_commands.get(lane));
+            self.observe_start(lane)?;
+        }
+        Ok(())
     }
 
     /// Present command of a lane: vx, vy (m/s), yaw rate (rad/s).
@@ -307,6 +336,7 @@ impl VecEnv {
             &mut reset_stream,
         );
         started.joint_vel_radps = start.joint_vel_radps;
+        started.hold(&self.task.phase, self.held_commands.get(lane));
         Ok(started)
     }
 

@@ -371,15 +371,17 @@ pub(crate) fn water(
         }
     }
     let mut drag = Vec::with_capacity(links.len());
+    let mut added = Vec::with_capacity(links.len());
     for link in links {
-        let mut scales = w.drag.values().filter(|g| g.links.contains(&link.name));
-        let (Some(one), None) = (scales.next(), scales.next()) else {
+        let mut groups = w.drag.values().filter(|g| g.links.contains(&link.name));
+        let (Some(one), None) = (groups.next(), groups.next()) else {
             return Err(c.error(
                 "water.drag",
                 format!("link `{}` must be in exactly one group", link.name),
             ));
         };
         drag.push(one.scale.clone());
+        added.push(one.added.clone());
     }
     Ok(Some(WaterParams {
         density_kg_per_m3: w.density_kg_per_m3,
@@ -387,5 +389,6 @@ pub(crate) fn water(
         buoyancy_ratio: w.buoyancy_ratio,
         heave_damping_ns_per_m: w.heave_damping_ns_per_m,
         drag,
+        added,
     }))
 }

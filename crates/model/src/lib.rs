@@ -24,8 +24,8 @@ pub use error::ModelError;
 pub use kinematics::{JointFrame, Kinematics};
 pub use model::{BaseKind, RobotModel};
 pub use params::{
-    BacklashParams, ContactParams, DragScale, ImuParams, SensorParams, ServoParams, SupplyParams,
-    WaterParams,
+    AddedShare, BacklashParams, ContactParams, DragScale, ImuParams, SensorParams, ServoParams,
+    SupplyParams, WaterParams,
 };
 pub use pose::Pose;
 pub use types::{Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site};

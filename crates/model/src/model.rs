@@ -196,6 +196,15 @@ impl RobotModel {
         &self.feet
     }
 
+    /// Whether a foot is on `link` or on a link that it carries: what has to be held up while walking, against what
+    /// may trail on the ground (a salamander's tail). Every link of a robot without feet counts as carrying.
+    pub fn carries_feet(&self, link: usize) -> bool {
+        let below = |foot: &Foot| {
+            std::iter::successors(Some(foot.link), |&l| self.links[l].parent).any(|l| l == link)
+        };
+        self.feet.is_empty() || self.feet.iter().any(below)
+    }
+
     /// All named sites.
     pub fn sites(&self) -> &[Site] {
         &self.sites

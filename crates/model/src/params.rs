@@ -44,6 +44,29 @@ pub struct ServoParams {
     pub current_dead_band_a: f64,
     /// Full width of the play between motor and output shaft, rad.
     pub gear_backlash_rad: f64,
+    /// Largest motor current, A; 0 (default): the torque limits alone count.
+    #[serde(default)]
+    pub current_limit_a: f64,
+    /// Friction at rest beyond `friction_loss_nm`, N·m (Stribeck); default 0.
+    #[serde(default)]
+    pub stribeck_nm: f64,
+    /// Speed at which it has fallen to 1/e, rad/s; default 0.1.
+    #[serde(default = "default_stribeck_speed_radps")]
+    pub stribeck_speed_radps: f64,
+    /// Friction per load torque while the motor drives the load; default 0.
+    #[serde(default)]
+    pub load_friction_driving: f64,
+    /// Friction per load torque while the load drives the motor; default 0.
+    #[serde(default)]
+    pub load_friction_driven: f64,
+}
+
+fn default_stribeck_speed_radps() -> f64 {
+    0.1
+}
+
+fn default_supply_lag_s() -> f64 {
+    0.005
 }
 
 impl ServoParams {
@@ -88,6 +111,12 @@ pub struct SupplyParams {
     pub battery_full_v: f64,
     /// Nominal battery, V.
     pub battery_nominal_v: f64,
+    /// Resistance of battery and wiring, Ω; default 0: the voltage does not sag.
+    #[serde(default)]
+    pub resistance_ohm: f64,
+    /// Time constant with which the voltage follows the load, s; default 0.005.
+    #[serde(default = "default_supply_lag_s")]
+    pub lag_s: f64,
 }
 
 /// Play at the girdle connections.
@@ -132,6 +161,18 @@ pub struct WaterParams {
     pub heave_damping_ns_per_m: f64,
     /// One per link.
     pub drag: Vec<DragScale>,
+    /// One per link.
+    pub added: Vec<AddedShare>,
+}
+
+/// Water that a link has to speed up with itself, along (or about) its x, y and z axes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AddedShare {
+    /// Added mass as a share of the mass of the displaced water (1: a cylinder moved across its axis; ½: a ball).
+    pub mass: [f64; 3],
+    /// Added inertia as a share of the displaced water's own.
+    pub inertia: [f64; 3],
 }
 
 /// Factors on the box drag of a link, along (or about) the link's x, y and z axes.

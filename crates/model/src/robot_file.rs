@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 
 use crate::error::ModelError;
-use crate::params::{ContactParams, DragScale, ImuParams, ServoParams, SupplyParams};
+use crate::params::{AddedShare, ContactParams, DragScale, ImuParams, ServoParams, SupplyParams};
 
 /// Value of `format` that this version reads.
 pub(crate) const FORMAT: &str = "caudata.robot.v1";
@@ -124,6 +124,8 @@ pub(crate) struct WaterTable {
 pub(crate) struct DragGroup {
     pub links: Vec<String>,
     pub scale: DragScale,
+    #[serde(default)]
+    pub added: AddedShare,
 }
 
 /// Parses the robot file and checks every value that needs no other file.
@@ -205,6 +207,8 @@ impl Checker<'_> {
         ] {
             self.within(at, v, 1.0, 100.0)?;
         }
+        self.within("supply.resistance_ohm", f.supply.resistance_ohm, 0.0, 10.0)?;
+        self.within("supply.lag_s", f.supply.lag_s, 0.0, 1.0)?;
         self.within("contact.foot_friction", f.contact.foot_friction, 0.0, 4.0)?;
         self.within("contact.body_friction", f.contact.body_friction, 0.0, 4.0)?;
         if let Some(imu) = &f.imu {
@@ -289,9 +293,15 @@ impl Checker<'_> {
             ("armature_kgm2", s.armature_kgm2, 1e2),
             ("current_dead_band_a", s.current_dead_band_a, 1e2),
             ("gear_backlash_rad", s.gear_backlash_rad, 0.5),
+            ("current_limit_a", s.current_limit_a, 1e2),
+            ("stribeck_nm", s.stribeck_nm, 1e2),
+            ("load_friction_driving", s.load_friction_driving, 0.95),
+            ("load_friction_driven", s.load_friction_driven, 0.95),
         ] {
             self.within(&at(key), v, 0.0, hi)?;
         }
+        let key = "stribeck_speed_radps";
+        self.within(&at(key), s.stribeck_speed_radps, 1e-3, 1e2)?;
         if !(0.0 <= s.qd_tau_max_radps && s.qd_tau_max_radps < s.qd_max_radps) {
             return Err(self.error(at("qd_tau_max_radps"), "must be ≥ 0 and below qd_max_radps"));
         }
@@ -321,6 +331,11 @@ impl Checker<'_> {
             ] {
                 for x in v {
                     self.within(&format!("water.drag.{name}.scale.{key}"), x, 0.0, 1e4)?;
+                }
+            }
+            for (key, v) in [("mass", group.added.mass), ("inertia", group.added.inertia)] {
+                for x in v {
+                    self.within(&format!("water.drag.{name}.added.{key}"), x, 0.0, 20.0)?;
                 }
             }
         }

@@ -412,3 +412,18 @@ fn the_mjcf_carries_the_robot_files_numbers() {
         0.0,
     );
 }
+
+#[test]
+fn trunk_and_legs_carry_feet_and_the_tail_does_not() {
+    let model = polymander();
+    let without: Vec<&str> = (0..model.links().len())
+        .filter(|&l| !model.carries_feet(l))
+        .map(|l| model.links()[l].name.as_str())
+        .collect();
+    assert_eq!(
+        without,
+        [
+            "body_05", "body_06", "body_07", "body_08", "body_09", "body_10"
+        ]
+    );
+}

@@ -43,6 +43,8 @@ pub enum Purpose {
     Minibatch = 9,
     /// Open-loop excitation signals for system identification.
     Excitation = 10,
+    /// Which command frames a robot's bus loses.
+    CommandLoss = 11,
 }
 
 /// Who draws: 32 bytes, which are the ChaCha key.

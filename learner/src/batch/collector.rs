@@ -3,10 +3,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use caudata_proto::{DecodeLimits, Envelope, RolloutChunk, decode};
+use caudata_proto::{DecodeLimits, Envelope, RolloutChunk, chunk_identity, decode};
 
 use super::accounting::{Accounting, ActorKey, Arrival, DropReason};
-use super::identity::identity_of;
 
 /// Refused chunks after which an incarnation is not listened to any more.
 pub const STRIKES_MAX: u32 = 3;
@@ -319,7 +318,7 @@ impl Collector {
     }
 
     fn reject_undecodable(&mut self, frame: &[u8], reason: &'static str, message: &str) -> Outcome {
-        let identity = identity_of(frame).filter(|id| id.run_id == self.settings.run_id);
+        let identity = chunk_identity(frame).filter(|id| id.run_id == self.settings.run_id);
         let Some(identity) = identity else {
             return self.reject_unattributed(reason, message);
         };

@@ -2,7 +2,6 @@
 
 mod accounting;
 mod collector;
-mod identity;
 mod rows;
 
 pub use accounting::{

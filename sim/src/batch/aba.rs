@@ -1,10 +1,18 @@
 //! The articulated-body algorithm (Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 7) about one common point: inwards, then outwards.
 
-use super::drive::Load;
 use super::kinematics::Frame;
 use super::program::Program;
 use super::vec3::{Inertia, V3, add_scaled, dot, zero3};
 use crate::simd::Lanes;
+
+/// Torque of a joint, linear in its acceleration: `torque − inertia·q̈`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Load<R> {
+    /// N·m.
+    pub torque: R,
+    /// Rotor inertia and what dampers and springs taken at the step's end add to it, kg·m².
+    pub inertia: R,
+}
 
 /// What the inward pass leaves for the outward one.
 #[derive(Debug, Clone, Copy)]

@@ -103,7 +103,7 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     frame: &Frame<R>,
     centre: [R::Elem; 3],
     radius: R::Elem,
-    friction: R,
+    mut friction: R,
     memory: &mut [R],
     inertia: &mut Inertia<R>,
     note: &mut Touch<R>,
@@ -145,13 +145,14 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
             c[2],
             rot[1][1].mul_add(c[1], rot[0][1].mul_add(c[0], frame.pos[1])),
         );
-        let (clearance, n) = ground.clearance(x + base[0], y + base[1], z + base[2]);
+        let (clearance, n, grip) = ground.clearance(x + base[0], y + base[1], z + base[2]);
         depth = radius - clearance;
         if !o.lt(depth).any() {
             leave(memory, note);
             return;
         }
         normal = n;
+        friction = friction * grip;
         from_base = [x, y, z];
     }
     let touching = o.lt(depth);
@@ -306,7 +307,7 @@ fn add_flat<R: Lanes>(i: &mut Inertia<R>, arm: V3<R>, m: &[R; 6]) {
 
 /// Adds a full symmetric `m` at `arm`.
 #[inline(always)]
-fn add_general<R: Lanes>(i: &mut Inertia<R>, arm: V3<R>, m: &[R; 6]) {
+pub(super) fn add_general<R: Lanes>(i: &mut Inertia<R>, arm: V3<R>, m: &[R; 6]) {
     let [x, y, z] = arm;
     let rows = [[m[0], m[1], m[2]], [m[1], m[3], m[4]], [m[2], m[4], m[5]]];
     for c in 0..6 {

@@ -10,6 +10,10 @@ use super::period::{Period, Scratch, Shared};
 use super::pool::Pool;
 use super::program::Program;
 use super::report;
+use crate::drive::JointMemory;
+use crate::drive::loss::LossMemory;
+use crate::lanes::Lanes as _;
+use crate::real::Real;
 use crate::simd::{Kernel, Lanes};
 use crate::state::FIELDS;
 use crate::{EngineConfig, LaneParams, SimError, State, Terrain};
@@ -18,7 +22,9 @@ use crate::{EngineConfig, LaneParams, SimError, State, Terrain};
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct LaneState {
     pub x: Vec<f64>,
-    pub history: Vec<f32>,
+    pub drives: Vec<JointMemory<f64>>,
+    pub history: Vec<f64>,
+    pub loss: LossMemory,
     pub sums: Vec<f64>,
     pub diverged: bool,
 }
@@ -49,6 +55,10 @@ pub(super) struct Start<'a> {
     /// Model order.
     pub joint_pos: &'a [f64],
     pub joint_vel: &'a [f64],
+    /// Supply, V.
+    pub bus_v: f64,
+    /// Policy order.
+    pub servo_vel: &'a [f32],
     /// Policy order.
     pub rest: &'a [f32],
 }
@@ -69,12 +79,14 @@ impl<R: Lanes> CoreOf<R> {
         terrain: &Terrain,
         threads: usize,
     ) -> Result<Self, SimError> {
-        let program = Program::<R>::new(model, config)?;
-        let shared = Shared::new(program, Ground::new(terrain), config);
+        let level = terrain.water_level_m();
+        let program = Program::<R>::new(model, config, level.is_some())?;
+        let level = level.map_or(0.0, f64::from);
+        let shared = Shared::new(program, Ground::new(terrain), config, level);
         let groups = lanes.div_ceil(R::LANES);
         Ok(Self {
             scratch: vec![Scratch::new(&shared.program); threads.clamp(1, groups)],
-            groups: vec![Group::new(&shared.program, shared.depth); groups],
+            groups: vec![Group::new(&shared.program, shared.period_s()); groups],
             shared,
             lanes,
         })
@@ -91,11 +103,12 @@ impl<R: Lanes> Core for CoreOf<R> {
     ) {
         let group = &mut self.groups[lane / R::LANES];
         let slot = lane % R::LANES;
-        group.set_params(slot, &self.shared.program, model, config, params);
+        let level = self.shared.water_level_m;
+        group.set_params(slot, &self.shared.program, model, config, level, params);
         if lane + 1 == self.lanes {
             // what fills up the last group does as its last lane does
             for spare in slot + 1..R::LANES {
-                group.set_params(spare, &self.shared.program, model, config, params);
+                group.set_params(spare, &self.shared.program, model, config, level, params);
             }
         }
     }
@@ -108,6 +121,7 @@ impl<R: Lanes> Core for CoreOf<R> {
         let program = &self.shared.program;
         let mut x = vec![0.0; super::lanes::layout(program).len()];
         x[..7].copy_from_slice(&start.pose);
+        x[super::lanes::Layout::BUS] = start.bus_v;
         if program.free {
             x[7..13].copy_from_slice(&start.motion);
         }
@@ -118,7 +132,16 @@ impl<R: Lanes> Core for CoreOf<R> {
         }
         let from = LaneState {
             x,
-            history: start.rest.repeat(self.shared.depth),
+            drives: (start.rest.iter().zip(start.servo_vel))
+                .map(|(&q, &qd)| JointMemory::rest(f64::from(q), f64::from(qd)))
+                .collect(),
+            history: {
+                let width = program.actuated.max(1);
+                let depth = self.groups[0].history.lane(0).len() / width;
+                let rest: Vec<f64> = start.rest.iter().map(|&q| f64::from(q)).collect();
+                rest.repeat(depth)
+            },
+            loss: LossMemory::default(),
             sums: vec![0.0; super::lanes::sums_len(program)],
             diverged: false,
         };
@@ -140,10 +163,11 @@ impl<R: Lanes> Core for CoreOf<R> {
                 scratch,
             });
             for (now, before) in group.x[13..16].iter_mut().zip(imu) {
-                *now = before.with_lane(slot, now.lane(slot));
+                let new = Real::lane(*now, slot);
+                *now = before.with_lane(slot, new);
                 for spare in slot + 1..R::LANES {
                     if lane + 1 == self.lanes {
-                        *now = now.with_lane(spare, now.lane(slot));
+                        *now = now.with_lane(spare, new);
                     }
                 }
             }
@@ -154,7 +178,7 @@ impl<R: Lanes> Core for CoreOf<R> {
         state.diverged[lane] = false;
         for (field, k) in state.fields_mut().into_iter().zip(widths) {
             for c in 0..k {
-                field[(first + slot) * k + c] = scratch.out[at + c].lane(slot) as f32;
+                field[(first + slot) * k + c] = Real::lane(scratch.out[at + c], slot) as f32;
             }
             at += k;
         }
@@ -163,9 +187,11 @@ impl<R: Lanes> Core for CoreOf<R> {
     fn get(&self, lane: usize) -> LaneState {
         let (group, slot) = (&self.groups[lane / R::LANES], lane % R::LANES);
         LaneState {
-            x: group.get(slot),
-            history: group.history.iter().map(|v| v.lane(slot) as f32).collect(),
-            sums: group.sums.iter().map(|v| v.lane(slot)).collect(),
+            x: group.x.iter().map(|v| Real::lane(*v, slot)).collect(),
+            drives: group.drives.iter().map(|d| d.lane(slot)).collect(),
+            history: group.history.lane(slot),
+            loss: group.loss[slot],
+            sums: group.sums.iter().map(|v| Real::lane(*v, slot)).collect(),
             diverged: group.diverged[slot],
         }
     }
@@ -173,13 +199,12 @@ impl<R: Lanes> Core for CoreOf<R> {
     fn put(&mut self, lane: usize, from: &LaneState) -> bool {
         let (group, slot) = (&mut self.groups[lane / R::LANES], lane % R::LANES);
         if from.x.len() != group.x.len()
-            || from.history.len() != group.history.len()
+            || from.drives.len() != group.drives.len()
             || from.sums.len() != group.sums.len()
         {
             return false;
         }
-        put_slot(group, slot, from);
-        true
+        put_slot(group, slot, from)
     }
 
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State) {
@@ -215,15 +240,22 @@ impl<R: Lanes> Core for CoreOf<R> {
     }
 }
 
-fn put_slot<R: Lanes>(group: &mut Group<R>, slot: usize, from: &LaneState) {
-    group.put(slot, &from.x);
-    for (to, &v) in group.history.iter_mut().zip(&from.history) {
-        *to = to.with_lane(slot, f64::from(v));
+fn put_slot<R: Lanes>(group: &mut Group<R>, slot: usize, from: &LaneState) -> bool {
+    if !group.history.set_lane(slot, &from.history) {
+        return false;
     }
-    for (to, &v) in group.sums.iter_mut().zip(&from.sums) {
-        *to = to.with_lane(slot, v);
+    for (to, v) in group.x.iter_mut().zip(&from.x) {
+        to.set_lane(slot, v);
     }
+    for (to, v) in group.drives.iter_mut().zip(&from.drives) {
+        to.set_lane(slot, v);
+    }
+    for (to, v) in group.sums.iter_mut().zip(&from.sums) {
+        to.set_lane(slot, v);
+    }
+    group.loss[slot] = from.loss;
     group.diverged[slot] = from.diverged;
+    true
 }
 
 /// The report alone.

@@ -202,12 +202,8 @@ pub(super) fn body_inertia<R: Lanes>(
     let range = program.links_of[k].clone();
     let first = range.start;
     for i in range {
-        let (place, lane) = (&program.links[i], &params.links[i]);
-        let mut local = [R::zero(); 6];
-        for c in 0..6 {
-            local[c] = lane.scale * R::uniform(place.inertia[c]);
-        }
-        let own = turn_sym(&frame.rot, &local);
+        let lane = &params.links[i];
+        let own = turn_sym(&frame.rot, &lane.inertia);
         let com = add(frame.pos, turn(&frame.rot, lane.com));
         let vel = add_cross(frame.lin_mid, frame.ang_mid, com);
         let bias = add_cross(
@@ -350,8 +346,8 @@ fn carry<R: Lanes, const FLAT: bool>(
     for p in program.points_of[k].clone() {
         let point = &program.points[p];
         let friction = match point.part {
-            Part::Foot(_) => world.params.foot_friction,
-            Part::Trunk => world.params.body_friction,
+            Part::Foot(f) => world.params.foot_friction[f],
+            Part::Trunk | Part::Tail => world.params.body_friction,
         };
         touch::<R, FLAT>(
             world.law,

@@ -1,15 +1,17 @@
 //! What a group of lanes holds: parameters and state, one register per quantity.
 
-use caudata_model::{JointKind, JointMotion, RobotModel};
+use caudata_model::{RobotModel, pose};
 
 use super::contact::MEMORY;
 use super::program::Program;
-use crate::params::backlash_joints;
+use crate::drive::loss::LossMemory;
+use crate::drive::supply::Supply;
+use crate::drive::{CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive};
+use crate::lanes::Lanes as _;
+use crate::observe;
 use crate::simd::Lanes;
-use crate::{EngineConfig, LaneParams};
-
-/// A slide's end stop in N/m per N·m/rad of a hinge's: the same stop met at a lever of 0.1 m.
-const SLIDE_STOP_FACTOR: f64 = 100.0;
+use crate::water::{Surface, WaterLink};
+use crate::{CommandLoss, EngineConfig, LaneParams};
 
 /// Where the parts of [`Group::x`] begin.
 #[derive(Debug, Clone, Copy)]
@@ -35,7 +37,9 @@ impl Layout {
     pub const ACC: usize = 16;
     /// Angular acceleration of the base in the last step, world, rad/s².
     pub const SPIN_ACC: usize = 19;
-    const HEAD: usize = 22;
+    /// Bus voltage, V.
+    pub const BUS: usize = 22;
+    const HEAD: usize = 23;
 
     /// Joint positions.
     pub fn q(self) -> usize {
@@ -45,7 +49,7 @@ impl Layout {
     pub fn qd(self) -> usize {
         Self::HEAD + self.joints
     }
-    /// Deflections of the joints' friction bristles.
+    /// Deflections of the friction bristles of joints without a servo.
     pub fn bristle(self) -> usize {
         Self::HEAD + 2 * self.joints
     }
@@ -67,36 +71,10 @@ impl Layout {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LinkLane<R> {
     pub mass: R,
-    /// Factor on the program's inertia.
-    pub scale: R,
     /// Centre of mass in the node's frame, m.
     pub com: [R; 3],
-}
-
-/// A live joint's properties.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct JointLane<R> {
-    pub armature: R,
-    pub damping: R,
-    pub friction: R,
-    pub low: R,
-    pub high: R,
-    pub spring: R,
-    pub spring_ref: R,
-    pub stop: R,
-    pub stop_damping: R,
-}
-
-/// A servo's gains and limits (see [`crate::servo`]).
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ServoLane<R> {
-    pub kp: R,
-    pub kd: R,
-    pub tau_max: R,
-    pub flat: R,
-    pub slope: R,
-    pub brake: R,
-    pub back_drive: R,
+    /// About it, node axes, xx, xy, xz, yy, yz, zz.
+    pub inertia: [R; 6],
 }
 
 /// Parameters of a group.
@@ -105,18 +83,26 @@ pub(super) struct GroupParams<R> {
     pub gravity: [R; 3],
     /// Unit vector of it; −z without gravity.
     pub down: [R; 3],
-    pub foot_friction: R,
+    pub foot_friction: Vec<R>,
     pub body_friction: R,
     /// As in [`Program::links`].
     pub links: Vec<LinkLane<R>>,
     /// As in [`Program::nodes`].
-    pub joints: Vec<JointLane<R>>,
+    pub hinges: Vec<JointPassive<R>>,
+    /// Rotor inertia, likewise, kg·m².
+    pub armature: Vec<R>,
     /// Policy order.
-    pub servos: Vec<ServoLane<R>>,
-    /// What of the command delay is less than a control period, s.
-    pub delay_left: R,
-    /// Whole control periods of command delay, per lane.
-    pub delay_periods: Vec<usize>,
+    pub servos: Vec<ServoDrive<R>>,
+    pub supply: Supply<R>,
+    /// As in [`Program::links`]; empty on dry ground.
+    pub water: Vec<WaterLink<R>>,
+    pub surface: Surface<R>,
+    /// Per lane.
+    pub loss: Vec<CommandLoss>,
+    /// What each lane's drive-lines need.
+    needs: Vec<DriveFeatures>,
+    /// What any of them needs.
+    pub features: DriveFeatures,
 }
 
 /// A group of [`crate::real::Real::LANES`] lanes.
@@ -125,121 +111,129 @@ pub(super) struct Group<R> {
     pub params: GroupParams<R>,
     /// State, see [`Layout`].
     pub x: Vec<R>,
-    /// Commands, newest first. `[depth, A]`
-    pub history: Vec<R>,
+    /// Drive-lines. `[A]`
+    pub drives: Vec<JointMemory<R>>,
+    pub history: CommandHistory<R>,
+    /// Per lane.
+    pub loss: Vec<LossMemory>,
     /// Lanes that broke down.
     pub diverged: Vec<bool>,
-    /// What the last period reported beside the state: means of motor torque `[A]`, power `[A]`, foot forces `[3 F]`, trunk force.
+    /// What the last period reported beside the state: means of motor torque `[A]`, power `[A]`, foot forces `[3 F]`, trunk force, tail force.
     pub sums: Vec<R>,
 }
 
 impl<R: Lanes> Group<R> {
     /// All zeros (not yet a robot: every lane is set before use).
-    pub fn new(program: &Program<R>, depth: usize) -> Self {
+    pub fn new(program: &Program<R>, period_s: f64) -> Self {
         let o = R::zero();
         let link = LinkLane {
             mass: o,
-            scale: o,
             com: [o; 3],
+            inertia: [o; 6],
         };
-        let joint = JointLane {
-            armature: o,
-            damping: o,
-            friction: o,
-            low: o,
-            high: o,
-            spring: o,
-            spring_ref: o,
-            stop: o,
-            stop_damping: o,
-        };
-        let servo = ServoLane {
-            kp: o,
-            kd: o,
-            tau_max: o,
-            flat: o,
-            slope: o,
-            brake: o,
-            back_drive: o,
+        let water = if program.water {
+            program.links.len()
+        } else {
+            0
         };
         Self {
             params: GroupParams {
                 gravity: [o; 3],
                 down: [o; 3],
-                foot_friction: o,
+                foot_friction: vec![o; program.feet.len()],
                 body_friction: o,
                 links: vec![link; program.links.len()],
-                joints: vec![joint; program.nodes.len()],
-                servos: vec![servo; program.actuated],
-                delay_left: o,
-                delay_periods: vec![0; R::LANES],
+                hinges: vec![JointPassive::default(); program.nodes.len()],
+                armature: vec![o; program.nodes.len()],
+                servos: vec![ServoDrive::default(); program.actuated],
+                supply: Supply::default(),
+                water: vec![WaterLink::default(); water],
+                surface: Surface {
+                    level_m: o,
+                    current_mps: [o; 3],
+                    gravity_mps2: [o; 3],
+                },
+                loss: vec![CommandLoss::default(); R::LANES],
+                needs: vec![DriveFeatures::default(); R::LANES],
+                features: DriveFeatures::default(),
             },
             x: vec![o; layout(program).len()],
-            history: vec![o; depth * program.actuated],
+            drives: vec![JointMemory::default(); program.actuated],
+            history: CommandHistory::new(period_s, &vec![o; program.actuated]),
+            loss: vec![LossMemory::default(); R::LANES],
             diverged: vec![false; R::LANES],
             sums: vec![o; sums_len(program)],
         }
     }
 
-    /// Puts one lane's parameters in.
+    /// Puts one lane's parameters in. `water_level_m`: the terrain's.
     pub fn set_params(
         &mut self,
         lane: usize,
         program: &Program<R>,
         model: &RobotModel,
         config: &EngineConfig,
+        water_level_m: f64,
         p: &LaneParams,
     ) {
         let to = &mut self.params;
         let gravity = p.gravity_mps2.map(f64::from);
-        let length = caudata_model::pose::norm(gravity);
-        for i in 0..3 {
-            set(&mut to.gravity[i], lane, gravity[i]);
-            let down = if length > 0.0 {
-                gravity[i] / length
-            } else {
-                [0.0, 0.0, -1.0][i]
-            };
-            set(&mut to.down[i], lane, down);
+        let length = pose::norm(gravity);
+        to.gravity.set_lane(lane, &gravity);
+        let down = if length > 0.0 {
+            gravity.map(|g| g / length)
+        } else {
+            [0.0, 0.0, -1.0]
+        };
+        to.down.set_lane(lane, &down);
+        for (to, scale) in to.foot_friction.iter_mut().zip(&p.foot_friction_scale) {
+            to.set_lane(lane, &f64::from(p.foot_friction * scale));
         }
-        set(&mut to.foot_friction, lane, f64::from(p.foot_friction));
-        set(&mut to.body_friction, lane, f64::from(p.body_friction));
+        to.body_friction.set_lane(lane, &f64::from(p.body_friction));
+        let masses = observe::link_masses(model, p);
         for (to, place) in to.links.iter_mut().zip(&program.links) {
-            let link = &model.links()[place.link];
-            let scale = f64::from(p.link_mass_scale[place.link]);
-            let offset = p.com_offset_m[place.link];
-            let com = place
-                .node_from_link
-                .point([0, 1, 2].map(|i| link.com_m[i] + f64::from(offset[i])));
-            set(&mut to.mass, lane, link.mass_kg * scale);
-            set(&mut to.scale, lane, scale);
-            for i in 0..3 {
-                set(&mut to.com[i], lane, com[i]);
+            let mass = &masses[place.link];
+            let local = [0, 1, 2].map(|r| [0, 1, 2].map(|c| mass.inertia_kgm2[(r, c)]));
+            let m = pose::rotate_tensor(place.node_from_link.quat_wxyz, local);
+            let com = place.node_from_link.point(mass.com_m);
+            to.mass.set_lane(lane, &mass.mass_kg);
+            to.com.set_lane(lane, &com);
+            let six = [m[0][0], m[0][1], m[0][2], m[1][1], m[1][2], m[2][2]];
+            for (to, one) in to.inertia.iter_mut().zip(six) {
+                to.set_lane(lane, &one);
             }
         }
-        for (to, node) in to.joints.iter_mut().zip(&program.nodes) {
-            set_joint(to, lane, model, config, p, node.joint);
+        let hinges = JointPassive::all(model, p, config);
+        let servos: Vec<ServoDrive<f64>> = (0..program.actuated)
+            .map(|a| ServoDrive::new(model, p, a, config.dt_s))
+            .collect();
+        for (i, node) in program.nodes.iter().enumerate() {
+            to.hinges[i].set_lane(lane, &hinges[node.joint]);
+            let armature = node
+                .servo
+                .map_or(model.joints()[node.joint].armature_kgm2, |a| {
+                    servos[a].armature_kgm2()
+                });
+            to.armature[i].set_lane(lane, &armature);
         }
-        for (a, to) in to.servos.iter_mut().enumerate() {
-            set_servo(to, lane, model, p, a);
+        for (to, servo) in to.servos.iter_mut().zip(&servos) {
+            to.set_lane(lane, servo);
         }
-        let period = config.control_period_s();
-        let delay = f64::from(p.command_delay_s);
-        let whole = (delay / period).floor();
-        to.delay_periods[lane] = whole as usize;
-        set(&mut to.delay_left, lane, delay - whole * period);
-    }
-
-    /// Overwrites one lane's state.
-    pub fn put(&mut self, lane: usize, x: &[f64]) {
-        for (slot, &value) in self.x.iter_mut().zip(x) {
-            set(slot, lane, value);
+        to.supply.set_lane(lane, &Supply::new(p, config.dt_s));
+        if let Some(water) = WaterLink::all(model, p) {
+            for (to, place) in to.water.iter_mut().zip(&program.links) {
+                to.set_lane(lane, &water[place.link]);
+            }
         }
-    }
-
-    /// One lane's state.
-    pub fn get(&self, lane: usize) -> Vec<f64> {
-        self.x.iter().map(|v| v.lane(lane)).collect()
+        let level = water_level_m + f64::from(p.water_level_offset_m);
+        to.surface.level_m.set_lane(lane, &level);
+        let current = p.water_current_mps.map(f64::from);
+        to.surface.current_mps.set_lane(lane, &current);
+        to.surface.gravity_mps2.set_lane(lane, &gravity);
+        to.loss[lane] = p.command_loss;
+        to.needs[lane] = (servos.iter().map(DriveFeatures::of))
+            .fold(DriveFeatures::default(), DriveFeatures::or);
+        to.features = (to.needs.iter().copied()).fold(DriveFeatures::default(), DriveFeatures::or);
     }
 }
 
@@ -253,88 +247,5 @@ pub(super) fn layout<R: Lanes>(program: &Program<R>) -> Layout {
 
 /// Length of [`Group::sums`].
 pub(super) fn sums_len<R: Lanes>(program: &Program<R>) -> usize {
-    2 * program.actuated + 3 * program.feet.len() + 1
-}
-
-/// Sets one lane.
-#[inline(always)]
-pub(super) fn set<R: Lanes>(slot: &mut R, lane: usize, value: f64) {
-    *slot = slot.with_lane(lane, value);
-}
-
-fn set_joint<R: Lanes>(
-    to: &mut JointLane<R>,
-    lane: usize,
-    model: &RobotModel,
-    config: &EngineConfig,
-    p: &LaneParams,
-    j: usize,
-) {
-    let joint = &model.joints()[j];
-    let (armature, damping, friction) = match joint.kind {
-        JointKind::Actuated { index } => (
-            f64::from(p.joint_armature_kgm2[index]),
-            f64::from(p.joint_damping_nms_per_rad[index]),
-            f64::from(p.joint_friction_nm[index]),
-        ),
-        JointKind::Passive | JointKind::Backlash => (
-            joint.armature_kgm2,
-            joint.damping_nm_s_per_rad,
-            joint.friction_loss_nm,
-        ),
-    };
-    let (low, high) = backlash_joints(model)
-        .position(|b| b == j)
-        .map(|b| f64::from(p.backlash_half_width_rad[b]))
-        .map_or_else(
-            || {
-                joint
-                    .range_rad
-                    .unwrap_or((f64::NEG_INFINITY, f64::INFINITY))
-            },
-            |half| (-half, half),
-        );
-    let factor = match joint.motion {
-        JointMotion::Hinge => 1.0,
-        JointMotion::Slide => SLIDE_STOP_FACTOR,
-    };
-    set(&mut to.armature, lane, armature);
-    set(&mut to.damping, lane, damping);
-    set(&mut to.friction, lane, friction);
-    set(&mut to.low, lane, low);
-    set(&mut to.high, lane, high);
-    set(&mut to.spring, lane, joint.stiffness_nm_per_rad);
-    set(&mut to.spring_ref, lane, joint.spring_ref_rad);
-    set(
-        &mut to.stop,
-        lane,
-        config.stop_stiffness_nm_per_rad * factor,
-    );
-    set(
-        &mut to.stop_damping,
-        lane,
-        config.stop_damping_nms_per_rad * factor,
-    );
-}
-
-fn set_servo<R: Lanes>(
-    to: &mut ServoLane<R>,
-    lane: usize,
-    model: &RobotModel,
-    p: &LaneParams,
-    a: usize,
-) {
-    let servo = model.servo(a);
-    let torque = f64::from(p.torque_scale[a]);
-    let speed = f64::from(p.supply_v) / servo.reference_supply_v;
-    let (flat, end) = (servo.qd_tau_max_radps * speed, servo.qd_max_radps * speed);
-    let slope = (servo.tau_qd_max_nm - servo.tau_max_nm) / (end - flat).max(1e-6);
-    set(&mut to.kp, lane, f64::from(p.kp_nm_per_rad[a]));
-    let kd = f64::from(p.kd_nms_per_rad[a]) + servo.kd_min_nm_s_per_rad;
-    set(&mut to.kd, lane, kd);
-    set(&mut to.tau_max, lane, servo.tau_max_nm * torque);
-    set(&mut to.flat, lane, flat);
-    set(&mut to.slope, lane, slope.min(0.0) * torque);
-    set(&mut to.brake, lane, servo.tau_brake_max_nm * torque);
-    set(&mut to.back_drive, lane, servo.back_drive_kp_ratio);
+    2 * program.actuated + 3 * program.feet.len() + 2
 }

@@ -2,17 +2,16 @@
 //!
 //! Lanes are stepped together in groups of 16 (AVX-512), 8 (AVX2), 4 (SSE 4.1, NEON) or 1, whichever the processor has
 //! ([`EngineConfig::lane_width`] chooses another). The robot is compiled once ([`program`]); a control period of a group is one call
-//! ([`period`]): kinematics outwards ([`kinematics`]) with ground contact ([`contact`]), joint loads ([`drive`]), the articulated-body
+//! ([`period`]): kinematics outwards ([`kinematics`]) with ground contact ([`contact`]), joint loads ([`crate::drive`]), the articulated-body
 //! algorithm inwards and outwards ([`aba`]), semi-implicit Euler; at its end the report ([`report`]). Nothing branches on a lane's values except to
 //! skip work that would add nothing to any lane, so a lane's result depends neither on its place nor on its neighbours.
 //!
 //! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact with the ground only, of balls, capsules, boxes and cylinders as
-//! [`program`] describes; end stops, springs and friction as in [`crate::joint`].
+//! [`program`] describes; drive-lines as in [`crate::drive`], water as in [`crate::water`].
 
 mod aba;
 mod contact;
 mod core;
-mod drive;
 mod ground;
 mod kinematics;
 mod lanes;
@@ -22,6 +21,7 @@ pub mod program;
 mod report;
 mod snapshot;
 mod vec3;
+mod wet;
 
 use std::sync::Arc;
 
@@ -86,7 +86,7 @@ impl BatchEngine {
             model.feet().len(),
         );
         let mut engine = Self {
-            terrain_mark: snapshot::terrain_fingerprint(&terrain),
+            terrain_mark: terrain.fingerprint(),
             model,
             config,
             terrain,
@@ -218,6 +218,8 @@ impl Engine for BatchEngine {
             pose: [x, y, z, w, i, j, k],
             motion: [vx, vy, vz, wx, wy, wz],
             joint_pos: &at.joint_pos_rad,
+            bus_v: f64::from(self.params[lane].supply_v),
+            servo_vel: &init.joint_vel_radps,
             joint_vel: &at.joint_vel_radps,
             rest: &init.joint_pos_rad,
         };

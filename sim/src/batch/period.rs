@@ -4,16 +4,19 @@
 //! belong to the positions' time, so they are taken at the velocity half a step on, extrapolated with the last step's acceleration: with
 //! the velocity as it is, a chaotic double pendulum gains 5 % of its energy in 1.4 s at 2 ms.
 
-use super::aba::{self, Hinge};
+use super::aba::{self, Hinge, Load};
 use super::contact::{ContactLaw, MEMORY, Touch};
-use super::drive::{self, Load, Step};
 use super::ground::Ground;
 use super::kinematics::{self, Frame, Push, World};
 use super::lanes::{Group, Layout, layout, sums_len};
 use super::program::{Part, Program};
 use super::vec3::{Inertia, V3, add_scaled, dot, scale, zero3};
+use super::wet;
 use crate::EngineConfig;
-use crate::joint::PRESLIDING_RAD;
+use crate::drive::command::Scheduled;
+use crate::drive::step::{self, Driven, Step};
+use crate::drive::supply::{self, Bus};
+use crate::drive::{ImplicitTorque, JointMemory, friction};
 use crate::real::Mask;
 use crate::simd::{Kernel, Lanes};
 
@@ -25,22 +28,28 @@ pub(super) struct Shared<R: Lanes> {
     pub law: ContactLaw<R>,
     pub dt_s: f64,
     pub substeps: u32,
-    /// Control periods that [`Group::history`] holds.
-    pub depth: usize,
+    pub step: Step<R>,
+    /// Height of the water's surface as the terrain has it, m.
+    pub water_level_m: f64,
     pub max_joint_speed: f64,
     pub max_base_speed: f64,
 }
 
 impl<R: Lanes> Shared<R> {
-    pub fn new(program: Program<R>, ground: Ground<R>, config: &EngineConfig) -> Self {
-        let period = config.control_period_s();
+    pub fn new(
+        program: Program<R>,
+        ground: Ground<R>,
+        config: &EngineConfig,
+        water_level_m: f64,
+    ) -> Self {
         Self {
             program,
             ground,
             law: ContactLaw::new(config),
             dt_s: config.dt_s,
             substeps: config.substeps,
-            depth: (f64::from(crate::MAX_COMMAND_DELAY_S) / period).floor() as usize + 2,
+            step: Step::new(config.dt_s),
+            water_level_m,
             max_joint_speed: config.max_joint_speed_radps,
             max_base_speed: config.max_base_speed_mps,
         }
@@ -64,9 +73,13 @@ pub(super) struct Scratch<R: Lanes> {
     /// State and sums at the start of the period.
     saved: Vec<R>,
     saved_sums: Vec<R>,
-    /// Command of the period before, and of this one, as they reach the servo. `[A]`
-    older: Vec<R>,
-    newer: Vec<R>,
+    saved_drives: Vec<JointMemory<R>>,
+    /// New commands. `[A]`
+    targets: Vec<R>,
+    /// What arrives at each servo in the current control period. `[A]`
+    scheduled: Vec<Scheduled<R>>,
+    /// What each servo gives in the current step. `[A]`
+    driven: Vec<Option<Driven<R>>>,
     /// Report, see [`super::report`].
     pub out: Vec<R>,
     /// Centre of mass and its velocity per link.
@@ -84,9 +97,7 @@ impl<R: Lanes> Scratch<R> {
             loads: vec![
                 Load {
                     torque: o,
-                    inertia: o,
-                    motor: o,
-                    motor_inertia: o
+                    inertia: o
                 };
                 n
             ],
@@ -95,8 +106,10 @@ impl<R: Lanes> Scratch<R> {
             touches: vec![Touch::none(); program.points.len()],
             saved: vec![o; layout(program).len()],
             saved_sums: vec![o; sums_len(program)],
-            older: vec![o; program.actuated],
-            newer: vec![o; program.actuated],
+            saved_drives: vec![JointMemory::default(); program.actuated],
+            targets: vec![o; program.actuated],
+            scheduled: vec![Scheduled::constant(o); program.actuated],
+            driven: vec![None; program.actuated],
             out: vec![o; super::report::len(program)],
             coms: vec![(zero3(), zero3()); program.links.len()],
         }
@@ -137,8 +150,8 @@ impl<R: Lanes, const FLAT: bool> Kernel for Period<'_, R, FLAT> {
         }
         scratch.saved.copy_from_slice(&group.x);
         scratch.saved_sums.copy_from_slice(&group.sums);
-        push_commands(shared, group, used, targets);
-        delayed_commands(shared, group, scratch);
+        scratch.saved_drives.copy_from_slice(&group.drives);
+        push_commands(shared, group, scratch, used, targets);
         let push = read_push(group, used, wrenches);
         for sum in &mut group.sums {
             *sum = R::zero();
@@ -169,12 +182,20 @@ fn all_finite(values: &[f32]) -> bool {
     finite
 }
 
-/// Puts this period's commands first into the history; a lane that broke down hears nothing.
+/// Puts this period's commands first into the history, and looks up what each servo is told when; a lane that broke down hears nothing.
 #[inline(always)]
-fn push_commands<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, used: usize, targets: &[f32]) {
+fn push_commands<R: Lanes>(
+    shared: &Shared<R>,
+    group: &mut Group<R>,
+    scratch: &mut Scratch<R>,
+    used: usize,
+    targets: &[f32],
+) {
     let width = shared.program.actuated;
-    let kept = group.history.len() - width;
-    group.history.copy_within(..kept, width);
+    let mut lost = [0.0_f32; 16];
+    for lane in 0..R::LANES {
+        lost[lane] = f32::from(u8::from(group.loss[lane].next(&group.params.loss[lane])));
+    }
     for a in 0..width {
         let mut row = [0.0_f32; 16];
         for lane in 0..used {
@@ -182,38 +203,19 @@ fn push_commands<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, used: usize
                 row[lane] = targets[lane * width + a];
             }
         }
-        group.history[a] = R::read(&row);
+        scratch.targets[a] = R::read(&row);
     }
-}
-
-/// Looks up which two commands each lane's servos see in this period.
-#[inline(always)]
-fn delayed_commands<R: Lanes>(shared: &Shared<R>, group: &Group<R>, scratch: &mut Scratch<R>) {
-    let width = shared.program.actuated;
-    let mut same = true;
-    for lane in 1..R::LANES {
-        same &= group.params.delay_periods[lane] == group.params.delay_periods[0];
-    }
-    let age = |lane: usize| group.params.delay_periods[lane].min(shared.depth - 2);
-    if same {
-        let from = age(0) * width;
-        scratch
-            .newer
-            .copy_from_slice(&group.history[from..from + width]);
-        scratch
-            .older
-            .copy_from_slice(&group.history[from + width..from + 2 * width]);
-        return;
-    }
+    let lost = R::zero().lt(R::read(&lost));
+    group.history.push(&scratch.targets, lost);
+    let period_s = shared.period_s();
     for a in 0..width {
-        let (mut newer, mut older) = ([0.0_f32; 16], [0.0_f32; 16]);
-        for lane in 0..R::LANES {
-            let at = age(lane) * width + a;
-            newer[lane] = group.history[at].lane(lane) as f32;
-            older[lane] = group.history[at + width].lane(lane) as f32;
-        }
-        scratch.newer[a] = R::read(&newer);
-        scratch.older[a] = R::read(&older);
+        scratch.scheduled[a] = if group.params.features.delay {
+            group
+                .history
+                .schedule(a, group.params.servos[a].delay_s, period_s)
+        } else {
+            Scheduled::constant(group.history.newest(a))
+        };
     }
 }
 
@@ -260,6 +262,16 @@ fn step<R: Lanes, const FLAT: bool>(
         &mut scratch.inertias,
         &mut scratch.touches,
     );
+    if program.water {
+        wet::immerse(
+            program,
+            &group.params,
+            group.x[Layout::POS + 2],
+            R::splat(shared.dt_s),
+            &scratch.frames,
+            &mut scratch.inertias,
+        );
+    }
     load_joints(shared, group, scratch, substep);
     aba::inward(
         program,
@@ -286,34 +298,55 @@ fn step<R: Lanes, const FLAT: bool>(
 #[inline(always)]
 fn load_joints<R: Lanes>(
     shared: &Shared<R>,
-    group: &Group<R>,
+    group: &mut Group<R>,
     scratch: &mut Scratch<R>,
     substep: u32,
 ) {
     let program = &shared.program;
     let lay = layout(program);
     let n = program.nodes.len();
-    let x = &group.x;
+    let Group {
+        x, params, drives, ..
+    } = group;
     let (q, qd) = (&x[lay.q()..lay.q() + n], &x[lay.qd()..lay.qd() + n]);
     let bristle = &x[lay.bristle()..lay.bristle() + n];
-    let dt = R::splat(shared.dt_s);
-    let s = Step {
-        dt,
-        dt2: R::splat(shared.dt_s * shared.dt_s),
-    };
-    // share of this step that the newer command holds (a delay of a fraction of a step acts as one)
-    let end = R::splat(shared.dt_s * f64::from(substep + 1));
-    let share =
-        ((end - group.params.delay_left) * R::splat(1.0 / shared.dt_s)).clamp(R::zero(), R::one());
-    let whole = R::one().le(share);
+    let step = &shared.step;
+    let since = R::splat(shared.dt_s * f64::from(substep));
+    let bus = Bus::at(x[Layout::BUS]);
+    let mut current = R::zero();
     for i in 0..n {
-        let mut load = drive::passive(&group.params.joints[i], s, q[i], qd[i], bristle[i]);
-        if let Some(a) = program.nodes[i].servo {
-            let (newer, older) = (scratch.newer[a], scratch.older[a]);
-            let target = R::select(whole, newer, (newer - older).mul_add(share, older));
-            drive::add_servo(&mut load, &group.params.servos[a], s, q[i], qd[i], target);
-        }
-        scratch.loads[i] = load;
+        let hinge = &params.hinges[i];
+        let torque = if let Some(a) = program.nodes[i].servo {
+            let command = scratch.scheduled[a].over_step(since, step.dt_s, step.per_dt);
+            let driven = step::start(
+                params.features,
+                &params.servos[a],
+                hinge,
+                &mut drives[a],
+                step,
+                &bus,
+                command,
+                q[i],
+                qd[i],
+            );
+            current += driven.current_a;
+            scratch.driven[a] = Some(driven);
+            driven.torque
+        } else {
+            step::hinge_torque(hinge, step, bristle[i], q[i], qd[i])
+        };
+        scratch.loads[i] = load(&torque, params.armature[i], step.dt_s, qd[i]);
+    }
+    x[Layout::BUS] = supply::settle_v(&params.supply, x[Layout::BUS], current);
+}
+
+/// A torque at the end of the step as one that is linear in the acceleration.
+#[inline(always)]
+fn load<R: Lanes>(t: &ImplicitTorque<R>, armature: R, dt: R, qd: R) -> Load<R> {
+    let resistance = t.stiffness_nm_per_rad.mul_add(dt, t.damping_nms_per_rad);
+    Load {
+        torque: t.now_nm - resistance * qd,
+        inertia: resistance.mul_add(dt, armature),
     }
 }
 
@@ -350,9 +383,8 @@ fn sum_contacts<R: Lanes, const FLAT: bool>(
                         group.sums[feet + 3 * f + c] += force[c];
                     }
                 }
-                Part::Trunk => {
-                    group.sums[trunk] += normal;
-                }
+                Part::Trunk => group.sums[trunk] += normal,
+                Part::Tail => group.sums[trunk + 1] += normal,
             }
         }
     }
@@ -365,7 +397,6 @@ fn integrate<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch: &Scrat
     let lay = layout(program);
     let n = program.nodes.len();
     let dt = R::splat(shared.dt_s);
-    let presliding = R::splat(f64::from(PRESLIDING_RAD));
     let fastest = R::splat(shared.max_joint_speed);
     let mut sound = R::zero().le(R::zero());
     let (head, rest) = group.x.split_at_mut(lay.q());
@@ -381,13 +412,27 @@ fn integrate<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch: &Scrat
         qd[i] = now;
         qdd[i] = acceleration;
         q[i] += moved;
-        bristle[i] = (bristle[i] + moved).clamp(-presliding, presliding);
         sound = sound & now.abs().le(fastest);
-        if let Some(a) = program.nodes[i].servo {
-            let load = &scratch.loads[i];
-            let torque = load.motor - load.motor_inertia * acceleration;
-            group.sums[a] += torque;
-            group.sums[program.actuated + a] += torque * (half * (before + now));
+        let hinge = &group.params.hinges[i];
+        let Some(a) = program.nodes[i].servo else {
+            bristle[i] = friction::drag_bristle(bristle[i], moved, hinge.presliding_rad);
+            continue;
+        };
+        if let Some(driven) = &scratch.driven[a] {
+            let motor_radps = step::finish(
+                group.params.features,
+                &group.params.servos[a],
+                hinge,
+                &mut group.drives[a],
+                &shared.step,
+                driven,
+                moved,
+                before,
+                now,
+            );
+            group.sums[a] += driven.motor_nm;
+            group.sums[program.actuated + a] +=
+                driven.motor_nm * (half * (driven.motor_radps + motor_radps));
         }
     }
     if program.free {
@@ -459,7 +504,30 @@ fn freeze<R: Lanes>(group: &mut Group<R>, scratch: &Scratch<R>) {
     for (now, saved) in group.x.iter_mut().zip(&scratch.saved) {
         *now = R::select(frozen, *saved, *now);
     }
+    for (now, saved) in group.drives.iter_mut().zip(&scratch.saved_drives) {
+        *now = select_memory(frozen, saved, now);
+    }
     for (now, saved) in group.sums.iter_mut().zip(&scratch.saved_sums) {
         *now = R::select(frozen, *saved, *now);
+    }
+}
+
+#[inline(always)]
+fn select_memory<R: Lanes>(
+    mask: R::Mask,
+    yes: &JointMemory<R>,
+    no: &JointMemory<R>,
+) -> JointMemory<R> {
+    JointMemory {
+        bristle_rad: R::select(mask, yes.bristle_rad, no.bristle_rad),
+        filtered_rad: R::select(mask, yes.filtered_rad, no.filtered_rad),
+        profile_rad: R::select(mask, yes.profile_rad, no.profile_rad),
+        profile_radps: R::select(mask, yes.profile_radps, no.profile_radps),
+        integral_nm: R::select(mask, yes.integral_nm, no.integral_nm),
+        lagged_nm: R::select(mask, yes.lagged_nm, no.lagged_nm),
+        load_nm: R::select(mask, yes.load_nm, no.load_nm),
+        lead_rad: R::select(mask, yes.lead_rad, no.lead_rad),
+        rotor_radps: R::select(mask, yes.rotor_radps, no.rotor_radps),
+        rise_k: R::select(mask, yes.rise_k, no.rise_k),
     }
 }

@@ -55,8 +55,10 @@ pub(super) struct LinkPlace<R: Lanes> {
     pub node: usize,
     /// Its frame in the node's.
     pub node_from_link: Pose,
-    /// Inertia about its centre of mass, node axes, xx, xy, xz, yy, yz, zz.
-    pub inertia: [R::Elem; 6],
+    /// Columns: node from link.
+    pub columns: [[R::Elem; 3]; 3],
+    /// Origin in the node's frame, m.
+    pub origin: [R::Elem; 3],
 }
 
 /// What a contact point belongs to.
@@ -64,8 +66,10 @@ pub(super) struct LinkPlace<R: Lanes> {
 pub(super) enum Part {
     /// A foot, by index.
     Foot(usize),
-    /// Anything else.
+    /// Anything else of what carries the feet.
     Trunk,
+    /// What hangs behind without carrying feet.
+    Tail,
 }
 
 /// A ball (radius 0: a point) that may touch the ground.
@@ -123,11 +127,13 @@ pub(super) struct Program<R: Lanes> {
     pub joints: usize,
     /// Actuated joints.
     pub actuated: usize,
+    /// Whether there is water.
+    pub water: bool,
 }
 
 impl<R: Lanes> Program<R> {
     /// Compiles `model` as `config` asks for.
-    pub fn new(model: &RobotModel, config: &EngineConfig) -> Result<Self, SimError> {
+    pub fn new(model: &RobotModel, config: &EngineConfig, water: bool) -> Result<Self, SimError> {
         let free = model.base() == BaseKind::Free && !config.fixed_base;
         let mut nodes: Vec<Node<R>> = Vec::new();
         // node and pose in it, per link
@@ -218,6 +224,7 @@ impl<R: Lanes> Program<R> {
             }),
             joints: model.joints().len(),
             actuated: model.actuated().len(),
+            water: water && model.water().is_some(),
             nodes,
             links,
             links_of,
@@ -265,14 +272,14 @@ fn link_places<R: Lanes>(model: &RobotModel, placed: &[(usize, Pose)]) -> Vec<Li
         .links()
         .iter()
         .enumerate()
-        .map(|(link, l)| {
+        .map(|(link, _)| {
             let (node, node_from_link) = placed[link];
-            let m = pose::rotate_tensor(node_from_link.quat_wxyz, l.inertia_kgm2);
             LinkPlace {
                 link,
                 node,
                 node_from_link,
-                inertia: [m[0][0], m[0][1], m[0][2], m[1][1], m[1][2], m[2][2]].map(R::elem),
+                columns: constant_columns::<R>(node_from_link.quat_wxyz),
+                origin: node_from_link.pos_m.map(R::elem),
             }
         })
         .collect();
@@ -321,11 +328,16 @@ fn contact_points<R: Lanes>(
                     link.name
                 ))
             })?;
+            let other = if model.carries_feet(i) {
+                Part::Trunk
+            } else {
+                Part::Tail
+            };
             points.extend(centres.into_iter().map(|c| Point {
                 node,
                 centre: node_from_geom.point(c).map(R::elem),
                 radius: R::elem(radius),
-                part: foot.map_or(Part::Trunk, Part::Foot),
+                part: foot.map_or(other, Part::Foot),
             }));
         }
     }

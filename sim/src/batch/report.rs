@@ -31,6 +31,7 @@ pub(super) fn widths<R: Lanes>(program: &Program<R>) -> [usize; FIELDS] {
         f,
         3 * f,
         1,
+        1,
         3,
         3,
         3,
@@ -195,11 +196,7 @@ fn put_whole<R: Lanes>(
     let (mut inertia, mut momentum) = ([R::zero(); 6], zero3());
     for (i, place) in program.links.iter().enumerate() {
         let (frame, lane) = (&frames[place.node], &group.params.links[i]);
-        let mut local = [R::zero(); 6];
-        for c in 0..6 {
-            local[c] = lane.scale * R::uniform(place.inertia[c]);
-        }
-        let own = turn_sym(&frame.rot, &local);
+        let own = turn_sym(&frame.rot, &lane.inertia);
         let (d, u) = (sub(coms[i].0, com), sub(coms[i].1, vel));
         let m = scale(d, lane.mass);
         momentum = add(momentum, add(sym_times(&own, frame.ang), cross(m, u)));
@@ -268,8 +265,7 @@ fn put_feet<R: Lanes>(shared: &Shared<R>, frames: &[Frame<R>], base: V3<R>, w: &
         }
         let mut gap = at[2] - R::uniform(program.foot_radius[f]);
         if !shared.ground.is_flat() {
-            let (ground, _, _) = shared.ground.sample(at[0], at[1]);
-            gap -= ground;
+            gap -= shared.ground.sample(at[0], at[1]).height;
         }
         w.out[height + f] = gap;
     }

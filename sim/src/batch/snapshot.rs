@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::core::LaneState;
-use crate::{EngineConfig, LaneParams, SimError, State, Terrain};
+use crate::{EngineConfig, LaneParams, SimError, State};
 
 /// Changes whenever the layout below does.
 const FORMAT: &str = "caudata-batch-1";
@@ -90,19 +90,6 @@ pub(super) fn load(
         return Err(refused(reason));
     }
     Ok((s.params, s.lanes, s.state))
-}
-
-/// A number that tells terrains apart.
-pub(super) fn terrain_fingerprint(terrain: &Terrain) -> u64 {
-    match terrain {
-        Terrain::Flat => 0,
-        Terrain::HeightField(grid) => {
-            let n = grid.points();
-            let heights = (0..n * n).flat_map(|i| grid.at(i % n, i / n).to_le_bytes());
-            let size = grid.size_m().to_le_bytes();
-            fingerprint(&heights.chain(size).collect::<Vec<u8>>())
-        }
-    }
 }
 
 /// FNV-1a over 64-bit words and the remaining bytes: finds damage, not malice.

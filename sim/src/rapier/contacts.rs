@@ -5,15 +5,17 @@ use rapier3d::math::Vector;
 use rapier3d::prelude::*;
 
 use super::convert;
-use super::world::{GROUND_TAG, TRUNK_TAG};
+use super::world::{GROUND_TAG, TAIL_TAG, TRUNK_TAG};
 
 /// Sums of contact impulses, N·s.
 #[derive(Debug, Default)]
 pub(super) struct ContactImpulses {
     /// On each foot, world. `[F, 3]`
     pub feet_ns: Vec<f64>,
-    /// Normal impulses on everything else, summed without direction.
+    /// Normal impulses on the other geoms of links that carry feet, summed without direction.
     pub trunk_ns: f64,
+    /// Normal impulses on links that carry no feet, summed without direction.
+    pub tail_ns: f64,
 }
 
 impl ContactImpulses {
@@ -21,6 +23,7 @@ impl ContactImpulses {
         self.feet_ns.clear();
         self.feet_ns.resize(3 * feet, 0.0);
         self.trunk_ns = 0.0;
+        self.tail_ns = 0.0;
     }
 
     /// Adds what the last step's contacts did.
@@ -44,8 +47,13 @@ impl ContactImpulses {
     fn add_manifold(&mut self, manifold: &ContactManifold, robot: u128, sign: f64) {
         let towards_first = -manifold.data.normal;
         for point in &manifold.points {
-            if robot == TRUNK_TAG {
-                self.trunk_ns += f64::from(point.data.impulse);
+            let other = match robot {
+                TRUNK_TAG => Some(&mut self.trunk_ns),
+                TAIL_TAG => Some(&mut self.tail_ns),
+                _ => None,
+            };
+            if let Some(sum) = other {
+                *sum += f64::from(point.data.impulse);
                 continue;
             }
             let impulse =

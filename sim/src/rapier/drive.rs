@@ -1,27 +1,63 @@
-//! What loads the joints of one lane: servos, springs, friction, stops.
+//! What loads the joints of one lane: drive-lines, springs, friction, stops.
 
-use caudata_model::{JointKind, JointMotion, RobotModel};
+use caudata_model::JointKind;
+use serde::{Deserialize, Serialize};
 
 use super::contacts::ContactImpulses;
 use super::lane::Shared;
 use super::robot::{JointState, Robot};
-use crate::delay::CommandHistory;
-use crate::joint::{self, PassiveParams, StopParams};
-use crate::params::backlash_joints;
-use crate::servo::{self, Envelope, Gains};
-use crate::{LaneParams, State};
+use crate::drive::command::Scheduled;
+use crate::drive::loss::LossMemory;
+use crate::drive::step::{self, Driven, Step};
+use crate::drive::supply::{self, Bus, Supply};
+use crate::drive::{
+    CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive, friction,
+};
+use crate::lanes::Lanes;
+use crate::{CommandLoss, InitialState, LaneParams, State};
 
-/// A slide's end stop in N/m per N·m/rad of a hinge's: the same stop met at a lever of 0.1 m.
-const SLIDE_STOP_FACTOR: f32 = 100.0;
+/// What the drive-lines of one lane remember.
+#[derive(Clone, Serialize, Deserialize)]
+pub(super) struct DriveMemory {
+    /// Commands that may not have reached the servos yet.
+    history: CommandHistory<f32>,
+    loss: LossMemory,
+    /// `[A]`
+    servos: Vec<JointMemory<f32>>,
+    /// Friction bristles; those of actuated joints are in `servos`. `[J]`
+    bristle_rad: Vec<f32>,
+    /// Bus voltage, V.
+    bus_v: f32,
+}
+
+impl DriveMemory {
+    /// Nothing on its way, supply unloaded.
+    pub fn new(shared: &Shared, params: &LaneParams, init: &InitialState) -> Self {
+        let moving = init.joint_pos_rad.iter().zip(&init.joint_vel_radps);
+        Self {
+            history: CommandHistory::new(shared.config.control_period_s(), &init.joint_pos_rad),
+            loss: LossMemory::default(),
+            servos: moving
+                .map(|(&q, &qd)| Lanes::splat(&JointMemory::rest(f64::from(q), f64::from(qd))))
+                .collect(),
+            bristle_rad: vec![0.0; shared.model.joints().len()],
+            bus_v: params.supply_v,
+        }
+    }
+}
 
 /// Joint loads of one lane, and what they did within the current control period.
 pub(super) struct Drive {
+    features: DriveFeatures,
+    loss: CommandLoss,
+    step: Step<f32>,
+    supply: Supply<f32>,
     /// `[A]`
-    servos: Vec<(Envelope, Gains)>,
+    servos: Vec<ServoDrive<f32>>,
     /// `[J]`
-    passive: Vec<PassiveParams>,
-    /// `[J]`
-    stops: Vec<StopParams>,
+    passive: Vec<JointPassive<f32>>,
+    /// What arrives at each servo in the current control period. `[A]`
+    scheduled: Vec<Scheduled<f32>>,
     /// Start of the current physics step. `[J]`
     started: Vec<Started>,
     /// ∫τ dt per motor, N·m·s. `[A]`
@@ -32,36 +68,32 @@ pub(super) struct Drive {
     pub contacts: ContactImpulses,
 }
 
-/// A joint at the start of a physics step, and the motor torque it gets.
+/// A joint at the start of a physics step, and the drive it gets.
 #[derive(Clone, Copy, Default)]
 struct Started {
     at: JointState,
-    motor_nm: f32,
+    driven: Option<Driven<f32>>,
 }
 
 impl Drive {
-    pub fn new(shared: &Shared, params: &LaneParams) -> Self {
+    /// `servos`: one per actuated joint of this lane.
+    pub fn new(shared: &Shared, params: &LaneParams, servos: &[ServoDrive<f64>]) -> Self {
         let model = &*shared.model;
-        let servo = |a: usize| {
-            let envelope = Envelope::new(model.servo(a), params.torque_scale[a], params.supply_v);
-            let gains = Gains {
-                kp_nm_per_rad: params.kp_nm_per_rad[a],
-                kd_nms_per_rad: params.kd_nms_per_rad[a],
-            };
-            (envelope, gains)
-        };
-        let stop = StopParams {
-            stiffness_nm_per_rad: shared.config.stop_stiffness_nm_per_rad as f32,
-            damping_nms_per_rad: shared.config.stop_damping_nms_per_rad as f32,
-        };
-        let stops = model.joints().iter().map(|j| match j.motion {
-            JointMotion::Hinge => stop,
-            JointMotion::Slide => stop.times(SLIDE_STOP_FACTOR),
-        });
+        let dt_s = shared.config.dt_s;
         Self {
-            servos: (0..model.actuated().len()).map(servo).collect(),
-            passive: passive_params(model, params),
-            stops: stops.collect(),
+            features: servos
+                .iter()
+                .map(DriveFeatures::of)
+                .fold(DriveFeatures::default(), DriveFeatures::or),
+            loss: params.command_loss,
+            step: Step::new(dt_s),
+            supply: Lanes::splat(&Supply::new(params, dt_s)),
+            servos: servos.iter().map(Lanes::splat).collect(),
+            passive: JointPassive::all(model, params, &shared.config)
+                .iter()
+                .map(Lanes::splat)
+                .collect(),
+            scheduled: Vec::new(),
             started: vec![Started::default(); model.joints().len()],
             torque_sum: Vec::new(),
             work_sum: Vec::new(),
@@ -69,13 +101,21 @@ impl Drive {
         }
     }
 
-    /// Starts a control period.
-    pub fn clear(&mut self, feet: usize) {
+    /// Starts a control period with new commands.
+    pub fn begin(&mut self, shared: &Shared, memory: &mut DriveMemory, targets_rad: &[f32]) {
+        let lost = memory.loss.next(&self.loss);
+        memory.history.push(targets_rad, lost);
+        let period_s = shared.config.control_period_s();
+        self.scheduled.clear();
+        self.scheduled.extend(
+            (self.servos.iter().enumerate())
+                .map(|(a, servo)| memory.history.schedule(a, servo.delay_s, period_s)),
+        );
         for sum in [&mut self.torque_sum, &mut self.work_sum] {
             sum.clear();
             sum.resize(self.servos.len(), 0.0);
         }
-        self.contacts.clear(feet);
+        self.contacts.clear(shared.model.feet().len());
     }
 
     /// Loads every joint for the physics step that starts `since_command_s` into the control period.
@@ -83,48 +123,73 @@ impl Drive {
         &mut self,
         shared: &Shared,
         robot: &mut Robot,
-        history: &CommandHistory,
-        delay_s: f64,
+        memory: &mut DriveMemory,
         since_command_s: f64,
-        bristle_rad: &[f32],
     ) {
-        let config = &shared.config;
-        let (dt_s, period_s) = (config.dt_s, config.control_period_s());
+        let bus = Bus::at(memory.bus_v);
+        let mut current_a = 0.0;
         for (j, model_joint) in shared.model.joints().iter().enumerate() {
             let Some(at) = robot.joint(j) else { continue };
-            let motor_nm = match model_joint.kind {
+            let hinge = &self.passive[j];
+            let (torque, driven) = match model_joint.kind {
                 JointKind::Actuated { index } => {
-                    let target = history.delayed(index, delay_s, period_s, since_command_s, dt_s);
-                    let (envelope, gains) = &self.servos[index];
-                    servo::torque_nm(envelope, *gains, at.pos, at.vel, target)
+                    let command = self.scheduled[index].over_step(
+                        since_command_s as f32,
+                        self.step.dt_s,
+                        self.step.per_dt,
+                    );
+                    let driven = step::start(
+                        self.features,
+                        &self.servos[index],
+                        hinge,
+                        &mut memory.servos[index],
+                        &self.step,
+                        &bus,
+                        command,
+                        at.pos,
+                        at.vel,
+                    );
+                    current_a += driven.current_a;
+                    (driven.torque, Some(driven))
                 }
-                JointKind::Passive | JointKind::Backlash => 0.0,
+                JointKind::Passive | JointKind::Backlash => (
+                    step::hinge_torque(hinge, &self.step, memory.bristle_rad[j], at.pos, at.vel),
+                    None,
+                ),
             };
-            let passive = joint::passive_torque(
-                &self.passive[j],
-                self.stops[j],
-                at.pos,
-                at.vel,
-                bristle_rad[j],
-                dt_s as f32,
-            );
-            robot.load_joint(j, &passive, motor_nm);
-            self.started[j] = Started { at, motor_nm };
+            robot.load_joint(j, &torque);
+            self.started[j] = Started { at, driven };
         }
+        memory.bus_v = supply::settle_v(&self.supply, memory.bus_v, current_a);
     }
 
-    /// After the step: drags the friction bristles, sums motor torque, work and contacts.
-    pub fn account(&mut self, shared: &Shared, robot: &Robot, bristle_rad: &mut [f32]) {
+    /// After the step: takes it into memory, sums motor torque, work and contacts.
+    pub fn account(&mut self, shared: &Shared, robot: &Robot, memory: &mut DriveMemory) {
         for (j, model_joint) in shared.model.joints().iter().enumerate() {
             let Some(now) = robot.joint(j) else { continue };
-            let Started { at, motor_nm } = self.started[j];
-            bristle_rad[j] = joint::drag_bristle(bristle_rad[j], now.pos - at.pos);
-            if let JointKind::Actuated { index } = model_joint.kind {
-                let impulse = f64::from(motor_nm) * shared.config.dt_s;
-                self.torque_sum[index] += impulse;
-                // Mean speed, not way moved: an Euler step moves by its final speed, which would add τ²·dt²/2I.
-                self.work_sum[index] += impulse * 0.5 * f64::from(at.vel + now.vel);
-            }
+            let Started { at, driven } = self.started[j];
+            let hinge = &self.passive[j];
+            let moved = now.pos - at.pos;
+            let (JointKind::Actuated { index }, Some(driven)) = (model_joint.kind, driven) else {
+                memory.bristle_rad[j] =
+                    friction::drag_bristle(memory.bristle_rad[j], moved, hinge.presliding_rad);
+                continue;
+            };
+            let motor_radps = step::finish(
+                self.features,
+                &self.servos[index],
+                hinge,
+                &mut memory.servos[index],
+                &self.step,
+                &driven,
+                moved,
+                at.vel,
+                now.vel,
+            );
+            let impulse = f64::from(driven.motor_nm) * shared.config.dt_s;
+            self.torque_sum[index] += impulse;
+            // Mean speed, not way moved: an Euler step moves by its final speed, which would add τ²·dt²/2I.
+            self.work_sum[index] += impulse * 0.5 * f64::from(driven.motor_radps + motor_radps);
         }
         self.contacts.add(&robot.world);
     }
@@ -140,37 +205,6 @@ impl Drive {
         mean(&mut out.mech_power_w, &self.work_sum);
         mean(&mut out.foot_force_n, &self.contacts.feet_ns);
         mean(&mut out.trunk_force_n, &[self.contacts.trunk_ns]);
+        mean(&mut out.tail_force_n, &[self.contacts.tail_ns]);
     }
-}
-
-fn passive_params(model: &RobotModel, params: &LaneParams) -> Vec<PassiveParams> {
-    let endless = (f32::NEG_INFINITY, f32::INFINITY);
-    let mut all: Vec<PassiveParams> = model
-        .joints()
-        .iter()
-        .map(|j| {
-            let (damping, friction) = match j.kind {
-                JointKind::Actuated { index } => (
-                    params.joint_damping_nms_per_rad[index],
-                    params.joint_friction_nm[index],
-                ),
-                JointKind::Passive | JointKind::Backlash => {
-                    (j.damping_nm_s_per_rad as f32, j.friction_loss_nm as f32)
-                }
-            };
-            PassiveParams {
-                stiffness_nm_per_rad: j.stiffness_nm_per_rad as f32,
-                spring_ref_rad: j.spring_ref_rad as f32,
-                damping_nms_per_rad: damping,
-                friction_nm: friction,
-                range_rad: j
-                    .range_rad
-                    .map_or(endless, |(low, high)| (low as f32, high as f32)),
-            }
-        })
-        .collect();
-    for (j, &half) in backlash_joints(model).zip(&params.backlash_half_width_rad) {
-        all[j].range_rad = (-half, half);
-    }
-    all
 }

@@ -7,9 +7,11 @@ use caudata_model::{BaseKind, RobotModel};
 use rapier3d::prelude::SharedShape;
 use serde::{Deserialize, Serialize};
 
-use super::drive::Drive;
+use super::drive::{Drive, DriveMemory};
+use super::grip::Grip;
 use super::robot::Robot;
-use crate::delay::CommandHistory;
+use super::water::{Water, WaterMemory};
+use crate::drive::ServoDrive;
 use crate::observe::{self, Coordinates, LinkMass, Motion};
 use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 
@@ -23,15 +25,16 @@ pub(super) struct Shared {
     pub terrain: Arc<Terrain>,
     /// The terrain's height field as Rapier has it, shared by all worlds.
     pub ground: Option<SharedShape>,
+    /// Slippery places of the ground.
+    pub grip: Grip,
 }
 
 /// Everything of a lane that changes while it runs, besides the Rapier world.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct Memory {
-    /// Friction bristle of each joint, rad. `[J]`
-    bristle_rad: Vec<f32>,
-    /// Commands that may not have reached the servos yet.
-    history: CommandHistory,
+    /// Commands under way, friction, gears, supply.
+    drive: DriveMemory,
+    water: WaterMemory,
     /// Velocity of the IMU point at the end of the last period, world, m/s.
     imu_vel_mps: [f64; 3],
     /// What was last reported.
@@ -45,6 +48,7 @@ pub(super) struct Lane {
     pub robot: Robot,
     masses: Vec<LinkMass>,
     drive: Drive,
+    water: Option<Water>,
     at: Coordinates,
     motion: Motion,
 }
@@ -54,8 +58,8 @@ impl Lane {
     pub fn new(shared: &Shared, params: LaneParams, init: &InitialState) -> Result<Self, SimError> {
         let mut at = Coordinates::start(&shared.model, init)?;
         at.world_from_base.pos_m[2] = start_height_m(shared, init, &at)?;
-        let history = CommandHistory::new(shared.config.control_period_s(), &init.joint_pos_rad);
-        Self::at(shared, params, at, history)
+        let memory = DriveMemory::new(shared, &params, init);
+        Self::at(shared, params, at, memory)
     }
 
     /// A lane at rest inside (no contact or friction memory) with the given coordinates.
@@ -63,14 +67,17 @@ impl Lane {
         shared: &Shared,
         params: LaneParams,
         at: Coordinates,
-        history: CommandHistory,
+        drive_memory: DriveMemory,
     ) -> Result<Self, SimError> {
         let model = &*shared.model;
         let masses = observe::link_masses(model, &params);
+        let servos: Vec<_> = (0..model.actuated().len())
+            .map(|a| ServoDrive::new(model, &params, a, shared.config.dt_s))
+            .collect();
         let mut lane = Self {
             memory: Memory {
-                bristle_rad: vec![0.0; model.joints().len()],
-                history,
+                drive: drive_memory,
+                water: WaterMemory::default(),
                 imu_vel_mps: [0.0; 3],
                 out: State::zeros(
                     1,
@@ -79,8 +86,9 @@ impl Lane {
                     model.feet().len(),
                 ),
             },
-            robot: Robot::new(shared, &params, &masses)?,
-            drive: Drive::new(shared, &params),
+            robot: Robot::new(shared, &params, &servos, &masses)?,
+            drive: Drive::new(shared, &params, &servos),
+            water: Water::new(shared, &params, &masses),
             motion: Motion::default(),
             params,
             masses,
@@ -101,10 +109,11 @@ impl Lane {
             Self::new(shared, params, &InitialState::nominal(&shared.model))? // it only waits for its reset
         } else {
             self.robot.read(&mut self.at);
-            Self::at(shared, params, self.at.clone(), memory.history.clone())?
+            Self::at(shared, params, self.at.clone(), memory.drive.clone())?
         };
         lane.memory = Memory {
             imu_vel_mps: lane.memory.imu_vel_mps,
+            water: WaterMemory::default(), // the new bodies carry none yet
             ..memory
         };
         *self = lane;
@@ -127,28 +136,20 @@ impl Lane {
     /// Runs and reports one period; whether it ended in a sound state.
     fn run_period(&mut self, shared: &Shared, targets_rad: &[f32], wrench: &[f32]) -> bool {
         let config = &shared.config;
-        self.memory.history.push(targets_rad);
-        self.drive.clear(shared.model.feet().len());
+        self.drive
+            .begin(shared, &mut self.memory.drive, targets_rad);
         for substep in 0..config.substeps {
             let since_s = f64::from(substep) * config.dt_s;
-            let delay_s = f64::from(self.params.command_delay_s);
-            let Memory {
-                bristle_rad,
-                history,
-                ..
-            } = &mut self.memory;
             self.robot.clear_loads();
             self.robot.push_link(shared.model.torso_link(), wrench);
-            self.drive.load(
-                shared,
-                &mut self.robot,
-                history,
-                delay_s,
-                since_s,
-                bristle_rad,
-            );
-            self.robot.step();
-            self.drive.account(shared, &self.robot, bristle_rad);
+            self.drive
+                .load(shared, &mut self.robot, &mut self.memory.drive, since_s);
+            if let Some(water) = &self.water {
+                water.load(&mut self.robot, &mut self.memory.water);
+            }
+            self.robot.step(&shared.grip);
+            self.drive
+                .account(shared, &self.robot, &mut self.memory.drive);
             if !self.robot.is_sound(config) {
                 return false;
             }

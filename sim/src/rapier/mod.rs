@@ -31,9 +31,11 @@
 mod contacts;
 mod convert;
 mod drive;
+mod grip;
 mod lane;
 mod robot;
 mod snapshot;
+mod water;
 mod world;
 
 use std::sync::Arc;
@@ -86,6 +88,7 @@ impl RapierEngine {
         );
         let shared = Shared {
             ground: world::height_field(&terrain),
+            grip: grip::Grip::new(Arc::clone(&terrain)),
             model,
             config,
             terrain,

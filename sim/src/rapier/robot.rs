@@ -2,14 +2,16 @@
 
 use caudata_model::pose::{add, cross, sub};
 use caudata_model::{JointKind, Pose as ModelPose};
-use rapier3d::math::Vector;
+use rapier3d::math::{Matrix, Vector};
 use rapier3d::prelude::*;
 
 use super::convert;
+use super::grip::Grip;
 use super::lane::Shared;
 use super::world::{self, RobotHandles};
-use crate::joint::ImplicitTorque;
+use crate::drive::{ImplicitTorque, ServoDrive};
 use crate::observe::{Coordinates, LinkMass};
+use crate::water::LinkMotion;
 use crate::{EngineConfig, LaneParams, SimError};
 
 /// One robot in one world.
@@ -42,6 +44,7 @@ impl Robot {
     pub fn new(
         shared: &Shared,
         params: &LaneParams,
+        servos: &[ServoDrive<f64>],
         masses: &[LinkMass],
     ) -> Result<Self, SimError> {
         let (world, handles) = world::build(shared, params, masses)?;
@@ -55,12 +58,12 @@ impl Robot {
             world,
             handles,
         };
-        robot.set_armature(shared, params);
+        robot.set_armature(shared, servos);
         Ok(robot)
     }
 
     /// Rotor inertia of the actuated joints (the lane's), and of the others (the model's).
-    fn set_armature(&mut self, shared: &Shared, params: &LaneParams) {
+    fn set_armature(&mut self, shared: &Shared, servos: &[ServoDrive<f64>]) {
         let Self { world, handles, .. } = self;
         let Some(multibody) = multibody_mut(world, handles) else {
             return;
@@ -68,7 +71,7 @@ impl Robot {
         for (joint, dof) in shared.model.joints().iter().zip(&handles.dofs) {
             let Some(dof) = dof else { continue };
             multibody.armature_mut()[dof.assembly] = match joint.kind {
-                JointKind::Actuated { index } => params.joint_armature_kgm2[index],
+                JointKind::Actuated { index } => servos[index].armature_kgm2() as f32,
                 JointKind::Passive | JointKind::Backlash => joint.armature_kgm2 as f32,
             };
         }
@@ -145,6 +148,30 @@ impl Robot {
         })
     }
 
+    /// Where link `link` (whose centre of mass is at `com_m` in its frame) is and how it moves; `None` for a body Rapier has lost.
+    pub fn link_motion(&self, link: usize, com_m: [f32; 3]) -> Option<LinkMotion<f32>> {
+        let handle = self.handles.bodies[self.handles.links[link]];
+        let body = self.world.bodies.get(handle)?;
+        let columns = Matrix::from_quat(body.position().rotation).transpose();
+        let rotation = columns.to_cols_array_2d();
+        let com = body.position().translation;
+        let lever = Vector::from_array(rotation[2]).dot(Vector::from_array(com_m));
+        Some(LinkMotion {
+            rotation,
+            origin_z_m: com.z - lever,
+            com_vel_mps: body.linvel().to_array(),
+            angvel_radps: body.angvel().to_array(),
+        })
+    }
+
+    /// Gives a link's body other mass properties (about its origin, the centre of mass).
+    pub fn set_mass(&mut self, link: usize, mass: MassProperties) {
+        let handle = self.handles.bodies[self.handles.links[link]];
+        if let Some(body) = self.world.bodies.get_mut(handle) {
+            body.set_additional_mass_properties(mass, false);
+        }
+    }
+
     /// Takes every load off.
     pub fn clear_loads(&mut self) {
         self.loads.fill(Load::default());
@@ -157,8 +184,8 @@ impl Robot {
         load.torque_nm += Vector::from_slice(&wrench[3..6]);
     }
 
-    /// Loads joint `j` for the coming step: spring and damper implicitly, their constant and `effort` (N·m, or N of a slide) as they are.
-    pub fn load_joint(&mut self, j: usize, passive: &ImplicitTorque, effort: f32) {
+    /// Loads joint `j` for the coming step (N·m, or N of a slide): spring and damper implicitly, the rest as it is.
+    pub fn load_joint(&mut self, j: usize, torque: &ImplicitTorque<f32>) {
         let Self {
             world,
             handles,
@@ -169,14 +196,16 @@ impl Robot {
         let Some(multibody) = multibody_mut(world, handles) else {
             return;
         };
-        multibody.damping_mut()[dof.assembly] = passive.damping_nms_per_rad;
+        multibody.damping_mut()[dof.assembly] = torque.damping_nms_per_rad;
         let Some(link) = multibody.link_mut(dof.link) else {
             return;
         };
+        // Relaxed where the joint is now: what the spring gives there already is in the constant part.
+        let here = link.joint.coords()[dof.axis];
         link.joint
-            .set_spring(dof.axis, passive.stiffness_nm_per_rad, passive.rest_rad);
+            .set_spring(dof.axis, torque.stiffness_nm_per_rad, here);
         let frame = *link.local_to_world() * link.joint.data.local_frame2;
-        let along_axis = frame.rotation * Vector::X * (effort + passive.constant_nm);
+        let along_axis = frame.rotation * Vector::X * torque.now_nm;
         for (body, sign) in [(dof.child, 1.0), (dof.parent, -1.0)] {
             if dof.is_hinge() {
                 loads[body].torque_nm += along_axis * sign;
@@ -193,7 +222,7 @@ impl Robot {
     }
 
     /// One physics step under the loads.
-    pub fn step(&mut self) {
+    pub fn step(&mut self, grip: &Grip) {
         for (&handle, load) in self.handles.bodies.iter().zip(&self.loads) {
             if let Some(body) = self.world.bodies.get_mut(handle) {
                 body.reset_forces(false);
@@ -202,7 +231,11 @@ impl Robot {
                 body.add_torque(load.torque_nm, false);
             }
         }
-        self.world.step();
+        if grip.is_needed() {
+            self.world.step_with_events(grip, &());
+        } else {
+            self.world.step();
+        }
     }
 
     /// Whether speeds are finite and sane, and Rapier has not taken a body out.

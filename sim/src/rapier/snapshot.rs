@@ -12,7 +12,7 @@ use super::lane::{Lane, Memory, Shared};
 use crate::{InitialState, LaneParams, SimError};
 
 /// Changes whenever the layout below or Rapier's own layout does.
-const FORMAT: &str = "caudata-rapier-1 rapier-0.36.1";
+const FORMAT: &str = "caudata-rapier-3 rapier-0.36.1";
 
 /// What a snapshot must match to be restored, and what it holds.
 #[derive(Serialize, Deserialize)]
@@ -52,7 +52,7 @@ pub(super) fn save(
         format: FORMAT.to_owned(),
         model_hash: shared.model.hash(),
         config: config_text(shared),
-        terrain: fingerprint(&terrain),
+        terrain: shared.terrain.fingerprint(),
         lanes,
     })?;
     let sum = fingerprint(&bytes);
@@ -90,7 +90,7 @@ pub(super) fn load(
             "it was taken with another engine configuration",
         ),
         (
-            snapshot.terrain == fingerprint(&terrain),
+            snapshot.terrain == shared.terrain.fingerprint(),
             "it was taken on another terrain",
         ),
         (

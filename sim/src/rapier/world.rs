@@ -24,8 +24,10 @@ const ROBOT: Group = Group::GROUP_1;
 const GROUND: Group = Group::GROUP_2;
 /// `user_data` of the ground's colliders; see [`foot_tag`] for the rest.
 pub(super) const GROUND_TAG: u128 = 0;
-/// `user_data` of every robot collider that is not a foot.
+/// `user_data` of the colliders that are no feet, on links that carry feet.
 pub(super) const TRUNK_TAG: u128 = u128::MAX;
+/// `user_data` of the colliders of all other links.
+pub(super) const TAIL_TAG: u128 = u128::MAX - 1;
 
 /// `user_data` of foot `index`'s collider.
 pub(super) fn foot_tag(index: usize) -> u128 {
@@ -79,7 +81,7 @@ pub(super) fn build(
         integration_parameters: integration_parameters(&shared.config),
         ..PhysicsWorld::default()
     };
-    insert_ground(&mut world, shared.ground.as_ref());
+    insert_ground(&mut world, shared);
     let handles = Builder {
         world: &mut world,
         model: &shared.model,
@@ -114,7 +116,7 @@ fn integration_parameters(config: &EngineConfig) -> IntegrationParameters {
     }
 }
 
-fn insert_ground(world: &mut PhysicsWorld, height_field: Option<&SharedShape>) {
+fn insert_ground(world: &mut PhysicsWorld, shared: &Shared) {
     // The robot's own coefficient counts (the larger one wins, the ground has none).
     let finish = |builder: ColliderBuilder| {
         builder
@@ -132,21 +134,26 @@ fn insert_ground(world: &mut PhysicsWorld, height_field: Option<&SharedShape>) {
         finish(ColliderBuilder::new(SharedShape::halfspace(Vector::Z)))
             .position(Pose::from_translation(Vector::new(0.0, 0.0, z as f32)))
     };
-    let Some(shape) = height_field else {
+    let Some(shape) = &shared.ground else {
         world.colliders.insert(plane(0.0));
         return;
     };
     let upright = Rotation::from_rotation_x(std::f32::consts::FRAC_PI_2);
-    let field = finish(ColliderBuilder::new(shape.clone())).position(Pose::from_rotation(upright));
+    let hooks = if shared.grip.is_needed() {
+        ActiveHooks::MODIFY_SOLVER_CONTACTS
+    } else {
+        ActiveHooks::empty()
+    };
+    let field = finish(ColliderBuilder::new(shape.clone()))
+        .position(Pose::from_rotation(upright))
+        .active_hooks(hooks);
     world.colliders.insert(field);
     world.colliders.insert(plane(-APRON_DROP_M));
 }
 
 /// The terrain's height field as Rapier has it: in x–z with y up, rows along z. Turned by 90° about x, its rows run against our y.
 pub(super) fn height_field(terrain: &Terrain) -> Option<SharedShape> {
-    let Terrain::HeightField(grid) = terrain else {
-        return None;
-    };
+    let grid = terrain.grid()?;
     let n = grid.points();
     let mut heights = Array2::zeros(n, n);
     for iy in 0..n {
@@ -322,15 +329,19 @@ impl Builder<'_> {
         let Some((shape, turn)) = collider_shape(geom.shape) else {
             return;
         };
+        let tag = match foot {
+            Some(foot) => foot_tag(foot),
+            None if self.model.carries_feet(link) => TRUNK_TAG,
+            None => TAIL_TAG,
+        };
         let in_body =
             ModelPose::from_pos(self.masses[link].com_m.map(|c| -c)).compose(&geom.link_from_geom);
         let collider = ColliderBuilder::new(shape)
             .position(convert::pose(&in_body) * Pose::from_rotation(turn))
             .density(0.0)
-            .friction(if foot.is_some() {
-                self.params.foot_friction
-            } else {
-                self.params.body_friction
+            .friction(match foot {
+                Some(foot) => self.params.foot_friction * self.params.foot_friction_scale[foot],
+                None => self.params.body_friction,
             })
             .friction_combine_rule(CoefficientCombineRule::Max)
             .restitution(0.0)
@@ -339,7 +350,7 @@ impl Builder<'_> {
                 GROUND,
                 InteractionTestMode::And,
             ))
-            .user_data(foot.map_or(TRUNK_TAG, foot_tag));
+            .user_data(tag);
         self.world
             .colliders
             .insert_with_parent(collider, body, &mut self.world.bodies);

@@ -29,7 +29,7 @@ pub trait Kernel {
 }
 
 /// A [`Real`] whose lanes can be read, written and looked up in tables.
-pub trait Lanes: Real {
+pub trait Lanes: Real + Default + PartialEq {
     /// One lane.
     type Elem: Copy + Send + Sync + std::fmt::Debug + 'static;
 

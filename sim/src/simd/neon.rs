@@ -36,6 +36,16 @@ operator!(Div, div, vdivq_f32, F32x4);
 operator!(BitAnd, bitand, vandq_u32, Mask4);
 operator!(BitOr, bitor, vorrq_u32, Mask4);
 
+impl Default for F32x4 {
+    fn default() -> Self {
+        Self::zero()
+    }
+}
+impl PartialEq for F32x4 {
+    fn eq(&self, other: &Self) -> bool {
+        (0..Self::LANES).all(|i| self.lane(i) == other.lane(i))
+    }
+}
 impl AddAssign for F32x4 {
     #[inline(always)]
     fn add_assign(&mut self, other: Self) {

@@ -20,6 +20,16 @@ macro_rules! operators {
                     .finish()
             }
         }
+        impl Default for $name {
+            fn default() -> Self {
+                Self::zero()
+            }
+        }
+        impl PartialEq for $name {
+            fn eq(&self, other: &Self) -> bool {
+                (0..Self::LANES).all(|i| self.lane(i) == other.lane(i))
+            }
+        }
         impl Add for $name {
             type Output = Self;
             #[inline(always)]

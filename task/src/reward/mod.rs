@@ -117,7 +117,7 @@ reward_terms! {
     slip: Cost, "m/s", 0.0;
     /// g_x² + g_y² of the gravity direction in the body frame: lean and roll. Default 0.
     orientation: Cost, "1", 0.0;
-    /// Contact force on anything but the feet, as a share of `trunk_force_n`, at most 1. Default 0.
+    /// Contact force on trunk and legs but not the feet (a trailing tail is free), as a share of `trunk_force_n`, at most 1. Default 0.
     trunk_contact: Cost, "1", 0.0;
     /// v_z² of the whole body: hopping. Default 0.
     vertical_velocity: Cost, "m²/s²", 0.0;

@@ -78,7 +78,7 @@ pub fn orientation(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     input.gravity[0].powi(2) + input.gravity[1].powi(2)
 }
 
-/// Force on everything but the feet, as a share of `trunk_force_n`, at most 1.
+/// Force on links that carry feet, the feet left out, as a share of `trunk_force_n`, at most 1.
 pub fn trunk_contact(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     (input.trunk_force_n / config.trunk_force_n).clamp(0.0, 1.0)
 }

@@ -1,0 +1,312 @@
+//! What a robot does, measured from its trace.
+
+use caudata_task::{ACT_DIM, FEET};
+use serde::Serialize;
+
+use crate::spectrum::Spectrum;
+use crate::trace::{Frame, Trace};
+
+/// Standard gravity, m/s².
+const GRAVITY_MPS2: f64 = 9.81;
+/// Slowest stride that is looked for, Hz.
+const SLOWEST_STRIDE_HZ: f64 = 0.3;
+/// Joint power above this is vibration, not walking, Hz.
+pub const VIBRATION_HZ: f64 = 6.0;
+/// Shortest trace that can be measured, s: two strides at 1.25 Hz.
+pub const SHORTEST_S: f64 = 1.6;
+
+/// How to measure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measure {
+    /// Time left out at the start of an episode, s: the robot speeds up.
+    pub settle_s: f64,
+    /// Vertical force from which a foot counts as in contact, N.
+    pub contact_force_n: f64,
+    /// Force on the trunk from which it counts as in contact, N.
+    pub trunk_force_n: f64,
+    /// Mass of the robot, kg.
+    pub mass_kg: f64,
+}
+
+/// One episode in figures. Means are over its frames after settling.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Gait {
+    /// Mean velocity of the whole body, heading frame, m/s.
+    pub velocity_mps: [f64; 2],
+    /// Mean yaw rate, rad/s.
+    pub yaw_rate_radps: f64,
+    /// Root mean square of velocity x, y (m/s) and yaw rate (rad/s), each averaged over whole strides, minus the command.
+    pub tracking_rmse: [f64; 3],
+    /// Speed over the ground in a straight line: way from first to last frame over time, m/s.
+    pub drift_mps: f64,
+    /// Strongest frequency in the height of the feet, Hz; 0 where the feet do not move.
+    pub stride_hz: f64,
+    /// Frequency that the gait clock asks for, Hz.
+    pub clock_hz: f64,
+    /// Share of time that each foot is on the ground.
+    pub duty_factor: [f64; FEET],
+    /// Height that each foot reaches above the ground, mean over strides, m.
+    pub clearance_m: [f64; FEET],
+    /// Mean horizontal speed of a foot in the middle of its stance (on the ground the step before and after as well), m/s.
+    pub slip_mps: f64,
+    /// Share of time with the trunk or a leg (but not its foot) on the ground.
+    pub trunk_contact_share: f64,
+    /// Mean of Σ|q̇τ|, W.
+    pub power_w: f64,
+    /// Power over weight times speed along the way, 1; infinite where it stands.
+    pub cost_of_transport: f64,
+    /// Share of the mechanical power of the joints at frequencies above [`VIBRATION_HZ`]: Σ|Re(Q̇*·τ)| over the bins of both spectra.
+    pub vibration_share: f64,
+    /// Largest torque of any motor, N·m.
+    pub torque_peak_nm: f64,
+    /// Root mean square of the torque of all motors, N·m.
+    pub torque_rms_nm: f64,
+    /// Largest speed of any joint, rad/s.
+    pub joint_speed_peak_radps: f64,
+    /// Root mean square of the acceleration of all joints (difference of velocities), rad/s²: how smooth the motion is.
+    pub joint_accel_rms_radps2: f64,
+}
+
+impl Gait {
+    /// Measures an episode; `None` if fewer than [`SHORTEST_S`] of it are left after settling.
+    #[must_use]
+    pub fn of(trace: &Trace, measure: &Measure) -> Option<Self> {
+        let frames = trace.after(measure.settle_s);
+        if (frames.len() as f64) * trace.period_s < SHORTEST_S {
+            return None;
+        }
+        let spectrum = Spectrum::new(frames.len(), 1.0 / trace.period_s);
+        let speed = |f: &Frame| f64::from(f.velocity_mps[0]).hypot(f64::from(f.velocity_mps[1]));
+        let power_w = mean(frames, |f| {
+            f.power_w.iter().map(|&p| f64::from(p.abs())).sum()
+        });
+        let velocity_mps = [0, 1].map(|i| mean(frames, |f| f64::from(f.velocity_mps[i])));
+        let along = velocity_mps[0].hypot(velocity_mps[1]);
+        Some(Self {
+            velocity_mps,
+            yaw_rate_radps: mean(frames, |f| f64::from(f.yaw_rate_radps)),
+            tracking_rmse: tracking_rmse(frames, stride_frames(trace)),
+            drift_mps: way_m(frames) / (trace.period_s * (frames.len() - 1) as f64),
+            stride_hz: stride_hz(frames, &spectrum),
+            clock_hz: trace.clock_hz,
+            duty_factor: std::array::from_fn(|foot| {
+                mean(frames, |f| f64::from(on_ground(f, foot, measure)))
+            }),
+            clearance_m: clearance_m(frames, stride_frames(trace)),
+            slip_mps: slip_mps(frames, measure),
+            trunk_contact_share: mean(frames, |f| {
+                f64::from(u8::from(f64::from(f.trunk_force_n) > measure.trunk_force_n))
+            }),
+            power_w,
+            cost_of_transport: power_w
+                / (measure.mass_kg * GRAVITY_MPS2 * along.min(mean(frames, speed))),
+            vibration_share: vibration_share(frames, &spectrum),
+            torque_peak_nm: peak(frames, |f| &f.torque_nm),
+            torque_rms_nm: mean(frames, |f| mean_square(&f.torque_nm)).sqrt(),
+            joint_speed_peak_radps: peak(frames, |f| &f.joint_vel_radps),
+            joint_accel_rms_radps2: accel_rms(frames, trace.period_s),
+        })
+    }
+}
+
+/// Frames of one stride of the clock, at least one.
+fn stride_frames(trace: &Trace) -> usize {
+    ((1.0 / (trace.clock_hz.max(SLOWEST_STRIDE_HZ) * trace.period_s)).round() as usize).max(1)
+}
+
+fn mean(frames: &[Frame], value: impl Fn(&Frame) -> f64) -> f64 {
+    frames.iter().map(value).sum::<f64>() / frames.len().max(1) as f64
+}
+
+fn mean_square(values: &[f32; ACT_DIM]) -> f64 {
+    values.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>() / ACT_DIM as f64
+}
+
+fn peak(frames: &[Frame], values: impl Fn(&Frame) -> &[f32; ACT_DIM]) -> f64 {
+    let all = frames.iter().flat_map(|f| values(f).iter());
+    all.fold(0.0, |most, v| most.max(f64::from(v.abs())))
+}
+
+fn accel_rms(frames: &[Frame], period_s: f64) -> f64 {
+    let squares = frames.windows(2).map(|w| {
+        let change: [f32; ACT_DIM] =
+            std::array::from_fn(|j| w[1].joint_vel_radps[j] - w[0].joint_vel_radps[j]);
+        mean_square(&change) / (period_s * period_s)
+    });
+    (squares.sum::<f64>() / (frames.len() - 1) as f64).sqrt()
+}
+
+fn on_ground(frame: &Frame, foot: usize, measure: &Measure) -> u8 {
+    u8::from(f64::from(frame.foot_force_n[foot]) > measure.contact_force_n)
+}
+
+fn way_m(frames: &[Frame]) -> f64 {
+    let (Some(first), Some(last)) = (frames.first(), frames.last()) else {
+        return 0.0;
+    };
+    let along = |i: usize| f64::from(last.com_m[i] - first.com_m[i]);
+    along(0).hypot(along(1))
+}
+
+/// Averages over whole strides, because a trunk that bends sways about its mean velocity.
+fn tracking_rmse(frames: &[Frame], stride: usize) -> [f64; 3] {
+    let strides = frames.chunks_exact(stride.min(frames.len()));
+    let n = strides.len() as f64;
+    let mut squares = [0.0; 3];
+    for stride in strides {
+        let errors = [
+            mean(stride, |f| f64::from(f.velocity_mps[0] - f.command[0])),
+            mean(stride, |f| f64::from(f.velocity_mps[1] - f.command[1])),
+            mean(stride, |f| f64::from(f.yaw_rate_radps - f.command[2])),
+        ];
+        for (sum, error) in squares.iter_mut().zip(errors) {
+            *sum += error * error / n;
+        }
+    }
+    squares.map(f64::sqrt)
+}
+
+fn stride_hz(frames: &[Frame], spectrum: &Spectrum) -> f64 {
+    let mut power = vec![0.0; spectrum.bins()];
+    for foot in 0..FEET {
+        let heights = spectrum.of(frames.iter().map(|f| f64::from(f.foot_height_m[foot])));
+        for (sum, c) in power.iter_mut().zip(&heights) {
+            *sum += c.norm_sqr();
+        }
+    }
+    spectrum.peak_hz(&power, SLOWEST_STRIDE_HZ).unwrap_or(0.0)
+}
+
+fn clearance_m(frames: &[Frame], stride: usize) -> [f64; FEET] {
+    std::array::from_fn(|foot| {
+        let strides = frames.chunks_exact(stride.min(frames.len()));
+        let n = strides.len() as f64;
+        let highest = |s: &[Frame]| {
+            s.iter()
+                .fold(f64::MIN, |top, f| top.max(f64::from(f.foot_height_m[foot])))
+        };
+        strides.map(highest).sum::<f64>() / n
+    })
+}
+
+fn slip_mps(frames: &[Frame], measure: &Measure) -> f64 {
+    let (mut sum, mut n) = (0.0, 0_u32);
+    for w in frames.windows(3) {
+        for foot in 0..FEET {
+            if w.iter().all(|f| on_ground(f, foot, measure) == 1) {
+                sum += f64::from(w[1].foot_speed_mps[foot]);
+                n += 1;
+            }
+        }
+    }
+    sum / f64::from(n.max(1))
+}
+
+fn vibration_share(frames: &[Frame], spectrum: &Spectrum) -> f64 {
+    let (mut above, mut all) = (0.0, 0.0);
+    for joint in 0..ACT_DIM {
+        let speeds = spectrum.of(frames.iter().map(|f| f64::from(f.joint_vel_radps[joint])));
+        let torques = spectrum.of(frames.iter().map(|f| f64::from(f.torque_nm[joint])));
+        for k in 1..spectrum.bins() {
+            let power = (speeds[k].conj() * torques[k]).re.abs();
+            all += power;
+            if spectrum.frequency_hz(k) > VIBRATION_HZ {
+                above += power;
+            }
+        }
+    }
+    if all > 0.0 { above / all } else { 0.0 }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use std::f64::consts::{PI, TAU};
+
+    pub(crate) const MEASURE: Measure = Measure {
+        settle_s: 2.0,
+        contact_force_n: 1.0,
+        trunk_force_n: 1.0,
+        mass_kg: 2.6,
+    };
+
+    /// A robot that trots at `stride_hz` with 0.3 m/s for 12 s, with a vibration of `shake` (0 to 1) of its joint speed at 8 Hz.
+    pub(crate) fn trot(stride_hz: f64, shake: f64) -> Trace {
+        let frames = (0..600).map(|i| {
+            let t = f64::from(i) * 0.02;
+            let mut frame = Frame {
+                command: [0.3, 0.0, 0.0],
+                velocity_mps: [0.3, 0.02 * (TAU * stride_hz * t).sin() as f32],
+                com_m: [0.3 * t as f32, 0.0, 0.1],
+                ..Frame::default()
+            };
+            for foot in 0..4 {
+                let phase = TAU * stride_hz * t + if foot == 1 || foot == 2 { PI } else { 0.0 };
+                // in the air for the first half of each cycle, up to 5 cm
+                let lift = phase.sin();
+                frame.foot_height_m[foot] = (0.05 * lift.max(0.0)) as f32;
+                frame.foot_force_n[foot] = if lift > 0.0 { 0.0 } else { 12.0 };
+                frame.foot_speed_mps[foot] = if lift > 0.0 { 0.6 } else { 0.02 };
+            }
+            for j in 0..16 {
+                let slow = (TAU * stride_hz * t).cos();
+                let fast = (TAU * 8.0 * t).cos();
+                let speed = 2.0 * ((1.0 - shake) * slow + shake * fast);
+                frame.joint_vel_radps[j] = speed as f32;
+                frame.torque_nm[j] = (0.2 * speed) as f32;
+                frame.power_w[j] = (0.2 * speed * speed) as f32;
+            }
+            frame
+        });
+        Trace {
+            period_s: 0.02,
+            clock_hz: stride_hz,
+            frames: frames.collect(),
+            fell: None,
+        }
+    }
+
+    fn near(got: f64, want: f64, by: f64) {
+        assert!((got - want).abs() <= by, "got {got}, want {want}");
+    }
+
+    #[test]
+    fn a_trot_by_hand() {
+        let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        near(gait.stride_hz, 1.4, 0.03);
+        near(gait.velocity_mps[0], 0.3, 1e-6);
+        near(gait.drift_mps, 0.3, 1e-4);
+        near(gait.duty_factor[0], 0.5, 0.02);
+        near(gait.clearance_m[3], 0.05, 0.001);
+        near(gait.slip_mps, 0.02, 1e-6);
+        // 16 joints · 0.2·(2·cos)² = 16·0.2·4·½ = 6.4 W; 6.4/(2.6·9.81·0.3) = 0.836
+        near(gait.power_w, 6.4, 0.05);
+        near(gait.cost_of_transport, 0.836, 0.01);
+        near(gait.torque_peak_nm, 0.4, 0.001);
+        near(gait.joint_speed_peak_radps, 2.0, 0.005);
+        // acceleration 2·2π·1.4·sin: 17.59/√2 = 12.44 rad/s²
+        near(gait.joint_accel_rms_radps2, 12.44, 0.1);
+        assert!(gait.vibration_share < 0.01);
+        // sway averages out over whole strides
+        assert!(
+            gait.tracking_rmse.iter().all(|e| *e < 2e-3),
+            "{:?}",
+            gait.tracking_rmse
+        );
+        assert_eq!(gait.trunk_contact_share, 0.0);
+    }
+
+    #[test]
+    fn vibration_is_power_above_six_hertz() {
+        // amplitudes ½ and ½ of the same size: half of the power is at 8 Hz
+        let gait = Gait::of(&trot(1.4, 0.5), &MEASURE).unwrap();
+        near(gait.vibration_share, 0.5, 0.02);
+    }
+
+    #[test]
+    fn a_short_episode_is_not_measured() {
+        let mut trace = trot(1.4, 0.0);
+        trace.frames.truncate(150);
+        assert_eq!(Gait::of(&trace, &MEASURE), None);
+    }
+}

@@ -1,0 +1,203 @@
+//! What an evaluation found.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use crate::gait::Gait;
+use crate::{Estimate, GateReport, Suite};
+
+/// A policy in all scenarios of a suite.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SuiteResult {
+    /// The suite.
+    pub suite: Suite,
+    /// The engine.
+    pub engine: &'static str,
+    /// Version of the policy.
+    pub policy_version: u64,
+    /// SHA-256 of the policy's bytes, hex.
+    pub policy_sha256: String,
+    /// One entry per scenario.
+    pub scenarios: Vec<ScenarioResult>,
+}
+
+/// A policy in one scenario. Means are over episodes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ScenarioResult {
+    /// Its name.
+    pub name: String,
+    /// Episodes.
+    pub episodes: usize,
+    /// Episodes that ended by failing, per reason.
+    pub falls: BTreeMap<&'static str, usize>,
+    /// Share of episodes that ended by failing.
+    pub fall_share: Estimate,
+    /// Mean command: vx, vy (m/s), yaw rate (rad/s).
+    pub command: [f64; 3],
+    /// Mean velocity forward, heading frame, m/s.
+    pub vx_mps: Estimate,
+    /// Mean velocity to the left, heading frame, m/s.
+    pub vy_mps: Estimate,
+    /// Mean yaw rate, rad/s.
+    pub yaw_rate_radps: Estimate,
+    /// Root mean square over episodes of (mean velocity or yaw rate − command): vx, vy (m/s), yaw rate (rad/s).
+    pub rmse_of_means: [f64; 3],
+    /// Mean over episodes of the root mean square error of whole strides.
+    pub rmse_of_strides: [f64; 3],
+    /// Way from start to end over time, m/s.
+    pub drift_mps: Estimate,
+    /// Σ|q̇τ|, W.
+    pub power_w: Estimate,
+    /// Power over weight times speed.
+    pub cost_of_transport: Estimate,
+    /// Strongest frequency in the feet's heights, Hz.
+    pub stride_hz: Estimate,
+    /// Share of time on the ground per foot: FL, FR, HL, HR.
+    pub duty_factor: [f64; 4],
+    /// Height that each foot reaches, m.
+    pub clearance_m: [f64; 4],
+    /// Speed of feet in stance, m/s.
+    pub slip_mps: Estimate,
+    /// Share of joint power above 6 Hz.
+    pub vibration_share: Estimate,
+    /// Share of time with trunk or legs on the ground.
+    pub trunk_contact_share: Estimate,
+    /// Largest torque of any motor in any episode, N·m.
+    pub torque_peak_nm: f64,
+    /// Root mean square torque, N·m.
+    pub torque_rms_nm: f64,
+    /// Largest joint speed in any episode, rad/s.
+    pub joint_speed_peak_radps: f64,
+    /// Root mean square joint acceleration, rad/s².
+    pub joint_accel_rms_radps2: f64,
+    /// Whether it walks; `None` where the scenario is not about walking.
+    pub gates: Option<GateReport>,
+}
+
+/// What an episode contributes.
+#[derive(Clone, Debug)]
+pub(crate) struct Episode {
+    pub command: [f32; 3],
+    pub fell: Option<&'static str>,
+    /// `None`: over too soon to be measured.
+    pub gait: Option<Gait>,
+}
+
+impl ScenarioResult {
+    /// Sums up the episodes of one scenario.
+    pub(crate) fn of(name: &str, episodes: &[Episode], gates: Option<GateReport>) -> Self {
+        let gaits: Vec<&Gait> = episodes.iter().filter_map(|e| e.gait.as_ref()).collect();
+        let estimate = |value: &dyn Fn(&Gait) -> f64| {
+            let values: Vec<f64> = gaits.iter().map(|g| value(g)).collect();
+            Estimate::of(&values)
+        };
+        let mean = |value: &dyn Fn(&Gait) -> f64| estimate(value).mean;
+        let most = |value: fn(&Gait) -> f64| gaits.iter().map(|g| value(g)).fold(0.0, f64::max);
+        let mut falls = BTreeMap::new();
+        for reason in episodes.iter().filter_map(|e| e.fell) {
+            *falls.entry(reason).or_insert(0) += 1;
+        }
+        Self {
+            name: name.to_owned(),
+            episodes: episodes.len(),
+            fall_share: Estimate::share(falls.values().sum(), episodes.len()),
+            falls,
+            command: std::array::from_fn(|i| {
+                let sum: f64 = episodes.iter().map(|e| f64::from(e.command[i])).sum();
+                sum / episodes.len().max(1) as f64
+            }),
+            vx_mps: estimate(&|g| g.velocity_mps[0]),
+            vy_mps: estimate(&|g| g.velocity_mps[1]),
+            yaw_rate_radps: estimate(&|g| g.yaw_rate_radps),
+            rmse_of_means: rmse_of_means(episodes),
+            rmse_of_strides: std::array::from_fn(|i| mean(&|g| g.tracking_rmse[i])),
+            drift_mps: estimate(&|g| g.drift_mps),
+            power_w: estimate(&|g| g.power_w),
+            cost_of_transport: estimate(&|g| g.cost_of_transport),
+            stride_hz: estimate(&|g| g.stride_hz),
+            duty_factor: std::array::from_fn(|foot| mean(&|g| g.duty_factor[foot])),
+            clearance_m: std::array::from_fn(|foot| mean(&|g| g.clearance_m[foot])),
+            slip_mps: estimate(&|g| g.slip_mps),
+            vibration_share: estimate(&|g| g.vibration_share),
+            trunk_contact_share: estimate(&|g| g.trunk_contact_share),
+            torque_peak_nm: most(|g| g.torque_peak_nm),
+            torque_rms_nm: mean(&|g| g.torque_rms_nm),
+            joint_speed_peak_radps: most(|g| g.joint_speed_peak_radps),
+            joint_accel_rms_radps2: mean(&|g| g.joint_accel_rms_radps2),
+            gates,
+        }
+    }
+
+    /// Whether it walks by the gates and without falling in more than 5 % of the episodes; `None` where it is not about walking.
+    #[must_use]
+    pub fn walks(&self) -> Option<bool> {
+        const FALLS_MOST: f64 = 0.05;
+        let gates = self.gates.as_ref()?;
+        Some(gates.walks && self.fall_share.mean <= FALLS_MOST)
+    }
+}
+
+fn rmse_of_means(episodes: &[Episode]) -> [f64; 3] {
+    let mut squares = [0.0; 3];
+    let mut n = 0.0;
+    for episode in episodes {
+        let Some(gait) = &episode.gait else { continue };
+        let [vx, vy] = gait.velocity_mps;
+        for (i, got) in [vx, vy, gait.yaw_rate_radps].into_iter().enumerate() {
+            squares[i] += (got - f64::from(episode.command[i])).powi(2);
+        }
+        n += 1.0;
+    }
+    squares.map(|sum| (sum / f64::max(n, 1.0)).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gait::tests::{MEASURE, trot};
+
+    #[test]
+    fn falls_and_errors_by_hand() {
+        let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let episode = |command, fell, gait| Episode {
+            command,
+            fell,
+            gait,
+        };
+        let episodes = [
+            episode([0.3, 0.0, 0.0], None, Some(gait.clone())),
+            episode([0.5, 0.0, 0.1], None, Some(gait)),
+            episode([0.3, 0.0, 0.0], Some("tilted"), None),
+        ];
+        let result = ScenarioResult::of("x", &episodes, None);
+        assert_eq!((result.episodes, result.falls["tilted"]), (3, 1));
+        assert!((result.fall_share.mean - 1.0 / 3.0).abs() < 1e-12);
+        // errors 0 and −0.2: √(0.04/2); 0 and −0.1: √(0.01/2)
+        assert!((result.rmse_of_means[0] - 0.02_f64.sqrt()).abs() < 1e-4);
+        assert!((result.rmse_of_means[2] - 0.005_f64.sqrt()).abs() < 1e-4);
+        assert_eq!(result.walks(), None);
+    }
+
+    #[test]
+    fn who_falls_too_often_does_not_walk() {
+        let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let walks = GateReport {
+            walks: true,
+            gates: Vec::new(),
+        };
+        let mut episodes = vec![
+            Episode {
+                command: [0.3, 0.0, 0.0],
+                fell: None,
+                gait: Some(gait),
+            };
+            20
+        ];
+        episodes[0].fell = Some("tilted");
+        let result = |e: &[Episode]| ScenarioResult::of("x", e, Some(walks.clone())).walks();
+        assert_eq!(result(&episodes), Some(true));
+        episodes[1].fell = Some("tilted");
+        assert_eq!(result(&episodes), Some(false));
+    }
+}

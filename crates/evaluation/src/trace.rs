@@ -1,0 +1,82 @@
+//! What is kept of an episode, step by step.
+
+use caudata_env::VecEnv;
+use caudata_task::{ACT_DIM, FEET};
+
+/// The true state after one control step, and what was asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Frame {
+    /// Command during the step: vx, vy (m/s), yaw rate (rad/s), heading frame.
+    pub command: [f32; 3],
+    /// Velocity of the whole body's centre of mass, heading frame, m/s.
+    pub velocity_mps: [f32; 2],
+    /// Yaw rate of the whole body (I⁻¹L), rad/s.
+    pub yaw_rate_radps: f32,
+    /// Centre of mass of the whole body, world, m.
+    pub com_m: [f32; 3],
+    /// Yaw of the line from hind to front girdle, rad.
+    pub heading_rad: f32,
+    /// Height of each foot's lowest point above the ground, m.
+    pub foot_height_m: [f32; FEET],
+    /// Horizontal speed of each foot, m/s.
+    pub foot_speed_mps: [f32; FEET],
+    /// Vertical contact force on each foot, N.
+    pub foot_force_n: [f32; FEET],
+    /// Contact force on trunk and legs but not the feet, N.
+    pub trunk_force_n: f32,
+    /// Position of each actuated joint, rad.
+    pub joint_pos_rad: [f32; ACT_DIM],
+    /// Velocity of each actuated joint, rad/s.
+    pub joint_vel_radps: [f32; ACT_DIM],
+    /// Torque of each motor, mean over the step, N·m.
+    pub torque_nm: [f32; ACT_DIM],
+    /// Mechanical power of each motor, mean over the step, W.
+    pub power_w: [f32; ACT_DIM],
+}
+
+impl Frame {
+    /// Reads one lane of `env` after a step that did not end its episode; `command` held during that step.
+    #[must_use]
+    pub fn read(env: &VecEnv, lane: usize, command: [f32; 3]) -> Self {
+        let truth = env.truth(lane);
+        let state = env.state();
+        let [vx, vy, _] = truth.com_vel_mps;
+        Self {
+            command,
+            velocity_mps: [vx, vy],
+            yaw_rate_radps: truth.yaw_rate_radps,
+            com_m: std::array::from_fn(|i| state.com_pos_m[3 * lane + i]),
+            heading_rad: state.heading_rad[lane],
+            foot_height_m: truth.foot_height_m,
+            foot_speed_mps: truth.foot_vel_mps.map(|[x, y, _]| x.hypot(y)),
+            foot_force_n: truth.foot_force_n.map(|[_, _, z]| z),
+            trunk_force_n: truth.trunk_force_n,
+            joint_pos_rad: truth.joint_pos_rad,
+            joint_vel_radps: truth.joint_vel_radps,
+            torque_nm: truth.motor_torque_nm,
+            power_w: truth.mech_power_w,
+        }
+    }
+}
+
+/// One episode.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Trace {
+    /// Time between two frames, s.
+    pub period_s: f64,
+    /// Stride frequency of the gait clock, Hz.
+    pub clock_hz: f64,
+    /// The steps, oldest first. The last step of an episode is missing: the next one had begun when it could be read.
+    pub frames: Vec<Frame>,
+    /// Why the episode ended before its time; `None`: it lasted.
+    pub fell: Option<&'static str>,
+}
+
+impl Trace {
+    /// The frames from `from_s` on.
+    #[must_use]
+    pub fn after(&self, from_s: f64) -> &[Frame] {
+        let first = (from_s / self.period_s).round() as usize;
+        self.frames.get(first..).unwrap_or_default()
+    }
+}

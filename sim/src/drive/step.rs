@@ -1,0 +1,318 @@
+//! One joint, one physics step: [`start`] before it, [`finish`] after it.
+
+use std::f64::consts::TAU;
+
+use super::supply::Bus;
+use super::{DriveFeatures, ImplicitTorque, JointPassive, ServoDrive};
+use super::{filter, friction, gear, passive, servo, thermal};
+use crate::lanes::per_lane;
+use crate::real::Real;
+
+/// Weight of the newest load estimate: the mean of two steps, since a contact's impulse in one step is no load to rub under.
+const LOAD_SHARE: f64 = 0.5;
+
+/// A physics step's length, and its inverse.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step<R> {
+    /// dt, s.
+    pub dt_s: R,
+    /// 1/dt.
+    pub per_dt: R,
+}
+
+impl<R: Real> Step<R> {
+    /// A step of `dt_s`.
+    #[must_use]
+    pub fn new(dt_s: f64) -> Self {
+        Self {
+            dt_s: R::splat(dt_s),
+            per_dt: R::splat(1.0 / dt_s),
+        }
+    }
+}
+
+per_lane! {
+    /// What one servo and its gear remember from step to step.
+    pub struct JointMemory<R> {
+        /// Friction bristle, rad.
+        pub bristle_rad: R,
+        /// Command after the low-pass, rad.
+        pub filtered_rad: R,
+        /// Command after the profile, rad.
+        pub profile_rad: R,
+        /// Speed of the profile, rad/s.
+        pub profile_radps: R,
+        /// Integral part of the loop, N·m.
+        pub integral_nm: R,
+        /// Torque after the loop's lag, N·m.
+        pub lagged_nm: R,
+        /// Estimate of the torque passed on to the load, N·m.
+        pub load_nm: R,
+        /// Rotor ahead of the joint, rad.
+        pub lead_rad: R,
+        /// Rotor speed, rad/s.
+        pub rotor_radps: R,
+        /// Winding temperature above the surroundings, K.
+        pub rise_k: R,
+    }
+}
+
+impl JointMemory<f64> {
+    /// A joint that has been moving at `qd_radps` with the command `command_rad` for long: nothing on its way, gear centred, cold.
+    #[must_use]
+    pub fn rest(command_rad: f64, qd_radps: f64) -> Self {
+        Self {
+            filtered_rad: command_rad,
+            profile_rad: command_rad,
+            rotor_radps: qd_radps,
+            ..Self::default()
+        }
+    }
+}
+
+/// What a joint gets in one step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Driven<R> {
+    /// Everything on the joint: motor, gear, friction, spring, stops.
+    pub torque: ImplicitTorque<R>,
+    /// What the motor gives, N·m.
+    pub motor_nm: R,
+    /// The motor's speed at the start of the step, rad/s.
+    pub motor_radps: R,
+    /// Magnitude of its current, A.
+    pub current_a: R,
+    /// Friction and damping, wherever they act.
+    drag: ImplicitTorque<R>,
+    /// Rotor and teeth; `None` where no lane has them.
+    gear: Option<gear::GearStep<R>>,
+}
+
+/// The torque on an actuated joint at position `q_rad`, velocity `qd_radps` for the step that now begins; `command_rad` is what arrives at the servo.
+#[must_use]
+#[inline(always)]
+pub fn start<R: Real>(
+    f: DriveFeatures,
+    p: &ServoDrive<R>,
+    hinge: &JointPassive<R>,
+    m: &mut JointMemory<R>,
+    step: &Step<R>,
+    bus: &Bus<R>,
+    command_rad: R,
+    q_rad: R,
+    qd_radps: R,
+) -> Driven<R> {
+    let soft = R::splat(0.5).lt(p.gear_is_soft);
+    let motor_radps = if f.gear {
+        R::select(soft, m.rotor_radps, qd_radps)
+    } else {
+        qd_radps
+    };
+    let target_rad = follow(f, p, m, step, command_rad);
+    let motor_nm = motor(
+        f,
+        p,
+        m,
+        step,
+        bus,
+        target_rad - q_rad,
+        qd_radps,
+        motor_radps,
+    );
+
+    let bound_nm = friction_bound(f, p, hinge, m, motor_radps);
+    let mut drag = friction::bristle_torque(
+        bound_nm,
+        hinge.presliding_rad,
+        motor_radps,
+        m.bristle_rad,
+        step.dt_s,
+    );
+    drag.damping_nms_per_rad += hinge.damping_nms_per_rad;
+    if f.ripple {
+        let turns = (p.ripple_per_turn * q_rad + p.ripple_phase_rad) * R::splat(1.0 / TAU);
+        let within = turns - (turns + R::splat(0.5)).floor();
+        let (sin, _) = (within * R::splat(TAU)).sin_cos();
+        drag.now_nm += p.ripple_nm * sin;
+    }
+
+    let rigid = drag.plus(ImplicitTorque::constant(motor_nm));
+    let (on_joint, gear) = if f.gear {
+        let g = gear::step(
+            p,
+            m.lead_rad,
+            motor_radps,
+            qd_radps,
+            motor_nm,
+            &drag,
+            step.dt_s,
+        );
+        (ImplicitTorque::select(soft, g.torque, rigid), Some(g))
+    } else {
+        (rigid, None)
+    };
+    Driven {
+        torque: on_joint.plus(passive::spring_and_stops(hinge, q_rad)),
+        motor_nm,
+        motor_radps,
+        current_a: servo::current_a(p, motor_nm),
+        drag,
+        gear,
+    }
+}
+
+/// Takes into memory that the joint moved by `moved_rad` and went from velocity `qd_before_radps` to `qd_after_radps`. Returns the motor's speed at the
+/// end of the step, rad/s.
+#[inline(always)]
+pub fn finish<R: Real>(
+    f: DriveFeatures,
+    p: &ServoDrive<R>,
+    hinge: &JointPassive<R>,
+    m: &mut JointMemory<R>,
+    step: &Step<R>,
+    driven: &Driven<R>,
+    moved_rad: R,
+    qd_before_radps: R,
+    qd_after_radps: R,
+) -> R {
+    let soft = R::splat(0.5).lt(p.gear_is_soft);
+    let (mut motor_radps, mut motor_moved_rad) = (qd_after_radps, moved_rad);
+    if let Some(g) = &driven.gear {
+        let rotor = g.rotor_radps(qd_after_radps);
+        motor_radps = R::select(soft, rotor, qd_after_radps);
+        motor_moved_rad = R::select(soft, step.dt_s * rotor, moved_rad);
+        m.rotor_radps = motor_radps;
+        m.lead_rad = R::select(soft, m.lead_rad + motor_moved_rad - moved_rad, R::zero());
+    }
+    m.bristle_rad = friction::drag_bristle(m.bristle_rad, motor_moved_rad, hinge.presliding_rad);
+    if f.load_friction {
+        // What the motor gives, less friction and what speeds up the rotor, goes on to the load.
+        let before = R::select(soft, driven.motor_radps, qd_before_radps);
+        let passed = driven.motor_nm + driven.drag.after(motor_moved_rad, motor_radps)
+            - p.rotor_kgm2 * (motor_radps - before) * step.per_dt;
+        m.load_nm += R::splat(LOAD_SHARE) * (passed - m.load_nm);
+    }
+    if f.thermal {
+        m.rise_k = thermal::warm_k(p, m.rise_k, driven.current_a);
+    }
+    motor_radps
+}
+
+/// The passive torque of a hinge without a servo, and its bristle's next deflection by [`friction::drag_bristle`].
+#[must_use]
+#[inline(always)]
+pub fn hinge_torque<R: Real>(
+    hinge: &JointPassive<R>,
+    step: &Step<R>,
+    bristle_rad: R,
+    q_rad: R,
+    qd_radps: R,
+) -> ImplicitTorque<R> {
+    let mut drag = friction::bristle_torque(
+        hinge.friction_nm,
+        hinge.presliding_rad,
+        qd_radps,
+        bristle_rad,
+        step.dt_s,
+    );
+    drag.damping_nms_per_rad += hinge.damping_nms_per_rad;
+    drag.plus(passive::spring_and_stops(hinge, q_rad))
+}
+
+/// The command after low-pass and profile, rad.
+#[inline(always)]
+fn follow<R: Real>(
+    f: DriveFeatures,
+    p: &ServoDrive<R>,
+    m: &mut JointMemory<R>,
+    step: &Step<R>,
+    command_rad: R,
+) -> R {
+    let mut target_rad = command_rad;
+    if f.low_pass {
+        m.filtered_rad = filter::low_pass(m.filtered_rad, target_rad, p.low_pass_share);
+        target_rad = m.filtered_rad;
+    }
+    if f.profile {
+        (m.profile_rad, m.profile_radps) = filter::profile(
+            p,
+            m.profile_rad,
+            m.profile_radps,
+            target_rad,
+            step.dt_s,
+            step.per_dt,
+        );
+        target_rad = m.profile_rad;
+    }
+    target_rad
+}
+
+/// Motor torque for a position error, N·m.
+#[inline(always)]
+fn motor<R: Real>(
+    f: DriveFeatures,
+    p: &ServoDrive<R>,
+    m: &mut JointMemory<R>,
+    step: &Step<R>,
+    bus: &Bus<R>,
+    error_rad: R,
+    qd_radps: R,
+    motor_radps: R,
+) -> R {
+    let mut error_rad = error_rad;
+    if f.dead_band {
+        error_rad = servo::dead_band(error_rad, p.dead_band_rad);
+    }
+    let mut kp = p.kp_nm_per_rad;
+    if f.back_drive {
+        kp = kp * servo::back_drive_factor(p.back_drive_kp_ratio, error_rad, qd_radps);
+    }
+    let mut wanted_nm = kp * error_rad - p.kd_nms_per_rad * qd_radps;
+    if f.integral {
+        wanted_nm += m.integral_nm;
+    }
+    if f.loop_lag {
+        m.lagged_nm = filter::low_pass(m.lagged_nm, wanted_nm, p.loop_share);
+        wanted_nm = m.lagged_nm;
+    }
+    wanted_nm -= p.kd_min_nms_per_rad * motor_radps;
+    let mut per_rho = R::one();
+    if f.winding {
+        per_rho = thermal::per_rho(p, m.rise_k);
+        wanted_nm = wanted_nm * per_rho;
+    }
+    let mut given_nm = servo::clamp_nm(p, bus, per_rho, wanted_nm, motor_radps);
+    if f.current_limit {
+        given_nm = given_nm.clamp(-p.current_limit_nm, p.current_limit_nm);
+    }
+    if f.integral {
+        // Stands still while the motor cannot give more: no wind-up.
+        let short = wanted_nm - given_nm;
+        let winds_up = R::zero().lt(short * error_rad);
+        let more = p.ki_nm_per_rad_s * error_rad * step.dt_s;
+        m.integral_nm += R::select(winds_up, R::zero(), more);
+    }
+    given_nm
+}
+
+/// Bound of the dry friction, N·m.
+#[inline(always)]
+fn friction_bound<R: Real>(
+    f: DriveFeatures,
+    p: &ServoDrive<R>,
+    hinge: &JointPassive<R>,
+    m: &JointMemory<R>,
+    speed_radps: R,
+) -> R {
+    let mut bound_nm = hinge.friction_nm;
+    if f.stribeck {
+        bound_nm += friction::stribeck_nm(p, speed_radps);
+    }
+    if f.load_friction {
+        bound_nm += friction::load_friction_nm(p, m.load_nm, speed_radps);
+    }
+    if f.asymmetry {
+        bound_nm += friction::asymmetry_nm(p, m.bristle_rad, hinge.presliding_rad);
+        bound_nm = bound_nm.max(R::zero());
+    }
+    bound_nm
+}

@@ -1,0 +1,465 @@
+//! The whole drive-line on one joint: a single inertia, stepped as an engine does it.
+
+use super::step::{self, Step};
+use super::supply::{self, Bus, Supply};
+use super::*;
+use crate::lanes::Lanes;
+
+const DT: f64 = 0.001;
+
+#[track_caller]
+fn near(what: &str, got: f64, want: f64, tolerance: f64) {
+    assert!(
+        (got - want).abs() <= tolerance,
+        "{what}: got {got}, want {want} ± {tolerance}"
+    );
+}
+
+/// A servo without limits, friction or lag: kp 15, kd 0.3, rotor 0.0022 kg·m².
+fn servo() -> ServoDrive<f64> {
+    ServoDrive {
+        kp_nm_per_rad: 15.0,
+        kd_nms_per_rad: 0.3,
+        tau_max_nm: 1e3,
+        tau_brake_max_nm: 1e3,
+        back_drive_kp_ratio: 1.0,
+        per_torque_constant_a_per_nm: 1.0,
+        current_limit_nm: params::NO_LIMIT,
+        low_pass_share: 1.0,
+        profile_speed_radps: params::NO_LIMIT,
+        profile_acceleration_radps2: params::NO_LIMIT,
+        loop_share: 1.0,
+        winding_scale: 1.0,
+        thermal_share: 1.0,
+        per_stribeck_speed_s_per_rad: 10.0,
+        rotor_kgm2: 0.0022,
+        ..ServoDrive::default()
+    }
+}
+
+fn hinge() -> JointPassive<f64> {
+    JointPassive {
+        presliding_rad: 0.002,
+        low_rad: -1e6,
+        high_rad: 1e6,
+        ..JointPassive::default()
+    }
+}
+
+/// A joint with a load of 0.01 kg·m².
+struct Rig {
+    servo: ServoDrive<f64>,
+    hinge: JointPassive<f64>,
+    memory: JointMemory<f64>,
+    volt: f64,
+    q: f64,
+    qd: f64,
+    motor_nm: f64,
+}
+
+impl Rig {
+    fn new(servo: ServoDrive<f64>, hinge: JointPassive<f64>) -> Self {
+        Self {
+            servo,
+            hinge,
+            memory: JointMemory::rest(0.0, 0.0),
+            volt: 12.0,
+            q: 0.0,
+            qd: 0.0,
+            motor_nm: 0.0,
+        }
+    }
+
+    /// One step under a load torque; an engine's part is the implicit solution for q̇⁺.
+    fn step(&mut self, command: f64, load: f64) {
+        let f = DriveFeatures::of(&self.servo);
+        let dt = Step::new(DT);
+        let bus = Bus::at(self.volt);
+        let m = &mut self.memory;
+        let d = step::start(
+            f,
+            &self.servo,
+            &self.hinge,
+            m,
+            &dt,
+            &bus,
+            command,
+            self.q,
+            self.qd,
+        );
+        let inertia = 0.01 + self.servo.armature_kgm2();
+        let t = d.torque;
+        let qd = (inertia * self.qd + DT * (load + t.now_nm))
+            / (inertia + DT * (t.damping_nms_per_rad + DT * t.stiffness_nm_per_rad));
+        step::finish(
+            f,
+            &self.servo,
+            &self.hinge,
+            m,
+            &dt,
+            &d,
+            DT * qd,
+            self.qd,
+            qd,
+        );
+        self.q += DT * qd;
+        self.qd = qd;
+        self.motor_nm = d.motor_nm;
+    }
+
+    fn run(&mut self, seconds: f64, command: impl Fn(f64) -> f64, load: f64) {
+        for k in 0..(seconds / DT).round() as usize {
+            self.step(command(k as f64 * DT), load);
+        }
+    }
+}
+
+#[test]
+fn droops_by_load_over_gain_and_integral_takes_it_out() {
+    // 0.6 N·m on 15 N·m/rad: 0.04 rad
+    let mut rig = Rig::new(servo(), hinge());
+    rig.run(2.0, |_| 0.5, -0.6);
+    near("droop", rig.q, 0.46, 1e-6);
+    let mut rig = Rig::new(
+        ServoDrive {
+            ki_nm_per_rad_s: 30.0,
+            ..servo()
+        },
+        hinge(),
+    );
+    // slow pole: Ki/Kp = 2 /s; after 4 s 0.04·e⁻⁸ is left
+    rig.run(4.0, |_| 0.5, -0.6);
+    near("creeps home", rig.q, 0.5, 5e-5);
+}
+
+#[test]
+fn resistance_doubles_the_droop_and_dead_band_adds_to_it() {
+    let mut rig = Rig::new(
+        ServoDrive {
+            winding_scale: 2.0,
+            ..servo()
+        },
+        hinge(),
+    );
+    rig.run(3.0, |_| 0.5, -0.6);
+    near("twice the resistance", rig.q, 0.42, 1e-6);
+    let mut rig = Rig::new(
+        ServoDrive {
+            dead_band_rad: 0.01,
+            ..servo()
+        },
+        hinge(),
+    );
+    rig.run(3.0, |_| 0.5, -0.6);
+    near("dead band", rig.q, 0.45, 1e-6);
+}
+
+#[test]
+fn integral_does_not_wind_up() {
+    // limit 0.5 N·m against a load of 0.6: sinks onto its stop
+    let mut rig = Rig::new(
+        ServoDrive {
+            ki_nm_per_rad_s: 30.0,
+            current_limit_nm: 0.5,
+            ..servo()
+        },
+        JointPassive {
+            low_rad: -0.2,
+            stop_stiffness_nm_per_rad: 1000.0,
+            stop_damping_nms_per_rad: 2.0,
+            ..hinge()
+        },
+    );
+    rig.run(5.0, |_| 0.0, -0.6);
+    near("rests on its stop", rig.q, -0.2001, 1e-4);
+    near("current limit", rig.motor_nm, 0.5, 1e-9);
+    // the error of 0.2 rad alone would have gathered 30·0.2·5 = 30 N·m
+    near("integral", rig.memory.integral_nm, 0.0, 0.1);
+}
+
+#[test]
+fn low_pass_lags_by_its_phase() {
+    // τ = 50 ms at 2 Hz: gain 1/√(1 + 0.3948) = 0.8467, phase atan(0.6283) = 32.1°
+    let tau = 0.05;
+    let p = ServoDrive {
+        low_pass_share: filter::lag_share(tau, DT),
+        ..servo()
+    };
+    let w = 2.0 * std::f64::consts::TAU;
+    let respond = |p: ServoDrive<f64>| {
+        let mut rig = Rig::new(p, hinge());
+        let (mut sin, mut cos) = (0.0, 0.0);
+        for k in 0..3000 {
+            let t = f64::from(k) * DT;
+            rig.step((w * t).sin(), 0.0);
+            if k >= 2000 {
+                sin += rig.q * (w * t).sin() * 2.0 * DT;
+                cos += rig.q * (w * t).cos() * 2.0 * DT;
+            }
+        }
+        (sin.hypot(cos), cos.atan2(sin))
+    };
+    let (plain, slow) = (respond(servo()), respond(p));
+    near("gain", slow.0 / plain.0, 0.8467, 0.003);
+    // the discrete filter is half a step ahead of the continuous one
+    near("phase", plain.1 - slow.1, 0.5610, w * 0.6 * DT);
+}
+
+#[test]
+fn friction_sets_the_steady_speed() {
+    // 0.3 N·m against Coulomb 0.1 and viscous 0.05: (0.3 − 0.1)/0.05 = 4 rad/s
+    let free = ServoDrive {
+        kp_nm_per_rad: 0.0,
+        kd_nms_per_rad: 0.0,
+        ..servo()
+    };
+    let mut rig = Rig::new(
+        free,
+        JointPassive {
+            friction_nm: 0.1,
+            damping_nms_per_rad: 0.05,
+            ..hinge()
+        },
+    );
+    rig.run(3.0, |_| 0.0, 0.3);
+    near("speed", rig.qd, 4.0, 1e-3);
+    // 0.02 heavier forwards, lighter backwards
+    let uneven = ServoDrive {
+        friction_asymmetry_nm: 0.02,
+        ..free
+    };
+    let rubbing = rig.hinge;
+    let mut rig = Rig::new(uneven, rubbing);
+    rig.run(3.0, |_| 0.0, 0.3);
+    near("forwards", rig.qd, 3.6, 1e-3);
+    let mut rig = Rig::new(uneven, rubbing);
+    rig.run(3.0, |_| 0.0, -0.3);
+    near("backwards", rig.qd, -4.4, 1e-3);
+}
+
+#[test]
+fn stribeck_holds_more_than_it_rubs() {
+    // Coulomb 0.1, 0.05 more at rest: 0.14 N·m is held, 0.16 breaks away, and then accelerates by 0.06 on 0.0122 kg·m²
+    let p = ServoDrive {
+        kp_nm_per_rad: 0.0,
+        kd_nms_per_rad: 0.0,
+        stribeck_nm: 0.05,
+        ..servo()
+    };
+    let rough = JointPassive {
+        friction_nm: 0.1,
+        ..hinge()
+    };
+    let mut rig = Rig::new(p, rough);
+    for k in 0..2000 {
+        rig.step(0.0, 0.14 * f64::from(k) / 2000.0); // slowly: a sudden load would swing the bristle through
+    }
+    rig.run(1.0, |_| 0.0, 0.14);
+    // 0.14 of 0.15 N·m: the bristle is bent to 0.14/0.15 of 2 mrad
+    near("held", rig.q, 0.002 * 0.14 / 0.15, 1e-5);
+    near("still", rig.qd, 0.0, 1e-3);
+    rig.run(1.0, |_| 0.0, 0.16);
+    near("sliding", rig.qd, 0.06 / 0.0122, 0.25);
+    // 0.12 keeps it sliding although it would not have started it
+    let before = rig.qd;
+    rig.run(0.5, |_| 0.0, 0.12);
+    near("goes on", rig.qd - before, 0.02 / 0.0122 * 0.5, 0.01);
+}
+
+#[test]
+fn load_friction_lifts_and_lowers() {
+    // 20 % driving, 40 % driven: lifting 0.5 N·m takes 0.5/0.8, as friction is a share of what passes on … to the load: 0.5·1.2 = 0.6;
+    // lowering it takes 0.5·(1 − 0.4) = 0.3. Slow ramps: 0.1 rad/s, with viscous 0 and kd·0.1 = 0.03 N·m in the loop's torque already.
+    let p = ServoDrive {
+        load_friction_mean: 0.3,
+        load_friction_half_difference: -0.1,
+        ..servo()
+    };
+    let mut rig = Rig::new(p, hinge());
+    rig.run(4.0, |t| 0.1 * t, -0.5);
+    near("lifting", rig.motor_nm, 0.6, 0.003);
+    let up = rig.q;
+    rig.run(4.0, |t| up - 0.1 * t, -0.5);
+    near("lowering", rig.motor_nm, 0.3, 0.003);
+}
+
+#[test]
+fn play_in_the_gear_is_free_and_has_its_width() {
+    // ±0.01 rad of play, rotor held by its friction: 0.05 N·m either way moves the joint by 0.02 rad and the teeth's bend
+    let p = ServoDrive {
+        kp_nm_per_rad: 0.0,
+        kd_nms_per_rad: 0.0,
+        gear_is_soft: 1.0,
+        gear_half_gap_rad: 0.01,
+        gear_stiffness_nm_per_rad: 1000.0,
+        gear_damping_nms_per_rad: 0.6 * (1000.0_f64 * 0.0022).sqrt(),
+        ..servo()
+    };
+    let held = JointPassive {
+        friction_nm: 50.0,
+        presliding_rad: 1e-5,
+        ..hinge()
+    };
+    let mut rig = Rig::new(p, held);
+    rig.run(2.0, |_| 0.0, 0.05);
+    let one = rig.q;
+    rig.run(2.0, |_| 0.0, -0.05);
+    near("travel", one - rig.q, 0.0201, 3e-5);
+}
+
+#[test]
+fn stiff_gear_moves_like_no_gear() {
+    let mut rigid = Rig::new(servo(), hinge());
+    let mut geared = Rig::new(
+        ServoDrive {
+            gear_is_soft: 1.0,
+            gear_stiffness_nm_per_rad: 1e6,
+            gear_damping_nms_per_rad: 10.0,
+            ..servo()
+        },
+        hinge(),
+    );
+    for k in 0..500 {
+        let command = if k < 250 { 0.3 } else { -0.1 };
+        rigid.step(command, 0.05);
+        geared.step(command, 0.05);
+        near("same motion", geared.q, rigid.q, 2e-4);
+    }
+}
+
+#[test]
+fn warm_motor_droops_more() {
+    // 0.6 A for 0.6 N·m; 100 K/A² · 0.36 = 36 K; 0.39 %/K: ρ = 1.1404, droop 0.04·1.1404
+    let mut rig = Rig::new(
+        ServoDrive {
+            thermal_rise_k_per_a2: 100.0,
+            thermal_share: filter::lag_share(0.5, DT),
+            resistance_per_k: 0.0039,
+            ..servo()
+        },
+        hinge(),
+    );
+    rig.run(6.0, |_| 0.5, -0.6);
+    near("rise", rig.memory.rise_k, 36.0, 0.01);
+    near("droop", 0.5 - rig.q, 0.04 * 1.1404, 1e-5);
+}
+
+#[test]
+fn loop_lag_makes_it_ring() {
+    // ζ without lag: 0.3/(2·√(15·0.0122)) = 0.35. A lag of 20 ms takes about kp·lag = 0.3 off the damping: it no longer dies
+    let overshoot = |lag: f64| {
+        let mut rig = Rig::new(
+            ServoDrive {
+                loop_share: filter::lag_share(lag, DT),
+                ..servo()
+            },
+            hinge(),
+        );
+        rig.run(2.0, |_| 0.5, 0.0);
+        let mut most = 0.0_f64;
+        for _ in 0..500 {
+            rig.step(0.5, 0.0);
+            most = most.max((rig.q - 0.5).abs());
+        }
+        most
+    };
+    assert!(overshoot(0.0) < 1e-6);
+    assert!(overshoot(0.004) < 1e-3, "a short lag is survived");
+    assert!(overshoot(0.03) > 0.05, "a long one is not");
+}
+
+#[test]
+fn ripple_repeats_with_the_angle() {
+    // held by 15 N·m/rad against 0.05·sin(16 q): 15·(c − q) + 0.05·sin(16·q) = 0
+    let mut rig = Rig::new(
+        ServoDrive {
+            ripple_nm: 0.05,
+            ripple_per_turn: 16.0,
+            ..servo()
+        },
+        hinge(),
+    );
+    for command in [0.05, 0.8, -1.3] {
+        rig.run(2.0, |_| command, 0.0);
+        near(
+            "balance",
+            15.0 * (command - rig.q) + 0.05 * (16.0 * rig.q).sin(),
+            0.0,
+            1e-6,
+        );
+    }
+}
+
+#[test]
+fn working_neighbours_slow_a_joint_down() {
+    // Envelope of the XM430 at 12 V with kd_min 0 runs free at 9.366 rad/s (taper line's end); 4 A of neighbours through 0.5 Ω leave 10 V: 7.805 rad/s
+    let p = ServoDrive {
+        kd_nms_per_rad: 0.0,
+        tau_max_nm: 1.94,
+        tau_brake_max_nm: 2.2,
+        flat_speed_per_volt: 0.8 / 12.0,
+        taper_nms_v_per_rad: 1.54 / 6.8 * 12.0,
+        ..servo()
+    };
+    let supply = Supply {
+        open_v: 12.0,
+        resistance_ohm: 0.5,
+        share: filter::lag_share(0.005, DT),
+    };
+    for (others, want) in [(0.0, 9.3662), (4.0, 7.8052)] {
+        let mut rig = Rig::new(p, hinge());
+        for _ in 0..2000 {
+            rig.volt = supply::settle_v(&supply, rig.volt, others);
+            rig.step(1e3, 0.0);
+        }
+        near("free speed", rig.qd, want, 1e-3);
+    }
+}
+
+#[test]
+fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
+    // every feature switched on for a servo that has none of them: the same bits as without
+    let all = DriveFeatures {
+        delay: true,
+        low_pass: true,
+        profile: true,
+        dead_band: true,
+        integral: true,
+        loop_lag: true,
+        back_drive: true,
+        winding: true,
+        thermal: true,
+        current_limit: true,
+        stribeck: true,
+        load_friction: true,
+        asymmetry: true,
+        ripple: true,
+        gear: true,
+    };
+    assert_eq!(DriveFeatures::of(&servo()), DriveFeatures::default());
+    assert_eq!(all.or(DriveFeatures::default()), all);
+    let p: ServoDrive<f32> = Lanes::splat(&servo());
+    let h: JointPassive<f32> = Lanes::splat(&JointPassive {
+        friction_nm: 0.038,
+        damping_nms_per_rad: 0.0064,
+        ..hinge()
+    });
+    let (dt, bus) = (Step::<f32>::new(DT), Bus::at(12.0_f32));
+    let mut memories: [JointMemory<f32>; 2] = [Lanes::splat(&JointMemory::rest(0.0, 0.0)); 2];
+    let mut at = [(0.0_f32, 0.0_f32); 2];
+    for k in 0..400 {
+        let command = (k as f32 * 0.02).sin();
+        for (i, f) in [DriveFeatures::default(), all].into_iter().enumerate() {
+            let (q, qd) = at[i];
+            let m = &mut memories[i];
+            let d = step::start(f, &p, &h, m, &dt, &bus, command, q, qd);
+            let t = d.torque;
+            let next = (0.0122 * qd + dt.dt_s * t.now_nm)
+                / (0.0122 + dt.dt_s * (t.damping_nms_per_rad + dt.dt_s * t.stiffness_nm_per_rad));
+            step::finish(f, &p, &h, m, &dt, &d, dt.dt_s * next, qd, next);
+            at[i] = (q + dt.dt_s * next, next);
+        }
+        // the profile's own rounding is all that may differ
+        assert!((at[0].0 - at[1].0).abs() < 1e-5, "step {k}: {at:?}");
+    }
+}

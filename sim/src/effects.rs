@@ -1,0 +1,320 @@
+//! Per-lane parameters of single joints, hinges and links, each field with its range: what a lane's robot does differently.
+//!
+//! Every struct also knows its fields by name ([`JointEffects::FIELDS`], [`JointEffects::get`], [`JointEffects::set`]), so that a search over parameters needs no list of its
+//! own.
+
+use caudata_model::{Joint, ServoParams, WaterParams};
+use serde::{Deserialize, Serialize};
+
+use crate::drive::command::MAX_COMMAND_DELAY_S;
+use crate::drive::friction::PRESLIDING_RAD;
+use crate::drive::gear::TOOTH_DAMPING_RATIO;
+
+/// Farthest an end stop can be, rad: stands for none.
+pub const ENDLESS_RAD: f32 = 1e6;
+
+/// One number of an effects struct.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EffectField {
+    /// Name, with unit.
+    pub name: &'static str,
+    /// Smallest value accepted.
+    pub low: f32,
+    /// Largest value accepted.
+    pub high: f32,
+}
+
+/// Declares a struct of `f32`, each with `low..=high`.
+macro_rules! effects {
+    ($(#[$meta:meta])* pub struct $name:ident { $($(#[$field_meta:meta])* $field:ident: $low:expr, $high:expr;)+ }) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct $name {
+            $($(#[$field_meta])* pub $field: f32,)+
+        }
+
+        impl $name {
+            /// Every field, in order of declaration.
+            pub const FIELDS: &[EffectField] = &[
+                $(EffectField { name: stringify!($field), low: $low, high: $high },)+
+            ];
+
+            /// Value of the field called `name`.
+            #[must_use]
+            pub fn get(&self, name: &str) -> Option<f32> {
+                match name {
+                    $(stringify!($field) => Some(self.$field),)+
+                    _ => None,
+                }
+            }
+
+            /// Sets the field called `name`; whether there is one. (Its range is checked where the lane's parameters are.)
+            pub fn set(&mut self, name: &str, value: f32) -> bool {
+                match name {
+                    $(stringify!($field) => self.$field = value,)+
+                    _ => return false,
+                }
+                true
+            }
+
+            /// The first field outside its range, and its value.
+            pub(crate) fn wrong(&self) -> Option<(EffectField, f32)> {
+                let values = [$(self.$field),+];
+                Self::FIELDS
+                    .iter()
+                    .zip(values)
+                    .find(|(f, v)| !(f.low..=f.high).contains(v))
+                    .map(|(f, v)| (*f, v))
+            }
+        }
+    };
+}
+
+effects! {
+    /// Drive-line of one actuated joint, beyond what [`LaneParams`](crate::LaneParams) has as arrays. Formulas: [`crate::drive`].
+    pub struct JointEffects {
+        /// Delay of this joint's commands on top of the lane's `command_delay_s`, s (sampling skew along the bus). Together at most
+        /// [`MAX_COMMAND_DELAY_S`]. Nominal 0.
+        command_skew_s: 0.0, MAX_COMMAND_DELAY_S;
+        /// Time constant of a first-order low-pass on the command, s. Nominal 0: none.
+        command_low_pass_s: 0.0, 10.0;
+        /// Speed limit of the servo's command profile, rad/s. Nominal 0: none.
+        profile_speed_radps: 0.0, 1000.0;
+        /// Acceleration limit of the servo's command profile, rad/s². Nominal 0: none.
+        profile_acceleration_radps2: 0.0, 1e6;
+        /// Errors within ± this give no torque, and larger ones that much less, rad. Nominal 0.
+        dead_band_rad: 0.0, 1.0;
+        /// Integral gain, N·m/(rad·s); stands still while the motor saturates. Nominal 0.
+        ki_nm_per_rad_s: 0.0, 1000.0;
+        /// Lag between what the loop wants and what the motor gives, s (computing time and current loop). Nominal 0.
+        loop_lag_s: 0.0, 1.0;
+        /// Factor on both speeds of the envelope (a lower back-EMF constant is a faster motor). Nominal 1.
+        speed_scale: 0.05, 20.0;
+        /// Factor on the limit of torque against the motion, on top of `torque_scale`. Nominal 1.
+        brake_scale: 0.0, 100.0;
+        /// Winding resistance over the nominal one: divides the loop's torque and the sloping part of the envelope. Nominal 1.
+        winding_scale: 0.05, 20.0;
+        /// Damping that the motor has beyond the Kd gain (back-EMF), N·m·s/rad. Nominal: the servo's.
+        kd_min_nms_per_rad: 0.0, 100.0;
+        /// Factor on Kp while the load drives the joint away from its target. Nominal: the servo's.
+        back_drive_kp_ratio: 0.0, 10.0;
+        /// Torque per ampere beyond the dead band, N·m/A. Nominal: the servo's.
+        torque_constant_nm_per_a: 0.001, 1000.0;
+        /// Current that gives no torque yet, A. Nominal: the servo's.
+        current_dead_band_a: 0.0, 100.0;
+        /// Largest motor current, A. 0: none. Nominal: the servo's.
+        current_limit_a: 0.0, 1000.0;
+        /// Friction at rest beyond Coulomb's, N·m (Stribeck). Nominal: the servo's.
+        stribeck_nm: 0.0, 100.0;
+        /// Speed at which that has fallen to 1/e, rad/s. Nominal: the servo's.
+        stribeck_speed_radps: 1e-3, 100.0;
+        /// Friction per load torque while the motor drives the load. Nominal: the servo's.
+        load_friction_driving: 0.0, 0.95;
+        /// Friction per load torque while the load drives the motor. Nominal: the servo's.
+        load_friction_driven: 0.0, 0.95;
+        /// Friction more in the positive and less in the negative direction, N·m. Nominal 0.
+        friction_asymmetry_nm: -100.0, 100.0;
+        /// Deflection at which friction starts to slide, rad. Nominal 0.002.
+        presliding_rad: 1e-5, 1.0;
+        /// Amplitude of torque ripple A·sin(n·q + φ), N·m. Nominal 0.
+        ripple_nm: 0.0, 100.0;
+        /// n: periods of the ripple per turn of the joint. Nominal 1.
+        ripple_per_turn: 0.0, 10_000.0;
+        /// φ: phase of the ripple, rad. Nominal 0.
+        ripple_phase_rad: -10.0, 10.0;
+        /// Half of the play between rotor and joint, rad. Nominal 0 (the servo's own figure is
+        /// [`gear_backlash_rad`](ServoParams::gear_backlash_rad)/2).
+        gear_half_gap_rad: 0.0, 0.5;
+        /// Stiffness between rotor and joint, N·m/rad. Nominal 0: rigid (teeth of 1000 where there is play).
+        gear_stiffness_nm_per_rad: 0.0, 1e6;
+        /// Damping ratio of the rotor on that stiffness. Nominal 0.3.
+        gear_damping_ratio: 0.0, 10.0;
+        /// Spring at the joint (cable, skin), N·m/rad. Nominal: the model's.
+        spring_nm_per_rad: 0.0, 1e4;
+        /// Where that spring is relaxed, rad. Nominal: the model's.
+        spring_rest_rad: -1000.0, 1000.0;
+        /// Lower end stop, rad. Nominal: the model's.
+        low_rad: -ENDLESS_RAD, ENDLESS_RAD;
+        /// Upper end stop, rad, not below the lower one. Nominal: the model's.
+        high_rad: -ENDLESS_RAD, ENDLESS_RAD;
+        /// Steady rise of the winding's temperature per current squared, K/A². Nominal 0: stays cold.
+        thermal_rise_k_per_a2: 0.0, 1000.0;
+        /// Time constant of the warming, s. Nominal 100.
+        thermal_time_s: 0.1, 1e5;
+        /// Growth of the winding's resistance, 1/K. Nominal 0.0039, copper.
+        resistance_per_k: 0.0, 0.1;
+    }
+}
+
+impl JointEffects {
+    /// The joint as the model has it.
+    #[must_use]
+    pub fn nominal(servo: &ServoParams, joint: &Joint) -> Self {
+        let (low_rad, high_rad) = range(joint);
+        Self {
+            command_skew_s: 0.0,
+            command_low_pass_s: 0.0,
+            profile_speed_radps: 0.0,
+            profile_acceleration_radps2: 0.0,
+            dead_band_rad: 0.0,
+            ki_nm_per_rad_s: 0.0,
+            loop_lag_s: 0.0,
+            speed_scale: 1.0,
+            brake_scale: 1.0,
+            winding_scale: 1.0,
+            kd_min_nms_per_rad: servo.kd_min_nm_s_per_rad as f32,
+            back_drive_kp_ratio: servo.back_drive_kp_ratio as f32,
+            torque_constant_nm_per_a: servo.torque_per_current_nm_per_a as f32,
+            current_dead_band_a: servo.current_dead_band_a as f32,
+            current_limit_a: servo.current_limit_a as f32,
+            stribeck_nm: servo.stribeck_nm as f32,
+            stribeck_speed_radps: servo.stribeck_speed_radps as f32,
+            load_friction_driving: servo.load_friction_driving as f32,
+            load_friction_driven: servo.load_friction_driven as f32,
+            friction_asymmetry_nm: 0.0,
+            presliding_rad: PRESLIDING_RAD as f32,
+            ripple_nm: 0.0,
+            ripple_per_turn: 1.0,
+            ripple_phase_rad: 0.0,
+            gear_half_gap_rad: 0.0,
+            gear_stiffness_nm_per_rad: 0.0,
+            gear_damping_ratio: TOOTH_DAMPING_RATIO as f32,
+            spring_nm_per_rad: joint.stiffness_nm_per_rad as f32,
+            spring_rest_rad: joint.spring_ref_rad as f32,
+            low_rad,
+            high_rad,
+            thermal_rise_k_per_a2: 0.0,
+            thermal_time_s: 100.0,
+            resistance_per_k: 0.0039,
+        }
+    }
+}
+
+effects! {
+    /// A hinge without a servo: passive, or play at a connection (whose stops are the lane's `backlash_half_width_rad`).
+    pub struct HingeEffects {
+        /// Spring, N·m/rad. Nominal: the model's.
+        spring_nm_per_rad: 0.0, 1e4;
+        /// Where it is relaxed, rad. Nominal: the model's.
+        spring_rest_rad: -1000.0, 1000.0;
+        /// Viscous damping, N·m·s/rad. Nominal: the model's.
+        damping_nms_per_rad: 0.0, 1e4;
+        /// Coulomb friction, N·m. Nominal: the model's.
+        friction_nm: 0.0, 1e4;
+        /// Lower end stop, rad. Nominal: the model's.
+        low_rad: -ENDLESS_RAD, ENDLESS_RAD;
+        /// Upper end stop, rad, not below the lower one. Nominal: the model's.
+        high_rad: -ENDLESS_RAD, ENDLESS_RAD;
+    }
+}
+
+impl HingeEffects {
+    /// The hinge as the model has it.
+    #[must_use]
+    pub fn nominal(joint: &Joint) -> Self {
+        let (low_rad, high_rad) = range(joint);
+        Self {
+            spring_nm_per_rad: joint.stiffness_nm_per_rad as f32,
+            spring_rest_rad: joint.spring_ref_rad as f32,
+            damping_nms_per_rad: joint.damping_nm_s_per_rad as f32,
+            friction_nm: joint.friction_loss_nm as f32,
+            low_rad,
+            high_rad,
+        }
+    }
+}
+
+effects! {
+    /// One link in water. Formulas: [`crate::water`].
+    pub struct LinkWater {
+        /// Factor on the link's buoyancy. Nominal 1.
+        buoyancy_scale: 0.0, 100.0;
+        /// Centre of buoyancy, offset from the (nominal) centre of mass along the link's x, m. Nominal 0.
+        buoyancy_x_m: -1.0, 1.0;
+        /// The same along y.
+        buoyancy_y_m: -1.0, 1.0;
+        /// The same along z.
+        buoyancy_z_m: -1.0, 1.0;
+        /// Factor on linear drag, force and torque. Nominal 1.
+        linear_drag_scale: 0.0, 100.0;
+        /// Factor on quadratic drag along the link's x. Nominal 1.
+        quadratic_drag_scale_x: 0.0, 100.0;
+        /// The same along y.
+        quadratic_drag_scale_y: 0.0, 100.0;
+        /// The same along z.
+        quadratic_drag_scale_z: 0.0, 100.0;
+        /// Factor on the quadratic drag torque. Nominal 1.
+        quadratic_torque_scale: 0.0, 100.0;
+        /// Damping of the vertical motion of the whole link under water, N·s/m. Nominal: the model's.
+        heave_damping_ns_per_m: 0.0, 1000.0;
+        /// Added mass along the link's x, as a share of the displaced water. Nominal: the model's.
+        added_mass_x: 0.0, 20.0;
+        /// The same along y.
+        added_mass_y: 0.0, 20.0;
+        /// The same along z.
+        added_mass_z: 0.0, 20.0;
+        /// Added inertia about the link's x, as a share of the displaced water's own. Nominal: the model's.
+        added_inertia_x: 0.0, 20.0;
+        /// The same about y.
+        added_inertia_y: 0.0, 20.0;
+        /// The same about z.
+        added_inertia_z: 0.0, 20.0;
+    }
+}
+
+impl LinkWater {
+    /// Link `link` as the model has it; without water in the model, neutral.
+    #[must_use]
+    pub fn nominal(water: Option<&WaterParams>, link: usize) -> Self {
+        let added = water.and_then(|w| w.added.get(link));
+        let mass = added.map_or([0.0; 3], |a| a.mass.map(|x| x as f32));
+        let inertia = added.map_or([0.0; 3], |a| a.inertia.map(|x| x as f32));
+        Self {
+            buoyancy_scale: 1.0,
+            buoyancy_x_m: 0.0,
+            buoyancy_y_m: 0.0,
+            buoyancy_z_m: 0.0,
+            linear_drag_scale: 1.0,
+            quadratic_drag_scale_x: 1.0,
+            quadratic_drag_scale_y: 1.0,
+            quadratic_drag_scale_z: 1.0,
+            quadratic_torque_scale: 1.0,
+            heave_damping_ns_per_m: water.map_or(0.0, |w| w.heave_damping_ns_per_m as f32),
+            added_mass_x: mass[0],
+            added_mass_y: mass[1],
+            added_mass_z: mass[2],
+            added_inertia_x: inertia[0],
+            added_inertia_y: inertia[1],
+            added_inertia_z: inertia[2],
+        }
+    }
+}
+
+fn range(joint: &Joint) -> (f32, f32) {
+    joint
+        .range_rad
+        .map_or((-ENDLESS_RAD, ENDLESS_RAD), |(low, high)| {
+            (low as f32, high as f32)
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_are_known_by_name() {
+        let mut link = LinkWater::nominal(None, 0);
+        assert!(link.set("added_mass_y", 0.7) && !link.set("added_mass_w", 0.7));
+        assert_eq!(
+            (link.get("added_mass_y"), link.added_mass_y),
+            (Some(0.7), 0.7)
+        );
+        assert_eq!(link.get("added_mass_w"), None);
+        assert_eq!(LinkWater::FIELDS.len(), 16);
+        assert_eq!(link.wrong(), None);
+        link.buoyancy_scale = f32::NAN;
+        assert_eq!(link.wrong().unwrap().0.name, "buoyancy_scale");
+    }
+}

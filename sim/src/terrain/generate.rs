@@ -1,0 +1,184 @@
+//! Draws height fields.
+
+use std::f64::consts::TAU;
+
+use caudata_random::{Key, Purpose, Stream};
+
+use super::{HeightGrid, MARGIN_M, TerrainConfig, TerrainKind};
+
+/// How many sine waves make a hilly landscape.
+const HILL_WAVES: usize = 12;
+
+/// Height of a shore's land above the water, m: enough for the nominal pose to stand dry.
+pub(super) const FREEBOARD_M: f64 = 0.1;
+
+/// Where a shore's beach begins, m: ahead of a robot that starts at the origin (its nose is there).
+pub(super) const BEACH_X_M: f64 = 0.5;
+
+/// The height field of a valid `config`; `None` for kinds without one.
+pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Option<HeightGrid> {
+    if matches!(config.kind, TerrainKind::Flat | TerrainKind::DeepWater) {
+        return None;
+    }
+    let mut stream = Stream::new(Key::for_run(seed), Purpose::Terrain);
+    let cell_m = config.grid_cell_m();
+    let plan = Plan {
+        points: (config.size_m / cell_m).round() as usize + 1,
+        cell_m,
+    };
+    let (roughness_m, slope_deg) = config.grade();
+    let slope = slope_deg.to_radians().tan();
+    let mut friction = vec![1.0_f32; plan.points * plan.points];
+    let mut heights = match config.kind {
+        TerrainKind::Hills
+        | TerrainKind::Rough
+        | TerrainKind::RoughEasy
+        | TerrainKind::RoughMedium
+        | TerrainKind::RoughHard => plan.hills(config.wavelength_m, slope, &mut stream),
+        TerrainKind::Valley => plan.valley(slope),
+        TerrainKind::Slope => {
+            let half = plan.half_m();
+            plan.each(|x, _| (x + half) * slope)
+        }
+        TerrainKind::Steps => plan.steps(config.step_length_m, config.height_m),
+        TerrainKind::Shore => plan.shore(config.surface_m().unwrap_or(0.0), slope),
+        TerrainKind::Slippery => {
+            friction = plan.patches(config, &mut stream);
+            plan.each(|_, _| 0.0)
+        }
+        TerrainKind::Flat | TerrainKind::Rugged | TerrainKind::DeepWater => plan.each(|_, _| 0.0),
+    };
+    let rugged = matches!(
+        config.kind,
+        TerrainKind::Rugged
+            | TerrainKind::Rough
+            | TerrainKind::RoughEasy
+            | TerrainKind::RoughMedium
+            | TerrainKind::RoughHard
+    );
+    if rugged {
+        for h in &mut heights {
+            *h += stream.uniform_f64(0.0, roughness_m);
+        }
+    }
+    // A slope and steps go from edge to edge; everything else ends at 0.
+    if !matches!(config.kind, TerrainKind::Slope | TerrainKind::Steps) {
+        plan.lower_margin(&mut heights);
+    }
+    let heights_m = heights.iter().map(|&h| h as f32).collect();
+    Some(HeightGrid::new(plan.points, cell_m, heights_m, friction))
+}
+
+/// Size of the grid to be drawn.
+struct Plan {
+    points: usize,
+    cell_m: f64,
+}
+
+impl Plan {
+    fn half_m(&self) -> f64 {
+        self.cell_m * (self.points - 1) as f64 / 2.0
+    }
+
+    /// `[points (y), points (x)]` of a function of world x and y.
+    fn each<T>(&self, mut of: impl FnMut(f64, f64) -> T) -> Vec<T> {
+        let half = self.half_m();
+        let at = |i: usize| i as f64 * self.cell_m - half;
+        let n = self.points;
+        (0..n * n).map(|i| of(at(i % n), at(i / n))).collect()
+    }
+
+    /// Sum of sine waves of random direction and phase, scaled so that no facet is steeper than `slope`, lowest point 0.
+    fn hills(&self, wavelength_m: f64, slope: f64, stream: &mut Stream) -> Vec<f64> {
+        let waves: Vec<[f64; 4]> = (0..HILL_WAVES)
+            .map(|_| {
+                let wavelength = wavelength_m * stream.uniform_f64(1.0, 3.0);
+                let (sin, cos) = stream.uniform_f64(0.0, TAU).sin_cos();
+                let phase = stream.uniform_f64(0.0, TAU);
+                // amplitude proportional to the wavelength: every wave is equally steep
+                [
+                    cos * TAU / wavelength,
+                    sin * TAU / wavelength,
+                    phase,
+                    wavelength,
+                ]
+            })
+            .collect();
+        let half = self.half_m();
+        let mut heights = self.each(|x, y| {
+            let (x, y) = (x + half, y + half);
+            let wave = |[kx, ky, phase, a]: &[f64; 4]| a * (kx * x + ky * y + phase).sin();
+            waves.iter().map(wave).sum::<f64>()
+        });
+        let steepest = self.steepest_facet(&heights).max(1e-12);
+        let lowest = heights.iter().copied().fold(f64::INFINITY, f64::min);
+        for h in &mut heights {
+            *h = (*h - lowest) * slope / steepest;
+        }
+        heights
+    }
+
+    /// Floor 1 m wide along x, walls of constant slope.
+    fn valley(&self, slope: f64) -> Vec<f64> {
+        const FLOOR_HALF_WIDTH_M: f64 = 0.5;
+        self.each(|_, y| (y.abs() - FLOOR_HALF_WIDTH_M).max(0.0) * slope)
+    }
+
+    /// Terraces, lowest at 0 at the edge of largest x.
+    fn steps(&self, length_m: f64, drop_m: f64) -> Vec<f64> {
+        // Number of the terrace at x, the origin in the middle of number 0. A quarter of a cell: rounding must not move a riser.
+        let number = |x: f64| ((x + self.cell_m / 4.0) / length_m + 0.5).floor();
+        let lowest = number(self.half_m());
+        self.each(|x, _| (lowest - number(x)) * drop_m)
+    }
+
+    /// Land, beach and the pool's floor at 0.
+    fn shore(&self, surface_m: f64, slope: f64) -> Vec<f64> {
+        let land = surface_m + FREEBOARD_M;
+        self.each(|x, _| (land - (x - BEACH_X_M).max(0.0) * slope).max(0.0))
+    }
+
+    /// Friction factors: square patches, drawn one by one.
+    fn patches(&self, config: &TerrainConfig, stream: &mut Stream) -> Vec<f32> {
+        let across = (config.size_m / config.patch_m).ceil() as usize + 2;
+        let share = config.patch_share as f32;
+        let slippery: Vec<bool> = (0..across * across).map(|_| stream.chance(share)).collect();
+        let half = self.half_m();
+        self.each(|x, y| {
+            // the middle of the cell decides
+            let (x, y) = (x + self.cell_m / 2.0, y + self.cell_m / 2.0);
+            let patch =
+                |at: f64| (((at + half) / config.patch_m).max(0.0) as usize).min(across - 1);
+            if slippery[patch(y) * across + patch(x)] {
+                config.patch_friction as f32
+            } else {
+                1.0
+            }
+        })
+    }
+
+    /// Largest |∇z| over all facets.
+    fn steepest_facet(&self, heights: &[f64]) -> f64 {
+        let mut steepest = 0.0_f64;
+        for iy in 0..self.points - 1 {
+            for ix in 0..self.points - 1 {
+                let h = |dx: usize, dy: usize| heights[(iy + dy) * self.points + ix + dx];
+                let right = (h(1, 0) - h(0, 0)).hypot(h(1, 1) - h(1, 0));
+                let left = (h(1, 1) - h(0, 1)).hypot(h(0, 1) - h(0, 0));
+                steepest = steepest.max(right).max(left);
+            }
+        }
+        steepest / self.cell_m
+    }
+
+    /// Ramps the outermost [`MARGIN_M`] down to 0.
+    fn lower_margin(&self, heights: &mut [f64]) {
+        let last = self.points - 1;
+        for iy in 0..self.points {
+            for ix in 0..self.points {
+                let steps = ix.min(iy).min(last - ix).min(last - iy);
+                heights[iy * self.points + ix] *= (steps as f64 * self.cell_m / MARGIN_M).min(1.0);
+            }
+        }
+    }
+}
