@@ -55,7 +55,7 @@ pub struct ShowArgs {
     #[arg(long, value_enum, default_value_t = ViewName::Iso)]
     view: ViewName,
     /// Distance of the camera, m
-    #[arg(long, default_value_t = 2.2)]
+    #[arg(long, default_value_t = 1.9)]
     distance: f64,
     /// Width, pixels; default 1280, 480 for an animation
     #[arg(long)]
