@@ -1,6 +1,7 @@
 //! `--set lane.KEY=VALUE`: one robot's physical parameters on the command line.
 //!
-//! `KEY` is a field of `LaneParams`. A number given for a list fills it; `KEY.NAME` is one joint's, link's or foot's value in it.
+//! `KEY` is a field of `LaneParams`. A number given for a list fills it; `KEY.NAME` is one joint's, link's or foot's value in it. In lists of tables,
+//! `KEY.FIELD` is that field of all, `KEY.NAME.FIELD` of one.
 
 use caudata_config::ConfigArgs;
 use caudata_model::{JointKind, RobotModel};
@@ -43,27 +44,39 @@ pub fn changed(model: &RobotModel, changes: &[String]) -> Result<LaneParams, Fai
 
 fn apply(fields: &mut Value, model: &RobotModel, change: &str) -> Result<(), String> {
     let (key, text) = change.split_once('=').ok_or("must be KEY=VALUE")?;
-    let (field, name) = match key.trim().split_once('.') {
-        Some((field, name)) => (field, Some(name)),
-        None => (key.trim(), None),
-    };
-    let known = fields.as_object().map(|o| o.keys().cloned().collect());
-    let known: Vec<String> = known.unwrap_or_default();
-    let slot = fields
-        .get_mut(field)
-        .ok_or_else(|| format!("there is no `{field}`; known: {}", known.join(", ")))?;
-    let value: Value =
+    let value =
         serde_json::from_str(text.trim()).map_err(|_| format!("`{text}` is not a value"))?;
-    match (slot, name) {
-        (Value::Array(list), Some(name)) => {
-            let at = index_of(model, list.len(), name)?;
-            list[at] = value;
+    let path: Vec<&str> = key.trim().split('.').collect();
+    put(fields, model, &path, &value)
+}
+
+/// Puts `value` at `path` below `slot`.
+fn put(slot: &mut Value, model: &RobotModel, path: &[&str], value: &Value) -> Result<(), String> {
+    let Some((name, rest)) = path.split_first() else {
+        match slot {
+            Value::Array(list) if !value.is_array() => list.fill(value.clone()),
+            slot => *slot = value.clone(),
         }
-        (_, Some(_)) => return Err(format!("`{field}` is one value, not a list")),
-        (Value::Array(list), None) if !value.is_array() => list.fill(value),
-        (slot, None) => *slot = value,
+        return Ok(());
+    };
+    match slot {
+        Value::Object(fields) => {
+            let known: Vec<String> = fields.keys().cloned().collect();
+            let field = fields
+                .get_mut(*name)
+                .ok_or_else(|| format!("there is no `{name}`; known: {}", known.join(", ")))?;
+            put(field, model, rest, value)
+        }
+        Value::Array(list) => match index_of(model, list.len(), name) {
+            Ok(at) => put(&mut list[at], model, rest, value),
+            // no element's name: a field that all of them have
+            Err(_) if list.iter().all(Value::is_object) => list
+                .iter_mut()
+                .try_for_each(|each| put(each, model, path, value)),
+            Err(reason) => Err(reason),
+        },
+        _ => Err(format!("there is nothing called `{name}` in one value")),
     }
-    Ok(())
 }
 
 /// Where `name` is in a list of `len` values: of actuated joints, links, backlash hinges or feet, whichever has that many.
@@ -74,11 +87,20 @@ fn index_of(model: &RobotModel, len: usize, name: &str) -> Result<usize, String>
         .map(|j| j.name.as_str());
     let lists: [(&str, Vec<&str>); 4] = [
         ("actuated joint", model.actuated_names()),
-        ("link", model.links().iter().map(|l| l.name.as_str()).collect()),
+        (
+            "link",
+            model.links().iter().map(|l| l.name.as_str()).collect(),
+        ),
         ("backlash hinge", backlash.collect()),
-        ("foot", model.feet().iter().map(|f| f.name.as_str()).collect()),
+        (
+            "foot",
+            model.feet().iter().map(|f| f.name.as_str()).collect(),
+        ),
     ];
-    let mut fitting = lists.iter().filter(|(_, names)| names.len() == len).peekable();
+    let mut fitting = lists
+        .iter()
+        .filter(|(_, names)| names.len() == len)
+        .peekable();
     let what = fitting.peek().map_or("value", |(what, _)| *what);
     fitting
         .find_map(|(_, names)| names.iter().position(|n| *n == name))
@@ -90,8 +112,8 @@ mod tests {
     use super::*;
 
     fn model() -> RobotModel {
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("robots/polymander.robot.toml");
+        let path =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/polymander.robot.toml");
         RobotModel::load(&path).unwrap()
     }
 
@@ -102,12 +124,19 @@ mod tests {
     #[test]
     fn numbers_lists_and_single_joints() {
         assert_eq!(with("foot_friction=0.5").unwrap().foot_friction, 0.5);
-        assert_eq!(with("kp_nm_per_rad = 12").unwrap().kp_nm_per_rad, [12.0; 16]);
+        assert_eq!(
+            with("kp_nm_per_rad = 12").unwrap().kp_nm_per_rad,
+            [12.0; 16]
+        );
         let one = with("kp_nm_per_rad.FL_hip=9").unwrap().kp_nm_per_rad;
         // policy order: eight spine and tail joints, then FL_hip
         assert_eq!((one[7], one[8], one[9]), (15.0, 9.0, 15.0));
         let mass = with("link_mass_scale.body_01=1.5").unwrap();
         assert_eq!(mass.link_mass_scale.iter().sum::<f32>(), 19.5);
+        let all = with("joints.dead_band_rad=0.01").unwrap().joints;
+        assert!(all.iter().all(|j| j.dead_band_rad == 0.01));
+        let one = with("joints.FL_hip.dead_band_rad=0.01").unwrap().joints;
+        assert_eq!((one[7].dead_band_rad, one[8].dead_band_rad), (0.0, 0.01));
     }
 
     #[test]
@@ -118,6 +147,7 @@ mod tests {
             ("foot_friction=high", "not a value"),
             ("foot_friction=-1", "foot_friction"),
             ("foot_friction.FL=1", "one value"),
+            ("joints.FL_hip.wobble=1", "no `wobble`"),
             ("kp_nm_per_rad.wing=1", "no actuated joint `wing`"),
             ("kp_nm_per_rad=[1,2]", "kp_nm_per_rad"),
         ] {
@@ -133,6 +163,12 @@ mod tests {
             ..ConfigArgs::default()
         };
         let (rest, lane) = split(&flags);
-        assert_eq!((rest.overrides, lane), (vec!["engine.dt_s=0.002".to_owned()], vec!["supply_v=11".to_owned()]));
+        assert_eq!(
+            (rest.overrides, lane),
+            (
+                vec!["engine.dt_s=0.002".to_owned()],
+                vec!["supply_v=11".to_owned()]
+            )
+        );
     }
 }

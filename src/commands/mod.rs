@@ -11,4 +11,5 @@ pub mod sim;
 pub mod sim_robot;
 pub mod sim_rollout;
 pub mod sim_show;
+pub mod sim_verify;
 pub mod train;

@@ -3,7 +3,7 @@
 use caudata_telemetry::{Failure, Process};
 use clap::Subcommand;
 
-use super::{sim_robot, sim_rollout, sim_show};
+use super::{sim_robot, sim_rollout, sim_show, sim_verify};
 
 #[derive(Debug, Subcommand)]
 pub enum SimCommand {
@@ -11,6 +11,8 @@ pub enum SimCommand {
     Rollout(sim_rollout::RolloutArgs),
     /// A picture or a short animation of a model, a scene or a log
     Show(sim_show::ShowArgs),
+    /// The engines against MuJoCo, closed forms, conservation laws and each other, as one table
+    Verify(sim_verify::VerifyArgs),
     /// A simulated robot as a process of its own, for caudata-robot
     Robot(sim_robot::SimRobotArgs),
 }
@@ -19,6 +21,7 @@ pub fn run(command: &SimCommand, process: &Process) -> Result<(), Failure> {
     match command {
         SimCommand::Rollout(args) => sim_rollout::run(args, &process.stop),
         SimCommand::Show(args) => sim_show::run(args, &process.stop),
+        SimCommand::Verify(args) => sim_verify::run(args),
         SimCommand::Robot(args) => sim_robot::run(args, &process.stop),
     }
 }

@@ -61,12 +61,8 @@ pub(crate) fn plane(ray: &Ray, z: f64, far: f64) -> Option<Hit> {
 }
 
 /// Walks through the cells under a ray, within the height field's box.
-fn meet_field(grid: &HeightGrid, ray: &Ray, far: f64) -> Option<Hit> {
+fn meet_field(grid: &HeightGrid, span_m: (f64, f64), ray: &Ray, far: f64) -> Option<Hit> {
     let half = grid.size_m() / 2.0;
-    let (low, high) = grid
-        .heights_m()
-        .iter()
-        .fold((f32::MAX, f32::MIN), |(a, b), &h| (a.min(h), b.max(h)));
     let (mut enter, mut leave) = (0.0_f64, far);
     let bounds = [
         (-half, half),
