@@ -1,42 +1,43 @@
 //! `caudata eval`: how well a policy walks, in simulation, without exploration noise.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use caudata_actor::build_env;
 use caudata_config::{Config, ConfigArgs};
-use caudata_env::{EpisodeStats, VecEnv};
+use caudata_evaluation::{
+    Estimate, EvaluationError, Scenario, ScenarioResult, Settings, Suite, run_scenario, run_suite,
+};
 use caudata_model::RobotModel;
-use caudata_policy::{Inference, PolicyError, PolicyFile};
+use caudata_policy::PolicyFile;
 use caudata_sim::EngineKind;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
-use serde::Serialize;
 
 use crate::commands::robot_model;
 use crate::say;
 
-/// Environments stepped together; more do not make the evaluation faster.
-const LANES_MAX: u32 = 64;
-/// Actor number in the keys of the evaluation's random streams: no actor of a training run has it, so that the
-/// episodes are new to the policy.
-const EVALUATION_KEY: u64 = u64::MAX;
+/// Forward speed at which a training run is evaluated when it ends, m/s: the paper's.
+const FINAL_COMMAND_MPS: f32 = 0.3;
 
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// The policy
     #[arg(long, value_name = "P.onnx")]
     policy: PathBuf,
-    /// Under what conditions
-    #[arg(long, value_enum, default_value_t = Suite::Flat)]
+    /// Under what conditions: flat (0.3 m/s, standing, faster), rough (the paper's three grades), omni (75 commands),
+    /// push, robust (corners of the randomisation), paper (all of them)
+    #[arg(long, default_value = "flat", value_parser = suite_parser())]
     suite: Suite,
-    /// On which engine
-    #[arg(long, value_enum, default_value_t = EngineName::Rapier)]
-    engine: EngineName,
-    /// Episodes; fewer give a wider standard error
-    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    /// On which engine; without it, the one of the configuration
+    #[arg(long, value_enum)]
+    engine: Option<EngineName>,
+    /// Episodes of each scenario; fewer give a wider confidence interval
+    #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
+    /// Length of an episode, s
+    #[arg(long, default_value_t = 20.0, value_parser = seconds)]
+    seconds: f64,
     /// Seed of the episodes
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -51,12 +52,18 @@ pub struct EvalArgs {
     config: ConfigArgs,
 }
 
-/// Conditions of an evaluation.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Suite {
-    /// Flat ground, the robot as its file says, no pushes; commands and sensor noise as trained
-    Flat,
+fn suite_parser() -> impl TypedValueParser<Value = Suite> {
+    PossibleValuesParser::new(Suite::ALL.map(Suite::name)).map(|name| {
+        let named = |suite: &Suite| suite.name() == name;
+        Suite::ALL.into_iter().find(named).unwrap_or(Suite::Flat)
+    })
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(s) if (4.0..=600.0).contains(&s) => Ok(s),
+        _ => Err("must be 4 to 600 s (the first 2 s are left out)".to_owned()),
+    }
 }
 
 /// The engines, as words on the command line.
@@ -74,93 +81,77 @@ impl From<EngineName> for EngineKind {
     }
 }
 
-/// A mean and its standard error.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Estimate {
-    /// Mean.
-    pub mean: f64,
-    /// Standard error of the mean; 0 for a single value.
-    pub standard_error: f64,
-}
-
-impl Estimate {
-    /// Mean of the values and its standard error `s/√n`, with `s² = Σ(x − mean)²/(n − 1)`.
-    pub fn of(values: impl Iterator<Item = f64>) -> Self {
-        let values: Vec<f64> = values.collect();
-        let n = values.len() as f64;
-        if values.is_empty() {
-            return Self::default();
-        }
-        let mean = values.iter().sum::<f64>() / n;
-        if values.len() == 1 {
-            return Self {
-                mean,
-                standard_error: 0.0,
-            };
-        }
-        let squares: f64 = values.iter().map(|x| (x - mean).powi(2)).sum();
-        Self {
-            mean,
-            standard_error: (squares / (n - 1.0) / n).sqrt(),
-        }
-    }
-}
-
-/// What an evaluation found. Means are over episodes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Evaluation {
-    /// Conditions.
-    pub suite: Suite,
-    /// Episodes.
-    pub episodes: usize,
-    /// Sum of rewards.
-    pub episode_return: Estimate,
-    /// Length, control steps.
-    pub episode_steps: Estimate,
-    /// Episodes that ended by failing, per reason.
-    pub falls: BTreeMap<&'static str, usize>,
-    /// Share of episodes that ended by failing.
-    pub fall_share: f64,
-    /// Horizontal speed of the whole body, m/s.
-    pub speed_mps: Estimate,
-    /// Distance between commanded and actual horizontal velocity, m/s.
-    pub velocity_error_mps: Estimate,
-    /// Σ|q̇τ|, W.
-    pub power_w: Estimate,
-    /// Share of steps with anything but the feet on the ground.
-    pub trunk_contact_share: f64,
-    /// Share of time that a foot is on the ground.
-    pub duty_factor: f64,
-    /// Horizontal speed of feet on the ground, m/s.
-    pub slip_mps: f64,
-    /// Version of the policy.
-    pub policy_version: u64,
-    /// SHA-256 of the policy's bytes, hex.
-    pub policy_sha256: String,
-}
-
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     let policy = read_policy(&args.policy)?;
     let mut config = configuration(args)?;
-    config.engine.kind = args.engine.into();
-    config.run.seed = args.seed;
+    if let Some(engine) = args.engine {
+        config.engine.kind = engine.into();
+    }
     if let Some(robot) = &args.robot {
         config.robot.clone_from(robot);
     }
     let model = Arc::new(robot_model::load(&config.robot_path())?);
-    let evaluation = evaluate(
-        &config,
-        model,
-        &policy,
-        args.suite,
-        args.episodes,
-        &process.stop,
-    )?;
-    if args.json {
-        return say::json(&evaluation);
+    warn_of_differences(&config, &model, &policy)?;
+    let settings = Settings {
+        episodes: args.episodes,
+        episode_s: args.seconds,
+        seed: args.seed,
+        ..Settings::default()
+    };
+    let go_on = || process.stop.reason().is_none();
+    let mut show = |scenario: &ScenarioResult| {
+        if !args.json {
+            print(scenario);
+        }
+    };
+    if !args.json {
+        say::line(format!(
+            "policy version {} on engine {}, no exploration noise",
+            policy.metadata().version,
+            config.engine.kind.name()
+        ));
     }
-    print(&evaluation);
+    let result = run_suite(
+        &config, &model, &policy, args.suite, &settings, &go_on, &mut show,
+    )
+    .map_err(|error| failure(error, &process.stop))?;
+    match args.json {
+        true => say::json(&result),
+        false => Ok(()),
+    }
+}
+
+fn warn_of_differences(
+    config: &Config,
+    model: &RobotModel,
+    policy: &PolicyFile,
+) -> Result<(), Failure> {
+    let contract =
+        caudata_task::PolicyContract::new(model, &config.task).or_exit(ExitCode::BadConfig)?;
+    let differences = policy
+        .check_runs_on(&contract)
+        .map_err(|error| failure(EvaluationError::Refused(error), &StopFlag::default()))?;
+    for difference in differences {
+        tracing::warn!("the policy was trained with another {}", difference.name());
+    }
     Ok(())
+}
+
+fn failure(error: EvaluationError, stop: &StopFlag) -> Failure {
+    match error {
+        EvaluationError::Build(error) => error.into_failure(),
+        EvaluationError::Refused(error) => Failure::new(ExitCode::PolicyRefused, error).hint(
+            "evaluate with the robot file and the [task] section that the policy was trained with",
+        ),
+        EvaluationError::Inference(error) => Failure::new(ExitCode::BadInput, error),
+        EvaluationError::Env(error) => Failure::new(ExitCode::Internal, error),
+        EvaluationError::Stopped => {
+            let reason = stop
+                .reason()
+                .map_or_else(String::new, |r| format!(" by {r}"));
+            Failure::message(ExitCode::TempFail, format!("stopped{reason}"))
+        }
+    }
 }
 
 /// The flags' configuration, else the one of the run that the policy came from, else `quick`.
@@ -185,187 +176,85 @@ pub fn read_policy(path: &Path) -> Result<PolicyFile, Failure> {
         .or_exit_with(ExitCode::BadInput, || format!("policy {}", path.display()))
 }
 
-/// Runs the mean of the policy for `episodes` episodes (rounded up to whole rounds of all lanes).
-///
-/// Every lane contributes the same number of episodes, its first ones: taking episodes as they end would favour short
-/// ones.
+/// What a run is told about its policy when it ends: forward at 0.3 m/s on flat ground.
 pub fn evaluate(
     config: &Config,
-    model: Arc<RobotModel>,
+    model: &Arc<RobotModel>,
     policy: &PolicyFile,
-    suite: Suite,
     episodes: u32,
     stop: &StopFlag,
-) -> Result<Evaluation, Failure> {
-    let lanes = episodes.clamp(1, LANES_MAX);
-    let per_lane = episodes.div_ceil(lanes).max(1) as usize;
-    let config = under_suite(config, suite, lanes);
-    let mut env = build_env(&config, model, EVALUATION_KEY).map_err(|e| e.into_failure())?;
-    let differences = policy.check_runs_on(env.contract()).map_err(refused)?;
-    for difference in differences {
-        tracing::warn!("the policy was trained with another {}", difference.name());
-    }
-    let mut inference = Inference::new(policy, 1).or_exit(ExitCode::BadInput)?;
-    let stats = run_episodes(&mut env, &mut inference, per_lane, stop)?;
-    Ok(summarise(suite, policy, &stats))
-}
-
-fn refused(error: PolicyError) -> Failure {
-    Failure::new(ExitCode::PolicyRefused, error).hint(
-        "evaluate with the robot file and the [task] section that the policy was trained with",
-    )
-}
-
-fn under_suite(config: &Config, suite: Suite, lanes: u32) -> Config {
-    let mut config = config.clone();
-    config.actors.lanes = lanes;
-    config.actors.threads = std::thread::available_parallelism()
-        .map_or(1, |n| n.get() as u32)
-        .min(lanes);
-    config.task.stagger_first_episode = false;
-    match suite {
-        Suite::Flat => {
-            config.terrain = caudata_sim::TerrainConfig::default();
-            config.task.randomisation.enabled = false;
-            config.task.push.enabled = false;
-        }
-    }
-    config
-}
-
-fn run_episodes(
-    env: &mut VecEnv,
-    inference: &mut Inference,
-    per_lane: usize,
-    stop: &StopFlag,
-) -> Result<Vec<EpisodeStats>, Failure> {
-    let lanes = env.lanes();
-    let mut actions = vec![0.0; lanes * env.act_dim()];
-    let mut done = vec![0; lanes];
-    let mut stats = Vec::with_capacity(lanes * per_lane);
-    env.reset_all().or_exit(ExitCode::Internal)?;
-    while stats.len() < lanes * per_lane {
-        if let Some(reason) = stop.reason() {
-            return Err(Failure::message(
-                ExitCode::TempFail,
-                format!("stopped by {reason}"),
-            ));
-        }
-        inference
-            .run(env.observations(), lanes, &mut actions)
-            .or_exit(ExitCode::Internal)?;
-        let output = env.step(&actions).or_exit(ExitCode::Internal)?;
-        for episode in &output.episodes {
-            let done = &mut done[episode.lane as usize];
-            if *done < per_lane {
-                *done += 1;
-                stats.push(episode.clone());
-            }
-        }
-    }
-    Ok(stats)
-}
-
-fn summarise(suite: Suite, policy: &PolicyFile, stats: &[EpisodeStats]) -> Evaluation {
-    let estimate = |value: fn(&EpisodeStats) -> f32| {
-        Estimate::of(stats.iter().map(|episode| f64::from(value(episode))))
+) -> Result<ScenarioResult, Failure> {
+    let settings = Settings {
+        episodes,
+        seed: config.run.seed,
+        ..Settings::default()
     };
-    let mut falls = BTreeMap::new();
-    for reason in stats.iter().filter_map(|episode| episode.reason) {
-        *falls.entry(reason.name()).or_insert(0) += 1;
-    }
-    let fallen: usize = falls.values().sum();
-    Evaluation {
-        suite,
-        episodes: stats.len(),
-        episode_return: estimate(|episode| episode.return_sum),
-        episode_steps: estimate(|episode| episode.steps as f32),
-        falls,
-        fall_share: fallen as f64 / stats.len().max(1) as f64,
-        speed_mps: estimate(|episode| episode.mean_speed_mps),
-        velocity_error_mps: estimate(|episode| episode.mean_velocity_error_mps),
-        power_w: estimate(|episode| episode.mean_power_w),
-        trunk_contact_share: estimate(|episode| episode.trunk_contact_share).mean,
-        duty_factor: estimate(|episode| episode.duty_factor).mean,
-        slip_mps: estimate(|episode| episode.mean_slip_mps).mean,
-        policy_version: policy.metadata().version,
-        policy_sha256: policy.sha256_hex(),
+    let scenario = Scenario::walk("flat 0.3 m/s", [FINAL_COMMAND_MPS, 0.0, 0.0]);
+    let go_on = || stop.reason().is_none();
+    let (result, _) = run_scenario(config, model, policy, &scenario, &settings, &go_on)
+        .map_err(|error| failure(error, stop))?;
+    Ok(result)
+}
+
+/// One scenario as lines for a person.
+pub fn print(r: &ScenarioResult) {
+    let pm = |x: Estimate, digits: usize| {
+        format!(
+            "{:.digits$} ± {:.digits$}",
+            x.mean,
+            (x.ci_high - x.ci_low) / 2.0
+        )
+    };
+    say::line(format!(
+        "{}: {} episodes, falls {:.1} %{}",
+        r.name,
+        r.episodes,
+        100.0 * r.fall_share.mean,
+        reasons(r)
+    ));
+    say::line(format!(
+        "  velocity {} m/s forward, {} left, yaw {} rad/s; rms off the command {:.3}, {:.3} m/s, {:.3} rad/s",
+        pm(r.vx_mps, 3),
+        pm(r.vy_mps, 3),
+        pm(r.yaw_rate_radps, 3),
+        r.rmse_of_means[0],
+        r.rmse_of_means[1],
+        r.rmse_of_means[2]
+    ));
+    say::line(format!(
+        "  power {} W, cost of transport {:.2}, torque {:.2} N·m rms, {:.2} peak",
+        pm(r.power_w, 1),
+        r.cost_of_transport.mean,
+        r.torque_rms_nm,
+        r.torque_peak_nm
+    ));
+    say::line(format!(
+        "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
+        r.stride_hz.mean,
+        r.duty_factor.map(|d| format!("{d:.2}")).join(" "),
+        r.clearance_m.map(|c| format!("{:.1}", 100.0 * c)).join(" "),
+        100.0 * r.slip_mps.mean,
+        100.0 * r.vibration_share.mean,
+        100.0 * r.trunk_contact_share.mean
+    ));
+    if let (Some(gates), Some(walks)) = (&r.gates, r.walks()) {
+        let verdict = match (walks, gates.missed()) {
+            (true, _) => "walks: every gate is met".to_owned(),
+            (false, missed) if missed.is_empty() => "does not walk: it falls too often".to_owned(),
+            (false, missed) => format!("does not walk: {}", missed.join("; ")),
+        };
+        say::line(format!("  {verdict}"));
     }
 }
 
-/// The evaluation as lines for a person.
-pub fn print(evaluation: &Evaluation) {
-    let e = evaluation;
-    let pm =
-        |x: Estimate, digits: usize| format!("{:.digits$} ± {:.digits$}", x.mean, x.standard_error);
-    say::line(format!(
-        "evaluation: {} episodes on flat ground, policy version {}, no exploration noise",
-        e.episodes, e.policy_version
-    ));
-    say::line(format!(
-        "  return {} over {:.0} steps, falls {:.0} %{}",
-        pm(e.episode_return, 2),
-        e.episode_steps.mean,
-        100.0 * e.fall_share,
-        reasons(&e.falls)
-    ));
-    say::line(format!(
-        "  speed {} m/s, off the command by {} m/s",
-        pm(e.speed_mps, 3),
-        pm(e.velocity_error_mps, 3)
-    ));
-    say::line(format!(
-        "  power {} W, duty factor {:.2}, slip {:.1} cm/s, trunk on the ground {:.1} % of the time",
-        pm(e.power_w, 1),
-        e.duty_factor,
-        100.0 * e.slip_mps,
-        100.0 * e.trunk_contact_share
-    ));
-}
-
-fn reasons(falls: &BTreeMap<&'static str, usize>) -> String {
-    if falls.is_empty() {
+fn reasons(r: &ScenarioResult) -> String {
+    if r.falls.is_empty() {
         return String::new();
     }
-    let list: Vec<String> = falls
+    let list: Vec<String> = r
+        .falls
         .iter()
         .map(|(reason, n)| format!("{reason} {n}"))
         .collect();
     format!(" ({})", list.join(", "))
-}
-
-/// An evaluation with nothing in it.
-#[cfg(test)]
-pub fn example() -> Evaluation {
-    Evaluation {
-        suite: Suite::Flat,
-        episodes: 0,
-        episode_return: Estimate::default(),
-        episode_steps: Estimate::default(),
-        falls: BTreeMap::new(),
-        fall_share: 0.0,
-        speed_mps: Estimate::default(),
-        velocity_error_mps: Estimate::default(),
-        power_w: Estimate::default(),
-        trunk_contact_share: 0.0,
-        duty_factor: 0.0,
-        slip_mps: 0.0,
-        policy_version: 0,
-        policy_sha256: String::new(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn estimates_by_hand() {
-        // 1, 2, 6: mean 3, s² = (4 + 1 + 9)/2 = 7, standard error √(7/3) = 1.527525.
-        let estimate = Estimate::of([1.0, 2.0, 6.0].into_iter());
-        assert_eq!(estimate.mean, 3.0);
-        assert!((estimate.standard_error - 1.527_525_231_651_947).abs() < 1e-12);
-        let single = Estimate::of([5.0].into_iter());
-        assert_eq!((single.mean, single.standard_error), (5.0, 0.0));
-    }
 }

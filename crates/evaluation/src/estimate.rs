@@ -73,7 +73,10 @@ mod tests {
         assert_eq!(e.mean, 3.0);
         assert!((e.standard_error() - 1.527_525_231_651_947).abs() < 1e-12);
         let single = Estimate::of(&[5.0]);
-        assert_eq!((single.ci_low, single.mean, single.ci_high), (5.0, 5.0, 5.0));
+        assert_eq!(
+            (single.ci_low, single.mean, single.ci_high),
+            (5.0, 5.0, 5.0)
+        );
     }
 
     #[test]

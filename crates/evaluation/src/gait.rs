@@ -77,7 +77,9 @@ impl Gait {
         }
         let spectrum = Spectrum::new(frames.len(), 1.0 / trace.period_s);
         let speed = |f: &Frame| f64::from(f.velocity_mps[0]).hypot(f64::from(f.velocity_mps[1]));
-        let power_w = mean(frames, |f| f.power_w.iter().map(|&p| f64::from(p.abs())).sum());
+        let power_w = mean(frames, |f| {
+            f.power_w.iter().map(|&p| f64::from(p.abs())).sum()
+        });
         let velocity_mps = [0, 1].map(|i| mean(frames, |f| f64::from(f.velocity_mps[i])));
         let along = velocity_mps[0].hypot(velocity_mps[1]);
         Some(Self {
@@ -96,7 +98,8 @@ impl Gait {
                 f64::from(u8::from(f64::from(f.trunk_force_n) > measure.trunk_force_n))
             }),
             power_w,
-            cost_of_transport: power_w / (measure.mass_kg * GRAVITY_MPS2 * along.min(mean(frames, speed))),
+            cost_of_transport: power_w
+                / (measure.mass_kg * GRAVITY_MPS2 * along.min(mean(frames, speed))),
             vibration_share: vibration_share(frames, &spectrum),
             torque_peak_nm: peak(frames, |f| &f.torque_nm),
             torque_rms_nm: mean(frames, |f| mean_square(&f.torque_nm)).sqrt(),
@@ -285,7 +288,11 @@ pub(crate) mod tests {
         near(gait.joint_accel_rms_radps2, 12.44, 0.1);
         assert!(gait.vibration_share < 0.01);
         // sway averages out over whole strides
-        assert!(gait.tracking_rmse.iter().all(|e| *e < 2e-3), "{:?}", gait.tracking_rmse);
+        assert!(
+            gait.tracking_rmse.iter().all(|e| *e < 2e-3),
+            "{:?}",
+            gait.tracking_rmse
+        );
         assert_eq!(gait.trunk_contact_share, 0.0);
     }
 

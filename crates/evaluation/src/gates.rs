@@ -77,11 +77,31 @@ impl GateReport {
         let lowest = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
         let highest = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let mut gates = vec![
-            gate("stride frequency off the clock", off_clock, None, Some(limits.stride_off_clock)),
-            gate("duty factor, least", lowest(&feet), Some(limits.duty_factor[0]), None),
-            gate("duty factor, most", highest(&feet), None, Some(limits.duty_factor[1])),
+            gate(
+                "stride frequency off the clock",
+                off_clock,
+                None,
+                Some(limits.stride_off_clock),
+            ),
+            gate(
+                "duty factor, least",
+                lowest(&feet),
+                Some(limits.duty_factor[0]),
+                None,
+            ),
+            gate(
+                "duty factor, most",
+                highest(&feet),
+                None,
+                Some(limits.duty_factor[1]),
+            ),
             gate("power, W", mean(&|g| g.power_w), None, Some(limits.power_w)),
-            gate("stance slip, m/s", mean(&|g| g.slip_mps), None, Some(limits.slip_mps)),
+            gate(
+                "stance slip, m/s",
+                mean(&|g| g.slip_mps),
+                None,
+                Some(limits.slip_mps),
+            ),
             gate(
                 "clearance, m",
                 lowest(&clearance.collect::<Vec<_>>()),
@@ -108,12 +128,17 @@ impl GateReport {
     /// Names of the gates that are not met.
     #[must_use]
     pub fn missed(&self) -> Vec<&'static str> {
-        self.gates.iter().filter(|g| !g.met).map(|g| g.name).collect()
+        self.gates
+            .iter()
+            .filter(|g| !g.met)
+            .map(|g| g.name)
+            .collect()
     }
 }
 
 fn gate(name: &'static str, value: f64, at_least: Option<f64>, at_most: Option<f64>) -> Gate {
-    let met = at_least.is_none_or(|least| value >= least) && at_most.is_none_or(|most| value <= most);
+    let met =
+        at_least.is_none_or(|least| value >= least) && at_most.is_none_or(|most| value <= most);
     Gate {
         name,
         value,

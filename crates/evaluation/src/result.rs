@@ -23,7 +23,7 @@ pub struct SuiteResult {
 }
 
 /// A policy in one scenario. Means are over episodes.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ScenarioResult {
     /// Its name.
     pub name: String,
@@ -160,7 +160,11 @@ mod tests {
     #[test]
     fn falls_and_errors_by_hand() {
         let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
-        let episode = |command, fell, gait| Episode { command, fell, gait };
+        let episode = |command, fell, gait| Episode {
+            command,
+            fell,
+            gait,
+        };
         let episodes = [
             episode([0.3, 0.0, 0.0], None, Some(gait.clone())),
             episode([0.5, 0.0, 0.1], None, Some(gait)),

@@ -10,7 +10,9 @@ use caudata_policy::{Inference, PolicyFile};
 
 use crate::gait::{Gait, Measure};
 use crate::result::Episode;
-use crate::{EvaluationError, Frame, GateReport, Limits, Scenario, ScenarioResult, Suite, SuiteResult, Trace};
+use crate::{
+    EvaluationError, Frame, GateReport, Limits, Scenario, ScenarioResult, Suite, SuiteResult, Trace,
+};
 
 /// Environments stepped together.
 const LANES_MAX: u32 = 256;
@@ -122,7 +124,9 @@ pub fn run_scenario(
             gait: Gait::of(trace, &measure),
         })
         .collect();
-    let gates = scenario.judged.then(|| judge(&measured, scenario, &settings.limits));
+    let gates = scenario
+        .judged
+        .then(|| judge(&measured, scenario, &settings.limits));
     Ok((ScenarioResult::of(&scenario.name, &measured, gates), all))
 }
 
@@ -189,7 +193,9 @@ fn run_round(
             }
         }
         for lane in (0..lanes).filter(|&lane| running[lane]) {
-            traces[lane].frames.push(Frame::read(env, lane, commands[lane]));
+            traces[lane]
+                .frames
+                .push(Frame::read(env, lane, commands[lane]));
         }
     }
     Ok(traces)

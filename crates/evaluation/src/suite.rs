@@ -63,10 +63,16 @@ impl Suite {
             Self::Omni => vec![omni()],
             Self::Push => vec![push(mass_kg)],
             Self::Robust => robust(),
-            Self::Paper => [Self::Flat, Self::Rough, Self::Omni, Self::Push, Self::Robust]
-                .into_iter()
-                .flat_map(|suite| suite.scenarios(mass_kg))
-                .collect(),
+            Self::Paper => [
+                Self::Flat,
+                Self::Rough,
+                Self::Omni,
+                Self::Push,
+                Self::Robust,
+            ]
+            .into_iter()
+            .flat_map(|suite| suite.scenarios(mass_kg))
+            .collect(),
         }
     }
 }
@@ -230,10 +236,34 @@ fn robust() -> Vec<Scenario> {
     let nominal = Corner::nominal();
     let corners = [
         ("nominal", nominal),
-        ("latency 18 ms", Corner { command_delay_s: 0.018, ..nominal }),
-        ("friction 0.6", Corner { foot_friction_scale: 0.6, ..nominal }),
-        ("Kp 0.75", Corner { kp_scale: 0.75, ..nominal }),
-        ("mass 1.15", Corner { mass_scale: 1.15, ..nominal }),
+        (
+            "latency 18 ms",
+            Corner {
+                command_delay_s: 0.018,
+                ..nominal
+            },
+        ),
+        (
+            "friction 0.6",
+            Corner {
+                foot_friction_scale: 0.6,
+                ..nominal
+            },
+        ),
+        (
+            "Kp 0.75",
+            Corner {
+                kp_scale: 0.75,
+                ..nominal
+            },
+        ),
+        (
+            "mass 1.15",
+            Corner {
+                mass_scale: 1.15,
+                ..nominal
+            },
+        ),
         (
             "worst corner",
             Corner {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::drive::{Drive, DriveMemory};
 use super::grip::Grip;
 use super::robot::Robot;
+use super::water::{Water, WaterMemory};
 use crate::drive::ServoDrive;
 use crate::observe::{self, Coordinates, LinkMass, Motion};
 use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
@@ -33,6 +34,7 @@ pub(super) struct Shared {
 pub(super) struct Memory {
     /// Commands under way, friction, gears, supply.
     drive: DriveMemory,
+    water: WaterMemory,
     /// Velocity of the IMU point at the end of the last period, world, m/s.
     imu_vel_mps: [f64; 3],
     /// What was last reported.
@@ -46,6 +48,7 @@ pub(super) struct Lane {
     pub robot: Robot,
     masses: Vec<LinkMass>,
     drive: Drive,
+    water: Option<Water>,
     at: Coordinates,
     motion: Motion,
 }
@@ -74,6 +77,7 @@ impl Lane {
         let mut lane = Self {
             memory: Memory {
                 drive: drive_memory,
+                water: WaterMemory::default(),
                 imu_vel_mps: [0.0; 3],
                 out: State::zeros(
                     1,
@@ -84,6 +88,7 @@ impl Lane {
             },
             robot: Robot::new(shared, &params, &servos, &masses)?,
             drive: Drive::new(shared, &params, &servos),
+            water: Water::new(shared, &params, &masses),
             motion: Motion::default(),
             params,
             masses,
@@ -108,6 +113,7 @@ impl Lane {
         };
         lane.memory = Memory {
             imu_vel_mps: lane.memory.imu_vel_mps,
+            water: WaterMemory::default(), // the new bodies carry none yet
             ..memory
         };
         *self = lane;
@@ -138,6 +144,9 @@ impl Lane {
             self.robot.push_link(shared.model.torso_link(), wrench);
             self.drive
                 .load(shared, &mut self.robot, &mut self.memory.drive, since_s);
+            if let Some(water) = &self.water {
+                water.load(&mut self.robot, &mut self.memory.water);
+            }
             self.robot.step(&shared.grip);
             self.drive
                 .account(shared, &self.robot, &mut self.memory.drive);

@@ -35,6 +35,7 @@ mod grip;
 mod lane;
 mod robot;
 mod snapshot;
+mod water;
 mod world;
 
 use std::sync::Arc;

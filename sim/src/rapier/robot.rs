@@ -2,7 +2,7 @@
 
 use caudata_model::pose::{add, cross, sub};
 use caudata_model::{JointKind, Pose as ModelPose};
-use rapier3d::math::Vector;
+use rapier3d::math::{Matrix, Vector};
 use rapier3d::prelude::*;
 
 use super::convert;
@@ -11,6 +11,7 @@ use super::lane::Shared;
 use super::world::{self, RobotHandles};
 use crate::drive::{ImplicitTorque, ServoDrive};
 use crate::observe::{Coordinates, LinkMass};
+use crate::water::LinkMotion;
 use crate::{EngineConfig, LaneParams, SimError};
 
 /// One robot in one world.
@@ -145,6 +146,30 @@ impl Robot {
             pos: multibody.link(dof.link)?.joint().coords()[dof.axis],
             vel: multibody.generalized_velocity()[dof.assembly],
         })
+    }
+
+    /// Where link `link` (whose centre of mass is at `com_m` in its frame) is and how it moves; `None` for a body Rapier has lost.
+    pub fn link_motion(&self, link: usize, com_m: [f32; 3]) -> Option<LinkMotion<f32>> {
+        let handle = self.handles.bodies[self.handles.links[link]];
+        let body = self.world.bodies.get(handle)?;
+        let columns = Matrix::from_quat(body.position().rotation).transpose();
+        let rotation = columns.to_cols_array_2d();
+        let com = body.position().translation;
+        let lever = Vector::from_array(rotation[2]).dot(Vector::from_array(com_m));
+        Some(LinkMotion {
+            rotation,
+            origin_z_m: com.z - lever,
+            com_vel_mps: body.linvel().to_array(),
+            angvel_radps: body.angvel().to_array(),
+        })
+    }
+
+    /// Gives a link's body other mass properties (about its origin, the centre of mass).
+    pub fn set_mass(&mut self, link: usize, mass: MassProperties) {
+        let handle = self.handles.bodies[self.handles.links[link]];
+        if let Some(body) = self.world.bodies.get_mut(handle) {
+            body.set_additional_mass_properties(mass, false);
+        }
     }
 
     /// Takes every load off.

@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod determinism;
+mod effects;
 mod joints;
 mod lane_params;
 mod motion;
@@ -14,6 +15,7 @@ mod robots;
 mod servo_loop;
 mod snapshots;
 mod touch;
+mod water;
 
 use std::sync::Arc;
 
@@ -102,6 +104,27 @@ macro_rules! suite {
                 saturates_at_its_envelope,
                 power_is_work_done,
                 commands_arrive_delayed,
+            },
+            effects::{
+                droop_says_which,
+                limits_limit,
+                friction_sets_the_speed,
+                load_friction_lifts_and_lowers,
+                stribeck_grips_at_rest,
+                play_has_its_width,
+                one_joints_load_slows_another,
+                delay_and_skew_shift_the_phase,
+                low_pass_lags_and_damps,
+                lost_frames_are_held,
+                ripple_goes_with_the_angle,
+                a_warm_motor_droops_more,
+            },
+            water::{
+                floats_at_its_line,
+                bobs_by_the_book,
+                sinks_at_its_terminal_velocity,
+                slows_down_and_drifts,
+                polymander_floats,
             },
             touch::{
                 sliding_stops_by_friction,

@@ -187,3 +187,68 @@ pub fn tumbler() -> Arc<RobotModel> {
         &joints,
     )
 }
+
+/// Two wheels of 0.01 kg·m² about z on a held post.
+pub fn wheels() -> Arc<RobotModel> {
+    let joints = ["first", "second"];
+    let wheel = |name: &str, x: f64| {
+        format!(
+            r#"<body name="{name}_wheel" pos="{x} 0 0">
+                 <inertial pos="0 0 0" mass="0.5" diaginertia="0.006 0.006 0.01"/>
+                 <joint name="{name}" axis="0 0 1" range="-1000 1000"/>
+               </body>"#
+        )
+    };
+    load(
+        &robot_toml("fixed", &joints, ""),
+        &format!(
+            r#"<body name="post" pos="0 0 1"><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+            {}{}</body>"#,
+            wheel("first", 0.3),
+            wheel("second", -0.3)
+        ),
+        &joints,
+    )
+}
+
+/// A box of 0.2 × 0.2 × 0.1 m and 2.7 kg, even inside, with a disc of 0.1 kg in its middle. All under water the box displaces 4 kg. Drag of the box as it
+/// is, no heave damping, nothing for the disc.
+pub fn buoy() -> Arc<RobotModel> {
+    let joints = ["spin"];
+    let tail = r#"
+[frames]
+torso = "box"
+[water]
+density_kg_per_m3 = 1000.0
+viscosity_pa_s = 0.001
+buoyancy_ratio = 1.4814814814814814
+heave_damping_ns_per_m = 0.0
+[water.drag.box]
+links = ["box"]
+[water.drag.box.scale]
+linear_force = [1.0, 1.0, 1.0]
+quadratic_force = [1.0, 1.0, 1.0]
+linear_torque = [1.0, 1.0, 1.0]
+quadratic_torque = [1.0, 1.0, 1.0]
+[water.drag.disc]
+links = ["disc"]
+[water.drag.disc.scale]
+linear_force = [0.0, 0.0, 0.0]
+quadratic_force = [0.0, 0.0, 0.0]
+linear_torque = [0.0, 0.0, 0.0]
+quadratic_torque = [0.0, 0.0, 0.0]
+"#;
+    // 2.7/12·(0.04 + 0.01) and 2.7/12·0.08
+    load(
+        &robot_toml("free", &joints, tail),
+        r#"<body name="box" pos="0 0 1"><freejoint/>
+             <inertial pos="0 0 0" mass="2.7" diaginertia="0.01125 0.01125 0.018"/>
+             <geom type="box" size="0.1 0.1 0.05"/>
+             <body name="disc" pos="0 0 0">
+               <inertial pos="0 0 0" mass="0.1" diaginertia="0.0001 0.0001 0.0002"/>
+               <joint name="spin" axis="0 0 1" range="-1000 1000"/>
+             </body>
+           </body>"#,
+        &joints,
+    )
+}
