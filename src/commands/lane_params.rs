@@ -1,7 +1,7 @@
 //! `--set lane.KEY=VALUE`: one robot's physical parameters on the command line.
 //!
-//! `KEY` is a field of `LaneParams`. A number given for a list fills it; `KEY.NAME` is one joint's, link's or foot's value in it. In lists of tables,
-//! `KEY.FIELD` is that field of all, `KEY.NAME.FIELD` of one.
+//! `KEY` is a field of `LaneParams`. A number given for a list fills it; `KEY.NAME` is one joint's, link's or foot's value in it. Of the effects of joints, hinges and links
+//! `joints.FIELD` is all joints', `joints.NAME.FIELD` one joint's.
 
 use caudata_config::ConfigArgs;
 use caudata_model::{JointKind, RobotModel};
@@ -44,53 +44,64 @@ pub fn changed(model: &RobotModel, changes: &[String]) -> Result<LaneParams, Fai
 
 fn apply(fields: &mut Value, model: &RobotModel, change: &str) -> Result<(), String> {
     let (key, text) = change.split_once('=').ok_or("must be KEY=VALUE")?;
-    let value =
-        serde_json::from_str(text.trim()).map_err(|_| format!("`{text}` is not a value"))?;
     let path: Vec<&str> = key.trim().split('.').collect();
-    put(fields, model, &path, &value)
+    let value: Value =
+        serde_json::from_str(text.trim()).map_err(|_| format!("`{text}` is not a value"))?;
+    set(fields, model, &path, &value)
 }
 
-/// Puts `value` at `path` below `slot`.
-fn put(slot: &mut Value, model: &RobotModel, path: &[&str], value: &Value) -> Result<(), String> {
-    let Some((name, rest)) = path.split_first() else {
-        match slot {
-            Value::Array(list) if !value.is_array() => list.fill(value.clone()),
-            slot => *slot = value.clone(),
+/// Sets what `path` leads to: fields by name, values of lists by the name of their joint, link or foot. A field of a list's values without such
+/// a name is set in all of them.
+fn set(slot: &mut Value, model: &RobotModel, path: &[&str], value: &Value) -> Result<(), String> {
+    match (slot, path) {
+        (Value::Array(list), []) if !value.is_array() => list.fill(value.clone()),
+        (slot, []) => *slot = value.clone(),
+        (Value::Object(fields), [field, rest @ ..]) => {
+            let known = fields.keys().cloned().collect::<Vec<_>>().join(", ");
+            let slot = fields
+                .get_mut(*field)
+                .ok_or_else(|| format!("there is no `{field}`; known: {known}"))?;
+            set(slot, model, rest, value).map_err(|reason| {
+                match reason.strip_prefix(ONE_VALUE) {
+                    Some(_) => format!("`{field}` is {ONE_VALUE}, not a list"),
+                    None => reason,
+                }
+            })?;
         }
-        return Ok(());
-    };
-    match slot {
-        Value::Object(fields) => {
-            let known: Vec<String> = fields.keys().cloned().collect();
-            let field = fields
-                .get_mut(*name)
-                .ok_or_else(|| format!("there is no `{name}`; known: {}", known.join(", ")))?;
-            put(field, model, rest, value)
+        (Value::Array(list), [name, rest @ ..]) => {
+            let len = list.len();
+            if list.first().is_some_and(|first| first.get(*name).is_some()) {
+                for one in list {
+                    set(one, model, path, value)?;
+                }
+            } else {
+                set(&mut list[index_of(model, len, name)?], model, rest, value)?;
+            }
         }
-        Value::Array(list) => match index_of(model, list.len(), name) {
-            Ok(at) => put(&mut list[at], model, rest, value),
-            // no element's name: a field that all of them have
-            Err(_) if list.iter().all(Value::is_object) => list
-                .iter_mut()
-                .try_for_each(|each| put(each, model, path, value)),
-            Err(reason) => Err(reason),
-        },
-        _ => Err(format!("there is nothing called `{name}` in one value")),
+        _ => return Err(ONE_VALUE.to_owned()),
     }
+    Ok(())
 }
 
-/// Where `name` is in a list of `len` values: of actuated joints, links, backlash hinges or feet, whichever has that many.
+/// Why a path ends too late.
+const ONE_VALUE: &str = "one value";
+
+/// Where `name` is in a list of `len` values: of actuated joints, links, hinges without a servo, backlash hinges or feet, whichever has that many.
 fn index_of(model: &RobotModel, len: usize, name: &str) -> Result<usize, String> {
     let joints = model.joints().iter();
     let backlash = joints
         .filter(|j| j.kind == JointKind::Backlash)
         .map(|j| j.name.as_str());
-    let lists: [(&str, Vec<&str>); 4] = [
+    let hinges = (model.joints().iter())
+        .filter(|j| !matches!(j.kind, JointKind::Actuated { .. }))
+        .map(|j| j.name.as_str());
+    let lists: [(&str, Vec<&str>); 5] = [
         ("actuated joint", model.actuated_names()),
         (
             "link",
             model.links().iter().map(|l| l.name.as_str()).collect(),
         ),
+        ("hinge", hinges.collect()),
         ("backlash hinge", backlash.collect()),
         (
             "foot",
@@ -133,10 +144,35 @@ mod tests {
         assert_eq!((one[7], one[8], one[9]), (15.0, 9.0, 15.0));
         let mass = with("link_mass_scale.body_01=1.5").unwrap();
         assert_eq!(mass.link_mass_scale.iter().sum::<f32>(), 19.5);
-        let all = with("joints.dead_band_rad=0.01").unwrap().joints;
-        assert!(all.iter().all(|j| j.dead_band_rad == 0.01));
-        let one = with("joints.FL_hip.dead_band_rad=0.01").unwrap().joints;
-        assert_eq!((one[7].dead_band_rad, one[8].dead_band_rad), (0.0, 0.01));
+    }
+
+    #[test]
+    fn effects_of_all_joints_or_of_one() {
+        let all = with("joints.dead_band_rad=0.02").unwrap();
+        assert!(all.joints.iter().all(|j| j.dead_band_rad == 0.02));
+        let one = with("joints.FL_hip.gear_half_gap_rad=0.002")
+            .unwrap()
+            .joints;
+        assert_eq!(
+            (one[7].gear_half_gap_rad, one[8].gear_half_gap_rad),
+            (0.0, 0.002)
+        );
+        let water = with("water.body_00.buoyancy_scale=0.5").unwrap().water;
+        assert_eq!(
+            (water[0].buoyancy_scale, water[1].buoyancy_scale),
+            (0.5, 1.0)
+        );
+        assert_eq!(
+            with("command_loss.share=0.1").unwrap().command_loss.share,
+            0.1
+        );
+        let tail = with("hinges.joint_body_09_passive.spring_nm_per_rad=2")
+            .unwrap()
+            .hinges;
+        assert_eq!(
+            tail.iter().filter(|h| h.spring_nm_per_rad == 2.0).count(),
+            1
+        );
     }
 
     #[test]
@@ -147,9 +183,11 @@ mod tests {
             ("foot_friction=high", "not a value"),
             ("foot_friction=-1", "foot_friction"),
             ("foot_friction.FL=1", "one value"),
-            ("joints.FL_hip.wobble=1", "no `wobble`"),
             ("kp_nm_per_rad.wing=1", "no actuated joint `wing`"),
             ("kp_nm_per_rad=[1,2]", "kp_nm_per_rad"),
+            ("joints.FL_hip.slack=1", "no `slack`"),
+            ("joints.wing.dead_band_rad=1", "no actuated joint `wing`"),
+            ("joints.FL_hip.dead_band_rad=-1", "dead_band_rad"),
         ] {
             let message = with(change).unwrap_err();
             assert!(message.contains(reason), "{change}: {message}");
