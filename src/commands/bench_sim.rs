@@ -24,8 +24,8 @@ const DT_S: f64 = 0.002;
 const SUBSTEPS: u32 = 10;
 /// Control periods of the targets that repeat: 10 s, in which the trot's 1.3 Hz closes.
 const PERIODS: usize = 500;
-/// How often ours and MuJoCo's rounds alternate.
-const ROUNDS: u32 = 3;
+/// How often ours and MuJoCo's rounds alternate; the best of each counts.
+const ROUNDS: u32 = 5;
 
 /// Where the robot is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
@@ -223,19 +223,19 @@ fn one(
     let seconds = plan.seconds / f64::from(ROUNDS);
     single.round(0.2 * seconds)?; // caches and clocks warm up
     all.round(0.2 * seconds)?;
-    let mut sums = [(0.0, 0.0); 3];
+    // the best round counts: whatever else the machine does only ever takes away
+    let mut best = [0.0_f64; 3];
     for _ in 0..ROUNDS {
-        let mut rounds = [single.round(seconds)?, (0.0, 0.0), all.round(seconds)?];
+        let mut rounds = [single.round(seconds)?, (0.0, 1.0), all.round(seconds)?];
         if let Some(theirs) = theirs.as_deref_mut() {
             rounds[1] = theirs.round(seconds).or_exit(ExitCode::Unavailable)?;
         }
-        for (sum, round) in sums.iter_mut().zip(rounds) {
-            *sum = (sum.0 + round.0, sum.1 + round.1);
+        for (best, (steps, seconds)) in best.iter_mut().zip(rounds) {
+            *best = best.max(steps / seconds);
         }
     }
-    let rate = |(steps, seconds): (f64, f64)| steps / seconds;
-    let steps_per_s = rate(sums[0]);
-    let mujoco_steps_per_s = theirs.is_some().then(|| rate(sums[1]));
+    let [steps_per_s, mujoco, all_threads_steps_per_s] = best;
+    let mujoco_steps_per_s = theirs.is_some().then_some(mujoco);
     let diverged = single
         .engine
         .state()
@@ -251,9 +251,9 @@ fn one(
         lane_width: width,
         lanes: plan.lanes,
         steps_per_s,
-        all_threads_steps_per_s: rate(sums[2]),
+        all_threads_steps_per_s,
         threads,
-        scaling: rate(sums[2]) / steps_per_s,
+        scaling: all_threads_steps_per_s / steps_per_s,
         mujoco_steps_per_s,
         ratio: mujoco_steps_per_s.map(|theirs| steps_per_s / theirs),
         diverged,

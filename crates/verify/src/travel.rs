@@ -102,11 +102,23 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
                     json!({ "joint_pos": start.joint_pos, "base": start.base, "targets": targets })
                 })
                 .collect();
-            let more = json!({ "runs": runs, "control_period_s": 0.02 });
-            let ask = bench
-                .robot
-                .task("gaits", &model, request::converged(), more);
-            reference = Some(paths(&mujoco.ask(&ask)?)?.iter().map(outcome).collect());
+            let mut outcomes = |options: Value| -> Result<Vec<(f64, f64)>, VerifyError> {
+                let more = json!({ "runs": runs, "control_period_s": 0.02 });
+                let ask = bench.robot.task("gaits", &model, options, more);
+                Ok(paths(&mujoco.ask(&ask)?)?.iter().map(outcome).collect())
+            };
+            let converged = outcomes(request::converged())?;
+            let mut coarse = request::converged();
+            coarse["dt_s"] = json!(0.001);
+            let step = "its own {} at 1 ms against 0.5 ms, mean change";
+            rows.extend(own_change(step, &converged, &outcomes(coarse)?));
+            let stops = "its own {} with the MJCF's soft stops, mean change";
+            rows.extend(own_change(
+                stops,
+                &converged,
+                &outcomes(request::as_in_mjcf())?,
+            ));
+            reference = Some(converged);
         }
         let theirs = reference.as_deref().unwrap_or_default();
         rows.extend(against(name, &by_step[JUDGED].1, theirs));
@@ -123,6 +135,19 @@ fn own_convergence(fine: &[(f64, f64)], coarse: &[(f64, f64)]) -> [Row; 2] {
     [
         Row::reported("travel", "mujoco", what("travel"), (travel, "%"), ""),
         Row::reported("travel", "mujoco", what("heading"), (heading, "deg"), ""),
+    ]
+}
+
+/// How much MuJoCo's own answers change with its settings: below that nothing can be told apart.
+fn own_change(what: &str, fine: &[(f64, f64)], other: &[(f64, f64)]) -> [Row; 2] {
+    let pairs = || fine.iter().zip(other);
+    let travel = mean(pairs().map(|(a, b)| 100.0 * (a.0 - b.0).abs() / a.0));
+    let heading = mean(pairs().map(|(a, b)| (a.1 - b.1).abs().to_degrees()));
+    let row =
+        |name: &str, value| Row::reported("travel", "mujoco", what.replace("{}", name), value, "");
+    [
+        row("travel", (travel, "%")),
+        row("heading", (heading, "deg")),
     ]
 }
 
