@@ -149,7 +149,7 @@ fn sliding(
         com.map(|p| p[0] * downhill[0] + p[1] * downhill[1])
             .collect()
     };
-    let mut run = |engine: &mut dyn Engine, seconds: f64| -> Result<(), VerifyError> {
+    let run = |engine: &mut dyn Engine, seconds: f64| -> Result<(), VerifyError> {
         for _ in 0..(seconds / engine.config().control_period_s()).round() as usize {
             engine.step(targets, &wrenches)?;
         }

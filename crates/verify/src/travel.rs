@@ -126,18 +126,6 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     Ok(rows)
 }
 
-/// How much MuJoCo's own answers still change with its step: nothing can be told apart below that.
-fn own_convergence(fine: &[(f64, f64)], coarse: &[(f64, f64)]) -> [Row; 2] {
-    let pairs = || fine.iter().zip(coarse);
-    let travel = mean(pairs().map(|(a, b)| 100.0 * (a.0 - b.0).abs() / a.0));
-    let heading = mean(pairs().map(|(a, b)| (a.1 - b.1).abs().to_degrees()));
-    let what = |name: &str| format!("its own {name} at 1 ms against 0.5 ms, mean change");
-    [
-        Row::reported("travel", "mujoco", what("travel"), (travel, "%"), ""),
-        Row::reported("travel", "mujoco", what("heading"), (heading, "deg"), ""),
-    ]
-}
-
 /// How much MuJoCo's own answers change with its settings: below that nothing can be told apart.
 fn own_change(what: &str, fine: &[(f64, f64)], other: &[(f64, f64)]) -> [Row; 2] {
     let pairs = || fine.iter().zip(other);
