@@ -8,6 +8,7 @@
 //! parameters and commands give the same bits for any number of threads.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod batch;
 pub mod config;
 pub mod drive;
 pub mod effects;
@@ -19,6 +20,7 @@ pub mod params;
 pub mod rapier;
 pub mod real;
 pub mod sensors;
+pub(crate) mod simd;
 pub mod state;
 pub mod terrain;
 pub mod water;
@@ -27,7 +29,7 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 
-pub use config::{EngineConfig, EngineKind};
+pub use config::{EngineConfig, EngineKind, Precision};
 pub use engine::Engine;
 pub use error::SimError;
 pub use params::{
@@ -55,6 +57,13 @@ pub fn build(
 ) -> Result<Box<dyn Engine>, SimError> {
     let terrain = Arc::new(Terrain::generate(terrain, seed)?);
     match config.kind {
+        EngineKind::Batch => Ok(Box::new(batch::BatchEngine::new(
+            model,
+            lanes,
+            config.clone(),
+            terrain,
+            threads,
+        )?)),
         EngineKind::Rapier => Ok(Box::new(rapier::RapierEngine::new(
             model,
             lanes,

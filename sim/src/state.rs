@@ -145,8 +145,13 @@ impl State {
         ]
     }
 
-    fn fields_mut(&mut self) -> [&mut [f32]; FIELDS] {
-        [
+    pub(crate) fn fields_mut(&mut self) -> [&mut [f32]; FIELDS] {
+        self.parts_mut().0
+    }
+
+    /// Every numeric field, in the order of declaration, and the marks of lanes that diverged.
+    pub(crate) fn parts_mut(&mut self) -> ([&mut [f32]; FIELDS], &mut [bool]) {
+        let fields: [&mut [f32]; FIELDS] = [
             &mut self.base_pos_m,
             &mut self.base_quat_wxyz,
             &mut self.base_vel_mps,
@@ -168,9 +173,10 @@ impl State {
             &mut self.imu_gyro_radps,
             &mut self.imu_acc_mps2,
             &mut self.imu_gravity,
-        ]
+        ];
+        (fields, &mut self.diverged)
     }
 }
 
 /// Number of numeric fields of [`State`].
-const FIELDS: usize = 21;
+pub(crate) const FIELDS: usize = 21;

@@ -79,6 +79,24 @@ impl<R: Real> CommandHistory<R> {
         }
     }
 
+    /// What lane `lane` holds, newest command first. `[depth, width]`, rad.
+    #[must_use]
+    pub fn lane(&self, lane: usize) -> Vec<f64> {
+        self.values.iter().map(|v| v.lane(lane)).collect()
+    }
+
+    /// Replaces what lane `lane` holds by what [`lane`](Self::lane) gave. Whether the length fitted; if not, nothing changes.
+    #[must_use]
+    pub fn set_lane(&mut self, lane: usize, values_rad: &[f64]) -> bool {
+        if values_rad.len() != self.values.len() {
+            return false;
+        }
+        for (all, one) in self.values.iter_mut().zip(values_rad) {
+            *all = all.with_lane(lane, *one);
+        }
+        true
+    }
+
     /// A new command, on its way from now on; where `lost`, the one before it once more.
     pub fn push(&mut self, targets_rad: &[R], lost: R::Mask) {
         let w = self.width;

@@ -14,6 +14,10 @@ use crate::real::Real;
 /// Nominal deflection at which friction starts to slide, rad (0.11°; a gear train's presliding is of this size).
 pub const PRESLIDING_RAD: f64 = 0.002;
 
+/// Damping of the bristle as a time: it feels where it would be that much later. Without it a joint that friction should hold rings on its
+/// bristle, the more the smaller the step, and creeps; with much more, friction acts ahead of time at every reversal.
+const BRISTLE_DAMPING_S: f64 = 0.02;
+
 /// Speed over which the load share fades from one direction of power to the other, rad/s: a loaded joint at rest has the mean of both.
 const POWER_FADE_RADPS: f64 = 0.02;
 
@@ -57,17 +61,18 @@ pub fn bristle_torque<R: Real>(
     bristle_rad: R,
     dt_s: R,
 ) -> ImplicitTorque<R> {
-    let ahead = bristle_rad + dt_s * qd_radps;
+    let soon_s = R::splat(BRISTLE_DAMPING_S);
+    let ahead = bristle_rad + (dt_s + soon_s) * qd_radps;
     let sticks = ahead.abs().le(presliding_rad);
-    let stiffness = bound_nm / presliding_rad;
+    let stiffness = R::select(sticks, bound_nm / presliding_rad, R::zero());
     ImplicitTorque {
         now_nm: R::select(
             sticks,
             -(stiffness * bristle_rad),
             -(bound_nm * ahead.signum0()),
         ),
-        stiffness_nm_per_rad: R::select(sticks, stiffness, R::zero()),
-        damping_nms_per_rad: R::zero(),
+        stiffness_nm_per_rad: stiffness,
+        damping_nms_per_rad: stiffness * soon_s,
     }
 }
 

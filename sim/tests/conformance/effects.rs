@@ -258,8 +258,8 @@ pub fn delay_and_skew_shift_the_phase(config: &EngineConfig) {
     };
     skewed.joints[0].command_skew_s = 0.008;
     let all = [none, late, skewed];
-    // A fraction of a step is blended into one, which is right for the impulse and about a twentieth of a step off in phase.
-    let slack = 2.0 * TAU * config.dt_s / 20.0;
+    // A fraction of a step is blended into one, which is right for the impulse and up to a sixteenth of a step off in phase.
+    let slack = 2.0 * TAU * config.dt_s / 16.0;
     let first = against_first(config, lanes(config, &model, &all).as_mut(), 0);
     for (gain, lag) in &first[1..] {
         near("gain", *gain, 1.0, 1e-3);

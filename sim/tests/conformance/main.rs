@@ -170,3 +170,11 @@ macro_rules! suite {
 }
 
 suite!(rapier, caudata_sim::EngineConfig::default());
+suite!(batch, caudata_sim::EngineConfig::batch());
+suite!(
+    batch_double,
+    caudata_sim::EngineConfig {
+        precision: caudata_sim::Precision::Double,
+        ..caudata_sim::EngineConfig::batch()
+    }
+);

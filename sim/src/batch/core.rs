@@ -1,0 +1,368 @@
+//! All lanes of an engine in groups of one width, behind a trait that hides the width.
+
+use std::sync::Mutex;
+
+use caudata_model::RobotModel;
+
+use super::ground::Ground;
+use super::lanes::Group;
+use super::period::{Period, Scratch, Shared};
+use super::pool::Pool;
+use super::program::Program;
+use super::report;
+use crate::drive::JointMemory;
+use crate::drive::loss::LossMemory;
+use crate::lanes::Lanes as _;
+use crate::real::Real;
+use crate::simd::{Kernel, Lanes};
+use crate::state::FIELDS;
+use crate::{EngineConfig, LaneParams, SimError, State, Terrain};
+
+/// One lane's state without its parameters.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(super) struct LaneState {
+    pub x: Vec<f64>,
+    pub drives: Vec<JointMemory<f64>>,
+    pub history: Vec<f64>,
+    pub loss: LossMemory,
+    pub sums: Vec<f64>,
+    pub diverged: bool,
+}
+
+/// Lanes whose width is not known.
+pub(super) trait Core: Send {
+    fn set_params(
+        &mut self,
+        lane: usize,
+        model: &RobotModel,
+        config: &EngineConfig,
+        params: &LaneParams,
+    );
+    /// Length of [`LaneState::x`].
+    fn state_len(&self) -> usize;
+    /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity (world), joints in model order,
+    /// servos holding `rest`. Then reports it in `row` of `state`.
+    fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State);
+    fn get(&self, lane: usize) -> LaneState;
+    fn put(&mut self, lane: usize, from: &LaneState) -> bool;
+    fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State);
+}
+
+/// Where a lane starts.
+pub(super) struct Start<'a> {
+    pub pose: [f64; 7],
+    pub motion: [f64; 6],
+    /// Model order.
+    pub joint_pos: &'a [f64],
+    pub joint_vel: &'a [f64],
+    /// Supply, V.
+    pub bus_v: f64,
+    /// Policy order.
+    pub servo_vel: &'a [f32],
+    /// Policy order.
+    pub rest: &'a [f32],
+}
+
+/// Lanes in groups of `R`.
+pub(super) struct CoreOf<R: Lanes> {
+    shared: Shared<R>,
+    groups: Vec<Group<R>>,
+    scratch: Vec<Scratch<R>>,
+    lanes: usize,
+}
+
+impl<R: Lanes> CoreOf<R> {
+    pub fn new(
+        model: &RobotModel,
+        lanes: usize,
+        config: &EngineConfig,
+        terrain: &Terrain,
+        threads: usize,
+    ) -> Result<Self, SimError> {
+        let level = terrain.water_level_m();
+        let program = Program::<R>::new(model, config, level.is_some())?;
+        let level = level.map_or(0.0, f64::from);
+        let shared = Shared::new(program, Ground::new(terrain), config, level);
+        let groups = lanes.div_ceil(R::LANES);
+        Ok(Self {
+            scratch: vec![Scratch::new(&shared.program); threads.clamp(1, groups)],
+            groups: vec![Group::new(&shared.program, shared.period_s()); groups],
+            shared,
+            lanes,
+        })
+    }
+}
+
+impl<R: Lanes> Core for CoreOf<R> {
+    fn set_params(
+        &mut self,
+        lane: usize,
+        model: &RobotModel,
+        config: &EngineConfig,
+        params: &LaneParams,
+    ) {
+        let group = &mut self.groups[lane / R::LANES];
+        let slot = lane % R::LANES;
+        let level = self.shared.water_level_m;
+        group.set_params(slot, &self.shared.program, model, config, level, params);
+        if lane + 1 == self.lanes {
+            // what fills up the last group does as its last lane does
+            for spare in slot + 1..R::LANES {
+                group.set_params(spare, &self.shared.program, model, config, level, params);
+            }
+        }
+    }
+
+    fn state_len(&self) -> usize {
+        super::lanes::layout(&self.shared.program).len()
+    }
+
+    fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State) {
+        let program = &self.shared.program;
+        let mut x = vec![0.0; super::lanes::layout(program).len()];
+        x[..7].copy_from_slice(&start.pose);
+        x[super::lanes::Layout::BUS] = start.bus_v;
+        if program.free {
+            x[7..13].copy_from_slice(&start.motion);
+        }
+        let lay = super::lanes::layout(program);
+        for (i, node) in program.nodes.iter().enumerate() {
+            x[lay.q() + i] = start.joint_pos[node.joint];
+            x[lay.qd() + i] = start.joint_vel[node.joint];
+        }
+        let from = LaneState {
+            x,
+            drives: (start.rest.iter().zip(start.servo_vel))
+                .map(|(&q, &qd)| JointMemory::rest(f64::from(q), f64::from(qd)))
+                .collect(),
+            history: {
+                let width = program.actuated.max(1);
+                let depth = self.groups[0].history.lane(0).len() / width;
+                let rest: Vec<f64> = start.rest.iter().map(|&q| f64::from(q)).collect();
+                rest.repeat(depth)
+            },
+            loss: LossMemory::default(),
+            sums: vec![0.0; super::lanes::sums_len(program)],
+            diverged: false,
+        };
+        self.put(lane, &from);
+        let (g, slot) = (lane / R::LANES, lane % R::LANES);
+        if lane + 1 == self.lanes {
+            for spare in slot + 1..R::LANES {
+                put_slot(&mut self.groups[g], spare, &from);
+            }
+        }
+        // The report moves the IMU's velocity on: once to learn it, once to report no acceleration.
+        let group = &mut self.groups[g];
+        let scratch = &mut self.scratch[0];
+        for _ in 0..2 {
+            let imu: Vec<R> = group.x[13..16].to_vec();
+            R::run(Report {
+                shared: &self.shared,
+                group,
+                scratch,
+            });
+            for (now, before) in group.x[13..16].iter_mut().zip(imu) {
+                let new = Real::lane(*now, slot);
+                *now = before.with_lane(slot, new);
+                for spare in slot + 1..R::LANES {
+                    if lane + 1 == self.lanes {
+                        *now = now.with_lane(spare, new);
+                    }
+                }
+            }
+        }
+        let first = g * R::LANES;
+        let widths = report::widths(&self.shared.program);
+        let mut at = 0;
+        state.diverged[lane] = false;
+        for (field, k) in state.fields_mut().into_iter().zip(widths) {
+            for c in 0..k {
+                field[(first + slot) * k + c] = Real::lane(scratch.out[at + c], slot) as f32;
+            }
+            at += k;
+        }
+    }
+
+    fn get(&self, lane: usize) -> LaneState {
+        let (group, slot) = (&self.groups[lane / R::LANES], lane % R::LANES);
+        LaneState {
+            x: group.x.iter().map(|v| Real::lane(*v, slot)).collect(),
+            drives: group.drives.iter().map(|d| d.lane(slot)).collect(),
+            history: group.history.lane(slot),
+            loss: group.loss[slot],
+            sums: group.sums.iter().map(|v| Real::lane(*v, slot)).collect(),
+            diverged: group.diverged[slot],
+        }
+    }
+
+    fn put(&mut self, lane: usize, from: &LaneState) -> bool {
+        let (group, slot) = (&mut self.groups[lane / R::LANES], lane % R::LANES);
+        if from.x.len() != group.x.len()
+            || from.drives.len() != group.drives.len()
+            || from.sums.len() != group.sums.len()
+        {
+            return false;
+        }
+        put_slot(group, slot, from)
+    }
+
+    fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State) {
+        let shared = &self.shared;
+        let parts = pool.threads().min(self.scratch.len());
+        let share = self.groups.len().div_ceil(parts);
+        let widths = report::widths(&shared.program);
+        let actuated = shared.program.actuated;
+        let mut rest = Rows::of(state);
+        let mut first = 0;
+        let mut work = Vec::with_capacity(parts);
+        for (groups, scratch) in self.groups.chunks_mut(share).zip(&mut self.scratch) {
+            let lanes = (groups.len() * R::LANES).min(self.lanes - first);
+            work.push(Mutex::new(Part {
+                shared,
+                groups,
+                scratch,
+                rows: rest.split_off_front(lanes, &widths),
+                targets: &targets[first * actuated..(first + lanes) * actuated],
+                wrenches: &wrenches[first * 6..(first + lanes) * 6],
+                lanes,
+                widths,
+            }));
+            first += lanes;
+        }
+        pool.run(&|k| {
+            if let Some(part) = work.get(k)
+                && let Ok(mut part) = part.lock()
+            {
+                part.run();
+            }
+        });
+    }
+}
+
+fn put_slot<R: Lanes>(group: &mut Group<R>, slot: usize, from: &LaneState) -> bool {
+    if !group.history.set_lane(slot, &from.history) {
+        return false;
+    }
+    for (to, v) in group.x.iter_mut().zip(&from.x) {
+        to.set_lane(slot, v);
+    }
+    for (to, v) in group.drives.iter_mut().zip(&from.drives) {
+        to.set_lane(slot, v);
+    }
+    for (to, v) in group.sums.iter_mut().zip(&from.sums) {
+        to.set_lane(slot, v);
+    }
+    group.loss[slot] = from.loss;
+    group.diverged[slot] = from.diverged;
+    true
+}
+
+/// The report alone.
+struct Report<'a, R: Lanes> {
+    shared: &'a Shared<R>,
+    group: &'a mut Group<R>,
+    scratch: &'a mut Scratch<R>,
+}
+
+impl<R: Lanes> Kernel for Report<'_, R> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        report::report(self.shared, self.group, self.scratch);
+    }
+}
+
+/// Rows of [`State`] that one thread writes.
+struct Rows<'a> {
+    fields: [&'a mut [f32]; FIELDS],
+    diverged: &'a mut [bool],
+}
+
+impl<'a> Rows<'a> {
+    fn of(state: &'a mut State) -> Self {
+        let (fields, diverged) = state.parts_mut();
+        Self { fields, diverged }
+    }
+
+    fn split_off_front(&mut self, lanes: usize, widths: &[usize; FIELDS]) -> Self {
+        let mut front: [&'a mut [f32]; FIELDS] = [(); FIELDS].map(|()| Default::default());
+        for ((slot, field), k) in front.iter_mut().zip(&mut self.fields).zip(widths) {
+            let (head, tail) = std::mem::take(field).split_at_mut(lanes * k);
+            *slot = head;
+            *field = tail;
+        }
+        let (head, tail) = std::mem::take(&mut self.diverged).split_at_mut(lanes);
+        self.diverged = tail;
+        Self {
+            fields: front,
+            diverged: head,
+        }
+    }
+}
+
+/// What one thread does in a step.
+struct Part<'a, R: Lanes> {
+    shared: &'a Shared<R>,
+    groups: &'a mut [Group<R>],
+    scratch: &'a mut Scratch<R>,
+    rows: Rows<'a>,
+    targets: &'a [f32],
+    wrenches: &'a [f32],
+    lanes: usize,
+    widths: [usize; FIELDS],
+}
+
+impl<R: Lanes> Part<'_, R> {
+    fn run(&mut self) {
+        let actuated = self.shared.program.actuated;
+        for g in 0..self.groups.len() {
+            let first = g * R::LANES;
+            let used = R::LANES.min(self.lanes - first);
+            let targets = &self.targets[first * actuated..(first + used) * actuated];
+            let wrenches = &self.wrenches[first * 6..(first + used) * 6];
+            let group = &mut self.groups[g];
+            if self.shared.ground.is_flat() {
+                R::run(Period::<R, true> {
+                    shared: self.shared,
+                    group,
+                    scratch: self.scratch,
+                    used,
+                    targets,
+                    wrenches,
+                });
+            } else {
+                R::run(Period::<R, false> {
+                    shared: self.shared,
+                    group,
+                    scratch: self.scratch,
+                    used,
+                    targets,
+                    wrenches,
+                });
+            }
+            self.publish(g, first, used);
+        }
+    }
+
+    /// Copies the report into the rows; lanes that broke down keep theirs.
+    fn publish(&mut self, g: usize, first: usize, used: usize) {
+        let diverged = &mut self.groups[g].diverged;
+        let mut at = 0;
+        let mut row = [0.0_f32; 16];
+        for lane in 0..used {
+            self.rows.diverged[first + lane] = diverged[lane];
+        }
+        for (field, &k) in self.rows.fields.iter_mut().zip(&self.widths) {
+            for c in 0..k {
+                self.scratch.out[at + c].write(&mut row);
+                for lane in 0..used {
+                    if !diverged[lane] {
+                        field[(first + lane) * k + c] = row[lane];
+                    }
+                }
+            }
+            at += k;
+        }
+    }
+}

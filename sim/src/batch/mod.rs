@@ -1,0 +1,301 @@
+//! The batch engine: many robots in the lanes of vector registers.
+//!
+//! Lanes are stepped together in groups of 16 (AVX-512), 8 (AVX2), 4 (SSE 4.1, NEON) or 1, whichever the processor has
+//! ([`EngineConfig::lane_width`] chooses another). The robot is compiled once ([`program`]); a control period of a group is one call
+//! ([`period`]): kinematics outwards ([`kinematics`]) with ground contact ([`contact`]), joint loads ([`crate::drive`]), the articulated-body
+//! algorithm inwards and outwards ([`aba`]), semi-implicit Euler; at its end the report ([`report`]). Nothing branches on a lane's values except to
+//! skip work that would add nothing to any lane, so a lane's result depends neither on its place nor on its neighbours.
+//!
+//! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact with the ground only, of balls, capsules, boxes and cylinders as
+//! [`program`] describes; drive-lines as in [`crate::drive`], water as in [`crate::water`].
+
+mod aba;
+mod contact;
+mod core;
+mod ground;
+mod kinematics;
+mod lanes;
+mod period;
+mod pool;
+pub mod program;
+mod report;
+mod snapshot;
+mod vec3;
+mod wet;
+
+use std::sync::Arc;
+
+use caudata_model::{BaseKind, RobotModel};
+
+use self::core::{Core, CoreOf, LaneState, Start};
+use crate::config::Precision;
+use crate::observe::{self, Coordinates};
+use crate::simd::Width;
+use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
+
+/// Most lanes one engine takes; each needs about 20 kB of memory.
+pub const MAX_LANES: usize = 1 << 20;
+
+/// How high above touching height a held robot hangs unless told otherwise, m.
+const HELD_CLEARANCE_M: f64 = 0.2;
+
+/// Values per lane of a wrench: force, torque.
+const WRENCH: usize = 6;
+
+/// The batch engine.
+pub struct BatchEngine {
+    model: Arc<RobotModel>,
+    config: EngineConfig,
+    terrain: Arc<Terrain>,
+    terrain_mark: u64,
+    params: Vec<LaneParams>,
+    core: Box<dyn Core>,
+    pool: pool::Pool,
+    state: State,
+}
+
+impl BatchEngine {
+    /// Builds `lanes` robots, each at the origin in its nominal pose.
+    ///
+    /// # Errors
+    /// When the configuration or the model cannot be simulated, or the processor lacks the lane width asked for.
+    pub fn new(
+        model: Arc<RobotModel>,
+        lanes: usize,
+        config: EngineConfig,
+        terrain: Arc<Terrain>,
+        threads: usize,
+    ) -> Result<Self, SimError> {
+        config.validate()?;
+        if lanes == 0 || lanes > MAX_LANES {
+            return Err(SimError::Shape {
+                what: "lanes",
+                got: lanes,
+                expected: lanes.clamp(1, MAX_LANES),
+            });
+        }
+        let width = width(&config)?;
+        let groups = lanes.div_ceil(width.lanes());
+        let threads = threads.clamp(1, groups);
+        let core = build_core(&model, lanes, &config, &terrain, threads, width)?;
+        let params = vec![LaneParams::nominal(&model); lanes];
+        let state = State::zeros(
+            lanes,
+            model.joints().len(),
+            model.actuated().len(),
+            model.feet().len(),
+        );
+        let mut engine = Self {
+            terrain_mark: terrain.fingerprint(),
+            model,
+            config,
+            terrain,
+            params,
+            core,
+            pool: pool::Pool::new(threads),
+            state,
+        };
+        let init = InitialState::nominal(&engine.model);
+        for lane in 0..lanes {
+            engine
+                .core
+                .set_params(lane, &engine.model, &engine.config, &engine.params[lane]);
+        }
+        for lane in 0..lanes {
+            engine.reset(lane, &init)?;
+        }
+        Ok(engine)
+    }
+
+    fn check_lane(&self, lane: usize) -> Result<(), SimError> {
+        if lane < self.params.len() {
+            return Ok(());
+        }
+        Err(SimError::Lane {
+            lane,
+            lanes: self.params.len(),
+        })
+    }
+
+    fn owner(&self) -> snapshot::Owner<'_> {
+        snapshot::Owner {
+            model_hash: self.model.hash(),
+            config: &self.config,
+            terrain: self.terrain_mark,
+        }
+    }
+}
+
+/// The width asked for, or the widest that the processor has.
+fn width(config: &EngineConfig) -> Result<Width, SimError> {
+    let refused = |reason| SimError::Config {
+        table: "engine",
+        field: "lane_width",
+        value: config.lane_width.to_string(),
+        reason,
+    };
+    if config.precision == Precision::Double {
+        return match config.lane_width {
+            0 | 1 => Ok(Width::One),
+            _ => Err(refused("must be 0 or 1 with engine.precision = \"double\"")),
+        };
+    }
+    if config.lane_width == 0 {
+        return Ok(Width::best());
+    }
+    let width = Width::of(config.lane_width).ok_or_else(|| refused("must be 0, 1, 4, 8 or 16"))?;
+    if !width.is_available() {
+        return Err(refused(
+            "this processor lacks the instructions for it; 0 chooses",
+        ));
+    }
+    Ok(width)
+}
+
+fn build_core(
+    model: &RobotModel,
+    lanes: usize,
+    config: &EngineConfig,
+    terrain: &Terrain,
+    threads: usize,
+    width: Width,
+) -> Result<Box<dyn Core>, SimError> {
+    macro_rules! of {
+        ($number:ty) => {
+            Ok(Box::new(CoreOf::<$number>::new(
+                model, lanes, config, terrain, threads,
+            )?))
+        };
+    }
+    if config.precision == Precision::Double {
+        return of!(f64);
+    }
+    match width {
+        #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+        Width::Four => of!(crate::simd::F32x4),
+        #[cfg(target_arch = "x86_64")]
+        Width::Eight => of!(crate::simd::F32x8),
+        #[cfg(target_arch = "x86_64")]
+        Width::Sixteen => of!(crate::simd::F32x16),
+        _ => of!(f32),
+    }
+}
+
+impl Engine for BatchEngine {
+    fn lanes(&self) -> usize {
+        self.params.len()
+    }
+
+    fn model(&self) -> &RobotModel {
+        &self.model
+    }
+
+    fn config(&self) -> &EngineConfig {
+        &self.config
+    }
+
+    fn params(&self, lane: usize) -> &LaneParams {
+        &self.params[lane]
+    }
+
+    fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
+        self.check_lane(lane)?;
+        params.validate(&self.model, lane)?;
+        self.params[lane].clone_from(params);
+        self.core
+            .set_params(lane, &self.model, &self.config, params);
+        Ok(())
+    }
+
+    fn reset(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
+        self.check_lane(lane)?;
+        init.validate(&self.model, lane)?;
+        let mut at = Coordinates::start(&self.model, init)?;
+        at.world_from_base.pos_m[2] = self.start_height_m(init, &at)?;
+        let ([x, y, z], [w, i, j, k]) = (at.world_from_base.pos_m, at.world_from_base.quat_wxyz);
+        let ([vx, vy, vz], [wx, wy, wz]) = (at.base_vel_mps, at.base_angvel_radps);
+        let start = Start {
+            pose: [x, y, z, w, i, j, k],
+            motion: [vx, vy, vz, wx, wy, wz],
+            joint_pos: &at.joint_pos_rad,
+            bus_v: f64::from(self.params[lane].supply_v),
+            servo_vel: &init.joint_vel_radps,
+            joint_vel: &at.joint_vel_radps,
+            rest: &init.joint_pos_rad,
+        };
+        self.core.reset(lane, &start, &mut self.state);
+        Ok(())
+    }
+
+    fn step(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
+        let lanes = self.params.len();
+        check_len(
+            "targets_rad",
+            targets_rad,
+            lanes * self.model.actuated().len(),
+        )?;
+        check_len("wrenches", wrenches, lanes * WRENCH)?;
+        self.core
+            .step(&self.pool, targets_rad, wrenches, &mut self.state);
+        Ok(())
+    }
+
+    fn state(&self) -> &State {
+        &self.state
+    }
+
+    fn snapshot(&self) -> Result<Vec<u8>, SimError> {
+        let lanes = (0..self.params.len()).map(|l| self.core.get(l)).collect();
+        snapshot::save(&self.owner(), &self.params, lanes, &self.state)
+    }
+
+    fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError> {
+        let (params, lanes, state) = snapshot::load(&self.owner(), bytes, self.params.len())?;
+        for (lane, p) in params.iter().enumerate() {
+            p.validate(&self.model, lane)?;
+        }
+        let fits = |l: &LaneState| l.x.len() == self.core.state_len();
+        if !lanes.iter().all(fits) {
+            return Err(snapshot::refused("its lanes have another layout"));
+        }
+        for (lane, (p, from)) in params.iter().zip(&lanes).enumerate() {
+            self.core.set_params(lane, &self.model, &self.config, p);
+            if !self.core.put(lane, from) {
+                return Err(snapshot::refused("its lanes have another layout"));
+            }
+        }
+        self.params = params;
+        self.state = state;
+        Ok(())
+    }
+}
+
+impl BatchEngine {
+    /// Height of the base link's origin that `init` asks for.
+    fn start_height_m(&self, init: &InitialState, at: &Coordinates) -> Result<f64, SimError> {
+        if let Some(z) = init.base_z_m {
+            return Ok(f64::from(z));
+        }
+        if self.model.base() == BaseKind::Fixed {
+            return Ok(0.0); // where the model puts it
+        }
+        let touching = observe::touching_height_m(&self.model, &self.terrain, at)?;
+        let held = if self.config.fixed_base {
+            HELD_CLEARANCE_M
+        } else {
+            0.0
+        };
+        Ok(touching + held)
+    }
+}
+
+fn check_len(what: &'static str, values: &[f32], expected: usize) -> Result<(), SimError> {
+    if values.len() == expected {
+        return Ok(());
+    }
+    Err(SimError::Shape {
+        what,
+        got: values.len(),
+        expected,
+    })
+}

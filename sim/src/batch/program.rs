@@ -1,0 +1,399 @@
+//! The robot compiled once: a flat list of degrees of freedom with everything constant worked out.
+//!
+//! *Node* 0 is the base (or the world, where the base is held); every further node is one live joint and the frame that it carries, a
+//! parent always before its children. A node's frame has its origin at the joint's anchor and, wherever the axis allows it, the
+//! orientation of its parent at zero, so that turning is a plane rotation of two columns; else it is laid so that the axis is z. Locked
+//! joints weld their link to the node before; a link with several joints hangs on nodes without mass of their own.
+
+use std::ops::Range;
+
+use caudata_model::pose::{self, Pose};
+use caudata_model::{BaseKind, Geom, JointKind, JointMotion, RobotModel, Shape};
+
+use crate::simd::Lanes;
+use crate::{EngineConfig, SimError};
+
+/// Most degrees of freedom (beyond a free base's six) that the engine takes.
+pub const MAX_JOINTS: usize = 256;
+/// Most contact points that the engine takes.
+pub const MAX_POINTS: usize = 4096;
+
+/// How far an axis may be off a frame axis and still count as aligned.
+const ALIGNED: f64 = 1e-12;
+
+/// A joint and the frame it carries.
+#[derive(Debug, Clone)]
+pub(super) struct Node<R: Lanes> {
+    /// Node it hangs on.
+    pub parent: usize,
+    /// Slides instead of turning.
+    pub slide: bool,
+    /// Which column of the frame is the axis.
+    pub axis: usize,
+    /// −1 where the axis points against that column.
+    pub negative: bool,
+    /// Constant turn between the parent's frame and this one at zero, columns; `None`: none.
+    pub turn: Option<[[R::Elem; 3]; 3]>,
+    /// Anchor in the parent's frame, m.
+    pub offset: [R::Elem; 3],
+    /// Which components of `offset` are not zero.
+    pub has_offset: [bool; 3],
+    /// Whether nothing has been added to the parent's inertia when this one's turn comes (children come last first).
+    pub first_for_parent: bool,
+    /// Model index of the joint.
+    pub joint: usize,
+    /// Index in policy order of the servo, where it has one.
+    pub servo: Option<usize>,
+}
+
+/// Where a link is.
+#[derive(Debug, Clone)]
+pub(super) struct LinkPlace<R: Lanes> {
+    /// Model index.
+    pub link: usize,
+    /// Node whose frame carries it.
+    pub node: usize,
+    /// Its frame in the node's.
+    pub node_from_link: Pose,
+    /// Columns: node from link.
+    pub columns: [[R::Elem; 3]; 3],
+    /// Origin in the node's frame, m.
+    pub origin: [R::Elem; 3],
+}
+
+/// What a contact point belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Part {
+    /// A foot, by index.
+    Foot(usize),
+    /// Anything else of what carries the feet.
+    Trunk,
+    /// What hangs behind without carrying feet.
+    Tail,
+}
+
+/// A ball (radius 0: a point) that may touch the ground.
+#[derive(Debug, Clone)]
+pub(super) struct Point<R: Lanes> {
+    pub node: usize,
+    /// Centre in the node's frame, m.
+    pub centre: [R::Elem; 3],
+    /// Radius, m.
+    pub radius: R::Elem,
+    pub part: Part,
+}
+
+/// A place on a node.
+#[derive(Debug, Clone)]
+pub(super) struct Place<R: Lanes> {
+    pub node: usize,
+    pub at: [R::Elem; 3],
+    /// Columns: node from place.
+    pub columns: [[R::Elem; 3]; 3],
+}
+
+/// The compiled robot.
+#[derive(Debug, Clone)]
+pub(super) struct Program<R: Lanes> {
+    /// Whether the base moves.
+    pub free: bool,
+    /// Nodes 1, 2, … (node k is `nodes[k − 1]`).
+    pub nodes: Vec<Node<R>>,
+    /// Links, sorted by node.
+    pub links: Vec<LinkPlace<R>>,
+    /// Which of them each node carries. `[nodes + 1]`
+    pub links_of: Vec<Range<usize>>,
+    /// Contact points, sorted by node.
+    pub points: Vec<Point<R>>,
+    /// Which of them each node carries. `[nodes + 1]`
+    pub points_of: Vec<Range<usize>>,
+    /// Place in `links` of the torso.
+    pub torso: usize,
+    /// Foot centres.
+    pub feet: Vec<Place<R>>,
+    /// Foot radii, m.
+    pub foot_radius: Vec<R::Elem>,
+    /// IMU.
+    pub imu: Place<R>,
+    /// Hind and front end of the heading line.
+    pub heading: Option<(Place<R>, Place<R>)>,
+    /// Live joints between the world and the root link.
+    pub base_joint_count: usize,
+    /// Root link's frame.
+    pub base_place: Place<R>,
+    /// Root link's orientation in its node.
+    pub base_quat: [R::Elem; 4],
+    /// Joints of the model.
+    pub joints: usize,
+    /// Actuated joints.
+    pub actuated: usize,
+    /// Whether there is water.
+    pub water: bool,
+}
+
+impl<R: Lanes> Program<R> {
+    /// Compiles `model` as `config` asks for.
+    pub fn new(model: &RobotModel, config: &EngineConfig, water: bool) -> Result<Self, SimError> {
+        let free = model.base() == BaseKind::Free && !config.fixed_base;
+        let mut nodes: Vec<Node<R>> = Vec::new();
+        // node and pose in it, per link
+        let mut placed: Vec<(usize, Pose)> = Vec::new();
+        for link in model.links() {
+            let (mut node, mut at) = match link.parent {
+                Some(p) => (placed[p].0, placed[p].1.compose(&link.parent_from_link)),
+                None if model.base() == BaseKind::Fixed => (0, link.parent_from_link),
+                None => (0, Pose::IDENTITY),
+            };
+            if link.parent.is_none() && free && !link.joints.is_empty() {
+                return Err(SimError::Model(format!(
+                    "the root link {} is free and has joints as well",
+                    link.name
+                )));
+            }
+            for &j in &link.joints {
+                let joint = &model.joints()[j];
+                if joint.locked || config.lock_backlash && joint.kind == JointKind::Backlash {
+                    continue;
+                }
+                let anchor = at.point(joint.anchor_m);
+                let (turn_quat, axis, negative) = lay(at.rotate(joint.axis));
+                let from_node = Pose {
+                    pos_m: anchor,
+                    quat_wxyz: turn_quat,
+                };
+                nodes.push(Node {
+                    parent: node,
+                    slide: joint.motion == JointMotion::Slide,
+                    axis,
+                    negative,
+                    turn: (turn_quat != Pose::IDENTITY.quat_wxyz)
+                        .then(|| constant_columns::<R>(turn_quat)),
+                    offset: anchor.map(R::elem),
+                    has_offset: anchor.map(|x| x != 0.0),
+                    first_for_parent: false,
+                    joint: j,
+                    servo: match joint.kind {
+                        JointKind::Actuated { index } => Some(index),
+                        JointKind::Passive | JointKind::Backlash => None,
+                    },
+                });
+                node = nodes.len();
+                at = from_node.inverse().compose(&at);
+            }
+            placed.push((node, at));
+        }
+        if nodes.len() > MAX_JOINTS {
+            return Err(SimError::Model(format!(
+                "it has {} moving joints, the batch engine takes {MAX_JOINTS}",
+                nodes.len()
+            )));
+        }
+        let links = link_places(model, &placed);
+        let links_of = ranges(nodes.len() + 1, links.iter().map(|l| l.node));
+        mark_first_children(&mut nodes, &links_of);
+        let points = contact_points(model, &placed)?;
+        let points_of = ranges(nodes.len() + 1, points.iter().map(|p| p.node));
+        let place = |link: usize, at: &Pose| place::<R>(&placed, link, at);
+        let find = |link: usize| {
+            links
+                .iter()
+                .position(|l| l.link == link)
+                .ok_or_else(|| SimError::Model(format!("link {link} is nowhere")))
+        };
+        Ok(Self {
+            free,
+            torso: find(model.torso_link())?,
+            base_place: place(0, &Pose::IDENTITY),
+            base_quat: placed[0].1.quat_wxyz.map(R::elem),
+            base_joint_count: placed[0].0,
+            feet: model
+                .feet()
+                .iter()
+                .map(|f| place(f.link, &Pose::from_pos(f.centre_m)))
+                .collect(),
+            foot_radius: model.feet().iter().map(|f| R::elem(f.radius_m)).collect(),
+            imu: model.imu_site().map_or_else(
+                || place(0, &Pose::IDENTITY),
+                |s| place(s.link, &s.link_from_site),
+            ),
+            heading: model.heading_sites().map(|(hind, front)| {
+                (
+                    place(hind.link, &hind.link_from_site),
+                    place(front.link, &front.link_from_site),
+                )
+            }),
+            joints: model.joints().len(),
+            actuated: model.actuated().len(),
+            water: water && model.water().is_some(),
+            nodes,
+            links,
+            links_of,
+            points,
+            points_of,
+        })
+    }
+
+    /// Number of nodes with node 0.
+    pub fn frames(&self) -> usize {
+        self.nodes.len() + 1
+    }
+}
+
+/// How a joint with this axis (parent's frame) is laid: constant turn of its frame, column that is the axis, whether against it.
+fn lay(axis: [f64; 3]) -> ([f64; 4], usize, bool) {
+    for k in 0..3 {
+        if (axis[k].abs() - 1.0).abs() < ALIGNED {
+            return (Pose::IDENTITY.quat_wxyz, k, axis[k] < 0.0);
+        }
+    }
+    // shortest turn that takes z to the axis (it is not −z, which is aligned)
+    let [x, y, z] = axis;
+    let quat = pose::quat_normalised([1.0 + z, -y, x, 0.0]);
+    (quat.unwrap_or(Pose::IDENTITY.quat_wxyz), 2, false)
+}
+
+fn constant_columns<R: Lanes>(quat: [f64; 4]) -> [[R::Elem; 3]; 3] {
+    let m = pose::quat_to_matrix(quat);
+    [0, 1, 2].map(|c| [0, 1, 2].map(|r| R::elem(m[r][c])))
+}
+
+fn place<R: Lanes>(placed: &[(usize, Pose)], link: usize, link_from_place: &Pose) -> Place<R> {
+    let (node, node_from_link) = placed[link];
+    let at = node_from_link.compose(link_from_place);
+    Place {
+        node,
+        at: at.pos_m.map(R::elem),
+        columns: constant_columns::<R>(at.quat_wxyz),
+    }
+}
+
+fn link_places<R: Lanes>(model: &RobotModel, placed: &[(usize, Pose)]) -> Vec<LinkPlace<R>> {
+    let mut links: Vec<LinkPlace<R>> = model
+        .links()
+        .iter()
+        .enumerate()
+        .map(|(link, _)| {
+            let (node, node_from_link) = placed[link];
+            LinkPlace {
+                link,
+                node,
+                node_from_link,
+                columns: constant_columns::<R>(node_from_link.quat_wxyz),
+                origin: node_from_link.pos_m.map(R::elem),
+            }
+        })
+        .collect();
+    links.sort_by_key(|l| l.node);
+    links
+}
+
+/// Per node, which entries of a list sorted by node are its own.
+fn ranges(nodes: usize, sorted: impl Iterator<Item = usize> + Clone) -> Vec<Range<usize>> {
+    (0..nodes)
+        .map(|n| {
+            let start = sorted.clone().take_while(|&k| k < n).count();
+            start..start + sorted.clone().filter(|&k| k == n).count()
+        })
+        .collect()
+}
+
+/// A node whose parent has no mass of its own and no later child writes the parent's inertia instead of adding to it.
+fn mark_first_children<R: Lanes>(nodes: &mut [Node<R>], links_of: &[Range<usize>]) {
+    let mut written: Vec<bool> = links_of.iter().map(|l| !l.is_empty()).collect();
+    for node in nodes.iter_mut().rev() {
+        node.first_for_parent = !written[node.parent];
+        written[node.parent] = true;
+    }
+}
+
+/// The balls and points that stand for the model's colliding shapes.
+///
+/// Exact against a plane: ball; capsule (its two end balls); box (its eight corners). Approximate: cylinder (16 points on each rim: a
+/// rolling one sinks in by up to 2 % of its radius), ellipsoid (refused). Against uneven ground, straight sides can be hollow between their
+/// points: capsules longer than their radius get a ball in the middle.
+fn contact_points<R: Lanes>(
+    model: &RobotModel,
+    placed: &[(usize, Pose)],
+) -> Result<Vec<Point<R>>, SimError> {
+    let mut points = Vec::new();
+    for (i, link) in model.links().iter().enumerate() {
+        for (g, geom) in link.geoms.iter().enumerate().filter(|(_, g)| g.collides()) {
+            let foot = model.feet().iter().position(|f| f.link == i && f.geom == g);
+            let (node, node_from_link) = placed[i];
+            let node_from_geom = node_from_link.compose(&geom.link_from_geom);
+            let (centres, radius) = balls(geom).map_err(|what| {
+                SimError::Model(format!(
+                    "geom {} of link {} is {what}, which the batch engine cannot collide",
+                    geom.name.as_deref().unwrap_or("without a name"),
+                    link.name
+                ))
+            })?;
+            let other = if model.carries_feet(i) {
+                Part::Trunk
+            } else {
+                Part::Tail
+            };
+            points.extend(centres.into_iter().map(|c| Point {
+                node,
+                centre: node_from_geom.point(c).map(R::elem),
+                radius: R::elem(radius),
+                part: foot.map_or(other, Part::Foot),
+            }));
+        }
+    }
+    if points.len() > MAX_POINTS {
+        return Err(SimError::Model(format!(
+            "its shapes make {} contact points, the batch engine takes {MAX_POINTS}",
+            points.len()
+        )));
+    }
+    points.sort_by_key(|p| p.node);
+    Ok(points)
+}
+
+/// Centres (geom frame, m) and radius of the balls that stand for a shape.
+fn balls(geom: &Geom) -> Result<(Vec<[f64; 3]>, f64), &'static str> {
+    const RIM: u32 = 16;
+    Ok(match geom.shape {
+        Shape::Sphere { radius_m } => (vec![[0.0; 3]], radius_m),
+        Shape::Capsule {
+            radius_m,
+            half_length_m: h,
+        } => {
+            let mut centres = vec![[0.0, 0.0, -h], [0.0, 0.0, h]];
+            if 2.0 * h > radius_m {
+                centres.push([0.0; 3]);
+            }
+            (centres, radius_m)
+        }
+        Shape::Box {
+            half_size_m: [x, y, z],
+        } => {
+            let signs = [-1.0, 1.0];
+            let mut corners = Vec::new();
+            for sx in signs {
+                for sy in signs {
+                    for sz in signs {
+                        corners.push([sx * x, sy * y, sz * z]);
+                    }
+                }
+            }
+            (corners, 0.0)
+        }
+        Shape::Cylinder {
+            radius_m,
+            half_length_m: h,
+        } => {
+            let mut rim = Vec::new();
+            for k in 0..RIM {
+                let (s, c) = (std::f64::consts::TAU * f64::from(k) / f64::from(RIM)).sin_cos();
+                for z in [-h, h] {
+                    rim.push([radius_m * c, radius_m * s, z]);
+                }
+            }
+            (rim, 0.0)
+        }
+        Shape::Ellipsoid { .. } => return Err("an ellipsoid"),
+        Shape::Plane => return Err("a plane"),
+    })
+}
