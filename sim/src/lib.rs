@@ -18,6 +18,7 @@ mod observe;
 pub mod params;
 pub mod rapier;
 pub mod real;
+mod self_contact;
 pub mod sensors;
 pub mod state;
 pub mod terrain;

@@ -132,6 +132,7 @@ macro_rules! suite {
                 contact_force_carries_the_weight,
                 landing_gives_the_momentum_back,
                 rests_on_a_slope,
+                legs_stop_each_other,
                 slippery_patches_scale_friction,
             },
             observation::{
