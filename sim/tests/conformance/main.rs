@@ -151,6 +151,7 @@ macro_rules! suite {
             },
             lane_params::{
                 each_parameter_acts,
+                inertia_payload_tilt_and_feet_act,
                 refuses_bad_values,
                 set_params_acts_at_once,
             },
