@@ -260,12 +260,15 @@ pub fn inertia_payload_tilt_and_feet_act(config: &EngineConfig) {
     );
 }
 
+/// A change of one value.
+type Change = fn(&mut LaneParams);
+
 /// Each refusal says which value, and leaves the parameters as they were.
 pub fn refuses_bad_values(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 2);
     let good = LaneParams::nominal(&model);
-    let bad: [(&str, fn(&mut LaneParams)); 18] = [
+    let bad: [(&str, Change); 18] = [
         ("foot_friction", |p| p.foot_friction = f32::NAN),
         ("foot_friction_scale", |p| p.foot_friction_scale.truncate(3)),
         ("supply_v", |p| p.supply_v = 0.0),

@@ -165,6 +165,7 @@ macro_rules! suite {
             snapshots::{
                 continues_bit_exactly,
                 continues_bit_exactly_on_a_height_field,
+                continues_bit_exactly_with_every_effect,
                 refuses_what_is_not_its_own,
             },
         ]);
