@@ -66,6 +66,9 @@ pub struct EngineConfig {
     pub lock_backlash: bool,
     /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default false.
     pub fixed_base: bool,
+    /// Whether legs touch the trunk and other legs, with the shapes that touch the ground. Default false: gaits on land do not need it
+    /// (legs of the Polymander meet only when it bends its spine with hips at their ends), and every pair costs.
+    pub self_collision: bool,
     /// Joint speed beyond which a lane counts as diverged, rad/s. Default 200 (the servos end at 8).
     pub max_joint_speed_radps: f64,
     /// Base speed beyond which a lane counts as diverged, m/s. Default 50.
@@ -104,6 +107,7 @@ impl Default for EngineConfig {
             stop_damping_nms_per_rad: 2.0,
             lock_backlash: false,
             fixed_base: false,
+            self_collision: false,
             max_joint_speed_radps: 200.0,
             max_base_speed_mps: 50.0,
             lane_width: 0,
