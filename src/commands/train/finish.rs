@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use caudata_config::Config;
+use caudata_evaluation::ScenarioResult;
 use caudata_model::RobotModel;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::RegistryClient;
@@ -16,7 +17,7 @@ use super::folder::RunFolder;
 use super::robot::{RobotRun, run_robot};
 use super::supervise::Outcome;
 use super::view::clock;
-use crate::commands::eval::{self, Evaluation, Suite};
+use crate::commands::eval;
 use crate::commands::policy::{block_on, hex};
 use crate::say;
 
@@ -36,7 +37,7 @@ pub struct Report {
     /// The policy's SHA-256 wherever it lies.
     policy: PolicyHashes,
     /// In the environment, if it was evaluated there.
-    evaluation: Option<Evaluation>,
+    evaluation: Option<ScenarioResult>,
     /// On the simulated robot, if it was run there.
     robot: Option<RobotRun>,
 }
@@ -76,9 +77,8 @@ pub fn evaluate(
     let evaluation = match episodes > 0 {
         true => Some(eval::evaluate(
             config,
-            model,
+            &model,
             &policy,
-            Suite::Flat,
             episodes,
             stop,
         )?),
@@ -240,7 +240,7 @@ mod tests {
                 robot: None,
                 same: true,
             },
-            evaluation: Some(eval::example()),
+            evaluation: Some(ScenarioResult::default()),
             robot: None,
         };
         let report = serde_json::to_value(&report).unwrap();

@@ -62,7 +62,14 @@ pub fn run_robot(
 
 fn start_simulator(folder: &RunFolder) -> Result<(Process, SocketAddr), Failure> {
     let mut command = Command::new(std::env::current_exe().or_exit(ExitCode::Internal)?);
-    command.args(["sim", "robot", "--addr", "127.0.0.1:0", "--log", "info"]);
+    command.args([
+        "sim",
+        "robot",
+        "--addr",
+        "127.0.0.1:0",
+        "--log-filter",
+        "info",
+    ]);
     command.arg("--config").arg(folder.config());
     let (sender, announced) = bounded(1);
     let sink: LineSink = Box::new(move |line| {

@@ -496,7 +496,7 @@ fn add_telemetry(command: &mut Command, config: &Config, own_metrics: bool) {
     command.args([
         "--log-format",
         telemetry.log_format.name(),
-        "--log",
+        "--log-filter",
         &telemetry.log,
     ]);
     if own_metrics && telemetry.metrics {
