@@ -7,7 +7,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use caudata_model::RobotModel;
-use caudata_sim::{Engine, EngineConfig, InitialState, Terrain, TerrainConfig, TerrainKind, build};
+use caudata_sim::{
+    Engine, EngineConfig, EngineKind, InitialState, SimError, Terrain, TerrainConfig, TerrainKind,
+    build,
+};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use caudata_verify::{Gait, Mujoco, Presence, RobotRequest, VerifyError};
 use clap::ValueEnum;
@@ -185,20 +188,38 @@ fn one(
         kind: name.into(),
         dt_s: DT_S,
         substeps: SUBSTEPS,
+        lane_width: width,
         ..plan.engine.clone()
     };
-    let Some(config) = with_width(config, width) else {
-        return Ok(None);
-    };
+    if width != 0 && config.kind != EngineKind::Batch {
+        return Ok(None); // only that engine has lanes in registers
+    }
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let make = |threads: usize| -> Result<Ours, Failure> {
-        let lanes = plan.lanes;
+    let make = |threads: usize| -> Result<Ours, SimError> {
         let model = Arc::clone(model);
-        let engine = build(model, lanes, &config, &scene.terrain(), 1, threads)
-            .or_exit(ExitCode::BadConfig)?;
-        Ours::new(engine).or_exit(ExitCode::Internal)
+        Ours::new(build(
+            model,
+            plan.lanes,
+            &config,
+            &scene.terrain(),
+            1,
+            threads,
+        )?)
     };
-    let (mut single, mut all) = (make(1)?, make(threads)?);
+    let (mut single, mut all) = match (make(1), make(threads)) {
+        (Ok(single), Ok(all)) => (single, all),
+        // a width that this processor lacks
+        (
+            Err(SimError::Config {
+                field: "lane_width",
+                ..
+            }),
+            _,
+        ) if (1..=16).contains(&width) => {
+            return Ok(None);
+        }
+        (Err(error), _) | (_, Err(error)) => return Err(Failure::new(ExitCode::BadConfig, error)),
+    };
     let seconds = plan.seconds / f64::from(ROUNDS);
     single.round(0.2 * seconds)?; // caches and clocks warm up
     all.round(0.2 * seconds)?;
@@ -239,11 +260,6 @@ fn one(
     }))
 }
 
-/// `config` with a lane width; `None` where the engine has no such width.
-fn with_width(config: EngineConfig, width: u32) -> Option<EngineConfig> {
-    (width == 0).then_some(config)
-}
-
 /// One of our engines, walking.
 struct Ours {
     engine: Box<dyn Engine>,
@@ -254,7 +270,7 @@ struct Ours {
 }
 
 impl Ours {
-    fn new(mut engine: Box<dyn Engine>) -> Result<Self, caudata_sim::SimError> {
+    fn new(mut engine: Box<dyn Engine>) -> Result<Self, SimError> {
         let start = InitialState::nominal(engine.model());
         let lanes = engine.lanes();
         for lane in 0..lanes {

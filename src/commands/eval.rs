@@ -69,6 +69,8 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// The engines, as words on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum EngineName {
+    /// Articulated bodies in vector lanes
+    Batch,
     /// Rapier multibody joints
     Rapier,
 }
@@ -76,6 +78,7 @@ pub enum EngineName {
 impl From<EngineName> for EngineKind {
     fn from(name: EngineName) -> Self {
         match name {
+            EngineName::Batch => EngineKind::Batch,
             EngineName::Rapier => EngineKind::Rapier,
         }
     }
