@@ -172,12 +172,12 @@ macro_rules! suite {
     };
 }
 
-suite!(rapier, caudata_sim::EngineConfig::default());
-suite!(batch, caudata_sim::EngineConfig::batch());
+suite!(rapier, caudata_sim::EngineConfig::of(caudata_sim::EngineKind::Rapier));
+suite!(batch, caudata_sim::EngineConfig::default());
 suite!(
     batch_double,
     caudata_sim::EngineConfig {
         precision: caudata_sim::Precision::Double,
-        ..caudata_sim::EngineConfig::batch()
+        ..caudata_sim::EngineConfig::default()
     }
 );

@@ -208,10 +208,10 @@ pub fn exit_code(status: ExitStatus) -> ExitCode {
 /// How a child ended, in words.
 pub fn describe(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
-        (Some(code), _) => format!("exit code {code}"),
+        (Some(code), _) => format!("ended with exit code {code}"),
         (None, Some(signal)) => match Signal::try_from(signal) {
-            Ok(signal) => format!("killed by {signal}"),
-            Err(_) => format!("killed by signal {signal}"),
+            Ok(signal) => format!("was killed by {signal}"),
+            Err(_) => format!("was killed by signal {signal}"),
         },
         (None, None) => "ended".into(),
     }
@@ -299,6 +299,6 @@ mod tests {
         is_ready.recv().unwrap();
         child.signal(Signal::SIGTERM);
         let status = child.finish(Duration::from_millis(200)).unwrap();
-        assert_eq!(describe(status), "killed by SIGKILL");
+        assert_eq!(describe(status), "was killed by SIGKILL");
     }
 }

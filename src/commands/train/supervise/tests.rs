@@ -98,7 +98,7 @@ fn a_killed_learner_is_a_failure_even_after_its_last_word() {
     let log = stage.folder.logs().join("learner.log");
     fs::write(log, "error: only 1 chunks came\nhint: old\n").unwrap();
     let failure = stage.run().err().unwrap();
-    assert_eq!(failure.to_string(), "the learner killed by SIGKILL");
+    assert_eq!(failure.to_string(), "the learner was killed by SIGKILL");
     assert!(failure.hint_text().unwrap().contains("train --resume"));
 }
 
