@@ -88,7 +88,7 @@ fn is_dirty(folder: &Path) -> Option<bool> {
         .args(["status", "--porcelain", "--untracked-files=no"])
         .output()
         .ok()?;
-    output.status.success().then(|| !output.stdout.is_empty())
+    output.status.success().then_some(!output.stdout.is_empty())
 }
 
 /// Says who is speaking, as the first line of the log.
