@@ -50,7 +50,7 @@ fn main() {
             let config = EngineConfig {
                 lane_width: width,
                 precision,
-                ..EngineConfig::batch()
+                ..EngineConfig::default()
             };
             let mut engine = match build(model.clone(), lanes, &config, &terrain, 1, threads) {
                 Ok(engine) => engine,

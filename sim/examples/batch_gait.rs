@@ -10,7 +10,7 @@ use std::sync::Arc;
 fn main() {
     let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
     let model = Arc::new(RobotModel::load(&robot).expect("robot model"));
-    let mut base = EngineConfig::batch();
+    let mut base = EngineConfig::default();
     let (mut mu, mut jf, mut kd) = (0.8_f32, 1.0_f32, 0.15_f32);
     for arg in std::env::args().skip(1) {
         let (key, value) = arg.split_once('=').unwrap();

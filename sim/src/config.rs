@@ -39,12 +39,12 @@ pub enum Precision {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EngineConfig {
-    /// The engine. Default `rapier`.
+    /// The engine: `batch` or `rapier`. Default `batch`.
     pub kind: EngineKind,
-    /// Physics step, s, 0.0002..=0.01. Default 0.004. Smaller is more accurate and proportionally slower; above about 5 ms
-    /// the explicit servo loop gets soft and foot contact coarse.
+    /// Physics step, s, 0.0002..=0.01. Default 0.002. Smaller is more accurate and proportionally slower; above about 3 ms feet of the batch
+    /// engine slide more than converged ones do, above 5 ms the explicit servo loop gets soft. Rapier does well with 0.004.
     pub dt_s: f64,
-    /// Physics steps per control period, 1..=200; `substeps * dt_s` is the control period. Default 5 (20 ms).
+    /// Physics steps per control period, 1..=200; `substeps * dt_s` is the control period. Default 10 (20 ms).
     pub substeps: u32,
     /// Solver iterations per physics step, 1..=16. Each costs nearly a whole step. Default 1.
     pub solver_iterations: u32,
@@ -66,6 +66,9 @@ pub struct EngineConfig {
     pub lock_backlash: bool,
     /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default false.
     pub fixed_base: bool,
+    /// Whether legs touch the trunk and other legs, with the shapes that touch the ground. Default false: gaits on land do not need it
+    /// (legs of the Polymander meet only when it bends its spine with hips at their ends), and every pair costs.
+    pub self_collision: bool,
     /// Joint speed beyond which a lane counts as diverged, rad/s. Default 200 (the servos end at 8).
     pub max_joint_speed_radps: f64,
     /// Base speed beyond which a lane counts as diverged, m/s. Default 50.
@@ -93,9 +96,9 @@ pub struct EngineConfig {
 impl Default for EngineConfig {
     fn default() -> Self {
         Self {
-            kind: EngineKind::Rapier,
-            dt_s: 0.004,
-            substeps: 5,
+            kind: EngineKind::Batch,
+            dt_s: 0.002,
+            substeps: 10,
             solver_iterations: 1,
             contact_frequency_hz: 60.0,
             contact_damping_ratio: 10.0,
@@ -104,6 +107,7 @@ impl Default for EngineConfig {
             stop_damping_nms_per_rad: 2.0,
             lock_backlash: false,
             fixed_base: false,
+            self_collision: false,
             max_joint_speed_radps: 200.0,
             max_base_speed_mps: 50.0,
             lane_width: 0,
@@ -118,14 +122,29 @@ impl Default for EngineConfig {
 }
 
 impl EngineConfig {
-    /// The batch engine: steps of 2 ms, ten per control period.
+    /// The defaults for `kind`: the batch engine with steps of 2 ms, Rapier with 4 ms; 20 ms per control period either way.
     #[must_use]
-    pub fn batch() -> Self {
+    pub fn of(kind: EngineKind) -> Self {
+        Self::default().on(kind)
+    }
+
+    /// The same settings on another engine, with that engine's step where the control period allows it.
+    #[must_use]
+    pub fn on(self, kind: EngineKind) -> Self {
+        if kind == self.kind {
+            return self;
+        }
+        let dt_s = match kind {
+            EngineKind::Batch => 0.002,
+            EngineKind::Rapier => 0.004,
+        };
+        let substeps = self.control_period_s() / dt_s;
+        let whole = (substeps - substeps.round()).abs() < 1e-9 && substeps >= 1.0;
         Self {
-            kind: EngineKind::Batch,
-            dt_s: 0.002,
-            substeps: 10,
-            ..Self::default()
+            kind,
+            dt_s: if whole { dt_s } else { self.dt_s },
+            substeps: if whole { substeps.round() as u32 } else { self.substeps },
+            ..self
         }
     }
 
@@ -274,6 +293,19 @@ mod tests {
         let c = EngineConfig::default();
         c.validate().unwrap();
         assert!((c.control_period_s() - 0.02).abs() < 1e-12);
+    }
+
+    #[test]
+    fn another_engine_takes_its_own_step_and_keeps_the_control_period() {
+        let rapier = EngineConfig::of(EngineKind::Rapier);
+        assert_eq!((rapier.dt_s, rapier.substeps), (0.004, 5));
+        let odd = EngineConfig {
+            dt_s: 0.001,
+            substeps: 7,
+            ..EngineConfig::default()
+        };
+        let odd = odd.on(EngineKind::Rapier);
+        assert_eq!((odd.kind, odd.dt_s, odd.substeps), (EngineKind::Rapier, 0.001, 7));
     }
 
     #[test]

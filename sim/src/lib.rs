@@ -20,6 +20,7 @@ mod observe;
 pub mod params;
 pub mod rapier;
 pub mod real;
+mod self_contact;
 pub mod sensors;
 pub(crate) mod simd;
 pub mod state;

@@ -12,7 +12,7 @@ const STAND_S: f64 = 3.0;
 
 /// Height of the centre of mass and of the head, after standing, against MuJoCo.
 pub(crate) fn standing(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
-    const WHAT: &str = "standing height, centre of mass and head, worse of both";
+    const WHAT: &str = "standing height of the centre of mass";
     let model = Arc::clone(&bench.model);
     let nominal: Vec<f32> = model.nominal_pos_rad().iter().map(|&q| q as f32).collect();
     let periods = (STAND_S / 0.02) as usize;
@@ -46,24 +46,13 @@ pub(crate) fn standing(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
             theirs = Some([last[2], last[6]]);
         }
         let theirs = theirs.unwrap_or([f64::NAN; 2]);
-        let worst = (0..2)
-            .map(|i| 1e3 * (ours[i] - theirs[i]).abs())
-            .fold(0.0, f64::max);
-        let note = format!(
-            "centre of mass {:.2} mm, head {:.2} mm; MuJoCo {:.2}, {:.2}",
-            1e3 * ours[0],
-            1e3 * ours[1],
-            1e3 * theirs[0],
-            1e3 * theirs[1]
-        );
-        rows.push(Row::judged(
-            "standing",
-            &subject.name,
-            WHAT,
-            (worst, "mm"),
-            1.0,
-            note,
-        ));
+        let off = |i: usize| (1e3 * (ours[i] - theirs[i]).abs(), "mm");
+        let note = |i: usize| format!("{:.2} mm, MuJoCo {:.2} mm", 1e3 * ours[i], 1e3 * theirs[i]);
+        let name = &subject.name;
+        rows.push(Row::judged("standing", name, WHAT, off(0), 1.0, note(0)));
+        // It hangs on the play hinges, which friction may hold anywhere within their play.
+        let head = "standing height of the head";
+        rows.push(Row::reported("standing", name, head, off(1), note(1)));
     }
     Ok(rows)
 }

@@ -120,14 +120,23 @@ fn a_policy_for_something_else_is_refused_in_one_clear_line() {
     let line = refused(|m| m.contract.control_period_s = 0.01);
     assert_eq!(
         line,
-        "the policy's control period differs from the one here"
+        "the policy differs from what is expected here in its control period"
     );
     let line = refused(|m| m.contract.nominal_pos_rad[9] += 0.1);
-    assert_eq!(line, "the policy's nominal pose differs from the one here");
+    assert_eq!(
+        line,
+        "the policy differs from what is expected here in its nominal pose"
+    );
     let line = refused(|m| m.contract.kp_nm_per_rad[0] = 20.0);
-    assert_eq!(line, "the policy's gains differs from the one here");
+    assert_eq!(
+        line,
+        "the policy differs from what is expected here in its gains"
+    );
     let line = refused(|m| m.contract.phase.offsets_rad = vec![0.0; 4]);
-    assert_eq!(line, "the policy's gait phase differs from the one here");
+    assert_eq!(
+        line,
+        "the policy differs from what is expected here in its gait phase"
+    );
 }
 
 #[test]
@@ -147,7 +156,7 @@ fn a_policy_that_must_know_whether_it_swims_is_refused() {
     let line = refusal(bytes, &policy).to_string();
     assert_eq!(
         line,
-        "the policy's observation layout differs from the one here"
+        "the policy differs from what is expected here in its observation layout"
     );
 }
 
