@@ -30,7 +30,8 @@ fn picture(items: &[Item], kind: TerrainKind, camera: &Camera) -> Image {
     render(&Scene::new(items, terrain(kind), 0.0), camera, &SMALL).unwrap()
 }
 
-fn is_red([r, g, b]: [u8; 3]) -> bool {
+fn is_red(pixel: [u8; 3]) -> bool {
+    let [r, g, b] = pixel.map(u32::from);
     r > 2 * g && r > 2 * b && r > 60
 }
 
@@ -39,7 +40,8 @@ fn a_ball_is_where_it_projects_and_nowhere_else() {
     let camera = Camera::orbit([0.0, 0.0, 0.3], 3.0, 0.5, 0.3).unwrap();
     let image = picture(&[ball_at(0.3)], TerrainKind::Flat, &camera);
     // the ball's centre is the camera's target: the middle of the picture
-    assert_eq!(camera.project([0.0, 0.0, 0.3], 96, 64), Some([48.0, 32.0]));
+    let [x, y] = camera.project([0.0, 0.0, 0.3], 96, 64).unwrap();
+    assert!((x - 48.0).abs() < 1e-9 && (y - 32.0).abs() < 1e-9);
     assert!(is_red(image.pixel(48, 32)), "{:?}", image.pixel(48, 32));
     // its radius is asin(0.3/3) of a picture of 36° over 64 pixels: tan 5.74° / tan 18° · 32 = 9.9 pixels
     let red = |x: u32| is_red(image.pixel(x, 32));
@@ -86,7 +88,7 @@ fn threads_do_not_change_a_byte_and_png_and_gif_open() {
     let base = Pose::from_pos([0.5, 0.0, 0.6]);
     let joints = model.full_pos_rad(model.nominal_pos_rad()).unwrap();
     let items = robot_items(&model, &base, &joints, &[true, false, false, true]).unwrap();
-    assert!(items.len() > 30);
+    assert!(items.len() >= model.links().len());
     let scene = Scene::new(&items, terrain(TerrainKind::RoughHard), 0.0);
     let camera = Camera::of_view(View::Iso, base.pos_m, 0.0, 2.0).unwrap();
     let one = render(&scene, &camera, &SMALL).unwrap();

@@ -16,8 +16,8 @@ use crate::{Bench, Row, Subject, VerifyError};
 
 /// Longer and shorter step, s.
 const DT_S: [f64; 2] = [0.0004, 0.0002];
-/// Relative error up to which the difference counts as rounding and terms of order dt².
-const TARGET: f64 = 1e-3;
+/// Relative error up to which the difference counts as rounding, terms of order dt², and what an engine predicts within its first step.
+const TARGET: f64 = 5e-3;
 
 /// What MuJoCo answers for one state.
 #[derive(Deserialize)]
