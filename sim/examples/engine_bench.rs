@@ -83,7 +83,7 @@ fn main() {
                 dt_s: dt_ms * 1e-3,
                 substeps,
                 solver_iterations: iterations,
-                ..EngineConfig::default()
+                ..EngineConfig::rapier()
             };
             let mut engine = build(model.clone(), 1, &config, terrain, 1, 1).expect("engine");
             engine.reset(0, &InitialState::nominal(&model)).unwrap();

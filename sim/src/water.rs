@@ -113,35 +113,35 @@ pub fn forces<R: Real>(p: &WaterLink<R>, at: &LinkMotion<R>, water: &Surface<R>)
     let s = immersed_share(p, at, water.level_m);
 
     // motion relative to the water, link axes
-    let through = [0, 1, 2].map(|i| at.com_vel_mps[i] - water.current_mps[i]);
+    let through = sub(at.com_vel_mps, water.current_mps);
     let v = into_link(rot, through);
     let w = into_link(rot, at.angvel_radps);
-    let damping_force =
-        [0, 1, 2].map(|i| s * (p.linear_force[i] + p.quadratic_force[i] * v[i].abs()));
-    let damping_torque =
-        [0, 1, 2].map(|i| s * (p.linear_torque[i] + p.quadratic_torque[i] * w[i].abs()));
-    let added_mass = p.added_mass_kg.map(|m| s * m);
-    let added_inertia = p.added_inertia_kgm2.map(|i| s * i);
+    let damping_force = damping(s, p.linear_force, p.quadratic_force, v);
+    let damping_torque = damping(s, p.linear_torque, p.quadratic_torque, w);
+    let added_mass = times(p.added_mass_kg, s);
+    let added_inertia = times(p.added_inertia_kgm2, s);
 
     // −v ×* (M_a·v): torque v × p + ω × l, force ω × p, with the water's momentum p = m_a·v, l = I_a·ω
-    let momentum = [0, 1, 2].map(|i| added_mass[i] * v[i]);
-    let spin = [0, 1, 2].map(|i| added_inertia[i] * w[i]);
+    let momentum = each(added_mass, v);
+    let spin = each(added_inertia, w);
     let (carried, moment) = (cross(w, momentum), add(cross(v, momentum), cross(w, spin)));
     // the engine's acceleration is that in the world, the water's that in the current
     let drift = cross(w, into_link(rot, water.current_mps));
-    let force_link =
-        [0, 1, 2].map(|i| -(damping_force[i] * v[i]) - carried[i] - added_mass[i] * drift[i]);
-    let torque_link = [0, 1, 2].map(|i| -(damping_torque[i] * w[i]) - moment[i]);
+    let held = add(
+        each(damping_force, v),
+        add(carried, each(added_mass, drift)),
+    );
+    let turned = add(each(damping_torque, w), moment);
 
-    let lift = water.gravity_mps2.map(|g| -(s * p.displaced_kg * g));
-    let arm = into_world(rot, [0, 1, 2].map(|i| p.buoyancy_m[i] - p.com_m[i]));
+    let lift = times(water.gravity_mps2, -(s * p.displaced_kg));
+    let arm = into_world(rot, sub(p.buoyancy_m, p.com_m));
     let heave = s * p.heave_ns_per_m;
-    let mut force = add(into_world(rot, force_link), lift);
+    let mut force = sub(lift, into_world(rot, held));
     force[2] -= heave * through[2];
     LinkForces {
         immersed: s,
         force_n: force,
-        torque_nm: add(into_world(rot, torque_link), cross(arm, lift)),
+        torque_nm: sub(cross(arm, lift), into_world(rot, turned)),
         damping_ns_per_m: damping_force,
         damping_nms_per_rad: damping_torque,
         heave_ns_per_m: heave,
@@ -157,8 +157,8 @@ fn immersed_share<R: Real>(p: &WaterLink<R>, at: &LinkMotion<R>, level_m: R) -> 
     let up = at.rotation[2];
     let centre_z = at.origin_z_m + dot(up, p.centre_m);
     // half the vertical extent, of a box and of an ellipsoid
-    let boxed = dot(up.map(R::abs), p.half_m);
-    let reach = [0, 1, 2].map(|i| up[i] * p.half_m[i]);
+    let reach = each(up, p.half_m);
+    let boxed = reach[0].abs() + reach[1].abs() + reach[2].abs();
     let round = dot(reach, reach).sqrt();
     let half = (boxed + p.roundness * (round - boxed)).max(R::splat(MIN_HALF_HEIGHT_M));
     let x = ((level_m - centre_z + half) / (half + half)).clamp(R::zero(), R::one());
@@ -177,6 +177,32 @@ fn add<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
 }
 
 #[inline(always)]
+fn sub<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+#[inline(always)]
+fn times<R: Real>(a: [R; 3], s: R) -> [R; 3] {
+    [a[0] * s, a[1] * s, a[2] * s]
+}
+
+/// Component by component.
+#[inline(always)]
+fn each<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+    [a[0] * b[0], a[1] * b[1], a[2] * b[2]]
+}
+
+/// Secant damping of linear and quadratic drag at velocity `v`.
+#[inline(always)]
+fn damping<R: Real>(s: R, linear: [R; 3], quadratic: [R; 3], v: [R; 3]) -> [R; 3] {
+    [
+        s * (linear[0] + quadratic[0] * v[0].abs()),
+        s * (linear[1] + quadratic[1] * v[1].abs()),
+        s * (linear[2] + quadratic[2] * v[2].abs()),
+    ]
+}
+
+#[inline(always)]
 fn cross<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
     [
         a[1] * b[2] - a[2] * b[1],
@@ -187,12 +213,15 @@ fn cross<R: Real>(a: [R; 3], b: [R; 3]) -> [R; 3] {
 
 #[inline(always)]
 fn into_world<R: Real>(rot: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
-    rot.map(|row| dot(row, v))
+    [dot(rot[0], v), dot(rot[1], v), dot(rot[2], v)]
 }
 
 #[inline(always)]
 fn into_link<R: Real>(rot: &[[R; 3]; 3], v: [R; 3]) -> [R; 3] {
-    [0, 1, 2].map(|i| rot[0][i] * v[0] + rot[1][i] * v[1] + rot[2][i] * v[2])
+    add(
+        times(rot[0], v[0]),
+        add(times(rot[1], v[1]), times(rot[2], v[2])),
+    )
 }
 
 impl WaterLink<f64> {

@@ -69,7 +69,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// The engines, as words on the command line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum EngineName {
-    /// Articulated bodies in vector lanes
+    /// Articulated bodies in vector lanes, as in training
     Batch,
     /// Rapier multibody joints
     Rapier,

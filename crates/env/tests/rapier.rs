@@ -15,7 +15,7 @@ fn env(task: &TaskConfig, lanes: usize, threads: usize) -> VecEnv {
     let engine = caudata_sim::build(
         Arc::clone(&model),
         lanes,
-        &EngineConfig::default(),
+        &EngineConfig::rapier(),
         &TerrainConfig::default(),
         1,
         threads,

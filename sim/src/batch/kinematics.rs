@@ -1,6 +1,6 @@
 //! Outwards from the base: where every frame is, how it moves, what inertia it carries, what it touches.
 //!
-//! Positions, velocities and inertias are about the base's origin in world axes, so bodies add up without transforms. Bias accelerations (what
+//! Positions, velocities and inertias are about one point of the base ([`Program::centre`]) in world axes, so bodies add up without transforms. Bias accelerations (what
 //! moves without any joint accelerating: Coriolis and centrifugal) are accumulated here, so that the articulated passes see none.
 
 use super::contact::{ContactLaw, MEMORY, Touch, touch};
@@ -18,7 +18,7 @@ use crate::simd::Lanes;
 pub(super) struct Frame<R> {
     /// World from node, columns.
     pub rot: [V3<R>; 3],
-    /// Origin from the base's, world, m.
+    /// Origin from the reference point, world, m.
     pub pos: V3<R>,
     /// Angular part of the joint's direction: the axis of a hinge, 0 of a slide.
     pub axis_ang: V3<R>,
@@ -26,7 +26,7 @@ pub(super) struct Frame<R> {
     pub axis_lin: V3<R>,
     /// Angular velocity, rad/s.
     pub ang: V3<R>,
-    /// Velocity of the material point at the base's origin, m/s.
+    /// Velocity of the material point at the reference point, m/s.
     pub lin: V3<R>,
     /// `ang` in the middle between this step's start and the last one's, see [`super::period`].
     pub ang_mid: V3<R>,
@@ -55,35 +55,49 @@ impl<R: Lanes> Frame<R> {
         }
     }
 
-    /// A constant place of the frame, from the base's origin, world.
+    /// A constant place of the frame, from the reference point, world.
     #[inline(always)]
     pub fn point(&self, at: [R::Elem; 3]) -> V3<R> {
         let v = [R::uniform(at[0]), R::uniform(at[1]), R::uniform(at[2])];
         add(self.pos, turn(&self.rot, v))
     }
 
-    /// Velocity of the material point at `arm` (from the base's origin), world.
+    /// Velocity of the material point at `arm` (from the reference point), world.
     #[inline(always)]
     pub fn velocity(&self, arm: V3<R>) -> V3<R> {
         add_cross(self.lin, self.ang, arm)
     }
 }
 
-/// The base's frame.
+/// The base's frame. `centre`: the reference point in the base's frame, see [`Program::centre`].
 #[inline(always)]
-pub(super) fn base_frame<R: Lanes>(free: bool, x: &[R], half_dt: R) -> Frame<R> {
+pub(super) fn base_frame<R: Lanes>(program: &Program<R>, x: &[R], half_dt: R) -> Frame<R> {
     let q = Layout::QUAT;
     let mut frame = Frame::zero();
     frame.rot = columns([x[q], x[q + 1], x[q + 2], x[q + 3]]);
-    if free {
-        frame.lin = take3(x, Layout::VEL);
+    let c = program.centre;
+    let to_centre = turn(
+        &frame.rot,
+        [R::uniform(c[0]), R::uniform(c[1]), R::uniform(c[2])],
+    );
+    frame.pos = [-to_centre[0], -to_centre[1], -to_centre[2]];
+    if program.free {
+        let vel = take3(x, Layout::VEL);
         frame.ang = take3(x, Layout::ANG);
-        frame.lin_mid = add_scaled(frame.lin, take3(x, Layout::ACC), half_dt);
+        frame.lin = add_cross(vel, frame.ang, to_centre);
+        let vel_mid = add_scaled(vel, take3(x, Layout::ACC), half_dt);
         frame.ang_mid = add_scaled(frame.ang, take3(x, Layout::SPIN_ACC), half_dt);
-        // spatial: its origin's own acceleration is then what the solver adds
-        frame.bias_lin = cross(frame.lin_mid, frame.ang_mid);
+        frame.lin_mid = add_cross(vel_mid, frame.ang_mid, to_centre);
+        // spatial: the bias gives the base's origin no acceleration
+        frame.bias_lin = cross(vel_mid, frame.ang_mid);
     }
     frame
+}
+
+/// World position of the reference point.
+#[inline(always)]
+pub(super) fn centre<R: Lanes>(x: &[R], base: &Frame<R>) -> V3<R> {
+    sub(take3(x, Layout::POS), base.pos)
 }
 
 #[inline(always)]
@@ -189,7 +203,7 @@ pub(super) struct Push<R> {
     pub torque: V3<R>,
 }
 
-/// Inertia and bias force of the links of node `k`, about the base's origin.
+/// Inertia and bias force of the links of node `k`, about the reference point.
 #[inline(always)]
 pub(super) fn body_inertia<R: Lanes>(
     program: &Program<R>,
@@ -267,7 +281,7 @@ pub(super) struct World<'a, R: Lanes> {
 /// Frames only.
 #[inline(always)]
 pub(super) fn frames<R: Lanes>(program: &Program<R>, x: &[R], frames: &mut [Frame<R>]) {
-    frames[0] = base_frame(program.free, x, R::zero());
+    frames[0] = base_frame(program, x, R::zero());
     let n = program.nodes.len();
     let lay = layout(program);
     let (q, qd) = (&x[lay.q()..lay.q() + n], &x[lay.qd()..lay.qd() + n]);
@@ -288,9 +302,9 @@ pub(super) fn outward<R: Lanes, const FLAT: bool>(
 ) {
     let program = world.program;
     let n = program.nodes.len();
-    let base = take3(x, Layout::POS);
     let half_dt = R::uniform(world.half_dt);
-    frames[0] = base_frame(program.free, x, half_dt);
+    frames[0] = base_frame(program, x, half_dt);
+    let base = centre(x, &frames[0]);
     let lay = layout(program);
     let (head, memory) = x.split_at_mut(lay.contacts());
     let (q, qd) = (&head[lay.q()..lay.q() + n], &head[lay.qd()..lay.qd() + n]);

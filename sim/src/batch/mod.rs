@@ -19,6 +19,7 @@ mod period;
 mod pool;
 pub mod program;
 mod report;
+pub mod smooth;
 mod snapshot;
 mod vec3;
 mod wet;

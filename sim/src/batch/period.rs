@@ -10,15 +10,16 @@ use super::ground::Ground;
 use super::kinematics::{self, Frame, Push, World};
 use super::lanes::{Group, Layout, layout, sums_len};
 use super::program::{Part, Program};
-use super::vec3::{Inertia, V3, add_scaled, dot, scale, zero3};
+use super::vec3::{Inertia, V3, add_cross, add_scaled, dot, scale, zero3};
 use super::wet;
-use crate::EngineConfig;
 use crate::drive::command::Scheduled;
+use crate::drive::loss::LossMemory;
 use crate::drive::step::{self, Driven, Step};
 use crate::drive::supply::{self, Bus};
 use crate::drive::{ImplicitTorque, JointMemory, friction};
 use crate::real::Mask;
 use crate::simd::{Kernel, Lanes};
+use crate::{CommandLoss, EngineConfig};
 
 /// What every group of an engine shares.
 #[derive(Debug, Clone)]
@@ -193,9 +194,7 @@ fn push_commands<R: Lanes>(
 ) {
     let width = shared.program.actuated;
     let mut lost = [0.0_f32; 16];
-    for lane in 0..R::LANES {
-        lost[lane] = f32::from(u8::from(group.loss[lane].next(&group.params.loss[lane])));
-    }
+    lost_frames(&mut group.loss, &group.params.loss, &mut lost);
     for a in 0..width {
         let mut row = [0.0_f32; 16];
         for lane in 0..used {
@@ -216,6 +215,14 @@ fn push_commands<R: Lanes>(
         } else {
             Scheduled::constant(group.history.newest(a))
         };
+    }
+}
+
+/// Draws which lanes lose this period's frame: 1 where one does.
+#[inline(never)]
+fn lost_frames(memory: &mut [LossMemory], loss: &[CommandLoss], lost: &mut [f32; 16]) {
+    for ((memory, loss), lost) in memory.iter_mut().zip(loss).zip(lost) {
+        *lost = f32::from(u8::from(memory.next(loss)));
     }
 }
 
@@ -266,7 +273,7 @@ fn step<R: Lanes, const FLAT: bool>(
         wet::immerse(
             program,
             &group.params,
-            group.x[Layout::POS + 2],
+            kinematics::centre(&group.x, &scratch.frames[0])[2],
             R::splat(shared.dt_s),
             &scratch.frames,
             &mut scratch.inertias,
@@ -437,6 +444,7 @@ fn integrate<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch: &Scrat
     }
     if program.free {
         let (ang, lin) = scratch.beyond[0];
+        let lin = add_cross(lin, ang, scratch.frames[0].pos);
         let vel = add_scaled(kinematics::take3(head, Layout::VEL), lin, dt);
         let spin = add_scaled(kinematics::take3(head, Layout::ANG), ang, dt);
         let pos = add_scaled(kinematics::take3(head, Layout::POS), vel, dt);

@@ -97,6 +97,9 @@ pub(super) struct Place<R: Lanes> {
 pub(super) struct Program<R: Lanes> {
     /// Whether the base moves.
     pub free: bool,
+    /// The point of the base's frame that everything is reckoned about, m: the robot's centre of mass in its nominal pose. Near the
+    /// masses, single precision loses least (from the Polymander's nose, its tail fin's inertia is a difference of numbers a thousand times as large).
+    pub centre: [R::Elem; 3],
     /// Nodes 1, 2, … (node k is `nodes[k − 1]`).
     pub nodes: Vec<Node<R>>,
     /// Links, sorted by node.
@@ -202,6 +205,7 @@ impl<R: Lanes> Program<R> {
         };
         Ok(Self {
             free,
+            centre: nominal_centre(model)?.map(R::elem),
             torso: find(model.torso_link())?,
             base_place: place(0, &Pose::IDENTITY),
             base_quat: placed[0].1.quat_wxyz.map(R::elem),
@@ -237,6 +241,18 @@ impl<R: Lanes> Program<R> {
     pub fn frames(&self) -> usize {
         self.nodes.len() + 1
     }
+}
+
+/// Centre of mass in the nominal pose, in the base's frame.
+fn nominal_centre(model: &RobotModel) -> Result<[f64; 3], SimError> {
+    let refused = |e: caudata_model::ModelError| SimError::Model(e.to_string());
+    let nominal = model
+        .full_pos_rad(model.nominal_pos_rad())
+        .map_err(refused)?;
+    let places = model
+        .kinematics(&Pose::IDENTITY, &nominal)
+        .map_err(refused)?;
+    Ok(model.centre_of_mass_m(&places))
 }
 
 /// How a joint with this axis (parent's frame) is laid: constant turn of its frame, column that is the axis, whether against it.

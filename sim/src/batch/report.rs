@@ -64,7 +64,7 @@ pub(super) fn report<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch
     let program = &shared.program;
     kinematics::frames(program, &group.x, &mut scratch.frames);
     let frames = &scratch.frames;
-    let base = take3(&group.x, Layout::POS);
+    let base = kinematics::centre(&group.x, &frames[0]);
     let mut w = Writer {
         out: &mut scratch.out,
         at: 0,
@@ -91,13 +91,16 @@ fn put_base<R: Lanes>(
     let place = &program.base_place;
     let frame = &frames[place.node];
     let arm = frame.point(place.at);
-    w.put(&add(base, arm));
     let q = Layout::QUAT;
     if program.base_joint_count == 0 {
+        // not by way of the reference point: a held base stands exactly where it was put
+        let at = turn(&frame.rot, constant(place.at));
+        w.put(&add(take3(&group.x, Layout::POS), at));
         // a held base may be placed turned in its node; a free one is its node
         let own = [group.x[q], group.x[q + 1], group.x[q + 2], group.x[q + 3]];
         w.put(&quat_times(own, &program.base_quat));
     } else {
+        w.put(&add(base, arm));
         let mut rot = [zero3(); 3];
         for c in 0..3 {
             rot[c] = turn(&frame.rot, constant(place.columns[c]));

@@ -16,7 +16,7 @@ use crate::water::{self, LinkMotion};
 pub(super) fn immerse<R: Lanes>(
     program: &Program<R>,
     params: &GroupParams<R>,
-    base_z: R,
+    centre_z: R,
     dt: R,
     frames: &[Frame<R>],
     inertias: &mut [Inertia<R>],
@@ -47,7 +47,7 @@ pub(super) fn immerse<R: Lanes>(
                 [rot[0][1], rot[1][1], rot[2][1]],
                 [rot[0][2], rot[1][2], rot[2][2]],
             ],
-            origin_z_m: base_z + frame.point(place.origin)[2],
+            origin_z_m: centre_z + frame.point(place.origin)[2],
             com_vel_mps: vel,
             angvel_radps: frame.ang,
         };

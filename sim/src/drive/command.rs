@@ -98,12 +98,13 @@ impl<R: Real> CommandHistory<R> {
     }
 
     /// A new command, on its way from now on; where `lost`, the one before it once more.
+    #[inline(always)]
     pub fn push(&mut self, targets_rad: &[R], lost: R::Mask) {
         let w = self.width;
         let kept = self.values.len() - w;
         self.values.copy_within(..kept, w);
-        for (joint, target) in targets_rad.iter().enumerate().take(w) {
-            self.values[joint] = R::select(lost, self.values[w + joint], *target);
+        for joint in 0..w {
+            self.values[joint] = R::select(lost, self.values[w + joint], targets_rad[joint]);
         }
     }
 
@@ -116,24 +117,24 @@ impl<R: Real> CommandHistory<R> {
 
     /// What joint `joint` is told during the control period (of `period_s`) that began with the last push, with a delay of `delay_s`.
     #[must_use]
+    #[inline(always)]
     pub fn schedule(&self, joint: usize, delay_s: R, period_s: f64) -> Scheduled<R> {
         // A delay of whole periods looks further back; what is left shifts the switch-over inside this period.
         let whole = (delay_s * R::splat(1.0 / period_s)).floor().max(R::zero());
         let switch_s = delay_s - whole * R::splat(period_s);
         let depth = self.values.len() / self.width.max(1);
-        let at = |age: usize| self.values[age.min(depth - 1) * self.width + joint];
-        let (mut newer_rad, mut older_rad) = (at(0), at(1));
+        let (mut newer_rad, mut older_rad) = (self.at(0, joint), self.at(1, joint));
         if depth <= SCAN {
             for age in 1..depth {
                 let this = R::splat(age as f64 - 0.5).lt(whole);
-                newer_rad = R::select(this, at(age), newer_rad);
-                older_rad = R::select(this, at(age + 1), older_rad);
+                newer_rad = R::select(this, self.at(age, joint), newer_rad);
+                older_rad = R::select(this, self.at(age + 1, joint), older_rad);
             }
         } else {
             for lane in 0..R::LANES {
                 let age = whole.lane(lane) as usize;
-                newer_rad = newer_rad.with_lane(lane, at(age).lane(lane));
-                older_rad = older_rad.with_lane(lane, at(age + 1).lane(lane));
+                newer_rad = newer_rad.with_lane(lane, self.at(age, joint).lane(lane));
+                older_rad = older_rad.with_lane(lane, self.at(age + 1, joint).lane(lane));
             }
         }
         Scheduled {
@@ -141,6 +142,13 @@ impl<R: Real> CommandHistory<R> {
             newer_rad,
             switch_s,
         }
+    }
+
+    /// The command of joint `joint` that is `age` periods old, or the oldest there is.
+    #[inline(always)]
+    fn at(&self, age: usize, joint: usize) -> R {
+        let depth = self.values.len() / self.width.max(1);
+        self.values[age.min(depth - 1) * self.width + joint]
     }
 }
 

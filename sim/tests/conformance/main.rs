@@ -172,7 +172,7 @@ macro_rules! suite {
     };
 }
 
-suite!(rapier, caudata_sim::EngineConfig::of(caudata_sim::EngineKind::Rapier));
+suite!(rapier, caudata_sim::EngineConfig::rapier());
 suite!(batch, caudata_sim::EngineConfig::default());
 suite!(
     batch_double,

@@ -13,7 +13,7 @@ pub fn polymander() -> Arc<RobotModel> {
 
 /// A robot file: `actuated` joints with nominal 0, servo without friction, damping, armature or extra damping; gains 0.
 /// Torque limits 10 N·m up to 100 rad/s. `tail` may add tables.
-fn robot_toml(base: &str, actuated: &[&str], tail: &str) -> String {
+pub fn robot_toml(base: &str, actuated: &[&str], tail: &str) -> String {
     let names: Vec<String> = actuated.iter().map(|j| format!("{j:?}")).collect();
     let nominal: String = actuated.iter().map(|j| format!("{j} = 0.0\n")).collect();
     format!(
@@ -62,7 +62,7 @@ body_friction = 0.5
     )
 }
 
-fn load(toml: &str, bodies: &str, actuated: &[&str]) -> Arc<RobotModel> {
+pub fn load(toml: &str, bodies: &str, actuated: &[&str]) -> Arc<RobotModel> {
     let motors: String = actuated
         .iter()
         .map(|j| format!("<motor joint={j:?}/>"))

@@ -1,0 +1,183 @@
+//! Same inputs, same bits: threads, snapshots, places in a group, widths.
+
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+use caudata_random::{Key, Purpose, Stream};
+use caudata_sim::{
+    Engine, EngineConfig, InitialState, LaneParams, State, TerrainConfig, TerrainKind, build,
+};
+
+use crate::robots;
+
+const LANES: usize = 40;
+
+fn rough() -> TerrainConfig {
+    TerrainConfig {
+        kind: TerrainKind::Rough,
+        size_m: 12.0,
+        ..TerrainConfig::default()
+    }
+}
+
+/// An engine whose lane `l` is robot `who(l)`: parameters, start and commands depend on that alone.
+fn engine(
+    model: &Arc<RobotModel>,
+    lanes: usize,
+    config: &EngineConfig,
+    threads: usize,
+    who: impl Fn(usize) -> usize,
+) -> Box<dyn Engine> {
+    let mut e = build(model.clone(), lanes, config, &rough(), 3, threads).unwrap();
+    for lane in 0..lanes {
+        let k = who(lane) as f32;
+        let params = LaneParams {
+            foot_friction: 0.4 + 0.01 * k,
+            command_delay_s: 0.001 * k,
+            ..LaneParams::nominal(model)
+        };
+        e.set_params(lane, &params).unwrap();
+        let init = InitialState {
+            base_xy_m: [0.05 * k - 1.0, 0.03 * k],
+            base_rpy_rad: [0.0, 0.0, 0.3 * k],
+            ..InitialState::nominal(model)
+        };
+        e.reset(lane, &init).unwrap();
+    }
+    e
+}
+
+fn command(
+    model: &RobotModel,
+    lanes: usize,
+    period: usize,
+    who: impl Fn(usize) -> usize,
+) -> Vec<f32> {
+    let mut all = Vec::new();
+    for lane in 0..lanes {
+        let key = Key {
+            env: who(lane) as u64,
+            episode: period as u64,
+            ..Key::for_run(21)
+        };
+        let mut stream = Stream::new(key, Purpose::Action);
+        let nominal = model.nominal_pos_rad().iter();
+        all.extend(nominal.map(|&q| q as f32 + stream.uniform(-0.4, 0.4)));
+    }
+    all
+}
+
+fn bits(state: &State) -> Vec<u32> {
+    let fields = state.fields();
+    fields
+        .iter()
+        .flat_map(|f| f.iter().map(|v| v.to_bits()))
+        .chain(state.diverged.iter().map(|&d| u32::from(d)))
+        .collect()
+}
+
+/// 1,000 control periods (10,000 steps) with 1, 2 and 4 threads, and through a snapshot half way.
+#[test]
+fn ten_thousand_steps_give_the_same_bits_for_any_thread_count_and_through_a_snapshot() {
+    let model = robots::polymander();
+    let config = EngineConfig::default();
+    let wrenches = vec![0.0; 6 * LANES];
+    let mut results = Vec::new();
+    for (threads, restored) in [(1, false), (2, false), (4, false), (1, true)] {
+        let mut e = engine(&model, LANES, &config, threads, |l| l);
+        for period in 0..1000 {
+            if restored && period == 500 {
+                let bytes = e.snapshot().unwrap();
+                e = build(model.clone(), LANES, &config, &rough(), 3, 1).unwrap();
+                e.restore(&bytes).unwrap();
+            }
+            e.step(&command(&model, LANES, period, |l| l), &wrenches)
+                .unwrap();
+        }
+        results.push(bits(e.state()));
+    }
+    for other in &results[1..] {
+        assert_eq!(&results[0], other);
+    }
+}
+
+/// A lane's result depends neither on its place in a group nor on who else is there.
+#[test]
+fn a_lane_does_not_know_its_place() {
+    let model = robots::polymander();
+    let config = EngineConfig::default();
+    let run = |lanes: usize, who: &dyn Fn(usize) -> usize| {
+        let mut e = engine(&model, lanes, &config, 1, who);
+        let wrenches = vec![0.0; 6 * lanes];
+        for period in 0..100 {
+            e.step(&command(&model, lanes, period, who), &wrenches)
+                .unwrap();
+        }
+        e.state().clone()
+    };
+    let together = run(LANES, &|l| l);
+    let turned = run(LANES, &|l| (l + 7) % LANES);
+    let alone = run(1, &|_| 5);
+    for (f, field) in together.fields().iter().enumerate() {
+        let k = field.len() / LANES;
+        let row = |all: &[f32], lane: usize| -> Vec<u32> {
+            all[lane * k..(lane + 1) * k]
+                .iter()
+                .map(|v| v.to_bits())
+                .collect()
+        };
+        for lane in 0..LANES {
+            let same = row(turned.fields()[f], (lane + LANES - 7) % LANES);
+            assert_eq!(row(field, lane), same, "field {f}, robot {lane}");
+        }
+        assert_eq!(row(field, 5), row(alone.fields()[f], 0), "field {f} alone");
+    }
+}
+
+/// Three lanes of every width that this processor has, after `periods`.
+fn per_width(held: bool, periods: usize) -> Vec<(u32, State)> {
+    let model = robots::polymander();
+    let mut results = Vec::new();
+    for width in [1, 4, 8, 16] {
+        let config = EngineConfig {
+            lane_width: width,
+            fixed_base: held,
+            ..EngineConfig::default()
+        };
+        if build(model.clone(), 3, &config, &rough(), 3, 1).is_err() {
+            println!("skipped: this processor has no {width} lanes");
+            continue;
+        }
+        let mut e = engine(&model, 3, &config, 1, |l| l);
+        for period in 0..periods {
+            e.step(&command(&model, 3, period, |l| l), &[0.0; 18])
+                .unwrap();
+        }
+        results.push((width, e.state().clone()));
+    }
+    results
+}
+
+/// Held in the air, where nothing is chaotic, all widths agree to rounding (16 and 8 lanes fuse multiply and add, 4 and 1 round twice).
+#[test]
+fn every_width_computes_the_same() {
+    let results = per_width(true, 50);
+    let (_, first) = &results[0];
+    for (width, other) in &results[1..] {
+        for (a, b) in first.joint_pos_rad.iter().zip(&other.joint_pos_rad) {
+            assert!((a - b).abs() < 1e-3, "width {width}: {a} and {b} rad");
+        }
+    }
+}
+
+/// 16 and 8 lanes give the same bits, contact and all.
+#[test]
+fn sixteen_and_eight_lanes_give_the_same_bits() {
+    let results = per_width(false, 100);
+    let find = |w: u32| results.iter().find(|(width, _)| *width == w);
+    if let (Some((_, a)), Some((_, b))) = (find(8), find(16)) {
+        assert_eq!(bits(a), bits(b));
+    } else {
+        println!("skipped: this processor lacks one of them");
+    }
+}
