@@ -36,7 +36,7 @@ test: tools ## run all tests but the long fault suites; ARGS goes to cargo test
 test-faults: build ## run the long suites that `make test` leaves out (faults, soak)
 	@$(ENV) cargo test --release --locked --workspace $(ARGS) -- --ignored --nocapture
 
-bench: build ## measure this machine: ARGS="sim", "policy", "transport" or "learner", with --json for figures
+bench: build ## measure this machine: ARGS="sim", "policy" or "transport", with --json for figures
 	@$(ENV) target/release/caudata bench $(or $(ARGS),sim)
 
 check: lint doc deny ## everything a change must pass besides the tests: lint, doc, deny

@@ -25,7 +25,8 @@ struct Args {
 const EXIT_CODES: &str = "\
 Exit codes: 0 done · 64 configuration or flag · 65 bad input file · 66 input missing · 69 service gone
   70 internal · 71 port in use or system resource · 73 output cannot be made · 74 disk full or I/O
-  75 starved or timed out · 76 protocol · 77 policy refused · 78 checkpoint damaged · 130 interrupted twice";
+  75 starved or timed out · 76 protocol · 77 policy refused · 78 checkpoint damaged · 79 target missed
+  130 interrupted twice";
 
 #[derive(Debug, Subcommand)]
 enum Command {

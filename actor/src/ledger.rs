@@ -8,6 +8,9 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
+const PREFIX: &str = "actor-";
+const SUFFIX: &str = ".ledger";
+
 /// The open file. Survives the process, not a power cut: it is not synced, since it accounts for one run.
 #[derive(Debug)]
 pub struct Ledger {
@@ -58,6 +61,47 @@ pub fn read_ledger(path: &Path) -> io::Result<u64> {
     Ok(u64::from_le_bytes(bytes))
 }
 
+/// Where the ledger of one incarnation of one actor lies in a folder of ledgers.
+pub fn ledger_path(folder: &Path, actor_id: u32, incarnation: u64) -> PathBuf {
+    folder.join(format!("{PREFIX}{actor_id}-{incarnation}{SUFFIX}"))
+}
+
+/// A ledger found in a folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct LedgerCount {
+    /// Actor.
+    pub actor_id: u32,
+    /// How many times it was started before.
+    pub incarnation: u64,
+    /// Chunks that it sent.
+    pub sent: u64,
+}
+
+/// All ledgers in a folder, in order; none where there is no folder. One that cannot be read was just made by an actor
+/// that was killed before it sent anything: it counts 0.
+pub fn ledgers_in(folder: &Path) -> Vec<LedgerCount> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut found: Vec<LedgerCount> = entries
+        .filter_map(|entry| {
+            let (actor_id, incarnation) = key_of(entry.file_name().to_str()?)?;
+            let sent = read_ledger(&entry.path()).unwrap_or(0);
+            Some(LedgerCount {
+                actor_id,
+                incarnation,
+                sent,
+            })
+        })
+        .collect();
+    found.sort_unstable();
+    found
+}
+
+fn key_of(name: &str) -> Option<(u32, u64)> {
+    let key = name.strip_prefix(PREFIX)?.strip_suffix(SUFFIX)?;
+    let (actor_id, incarnation) = key.split_once('-')?;
+    Some((actor_id.parse().ok()?, incarnation.parse().ok()?))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -74,6 +118,23 @@ mod tests {
         }
         // Byte order is part of the format.
         assert_eq!(std::fs::read(&path).unwrap(), [8, 7, 6, 5, 4, 3, 2, 1]);
+    }
+
+    #[test]
+    fn a_folder_of_ledgers_is_read_in_order() {
+        let dir = tempfile::tempdir().unwrap();
+        for (actor, incarnation, sent) in [(10, 0, 3), (2, 11, 5), (2, 9, 7)] {
+            let ledger = Ledger::create(&ledger_path(dir.path(), actor, incarnation)).unwrap();
+            ledger.write(sent).unwrap();
+        }
+        std::fs::write(ledger_path(dir.path(), 1, 0), [1, 2]).unwrap();
+        std::fs::write(dir.path().join("actor-x-0.ledger"), [0; 8]).unwrap();
+        let found: Vec<_> = ledgers_in(dir.path())
+            .iter()
+            .map(|l| (l.actor_id, l.incarnation, l.sent))
+            .collect();
+        assert_eq!(found, [(1, 0, 0), (2, 9, 7), (2, 11, 5), (10, 0, 3)]);
+        assert!(ledgers_in(&dir.path().join("none")).is_empty());
     }
 
     #[test]

@@ -24,7 +24,7 @@ mod settings;
 mod snapshot;
 
 pub use error::ActorError;
-pub use ledger::{Ledger, read_ledger};
+pub use ledger::{Ledger, LedgerCount, ledger_path, ledgers_in, read_ledger};
 pub use link::{decode_transport, encode_transport, transport_config};
 pub use metrics::ActorMetrics;
 pub use run::{ActorReport, run};

@@ -54,7 +54,7 @@ impl ActorSettings {
             policy_timeout: Duration::from_secs_f64(actors.policy_timeout_s),
             flush_timeout: Duration::from_secs_f64(actors.flush_timeout_s),
             ledger: None,
-            build: format!("{} {}", build.version, build.commit),
+            build: format!("{}, {}", build.version, build.code),
         }
     }
 }

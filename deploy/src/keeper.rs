@@ -8,7 +8,7 @@ use caudata_registry_client::RegistryClient;
 
 use crate::DeployError;
 use crate::metrics::RobotMetrics;
-use crate::state::{Decision, PolicyRef, Sha256Digest};
+use crate::state::{Blame, Decision, PolicyRef, Sha256Digest};
 use crate::store::PolicyStore;
 use crate::updates::PolicyEvent;
 use crate::verify::{Refusal, Verified, VerifyError, check_manifest, verify};
@@ -63,7 +63,7 @@ impl Keeper {
     ) -> Result<Verified, DeployError> {
         let policy = reference(manifest);
         // Its own statement: the store must not stay locked while the decision is carried out.
-        let decision = self.store().state().decide(&policy);
+        let decision = self.store().state().decide(&policy, self.robot());
         match decision {
             Decision::Refused { reason } => {
                 return Err(self.refused(policy, Refusal::Before(reason)));
@@ -123,7 +123,7 @@ impl Keeper {
             PolicyEvent::Bad { policy, reason } => {
                 self.metrics.refused.inc();
                 self.store()
-                    .update(|state| state.quarantine(policy, reason, true))
+                    .update(|state| state.quarantine(policy, reason, Blame::Policy))
             }
             PolicyEvent::Replaced(runner) => {
                 drop(runner);
@@ -146,12 +146,9 @@ impl Keeper {
 
     /// Records the refusal. That a record could not be written must not hide the refusal itself.
     fn quarantine(&self, policy: PolicyRef, refusal: Refusal) -> DeployError {
-        let (reason, for_good) = (refusal.to_string(), refusal.is_for_good());
+        let (reason, blame) = (refusal.to_string(), refusal.blame(self.robot()));
         let entry = policy.clone();
-        if let Err(error) = self
-            .store()
-            .update(|s| s.quarantine(entry, reason, for_good))
-        {
+        if let Err(error) = self.store().update(|s| s.quarantine(entry, reason, blame)) {
             tracing::error!(%error, "the refusal could not be recorded");
         }
         self.refused(policy, refusal)
@@ -163,6 +160,10 @@ impl Keeper {
             policy,
             refusal: Box::new(refusal),
         }
+    }
+
+    fn robot(&self) -> Sha256Digest {
+        Sha256Digest(self.model.hash())
     }
 
     fn store(&self) -> MutexGuard<'_, PolicyStore> {

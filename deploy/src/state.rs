@@ -90,8 +90,29 @@ pub struct Quarantined {
     pub policy: PolicyRef,
     /// Why, in one line.
     pub reason: String,
-    /// False: the bytes were damaged on their way, another try may bring the right ones.
+    /// False: the bytes were damaged on their way or wrongly announced, another try may bring the right ones.
     pub for_good: bool,
+    /// Hash of the robot model that it does not fit; another robot file may take it. Absent: it is the policy itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<Sha256Digest>,
+}
+
+/// What a refusal is about, and so how far it reaches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blame {
+    /// The policy itself: it never runs again, and is trusted no longer where it was.
+    Policy,
+    /// The way it came: another try may go well.
+    Transfer,
+    /// It does not fit the robot model with this hash; nothing is wrong with it on its own robot.
+    Robot(Sha256Digest),
+}
+
+impl Quarantined {
+    /// Whether it is refused unseen on the robot model with hash `robot`.
+    fn holds_on(&self, robot: Sha256Digest) -> bool {
+        self.for_good && self.robot.is_none_or(|found| found == robot)
+    }
 }
 
 /// What to do about a policy that the server offers.
@@ -142,9 +163,10 @@ impl Default for RobotState {
 }
 
 impl RobotState {
-    /// What to do about `offered`.
-    pub fn decide(&self, offered: &PolicyRef) -> Decision {
-        if let Some(entry) = self.entry(offered.sha256).filter(|e| e.for_good) {
+    /// What to do about `offered` on the robot model with hash `robot`.
+    pub fn decide(&self, offered: &PolicyRef, robot: Sha256Digest) -> Decision {
+        let of_it = |e: &&Quarantined| e.policy.sha256 == offered.sha256 && e.holds_on(robot);
+        if let Some(entry) = self.quarantined.iter().find(of_it) {
             return Decision::Refused {
                 reason: entry.reason.clone(),
             };
@@ -176,23 +198,33 @@ impl RobotState {
         }
     }
 
-    /// `policy` must not run. Where it was active, the last good one is active again.
-    pub fn quarantine(&mut self, policy: PolicyRef, reason: String, for_good: bool) {
+    /// `policy` must not run. Where it is to blame itself and was active, the last good one is active again; a robot
+    /// file that does not fit it takes nothing away from what its own robot holds.
+    pub fn quarantine(&mut self, policy: PolicyRef, reason: String, blame: Blame) {
         let sha256 = policy.sha256;
-        self.quarantined.retain(|e| e.policy.sha256 != sha256);
+        let robot = match blame {
+            Blame::Robot(robot) => Some(robot),
+            Blame::Policy | Blame::Transfer => None,
+        };
+        self.quarantined
+            .retain(|e| e.policy.sha256 != sha256 || (blame != Blame::Policy && e.robot != robot));
         if self.quarantined.len() >= QUARANTINE_MAX {
             self.quarantined.remove(0);
         }
         self.quarantined.push(Quarantined {
             policy,
             reason,
-            for_good,
+            for_good: blame != Blame::Transfer,
+            robot,
         });
+        self.generation += 1;
+        if blame != Blame::Policy {
+            return;
+        }
         self.last_good.take_if(|p| p.sha256 == sha256);
         if self.active.as_ref().is_some_and(|p| p.sha256 == sha256) {
             self.active = self.last_good.clone();
         }
-        self.generation += 1;
     }
 
     /// What may be run without a server, best first.
@@ -205,10 +237,6 @@ impl RobotState {
     /// Whether the file with these bytes is still needed.
     pub fn needs(&self, sha256: Sha256Digest) -> bool {
         self.on_disk().iter().any(|p| p.sha256 == sha256)
-    }
-
-    fn entry(&self, sha256: Sha256Digest) -> Option<&Quarantined> {
-        self.quarantined.iter().find(|e| e.policy.sha256 == sha256)
     }
 }
 
@@ -224,6 +252,8 @@ mod tests {
         }
     }
 
+    const HERE: Sha256Digest = Sha256Digest([7; 32]);
+
     /// Version 1 ran well, version 2 is active.
     fn state() -> RobotState {
         let mut state = RobotState::default();
@@ -236,13 +266,16 @@ mod tests {
     #[test]
     fn new_ones_are_fetched_old_and_known_ones_are_not() {
         let state = state();
-        assert_eq!(state.decide(&policy(3)), Decision::Fetch);
-        assert_eq!(state.decide(&policy(2)), Decision::HaveIt);
-        assert_eq!(state.decide(&policy(1)), Decision::Older { have: 2 });
+        assert_eq!(state.decide(&policy(3), HERE), Decision::Fetch);
+        assert_eq!(state.decide(&policy(2), HERE), Decision::HaveIt);
+        assert_eq!(state.decide(&policy(1), HERE), Decision::Older { have: 2 });
         let mut elsewhere = policy(1);
         elsewhere.stream = "rough".to_owned();
-        assert_eq!(state.decide(&elsewhere), Decision::Fetch);
-        assert_eq!(RobotState::default().decide(&policy(1)), Decision::Fetch);
+        assert_eq!(state.decide(&elsewhere, HERE), Decision::Fetch);
+        assert_eq!(
+            RobotState::default().decide(&policy(1), HERE),
+            Decision::Fetch
+        );
     }
 
     #[test]
@@ -259,31 +292,57 @@ mod tests {
     #[test]
     fn a_bad_one_gives_way_to_the_last_good_one_and_stays_out() {
         let mut state = state();
-        state.quarantine(policy(2), "joint 3 differs".to_owned(), true);
+        state.quarantine(policy(2), "joint 3 differs".to_owned(), Blame::Policy);
         assert_eq!(state.active, Some(policy(1)));
         assert_eq!(
-            state.decide(&policy(2)),
+            state.decide(&policy(2), HERE),
             Decision::Refused {
                 reason: "joint 3 differs".to_owned()
             }
         );
         // Even the good one can turn out bad: then there is nothing.
-        state.quarantine(policy(1), "not finite".to_owned(), true);
+        state.quarantine(policy(1), "not finite".to_owned(), Blame::Policy);
         assert_eq!(state.on_disk(), []);
+    }
+
+    #[test]
+    fn a_wrong_robot_file_takes_nothing_away_from_the_right_one() {
+        let mut state = state();
+        state.confirm(policy(2).sha256);
+        let wrong = Sha256Digest([8; 32]);
+        state.quarantine(policy(2), "other model".to_owned(), Blame::Robot(wrong));
+        assert_eq!(
+            (&state.active, &state.last_good),
+            (&Some(policy(2)), &Some(policy(2)))
+        );
+        assert!(matches!(
+            state.decide(&policy(2), wrong),
+            Decision::Refused { .. }
+        ));
+        assert_eq!(state.decide(&policy(2), HERE), Decision::HaveIt);
+        // Each robot model has an entry of its own; the policy's own fault replaces them all.
+        state.quarantine(policy(2), "other model".to_owned(), Blame::Robot(HERE));
+        assert_eq!(state.quarantined.len(), 2);
+        state.quarantine(policy(2), "not finite".to_owned(), Blame::Policy);
+        assert_eq!((state.quarantined.len(), state.active.clone()), (1, None));
+        // A file of before knows no robots.
+        let text = serde_json::to_string(&state).unwrap();
+        assert!(!text.contains("robot\":"), "{text}");
+        assert_eq!(serde_json::from_str::<RobotState>(&text).unwrap(), state);
     }
 
     #[test]
     fn an_offer_that_is_refused_leaves_the_active_one_alone() {
         let mut state = state();
-        state.quarantine(policy(3), "wrong robot".to_owned(), true);
+        state.quarantine(policy(3), "wrong robot".to_owned(), Blame::Policy);
         assert_eq!(state.on_disk(), [policy(2), policy(1)]);
     }
 
     #[test]
     fn bytes_damaged_on_the_way_may_come_again() {
         let mut state = state();
-        state.quarantine(policy(3), "other bytes".to_owned(), false);
-        assert_eq!(state.decide(&policy(3)), Decision::Fetch);
+        state.quarantine(policy(3), "other bytes".to_owned(), Blame::Transfer);
+        assert_eq!(state.decide(&policy(3), HERE), Decision::Fetch);
         state.adopt(policy(3));
         assert!(state.quarantined.is_empty());
     }
@@ -292,7 +351,7 @@ mod tests {
     fn the_quarantine_is_bounded_and_forgets_the_oldest() {
         let mut state = RobotState::default();
         for version in 0..100 {
-            state.quarantine(policy(version), String::new(), true);
+            state.quarantine(policy(version), String::new(), Blame::Policy);
         }
         assert_eq!(state.quarantined.len(), QUARANTINE_MAX);
         assert_eq!(state.quarantined[0].policy, policy(36));

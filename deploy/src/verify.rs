@@ -9,7 +9,7 @@ use caudata_task::command::CommandConfig;
 use caudata_task::{ACT_DIM, PolicyContract, TaskConfig, TaskError};
 use sha2::{Digest, Sha256};
 
-use crate::state::{PolicyRef, Sha256Digest};
+use crate::state::{Blame, PolicyRef, Sha256Digest};
 
 /// Observations that the probe evaluates.
 pub const PROBE_COUNT: usize = 32;
@@ -43,6 +43,9 @@ pub enum Refusal {
     /// The file, or what it says, does not fit.
     #[error("{0}")]
     Policy(#[from] PolicyError),
+    /// What it was trained for is not what is here.
+    #[error("{0}")]
+    Contract(PolicyError),
     /// It asks for something that the task here does not allow.
     #[error("its contract is not one for this program: {0}")]
     Task(#[from] TaskError),
@@ -90,9 +93,19 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// False where another transfer of the same policy may go well.
-    pub fn is_for_good(&self) -> bool {
-        !matches!(self, Self::WrongHash { .. })
+    /// What is to blame, found on the robot model with hash `robot`: only what would be found everywhere else as well is
+    /// the policy's own fault.
+    pub fn blame(&self, robot: Sha256Digest) -> Blame {
+        match self {
+            Self::Contract(_)
+            | Self::Task(_)
+            | Self::OtherRobot { .. }
+            | Self::OtherModel { .. } => Blame::Robot(robot),
+            Self::WrongHash { .. } | Self::OtherVersion { .. } | Self::Older { .. } => {
+                Blame::Transfer
+            }
+            Self::Policy(_) | Self::Probe { .. } | Self::Before(_) => Blame::Policy,
+        }
     }
 }
 
@@ -150,7 +163,7 @@ pub fn verify(
         .into());
     }
     let expected = expected_contract(model, &file.metadata().contract).map_err(Refusal::from)?;
-    file.check_contract(&expected).map_err(Refusal::from)?;
+    file.check_contract(&expected).map_err(Refusal::Contract)?;
     let mut inference = Inference::new(&file, 1).map_err(|error| match error {
         PolicyError::RuntimeNotFound { .. } | PolicyError::RuntimeLoad { .. } => {
             VerifyError::Runtime(error)

@@ -151,6 +151,54 @@ fn a_bad_policy_is_refused_and_the_last_one_keeps_running() {
     server.stop();
 }
 
+/// The robot file with one comment more, which makes it another model, in a folder of its own.
+fn another_robot_file(folder: &Path) -> std::path::PathBuf {
+    let original = Path::new(common::policies::ROBOT_FILE);
+    let mjcf = original.with_file_name("polymander.xml");
+    std::fs::copy(mjcf, folder.join("polymander.xml")).unwrap();
+    let path = folder.join("other.robot.toml");
+    let text = std::fs::read_to_string(original).unwrap();
+    std::fs::write(&path, text + "# edited\n").unwrap();
+    path
+}
+
+#[test]
+fn a_wrong_robot_file_does_not_cost_the_right_one_its_policy() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    assert_eq!(outcome(program("pull", server.address, &state)).0, 0);
+
+    let wrong_robot = another_robot_file(folder.path());
+    for address in [server.address, NOBODY.parse().unwrap()] {
+        let mut wrong = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+        wrong.args(["run", "--seconds", "0.5", "--stream", common::STREAM]);
+        wrong.args(["--bus", &format!("sim:{}", perfect_robot())]);
+        wrong.arg("--robot").arg(&wrong_robot);
+        wrong.args(["--policy-server", &address.to_string(), "--state"]);
+        wrong.arg(&state);
+        let (code, _, errors) = outcome(wrong);
+        assert!(code == 77 || code == 69, "{code}: {errors}");
+        assert!(errors.contains("trained on model"), "{errors}");
+    }
+    let now = status(&state);
+    assert_eq!(now["active"]["version"], 1, "{now}");
+    let refused = now["quarantined"][0]["robot"].as_str().unwrap();
+    assert_eq!(refused.len(), 64, "{now}");
+
+    // The right file again: with the server, and from the disk alone.
+    let (code, summary, errors) = outcome(run(server.address, &state, perfect_robot()));
+    assert_eq!(
+        (code, &summary["policy_version"]),
+        (0, &Value::from(1)),
+        "{errors}"
+    );
+    let (code, _, errors) = outcome(run(NOBODY.parse().unwrap(), &state, perfect_robot()));
+    assert_eq!(code, 0, "{errors}");
+    server.stop();
+}
+
 #[test]
 fn without_a_server_the_disk_is_enough_and_without_both_it_is_69() {
     let folder = tempfile::tempdir().unwrap();

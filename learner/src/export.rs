@@ -19,7 +19,7 @@ pub struct PolicyIdentity {
     pub contract: PolicyContract,
     /// The training run.
     pub run_id: String,
-    /// Commit of this program; empty where unknown.
+    /// Commit of this program when the run began, as `BuildInfo::commit_word` has it; empty where unknown.
     pub training_commit: String,
     /// Hash of the training configuration.
     pub config_hash: String,

@@ -67,7 +67,11 @@ impl Publisher {
     pub fn start(address: &str, stream: &str) -> Result<Self, LearnerError> {
         let stream = StreamName::new(stream)
             .map_err(|error| LearnerError::setting(format!("policy_server.stream: {error}")))?;
-        let runtime = tokio::runtime::Builder::new_current_thread()
+        // With a thread of its own: between two publications the connection still answers the server's questions
+        // whether it is alive.
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("publish-io")
             .enable_all()
             .build()
             .map_err(LearnerError::Thread)?;

@@ -12,7 +12,7 @@ use caudata_learner::normaliser::Scaling;
 use caudata_learner::publish::{Notice, Publisher};
 use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
-use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve};
+use caudata_policy_server::{Keepalive, ServerMetrics, Store, StoreLimits, listen, serve_with};
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::RegistryClient;
 use caudata_task::{PolicyContract, TaskConfig};
@@ -53,11 +53,24 @@ fn policy_of(version: u64, seed: u64) -> PolicyFile {
 
 /// Serves at `addr` until the sender says stop.
 fn server(runtime: &Runtime, addr: SocketAddr, data: &Path) -> watch::Sender<bool> {
+    server_with(runtime, addr, data, Keepalive::default())
+}
+
+fn server_with(
+    runtime: &Runtime,
+    addr: SocketAddr,
+    data: &Path,
+    keepalive: Keepalive,
+) -> watch::Sender<bool> {
     let store = Store::open(data, StoreLimits::default()).unwrap();
     let listener = runtime.block_on(listen(addr)).unwrap();
     let (stop, stopped) = watch::channel(false);
     let metrics = ServerMetrics::register(&Metrics::new());
-    runtime.spawn(async move { serve(listener, store, metrics, stopped).await.unwrap() });
+    runtime.spawn(async move {
+        serve_with(listener, store, metrics, stopped, keepalive)
+            .await
+            .unwrap();
+    });
     stop
 }
 
@@ -129,6 +142,29 @@ fn the_latest_policy_arrives_once_the_server_is_there() {
             .any(|n| matches!(n, Notice::Published(done) if done.version == 3))
     };
     wait_for(&publisher, published);
+}
+
+#[test]
+fn a_long_pause_between_two_policies_costs_nothing() {
+    let runtime = Runtime::new().unwrap();
+    let data = tempfile::tempdir().unwrap();
+    let addr = free_address();
+    // A server that is soon tired of silent connections.
+    let keepalive = Keepalive {
+        interval: Duration::from_millis(100),
+        timeout: Duration::from_secs(1),
+    };
+    let _stop = server_with(&runtime, addr, data.path(), keepalive);
+    let publisher = Publisher::start(&addr.to_string(), "test").unwrap();
+    publisher.publish(policy(1));
+    assert!(publisher.finish(PATIENCE));
+    std::thread::sleep(Duration::from_millis(2500));
+    publisher.publish(policy(2));
+    assert!(publisher.finish(PATIENCE));
+    let failed = |notice: &Notice| matches!(notice, Notice::Failed { .. });
+    let heard = publisher.notices();
+    assert!(!heard.iter().any(failed), "{heard:?}");
+    assert_eq!(versions(&runtime, addr).len(), 2);
 }
 
 #[test]

@@ -6,10 +6,13 @@ mod common;
 use std::fs;
 use std::path::Path;
 
+use caudata_actor::ledgers_in;
 use caudata_learner::LearnerError;
 use caudata_learner::train::Resume;
+use caudata_policy::PolicyFile;
 use caudata_telemetry::progress::Event;
 use common::{Listener, config, run};
+use serde_json::Value;
 
 /// The network, the optimiser, the normaliser, the learning rate and the rewards so far, byte for byte.
 fn state(folder: &Path, iteration: u64) -> Vec<u8> {
@@ -113,6 +116,92 @@ fn a_truncated_checkpoint_is_refused_and_the_good_one_named() {
     assert_eq!(finished.iteration, 6);
     // The damaged one has been written anew on the way.
     assert_eq!(fs::read(&path).unwrap(), whole);
+}
+
+/// Version and bytes of the policy in the run folder.
+fn version(folder: &Path) -> u64 {
+    let file = PolicyFile::parse(policy(folder).into()).unwrap();
+    file.metadata().version
+}
+
+#[test]
+fn going_back_rolls_back_the_account_and_leaves_published_versions_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    let quiet = Listener::default();
+    run(folder, config(4, &[]), Resume::No, &quiet, None).unwrap();
+    assert_eq!(version(folder), 4);
+    let weights = state(folder, 4);
+
+    // As if the learner had been killed after iteration 4 and had not saved since iteration 2.
+    let named = || Resume::Named("iter_000002".into());
+    let listener = Listener::default();
+    let finished = run(folder, config(4, &[]), named(), &listener, None).unwrap();
+    assert_eq!(state(folder, 4), weights, "the same weights");
+    assert_eq!((version(folder), finished.policy_version), (7, 7));
+    let warned =
+        |event: &Event| matches!(event, Event::Warning(w) if w.message.contains("with version 5"));
+    assert!(listener.events().iter().any(warned));
+
+    // Two actors, each: 2 accepted and 2 rolled back; 2 more by the next incarnation.
+    let report: Value =
+        serde_json::from_slice(&fs::read(folder.join("accounting.json")).unwrap()).unwrap();
+    let count = |key: &str| report[key].as_u64().unwrap();
+    assert_eq!(
+        (count("sent"), count("accepted"), count("dropped")),
+        (12, 8, 4)
+    );
+    assert_eq!(report["actors"][0]["dropped"]["rolled_back"], 2);
+    let sent: u64 = ledgers_in(&folder.join("ledgers"))
+        .iter()
+        .map(|l| l.sent)
+        .sum();
+    assert_eq!(sent, 12, "the actors' own count");
+    let received: u64 = finished.actors.iter().map(|actor| actor.received).sum();
+    assert_eq!(received, 12, "what the supervisor is told");
+
+    // Going on from there without going back keeps the numbers.
+    let finished = run(
+        folder,
+        config(5, &[]),
+        Resume::Latest,
+        &Listener::default(),
+        None,
+    )
+    .unwrap();
+    assert_eq!((finished.iteration, finished.policy_version), (5, 8));
+}
+
+#[test]
+fn a_policy_says_the_commit_of_the_runs_beginning() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    let commit = |folder: &Path| {
+        let file = PolicyFile::parse(policy(folder).into()).unwrap();
+        file.metadata().training_commit.clone()
+    };
+    let quiet = Listener::default();
+    run(folder, config(2, &[]), Resume::No, &quiet, None).unwrap();
+    let before = policy(folder);
+    // Nothing is left to learn: the same policy is exported again, to the same bytes.
+    let finished = run(folder, config(2, &[]), Resume::Latest, &quiet, None).unwrap();
+    assert_eq!((policy(folder), finished.policy_version), (before, 2));
+
+    // Begun when something else was checked out.
+    let checkpoint = folder.join("checkpoints/iter_000002");
+    let meta = fs::read_to_string(checkpoint.join("meta.json")).unwrap();
+    let now = format!("\"training_commit\": \"{}\"", commit(folder));
+    assert!(meta.contains(&now), "{meta}");
+    let then = "\"training_commit\": \"abc\"";
+    fs::write(checkpoint.join("meta.json"), meta.replace(&now, then)).unwrap();
+    let sums = "sha256sum *.* > SHA256SUMS";
+    let summed = std::process::Command::new("sh")
+        .args(["-c", sums])
+        .current_dir(&checkpoint)
+        .status();
+    assert!(summed.unwrap().success());
+    run(folder, config(3, &[]), Resume::Latest, &quiet, None).unwrap();
+    assert_eq!(commit(folder), "abc");
 }
 
 #[test]

@@ -15,6 +15,6 @@ mod testing;
 pub use error::StoreError;
 pub use metrics::ServerMetrics;
 pub use record::{RECORD_FORMAT, Record, RecordError};
-pub use server::{DRAIN_MAX, ServeError, listen, serve};
+pub use server::{DRAIN_MAX, Keepalive, ServeError, listen, serve, serve_with};
 pub use service::{LIST_MAX, RegistryService, UPLOAD_IDLE_MAX, WATCH_PROGRESS};
 pub use store::{Published, Store, StoreLimits, hex};

@@ -18,8 +18,24 @@ use crate::store::Store;
 const STREAMS_PER_CONNECTION: u32 = 32;
 /// Largest message accepted; uploads come in pieces of 128 KiB.
 const MESSAGE_SIZE_MAX: usize = 256 << 10;
-/// A connection that is silent for this long is asked for a sign of life.
-const KEEPALIVE: Duration = Duration::from_secs(30);
+/// When a silent connection is given up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Keepalive {
+    /// A connection that is silent for this long is asked for a sign of life.
+    pub interval: Duration,
+    /// Without one for this long it is closed.
+    pub timeout: Duration,
+}
+
+impl Default for Keepalive {
+    fn default() -> Self {
+        Self {
+            interval: Duration::from_secs(30),
+            timeout: Duration::from_secs(20),
+        }
+    }
+}
+
 /// After the stop signal, open requests get this long to finish.
 pub const DRAIN_MAX: Duration = Duration::from_secs(10);
 
@@ -27,7 +43,7 @@ pub const DRAIN_MAX: Duration = Duration::from_secs(10);
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// Another process listens there.
-    #[error("address {0} is in use; stop the other process or choose another --addr")]
+    #[error("address {0} is in use; stop the other process or choose another address")]
     InUse(SocketAddr),
     /// The system refuses the address.
     #[error("cannot listen on {addr}: {source}")]
@@ -69,6 +85,20 @@ pub async fn serve(
     metrics: ServerMetrics,
     stop: watch::Receiver<bool>,
 ) -> Result<(), ServeError> {
+    serve_with(listener, store, metrics, stop, Keepalive::default()).await
+}
+
+/// As [`serve`], with another patience for silent connections.
+///
+/// # Errors
+/// As [`serve`].
+pub async fn serve_with(
+    listener: TcpListener,
+    store: Store,
+    metrics: ServerMetrics,
+    stop: watch::Receiver<bool>,
+    keepalive: Keepalive,
+) -> Result<(), ServeError> {
     let registry = RegistryService::new(store, stop.clone(), metrics);
     let (health, health_service) = tonic_health::server::health_reporter();
     health
@@ -89,7 +119,8 @@ pub async fn serve(
     let server = Server::builder()
         .concurrency_limit_per_connection(STREAMS_PER_CONNECTION as usize)
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
-        .http2_keepalive_interval(Some(KEEPALIVE))
+        .http2_keepalive_interval(Some(keepalive.interval))
+        .http2_keepalive_timeout(Some(keepalive.timeout))
         .add_service(health_service)
         .add_service(reflection)
         .add_service(

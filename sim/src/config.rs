@@ -67,6 +67,9 @@ pub struct EngineConfig {
     pub lock_backlash: bool,
     /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default false.
     pub fixed_base: bool,
+    /// Whether legs touch the trunk and other legs, with the shapes that touch the ground. Default false: gaits on land do not need it
+    /// (legs of the Polymander meet only when it bends its spine with hips at their ends), and every pair costs.
+    pub self_collision: bool,
     /// Joint speed beyond which a lane counts as diverged, rad/s. Default 200 (the servos end at 8).
     pub max_joint_speed_radps: f64,
     /// Base speed beyond which a lane counts as diverged, m/s. Default 50.
@@ -105,6 +108,7 @@ impl Default for EngineConfig {
             stop_damping_nms_per_rad: 2.0,
             lock_backlash: false,
             fixed_base: false,
+            self_collision: false,
             max_joint_speed_radps: 200.0,
             max_base_speed_mps: 50.0,
             lane_width: 0,
@@ -122,11 +126,26 @@ impl EngineConfig {
     /// The Rapier engine with the step that it is tuned for: 4 ms, five per control period.
     #[must_use]
     pub fn rapier() -> Self {
+        Self::default().on(EngineKind::Rapier)
+    }
+
+    /// The same settings on another engine, with that engine's step where the control period allows it.
+    #[must_use]
+    pub fn on(self, kind: EngineKind) -> Self {
+        if kind == self.kind {
+            return self;
+        }
+        let dt_s = match kind {
+            EngineKind::Batch => 0.002,
+            EngineKind::Rapier => 0.004,
+        };
+        let substeps = self.control_period_s() / dt_s;
+        let whole = (substeps - substeps.round()).abs() < 1e-9 && substeps >= 1.0;
         Self {
-            kind: EngineKind::Rapier,
-            dt_s: 0.004,
-            substeps: 5,
-            ..Self::default()
+            kind,
+            dt_s: if whole { dt_s } else { self.dt_s },
+            substeps: if whole { substeps.round() as u32 } else { self.substeps },
+            ..self
         }
     }
 
@@ -275,6 +294,19 @@ mod tests {
         let c = EngineConfig::default();
         c.validate().unwrap();
         assert!((c.control_period_s() - 0.02).abs() < 1e-12);
+    }
+
+    #[test]
+    fn another_engine_takes_its_own_step_and_keeps_the_control_period() {
+        let rapier = EngineConfig::rapier();
+        assert_eq!((rapier.dt_s, rapier.substeps), (0.004, 5));
+        let odd = EngineConfig {
+            dt_s: 0.001,
+            substeps: 7,
+            ..EngineConfig::default()
+        };
+        let odd = odd.on(EngineKind::Rapier);
+        assert_eq!((odd.kind, odd.dt_s, odd.substeps), (EngineKind::Rapier, 0.001, 7));
     }
 
     #[test]

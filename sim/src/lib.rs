@@ -15,10 +15,12 @@ pub mod effects;
 pub mod engine;
 pub mod error;
 pub mod lanes;
+pub mod momenta;
 mod observe;
 pub mod params;
 pub mod rapier;
 pub mod real;
+mod self_contact;
 pub mod sensors;
 pub(crate) mod simd;
 pub mod state;
@@ -32,6 +34,7 @@ use caudata_model::RobotModel;
 pub use config::{EngineConfig, EngineKind, Precision};
 pub use engine::Engine;
 pub use error::SimError;
+pub use momenta::Momenta;
 pub use params::{
     CommandLoss, HingeEffects, InitialState, JointEffects, LaneParams, LinkWater,
     MAX_COMMAND_DELAY_S,

@@ -5,8 +5,8 @@
 //!
 //! | effect | formula | source |
 //! |---|---|---|
-//! | buoyancy | s·k_b·m·(−g) at the centre of buoyancy | DESIGN section 4 |
-//! | heave damping | −s·k_d·v_z, world | DESIGN section 4 |
+//! | buoyancy | s·k_b·m·(−g) at the centre of buoyancy | Tian et al., the paper whose robot this is |
+//! | heave damping | −s·k_d·v_z, world | the same |
 //! | linear drag | −s·3πdβ·v_i, −s·πd³β·ω_i: a ball's Stokes drag, d the box's mean edge | MuJoCo's documentation, "Inertia-box fluid model" |
 //! | quadratic drag | −s·½ρ·b_j·b_k·│v_i│·v_i, −s·ρ·b_i(b_j⁴+b_k⁴)/64·│ω_i│·ω_i | the same |
 //! | added mass | s·c_i·k_b·m per axis, s·c'_i·k_b·I_ii about each | Newman, "Marine Hydrodynamics", chapter 4 |

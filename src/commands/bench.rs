@@ -17,25 +17,15 @@ use caudata_transport::{
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
+use crate::commands::bench_sim::{self, Plan, SceneName};
+use crate::commands::eval::EngineName;
 use crate::commands::robot_model;
 use crate::say;
 
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
-    /// Environment steps per second: physics, task, resets
-    Sim {
-        #[command(flatten)]
-        common: Common,
-        /// Environments
-        #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
-        lanes: u32,
-        /// Threads
-        #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
-        threads: u32,
-        /// Robot, engine, terrain and task; the preset `quick` without these flags
-        #[command(flatten)]
-        config: ConfigArgs,
-    },
+    /// Physics steps per second by engine, scene and lane width, with MuJoCo beside; and environment steps: physics, task, resets
+    Sim(SimBench),
     /// Inferences per second of a network of the configured size, on ONNX Runtime
     Policy {
         #[command(flatten)]
@@ -61,6 +51,36 @@ pub enum BenchCommand {
         #[arg(long, default_value_t = 1 << 20)]
         frame_bytes: usize,
     },
+}
+
+#[derive(Debug, Args)]
+pub struct SimBench {
+    #[command(flatten)]
+    common: Common,
+    /// Environments
+    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=65_536))]
+    lanes: u32,
+    /// Threads of the environment steps; physics is measured on one and on all
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
+    threads: u32,
+    /// Engines whose physics is measured; default: all. May be given several times
+    #[arg(long, value_enum)]
+    engine: Vec<EngineName>,
+    /// Scenes; default: all. May be given several times
+    #[arg(long, value_enum)]
+    scene: Vec<SceneName>,
+    /// Lanes per vector register; default 0, the engine's choice. May be given several times
+    #[arg(long)]
+    lane_width: Vec<u32>,
+    /// Environment steps only
+    #[arg(long)]
+    no_physics: bool,
+    /// No MuJoCo beside
+    #[arg(long)]
+    no_mujoco: bool,
+    /// Robot, engine, terrain and task; the preset `quick` without these flags
+    #[command(flatten)]
+    config: ConfigArgs,
 }
 
 #[derive(Debug, Args)]
@@ -115,12 +135,7 @@ struct Finding {
 
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     let (common, finding) = match command {
-        BenchCommand::Sim {
-            common,
-            lanes,
-            threads,
-            config,
-        } => (common, bench_sim(common, *lanes, *threads, config)?),
+        BenchCommand::Sim(args) => return bench_sim(args),
         BenchCommand::Policy {
             common,
             batch,
@@ -139,6 +154,11 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     if common.json {
         return say::json(&finding);
     }
+    print(&finding);
+    Ok(())
+}
+
+fn print(finding: &Finding) {
     say::line(format!(
         "{}: {:.0} {}/s  (one round {:.3} ms median, {:.3} ms p99, {} rounds, {})",
         finding.benchmark,
@@ -149,7 +169,6 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
         finding.rounds,
         finding.settings
     ));
-    Ok(())
 }
 
 /// Repeats `round` until the time is over, after one round to warm up. `units` is the work in one round.
@@ -194,13 +213,51 @@ fn load(flags: &ConfigArgs) -> Result<caudata_config::Config, Failure> {
     flags.load().or_exit(ExitCode::BadConfig)
 }
 
-fn bench_sim(
+fn bench_sim(args: &SimBench) -> Result<(), Failure> {
+    let config = load(&args.config)?;
+    let all = |engines: &[EngineName]| match engines {
+        [] => EngineName::value_variants().to_vec(),
+        some => some.to_vec(),
+    };
+    let plan = Plan {
+        robot: config.robot_path(),
+        engine: config.engine.clone(),
+        engines: all(&args.engine),
+        scenes: match args.scene.as_slice() {
+            [] => SceneName::value_variants().to_vec(),
+            some => some.to_vec(),
+        },
+        widths: match args.lane_width.as_slice() {
+            [] => vec![0],
+            some => some.to_vec(),
+        },
+        lanes: args.lanes as usize,
+        seconds: args.common.seconds,
+        mujoco: !args.no_mujoco,
+    };
+    let (speeds, mujoco) = if args.no_physics {
+        (Vec::new(), "skipped: --no-physics".to_owned())
+    } else {
+        bench_sim::measure(&plan)?
+    };
+    let finding = bench_env(&args.common, args.lanes, args.threads, config)?;
+    if args.common.json {
+        let mut found = serde_json::to_value(&finding).or_exit(ExitCode::Internal)?;
+        found["physics"] = serde_json::to_value(&speeds).or_exit(ExitCode::Internal)?;
+        found["mujoco"] = mujoco.into();
+        return say::json(&found);
+    }
+    bench_sim::print(&speeds, &mujoco);
+    print(&finding);
+    Ok(())
+}
+
+fn bench_env(
     common: &Common,
     lanes: u32,
     threads: u32,
-    config: &ConfigArgs,
+    mut config: caudata_config::Config,
 ) -> Result<Finding, Failure> {
-    let mut config = load(config)?;
     (config.actors.lanes, config.actors.threads) = (lanes, threads);
     let model = Arc::new(robot_model::load(&config.robot_path())?);
     let mut env = build_env(&config, model, 0).map_err(|error| error.into_failure())?;

@@ -32,7 +32,11 @@ impl ValueEnum for Ground {
 pub fn pair(text: &str) -> Result<[f32; 2], String> {
     let parts: Vec<f32> = text
         .split(',')
-        .map(|part| part.trim().parse().map_err(|_| format!("`{part}` is not a number")))
+        .map(|part| {
+            part.trim()
+                .parse()
+                .map_err(|_| format!("`{part}` is not a number"))
+        })
         .collect::<Result<_, _>>()?;
     match parts.as_slice() {
         [x, y] if x.is_finite() && y.is_finite() => Ok([*x, *y]),

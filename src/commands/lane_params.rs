@@ -1,6 +1,7 @@
 //! `--set lane.KEY=VALUE`: one robot's physical parameters on the command line.
 //!
-//! `KEY` is a field of `LaneParams`. A number given for a list fills it; `KEY.NAME` is one joint's, link's or foot's value in it.
+//! `KEY` is a field of `LaneParams`. A number given for a list fills it; `KEY.NAME` is one joint's, link's or foot's value in it. Of the effects of joints, hinges and links
+//! `joints.FIELD` is all joints', `joints.NAME.FIELD` one joint's.
 
 use caudata_config::ConfigArgs;
 use caudata_model::{JointKind, RobotModel};
@@ -43,42 +44,74 @@ pub fn changed(model: &RobotModel, changes: &[String]) -> Result<LaneParams, Fai
 
 fn apply(fields: &mut Value, model: &RobotModel, change: &str) -> Result<(), String> {
     let (key, text) = change.split_once('=').ok_or("must be KEY=VALUE")?;
-    let (field, name) = match key.trim().split_once('.') {
-        Some((field, name)) => (field, Some(name)),
-        None => (key.trim(), None),
-    };
-    let known = fields.as_object().map(|o| o.keys().cloned().collect());
-    let known: Vec<String> = known.unwrap_or_default();
-    let slot = fields
-        .get_mut(field)
-        .ok_or_else(|| format!("there is no `{field}`; known: {}", known.join(", ")))?;
+    let path: Vec<&str> = key.trim().split('.').collect();
     let value: Value =
         serde_json::from_str(text.trim()).map_err(|_| format!("`{text}` is not a value"))?;
-    match (slot, name) {
-        (Value::Array(list), Some(name)) => {
-            let at = index_of(model, list.len(), name)?;
-            list[at] = value;
+    set(fields, model, &path, &value)
+}
+
+/// Sets what `path` leads to: fields by name, values of lists by the name of their joint, link or foot. A field of a list's values without such
+/// a name is set in all of them.
+fn set(slot: &mut Value, model: &RobotModel, path: &[&str], value: &Value) -> Result<(), String> {
+    match (slot, path) {
+        (Value::Array(list), []) if !value.is_array() => list.fill(value.clone()),
+        (slot, []) => *slot = value.clone(),
+        (Value::Object(fields), [field, rest @ ..]) => {
+            let known = fields.keys().cloned().collect::<Vec<_>>().join(", ");
+            let slot = fields
+                .get_mut(*field)
+                .ok_or_else(|| format!("there is no `{field}`; known: {known}"))?;
+            set(slot, model, rest, value).map_err(|reason| {
+                match reason.strip_prefix(ONE_VALUE) {
+                    Some(_) => format!("`{field}` is {ONE_VALUE}, not a list"),
+                    None => reason,
+                }
+            })?;
         }
-        (_, Some(_)) => return Err(format!("`{field}` is one value, not a list")),
-        (Value::Array(list), None) if !value.is_array() => list.fill(value),
-        (slot, None) => *slot = value,
+        (Value::Array(list), [name, rest @ ..]) => {
+            let len = list.len();
+            if list.first().is_some_and(|first| first.get(*name).is_some()) {
+                for one in list {
+                    set(one, model, path, value)?;
+                }
+            } else {
+                set(&mut list[index_of(model, len, name)?], model, rest, value)?;
+            }
+        }
+        _ => return Err(ONE_VALUE.to_owned()),
     }
     Ok(())
 }
 
-/// Where `name` is in a list of `len` values: of actuated joints, links, backlash hinges or feet, whichever has that many.
+/// Why a path ends too late.
+const ONE_VALUE: &str = "one value";
+
+/// Where `name` is in a list of `len` values: of actuated joints, links, hinges without a servo, backlash hinges or feet, whichever has that many.
 fn index_of(model: &RobotModel, len: usize, name: &str) -> Result<usize, String> {
     let joints = model.joints().iter();
     let backlash = joints
         .filter(|j| j.kind == JointKind::Backlash)
         .map(|j| j.name.as_str());
-    let lists: [(&str, Vec<&str>); 4] = [
+    let hinges = (model.joints().iter())
+        .filter(|j| !matches!(j.kind, JointKind::Actuated { .. }))
+        .map(|j| j.name.as_str());
+    let lists: [(&str, Vec<&str>); 5] = [
         ("actuated joint", model.actuated_names()),
-        ("link", model.links().iter().map(|l| l.name.as_str()).collect()),
+        (
+            "link",
+            model.links().iter().map(|l| l.name.as_str()).collect(),
+        ),
+        ("hinge", hinges.collect()),
         ("backlash hinge", backlash.collect()),
-        ("foot", model.feet().iter().map(|f| f.name.as_str()).collect()),
+        (
+            "foot",
+            model.feet().iter().map(|f| f.name.as_str()).collect(),
+        ),
     ];
-    let mut fitting = lists.iter().filter(|(_, names)| names.len() == len).peekable();
+    let mut fitting = lists
+        .iter()
+        .filter(|(_, names)| names.len() == len)
+        .peekable();
     let what = fitting.peek().map_or("value", |(what, _)| *what);
     fitting
         .find_map(|(_, names)| names.iter().position(|n| *n == name))
@@ -90,8 +123,8 @@ mod tests {
     use super::*;
 
     fn model() -> RobotModel {
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("robots/polymander.robot.toml");
+        let path =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/polymander.robot.toml");
         RobotModel::load(&path).unwrap()
     }
 
@@ -102,12 +135,44 @@ mod tests {
     #[test]
     fn numbers_lists_and_single_joints() {
         assert_eq!(with("foot_friction=0.5").unwrap().foot_friction, 0.5);
-        assert_eq!(with("kp_nm_per_rad = 12").unwrap().kp_nm_per_rad, [12.0; 16]);
+        assert_eq!(
+            with("kp_nm_per_rad = 12").unwrap().kp_nm_per_rad,
+            [12.0; 16]
+        );
         let one = with("kp_nm_per_rad.FL_hip=9").unwrap().kp_nm_per_rad;
         // policy order: eight spine and tail joints, then FL_hip
         assert_eq!((one[7], one[8], one[9]), (15.0, 9.0, 15.0));
         let mass = with("link_mass_scale.body_01=1.5").unwrap();
         assert_eq!(mass.link_mass_scale.iter().sum::<f32>(), 19.5);
+    }
+
+    #[test]
+    fn effects_of_all_joints_or_of_one() {
+        let all = with("joints.dead_band_rad=0.02").unwrap();
+        assert!(all.joints.iter().all(|j| j.dead_band_rad == 0.02));
+        let one = with("joints.FL_hip.gear_half_gap_rad=0.002")
+            .unwrap()
+            .joints;
+        assert_eq!(
+            (one[7].gear_half_gap_rad, one[8].gear_half_gap_rad),
+            (0.0, 0.002)
+        );
+        let water = with("water.body_00.buoyancy_scale=0.5").unwrap().water;
+        assert_eq!(
+            (water[0].buoyancy_scale, water[1].buoyancy_scale),
+            (0.5, 1.0)
+        );
+        assert_eq!(
+            with("command_loss.share=0.1").unwrap().command_loss.share,
+            0.1
+        );
+        let tail = with("hinges.joint_body_09_passive.spring_nm_per_rad=2")
+            .unwrap()
+            .hinges;
+        assert_eq!(
+            tail.iter().filter(|h| h.spring_nm_per_rad == 2.0).count(),
+            1
+        );
     }
 
     #[test]
@@ -120,6 +185,9 @@ mod tests {
             ("foot_friction.FL=1", "one value"),
             ("kp_nm_per_rad.wing=1", "no actuated joint `wing`"),
             ("kp_nm_per_rad=[1,2]", "kp_nm_per_rad"),
+            ("joints.FL_hip.slack=1", "no `slack`"),
+            ("joints.wing.dead_band_rad=1", "no actuated joint `wing`"),
+            ("joints.FL_hip.dead_band_rad=-1", "dead_band_rad"),
         ] {
             let message = with(change).unwrap_err();
             assert!(message.contains(reason), "{change}: {message}");
@@ -133,6 +201,12 @@ mod tests {
             ..ConfigArgs::default()
         };
         let (rest, lane) = split(&flags);
-        assert_eq!((rest.overrides, lane), (vec!["engine.dt_s=0.002".to_owned()], vec!["supply_v=11".to_owned()]));
+        assert_eq!(
+            (rest.overrides, lane),
+            (
+                vec!["engine.dt_s=0.002".to_owned()],
+                vec!["supply_v=11".to_owned()]
+            )
+        );
     }
 }

@@ -1,6 +1,7 @@
 //! One module per command.
 
 pub mod bench;
+mod bench_sim;
 pub mod config;
 pub mod eval;
 pub mod ground;
@@ -11,4 +12,5 @@ pub mod sim;
 pub mod sim_robot;
 pub mod sim_rollout;
 pub mod sim_show;
+pub mod sim_verify;
 pub mod train;

@@ -33,9 +33,9 @@ pub struct RolloutArgs {
     /// Where the signals go; the circumstances of the run go beside it, as T.toml
     #[arg(long, value_name = "T.csv")]
     out: PathBuf,
-    /// On which engine
-    #[arg(long, value_enum, default_value_t = EngineName::Rapier)]
-    engine: EngineName,
+    /// On which engine; default: the configuration's
+    #[arg(long, value_enum)]
+    engine: Option<EngineName>,
     /// Whether the base is held in the air
     #[arg(long, value_enum, default_value_t = Base::Free)]
     base: Base,
@@ -74,7 +74,9 @@ enum Base {
 pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let (flags, changes) = lane_params::split(&args.config);
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
-    config.engine.kind = args.engine.into();
+    if let Some(engine) = args.engine {
+        config.engine = config.engine.on(engine.into());
+    }
     config.engine.fixed_base = args.base == Base::Fixed;
     if let Some(Ground(kind)) = args.terrain {
         config.terrain.kind = kind;

@@ -55,7 +55,7 @@ pub struct ShowArgs {
     #[arg(long, value_enum, default_value_t = ViewName::Iso)]
     view: ViewName,
     /// Distance of the camera, m
-    #[arg(long, default_value_t = 2.2)]
+    #[arg(long, default_value_t = 1.9)]
     distance: f64,
     /// Width, pixels; default 1280, 480 for an animation
     #[arg(long)]
@@ -125,7 +125,10 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
         }
     };
     if !(1.0..=50.0).contains(&args.fps) {
-        return Err(Failure::message(ExitCode::BadConfig, "--fps must be 1 to 50"));
+        return Err(Failure::message(
+            ExitCode::BadConfig,
+            "--fps must be 1 to 50",
+        ));
     }
     let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
     if let Some(robot) = &args.robot {
@@ -155,7 +158,10 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
         }));
     }
     let count = frames.len();
-    say::line(format!("{} ({width} × {height}, {count} frames)", args.out.display()));
+    say::line(format!(
+        "{} ({width} × {height}, {count} frames)",
+        args.out.display()
+    ));
     Ok(())
 }
 
@@ -169,10 +175,17 @@ fn read_log(dir: &Path) -> Result<RunLog, Failure> {
 }
 
 /// Puts the flags' or the log's terrain into `config`; returns the seed.
-fn choose_terrain(args: &ShowArgs, log: Option<&RunLog>, config: &mut Config) -> Result<u64, Failure> {
+fn choose_terrain(
+    args: &ShowArgs,
+    log: Option<&RunLog>,
+    config: &mut Config,
+) -> Result<u64, Failure> {
     let mut seed = 1;
     if let Some(log) = log {
-        if let Some(kind) = TerrainKind::ALL.iter().find(|k| k.name() == log.meta.terrain) {
+        if let Some(kind) = TerrainKind::ALL
+            .iter()
+            .find(|k| k.name() == log.meta.terrain)
+        {
             config.terrain = logged_terrain(log, *kind)?;
         }
         if let Some(Setting::Number(logged)) = log.meta.settings.get("seed") {
@@ -200,7 +213,12 @@ fn logged_terrain(log: &RunLog, kind: TerrainKind) -> Result<TerrainConfig, Fail
 }
 
 /// The robot after it has settled in the scene.
-fn settled(args: &ShowArgs, config: &Config, model: &Arc<RobotModel>, seed: u64) -> Result<Moment, Failure> {
+fn settled(
+    args: &ShowArgs,
+    config: &Config,
+    model: &Arc<RobotModel>,
+    seed: u64,
+) -> Result<Moment, Failure> {
     let pose = match args.pose {
         PoseName::Nominal => Some(model.nominal_pos_rad()),
         PoseName::Swimming => model.swimming_pos_rad(),
@@ -209,9 +227,15 @@ fn settled(args: &ShowArgs, config: &Config, model: &Arc<RobotModel>, seed: u64)
         Failure::message(ExitCode::BadInput, "the robot file has no swimming pose")
     })?;
     let targets: Vec<f32> = pose.iter().map(|&q| q as f32).collect();
-    let mut engine =
-        caudata_sim::build(Arc::clone(model), 1, &config.engine, &config.terrain, seed, 1)
-            .or_exit(ExitCode::BadConfig)?;
+    let mut engine = caudata_sim::build(
+        Arc::clone(model),
+        1,
+        &config.engine,
+        &config.terrain,
+        seed,
+        1,
+    )
+    .or_exit(ExitCode::BadConfig)?;
     let start = InitialState {
         base_xy_m: args.place,
         joint_pos_rad: targets.clone(),
@@ -224,7 +248,9 @@ fn settled(args: &ShowArgs, config: &Config, model: &Arc<RobotModel>, seed: u64)
     }
     let periods = (args.settle_s / engine.config().control_period_s()).round() as u64;
     for _ in 0..periods {
-        engine.step(&targets, &[0.0; 6]).or_exit(ExitCode::Internal)?;
+        engine
+            .step(&targets, &[0.0; 6])
+            .or_exit(ExitCode::Internal)?;
     }
     let state = engine.state();
     let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
@@ -255,7 +281,8 @@ fn moments_of_log(
     if !animated {
         let at = args.at.unwrap_or(first);
         if !(first..=last).contains(&at) {
-            let message = format!("--at {at} is outside the log, which runs from {first} to {last} s");
+            let message =
+                format!("--at {at} is outside the log, which runs from {first} to {last} s");
             return Err(Failure::message(ExitCode::BadConfig, message));
         }
         return Ok(vec![reader.moment(at)]);
@@ -367,7 +394,11 @@ fn draw(
             .or_exit(ExitCode::BadInput)?;
         let com = model.centre_of_mass_m(&places);
         let forward = moment.base.rotate([1.0, 0.0, 0.0]);
-        let extra = if turn { TAU * k as f64 / count as f64 } else { 0.0 };
+        let extra = if turn {
+            TAU * k as f64 / count as f64
+        } else {
+            0.0
+        };
         let yaw = heading.follow(forward[1].atan2(forward[0]));
         let camera = Camera::of_view(args.view.into(), com, yaw + extra, args.distance)
             .or_exit(ExitCode::BadConfig)?;

@@ -130,6 +130,15 @@ impl Finished {
     }
 }
 
+/// Says on standard error, past what the test harness captures, that a test did not run, and why.
+pub fn skipped(why: &str) {
+    use std::io::Write;
+    let test = std::thread::current();
+    let name = test.name().unwrap_or("a test");
+    // Nobody can be told if even this fails.
+    let _ = writeln!(std::io::stderr(), "skipped: {name}: {why}");
+}
+
 /// A JSON file.
 ///
 /// # Errors

@@ -1,17 +1,12 @@
 //! Bad input, one small program per fault: one clear line, its own exit code, and nothing that was saved is lost.
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::print_stdout
-)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use caudata_tests::{Finished, binary, command, finish, repository_root, train};
+use caudata_tests::{Finished, binary, command, finish, repository_root, skipped, train};
 
 /// It ended with `code` and exactly one error line, which holds each of `words`.
 fn refused(finished: &Finished, code: i32, words: &[&str]) {
@@ -94,7 +89,22 @@ fn a_port_in_use_is_named() {
         &["--iterations", "1", "--set", &addr],
     )
     .unwrap();
-    refused(&finish(run).unwrap(), 71, &[&address]);
+    let taken_port = finish(run).unwrap();
+    refused(&taken_port, 71, &[&address]);
+    assert!(
+        !taken_port.stderr.contains("killed"),
+        "{}",
+        taken_port.stderr
+    );
+    // The refused run took no name away.
+    let again = [
+        "--iterations",
+        "1",
+        "--set",
+        "policy_server.addr=\"127.0.0.1:0\"",
+    ];
+    let again = finish(train(&folder.path().join("run"), &again).unwrap()).unwrap();
+    assert_eq!(again.code, Some(0), "{}", again.stderr);
 }
 
 /// A finished tiny run to do damage to.
@@ -120,7 +130,9 @@ fn a_truncated_checkpoint_is_refused_and_left_as_it_is() {
     }
     assert!(!states.is_empty());
     let run = train(&out, &["--iterations", "3", "--resume"]).unwrap();
-    refused(&finish(run).unwrap(), 78, &["checkpoint"]);
+    let damaged = finish(run).unwrap();
+    refused(&damaged, 78, &["checkpoint"]);
+    assert!(damaged.stderr.contains("hint: "), "{}", damaged.stderr);
     for (state, length) in states {
         assert_eq!(
             fs::metadata(state).unwrap().len(),
@@ -129,6 +141,41 @@ fn a_truncated_checkpoint_is_refused_and_left_as_it_is() {
         );
     }
     assert!(out.join("policy.onnx").is_file());
+}
+
+#[test]
+fn the_hint_for_a_damaged_checkpoint_works_as_it_stands() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let every = ["--set", "learner.checkpoint_every=1"];
+    let run = |flags: &[&str]| finish(train(&out, &[&every[..], flags].concat()).unwrap()).unwrap();
+    assert_eq!(run(&["--iterations", "3"]).code, Some(0));
+    let state = out.join("checkpoints/iter_000003/state.safetensors");
+    let bytes = fs::read(&state).unwrap();
+    fs::write(&state, &bytes[..bytes.len() / 2]).unwrap();
+    let damaged = run(&["--iterations", "4", "--resume"]);
+    refused(&damaged, 78, &["iter_000003"]);
+    let hint = damaged.stderr.split_once("resume with ").unwrap().1;
+    let flags: Vec<&str> = hint.split_once(';').unwrap().0.split(' ').collect();
+    assert_eq!(flags, ["--resume-from", "iter_000002"]);
+    let resumed = run(&[&["--iterations", "4"], &flags[..]].concat());
+    assert_eq!(resumed.code, Some(0), "{}", resumed.stderr);
+}
+
+#[test]
+fn a_run_that_cannot_go_on_as_asked_says_which_key_is_to_blame() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = trained(folder.path());
+    let gamma = ["--resume", "--set", "learner.ppo.gamma=0.9"];
+    let run = train(&out, &gamma).unwrap();
+    refused(
+        &finish(run).unwrap(),
+        64,
+        &["learner.ppo.gamma was 0.97 and is 0.9"],
+    );
+    fs::remove_file(out.join("config.toml")).unwrap();
+    let run = train(&out, &["--resume"]).unwrap();
+    refused(&finish(run).unwrap(), 66, &["config.toml"]);
 }
 
 /// The policy of a finished run with two joints of its contract exchanged, in both places that name them.
@@ -231,7 +278,7 @@ fn a_full_disk_ends_the_run_and_keeps_what_was_saved() {
     let folder = tempfile::tempdir().unwrap();
     let disk = folder.path().join("disk");
     let Some(_mounted) = SmallDisk::mount(&disk, "6m") else {
-        println!("skipped: mounting a small disk needs root");
+        skipped("mounting a small disk needs root");
         return;
     };
     let out = disk.join("run");

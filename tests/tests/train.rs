@@ -47,15 +47,23 @@ fn trains_end_to_end(transport: &str) {
         "--iterations",
         "4",
         "--set",
+        "learner.publish_every=1",
+        "--set",
         "evaluation.robot_run_s=1",
     ];
     let report = ended_well(&finish(train(&out, &flags).unwrap()).unwrap());
     account_holds(&report);
     assert_eq!(report["finished"]["iteration"], 4);
     assert_eq!(report["finished"]["reason"], "completed");
-    // One file everywhere: learner, run folder, server, robot.
+    // One file everywhere: learner, run folder, server, robot, and with the actors a version that the server has.
     let policy = &report["policy"];
     assert_eq!(policy["same"], true, "{policy}");
+    let actors = &policy["actors"];
+    assert_eq!(actors["version"], 3, "{actors}");
+    assert!(
+        actors["actors"].is_string() && actors["actors"] == actors["server"],
+        "{actors}"
+    );
     assert_eq!(policy["learner"], policy["robot"], "{policy}");
     for name in [
         "config.toml",
@@ -209,9 +217,120 @@ fn sigterm_leaves_a_run_that_resumes() {
     assert_eq!(report["finished"]["iteration"], stopped + 2);
 }
 
+/// `report.json` and `accounting.json` tell the same of the whole run.
+fn accounts_agree(out: &Path, report: &Value) {
+    let stored = json_file(&out.join("accounting.json")).unwrap();
+    let account = &report["accounting"];
+    let count = |of: &Value, key: &str| of[key].as_u64().unwrap();
+    for key in ["sent", "accepted", "rejected"] {
+        assert_eq!(count(account, key), count(&stored, key), "{key}: {account}");
+    }
+    assert_eq!(
+        count(account, "dropped") + count(account, "lost"),
+        count(&stored, "dropped"),
+        "{account}"
+    );
+}
+
+/// A run goes on over another transport, with actors that the learner has not heard of.
+fn goes_on_over(first: &str, then: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let run = |flags: &[&str]| ended_well(&finish(train(&out, flags).unwrap()).unwrap());
+    run(&["--transport", first, "--iterations", "3"]);
+    let report = run(&["--transport", then, "--iterations", "5", "--resume"]);
+    assert_eq!(report["finished"]["iteration"], 5);
+    assert_eq!(report["first_iteration"], 3);
+    assert_eq!(report["policy"]["same"], true, "{}", report["policy"]);
+    account_holds(&report);
+    accounts_agree(&out, &report);
+    // Two actors, a chunk each per iteration; nothing came twice.
+    assert_eq!(report["accounting"]["accepted"], 10, "{report}");
+    let stored = json_file(&out.join("accounting.json")).unwrap();
+    assert_eq!(stored["duplicates"], 0, "{stored}");
+}
+
+#[test]
+fn a_run_in_one_process_goes_on_over_shared_memory() {
+    goes_on_over("inproc", "iceoryx2");
+}
+
+#[test]
+fn a_run_in_one_process_goes_on_over_tcp() {
+    goes_on_over("inproc", "zenoh");
+}
+
+#[test]
+fn a_run_over_tcp_goes_on_in_one_process() {
+    goes_on_over("zenoh", "inproc");
+}
+
+/// The process id of the learner of the run at `out`.
+fn learner_process(out: &Path) -> i32 {
+    let found = processes("caudata-learner", &out.display().to_string());
+    assert_eq!(found.len(), 1, "one learner runs");
+    found[0]
+}
+
+/// The learner is killed between two checkpoints; the run goes on from the last one, and the policies that were
+/// published since stay what they are.
+fn goes_on_after_a_killed_learner(transport: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let flags = ["--transport", transport, "--set", "learner.publish_every=1"];
+    let flags = [&flags[..], &["--set", "learner.checkpoint_every=4"]].concat();
+    let long = [&flags[..], &["--iterations", "100000"]].concat();
+    let mut running = Running::start(train(&out, &long).unwrap());
+    running.wait_for_iteration(7);
+    kill(Pid::from_raw(learner_process(&out)), Signal::SIGKILL).unwrap();
+    let (_, code) = running.end();
+    assert_eq!(code, Some(70));
+    let newest = files_like(&out.join("checkpoints"), "iter_").pop().unwrap();
+    let newest: u64 = newest
+        .to_string_lossy()
+        .rsplit_once('_')
+        .unwrap()
+        .1
+        .parse()
+        .unwrap();
+
+    let until = (newest + 2).to_string();
+    let resume = [&flags[..], &["--iterations", &until, "--resume"]].concat();
+    let report = ended_well(&finish(train(&out, &resume).unwrap()).unwrap());
+    assert_eq!(report["finished"]["iteration"], newest + 2);
+    let policy = &report["policy"];
+    assert_eq!(policy["same"], true, "{policy}");
+    assert!(
+        policy["version"].as_u64() > Some(newest + 2),
+        "numbers go on: {policy}"
+    );
+    assert_eq!(
+        policy["actors"]["server"], policy["actors"]["actors"],
+        "{policy}"
+    );
+    account_holds(&report);
+    accounts_agree(&out, &report);
+    let stored = std::fs::read_to_string(out.join("accounting.json")).unwrap();
+    assert!(stored.contains("rolled_back"), "{stored}");
+}
+
+#[test]
+fn a_run_goes_on_after_its_learner_was_killed() {
+    goes_on_after_a_killed_learner("zenoh");
+}
+
+#[test]
+fn a_run_in_one_process_goes_on_after_its_learner_was_killed() {
+    goes_on_after_a_killed_learner("inproc");
+}
+
 /// Process ids of the actors of the run at `out`.
 fn actor_processes(out: &Path) -> Vec<i32> {
-    let mark = out.join("ledgers").display().to_string();
+    processes("caudata-actor", &out.join("ledgers").display().to_string())
+}
+
+/// Process ids of the processes called `name` with `mark` in an argument.
+fn processes(name: &str, mark: &str) -> Vec<i32> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir("/proc").unwrap().flatten() {
         let Ok(pid) = entry.file_name().to_string_lossy().parse::<i32>() else {
@@ -219,7 +338,8 @@ fn actor_processes(out: &Path) -> Vec<i32> {
         };
         let arguments = std::fs::read(entry.path().join("cmdline")).unwrap_or_default();
         let arguments = String::from_utf8_lossy(&arguments).replace('\0', " ");
-        if arguments.contains("caudata-actor") && arguments.contains(&mark) {
+        let program = arguments.split(' ').next().unwrap_or_default();
+        if program.ends_with(name) && arguments.contains(mark) {
             found.push(pid);
         }
     }

@@ -33,7 +33,8 @@ pub use sections::*;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Robot file (`*.robot.toml`). See [`Config::robot_path`] for where a relative path is looked for.
+    /// Robot file (`*.robot.toml`). A relative path is looked for in the current
+    /// directory, then in the folders above the executable.
     pub robot: PathBuf,
     /// Name, seed, length.
     pub run: RunConfig,

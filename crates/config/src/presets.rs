@@ -15,7 +15,7 @@ pub struct Preset {
 pub const PRESETS: [Preset; 2] = [
     Preset {
         name: "quick",
-        about: "a few minutes on two cores: the robot begins to walk on flat ground",
+        about: "a few minutes on two cores: flat ground, the robot learns to move but not yet to walk",
         text: include_str!("../presets/quick.toml"),
     },
     Preset {

@@ -155,6 +155,30 @@ fn robot_file_values() {
     );
     check(
         "toml",
+        "mass = [0.0, 0.0, 0.0]                  # [ours] none",
+        "mass = [0.0, -0.5, 0.0]  #",
+        &["water.drag.body.added.mass", "between 0 and 20"],
+    );
+    check(
+        "toml",
+        "resistance_ohm = 0.0",
+        "resistance_ohm = -0.1",
+        &["supply.resistance_ohm"],
+    );
+    check(
+        "toml",
+        "stribeck_speed_radps = 0.1",
+        "stribeck_speed_radps = 0.0",
+        &["servo.preset.xm430_w210.stribeck_speed_radps"],
+    );
+    check(
+        "toml",
+        "load_friction_driven = 0.0",
+        "load_friction_driven = 1.5",
+        &["servo.preset.xm430_w210.load_friction_driven"],
+    );
+    check(
+        "toml",
         "gyro_bias_std_radps = 0.01745",
         "gyro_bias_std_radps = 1e9",
         &["imu.gyro_bias_std_radps"],

@@ -216,7 +216,7 @@ pub enum PolicyError {
         expected: String,
     },
     /// A part of the contract differs.
-    #[error("the policy's {part} differs from the one here")]
+    #[error("the policy differs from what is expected here in its {part}")]
     WrongPart {
         /// Which part.
         part: &'static str,

@@ -388,7 +388,8 @@ async fn within<T>(
 fn refusal(address: &str, status: &Status) -> ClientError {
     use std::error::Error;
     let from_network = status.source().is_some();
-    if status.code() == Code::Unavailable && from_network {
+    // A connection that broke under a call is `Unknown`.
+    if matches!(status.code(), Code::Unavailable | Code::Unknown) && from_network {
         return ClientError::Unreachable {
             address: address.to_owned(),
             reason: innermost(status),

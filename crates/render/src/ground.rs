@@ -1,5 +1,7 @@
 //! Where rays meet the ground, and what colour it has there.
 
+use std::sync::Arc;
+
 use caudata_sim::terrain::APRON_DROP_M;
 use caudata_sim::{HeightGrid, Terrain};
 
@@ -9,12 +11,35 @@ use crate::{Vec3, mix, unit};
 /// Distances of the thin and the strong grid lines, m, their widths, and how far they darken.
 const LINES: [(f64, f64, f64); 2] = [(0.1, 0.003, 0.22), (1.0, 0.010, 0.55)];
 
+/// A terrain with what every ray asks of it.
+#[derive(Clone, Debug)]
+pub(crate) struct Ground {
+    pub terrain: Arc<Terrain>,
+    /// Lowest and highest point of the height field, m.
+    span_m: (f64, f64),
+    has_patches: bool,
+}
+
+impl Ground {
+    pub fn new(terrain: Arc<Terrain>) -> Self {
+        let heights = terrain.grid().map_or(&[][..], HeightGrid::heights_m);
+        let span = heights
+            .iter()
+            .fold((f32::MAX, f32::MIN), |(a, b), &h| (a.min(h), b.max(h)));
+        Self {
+            span_m: (f64::from(span.0), f64::from(span.1)),
+            has_patches: terrain.has_patches(),
+            terrain,
+        }
+    }
+}
+
 /// Where a ray first meets the ground before `far`.
-pub(crate) fn meet(terrain: &Terrain, ray: &Ray, far: f64) -> Option<Hit> {
-    let Some(grid) = terrain.grid() else {
+pub(crate) fn meet(ground: &Ground, ray: &Ray, far: f64) -> Option<Hit> {
+    let Some(grid) = ground.terrain.grid() else {
         return plane(ray, 0.0, far);
     };
-    let field = meet_field(grid, ray, far);
+    let field = meet_field(grid, ground.span_m, ray, far);
     let apron = plane(ray, -APRON_DROP_M, far).filter(|hit| {
         let half = grid.size_m() / 2.0;
         let at = ray.at(hit.t);
@@ -36,17 +61,13 @@ pub(crate) fn plane(ray: &Ray, z: f64, far: f64) -> Option<Hit> {
 }
 
 /// Walks through the cells under a ray, within the height field's box.
-fn meet_field(grid: &HeightGrid, ray: &Ray, far: f64) -> Option<Hit> {
+fn meet_field(grid: &HeightGrid, span_m: (f64, f64), ray: &Ray, far: f64) -> Option<Hit> {
     let half = grid.size_m() / 2.0;
-    let (low, high) = grid
-        .heights_m()
-        .iter()
-        .fold((f32::MAX, f32::MIN), |(a, b), &h| (a.min(h), b.max(h)));
     let (mut enter, mut leave) = (0.0_f64, far);
     let bounds = [
         (-half, half),
         (-half, half),
-        (f64::from(low) - 1e-6, f64::from(high) + 1e-6),
+        (span_m.0 - 1e-6, span_m.1 + 1e-6),
     ];
     for (i, (lo, hi)) in bounds.into_iter().enumerate() {
         let (a, b) = (
@@ -138,16 +159,17 @@ fn meet_cell(grid: &HeightGrid, ray: &Ray, [ix, iy]: [usize; 2], far: f64) -> Op
 }
 
 /// Linear RGB of the ground at `at`; `footprint_m`: how much of it one pixel covers.
-pub(crate) fn colour(terrain: &Terrain, at: Vec3, footprint_m: f64) -> Vec3 {
-    const LOW: Vec3 = [0.30, 0.33, 0.30];
-    const HIGH: Vec3 = [0.46, 0.42, 0.34];
+pub(crate) fn colour(ground: &Ground, at: Vec3, footprint_m: f64) -> Vec3 {
+    const LOW: Vec3 = [0.24, 0.27, 0.25];
+    const HIGH: Vec3 = [0.40, 0.36, 0.28];
     const ICE: Vec3 = [0.42, 0.62, 0.78];
+    let terrain = &ground.terrain;
     let mut colour = LOW;
-    if let Some(grid) = terrain.grid() {
+    if terrain.grid().is_some() {
         // 0.3 m of height turn green-grey into sand; higher ground repeats it softly
         let share = 0.5 - 0.5 * (std::f64::consts::PI * at[2] / 0.3).cos();
         colour = mix(LOW, HIGH, share);
-        if terrain.has_patches() && grid.size_m() > 0.0 {
+        if ground.has_patches {
             let factor = f64::from(terrain.friction_factor(at[0] as f32, at[1] as f32));
             colour = mix(ICE, colour, factor);
         }

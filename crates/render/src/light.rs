@@ -27,7 +27,7 @@ pub(crate) fn sky(along: Vec3) -> Vec3 {
 /// What a ray sees, linear RGB. `pixel_rad`: size of the pixel at distance 1.
 pub(crate) fn along(scene: &Scene, ray: &Ray, pixel_rad: f64) -> Vec3 {
     const FAR_M: f64 = 500.0;
-    let ground = ground::meet(&scene.terrain, ray, FAR_M);
+    let ground = ground::meet(&scene.ground, ray, FAR_M);
     let far = ground.map_or(FAR_M, |hit| hit.t);
     let solid = scene.meet_solids(ray, far);
     let (seen, distance) = match (solid, ground) {
@@ -38,7 +38,7 @@ pub(crate) fn along(scene: &Scene, ray: &Ray, pixel_rad: f64) -> Vec3 {
         (None, Some(hit)) => {
             let slant = dot(hit.normal, ray.along).abs().max(0.08);
             let footprint = hit.t * pixel_rad / slant;
-            let colour = ground::colour(&scene.terrain, ray.at(hit.t), footprint);
+            let colour = ground::colour(&scene.ground, ray.at(hit.t), footprint);
             let colour = lit(scene, ray.at(hit.t), hit.normal, colour, None);
             (colour, hit.t)
         }
@@ -74,10 +74,10 @@ fn lit(scene: &Scene, at: Vec3, normal: Vec3, colour: Vec3, towards: Option<Vec3
     out
 }
 
-/// Share of the sky that nothing nearby hides, from six directions.
+/// Share of the sky that nothing nearby hides, from ten directions.
 fn openness(scene: &Scene, from: Vec3, normal: Vec3) -> f64 {
     const REACH_M: f64 = 0.25;
-    const RAYS: usize = 6;
+    const RAYS: usize = 10;
     if scene.distance_to_solids(from) > REACH_M {
         return 1.0;
     }
@@ -88,21 +88,23 @@ fn openness(scene: &Scene, from: Vec3, normal: Vec3) -> f64 {
     };
     let a = unit(caudata_model::pose::cross(side, normal));
     let b = caudata_model::pose::cross(normal, a);
-    let hidden = (0..RAYS)
-        .filter(|&k| {
+    let hidden: f64 = (0..RAYS)
+        .map(|k| {
             let angle = std::f64::consts::TAU * (k as f64 + 0.25) / RAYS as f64;
             let rise = if k % 2 == 0 { 0.45 } else { 1.3 };
             let flat = add(scale(a, angle.cos()), scale(b, angle.sin()));
             let along = unit(add(flat, scale(normal, rise)));
-            scene.is_blocked(&Ray { from, along }, REACH_M)
+            // what is nearer hides more, so that the shade has no edges
+            let met = scene.meet_solids(&Ray { from, along }, REACH_M);
+            met.map_or(0.0, |(hit, _)| 1.0 - hit.t / REACH_M)
         })
-        .count();
-    1.0 - 0.85 * hidden as f64 / RAYS as f64
+        .sum();
+    1.0 - 0.9 * hidden / RAYS as f64
 }
 
 /// What is `seen` at `distance`, through the water in between; also how far away the haze begins to count. `None`: no water in between.
 fn water(scene: &Scene, ray: &Ray, seen: Vec3, distance: f64) -> Option<(Vec3, f64)> {
-    let level = f64::from(scene.terrain.water_level_m()?);
+    let level = f64::from(scene.ground.terrain.water_level_m()?);
     let surface = ground::plane(ray, level, distance).map(|hit| hit.t);
     let under = ray.from[2] < level;
     let path = match (under, surface) {

@@ -7,6 +7,7 @@ use caudata_model::{Pose, Shape};
 use caudata_sim::Terrain;
 
 use crate::Vec3;
+use crate::ground::Ground;
 use crate::solid::{Hit, Ray, Solid};
 
 /// One coloured shape.
@@ -26,7 +27,7 @@ pub struct Scene {
     pub(crate) solids: Vec<(Solid, Vec3)>,
     /// Centre and radius of a ball around all solids.
     bounds: (Vec3, f64),
-    pub(crate) terrain: Arc<Terrain>,
+    pub(crate) ground: Ground,
     /// Moves the ripples of the water, s.
     pub(crate) time_s: f64,
 }
@@ -42,7 +43,7 @@ impl Scene {
         Self {
             bounds: ball_around(&solids),
             solids,
-            terrain,
+            ground: Ground::new(terrain),
             time_s,
         }
     }

@@ -36,13 +36,15 @@ pub enum ExitCode {
     PolicyRefused = 77,
     /// A checkpoint is damaged.
     CheckpointDamaged = 78,
+    /// Everything ran, and a measured figure misses its target.
+    TargetMissed = 79,
     /// Interrupted by a second Ctrl-C: nothing was drained.
     Interrupted = 130,
 }
 
 impl ExitCode {
     /// All codes, for tables and tests.
-    pub const ALL: [ExitCode; 14] = [
+    pub const ALL: [ExitCode; 15] = [
         ExitCode::Ok,
         ExitCode::BadConfig,
         ExitCode::BadInput,
@@ -56,6 +58,7 @@ impl ExitCode {
         ExitCode::Protocol,
         ExitCode::PolicyRefused,
         ExitCode::CheckpointDamaged,
+        ExitCode::TargetMissed,
         ExitCode::Interrupted,
     ];
 

@@ -34,7 +34,7 @@ mod serve;
 mod stop;
 
 pub use announce::{Listening, announce, read_announcement};
-pub use banner::{BuildInfo, build_info};
+pub use banner::{BuildInfo, Code, build_info};
 pub use exit::{ExitCode, Failure, FailureExt};
 pub use logging::{LogArgs, LogFormat, LoggingError, init_logging};
 pub use metrics::{Counter, Gauge, Histogram, IntGauge, Metrics, SecondsCounter};

@@ -20,7 +20,8 @@ pub struct LogArgs {
     pub log_format: LogFormat,
     /// What to log, for instance `info` or `warn,caudata_learner=debug`
     #[arg(
-        long,
+        long = "log-filter",
+        id = "log_filter",
         value_name = "FILTER",
         env = "CAUDATA_LOG",
         default_value = "info",

@@ -42,6 +42,9 @@ pub struct Started {
     pub resumed_from: Option<String>,
     /// `cpu` or `cuda:0`.
     pub device: String,
+    /// By actor: the first incarnation that the learner has not heard of. Older ones are not listened to.
+    #[serde(default)]
+    pub next_incarnations: Vec<u64>,
 }
 
 /// One iteration: what was collected and what was learnt from it.
@@ -57,13 +60,14 @@ pub struct Iteration {
     pub steps_total: u64,
     /// Environment steps per second of this iteration, all included.
     pub steps_per_s: f64,
-    /// Mean return of the episodes that ended lately; absent before the first one.
+    /// Mean return of a whole episode over those that ended lately; absent before the first one. One that was cut
+    /// short at the start of the run counts as the part that it lasted.
     pub mean_return: Option<f64>,
-    /// Mean length of those episodes, steps.
+    /// Mean length of those episodes likewise, steps.
     pub mean_episode_length: Option<f64>,
     /// Mean reward per step of this batch, which needs no ended episode.
     pub mean_step_reward: f64,
-    /// Per reward term: mean sum over an ended episode. Ordered by name.
+    /// Per reward term: mean sum over a whole episode. Ordered by name.
     pub reward_terms: std::collections::BTreeMap<String, f64>,
     /// Policy versions between collection and use, mean over the batch.
     pub lag_mean: f64,
@@ -143,10 +147,32 @@ pub struct Finished {
     pub first_tenth: Option<MeanSe>,
     /// The same over the last tenth.
     pub last_tenth: Option<MeanSe>,
+    /// Mean return of a whole episode, over those that ended in the first tenth; `n` episodes.
+    #[serde(default)]
+    pub first_tenth_return: Option<MeanSe>,
+    /// The same over the last tenth.
+    #[serde(default)]
+    pub last_tenth_return: Option<MeanSe>,
+    /// The newest policy that actors ran, best one that was also published.
+    #[serde(default)]
+    pub actors_policy: Option<ActorsPolicy>,
     /// What became of every chunk.
     pub accounting: Accounting,
     /// The same per actor, ordered by id.
     pub actors: Vec<ActorAccount>,
+}
+
+/// A policy that actors ran, as their chunks name it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ActorsPolicy {
+    /// Its version.
+    pub version: u64,
+    /// SHA-256 of the ONNX bytes that the actors loaded, hex.
+    pub sha256: String,
+    /// SHA-256 of the ONNX bytes that the learner made as that version, hex.
+    pub learner_sha256: String,
+    /// Whether it was also given to the policy server.
+    pub published: bool,
 }
 
 /// A mean and its standard error over `n` values.
@@ -160,11 +186,11 @@ pub struct MeanSe {
     pub n: u64,
 }
 
-/// Chunks by what became of them. `received = accepted + rejected + dropped`; what actors sent on top of that
-/// was lost with a process or a link.
+/// Chunks by what became of them. `received = accepted + rejected + dropped` and those that wait for a batch; what
+/// actors sent on top of that was lost with a process or a link.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Accounting {
-    /// Chunks that reached the learner.
+    /// Chunks that reached the learner, or were rolled back when the run went on from a checkpoint.
     pub received: u64,
     /// Used for learning.
     pub accepted: u64,
@@ -185,7 +211,7 @@ pub struct ActorAccount {
     pub incarnation: u64,
     /// What it said it had sent when it left; absent when it died without a word.
     pub sent: Option<u64>,
-    /// Chunks of it that reached the learner.
+    /// Chunks of it that reached the learner, or were rolled back when the run went on from a checkpoint.
     pub received: u64,
     /// Used.
     pub accepted: u64,
@@ -261,6 +287,7 @@ mod tests {
         let page = std::fs::read_to_string(page).unwrap();
         let finished = Finished {
             first_tenth: Some(MeanSe::default()),
+            actors_policy: Some(ActorsPolicy::default()),
             actors: vec![ActorAccount::default()],
             ..Finished::default()
         };

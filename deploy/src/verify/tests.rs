@@ -46,13 +46,28 @@ fn a_good_policy_is_accepted_with_its_own_stride_and_action_scale() {
     assert!((action[5] - 6.89).abs() < 1e-4, "{action:?}");
 }
 
+const HERE: Sha256Digest = Sha256Digest([7; 32]);
+
+#[test]
+fn what_depends_on_the_robot_file_is_not_the_policys_fault() {
+    for change in [
+        (|m| m.contract.joint_names.swap(2, 3)) as fn(&mut PolicyMetadata),
+        |m| m.contract.robot_hash = "0".repeat(64),
+        |m| m.contract.kp_nm_per_rad[0] *= 2.0,
+    ] {
+        let bytes = policy_file(1, |_, m| change(m));
+        let policy = reference(1, &bytes);
+        assert_eq!(refusal(bytes, &policy).blame(HERE), Blame::Robot(HERE));
+    }
+}
+
 #[test]
 fn bytes_with_another_hash_are_refused_but_may_come_again() {
     let bytes = policy_file(1, |_, _| {});
     let other = reference(1, b"other");
     let refusal = refusal(bytes, &other);
     assert!(matches!(refusal, Refusal::WrongHash { .. }), "{refusal}");
-    assert!(!refusal.is_for_good());
+    assert_eq!(refusal.blame(HERE), Blame::Transfer);
 }
 
 #[test]
@@ -63,7 +78,7 @@ fn a_truncated_file_is_refused() {
     let policy = reference(1, &bytes);
     let refusal = refusal(bytes, &policy);
     assert!(matches!(refusal, Refusal::Policy(_)), "{refusal}");
-    assert!(refusal.is_for_good());
+    assert_eq!(refusal.blame(HERE), Blame::Policy);
 }
 
 #[test]
@@ -105,14 +120,23 @@ fn a_policy_for_something_else_is_refused_in_one_clear_line() {
     let line = refused(|m| m.contract.control_period_s = 0.01);
     assert_eq!(
         line,
-        "the policy's control period differs from the one here"
+        "the policy differs from what is expected here in its control period"
     );
     let line = refused(|m| m.contract.nominal_pos_rad[9] += 0.1);
-    assert_eq!(line, "the policy's nominal pose differs from the one here");
+    assert_eq!(
+        line,
+        "the policy differs from what is expected here in its nominal pose"
+    );
     let line = refused(|m| m.contract.kp_nm_per_rad[0] = 20.0);
-    assert_eq!(line, "the policy's gains differs from the one here");
+    assert_eq!(
+        line,
+        "the policy differs from what is expected here in its gains"
+    );
     let line = refused(|m| m.contract.phase.offsets_rad = vec![0.0; 4]);
-    assert_eq!(line, "the policy's gait phase differs from the one here");
+    assert_eq!(
+        line,
+        "the policy differs from what is expected here in its gait phase"
+    );
 }
 
 #[test]
@@ -132,7 +156,7 @@ fn a_policy_that_must_know_whether_it_swims_is_refused() {
     let line = refusal(bytes, &policy).to_string();
     assert_eq!(
         line,
-        "the policy's observation layout differs from the one here"
+        "the policy differs from what is expected here in its observation layout"
     );
 }
 

@@ -1,8 +1,10 @@
 //! What became of every chunk, per actor and incarnation.
 //!
 //! Each sequence number that an incarnation used has exactly one fate: accepted, rejected, dropped (which includes
-//! lost), or waiting. `sent = accepted + rejected + dropped + waiting` is checked from counts that are kept apart:
-//! `lost` comes from gaps in the sequence numbers and from what the actor says it sent, never from the difference.
+//! lost and rolled back), or waiting. `sent = accepted + rejected + dropped + waiting` is checked from counts that are
+//! kept apart: `lost` comes from gaps in the sequence numbers and from what the actor says it sent, never from the
+//! difference. What this check finds is a chunk that the learner counted twice or not at all; that nothing vanished on
+//! the way is seen from `lost` of the actors that said goodbye.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -34,6 +36,8 @@ pub enum DropReason {
     AtShutdown,
     /// Waited for a batch when the checkpoint was written that the run goes on from.
     Restart,
+    /// Sent after that checkpoint was written: whatever became of it then does not count any more.
+    RolledBack,
     /// Sent, but never arrived.
     Lost,
 }
@@ -47,6 +51,7 @@ impl DropReason {
             Self::UnknownPolicy => "unknown_policy",
             Self::AtShutdown => "at_shutdown",
             Self::Restart => "restart",
+            Self::RolledBack => "rolled_back",
             Self::Lost => "lost",
         }
     }
@@ -73,6 +78,9 @@ pub struct IncarnationAccount {
     missing: BTreeSet<u64>,
     /// Such numbers that are not remembered one by one any more.
     given_up: u64,
+    /// Numbers below `next` that a learner before this one may have seen, after the checkpoint that the run goes on from.
+    #[serde(default)]
+    rolled_back: BTreeSet<u64>,
     /// What the actor's last words or its ledger say that it sent.
     claimed: Option<u64>,
     /// Whether it said goodbye.
@@ -92,7 +100,7 @@ pub struct IncarnationAccount {
 impl IncarnationAccount {
     fn arrive(&mut self, sequence: u64) -> Arrival {
         if sequence < self.next {
-            return if self.missing.remove(&sequence) {
+            return if self.missing.remove(&sequence) || self.rolled_back.remove(&sequence) {
                 Arrival::New
             } else {
                 self.duplicates += 1;
@@ -113,6 +121,39 @@ impl IncarnationAccount {
         Arrival::New
     }
 
+    /// The run goes on from a checkpoint, and the ledger says `sent`: the numbers that the checkpoint does not know are
+    /// rolled back. One of them that is still on its way counts when it comes.
+    fn roll_back(&mut self, sent: u64) {
+        if sent <= self.next {
+            return;
+        }
+        let remembered_from = self.next.max(sent.saturating_sub(MISSING_MAX as u64));
+        let mut for_good = remembered_from - self.next;
+        self.rolled_back.extend(remembered_from..sent);
+        while self.rolled_back.len() > MISSING_MAX {
+            self.rolled_back.pop_first();
+            for_good += 1;
+        }
+        if for_good > 0 {
+            *self.dropped.entry(DropReason::RolledBack).or_default() += for_good;
+        }
+        self.next = sent;
+    }
+
+    /// Chunks dropped by reason, without the lost ones.
+    fn dropped_by_reason(&self) -> BTreeMap<DropReason, u64> {
+        let mut by_reason = self.dropped.clone();
+        if !self.rolled_back.is_empty() {
+            *by_reason.entry(DropReason::RolledBack).or_default() += self.rolled_back.len() as u64;
+        }
+        by_reason
+    }
+
+    /// Chunks dropped, without the lost ones.
+    fn dropped_but_not_lost(&self) -> u64 {
+        self.dropped.values().sum::<u64>() + self.rolled_back.len() as u64
+    }
+
     /// Chunks that it sent, as far as anybody knows.
     pub fn sent(&self) -> u64 {
         self.next.max(self.claimed.unwrap_or(0))
@@ -130,7 +171,7 @@ impl IncarnationAccount {
 
     /// Chunks dropped, the lost ones included.
     pub fn dropped(&self) -> u64 {
-        self.dropped.values().sum::<u64>() + self.lost()
+        self.dropped_but_not_lost() + self.lost()
     }
 
     /// Whether every chunk has exactly one fate.
@@ -268,6 +309,13 @@ impl Accounting {
         }
     }
 
+    /// The run goes on from a checkpoint, and this is what the ledger of an actor says that it sent in all. The actor
+    /// is known from then on, so that none of its incarnations is used again.
+    pub fn rolled_back(&mut self, actor: ActorKey, sent: u64) {
+        self.greet(actor);
+        self.change(actor, |account| account.roll_back(sent));
+    }
+
     /// Whether `sent = accepted + rejected + dropped + waiting` for every incarnation.
     pub fn holds(&self) -> bool {
         self.actors.values().all(IncarnationAccount::holds)
@@ -298,14 +346,14 @@ impl Accounting {
         for account in self.actors.values() {
             accepted += account.accepted;
             rejected += account.rejected() + account.duplicates;
-            dropped += account.dropped.values().sum::<u64>();
+            dropped += account.dropped_but_not_lost();
             add("duplicate", account.duplicates);
             account
                 .rejected
                 .iter()
                 .for_each(|(reason, count)| add(reason, *count));
             account
-                .dropped
+                .dropped_by_reason()
                 .iter()
                 .for_each(|(reason, count)| add(reason.id(), *count));
         }
@@ -329,7 +377,7 @@ impl Accounting {
     /// Per incarnation, for the last event of a run. Chunks, so duplicates are left out.
     pub fn per_actor(&self) -> Vec<progress::ActorAccount> {
         let row = |((actor_id, incarnation), account): (&ActorKey, &IncarnationAccount)| {
-            let dropped = account.dropped.values().sum::<u64>();
+            let dropped = account.dropped_but_not_lost();
             progress::ActorAccount {
                 actor_id: *actor_id,
                 incarnation: *incarnation,
@@ -374,7 +422,7 @@ impl Accounting {
 
 fn row((actor_id, incarnation): ActorKey, account: &IncarnationAccount) -> ReportRow {
     let mut dropped: BTreeMap<&'static str, u64> = account
-        .dropped
+        .dropped_by_reason()
         .iter()
         .map(|(reason, count)| (reason.id(), *count))
         .collect();
@@ -530,6 +578,34 @@ mod tests {
             (restored.next_incarnation(3), restored.next_incarnation(2)),
             (1, 0)
         );
+    }
+
+    #[test]
+    fn what_came_after_the_checkpoint_is_rolled_back_once() {
+        let mut accounting = Accounting::default();
+        accepted(&mut accounting, 0);
+        // The checkpoint is of then. The ledger says 4 in all, and an incarnation of later sent 2.
+        accounting.rolled_back(A, 4);
+        accounting.rolled_back((3, 1), 2);
+        assert!(accounting.holds());
+        let report = accounting.report();
+        assert_eq!((report.sent, report.accepted, report.dropped), (6, 1, 5));
+        assert_eq!(report.actors[0].dropped["rolled_back"], 3);
+        assert_eq!((accounting.lost(), accounting.next_incarnation(3)), (0, 2));
+        let row = &accounting.per_actor()[0];
+        assert_eq!((row.received, row.dropped), (4, 3));
+        assert_eq!(accounting.summary().reasons["rolled_back"], 5);
+        // At the end the ledgers are read again.
+        accounting.ledger(A, 4);
+        assert_eq!((accounting.lost(), accounting.report().sent), (0, 6));
+        // One that was on its way to the learner before counts now; used before, it comes again: a duplicate.
+        accepted(&mut accounting, 3);
+        assert_eq!(accounting.arrive(A, 0), Arrival::Duplicate);
+        assert_eq!(accounting.report().actors[0].dropped["rolled_back"], 2);
+        // More than are remembered one by one.
+        accounting.rolled_back((5, 0), 10_000);
+        assert_eq!(accounting.per_actor()[2].dropped, 10_000);
+        assert!(accounting.holds());
     }
 
     #[test]

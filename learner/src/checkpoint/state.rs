@@ -16,7 +16,7 @@ use super::store::{FORMAT, Files};
 use crate::batch::Accounting;
 use crate::network::Layout;
 use crate::normaliser::Moments;
-use crate::report::History;
+use crate::report::{History, ReturnSums};
 
 const STATE: &str = "state.safetensors";
 const META: &str = "meta.json";
@@ -43,6 +43,8 @@ pub struct CheckpointState {
     pub moments: Moments,
     /// Mean step reward of every iteration so far.
     pub step_rewards: Vec<f64>,
+    /// The episodes that ended in each of them.
+    pub returns: Vec<ReturnSums>,
     /// The curves.
     pub history: History,
     /// The actors of an in-process run; empty otherwise.
@@ -57,8 +59,15 @@ pub struct Saved {
     pub format: u32,
     /// The run.
     pub run_id: String,
-    /// Iterations done; also the version of the current policy.
+    /// Iterations done.
     pub iteration: u64,
+    /// Version of the current policy, less the iterations done: not 0 in a run that went on from a checkpoint after
+    /// it had published later versions.
+    #[serde(default)]
+    pub version_offset: u64,
+    /// What the policies of the run say was checked out when it began.
+    #[serde(default)]
+    pub training_commit: String,
     /// Environment steps used.
     pub steps_total: u64,
     /// Seconds of training, over all processes.
@@ -92,39 +101,46 @@ struct Episode {
     return_sum: f32,
     steps: u32,
     terms: Vec<f32>,
+    #[serde(default = "whole")]
+    share: f64,
+}
+
+fn whole() -> f64 {
+    1.0
 }
 
 impl EpisodeWindow {
-    /// Adds an episode that ended; the oldest one beyond 100 leaves.
-    pub fn push(&mut self, episode: &caudata_proto::EpisodeSummary) {
+    /// Adds an episode that ended and counts as `share` of a whole one; the oldest one beyond 100 leaves.
+    pub fn push(&mut self, episode: &caudata_proto::EpisodeSummary, share: f64) {
         self.episodes.push_back(Episode {
             return_sum: episode.return_sum,
             steps: episode.steps,
             terms: episode.terms.clone(),
+            share,
         });
         if self.episodes.len() > EPISODES {
             self.episodes.pop_front();
         }
     }
 
-    /// Mean return; `None` before the first episode.
+    /// Mean return of a whole episode; `None` before the first one has ended.
     pub fn mean_return(&self) -> Option<f64> {
         self.mean(|episode| f64::from(episode.return_sum))
     }
 
-    /// Mean length, control steps.
+    /// Mean length likewise, control steps.
     pub fn mean_steps(&self) -> Option<f64> {
         self.mean(|episode| f64::from(episode.steps))
     }
 
-    /// Mean sum of reward term `index`.
+    /// Mean sum of reward term `index` likewise.
     pub fn mean_term(&self, index: usize) -> Option<f64> {
         self.mean(|episode| f64::from(episode.terms.get(index).copied().unwrap_or(0.0)))
     }
 
     fn mean(&self, value: impl Fn(&Episode) -> f64) -> Option<f64> {
-        let n = self.episodes.len();
-        (n > 0).then(|| self.episodes.iter().map(value).sum::<f64>() / n as f64)
+        let whole: f64 = self.episodes.iter().map(|episode| episode.share).sum();
+        (whole > 0.0).then(|| self.episodes.iter().map(value).sum::<f64>() / whole)
     }
 }
 
@@ -187,6 +203,10 @@ impl CheckpointState {
             ));
         }
         let learning_rate = reader.f64s("learning_rate")?;
+        let step_rewards = reader.f64s("mean_step_reward")?;
+        // Checkpoints of before have none.
+        let mut returns = ReturnSums::from_rows(&reader.f64s("returns").unwrap_or_default());
+        returns.resize(step_rewards.len(), ReturnSums::default());
         Ok(Self {
             saved,
             parameters: reader.flat("", layout)?,
@@ -194,7 +214,8 @@ impl CheckpointState {
             adam_v: reader.flat("adam.v.", layout)?,
             learning_rate: *learning_rate.first().ok_or("learning_rate is empty")?,
             moments: Moments { count, mean, m2 },
-            step_rewards: reader.f64s("mean_step_reward")?,
+            step_rewards,
+            returns,
             history,
             actors: actors(files)?,
         })
@@ -245,6 +266,7 @@ impl CheckpointState {
         add("normaliser.m2", &self.moments.m2);
         add("learning_rate", &[self.learning_rate]);
         add("mean_step_reward", &self.step_rewards);
+        add("returns", &ReturnSums::to_rows(&self.returns));
         let data = self.moments.count.to_le_bytes().to_vec();
         tensors.push((
             "normaliser.count".into(),
@@ -383,7 +405,7 @@ mod tests {
         );
         minibatch_order.next_u32();
         let mut episodes = EpisodeWindow::default();
-        episodes.push(&caudata_proto::EpisodeSummary {
+        let episode = caudata_proto::EpisodeSummary {
             lane: 0,
             steps: 10,
             return_sum: 0.1,
@@ -391,7 +413,10 @@ mod tests {
             terminated: false,
             reason: 0,
             mean_speed_mps: 0.2,
-        });
+        };
+        episodes.push(&episode, 0.1);
+        let mut returns = ReturnSums::default();
+        returns.add(0.1, 1.0 / 3.0);
         // Padding is zero, as in a network.
         let flat = |scale: f32| {
             let mut flat = vec![0.0; 32];
@@ -405,6 +430,8 @@ mod tests {
                 format: FORMAT,
                 run_id: "run".into(),
                 iteration: 12,
+                version_offset: 3,
+                training_commit: "abc".into(),
                 steps_total: 3456,
                 wall_s: 0.1 + 0.2,
                 config_hash: "c".into(),
@@ -425,6 +452,7 @@ mod tests {
                 m2: vec![1e-300, 5.0],
             },
             step_rewards: vec![0.1, -0.7],
+            returns: vec![returns, ReturnSums::default()],
             history: History::default(),
             actors: vec![ActorSnapshot {
                 actor_id: 1,
@@ -492,7 +520,7 @@ mod tests {
         let mut window = EpisodeWindow::default();
         assert_eq!(window.mean_return(), None);
         for i in 0..150_u8 {
-            window.push(&caudata_proto::EpisodeSummary {
+            let episode = caudata_proto::EpisodeSummary {
                 lane: 0,
                 steps: 1,
                 return_sum: f32::from(i),
@@ -500,7 +528,8 @@ mod tests {
                 terminated: false,
                 reason: 0,
                 mean_speed_mps: 0.0,
-            });
+            };
+            window.push(&episode, 1.0);
         }
         // The last hundred are 50 to 149.
         assert_eq!(window.mean_return(), Some(99.5));

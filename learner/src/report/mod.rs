@@ -2,8 +2,10 @@
 
 mod curves;
 mod history;
+mod returns;
 mod tensorboard;
 
 pub use curves::{TERM_PREFIX, draw_curves};
 pub use history::{History, Point};
+pub use returns::{ReturnSums, share_of_whole};
 pub use tensorboard::EventFile;

@@ -113,8 +113,15 @@ fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
             metrics.frame("waiting");
         }
         Outcome::Duplicate((actor, incarnation)) => {
-            tracing::debug!(actor, incarnation, "a chunk came again");
-            metrics.frame("duplicate");
+            let count = metrics.frame("duplicate");
+            if count.is_power_of_two() {
+                tracing::warn!(
+                    actor,
+                    incarnation,
+                    count,
+                    "a chunk came again; it is not used twice"
+                );
+            }
         }
         Outcome::Dropped((actor, incarnation), reason) => {
             tracing::debug!(

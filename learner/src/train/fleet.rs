@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use caudata_actor::{
     ActorError, ActorMetrics, ActorReport, ActorSettings, ActorSnapshot, SnapshotPort, actor_key,
-    build_env,
+    build_env, ledger_path,
 };
-use caudata_config::Config;
 use caudata_model::RobotModel;
-use caudata_telemetry::{Metrics, StopFlag};
+use caudata_telemetry::StopFlag;
 use caudata_transport::InprocHub;
 
+use super::setup::{TrainSettings, ledger_folder};
 use crate::LearnerError;
 use crate::batch::Accounting;
 
@@ -35,22 +35,25 @@ impl Fleet {
     /// Starts the actors of `config`, each where its snapshot left off if there is one. Every start is a new
     /// incarnation, as `accounting` counts them.
     pub fn start(
-        config: &Config,
+        settings: &TrainSettings,
         model: &Arc<RobotModel>,
         hub: &InprocHub,
-        run_id: &str,
         accounting: &Accounting,
         snapshots: &[ActorSnapshot],
-        metrics: &Metrics,
     ) -> Result<Self, LearnerError> {
-        let metrics = ActorMetrics::register(metrics);
+        let config = &settings.config;
+        let metrics = ActorMetrics::register(&settings.metrics);
+        let ledgers = ledger_folder(&settings.run_dir);
+        std::fs::create_dir_all(&ledgers).map_err(|error| LearnerError::write(&ledgers, error))?;
         let mut fleet = Self {
             actors: Vec::new(),
             stop: StopFlag::new(),
         };
         for id in 0..config.actors.count {
             let incarnation = accounting.next_incarnation(id);
-            let settings = ActorSettings::from_config(config, run_id, id, incarnation);
+            let mut actor = ActorSettings::from_config(config, &settings.run_id, id, incarnation);
+            // Kept here too: a run that is killed and goes on knows what was sent after its last checkpoint.
+            actor.ledger = Some(ledger_path(&ledgers, id, incarnation));
             let saved = snapshots.iter().find(|saved| saved.actor_id == id).cloned();
             let key = saved
                 .as_ref()
@@ -64,15 +67,7 @@ impl Fleet {
                 .name(format!("actor-{id}"))
                 .spawn(move || {
                     let resume = saved.as_ref();
-                    caudata_actor::run(
-                        &settings,
-                        env,
-                        link,
-                        &stop,
-                        &metrics,
-                        Some(&own_port),
-                        resume,
-                    )
+                    caudata_actor::run(&actor, env, link, &stop, &metrics, Some(&own_port), resume)
                 })
                 .map_err(LearnerError::Thread)?;
             fleet.actors.push(Slot {

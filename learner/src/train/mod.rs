@@ -6,6 +6,7 @@ mod metrics;
 mod report;
 mod resume;
 mod run;
+mod seen;
 mod setup;
 
 pub use resume::Resume;

@@ -29,6 +29,7 @@ pub(super) struct Reporter {
 pub(super) struct IterationReport<'a> {
     pub iteration: u64,
     pub iterations: u64,
+    pub policy_version: u64,
     pub steps_total: u64,
     pub batch_steps: usize,
     pub mean_step_reward: f64,
@@ -152,7 +153,7 @@ fn event_of(report: &IterationReport) -> progress::Iteration {
     progress::Iteration {
         iteration: report.iteration,
         iterations: report.iterations,
-        policy_version: report.iteration,
+        policy_version: report.policy_version,
         steps_total: report.steps_total,
         steps_per_s: report.batch_steps as f64 / report.total_s.max(1e-9),
         mean_return: report.episodes.mean_return(),

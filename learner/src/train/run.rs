@@ -1,6 +1,7 @@
 //! The loop: collect, learn, export, publish, report, save; and the end of it.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use caudata_config::Config;
@@ -14,6 +15,8 @@ use caudata_transport::{Control, LearnerLink, PolicyUpdate};
 use super::collect::{Collected, collect, drain};
 use super::fleet::Fleet;
 use super::report::{IterationReport, Reporter};
+use super::seen::PoliciesSeen;
+use super::setup::ledger_folder;
 use crate::LearnerError;
 use crate::batch::{Batch, Collector};
 use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow, FORMAT, Saved};
@@ -21,7 +24,7 @@ use crate::export::{PolicyIdentity, export, write_policy};
 use crate::normaliser::{Moments, Scaling};
 use crate::ppo::{Ppo, UpdateStats};
 use crate::publish::{Notice, Publisher};
-use crate::report::History;
+use crate::report::{History, ReturnSums, share_of_whole};
 
 /// Iterations in a row without any finite update after which the run ends.
 const NOT_FINITE_MAX: u32 = 10;
@@ -33,6 +36,8 @@ const TENTHS_MIN: usize = 20;
 /// What changes from iteration to iteration besides the network and the accounts.
 pub(super) struct Progress {
     pub iteration: u64,
+    /// Versions of policies are this far ahead of iterations.
+    pub version_offset: u64,
     pub steps_total: u64,
     /// Seconds of training in earlier processes.
     pub wall_s: f64,
@@ -40,7 +45,16 @@ pub(super) struct Progress {
     pub order: Stream,
     pub episodes: EpisodeWindow,
     pub step_rewards: Vec<f64>,
+    /// The episodes that ended in each iteration.
+    pub returns: Vec<ReturnSums>,
     pub history: History,
+}
+
+impl Progress {
+    /// Version of the current policy.
+    pub fn version(&self) -> u64 {
+        self.iteration + self.version_offset
+    }
 }
 
 /// A run with everything in its hands.
@@ -71,13 +85,15 @@ struct LoopState {
     not_finite: u32,
     /// The first iteration of this process.
     first: u64,
+    /// What actors ran.
+    seen: PoliciesSeen,
 }
 
 impl Run<'_> {
     /// Trains to the end, or until stopped or unable; then winds everything down.
     pub fn train(mut self) -> Result<Finished, LearnerError> {
         let scaling = self.scaling();
-        let policy = self.export(&scaling)?;
+        let policy = self.first_policy(&scaling)?;
         let mut state = LoopState {
             policy,
             scaling,
@@ -85,6 +101,7 @@ impl Run<'_> {
             actors_wait: false,
             not_finite: 0,
             first: self.progress.iteration,
+            seen: PoliciesSeen::default(),
         };
         let result = self.iterate(&mut state);
         if let Err(error) = &result {
@@ -98,6 +115,7 @@ impl Run<'_> {
 
     fn iterate(&mut self, state: &mut LoopState) -> Result<String, LearnerError> {
         self.announce(&state.policy)?;
+        state.seen.made(&state.policy, false);
         while self.progress.iteration < self.config.run.iterations {
             let started = Instant::now();
             let chunks = {
@@ -138,9 +156,15 @@ impl Run<'_> {
         started: Instant,
         collection_s: f64,
     ) -> Result<(), LearnerError> {
-        let version = self.progress.iteration;
-        for episode in chunks.iter().flat_map(|chunk| &chunk.episodes) {
-            self.progress.episodes.push(episode);
+        let version = self.progress.version();
+        let mut returns = ReturnSums::default();
+        for chunk in &chunks {
+            state.seen.ran(chunk.policy_version, &chunk.policy_sha256);
+            for episode in &chunk.episodes {
+                let share = share_of_whole(episode, self.config.task.episode_steps);
+                self.progress.episodes.push(episode, share);
+                returns.add(f64::from(episode.return_sum), share);
+            }
         }
         let batch = Batch::new(chunks);
         let learning = Instant::now();
@@ -159,6 +183,7 @@ impl Run<'_> {
         self.progress.iteration += 1;
         self.progress.steps_total += batch.rows as u64;
         self.progress.step_rewards.push(batch.mean_reward());
+        self.progress.returns.push(returns);
         state.scaling = self.scaling();
         state.policy = {
             let _span = tracing::info_span!("export").entered();
@@ -183,7 +208,9 @@ impl Run<'_> {
         let checkpoint = if save { Some(self.state(state)?) } else { None };
         self.announce(&state.policy)?;
         state.actors_wait = false;
-        if iteration.is_multiple_of(learner.publish_every) {
+        let publish = iteration.is_multiple_of(learner.publish_every);
+        state.seen.made(&state.policy, publish);
+        if publish {
             self.publish(&state.policy)?;
         }
         if let Some(checkpoint) = checkpoint {
@@ -246,6 +273,7 @@ impl Run<'_> {
         let report = IterationReport {
             iteration: progress.iteration,
             iterations: self.config.run.iterations,
+            policy_version: progress.version(),
             steps_total: progress.steps_total,
             batch_steps: batch.rows,
             mean_step_reward: batch.mean_reward(),
@@ -273,18 +301,31 @@ impl Run<'_> {
     }
 
     fn export(&self, scaling: &Scaling) -> Result<PolicyFile, LearnerError> {
-        let Progress {
-            iteration,
-            steps_total,
-            ..
-        } = self.progress;
-        export(
-            self.ppo.net(),
-            scaling,
-            &self.identity,
-            iteration,
-            steps_total,
-        )
+        let (version, steps) = (self.progress.version(), self.progress.steps_total);
+        export(self.ppo.net(), scaling, &self.identity, version, steps)
+    }
+
+    /// The policy to begin with. Bytes under a version never change: where the run folder holds a later version than
+    /// the checkpoint that the run goes on from, or other bytes of the same one, numbers go on behind it.
+    fn first_policy(&mut self, scaling: &Scaling) -> Result<PolicyFile, LearnerError> {
+        let policy = self.export(scaling)?;
+        let before = std::fs::read(self.policy_path()).ok();
+        let before = before.and_then(|bytes| PolicyFile::parse(Arc::from(bytes)).ok());
+        let Some(before) = before.filter(|before| before.metadata().run_id == self.identity.run_id)
+        else {
+            return Ok(policy);
+        };
+        let (now, then) = (policy.metadata().version, before.metadata().version);
+        if then < now || before.sha256() == policy.sha256() {
+            return Ok(policy);
+        }
+        self.progress.version_offset += then + 1 - now;
+        self.reporter.warn(format!(
+            "policy versions up to {then} were handed out before; this run goes on from iteration {} with version {}",
+            self.progress.iteration,
+            then + 1
+        ));
+        self.export(scaling)
     }
 
     /// Makes `policy` the one that actors use.
@@ -357,6 +398,8 @@ impl Run<'_> {
                 format: FORMAT,
                 run_id: self.identity.run_id.clone(),
                 iteration: progress.iteration,
+                version_offset: progress.version_offset,
+                training_commit: self.identity.training_commit.clone(),
                 steps_total: progress.steps_total,
                 wall_s: progress.wall_s + self.began.elapsed().as_secs_f64(),
                 config_hash: self.identity.config_hash.clone(),
@@ -373,6 +416,7 @@ impl Run<'_> {
             learning_rate: self.ppo.learning_rate(),
             moments: progress.moments.clone(),
             step_rewards: progress.step_rewards.clone(),
+            returns: progress.returns.clone(),
             history: progress.history.clone(),
             actors,
         })
@@ -434,7 +478,10 @@ impl Run<'_> {
         let (link, metrics) = (self.link.as_mut(), &self.reporter.metrics);
         drain(&mut self.collector, link, self.fleet.as_ref(), metrics);
         self.fleet = None;
-        read_ledgers(&self.run_dir.join("ledgers"), &mut self.collector);
+        for ledger in caudata_actor::ledgers_in(&ledger_folder(&self.run_dir)) {
+            let actor = (ledger.actor_id, ledger.incarnation);
+            self.collector.accounting_mut().ledger(actor, ledger.sent);
+        }
         if !self.collector.accounting().holds() {
             self.reporter
                 .warn("the accounts of the chunks do not add up; see accounting.json".into());
@@ -462,6 +509,10 @@ impl Run<'_> {
         let tenth = progress.step_rewards.len() / 10;
         let enough = progress.step_rewards.len() >= TENTHS_MIN;
         let rewards = &progress.step_rewards;
+        let (early, late) = (
+            &progress.returns[..tenth],
+            &progress.returns[progress.returns.len() - tenth..],
+        );
         let finished = Finished {
             reason,
             iteration: progress.iteration,
@@ -477,32 +528,15 @@ impl Run<'_> {
                 .unwrap_or_default(),
             first_tenth: enough.then(|| mean_se(&rewards[..tenth])),
             last_tenth: enough.then(|| mean_se(&rewards[rewards.len() - tenth..])),
+            first_tenth_return: ReturnSums::total(early).mean().filter(|_| enough),
+            last_tenth_return: ReturnSums::total(late).mean().filter(|_| enough),
+            actors_policy: state.seen.best.clone(),
             accounting: self.collector.accounting().summary(),
             actors: self.collector.accounting().per_actor(),
         };
         self.reporter
             .event(&Event::Finished(Box::new(finished.clone())));
         finished
-    }
-}
-
-/// Adds what the ledgers of killed actors say: `actor-<id>-<incarnation>.ledger`.
-fn read_ledgers(folder: &Path, collector: &mut Collector) {
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let key = name
-            .strip_prefix("actor-")
-            .and_then(|rest| rest.strip_suffix(".ledger"));
-        let Some((id, incarnation)) = key.and_then(|key| key.split_once('-')) else {
-            continue;
-        };
-        let (Ok(id), Ok(incarnation)) = (id.parse(), incarnation.parse()) else {
-            continue;
-        };
-        match caudata_actor::read_ledger(&entry.path()) {
-            Ok(sent) => collector.accounting_mut().ledger((id, incarnation), sent),
-            Err(error) => tracing::warn!(name, %error, "a ledger cannot be read"),
-        }
     }
 }
 

@@ -1,7 +1,7 @@
 //! From settings to a run that is ready to go.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -89,17 +89,31 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         &contract_hash,
     )?;
     let (resumed_from, state) = loaded.unzip();
+    // Of the run's beginning: the same weights give the same bytes, whatever is checked out by now.
+    let training_commit = match &state {
+        Some(state) => state.saved.training_commit.clone(),
+        None => build_info().commit_word(),
+    };
 
     let ppo = PpoSettings {
         ppo: config.learner.ppo.clone(),
         staleness: config.learner.staleness.clone(),
     };
     let mut ppo = Ppo::new(net, ppo, threads(config, inproc))?;
-    let (progress, snapshots) = restore(&mut ppo, state, config, contract.obs_dim())?;
+    let (mut progress, snapshots) = restore(&mut ppo, state, config, contract.obs_dim())?;
+    if settings.resume != Resume::No {
+        for ledger in caudata_actor::ledgers_in(&ledger_folder(&settings.run_dir)) {
+            let actor = (ledger.actor_id, ledger.incarnation);
+            progress.1.rolled_back(actor, ledger.sent);
+        }
+    }
     let collector = Collector::new(
         collector_settings(config, &settings.run_id, &contract),
         progress.1,
     );
+    let next_incarnations = (0..config.actors.count)
+        .map(|id| collector.accounting().next_incarnation(id))
+        .collect();
 
     let model = Arc::new(model);
     let publisher = settings
@@ -122,8 +136,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         .as_ref()
         .map(|hub| {
             let accounting = collector.accounting();
-            let (run_id, metrics) = (&settings.run_id, &settings.metrics);
-            Fleet::start(config, &model, hub, run_id, accounting, &snapshots, metrics)
+            Fleet::start(&settings, &model, hub, accounting, &snapshots)
         })
         .transpose()?;
 
@@ -141,16 +154,12 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         iterations: config.run.iterations,
         resumed_from,
         device: device_name(device),
+        next_incarnations,
     }));
-    let commit = &build_info().commit;
     let identity = PolicyIdentity {
         contract,
         run_id: settings.run_id,
-        training_commit: if commit == "unknown" {
-            String::new()
-        } else {
-            commit.clone()
-        },
+        training_commit,
         config_hash: config.hash_hex(),
         seed: config.run.seed,
     };
@@ -170,6 +179,11 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         began: Instant::now(),
     };
     run.train()
+}
+
+/// Where the actors of a run keep their ledgers.
+pub(super) fn ledger_folder(run_dir: &Path) -> PathBuf {
+    run_dir.join("ledgers")
 }
 
 fn device(wanted: caudata_config::Device) -> Result<Device, LearnerError> {
@@ -245,12 +259,14 @@ fn restore(
         };
         let progress = Progress {
             iteration: 0,
+            version_offset: 0,
             steps_total: 0,
             wall_s: 0.0,
             moments: Moments::new(obs_dim),
             order: Stream::new(key, Purpose::Minibatch),
             episodes: EpisodeWindow::default(),
             step_rewards: Vec::new(),
+            returns: Vec::new(),
             history: History::default(),
         };
         return Ok(((progress, Accounting::default()), Vec::new()));
@@ -261,12 +277,14 @@ fn restore(
     ppo.set_learning_rate(state.learning_rate);
     let progress = Progress {
         iteration: state.saved.iteration,
+        version_offset: state.saved.version_offset,
         steps_total: state.saved.steps_total,
         wall_s: state.saved.wall_s,
         moments: state.moments,
         order: state.saved.minibatch_order,
         episodes: state.saved.episodes,
         step_rewards: state.step_rewards,
+        returns: state.returns,
         history: state.history,
     };
     Ok(((progress, state.saved.accounting), state.actors))

@@ -37,8 +37,9 @@ pub fn profile<R: Real>(
     let way = target_rad - position_rad;
     let per_step = p.profile_acceleration_radps2 * dt_s;
     let half = R::splat(0.5) * per_step;
-    let stopping =
-        (half * half + R::splat(2.0) * p.profile_acceleration_radps2 * way.abs()).sqrt() - half;
+    // √(h² + 2·a·s) − h, as a quotient: the difference has no digits left where the limit is far away
+    let twice = R::splat(2.0) * p.profile_acceleration_radps2 * way.abs();
+    let stopping = twice / ((half * half + twice).sqrt() + half);
     let fastest = stopping.min(way.abs() * per_dt).min(p.profile_speed_radps);
     let wanted = fastest * way.signum0();
     let speed = wanted.clamp(speed_radps - per_step, speed_radps + per_step);
@@ -93,6 +94,21 @@ mod tests {
         let (time, fastest, _) = ride(&limits(20.0, 10.0), 0.002);
         assert!((time - 0.632).abs() < 0.012, "took {time} s");
         assert!((fastest - 3.162).abs() < 0.03, "peaked at {fastest}");
+    }
+
+    #[test]
+    fn arrives_in_single_precision_without_an_acceleration_limit() {
+        let p = ServoDrive {
+            profile_speed_radps: 2.0_f32,
+            profile_acceleration_radps2: 1e9,
+            ..ServoDrive::default()
+        };
+        // 0.3001 rad at 2 rad/s: 37.5 steps of 4 ms
+        let (mut x, mut v) = (0.0, 0.0);
+        for _ in 0..38 {
+            (x, v) = profile(&p, x, v, 0.3001, 0.004, 250.0);
+        }
+        assert!((x - 0.3001).abs() < 1e-6, "stays {} away", x - 0.3001);
     }
 
     #[test]

@@ -95,7 +95,7 @@ pub(crate) mod tests {
     use super::*;
     use caudata_model::ServoParams;
 
-    /// XM430-W210 as identified for ToddlerBot v2 (DESIGN section 3), at 12 V.
+    /// XM430-W210 as identified for ToddlerBot v2 (figures in the robot file), at 12 V.
     pub(crate) fn w210() -> ServoParams {
         ServoParams {
             tau_max_nm: 1.94,

@@ -32,33 +32,40 @@ impl ContactImpulses {
             let tag =
                 |h: ColliderHandle| world.colliders.get(h).map_or(GROUND_TAG, |c| c.user_data);
             let (tag1, tag2) = (tag(pair.collider1), tag(pair.collider2));
-            // Impulses are those on the first body; the robot may be the second one.
-            let (robot, sign) = if tag1 == GROUND_TAG {
-                (tag2, -1.0)
-            } else {
-                (tag1, 1.0)
-            };
+            // Impulses are those on the first body; the second one gets the opposite.
             for manifold in pair.solver_manifolds() {
-                self.add_manifold(manifold, robot, sign);
+                if tag1 == GROUND_TAG || tag2 == GROUND_TAG {
+                    self.add_ground(manifold, tag1);
+                    self.add_ground(manifold, tag2);
+                }
+                self.add_foot(manifold, tag1, 1.0);
+                self.add_foot(manifold, tag2, -1.0);
             }
         }
     }
 
-    fn add_manifold(&mut self, manifold: &ContactManifold, robot: u128, sign: f64) {
+    /// What the ground does to the parts that are no feet.
+    fn add_ground(&mut self, manifold: &ContactManifold, tag: u128) {
+        let sum = match tag {
+            TRUNK_TAG => &mut self.trunk_ns,
+            TAIL_TAG => &mut self.tail_ns,
+            _ => return,
+        };
+        for point in &manifold.points {
+            *sum += f64::from(point.data.impulse);
+        }
+    }
+
+    /// What a contact does to a foot, if it is one.
+    fn add_foot(&mut self, manifold: &ContactManifold, tag: u128, sign: f64) {
+        if matches!(tag, GROUND_TAG | TRUNK_TAG | TAIL_TAG) {
+            return;
+        }
+        let foot = 3 * (tag as usize - 1);
         let towards_first = -manifold.data.normal;
         for point in &manifold.points {
-            let other = match robot {
-                TRUNK_TAG => Some(&mut self.trunk_ns),
-                TAIL_TAG => Some(&mut self.tail_ns),
-                _ => None,
-            };
-            if let Some(sum) = other {
-                *sum += f64::from(point.data.impulse);
-                continue;
-            }
             let impulse =
                 towards_first * point.data.impulse + friction_impulse(&point.data, towards_first);
-            let foot = 3 * (robot as usize - 1);
             for (sum, part) in self.feet_ns[foot..foot + 3]
                 .iter_mut()
                 .zip(convert::array(impulse))

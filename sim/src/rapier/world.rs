@@ -15,6 +15,7 @@ use rapier3d::prelude::*;
 use super::convert;
 use super::lane::Shared;
 use crate::observe::LinkMass;
+use crate::self_contact;
 use crate::terrain::APRON_DROP_M;
 use crate::{EngineConfig, LaneParams, SimError, Terrain};
 
@@ -22,6 +23,12 @@ use crate::{EngineConfig, LaneParams, SimError, Terrain};
 const ROBOT: Group = Group::GROUP_1;
 /// Collision group of the ground.
 const GROUND: Group = Group::GROUP_2;
+/// Collision group of the trunk, where the robot can touch itself.
+const TRUNK: Group = Group::GROUP_3;
+/// First of the collision groups of legs.
+const FIRST_LEG: u32 = 3;
+/// Most legs that have a group of their own.
+const MAX_LEGS: usize = 28;
 /// `user_data` of the ground's colliders; see [`foot_tag`] for the rest.
 pub(super) const GROUND_TAG: u128 = 0;
 /// `user_data` of the colliders that are no feet, on links that carry feet.
@@ -32,6 +39,11 @@ pub(super) const TAIL_TAG: u128 = u128::MAX - 1;
 /// `user_data` of foot `index`'s collider.
 pub(super) fn foot_tag(index: usize) -> u128 {
     index as u128 + 1
+}
+
+/// Collision group of the leg with foot `foot`.
+fn leg_group(foot: usize) -> Group {
+    Group::from_bits_truncate(1 << (FIRST_LEG + (foot % MAX_LEGS) as u32))
 }
 
 /// Where one model joint is in the multibody; `None` for a locked joint.
@@ -82,7 +94,10 @@ pub(super) fn build(
         ..PhysicsWorld::default()
     };
     insert_ground(&mut world, shared);
+    let legs = self_contact::legs(&shared.model);
     let handles = Builder {
+        hanging: self_contact::hanging_legs(&shared.model, &legs),
+        legs,
         world: &mut world,
         model: &shared.model,
         config: &shared.config,
@@ -174,6 +189,9 @@ struct Builder<'a> {
     config: &'a EngineConfig,
     params: &'a LaneParams,
     masses: &'a [LinkMass],
+    /// See [`self_contact`].
+    legs: Vec<Option<usize>>,
+    hanging: Vec<Vec<usize>>,
 }
 
 impl Builder<'_> {
@@ -345,15 +363,29 @@ impl Builder<'_> {
             })
             .friction_combine_rule(CoefficientCombineRule::Max)
             .restitution(0.0)
-            .collision_groups(InteractionGroups::new(
-                ROBOT,
-                GROUND,
-                InteractionTestMode::And,
-            ))
+            .collision_groups(self.groups(link))
             .user_data(tag);
         self.world
             .colliders
             .insert_with_parent(collider, body, &mut self.world.bodies);
+    }
+
+    /// What the shapes of a link are, and what they touch.
+    fn groups(&self, link: usize) -> InteractionGroups {
+        let (own, others) = if self.config.self_collision {
+            let every: Group = (0..self.model.feet().len()).map(leg_group).collect();
+            match self.legs[link] {
+                Some(leg) => (leg_group(leg), TRUNK | (every - leg_group(leg))),
+                None => {
+                    let hanging: Group =
+                        self.hanging[link].iter().copied().map(leg_group).collect();
+                    (TRUNK, every - hanging)
+                }
+            }
+        } else {
+            (Group::empty(), Group::empty())
+        };
+        InteractionGroups::new(ROBOT | own, GROUND | others, InteractionTestMode::And)
     }
 
     /// Settles the multibody (its root may only now turn out to be fixed) and looks up where each joint ended up.
@@ -367,7 +399,7 @@ impl Builder<'_> {
         let (multibody, _) = joints
             .get_mut(handles.multibody)
             .ok_or_else(|| SimError::Model("it has no joints".to_owned()))?;
-        multibody.set_self_contacts_enabled(false);
+        multibody.set_self_contacts_enabled(self.config.self_collision);
         multibody.forward_kinematics(&self.world.bodies, true);
         // Rapier gives angular degrees of freedom a damping of 0.1 by default.
         multibody.damping_mut().fill(0.0);

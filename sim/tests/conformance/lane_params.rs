@@ -193,47 +193,112 @@ pub fn each_parameter_acts(config: &EngineConfig) {
     );
 }
 
+/// Twice the inertia turns half as fast under the same torque; a payload of 0.5 kg at the front feet weighs on them; a floor that rises by 0.1 rad
+/// towards +x makes it slide back where friction is below tan 0.1; slippery left feet turn it while it slides.
+pub fn inertia_payload_tilt_and_feet_act(config: &EngineConfig) {
+    let model = robots::wheels();
+    let push = |scale: f32| {
+        let mut p = LaneParams {
+            kp_nm_per_rad: vec![15.0; 2],
+            torque_scale: vec![0.001; 2],
+            ..LaneParams::nominal(&model)
+        };
+        p.link_inertia_scale = vec![scale; 3];
+        p
+    };
+    let mut e = engine(config, &model, 2);
+    for (lane, scale) in [(0, 1.0), (1, 2.0)] {
+        e.set_params(lane, &push(scale)).unwrap();
+        e.reset(lane, &InitialState::nominal(&model)).unwrap();
+    }
+    run(e.as_mut(), periods(config, 1.0), &[900.0; 4], |_, _| ());
+    // 0.01 N·m on 0.01 and 0.02 kg·m²
+    let speed = |i: usize| f64::from(e.state().joint_vel_radps[i]);
+    near("nominal", speed(0), 1.0, 0.01);
+    near("heavy", speed(2), 0.5, 0.01);
+
+    let model = robots::table();
+    let loaded = LaneParams {
+        payload_kg: 0.5,
+        payload_m: [0.1, 0.0, 0.0],
+        ..LaneParams::nominal(&model)
+    };
+    let mut tilted = LaneParams {
+        foot_friction: 0.05,
+        ..LaneParams::nominal(&model)
+    };
+    tilted.tilt_floor(0.0, 0.1);
+    let uneven = LaneParams {
+        foot_friction_scale: vec![0.1, 1.0, 0.1, 1.0],
+        ..LaneParams::nominal(&model)
+    };
+    let mut e = engine(config, &model, 3);
+    for (lane, (params, speed)) in [(loaded, 0.0), (tilted, 0.0), (uneven, 0.5)]
+        .iter()
+        .enumerate()
+    {
+        e.set_params(lane, params).unwrap();
+        let init = InitialState {
+            base_vel_mps: [*speed, 0.0, 0.0],
+            ..InitialState::nominal(&model)
+        };
+        e.reset(lane, &init).unwrap();
+    }
+    run(e.as_mut(), periods(config, 1.0), &[0.0; 3], |_, _| ());
+    let s = e.state();
+    let on = |feet: std::ops::Range<usize>| -> f64 {
+        feet.map(|f| f64::from(s.foot_force_n[3 * f + 2])).sum()
+    };
+    near("all feet", on(0..4), 2.5 * 9.81, 0.1);
+    near("front feet", on(0..2), (1.0 + 0.5) * 9.81, 0.1);
+    // (sin 0.1 − 0.05·cos 0.1)·9.81 = 0.4913 m/s²
+    near("slides", f64::from(s.base_vel_mps[3]), -0.4913, 0.02);
+    assert!(
+        s.heading_rad[2] < -0.1,
+        "the right feet hold it back: {}",
+        s.heading_rad[2]
+    );
+}
+
+/// A change of one value.
+type Change = fn(&mut LaneParams);
+
 /// Each refusal says which value, and leaves the parameters as they were.
 pub fn refuses_bad_values(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 2);
     let good = LaneParams::nominal(&model);
-    let bad = [
-        LaneParams {
-            foot_friction: f32::NAN,
-            ..good.clone()
-        },
-        LaneParams {
-            supply_v: 0.0,
-            ..good.clone()
-        },
-        LaneParams {
-            command_delay_s: 0.2,
-            ..good.clone()
-        },
-        LaneParams {
-            link_mass_scale: vec![1.0],
-            ..good.clone()
-        },
-        LaneParams {
-            kp_nm_per_rad: vec![-1.0; 16],
-            ..good.clone()
-        },
-        LaneParams {
-            backlash_half_width_rad: vec![],
-            ..good.clone()
-        },
+    let bad: [(&str, Change); 18] = [
+        ("foot_friction", |p| p.foot_friction = f32::NAN),
+        ("foot_friction_scale", |p| p.foot_friction_scale.truncate(3)),
+        ("supply_v", |p| p.supply_v = 0.0),
+        ("supply_resistance_ohm", |p| p.supply_resistance_ohm = -0.1),
+        ("command_delay_s", |p| p.command_delay_s = 0.2),
+        ("command_loss.share", |p| p.command_loss.share = 1.0),
+        ("link_mass_scale", |p| p.link_mass_scale = vec![1.0]),
+        ("link_inertia_scale", |p| p.link_inertia_scale[3] = 0.0),
+        ("payload_kg", |p| p.payload_kg = -1.0),
+        ("kp_nm_per_rad", |p| p.kp_nm_per_rad = vec![-1.0; 16]),
+        ("backlash_half_width_rad", |p| {
+            p.backlash_half_width_rad.clear()
+        }),
+        ("joints", |p| p.joints.truncate(15)),
+        ("dead_band_rad", |p| p.joints[7].dead_band_rad = -0.01),
+        ("high_rad", |p| {
+            p.joints[7].high_rad = p.joints[7].low_rad - 0.1
+        }),
+        ("joint_armature_kgm2", |p| {
+            p.joints[2].gear_half_gap_rad = 0.002;
+            p.joint_armature_kgm2[2] = 0.0;
+        }),
+        ("friction_nm", |p| p.hinges[0].friction_nm = f32::INFINITY),
+        ("added_mass_y", |p| p.water[5].added_mass_y = -1.0),
+        ("water_current_mps", |p| p.water_current_mps[1] = f32::NAN),
     ];
-    let names = [
-        "foot_friction",
-        "supply_v",
-        "command_delay_s",
-        "link_mass_scale",
-        "kp_nm_per_rad",
-        "backlash_half_width_rad",
-    ];
-    for (params, name) in bad.iter().zip(names) {
-        let message = e.set_params(1, params).unwrap_err().to_string();
+    for (name, change) in bad {
+        let mut params = good.clone();
+        change(&mut params);
+        let message = e.set_params(1, &params).unwrap_err().to_string();
         assert!(message.starts_with(name), "{message}");
     }
     assert_eq!(e.params(1), &good);

@@ -132,6 +132,7 @@ macro_rules! suite {
                 contact_force_carries_the_weight,
                 landing_gives_the_momentum_back,
                 rests_on_a_slope,
+                legs_stop_each_other,
                 slippery_patches_scale_friction,
             },
             observation::{
@@ -150,6 +151,7 @@ macro_rules! suite {
             },
             lane_params::{
                 each_parameter_acts,
+                inertia_payload_tilt_and_feet_act,
                 refuses_bad_values,
                 set_params_acts_at_once,
             },
@@ -163,6 +165,7 @@ macro_rules! suite {
             snapshots::{
                 continues_bit_exactly,
                 continues_bit_exactly_on_a_height_field,
+                continues_bit_exactly_with_every_effect,
                 refuses_what_is_not_its_own,
             },
         ]);

@@ -252,3 +252,28 @@ quadratic_torque = [0.0, 0.0, 0.0]
         &joints,
     )
 }
+
+/// A held post with two legs side by side, hips 0.2 m apart, each 0.15 m long along x with a ball foot (radius 3 cm) at its end, swinging about z.
+pub fn scissors() -> Arc<RobotModel> {
+    let joints = ["left", "right"];
+    let leg = |name: &str, y: f64| {
+        format!(
+            r#"<body name="{name}_leg" pos="0 {y} 0">
+                 <inertial pos="0.1 0 0" mass="0.1" diaginertia="0.0001 0.0003 0.0003"/>
+                 <joint name="{name}" axis="0 0 1" range="-2 2"/>
+                 <geom name="{name}_foot" type="sphere" size="0.03" pos="0.15 0 0"/>
+               </body>"#
+        )
+    };
+    let tail = "[[feet]]\nname = \"L\"\ngeom = \"left_foot\"\n[[feet]]\nname = \"R\"\ngeom = \"right_foot\"\n";
+    load(
+        &robot_toml("fixed", &joints, tail),
+        &format!(
+            r#"<body name="post" pos="0 0 1"><inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+            {}{}</body>"#,
+            leg("left", 0.1),
+            leg("right", -0.1)
+        ),
+        &joints,
+    )
+}

@@ -1,6 +1,9 @@
 //! Snapshot and restore.
 
-use caudata_sim::{EngineConfig, InitialState, LaneParams, TerrainConfig, TerrainKind, build};
+use caudata_model::RobotModel;
+use caudata_sim::{
+    CommandLoss, EngineConfig, InitialState, LaneParams, TerrainConfig, TerrainKind, build,
+};
 
 use crate::determinism::{bits, prepare, streams, thrash};
 use crate::{engine, robots};
@@ -18,6 +21,45 @@ pub fn continues_bit_exactly_on_a_height_field(config: &EngineConfig) {
     check(config, &rough);
 }
 
+/// Everything that remembers is on: gears, filters, profile, windings, supply, lost frames, carried water.
+pub fn continues_bit_exactly_with_every_effect(config: &EngineConfig) {
+    let wet = TerrainConfig {
+        kind: TerrainKind::DeepWater,
+        ..TerrainConfig::default()
+    };
+    check(config, &wet);
+}
+
+/// A robot with every effect that has a memory.
+fn everything(model: &RobotModel) -> LaneParams {
+    let mut p = LaneParams {
+        command_delay_s: 0.033,
+        supply_resistance_ohm: 0.2,
+        command_loss: CommandLoss {
+            share: 0.2,
+            burst: 2.0,
+            seed: 4,
+        },
+        ..LaneParams::nominal(model)
+    };
+    for joint in &mut p.joints {
+        joint.command_low_pass_s = 0.02;
+        joint.profile_speed_radps = 4.0;
+        joint.ki_nm_per_rad_s = 5.0;
+        joint.loop_lag_s = 0.002;
+        joint.load_friction_driving = 0.1;
+        joint.load_friction_driven = 0.1;
+        joint.gear_half_gap_rad = 0.002;
+        joint.thermal_rise_k_per_a2 = 20.0;
+    }
+    for link in &mut p.water {
+        link.added_mass_x = 0.1;
+        link.added_mass_y = 0.8;
+        link.added_inertia_z = 0.5;
+    }
+    p
+}
+
 /// 200 periods straight through, against 100, snapshot, restore in a fresh engine, 100 more: all bits equal after every period.
 fn check(config: &EngineConfig, terrain: &TerrainConfig) {
     let model = robots::polymander();
@@ -26,9 +68,13 @@ fn check(config: &EngineConfig, terrain: &TerrainConfig) {
     let mut inputs = streams(2);
     prepare(through.as_mut(), &model);
     // commands under way and a changed parameter must survive as well
-    let late = LaneParams {
-        command_delay_s: 0.033,
-        ..LaneParams::nominal(&model)
+    let late = if terrain.kind == TerrainKind::DeepWater {
+        everything(&model)
+    } else {
+        LaneParams {
+            command_delay_s: 0.033,
+            ..LaneParams::nominal(&model)
+        }
     };
     through.set_params(1, &late).unwrap();
     thrash(through.as_mut(), &model, &mut inputs, 100);

@@ -227,3 +227,43 @@ pub fn slippery_patches_scale_friction(config: &EngineConfig) {
     // ½·0.407·(2² − 1²) = 0.61 m after a second of speeding up
     near("slides", slid, 0.61, 0.06);
 }
+
+/// Two legs swung towards each other: their feet (radius 3 cm, 0.15 m out, hips 0.2 m apart) meet at asin(0.07/0.15) = 0.4855 rad and press with what
+/// 15 N·m/rad give on a lever of 0.15·cos 0.4855 = 0.1327 m: told to go to 0.6 rad, 12.9 N. Without self-collision they pass each other by.
+pub fn legs_stop_each_other(config: &EngineConfig) {
+    let model = robots::scissors();
+    for touches in [true, false] {
+        let config = EngineConfig {
+            self_collision: touches,
+            ..config.clone()
+        };
+        let mut e = engine(&config, &model, 1);
+        let params = LaneParams {
+            kp_nm_per_rad: vec![15.0; 2],
+            kd_nms_per_rad: vec![0.3; 2],
+            joint_armature_kgm2: vec![0.0022; 2],
+            ..LaneParams::nominal(&model)
+        };
+        e.set_params(0, &params).unwrap();
+        e.reset(0, &InitialState::nominal(&model)).unwrap();
+        run(e.as_mut(), periods(&config, 3.0), &[-0.6, 0.6], |_, _| ());
+        let s = e.state();
+        let swung = f64::from(s.joint_pos_rad[1]);
+        near("the same way", -f64::from(s.joint_pos_rad[0]), swung, 0.01);
+        if touches {
+            near("angle", swung, 0.4855, 0.02);
+            let want = 15.0 * (0.6 - swung) / (0.15 * swung.cos());
+            near("on the left foot", f64::from(s.foot_force_n[1]), want, 0.5);
+            near(
+                "on the right foot",
+                f64::from(s.foot_force_n[4]),
+                -want,
+                0.5,
+            );
+        } else {
+            near("angle", swung, 0.6, 1e-3);
+            assert!(s.foot_force_n.iter().all(|&f| f == 0.0));
+        }
+        assert_eq!(s.trunk_force_n, [0.0]);
+    }
+}

@@ -12,12 +12,11 @@ use crate::{near, periods, robots, run};
 /// Height of the surface, m.
 const LEVEL: f64 = 5.0;
 
-/// Lanes in deep water, each with its height above the surface, horizontal speed and change of its water.
-fn floating(
-    config: &EngineConfig,
-    model: &Arc<RobotModel>,
-    all: &[(f64, f32, &dyn Fn(&mut LaneParams))],
-) -> Box<dyn Engine> {
+/// A lane: height of its base above the surface (m), speed along x (m/s), change of its parameters.
+type Start<'a> = (f64, f32, &'a dyn Fn(&mut LaneParams));
+
+/// Lanes in deep water.
+fn floating(config: &EngineConfig, model: &Arc<RobotModel>, all: &[Start<'_>]) -> Box<dyn Engine> {
     let deep = TerrainConfig {
         kind: TerrainKind::DeepWater,
         water_level_m: LEVEL,
@@ -64,7 +63,7 @@ pub fn floats_at_its_line(config: &EngineConfig) {
         only_heave(p, 40.0);
         p.payload_kg = 0.4;
     };
-    let all: [(f64, f32, &dyn Fn(&mut LaneParams)); 3] = [
+    let all: [Start<'_>; 3] = [
         (0.02, 0.0, &settle),
         (0.2, 0.0, &higher),
         (0.0, 0.0, &loaded),
@@ -91,7 +90,7 @@ pub fn bobs_by_the_book(config: &EngineConfig) {
         only_heave(p, 6.0);
         p.water[0].added_mass_z = 1.0;
     };
-    let all: [(f64, f32, &dyn Fn(&mut LaneParams)); 3] = [
+    let all: [Start<'_>; 3] = [
         (-0.015, 0.0, &plain),
         (-0.015, 0.0, &carrying),
         (-0.015, 0.0, &uneven),
@@ -148,8 +147,7 @@ pub fn slows_down_and_drifts(config: &EngineConfig) {
     let model = robots::buoy();
     let calm = |_: &mut LaneParams| ();
     let stream = |p: &mut LaneParams| p.water_current_mps = [0.3, 0.0, 0.0];
-    let all: [(f64, f32, &dyn Fn(&mut LaneParams)); 2] =
-        [(-0.02, 0.3, &calm), (-0.02, 0.0, &stream)];
+    let all: [Start<'_>; 2] = [(-0.02, 0.3, &calm), (-0.02, 0.0, &stream)];
     let mut e = floating(config, &model, &all);
     run(e.as_mut(), periods(config, 2.0), &[0.0; 2], |_, _| ());
     let v = &e.state().base_vel_mps;

@@ -1,18 +1,8 @@
 //! Whether every chunk that was sent is accounted for. Pure.
 
+use caudata_actor::LedgerCount;
 use caudata_telemetry::progress::ActorAccount;
 use serde::Serialize;
-
-/// What an actor counted itself, on disk.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LedgerCount {
-    /// Actor.
-    pub actor_id: u32,
-    /// Incarnation.
-    pub incarnation: u64,
-    /// Chunks sent.
-    pub sent: u64,
-}
 
 /// `sent = accepted + rejected + dropped + lost`, over all actors of a run.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]

@@ -1,7 +1,7 @@
 //! Child processes: started beside this executable, logged to files, stopped with a deadline.
 
 use std::fs::{File, OpenOptions};
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -55,6 +55,8 @@ pub struct Process {
     name: String,
     child: Child,
     log: PathBuf,
+    /// Length of the log when this child was started: what stands before is of others.
+    log_from: u64,
     reader: Option<JoinHandle<()>>,
     status: Option<ExitStatus>,
 }
@@ -78,6 +80,7 @@ impl Process {
             .append(true)
             .open(log)
             .or_exit_with(ExitCode::CannotCreate, cannot_log)?;
+        let log_from = file.metadata().map_or(0, |metadata| metadata.len());
         let stdout = match &lines {
             Some(_) => Stdio::piped(),
             None => clone_of(&file, log)?.into(),
@@ -100,6 +103,7 @@ impl Process {
             name: name.to_owned(),
             child,
             log: log.to_owned(),
+            log_from,
             reader,
             status: None,
         })
@@ -118,6 +122,11 @@ impl Process {
     /// Its log.
     pub fn log(&self) -> &Path {
         &self.log
+    }
+
+    /// What this child itself has said last about why it fails.
+    pub fn last_error(&self) -> Option<LastWords> {
+        last_error(&self.log, self.log_from)
     }
 
     /// How it ended, if it has. Everything that it printed has then been read.
@@ -199,23 +208,43 @@ pub fn exit_code(status: ExitStatus) -> ExitCode {
 /// How a child ended, in words.
 pub fn describe(status: ExitStatus) -> String {
     match (status.code(), status.signal()) {
-        (Some(code), _) => format!("exit code {code}"),
+        (Some(code), _) => format!("ended with exit code {code}"),
         (None, Some(signal)) => match Signal::try_from(signal) {
-            Ok(signal) => format!("killed by {signal}"),
-            Err(_) => format!("killed by signal {signal}"),
+            Ok(signal) => format!("was killed by {signal}"),
+            Err(_) => format!("was killed by signal {signal}"),
         },
         (None, None) => "ended".into(),
     }
 }
 
-/// The last `error:` line of a child's log and its hint, to pass on to the user.
-pub fn last_error(log: &Path) -> Option<String> {
-    let text = std::fs::read_to_string(log).ok()?;
-    let line = text
-        .lines()
-        .rev()
-        .find(|line| line.starts_with("error: "))?;
-    Some(line.trim_start_matches("error: ").to_owned())
+/// What a child said before it ended, to pass on to the user.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LastWords {
+    /// Its line `error: …`.
+    pub error: String,
+    /// Its line `hint: …`.
+    pub hint: Option<String>,
+}
+
+/// The last `error:` line of a log from byte `from` on, and the hint below it.
+fn last_error(log: &Path, from: u64) -> Option<LastWords> {
+    let mut file = File::open(log).ok()?;
+    file.seek(SeekFrom::Start(from)).ok()?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).ok()?;
+    let text = String::from_utf8_lossy(&bytes);
+    let mut lines = text.lines().rev();
+    let mut hint = None;
+    let error = lines.find_map(|line| {
+        if let Some(text) = line.strip_prefix("hint: ") {
+            hint = Some(text.to_owned());
+        }
+        line.strip_prefix("error: ")
+    })?;
+    Some(LastWords {
+        error: error.to_owned(),
+        hint,
+    })
 }
 
 #[cfg(test)]
@@ -241,7 +270,22 @@ mod tests {
         let status = child.finish(Duration::from_secs(60)).unwrap();
         assert_eq!(exit_code(status), ExitCode::TempFail);
         assert_eq!(*lines.lock().unwrap(), ["one", "two"]);
-        assert_eq!(last_error(&log).as_deref(), Some("no luck"));
+        let words = |error: &str, hint: Option<&str>| LastWords {
+            error: error.into(),
+            hint: hint.map(str::to_owned),
+        };
+        assert_eq!(child.last_error(), Some(words("no luck", None)));
+
+        // The next one writes to the same log; what the first one said is not its own.
+        let mut next =
+            Process::start("child", shell("echo hm >&2; kill -9 $$"), &log, None).unwrap();
+        next.finish(Duration::from_secs(60)).unwrap();
+        assert_eq!(next.last_error(), None);
+        let script =
+            "echo 'error: a' >&2; echo 'hint: b' >&2; echo 'error: c' >&2; echo 'hint: d' >&2";
+        let mut third = Process::start("child", shell(script), &log, None).unwrap();
+        third.finish(Duration::from_secs(60)).unwrap();
+        assert_eq!(third.last_error(), Some(words("c", Some("d"))));
     }
 
     #[test]
@@ -255,6 +299,6 @@ mod tests {
         is_ready.recv().unwrap();
         child.signal(Signal::SIGTERM);
         let status = child.finish(Duration::from_millis(200)).unwrap();
-        assert_eq!(describe(status), "killed by SIGKILL");
+        assert_eq!(describe(status), "was killed by SIGKILL");
     }
 }

@@ -4,10 +4,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use caudata_config::Config;
+use caudata_evaluation::ScenarioResult;
 use caudata_model::RobotModel;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::RegistryClient;
-use caudata_telemetry::progress::{Finished, MeanSe};
+use caudata_telemetry::progress::{ActorsPolicy, Finished, MeanSe};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use serde::Serialize;
 
@@ -16,7 +17,7 @@ use super::folder::RunFolder;
 use super::robot::{RobotRun, run_robot};
 use super::supervise::Outcome;
 use super::view::clock;
-use crate::commands::eval::{self, Evaluation, Suite};
+use crate::commands::eval;
 use crate::commands::policy::{block_on, hex};
 use crate::say;
 
@@ -29,6 +30,8 @@ pub struct Report {
     folder: PathBuf,
     /// The learner's last word.
     finished: Finished,
+    /// Iterations of the run that were done before this command.
+    first_iteration: u64,
     /// Actors that were started again.
     actor_restarts: usize,
     /// What became of every chunk.
@@ -36,7 +39,7 @@ pub struct Report {
     /// The policy's SHA-256 wherever it lies.
     policy: PolicyHashes,
     /// In the environment, if it was evaluated there.
-    evaluation: Option<Evaluation>,
+    evaluation: Option<ScenarioResult>,
     /// On the simulated robot, if it was run there.
     robot: Option<RobotRun>,
 }
@@ -49,7 +52,20 @@ struct PolicyHashes {
     run_folder: String,
     server: String,
     robot: Option<String>,
-    /// Whether all are the same.
+    /// What the actors ran, which learn from every version but the last.
+    actors: Option<ActorsHash>,
+    /// Whether all are the same, each where it lies.
+    same: bool,
+}
+
+/// The newest policy that actors ran and that was published too (else the newest that they ran), with its SHA-256 in
+/// their memory, as the learner made it, and on the server (null where the server does not hold that version).
+#[derive(Debug, Serialize)]
+struct ActorsHash {
+    version: u64,
+    actors: String,
+    learner: String,
+    server: Option<String>,
     same: bool,
 }
 
@@ -62,7 +78,19 @@ pub fn evaluate(
     stop: &StopFlag,
 ) -> Result<Report, Failure> {
     let policy = eval::read_policy(&folder.policy())?;
-    let on_server = hash_on_server(config.policy_server.stream_of(folder.run_id()), outcome)?;
+    let stream = config.policy_server.stream_of(folder.run_id());
+    let version = outcome.finished.policy_version;
+    let on_server = hash_on_server(stream, version, outcome)?.ok_or_else(|| {
+        let message = format!("the policy server does not have version {version} of {stream}");
+        Failure::message(ExitCode::Unavailable, message)
+    })?;
+    let actors = match &outcome.finished.actors_policy {
+        Some(ran) => Some(ActorsHash::new(
+            ran,
+            hash_on_server(stream, ran.version, outcome)?,
+        )),
+        None => None,
+    };
     let robot = match config.evaluation.robot_run_s > 0.0 {
         true => Some(run_robot(
             config,
@@ -74,14 +102,7 @@ pub fn evaluate(
     };
     let episodes = config.evaluation.episodes;
     let evaluation = match episodes > 0 {
-        true => Some(eval::evaluate(
-            config,
-            model,
-            &policy,
-            Suite::Flat,
-            episodes,
-            stop,
-        )?),
+        true => Some(eval::evaluate(config, &model, &policy, episodes, stop)?),
         false => None,
     };
     let finished = outcome.finished.clone();
@@ -90,10 +111,12 @@ pub fn evaluate(
     let same = hashes
         .iter()
         .chain(&robot_hash)
-        .all(|hash| *hash == finished.policy_sha256);
+        .all(|hash| *hash == finished.policy_sha256)
+        && actors.as_ref().is_none_or(|actors| actors.same);
     Ok(Report {
         run_id: folder.run_id().to_owned(),
         folder: folder.root().to_owned(),
+        first_iteration: outcome.first_iteration,
         actor_restarts: outcome.restarts,
         accounting: balance(&finished.actors, &outcome.ledgers),
         policy: PolicyHashes {
@@ -102,6 +125,7 @@ pub fn evaluate(
             run_folder: policy.sha256_hex(),
             server: on_server,
             robot: robot_hash,
+            actors,
             same,
         },
         finished,
@@ -110,16 +134,36 @@ pub fn evaluate(
     })
 }
 
-fn hash_on_server(stream: &str, outcome: &Outcome) -> Result<String, Failure> {
+/// The hash of a version on the server; `None` where the server does not hold it.
+fn hash_on_server(
+    stream: &str,
+    version: u64,
+    outcome: &Outcome,
+) -> Result<Option<String>, Failure> {
     let stream = StreamName::new(stream).or_exit(ExitCode::BadConfig)?;
     let address = outcome.server_addr.to_string();
-    let version = outcome.finished.policy_version;
-    let manifest = block_on(async {
-        RegistryClient::new(&address)?
-            .manifest(&stream, Some(version))
-            .await
-    })?;
-    Ok(hex(&manifest.sha256))
+    block_on(async {
+        let mut client = RegistryClient::new(&address)?;
+        match client.manifest(&stream, Some(version)).await {
+            Ok(manifest) => Ok(Some(hex(&manifest.sha256))),
+            Err(error) if error.is_not_found() => Ok(None),
+            Err(error) => Err(error),
+        }
+    })
+}
+
+impl ActorsHash {
+    fn new(ran: &ActorsPolicy, server: Option<String>) -> Self {
+        let same = ran.learner_sha256 == ran.sha256
+            && server.as_ref().is_none_or(|hash| *hash == ran.sha256);
+        Self {
+            version: ran.version,
+            same,
+            actors: ran.sha256.clone(),
+            learner: ran.learner_sha256.clone(),
+            server,
+        }
+    }
 }
 
 impl Report {
@@ -146,14 +190,12 @@ impl Report {
 /// The report as lines for a person.
 pub fn print(report: &Report) {
     let finished = &report.finished;
-    say::line(format!(
-        "trained {} iterations, {} environment steps, in {}",
-        finished.iteration,
-        finished.steps_total,
-        clock(finished.wall_s)
-    ));
+    say::line(trained(finished, report.first_iteration));
+    if let (Some(first), Some(last)) = (finished.first_tenth_return, finished.last_tenth_return) {
+        say::line(improvement("return per episode", 2, first, last));
+    }
     if let (Some(first), Some(last)) = (finished.first_tenth, finished.last_tenth) {
-        say::line(improvement(first, last));
+        say::line(improvement("reward per step", 4, first, last));
     }
     let account = &report.accounting;
     say::line(format!(
@@ -182,6 +224,23 @@ pub fn print(report: &Report) {
             "(NOT the same everywhere)"
         }
     ));
+    if let Some(actors) = &report.policy.actors {
+        say::line(format!(
+            "actors ran version {}, sha256 {} ({}{})",
+            actors.version,
+            actors.actors,
+            if actors.same {
+                "as the learner made it"
+            } else {
+                "NOT as it was made"
+            },
+            if actors.server.is_some() {
+                " and the server holds it"
+            } else {
+                ""
+            },
+        ));
+    }
     if let Some(evaluation) = &report.evaluation {
         eval::print(evaluation);
     }
@@ -196,13 +255,27 @@ pub fn print(report: &Report) {
     say::line(format!("report   {}", report.path("report.json")));
 }
 
+/// How much was trained: in all, and by this command where it went on from a checkpoint.
+fn trained(finished: &Finished, before: u64) -> String {
+    let (done, steps) = (finished.iteration, finished.steps_total);
+    let time = clock(finished.wall_s);
+    match done - before.min(done) {
+        now if before == 0 => {
+            format!("trained {now} iterations, {steps} environment steps, in {time}")
+        }
+        now => format!(
+            "trained {now} iterations more in {time}: {done} iterations, {steps} environment steps in all"
+        ),
+    }
+}
+
 /// How far the last tenth lies above the first, in standard errors of the difference.
-fn improvement(first: MeanSe, last: MeanSe) -> String {
+fn improvement(what: &str, digits: usize, first: MeanSe, last: MeanSe) -> String {
     let error = (first.standard_error.powi(2) + last.standard_error.powi(2)).sqrt();
     let gain = last.mean - first.mean;
     let in_errors = if error > 0.0 { gain / error } else { 0.0 };
     format!(
-        "reward per step, first tenth {:.4} ± {:.4}, last tenth {:.4} ± {:.4}: {in_errors:+.1} standard errors",
+        "{what}, first tenth {:.digits$} ± {:.digits$}, last tenth {:.digits$} ± {:.digits$}: {in_errors:+.1} standard errors",
         first.mean, first.standard_error, last.mean, last.standard_error
     )
 }
@@ -219,7 +292,39 @@ mod tests {
             standard_error,
             n: 10,
         };
-        assert!(improvement(at(1.0, 0.3), at(2.0, 0.4)).ends_with("+2.0 standard errors"));
+        assert_eq!(
+            improvement("return", 1, at(1.0, 0.3), at(2.0, 0.4)),
+            "return, first tenth 1.0 ± 0.3, last tenth 2.0 ± 0.4: +2.0 standard errors"
+        );
+    }
+
+    #[test]
+    fn a_run_that_went_on_tells_its_own_part_from_the_whole() {
+        let finished = Finished {
+            iteration: 7,
+            steps_total: 700,
+            wall_s: 7.0,
+            ..Finished::default()
+        };
+        let line = "trained 7 iterations, 700 environment steps, in 0:07";
+        assert_eq!(trained(&finished, 0), line);
+        let line = "trained 3 iterations more in 0:07: 7 iterations, 700 environment steps in all";
+        assert_eq!(trained(&finished, 4), line);
+    }
+
+    #[test]
+    fn the_actors_hash_must_be_the_learners_and_the_servers() {
+        let mut ran = ActorsPolicy {
+            version: 3,
+            sha256: "a".into(),
+            learner_sha256: "a".into(),
+            published: true,
+        };
+        assert!(ActorsHash::new(&ran, Some("a".into())).same);
+        assert!(ActorsHash::new(&ran, None).same);
+        assert!(!ActorsHash::new(&ran, Some("b".into())).same);
+        ran.learner_sha256 = "b".into();
+        assert!(!ActorsHash::new(&ran, None).same);
     }
 
     #[test]
@@ -230,6 +335,7 @@ mod tests {
             run_id: "r".into(),
             folder: "f".into(),
             finished: Finished::default(),
+            first_iteration: 0,
             actor_restarts: 0,
             accounting: Balance::default(),
             policy: PolicyHashes {
@@ -238,9 +344,10 @@ mod tests {
                 run_folder: String::new(),
                 server: String::new(),
                 robot: None,
+                actors: Some(ActorsHash::new(&ActorsPolicy::default(), None)),
                 same: true,
             },
-            evaluation: Some(eval::example()),
+            evaluation: Some(ScenarioResult::default()),
             robot: None,
         };
         let report = serde_json::to_value(&report).unwrap();
@@ -248,6 +355,7 @@ mod tests {
             &report,
             &report["accounting"],
             &report["policy"],
+            &report["policy"]["actors"],
             &report["evaluation"],
         ];
         for key in objects

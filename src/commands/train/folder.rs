@@ -77,6 +77,13 @@ impl RunFolder {
         Ok(folder)
     }
 
+    /// Nothing was started: the folder is not a run, and its name can be used again. Logs stay.
+    pub fn disown(&self) {
+        for path in [self.config(), self.root.join("run_id.txt")] {
+            let _ = fs::remove_file(path);
+        }
+    }
+
     /// The folder itself, absolute.
     pub fn root(&self) -> &Path {
         &self.root
@@ -129,24 +136,17 @@ impl RunFolder {
 
     /// Ledger of one incarnation of one actor.
     pub fn ledger(&self, actor_id: u32, incarnation: u64) -> PathBuf {
-        self.ledgers()
-            .join(format!("actor-{actor_id}-{incarnation}.ledger"))
+        caudata_actor::ledger_path(&self.ledgers(), actor_id, incarnation)
     }
 
     /// The first incarnation of this actor that has not been used in this run.
     pub fn next_incarnation(&self, actor_id: u32) -> u64 {
-        let prefix = format!("actor-{actor_id}-");
-        let used = |name: &str| {
-            name.strip_prefix(&prefix)?
-                .strip_suffix(".ledger")?
-                .parse::<u64>()
-                .ok()
-        };
-        let names = fs::read_dir(self.ledgers()).into_iter().flatten().flatten();
-        names
-            .filter_map(|entry| used(entry.file_name().to_str()?))
+        caudata_actor::ledgers_in(&self.ledgers())
+            .iter()
+            .filter(|ledger| ledger.actor_id == actor_id)
+            .map(|ledger| ledger.incarnation + 1)
             .max()
-            .map_or(0, |largest| largest + 1)
+            .unwrap_or(0)
     }
 
     /// Writes a whole file into the folder.
@@ -164,8 +164,8 @@ impl RunFolder {
         let commit = git(&["rev-parse", "HEAD"]).unwrap_or_else(|| "no repository\n".into());
         let status = git(&["status", "--short"]).unwrap_or_default();
         let text = format!(
-            "caudata {} built from {}\ncheckout at {commit}{status}",
-            built.version, built.commit
+            "caudata {}, {}\nwhen the run began: checkout at {commit}{status}",
+            built.version, built.code
         );
         self.write("git.txt", text.as_bytes())?;
         let mut diff = git(&["diff", "HEAD"]).unwrap_or_default().into_bytes();
@@ -213,7 +213,7 @@ fn newest(out_dir: &Path) -> Option<PathBuf> {
         .max()
 }
 
-/// `20261121T083312` (UTC): sorts by time and needs no escaping anywhere.
+/// `20261121-083312` (UTC): sorts by time and needs no escaping anywhere.
 fn timestamp(now: SystemTime) -> String {
     let seconds = now
         .duration_since(UNIX_EPOCH)
@@ -271,6 +271,8 @@ mod tests {
         );
         let taken = RunFolder::create(Some(made.root()), dir.path(), "walk").unwrap_err();
         assert_eq!(taken.code(), ExitCode::CannotCreate);
+        made.disown();
+        RunFolder::create(Some(made.root()), dir.path(), "walk").unwrap();
     }
 
     #[test]

@@ -43,12 +43,36 @@ pub struct TrainArgs {
     /// Go on with the run in --out, or with the newest one
     #[arg(long)]
     resume: bool,
+    /// Go on from this checkpoint of the run in --out, for instance iter_000100
+    #[arg(long, value_name = "NAME", requires = "out", conflicts_with = "resume")]
+    resume_from: Option<String>,
     /// Events as JSON lines; the last line is the report
     #[arg(long)]
     json: bool,
     /// Without these flags the preset is `quick`
     #[command(flatten)]
     config: ConfigArgs,
+}
+
+/// Whether a run starts anew or goes on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Resume {
+    /// From the start.
+    No,
+    /// From the newest checkpoint.
+    Latest,
+    /// From the checkpoint with this name.
+    Named(String),
+}
+
+impl TrainArgs {
+    fn resume(&self) -> Resume {
+        match &self.resume_from {
+            Some(name) => Resume::Named(name.clone()),
+            None if self.resume => Resume::Latest,
+            None => Resume::No,
+        }
+    }
 }
 
 /// The transports, as words on the command line.
@@ -86,14 +110,12 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     }
     let view = View::new(args.json);
     view.note(&format!("run folder {}", folder.root().display()));
-    let supervisor = Supervisor::start(
-        &programs,
-        &config,
-        &folder,
-        &process.stop,
-        view,
-        args.resume,
-    )?;
+    let resume = args.resume();
+    let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, &resume);
+    if supervisor.is_err() && resume == Resume::No {
+        folder.disown();
+    }
+    let supervisor = supervisor?;
     let mut outcome = supervisor.watch()?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
@@ -116,13 +138,21 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
 fn prepare(args: &TrainArgs) -> Result<(Config, RunFolder), Failure> {
     let mut config = Config::load(&source(args, None)).or_exit(ExitCode::BadConfig)?;
     let out = args.out.as_deref();
-    let folder = if args.resume {
+    let folder = if args.resume() != Resume::No {
         let folder = RunFolder::reopen(out, &config.run.out_dir)?;
+        if !folder.config().is_file() {
+            let message = format!("{} is missing", folder.config().display());
+            return Err(Failure::message(ExitCode::NoInput, message)
+                .hint("a run cannot go on without its configuration"));
+        }
         let before = Config::load(&Source::file(&folder.config())).or_exit(ExitCode::BadConfig)?;
         config =
             Config::load(&source(args, Some(&folder.config()))).or_exit(ExitCode::BadConfig)?;
         if before.hash() != config.hash() {
-            let message = "a resumed run must keep what decides its training";
+            let message = format!(
+                "a resumed run must keep what decides its training: {}",
+                differing(&before, &config).join(", ")
+            );
             return Err(Failure::message(ExitCode::BadConfig, message)
                 .hint("only names, length, transport, services and telemetry may change"));
         }
@@ -138,6 +168,28 @@ fn prepare(args: &TrainArgs) -> Result<(Config, RunFolder), Failure> {
         config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes(),
     )?;
     Ok((config, folder))
+}
+
+/// The keys of decisive sections whose values differ, in words.
+fn differing(before: &Config, now: &Config) -> Vec<String> {
+    const DECISIVE: [&str; 6] = [
+        "run.seed", "actors.", "learner.", "engine.", "terrain.", "task.",
+    ];
+    let (before, now) = (before.entries(), now.entries());
+    let value = |entries: &[(String, String)], key: &str| {
+        let found = entries.iter().find(|(name, _)| name == key);
+        found.map_or_else(|| "absent".to_owned(), |(_, value)| value.clone())
+    };
+    let mut keys: Vec<&String> = before.iter().chain(&now).map(|(key, _)| key).collect();
+    keys.sort_unstable();
+    keys.dedup();
+    keys.into_iter()
+        .filter(|key| DECISIVE.iter().any(|prefix| key.starts_with(prefix)))
+        .filter_map(|key| {
+            let (was, is) = (value(&before, key), value(&now, key));
+            (was != is).then(|| format!("{key} was {was} and is {is}"))
+        })
+        .collect()
 }
 
 /// Preset, file and overrides as the flags say; with `resumed`, that file instead of preset and file.
@@ -227,6 +279,31 @@ mod tests {
             source.overrides,
             ["run.name=a", "actors.count=3", "transport.kind=zenoh"]
         );
+    }
+
+    #[test]
+    fn a_checkpoint_can_be_named_for_a_run_that_is() {
+        assert_eq!(args("").resume(), Resume::No);
+        assert_eq!(args("--resume").resume(), Resume::Latest);
+        let named = args("--out r --resume-from iter_000004");
+        assert_eq!(named.resume(), Resume::Named("iter_000004".into()));
+        let refused = |line: &str| Command::try_parse_from(line.split_whitespace()).is_err();
+        assert!(refused("train --resume-from iter_000004"), "of which run?");
+        assert!(refused("train --out r --resume --resume-from iter_000004"));
+    }
+
+    #[test]
+    fn the_key_that_keeps_a_run_from_going_on_is_named() {
+        let config = |set: &str| Config::load(&Source::default().set(set)).unwrap();
+        let (before, now) = (
+            config("learner.ppo.gamma=0.97"),
+            config("learner.ppo.gamma=0.9"),
+        );
+        assert_eq!(
+            differing(&before, &now),
+            ["learner.ppo.gamma was 0.97 and is 0.9"]
+        );
+        assert!(differing(&before, &config("learner.ppo.gamma=0.97")).is_empty());
     }
 
     #[test]

@@ -15,7 +15,7 @@ use serde_json::Value;
 
 use super::children::{self, LineSink, Process, Programs};
 use super::folder::RunFolder;
-use super::supervise::failed_child;
+use super::supervise::{failed_child, patience_after};
 use crate::say;
 
 /// How long the simulated robot may take to start.
@@ -62,7 +62,14 @@ pub fn run_robot(
 
 fn start_simulator(folder: &RunFolder) -> Result<(Process, SocketAddr), Failure> {
     let mut command = Command::new(std::env::current_exe().or_exit(ExitCode::Internal)?);
-    command.args(["sim", "robot", "--addr", "127.0.0.1:0", "--log", "info"]);
+    command.args([
+        "sim",
+        "robot",
+        "--addr",
+        "127.0.0.1:0",
+        "--log-filter",
+        "info",
+    ]);
     command.arg("--config").arg(folder.config());
     let (sender, announced) = bounded(1);
     let sink: LineSink = Box::new(move |line| {
@@ -74,9 +81,9 @@ fn start_simulator(folder: &RunFolder) -> Result<(Process, SocketAddr), Failure>
     let mut simulator = Process::start("the simulated robot", command, &log, Some(sink))?;
     match announced.recv_timeout(SIMULATOR_START_MAX) {
         Ok(addr) => Ok((simulator, addr)),
-        Err(_) => {
+        Err(error) => {
             let code = simulator
-                .finish(Duration::ZERO)
+                .finish(patience_after(error))
                 .map_or(ExitCode::TempFail, children::exit_code);
             Err(failed_child(&simulator, code, "did not start"))
         }

@@ -4,13 +4,14 @@ use std::net::SocketAddr;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use caudata_actor::LedgerCount;
 use caudata_config::{Config, TransportKind};
 use caudata_telemetry::progress::{Event, Finished};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Listening, StopFlag};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use nix::sys::signal::Signal;
 
-use super::accounting::LedgerCount;
+use super::Resume;
 use super::backoff::{Backoff, Verdict};
 use super::children::{self, LineSink, Process, Programs};
 use super::folder::RunFolder;
@@ -47,6 +48,10 @@ pub struct Supervisor<'a> {
     actors: Vec<ActorSlot>,
     /// Endpoint for actors, once the learner has said it.
     transport: Option<String>,
+    /// By actor, the first incarnation that the learner listens to.
+    next_incarnations: Vec<u64>,
+    /// Iterations that were done before.
+    first_iteration: u64,
     finished: Option<Finished>,
     /// What ended the run early.
     fatal: Option<Failure>,
@@ -69,6 +74,8 @@ struct ActorSlot {
 pub struct Outcome {
     /// The learner's last word.
     pub finished: Finished,
+    /// Iterations of the run that were done before.
+    pub first_iteration: u64,
     /// What the actors counted themselves.
     pub ledgers: Vec<LedgerCount>,
     /// Actors that were started again.
@@ -87,7 +94,7 @@ impl<'a> Supervisor<'a> {
         folder: &'a RunFolder,
         stop: &'a StopFlag,
         view: View,
-        resume: bool,
+        resume: &Resume,
     ) -> Result<Self, Failure> {
         let progress = std::fs::OpenOptions::new()
             .create(true)
@@ -126,6 +133,8 @@ impl<'a> Supervisor<'a> {
             progress,
             actors,
             transport: None,
+            next_incarnations: Vec::new(),
+            first_iteration: 0,
             finished: None,
             fatal: None,
             stopping_since: None,
@@ -135,12 +144,15 @@ impl<'a> Supervisor<'a> {
     /// Watches until the learner has ended, then stops the actors. The policy server stays up for the evaluation.
     pub fn watch(mut self) -> Result<Outcome, Failure> {
         while self.learner.ended().is_none() {
-            self.take_lines(LOOK_EVERY)?;
-            self.watch_actors()?;
-            self.watch_server()?;
+            // Whatever fails here ends the run in good order: the learner saves, the transport is cleaned up.
+            self.take_lines(LOOK_EVERY);
+            let watched = self.watch_actors().and_then(|()| self.watch_server());
+            if let Err(failure) = watched {
+                self.end_early(failure);
+            }
             self.pass_stop_on();
         }
-        self.take_lines(Duration::ZERO)?;
+        self.take_lines(Duration::ZERO);
         self.view.done();
         self.stop_actors();
         let status = self.learner.ended();
@@ -158,21 +170,27 @@ impl<'a> Supervisor<'a> {
                 }
                 _ => (ExitCode::Internal, "ended without a last word".into()),
             };
-            return Err(failed_child(&self.learner, code, &how));
+            let failure = failed_child(&self.learner, code, &how);
+            let killed = status.is_some_and(|status| status.code().is_none());
+            return Err(match killed {
+                true => failure.hint(format!(
+                    "go on from its last checkpoint with: caudata train --resume --out {}",
+                    self.folder.root().display()
+                )),
+                false => failure,
+            });
         };
         let restarts = self
             .actors
             .iter()
             .map(|actor| actor.started.len().saturating_sub(1))
             .sum();
-        let ledgers = self
-            .actors
-            .iter()
-            .flat_map(|actor| read_ledgers(self.folder, actor))
-            .collect();
+        // Of the whole run, as the learner's account is.
+        let ledgers = caudata_actor::ledgers_in(&self.folder.ledgers());
         let (server, server_addr) = (self.server, self.server_addr);
         Ok(Outcome {
             finished,
+            first_iteration: self.first_iteration,
             ledgers,
             restarts,
             server,
@@ -181,7 +199,7 @@ impl<'a> Supervisor<'a> {
     }
 
     /// Shows and keeps what the learner has said, waiting at most `patience` for the first line.
-    fn take_lines(&mut self, patience: Duration) -> Result<(), Failure> {
+    fn take_lines(&mut self, patience: Duration) {
         let mut line = match self.lines.recv_timeout(patience) {
             Ok(line) => Some(line),
             Err(RecvTimeoutError::Timeout) => None,
@@ -192,24 +210,28 @@ impl<'a> Supervisor<'a> {
             }
         };
         while let Some(text) = line {
-            self.take_line(&text)?;
+            self.take_line(&text);
             line = self.lines.try_recv().ok();
         }
-        Ok(())
     }
 
-    fn take_line(&mut self, line: &str) -> Result<(), Failure> {
+    fn take_line(&mut self, line: &str) {
         let Ok(event) = serde_json::from_str::<Event>(line) else {
             tracing::warn!(line, "the learner printed something that is no event");
-            return Ok(());
+            return;
         };
         use std::io::Write;
-        writeln!(self.progress, "{line}")
-            .or_exit_with(ExitCode::IoError, || "cannot write progress.jsonl")?;
+        let written = writeln!(self.progress, "{line}")
+            .or_exit_with(ExitCode::IoError, || "cannot write progress.jsonl");
+        if let Err(failure) = written {
+            self.end_early(failure);
+        }
         self.view.event(&event, line);
         match event {
             Event::Started(started) => {
+                self.first_iteration = started.iteration;
                 self.transport = Some(started.transport);
+                self.next_incarnations = started.next_incarnations;
                 let now = Instant::now();
                 self.actors
                     .iter_mut()
@@ -218,7 +240,6 @@ impl<'a> Supervisor<'a> {
             Event::Finished(finished) => self.finished = Some(*finished),
             _ => {}
         }
-        Ok(())
     }
 
     fn watch_actors(&mut self) -> Result<(), Failure> {
@@ -245,14 +266,15 @@ impl<'a> Supervisor<'a> {
             return;
         };
         let (pid, log) = (process.pid(), process.log().to_owned());
-        actor.process = None;
         if winding_down || status.success() {
             return;
         }
         let how = children::describe(status);
-        let reason = children::last_error(&log)
-            .map(|text| format!(": {text}"))
-            .unwrap_or_default();
+        let reason = match status.code().and_then(|_| process.last_error()) {
+            Some(words) => format!(": {}", words.error),
+            None => String::new(),
+        };
+        actor.process = None;
         if status
             .code()
             .and_then(ExitCode::from_number)
@@ -296,7 +318,9 @@ impl<'a> Supervisor<'a> {
         let (config, folder) = (self.config, self.folder);
         let actor = &mut self.actors[index];
         actor.due = None;
-        let incarnation = folder.next_incarnation(actor.id);
+        let known = usize::try_from(actor.id).ok();
+        let known = known.and_then(|id| self.next_incarnations.get(id).copied());
+        let incarnation = folder.next_incarnation(actor.id).max(known.unwrap_or(0));
         let ledger = folder.ledger(actor.id, incarnation);
         let mut command = Command::new(self.programs.find("caudata-actor")?);
         command.arg("--config").arg(folder.config());
@@ -416,13 +440,14 @@ fn is_permanent(code: ExitCode) -> bool {
     )
 }
 
-/// The failure that a child's end amounts to: its own error line, and where its log is.
+/// The failure that a child's end amounts to: its own error line and hint; without them, `how` it ended and its log.
 pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
-    let message = match children::last_error(child.log()) {
-        Some(error) => format!("{}: {error}", child.name()),
-        None => format!("{} {how}", child.name()),
-    };
-    Failure::message(code, message).hint(format!("its log is {}", child.log().display()))
+    let log = format!("its log is {}", child.log().display());
+    match child.last_error() {
+        Some(words) => Failure::message(code, format!("{}: {}", child.name(), words.error))
+            .hint(words.hint.unwrap_or(log)),
+        None => Failure::message(code, format!("{} {how}", child.name())).hint(log),
+    }
 }
 
 fn start_server(
@@ -450,7 +475,7 @@ fn start_server(
     let mut server = Process::start("the policy server", command, &log, Some(sink))?;
     match announced.recv_timeout(SERVER_START_MAX) {
         Ok(addr) => Ok((server, addr)),
-        Err(_) => Err(match server.finish(Duration::ZERO) {
+        Err(error) => Err(match server.finish(patience_after(error)) {
             Some(status) if status.code().is_some() => failed_child(
                 &server,
                 children::exit_code(status),
@@ -461,12 +486,20 @@ fn start_server(
     }
 }
 
+/// How long a child may take to end that has announced nothing: one that has closed its standard output is about to.
+pub fn patience_after(error: RecvTimeoutError) -> Duration {
+    match error {
+        RecvTimeoutError::Disconnected => CHILD_STOP_MAX,
+        RecvTimeoutError::Timeout => Duration::ZERO,
+    }
+}
+
 fn start_learner(
     programs: &Programs,
     config: &Config,
     folder: &RunFolder,
     server: SocketAddr,
-    resume: bool,
+    resume: &Resume,
     lines: Sender<String>,
 ) -> Result<Process, Failure> {
     let mut command = Command::new(programs.find("caudata-learner")?);
@@ -474,8 +507,14 @@ fn start_learner(
     command.arg("--run-dir").arg(folder.root());
     command.args(["--run-id", folder.run_id()]);
     command.args(["--policy-server", &server.to_string()]);
-    if resume {
-        command.arg("--resume");
+    match resume {
+        Resume::No => {}
+        Resume::Latest => {
+            command.arg("--resume");
+        }
+        Resume::Named(name) => {
+            command.args(["--resume-from", name]);
+        }
     }
     add_telemetry(&mut command, config, false);
     let sink: LineSink = Box::new(move |line| {
@@ -496,25 +535,13 @@ fn add_telemetry(command: &mut Command, config: &Config, own_metrics: bool) {
     command.args([
         "--log-format",
         telemetry.log_format.name(),
-        "--log",
+        "--log-filter",
         &telemetry.log,
     ]);
     if own_metrics && telemetry.metrics {
         let any_port = SocketAddr::new(telemetry.metrics_addr.ip(), 0);
         command.args(["--metrics-addr", &any_port.to_string()]);
     }
-}
-
-fn read_ledgers(folder: &RunFolder, actor: &ActorSlot) -> Vec<LedgerCount> {
-    let count = |&incarnation: &u64| {
-        let sent = caudata_actor::read_ledger(&folder.ledger(actor.id, incarnation)).ok()?;
-        Some(LedgerCount {
-            actor_id: actor.id,
-            incarnation,
-            sent,
-        })
-    };
-    actor.started.iter().filter_map(count).collect()
 }
 
 #[cfg(test)]

@@ -90,6 +90,12 @@ impl View {
             Some(addr) => format!(", metrics at http://{addr}/metrics"),
             None => String::new(),
         };
+        if started.iteration >= started.iterations {
+            return self.note(&format!(
+                "nothing left to learn: {} iterations are done{from}; more with --iterations",
+                started.iteration
+            ));
+        }
         self.note(&format!(
             "learning on {}, iterations {} to {}{from}{metrics}",
             started.device,

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 pub struct LearnerConfig {
     /// Where tensors live. `auto` takes CUDA when libtorch has it.
     pub device: Device,
-    /// Threads of libtorch on the CPU. 1 to 256. Small networks gain little above 1; the last bits of the
-    /// weights depend on it.
+    /// Threads of libtorch on the CPU. 1 to 256. Small networks gain little above 1. Results do
+    /// not depend on it.
     pub threads: u32,
     /// Every how many iterations a policy goes to the policy server (the last one always does). 1 to 1,000,000.
     /// Actors get every version regardless.

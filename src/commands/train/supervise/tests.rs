@@ -65,7 +65,7 @@ impl Stage {
             &self.folder,
             &self.stop,
             view,
-            false,
+            &Resume::No,
         )?
         .watch()
     }
@@ -94,8 +94,50 @@ fn a_killed_learner_is_a_failure_even_after_its_last_word() {
         &format!("{}; kill -9 $$", finished("completed")),
         "exec sleep 600",
     );
+    // What the learner of an earlier session said is not why this one ended.
+    let log = stage.folder.logs().join("learner.log");
+    fs::write(log, "error: only 1 chunks came\nhint: old\n").unwrap();
     let failure = stage.run().err().unwrap();
-    assert!(failure.to_string().contains("SIGKILL"), "{failure}");
+    assert_eq!(failure.to_string(), "the learner was killed by SIGKILL");
+    assert!(failure.hint_text().unwrap().contains("train --resume"));
+}
+
+#[test]
+fn the_learner_s_hint_passes_through() {
+    let stage = Stage::new(
+        "echo 'error: damaged' >&2; echo 'hint: resume with --resume-from iter_000004' >&2; exit 78",
+        "exec sleep 600",
+    );
+    let failure = stage.run().err().unwrap();
+    let hint = failure.hint_text().unwrap();
+    assert_eq!(hint, "resume with --resume-from iter_000004");
+}
+
+#[test]
+fn an_actor_takes_an_incarnation_that_the_learner_listens_to() {
+    // The run was in one process before: no ledgers, but the learner knows four incarnations.
+    let started = STARTED.replace("\"cpu\"", "\"cpu\",\"next_incarnations\":[4]");
+    let learner = format!(
+        "{started}; {}; {}",
+        wait_for("$RUN/four"),
+        finished("completed")
+    );
+    let actor = r#"case "$*" in *'--incarnation 4'*) touch $RUN/four;; esac; exec sleep 600"#;
+    assert!(Stage::new(&learner, actor).run().is_ok());
+}
+
+#[test]
+fn a_progress_file_that_cannot_be_written_ends_the_run_in_good_order() {
+    let learner =
+        format!("{STARTED}; trap 'touch $RUN/asked; exit 0' TERM; while :; do sleep 0.02; done");
+    let stage = Stage::new(&learner, "exec sleep 600");
+    std::os::unix::fs::symlink("/dev/full", stage.folder.progress()).unwrap();
+    let failure = stage.run().err().unwrap();
+    assert_eq!(failure.code(), ExitCode::IoError, "{failure}");
+    assert!(
+        stage.folder.root().join("asked").exists(),
+        "the learner was asked to stop"
+    );
 }
 
 #[test]

@@ -1,17 +1,29 @@
 //! What sensors make of a state: offsets, quantisation, noise, bias. Pure functions of values and a random stream.
 //!
+//! What is constant and wrong is in [`errors`], what comes late in [`lag`]: a reading is error, then noise, then lag.
+//!
 //! Draw a robot's own imperfections once per episode ([`ImuBias::draw`], [`encoder_offsets_rad`]), then measure every control period.
 //! A white noise of density n (unit/√Hz, one-sided, as data sheets give it) sampled every `period_s` and band-limited to half the
 //! sampling rate has standard deviation n·√(1/(2·period_s)).
+
+pub mod errors;
+pub mod lag;
 
 use caudata_model::{ImuParams, ServoParams};
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
+pub use errors::{CurrentErrors, EncoderErrors, ImuMounting};
+pub use lag::{Delay, Lag};
+
 /// Position as a servo reports it: the true one plus its mounting offset, rounded to encoder counts, rad.
 #[must_use]
 pub fn encoder_pos_rad(servo: &ServoParams, true_rad: f32, offset_rad: f32) -> f32 {
-    quantise(true_rad + offset_rad, servo.encoder_lsb_rad())
+    let errors = EncoderErrors {
+        offset_rad,
+        ..EncoderErrors::default()
+    };
+    errors.read_rad(servo, true_rad)
 }
 
 /// Velocity as a servo reports it, rounded to its step, rad/s.

@@ -1,0 +1,259 @@
+//! Smooth accelerations (no contact, stops, dry friction or servos) at random states, free and fixed base, against MuJoCo.
+//!
+//! Through the [`Engine`](caudata_sim::Engine) trait: an engine that steps semi-implicitly changes its velocities by dt·a in one step, but for
+//! terms of order dt. From one step of 0.4 ms and one of 0.2 ms these are extrapolated away (2·a(½dt) − a(dt)); what is left is of order dt², and the
+//! rounding of the report (f32: about 1e-7 of a velocity, 1e-3 rad/s² here). So these rows find wrong dynamics, not the last digits.
+
+use std::sync::Arc;
+
+use caudata_model::Pose;
+use caudata_random::{Key, Purpose, Stream};
+use caudata_sim::{Engine, EngineConfig, InitialState, LaneParams, TerrainConfig, build};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::{Bench, Row, Subject, VerifyError};
+
+/// Longer and shorter step, s.
+const DT_S: [f64; 2] = [0.0004, 0.0002];
+/// Relative error up to which the difference counts as rounding, terms of order dt², and what an engine predicts within its first step.
+const TARGET: f64 = 5e-3;
+
+/// What MuJoCo answers for one state.
+#[derive(Deserialize)]
+struct Answer {
+    /// Linear, world; angular, body frame. Empty with a fixed base.
+    base: Vec<f64>,
+    /// Model order.
+    joints: Vec<f64>,
+}
+
+pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
+    let mut rows = Vec::new();
+    for fixed in [false, true] {
+        let held = if fixed { "fixed" } else { "free" };
+        let what = format!(
+            "{} random states, {held} base, worst",
+            bench.settings.states
+        );
+        let states: Vec<InitialState> = (0..bench.settings.states as u64)
+            .map(|i| random_state(bench, i, fixed))
+            .collect();
+        let mut theirs: Option<Vec<Answer>> = None;
+        for subject in bench.settings.subjects.clone() {
+            let name = &subject.name;
+            let (_, coarse) = measured(bench, &subject, &states, fixed, DT_S[0])?;
+            let (starts, fine) = measured(bench, &subject, &states, fixed, DT_S[1])?;
+            let ours: Vec<Vec<f64>> = coarse
+                .iter()
+                .zip(&fine)
+                .map(|(c, f)| c.iter().zip(f).map(|(c, f)| 2.0 * f - c).collect())
+                .collect();
+            let model = Arc::clone(&bench.model);
+            let mujoco = match bench.mujoco.get() {
+                Ok(mujoco) => mujoco,
+                Err(why) => {
+                    rows.push(Row::skipped("accelerations", name, &what, "", why));
+                    continue;
+                }
+            };
+            if theirs.is_none() {
+                let options = json!({ "dt_s": 0.002, "cone": "elliptic" });
+                let more = json!({ "fixed_base": fixed, "states": starts });
+                let mut ask = bench.robot.task("accelerations", &model, options, more);
+                undamped(&mut ask);
+                let answer = mujoco.ask(&ask)?;
+                theirs = Some(
+                    serde_json::from_value(answer)
+                        .map_err(|e| VerifyError::Mujoco(e.to_string()))?,
+                );
+            }
+            let errors = ours.iter().zip(theirs.as_deref().unwrap_or_default());
+            let worst = errors
+                .map(|(ours, theirs)| relative(ours, theirs))
+                .fold(0.0, |a: f64, b| if b.is_nan() { b } else { a.max(b) });
+            let note = "from the change over steps of 0.4 and 0.2 ms";
+            let value = (worst, "relative");
+            rows.push(Row::judged(
+                "accelerations",
+                name,
+                what.clone(),
+                value,
+                TARGET,
+                note,
+            ));
+        }
+    }
+    Ok(rows)
+}
+
+/// Largest difference over the largest acceleration of the state.
+fn relative(ours: &[f64], theirs: &Answer) -> f64 {
+    let theirs: Vec<f64> = theirs.base.iter().chain(&theirs.joints).copied().collect();
+    if ours.len() != theirs.len() {
+        return f64::NAN;
+    }
+    let largest = theirs.iter().fold(1e-9_f64, |a, b| a.max(b.abs()));
+    let pairs = ours.iter().zip(&theirs);
+    let worst = pairs
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, |a: f64, b| if b.is_nan() { b } else { a.max(b) });
+    worst / largest
+}
+
+fn random_state(bench: &Bench<'_>, index: u64, fixed: bool) -> InitialState {
+    let key = Key {
+        episode: 1000 + index,
+        ..Key::for_run(bench.settings.seed)
+    };
+    let mut stream = Stream::new(key, Purpose::Reset);
+    let mut draw = |half: f32| stream.uniform(-half, half);
+    let mut init = InitialState::nominal(&bench.model);
+    init.base_z_m = Some(50.0);
+    if !fixed {
+        init.base_rpy_rad = [draw(3.0), draw(1.4), draw(3.0)];
+        init.base_vel_mps = std::array::from_fn(|_| draw(1.0));
+        init.base_angvel_radps = std::array::from_fn(|_| draw(3.0));
+    }
+    let limits = bench.model.joint_limits_rad();
+    for (q, &(low, high)) in init.joint_pos_rad.iter_mut().zip(limits) {
+        let share = f64::from(draw(0.45)) + 0.5;
+        *q = (low + (high - low) * share) as f32;
+    }
+    for v in &mut init.joint_vel_radps {
+        *v = draw(3.0);
+    }
+    init
+}
+
+/// The states as the script wants them, and the engine's accelerations (base linear, base angular in its own frame, joints).
+fn measured(
+    bench: &Bench<'_>,
+    subject: &Subject,
+    states: &[InitialState],
+    fixed: bool,
+    dt_s: f64,
+) -> Result<(Vec<Value>, Vec<Vec<f64>>), VerifyError> {
+    let model = &bench.model;
+    let config = EngineConfig {
+        dt_s,
+        substeps: 1,
+        fixed_base: fixed,
+        ..subject.config.clone()
+    };
+    let flat = TerrainConfig::default();
+    let lanes = states.len();
+    let threads = bench.settings.threads;
+    let mut engine = build(Arc::clone(model), lanes, &config, &flat, 1, threads)?;
+    let params = smooth(&LaneParams::nominal(model));
+    for (lane, init) in states.iter().enumerate() {
+        engine.set_params(lane, &params)?;
+        engine.reset(lane, init)?;
+    }
+    let before: Vec<Motion> = (0..lanes).map(|l| Motion::of(engine.as_ref(), l)).collect();
+    let torques = vec![0.0_f64; model.joints().len()];
+    let starts = before
+        .iter()
+        .map(|m| {
+            let velocity = [m.linear.to_vec(), m.angular_body.to_vec()].concat();
+            json!({
+                "base": m.base, "joint_pos": m.joint_pos, "joint_vel": m.joint_vel, "base_vel": velocity,
+                "joint_torque": torques,
+            })
+        })
+        .collect();
+    let targets = vec![0.0; lanes * model.actuated().len()];
+    engine.step(&targets, &vec![0.0; lanes * 6])?;
+    let ours = before
+        .iter()
+        .enumerate()
+        .map(|(lane, m)| m.acceleration(&Motion::of(engine.as_ref(), lane), fixed, dt_s))
+        .collect();
+    Ok((starts, ours))
+}
+
+/// How a lane moves.
+struct Motion {
+    base: Vec<f64>,
+    linear: [f64; 3],
+    angular_body: [f64; 3],
+    joint_pos: Vec<f64>,
+    joint_vel: Vec<f64>,
+}
+
+impl Motion {
+    fn of(engine: &dyn Engine, lane: usize) -> Self {
+        let s = engine.state();
+        let row = |v: &[f32], k: usize| -> Vec<f64> {
+            v[lane * k..(lane + 1) * k]
+                .iter()
+                .map(|&x| f64::from(x))
+                .collect()
+        };
+        let three = |v: &[f32]| std::array::from_fn(|i| f64::from(v[lane * 3 + i]));
+        Self {
+            base: [row(&s.base_pos_m, 3), row(&s.base_quat_wxyz, 4)].concat(),
+            linear: three(&s.base_vel_mps),
+            angular_body: three(&s.base_angvel_radps),
+            joint_pos: row(&s.joint_pos_rad, s.joints),
+            joint_vel: row(&s.joint_vel_radps, s.joints),
+        }
+    }
+
+    fn pose(&self) -> Pose {
+        Pose {
+            pos_m: [0.0; 3],
+            quat_wxyz: std::array::from_fn(|i| self.base[3 + i]),
+        }
+    }
+
+    /// From here to `after`, one step of `dt_s` later.
+    fn acceleration(&self, after: &Self, fixed: bool, dt_s: f64) -> Vec<f64> {
+        let rate = |a: f64, b: f64| (b - a) / dt_s;
+        let mut out = Vec::new();
+        if !fixed {
+            out.extend((0..3).map(|i| rate(self.linear[i], after.linear[i])));
+            let spin = [self, after].map(|m| m.pose().rotate(m.angular_body));
+            let world: [f64; 3] = std::array::from_fn(|i| rate(spin[0][i], spin[1][i]));
+            out.extend(self.pose().inverse().rotate(world));
+        }
+        out.extend(
+            self.joint_vel
+                .iter()
+                .zip(&after.joint_vel)
+                .map(|(a, b)| rate(*a, *b)),
+        );
+        out
+    }
+}
+
+/// No servo, friction, damping or end stop; springs and rotors stay.
+fn smooth(nominal: &LaneParams) -> LaneParams {
+    let mut p = nominal.clone();
+    for per_servo in [
+        &mut p.joint_friction_nm,
+        &mut p.joint_damping_nms_per_rad,
+        &mut p.kp_nm_per_rad,
+        &mut p.kd_nms_per_rad,
+        &mut p.torque_scale,
+    ] {
+        per_servo.fill(0.0);
+    }
+    for joint in &mut p.joints {
+        joint.kd_min_nms_per_rad = 0.0;
+    }
+    for hinge in &mut p.hinges {
+        hinge.damping_nms_per_rad = 0.0;
+        hinge.friction_nm = 0.0;
+    }
+    p
+}
+
+/// The same for MuJoCo.
+fn undamped(request: &mut Value) {
+    if let Some(joints) = request["joints"].as_object_mut() {
+        for joint in joints.values_mut() {
+            joint["damping"] = json!(0.0);
+        }
+    }
+}

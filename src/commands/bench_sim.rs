@@ -1,0 +1,362 @@
+//! `caudata bench sim`: physics steps per second by engine, scene and lane width, MuJoCo beside it in the same run; and environment steps.
+//!
+//! Rounds of an engine and of MuJoCo alternate, so that both see the same machine. Nothing is pinned here: started under `taskset -c N`,
+//! the program and its MuJoCo share that core.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use caudata_model::RobotModel;
+use caudata_sim::{
+    Engine, EngineConfig, EngineKind, InitialState, SimError, Terrain, TerrainConfig, TerrainKind,
+    build,
+};
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_verify::{Gait, Mujoco, Presence, RobotRequest, VerifyError};
+use clap::ValueEnum;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::commands::eval::EngineName;
+
+/// Physics step, s, and steps per control period.
+const DT_S: f64 = 0.002;
+const SUBSTEPS: u32 = 10;
+/// Control periods of the targets that repeat: 10 s, in which the trot's 1.3 Hz closes.
+const PERIODS: usize = 500;
+/// How often ours and MuJoCo's rounds alternate; the best of each counts.
+const ROUNDS: u32 = 5;
+
+/// Where the robot is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SceneName {
+    /// A trot on level ground
+    Flat,
+    /// A trot on hills with 4 cm of random height
+    Rough,
+    /// The trot's motions in deep water, all drag on
+    Water,
+}
+
+impl SceneName {
+    fn terrain(self) -> TerrainConfig {
+        TerrainConfig::of(match self {
+            Self::Flat => TerrainKind::Flat,
+            Self::Rough => TerrainKind::RoughMedium,
+            Self::Water => TerrainKind::DeepWater,
+        })
+    }
+}
+
+/// What to measure.
+pub struct Plan {
+    pub robot: std::path::PathBuf,
+    pub engine: EngineConfig,
+    pub engines: Vec<EngineName>,
+    pub scenes: Vec<SceneName>,
+    /// Lanes per vector register; 0: the engine's choice.
+    pub widths: Vec<u32>,
+    pub lanes: usize,
+    pub seconds: f64,
+    pub mujoco: bool,
+}
+
+/// One line of the table.
+#[derive(Clone, Debug, Serialize)]
+pub struct Speed {
+    pub engine: String,
+    pub scene: SceneName,
+    /// Lanes per vector register asked for; 0: the engine's choice.
+    pub lane_width: u32,
+    pub lanes: usize,
+    /// Physics steps per second, all lanes together, on one thread.
+    pub steps_per_s: f64,
+    /// The same on all threads.
+    pub all_threads_steps_per_s: f64,
+    pub threads: usize,
+    /// `all_threads_steps_per_s` over `steps_per_s`.
+    pub scaling: f64,
+    /// MuJoCo's rate in the alternating rounds; null without MuJoCo.
+    pub mujoco_steps_per_s: Option<f64>,
+    /// One thread of ours over one of MuJoCo's.
+    pub ratio: Option<f64>,
+    /// Lanes that diverged while it was measured.
+    pub diverged: usize,
+}
+
+/// Measures everything in the plan; also says which MuJoCo, or why none.
+pub fn measure(plan: &Plan) -> Result<(Vec<Speed>, String), Failure> {
+    let model = Arc::new(crate::commands::robot_model::load(&plan.robot)?);
+    let robot = RobotRequest::read(&plan.robot).or_exit(ExitCode::NoInput)?;
+    let mut mujoco = if plan.mujoco {
+        Mujoco::start()
+    } else {
+        Presence::Absent("not asked for".to_owned())
+    };
+    let about = match &mujoco {
+        Presence::Here(m) => format!("MuJoCo {}", m.version),
+        Presence::Absent(why) => format!("skipped: {why}"),
+    };
+    let mut found = Vec::new();
+    for &scene in &plan.scenes {
+        let mut theirs = match mujoco.get() {
+            Ok(mujoco) => {
+                let mut there = Theirs { mujoco, scene };
+                there.start(&robot, &model).or_exit(ExitCode::Unavailable)?;
+                Some(there)
+            }
+            Err(_) => None,
+        };
+        for &name in &plan.engines {
+            for &width in &plan.widths {
+                if let Some(speed) = one(plan, &model, scene, name, width, theirs.as_mut())? {
+                    found.push(speed);
+                }
+            }
+        }
+    }
+    Ok((found, about))
+}
+
+/// MuJoCo in one scene.
+struct Theirs<'a> {
+    mujoco: &'a mut Mujoco,
+    scene: SceneName,
+}
+
+impl Theirs<'_> {
+    fn start(&mut self, robot: &RobotRequest, model: &RobotModel) -> Result<(), VerifyError> {
+        let mut options =
+            json!({ "dt_s": DT_S, "cone": "pyramidal", "iterations": 4, "ls_iterations": 8 });
+        let terrain = self.scene.terrain();
+        let ground = Terrain::generate(&terrain, 1)?;
+        let start = InitialState::nominal(model);
+        let mut height = 0.12 + f64::from(ground.height_m(0.0, 0.0));
+        if let Some(level) = ground.water_level_m() {
+            // its fluid fills all space and lifts nothing: weightless in water
+            options["density"] = json!(1000.0);
+            options["viscosity"] = json!(0.001);
+            options["gravity_mps2"] = json!([0.0, 0.0, 0.0]);
+            height = f64::from(level);
+        }
+        let width = model.actuated().len();
+        let targets: Vec<Vec<f32>> = (0..PERIODS)
+            .map(|k| {
+                let mut row = vec![0.0; width];
+                Gait::TROT.targets(model, k as f64 * 0.02, &mut row);
+                row
+            })
+            .collect();
+        let angles: Vec<f64> = start.joint_pos_rad.iter().map(|&q| f64::from(q)).collect();
+        let full = model.full_pos_rad(&angles)?;
+        let grid = ground.grid().map(
+            |g| json!({ "points": g.points(), "size_m": g.size_m(), "heights_m": g.heights_m() }),
+        );
+        let more = json!({
+            "name": self.name(), "joint_pos": full, "base": [0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0],
+            "targets": targets, "substeps": SUBSTEPS, "terrain": grid,
+        });
+        self.mujoco
+            .ask(&robot.task("speed", model, options, more))
+            .map(|_| ())
+    }
+
+    fn name(&self) -> String {
+        format!("{:?}", self.scene)
+    }
+
+    /// Steps and seconds of one round.
+    fn round(&mut self, seconds: f64) -> Result<(f64, f64), VerifyError> {
+        let ask = json!({ "task": "speed", "name": self.name(), "seconds": seconds });
+        let answer: Value = self.mujoco.ask(&ask)?;
+        let number = |key: &str| answer[key].as_f64().unwrap_or(f64::NAN);
+        Ok((number("steps"), number("seconds")))
+    }
+}
+
+/// One engine, scene and lane width; `None` where the engine does not have that width.
+fn one(
+    plan: &Plan,
+    model: &Arc<RobotModel>,
+    scene: SceneName,
+    name: EngineName,
+    width: u32,
+    mut theirs: Option<&mut Theirs<'_>>,
+) -> Result<Option<Speed>, Failure> {
+    let config = EngineConfig {
+        kind: name.into(),
+        dt_s: DT_S,
+        substeps: SUBSTEPS,
+        lane_width: width,
+        ..plan.engine.clone()
+    };
+    if width != 0 && config.kind != EngineKind::Batch {
+        return Ok(None); // only that engine has lanes in registers
+    }
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let make = |threads: usize| -> Result<Ours, SimError> {
+        let model = Arc::clone(model);
+        Ours::new(build(
+            model,
+            plan.lanes,
+            &config,
+            &scene.terrain(),
+            1,
+            threads,
+        )?)
+    };
+    let (mut single, mut all) = match (make(1), make(threads)) {
+        (Ok(single), Ok(all)) => (single, all),
+        // a width that this processor lacks
+        (
+            Err(SimError::Config {
+                field: "lane_width",
+                ..
+            }),
+            _,
+        ) if (1..=16).contains(&width) => {
+            return Ok(None);
+        }
+        (Err(error), _) | (_, Err(error)) => return Err(Failure::new(ExitCode::BadConfig, error)),
+    };
+    let seconds = plan.seconds / f64::from(ROUNDS);
+    single.round(0.2 * seconds)?; // caches and clocks warm up
+    all.round(0.2 * seconds)?;
+    // the best round counts: whatever else the machine does only ever takes away
+    let mut best = [0.0_f64; 3];
+    for _ in 0..ROUNDS {
+        let mut rounds = [single.round(seconds)?, (0.0, 1.0), all.round(seconds)?];
+        if let Some(theirs) = theirs.as_deref_mut() {
+            rounds[1] = theirs.round(seconds).or_exit(ExitCode::Unavailable)?;
+        }
+        for (best, (steps, seconds)) in best.iter_mut().zip(rounds) {
+            *best = best.max(steps / seconds);
+        }
+    }
+    let [steps_per_s, mujoco, all_threads_steps_per_s] = best;
+    let mujoco_steps_per_s = theirs.is_some().then_some(mujoco);
+    let diverged = single
+        .engine
+        .state()
+        .diverged
+        .iter()
+        .filter(|d| **d)
+        .count();
+    Ok(Some(Speed {
+        engine: name
+            .to_possible_value()
+            .map_or_else(String::new, |v| v.get_name().to_owned()),
+        scene,
+        lane_width: width,
+        lanes: plan.lanes,
+        steps_per_s,
+        all_threads_steps_per_s,
+        threads,
+        scaling: all_threads_steps_per_s / steps_per_s,
+        mujoco_steps_per_s,
+        ratio: mujoco_steps_per_s.map(|theirs| steps_per_s / theirs),
+        diverged,
+    }))
+}
+
+/// One of our engines, walking.
+struct Ours {
+    engine: Box<dyn Engine>,
+    /// Each control period's targets for all lanes.
+    targets: Vec<Vec<f32>>,
+    wrenches: Vec<f32>,
+    period: usize,
+}
+
+impl Ours {
+    fn new(mut engine: Box<dyn Engine>) -> Result<Self, SimError> {
+        let start = InitialState::nominal(engine.model());
+        let lanes = engine.lanes();
+        for lane in 0..lanes {
+            engine.reset(lane, &start)?;
+        }
+        let width = engine.model().actuated().len();
+        let targets = (0..PERIODS)
+            .map(|k| {
+                let mut all = vec![0.0; lanes * width];
+                for (lane, row) in all.chunks_exact_mut(width).enumerate() {
+                    // each lane a little later, so that not all feet touch at once
+                    let t_s = (k as f64 + lane as f64 * 0.37) * 0.02;
+                    Gait::TROT.targets(engine.model(), t_s, row);
+                }
+                all
+            })
+            .collect();
+        Ok(Self {
+            wrenches: vec![0.0; lanes * 6],
+            engine,
+            targets,
+            period: 0,
+        })
+    }
+
+    /// Physics steps and seconds of one round.
+    fn round(&mut self, seconds: f64) -> Result<(f64, f64), Failure> {
+        let began = Instant::now();
+        let mut steps = 0.0;
+        while steps == 0.0 || began.elapsed().as_secs_f64() < seconds {
+            let targets = &self.targets[self.period % PERIODS];
+            self.period += 1;
+            self.engine
+                .step(targets, &self.wrenches)
+                .or_exit(ExitCode::Internal)?;
+            steps += (self.engine.lanes() * SUBSTEPS as usize) as f64;
+        }
+        Ok((steps, began.elapsed().as_secs_f64()))
+    }
+}
+
+/// The table.
+pub fn print(speeds: &[Speed], mujoco: &str) {
+    if speeds.is_empty() {
+        return;
+    }
+    let header = [
+        "engine",
+        "scene",
+        "width",
+        "lanes",
+        "steps/s, 1 thread",
+        "all threads",
+        "scaling",
+        "MuJoCo steps/s",
+        "ratio",
+    ];
+    let mut rows = vec![header.map(str::to_owned).to_vec()];
+    for s in speeds {
+        let scene = s
+            .scene
+            .to_possible_value()
+            .map_or_else(String::new, |v| v.get_name().to_owned());
+        rows.push(vec![
+            s.engine.clone(),
+            scene,
+            if s.lane_width == 0 {
+                "auto".into()
+            } else {
+                s.lane_width.to_string()
+            },
+            s.lanes.to_string(),
+            format!("{:.0}", s.steps_per_s),
+            format!("{:.0} ({})", s.all_threads_steps_per_s, s.threads),
+            format!("{:.2}", s.scaling),
+            s.mujoco_steps_per_s
+                .map_or("-".into(), |r| format!("{r:.0}")),
+            s.ratio.map_or("-".into(), |r| format!("{r:.2}")),
+        ]);
+        if s.diverged > 0 {
+            tracing::warn!(engine = s.engine, scene = ?s.scene, lanes = s.diverged, "lanes diverged while measured");
+        }
+    }
+    crate::say::table(&rows);
+    crate::say::line(format!(
+        "{mujoco}. Its setting: Newton, 4 iterations, 8 line searches, pyramidal cone, one thread. All steps {} ms.",
+        1e3 * DT_S
+    ));
+}
