@@ -144,7 +144,11 @@ impl EngineConfig {
         Self {
             kind,
             dt_s: if whole { dt_s } else { self.dt_s },
-            substeps: if whole { substeps.round() as u32 } else { self.substeps },
+            substeps: if whole {
+                substeps.round() as u32
+            } else {
+                self.substeps
+            },
             ..self
         }
     }
@@ -306,7 +310,10 @@ mod tests {
             ..EngineConfig::default()
         };
         let odd = odd.on(EngineKind::Rapier);
-        assert_eq!((odd.kind, odd.dt_s, odd.substeps), (EngineKind::Rapier, 0.001, 7));
+        assert_eq!(
+            (odd.kind, odd.dt_s, odd.substeps),
+            (EngineKind::Rapier, 0.001, 7)
+        );
     }
 
     #[test]

@@ -103,7 +103,7 @@ pub(super) fn solve_base<R: Lanes>(i: &Inertia<R>) -> (V3<R>, V3<R>) {
         for r in j + 1..6 {
             let factor = l[r][j] * inverse[j];
             for k in j + 1..=r {
-                l[r][k] = l[r][k] - factor * l[k][j];
+                l[r][k] -= factor * l[k][j];
             }
         }
         for r in j + 1..6 {
@@ -113,7 +113,7 @@ pub(super) fn solve_base<R: Lanes>(i: &Inertia<R>) -> (V3<R>, V3<R>) {
     let mut y = [-i.f[0], -i.f[1], -i.f[2], -i.n[0], -i.n[1], -i.n[2]];
     for r in 1..6 {
         for k in 0..r {
-            y[r] = y[r] - l[r][k] * y[k];
+            y[r] -= l[r][k] * y[k];
         }
     }
     for r in 0..6 {
@@ -121,7 +121,7 @@ pub(super) fn solve_base<R: Lanes>(i: &Inertia<R>) -> (V3<R>, V3<R>) {
     }
     for r in (0..5).rev() {
         for k in r + 1..6 {
-            y[r] = y[r] - l[k][r] * y[k];
+            y[r] -= l[k][r] * y[k];
         }
     }
     ([y[3], y[4], y[5]], [y[0], y[1], y[2]])

@@ -347,18 +347,41 @@ impl<R: Lanes> Part<'_, R> {
 
     /// Copies the report into the rows; lanes that broke down keep theirs.
     fn publish(&mut self, g: usize, first: usize, used: usize) {
-        let diverged = &mut self.groups[g].diverged;
+        let diverged = &self.groups[g].diverged[..used];
+        self.rows.diverged[first..first + used].copy_from_slice(diverged);
+        R::run(Publish {
+            out: &self.scratch.out,
+            rows: &mut self.rows.fields,
+            widths: &self.widths,
+            first,
+            diverged,
+        });
+    }
+}
+
+/// Turns a report's registers into rows.
+struct Publish<'a, 'b, R> {
+    out: &'a [R],
+    rows: &'a mut [&'b mut [f32]; FIELDS],
+    widths: &'a [usize; FIELDS],
+    first: usize,
+    diverged: &'a [bool],
+}
+
+impl<R: Lanes> Kernel for Publish<'_, '_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
         let mut at = 0;
         let mut row = [0.0_f32; 16];
-        for lane in 0..used {
-            self.rows.diverged[first + lane] = diverged[lane];
-        }
-        for (field, &k) in self.rows.fields.iter_mut().zip(&self.widths) {
+        for f in 0..FIELDS {
+            let k = self.widths[f];
             for c in 0..k {
-                self.scratch.out[at + c].write(&mut row);
-                for lane in 0..used {
-                    if !diverged[lane] {
-                        field[(first + lane) * k + c] = row[lane];
+                self.out[at + c].write(&mut row);
+                for lane in 0..self.diverged.len() {
+                    if !self.diverged[lane] {
+                        self.rows[f][(self.first + lane) * k + c] = row[lane];
                     }
                 }
             }

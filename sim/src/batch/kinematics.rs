@@ -321,23 +321,16 @@ pub(super) fn outward<R: Lanes, const FLAT: bool>(
         );
     }
     for (i, node) in program.nodes.iter().enumerate() {
-        let frame = next_frame(
+        let (before, after) = frames.split_at_mut(i + 1);
+        after[0] = next_frame(
             node,
-            &frames[node.parent],
+            &before[node.parent],
             q[i],
             qd[i],
             qdd[i].mul_add(half_dt, qd[i]),
         );
-        frames[i + 1] = frame;
-        carry::<R, FLAT>(
-            world,
-            i + 1,
-            &frame,
-            base,
-            memory,
-            &mut inertias[i + 1],
-            touches,
-        );
+        let inertia = &mut inertias[i + 1];
+        carry::<R, FLAT>(world, i + 1, &after[0], base, memory, inertia, touches);
     }
 }
 
@@ -356,7 +349,7 @@ fn carry<R: Lanes, const FLAT: bool>(
     if program.links_of[k].is_empty() {
         return; // its only child writes it
     }
-    let mut inertia = body_inertia(program, world.params, k, frame, &world.push);
+    *to = body_inertia(program, world.params, k, frame, &world.push);
     for p in program.points_of[k].clone() {
         let point = &program.points[p];
         let friction = match point.part {
@@ -372,11 +365,10 @@ fn carry<R: Lanes, const FLAT: bool>(
             point.radius,
             friction,
             &mut memory[MEMORY * p..MEMORY * (p + 1)],
-            &mut inertia,
+            to,
             &mut touches[p],
         );
     }
-    *to = inertia;
 }
 
 /// Length of a vector.

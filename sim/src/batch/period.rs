@@ -449,20 +449,21 @@ fn integrate<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch: &Scrat
         let spin = add_scaled(kinematics::take3(head, Layout::ANG), ang, dt);
         let pos = add_scaled(kinematics::take3(head, Layout::POS), vel, dt);
         let quat = turned(head, scale(spin, half * dt));
-        for c in 0..3 {
-            head[Layout::VEL + c] = vel[c];
-            head[Layout::ANG + c] = spin[c];
-            head[Layout::POS + c] = pos[c];
-            head[Layout::ACC + c] = lin[c];
-            head[Layout::SPIN_ACC + c] = ang[c];
-        }
-        for c in 0..4 {
-            head[Layout::QUAT + c] = quat[c];
-        }
+        put(head, Layout::VEL, &vel);
+        put(head, Layout::ANG, &spin);
+        put(head, Layout::POS, &pos);
+        put(head, Layout::ACC, &lin);
+        put(head, Layout::SPIN_ACC, &ang);
+        put(head, Layout::QUAT, &quat);
         let base = R::splat(shared.max_base_speed);
         sound = sound & kinematics::length(vel).le(base) & kinematics::length(spin).le(fastest);
     }
     sound
+}
+
+#[inline(always)]
+fn put<R: Lanes>(x: &mut [R], at: usize, values: &[R]) {
+    x[at..at + values.len()].copy_from_slice(values);
 }
 
 /// The base's orientation after a turn by twice `half` (world, rad).

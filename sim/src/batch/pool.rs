@@ -4,7 +4,7 @@
 #![allow(unsafe_code)]
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 
 type Panic = Box<dyn std::any::Any + Send>;
@@ -17,7 +17,7 @@ struct Task(*const (dyn Fn(usize) + Sync));
 unsafe impl Send for Task {}
 
 struct Worker {
-    tasks: Option<Sender<Task>>,
+    tasks: Option<SyncSender<Task>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -30,7 +30,8 @@ pub(super) struct Pool {
 impl Pool {
     /// `threads` in all (at least one: the caller's). Fewer if the system refuses to start more.
     pub fn new(threads: usize) -> Self {
-        let (answer, answers) = channel();
+        // one answer per worker and task
+        let (answer, answers) = sync_channel(threads);
         let workers = (1..threads)
             .map_while(|index| start(index, answer.clone()))
             .collect();
@@ -74,8 +75,9 @@ impl Pool {
     }
 }
 
-fn start(index: usize, answer: Sender<Result<(), Panic>>) -> Option<Worker> {
-    let (tasks, inbox) = channel::<Task>();
+fn start(index: usize, answer: SyncSender<Result<(), Panic>>) -> Option<Worker> {
+    // never more than one task at a time
+    let (tasks, inbox) = sync_channel::<Task>(1);
     let work = move || {
         while let Ok(task) = inbox.recv() {
             // SAFETY: `Pool::run` keeps it alive until the answer below.

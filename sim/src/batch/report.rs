@@ -292,7 +292,5 @@ fn put_imu<R: Lanes>(
     w.put(&into_place(place, frame, frame.ang));
     w.put(&into_place(place, frame, force));
     w.put(&into_place(place, frame, group.params.down));
-    for c in 0..3 {
-        group.x[Layout::IMU + c] = vel[c];
-    }
+    group.x[Layout::IMU..Layout::IMU + 3].copy_from_slice(&vel);
 }

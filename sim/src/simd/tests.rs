@@ -1,4 +1,5 @@
 //! Every width computes what one lane computes.
+#![allow(clippy::print_stdout)]
 
 use super::*;
 use crate::real::Mask;

@@ -125,7 +125,7 @@ fn slippery_ground_is_level_with_patches() {
     for (x, y) in places {
         assert_eq!(t.height_m(x, y), 0.0);
         match t.friction_factor(x, y) {
-            f if f == 0.25 => slippery += 1,
+            0.25 => slippery += 1,
             f => assert_eq!(f, 1.0),
         }
     }

@@ -1,6 +1,11 @@
 //! The batch engine beyond the conformance suite: its dynamics against an independent formulation and MuJoCo, its widths against each other, its determinism.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 mod against_mujoco;
 mod bits;
