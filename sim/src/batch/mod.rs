@@ -6,8 +6,8 @@
 //! algorithm inwards and outwards ([`aba`]), semi-implicit Euler; at its end the report ([`report`]). Nothing branches on a lane's values except to
 //! skip work that would add nothing to any lane, so a lane's result depends neither on its place nor on its neighbours.
 //!
-//! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact with the ground only, of balls, capsules, boxes and cylinders as
-//! [`program`] describes; drive-lines as in [`crate::drive`], water as in [`crate::water`].
+//! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact of balls, capsules, boxes and cylinders with the ground as
+//! [`program`] describes, and of balls with balls of the robot itself ([`pairs`]); drive-lines as in [`crate::drive`], water as in [`crate::water`].
 
 mod aba;
 mod contact;
@@ -15,6 +15,7 @@ mod core;
 mod ground;
 mod kinematics;
 mod lanes;
+mod pairs;
 mod period;
 mod pool;
 pub mod program;

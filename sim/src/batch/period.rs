@@ -9,6 +9,7 @@ use super::contact::{ContactLaw, MEMORY, Touch};
 use super::ground::Ground;
 use super::kinematics::{self, Frame, Push, World};
 use super::lanes::{Group, Layout, layout, sums_len};
+use super::pairs;
 use super::program::{Part, Program};
 use super::vec3::{Inertia, V3, add_cross, add_scaled, dot, scale, zero3};
 use super::wet;
@@ -71,6 +72,8 @@ pub(super) struct Scratch<R: Lanes> {
     beyond: Vec<(V3<R>, V3<R>)>,
     qdd: Vec<R>,
     touches: Vec<Touch<R>>,
+    /// Centres of the contact points, for those that may touch each other.
+    centres: Vec<V3<R>>,
     /// State and sums at the start of the period.
     saved: Vec<R>,
     saved_sums: Vec<R>,
@@ -105,6 +108,7 @@ impl<R: Lanes> Scratch<R> {
             beyond: vec![(zero3(), zero3()); n + 1],
             qdd: vec![o; n],
             touches: vec![Touch::none(); program.points.len()],
+            centres: vec![zero3(); program.points.len()],
             saved: vec![o; layout(program).len()],
             saved_sums: vec![o; sums_len(program)],
             saved_drives: vec![JointMemory::default(); program.actuated],
@@ -269,6 +273,15 @@ fn step<R: Lanes, const FLAT: bool>(
         &mut scratch.inertias,
         &mut scratch.touches,
     );
+    if !program.pairs.is_empty() {
+        pairs::collide(
+            program,
+            group,
+            &scratch.frames,
+            &mut scratch.centres,
+            &mut scratch.inertias,
+        );
+    }
     if program.water {
         wet::immerse(
             program,

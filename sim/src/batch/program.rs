@@ -10,6 +10,7 @@ use std::ops::Range;
 use caudata_model::pose::{self, Pose};
 use caudata_model::{BaseKind, Geom, JointKind, JointMotion, RobotModel, Shape};
 
+use crate::self_contact;
 use crate::simd::Lanes;
 use crate::{EngineConfig, SimError};
 
@@ -75,6 +76,8 @@ pub(super) enum Part {
 /// A ball (radius 0: a point) that may touch the ground.
 #[derive(Debug, Clone)]
 pub(super) struct Point<R: Lanes> {
+    /// Model index of its link.
+    pub link: usize,
     pub node: usize,
     /// Centre in the node's frame, m.
     pub centre: [R::Elem; 3],
@@ -110,6 +113,8 @@ pub(super) struct Program<R: Lanes> {
     pub points: Vec<Point<R>>,
     /// Which of them each node carries. `[nodes + 1]`
     pub points_of: Vec<Range<usize>>,
+    /// Contact points that may touch each other.
+    pub pairs: Vec<(usize, usize)>,
     /// Place in `links` of the torso.
     pub torso: usize,
     /// Foot centres.
@@ -232,6 +237,11 @@ impl<R: Lanes> Program<R> {
             nodes,
             links,
             links_of,
+            pairs: if config.self_collision {
+                pairs(model, &points)
+            } else {
+                Vec::new()
+            },
             points,
             points_of,
         })
@@ -350,6 +360,7 @@ fn contact_points<R: Lanes>(
                 Part::Tail
             };
             points.extend(centres.into_iter().map(|c| Point {
+                link: i,
                 node,
                 centre: node_from_geom.point(c).map(R::elem),
                 radius: R::elem(radius),
@@ -365,6 +376,28 @@ fn contact_points<R: Lanes>(
     }
     points.sort_by_key(|p| p.node);
     Ok(points)
+}
+
+/// Points of legs, with points of other legs and of the trunk that the leg does not hang on.
+fn pairs<R: Lanes>(model: &RobotModel, points: &[Point<R>]) -> Vec<(usize, usize)> {
+    let legs = self_contact::legs(model);
+    let hanging = self_contact::hanging_legs(model, &legs);
+    let mut pairs = Vec::new();
+    for a in 0..points.len() {
+        for b in a + 1..points.len() {
+            let (la, lb) = (points[a].link, points[b].link);
+            let meet = match (legs[la], legs[lb]) {
+                (Some(one), Some(other)) => one != other,
+                (Some(leg), None) => !hanging[lb].contains(&leg),
+                (None, Some(leg)) => !hanging[la].contains(&leg),
+                (None, None) => false,
+            };
+            if meet {
+                pairs.push((a, b));
+            }
+        }
+    }
+    pairs
 }
 
 /// Centres (geom frame, m) and radius of the balls that stand for a shape.

@@ -88,6 +88,7 @@ fn solve<R: Lanes>(
 ) -> Result<Accelerations, SimError> {
     let mut program = Program::<R>::new(model, config, false)?;
     program.points.clear();
+    program.pairs.clear();
     program.points_of.fill(0..0);
     let mut group = Group::new(&program, config.control_period_s());
     for lane in 0..R::LANES {
