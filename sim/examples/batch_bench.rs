@@ -41,7 +41,12 @@ fn main() {
         height_m: 0.02,
         ..TerrainConfig::default()
     };
-    for (name, terrain) in [("flat", TerrainConfig::default()), ("rough", rough)] {
+    let water = TerrainConfig::of(TerrainKind::DeepWater);
+    for (name, terrain) in [
+        ("flat", TerrainConfig::default()),
+        ("rough", rough),
+        ("water", water),
+    ] {
         for (width, precision) in widths
             .iter()
             .map(|&w| (w, Precision::Single))

@@ -351,6 +351,7 @@ impl<R: Lanes> Part<'_, R> {
         self.rows.diverged[first..first + used].copy_from_slice(diverged);
         R::run(Publish {
             out: &self.scratch.out,
+            turned: &mut self.scratch.turned,
             rows: &mut self.rows.fields,
             widths: &self.widths,
             first,
@@ -362,6 +363,8 @@ impl<R: Lanes> Part<'_, R> {
 /// Turns a report's registers into rows.
 struct Publish<'a, 'b, R> {
     out: &'a [R],
+    /// Working memory, 16 per register.
+    turned: &'a mut [f32],
     rows: &'a mut [&'b mut [f32]; FIELDS],
     widths: &'a [usize; FIELDS],
     first: usize,
@@ -373,16 +376,21 @@ impl<R: Lanes> Kernel for Publish<'_, '_, R> {
 
     #[inline(always)]
     fn run(self) {
+        for v in 0..self.out.len() {
+            self.out[v].write(&mut self.turned[16 * v..16 * v + 16]);
+        }
         let mut at = 0;
-        let mut row = [0.0_f32; 16];
         for f in 0..FIELDS {
             let k = self.widths[f];
-            for c in 0..k {
-                self.out[at + c].write(&mut row);
-                for lane in 0..self.diverged.len() {
-                    if !self.diverged[lane] {
-                        self.rows[f][(self.first + lane) * k + c] = row[lane];
-                    }
+            for lane in 0..self.diverged.len() {
+                if self.diverged[lane] {
+                    continue;
+                }
+                let from = (self.first + lane) * k;
+                let row = &mut self.rows[f][from..from + k];
+                let columns = &self.turned[16 * at..16 * (at + k)];
+                for c in 0..k {
+                    row[c] = columns[16 * c + lane];
                 }
             }
             at += k;

@@ -8,6 +8,19 @@
 //!
 //! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact of balls, capsules, boxes and cylinders with the ground as
 //! [`program`] describes, and of balls with balls of the robot itself ([`pairs`]); drive-lines as in [`crate::drive`], water as in [`crate::water`].
+//!
+//! Cost (`examples/batch_bench.rs`: an open-loop trot, 64 lanes, one thread, one busy 2.7 GHz Xeon with AVX-512; physics steps per second
+//! with everything that [`State`] reports, MuJoCo 3.17 with 4 Newton iterations at 29,000 to 31,000 beside it):
+//!
+//! | scene | 16 lanes | 8 lanes |
+//! |---|---|---|
+//! | flat | 3,350,000 | 2,470,000 |
+//! | rugged | 3,060,000 | 2,240,000 |
+//! | water | 2,300,000 | 1,610,000 |
+//!
+//! Accuracy: accelerations in the air agree with MuJoCo's to 2e-8 (f64) and 9e-5 (f32), worst of 500 states. A trot travels 2.14 m in 10 s at 2 ms, 2.17 m
+//! at 0.5 ms, MuJoCo 2.13 m. Gaits that turn are sensitive to how soft contacts and joint stops are, in MuJoCo as here: on ten such gaits of 20 s,
+//! distances differ by 8 % and headings by 24° on average; MuJoCo with stiffer joint stops differs from itself by 9 % and 30°.
 
 mod aba;
 mod contact;

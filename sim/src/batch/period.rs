@@ -86,6 +86,8 @@ pub(super) struct Scratch<R: Lanes> {
     driven: Vec<Option<Driven<R>>>,
     /// Report, see [`super::report`].
     pub out: Vec<R>,
+    /// The same as plain numbers, 16 per register.
+    pub turned: Vec<f32>,
     /// Centre of mass and its velocity per link.
     pub coms: Vec<(V3<R>, V3<R>)>,
 }
@@ -116,6 +118,7 @@ impl<R: Lanes> Scratch<R> {
             scheduled: vec![Scheduled::constant(o); program.actuated],
             driven: vec![None; program.actuated],
             out: vec![o; super::report::len(program)],
+            turned: vec![0.0; 16 * super::report::len(program)],
             coms: vec![(zero3(), zero3()); program.links.len()],
         }
     }
