@@ -1,13 +1,16 @@
 //! What a servo does to a command before it follows it: low-pass, and a profile that limits speed and acceleration.
 
 use super::ServoDrive;
+use super::params::NO_LIMIT;
 use crate::real::Real;
 
 /// A first-order low-pass `y' = (u − y)/τ` over one step with constant input, exactly; `share` is 1 − exp(−dt/τ).
 #[must_use]
 #[inline(always)]
 pub fn low_pass<R: Real>(filtered: R, input: R, share: R) -> R {
-    filtered + share * (input - filtered)
+    // exactly the input at share 1: a lane without the lag must not notice a neighbour's
+    let moved = filtered + share * (input - filtered);
+    R::select(R::one().le(share), input, moved)
 }
 
 /// 1 − exp(−dt/τ): the part of the way that a first-order lag of `time_s` makes in `dt_s`; 1 for no lag.
@@ -43,7 +46,13 @@ pub fn profile<R: Real>(
     let fastest = stopping.min(way.abs() * per_dt).min(p.profile_speed_radps);
     let wanted = fastest * way.signum0();
     let speed = wanted.clamp(speed_radps - per_step, speed_radps + per_step);
-    (position_rad + dt_s * speed, speed)
+    // exactly the target without limits, likewise
+    let most = R::splat(NO_LIMIT);
+    let free = most.le(p.profile_speed_radps) & most.le(p.profile_acceleration_radps2);
+    (
+        R::select(free, target_rad, position_rad + dt_s * speed),
+        speed,
+    )
 }
 
 #[cfg(test)]

@@ -181,3 +181,50 @@ fn sixteen_and_eight_lanes_give_the_same_bits() {
         println!("skipped: this processor lacks one of them");
     }
 }
+
+/// A drive-line stage that a neighbour needs runs for the whole group: a lane that does not need it must not notice, to the bit.
+#[test]
+fn a_neighbours_effects_are_nothing_to_a_lane() {
+    let model = robots::polymander();
+    let config = EngineConfig::default();
+    let run = |effects: bool| {
+        let mut e = engine(&model, 2, &config, 1, |l| l);
+        let mut params = e.params(1).clone();
+        if effects {
+            for j in &mut params.joints {
+                j.command_low_pass_s = 0.03;
+                j.profile_speed_radps = 3.0;
+                j.dead_band_rad = 0.01;
+                j.ki_nm_per_rad_s = 2.0;
+                j.loop_lag_s = 0.004;
+                j.back_drive_kp_ratio = 0.7;
+                j.winding_scale = 1.2;
+                j.resistance_per_k = 0.004;
+                j.thermal_rise_k_per_a2 = 30.0;
+                j.current_limit_a = 1.0;
+                j.stribeck_nm = 0.02;
+                j.load_friction_driving = 0.1;
+                j.load_friction_driven = 0.2;
+                j.friction_asymmetry_nm = 0.01;
+                j.ripple_nm = 0.01;
+                j.gear_half_gap_rad = 0.002;
+            }
+        }
+        e.set_params(1, &params).unwrap();
+        for period in 0..100 {
+            e.step(&command(&model, 2, period, |l| l), &[0.0; 12])
+                .unwrap();
+        }
+        e.state().clone()
+    };
+    let (plain, busy) = (run(false), run(true));
+    for (a, b) in plain.fields().iter().zip(busy.fields()) {
+        let k = a.len() / 2;
+        let bits = |v: &[f32]| v[..k].iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(a), bits(b));
+    }
+    assert_ne!(
+        plain.joint_pos_rad, busy.joint_pos_rad,
+        "lane 1 moves otherwise"
+    );
+}
