@@ -126,30 +126,11 @@ impl EngineConfig {
     /// The Rapier engine with the step that it is tuned for: 4 ms, five per control period.
     #[must_use]
     pub fn rapier() -> Self {
-        Self::default().on(EngineKind::Rapier)
-    }
-
-    /// The same settings on another engine, with that engine's step where the control period allows it.
-    #[must_use]
-    pub fn on(self, kind: EngineKind) -> Self {
-        if kind == self.kind {
-            return self;
-        }
-        let dt_s = match kind {
-            EngineKind::Batch => 0.002,
-            EngineKind::Rapier => 0.004,
-        };
-        let substeps = self.control_period_s() / dt_s;
-        let whole = (substeps - substeps.round()).abs() < 1e-9 && substeps >= 1.0;
         Self {
-            kind,
-            dt_s: if whole { dt_s } else { self.dt_s },
-            substeps: if whole {
-                substeps.round() as u32
-            } else {
-                self.substeps
-            },
-            ..self
+            kind: EngineKind::Rapier,
+            dt_s: 0.004,
+            substeps: 5,
+            ..Self::default()
         }
     }
 
@@ -298,22 +279,6 @@ mod tests {
         let c = EngineConfig::default();
         c.validate().unwrap();
         assert!((c.control_period_s() - 0.02).abs() < 1e-12);
-    }
-
-    #[test]
-    fn another_engine_takes_its_own_step_and_keeps_the_control_period() {
-        let rapier = EngineConfig::rapier();
-        assert_eq!((rapier.dt_s, rapier.substeps), (0.004, 5));
-        let odd = EngineConfig {
-            dt_s: 0.001,
-            substeps: 7,
-            ..EngineConfig::default()
-        };
-        let odd = odd.on(EngineKind::Rapier);
-        assert_eq!(
-            (odd.kind, odd.dt_s, odd.substeps),
-            (EngineKind::Rapier, 0.001, 7)
-        );
     }
 
     #[test]

@@ -88,7 +88,7 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     let policy = read_policy(&args.policy)?;
     let mut config = configuration(args)?;
     if let Some(engine) = args.engine {
-        config.engine = config.engine.on(engine.into());
+        config.engine.kind = engine.into();
     }
     if let Some(robot) = &args.robot {
         config.robot.clone_from(robot);

@@ -75,7 +75,7 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let (flags, changes) = lane_params::split(&args.config);
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
     if let Some(engine) = args.engine {
-        config.engine = config.engine.on(engine.into());
+        config.engine.kind = engine.into();
     }
     config.engine.fixed_base = args.base == Base::Fixed;
     if let Some(Ground(kind)) = args.terrain {

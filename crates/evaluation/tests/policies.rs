@@ -100,8 +100,15 @@ fn verdict(make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
     let contract = PolicyContract::new(&model, &config.task).unwrap();
     let scenario = Scenario::walk("by hand", [0.3, 0.0, 0.0]);
     let go_on = || true;
-    let (result, traces) =
-        run_scenario(&config, &model, &make(&contract), &scenario, &SETTINGS, &go_on).unwrap();
+    let (result, traces) = run_scenario(
+        &config,
+        &model,
+        &make(&contract),
+        &scenario,
+        &SETTINGS,
+        &go_on,
+    )
+    .unwrap();
     assert_eq!(traces.len(), 2);
     result
 }

@@ -422,8 +422,6 @@ fn trunk_and_legs_carry_feet_and_the_tail_does_not() {
         .collect();
     assert_eq!(
         without,
-        [
-            "body_05", "body_06", "body_07", "body_08", "body_09", "body_10"
-        ]
+        ["body_06", "body_07", "body_08", "body_09", "body_10"]
     );
 }

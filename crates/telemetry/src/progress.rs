@@ -171,7 +171,7 @@ pub struct ActorsPolicy {
     pub sha256: String,
     /// SHA-256 of the ONNX bytes that the learner made as that version, hex.
     pub learner_sha256: String,
-    /// Whether it was also given to the policy server.
+    /// Whether the policy server has it too.
     pub published: bool,
 }
 

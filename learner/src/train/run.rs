@@ -115,7 +115,7 @@ impl Run<'_> {
 
     fn iterate(&mut self, state: &mut LoopState) -> Result<String, LearnerError> {
         self.announce(&state.policy)?;
-        state.seen.made(&state.policy, false);
+        state.seen.made(&state.policy);
         while self.progress.iteration < self.config.run.iterations {
             let started = Instant::now();
             let chunks = {
@@ -137,7 +137,7 @@ impl Run<'_> {
             let collection_s = started.elapsed().as_secs_f64();
             state.actors_wait = true;
             self.learn(chunks, state, started, collection_s)?;
-            self.tell_published();
+            self.tell_published(&mut state.seen);
             if self.stop.is_set() {
                 return Ok(self.stop_reason());
             }
@@ -208,9 +208,8 @@ impl Run<'_> {
         let checkpoint = if save { Some(self.state(state)?) } else { None };
         self.announce(&state.policy)?;
         state.actors_wait = false;
-        let publish = iteration.is_multiple_of(learner.publish_every);
-        state.seen.made(&state.policy, publish);
-        if publish {
+        state.seen.made(&state.policy);
+        if iteration.is_multiple_of(learner.publish_every) {
             self.publish(&state.policy)?;
         }
         if let Some(checkpoint) = checkpoint {
@@ -355,7 +354,7 @@ impl Run<'_> {
     }
 
     /// Passes on what the background task has said.
-    fn tell_published(&mut self) {
+    fn tell_published(&mut self, seen: &mut PoliciesSeen) {
         let notices = self
             .publisher
             .as_ref()
@@ -363,7 +362,10 @@ impl Run<'_> {
             .unwrap_or_default();
         for notice in notices {
             match notice {
-                Notice::Published(published) => self.reporter.event(&Event::Published(published)),
+                Notice::Published(published) => {
+                    seen.published(published.version);
+                    self.reporter.event(&Event::Published(published));
+                }
                 Notice::Failed {
                     version,
                     reason,
@@ -496,7 +498,7 @@ impl Run<'_> {
             self.reporter
                 .warn("the policy server did not take the last policy in time".into());
         }
-        self.tell_published();
+        self.tell_published(&mut state.seen);
         first_failure
     }
 
@@ -530,7 +532,7 @@ impl Run<'_> {
             last_tenth: enough.then(|| mean_se(&rewards[rewards.len() - tenth..])),
             first_tenth_return: ReturnSums::total(early).mean().filter(|_| enough),
             last_tenth_return: ReturnSums::total(late).mean().filter(|_| enough),
-            actors_policy: state.seen.best.clone(),
+            actors_policy: state.seen.best(),
             accounting: self.collector.accounting().summary(),
             actors: self.collector.accounting().per_actor(),
         };
