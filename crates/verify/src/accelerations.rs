@@ -1,14 +1,19 @@
 //! Smooth accelerations (no contact, stops, dry friction or servos) at random states, free and fixed base, against MuJoCo.
 //!
+//! The batch engine's own equations are asked directly, in both precisions, with random joint torques.
+//!
 //! Through the [`Engine`](caudata_sim::Engine) trait: an engine that steps semi-implicitly changes its velocities by dt·a in one step, but for
 //! terms of order dt. From one step of 0.4 ms and one of 0.2 ms these are extrapolated away (2·a(½dt) − a(dt)); what is left is of order dt², and the
 //! rounding of the report (f32: about 1e-7 of a velocity, 1e-3 rad/s² here). So these rows find wrong dynamics, not the last digits.
 
 use std::sync::Arc;
 
-use caudata_model::Pose;
+use caudata_model::{Pose, RobotModel};
 use caudata_random::{Key, Purpose, Stream};
-use caudata_sim::{Engine, EngineConfig, InitialState, LaneParams, TerrainConfig, build};
+use caudata_sim::batch::smooth;
+use caudata_sim::{
+    Engine, EngineConfig, InitialState, LaneParams, Precision, TerrainConfig, build,
+};
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -28,12 +33,23 @@ struct Answer {
     joints: Vec<f64>,
 }
 
+/// Relative error of the equations themselves in double and single precision.
+const DIRECT_TARGETS: [(Precision, &str, f64); 2] = [
+    (Precision::Double, "batch f64", 1e-6),
+    (Precision::Single, "batch f32", 1e-4),
+];
+/// Random joint torques of the direct comparison, N·m either way.
+const TORQUE_NM: f32 = 1.0;
+
 pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     let mut rows = Vec::new();
     for fixed in [false, true] {
+        rows.extend(direct(bench, fixed)?);
+    }
+    for fixed in [false, true] {
         let held = if fixed { "fixed" } else { "free" };
         let what = format!(
-            "{} random states, {held} base, worst",
+            "{} random states, {held} base, over a step, worst",
             bench.settings.states
         );
         let states: Vec<InitialState> = (0..bench.settings.states as u64)
@@ -61,7 +77,7 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
                 let options = json!({ "dt_s": 0.002, "cone": "elliptic" });
                 let more = json!({ "fixed_base": fixed, "states": starts });
                 let mut ask = bench.robot.task("accelerations", &model, options, more);
-                undamped(&mut ask);
+                without(&mut ask, "damping");
                 let answer = mujoco.ask(&ask)?;
                 theirs = Some(
                     serde_json::from_value(answer)
@@ -85,6 +101,129 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         }
     }
     Ok(rows)
+}
+
+/// The equations of the batch engine against MuJoCo's, state by state.
+fn direct(bench: &mut Bench<'_>, fixed: bool) -> Result<Vec<Row>, VerifyError> {
+    let held = if fixed { "fixed" } else { "free" };
+    let what = format!(
+        "{} random states, {held} base, worst",
+        bench.settings.states
+    );
+    let mujoco = match bench.mujoco.get() {
+        Ok(mujoco) => mujoco,
+        Err(why) => {
+            let rows = DIRECT_TARGETS
+                .map(|(_, name, _)| Row::skipped("accelerations", name, &what, "", why));
+            return Ok(rows.into());
+        }
+    };
+    let (model, seed) = (Arc::clone(&bench.model), bench.settings.seed);
+    let states: Vec<smooth::Motion> = (0..bench.settings.states as u64)
+        .map(|i| random_motion(&model, seed, i, fixed))
+        .collect();
+    let options = json!({ "dt_s": 0.002, "cone": "elliptic" });
+    let starts: Vec<Value> = states.iter().map(mujoco_state).collect();
+    let more = json!({ "fixed_base": fixed, "states": starts });
+    let mut ask = bench.robot.task("accelerations", &model, options, more);
+    for effect in ["damping", "stiffness"] {
+        without(&mut ask, effect);
+    }
+    let answers: Vec<Answer> = serde_json::from_value(mujoco.ask(&ask)?)
+        .map_err(|e| VerifyError::Mujoco(e.to_string()))?;
+    let params = LaneParams::nominal(&model);
+    let mut rows = Vec::new();
+    for (precision, name, target) in DIRECT_TARGETS {
+        let config = EngineConfig {
+            precision,
+            fixed_base: fixed,
+            ..EngineConfig::default()
+        };
+        let mut worst = 0.0_f64;
+        for (state, theirs) in states.iter().zip(&answers) {
+            let ours = smooth::accelerations(&model, &config, &params, state)?;
+            let mut all = Vec::new();
+            if !fixed {
+                all.extend(ours.base_mps2);
+                // MuJoCo's are in the base's own frame
+                let turn = Pose {
+                    pos_m: [0.0; 3],
+                    ..state.world_from_base
+                }
+                .inverse();
+                all.extend(turn.rotate(ours.base_radps2));
+            }
+            all.extend(&ours.joint_radps2);
+            let error = relative(&all, theirs);
+            worst = if error.is_nan() {
+                error
+            } else {
+                worst.max(error)
+            };
+        }
+        let note = "the equations themselves, with random joint torques";
+        rows.push(Row::judged(
+            "accelerations",
+            name,
+            what.clone(),
+            (worst, "relative"),
+            target,
+            note,
+        ));
+    }
+    Ok(rows)
+}
+
+fn random_motion(model: &RobotModel, seed: u64, index: u64, fixed: bool) -> smooth::Motion {
+    let key = Key {
+        episode: 2000 + index,
+        ..Key::for_run(seed)
+    };
+    let mut stream = Stream::new(key, Purpose::Reset);
+    let mut draw = |half: f32| f64::from(stream.uniform(-half, half));
+    let quat: [f64; 4] = std::array::from_fn(|_| draw(1.0));
+    let length = quat.iter().map(|c| c * c).sum::<f64>().sqrt().max(1e-3);
+    let world_from_base = if fixed {
+        model.links()[0].parent_from_link
+    } else {
+        Pose {
+            pos_m: std::array::from_fn(|_| draw(2.0)),
+            quat_wxyz: quat.map(|c| c / length),
+        }
+    };
+    let mut joints = |half: f32| {
+        model
+            .joints()
+            .iter()
+            .map(|_| draw(half))
+            .collect::<Vec<f64>>()
+    };
+    let (joint_pos_rad, joint_vel_radps, joint_torque_nm) =
+        (joints(1.0), joints(5.0), joints(TORQUE_NM));
+    smooth::Motion {
+        world_from_base,
+        base_vel_mps: std::array::from_fn(|_| draw(1.0)),
+        base_angvel_radps: std::array::from_fn(|_| draw(3.0)),
+        joint_pos_rad,
+        joint_vel_radps,
+        joint_torque_nm,
+    }
+}
+
+fn mujoco_state(at: &smooth::Motion) -> Value {
+    let pose = at.world_from_base;
+    let turn = Pose {
+        pos_m: [0.0; 3],
+        ..pose
+    }
+    .inverse();
+    let base = [pose.pos_m.to_vec(), pose.quat_wxyz.to_vec()].concat();
+    let spin = turn.rotate(at.base_angvel_radps);
+    let base_vel = [at.base_vel_mps, spin].concat();
+    json!({
+        "base": base, "base_vel": base_vel, "joint_pos": at.joint_pos_rad, "joint_vel": at.joint_vel_radps,
+        "joint_torque": at.joint_torque_nm,
+    })
 }
 
 /// Largest difference over the largest acceleration of the state.
@@ -249,11 +388,11 @@ fn smooth(nominal: &LaneParams) -> LaneParams {
     p
 }
 
-/// The same for MuJoCo.
-fn undamped(request: &mut Value) {
+/// Takes an effect of the joints off MuJoCo's robot.
+fn without(request: &mut Value, effect: &str) {
     if let Some(joints) = request["joints"].as_object_mut() {
         for joint in joints.values_mut() {
-            joint["damping"] = json!(0.0);
+            joint[effect] = json!(0.0);
         }
     }
 }
