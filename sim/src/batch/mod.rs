@@ -26,6 +26,7 @@ mod aba;
 mod contact;
 mod core;
 mod ground;
+mod integrate;
 mod kinematics;
 mod lanes;
 mod pairs;

@@ -7,17 +7,18 @@
 use super::aba::{self, Hinge, Load};
 use super::contact::{ContactLaw, MEMORY, Touch};
 use super::ground::Ground;
+use super::integrate;
 use super::kinematics::{self, Frame, Push, World};
 use super::lanes::{Group, Layout, layout, sums_len};
 use super::pairs;
 use super::program::{Part, Program};
-use super::vec3::{Inertia, V3, add_cross, add_scaled, dot, scale, zero3};
+use super::vec3::{Inertia, V3, dot, zero3};
 use super::wet;
 use crate::drive::command::Scheduled;
 use crate::drive::loss::LossMemory;
 use crate::drive::step::{self, Driven, Step};
 use crate::drive::supply::{self, Bus};
-use crate::drive::{ImplicitTorque, JointMemory, friction};
+use crate::drive::{ImplicitTorque, JointMemory};
 use crate::real::Mask;
 use crate::simd::{Kernel, Lanes};
 use crate::{CommandLoss, EngineConfig};
@@ -69,21 +70,21 @@ pub(super) struct Scratch<R: Lanes> {
     inertias: Vec<Inertia<R>>,
     hinges: Vec<Hinge<R>>,
     loads: Vec<Load<R>>,
-    beyond: Vec<(V3<R>, V3<R>)>,
-    qdd: Vec<R>,
+    pub beyond: Vec<(V3<R>, V3<R>)>,
+    pub qdd: Vec<R>,
     touches: Vec<Touch<R>>,
     /// Centres of the contact points, for those that may touch each other.
     centres: Vec<V3<R>>,
     /// State and sums at the start of the period.
-    saved: Vec<R>,
-    saved_sums: Vec<R>,
-    saved_drives: Vec<JointMemory<R>>,
+    pub saved: Vec<R>,
+    pub saved_sums: Vec<R>,
+    pub saved_drives: Vec<JointMemory<R>>,
     /// New commands. `[A]`
     targets: Vec<R>,
     /// What arrives at each servo in the current control period. `[A]`
     scheduled: Vec<Scheduled<R>>,
     /// What each servo gives in the current step. `[A]`
-    driven: Vec<Option<Driven<R>>>,
+    pub driven: Vec<Option<Driven<R>>>,
     /// Report, see [`super::report`].
     pub out: Vec<R>,
     /// The same as plain numbers, 16 per register.
@@ -176,7 +177,7 @@ impl<R: Lanes, const FLAT: bool> Kernel for Period<'_, R, FLAT> {
         for lane in 0..used {
             group.diverged[lane] |= !sound.lane(lane);
         }
-        freeze(group, scratch);
+        integrate::freeze(group, scratch);
         super::report::report(shared, group, scratch);
     }
 }
@@ -314,7 +315,7 @@ fn step<R: Lanes, const FLAT: bool>(
         &mut scratch.qdd,
     );
     sum_contacts::<R, FLAT>(program, group, scratch);
-    integrate(shared, group, scratch)
+    integrate::integrate(shared, group, scratch)
 }
 
 /// Loads of all joints for this step.
@@ -410,149 +411,5 @@ fn sum_contacts<R: Lanes, const FLAT: bool>(
                 Part::Tail => group.sums[trunk + 1] += normal,
             }
         }
-    }
-}
-
-/// Moves on by one step: velocities first, then positions with the new velocities.
-#[inline(always)]
-fn integrate<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch: &Scratch<R>) -> R::Mask {
-    let program = &shared.program;
-    let lay = layout(program);
-    let n = program.nodes.len();
-    let dt = R::splat(shared.dt_s);
-    let fastest = R::splat(shared.max_joint_speed);
-    let mut sound = R::zero().le(R::zero());
-    let (head, rest) = group.x.split_at_mut(lay.q());
-    let (q, rest) = rest.split_at_mut(n);
-    let (qd, rest) = rest.split_at_mut(n);
-    let (bristle, rest) = rest.split_at_mut(n);
-    let qdd = &mut rest[..n];
-    let half = R::splat(0.5);
-    for i in 0..n {
-        let (before, acceleration) = (qd[i], scratch.qdd[i]);
-        let now = acceleration.mul_add(dt, before);
-        let moved = now * dt;
-        qd[i] = now;
-        qdd[i] = acceleration;
-        q[i] += moved;
-        sound = sound & now.abs().le(fastest);
-        let hinge = &group.params.hinges[i];
-        let Some(a) = program.nodes[i].servo else {
-            bristle[i] = friction::drag_bristle(bristle[i], moved, hinge.presliding_rad);
-            continue;
-        };
-        if let Some(driven) = &scratch.driven[a] {
-            let motor_radps = step::finish(
-                group.params.features,
-                &group.params.servos[a],
-                hinge,
-                &mut group.drives[a],
-                &shared.step,
-                driven,
-                moved,
-                before,
-                now,
-            );
-            group.sums[a] += driven.motor_nm;
-            group.sums[program.actuated + a] +=
-                driven.motor_nm * (half * (driven.motor_radps + motor_radps));
-        }
-    }
-    if program.free {
-        let (ang, lin) = scratch.beyond[0];
-        let lin = add_cross(lin, ang, scratch.frames[0].pos);
-        let vel = add_scaled(kinematics::take3(head, Layout::VEL), lin, dt);
-        let spin = add_scaled(kinematics::take3(head, Layout::ANG), ang, dt);
-        let pos = add_scaled(kinematics::take3(head, Layout::POS), vel, dt);
-        let quat = turned(head, scale(spin, half * dt));
-        put(head, Layout::VEL, &vel);
-        put(head, Layout::ANG, &spin);
-        put(head, Layout::POS, &pos);
-        put(head, Layout::ACC, &lin);
-        put(head, Layout::SPIN_ACC, &ang);
-        put(head, Layout::QUAT, &quat);
-        let base = R::splat(shared.max_base_speed);
-        sound = sound & kinematics::length(vel).le(base) & kinematics::length(spin).le(fastest);
-    }
-    sound
-}
-
-#[inline(always)]
-fn put<R: Lanes>(x: &mut [R], at: usize, values: &[R]) {
-    x[at..at + values.len()].copy_from_slice(values);
-}
-
-/// The base's orientation after a turn by twice `half` (world, rad).
-#[inline(always)]
-fn turned<R: Lanes>(head: &[R], half: V3<R>) -> [R; 4] {
-    let q = Layout::QUAT;
-    let [w, x, y, z] = [head[q], head[q + 1], head[q + 2], head[q + 3]];
-    // half a turn within a step is small: sin h / h and cos h by their series
-    let h2 = dot(half, half);
-    let s = h2.mul_add(
-        h2.mul_add(R::splat(1.0 / 120.0), R::splat(-1.0 / 6.0)),
-        R::one(),
-    );
-    let c = h2.mul_add(h2.mul_add(R::splat(1.0 / 24.0), R::splat(-0.5)), R::one());
-    let [a, b, d] = scale(half, s);
-    let new = [
-        c * w - a * x - b * y - d * z,
-        c * x + a * w + b * z - d * y,
-        c * y - a * z + b * w + d * x,
-        c * z + a * y - b * x + d * w,
-    ];
-    let norm2 = new[0] * new[0] + new[1] * new[1] + new[2] * new[2] + new[3] * new[3];
-    let inverse = R::one() / norm2.sqrt();
-    [
-        new[0] * inverse,
-        new[1] * inverse,
-        new[2] * inverse,
-        new[3] * inverse,
-    ]
-}
-
-/// Gives lanes that broke down the state that they had before this period.
-#[inline(always)]
-fn freeze<R: Lanes>(group: &mut Group<R>, scratch: &Scratch<R>) {
-    let mut mark = [0.0_f32; 16];
-    let mut any = false;
-    for lane in 0..R::LANES {
-        if group.diverged[lane] {
-            mark[lane] = 1.0;
-            any = true;
-        }
-    }
-    if !any {
-        return;
-    }
-    let frozen = R::zero().lt(R::read(&mark));
-    for (now, saved) in group.x.iter_mut().zip(&scratch.saved) {
-        *now = R::select(frozen, *saved, *now);
-    }
-    for (now, saved) in group.drives.iter_mut().zip(&scratch.saved_drives) {
-        *now = select_memory(frozen, saved, now);
-    }
-    for (now, saved) in group.sums.iter_mut().zip(&scratch.saved_sums) {
-        *now = R::select(frozen, *saved, *now);
-    }
-}
-
-#[inline(always)]
-fn select_memory<R: Lanes>(
-    mask: R::Mask,
-    yes: &JointMemory<R>,
-    no: &JointMemory<R>,
-) -> JointMemory<R> {
-    JointMemory {
-        bristle_rad: R::select(mask, yes.bristle_rad, no.bristle_rad),
-        filtered_rad: R::select(mask, yes.filtered_rad, no.filtered_rad),
-        profile_rad: R::select(mask, yes.profile_rad, no.profile_rad),
-        profile_radps: R::select(mask, yes.profile_radps, no.profile_radps),
-        integral_nm: R::select(mask, yes.integral_nm, no.integral_nm),
-        lagged_nm: R::select(mask, yes.lagged_nm, no.lagged_nm),
-        load_nm: R::select(mask, yes.load_nm, no.load_nm),
-        lead_rad: R::select(mask, yes.lead_rad, no.lead_rad),
-        rotor_radps: R::select(mask, yes.rotor_radps, no.rotor_radps),
-        rise_k: R::select(mask, yes.rise_k, no.rise_k),
     }
 }
