@@ -49,10 +49,10 @@ pub struct RolloutArgs {
     #[arg(long, value_name = "X,Y", value_parser = pair, default_value = "0,0", allow_hyphen_values = true)]
     place: [f32; 2],
     /// How long to simulate, s; default: until the last command, which holds if this is longer
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration_s: Option<f64>,
     /// Rows, and control periods, per second; default: `engine.substeps` and `engine.dt_s` decide (50)
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     rate_hz: Option<f64>,
     /// One JSON object on the last line
     #[arg(long)]

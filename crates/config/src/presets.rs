@@ -15,12 +15,12 @@ pub struct Preset {
 pub const PRESETS: [Preset; 2] = [
     Preset {
         name: "quick",
-        about: "a few minutes on two cores: flat ground, the robot learns to move but not yet to walk",
+        about: "half a minute on two cores: the robot learns to walk on flat ground",
         text: include_str!("../presets/quick.toml"),
     },
     Preset {
         name: "flat",
-        about: "flat ground, commands in all directions, full randomisation; hours on this engine",
+        about: "flat ground, commands in all directions, full randomisation",
         text: include_str!("../presets/flat.toml"),
     },
 ];
