@@ -18,10 +18,20 @@ fn repository_root() -> PathBuf {
         .to_path_buf()
 }
 
+/// The platform that this was built on, as `rustc` names it.
+fn host() -> String {
+    let answer = std::process::Command::new("rustc").arg("-vV").output();
+    let text = String::from_utf8(answer.expect("rustc runs").stdout).expect("UTF-8");
+    let host = text.lines().find_map(|line| line.strip_prefix("host: "));
+    host.expect("rustc names its host").to_owned()
+}
+
+/// Of this platform only: a machine that has just built this has no other platform's packages, and shall not need a network here.
 fn metadata() -> Metadata {
+    let options = ["--offline", "--locked", "--filter-platform", &host()].map(String::from);
     MetadataCommand::new()
         .manifest_path(repository_root().join("Cargo.toml"))
-        .other_options(vec!["--offline".into(), "--locked".into()])
+        .other_options(options)
         .exec()
         .expect("cargo metadata answers from the lock file")
 }

@@ -174,7 +174,8 @@ mod tests {
     #[test]
     fn each_limit_can_fail_alone() {
         let good = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
-        let spoil: [(&str, fn(&mut Gait)); 8] = [
+        type Spoil = fn(&mut Gait);
+        let spoil: [(&str, Spoil); 8] = [
             ("stride frequency off the clock", |g| g.stride_hz = 2.8),
             ("duty factor, least", |g| g.duty_factor[2] = 0.39),
             ("duty factor, most", |g| g.duty_factor[1] = 0.71),

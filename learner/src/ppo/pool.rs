@@ -16,6 +16,8 @@ use crate::network::ActorCritic;
 
 /// Rows of one shard on the CPU: its activations stay in a core's second-level cache.
 pub const SHARD_ROWS: usize = 512;
+/// Shards of a minibatch come in multiples of this: 1,536 rows as three shards would keep one of two threads waiting for a third of the time.
+const SHARD_MULTIPLE: usize = 4;
 /// Jobs that may wait for one thread; callers hand over fewer at a time than this per call.
 const QUEUE_LIMIT: usize = 4096;
 
@@ -182,11 +184,18 @@ impl Drop for Remote {
     }
 }
 
-/// Cuts `rows` into shards: (first row, rows), every one `shard_rows` long but the last.
+/// Cuts `rows` into shards of about equal size and at most `shard_rows`: (first row, rows). More than one shard are a multiple of
+/// [`SHARD_MULTIPLE`], so that two or four threads have the same to do.
 pub fn shards(rows: usize, shard_rows: usize) -> Vec<(usize, usize)> {
-    (0..rows)
-        .step_by(shard_rows.max(1))
-        .map(|first| (first, shard_rows.min(rows - first)))
+    let needed = rows.div_ceil(shard_rows.max(1));
+    let count = if needed > 1 {
+        needed.next_multiple_of(SHARD_MULTIPLE).min(rows)
+    } else {
+        needed
+    };
+    let cut = |part: usize| part * rows / count;
+    (0..count)
+        .map(|part| (cut(part), cut(part + 1) - cut(part)))
         .collect()
 }
 
@@ -236,7 +245,14 @@ mod tests {
 
     #[test]
     fn shards_cover_all_rows_once() {
-        assert_eq!(shards(1100, 512), [(0, 512), (512, 512), (1024, 76)]);
+        // 1100/512 needs three, four are 275 each
+        assert_eq!(
+            shards(1100, 512),
+            [(0, 275), (275, 275), (550, 275), (825, 275)]
+        );
+        assert_eq!(shards(512, 512), [(0, 512)]);
+        assert_eq!(shards(3, 1), [(0, 1), (1, 1), (2, 1)]);
+        assert_eq!(shards(7, usize::MAX), [(0, 7)]);
         assert_eq!(shards(0, 512), []);
     }
 }
