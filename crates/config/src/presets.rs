@@ -15,7 +15,7 @@ pub struct Preset {
 pub const PRESETS: [Preset; 2] = [
     Preset {
         name: "quick",
-        about: "half a minute on two cores: the robot learns to walk on flat ground",
+        about: "a minute on two cores: the robot learns to walk on flat ground",
         text: include_str!("../presets/quick.toml"),
     },
     Preset {
