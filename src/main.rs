@@ -11,7 +11,7 @@ use clap::{Parser, Subcommand};
 
 /// Trains whole-body locomotion policies for a salamander robot and carries them to the robot.
 ///
-/// A first run: `caudata train --preset quick`. It takes a few minutes on two cores and ends with
+/// A first run: `caudata train --preset quick`. It takes about a minute on two cores and ends with
 /// the paths of its curves, its policy and a log of the simulated robot.
 #[derive(Debug, Parser)]
 #[command(name = "caudata", version, verbatim_doc_comment, after_help = EXIT_CODES)]

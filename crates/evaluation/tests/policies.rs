@@ -12,21 +12,13 @@ use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, bui
 use caudata_task::{ACT_DIM, PolicyContract, layout};
 
 /// Episodes of each verdict, and their length.
-const SETTINGS: Settings = Settings {
-    episodes: 2,
-    episode_s: 6.0,
-    settle_s: 2.0,
-    seed: 1,
-    limits: caudata_evaluation::Limits {
-        stride_off_clock: 0.15,
-        duty_factor: [0.4, 0.7],
-        power_w: 12.0,
-        trunk_contact_share: Some(0.01),
-        slip_mps: 0.06,
-        clearance_m: 0.03,
-        vibration_share: 0.05,
-    },
-};
+fn settings() -> Settings {
+    Settings {
+        episodes: 2,
+        episode_s: 6.0,
+        ..Settings::default()
+    }
+}
 
 fn config() -> Config {
     let args = ConfigArgs {
@@ -105,7 +97,7 @@ fn verdict(make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
         &model,
         &make(&contract),
         &scenario,
-        &SETTINGS,
+        &settings(),
         &go_on,
     )
     .unwrap();

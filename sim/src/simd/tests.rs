@@ -3,6 +3,7 @@
 
 use super::*;
 use crate::real::Mask;
+use std::io::Write as _;
 
 /// Values and the operation to apply, so that it runs compiled for the width.
 struct Probe<R>(std::marker::PhantomData<R>, f64, f64);
@@ -38,7 +39,10 @@ impl<R: Lanes> Kernel for Probe<R> {
 
 fn agrees<R: Lanes>(width: Width) {
     if !width.is_available() {
-        println!("skipped: this processor has no {width:?}");
+        let _ = writeln!(
+            std::io::stderr(),
+            "skipped: this processor has no {width:?}"
+        );
         return;
     }
     for (x, y) in [

@@ -46,7 +46,10 @@ print(json.dumps(out))
 #[test]
 fn accelerates_as_mujoco_does() {
     let Ok(python) = std::env::var("CAUDATA_MUJOCO_PYTHON") else {
-        println!("skipped: CAUDATA_MUJOCO_PYTHON names no Python with MuJoCo");
+        let _ = writeln!(
+            std::io::stderr(),
+            "skipped: CAUDATA_MUJOCO_PYTHON names no Python with MuJoCo"
+        );
         return;
     };
     let model = robots::polymander();

@@ -1,5 +1,6 @@
 //! Same inputs, same bits: threads, snapshots, places in a group, widths.
 
+use std::io::Write as _;
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
@@ -124,7 +125,10 @@ fn ten_thousand_steps_end_where_they_always_did() {
         };
         let flat = TerrainConfig::default();
         let Ok(mut e) = build(model.clone(), LANES, &config, &flat, 3, threads) else {
-            println!("skipped: this processor has no {lane_width} lanes");
+            let _ = writeln!(
+                std::io::stderr(),
+                "skipped: this processor has no {lane_width} lanes"
+            );
             continue;
         };
         for period in 0..1000 {
@@ -181,7 +185,10 @@ fn per_width(held: bool, periods: usize) -> Vec<(u32, State)> {
             ..EngineConfig::default()
         };
         if build(model.clone(), 3, &config, &rough(), 3, 1).is_err() {
-            println!("skipped: this processor has no {width} lanes");
+            let _ = writeln!(
+                std::io::stderr(),
+                "skipped: this processor has no {width} lanes"
+            );
             continue;
         }
         let mut e = engine(&model, 3, &config, 1, |l| l);
@@ -214,7 +221,10 @@ fn sixteen_and_eight_lanes_give_the_same_bits() {
     if let (Some((_, a)), Some((_, b))) = (find(8), find(16)) {
         assert_eq!(bits(a), bits(b));
     } else {
-        println!("skipped: this processor lacks one of them");
+        let _ = writeln!(
+            std::io::stderr(),
+            "skipped: this processor lacks one of them"
+        );
     }
 }
 
