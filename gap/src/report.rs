@@ -1,0 +1,216 @@
+//! `report.json`: what a diagnosis found. The keys are a contract (docs/json.md): add, never rename.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+/// The outcome of a diagnosis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// The outcome in one word.
+    pub verdict: Verdict,
+    /// One sentence for a person: what was found, and what to do next.
+    pub summary: String,
+    /// Where simulation and measurement part before anything was changed, worst first.
+    pub divergence: Vec<Divergence>,
+    /// The same cells with the extended model; empty where the model was not extended.
+    #[serde(default)]
+    pub divergence_after: Vec<Divergence>,
+    /// Named causes, strongest first.
+    pub causes: Vec<Cause>,
+    /// By signal: error on held-out runs before and after.
+    pub gain: BTreeMap<String, Gain>,
+    /// What is left that no cause of the catalogue explains.
+    pub unexplained: Vec<Unexplained>,
+    /// What to record next, and why.
+    pub next_experiment: Option<NextExperiment>,
+    /// By effect id (`effect` or `effect@joint`): the smallest size that would have been seen in these runs.
+    pub detection_floor: BTreeMap<String, Floor>,
+    /// Faults of the data themselves.
+    #[serde(default)]
+    pub data_faults: Vec<DataFault>,
+    /// Runs used, and how.
+    pub runs: Vec<RunUse>,
+    /// What it took.
+    pub compute: Compute,
+}
+
+/// The seven outcomes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Simulation and measurement agree within what repeats differ by.
+    NoGap,
+    /// The gap has named causes that leave nothing over.
+    Explained,
+    /// Several causes explain it as well; the next experiment tells them apart.
+    Ambiguous,
+    /// Named causes explain a part of it.
+    PartlyExplained,
+    /// A gap that no cause of the catalogue explains.
+    Unexplained,
+    /// What would show the effect was not recorded or not excited.
+    InsufficientData,
+    /// The data contradict themselves.
+    DataFault,
+}
+
+/// One cell of the divergence map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Divergence {
+    /// Kind of signal: `pos`, `vel`, `cur`, `imu.gyro`, …
+    pub signal: String,
+    /// Joint, link or axis; empty for the whole robot.
+    pub joint: String,
+    /// Part of the run: `all`, `slow`, `fast`, `reversal`, `loaded`, `stance`, …
+    pub regime: String,
+    /// Root mean square of measured minus simulated, in the signal's SI unit.
+    pub rmse: f64,
+    /// Root mean square by which repeats of one run differ, same unit.
+    pub noise_floor: f64,
+    /// `rmse / noise_floor`.
+    pub ratio: f64,
+    /// Family-wise probability of a cell this bad where nothing is wrong.
+    pub p: f64,
+}
+
+/// A named cause.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Cause {
+    /// Effect id of the catalogue.
+    pub effect: String,
+    /// `sensing`, `timing`, `actuation`, `transmission`, `structure`, `inertia`, `contact`, `water`.
+    pub layer: String,
+    /// Joints or links; empty = the whole robot.
+    #[serde(rename = "where")]
+    pub location: Vec<String>,
+    /// By name.
+    pub parameters: BTreeMap<String, Parameter>,
+    /// Calibrated probability that this name is right, 0 to 1.
+    pub confidence: f64,
+    /// Effect ids that explain it as well.
+    pub alternatives: Vec<String>,
+    /// Text and numbers that speak for it.
+    pub evidence: Vec<String>,
+    /// Look-alikes that were tried, and why they fell.
+    pub rejected: Vec<Rejected>,
+}
+
+/// A fitted parameter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Parameter {
+    /// In `unit`.
+    pub value: f64,
+    /// SI.
+    pub unit: String,
+    /// Lower end of the 95 % interval.
+    pub ci_low: f64,
+    /// Upper end of the 95 % interval.
+    pub ci_high: f64,
+    /// Whether the value lies on its bound, and so is no result.
+    pub at_bound: bool,
+}
+
+/// A look-alike that fell.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Rejected {
+    /// Effect id.
+    pub effect: String,
+    /// Why, with numbers.
+    pub reason: String,
+}
+
+/// Error of a signal on held-out runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Gain {
+    /// Root mean square error of the model given, SI.
+    pub before: f64,
+    /// Of the extended model.
+    pub after: f64,
+    /// `after / before`.
+    pub ratio: f64,
+    /// Lower end of the 95 % interval of the ratio.
+    pub ci_low: f64,
+    /// Upper end.
+    pub ci_high: f64,
+}
+
+/// What is left over.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Unexplained {
+    /// Joint, link or signal.
+    #[serde(rename = "where")]
+    pub location: String,
+    /// Arguments on which it depends, strongest first.
+    pub depends_on: Vec<String>,
+    /// In words or as a formula.
+    pub description: String,
+    /// The effect of the catalogue that comes closest.
+    pub nearest: Option<String>,
+}
+
+/// What to record next.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NextExperiment {
+    /// Name of a trial of the excitation battery.
+    pub trial: String,
+    /// Joints that it moves; empty = all.
+    pub joints: Vec<String>,
+    /// Why this one.
+    pub reason: String,
+    /// Effects that it tells apart or makes visible.
+    pub separates: Vec<String>,
+}
+
+/// Smallest size of an effect that would have been seen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Floor {
+    /// Name of the parameter.
+    pub parameter: String,
+    /// Its size; infinite sizes are left out by giving `excited = false`.
+    pub value: f64,
+    /// SI.
+    pub unit: String,
+    /// Whether the runs excite the effect at all.
+    pub excited: bool,
+}
+
+/// A fault of the data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DataFault {
+    /// `sign`, `unit`, `order`, `stamps`, `stuck`, `gap`, `parity`, …
+    pub kind: String,
+    /// Column or joint.
+    #[serde(rename = "where")]
+    pub location: String,
+    /// What is wrong, with numbers, and what to do.
+    pub detail: String,
+    /// Whether diagnosis must stop.
+    pub fatal: bool,
+}
+
+/// A run and its role.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunUse {
+    /// Folder name.
+    pub name: String,
+    /// `fit` or `holdout`.
+    pub role: String,
+    /// s.
+    pub duration_s: f64,
+    /// SHA-256 of the log file.
+    pub sha256: String,
+}
+
+/// What a diagnosis took.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Compute {
+    /// (effect, scope) pairs that were tried.
+    pub candidates: usize,
+    /// Simulated runs.
+    pub rollouts: usize,
+    /// Simulated time, s.
+    pub simulated_s: f64,
+    /// Wall time, s; 0 where nobody measured it.
+    pub seconds: f64,
+}
