@@ -7,6 +7,8 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod plots;
 pub mod report;
 
+pub use plots::Plots;
 pub use report::Report;
