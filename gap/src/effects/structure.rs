@@ -1,7 +1,5 @@
 //! Play, springs, stops (R1, R3, R4).
 
-use caudata_model::JointKind;
-
 use super::Reference::{Gain, One};
 use super::{Domain, Effect, JOINT_SIGNALS, Layer, parameter};
 use crate::trial::Kind;
@@ -10,7 +8,7 @@ pub static GIRDLE_PLAY: Effect = Effect {
     id: "girdle_play",
     layer: Layer::Structure,
     domain: Domain::Play,
-    parameters: &[parameter("half_width_rad", "rad", 0.0, (0.0, 0.25), 0.004, One)],
+    parameters: &[parameter("half_width_rad", "rad", f64::NAN, (0.0, 0.25), 0.004, One)],
     grid: &[&[0.0], &[0.008], &[0.017], &[0.035], &[0.052], &[0.07], &[0.09], &[0.12]],
     hinge: true,
     apply: |plant, place, v| {
@@ -101,10 +99,3 @@ pub static HARD_STOP: Effect = Effect {
     trial: "full_range",
     signature: "the joint never passes an angle, and current surges there",
 };
-
-/// Number of play hinges of a robot.
-#[must_use]
-pub fn play_hinges(model: &caudata_model::RobotModel) -> usize {
-    let of = |k: JointKind| k == JointKind::Backlash;
-    model.joints().iter().filter(|j| of(j.kind)).count()
-}
