@@ -65,7 +65,7 @@ pub static LINK_INERTIA: Effect = Effect {
     layer: Layer::Inertia,
     domain: Domain::Links,
     parameters: &[parameter("scale", "", 1.0, (0.05, 20.0), 0.1, One)],
-    grid: &[&[0.5], &[1.5], &[2.5], &[5.0]],
+    grid: &[&[0.4], &[1.7], &[3.0], &[6.0], &[12.0]],
     hinge: false,
     apply: |plant, place, v| {
         for &l in &place.items {
