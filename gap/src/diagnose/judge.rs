@@ -16,6 +16,8 @@ use crate::trial::Kind;
 
 /// Dry and viscous friction may differ by this share from run to run.
 const FRICTION_TOLERANCE: f64 = 0.07;
+/// Before friction slides, its law is a matter of taste: the way to it by this share.
+const PRESLIDING_TOLERANCE: f64 = 0.3;
 /// Stamps, integration and bus: s.
 const TIME_TOLERANCE_S: f64 = 0.0007;
 /// Gains by this share (supply and temperature act on them).
@@ -244,6 +246,8 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
     if damping > 0.0 {
         add("viscous_friction", 3.0 * FRICTION_TOLERANCE * damping, 1.0 / 3.0, true);
     }
+    let way = mean(&plant.lane.joints.iter().map(|j| j.presliding_rad).collect::<Vec<_>>());
+    add("pre_sliding", way * (1.0 + PRESLIDING_TOLERANCE), 1.0, true);
     add("kp_error", 1.0 + 3.0 * GAIN_TOLERANCE, 1.0 / 3.0, true);
     add("command_delay", 3.0 * TIME_TOLERANCE_S, 1.0 / 3.0, false);
     add("supply_level", 1.0 + 3.0 * SUPPLY_TOLERANCE, 1.0 / 3.0, false);

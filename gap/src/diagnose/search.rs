@@ -20,6 +20,8 @@ const FITTED: usize = 12;
 const PLACES: usize = 2;
 /// A candidate whose misfit is so many times that of the best is given up.
 const BEHIND: f64 = 1.5;
+/// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has.
+const OF_ALL: f64 = 0.035;
 /// Misfit below which the search ends: the floor itself is not known better.
 const FLOOR: f64 = 1.15;
 /// What an additional parameter must earn: share of the misfit.
@@ -46,7 +48,7 @@ pub struct Found {
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Result<Found, GapError> {
-    let base = single(context, Vec::new())?;
+    let mut base = single(context, Vec::new())?;
     let mut beam = vec![base.clone()];
     let mut best = base.clone();
     let mut first = Vec::new();
@@ -54,8 +56,14 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
     let mut refused: Vec<(State, Worth)> = Vec::new();
     let mut tried = 0;
     for depth in 1..=MOST_TERMS {
-        if depth > 1 && best.misfit() < FLOOR {
-            break;
+        if depth > 1 {
+            if best.misfit() < FLOOR {
+                break;
+            }
+            // what runs differ by grows with what was found: more friction drifts by more
+            rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
+            let mut all: Vec<&mut State> = beam.iter_mut().collect();
+            reread(context, &mut all)?;
         }
         let mut children: Vec<(State, Worth, usize)> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
@@ -80,7 +88,7 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         let passed: Vec<State> = children
             .iter()
             .filter(|(s, w, _)| {
-                w.passed && s.terms.last().is_some_and(|t| gates::matters(context, t))
+                w.passed && w.holdout > OF_ALL * base.holdout.misfit && s.terms.last().is_some_and(|t| gates::matters(context, t))
             })
             .map(|(s, _, _)| s.clone())
             .collect();
@@ -113,6 +121,9 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         beam = next;
         progress(Progress::new(Stage::Accepted, depth, &best.label()));
     }
+    if !best.terms.is_empty() {
+        rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
+    }
     if best.terms.len() > 1 {
         best = delete(context, best)?;
     }
@@ -131,6 +142,27 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         refused,
         tried,
     })
+}
+
+/// Takes the tolerances around `terms`, and judges `states` by them.
+fn rebase(context: &mut Context, terms: &[Term], states: &mut [&mut State]) -> Result<(), GapError> {
+    context.fit.set_base(&context.replayer, terms)?;
+    context.holdout.set_base(&context.replayer, terms)?;
+    reread(context, states)
+}
+
+/// Judges states again by the present metric.
+fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> {
+    for state in states {
+        let had_basis = !state.basis.is_empty();
+        state.fit = super::state::On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
+        state.holdout =
+            super::state::On::new(&context.holdout, std::mem::take(&mut state.holdout.prediction));
+        if had_basis {
+            context.find_basis(state)?;
+        }
+    }
+    Ok(())
 }
 
 /// A candidate with its predictions.

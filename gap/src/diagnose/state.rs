@@ -35,7 +35,9 @@ pub struct On {
 }
 
 impl On {
-    fn new(judge: &Judge, prediction: Vec<f32>) -> Self {
+    /// Judges a prediction.
+    #[must_use]
+    pub fn new(judge: &Judge, prediction: Vec<f32>) -> Self {
         let residual = judge.residual(&prediction);
         Self {
             misfit: judge.misfit(&residual),
