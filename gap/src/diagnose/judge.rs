@@ -18,6 +18,10 @@ use crate::trial::Kind;
 const FRICTION_TOLERANCE: f64 = 0.07;
 /// Before friction slides, its law is a matter of taste: the way to it by this share.
 const PRESLIDING_TOLERANCE: f64 = 0.3;
+/// A firmware's tick and the current loop, s.
+const LOOP_TOLERANCE_S: f64 = 0.0007;
+/// Rotor inertia by this share.
+const ROTOR_TOLERANCE: f64 = 0.05;
 /// Stamps, integration and bus: s.
 const TIME_TOLERANCE_S: f64 = 0.0007;
 /// Gains by this share (supply and temperature act on them).
@@ -249,6 +253,8 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
     let way = mean(&plant.lane.joints.iter().map(|j| j.presliding_rad).collect::<Vec<_>>());
     add("pre_sliding", way * (1.0 + PRESLIDING_TOLERANCE), 1.0, true);
     add("kp_error", 1.0 + 3.0 * GAIN_TOLERANCE, 1.0 / 3.0, true);
+    add("servo_loop_delay", LOOP_TOLERANCE_S, 1.0, true);
+    add("armature", ROTOR_TOLERANCE * mean(&plant.lane.joint_armature_kgm2).max(1e-4), 1.0, true);
     add("command_delay", 3.0 * TIME_TOLERANCE_S, 1.0 / 3.0, false);
     add("supply_level", 1.0 + 3.0 * SUPPLY_TOLERANCE, 1.0 / 3.0, false);
     if !model.feet().is_empty() {

@@ -22,6 +22,10 @@ const PLACES: usize = 2;
 const BEHIND: f64 = 1.5;
 /// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has.
 const OF_ALL: f64 = 0.035;
+/// … unless the misfit is still this far from the floor, and it takes away such a share of what is left.
+const FAR: f64 = 6.0;
+/// See [`FAR`].
+const OF_REST: f64 = 0.1;
 /// Misfit below which the search ends: the floor itself is not known better.
 const FLOOR: f64 = 1.15;
 /// What an additional parameter must earn: share of the misfit.
@@ -88,7 +92,7 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         let passed: Vec<State> = children
             .iter()
             .filter(|(s, w, _)| {
-                w.passed && w.holdout > OF_ALL * base.holdout.misfit && s.terms.last().is_some_and(|t| gates::matters(context, t))
+                w.passed && enough(w, &base, &beam) && s.terms.last().is_some_and(|t| gates::matters(context, t))
             })
             .map(|(s, _, _)| s.clone())
             .collect();
@@ -142,6 +146,13 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         refused,
         tried,
     })
+}
+
+/// Whether a further effect explains enough to be one.
+fn enough(worth: &Worth, base: &State, beam: &[State]) -> bool {
+    let parent = beam.first().map_or(0.0, |p| p.holdout.misfit);
+    worth.holdout > OF_ALL * base.holdout.misfit
+        || (parent > FAR && worth.holdout > OF_REST * parent)
 }
 
 /// Takes the tolerances around `terms`, and judges `states` by them.
