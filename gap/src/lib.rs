@@ -14,6 +14,7 @@ pub mod excitation;
 pub mod extension;
 pub mod plant;
 pub mod plots;
+pub mod repeats;
 pub mod replay;
 pub mod report;
 pub mod trial;

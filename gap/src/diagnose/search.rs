@@ -13,9 +13,11 @@ use crate::replay::{Term, Variant};
 /// Most effects at once.
 const MOST_TERMS: usize = 7;
 /// Candidates that are kept side by side.
-const BEAM: usize = 3;
+const BEAM: usize = 2;
 /// Screened candidates that are fitted in earnest, per state.
 const FITTED: usize = 12;
+/// The same once something was found.
+const FITTED_LATER: usize = 8;
 /// Places of one effect among them.
 const PLACES: usize = 2;
 /// A candidate whose misfit is so many times that of the best is given up.
@@ -51,7 +53,10 @@ pub struct Found {
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
-pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Result<Found, GapError> {
+pub fn search(
+    context: &mut Context,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Found, GapError> {
     let mut base = single(context, Vec::new())?;
     let mut beam = vec![base.clone()];
     let mut best = base.clone();
@@ -75,7 +80,7 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
             progress(Progress::new(Stage::Screening, depth, &parent.label()));
             let screened = screen(context, parent)?;
             tried += screened.len();
-            let chosen = choose(&screened);
+            let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
             progress(Progress::new(Stage::Fitting, depth, &parent.label()));
             for child in expand(context, parent, &chosen, &mut seen)? {
                 let worth = gates::worth(context, parent, &child);
@@ -92,7 +97,9 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         let passed: Vec<State> = children
             .iter()
             .filter(|(s, w, _)| {
-                w.passed && enough(w, &base, &beam) && s.terms.last().is_some_and(|t| gates::matters(context, t))
+                w.passed
+                    && enough(w, &base, &beam)
+                    && s.terms.last().is_some_and(|t| gates::matters(context, t))
             })
             .map(|(s, _, _)| s.clone())
             .collect();
@@ -156,7 +163,11 @@ fn enough(worth: &Worth, base: &State, beam: &[State]) -> bool {
 }
 
 /// Takes the tolerances around `terms`, and judges `states` by them.
-fn rebase(context: &mut Context, terms: &[Term], states: &mut [&mut State]) -> Result<(), GapError> {
+fn rebase(
+    context: &mut Context,
+    terms: &[Term],
+    states: &mut [&mut State],
+) -> Result<(), GapError> {
     context.fit.set_base(&context.replayer, terms)?;
     context.holdout.set_base(&context.replayer, terms)?;
     reread(context, states)
@@ -167,8 +178,10 @@ fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> 
     for state in states {
         let had_basis = !state.basis.is_empty();
         state.fit = super::state::On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
-        state.holdout =
-            super::state::On::new(&context.holdout, std::mem::take(&mut state.holdout.prediction));
+        state.holdout = super::state::On::new(
+            &context.holdout,
+            std::mem::take(&mut state.holdout.prediction),
+        );
         if had_basis {
             context.find_basis(state)?;
         }
@@ -192,14 +205,14 @@ pub fn penalised(state: &State) -> f64 {
 }
 
 /// The most promising, not more than a few places of one effect.
-fn choose(screened: &[Screened]) -> Vec<&Screened> {
+fn choose(screened: &[Screened], most: usize) -> Vec<&Screened> {
     let mut chosen: Vec<&Screened> = Vec::new();
     for s in screened.iter().filter(|s| s.gain > 0.0) {
         let same = chosen.iter().filter(|c| c.effect == s.effect).count();
         if same < PLACES {
             chosen.push(s);
         }
-        if chosen.len() == FITTED {
+        if chosen.len() == most {
             break;
         }
     }
