@@ -36,13 +36,14 @@ fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
         let t = k as f64 * 0.01;
         text += &format!("{t}");
         for (a, q0) in model.nominal_pos_rad().iter().enumerate() {
-            let step = if (t * 0.7).fract() < 0.5 { 0.35 } else { -0.35 };
+            let step = if (t * 0.7).fract() < 0.5 { 0.9 } else { -0.9 };
             let swing = 0.5 * (6.0 * t + a as f64).sin();
             text += &format!(",{},{q0},0,0", q0 + step + swing);
         }
         text += ",12";
         if body {
-            text += ",0,0,0,0,0,9.81,0,0,0.16,1,0,0,0,0,0,0";
+            let z = if base == "water" { 1.98 } else { 0.16 };
+            text += &format!(",0,0,0,0,0,9.81,0,0,{z},1,0,0,0,0,0,0");
         }
         text.push('\n');
     }

@@ -140,8 +140,8 @@ mod tests {
         let x = solve(&[vec![4.0, 2.0], vec![2.0, 3.0]], &[2.0, 5.0]).unwrap();
         assert!((x[0] + 0.5).abs() < 1e-12 && (x[1] - 2.0).abs() < 1e-12);
         assert!(solve(&[vec![1.0, 2.0], vec![2.0, 1.0]], &[1.0, 1.0]).is_none());
-        let m = inverse(&[vec![2.0, 0.0], vec![0.0, 4.0]]).unwrap();
-        assert_eq!(m, [[0.5, 0.0], [0.0, 0.25]]);
+        let m = inverse(&[vec![4.0, 0.0], vec![0.0, 16.0]]).unwrap();
+        assert_eq!(m, [[0.25, 0.0], [0.0, 0.0625]]);
     }
 
     #[test]

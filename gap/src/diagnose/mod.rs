@@ -266,6 +266,14 @@ fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
         .collect()
 }
 
+/// Height of the water's surface that a run notes, m.
+fn water_level(run: &Run) -> Option<f64> {
+    match run.log.meta.settings.get("water_level_m") {
+        Some(caudata_runlog::Setting::Number(level_m)) if *level_m > 0.0 => Some(*level_m),
+        _ => None,
+    }
+}
+
 fn context(
     request: &Request,
     model: &Arc<RobotModel>,
@@ -284,6 +292,10 @@ fn context(
         repeats::collapse(&of)
     };
     let replayer = Replayer::new(Arc::clone(model), request.options.threads)?;
+    let replayer = match request.runs.iter().find_map(water_level) {
+        Some(level_m) => replayer.with_water_level(level_m),
+        None => replayer,
+    };
     let options = SegmentOptions::default();
     let fit_trials = of(Role::Fit);
     let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());

@@ -26,6 +26,8 @@ pub use data::{Data, Piece, Segment, SegmentOptions};
 
 /// Lanes of one engine: the widest vector register's.
 const LANES: usize = 16;
+/// Depth of the water unless a run says otherwise, m: deeper than any robot is long.
+const DEPTH_M: f64 = 2.0;
 /// Robots with more joints than this are recorded every other step.
 const FEW_JOINTS: usize = 4;
 
@@ -46,6 +48,8 @@ pub type Variant = Vec<Term>;
 /// Replays candidates.
 pub struct Replayer {
     model: Arc<RobotModel>,
+    /// Height of the water's surface above the ground at z = 0, m.
+    water_level_m: f64,
     /// What the robot file's own extension has.
     given: Variant,
     threads: usize,
@@ -72,6 +76,7 @@ impl Replayer {
             None => Variant::new(),
         };
         Ok(Self {
+            water_level_m: DEPTH_M,
             given,
             model,
             threads: threads.max(1),
@@ -81,6 +86,13 @@ impl Replayer {
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
         })
+    }
+
+    /// Puts the water's surface at `level_m` above the ground at z = 0 (`water_level_m` of a run's `log.toml`).
+    #[must_use]
+    pub fn with_water_level(mut self, level_m: f64) -> Self {
+        self.water_level_m = level_m;
+        self
     }
 
     /// The robot.
@@ -215,6 +227,7 @@ impl Replayer {
         let mut ground = TerrainConfig::default();
         if hold == 2 {
             ground.kind = caudata_sim::TerrainKind::DeepWater;
+            ground.water_level_m = self.water_level_m;
         }
         let terrain = Terrain::generate(&ground, 1)?;
         Ok(BatchEngine::new(
