@@ -59,7 +59,7 @@ pub enum Signal {
     Temperature(String),
     /// `pwm.<joint>`: what the servo puts on its motor, share of the supply, −1 to 1.
     Duty(String),
-    /// `on.<joint>`: servo powered (1) or let go (0); without the column it is powered. No command is in force while it is let go.
+    /// `on.<joint>`: whether the servo gives torque (1) or is switched off and lets go (0); holds until the next sample.
     Enabled(String),
     /// `volt`: supply voltage, V.
     Voltage,

@@ -163,8 +163,14 @@ pub(crate) fn check_value(signal: &Signal, value: f64) -> Result<(), String> {
             "`{signal}` is {value}; leave the cell empty where there is no value"
         ));
     }
-    if matches!(signal, Signal::Contact(_) | Signal::Enabled(_)) && value != 0.0 && value != 1.0 {
-        return Err(format!("`{signal}` is {value}; it is 0 or 1"));
+    let binary = matches!(signal, Signal::Contact(_) | Signal::Enabled(_));
+    if binary && value != 0.0 && value != 1.0 {
+        let what = if matches!(signal, Signal::Contact(_)) {
+            "contact"
+        } else {
+            "a switch"
+        };
+        return Err(format!("`{signal}` is {value}; {what} is 0 or 1"));
     }
     Ok(())
 }
@@ -343,7 +349,7 @@ mod tests {
         fails("t,pos.a\n0,1\n\n1,2\n", "log.csv:3: blank line");
         fails(
             "t,contact.FL\n0,0.5\n",
-            "log.csv:2: `contact.FL` is 0.5; it is 0 or 1",
+            "log.csv:2: `contact.FL` is 0.5; contact is 0 or 1",
         );
         let long = format!("t,pos.a\n0,{}1\n", "0".repeat(MAX_LINE_BYTES));
         fails(&long, "log.csv:2: line of more than");

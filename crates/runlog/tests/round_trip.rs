@@ -80,7 +80,7 @@ fn wrong_rows_are_refused_and_leave_no_trace() {
     };
     refused(2.0, &with(1, f64::NAN), "`pos.FL_hip` is NaN");
     refused(2.0, &with(2, f64::INFINITY), "`volt` is inf");
-    refused(2.0, &with(5, 0.5), "it is 0 or 1");
+    refused(2.0, &with(5, 0.5), "contact is 0 or 1");
     w.row(2.0, &[None; 6]).unwrap();
     w.finish().unwrap();
     assert_eq!(RunLog::read(dir.path()).unwrap().table.time_s(), [1.0, 2.0]);
