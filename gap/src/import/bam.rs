@@ -239,7 +239,7 @@ fn pwm_per_count(entries: &[Entry], counts_per_rad: f64) -> Option<f64> {
         }
     }
     // A run that hardly moves says nothing: rounding to whole counts would decide.
-    (xx > 1e6 && xy > 0.0).then(|| xy / xx)
+    (xx > 1e5 && xy > 0.0).then(|| xy / xx)
 }
 
 #[cfg(test)]
