@@ -296,7 +296,10 @@ mod tests {
         assert_eq!(run.rows[0].1[3], Some(153.0 / 885.0));
         assert_eq!(run.rows[6].1[3], Some(-153.0 / 885.0));
         // the last row is let go: no command
-        assert_eq!((run.rows[10].1[0], run.rows[10].1[5]), (Some(-0.2), Some(1.0)));
+        assert_eq!(
+            (run.rows[10].1[0], run.rows[10].1[5]),
+            (Some(-0.2), Some(1.0))
+        );
         assert_eq!((run.rows[11].1[0], run.rows[11].1[5]), (None, Some(0.0)));
         assert_eq!(run.notes.len(), 1, "{:?}", run.notes);
     }
@@ -305,11 +308,7 @@ mod tests {
     fn a_gain_that_is_not_the_registers_is_said() {
         // twice the PWM: the servo follows register/128
         let run = import(&recording([306, 65_230], true)).unwrap();
-        assert!(
-            run.notes[0].contains("register/128"),
-            "{:?}",
-            run.notes
-        );
+        assert!(run.notes[0].contains("register/128"), "{:?}", run.notes);
         let Setting::Number(divisor) = run.meta.settings["gain_divisor_measured"] else {
             panic!("not a number");
         };
