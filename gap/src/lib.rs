@@ -10,6 +10,7 @@
 pub mod check;
 pub mod excite;
 pub mod import;
+pub mod page;
 pub mod plots;
 pub mod report;
 

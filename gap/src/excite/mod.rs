@@ -147,8 +147,10 @@ pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option
         };
         separates.iter().map(of).sum()
     };
+    // of equals the first: it loads the robot least
     let best = RECIPES
         .iter()
+        .rev()
         .filter(|r| fits(r, robot, None) && worth(r) > 0.0)
         .max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
     let shown: Vec<String> = separates.iter().filter(|e| best.excites.contains(e)).map(|e| (*e).to_owned()).collect();
@@ -250,9 +252,9 @@ impl<'a> Maker<'a> {
             .map(|(a, limits)| {
                 let alone = self.joint.is_some();
                 let sign = if a % 2 == 0 || alone { 1.0 } else { -1.0 };
-                let pace = if alone { 1.0 } else { 1.0 + 0.06 * (a % 5) as f64 };
+                let pace = if alone { 1.0 } else { 1.0 + 0.02 * a as f64 };
                 let mut wave = Wave::new(limits, self.rate_hz, sign, pace);
-                wave.hold(0.5);
+                wave.hold(0.5 + if alone { 0.0 } else { 0.2 * (a % 4) as f64 });
                 if self.joint.is_none_or(|j| j == limits.name) {
                     write(&mut wave);
                     wave.go(limits.nominal_rad);
@@ -270,16 +272,27 @@ impl<'a> Maker<'a> {
         (commands, on)
     }
 
-    /// Root mean square of gravity and inertia torque along the commands, of the hardest joint, as a share of its greatest torque.
+    /// Root mean square torque of the hardest joint, as a share of its greatest: each joint alone follows its command through its position
+    /// loop, with its inertia in the nominal pose and gravity.
     fn effort(&self, rows: &[Vec<f64>]) -> f64 {
+        /// Longest step, s: rotor inertia and gain swing at 10 to 20 Hz.
+        const STEP_S: f64 = 1e-3;
+        let substeps = (1.0 / (self.rate_hz * STEP_S)).ceil().max(1.0);
+        let dt = 1.0 / (self.rate_hz * substeps);
         let share = |(a, l): (usize, &JointLimits)| {
-            let mut sum = 0.0;
-            for k in 1..rows.len().saturating_sub(1) {
-                let bend = rows[k + 1][a] - 2.0 * rows[k][a] + rows[k - 1][a];
-                let torque = l.gravity_nm(rows[k][a]) + l.inertia_kgm2 * bend * self.rate_hz * self.rate_hz;
-                sum += (torque / l.tau_max_nm).clamp(-1.0, 1.0).powi(2);
+            let (kp, kd) = (self.robot.kp_nm_per_rad(), self.robot.kd_nm_s_per_rad());
+            let kd = kd + self.robot.servo(a).kd_min_nm_s_per_rad;
+            let (mut q, mut v, mut sum) = (rows[0][a], 0.0, 0.0);
+            for row in rows {
+                for _ in 0..substeps as usize {
+                    // the damper is taken at the end of the step, so that no gain makes it unstable
+                    let push = (kp * (row[a] - q)).clamp(-l.tau_max_nm, l.tau_max_nm);
+                    v = (v + dt * (push - l.gravity_nm(q)) / l.inertia_kgm2) / (1.0 + dt * kd / l.inertia_kgm2);
+                    q += dt * v;
+                    sum += ((push - kd * v) / l.tau_max_nm).clamp(-1.0, 1.0).powi(2);
+                }
             }
-            (sum / rows.len() as f64).sqrt()
+            (sum / (rows.len() as f64 * substeps)).sqrt()
         };
         self.limits.iter().enumerate().map(share).fold(0.0, f64::max)
     }
