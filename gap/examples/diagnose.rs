@@ -30,7 +30,11 @@ fn main() {
             "--only" => options.only.push(args.next().unwrap()),
             "--threads" => options.threads = args.next().unwrap().parse().unwrap(),
             dir => runs.push(Run {
-                name: Path::new(dir).file_name().unwrap().to_string_lossy().into_owned(),
+                name: Path::new(dir)
+                    .file_name()
+                    .unwrap()
+                    .to_string_lossy()
+                    .into_owned(),
                 log: RunLog::read(Path::new(dir)).unwrap(),
                 role,
                 sha256: String::new(),
@@ -46,13 +50,37 @@ fn main() {
         data_faults: Vec::new(),
         options,
     };
-    let d = diagnose(&request, &mut |p| println!("{:7.1} s  {:?} {} {}", begin.elapsed().as_secs_f64(), p.stage, p.round, p.model)).unwrap();
+    let d = diagnose(&request, &mut |p| {
+        println!(
+            "{:7.1} s  {:?} {} {}",
+            begin.elapsed().as_secs_f64(),
+            p.stage,
+            p.round,
+            p.model
+        )
+    })
+    .unwrap();
     let r = &d.report;
-    println!("{:?} in {:.1} s: {}", r.verdict, begin.elapsed().as_secs_f64(), r.summary);
+    println!(
+        "{:?} in {:.1} s: {}",
+        r.verdict,
+        begin.elapsed().as_secs_f64(),
+        r.summary
+    );
     for c in &r.causes {
-        println!("  {} {:?} confidence {:.2} alternatives {:?}", c.effect, c.location, c.confidence, c.alternatives);
+        println!(
+            "  {} {:?} confidence {:.2} alternatives {:?}",
+            c.effect, c.location, c.confidence, c.alternatives
+        );
         for (n, p) in &c.parameters {
-            println!("      {n} = {:.5} {} [{:.5}, {:.5}]{}", p.value, p.unit, p.ci_low, p.ci_high, if p.at_bound { " AT BOUND" } else { "" });
+            println!(
+                "      {n} = {:.5} {} [{:.5}, {:.5}]{}",
+                p.value,
+                p.unit,
+                p.ci_low,
+                p.ci_high,
+                if p.at_bound { " AT BOUND" } else { "" }
+            );
         }
         println!("      {}", c.evidence[0]);
         for x in c.rejected.iter().take(4) {
@@ -60,13 +88,22 @@ fn main() {
         }
     }
     for (k, g) in &r.gain {
-        println!("  {k}: {:.5} -> {:.5} ({:.3}; {:.3}..{:.3})", g.before, g.after, g.ratio, g.ci_low, g.ci_high);
+        println!(
+            "  {k}: {:.5} -> {:.5} ({:.3}; {:.3}..{:.3})",
+            g.before, g.after, g.ratio, g.ci_low, g.ci_high
+        );
     }
     for h in d.plots.hypotheses.iter().take(12) {
-        println!("    hypothesis {} {:?} fit {:.2} holdout {:.2} p {:.2} {:?}", h.effect, h.location, h.share_fit, h.share_holdout, h.probability, h.parameters);
+        println!(
+            "    hypothesis {} {:?} fit {:.2} holdout {:.2} p {:.2} {:?}",
+            h.effect, h.location, h.share_fit, h.share_holdout, h.probability, h.parameters
+        );
     }
     for u in r.unexplained.iter().take(3) {
-        println!("  left: {} {:?} {} nearest {:?}", u.location, u.depends_on, u.description, u.nearest);
+        println!(
+            "  left: {} {:?} {} nearest {:?}",
+            u.location, u.depends_on, u.description, u.nearest
+        );
     }
     println!("  next: {:?}", r.next_experiment);
     println!("  compute: {:?}", r.compute);

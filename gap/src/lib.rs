@@ -24,7 +24,7 @@ pub mod trial;
 
 pub use diagnose::{Diagnosis, Options, Progress, Request, Stage, diagnose};
 pub use error::GapError;
-pub use extension::Extension;
+pub use extension::{Extension, mjcf_name};
 pub use plots::Plots;
 pub use report::Report;
 pub use trial::{Role, Run};

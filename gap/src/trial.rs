@@ -346,7 +346,10 @@ pub fn group(trials: &mut [Trial]) {
 pub fn collapse(trials: &[Trial]) -> Vec<Trial> {
     let mut out: Vec<Trial> = Vec::new();
     for trial in trials {
-        if out.iter().any(|t| t.group == trial.group && t.role == trial.role) {
+        if out
+            .iter()
+            .any(|t| t.group == trial.group && t.role == trial.role)
+        {
             continue;
         }
         let members: Vec<Trial> = trials
@@ -354,7 +357,11 @@ pub fn collapse(trials: &[Trial]) -> Vec<Trial> {
             .filter(|t| t.group == trial.group && t.role == trial.role)
             .cloned()
             .collect();
-        out.push(if members.len() == 1 { trial.clone() } else { mean(trial, members) });
+        out.push(if members.len() == 1 {
+            trial.clone()
+        } else {
+            mean(trial, members)
+        });
     }
     out
 }
@@ -548,7 +555,10 @@ mod tests {
             time_s: vec![1.0, 2.0],
             value: vec![5.0, 7.0],
         };
-        assert_eq!([0.0, 1.0, 1.9, 2.0, 9.0].map(|t| s.at(t)), [5.0, 5.0, 5.0, 7.0, 7.0]);
+        assert_eq!(
+            [0.0, 1.0, 1.9, 2.0, 9.0].map(|t| s.at(t)),
+            [5.0, 5.0, 5.0, 7.0, 7.0]
+        );
     }
 
     #[test]

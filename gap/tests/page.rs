@@ -5,20 +5,47 @@
 use std::collections::BTreeMap;
 
 use caudata_gap::page::render;
-use caudata_gap::plots::{Correlation, Horizon, Hypothesis, Overlay, Plots, Series, Signature, WaterfallStep};
-use caudata_gap::report::{Cause, Compute, DataFault, Divergence, Floor, Gain, NextExperiment, Parameter, Rejected, Report, RunUse, Unexplained, Verdict};
+use caudata_gap::plots::{
+    Correlation, Horizon, Hypothesis, Overlay, Plots, Series, Signature, WaterfallStep,
+};
+use caudata_gap::report::{
+    Cause, Compute, DataFault, Divergence, Floor, Gain, NextExperiment, Parameter, Rejected,
+    Report, RunUse, Unexplained, Verdict,
+};
 
 fn parameter(value: f64, unit: &str, half: f64) -> Parameter {
-    Parameter { value, unit: unit.to_owned(), ci_low: value - half, ci_high: value + half, at_bound: false }
+    Parameter {
+        value,
+        unit: unit.to_owned(),
+        ci_low: value - half,
+        ci_high: value + half,
+        at_bound: false,
+    }
 }
 
 fn divergence(scale: f64) -> Vec<Divergence> {
-    let joints = ["spine_1", "spine_2", "FL_hip", "FL_knee", "FR_hip", "FR_knee", "HL_hip", "HL_knee", "HR_hip", "HR_knee"];
-    let cells = [("pos", "all"), ("pos", "slow"), ("pos", "fast"), ("pos", "reversal"), ("vel", "all"), ("vel", "fast"), ("cur", "all"), ("cur", "loaded")];
+    let joints = [
+        "spine_1", "spine_2", "FL_hip", "FL_knee", "FR_hip", "FR_knee", "HL_hip", "HL_knee",
+        "HR_hip", "HR_knee",
+    ];
+    let cells = [
+        ("pos", "all"),
+        ("pos", "slow"),
+        ("pos", "fast"),
+        ("pos", "reversal"),
+        ("vel", "all"),
+        ("vel", "fast"),
+        ("cur", "all"),
+        ("cur", "loaded"),
+    ];
     let mut out = Vec::new();
     for (j, joint) in joints.iter().enumerate() {
         for (c, (signal, regime)) in cells.iter().enumerate() {
-            let ratio = 0.9 + scale * (if joint.starts_with("FL") { 14.0 } else { 0.5 }) * ((j * 7 + c * 3) % 5) as f64 / 4.0;
+            let ratio = 0.9
+                + scale
+                    * (if joint.starts_with("FL") { 14.0 } else { 0.5 })
+                    * ((j * 7 + c * 3) % 5) as f64
+                    / 4.0;
             out.push(Divergence {
                 signal: (*signal).to_owned(),
                 joint: (*joint).to_owned(),
@@ -41,8 +68,15 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("friction_nm".to_owned(), parameter(0.084, "N·m", 0.006))]),
         confidence: 0.93,
         alternatives: vec![],
-        evidence: vec!["The torque jumps by 0.17 N·m at every reversal, at any speed.".to_owned(), "Error on held-out runs falls by 71 % (66 to 75).".to_owned()],
-        rejected: vec![Rejected { effect: "viscous_friction".to_owned(), reason: "explains 22 % less on held-out runs: the jump does not grow with speed".to_owned() }],
+        evidence: vec![
+            "The torque jumps by 0.17 N·m at every reversal, at any speed.".to_owned(),
+            "Error on held-out runs falls by 71 % (66 to 75).".to_owned(),
+        ],
+        rejected: vec![Rejected {
+            effect: "viscous_friction".to_owned(),
+            reason: "explains 22 % less on held-out runs: the jump does not grow with speed"
+                .to_owned(),
+        }],
     };
     let delay = Cause {
         effect: "command_delay".to_owned(),
@@ -54,7 +88,13 @@ fn sample() -> (Report, Plots) {
         evidence: vec!["Lag is 12 ms at every frequency.".to_owned()],
         rejected: vec![],
     };
-    let gain = |b: f64, a: f64| Gain { before: b, after: a, ratio: a / b, ci_low: a / b * 0.93, ci_high: a / b * 1.08 };
+    let gain = |b: f64, a: f64| Gain {
+        before: b,
+        after: a,
+        ratio: a / b,
+        ci_low: a / b * 0.93,
+        ci_high: a / b * 1.08,
+    };
     let report = Report {
         verdict: Verdict::Ambiguous,
         summary: "Coulomb friction at FL_hip is 0.084 N·m instead of 0.038; commands arrive 12 ms late, or pass a low-pass: record chirp_small to tell which.".to_owned(),
@@ -95,9 +135,20 @@ fn sample() -> (Report, Plots) {
 
 fn plots() -> Plots {
     let time_s: Vec<f64> = (0..1400).map(|i| 0.01 * f64::from(i)).collect();
-    let wave = |lag: f64, size: f64| -> Vec<f64> { time_s.iter().map(|t| size * ((t - lag) * (1.0 + 0.4 * t)).sin()).collect() };
+    let wave = |lag: f64, size: f64| -> Vec<f64> {
+        time_s
+            .iter()
+            .map(|t| size * ((t - lag) * (1.0 + 0.4 * t)).sin())
+            .collect()
+    };
     let measured = wave(0.05, 0.19);
-    let around = |d: f64| measured.iter().enumerate().map(|(i, x)| (!(500..560).contains(&i)).then_some(x + d)).collect();
+    let around = |d: f64| {
+        measured
+            .iter()
+            .enumerate()
+            .map(|(i, x)| (!(500..560).contains(&i)).then_some(x + d))
+            .collect()
+    };
     let overlay = |joint: &str| Overlay {
         run: "chirp_1".to_owned(),
         signal: "pos".to_owned(),
@@ -112,9 +163,24 @@ fn plots() -> Plots {
         after: wave(0.049, 0.19),
     };
     let speeds: Vec<f64> = (-30..=30).map(|i| 0.1 * f64::from(i)).collect();
-    let map = |c: f64| speeds.iter().map(|v| c * v.signum() + 0.006 * v).collect::<Vec<_>>();
+    let map = |c: f64| {
+        speeds
+            .iter()
+            .map(|v| c * v.signum() + 0.006 * v)
+            .collect::<Vec<_>>()
+    };
     let hz: Vec<f64> = (0..12).map(|i| 0.5 * 1.3f64.powi(i)).collect();
-    let series = |label: &str, scatter: bool, x: &[f64], y: Vec<f64>, spread: f64| Series { label: label.to_owned(), scatter, x: x.to_vec(), spread: if spread > 0.0 { vec![spread; y.len()] } else { vec![] }, y };
+    let series = |label: &str, scatter: bool, x: &[f64], y: Vec<f64>, spread: f64| Series {
+        label: label.to_owned(),
+        scatter,
+        x: x.to_vec(),
+        spread: if spread > 0.0 {
+            vec![spread; y.len()]
+        } else {
+            vec![]
+        },
+        y,
+    };
     Plots {
         overlays: vec![overlay("FL_hip"), overlay("FL_knee"), overlay("FR_hip")],
         signatures: vec![
@@ -124,7 +190,11 @@ fn plots() -> Plots {
                 title: "Friction map".to_owned(),
                 x_label: "speed, rad/s".to_owned(),
                 y_label: "torque lost, N·m".to_owned(),
-                series: vec![series("measured", true, &speeds, map(0.08), 0.0), series("before", false, &speeds, map(0.038), 0.0), series("after", false, &speeds, map(0.084), 0.006)],
+                series: vec![
+                    series("measured", true, &speeds, map(0.08), 0.0),
+                    series("before", false, &speeds, map(0.038), 0.0),
+                    series("after", false, &speeds, map(0.084), 0.006),
+                ],
             },
             Signature {
                 effect: "command_delay".to_owned(),
@@ -132,16 +202,75 @@ fn plots() -> Plots {
                 title: "Lag against frequency".to_owned(),
                 x_label: "frequency, Hz".to_owned(),
                 y_label: "lag, ms".to_owned(),
-                series: vec![series("measured", true, &hz, hz.iter().map(|f| 12.0 + 0.3 * f.sin()).collect(), 0.0), series("before", false, &hz, vec![0.5; 12], 0.0), series("after", false, &hz, vec![12.3; 12], 0.9), series("low-pass instead", false, &hz, hz.iter().map(|f| 12.0 / (1.0 + 0.1 * f)).collect(), 0.0)],
+                series: vec![
+                    series(
+                        "measured",
+                        true,
+                        &hz,
+                        hz.iter().map(|f| 12.0 + 0.3 * f.sin()).collect(),
+                        0.0,
+                    ),
+                    series("before", false, &hz, vec![0.5; 12], 0.0),
+                    series("after", false, &hz, vec![12.3; 12], 0.9),
+                    series(
+                        "low-pass instead",
+                        false,
+                        &hz,
+                        hz.iter().map(|f| 12.0 / (1.0 + 0.1 * f)).collect(),
+                        0.0,
+                    ),
+                ],
             },
         ],
-        horizons: ["pos", "vel"].map(|s| Horizon { signal: s.to_owned(), unit: "rad".to_owned(), horizon_s: vec![0.1, 0.5, 2.0, 14.0], before: vec![0.005, 0.016, 0.02, 0.0213], after: vec![0.002, 0.004, 0.0055, 0.0058], floor: vec![0.0015; 4] }).to_vec(),
-        waterfall: [("as given", 14.2), ("coulomb_friction@FL_hip", 4.1), ("command_delay", 1.3), ("floor", 1.0)].map(|(l, m)| WaterfallStep { label: l.to_owned(), misfit: m }).to_vec(),
-        hypotheses: [("coulomb_friction", 0.71, 0.93, true), ("stribeck_friction", 0.64, 0.05, true), ("viscous_friction", 0.43, 0.01, false), ("gear_backlash", 0.1, 0.0, false), ("kp_error", -0.1, 0.0, false)]
-            .iter()
-            .map(|(e, share, p, set)| Hypothesis { effect: (*e).to_owned(), location: vec!["FL_hip".to_owned()], share_fit: share + 0.05, share_holdout: *share, ci_low: share - 0.06, ci_high: share + 0.05, probability: *p, in_answer_set: *set, accepted: *p > 0.5, parameters: BTreeMap::new() })
-            .collect(),
-        correlation: Correlation { names: vec!["coulomb_friction@FL_hip.friction_nm".to_owned(), "command_delay.delay_s".to_owned()], matrix: vec![vec![1.0, -0.31], vec![-0.31, 1.0]] },
+        horizons: ["pos", "vel"]
+            .map(|s| Horizon {
+                signal: s.to_owned(),
+                unit: "rad".to_owned(),
+                horizon_s: vec![0.1, 0.5, 2.0, 14.0],
+                before: vec![0.005, 0.016, 0.02, 0.0213],
+                after: vec![0.002, 0.004, 0.0055, 0.0058],
+                floor: vec![0.0015; 4],
+            })
+            .to_vec(),
+        waterfall: [
+            ("as given", 14.2),
+            ("coulomb_friction@FL_hip", 4.1),
+            ("command_delay", 1.3),
+            ("floor", 1.0),
+        ]
+        .map(|(l, m)| WaterfallStep {
+            label: l.to_owned(),
+            misfit: m,
+        })
+        .to_vec(),
+        hypotheses: [
+            ("coulomb_friction", 0.71, 0.93, true),
+            ("stribeck_friction", 0.64, 0.05, true),
+            ("viscous_friction", 0.43, 0.01, false),
+            ("gear_backlash", 0.1, 0.0, false),
+            ("kp_error", -0.1, 0.0, false),
+        ]
+        .iter()
+        .map(|(e, share, p, set)| Hypothesis {
+            effect: (*e).to_owned(),
+            location: vec!["FL_hip".to_owned()],
+            share_fit: share + 0.05,
+            share_holdout: *share,
+            ci_low: share - 0.06,
+            ci_high: share + 0.05,
+            probability: *p,
+            in_answer_set: *set,
+            accepted: *p > 0.5,
+            parameters: BTreeMap::new(),
+        })
+        .collect(),
+        correlation: Correlation {
+            names: vec![
+                "coulomb_friction@FL_hip.friction_nm".to_owned(),
+                "command_delay.delay_s".to_owned(),
+            ],
+            matrix: vec![vec![1.0, -0.31], vec![-0.31, 1.0]],
+        },
     }
 }
 
@@ -157,9 +286,18 @@ fn well_formed(html: &str) {
         let j = i + rest[i..].find('>').expect("a tag ends");
         let tag = &rest[i + 1..j];
         rest = &rest[j + 1..];
-        let name = tag.trim_start_matches('/').split([' ', '/']).next().unwrap();
+        let name = tag
+            .trim_start_matches('/')
+            .split([' ', '/'])
+            .next()
+            .unwrap();
         if tag.starts_with('/') {
-            assert_eq!(open.pop(), Some(name), "in {:?}", &rest[..rest.len().min(80)]);
+            assert_eq!(
+                open.pop(),
+                Some(name),
+                "in {:?}",
+                &rest[..rest.len().min(80)]
+            );
         } else if !tag.ends_with('/') && !["meta", "br"].contains(&name) {
             assert_eq!(tag.matches('"').count() % 2, 0, "{tag}");
             open.push(name);
@@ -179,19 +317,59 @@ fn the_page_is_whole_and_needs_nothing_else() {
     for foreign in ["http:", "https:", "src=", "<script", "@import", "url("] {
         assert!(!page.contains(foreign), "{foreign}");
     }
-    for part in ["Ambiguous", "Coulomb friction", "0.084", "Friction map", "Lag against frequency", "chirp_small", "What could have been seen", "as if touched", "HR_knee cur", "command low pass"] {
-        assert!(page.contains(part) || page.contains(&part.replace("command", "Command")), "{part}");
+    for part in [
+        "Ambiguous",
+        "Coulomb friction",
+        "0.084",
+        "Friction map",
+        "Lag against frequency",
+        "chirp_small",
+        "What could have been seen",
+        "as if touched",
+        "HR_knee cur",
+        "command low pass",
+    ] {
+        assert!(
+            page.contains(part) || page.contains(&part.replace("command", "Command")),
+            "{part}"
+        );
     }
     // every picture has a title and a text for those who do not see it
-    assert_eq!(page.matches("<svg").count() - page.matches("aria-hidden").count(), page.matches("role=\"img\" aria-label=").count() - page.matches("class=\"conf\"").count());
-    assert!(page.contains("&lt;FL_hip&gt;") && !page.contains("<FL_hip>"), "text from logs is made safe");
+    assert_eq!(
+        page.matches("<svg").count() - page.matches("aria-hidden").count(),
+        page.matches("role=\"img\" aria-label=").count() - page.matches("class=\"conf\"").count()
+    );
+    assert!(
+        page.contains("&lt;FL_hip&gt;") && !page.contains("<FL_hip>"),
+        "text from logs is made safe"
+    );
     assert!(page.len() < 1_000_000);
 }
 
 #[test]
 fn a_page_of_little_is_still_a_page() {
-    for verdict in [Verdict::NoGap, Verdict::Explained, Verdict::PartlyExplained, Verdict::Unexplained, Verdict::InsufficientData, Verdict::DataFault] {
-        let report = Report { verdict, summary: "s".to_owned(), divergence: vec![], divergence_after: vec![], causes: vec![], gain: BTreeMap::new(), unexplained: vec![], next_experiment: None, detection_floor: BTreeMap::new(), data_faults: vec![], runs: vec![], compute: Compute::default() };
+    for verdict in [
+        Verdict::NoGap,
+        Verdict::Explained,
+        Verdict::PartlyExplained,
+        Verdict::Unexplained,
+        Verdict::InsufficientData,
+        Verdict::DataFault,
+    ] {
+        let report = Report {
+            verdict,
+            summary: "s".to_owned(),
+            divergence: vec![],
+            divergence_after: vec![],
+            causes: vec![],
+            gain: BTreeMap::new(),
+            unexplained: vec![],
+            next_experiment: None,
+            detection_floor: BTreeMap::new(),
+            data_faults: vec![],
+            runs: vec![],
+            compute: Compute::default(),
+        };
         well_formed(&render("rig", &report, None));
         // numbers that are none must not break a picture
         let mut odd = sample();
@@ -203,6 +381,9 @@ fn a_page_of_little_is_still_a_page() {
         odd.1.signatures[0].series.clear();
         let page = render("rig", &odd.0, Some(&odd.1));
         well_formed(&page);
-        assert!(!page.contains("NaN") && !page.contains("inf\""), "{verdict:?}");
+        assert!(
+            !page.contains("NaN") && !page.contains("inf\""),
+            "{verdict:?}"
+        );
     }
 }

@@ -49,7 +49,10 @@ impl RunLog {
 /// The first MCAP file of the folder, by name.
 fn mcap_in(dir: &Path) -> Option<PathBuf> {
     let entries = fs::read_dir(dir).ok()?;
-    let mut found: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.extension().is_some_and(|x| x == "mcap")).collect();
+    let mut found: Vec<PathBuf> = entries
+        .filter_map(|e| Some(e.ok()?.path()))
+        .filter(|p| p.extension().is_some_and(|x| x == "mcap"))
+        .collect();
     found.sort();
     found.into_iter().next()
 }
@@ -63,7 +66,9 @@ fn read_mcap(path: &Path) -> Result<Table, LogError> {
     if bytes > MAX_MCAP_BYTES {
         return Err(LogError::Mcap {
             file: path.display().to_string(),
-            message: format!("is {bytes} bytes long; at most {MAX_MCAP_BYTES} are read: split it or leave out camera topics"),
+            message: format!(
+                "is {bytes} bytes long; at most {MAX_MCAP_BYTES} are read: split it or leave out camera topics"
+            ),
         });
     }
     parse_mcap(&path.display().to_string(), &fs::read(path).map_err(io)?)

@@ -279,7 +279,9 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
             .filter_map(|b| Some((b, follows(run, &joints[a], &joints[b])?)))
             .filter(|&(_, ab)| goes(ab) && clearly(ab, own_a))
             // its own command does not explain the other reading: it rests, or goes otherwise
-            .filter(|&(b, ab)| follows(run, &joints[b], &joints[b]).is_none_or(|own_b| clearly(ab, own_b)))
+            .filter(|&(b, ab)| {
+                follows(run, &joints[b], &joints[b]).is_none_or(|own_b| clearly(ab, own_b))
+            })
             .max_by(|x, y| x.1.r.total_cmp(&y.1.r));
         let Some((b, ab)) = best else { continue };
         let back = follows(run, &joints[b], &joints[a]).is_some_and(goes);

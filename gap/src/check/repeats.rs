@@ -74,8 +74,13 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
             let k = (i as f64 * ratio).round() as usize;
             // a row may fall between two grid points of one run and not of the other: compare with what is passed through near by
             let near = &v[k.saturating_sub(2).min(v.len())..(k + 3).min(v.len())];
-            let (low, high) = near.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-            let close = (low - SAME_RAD..=high + SAME_RAD).contains(&u) || (u.is_nan() && near.iter().any(|v| v.is_nan()));
+            let (low, high) = near
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+                    (l.min(*v), h.max(*v))
+                });
+            let close = (low - SAME_RAD..=high + SAME_RAD).contains(&u)
+                || (u.is_nan() && near.iter().any(|v| v.is_nan()));
             if !close && !near.is_empty() {
                 off += 1;
             }
@@ -136,11 +141,23 @@ pub(super) fn odd_spans(
             .max(3.0 * servo.encoder_lsb_rad());
         let nearby = grid.points(NEARBY_S);
         let mean = smooth(&middle, nearby);
-        let squares: Vec<f64> = middle.iter().zip(&mean).map(|(x, m)| (x - m).powi(2)).collect();
-        let motion: Vec<f64> = smooth(&squares, nearby).iter().map(|s| MOTION_SHARE * (2.0 * s).sqrt()).collect();
+        let squares: Vec<f64> = middle
+            .iter()
+            .zip(&mean)
+            .map(|(x, m)| (x - m).powi(2))
+            .collect();
+        let motion: Vec<f64> = smooth(&squares, nearby)
+            .iter()
+            .map(|s| MOTION_SHARE * (2.0 * s).sqrt())
+            .collect();
         let off: Vec<Vec<f64>> = off
             .iter()
-            .map(|d| d.iter().zip(&motion).map(|(d, m)| if d > m { *d } else { 0.0 }).collect())
+            .map(|d| {
+                d.iter()
+                    .zip(&motion)
+                    .map(|(d, m)| if d > m { *d } else { 0.0 })
+                    .collect()
+            })
             .collect();
         let members: Vec<usize> = if group.len() == 2 {
             vec![1]
@@ -182,7 +199,10 @@ pub(super) fn odd_spans(
         }
     }
     let mut all = merge(found);
-    let counts: Vec<usize> = all.iter().map(|s| all.iter().filter(|x| x.run == s.run).count()).collect();
+    let counts: Vec<usize> = all
+        .iter()
+        .map(|s| all.iter().filter(|x| x.run == s.run).count())
+        .collect();
     let mut counts = counts.iter();
     all.retain(|_| counts.next().is_some_and(|n| *n <= MOST_SPANS));
     all

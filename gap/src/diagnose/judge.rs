@@ -109,8 +109,13 @@ impl Judge {
     pub fn residual(&self, prediction: &[f32]) -> Vec<f32> {
         let raw = (0..self.data.len())
             .map(|k| {
-                let r = (self.data.value[k] - f64::from(prediction[k])) as f32 / self.noise.sigma[k];
-                if r.is_finite() { r.clamp(-1e4, 1e4) } else { 100.0 }
+                let r =
+                    (self.data.value[k] - f64::from(prediction[k])) as f32 / self.noise.sigma[k];
+                if r.is_finite() {
+                    r.clamp(-1e4, 1e4)
+                } else {
+                    100.0
+                }
             })
             .collect();
         self.whiten(raw)
@@ -122,7 +127,11 @@ impl Judge {
         let raw = (0..self.data.len())
             .map(|k| {
                 let d = (to[k] - from[k]) / self.noise.sigma[k];
-                if d.is_finite() { d.clamp(-1e4, 1e4) } else { 0.0 }
+                if d.is_finite() {
+                    d.clamp(-1e4, 1e4)
+                } else {
+                    0.0
+                }
             })
             .collect();
         self.whiten(raw)
@@ -177,10 +186,20 @@ impl TrialMetric {
         let (values, v) = symmetric_eigen(&gram);
         let factor: Vec<f64> = values
             .iter()
-            .map(|&s| if s > 1e-9 { (1.0 - 1.0 / (1.0 + s).sqrt()) / s } else { 0.5 })
+            .map(|&s| {
+                if s > 1e-9 {
+                    (1.0 - 1.0 / (1.0 + s).sqrt()) / s
+                } else {
+                    0.5
+                }
+            })
             .collect();
         let shrink = (0..k)
-            .map(|i| (0..k).map(|j| (0..k).map(|m| v[i][m] * factor[m] * v[j][m]).sum()).collect())
+            .map(|i| {
+                (0..k)
+                    .map(|j| (0..k).map(|m| v[i][m] * factor[m] * v[j][m]).sum())
+                    .collect()
+            })
             .collect();
         Self {
             range,
@@ -221,8 +240,12 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
     let mean = |x: &[f32]| x.iter().map(|v| f64::from(*v)).sum::<f64>() / x.len().max(1) as f64;
     let mut out = Vec::new();
     let mut add = |id: &str, first: f64, share: f64, per_joint: bool| {
-        let Some(effect) = effects::find(id) else { return };
-        let Some(place) = places(model, effect).into_iter().next() else { return };
+        let Some(effect) = effects::find(id) else {
+            return;
+        };
+        let Some(place) = places(model, effect).into_iter().next() else {
+            return;
+        };
         let mut values = effect.neutral(model, &place);
         values[0] = first;
         let mut variant = base.to_vec();
@@ -239,14 +262,29 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
     };
     // a few times the tolerance, scaled back: the trace of a tiny change drowns in rounding
     let friction = mean(&plant.lane.joint_friction_nm).max(0.003 * effective_torque(&lane, model));
-    add("coulomb_friction", 3.0 * FRICTION_TOLERANCE * friction, 1.0 / 3.0, true);
+    add(
+        "coulomb_friction",
+        3.0 * FRICTION_TOLERANCE * friction,
+        1.0 / 3.0,
+        true,
+    );
     let damping = mean(&plant.lane.joint_damping_nms_per_rad);
     if damping > 0.0 {
-        add("viscous_friction", 3.0 * FRICTION_TOLERANCE * damping, 1.0 / 3.0, true);
+        add(
+            "viscous_friction",
+            3.0 * FRICTION_TOLERANCE * damping,
+            1.0 / 3.0,
+            true,
+        );
     }
     add("kp_error", 1.0 + 3.0 * GAIN_TOLERANCE, 1.0 / 3.0, true);
     add("command_delay", 3.0 * TIME_TOLERANCE_S, 1.0 / 3.0, false);
-    add("supply_level", 1.0 + 3.0 * SUPPLY_TOLERANCE, 1.0 / 3.0, false);
+    add(
+        "supply_level",
+        1.0 + 3.0 * SUPPLY_TOLERANCE,
+        1.0 / 3.0,
+        false,
+    );
     if !model.feet().is_empty() {
         add("contact_friction", 1.0 + GROUND_TOLERANCE, 1.0, false);
     }

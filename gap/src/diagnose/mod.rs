@@ -115,7 +115,11 @@ pub struct Progress {
 
 impl Progress {
     fn new(stage: Stage, round: usize, model: &str) -> Self {
-        let model = if model.is_empty() { "robot as given" } else { model };
+        let model = if model.is_empty() {
+            "robot as given"
+        } else {
+            model
+        };
         Self {
             stage,
             round,
@@ -163,7 +167,10 @@ pub fn diagnose(
     let named = naming::name(&context, &found)?;
     progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
     let mut diagnosis = verdict::conclude(request, &context, &found, &named, runs, split)?;
-    diagnosis.report.data_faults.extend(request.data_faults.iter().cloned());
+    diagnosis
+        .report
+        .data_faults
+        .extend(request.data_faults.iter().cloned());
     diagnosis.report.data_faults.extend(faults);
     let (rollouts, simulated_s) = context.replayer.spent();
     diagnosis.report.compute = Compute {
@@ -227,7 +234,11 @@ fn hold_out(trials: &mut [Trial]) -> Split {
         return Split::Same;
     }
     for t in trials.iter_mut() {
-        t.role = if t.group % 3 == 2 { Role::Holdout } else { Role::Fit };
+        t.role = if t.group % 3 == 2 {
+            Role::Holdout
+        } else {
+            Role::Fit
+        };
     }
     Split::SetAside
 }

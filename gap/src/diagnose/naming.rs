@@ -1,9 +1,9 @@
 //! Naming: which effects would explain as much in a cause's place. A cause is a set of names with probabilities, not a name.
 
 use super::gates::{self, Worth};
+use super::refine::refine;
 use super::screen::{Screened, screen};
 use super::search::{Found, penalised, single, swapped};
-use super::refine::refine;
 use super::state::{Context, State};
 use crate::error::GapError;
 use crate::replay::Variant;
@@ -105,7 +105,10 @@ fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a S
     }
     let mut more = 0;
     for s in screened.iter().filter(|s| s.gain > 0.0 && !own(s)) {
-        if chosen.iter().any(|c| c.effect == s.effect && c.place == s.place) {
+        if chosen
+            .iter()
+            .any(|c| c.effect == s.effect && c.place == s.place)
+        {
             continue;
         }
         chosen.push(s);
@@ -115,7 +118,11 @@ fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a S
         }
     }
     // the same effect at other places: where it is belongs to the name
-    for s in screened.iter().filter(|s| own(s) && s.place != term.place && s.gain > 0.0).take(3) {
+    for s in screened
+        .iter()
+        .filter(|s| own(s) && s.place != term.place && s.gain > 0.0)
+        .take(3)
+    {
         chosen.push(s);
     }
     chosen

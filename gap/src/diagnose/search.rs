@@ -45,7 +45,10 @@ pub struct Found {
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
-pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Result<Found, GapError> {
+pub fn search(
+    context: &mut Context,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Found, GapError> {
     let base = single(context, Vec::new())?;
     let mut beam = vec![base.clone()];
     let mut best = base.clone();

@@ -36,7 +36,9 @@ pub struct Spread {
 /// The report of a diagnosis that stops at its data.
 pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> Diagnosis {
     let first = request.data_faults.iter().find(|f| f.fatal);
-    let what = first.map_or_else(String::new, |f| format!("{} of {}: {}", f.kind, f.location, f.detail));
+    let what = first.map_or_else(String::new, |f| {
+        format!("{} of {}: {}", f.kind, f.location, f.detail)
+    });
     Diagnosis {
         report: Report {
             verdict: Verdict::DataFault,
@@ -122,12 +124,22 @@ fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> 
     let (base, best) = (&found.base, &found.best);
     if causes.is_empty() {
         if base.misfit() < QUIET {
-            let dark = context.excitation.joints.iter().all(|j| j.fastest_radps < 0.02);
-            return if dark { Verdict::InsufficientData } else { Verdict::NoGap };
+            let dark = context
+                .excitation
+                .joints
+                .iter()
+                .all(|j| j.fastest_radps < 0.02);
+            return if dark {
+                Verdict::InsufficientData
+            } else {
+                Verdict::NoGap
+            };
         }
         // something explains the runs it was fitted to, and held-out runs do not show it
         let unseen = found.refused.iter().any(|(s, w)| {
-            w.fit > 0.5 * (base.fit.misfit - 1.0) && base.holdout.misfit < QUIET && s.fit.misfit < base.fit.misfit
+            w.fit > 0.5 * (base.fit.misfit - 1.0)
+                && base.holdout.misfit < QUIET
+                && s.fit.misfit < base.fit.misfit
         });
         return if unseen || split == Split::Same {
             Verdict::InsufficientData
@@ -201,7 +213,11 @@ fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
         format!("and {:.2} off that of the runs it was fitted to", w.fit),
         format!("its mark: {}", term.effect.signature),
     ];
-    if let Some(first) = named.rivals.iter().find(|r| r.state.terms[r.index].effect != term.effect) {
+    if let Some(first) = named
+        .rivals
+        .iter()
+        .find(|r| r.state.terms[r.index].effect != term.effect)
+    {
         let other = &first.state.terms[first.index];
         lines.push(format!(
             "the next best name, {}, leaves {:.0} % of it",
@@ -230,7 +246,10 @@ fn parameters(
         let value = term.values[p];
         let (low, high) = term.effect.bounds(model, &term.place, p);
         let near = 1e-6 * (high - low);
-        let sd = spread.covariance.get(offset + p).map_or(0.0, |row| row[offset + p].max(0.0).sqrt());
+        let sd = spread
+            .covariance
+            .get(offset + p)
+            .map_or(0.0, |row| row[offset + p].max(0.0).sqrt());
         // no interval is finer than a tenth of what matters
         let half = (1.96 * sd).max(0.1 * term.effect.scale(model, &term.place, p).abs());
         let still = (value - neutral[p]).abs() < near;
@@ -272,14 +291,26 @@ fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
     let residual = &best.fit.residual;
     let scores: Vec<Vec<f64>> = columns
         .iter()
-        .map(|c| context.fit.by_block(|k| f64::from(c[k]) * f64::from(residual[k])))
+        .map(|c| {
+            context
+                .fit
+                .by_block(|k| f64::from(c[k]) * f64::from(residual[k]))
+        })
         .collect();
     let meat: Vec<Vec<f64>> = (0..n)
-        .map(|i| (0..n).map(|j| scores[i].iter().zip(&scores[j]).map(|(a, b)| a * b).sum()).collect())
+        .map(|i| {
+            (0..n)
+                .map(|j| scores[i].iter().zip(&scores[j]).map(|(a, b)| a * b).sum())
+                .collect()
+        })
         .collect();
     let product = |a: &[Vec<f64>], b: &[Vec<f64>]| -> Vec<Vec<f64>> {
         (0..n)
-            .map(|i| (0..n).map(|j| (0..n).map(|k| a[i][k] * b[k][j]).sum()).collect())
+            .map(|i| {
+                (0..n)
+                    .map(|j| (0..n).map(|k| a[i][k] * b[k][j]).sum())
+                    .collect()
+            })
             .collect()
     };
     let mut covariance = product(&product(&bread, &meat), &bread);
@@ -297,7 +328,10 @@ fn correlation(best: &State, spread: &Spread) -> Correlation {
         .iter()
         .flat_map(|t| {
             let label = t.place.label(t.effect.id);
-            t.effect.parameters.iter().map(move |p| format!("{label}.{}", p.name))
+            t.effect
+                .parameters
+                .iter()
+                .map(move |p| format!("{label}.{}", p.name))
         })
         .collect();
     let c = &spread.covariance;
@@ -309,7 +343,11 @@ fn correlation(best: &State, spread: &Spread) -> Correlation {
             (0..c.len())
                 .map(|j| {
                     let scale = (c[i][i] * c[j][j]).sqrt();
-                    if scale > 0.0 { (c[i][j] / scale).clamp(-1.0, 1.0) } else { f64::from(u8::from(i == j)) }
+                    if scale > 0.0 {
+                        (c[i][j] / scale).clamp(-1.0, 1.0)
+                    } else {
+                        f64::from(u8::from(i == j))
+                    }
                 })
                 .collect()
         })
@@ -419,9 +457,12 @@ fn extended(
     Extension {
         base: model.hash_hex(),
         logs: request.runs.iter().map(|r| r.sha256.clone()).collect(),
-        effect: (model.extension().into_iter().flat_map(|e| e.effect.iter().cloned()))
-            .chain(effect.into_iter().flatten())
-            .collect(),
+        effect: (model
+            .extension()
+            .into_iter()
+            .flat_map(|e| e.effect.iter().cloned()))
+        .chain(effect.into_iter().flatten())
+        .collect(),
         observation_noise: noise
             .into_iter()
             .map(|(k, (sum, n))| (k, (sum / n as f64).sqrt()))
@@ -452,7 +493,11 @@ fn summary(
     let names: Vec<String> = causes
         .iter()
         .map(|c| {
-            let place = if c.location.is_empty() { String::new() } else { format!(" at {}", c.location.join(", ")) };
+            let place = if c.location.is_empty() {
+                String::new()
+            } else {
+                format!(" at {}", c.location.join(", "))
+            };
             format!("{}{place}", c.effect)
         })
         .collect();
@@ -472,10 +517,15 @@ fn summary(
                 .filter(|c| !c.alternatives.is_empty())
                 .map(|c| format!("{} or {}", c.effect, c.alternatives.join(" or ")))
                 .collect();
-            format!("The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.", open.join("; "))
+            format!(
+                "The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.",
+                open.join("; ")
+            )
         }
         Verdict::PartlyExplained => {
-            let left = unexplained.first().map_or(String::new(), |u| format!(", most of it at {}", u.location));
+            let left = unexplained
+                .first()
+                .map_or(String::new(), |u| format!(", most of it at {}", u.location));
             format!(
                 "{} explain a part: {fall}; {:.0} % of the excess is left{left}.",
                 names.join(" and "),
@@ -488,8 +538,14 @@ fn summary(
         ),
         Verdict::InsufficientData => {
             let close = found.refused.first().map_or(String::new(), |(s, w)| {
-                let name = s.terms.last().map_or(String::new(), |t| t.place.label(t.effect.id));
-                format!(" {name} would explain the runs it was fitted to, but: {}.", w.why)
+                let name = s
+                    .terms
+                    .last()
+                    .map_or(String::new(), |t| t.place.label(t.effect.id));
+                format!(
+                    " {name} would explain the runs it was fitted to, but: {}.",
+                    w.why
+                )
             });
             format!("These runs cannot decide it.{close} See the next experiment.")
         }

@@ -93,7 +93,8 @@ impl Trial {
         let mut table = TableWriter::new(Vec::new(), &signals, f64::INFINITY)?;
         for (k, row) in self.commands_rad.iter().enumerate() {
             // no finer than a thousandth of an encoder step
-            let mut values: Vec<Option<f64>> = row.iter().map(|q| Some((q * 1e6).round() / 1e6)).collect();
+            let mut values: Vec<Option<f64>> =
+                row.iter().map(|q| Some((q * 1e6).round() / 1e6)).collect();
             if let Some(on) = self.on.get(k) {
                 values.extend(on.iter().map(|on| Some(f64::from(u8::from(*on)))));
             }
@@ -110,7 +111,11 @@ impl Trial {
 ///
 /// # Errors
 /// [`ExciteError`] for an unknown joint or a rate that makes no sense.
-pub fn battery(robot: &RobotModel, joint: Option<&str>, rate_hz: f64) -> Result<Vec<Trial>, ExciteError> {
+pub fn battery(
+    robot: &RobotModel,
+    joint: Option<&str>,
+    rate_hz: f64,
+) -> Result<Vec<Trial>, ExciteError> {
     let maker = Maker::new(robot, joint, rate_hz)?;
     Ok(RECIPES.iter().filter_map(|r| maker.make(r)).collect())
 }
@@ -119,19 +124,70 @@ pub fn battery(robot: &RobotModel, joint: Option<&str>, rate_hz: f64) -> Result<
 ///
 /// # Errors
 /// [`ExciteError`] for an unknown joint, trial or rate.
-pub fn trial(robot: &RobotModel, name: &str, joint: Option<&str>, rate_hz: f64) -> Result<Trial, ExciteError> {
+pub fn trial(
+    robot: &RobotModel,
+    name: &str,
+    joint: Option<&str>,
+    rate_hz: f64,
+) -> Result<Trial, ExciteError> {
     let maker = Maker::new(robot, joint, rate_hz)?;
-    let wanted = RECIPES.iter().find(|r| r.name == name);
-    wanted.and_then(|r| maker.make(r)).ok_or_else(|| ExciteError::Trial {
-        trial: name.to_owned(),
-        known: names(robot, joint).join(", "),
-    })
+    let wanted = RECIPES.iter().find(|r| Some(r.name) == canonical(name));
+    wanted
+        .and_then(|r| maker.make(r))
+        .ok_or_else(|| ExciteError::Trial {
+            trial: name.to_owned(),
+            known: names(robot, joint).join(", "),
+        })
 }
 
 /// Names of the trials that `robot` can do.
 #[must_use]
 pub fn names(robot: &RobotModel, joint: Option<&str>) -> Vec<&'static str> {
-    RECIPES.iter().filter(|r| fits(r, robot, joint)).map(|r| r.name).collect()
+    RECIPES
+        .iter()
+        .filter(|r| fits(r, robot, joint))
+        .map(|r| r.name)
+        .collect()
+}
+
+/// Other names of trials: kinds of experiment as the catalogue of effects speaks of them, and the trial of the battery that is one.
+const KINDS: &[(&str, &str)] = &[
+    ("all_joints_probe", "all_chirp"),
+    ("chirp", "chirp_medium"),
+    ("coast_down", "coast"),
+    ("fast_chirp", "chirp_large"),
+    ("fast_reversals", "reversals_fast"),
+    ("full_range", "sweep_full"),
+    ("gait_two_speeds", "gait"),
+    ("girdle_rocking", "rock_x"),
+    ("hold_poses", "holds"),
+    ("large_steps", "steps_large"),
+    ("lift_and_lower", "lift_lower"),
+    ("loaded_steps", "steps_loaded"),
+    ("long_chirp", "gait_long"),
+    ("long_holds", "holds_long"),
+    ("low_gait", "gait_low"),
+    ("micro_reversals", "micro"),
+    ("passive_drift", "coast"),
+    ("slow_dip", "float"),
+    ("slow_ramps", "triangle_slow"),
+    ("slow_triangles", "triangle_slow"),
+    ("slow_turn", "gait_turn"),
+    ("stalls", "steps_loaded"),
+    ("stand_headings", "rest"),
+    ("stand_heights", "rest"),
+    ("steps", "steps_medium"),
+    ("three_amplitudes_three_frequencies", "swim_sizes"),
+    ("torque_off_drop", "drop_high"),
+    ("warm_up_series", "gait_long"),
+    ("wet_and_dry_chirp", "swim_sizes"),
+];
+
+/// The battery's name of a trial, or of a kind of trial; `None` for neither.
+#[must_use]
+pub fn canonical(name: &str) -> Option<&'static str> {
+    let kind = KINDS.iter().find(|k| k.0 == name).map(|k| k.1);
+    kind.or_else(|| RECIPES.iter().find(|r| r.name == name).map(|r| r.name))
 }
 
 /// The trial that says most about `separates` (effect ids): made for as many of them as possible, and for each as directly as possible.
@@ -153,7 +209,11 @@ pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option
         .rev()
         .filter(|r| fits(r, robot, None) && worth(r) > 0.0)
         .max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
-    let shown: Vec<String> = separates.iter().filter(|e| best.excites.contains(e)).map(|e| (*e).to_owned()).collect();
+    let shown: Vec<String> = separates
+        .iter()
+        .filter(|e| best.excites.contains(e))
+        .map(|e| (*e).to_owned())
+        .collect();
     let on_one = matches!(best.make, Make::Joint(_)).then_some(one).flatten();
     let place = match best.place {
         Place::Stand => "on a stand",
@@ -163,7 +223,12 @@ pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option
     Some(NextExperiment {
         trial: best.name.to_owned(),
         joints: on_one.map(|j| vec![j.to_owned()]).unwrap_or_default(),
-        reason: format!("{}, {place}, {} times: made to show {}", best.purpose, best.repeats, shown.join(", ")),
+        reason: format!(
+            "{}, {place}, {} times: made to show {}",
+            best.purpose,
+            best.repeats,
+            shown.join(", ")
+        ),
         separates: separates.iter().map(|e| (*e).to_owned()).collect(),
     })
 }
@@ -186,7 +251,11 @@ struct Maker<'a> {
 }
 
 impl<'a> Maker<'a> {
-    fn new(robot: &'a RobotModel, joint: Option<&'a str>, rate_hz: f64) -> Result<Self, ExciteError> {
+    fn new(
+        robot: &'a RobotModel,
+        joint: Option<&'a str>,
+        rate_hz: f64,
+    ) -> Result<Self, ExciteError> {
         let known = robot.actuated_names();
         if let Some(joint) = joint.filter(|j| !known.contains(j)) {
             return Err(ExciteError::Joint {
@@ -197,7 +266,12 @@ impl<'a> Maker<'a> {
         if !(10.0..=1000.0).contains(&rate_hz) {
             return Err(ExciteError::Rate(rate_hz));
         }
-        Ok(Self { robot, joint, rate_hz, limits: JointLimits::all(robot) })
+        Ok(Self {
+            robot,
+            joint,
+            rate_hz,
+            limits: JointLimits::all(robot),
+        })
     }
 
     fn make(&self, recipe: &Recipe) -> Option<Trial> {
@@ -232,7 +306,10 @@ impl<'a> Maker<'a> {
                 Place::Water => BaseHold::Water,
             },
             repeats: recipe.repeats,
-            joints: (0..columns.len()).filter(|&a| moves(a)).map(|a| columns[a].clone()).collect(),
+            joints: (0..columns.len())
+                .filter(|&a| moves(a))
+                .map(|a| columns[a].clone())
+                .collect(),
             excites: recipe.excites.iter().map(|e| (*e).to_owned()).collect(),
             duration_s: (commands_rad.len() - 1) as f64 / self.rate_hz,
             effort: self.effort(&commands_rad),
@@ -264,11 +341,25 @@ impl<'a> Maker<'a> {
             })
             .collect();
         let n = columns.iter().map(|c| c.0.len()).max().unwrap_or(0);
-        let row = |k: usize| columns.iter().map(|c| c.0.get(k).or(c.0.last()).copied().unwrap_or(0.0)).collect();
-        let powered = |k: usize| columns.iter().map(|c| c.1.get(k).copied().unwrap_or(true)).collect();
+        let row = |k: usize| {
+            columns
+                .iter()
+                .map(|c| c.0.get(k).or(c.0.last()).copied().unwrap_or(0.0))
+                .collect()
+        };
+        let powered = |k: usize| {
+            columns
+                .iter()
+                .map(|c| c.1.get(k).copied().unwrap_or(true))
+                .collect()
+        };
         let commands = (0..n).map(row).collect();
         let dropped = columns.iter().any(|c| c.1.contains(&false));
-        let on = if dropped { (0..n).map(powered).collect() } else { Vec::new() };
+        let on = if dropped {
+            (0..n).map(powered).collect()
+        } else {
+            Vec::new()
+        };
         (commands, on)
     }
 
@@ -287,13 +378,18 @@ impl<'a> Maker<'a> {
                 for _ in 0..substeps as usize {
                     // the damper is taken at the end of the step, so that no gain makes it unstable
                     let push = (kp * (row[a] - q)).clamp(-l.tau_max_nm, l.tau_max_nm);
-                    v = (v + dt * (push - l.gravity_nm(q)) / l.inertia_kgm2) / (1.0 + dt * kd / l.inertia_kgm2);
+                    v = (v + dt * (push - l.gravity_nm(q)) / l.inertia_kgm2)
+                        / (1.0 + dt * kd / l.inertia_kgm2);
                     q += dt * v;
                     sum += ((push - kd * v) / l.tau_max_nm).clamp(-1.0, 1.0).powi(2);
                 }
             }
             (sum / (rows.len() as f64 * substeps)).sqrt()
         };
-        self.limits.iter().enumerate().map(share).fold(0.0, f64::max)
+        self.limits
+            .iter()
+            .enumerate()
+            .map(share)
+            .fold(0.0, f64::max)
     }
 }

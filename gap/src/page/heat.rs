@@ -24,10 +24,18 @@ pub fn maps(report: &Report) -> String {
     let mut out = String::from("<div class=\"grid\">");
     let both = !after.is_empty();
     let title = if both { "As given" } else { "Model as given" };
-    let _ = write!(out, "<figure class=\"card\"><figcaption><b>{title}</b></figcaption>{}</figure>", map(&before, &before, title));
+    let _ = write!(
+        out,
+        "<figure class=\"card\"><figcaption><b>{title}</b></figcaption>{}</figure>",
+        map(&before, &before, title)
+    );
     if both {
         let title = "Extended";
-        let _ = write!(out, "<figure class=\"card\"><figcaption><b>{title}</b></figcaption>{}</figure>", map(&after, &before, title));
+        let _ = write!(
+            out,
+            "<figure class=\"card\"><figcaption><b>{title}</b></figcaption>{}</figure>",
+            map(&after, &before, title)
+        );
     }
     out.push_str("</div>");
     out.push_str(&legend());
@@ -70,8 +78,17 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
             regimes.into_iter().map(|r| (*s, r)).collect::<Vec<_>>()
         })
         .collect();
-    let left = 12.0 + 7.2 * rows.iter().map(|r| r.chars().count().max(5)).max().unwrap_or(5) as f64;
-    let (w, h) = (left + CELL_W * columns.len() as f64 + 8.0, HEAD + CELL_H * rows.len() as f64 + 4.0);
+    let left = 12.0
+        + 7.2
+            * rows
+                .iter()
+                .map(|r| r.chars().count().max(5))
+                .max()
+                .unwrap_or(5) as f64;
+    let (w, h) = (
+        left + CELL_W * columns.len() as f64 + 8.0,
+        HEAD + CELL_H * rows.len() as f64 + 4.0,
+    );
     // A map of few columns does not grow over the whole card.
     let mut out = format!(
         r#"<svg viewBox="0 0 {w:.0} {h:.0}" style="max-width:{:.0}px" role="img" aria-label="{}: error over noise floor, {} rows by {} columns"><title>{}</title>"#,
@@ -83,7 +100,10 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
     );
     let mut from = 0;
     while from < columns.len() {
-        let to = columns[from..].iter().position(|c| c.0 != columns[from].0).map_or(columns.len(), |n| from + n);
+        let to = columns[from..]
+            .iter()
+            .position(|c| c.0 != columns[from].0)
+            .map_or(columns.len(), |n| from + n);
         let x = left + CELL_W * from as f64;
         let width = CELL_W * (to - from) as f64;
         let _ = write!(
@@ -98,16 +118,34 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
     }
     for (c, (_, regime)) in columns.iter().enumerate() {
         let x = left + CELL_W * (c as f64 + 0.5) + 4.0;
-        let _ = write!(out, r#"<text class="t" transform="translate({x:.1} {:.1}) rotate(-55)">{}</text>"#, HEAD - 6.0, escape(regime));
+        let _ = write!(
+            out,
+            r#"<text class="t" transform="translate({x:.1} {:.1}) rotate(-55)">{}</text>"#,
+            HEAD - 6.0,
+            escape(regime)
+        );
     }
     for (r, joint) in rows.iter().enumerate() {
         let y = HEAD + CELL_H * r as f64;
         let name = if joint.is_empty() { "robot" } else { joint };
-        let _ = write!(out, r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end">{}</text>"#, left - 7.0, y + 15.0, escape(name));
+        let _ = write!(
+            out,
+            r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end">{}</text>"#,
+            left - 7.0,
+            y + 15.0,
+            escape(name)
+        );
         for (c, (signal, regime)) in columns.iter().enumerate() {
             let x = left + CELL_W * c as f64;
             let Some(d) = cells.get(&(*joint, *signal, *regime)) else {
-                let _ = write!(out, r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" fill="none" class="g"/>"#, x + 1.0, y + 1.0, CELL_W - 2.0, CELL_H - 2.0);
+                let _ = write!(
+                    out,
+                    r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" fill="none" class="g"/>"#,
+                    x + 1.0,
+                    y + 1.0,
+                    CELL_W - 2.0,
+                    CELL_H - 2.0
+                );
                 continue;
             };
             let level = STEPS.iter().filter(|s| d.ratio >= **s).count();
@@ -118,7 +156,11 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
                 number(d.ratio),
                 number(d.p)
             );
-            let ink = if level >= 4 { " style=\"fill:var(--bg)\"" } else { "" };
+            let ink = if level >= 4 {
+                " style=\"fill:var(--bg)\""
+            } else {
+                ""
+            };
             let _ = write!(
                 out,
                 r#"<g><title>{}</title><rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" style="fill:var(--h{level})"/><text class="v" x="{:.1}" y="{:.1}" text-anchor="middle"{ink}>{}</text></g>"#,
@@ -129,7 +171,11 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
                 CELL_H - 2.0,
                 x + 0.5 * CELL_W,
                 y + 15.0,
-                number(if d.ratio >= 10.0 { d.ratio.round() } else { (10.0 * d.ratio).round() / 10.0 })
+                number(if d.ratio >= 10.0 {
+                    d.ratio.round()
+                } else {
+                    (10.0 * d.ratio).round() / 10.0
+                })
             );
         }
     }
@@ -138,7 +184,9 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
 }
 
 fn legend() -> String {
-    let mut out = String::from("<div class=\"key small\"><span>Error as a multiple of what repeats differ by:</span>");
+    let mut out = String::from(
+        "<div class=\"key small\"><span>Error as a multiple of what repeats differ by:</span>",
+    );
     let words = ["at the floor", "1.2", "2", "4", "8", "16 and more"];
     for (level, word) in words.iter().enumerate() {
         let _ = write!(

@@ -25,7 +25,12 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
     );
     body.push_str(&sections::tiles(report));
     if !report.data_faults.is_empty() {
-        section(&mut body, "faults", "Faults of the data", "What the logs themselves say, before any simulation.");
+        section(
+            &mut body,
+            "faults",
+            "Faults of the data",
+            "What the logs themselves say, before any simulation.",
+        );
         body.push_str(&sections::faults(report));
     }
     if !report.causes.is_empty() {
@@ -35,13 +40,20 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
     }
     body.push_str(&sections::next(report));
     if report.verdict != Verdict::DataFault || !report.divergence.is_empty() {
-        section(&mut body, "map", "Where simulation and measurement part", "");
+        section(
+            &mut body,
+            "map",
+            "Where simulation and measurement part",
+            "",
+        );
         body.push_str(&heat::maps(report));
         body.push_str(&sections::cells(report));
     }
     if let Some(p) = plots.filter(|p| !p.overlays.is_empty()) {
         section(&mut body, "worst", "The worst cells", "");
-        body.push_str(&figures::key(p.overlays.iter().any(|o| !o.after.is_empty())));
+        body.push_str(&figures::key(
+            p.overlays.iter().any(|o| !o.after.is_empty()),
+        ));
         grid(&mut body, p.overlays.iter().map(figures::overlay));
     }
     gain(&mut body, report, plots);
@@ -53,7 +65,12 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
         }
     }
     if !report.detection_floor.is_empty() {
-        section(&mut body, "floors", "What could have been seen", "An effect below its size here would not have shown; one that is not excited could not.");
+        section(
+            &mut body,
+            "floors",
+            "What could have been seen",
+            "An effect below its size here would not have shown; one that is not excited could not.",
+        );
         body.push_str(&sections::floors(report));
     }
     section(&mut body, "runs", "Runs", "");
@@ -92,7 +109,12 @@ fn gain(body: &mut String, report: &Report, plots: Option<&Plots>) {
     if report.gain.is_empty() && waterfall.len() < 2 && horizons.is_empty() {
         return;
     }
-    section(body, "gain", "What it is worth on runs that were not used", "");
+    section(
+        body,
+        "gain",
+        "What it is worth on runs that were not used",
+        "",
+    );
     if !report.gain.is_empty() {
         body.push_str(&figures::gains(report));
     }

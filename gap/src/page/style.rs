@@ -17,7 +17,7 @@ h3{font-size:1rem;margin:0 0 .2em;font-weight:650}
 p{margin:.3em 0 .7em;max-width:72ch}
 .soft{color:var(--soft)} .small{font-size:.86rem}
 .top{color:var(--soft);font-size:.86rem;margin:0}
-.badge{display:inline-block;padding:.18em .7em;border-radius:99px;font-weight:650;font-size:.9rem;border:1.5px solid currentColor}
+.badge{display:inline-block;margin:0 0 .55em;padding:.18em .7em;border-radius:99px;font-weight:650;font-size:.9rem;border:1.5px solid currentColor}
 .ok{color:var(--ok)}.warn{color:var(--warn)}.bad{color:var(--bad)}.note{color:var(--note)}
 .tiles{display:grid;grid-template-columns:repeat(auto-fit,minmax(150px,1fr));gap:10px;margin:16px 0 4px}
 .tile,.card{background:var(--card);border:1px solid var(--line);border-radius:10px;padding:11px 14px}
@@ -28,11 +28,11 @@ p{margin:.3em 0 .7em;max-width:72ch}
 .grid>.card{margin:0}
 .cause .grid{grid-template-columns:repeat(auto-fill,minmax(min(100%,430px),1fr))}
 figure{margin:0} figcaption{font-size:.86rem;color:var(--soft);margin:0 0 4px} figcaption b{color:var(--ink);font-weight:620}
-svg{display:block;width:100%;height:auto;font:11px system-ui,sans-serif}
+svg{display:block;width:100%;height:auto;font:11.5px system-ui,sans-serif}
 svg text{fill:var(--soft)} svg .l{font-size:11.5px} svg .v{fill:var(--ink);font-variant-numeric:tabular-nums} svg .n{fill:var(--ink)}
 .g{stroke:var(--grid);stroke-width:1}
 .before,.after,.measured,.command,.other{fill:none;stroke-width:1.6;stroke-linejoin:round}
-.before{stroke:var(--before)}.after{stroke:var(--after)}.measured{stroke:var(--meas);stroke-width:1.3}
+.before{stroke:var(--before)}.after{stroke:var(--after)}.measured{stroke:var(--meas);stroke-width:2.8;opacity:.5}
 .command{stroke:var(--soft);stroke-width:1;stroke-dasharray:4 3;opacity:.75}.other{stroke:var(--ok)}
 .p-before{fill:var(--before)}.p-after{fill:var(--after)}.p-measured{fill:var(--meas);opacity:.55}.p-other{fill:var(--ok)}
 .band{fill:var(--band);stroke:none}

@@ -82,22 +82,38 @@ impl Axis {
     pub fn over(values: impl Iterator<Item = f64>) -> Self {
         let (low, high) = extent(values);
         let span = high - low;
-        let margin = if span > 0.0 { 0.06 * span } else { low.abs().max(1e-6) * 0.1 };
-        Self { low: low - margin, high: high + margin, log: false }
+        let margin = if span > 0.0 {
+            0.06 * span
+        } else {
+            low.abs().max(1e-6) * 0.1
+        };
+        Self {
+            low: low - margin,
+            high: high + margin,
+            log: false,
+        }
     }
 
     /// A linear axis over exactly this span (of time).
     pub fn exact(values: impl Iterator<Item = f64>) -> Self {
         let (low, high) = extent(values);
         let high = if high > low { high } else { low + 1.0 };
-        Self { low, high, log: false }
+        Self {
+            low,
+            high,
+            log: false,
+        }
     }
 
     /// A logarithmic axis over the positive `values`.
     pub fn log_over(values: impl Iterator<Item = f64>) -> Self {
         let (low, high) = extent(values.filter(|x| *x > 0.0));
         let (low, high) = if low > 0.0 { (low, high) } else { (0.1, 1.0) };
-        Self { low: low / 1.25, high: high * 1.25, log: true }
+        Self {
+            low: low / 1.25,
+            high: high * 1.25,
+            log: true,
+        }
     }
 
     /// Makes sure that `x` is inside.
@@ -122,25 +138,42 @@ impl Axis {
             let mut out = Vec::new();
             let mut decade = 10f64.powf(self.low.log10().floor());
             while decade <= self.high && out.len() < 40 {
-                let steps: &[f64] = if self.high / self.low < 120.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
-                out.extend(steps.iter().map(|m| m * decade).filter(|x| (self.low..=self.high).contains(x)));
+                let steps: &[f64] = if self.high / self.low < 120.0 {
+                    &[1.0, 2.0, 5.0]
+                } else {
+                    &[1.0]
+                };
+                out.extend(
+                    steps
+                        .iter()
+                        .map(|m| m * decade)
+                        .filter(|x| (self.low..=self.high).contains(x)),
+                );
                 decade *= 10.0;
             }
             return out;
         }
         let raw = (self.high - self.low) / about.max(1) as f64;
         let unit = 10f64.powf(raw.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * unit).find(|s| *s >= raw).unwrap_or(raw);
+        let step = [1.0, 2.0, 5.0, 10.0]
+            .into_iter()
+            .map(|m| m * unit)
+            .find(|s| *s >= raw)
+            .unwrap_or(raw);
         let first = (self.low / step).ceil() as i64;
         let last = (self.high / step).floor() as i64;
-        (first..=last.min(first + 20)).map(|k| k as f64 * step).collect()
+        (first..=last.min(first + 20))
+            .map(|k| k as f64 * step)
+            .collect()
     }
 }
 
 fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (low, high) = values
         .filter(|x| x.is_finite())
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| {
+            (l.min(x), h.max(x))
+        });
     if low <= high { (low, high) } else { (0.0, 1.0) }
 }
 
@@ -238,7 +271,12 @@ impl Chart {
                 pen = 'M';
                 continue;
             }
-            let _ = write!(out, "{pen}{:.1} {:.1}", self.px(x), self.py(y).clamp(-9e3, 9e3));
+            let _ = write!(
+                out,
+                "{pen}{:.1} {:.1}",
+                self.px(x),
+                self.py(y).clamp(-9e3, 9e3)
+            );
             pen = 'L';
         }
         out
@@ -273,7 +311,12 @@ impl Chart {
         let n = x.len().min(y.len());
         for i in (0..n).step_by(n.div_ceil(MOST_POINTS).max(1)) {
             if x[i].is_finite() && y[i].is_finite() {
-                let _ = write!(self.body, r#"<circle class="{class}" cx="{:.1}" cy="{:.1}" r="2.2"/>"#, self.px(x[i]), self.py(y[i]));
+                let _ = write!(
+                    self.body,
+                    r#"<circle class="{class}" cx="{:.1}" cy="{:.1}" r="2.2"/>"#,
+                    self.px(x[i]),
+                    self.py(y[i])
+                );
             }
         }
     }
@@ -284,7 +327,9 @@ impl Chart {
         format!(
             r#"<svg viewBox="0 0 {w:.0} {h:.0}" style="max-width:{:.0}px" role="img" aria-label="{}"><title>{}</title>{}</svg>"#,
             1.25 * w,
-            self.about, self.title, self.body
+            self.about,
+            self.title,
+            self.body
         )
     }
 }
@@ -352,15 +397,30 @@ mod tests {
         y[7777] = 5.0;
         let points = thin(&x, &y);
         assert!(points.len() <= MOST_POINTS + 2 && points.contains(&(7777.0, 5.0)));
-        let mut c = Chart::new((300.0, 200.0), Axis::exact([0.0, 3.0].into_iter()), Axis::exact([0.0, 1.0].into_iter()), "t", "a");
+        let mut c = Chart::new(
+            (300.0, 200.0),
+            Axis::exact([0.0, 3.0].into_iter()),
+            Axis::exact([0.0, 1.0].into_iter()),
+            "t",
+            "a",
+        );
         c.line("before", &[0.0, 1.0, 2.0, 3.0], &[0.0, 1.0, f64::NAN, 1.0]);
         let text = c.finish();
-        let d = text.split("class=\"before\" d=\"").nth(1).unwrap().split('"').next().unwrap();
+        let d = text
+            .split("class=\"before\" d=\"")
+            .nth(1)
+            .unwrap()
+            .split('"')
+            .next()
+            .unwrap();
         assert_eq!(d.matches('M').count(), 2, "{d}");
     }
 
     #[test]
     fn text_is_made_safe() {
-        assert_eq!(escape("<a href=\"x\">&'"), "&lt;a href=&quot;x&quot;&gt;&amp;&#39;");
+        assert_eq!(
+            escape("<a href=\"x\">&'"),
+            "&lt;a href=&quot;x&quot;&gt;&amp;&#39;"
+        );
     }
 }

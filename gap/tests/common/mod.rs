@@ -37,7 +37,12 @@ pub struct Traces {
 }
 
 /// Runs `trial` once per seed, in lanes that differ a little, and returns what every lane did.
-pub fn simulate(robot: &RobotModel, trial: &Trial, seeds: &[u64], touch: Option<Touch>) -> Vec<Traces> {
+pub fn simulate(
+    robot: &RobotModel,
+    trial: &Trial,
+    seeds: &[u64],
+    touch: Option<Touch>,
+) -> Vec<Traces> {
     let substeps = (1.0 / (trial.rate_hz * 0.002)).round() as u32;
     let config = EngineConfig {
         dt_s: 0.002,
@@ -50,7 +55,8 @@ pub fn simulate(robot: &RobotModel, trial: &Trial, seeds: &[u64], touch: Option<
         terrain.kind = caudata_sim::TerrainKind::DeepWater;
     }
     let lanes = seeds.len();
-    let mut engine = caudata_sim::build(Arc::new(robot.clone()), lanes, &config, &terrain, 1, 1).unwrap();
+    let mut engine =
+        caudata_sim::build(Arc::new(robot.clone()), lanes, &config, &terrain, 1, 1).unwrap();
     let nominal: Vec<LaneParams> = seeds.iter().map(|&seed| varied(robot, seed)).collect();
     for (lane, params) in nominal.iter().enumerate() {
         engine.set_params(lane, params).unwrap();
@@ -58,11 +64,21 @@ pub fn simulate(robot: &RobotModel, trial: &Trial, seeds: &[u64], touch: Option<
     }
     let actuated = robot.actuated().len();
     let mut out: Vec<Traces> = (0..lanes)
-        .map(|_| Traces { pos_rad: vec![], vel_radps: vec![], torque_nm: vec![], gyro: vec![], gravity: vec![] })
+        .map(|_| Traces {
+            pos_rad: vec![],
+            vel_radps: vec![],
+            torque_nm: vec![],
+            gyro: vec![],
+            gravity: vec![],
+        })
         .collect();
     let mut powered = vec![true; actuated];
     for (k, row) in trial.commands_rad.iter().enumerate() {
-        let on: Vec<bool> = trial.on.get(k).cloned().unwrap_or_else(|| vec![true; actuated]);
+        let on: Vec<bool> = trial
+            .on
+            .get(k)
+            .cloned()
+            .unwrap_or_else(|| vec![true; actuated]);
         if on != powered {
             for (lane, params) in nominal.iter().enumerate() {
                 let mut p = params.clone();
@@ -80,12 +96,24 @@ pub fn simulate(robot: &RobotModel, trial: &Trial, seeds: &[u64], touch: Option<
         for (lane, run) in out.iter_mut().enumerate() {
             let of = |all: &[f32], i: usize, n: usize| f64::from(all[lane * n + i]);
             let joints = robot.joints().len();
-            let each = |all: &[f32]| robot.actuated().iter().map(|&j| of(all, j, joints)).collect();
+            let each = |all: &[f32]| {
+                robot
+                    .actuated()
+                    .iter()
+                    .map(|&j| of(all, j, joints))
+                    .collect()
+            };
             run.pos_rad.push(each(&state.joint_pos_rad));
             run.vel_radps.push(each(&state.joint_vel_radps));
-            run.torque_nm.push((0..actuated).map(|a| of(&state.motor_torque_nm, a, actuated)).collect());
-            run.gyro.push([0, 1, 2].map(|i| of(&state.imu_gyro_radps, i, 3)));
-            run.gravity.push([0, 1, 2].map(|i| of(&state.imu_gravity, i, 3)));
+            run.torque_nm.push(
+                (0..actuated)
+                    .map(|a| of(&state.motor_torque_nm, a, actuated))
+                    .collect(),
+            );
+            run.gyro
+                .push([0, 1, 2].map(|i| of(&state.imu_gyro_radps, i, 3)));
+            run.gravity
+                .push([0, 1, 2].map(|i| of(&state.imu_gravity, i, 3)));
         }
         let one: Vec<f32> = row.iter().map(|q| *q as f32).collect();
         let mut wrenches = vec![0.0f32; lanes * 6];
@@ -94,7 +122,11 @@ pub fn simulate(robot: &RobotModel, trial: &Trial, seeds: &[u64], touch: Option<
             wrenches[x.run * 6..x.run * 6 + 3].copy_from_slice(&x.force_n);
         }
         engine.step(&one.repeat(lanes), &wrenches).unwrap();
-        assert!(!engine.state().diverged.contains(&true), "{} diverged at {t} s", trial.name);
+        assert!(
+            !engine.state().diverged.contains(&true),
+            "{} diverged at {t} s",
+            trial.name
+        );
     }
     out
 }
@@ -116,7 +148,11 @@ pub fn record(robot: &RobotModel, trial: &Trial, traces: &Traces, seed: u64) -> 
     let mut s = Stream::new(Key::for_run(seed), Purpose::Sensor);
     let named = |of: fn(String) -> Signal| trial.columns.iter().cloned().map(of);
     let imu = robot.imu_site().is_some();
-    let mut signals: Vec<Signal> = named(Signal::Command).chain(named(Signal::Position)).chain(named(Signal::Velocity)).chain(named(Signal::Current)).collect();
+    let mut signals: Vec<Signal> = named(Signal::Command)
+        .chain(named(Signal::Position))
+        .chain(named(Signal::Velocity))
+        .chain(named(Signal::Current))
+        .collect();
     if !trial.on.is_empty() {
         signals.extend(named(Signal::Enabled));
     }
@@ -138,11 +174,17 @@ pub fn record(robot: &RobotModel, trial: &Trial, traces: &Traces, seed: u64) -> 
             put(count(*q, robot.servo(a).encoder_lsb_rad()));
         }
         for (a, v) in traces.vel_radps[k].iter().enumerate() {
-            put(count(v + 0.01 * s.normal_f64(), robot.servo(a).velocity_lsb_radps));
+            put(count(
+                v + 0.01 * s.normal_f64(),
+                robot.servo(a).velocity_lsb_radps,
+            ));
         }
         for (a, torque) in traces.torque_nm[k].iter().enumerate() {
             let servo = robot.servo(a);
-            put(count(torque / servo.torque_per_current_nm_per_a + 0.004 * s.normal_f64(), servo.current_lsb_a));
+            put(count(
+                torque / servo.torque_per_current_nm_per_a + 0.004 * s.normal_f64(),
+                servo.current_lsb_a,
+            ));
         }
         if let Some(on) = trial.on.get(k) {
             values.extend(on.iter().map(|on| Some(f64::from(u8::from(*on)))));
@@ -158,25 +200,44 @@ pub fn record(robot: &RobotModel, trial: &Trial, traces: &Traces, seed: u64) -> 
     let mut meta = LogMeta::new(robot.name(), trial.base, trial.rate_hz);
     meta.notes = trial.name.clone();
     let csv = table.finish().unwrap();
-    RunLog { meta, table: Table::parse("log.csv", csv.as_slice()).unwrap() }
+    RunLog {
+        meta,
+        table: Table::parse("log.csv", csv.as_slice()).unwrap(),
+    }
 }
 
 /// The same log with its cells changed: `change(signal, row, t, value)`.
-pub fn changed(log: &RunLog, change: impl Fn(&Signal, usize, f64, Option<f64>) -> Option<f64>) -> RunLog {
+pub fn changed(
+    log: &RunLog,
+    change: impl Fn(&Signal, usize, f64, Option<f64>) -> Option<f64>,
+) -> RunLog {
     let signals = log.table.signals().to_vec();
     rebuilt(log, &signals, |k, t| {
         let row = log.table.row(k).unwrap();
-        (t, row.iter().zip(&signals).map(|(v, s)| change(s, k, t, *v)).collect())
+        (
+            t,
+            row.iter()
+                .zip(&signals)
+                .map(|(v, s)| change(s, k, t, *v))
+                .collect(),
+        )
     })
 }
 
 /// The same log with other columns and rows.
-pub fn rebuilt(log: &RunLog, signals: &[Signal], row: impl Fn(usize, f64) -> (f64, Vec<Option<f64>>)) -> RunLog {
+pub fn rebuilt(
+    log: &RunLog,
+    signals: &[Signal],
+    row: impl Fn(usize, f64) -> (f64, Vec<Option<f64>>),
+) -> RunLog {
     let mut table = TableWriter::new(Vec::new(), signals, f64::INFINITY).unwrap();
     for (k, &t) in log.table.time_s().iter().enumerate() {
         let (t, values) = row(k, t);
         table.row(t, &values).unwrap();
     }
     let csv = table.finish().unwrap();
-    RunLog { meta: log.meta.clone(), table: Table::parse("log.csv", csv.as_slice()).unwrap() }
+    RunLog {
+        meta: log.meta.clone(),
+        table: Table::parse("log.csv", csv.as_slice()).unwrap(),
+    }
 }

@@ -125,7 +125,10 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// Those of `one`.
-    pub fn list<T>(&mut self, mut one: impl FnMut(&mut Self) -> Result<T, CdrError>) -> Result<Vec<T>, CdrError> {
+    pub fn list<T>(
+        &mut self,
+        mut one: impl FnMut(&mut Self) -> Result<T, CdrError>,
+    ) -> Result<Vec<T>, CdrError> {
         let length = self.u32()? as usize;
         let mut out = Vec::with_capacity(length.min(1024));
         for _ in 0..length {
@@ -142,7 +145,9 @@ pub struct Writer {
 
 impl Default for Writer {
     fn default() -> Self {
-        Self { bytes: vec![0, 1, 0, 0] }
+        Self {
+            bytes: vec![0, 1, 0, 0],
+        }
     }
 }
 
@@ -231,7 +236,10 @@ mod tests {
         // 4+4+4+3 = 15 bytes behind the header: one of padding to 16
         assert_eq!(w.finish(), want);
         let mut r = Reader::new(&want).unwrap();
-        assert_eq!((r.u8(), r.u32(), r.text(), r.f64()), (Ok(7), Ok(1), Ok("ab".to_owned()), Ok(1.0)));
+        assert_eq!(
+            (r.u8(), r.u32(), r.text(), r.f64()),
+            (Ok(7), Ok(1), Ok("ab".to_owned()), Ok(1.0))
+        );
         assert_eq!(r.u8(), Err(CdrError::Short(24)));
     }
 
@@ -239,7 +247,10 @@ mod tests {
     fn the_other_byte_order_and_wrong_heads() {
         let mut r = Reader::new(&[0, 0, 0, 0, 0, 0, 1, 2]).unwrap();
         assert_eq!(r.u32(), Ok(0x0102));
-        assert!(matches!(Reader::new(&[9, 9, 0, 0]), Err(CdrError::Encapsulation(_))));
+        assert!(matches!(
+            Reader::new(&[9, 9, 0, 0]),
+            Err(CdrError::Encapsulation(_))
+        ));
         assert!(matches!(Reader::new(&[0, 1]), Err(CdrError::Short(2))));
         // a list that claims four thousand million elements ends where the bytes end
         let mut r = Reader::new(&[0, 1, 0, 0, 255, 255, 255, 255, 0, 0]).unwrap();

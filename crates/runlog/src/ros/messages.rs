@@ -321,13 +321,22 @@ mod tests {
     use super::*;
 
     fn header() -> Header {
-        Header { stamp_ns: 1_500_000_002, frame: "b".to_owned() }
+        Header {
+            stamp_ns: 1_500_000_002,
+            frame: "b".to_owned(),
+        }
     }
 
     /// 1.5 s and 2 ns, frame "b", one joint "hip" at 1 rad, no speeds, no efforts; laid out by hand.
     #[test]
     fn golden_bytes_of_a_joint_state() {
-        let state = JointState { header: header(), name: vec!["hip".to_owned()], position: vec![1.0], velocity: vec![], effort: vec![] };
+        let state = JointState {
+            header: header(),
+            name: vec!["hip".to_owned()],
+            position: vec![1.0],
+            velocity: vec![],
+            effort: vec![],
+        };
         #[rustfmt::skip]
         let want: &[u8] = &[
             0, 1, 0, 0,                         // little endian
@@ -342,36 +351,73 @@ mod tests {
         assert_eq!(state.encode(), want);
         assert_eq!(JointState::decode(want).unwrap(), state);
         for cut in 0..want.len() {
-            assert!(JointState::decode(&want[..cut]).is_err(), "{cut} bytes are no message");
+            assert!(
+                JointState::decode(&want[..cut]).is_err(),
+                "{cut} bytes are no message"
+            );
         }
     }
 
     #[test]
     fn every_message_reads_as_written() {
-        let imu = Imu { header: header(), orientation_wxyz: Some([0.5, 0.5, -0.5, 0.5]), gyro_radps: [1.0, 2.0, 3.0], acc_mps2: [4.0, 5.0, 6.0] };
+        let imu = Imu {
+            header: header(),
+            orientation_wxyz: Some([0.5, 0.5, -0.5, 0.5]),
+            gyro_radps: [1.0, 2.0, 3.0],
+            acc_mps2: [4.0, 5.0, 6.0],
+        };
         assert_eq!(Imu::decode(&imu.encode()).unwrap(), imu);
         // frame "b" ends at 14, padded to 16; 37 numbers follow
         assert_eq!(imu.encode().len(), 4 + 16 + 37 * 8);
-        let blind = Imu { orientation_wxyz: None, ..imu };
+        let blind = Imu {
+            orientation_wxyz: None,
+            ..imu
+        };
         assert_eq!(Imu::decode(&blind.encode()).unwrap(), blind);
-        let battery = BatteryState { header: header(), voltage_v: 12.5 };
+        let battery = BatteryState {
+            header: header(),
+            voltage_v: 12.5,
+        };
         assert_eq!(BatteryState::decode(&battery.encode()).unwrap(), battery);
         // 16, seven numbers of 4, four bytes, two empty lists, two empty texts (4 + 1, padded, 4 + 1)
         assert_eq!(battery.encode().len(), 4 + 16 + 28 + 4 + 8 + 8 + 5);
-        let pose = PoseStamped { header: header(), position_m: [1.0, 2.0, 3.0], orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
+        let pose = PoseStamped {
+            header: header(),
+            position_m: [1.0, 2.0, 3.0],
+            orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+        };
         assert_eq!(PoseStamped::decode(&pose.encode()).unwrap(), pose);
-        let twist = TwistStamped { header: header(), linear_mps: [1.0, 2.0, 3.0], angular_radps: [0.1, 0.2, 0.3] };
+        let twist = TwistStamped {
+            header: header(),
+            linear_mps: [1.0, 2.0, 3.0],
+            angular_radps: [0.1, 0.2, 0.3],
+        };
         assert_eq!(TwistStamped::decode(&twist.encode()).unwrap(), twist);
         // before the epoch, too
-        let early = Header { stamp_ns: -1, frame: String::new() };
-        let twist = TwistStamped { header: early.clone(), ..twist };
+        let early = Header {
+            stamp_ns: -1,
+            frame: String::new(),
+        };
+        let twist = TwistStamped {
+            header: early.clone(),
+            ..twist
+        };
         assert_eq!(TwistStamped::decode(&twist.encode()).unwrap().header, early);
     }
 
     #[test]
     fn every_written_type_has_a_definition() {
-        for t in [JointState::TYPE, Imu::TYPE, BatteryState::TYPE, PoseStamped::TYPE, TwistStamped::TYPE] {
-            assert!(schema(t).unwrap().contains("MSG: builtin_interfaces/Time"), "{t}");
+        for t in [
+            JointState::TYPE,
+            Imu::TYPE,
+            BatteryState::TYPE,
+            PoseStamped::TYPE,
+            TwistStamped::TYPE,
+        ] {
+            assert!(
+                schema(t).unwrap().contains("MSG: builtin_interfaces/Time"),
+                "{t}"
+            );
         }
         assert_eq!(schema("std_msgs/msg/String"), None);
     }

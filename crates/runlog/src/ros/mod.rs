@@ -14,6 +14,7 @@
 //! Time is the header's stamp (the recorder's, where a message has none), counted from the first message. Messages with one stamp make one row.
 
 pub mod cdr;
+pub mod container;
 pub mod messages;
 mod read;
 mod write;
@@ -49,8 +50,15 @@ mod tests {
         // rolled a quarter turn to the right side down (about +x): the left side (+y) points up, gravity along −y
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let g = gravity_of([half, half, 0.0, 0.0]);
-        assert!((g[1] + 1.0).abs() < 1e-12 && g[0].abs() < 1e-12 && g[2].abs() < 1e-12, "{g:?}");
-        for g in [[0.1, -0.2, -(1.0f64 - 0.05).sqrt()], [0.6, 0.8, 0.0], [0.0, 0.6, 0.8]] {
+        assert!(
+            (g[1] + 1.0).abs() < 1e-12 && g[0].abs() < 1e-12 && g[2].abs() < 1e-12,
+            "{g:?}"
+        );
+        for g in [
+            [0.1, -0.2, -(1.0f64 - 0.05).sqrt()],
+            [0.6, 0.8, 0.0],
+            [0.0, 0.6, 0.8],
+        ] {
             let back = gravity_of(orientation_of(g));
             for k in 0..3 {
                 assert!((back[k] - g[k]).abs() < 1e-12, "{g:?} {back:?}");

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::cdr::CdrError;
+use super::container::{ContainerError, Record, Records};
 use super::gravity_of;
 use super::messages::{BatteryState, Header, Imu, JointState, PoseStamped, TwistStamped};
 use crate::error::LogError;
@@ -23,36 +24,49 @@ pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
         file: file.to_owned(),
         message: message.replace('\n', " "),
     };
-    let stream = mcap::MessageStream::new_with_options(bytes, mcap::read::Options::IgnoreEndMagic.into())
-        .map_err(|e| wrong(format!("is not an MCAP file: {e}")))?;
+    let records = Records::new(bytes).map_err(|e| wrong(e.to_string()))?;
     let mut rows: BTreeMap<i64, Row> = BTreeMap::new();
     let mut notes = Vec::new();
+    let mut types: BTreeMap<u16, String> = BTreeMap::new();
+    let mut channels: BTreeMap<u16, (String, String)> = BTreeMap::new();
     let mut messages = 0usize;
-    for message in stream {
-        let message = match message {
-            Ok(message) => message,
-            Err(mcap::McapError::UnsupportedCompression(how)) => {
-                return Err(wrong(format!(
-                    "is compressed with {how}; write it again without (`mcap compress --compression none`)"
-                )));
+    for record in records {
+        let (channel, log_time_ns, data) = match record {
+            Ok(Record::Schema { id, name }) => {
+                types.insert(id, name);
+                continue;
             }
-            Err(e) if messages > 0 => {
-                notes.push(format!("{file}: dropped what follows message {messages}: {e}"));
+            Ok(Record::Channel { id, schema, topic }) => {
+                let kind = types.get(&schema).cloned().unwrap_or_default();
+                channels.insert(id, (topic, kind));
+                continue;
+            }
+            Ok(Record::Message {
+                channel,
+                log_time_ns,
+                data,
+            }) => (channel, log_time_ns, data),
+            Err(e @ ContainerError::Torn(_)) if messages > 0 => {
+                notes.push(format!(
+                    "{file}: dropped what follows message {messages}: {e}"
+                ));
                 break;
             }
             Err(e) => return Err(wrong(e.to_string())),
         };
         messages += 1;
-        let topic = message.channel.topic.as_str();
-        let Some(kind) = message.channel.schema.as_ref().map(|s| s.name.as_str()) else {
-            continue;
+        let Some((topic, kind)) = channels.get(&channel) else {
+            return Err(wrong(format!(
+                "message {messages} is on channel {channel}, which was not announced"
+            )));
         };
-        let (header, row) = samples(kind, topic, &message.data).map_err(|e| wrong(format!("message {messages} on {topic} ({kind}): {e}")))?;
+        let (header, row) = samples(kind, topic, data)
+            .map_err(|e| wrong(format!("message {messages} on {topic} ({kind}): {e}")))?;
         if row.is_empty() {
             continue;
         }
         let stamp_ns = if header.stamp_ns == 0 {
-            i64::try_from(message.log_time).unwrap_or(i64::MAX)
+            i64::try_from(log_time_ns).unwrap_or(i64::MAX)
         } else {
             header.stamp_ns
         };
@@ -104,10 +118,20 @@ fn samples(kind: &str, topic: &str, data: &[u8]) -> Result<(Header, Row), CdrErr
         PoseStamped::TYPE | "geometry_msgs/PoseStamped" => {
             let m = PoseStamped::decode(data)?;
             match topic.rsplit_once("mocap/").map(|(_, marker)| marker) {
-                Some(marker) => row.extend(Axis::ALL.iter().zip(m.position_m).map(|(a, x)| (Signal::Mocap(marker.to_owned(), *a), x))),
+                Some(marker) => row.extend(
+                    Axis::ALL
+                        .iter()
+                        .zip(m.position_m)
+                        .map(|(a, x)| (Signal::Mocap(marker.to_owned(), *a), x)),
+                ),
                 None => {
                     axes(&mut row, Signal::BasePosition, m.position_m);
-                    row.extend(QuatPart::ALL.iter().zip(m.orientation_wxyz).map(|(p, x)| (Signal::BaseQuaternion(*p), x)));
+                    row.extend(
+                        QuatPart::ALL
+                            .iter()
+                            .zip(m.orientation_wxyz)
+                            .map(|(p, x)| (Signal::BaseQuaternion(*p), x)),
+                    );
                 }
             }
             m.header
@@ -147,5 +171,10 @@ fn table(rows: BTreeMap<i64, Row>, notes: Vec<String>) -> Result<Table, String> 
             cells[columns[&signal]][k] = Some(value);
         }
     }
-    Ok(Table::from_columns(columns.into_keys().collect(), time_s, cells, notes))
+    Ok(Table::from_columns(
+        columns.into_keys().collect(),
+        time_s,
+        cells,
+        notes,
+    ))
 }

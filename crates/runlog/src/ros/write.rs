@@ -1,8 +1,8 @@
 //! Rows to MCAP.
 
 use std::collections::BTreeMap;
-use std::io::{Seek, Write};
 
+use super::container::Writer;
 use super::messages::{BatteryState, Header, Imu, JointState, PoseStamped, TwistStamped, schema};
 use super::orientation_of;
 use crate::error::LogError;
@@ -29,27 +29,40 @@ pub mod topics {
     pub const MOCAP: &str = "/mocap/";
 }
 
-/// Writes the rows as MCAP (profile `ros2`, not compressed), stamped from `start_ns` (nanoseconds since 1970; 0 would read as "not stamped",
-/// so the first row needs a later one). Returns the signals that the messages have no place for (temperatures, feet, contacts, switches).
+/// The rows as an MCAP file (profile `ros2`, not compressed), stamped from `start_ns` (nanoseconds since 1970; 0 would read as "not stamped"),
+/// and the signals that the messages have no place for (temperatures, feet, contacts, switches).
 ///
 /// # Errors
-/// [`LogError::Mcap`]; [`LogError::Refused`] for a start that is not after 1970.
-pub fn write_mcap<W: Write + Seek>(out: W, table: &Table, start_ns: u64) -> Result<Vec<Signal>, LogError> {
-    if start_ns == 0 {
-        return Err(LogError::Refused("the first row needs a stamp after 1970".to_owned()));
+/// [`LogError::Refused`] for a start that is not after 1970, or one so late that the stamps do not fit a message.
+pub fn write_mcap(table: &Table, start_ns: u64) -> Result<(Vec<u8>, Vec<Signal>), LogError> {
+    // a message counts seconds in 32 bits
+    const LATEST_NS: u64 = i32::MAX as u64 * 1_000_000_000;
+    let last_s = table.time_s().last().unwrap_or(&0.0) - table.time_s().first().unwrap_or(&0.0);
+    let end_ns = start_ns.saturating_add((last_s * 1e9) as u64);
+    if start_ns == 0 || end_ns > LATEST_NS {
+        return Err(LogError::Refused(format!(
+            "stamps from {start_ns} ns to {end_ns} ns since 1970 do not fit a message; they go from 1 to {LATEST_NS}"
+        )));
     }
-    let failed = |e: mcap::McapError| LogError::Mcap {
-        file: "mcap".to_owned(),
-        message: e.to_string().replace('\n', " "),
-    };
-    let options = mcap::WriteOptions::new().profile("ros2").library("caudata").compression(None);
-    let mut writer = options.create(out).map_err(failed)?;
+    let mut writer = Writer::new("ros2");
+    let mut schemas: BTreeMap<&'static str, u16> = BTreeMap::new();
     let mut channels: BTreeMap<String, u16> = BTreeMap::new();
-    let left_out: Vec<Signal> = table.signals().iter().filter(|s| !carried(s)).cloned().collect();
+    let left_out: Vec<Signal> = table
+        .signals()
+        .iter()
+        .filter(|s| !carried(s))
+        .cloned()
+        .collect();
     for k in 0..table.len() {
         let Some(cells) = table.row(k) else { break };
-        let row: BTreeMap<&Signal, f64> = table.signals().iter().zip(cells).filter_map(|(s, x)| Some((s, x?))).collect();
-        let stamp_ns = start_ns.saturating_add(((table.time_s()[k] - table.time_s()[0]) * 1e9).round() as u64);
+        let row: BTreeMap<&Signal, f64> = table
+            .signals()
+            .iter()
+            .zip(cells)
+            .filter_map(|(s, x)| Some((s, x?)))
+            .collect();
+        let since_s = table.time_s()[k] - table.time_s()[0];
+        let stamp_ns = start_ns + (since_s * 1e9).round() as u64;
         let header = Header {
             stamp_ns: i64::try_from(stamp_ns).unwrap_or(i64::MAX),
             frame: String::new(),
@@ -58,30 +71,31 @@ pub fn write_mcap<W: Write + Seek>(out: W, table: &Table, start_ns: u64) -> Resu
             let channel = match channels.get(&topic) {
                 Some(channel) => *channel,
                 None => {
-                    let text = schema(kind).unwrap_or_default();
-                    let id = writer.add_schema(kind, "ros2msg", text.as_bytes()).map_err(failed)?;
-                    let channel = writer.add_channel(id, &topic, "cdr", &BTreeMap::new()).map_err(failed)?;
+                    let next = schemas.len() as u16 + 1;
+                    let id = *schemas.entry(kind).or_insert(next);
+                    if id == next {
+                        writer.schema(id, kind, "ros2msg", &schema(kind).unwrap_or_default());
+                    }
+                    let channel = channels.len() as u16 + 1;
+                    writer.channel(channel, id, &topic, "cdr");
                     channels.insert(topic, channel);
                     channel
                 }
             };
-            let head = mcap::records::MessageHeader {
-                channel_id: channel,
-                sequence: k as u32,
-                log_time: stamp_ns,
-                publish_time: stamp_ns,
-            };
-            writer.write_to_known_channel(&head, &data).map_err(failed)?;
+            writer.message(channel, k as u32, stamp_ns, &data);
         }
     }
-    writer.finish().map_err(failed)?;
-    Ok(left_out)
+    Ok((writer.finish(), left_out))
 }
 
 fn carried(signal: &Signal) -> bool {
     !matches!(
         signal,
-        Signal::Temperature(_) | Signal::Duty(_) | Signal::Enabled(_) | Signal::Foot(..) | Signal::Contact(_)
+        Signal::Temperature(_)
+            | Signal::Duty(_)
+            | Signal::Enabled(_)
+            | Signal::Foot(..)
+            | Signal::Contact(_)
     )
 }
 
@@ -97,33 +111,63 @@ fn messages(row: &BTreeMap<&Signal, f64>, header: &Header) -> Vec<Message> {
     };
     // `BTreeMap` keeps the names in order and each once
     let joints = |keep: &dyn Fn(&Signal) -> bool| -> Vec<String> {
-        let mut names: Vec<String> = row.keys().filter(|s| keep(s)).filter_map(|s| s.joint().map(str::to_owned)).collect();
+        let mut names: Vec<String> = row
+            .keys()
+            .filter(|s| keep(s))
+            .filter_map(|s| s.joint().map(str::to_owned))
+            .collect();
         names.sort_unstable();
         names.dedup();
         names
     };
     let column = |names: &[String], of: fn(String) -> Signal| -> Vec<f64> {
-        let all: Vec<f64> = names.iter().map(|n| get(of(n.clone())).unwrap_or(f64::NAN)).collect();
-        if all.iter().all(|x| x.is_nan()) { Vec::new() } else { all }
+        let all: Vec<f64> = names
+            .iter()
+            .map(|n| get(of(n.clone())).unwrap_or(f64::NAN))
+            .collect();
+        if all.iter().all(|x| x.is_nan()) {
+            Vec::new()
+        } else {
+            all
+        }
     };
     let mut state = |topic: &str, names: Vec<String>, lists: [Vec<f64>; 3]| {
         if !names.is_empty() {
             let [position, velocity, effort] = lists;
-            let m = JointState { header: header.clone(), name: names, position, velocity, effort };
+            let m = JointState {
+                header: header.clone(),
+                name: names,
+                position,
+                velocity,
+                effort,
+            };
             out.push((topic.to_owned(), JointState::TYPE, m.encode()));
         }
     };
     let names = joints(&|s| matches!(s, Signal::Command(_)));
     let lists = [column(&names, Signal::Command), Vec::new(), Vec::new()];
     state(topics::JOINT_COMMANDS, names, lists);
-    let names = joints(&|s| matches!(s, Signal::Position(_) | Signal::Velocity(_) | Signal::Torque(_)));
-    let lists = [column(&names, Signal::Position), column(&names, Signal::Velocity), column(&names, Signal::Torque)];
+    let names = joints(&|s| {
+        matches!(
+            s,
+            Signal::Position(_) | Signal::Velocity(_) | Signal::Torque(_)
+        )
+    });
+    let lists = [
+        column(&names, Signal::Position),
+        column(&names, Signal::Velocity),
+        column(&names, Signal::Torque),
+    ];
     state(topics::JOINT_STATES, names, lists);
     let names = joints(&|s| matches!(s, Signal::Current(_)));
     let lists = [Vec::new(), Vec::new(), column(&names, Signal::Current)];
     state(topics::JOINT_CURRENTS, names, lists);
 
-    let (gyro, acc, grav) = (vector(&Signal::Gyro), vector(&Signal::Acceleration), vector(&Signal::Gravity));
+    let (gyro, acc, grav) = (
+        vector(&Signal::Gyro),
+        vector(&Signal::Acceleration),
+        vector(&Signal::Gravity),
+    );
     if gyro.is_some() || acc.is_some() || grav.is_some() {
         let m = Imu {
             header: header.clone(),
@@ -134,7 +178,10 @@ fn messages(row: &BTreeMap<&Signal, f64>, header: &Header) -> Vec<Message> {
         out.push((topics::IMU.to_owned(), Imu::TYPE, m.encode()));
     }
     if let Some(v) = get(Signal::Voltage) {
-        let m = BatteryState { header: header.clone(), voltage_v: v as f32 };
+        let m = BatteryState {
+            header: header.clone(),
+            voltage_v: v as f32,
+        };
         out.push((topics::BATTERY.to_owned(), BatteryState::TYPE, m.encode()));
     }
     let quat = QuatPart::ALL.map(|p| get(Signal::BaseQuaternion(p)));
@@ -148,15 +195,40 @@ fn messages(row: &BTreeMap<&Signal, f64>, header: &Header) -> Vec<Message> {
         out.push((topics::BASE_POSE.to_owned(), PoseStamped::TYPE, m.encode()));
     }
     if let Some(linear_mps) = vector(&Signal::BaseVelocity) {
-        let m = TwistStamped { header: header.clone(), linear_mps, angular_radps: [f64::NAN; 3] };
-        out.push((topics::BASE_TWIST.to_owned(), TwistStamped::TYPE, m.encode()));
+        let m = TwistStamped {
+            header: header.clone(),
+            linear_mps,
+            angular_radps: [f64::NAN; 3],
+        };
+        out.push((
+            topics::BASE_TWIST.to_owned(),
+            TwistStamped::TYPE,
+            m.encode(),
+        ));
     }
-    let mut markers: Vec<&String> = row.keys().filter_map(|s| if let Signal::Mocap(m, _) = s { Some(m) } else { None }).collect();
+    let mut markers: Vec<&String> = row
+        .keys()
+        .filter_map(|s| {
+            if let Signal::Mocap(m, _) = s {
+                Some(m)
+            } else {
+                None
+            }
+        })
+        .collect();
     markers.dedup();
     for marker in markers {
         if let Some(position_m) = vector(&|a| Signal::Mocap(marker.clone(), a)) {
-            let m = PoseStamped { header: header.clone(), position_m, orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
-            out.push((format!("{}{marker}", topics::MOCAP), PoseStamped::TYPE, m.encode()));
+            let m = PoseStamped {
+                header: header.clone(),
+                position_m,
+                orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+            };
+            out.push((
+                format!("{}{marker}", topics::MOCAP),
+                PoseStamped::TYPE,
+                m.encode(),
+            ));
         }
     }
     out
