@@ -176,7 +176,7 @@ pub(super) fn odd_spans(
                 let others = |t: usize| {
                     off.iter()
                         .enumerate()
-                        .all(|(k, d)| k == m || !(d[t] > 0.5 * off[m][t]))
+                        .all(|(k, d)| k == m || d[t].is_nan() || d[t] <= 0.5 * off[m][t])
                 };
                 let alone = (from..to).filter(|&t| others(t)).count() * 3 >= (to - from) * 2;
                 let short = ((to - from) as f64) < LONGEST_SHARE * len as f64;
