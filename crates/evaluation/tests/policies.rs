@@ -91,18 +91,10 @@ fn verdict(make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
     let model = Arc::new(RobotModel::load(&robot).unwrap());
     let contract = PolicyContract::new(&model, &config.task).unwrap();
     let scenario = Scenario::walk("by hand", [0.3, 0.0, 0.0]);
-    let go_on = || true;
-    let (result, traces) = run_scenario(
-        &config,
-        &model,
-        &make(&contract),
-        &scenario,
-        &settings(),
-        &go_on,
-    )
-    .unwrap();
-    assert_eq!(traces.len(), 2);
-    result
+    let policy = make(&contract);
+    let outcome = run_scenario(&config, &model, &policy, &scenario, &settings(), &|| true).unwrap();
+    assert_eq!(outcome.result.episodes, 2);
+    outcome.result
 }
 
 #[test]

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::pack::Packed;
 use super::scene::GroundScene;
-use crate::{Film, Outcome, Track};
+use crate::{Outcome, Track};
 
 /// Time over which velocities of single episodes are averaged before bands are drawn, s: a stride, in which a salamander's trunk sways.
 const STRIDE_S: f64 = 0.7;
