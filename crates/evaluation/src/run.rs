@@ -110,7 +110,7 @@ pub fn run_scenario(
             yaw_rad: scenario.start.yaw_rad,
         })?;
         let mut inference = Inference::new(policy, 1).map_err(EvaluationError::Inference)?;
-        let filmed = settings.film.then_some(scenario.film);
+        let filmed = scenario.film.filter(|_| settings.film);
         let round = Round::run(&mut env, &mut inference, scenario, block, filmed, go_on)?;
         Ok(round.measured(&measure, shore.as_ref(), settings.film))
     };

@@ -30,8 +30,8 @@ pub struct Scenario {
     pub judged: bool,
     /// Where it must get to, if anywhere.
     pub goal: Option<Goal>,
-    /// Which episode reports show.
-    pub film: usize,
+    /// Which episode reports show, if any: single corners look alike, and a page must stay small.
+    pub film: Option<usize>,
 }
 
 impl Scenario {
@@ -50,7 +50,7 @@ impl Scenario {
             push: None,
             judged: true,
             goal: None,
-            film: 0,
+            film: Some(0),
         }
     }
 

@@ -32,7 +32,7 @@ caudata.start = () => {
     const film = data.film ? caudata.openFilm(data.film) : null;
     const line = [`${s.episodes} episodes`, `falls ${caudata.percent(s.fall_share.mean)}`, `forward ${caudata.estimate(s.vx_mps)} m/s`, `power ${caudata.estimate(s.power_w, 1)} W`, caudata.verdict(s)].filter((x) => x);
     const kind = caudata.walks(s) === null ? "" : caudata.walks(s) ? "good" : "bad";
-    document.getElementById("scenario").replaceChildren(el("p", {}, el("b", {}, `${s.name}: `), ...line.map((x, i) => (i === line.length - 1 && kind ? el("span", { class: kind }, x) : `${x} · `))));
+    document.getElementById("scenario").replaceChildren(el("p", {}, el("b", {}, `${s.name}: `), line.slice(0, 4).join(" · "), ...line.slice(4).flatMap((x) => [" · ", el("span", { class: kind }, x)])));
     replay.play(false);
     plots.open(index, film);
     replay.open(film);
@@ -41,7 +41,11 @@ caudata.start = () => {
   caudata.replay = replay;
   caudata.plots = plots;
   caudata.tables(page);
-  if (page.result.scenarios.length) caudata.select(0);
+  if (page.result.scenarios.length) {
+    caudata.select(0);
+    // it walks by then
+    if (replay.film) replay.seek(Math.round(page.about.settle_s / replay.film.period));
+  }
   root.dataset.ready = "true";
 };
 

@@ -201,7 +201,7 @@ caudata.Plots = class {
     const several = this.shown.grid.length > 0;
     set("track", "Velocity tracking.", several ? "Commanded against achieved, one dot per command, mean over its episodes." : "Means over 0.7 s of each episode; band: from the tenth to the ninetieth percentile over episodes. Click to seek.");
     set("gait", "Gait.", "Bars: on the ground. Eight seconds around the cursor.");
-    set("body", "Spine and tail.", "Yaw joints from head (top) to tail, one step apart; a wave to the tail leans to the right.");
+    set("body", "Spine and tail.", "Yaw joints from head (top) to tail; a wave to the tail leans to the right going down.");
     set("wave", "The wave along the body.", "How far each yaw joint lags behind the first at the common frequency, and how far it swings, over all episodes.");
     set("legs", "Legs.", this.shore ? "Hip and knee of each leg over the whole episode; shaded: the foot is on the ground; blue: the centre of mass is over water." : "Hip (solid) and knee (dashed) of each leg around the cursor; shaded: the foot is on the ground.");
     set("servo", "Torque and speed of every servo", `in the episode shown, against the servo's envelope at ${this.page.servo.supply_v} V.`);
@@ -236,10 +236,11 @@ caudata.Plots = class {
       const top = 22, gap = 14, each = (height - top - 42 - 2 * gap) / 3;
       this.trackAxes = curves.signals.map((s, i) => {
         const y0 = top + i * (each + gap);
-        const axes = sheet.axes({ box: [62, y0, width - 10, y0 + each], x: [0, Math.max(xs[n - 1], 0.1)], y: caudata.range([s.command, s.low, s.high, s.mean], 0.1), xTicks: 10, yTicks: 3, yLabel: names[i], xText: i === 2, xLabel: i === 2 ? "time, s" : "" });
+        const axes = sheet.axes({ box: [62, y0, width - 10, y0 + each], x: [0, Math.max(xs[n - 1], 0.1)], y: caudata.range([s.command, s.low, s.high, s.mean], 0.1), xTicks: 10, yTicks: 3, xText: i === 2, xLabel: i === 2 ? "time, s" : "" });
         sheet.band(axes, xs, s.low, s.high, theme.band);
         sheet.line(axes, xs, s.command, theme.command, 1.5, [5, 4]);
         sheet.line(axes, xs, s.mean, theme.accent, 2);
+        sheet.text(names[i], width - 16, y0 + 11, { align: "right", color: theme.soft });
         return axes;
       });
       sheet.key([{ label: "commanded", color: theme.command, dash: [5, 4] }, { label: "achieved, mean", color: theme.accent }, { label: "10 to 90 %", color: theme.band, band: true }], 62, 9);
@@ -310,21 +311,21 @@ caudata.Plots = class {
     const { theme, width, height, ctx } = sheet, { film } = this, { robot, joint_names } = this.page;
     const whole = this.window(), half = (whole[1] - whole[0]) / 4, middle = Math.max(whole[0] + half, Math.min(this.time, whole[1] - half));
     const x = [middle - half, middle + half], [first, last] = this.inside(x);
-    const axes = sheet.axes({ box: [62, 6, width - 10, height - 36], x, y: [-8, 1.2], xTicks: 5, yTicks: 0, xLabel: "time, s" });
+    const axes = sheet.axes({ box: [62, 6, width - 10, height - 36], x, y: [-7.8, 0.8], xTicks: 5, yTicks: 0, xLabel: "time, s" });
     this.axes.body = axes;
     const columns = Array.from({ length: 8 }, (_, j) => 7 + robot.actuated[j]);
     let most = 0.05;
     for (let r = 0; r < film.frames; r += 3) for (const c of columns) most = Math.max(most, Math.abs(film.pose.at(r, c)));
     columns.forEach((c, j) => {
       const xs = [], ys = [];
-      for (let r = first; r < last; r++) { xs.push(r * film.period); ys.push(-j + 0.95 * film.pose.at(r, c) / most); }
+      for (let r = first; r < last; r++) { xs.push(r * film.period); ys.push(-j + 0.6 * film.pose.at(r, c) / most); }
       ctx.strokeStyle = theme.faint;
       ctx.beginPath(); ctx.moveTo(axes.box[0], axes.py(-j)); ctx.lineTo(axes.box[2], axes.py(-j)); ctx.stroke();
       sheet.line(axes, xs, ys, theme.chain[j], 1.8);
       sheet.text(joint_names[j].replace("_", " "), 56, axes.py(-j), { align: "right", color: theme.soft });
     });
     const scale = most * 180 / Math.PI;
-    sheet.text(`one step: ${caudata.number(scale / 0.95, 0)}°`, axes.box[2] - 6, 17, { align: "right", color: theme.soft });
+    sheet.text(`distance of two lines: ${caudata.number(scale / 0.6, 0)}°`, 62, height - 17, { base: "top", color: theme.soft });
     sheet.cursor(axes, this.time);
   }
 

@@ -148,7 +148,7 @@ caudata.shaders = {
       } else {
         float shade = lit();
         float sun = max(dot(n, uSun), 0.0) * shade;
-        vec3 ambient = mix(vec3(0.30, 0.28, 0.26), vec3(0.52, 0.57, 0.62), 0.5 + 0.5 * n.z);
+        vec3 ambient = mix(vec3(0.40, 0.38, 0.36), vec3(0.54, 0.58, 0.63), 0.5 + 0.5 * n.z);
         float gloss = uGround > 0.5 ? 0.0 : 0.22 * pow(max(dot(reflect(-uSun, n), look), 0.0), 24.0) * shade;
         c = base * (ambient + vec3(0.78, 0.74, 0.66) * sun) + gloss;
         // what lies under water takes its colour

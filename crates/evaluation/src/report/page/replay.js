@@ -2,10 +2,10 @@
 
 caudata.Replay = class {
   static COLORS = {
-    body: [[0.80, 0.56, 0.16], [0.62, 0.42, 0.11]], leg: [0.24, 0.33, 0.42], foot: [0.10, 0.11, 0.12], down: [0.86, 0.17, 0.10],
+    body: [[0.80, 0.56, 0.16], [0.62, 0.42, 0.11]], leg: [0.30, 0.41, 0.52], foot: [0.13, 0.14, 0.16], down: [0.86, 0.17, 0.10],
     ground: [0.66, 0.68, 0.64], water: [0.20, 0.46, 0.60], commanded: [0.16, 0.22, 0.27], achieved: [0.02, 0.52, 0.75], path: [0.93, 0.93, 0.90], force: [0.93, 0.42, 0.30],
   };
-  static HOME = { yaw: -2.15, pitch: 0.42, distance: 2.3 };
+  static HOME = { yaw: -2.2, pitch: 0.36, distance: 1.75 };
   // Force from which a foot counts as standing, N: the same as in the figures.
   static TOUCH_N = 1;
 
@@ -151,8 +151,9 @@ caudata.Replay = class {
     const { film } = this;
     const items = [];
     if (this.terrain) items.push({ mesh: this.terrain, color: COLORS.ground, ground: true });
-    // the plane without end, and the one under every height field
-    else items.push({ mesh: this.renderer.unit.plane, pos: [target[0], target[1], 0], scale: [40, 40, 1], color: COLORS.ground, ground: true });
+    // the plane without end, and the one under and around every height field
+    const z = this.terrain ? -0.01 : 0;
+    items.push({ mesh: this.renderer.unit.plane, pos: [target[0], target[1], z], scale: [40, 40, 1], color: COLORS.ground, ground: true });
     return items;
   }
 
@@ -231,9 +232,10 @@ caudata.Replay = class {
 
   hud(row) {
     const { film } = this;
-    const show = (v) => `${caudata.number(v[0])}  ${caudata.number(v[1])} m/s  ${caudata.number(v[2])} rad/s`;
+    const wide = (x) => caudata.number(x).padStart(5);
+    const show = (v) => `${wide(v[0])} ${wide(v[1])} m/s ${wide(v[2])} rad/s`;
     const touching = this.footNames.filter((_, f) => film.footForce(row, f) > caudata.Replay.TOUCH_N);
     const fell = film.fell && row >= film.frames - 1 ? `\nfell: ${film.fell}` : "";
-    this.$("hud").textContent = `commanded  ${show(film.command(row))}\nachieved     ${show(film.achieved(row))}\npower ${caudata.number(film.power(row), 1)} W   on the ground: ${touching.join(" ") || "no foot"}${fell}`;
+    this.$("hud").textContent = `commanded ${show(film.command(row))}\nachieved  ${show(film.achieved(row))}\npower ${caudata.number(film.power(row), 1)} W   on the ground: ${touching.join(" ") || "no foot"}${fell}`;
   }
 };

@@ -51,7 +51,7 @@ caudata.header = (page) => {
     if (walks !== null) card(walks ? "walks" : "does not walk", walks ? "every gate met there" : "a gate missed there", walks ? "good" : "bad");
     card(percent(flat.fall_share.mean), "of its episodes fall", flat.fall_share.mean > 0.05 ? "bad" : "");
   }
-  const shore = result.scenarios.find((s) => s.transition && s.transition.swim_speed_mps);
+  const shore = result.scenarios.find((s) => s.transition && s.transition.swim_speed_mps && s.transition.reached.mean > 0.5);
   if (shore) card(`${number(shore.transition.swim_speed_mps.mean, 3)} m/s`, `swimming, ${shore.name}`);
   const rows = result.acceptance;
   if (rows.length) {
