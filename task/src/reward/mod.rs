@@ -99,7 +99,7 @@ reward_terms! {
     tracking_lin_vel: Reward, "1", 1.0;
     /// exp(−(ω_cmd − ω_z)²/`yaw_rate_sigma`): follow the commanded yaw rate. Default 0.5 (paper).
     tracking_yaw_rate: Reward, "1", 0.5;
-    /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock. Default 1.0 (paper);
+    /// On land, exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock; 0 in water. Default 1.0 (paper);
     /// too small: the policy shuffles or vibrates.
     phase: Reward, "1", 1.0;
     /// Σ|q̇τ|, mechanical power of all motors in either direction. Default −1e-3 (paper); −3e-3 curbs
@@ -125,6 +125,10 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
+    /// In water, exp(−Σ (q − q_swimming)²/`leg_fold_sigma`) over the leg joints: legs folded back as in the robot file's swimming pose;
+    /// 0 on land. It takes the place of `phase`, which pays nothing in water, so give it about that weight: too small, and staying on
+    /// land pays. Default 0 (not in the paper).
+    leg_fold: Reward, "1", 0.0;
 }
 
 fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {
@@ -161,6 +165,8 @@ pub struct RewardConfig {
     pub contact_force_n: f32,
     /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
     pub trunk_force_n: f32,
+    /// σ of `leg_fold`, rad². Default 3: legs that stand as for walking are 7 rad² from folded and earn 10 %. Smaller: no gradient from there.
+    pub leg_fold_sigma: f32,
     /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
     pub soft_limit_share: f32,
     /// Weight of each term.
@@ -175,6 +181,7 @@ impl Default for RewardConfig {
             phase_sigma: 0.01,
             contact_force_n: 1.0,
             trunk_force_n: 5.0,
+            leg_fold_sigma: 3.0,
             soft_limit_share: 0.95,
             weights: RewardWeights::default(),
         }
@@ -216,6 +223,7 @@ impl RewardConfig {
             (self.phase_sigma, "reward.phase_sigma"),
             (self.contact_force_n, "reward.contact_force_n"),
             (self.trunk_force_n, "reward.trunk_force_n"),
+            (self.leg_fold_sigma, "reward.leg_fold_sigma"),
         ];
         for (value, field) in positive {
             require(
@@ -276,6 +284,10 @@ pub struct RewardInput<'a> {
     pub foot_force_n: &'a [[f32; 3]; FEET],
     /// Sum of contact forces on everything but the feet, N.
     pub trunk_force_n: f32,
+    /// 0 on land, 1 in water.
+    pub medium: f32,
+    /// Joint positions of the swimming pose, rad.
+    pub swimming_rad: &'a [f32; ACT_DIM],
     /// The action of this step, clipped.
     pub action: &'a [f32; ACT_DIM],
     /// The action of the step before, clipped.

@@ -33,6 +33,8 @@ fn rest() -> RewardInput<'static> {
         foot_vel_mps: &[[0.0; 3]; FEET],
         foot_force_n: &[[0.0, 0.0, 6.0]; FEET],
         trunk_force_n: 0.0,
+        medium: 0.0,
+        swimming_rad: &ZEROS,
         action: &ZEROS,
         previous_action: &ZEROS,
     }
@@ -286,4 +288,23 @@ fn a_wrong_sign_or_scale_is_refused_by_name() {
             .to_string()
             .contains("reward.phase_sigma")
     );
+}
+
+#[test]
+fn in_water_legs_fold_instead_of_stepping() {
+    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 8·0.5² = 2; exp(−2/3) = 0.513417.
+    let fold = [0.6; ACT_DIM];
+    let input = RewardInput {
+        medium: 1.0,
+        swimming_rad: &fold,
+        ..rest()
+    };
+    check(terms::leg_fold, &input, 0.513_417);
+    check(terms::phase, &input, 0.0);
+    let on_land = RewardInput {
+        medium: 0.0,
+        ..input
+    };
+    check(terms::leg_fold, &on_land, 0.0);
+    check(terms::phase, &on_land, 1.0);
 }
