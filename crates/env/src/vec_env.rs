@@ -190,7 +190,7 @@ impl VecEnv {
         &mut self.lanes[lane].action_stream
     }
 
-    /// Tells how many environment steps the whole run has done; pushes may grow with it.
+    /// Tells how many environment steps the whole run has done; pushes and costs may grow with it.
     pub fn set_progress(&mut self, env_steps_total: u64) {
         self.progress = env_steps_total;
     }
@@ -264,7 +264,9 @@ impl VecEnv {
         let mut reward = 0.0;
         if !diverged {
             let input = reward_input(&self.task, &self.joints, &self.swimming_rad, now, &truth);
-            reward = reward::evaluate(&self.task.reward, &input, control_period_s, &mut terms);
+            let cost_scale = self.task.reward.cost_scale(self.progress);
+            let config = &self.task.reward;
+            reward = reward::evaluate(config, &input, control_period_s, cost_scale, &mut terms);
             let contact_force_n = self.task.reward.contact_force_n;
             let command = now.command.value;
             now.tally

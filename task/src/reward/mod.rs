@@ -21,6 +21,16 @@ pub enum Sense {
     Cost,
 }
 
+impl Sense {
+    /// The factor on a term of this sense while costs are multiplied by `cost_scale`.
+    fn scale(self, cost_scale: f32) -> f32 {
+        match self {
+            Self::Reward => 1.0,
+            Self::Cost => cost_scale,
+        }
+    }
+}
+
 /// A row of the table of terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TermInfo {
@@ -77,17 +87,23 @@ macro_rules! reward_terms {
         /// Number of terms.
         pub const TERM_COUNT: usize = [$(stringify!($name)),+].len();
 
-        /// Evaluates all terms for one control step of `dt_s` seconds. `contributions` (in the order of
+        /// Evaluates all terms for one control step of `dt_s` seconds, costs multiplied by `cost_scale`
+        /// ([`RewardConfig::cost_scale`]). `contributions` (in the order of
         /// [`TERMS`]) receives each term's part, weight and `dt_s` included; the sum is the reward.
         pub fn evaluate(
             config: &RewardConfig,
             input: &RewardInput<'_>,
             dt_s: f32,
+            cost_scale: f32,
             contributions: &mut [f32; TERM_COUNT],
         ) -> f32 {
             let weights = &config.weights;
             *contributions = [$(
-                if weights.$name == 0.0 { 0.0 } else { dt_s * weights.$name * terms::$name(config, input) }
+                if weights.$name == 0.0 {
+                    0.0
+                } else {
+                    dt_s * Sense::$sense.scale(cost_scale) * weights.$name * terms::$name(config, input)
+                }
             ),+];
             contributions.iter().sum()
         }
@@ -169,6 +185,11 @@ pub struct RewardConfig {
     pub leg_fold_sigma: f32,
     /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
     pub soft_limit_share: f32,
+    /// Factor on all costs at the start of a run, 0 to 1; it grows to 1 in proportion over `costs_full_after_env_steps`. Default 1. Full costs
+    /// from the start make standing still pay before the robot has found out how to walk, above all where small commands are among those drawn.
+    pub costs_at_start: f32,
+    /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
+    pub costs_full_after_env_steps: u64,
     /// Weight of each term.
     pub weights: RewardWeights,
 }
@@ -183,6 +204,8 @@ impl Default for RewardConfig {
             trunk_force_n: 5.0,
             leg_fold_sigma: 3.0,
             soft_limit_share: 0.95,
+            costs_at_start: 1.0,
+            costs_full_after_env_steps: 0,
             weights: RewardWeights::default(),
         }
     }
@@ -212,6 +235,15 @@ impl RewardConfig {
         }
     }
 
+    /// Factor on all costs after `env_steps` environment steps of the whole run.
+    pub fn cost_scale(&self, env_steps: u64) -> f32 {
+        if env_steps >= self.costs_full_after_env_steps {
+            return 1.0;
+        }
+        let share = env_steps as f64 / self.costs_full_after_env_steps as f64;
+        self.costs_at_start + (1.0 - self.costs_at_start) * share as f32
+    }
+
     /// Checks every value.
     ///
     /// # Errors
@@ -238,6 +270,12 @@ impl RewardConfig {
             "reward.soft_limit_share",
             self.soft_limit_share,
             "must be above 0 and at most 1",
+        )?;
+        require(
+            (0.0..=1.0).contains(&self.costs_at_start),
+            "reward.costs_at_start",
+            self.costs_at_start,
+            "must be 0 to 1",
         )?;
         self.weights.validate()
     }
