@@ -13,5 +13,6 @@ pub mod publish;
 pub mod report;
 pub mod returns;
 pub mod train;
+pub mod warm_start;
 
 pub use error::LearnerError;

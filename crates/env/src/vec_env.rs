@@ -34,6 +34,8 @@ pub struct VecEnv {
     pub(crate) actor: u64,
     pub(crate) layout: ObservationLayout,
     joints: JointTable,
+    /// Swimming pose; the nominal one where the robot has none.
+    swimming_rad: [f32; ACT_DIM],
     reader: Reader,
     /// `None`: perfect sensors.
     sensors: Option<Sensors>,
@@ -69,6 +71,8 @@ impl VecEnv {
         let joints = JointTable::from_model(&model)?;
         check_engine(&model, &task, engine.as_ref())?;
         let lanes = engine.lanes();
+        let swimming = model.swimming_pos_rad().unwrap_or(model.nominal_pos_rad());
+        let swimming_rad = std::array::from_fn(|i| swimming[i] as f32);
         let layout = task.layout();
         let mut env = Self {
             contract,
@@ -78,6 +82,7 @@ impl VecEnv {
             seed,
             actor,
             joints,
+            swimming_rad,
             reader: Reader {
                 actuated: std::array::from_fn(|i| model.actuated()[i]),
                 foot_radius_m: std::array::from_fn(|i| model.feet()[i].radius_m as f32),
@@ -140,7 +145,7 @@ impl VecEnv {
 
     /// The true state of one lane, in the task's order and frames.
     pub fn truth(&self, lane: usize) -> Truth {
-        self.reader.read(self.engine.state(), lane)
+        self.reader.read(self.engine.as_ref(), lane)
     }
 
     /// Present command of a lane: vx, vy (m/s), yaw rate (rad/s).
@@ -168,7 +173,7 @@ impl VecEnv {
         &mut self.lanes[lane].action_stream
     }
 
-    /// Tells how many environment steps the whole run has done; pushes may grow with it.
+    /// Tells how many environment steps the whole run has done; pushes and costs may grow with it.
     pub fn set_progress(&mut self, env_steps_total: u64) {
         self.progress = env_steps_total;
     }
@@ -231,7 +236,7 @@ impl VecEnv {
     /// After the engine's step: reward, end of episode, next command, observation of one lane.
     fn settle(&mut self, lane: usize) -> Result<(), EnvError> {
         let state = self.engine.state();
-        let truth = self.reader.read(state, lane);
+        let truth = self.reader.read(self.engine.as_ref(), lane);
         let diverged = state.diverged[lane] || !truth.is_finite();
         let now = &mut self.lanes[lane];
         let control_period_s = self.task.control_period_s as f32;
@@ -241,8 +246,10 @@ impl VecEnv {
         let mut terms = [0.0; TERM_COUNT];
         let mut reward = 0.0;
         if !diverged {
-            let input = reward_input(&self.task, &self.joints, now, &truth);
-            reward = reward::evaluate(&self.task.reward, &input, control_period_s, &mut terms);
+            let input = reward_input(&self.task, &self.joints, &self.swimming_rad, now, &truth);
+            let cost_scale = self.task.reward.cost_scale(self.progress);
+            let config = &self.task.reward;
+            reward = reward::evaluate(config, &input, control_period_s, cost_scale, &mut terms);
             let contact_force_n = self.task.reward.contact_force_n;
             let command = now.command.value;
             now.tally
@@ -324,7 +331,7 @@ impl VecEnv {
     }
 
     pub(crate) fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
-        let truth = self.reader.read(self.engine.state(), lane);
+        let truth = self.reader.read(self.engine.as_ref(), lane);
         self.observe(lane, &truth)
     }
 
@@ -348,7 +355,7 @@ impl VecEnv {
             phase_rad: now.clock.phases_rad(),
             command: now.command.value,
             previous_actions: &now.actions,
-            medium: None,
+            medium: Some(truth.medium),
         }
         .write(
             &self.layout,
@@ -363,6 +370,7 @@ impl VecEnv {
 fn reward_input<'a>(
     task: &TaskConfig,
     joints: &'a JointTable,
+    swimming_rad: &'a [f32; ACT_DIM],
     lane: &'a Lane,
     truth: &'a Truth,
 ) -> RewardInput<'a> {
@@ -386,6 +394,8 @@ fn reward_input<'a>(
         foot_vel_mps: &truth.foot_vel_mps,
         foot_force_n: &truth.foot_force_n,
         trunk_force_n: truth.trunk_force_n,
+        medium: truth.medium,
+        swimming_rad,
         action: &lane.actions[0],
         previous_action: &lane.actions[1],
     }
