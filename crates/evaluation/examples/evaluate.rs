@@ -30,10 +30,7 @@ fn main() -> Fallible<()> {
         config: &config,
         model: &model,
         policy: &policy,
-        suite: Suite::ALL
-            .into_iter()
-            .find(named)
-            .ok_or("no such suite")?,
+        suite: Suite::ALL.into_iter().find(named).ok_or("no such suite")?,
         settings: Settings {
             episodes: episodes.parse()?,
             film: true,
@@ -60,7 +57,11 @@ fn main() -> Fallible<()> {
         println!("{:60} {:8.4} {met} {}", row.name, measured, row.note);
     }
     let page = report::page(&result, &outcomes, &model, &policy, &evaluation.settings)?;
-    println!("{} bytes, {:.2} s", page.len(), from.elapsed().as_secs_f64());
+    println!(
+        "{} bytes, {:.2} s",
+        page.len(),
+        from.elapsed().as_secs_f64()
+    );
     std::fs::write(PathBuf::from(out), page)?;
     Ok(())
 }

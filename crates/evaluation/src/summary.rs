@@ -27,7 +27,9 @@ pub enum SummaryError {
         source: std::io::Error,
     },
     /// It is no summary.
-    #[error("{path} is not an evaluation summary: {reason}; write it anew with `caudata eval --write-summary`")]
+    #[error(
+        "{path} is not an evaluation summary: {reason}; write it anew with `caudata eval --write-summary`"
+    )]
     Invalid {
         /// Which file.
         path: PathBuf,

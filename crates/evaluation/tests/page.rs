@@ -44,7 +44,11 @@ fn element<'a>(page: &'a str, open: &str) -> &'a str {
 }
 
 fn data(page: &str) -> Value {
-    serde_json::from_str(element(page, r#"<script type="application/json" id="data">"#)).unwrap()
+    serde_json::from_str(element(
+        page,
+        r#"<script type="application/json" id="data">"#,
+    ))
+    .unwrap()
 }
 
 /// Whether a program is there to be run; says so where it is not.
@@ -186,7 +190,10 @@ fn dump(browser: &str, home: &Path, path: &Path) -> Option<String> {
         .args(["--headless", "--no-sandbox", "--disable-dev-shm-usage"])
         .args(["--use-gl=angle", "--use-angle=swiftshader"])
         .args(["--enable-unsafe-swiftshader", "--virtual-time-budget=2000"])
-        .arg(format!("--user-data-dir={}", home.join("profile").display()))
+        .arg(format!(
+            "--user-data-dir={}",
+            home.join("profile").display()
+        ))
         .arg("--dump-dom")
         .arg(format!("file://{}", path.display()))
         .stderr(Stdio::null())

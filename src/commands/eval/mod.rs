@@ -166,8 +166,8 @@ fn finish(
         ..
     } = evaluation;
     if let Some(path) = &args.report {
-        let page = report::page(result, outcomes, model, policy, settings)
-            .or_exit(ExitCode::Internal)?;
+        let page =
+            report::page(result, outcomes, model, policy, settings).or_exit(ExitCode::Internal)?;
         write(path, page.as_bytes())?;
     }
     if args.write_summary {

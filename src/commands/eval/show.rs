@@ -35,7 +35,11 @@ pub fn print_end(result: &SuiteResult) {
         }
     }
     if !result.acceptance.is_empty() {
-        let mut table = vec![["target", "owed", "aim", "measured", "", ""].map(str::to_owned).into()];
+        let mut table = vec![
+            ["target", "owed", "aim", "measured", "", ""]
+                .map(str::to_owned)
+                .into(),
+        ];
         table.extend(result.acceptance.iter().map(target));
         say::table(&table);
     }
@@ -124,7 +128,8 @@ fn body(r: &ScenarioResult) {
 
 fn shore(t: &TransitionResult) {
     let or_none = |x: Option<Estimate>, digits| x.map_or_else(|| "–".to_owned(), |x| pm(x, digits));
-    let share = |x: Option<f64>| x.map_or_else(|| "–".to_owned(), |x| format!("{:.0} %", 100.0 * x));
+    let share =
+        |x: Option<f64>| x.map_or_else(|| "–".to_owned(), |x| format!("{:.0} %", 100.0 * x));
     say::line(format!(
         "  gets there in {:.1} % ({} s); swims {} m/s at {} W; legs swing {} as far as on land; feet touch {} of the time, {} on land",
         100.0 * t.reached.mean,
