@@ -17,6 +17,7 @@ use caudata_transport::{
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
+use crate::commands::bench_learner;
 use crate::commands::bench_sim::{self, Plan, SceneName};
 use crate::commands::eval::EngineName;
 use crate::commands::robot_model;
@@ -37,6 +38,14 @@ pub enum BenchCommand {
         #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=64))]
         threads: u32,
         /// Network and robot; the preset `quick` without these flags
+        #[command(flatten)]
+        config: ConfigArgs,
+    },
+    /// Updates of the learner on made-up data: samples/s, GFLOP/s, and what matrix products reach in the same run
+    Learner {
+        #[command(flatten)]
+        common: Common,
+        /// Networks, batch and threads; the preset `quick` without these flags
         #[command(flatten)]
         config: ConfigArgs,
     },
@@ -136,6 +145,9 @@ struct Finding {
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     let (common, finding) = match command {
         BenchCommand::Sim(args) => return bench_sim(args),
+        BenchCommand::Learner { common, config } => {
+            return bench_learner::run(&or_quick(config), common.seconds, common.json);
+        }
         BenchCommand::Policy {
             common,
             batch,
@@ -205,12 +217,17 @@ fn measure(
 }
 
 /// The flags' configuration, `quick` without any.
-fn load(flags: &ConfigArgs) -> Result<caudata_config::Config, Failure> {
+/// The flags as given, or the preset `quick`.
+fn or_quick(flags: &ConfigArgs) -> ConfigArgs {
     let mut flags = flags.clone();
     if flags.preset.is_none() && flags.config.is_none() {
         flags.preset = Some("quick".into());
     }
-    flags.load().or_exit(ExitCode::BadConfig)
+    flags
+}
+
+fn load(flags: &ConfigArgs) -> Result<caudata_config::Config, Failure> {
+    or_quick(flags).load().or_exit(ExitCode::BadConfig)
 }
 
 fn bench_sim(args: &SimBench) -> Result<(), Failure> {

@@ -1,6 +1,7 @@
 //! One module per command.
 
 pub mod bench;
+mod bench_learner;
 mod bench_sim;
 pub mod config;
 pub mod eval;
