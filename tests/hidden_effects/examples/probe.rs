@@ -15,14 +15,42 @@ fn main() {
     let now = std::time::Instant::now();
     for seed in 1..4 {
         let view = generate::null_view(&rig, &trials, seed).unwrap();
-        println!("null {seed}: {:.3} over {total} s of trials; {:.2} s", view.discrepancy, now.elapsed().as_secs_f64());
+        println!(
+            "null {seed}: {:.3} over {total} s of trials; {:.2} s",
+            view.discrepancy,
+            now.elapsed().as_secs_f64()
+        );
     }
     for (i, h) in CATALOGUE.iter().chain(OUTSIDE).enumerate() {
-        if only.is_some_and(|o| o != h.id) { continue; }
+        if only.is_some_and(|o| o != h.id) {
+            continue;
+        }
         let now = std::time::Instant::now();
-        let request = Request { name: h.id.to_owned(), block: Block::Single, rig: &rig, seed: 100 + i as u64, amount: Amount::Full, effects: vec![(h, 0, d)], decoy: None };
+        let request = Request {
+            name: h.id.to_owned(),
+            block: Block::Single,
+            rig: &rig,
+            seed: 100 + i as u64,
+            amount: Amount::Full,
+            effects: vec![(h, 0, d)],
+            decoy: None,
+            without: Vec::new(),
+        };
         match generate::make(&request, &out) {
-            Ok(a) => { let e = &a.effects[0]; println!("{:26} size {:9.4} d {:5.2} truth {:?} {:.1} s", h.id, e.size, e.d, e.parameters.iter().map(|p| (p.value, p.nominal)).collect::<Vec<_>>(), now.elapsed().as_secs_f64()); }
+            Ok(a) => {
+                let e = &a.effects[0];
+                println!(
+                    "{:26} size {:9.4} d {:5.2} truth {:?} {:.1} s",
+                    h.id,
+                    e.size,
+                    e.d,
+                    e.parameters
+                        .iter()
+                        .map(|p| (p.value, p.nominal))
+                        .collect::<Vec<_>>(),
+                    now.elapsed().as_secs_f64()
+                );
+            }
             Err(e) => println!("{:26} {e} {:.1} s", h.id, now.elapsed().as_secs_f64()),
         }
     }

@@ -91,7 +91,13 @@ impl Track {
         for k in 1..=n {
             let x = k as f64 / RATE_HZ / quarter;
             let p = x.rem_euclid(4.0);
-            let y = if p < 1.0 { p } else if p < 3.0 { 2.0 - p } else { p - 4.0 };
+            let y = if p < 1.0 {
+                p
+            } else if p < 3.0 {
+                2.0 - p
+            } else {
+                p - 4.0
+            };
             self.put(centre + size * y);
         }
     }
@@ -114,7 +120,12 @@ impl Track {
 fn trial(name: &str, tracks: Vec<Track>) -> Trial {
     let rows = tracks.iter().map(|t| t.rad.len()).max().unwrap_or(0);
     let rows_rad = (0..rows)
-        .map(|k| tracks.iter().map(|t| t.rad.get(k).copied().unwrap_or(t.now())).collect())
+        .map(|k| {
+            tracks
+                .iter()
+                .map(|t| t.rad.get(k).copied().unwrap_or(t.now()))
+                .collect()
+        })
         .collect();
     Trial {
         name: name.to_owned(),
@@ -124,7 +135,11 @@ fn trial(name: &str, tracks: Vec<Track>) -> Trial {
 
 /// What a joint may be sent to: its range less a margin.
 fn ranges(model: &RobotModel) -> Vec<(f64, f64)> {
-    model.joint_limits_rad().iter().map(|&(low, high)| (low + 0.15, high - 0.15)).collect()
+    model
+        .joint_limits_rad()
+        .iter()
+        .map(|&(low, high)| (low + 0.15, high - 0.15))
+        .collect()
 }
 
 /// Trials to fit on: holds under load, chirps, triangles at three speeds, steps of three sizes.
@@ -211,7 +226,10 @@ pub fn holdout(model: &RobotModel, amount: Amount, stream: &mut Stream) -> Vec<T
             let fade = RATE_HZ;
             for k in 1..=n {
                 let time = k as f64 / RATE_HZ;
-                let x: f64 = sines.iter().map(|(a, f, p)| a * (std::f64::consts::TAU * f * time + p).sin()).sum();
+                let x: f64 = sines
+                    .iter()
+                    .map(|(a, f, p)| a * (std::f64::consts::TAU * f * time + p).sin())
+                    .sum();
                 t.put(x * (k as f64 / fade).min(1.0));
             }
             for _ in 0..4 {

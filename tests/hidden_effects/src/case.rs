@@ -69,6 +69,9 @@ pub struct Answer {
     pub target_d: f64,
     /// True effects, none for nulls and decoys.
     pub effects: Vec<TrueEffect>,
+    /// Ids that the diagnosis has to do without (leave one out).
+    #[serde(default)]
+    pub without: Vec<String>,
     /// What a decoy is: `kp_declared`, `sign`, …
     pub decoy: String,
     /// Whether the right answer of a decoy is `data_fault` (otherwise that nothing physical is named).

@@ -71,8 +71,14 @@ impl Rig {
     /// [`GenerateError::Rig`].
     pub fn bench(name: &str) -> Result<Self, GenerateError> {
         let (robot_toml, xml) = match name {
-            "arm" => (include_str!("../rigs/arm.robot.toml"), include_str!("../rigs/arm.xml")),
-            _ => (include_str!("../rigs/pendulum.robot.toml"), include_str!("../rigs/pendulum.xml")),
+            "arm" => (
+                include_str!("../rigs/arm.robot.toml"),
+                include_str!("../rigs/arm.xml"),
+            ),
+            _ => (
+                include_str!("../rigs/pendulum.robot.toml"),
+                include_str!("../rigs/pendulum.xml"),
+            ),
         };
         let name = if name == "arm" { "arm" } else { "pendulum" };
         let model = RobotModel::from_bytes(name, robot_toml.as_bytes(), xml.as_bytes())
@@ -102,6 +108,8 @@ pub struct Request<'a> {
     pub effects: Vec<(&'static Hidden, usize, f64)>,
     /// Something unusual.
     pub decoy: Option<Decoy>,
+    /// Ids that the diagnosis has to do without.
+    pub without: Vec<String>,
 }
 
 /// One run before it is written.
@@ -175,7 +183,11 @@ fn commands(trial: &Trial, sensing: &Sensing, seed: u64, run: u64, loss: (f64, f
     let lost = (0..n)
         .map(|_| {
             let burst = if loss.0 > 0.0 { loss.1 } else { 1.0 };
-            let chance = if on { 1.0 - 1.0 / burst } else { share / (burst * (1.0 - share)) };
+            let chance = if on {
+                1.0 - 1.0 / burst
+            } else {
+                share / (burst * (1.0 - share))
+            };
             on = s.uniform_f64(0.0, 1.0) < chance;
             on
         })
@@ -188,15 +200,30 @@ fn commands(trial: &Trial, sensing: &Sensing, seed: u64, run: u64, loss: (f64, f
 }
 
 /// One run of a trial: commands as sent, and rows of the log.
-fn run(rig: &Rig, world: &World, trial: &Trial, seed: u64, index: u64, touch: Option<Touch>) -> Result<(Commands, Vec<Row>, World), GenerateError> {
+fn run(
+    rig: &Rig,
+    world: &World,
+    trial: &Trial,
+    seed: u64,
+    index: u64,
+    touch: Option<Touch>,
+) -> Result<(Commands, Vec<Row>, World), GenerateError> {
     let (day, start) = of_the_day(world, seed, index);
     let commands = commands(trial, &day.sensing, seed, index, day.spec.command_loss);
-    let dense = Sim::new(&rig.model, &day.spec).run(&commands, trial.duration_s() + 0.01, &start, touch);
+    let dense =
+        Sim::new(&rig.model, &day.spec).run(&commands, trial.duration_s() + 0.01, &start, touch);
     if !dense.sane {
         return Err(GenerateError::Diverged(trial.name.clone()));
     }
     let mut reading = stream(seed, READING, index);
-    let rows = sensors::record(&rig.model, &day.spec, &day.sensing, &commands, &dense, &mut reading);
+    let rows = sensors::record(
+        &rig.model,
+        &day.spec,
+        &day.sensing,
+        &commands,
+        &dense,
+        &mut reading,
+    );
     Ok((commands, rows, day))
 }
 
@@ -211,8 +238,14 @@ fn channels(rig: &Rig, world: &World) -> Vec<(usize, usize)> {
     all
 }
 
-fn measured(rows: &[Row], servos: usize, kind: usize, a: usize) -> impl Iterator<Item = Option<f64>> + '_ {
-    rows.iter().map(move |(_, row)| row.get((1 + kind) * servos + a).copied().flatten())
+fn measured(
+    rows: &[Row],
+    servos: usize,
+    kind: usize,
+    a: usize,
+) -> impl Iterator<Item = Option<f64>> + '_ {
+    rows.iter()
+        .map(move |(_, row)| row.get((1 + kind) * servos + a).copied().flatten())
 }
 
 fn predicted(p: &Prediction, kind: usize, a: usize) -> &[f64] {
@@ -277,14 +310,21 @@ pub fn null_view(rig: &Rig, trials: &[Trial], seed: u64) -> Result<NullView, Gen
 }
 
 /// Size of what `world` does beyond the null, in detectability units.
-fn detectability(rig: &Rig, world: &World, trials: &[Trial], view: &NullView, seed: u64) -> Result<f64, GenerateError> {
+fn detectability(
+    rig: &Rig,
+    world: &World,
+    trials: &[Trial],
+    view: &NullView,
+    seed: u64,
+) -> Result<f64, GenerateError> {
     let servos = rig.model.actuated().len();
     let (mut sum, mut count) = (0.0, 0.0);
     for (i, trial) in trials.iter().enumerate() {
         let (_, rows, _) = run(rig, world, trial, seed, 10 * i as u64, None)?;
         for (c, (kind, a)) in channels(rig, world).into_iter().enumerate() {
             let sd = view.sigma[i][c];
-            let pairs = measured(&rows, servos, kind, a).zip(measured(&view.rows[i], servos, kind, a));
+            let pairs =
+                measured(&rows, servos, kind, a).zip(measured(&view.rows[i], servos, kind, a));
             for (x, y) in pairs {
                 if let (Some(x), Some(y)) = (x, y) {
                     sum += ((x - y) / sd).powi(2);
@@ -297,7 +337,16 @@ fn detectability(rig: &Rig, world: &World, trials: &[Trial], view: &NullView, se
 }
 
 /// Finds the size at which the effect alone has `d` detectability units. Returns the size and the d reached.
-fn size_for(rig: &Rig, hidden: &Hidden, joint: usize, sign: f64, d: f64, trials: &[Trial], view: &NullView, seed: u64) -> Result<(f64, f64), GenerateError> {
+fn size_for(
+    rig: &Rig,
+    hidden: &Hidden,
+    joint: usize,
+    sign: f64,
+    d: f64,
+    trials: &[Trial],
+    view: &NullView,
+    seed: u64,
+) -> Result<(f64, f64), GenerateError> {
     let measure = |size: f64| -> Result<f64, GenerateError> {
         let mut world = lab(&rig.model, seed);
         (hidden.apply)(&mut world, &rig.model, joint, sign * size);
@@ -354,7 +403,11 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
     let model = &rig.model;
     let seed = request.seed;
     let full_fit = battery::fit(model, request.amount);
-    let trials = if request.block == Block::Starved { battery::starved(model) } else { full_fit.clone() };
+    let trials = if request.block == Block::Starved {
+        battery::starved(model)
+    } else {
+        full_fit.clone()
+    };
     let mut world = lab(model, seed);
     let mut effects = Vec::new();
     if !request.effects.is_empty() {
@@ -362,7 +415,11 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
         let view = null_view(rig, &full_fit, seed)?;
         let mut signs = stream(seed, SIGNS, 0);
         for &(hidden, joint, d) in &request.effects {
-            let sign = if hidden.signed && signs.chance(0.5) { -1.0 } else { 1.0 };
+            let sign = if hidden.signed && signs.chance(0.5) {
+                -1.0
+            } else {
+                1.0
+            };
             let (size, reached) = size_for(rig, hidden, joint, sign, d, &full_fit, &view, seed)?;
             (hidden.apply)(&mut world, model, joint, sign * size);
             effects.push((hidden, joint, sign * size, reached));
@@ -377,19 +434,40 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
         rig: rig.name.clone(),
         seed,
         target_d: request.effects.first().map_or(0.0, |e| e.2),
-        effects: effects.iter().map(|&(h, j, size, d)| true_effect(h, j, size, d, &world, model)).collect(),
+        effects: effects
+            .iter()
+            .map(|&(h, j, size, d)| true_effect(h, j, size, d, &world, model))
+            .collect(),
+        without: request.without.clone(),
         decoy: decoy.map_or(String::new(), |d| d.name().to_owned()),
         fault: decoy.is_some_and(Decoy::is_fault),
-        fault_kinds: decoy.map_or(Vec::new(), |d| d.kinds().iter().map(|k| (*k).to_owned()).collect()),
+        fault_kinds: decoy.map_or(Vec::new(), |d| {
+            d.kinds().iter().map(|k| (*k).to_owned()).collect()
+        }),
     })
 }
 
-fn true_effect(h: &Hidden, joint: usize, size: f64, d: f64, world: &World, model: &RobotModel) -> TrueEffect {
-    let same = if model.actuated().len() == 1 { h.equivalent.0 } else { h.equivalent.1 };
+fn true_effect(
+    h: &Hidden,
+    joint: usize,
+    size: f64,
+    d: f64,
+    world: &World,
+    model: &RobotModel,
+) -> TrueEffect {
+    let same = if model.actuated().len() == 1 {
+        h.equivalent.0
+    } else {
+        h.equivalent.1
+    };
     TrueEffect {
         effect: h.id.to_owned(),
         layer: h.layer.to_owned(),
-        joint: if h.scope == Scope::Joint { model.actuated_names()[joint].to_owned() } else { String::new() },
+        joint: if h.scope == Scope::Joint {
+            model.actuated_names()[joint].to_owned()
+        } else {
+            String::new()
+        },
         size,
         d,
         equivalent: same.iter().map(|s| (*s).to_owned()).collect(),
@@ -406,14 +484,22 @@ fn true_effect(h: &Hidden, joint: usize, size: f64, d: f64, world: &World, model
 }
 
 /// All runs of a case: fit with repeats, hold-out with repeats.
-fn runs(request: &Request<'_>, world: &World, trials: &[Trial]) -> Result<(Vec<Run>, Vec<Run>), GenerateError> {
+fn runs(
+    request: &Request<'_>,
+    world: &World,
+    trials: &[Trial],
+) -> Result<(Vec<Run>, Vec<Run>), GenerateError> {
     let (rig, seed) = (request.rig, request.seed);
     let repeats = match request.amount {
         Amount::Short => 2,
         Amount::Full => 3,
     };
     let plain = lab(&rig.model, seed);
-    let fit_world = if request.block == Block::HoldoutChange { &plain } else { world };
+    let fit_world = if request.block == Block::HoldoutChange {
+        &plain
+    } else {
+        world
+    };
     let mut fit = Vec::new();
     for (i, trial) in trials.iter().enumerate() {
         for r in 0..repeats {
@@ -423,7 +509,10 @@ fn runs(request: &Request<'_>, world: &World, trials: &[Trial]) -> Result<(Vec<R
     }
     let mut s = stream(seed, HOLDOUT, 0);
     let mut holdout = Vec::new();
-    for (i, trial) in battery::holdout(&rig.model, request.amount, &mut s).iter().enumerate() {
+    for (i, trial) in battery::holdout(&rig.model, request.amount, &mut s)
+        .iter()
+        .enumerate()
+    {
         for r in 0..2 {
             let index = 1000 + 10 * i as u64 + r;
             holdout.push(one_run(request, world, trial, index, "holdout", r)?);
@@ -432,7 +521,14 @@ fn runs(request: &Request<'_>, world: &World, trials: &[Trial]) -> Result<(Vec<R
     Ok((fit, holdout))
 }
 
-fn one_run(request: &Request<'_>, world: &World, trial: &Trial, index: u64, role: &str, repeat: u64) -> Result<Run, GenerateError> {
+fn one_run(
+    request: &Request<'_>,
+    world: &World,
+    trial: &Trial,
+    index: u64,
+    role: &str,
+    repeat: u64,
+) -> Result<Run, GenerateError> {
     let (rig, decoy) = (request.rig, request.decoy);
     let mut world = world.clone();
     if let Some(d) = decoy {
@@ -445,7 +541,11 @@ fn one_run(request: &Request<'_>, world: &World, trial: &Trial, index: u64, role
     }
     let mut meta = LogMeta::new(rig.name.clone(), BaseHold::Fixed, RATE_HZ);
     meta.terrain = "stand".to_owned();
-    meta.kp = Some(decoy.and_then(Decoy::declared_kp).unwrap_or(rig.model.kp_nm_per_rad()));
+    meta.kp = Some(
+        decoy
+            .and_then(Decoy::declared_kp)
+            .unwrap_or(rig.model.kp_nm_per_rad()),
+    );
     meta.kd = Some(rig.model.kd_nm_s_per_rad());
     let supply = day.declared_supply_v.unwrap_or(day.spec.supply_v);
     meta.supply_v = Some((supply * 10.0).round() / 10.0);
@@ -457,7 +557,13 @@ fn one_run(request: &Request<'_>, world: &World, trial: &Trial, index: u64, role
     })
 }
 
-fn write(rig: &Rig, world: &World, folder: &Path, fit: &[Run], holdout: &[Run]) -> Result<(), GenerateError> {
+fn write(
+    rig: &Rig,
+    world: &World,
+    folder: &Path,
+    fit: &[Run],
+    holdout: &[Run],
+) -> Result<(), GenerateError> {
     let io = |path: &Path| {
         let path = path.to_owned();
         move |source| GenerateError::Io { path, source }

@@ -64,7 +64,12 @@ pub struct Hidden {
 
 const NONE: (&[&str], &[&str]) = (&[], &[]);
 
-fn one(names: &'static [&'static str], unit: &'static str, value: f64, nominal: f64) -> Vec<TrueParameter> {
+fn one(
+    names: &'static [&'static str],
+    unit: &'static str,
+    value: f64,
+    nominal: f64,
+) -> Vec<TrueParameter> {
     vec![TrueParameter {
         names,
         unit,
@@ -94,17 +99,24 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "encoder_offset",
         layer: "sensing",
         scope: Scope::Joint,
-        sizes: (0.02, 0.3),
+        sizes: (0.03, 0.15),
         signed: true,
         apply: |w, _, a, s| joint!(w, a).encoder_offset_rad += s,
-        truth: |w, _, a| one(&["offset", "bias"], "rad", joint!(w, a).encoder_offset_rad, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["offset", "bias"],
+                "rad",
+                joint!(w, a).encoder_offset_rad,
+                0.0,
+            )
+        },
         equivalent: (&["floor_slope"], &[]),
     },
     Hidden {
         id: "encoder_gain",
         layer: "sensing",
         scope: Scope::Joint,
-        sizes: (0.02, 0.3),
+        sizes: (0.015, 0.05),
         signed: true,
         apply: |w, _, a, s| joint!(w, a).encoder_gain += s,
         truth: |w, _, a| one(&["gain", "scale"], "", joint!(w, a).encoder_gain, 0.0),
@@ -114,27 +126,41 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "velocity_lag",
         layer: "sensing",
         scope: Scope::Joint,
-        sizes: (0.005, 0.2),
+        sizes: (0.005, 0.08),
         signed: false,
         apply: |w, _, a, s| w.sensing.servos[a].velocity_lag_s += s,
-        truth: |w, _, a| one(&["lag", "tau", "time"], "s", w.sensing.servos[a].velocity_lag_s, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["lag", "tau", "time"],
+                "s",
+                w.sensing.servos[a].velocity_lag_s,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
         id: "current_bias",
         layer: "sensing",
         scope: Scope::Joint,
-        sizes: (0.02, 0.5),
+        sizes: (0.02, 0.1),
         signed: true,
         apply: |w, _, a, s| w.sensing.servos[a].current_bias_a += s,
-        truth: |w, _, a| one(&["bias", "offset"], "A", w.sensing.servos[a].current_bias_a, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["bias", "offset"],
+                "A",
+                w.sensing.servos[a].current_bias_a,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
         id: "command_delay",
         layer: "timing",
         scope: Scope::Global,
-        sizes: (0.003, 0.08),
+        sizes: (0.003, 0.06),
         signed: false,
         apply: |w, _, _, s| w.spec.command_delay_s += s,
         truth: |w, _, _| one(&["delay"], "s", w.spec.command_delay_s, 0.0),
@@ -144,7 +170,7 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "measurement_delay",
         layer: "timing",
         scope: Scope::Global,
-        sizes: (0.003, 0.08),
+        sizes: (0.003, 0.06),
         signed: false,
         apply: |w, _, _, s| w.sensing.measurement_delay_s += s,
         truth: |w, _, _| one(&["delay"], "s", w.sensing.measurement_delay_s, 0.0),
@@ -154,10 +180,10 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "bus_skew",
         layer: "timing",
         scope: Scope::Chain,
-        sizes: (0.003, 0.03),
+        sizes: (0.002, 0.006),
         signed: false,
         apply: |w, _, _, s| w.spec.skew_s += s,
-        truth: |w, _, _| one(&["skew", "delay", "slope"], "s", w.spec.skew_s, 0.0),
+        truth: |w, _, _| one(&["skew", "per_joint", "delay"], "s", w.spec.skew_s, 0.0),
         equivalent: NONE,
     },
     Hidden {
@@ -174,7 +200,7 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "clock_drift",
         layer: "timing",
         scope: Scope::Global,
-        sizes: (0.0003, 0.01),
+        sizes: (0.0003, 0.004),
         signed: false,
         apply: |w, _, _, s| w.sensing.clock_drift += s,
         truth: |w, _, _| one(&["drift", "rate", "ppm"], "", w.sensing.clock_drift, 0.0),
@@ -184,10 +210,17 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "command_low_pass",
         layer: "timing",
         scope: Scope::Joint,
-        sizes: (0.004, 0.15),
+        sizes: (0.004, 0.12),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).low_pass_s += s,
-        truth: |w, _, a| one(&["low_pass", "tau", "time"], "s", joint!(w, a).low_pass_s, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["low_pass", "tau", "time"],
+                "s",
+                joint!(w, a).low_pass_s,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -198,7 +231,14 @@ pub const CATALOGUE: &[Hidden] = &[
         sizes: (1.0, 3.5),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).profile_speed_radps = 12.0 * (-s).exp(),
-        truth: |w, _, a| one(&["speed", "velocity"], "rad/s", joint!(w, a).profile_speed_radps, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["speed", "velocity"],
+                "rad/s",
+                joint!(w, a).profile_speed_radps,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -208,7 +248,14 @@ pub const CATALOGUE: &[Hidden] = &[
         sizes: (0.002, 0.02),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).loop_delay_s += s,
-        truth: |w, _, a| one(&["delay", "lag", "time"], "s", joint!(w, a).loop_delay_s, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["delay", "lag", "time"],
+                "s",
+                joint!(w, a).loop_delay_s,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -216,12 +263,16 @@ pub const CATALOGUE: &[Hidden] = &[
         layer: "actuation",
         scope: Scope::Joint,
         // kp·e^size
-        sizes: (0.1, 1.2),
+        sizes: (0.1, 0.7),
         signed: true,
         apply: |w, _, a, s| joint!(w, a).kp_nm_per_rad *= s.exp(),
         truth: |w, m, a| {
-            let ratio = joint!(w, a).kp_nm_per_rad / m.kp_nm_per_rad();
-            one(&["kp", "scale", "ratio"], "", ratio, 1.0)
+            one(
+                &["kp", "scale", "ratio"],
+                "N·m/rad",
+                joint!(w, a).kp_nm_per_rad,
+                m.kp_nm_per_rad(),
+            )
         },
         equivalent: (&["stale_gains"], &["stale_gains"]),
     },
@@ -233,8 +284,12 @@ pub const CATALOGUE: &[Hidden] = &[
         signed: false,
         apply: |w, _, a, s| joint!(w, a).kd_nms_per_rad += s,
         truth: |w, m, a| {
-            let ratio = joint!(w, a).kd_nms_per_rad / m.kd_nm_s_per_rad();
-            one(&["kd", "scale", "ratio"], "", ratio, 1.0)
+            one(
+                &["kd", "extra", "scale"],
+                "N·m·s/rad",
+                joint!(w, a).kd_nms_per_rad,
+                m.kd_nm_s_per_rad(),
+            )
         },
         equivalent: NONE,
     },
@@ -245,7 +300,14 @@ pub const CATALOGUE: &[Hidden] = &[
         sizes: (3.0, 120.0),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).ki_nm_per_rad_s += s,
-        truth: |w, _, a| one(&["ki", "gain"], "N·m/(rad·s)", joint!(w, a).ki_nm_per_rad_s, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["ki", "gain"],
+                "N·m/(rad·s)",
+                joint!(w, a).ki_nm_per_rad_s,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -253,7 +315,7 @@ pub const CATALOGUE: &[Hidden] = &[
         layer: "actuation",
         scope: Scope::Joint,
         // a weaker magnet: less torque per ampere and less back-EMF, e^−size
-        sizes: (0.1, 0.8),
+        sizes: (0.1, 0.4),
         signed: true,
         apply: |w, _, a, s| {
             joint!(w, a).kt_nm_per_a *= (-s).exp();
@@ -270,13 +332,18 @@ pub const CATALOGUE: &[Hidden] = &[
         layer: "actuation",
         scope: Scope::Joint,
         // R·e^size
-        sizes: (0.1, 0.9),
+        sizes: (0.1, 0.5),
         signed: true,
         apply: |w, _, a, s| joint!(w, a).resistance_ohm *= s.exp(),
         truth: |w, _, a| {
             let p = &joint!(w, a);
             let nominal_ohm = p.volt_per_nm * p.kt_nm_per_a;
-            one(&["resistance", "winding", "scale", "ratio"], "", p.resistance_ohm / nominal_ohm, 1.0)
+            one(
+                &["resistance", "winding", "scale", "ratio"],
+                "",
+                p.resistance_ohm / nominal_ohm,
+                1.0,
+            )
         },
         equivalent: NONE,
     },
@@ -290,8 +357,13 @@ pub const CATALOGUE: &[Hidden] = &[
         apply: |w, _, a, s| joint!(w, a).drive_current_a *= (-s).exp(),
         truth: |w, m, a| {
             let p = &joint!(w, a);
-            let ratio = p.drive_current_a * m.servo(a).torque_per_current_nm_per_a / m.servo(a).tau_max_nm;
-            one(&["limit", "scale", "ratio", "torque", "current"], "", ratio, 1.0)
+            let limit_nm = p.drive_current_a * m.servo(a).torque_per_current_nm_per_a;
+            one(
+                &["limit", "scale", "torque"],
+                "N·m",
+                limit_nm,
+                m.servo(a).tau_max_nm,
+            )
         },
         equivalent: NONE,
     },
@@ -303,14 +375,21 @@ pub const CATALOGUE: &[Hidden] = &[
         sizes: (0.3, 2.0),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).duty_limit *= (-s).exp(),
-        truth: |w, _, a| one(&["duty", "scale", "ratio", "limit", "volt"], "", joint!(w, a).duty_limit, 1.0),
+        truth: |w, _, a| {
+            one(
+                &["duty", "scale", "ratio", "limit", "volt"],
+                "",
+                joint!(w, a).duty_limit,
+                1.0,
+            )
+        },
         equivalent: (&["supply_level"], &[]),
     },
     Hidden {
         id: "supply_sag",
         layer: "actuation",
         scope: Scope::Global,
-        sizes: (0.3, 6.0),
+        sizes: (0.3, 1.5),
         signed: false,
         apply: |w, _, _, s| w.spec.supply_ohm += s,
         truth: |w, _, _| one(&["resistance", "ohm"], "Ω", w.spec.supply_ohm, 0.0),
@@ -330,7 +409,12 @@ pub const CATALOGUE: &[Hidden] = &[
         },
         truth: |w, _, _| {
             let nominal = w.declared_supply_v.unwrap_or(w.spec.supply_v);
-            one(&["supply", "volt", "level"], "V", w.spec.supply_v, nominal)
+            one(
+                &["supply", "volt", "level", "scale"],
+                "V",
+                w.spec.supply_v,
+                nominal,
+            )
         },
         equivalent: (&["voltage_limit"], &[]),
     },
@@ -338,10 +422,17 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "controller_dead_band",
         layer: "actuation",
         scope: Scope::Joint,
-        sizes: (0.005, 0.1),
+        sizes: (0.005, 0.05),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).dead_band_rad += s,
-        truth: |w, _, a| one(&["dead_band", "width"], "rad", joint!(w, a).dead_band_rad, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["dead_band", "width"],
+                "rad",
+                joint!(w, a).dead_band_rad,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -354,7 +445,8 @@ pub const CATALOGUE: &[Hidden] = &[
         apply: |w, _, a, s| joint!(w, a).brake_current_a *= (-s).exp(),
         truth: |w, m, a| {
             let p = &joint!(w, a);
-            let ratio = p.brake_current_a * m.servo(a).torque_per_current_nm_per_a / m.servo(a).tau_brake_max_nm;
+            let ratio = p.brake_current_a * m.servo(a).torque_per_current_nm_per_a
+                / m.servo(a).tau_brake_max_nm;
             one(&["brake", "scale", "ratio"], "", ratio, 1.0)
         },
         equivalent: NONE,
@@ -363,12 +455,17 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "coulomb_friction",
         layer: "transmission",
         scope: Scope::Joint,
-        sizes: (0.01, 0.4),
+        sizes: (0.02, 0.3),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).coulomb_nm += s,
         truth: |w, m, a| {
             let nominal = m.joints()[m.actuated()[a]].friction_loss_nm;
-            one(&["coulomb", "friction"], "N·m", joint!(w, a).coulomb_nm, nominal)
+            one(
+                &["coulomb", "friction", "extra"],
+                "N·m",
+                joint!(w, a).coulomb_nm,
+                nominal,
+            )
         },
         equivalent: NONE,
     },
@@ -381,7 +478,12 @@ pub const CATALOGUE: &[Hidden] = &[
         apply: |w, _, a, s| joint!(w, a).viscous_nms_per_rad += s,
         truth: |w, m, a| {
             let nominal = m.joints()[m.actuated()[a]].damping_nm_s_per_rad;
-            one(&["viscous", "damping"], "N·m·s/rad", joint!(w, a).viscous_nms_per_rad, nominal)
+            one(
+                &["viscous", "damping", "extra"],
+                "N·m·s/rad",
+                joint!(w, a).viscous_nms_per_rad,
+                nominal,
+            )
         },
         equivalent: NONE,
     },
@@ -389,10 +491,17 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "stribeck_friction",
         layer: "transmission",
         scope: Scope::Joint,
-        sizes: (0.02, 0.5),
+        sizes: (0.02, 0.2),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).stribeck_nm += s,
-        truth: |w, _, a| one(&["stribeck_nm", "stiction", "stribeck"], "N·m", joint!(w, a).stribeck_nm, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["stribeck", "stiction", "extra"],
+                "N·m",
+                joint!(w, a).stribeck_nm,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -415,7 +524,14 @@ pub const CATALOGUE: &[Hidden] = &[
         sizes: (0.05, 0.9),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).load_driven += s,
-        truth: |w, _, a| one(&["driven", "difference", "asymmetry"], "", joint!(w, a).load_driven, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["driven", "difference", "asymmetry"],
+                "",
+                joint!(w, a).load_driven,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -430,27 +546,46 @@ pub const CATALOGUE: &[Hidden] = &[
             let least = joint!(w, a).asymmetry_nm.abs() + 0.005;
             joint!(w, a).coulomb_nm = joint!(w, a).coulomb_nm.max(least);
         },
-        truth: |w, _, a| one(&["asymmetry"], "N·m", joint!(w, a).asymmetry_nm, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["asymmetry", "difference"],
+                "N·m",
+                joint!(w, a).asymmetry_nm,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
         id: "pre_sliding",
         layer: "transmission",
         scope: Scope::Joint,
-        sizes: (0.01, 0.3),
+        sizes: (0.01, 0.1),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).presliding_rad += s,
-        truth: |w, _, a| one(&["presliding", "deflection"], "rad", joint!(w, a).presliding_rad, 0.002),
+        truth: |w, _, a| {
+            one(
+                &["presliding", "way", "deflection"],
+                "rad",
+                joint!(w, a).presliding_rad,
+                0.002,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
         id: "gear_backlash",
         layer: "transmission",
         scope: Scope::Joint,
-        sizes: (0.004, 0.06),
+        sizes: (0.004, 0.03),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).half_gap_rad += s,
-        truth: |w, _, a| one(&["gap", "width", "backlash"], "rad", joint!(w, a).half_gap_rad, 0.0),
+        truth: |w, _, a| {
+            let half = joint!(w, a).half_gap_rad;
+            let mut both = one(&["half"], "rad", half, 0.0);
+            both.extend(one(&["gap", "width"], "rad", 2.0 * half, 0.0));
+            both
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -458,31 +593,45 @@ pub const CATALOGUE: &[Hidden] = &[
         layer: "transmission",
         scope: Scope::Joint,
         // rad per N·m
-        sizes: (0.005, 0.3),
+        sizes: (0.005, 0.1),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).gear_nm_per_rad = 1.0 / s.max(5e-4),
-        truth: |w, _, a| one(&["stiffness"], "N·m/rad", joint!(w, a).gear_nm_per_rad, 0.0),
+        truth: |w, _, a| {
+            let mut both = one(
+                &["compliance"],
+                "rad/(N·m)",
+                1.0 / joint!(w, a).gear_nm_per_rad,
+                0.0,
+            );
+            both.extend(one(
+                &["stiffness"],
+                "N·m/rad",
+                joint!(w, a).gear_nm_per_rad,
+                0.0,
+            ));
+            both
+        },
         equivalent: NONE,
     },
     Hidden {
         id: "cogging",
         layer: "transmission",
         scope: Scope::Joint,
-        sizes: (0.01, 0.3),
+        sizes: (0.02, 0.2),
         signed: false,
         apply: |w, _, a, s| {
             joint!(w, a).ripple_nm += s;
             joint!(w, a).ripple_per_turn = 12.0;
             joint!(w, a).ripple_phase_rad = 0.7;
         },
-        truth: |w, _, a| one(&["ripple_nm", "amplitude", "torque"], "N·m", joint!(w, a).ripple_nm, 0.0),
+        truth: |w, _, a| one(&["ripple", "amplitude"], "N·m", joint!(w, a).ripple_nm, 0.0),
         equivalent: NONE,
     },
     Hidden {
         id: "friction_drift",
         layer: "transmission",
         scope: Scope::Joint,
-        sizes: (0.03, 0.5),
+        sizes: (0.03, 0.3),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).run_in = (s, 4.0),
         truth: |_, _, _| Vec::new(),
@@ -495,7 +644,14 @@ pub const CATALOGUE: &[Hidden] = &[
         sizes: (0.05, 3.0),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).spring_nm_per_rad += s,
-        truth: |w, _, a| one(&["spring_nm", "stiffness", "spring"], "N·m/rad", joint!(w, a).spring_nm_per_rad, 0.0),
+        truth: |w, _, a| {
+            one(
+                &["spring_nm", "stiffness", "spring"],
+                "N·m/rad",
+                joint!(w, a).spring_nm_per_rad,
+                0.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -508,7 +664,12 @@ pub const CATALOGUE: &[Hidden] = &[
         apply: |w, _, a, s| joint!(w, a).stops_rad.1 -= s,
         truth: |w, m, a| {
             let nominal = m.joint_limits_rad()[a].1;
-            one(&["high", "stop", "limit"], "rad", joint!(w, a).stops_rad.1, nominal)
+            one(
+                &["high", "stop", "limit"],
+                "rad",
+                joint!(w, a).stops_rad.1,
+                nominal,
+            )
         },
         equivalent: NONE,
     },
@@ -517,10 +678,17 @@ pub const CATALOGUE: &[Hidden] = &[
         layer: "inertia",
         scope: Scope::Joint,
         // m·e^size
-        sizes: (0.1, 1.0),
+        sizes: (0.1, 0.6),
         signed: true,
         apply: |w, m, a, s| w.spec.links[Spec::link_of(m, a)].mass_scale *= s.exp(),
-        truth: |w, m, a| one(&["mass", "scale", "ratio"], "", w.spec.links[Spec::link_of(m, a)].mass_scale, 1.0),
+        truth: |w, m, a| {
+            one(
+                &["mass", "scale", "ratio"],
+                "",
+                w.spec.links[Spec::link_of(m, a)].mass_scale,
+                1.0,
+            )
+        },
         equivalent: NONE,
     },
     Hidden {
@@ -528,7 +696,7 @@ pub const CATALOGUE: &[Hidden] = &[
         layer: "inertia",
         scope: Scope::Joint,
         // metres away from the joint
-        sizes: (0.01, 0.08),
+        sizes: (0.01, 0.04),
         signed: true,
         apply: |w, m, a, s| {
             let (link, out) = outward(m, a);
@@ -538,9 +706,11 @@ pub const CATALOGUE: &[Hidden] = &[
         },
         truth: |w, m, a| {
             let (link, out) = outward(m, a);
-            let along = caudata_model::pose::dot(w.spec.links[link].com_offset_m, out);
-            // reported along the link's axis, whose sign is the frame's
-            one(&["com", "offset"], "m", along.abs(), 0.0)
+            let axis = (0..3)
+                .max_by(|&i, &j| out[i].abs().total_cmp(&out[j].abs()))
+                .unwrap_or(0);
+            const NAMES: [&[&str]; 3] = [&["x_m"], &["y_m"], &["z_m"]];
+            one(NAMES[axis], "m", w.spec.links[link].com_offset_m[axis], 0.0)
         },
         equivalent: NONE,
     },
@@ -549,11 +719,16 @@ pub const CATALOGUE: &[Hidden] = &[
         layer: "inertia",
         scope: Scope::Joint,
         // I·e^size
-        sizes: (1.0, 3.5),
+        sizes: (1.0, 3.0),
         signed: false,
         apply: |w, m, a, s| w.spec.links[Spec::link_of(m, a)].inertia_scale *= s.exp(),
         truth: |w, m, a| {
-            one(&["inertia", "scale", "ratio"], "", w.spec.links[Spec::link_of(m, a)].inertia_scale, 1.0)
+            one(
+                &["inertia", "scale", "ratio"],
+                "",
+                w.spec.links[Spec::link_of(m, a)].inertia_scale,
+                1.0,
+            )
         },
         equivalent: (&["armature"], &["armature"]),
     },
@@ -561,12 +736,17 @@ pub const CATALOGUE: &[Hidden] = &[
         id: "armature",
         layer: "inertia",
         scope: Scope::Joint,
-        sizes: (0.001, 0.03),
+        sizes: (0.001, 0.012),
         signed: false,
         apply: |w, _, a, s| joint!(w, a).rotor_kgm2 += s,
         truth: |w, m, a| {
             let nominal = m.joints()[m.actuated()[a]].armature_kgm2;
-            one(&["armature", "inertia"], "kg·m²", joint!(w, a).rotor_kgm2, nominal)
+            one(
+                &["armature", "inertia", "extra"],
+                "kg·m²",
+                joint!(w, a).rotor_kgm2,
+                nominal,
+            )
         },
         equivalent: (&["link_inertia"], &["link_inertia"]),
     },
@@ -575,7 +755,7 @@ pub const CATALOGUE: &[Hidden] = &[
         layer: "inertia",
         scope: Scope::Global,
         // pitch of what the rig stands on, rad
-        sizes: (0.03, 0.5),
+        sizes: (0.03, 0.3),
         signed: true,
         apply: |w, _, _, s| {
             let g = caudata_model::pose::norm(w.spec.gravity_mps2);
@@ -591,22 +771,73 @@ pub const CATALOGUE: &[Hidden] = &[
 
 /// Laws that no catalogue entry has.
 pub const OUTSIDE: &[Hidden] = &[
-    outside("position_dependent_rub", "transmission", (0.05, 0.6), |w, _, a, s| joint!(w, a).rub = (s, 0.25, 0.75)),
-    outside("air_drag_of_a_sail", "structure", (0.01, 0.5), |w, _, a, s| joint!(w, a).air_nms2_per_rad2 += s),
-    outside("shaker", "structure", (0.05, 1.0), |w, _, a, s| joint!(w, a).shaker = (s, 3.3)),
-    outside("dwell_friction", "transmission", (0.05, 0.8), |w, _, a, s| joint!(w, a).dwell = (s, 1.0)),
-    outside("swinging_appendage", "structure", (0.001, 0.03), |w, _, a, s| joint!(w, a).appendage = (s, 3.0, 0.08)),
-    outside("hysteretic_cable", "structure", (0.05, 0.8), |w, _, a, s| joint!(w, a).cable = (s, 0.25)),
-    outside("stutter", "transmission", (0.1, 1.5), |w, _, a, s| joint!(w, a).stutter = (s, 1.37)),
-    outside("gain_grows_with_error", "actuation", (0.5, 8.0), |w, _, a, s| joint!(w, a).kp_growth_per_rad += s),
-    outside("hardening_spring", "structure", (0.05, 2.0), |w, _, a, s| joint!(w, a).spring_cubic_nm_per_rad3 += s),
-    outside("encoder_interpolation", "sensing", (0.005, 0.06), |w, _, a, s| joint!(w, a).encoder_wave_rad += s),
-    outside("bridge_dead_time", "actuation", (0.2, 4.0), |w, _, a, s| joint!(w, a).bridge_drop_v += s),
-    outside("gain_follows_supply", "actuation", (1.0, 6.0), |w, _, _, s| {
-        // a firmware that does not compensate, on a tired battery; the log tells the voltage
-        w.spec.gain_follows_supply = true;
-        w.spec.supply_v = (w.spec.supply_v - s).max(4.0);
+    outside(
+        "position_dependent_rub",
+        "transmission",
+        (0.05, 0.6),
+        |w, _, a, s| joint!(w, a).rub = (s, 0.25, 0.75),
+    ),
+    outside(
+        "air_drag_of_a_sail",
+        "structure",
+        (0.01, 0.5),
+        |w, _, a, s| joint!(w, a).air_nms2_per_rad2 += s,
+    ),
+    outside("shaker", "structure", (0.05, 1.0), |w, _, a, s| {
+        joint!(w, a).shaker = (s, 3.3)
     }),
+    outside(
+        "dwell_friction",
+        "transmission",
+        (0.05, 0.8),
+        |w, _, a, s| joint!(w, a).dwell = (s, 1.0),
+    ),
+    outside(
+        "swinging_appendage",
+        "structure",
+        (0.001, 0.03),
+        |w, _, a, s| joint!(w, a).appendage = (s, 3.0, 0.08),
+    ),
+    outside(
+        "hysteretic_cable",
+        "structure",
+        (0.05, 0.8),
+        |w, _, a, s| joint!(w, a).cable = (s, 0.25),
+    ),
+    outside("stutter", "transmission", (0.1, 1.5), |w, _, a, s| {
+        joint!(w, a).stutter = (s, 1.37)
+    }),
+    outside(
+        "gain_grows_with_error",
+        "actuation",
+        (0.5, 8.0),
+        |w, _, a, s| joint!(w, a).kp_growth_per_rad += s,
+    ),
+    outside(
+        "hardening_spring",
+        "structure",
+        (0.05, 2.0),
+        |w, _, a, s| joint!(w, a).spring_cubic_nm_per_rad3 += s,
+    ),
+    outside(
+        "encoder_interpolation",
+        "sensing",
+        (0.005, 0.06),
+        |w, _, a, s| joint!(w, a).encoder_wave_rad += s,
+    ),
+    outside("bridge_dead_time", "actuation", (0.2, 4.0), |w, _, a, s| {
+        joint!(w, a).bridge_drop_v += s
+    }),
+    outside(
+        "gain_follows_supply",
+        "actuation",
+        (1.0, 6.0),
+        |w, _, _, s| {
+            // a firmware that does not compensate, on a tired battery; the log tells the voltage
+            w.spec.gain_follows_supply = true;
+            w.spec.supply_v = (w.spec.supply_v - s).max(4.0);
+        },
+    ),
 ];
 
 const fn outside(

@@ -12,5 +12,8 @@ pub mod decoy;
 pub mod generate;
 pub mod hidden;
 pub mod replay;
+pub mod run;
+pub mod score;
 pub mod seal;
+pub mod sets;
 pub mod truth;

@@ -39,7 +39,14 @@ pub fn predict(
     };
     let lanes = variants.len();
     let servos = model.actuated().len();
-    let mut engine = caudata_sim::build(Arc::clone(model), lanes, &config, &TerrainConfig::default(), 1, 1)?;
+    let mut engine = caudata_sim::build(
+        Arc::clone(model),
+        lanes,
+        &config,
+        &TerrainConfig::default(),
+        1,
+        1,
+    )?;
     let first: Vec<f32> = commands.rows_rad[0].iter().map(|&x| x as f32).collect();
     let start = InitialState {
         joint_pos_rad: first.clone(),
@@ -69,7 +76,8 @@ pub fn predict(
         [
             f64::from(state.joint_pos_rad[j]),
             f64::from(state.joint_vel_radps[j]),
-            f64::from(state.motor_torque_nm[lane * servos + a]) / f64::from(engine.params(lane).joints[a].torque_constant_nm_per_a),
+            f64::from(state.motor_torque_nm[lane * servos + a])
+                / f64::from(engine.params(lane).joints[a].torque_constant_nm_per_a),
         ]
     };
     let mut before: Vec<[f64; 3]> = Vec::new();

@@ -87,7 +87,12 @@ impl Sensing {
     #[must_use]
     pub fn signals(&self, model: &RobotModel) -> Vec<Signal> {
         let names = model.actuated_names();
-        let each = |make: fn(String) -> Signal| names.iter().map(move |n| make((*n).to_owned())).collect::<Vec<_>>();
+        let each = |make: fn(String) -> Signal| {
+            names
+                .iter()
+                .map(move |n| make((*n).to_owned()))
+                .collect::<Vec<_>>()
+        };
         let mut all = each(Signal::Command);
         all.extend(each(Signal::Position));
         if self.log_velocity {
@@ -106,7 +111,12 @@ impl Sensing {
 
 /// When rows are taken: every 1/`rate_hz` with jitter, s.
 #[must_use]
-pub fn row_times_s(duration_s: f64, rate_hz: f64, sensing: &Sensing, stream: &mut Stream) -> Vec<f64> {
+pub fn row_times_s(
+    duration_s: f64,
+    rate_hz: f64,
+    sensing: &Sensing,
+    stream: &mut Stream,
+) -> Vec<f64> {
     let rows = (duration_s * rate_hz).floor() as usize;
     let most = 0.3 / rate_hz;
     (0..=rows)
@@ -132,8 +142,12 @@ pub fn record(
 ) -> Vec<Row> {
     let servos = spec.joints.len();
     let lagged = |channel: &[f64], lag_s: f64| low_pass(channel, lag_s);
-    let vel: Vec<Vec<f64>> = (0..servos).map(|a| lagged(&dense.vel_radps[a], sensing.servos[a].velocity_lag_s)).collect();
-    let cur: Vec<Vec<f64>> = (0..servos).map(|a| lagged(&dense.current_a[a], CURRENT_LAG_S)).collect();
+    let vel: Vec<Vec<f64>> = (0..servos)
+        .map(|a| lagged(&dense.vel_radps[a], sensing.servos[a].velocity_lag_s))
+        .collect();
+    let cur: Vec<Vec<f64>> = (0..servos)
+        .map(|a| lagged(&dense.current_a[a], CURRENT_LAG_S))
+        .collect();
     let mut last_stamp = f64::NEG_INFINITY;
     let mut rows = Vec::with_capacity(commands.sent_s.len());
     for (k, &t) in commands.sent_s.iter().enumerate() {
@@ -141,7 +155,10 @@ pub fn record(
         last_stamp = stamp;
         let seen = t * (1.0 - sensing.clock_drift) - sensing.measurement_delay_s;
         let lost = stream.uniform_f64(0.0, 1.0) < sensing.reading_loss;
-        let mut row: Vec<Option<f64>> = commands.rows_rad[k].iter().map(|&u| Some(round_to(u, 1e-6))).collect();
+        let mut row: Vec<Option<f64>> = commands.rows_rad[k]
+            .iter()
+            .map(|&u| Some(round_to(u, 1e-6)))
+            .collect();
         let mut put = |x: f64| row.push((!lost).then_some(x));
         for a in 0..servos {
             let noise = sensing.servos[a].position_noise_rad * stream.normal_f64();
@@ -158,7 +175,9 @@ pub fn record(
             for a in 0..servos {
                 let s = &sensing.servos[a];
                 let true_a = shown_current(model, a, at(&cur[a], seen));
-                let read = (1.0 + s.current_gain) * true_a + s.current_bias_a + sensing.current_noise_a * stream.normal_f64();
+                let read = (1.0 + s.current_gain) * true_a
+                    + s.current_bias_a
+                    + sensing.current_noise_a * stream.normal_f64();
                 put(round_to(read, model.servo(a).current_lsb_a));
             }
         }
@@ -182,7 +201,11 @@ fn shown_current(model: &RobotModel, a: usize, i: f64) -> f64 {
 }
 
 fn round_to(x: f64, lsb: f64) -> f64 {
-    if lsb > 0.0 { (x / lsb).round() * lsb } else { x }
+    if lsb > 0.0 {
+        (x / lsb).round() * lsb
+    } else {
+        x
+    }
 }
 
 fn low_pass(channel: &[f64], lag_s: f64) -> Vec<f64> {

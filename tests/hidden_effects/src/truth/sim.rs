@@ -122,7 +122,9 @@ impl<'a> Sim<'a> {
             servo,
             dof,
             passive,
-            encoder_lsb_rad: (0..spec.joints.len()).map(|a| model.servo(a).encoder_lsb_rad()).collect(),
+            encoder_lsb_rad: (0..spec.joints.len())
+                .map(|a| model.servo(a).encoder_lsb_rad())
+                .collect(),
             scratch: Scratch::default(),
             mass: vec![0.0; n * n],
             load_nm: vec![0.0; spec.joints.len()],
@@ -133,7 +135,13 @@ impl<'a> Sim<'a> {
     }
 
     /// Runs `commands` until `duration_s` after having stood at the first row for a second, from `start_error_rad` beside it.
-    pub fn run(&mut self, commands: &Commands, duration_s: f64, start_error_rad: &[f64], touch: Option<Touch>) -> Dense {
+    pub fn run(
+        &mut self,
+        commands: &Commands,
+        duration_s: f64,
+        start_error_rad: &[f64],
+        touch: Option<Touch>,
+    ) -> Dense {
         let n = self.tree.dofs();
         let servos = self.spec.joints.len();
         let mut y = vec![0.0; 2 * n + AUX * servos];
@@ -159,7 +167,11 @@ impl<'a> Sim<'a> {
         for step in -settle..=steps {
             let t = step as f64 * STEP_S;
             if step.rem_euclid(STEPS_PER_TICK as i64) == 0 {
-                let compensation = if self.spec.gain_follows_supply { bus / self.spec.reference_v } else { 1.0 };
+                let compensation = if self.spec.gain_follows_supply {
+                    bus / self.spec.reference_v
+                } else {
+                    1.0
+                };
                 for a in 0..servos {
                     let p = &self.spec.joints[a];
                     let delay = self.spec.command_delay_s + self.spec.skew_s * a as f64;
@@ -168,7 +180,15 @@ impl<'a> Sim<'a> {
                     let lsb = self.encoder_lsb_rad[a];
                     let counted = (read / lsb).round() * lsb;
                     let command = commands.rows_rad[arrived[a]][a];
-                    volts[a] = firmware[a].tick(p, STEP_S * STEPS_PER_TICK as f64, command, counted, read, bus, compensation);
+                    volts[a] = firmware[a].tick(
+                        p,
+                        STEP_S * STEPS_PER_TICK as f64,
+                        command,
+                        counted,
+                        read,
+                        bus,
+                        compensation,
+                    );
                 }
             }
             if step >= 0 && step % STEPS_PER_SAMPLE as i64 == 0 {
@@ -186,7 +206,15 @@ impl<'a> Sim<'a> {
     }
 
     /// One step of the classical method; takes note of currents and passed-on torques at its beginning.
-    fn rk4(&mut self, y: &mut [f64], work: &mut [f64], volts: &[f64], push: Option<Touch>, t: f64, currents: &mut [f64]) {
+    fn rk4(
+        &mut self,
+        y: &mut [f64],
+        work: &mut [f64],
+        volts: &[f64],
+        push: Option<Touch>,
+        t: f64,
+        currents: &mut [f64],
+    ) {
         let n = y.len();
         let (at, k) = work.split_at_mut(n);
         let (k1, k) = k.split_at_mut(n);
@@ -210,11 +238,20 @@ impl<'a> Sim<'a> {
     }
 
     /// Derivative of the state. With `currents`, also takes note of what the motors draw and pass on (for the next step).
-    fn rates(&mut self, y: &[f64], rate: &mut [f64], volts: &[f64], push: Option<Touch>, t: f64, currents: Option<&mut [f64]>) {
+    fn rates(
+        &mut self,
+        y: &[f64],
+        rate: &mut [f64],
+        volts: &[f64],
+        push: Option<Touch>,
+        t: f64,
+        currents: Option<&mut [f64]>,
+    ) {
         let n = self.tree.dofs();
         let (q, rest) = y.split_at(n);
         let (v, aux) = rest.split_at(n);
-        self.tree.equations(q, v, &mut self.scratch, &mut self.mass, &mut self.bias);
+        self.tree
+            .equations(q, v, &mut self.scratch, &mut self.mass, &mut self.bias);
         self.torque.fill(0.0);
         self.flows.clear();
         for d in 0..n {
@@ -229,7 +266,8 @@ impl<'a> Sim<'a> {
                 rate[2 * n + AUX * a..2 * n + AUX * (a + 1)].copy_from_slice(&flow.rate);
                 self.flows.push((a, d, flow));
             } else if let Some(p) = self.passive[d] {
-                self.torque[d] += p.spring * (p.rest - q[d]) - p.damping * v[d]
+                self.torque[d] += p.spring * (p.rest - q[d])
+                    - p.damping * v[d]
                     - p.friction * (v[d] / PASSIVE_FADE_RADPS).clamp(-1.0, 1.0)
                     + stop(p.stops, q[d], v[d]);
             }
@@ -249,7 +287,11 @@ impl<'a> Sim<'a> {
                 currents[a] = flow.current_a;
                 // What the gear passes on: everything but what turns the rotor itself.
                 let p = &self.spec.joints[a];
-                let rotor = if p.geared() { 0.0 } else { p.rotor_kgm2 * acc[d] };
+                let rotor = if p.geared() {
+                    0.0
+                } else {
+                    p.rotor_kgm2 * acc[d]
+                };
                 self.load_nm[a] += 0.2 * (flow.on_link_nm - rotor - self.load_nm[a]);
             }
         }
@@ -318,4 +360,3 @@ pub fn at(channel: &[f64], t_s: f64) -> f64 {
         _ => channel.last().copied().unwrap_or(0.0),
     }
 }
-

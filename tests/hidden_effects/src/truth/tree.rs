@@ -133,7 +133,14 @@ impl Tree {
     }
 
     /// M and h at (q, q̇). `mass` `[n, n]` (lower triangle and diagonal are filled), `bias` `[n]`.
-    pub fn equations(&self, q: &[f64], v: &[f64], s: &mut Scratch, mass: &mut [f64], bias: &mut [f64]) {
+    pub fn equations(
+        &self,
+        q: &[f64],
+        v: &[f64],
+        s: &mut Scratch,
+        mass: &mut [f64],
+        bias: &mut [f64],
+    ) {
         self.place(q, s);
         self.bias(v, s, bias);
         self.mass(s, mass);
@@ -203,7 +210,12 @@ impl Tree {
         for (i, body) in self.bodies.iter().enumerate() {
             let (mut w, mut al, mut acc, mut point) = match body.parent {
                 Some(p) => (s.omega[p], s.alpha[p], s.origin_acc[p], s.rotation[p].pos_m),
-                None => ([0.0; 3], [0.0; 3], scale(self.gravity_mps2, -1.0), s.rotation[i].pos_m),
+                None => (
+                    [0.0; 3],
+                    [0.0; 3],
+                    scale(self.gravity_mps2, -1.0),
+                    s.rotation[i].pos_m,
+                ),
             };
             for &d in &body.dofs {
                 // to the anchor, rigidly with what carries it
@@ -247,7 +259,8 @@ impl Tree {
         s.composite.clear();
         for (i, body) in self.bodies.iter().enumerate() {
             let about = add3(&s.inertia[i], &point_inertia(body.mass_kg, s.com[i]));
-            s.composite.push((body.mass_kg, scale(s.com[i], body.mass_kg), about));
+            s.composite
+                .push((body.mass_kg, scale(s.com[i], body.mass_kg), about));
         }
         for i in (0..self.bodies.len()).rev() {
             if let Some(p) = self.bodies[i].parent {
@@ -282,7 +295,9 @@ fn changed(link: &caudata_model::Link, change: &MassChange, dofs: Vec<usize>) ->
     let (load, at) = change.payload;
     let mass_kg = own + load;
     let com_m = scale(add(scale(own_com, own), scale(at, load)), 1.0 / mass_kg);
-    let mut inertia = link.inertia_kgm2.map(|row| row.map(|x| x * change.mass_scale * change.inertia_scale));
+    let mut inertia = link
+        .inertia_kgm2
+        .map(|row| row.map(|x| x * change.mass_scale * change.inertia_scale));
     inertia = add3(&inertia, &point_inertia(own, sub(own_com, com_m)));
     inertia = add3(&inertia, &point_inertia(load, sub(at, com_m)));
     Body {
