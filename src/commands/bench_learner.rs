@@ -13,16 +13,8 @@ pub fn run(config: &ConfigArgs, seconds: f64, json: bool) -> Result<(), Failure>
     let mut command = Command::new(Programs::beside_this_one()?.find("caudata-learner")?);
     command
         .args(["bench", "--seconds", &seconds.to_string()])
+        .args(super::bench::as_flags(config))
         .stderr(Stdio::inherit());
-    if let Some(preset) = &config.preset {
-        command.args(["--preset", preset]);
-    }
-    if let Some(file) = &config.config {
-        command.arg("--config").arg(file);
-    }
-    for change in &config.overrides {
-        command.args(["--set", change]);
-    }
     let output = command.output().or_exit(ExitCode::OsResource)?;
     if !output.status.success() {
         let message = format!("caudata-learner bench ended with {}", output.status);
