@@ -43,7 +43,8 @@ impl Envelope {
     /// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m; negative beyond the no-load speed.
     #[must_use]
     pub fn driving_limit_nm(&self, speed_radps: f64) -> f64 {
-        let fall = (self.tau_max_nm - self.tau_there_nm) / (self.taper_at_radps - self.flat_to_radps);
+        let fall =
+            (self.tau_max_nm - self.tau_there_nm) / (self.taper_at_radps - self.flat_to_radps);
         let line = self.tau_max_nm - fall * (speed_radps - self.flat_to_radps);
         line.clamp(-self.tau_brake_max_nm, self.tau_max_nm)
     }

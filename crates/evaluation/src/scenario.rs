@@ -111,7 +111,11 @@ impl Leg {
             Order::Heading(wanted_rad) => {
                 let missing = caudata_task::phase::wrap_angle(wanted_rad - heading_rad);
                 let most = Self::MOST_RADPS;
-                [first[0], first[1], (Self::GAIN * missing).clamp(-most, most)]
+                [
+                    first[0],
+                    first[1],
+                    (Self::GAIN * missing).clamp(-most, most),
+                ]
             }
         })
     }

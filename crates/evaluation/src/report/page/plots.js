@@ -256,7 +256,7 @@ caudata.Plots = class {
       const top = 22, gap = 14, each = (height - top - 42 - 2 * gap) / 3;
       this.trackAxes = curves.signals.map((s, i) => {
         const y0 = top + i * (each + gap);
-        const axes = sheet.axes({ box: [62, y0, width - 10, y0 + each], x: [0, Math.max(xs[n - 1], 0.1)], y: caudata.range([s.command, s.low, s.high, s.mean], 0.1), xTicks: 10, yTicks: 3, xText: i === 2, xLabel: i === 2 ? "time, s" : "" });
+        const axes = sheet.axes({ box: [62, y0, width - 10, y0 + each], x: [0, Math.max(xs[n - 1], 0.1)], y: caudata.range([s.command, s.low, s.high, s.mean], 0.1), xTicks: 10, yTicks: 4, xText: i === 2, xLabel: i === 2 ? "time, s" : "" });
         sheet.band(axes, xs, s.low, s.high, theme.band);
         sheet.line(axes, xs, s.command, theme.command, 1.5, [5, 4]);
         sheet.line(axes, xs, s.mean, theme.accent, 2);
