@@ -7,6 +7,11 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod check;
+pub mod excite;
+pub mod import;
+pub mod plots;
 pub mod report;
 
+pub use plots::Plots;
 pub use report::Report;
