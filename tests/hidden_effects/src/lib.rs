@@ -6,6 +6,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod baselines;
 pub mod battery;
 pub mod case;
 pub mod decoy;
