@@ -39,8 +39,9 @@ pub fn run(args: &ExciteArgs) -> Result<(), Failure> {
         Some(name) => vec![excite::trial(&robot, name, joint, args.rate_hz).map_err(refused)?],
         None => excite::battery(&robot, joint, args.rate_hz).map_err(refused)?,
     };
-    std::fs::create_dir_all(&args.out)
-        .or_exit_with(ExitCode::CannotCreate, || format!("folder {}", args.out.display()))?;
+    std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
+        format!("folder {}", args.out.display())
+    })?;
     for trial in &trials {
         let csv = trial.to_csv().or_exit(ExitCode::Internal)?;
         write(&args.out.join(format!("{}.csv", trial.name)), &csv)?;
@@ -52,13 +53,18 @@ pub fn run(args: &ExciteArgs) -> Result<(), Failure> {
         return say::json(&about);
     }
     print(&trials);
-    say::line(format!("\n{} command file(s) are in {}", trials.len(), args.out.display()));
+    say::line(format!(
+        "\n{} command file(s) are in {}",
+        trials.len(),
+        args.out.display()
+    ));
     Ok(())
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     std::fs::write(path, bytes).map_err(|e| {
-        Failure::new(ExitCode::of_io(&e, true), e).context(format!("cannot write {}", path.display()))
+        Failure::new(ExitCode::of_io(&e, true), e)
+            .context(format!("cannot write {}", path.display()))
     })
 }
 
@@ -67,7 +73,11 @@ fn refused(error: ExciteError) -> Failure {
 }
 
 fn print(trials: &[Trial]) {
-    let mut rows = vec![["trial", "base", "s", "times", "torque", "purpose"].map(str::to_owned).to_vec()];
+    let mut rows = vec![
+        ["trial", "base", "s", "times", "torque", "purpose"]
+            .map(str::to_owned)
+            .to_vec(),
+    ];
     for t in trials {
         rows.push(vec![
             t.name.clone(),
@@ -80,5 +90,8 @@ fn print(trials: &[Trial]) {
     }
     say::table(&rows);
     let total_s: f64 = trials.iter().map(|t| t.duration_s * t.repeats as f64).sum();
-    say::line(format!("\n{:.0} minutes in all, repeats included", total_s / 60.0));
+    say::line(format!(
+        "\n{:.0} minutes in all, repeats included",
+        total_s / 60.0
+    ));
 }

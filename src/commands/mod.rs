@@ -1,7 +1,9 @@
 //! One module per command.
 
 pub mod bench;
+mod bench_learner;
 mod bench_sim;
+mod bench_skill;
 pub mod config;
 pub mod eval;
 pub mod gap;

@@ -112,6 +112,12 @@ impl Config {
             1,
             10_000,
         )?;
+        within(
+            "learner.warm_start.value_only_iterations",
+            learner.warm_start.value_only_iterations,
+            0,
+            100_000,
+        )?;
         positive("learner.batch_timeout_s", learner.batch_timeout_s, 86_400.0)?;
         positive("learner.min_batch_share", learner.min_batch_share, 1.0)?;
         let (shortest, starve) = (learner.batch_timeout_s, learner.starve_timeout_s);

@@ -29,7 +29,8 @@ impl<'a> Body<'a> {
                 let links = robot.links();
                 let chain = std::iter::successors(Some(foot.link), |&l| links[l].parent);
                 let carrying: Vec<usize> = chain.collect();
-                let on_chain = |a: &usize| carrying.contains(&robot.joints()[robot.actuated()[*a]].child_link);
+                let on_chain =
+                    |a: &usize| carrying.contains(&robot.joints()[robot.actuated()[*a]].child_link);
                 (0..limits.len()).filter(on_chain).collect()
             })
             .collect();
@@ -39,9 +40,18 @@ impl<'a> Body<'a> {
             .iter()
             .map(|c| c.iter().copied().filter(|&a| !shared(a)).collect())
             .collect();
-        let spine = (0..limits.len()).filter(|a| !legs.iter().any(|l| l.contains(a))).collect();
+        let spine = (0..limits.len())
+            .filter(|a| !legs.iter().any(|l| l.contains(a)))
+            .collect();
         let nominal = robot.nominal_pos_rad().to_vec();
-        Self { limits, rate_hz, legs, spine, rows: vec![nominal.clone()], nominal }
+        Self {
+            limits,
+            rate_hz,
+            legs,
+            spine,
+            rows: vec![nominal.clone()],
+            nominal,
+        }
     }
 
     fn put(&mut self, mut row: Vec<f64>) {
@@ -88,7 +98,10 @@ impl<'a> Body<'a> {
             .collect();
         let n = columns.iter().map(Vec::len).max().unwrap_or(0);
         for k in 0..n {
-            let row = columns.iter().map(|c| c.get(k).or(c.last()).copied().unwrap_or(0.0)).collect();
+            let row = columns
+                .iter()
+                .map(|c| c.get(k).or(c.last()).copied().unwrap_or(0.0))
+                .collect();
             self.put(row);
         }
     }
@@ -154,9 +167,14 @@ impl<'a> Body<'a> {
                 for (i, leg) in b.legs.iter().enumerate() {
                     // feet stand in the order front left, front right, hind left, hind right
                     let (left, front) = (i % 2 == 0, i < b.legs.len() / 2);
-                    let up = if if roll { left } else { front } { 1.0 } else { -1.0 };
+                    let up = if if roll { left } else { front } {
+                        1.0
+                    } else {
+                        -1.0
+                    };
                     if let Some(&knee) = leg.last() {
-                        row[knee] += fade * up * b.limits[knee].sine_rad(0.3, hz) * (TAU * hz * t).sin();
+                        row[knee] +=
+                            fade * up * b.limits[knee].sine_rad(0.3, hz) * (TAU * hz * t).sin();
                     }
                 }
             });

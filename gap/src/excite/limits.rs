@@ -45,7 +45,9 @@ impl JointLimits {
     /// Limits of every actuated joint, policy order.
     #[must_use]
     pub fn all(robot: &RobotModel) -> Vec<Self> {
-        (0..robot.actuated().len()).map(|a| Self::of(robot, a)).collect()
+        (0..robot.actuated().len())
+            .map(|a| Self::of(robot, a))
+            .collect()
     }
 
     fn of(robot: &RobotModel, index: usize) -> Self {
@@ -60,11 +62,14 @@ impl JointLimits {
             nominal_rad: robot.nominal_pos_rad()[index],
             range_rad: (low + margin, high - margin),
             hold_rad: (low + margin, high - margin),
-            speed_radps: SPEED_SHARE * servo.qd_max_radps * robot.supply_v() / servo.reference_supply_v,
+            speed_radps: SPEED_SHARE * servo.qd_max_radps * robot.supply_v()
+                / servo.reference_supply_v,
             acceleration_radps2: TORQUE_SHARE * servo.tau_max_nm / inertia_kgm2,
             inertia_kgm2,
             tau_max_nm: servo.tau_max_nm,
-            gravity_nm: (0..=points).map(|i| gravity(robot, index, low + i as f64 * SEARCH_RAD)).collect(),
+            gravity_nm: (0..=points)
+                .map(|i| gravity(robot, index, low + i as f64 * SEARCH_RAD))
+                .collect(),
         };
         out.hold_rad = out.held_within(low, HOLD_SHARE);
         out
@@ -115,7 +120,9 @@ impl JointLimits {
     #[must_use]
     pub fn sine_rad(&self, size_rad: f64, hz: f64) -> f64 {
         let w = std::f64::consts::TAU * hz;
-        size_rad.min(self.speed_radps / w).min(self.acceleration_radps2 / (w * w))
+        size_rad
+            .min(self.speed_radps / w)
+            .min(self.acceleration_radps2 / (w * w))
     }
 }
 
@@ -123,7 +130,10 @@ impl JointLimits {
 fn energy(robot: &RobotModel, index: usize, q_rad: f64) -> f64 {
     let mut pos = robot.nominal_pos_rad().to_vec();
     pos[index] = q_rad;
-    let Ok(kinematics) = robot.full_pos_rad(&pos).and_then(|full| robot.kinematics(&Pose::IDENTITY, &full)) else {
+    let Ok(kinematics) = robot
+        .full_pos_rad(&pos)
+        .and_then(|full| robot.kinematics(&Pose::IDENTITY, &full))
+    else {
         return 0.0; // not reached: the lengths are the model's own
     };
     let c = robot.centre_of_mass_m(&kinematics);
@@ -146,7 +156,8 @@ fn inertia(robot: &RobotModel, index: usize) -> f64 {
     let j = robot.actuated()[index];
     let (frame, carried) = (kinematics.joints[j], robot.joints()[j].child_link);
     let links = robot.links();
-    let below = |l: usize| std::iter::successors(Some(l), |&l| links[l].parent).any(|l| l == carried);
+    let below =
+        |l: usize| std::iter::successors(Some(l), |&l| links[l].parent).any(|l| l == carried);
     (0..links.len())
         .filter(|&l| below(l))
         .map(|l| {
@@ -155,12 +166,20 @@ fn inertia(robot: &RobotModel, index: usize) -> f64 {
             let r = [0, 1, 2].map(|k| com[k] - frame.anchor_m[k]);
             let across = {
                 let a = frame.axis;
-                [r[1] * a[2] - r[2] * a[1], r[2] * a[0] - r[0] * a[2], r[0] * a[1] - r[1] * a[0]]
+                [
+                    r[1] * a[2] - r[2] * a[1],
+                    r[2] * a[0] - r[0] * a[2],
+                    r[0] * a[1] - r[1] * a[0],
+                ]
             };
             // the axis in the link's own frame, in which its inertia is given
             let axis = pose.inverse().rotate(frame.axis);
             let turned: f64 = (0..3)
-                .map(|i| (0..3).map(|k| axis[i] * link.inertia_kgm2[i][k] * axis[k]).sum::<f64>())
+                .map(|i| {
+                    (0..3)
+                        .map(|k| axis[i] * link.inertia_kgm2[i][k] * axis[k])
+                        .sum::<f64>()
+                })
                 .sum();
             turned + link.mass_kg * across.iter().map(|x| x * x).sum::<f64>()
         })
@@ -172,7 +191,10 @@ mod tests {
     use super::*;
 
     fn rig() -> RobotModel {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../robots/xl330_pendulum.robot.toml");
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../robots/xl330_pendulum.robot.toml"
+        );
         RobotModel::load(path.as_ref()).unwrap()
     }
 

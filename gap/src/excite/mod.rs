@@ -93,7 +93,8 @@ impl Trial {
         let mut table = TableWriter::new(Vec::new(), &signals, f64::INFINITY)?;
         for (k, row) in self.commands_rad.iter().enumerate() {
             // no finer than a thousandth of an encoder step
-            let mut values: Vec<Option<f64>> = row.iter().map(|q| Some((q * 1e6).round() / 1e6)).collect();
+            let mut values: Vec<Option<f64>> =
+                row.iter().map(|q| Some((q * 1e6).round() / 1e6)).collect();
             if let Some(on) = self.on.get(k) {
                 values.extend(on.iter().map(|on| Some(f64::from(u8::from(*on)))));
             }
@@ -110,7 +111,11 @@ impl Trial {
 ///
 /// # Errors
 /// [`ExciteError`] for an unknown joint or a rate that makes no sense.
-pub fn battery(robot: &RobotModel, joint: Option<&str>, rate_hz: f64) -> Result<Vec<Trial>, ExciteError> {
+pub fn battery(
+    robot: &RobotModel,
+    joint: Option<&str>,
+    rate_hz: f64,
+) -> Result<Vec<Trial>, ExciteError> {
     let maker = Maker::new(robot, joint, rate_hz)?;
     Ok(RECIPES.iter().filter_map(|r| maker.make(r)).collect())
 }
@@ -119,19 +124,30 @@ pub fn battery(robot: &RobotModel, joint: Option<&str>, rate_hz: f64) -> Result<
 ///
 /// # Errors
 /// [`ExciteError`] for an unknown joint, trial or rate.
-pub fn trial(robot: &RobotModel, name: &str, joint: Option<&str>, rate_hz: f64) -> Result<Trial, ExciteError> {
+pub fn trial(
+    robot: &RobotModel,
+    name: &str,
+    joint: Option<&str>,
+    rate_hz: f64,
+) -> Result<Trial, ExciteError> {
     let maker = Maker::new(robot, joint, rate_hz)?;
     let wanted = RECIPES.iter().find(|r| r.name == name);
-    wanted.and_then(|r| maker.make(r)).ok_or_else(|| ExciteError::Trial {
-        trial: name.to_owned(),
-        known: names(robot, joint).join(", "),
-    })
+    wanted
+        .and_then(|r| maker.make(r))
+        .ok_or_else(|| ExciteError::Trial {
+            trial: name.to_owned(),
+            known: names(robot, joint).join(", "),
+        })
 }
 
 /// Names of the trials that `robot` can do.
 #[must_use]
 pub fn names(robot: &RobotModel, joint: Option<&str>) -> Vec<&'static str> {
-    RECIPES.iter().filter(|r| fits(r, robot, joint)).map(|r| r.name).collect()
+    RECIPES
+        .iter()
+        .filter(|r| fits(r, robot, joint))
+        .map(|r| r.name)
+        .collect()
 }
 
 /// The trial that says most about `separates` (effect ids): made for as many of them as possible, and for each as directly as possible.
@@ -151,7 +167,11 @@ pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option
         .iter()
         .filter(|r| fits(r, robot, None) && worth(r) > 0.0)
         .max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
-    let shown: Vec<String> = separates.iter().filter(|e| best.excites.contains(e)).map(|e| (*e).to_owned()).collect();
+    let shown: Vec<String> = separates
+        .iter()
+        .filter(|e| best.excites.contains(e))
+        .map(|e| (*e).to_owned())
+        .collect();
     let on_one = matches!(best.make, Make::Joint(_)).then_some(one).flatten();
     let place = match best.place {
         Place::Stand => "on a stand",
@@ -161,7 +181,12 @@ pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option
     Some(NextExperiment {
         trial: best.name.to_owned(),
         joints: on_one.map(|j| vec![j.to_owned()]).unwrap_or_default(),
-        reason: format!("{}, {place}, {} times: made to show {}", best.purpose, best.repeats, shown.join(", ")),
+        reason: format!(
+            "{}, {place}, {} times: made to show {}",
+            best.purpose,
+            best.repeats,
+            shown.join(", ")
+        ),
         separates: separates.iter().map(|e| (*e).to_owned()).collect(),
     })
 }
@@ -184,7 +209,11 @@ struct Maker<'a> {
 }
 
 impl<'a> Maker<'a> {
-    fn new(robot: &'a RobotModel, joint: Option<&'a str>, rate_hz: f64) -> Result<Self, ExciteError> {
+    fn new(
+        robot: &'a RobotModel,
+        joint: Option<&'a str>,
+        rate_hz: f64,
+    ) -> Result<Self, ExciteError> {
         let known = robot.actuated_names();
         if let Some(joint) = joint.filter(|j| !known.contains(j)) {
             return Err(ExciteError::Joint {
@@ -195,7 +224,12 @@ impl<'a> Maker<'a> {
         if !(10.0..=1000.0).contains(&rate_hz) {
             return Err(ExciteError::Rate(rate_hz));
         }
-        Ok(Self { robot, joint, rate_hz, limits: JointLimits::all(robot) })
+        Ok(Self {
+            robot,
+            joint,
+            rate_hz,
+            limits: JointLimits::all(robot),
+        })
     }
 
     fn make(&self, recipe: &Recipe) -> Option<Trial> {
@@ -230,7 +264,10 @@ impl<'a> Maker<'a> {
                 Place::Water => BaseHold::Water,
             },
             repeats: recipe.repeats,
-            joints: (0..columns.len()).filter(|&a| moves(a)).map(|a| columns[a].clone()).collect(),
+            joints: (0..columns.len())
+                .filter(|&a| moves(a))
+                .map(|a| columns[a].clone())
+                .collect(),
             excites: recipe.excites.iter().map(|e| (*e).to_owned()).collect(),
             duration_s: (commands_rad.len() - 1) as f64 / self.rate_hz,
             effort: self.effort(&commands_rad),
@@ -250,7 +287,11 @@ impl<'a> Maker<'a> {
             .map(|(a, limits)| {
                 let alone = self.joint.is_some();
                 let sign = if a % 2 == 0 || alone { 1.0 } else { -1.0 };
-                let pace = if alone { 1.0 } else { 1.0 + 0.06 * (a % 5) as f64 };
+                let pace = if alone {
+                    1.0
+                } else {
+                    1.0 + 0.06 * (a % 5) as f64
+                };
                 let mut wave = Wave::new(limits, self.rate_hz, sign, pace);
                 wave.hold(0.5);
                 if self.joint.is_none_or(|j| j == limits.name) {
@@ -262,11 +303,25 @@ impl<'a> Maker<'a> {
             })
             .collect();
         let n = columns.iter().map(|c| c.0.len()).max().unwrap_or(0);
-        let row = |k: usize| columns.iter().map(|c| c.0.get(k).or(c.0.last()).copied().unwrap_or(0.0)).collect();
-        let powered = |k: usize| columns.iter().map(|c| c.1.get(k).copied().unwrap_or(true)).collect();
+        let row = |k: usize| {
+            columns
+                .iter()
+                .map(|c| c.0.get(k).or(c.0.last()).copied().unwrap_or(0.0))
+                .collect()
+        };
+        let powered = |k: usize| {
+            columns
+                .iter()
+                .map(|c| c.1.get(k).copied().unwrap_or(true))
+                .collect()
+        };
         let commands = (0..n).map(row).collect();
         let dropped = columns.iter().any(|c| c.1.contains(&false));
-        let on = if dropped { (0..n).map(powered).collect() } else { Vec::new() };
+        let on = if dropped {
+            (0..n).map(powered).collect()
+        } else {
+            Vec::new()
+        };
         (commands, on)
     }
 
@@ -276,11 +331,16 @@ impl<'a> Maker<'a> {
             let mut sum = 0.0;
             for k in 1..rows.len().saturating_sub(1) {
                 let bend = rows[k + 1][a] - 2.0 * rows[k][a] + rows[k - 1][a];
-                let torque = l.gravity_nm(rows[k][a]) + l.inertia_kgm2 * bend * self.rate_hz * self.rate_hz;
+                let torque =
+                    l.gravity_nm(rows[k][a]) + l.inertia_kgm2 * bend * self.rate_hz * self.rate_hz;
                 sum += (torque / l.tau_max_nm).clamp(-1.0, 1.0).powi(2);
             }
             (sum / rows.len() as f64).sqrt()
         };
-        self.limits.iter().enumerate().map(share).fold(0.0, f64::max)
+        self.limits
+            .iter()
+            .enumerate()
+            .map(share)
+            .fold(0.0, f64::max)
     }
 }

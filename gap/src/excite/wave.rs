@@ -143,7 +143,9 @@ impl<'a> Wave<'a> {
     /// A sine of one frequency for whole periods of about `s` seconds.
     pub fn sine(&mut self, centre_rad: f64, size_rad: f64, hz: f64, s: f64) {
         let hz = hz * self.pace;
-        let size = self.limits.sine_rad(size_rad.min(self.room(centre_rad)), hz);
+        let size = self
+            .limits
+            .sine_rad(size_rad.min(self.room(centre_rad)), hz);
         self.go(centre_rad);
         let periods = (s * hz).round().max(1.0);
         let n = self.rows(periods / hz);

@@ -113,11 +113,7 @@ pub struct Data {
 impl Data {
     /// Cuts `trials` (with their places in the session) into stretches and samples.
     #[must_use]
-    pub fn new(
-        model: &RobotModel,
-        trials: Vec<(f64, Trial)>,
-        options: SegmentOptions,
-    ) -> Self {
+    pub fn new(model: &RobotModel, trials: Vec<(f64, Trial)>, options: SegmentOptions) -> Self {
         let (session, trials): (Vec<f64>, Vec<Trial>) = trials.into_iter().unzip();
         let total: usize = trials
             .iter()
@@ -242,7 +238,10 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
             start.vel_radps[a] = slope;
         }
         if let Some(c) = trial.channel(Kind::Velocity, a) {
-            let near = c.time_s.partition_point(|&t| t < t_s).min(c.value.len() - 1);
+            let near = c
+                .time_s
+                .partition_point(|&t| t < t_s)
+                .min(c.value.len() - 1);
             // a reported speed is less noisy than a difference of counts, and later: take the smaller
             let reported = c.value[near];
             let slope = start.vel_radps[a];
@@ -294,7 +293,10 @@ fn line(c: &Channel, t_s: f64) -> (f64, f64) {
     let high = c.time_s.partition_point(|&t| t <= t_s + SPEED_WINDOW_S);
     let n = (high - low) as f64;
     if n < 1.0 {
-        let k = c.time_s.partition_point(|&t| t < t_s).min(c.value.len() - 1);
+        let k = c
+            .time_s
+            .partition_point(|&t| t < t_s)
+            .min(c.value.len() - 1);
         return (c.value[k], 0.0);
     }
     let (t, y) = (&c.time_s[low..high], &c.value[low..high]);

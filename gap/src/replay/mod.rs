@@ -58,7 +58,11 @@ impl Replayer {
     /// For `model`, on `threads` threads.
     #[must_use]
     pub fn new(model: Arc<RobotModel>, threads: usize) -> Self {
-        let substeps = if model.actuated().len() <= FEW_JOINTS { 1 } else { 2 };
+        let substeps = if model.actuated().len() <= FEW_JOINTS {
+            1
+        } else {
+            2
+        };
         Self {
             model,
             threads: threads.max(1),
@@ -210,5 +214,7 @@ impl Replayer {
 
 /// A mutex whose holder died is still a mutex: what it guards is replaced whole.
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    mutex
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
 }

@@ -30,6 +30,7 @@ use crate::normaliser::Moments;
 use crate::ppo::{Ppo, PpoSettings};
 use crate::publish::Publisher;
 use crate::report::History;
+use crate::warm_start::warm_start;
 
 /// What a run needs to know besides its configuration.
 pub struct TrainSettings {
@@ -95,12 +96,20 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         None => build_info().commit_word(),
     };
 
+    let warm = &config.learner.warm_start.policy;
+    let moments = match &state {
+        None if !warm.as_os_str().is_empty() => Some(warm_start(&net, warm, &contract)?),
+        _ => None,
+    };
     let ppo = PpoSettings {
         ppo: config.learner.ppo.clone(),
         staleness: config.learner.staleness.clone(),
     };
     let mut ppo = Ppo::new(net, ppo, threads(config, inproc))?;
     let (mut progress, snapshots) = restore(&mut ppo, state, config, contract.obs_dim())?;
+    if let Some(moments) = moments {
+        progress.0.moments = moments;
+    }
     if settings.resume != Resume::No {
         for ledger in caudata_actor::ledgers_in(&ledger_folder(&settings.run_dir)) {
             let actor = (ledger.actor_id, ledger.incarnation);

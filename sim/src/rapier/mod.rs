@@ -125,6 +125,10 @@ impl RapierEngine {
 }
 
 impl Engine for RapierEngine {
+    fn terrain(&self) -> &Terrain {
+        &self.shared.terrain
+    }
+
     fn lanes(&self) -> usize {
         self.lanes.len()
     }

@@ -21,6 +21,16 @@ pub enum Sense {
     Cost,
 }
 
+impl Sense {
+    /// The factor on a term of this sense while costs are multiplied by `cost_scale`.
+    fn scale(self, cost_scale: f32) -> f32 {
+        match self {
+            Self::Reward => 1.0,
+            Self::Cost => cost_scale,
+        }
+    }
+}
+
 /// A row of the table of terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TermInfo {
@@ -77,17 +87,23 @@ macro_rules! reward_terms {
         /// Number of terms.
         pub const TERM_COUNT: usize = [$(stringify!($name)),+].len();
 
-        /// Evaluates all terms for one control step of `dt_s` seconds. `contributions` (in the order of
+        /// Evaluates all terms for one control step of `dt_s` seconds, costs multiplied by `cost_scale`
+        /// ([`RewardConfig::cost_scale`]). `contributions` (in the order of
         /// [`TERMS`]) receives each term's part, weight and `dt_s` included; the sum is the reward.
         pub fn evaluate(
             config: &RewardConfig,
             input: &RewardInput<'_>,
             dt_s: f32,
+            cost_scale: f32,
             contributions: &mut [f32; TERM_COUNT],
         ) -> f32 {
             let weights = &config.weights;
             *contributions = [$(
-                if weights.$name == 0.0 { 0.0 } else { dt_s * weights.$name * terms::$name(config, input) }
+                if weights.$name == 0.0 {
+                    0.0
+                } else {
+                    dt_s * Sense::$sense.scale(cost_scale) * weights.$name * terms::$name(config, input)
+                }
             ),+];
             contributions.iter().sum()
         }
@@ -99,7 +115,7 @@ reward_terms! {
     tracking_lin_vel: Reward, "1", 1.0;
     /// exp(−(ω_cmd − ω_z)²/`yaw_rate_sigma`): follow the commanded yaw rate. Default 0.5 (paper).
     tracking_yaw_rate: Reward, "1", 0.5;
-    /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock. Default 1.0 (paper);
+    /// On land, exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock; 0 in water. Default 1.0 (paper);
     /// too small: the policy shuffles or vibrates.
     phase: Reward, "1", 1.0;
     /// Σ|q̇τ|, mechanical power of all motors in either direction. Default −1e-3 (paper); −3e-3 curbs
@@ -125,6 +141,10 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
+    /// In water, exp(−Σ (q − q_swimming)²/`leg_fold_sigma`) over the leg joints: legs folded back as in the robot file's swimming pose;
+    /// 0 on land. It takes the place of `phase`, which pays nothing in water, so give it about that weight: too small, and staying on
+    /// land pays. Default 0 (not in the paper).
+    leg_fold: Reward, "1", 0.0;
 }
 
 fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {
@@ -161,8 +181,15 @@ pub struct RewardConfig {
     pub contact_force_n: f32,
     /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
     pub trunk_force_n: f32,
+    /// σ of `leg_fold`, rad². Default 3: legs that stand as for walking are 7 rad² from folded and earn 10 %. Smaller: no gradient from there.
+    pub leg_fold_sigma: f32,
     /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
     pub soft_limit_share: f32,
+    /// Factor on all costs at the start of a run, 0 to 1; it grows to 1 in proportion over `costs_full_after_env_steps`. Default 1. Full costs
+    /// from the start make standing still pay before the robot has found out how to walk, above all where small commands are among those drawn.
+    pub costs_at_start: f32,
+    /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
+    pub costs_full_after_env_steps: u64,
     /// Weight of each term.
     pub weights: RewardWeights,
 }
@@ -175,7 +202,10 @@ impl Default for RewardConfig {
             phase_sigma: 0.01,
             contact_force_n: 1.0,
             trunk_force_n: 5.0,
+            leg_fold_sigma: 3.0,
             soft_limit_share: 0.95,
+            costs_at_start: 1.0,
+            costs_full_after_env_steps: 0,
             weights: RewardWeights::default(),
         }
     }
@@ -205,6 +235,15 @@ impl RewardConfig {
         }
     }
 
+    /// Factor on all costs after `env_steps` environment steps of the whole run.
+    pub fn cost_scale(&self, env_steps: u64) -> f32 {
+        if env_steps >= self.costs_full_after_env_steps {
+            return 1.0;
+        }
+        let share = env_steps as f64 / self.costs_full_after_env_steps as f64;
+        self.costs_at_start + (1.0 - self.costs_at_start) * share as f32
+    }
+
     /// Checks every value.
     ///
     /// # Errors
@@ -216,6 +255,7 @@ impl RewardConfig {
             (self.phase_sigma, "reward.phase_sigma"),
             (self.contact_force_n, "reward.contact_force_n"),
             (self.trunk_force_n, "reward.trunk_force_n"),
+            (self.leg_fold_sigma, "reward.leg_fold_sigma"),
         ];
         for (value, field) in positive {
             require(
@@ -230,6 +270,12 @@ impl RewardConfig {
             "reward.soft_limit_share",
             self.soft_limit_share,
             "must be above 0 and at most 1",
+        )?;
+        require(
+            (0.0..=1.0).contains(&self.costs_at_start),
+            "reward.costs_at_start",
+            self.costs_at_start,
+            "must be 0 to 1",
         )?;
         self.weights.validate()
     }
@@ -276,6 +322,10 @@ pub struct RewardInput<'a> {
     pub foot_force_n: &'a [[f32; 3]; FEET],
     /// Sum of contact forces on everything but the feet, N.
     pub trunk_force_n: f32,
+    /// 0 on land, 1 in water.
+    pub medium: f32,
+    /// Joint positions of the swimming pose, rad.
+    pub swimming_rad: &'a [f32; ACT_DIM],
     /// The action of this step, clipped.
     pub action: &'a [f32; ACT_DIM],
     /// The action of the step before, clipped.

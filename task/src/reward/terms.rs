@@ -4,6 +4,9 @@ use super::{RewardConfig, RewardInput};
 use crate::ACT_DIM;
 use crate::phase::reference_height_m;
 
+/// In policy order the legs come last, two joints each.
+const FIRST_LEG_JOINT: usize = ACT_DIM - 2 * crate::FEET;
+
 /// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame. Paper.
 pub fn tracking_lin_vel(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let dx = input.command[0] - input.com_vel_mps[0];
@@ -18,7 +21,7 @@ pub fn tracking_yaw_rate(config: &RewardConfig, input: &RewardInput<'_>) -> f32 
 }
 
 /// exp(−Σ (z_j − z_ref(φ_j))²/σ_phase), z the height of the foot's lowest point above the ground. Paper;
-/// z_ref of MuJoCo Playground.
+/// z_ref of MuJoCo Playground. Nothing in water, where the ground is out of reach.
 pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let error: f32 = input
         .foot_height_m
@@ -26,7 +29,7 @@ pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         .zip(input.phase_rad)
         .map(|(z, phase)| (z - reference_height_m(phase, input.swing_height_m)).powi(2))
         .sum();
-    (-error / config.phase_sigma).exp()
+    (1.0 - input.medium) * (-error / config.phase_sigma).exp()
 }
 
 /// Σ|q̇τ|, W. Paper. Braking counts as much as driving: a servo cannot feed energy back.
@@ -108,4 +111,12 @@ pub fn stand_still(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
 
 fn squared_distance(a: &[f32; ACT_DIM], b: &[f32; ACT_DIM]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
+}
+
+/// exp(−Σ (q − q_swimming)²/σ) over the leg joints, in water only.
+pub fn leg_fold(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let error: f32 = (FIRST_LEG_JOINT..ACT_DIM)
+        .map(|i| (input.joint_pos_rad[i] - input.swimming_rad[i]).powi(2))
+        .sum();
+    input.medium * (-error / config.leg_fold_sigma).exp()
 }
