@@ -46,6 +46,8 @@ pub type Variant = Vec<Term>;
 /// Replays candidates.
 pub struct Replayer {
     model: Arc<RobotModel>,
+    /// What the robot file's own extension has.
+    given: Variant,
     threads: usize,
     step_s: f64,
     substeps: u32,
@@ -55,15 +57,18 @@ pub struct Replayer {
 }
 
 impl Replayer {
-    /// For `model`, on `threads` threads.
-    #[must_use]
-    pub fn new(model: Arc<RobotModel>, threads: usize) -> Self {
-        let substeps = if model.actuated().len() <= FEW_JOINTS {
-            1
-        } else {
-            2
+    /// For `model` (with its extension, if it has one), on `threads` threads.
+    ///
+    /// # Errors
+    /// [`GapError::Extension`] where the extension does not fit the catalogue.
+    pub fn new(model: Arc<RobotModel>, threads: usize) -> Result<Self, GapError> {
+        let substeps = if model.actuated().len() <= FEW_JOINTS { 1 } else { 2 };
+        let given = match model.extension() {
+            Some(extension) => crate::extension::terms(extension, &model)?,
+            None => Variant::new(),
         };
-        Self {
+        Ok(Self {
+            given,
             model,
             threads: threads.max(1),
             step_s: EngineConfig::default().dt_s,
@@ -71,13 +76,19 @@ impl Replayer {
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
-        }
+        })
     }
 
     /// The robot.
     #[must_use]
     pub fn model(&self) -> &Arc<RobotModel> {
         &self.model
+    }
+
+    /// What the robot file's own extension has, and `variant`.
+    #[must_use]
+    pub fn with_given(&self, variant: &[Term]) -> Variant {
+        self.given.iter().chain(variant).cloned().collect()
     }
 
     /// Time between recorded states, s.
@@ -100,7 +111,7 @@ impl Replayer {
     pub fn plant(&self, trial: &Trial, session: f64, variant: &[Term]) -> Plant {
         let mut plant = Plant::in_trial(&self.model, trial);
         plant.session = session;
-        for term in variant {
+        for term in self.given.iter().chain(variant) {
             (term.effect.apply)(&mut plant, &term.place, &term.values);
         }
         plant
@@ -214,7 +225,5 @@ impl Replayer {
 
 /// A mutex whose holder died is still a mutex: what it guards is replaced whole.
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex
-        .lock()
-        .unwrap_or_else(std::sync::PoisonError::into_inner)
+    mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
