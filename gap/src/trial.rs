@@ -124,6 +124,23 @@ pub struct Channel {
     pub value: Vec<f64>,
 }
 
+impl Channel {
+    /// Value at `t_s`, on the line between samples.
+    #[must_use]
+    pub fn at(&self, t_s: f64) -> f64 {
+        let k = self.time_s.partition_point(|&t| t < t_s);
+        if k == 0 {
+            return self.value[0];
+        }
+        if k >= self.value.len() {
+            return self.value[self.value.len() - 1];
+        }
+        let (t0, t1) = (self.time_s[k - 1], self.time_s[k]);
+        let share = if t1 > t0 { (t_s - t0) / (t1 - t0) } else { 0.0 };
+        self.value[k - 1] + share * (self.value[k] - self.value[k - 1])
+    }
+}
+
 /// Values that hold until the next.
 #[derive(Debug, Clone, Default)]
 pub struct Steps {
@@ -169,6 +186,10 @@ pub struct Trial {
     pub group: usize,
     /// Stretches of time that do not count (somebody touched the robot, …), s.
     pub masked_s: Vec<(f64, f64)>,
+    /// The runs that this one is the mean of; empty for a single run.
+    pub members: Vec<Trial>,
+    /// Where in the session it was recorded, 0 (first run) to 1 (last).
+    pub session: f64,
 }
 
 impl Trial {
@@ -271,6 +292,8 @@ impl Trial {
             supply_v,
             group: 0,
             masked_s: Vec::new(),
+            members: Vec::new(),
+            session: 0.0,
         })
     }
 
@@ -316,6 +339,63 @@ pub fn group(trials: &mut [Trial]) {
             |t| t.group,
         );
     }
+}
+
+/// One trial per group of repeats: their mean at the stamps of the first, since what repeats agree on is what a model can explain.
+#[must_use]
+pub fn collapse(trials: &[Trial]) -> Vec<Trial> {
+    let mut out: Vec<Trial> = Vec::new();
+    for trial in trials {
+        if out.iter().any(|t| t.group == trial.group && t.role == trial.role) {
+            continue;
+        }
+        let members: Vec<Trial> = trials
+            .iter()
+            .filter(|t| t.group == trial.group && t.role == trial.role)
+            .cloned()
+            .collect();
+        out.push(if members.len() == 1 { trial.clone() } else { mean(trial, members) });
+    }
+    out
+}
+
+fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
+    let n = members.len() as f64;
+    let mut trial = first.clone();
+    for channel in &mut trial.channels {
+        // angles in the world, and anything that not all of them have, stay those of the first
+        let others: Vec<(&Trial, &Channel)> = members
+            .iter()
+            .filter_map(|m| m.channel(channel.kind, channel.index).map(|c| (m, c)))
+            .collect();
+        if others.len() < members.len() {
+            continue;
+        }
+        for (k, t) in channel.time_s.iter().enumerate() {
+            let since = t - first.span_s.0;
+            let (mut sum, mut count) = (0.0, 0.0);
+            for (m, c) in &others {
+                let at = m.span_s.0 + since;
+                if !m.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&at)) {
+                    sum += c.at(at);
+                    count += 1.0;
+                }
+            }
+            if count > 0.0 {
+                channel.value[k] = sum / count;
+            }
+        }
+    }
+    let average = |f: &dyn Fn(&Trial) -> Option<f64>| -> Option<f64> {
+        let all: Vec<f64> = members.iter().filter_map(f).collect();
+        (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
+    };
+    trial.supply_v = average(&|t| t.supply_v);
+    trial.session = members.iter().map(|t| t.session).sum::<f64>() / n;
+    // only what all members lack is missing
+    trial.masked_s = Vec::new();
+    trial.members = members;
+    trial
 }
 
 /// Voltage without load: what the upper half of the readings are on average, V.
@@ -468,10 +548,7 @@ mod tests {
             time_s: vec![1.0, 2.0],
             value: vec![5.0, 7.0],
         };
-        assert_eq!(
-            [0.0, 1.0, 1.9, 2.0, 9.0].map(|t| s.at(t)),
-            [5.0, 5.0, 5.0, 7.0, 7.0]
-        );
+        assert_eq!([0.0, 1.0, 1.9, 2.0, 9.0].map(|t| s.at(t)), [5.0, 5.0, 5.0, 7.0, 7.0]);
     }
 
     #[test]

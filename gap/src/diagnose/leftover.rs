@@ -62,9 +62,9 @@ fn depends(context: &Context, found: &Found, kind: Kind, index: usize) -> (Vec<S
             let Some(position) = trial.channel(Kind::Position, joint) else { continue };
             for k in piece.range.clone().step_by(3) {
                 let t = data.time_s[k];
-                let q = super::noise::interpolate(position, t);
-                let ahead = super::noise::interpolate(position, t + 0.03);
-                let behind = super::noise::interpolate(position, t - 0.03);
+                let q = position.at(t);
+                let ahead = position.at(t + 0.03);
+                let behind = position.at(t - 0.03);
                 let v = (ahead - behind) / 0.06;
                 let e = trial.commands.get(joint).map_or(0.0, |c| c.at(t)) - q;
                 let raw = data.value[k] - f64::from(found.best.fit.prediction[k]);

@@ -156,7 +156,7 @@ pub fn diagnose(
     for (run, trial) in runs.iter_mut().zip(&trials) {
         run.role = role_name(trial.role).to_owned();
     }
-    let faults = mask_disturbed(&model, &mut trials);
+    let faults = mask_disturbed(&mut trials);
     let mut context = context(request, &model, trials)?;
     let found = search::search(&mut context, progress)?;
     progress(Progress::new(Stage::Naming, 0, &found.best.label()));
@@ -233,14 +233,10 @@ fn hold_out(trials: &mut [Trial]) -> Split {
 }
 
 /// Takes stretches out in which one run departs from its repeats, and says so.
-fn mask_disturbed(model: &RobotModel, trials: &mut [Trial]) -> Vec<DataFault> {
-    let all: Vec<(f64, Trial)> = trials.iter().map(|t| (0.0, t.clone())).collect();
-    let data = Data::new(model, all, SegmentOptions::default());
-    let noise = noise::Noise::of(model, &data);
-    noise
-        .disturbed
-        .iter()
-        .map(|&(trial, from, to)| {
+fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
+    noise::disturbed(trials)
+        .into_iter()
+        .map(|(trial, from, to)| {
             trials[trial].masked_s.push((from, to));
             DataFault {
                 kind: "disturbance".to_owned(),
@@ -261,20 +257,21 @@ fn context(
     trials: Vec<Trial>,
 ) -> Result<state::Context, GapError> {
     let last = trials.len().max(2) as f64 - 1.0;
-    let placed: Vec<(f64, Trial)> = (trials.into_iter().enumerate())
-        .map(|(k, t)| (k as f64 / last, t))
-        .collect();
-    let of = |role: Role| -> Vec<(f64, Trial)> {
-        let mut of: Vec<(f64, Trial)> = placed.iter().filter(|p| p.1.role == role).cloned().collect();
+    let mut trials = trials;
+    for (k, t) in trials.iter_mut().enumerate() {
+        t.session = k as f64 / last;
+    }
+    let of = |role: Role| -> Vec<Trial> {
+        let mut of: Vec<Trial> = trials.iter().filter(|p| p.role == role).cloned().collect();
         if of.is_empty() {
-            of.clone_from(&placed);
+            of.clone_from(&trials);
         }
-        of
+        trial::collapse(&of)
     };
     let replayer = Replayer::new(Arc::clone(model), request.options.threads)?;
     let options = SegmentOptions::default();
     let fit_trials = of(Role::Fit);
-    let excitation = Excitation::of(model, &fit_trials.iter().map(|t| &t.1).collect::<Vec<_>>());
+    let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
     let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), &[])?;
     let holdout = judge::Judge::new(&replayer, Data::new(model, of(Role::Holdout), options), &[])?;
     let wanted = |e: &&'static Effect| {

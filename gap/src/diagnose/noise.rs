@@ -5,12 +5,14 @@ use std::collections::BTreeMap;
 use caudata_model::RobotModel;
 
 use crate::replay::{Data, Piece};
-use crate::trial::{Channel, Kind};
+use crate::trial::{Channel, Kind, Trial};
 
 /// Share of a signal's own size that no simulation is expected to hit.
 const RELATIVE: f64 = 0.01;
 /// Repeats that differ this many times more than usual in a block have been disturbed.
 const DISTURBED: f64 = 6.0;
+/// Repeats are not expected to agree better than this, rad.
+const LEAST_RAD: f64 = 0.002;
 
 /// Noise of a set of runs.
 #[derive(Debug, Clone, Default)]
@@ -23,8 +25,6 @@ pub struct Noise {
     pub difference: Vec<f32>,
     /// Whether any run has a repeat.
     pub repeated: bool,
-    /// Disturbed stretches: (trial, from, to), s.
-    pub disturbed: Vec<(usize, f64, f64)>,
 }
 
 impl Noise {
@@ -41,39 +41,34 @@ impl Noise {
                 noise.piece(model, data, segment.trial, piece);
             }
         }
-        noise.find_disturbed(data);
         noise
     }
 
     fn piece(&mut self, model: &RobotModel, data: &Data, trial: usize, piece: &Piece) {
         let own = &data.trials[trial];
         let channel = &own.channels[piece.channel];
-        let others: Vec<(f64, &Channel)> = (data.trials.iter().enumerate())
-            .filter(|(k, t)| *k != trial && t.group == own.group)
-            .filter_map(|(_, t)| {
-                let shift = t.span_s.0 - own.span_s.0;
-                t.channel(piece.kind, piece.index).map(|c| (shift, c))
-            })
-            .collect();
         let range = piece.range.clone();
         let values = &data.value[range.clone()];
         let floor = (quantum(model, channel) / 12.0_f64.sqrt()).max(jitter(values));
+        let members: Vec<(f64, &Channel)> = (own.members.iter())
+            .filter_map(|m| Some((m.span_s.0 - own.span_s.0, m.channel(piece.kind, piece.index)?)))
+            .collect();
+        let m = members.len() as f64;
         let mut sum = 0.0;
         let mut differences = vec![0.0; values.len()];
-        if !others.is_empty() {
+        if members.len() > 1 {
             for (k, difference) in differences.iter_mut().enumerate() {
                 let t = data.time_s[range.start + k];
-                let mean = others.iter().map(|(shift, c)| interpolate(c, t + shift)).sum::<f64>()
-                    / others.len() as f64;
-                // own noise σ² and the mean's σ²/m
-                let scale = (1.0 + 1.0 / others.len() as f64).sqrt();
-                *difference = (values[k] - mean) / scale;
-                sum += *difference * *difference;
+                let all: Vec<f64> = members.iter().map(|(shift, c)| c.at(t + shift)).collect();
+                let mean = all.iter().sum::<f64>() / m;
+                sum += all.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (m - 1.0);
+                // one member against the mean of all: σ²·(1 − 1/m)
+                *difference = (all[0] - mean) / (1.0 - 1.0 / m).sqrt();
             }
             self.repeated = true;
         }
         let repeat = (sum / values.len().max(1) as f64).sqrt();
-        if !others.is_empty() {
+        if members.len() > 1 {
             self.repeat.insert((trial, piece.kind, piece.index), repeat);
         }
         let size = spread(values);
@@ -84,39 +79,56 @@ impl Noise {
             self.difference[range.start + k] = (differences[k] / sigma) as f32;
         }
     }
+}
 
-    /// Blocks in which one run departs from its repeats far more than blocks usually do.
-    fn find_disturbed(&mut self, data: &Data) {
-        if !self.repeated {
-            return;
+/// Stretches in which one of at least three repeats departs from the others far more than usual: (trial, from, to), s.
+#[must_use]
+pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
+    let mut levels: Vec<(f64, usize, f64, f64)> = Vec::new();
+    for (number, trial) in trials.iter().enumerate() {
+        let others: Vec<&Trial> = (trials.iter().enumerate())
+            .filter(|(k, t)| *k != number && t.group == trial.group)
+            .map(|(_, t)| t)
+            .collect();
+        // with only two runs nobody knows which of them was touched
+        if others.len() < 2 {
+            continue;
         }
-        let mut energy = vec![(0.0_f64, 0usize); data.blocks];
-        let mut span = vec![(f64::INFINITY, f64::NEG_INFINITY, 0usize); data.blocks];
-        for segment in &data.segments {
-            for piece in segment.pieces.iter().filter(|p| p.kind == Kind::Position) {
-                for k in piece.range.clone() {
-                    let b = data.block[k] as usize;
-                    energy[b].0 += f64::from(self.difference[k]).powi(2);
-                    energy[b].1 += 1;
-                    span[b].0 = span[b].0.min(data.time_s[k]);
-                    span[b].1 = span[b].1.max(data.time_s[k]);
-                    span[b].2 = segment.trial;
+        for block in 0..trial.duration_s().floor() as usize {
+            let from = trial.span_s.0 + block as f64;
+            let mut sum = (0.0, 0.0);
+            for c in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
+                let same: Vec<(f64, &Channel)> = (others.iter())
+                    .filter_map(|o| Some((o.span_s.0 - trial.span_s.0, o.channel(c.kind, c.index)?)))
+                    .collect();
+                if same.len() < 2 {
+                    continue;
+                }
+                let low = c.time_s.partition_point(|&t| t < from);
+                let high = c.time_s.partition_point(|&t| t < from + 1.0);
+                for k in low..high {
+                    let mut all: Vec<f64> = same.iter().map(|(s, o)| o.at(c.time_s[k] + s)).collect();
+                    all.push(c.value[k]);
+                    all.sort_by(f64::total_cmp);
+                    let median = all[all.len() / 2];
+                    sum.0 += (c.value[k] - median).powi(2);
+                    sum.1 += 1.0;
                 }
             }
-        }
-        let level = |b: &(f64, usize)| (b.0 / b.1.max(1) as f64).sqrt();
-        let mut levels: Vec<f64> = energy.iter().filter(|b| b.1 > 0).map(level).collect();
-        levels.sort_by(f64::total_cmp);
-        let high = levels.get(levels.len() * 9 / 10).copied().unwrap_or(0.0);
-        for (b, e) in energy.iter().enumerate() {
-            let repeats = data.trials.iter().filter(|t| t.group == data.trials[span[b].2].group);
-            // with only two runs nobody knows which of them was touched
-            if e.1 > 0 && level(e) > DISTURBED * high.max(1.0) && repeats.count() >= 3 {
-                let (from, to, trial) = span[b];
-                self.disturbed.push((trial, from, to));
+            if sum.1 > 0.0 {
+                let level: f64 = sum.0 / sum.1;
+                levels.push((level.sqrt(), number, from, from + 1.0));
             }
         }
     }
+    let mut sorted: Vec<f64> = levels.iter().map(|l| l.0).collect();
+    sorted.sort_by(f64::total_cmp);
+    let usual = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(0.0).max(LEAST_RAD);
+    levels
+        .into_iter()
+        .filter(|l| l.0 > DISTURBED * usual)
+        .map(|(_, trial, from, to)| (trial, from, to))
+        .collect()
 }
 
 /// Step of a channel's numbers, SI.
@@ -164,21 +176,6 @@ fn spread(y: &[f64]) -> f64 {
     let n = y.len().max(1) as f64;
     let mean = y.iter().sum::<f64>() / n;
     (y.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
-}
-
-/// A channel's value at `t_s`, on the line between samples.
-#[must_use]
-pub fn interpolate(c: &Channel, t_s: f64) -> f64 {
-    let k = c.time_s.partition_point(|&t| t < t_s);
-    if k == 0 {
-        return c.value[0];
-    }
-    if k >= c.value.len() {
-        return c.value[c.value.len() - 1];
-    }
-    let (t0, t1) = (c.time_s[k - 1], c.time_s[k]);
-    let share = if t1 > t0 { (t_s - t0) / (t1 - t0) } else { 0.0 };
-    c.value[k - 1] + share * (c.value[k] - c.value[k - 1])
 }
 
 #[cfg(test)]

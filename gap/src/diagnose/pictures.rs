@@ -65,7 +65,7 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
                 let own = data.value[k];
                 let mut band = (own - sigma, own + sigma);
                 for (shift, c) in &repeats {
-                    let v = super::noise::interpolate(c, data.time_s[k] + shift);
+                    let v = c.at(data.time_s[k] + shift);
                     band = (band.0.min(v), band.1.max(v));
                 }
                 band

@@ -180,5 +180,7 @@ fn judge(
         let place = 1.min(entry.starts.len());
         entry.starts.insert(place, start);
     }
-    entry.starts.truncate(STARTS);
+    // a smooth effect of one parameter has one way down
+    let keep = if effect.hinge { STARTS } else { effect.parameters.len().min(2) };
+    entry.starts.truncate(keep);
 }

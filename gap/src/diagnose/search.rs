@@ -18,6 +18,10 @@ const BEAM: usize = 3;
 const FITTED: usize = 12;
 /// Places of one effect among them.
 const PLACES: usize = 2;
+/// A candidate whose misfit is so many times that of the best is given up.
+const BEHIND: f64 = 1.5;
+/// Misfit below which the search ends: the floor itself is not known better.
+const FLOOR: f64 = 1.15;
 /// What an additional parameter must earn: share of the misfit.
 pub const PER_PARAMETER: f64 = 0.015;
 
@@ -50,6 +54,9 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
     let mut refused: Vec<(State, Worth)> = Vec::new();
     let mut tried = 0;
     for depth in 1..=MOST_TERMS {
+        if depth > 1 && best.misfit() < FLOOR {
+            break;
+        }
         let mut children: Vec<(State, Worth, usize)> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
         for (number, parent) in beam.iter().enumerate() {
@@ -101,7 +108,7 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         if depth > 1 || next.len() > 1 {
             // one that is far behind cannot catch up by a single effect more often than it costs
             let lead = next[0].misfit();
-            next.retain(|s| s.misfit() < 2.5 * lead);
+            next.retain(|s| s.misfit() < BEHIND * lead);
         }
         beam = next;
         progress(Progress::new(Stage::Accepted, depth, &best.label()));

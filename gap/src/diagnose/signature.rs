@@ -65,13 +65,13 @@ fn map(context: &Context, found: &Found, joint: usize, kind: Kind, argument: Arg
         for piece in segment.pieces.iter().filter(|p| p.kind == kind && p.index == joint) {
             for k in piece.range.clone() {
                 let t = data.time_s[k];
-                let q = super::noise::interpolate(position, t);
+                let q = position.at(t);
                 let command = |t: f64| trial.commands[joint].at(t);
                 let x = match argument {
                     Argument::Angle => q,
                     Argument::Error => command(t) - q,
                     Argument::Speed => {
-                        let (a, b) = (super::noise::interpolate(position, t - 0.03), super::noise::interpolate(position, t + 0.03));
+                        let (a, b) = (position.at(t - 0.03), position.at(t + 0.03));
                         (b - a) / 0.06
                     }
                     Argument::CommandSpeed => (command(t + 0.03) - command(t - 0.03)) / 0.06,

@@ -62,8 +62,8 @@ pub static HARD_STOP: Effect = Effect {
     layer: Layer::Structure,
     domain: Domain::Joints,
     parameters: &[
-        parameter("low_rad", "rad", -4.0, (-4.0, 2.0), 0.005, One),
-        parameter("high_rad", "rad", 4.0, (-2.0, 4.0), 0.005, One),
+        parameter("low_rad", "rad", -4.0, (-4.0, 1.0), 0.005, One),
+        parameter("high_rad", "rad", 4.0, (-1.0, 4.0), 0.005, One),
     ],
     grid: &[
         &[-4.0, 0.2],
@@ -74,7 +74,9 @@ pub static HARD_STOP: Effect = Effect {
         &[-4.0, 1.0],
         &[-4.0, 1.2],
         &[-4.0, 1.4],
-        &[-4.0, 1.7],
+        &[-4.0, 1.65],
+        &[-4.0, 1.9],
+        &[-4.0, 2.15],
         &[-0.2, 4.0],
         &[-0.4, 4.0],
         &[-0.55, 4.0],
@@ -83,7 +85,9 @@ pub static HARD_STOP: Effect = Effect {
         &[-1.0, 4.0],
         &[-1.2, 4.0],
         &[-1.4, 4.0],
-        &[-1.7, 4.0],
+        &[-1.65, 4.0],
+        &[-1.9, 4.0],
+        &[-2.15, 4.0],
     ],
     hinge: true,
     apply: |plant, place, v| {

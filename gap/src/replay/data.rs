@@ -96,8 +96,6 @@ pub struct Piece {
 pub struct Data {
     /// In order of recording.
     pub trials: Vec<Trial>,
-    /// Place of each trial in the session, 0 to 1.
-    pub session: Vec<f64>,
     /// In order.
     pub segments: Vec<Segment>,
     /// Stamps, s. `[N]`
@@ -111,20 +109,20 @@ pub struct Data {
 }
 
 impl Data {
-    /// Cuts `trials` (with their places in the session) into stretches and samples.
+    /// Cuts `trials` into stretches and samples.
     #[must_use]
-    pub fn new(model: &RobotModel, trials: Vec<(f64, Trial)>, options: SegmentOptions) -> Self {
-        let (session, trials): (Vec<f64>, Vec<Trial>) = trials.into_iter().unzip();
+    pub fn new(
+        model: &RobotModel,
+        trials: Vec<Trial>,
+        options: SegmentOptions,
+    ) -> Self {
         let total: usize = trials
             .iter()
             .flat_map(|t| &t.channels)
             .map(|c| c.value.len())
             .sum();
         let stride = total.div_ceil(MOST_SAMPLES).max(1);
-        let mut data = Self {
-            session,
-            ..Self::default()
-        };
+        let mut data = Self::default();
         for (number, trial) in trials.iter().enumerate() {
             let length_s = match trial.base {
                 BaseHold::Fixed => options.fixed_s,
@@ -238,10 +236,7 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
             start.vel_radps[a] = slope;
         }
         if let Some(c) = trial.channel(Kind::Velocity, a) {
-            let near = c
-                .time_s
-                .partition_point(|&t| t < t_s)
-                .min(c.value.len() - 1);
+            let near = c.time_s.partition_point(|&t| t < t_s).min(c.value.len() - 1);
             // a reported speed is less noisy than a difference of counts, and later: take the smaller
             let reported = c.value[near];
             let slope = start.vel_radps[a];
@@ -293,10 +288,7 @@ fn line(c: &Channel, t_s: f64) -> (f64, f64) {
     let high = c.time_s.partition_point(|&t| t <= t_s + SPEED_WINDOW_S);
     let n = (high - low) as f64;
     if n < 1.0 {
-        let k = c
-            .time_s
-            .partition_point(|&t| t < t_s)
-            .min(c.value.len() - 1);
+        let k = c.time_s.partition_point(|&t| t < t_s).min(c.value.len() - 1);
         return (c.value[k], 0.0);
     }
     let (t, y) = (&c.time_s[low..high], &c.value[low..high]);

@@ -31,18 +31,12 @@ pub(super) fn run(
     for (lane, &(v, s)) in jobs.iter().enumerate() {
         let segment = &data.segments[s];
         let trial = &data.trials[segment.trial];
-        let plant = replayer.plant(trial, data.session[segment.trial], &variants[v]);
+        let plant = replayer.plant(trial, &variants[v]);
         let periods = (segment.duration_s() / period_s).ceil() as usize;
         most = most.max(periods);
         readers.push(readers_of(trial, &plant, segment.start_s));
         switches.push(Switches::new(trial, segment.start_s));
-        traces.push(Trace::new(
-            trial,
-            &plant,
-            segment.start_s,
-            period_s,
-            periods,
-        ));
+        traces.push(Trace::new(trial, &plant, segment.start_s, period_s, periods));
         sound[lane] = start(engine, lane, &plant, &switches[lane], data, s);
         plants.push(plant);
     }

@@ -108,9 +108,9 @@ impl Replayer {
 
     /// The robot of a trial with a candidate's effects.
     #[must_use]
-    pub fn plant(&self, trial: &Trial, session: f64, variant: &[Term]) -> Plant {
+    pub fn plant(&self, trial: &Trial, variant: &[Term]) -> Plant {
         let mut plant = Plant::in_trial(&self.model, trial);
-        plant.session = session;
+        plant.session = trial.session;
         for term in self.given.iter().chain(variant) {
             (term.effect.apply)(&mut plant, &term.place, &term.values);
         }
