@@ -1,6 +1,7 @@
 //! One module per command.
 
 pub mod bench;
+mod bench_gap;
 mod bench_learner;
 mod bench_sim;
 mod bench_skill;

@@ -9,15 +9,37 @@ fn main() {
         let now = std::time::Instant::now();
         let lap = || now.elapsed().as_secs_f64();
         let (f, names) = fit::fit_all(&data).unwrap();
-        println!("{name}: least squares {:.3} {names:?} {:.1} s", data.holdout_ratio(&f.setup(&data)).unwrap(), lap());
+        println!(
+            "{name}: least squares {:.3} {names:?} {:.1} s",
+            data.holdout_ratio(&f.setup(&data)).unwrap(),
+            lap()
+        );
         let (f, names) = fit::evolve(&data, 25).unwrap();
-        println!("{name}: evolution {:.3} {names:?} {:.1} s", data.holdout_ratio(&f.setup(&data)).unwrap(), lap());
+        println!(
+            "{name}: evolution {:.3} {names:?} {:.1} s",
+            data.holdout_ratio(&f.setup(&data)).unwrap(),
+            lap()
+        );
         let (f, names) = fit::forward_selection(&data).unwrap();
-        println!("{name}: selection {:.3} {names:?} {:?} {:.1} s", data.holdout_ratio(&f.setup(&data)).unwrap(), f.x, lap());
-        println!("{name}: residual {:.3} {:.1} s", residual::holdout_ratio(&data).unwrap(), lap());
+        println!(
+            "{name}: selection {:.3} {names:?} {:?} {:.1} s",
+            data.holdout_ratio(&f.setup(&data)).unwrap(),
+            f.x,
+            lap()
+        );
+        println!(
+            "{name}: residual {:.3} {:.1} s",
+            residual::holdout_ratio(&data).unwrap(),
+            lap()
+        );
         let joint = data.model.actuated_names()[0].to_owned();
         if let Some(f) = fit::oracle(&data, &[(name.clone(), joint)]).unwrap() {
-            println!("{name}: oracle {:.3} {:?} {:.1} s", data.holdout_ratio(&f.setup(&data)).unwrap(), f.x, lap());
+            println!(
+                "{name}: oracle {:.3} {:?} {:.1} s",
+                data.holdout_ratio(&f.setup(&data)).unwrap(),
+                f.x,
+                lap()
+            );
         }
     }
 }

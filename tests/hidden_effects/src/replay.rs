@@ -63,7 +63,13 @@ pub fn predict_shifted(
     )?;
     let shifted = |row: &[f64]| -> Vec<f32> {
         let shift = |lane: usize, a: usize| shifts_rad.get(lane).map_or(0.0, |s| s[a]);
-        (0..lanes).flat_map(|lane| row.iter().enumerate().map(move |(a, &x)| (x + shift(lane, a)) as f32)).collect()
+        (0..lanes)
+            .flat_map(|lane| {
+                row.iter()
+                    .enumerate()
+                    .map(move |(a, &x)| (x + shift(lane, a)) as f32)
+            })
+            .collect()
     };
     let mut targets = shifted(&commands.rows_rad[0]);
     for (lane, params) in variants.iter().enumerate() {

@@ -101,7 +101,11 @@ impl CaseData {
         }
         noise(&mut fit);
         noise(&mut holdout);
-        Ok(Self { model, fit, holdout })
+        Ok(Self {
+            model,
+            fit,
+            holdout,
+        })
     }
 
     /// The first repeat of each trial of `runs`, as `setup` predicts it.
@@ -130,7 +134,12 @@ impl CaseData {
         for run in firsts(runs) {
             for (shown, out) in self.predict(run, setups)?.iter().zip(&mut out) {
                 for ((measured, shown), sd) in run.values.iter().zip(shown).zip(&run.sigma) {
-                    out.extend(measured.iter().zip(shown).map(|(m, s)| m.map_or(0.0, |m| (m - s) / sd)));
+                    out.extend(
+                        measured
+                            .iter()
+                            .zip(shown)
+                            .map(|(m, s)| m.map_or(0.0, |m| (m - s) / sd)),
+                    );
                 }
             }
         }
@@ -151,10 +160,18 @@ impl CaseData {
                 lane
             })
             .collect();
-        let shifts: Vec<Vec<f64>> = setups.iter().map(|s| s.offset_rad.iter().map(|b| -b).collect()).collect();
+        let shifts: Vec<Vec<f64>> = setups
+            .iter()
+            .map(|s| s.offset_rad.iter().map(|b| -b).collect())
+            .collect();
         let times_s = &run.commands.sent_s;
-        let predictions = replay::predict_shifted(&self.model, &lanes, &shifts, &run.commands, times_s)?;
-        Ok(setups.iter().zip(&predictions).map(|(s, p)| shown(s, p, times_s)).collect())
+        let predictions =
+            replay::predict_shifted(&self.model, &lanes, &shifts, &run.commands, times_s)?;
+        Ok(setups
+            .iter()
+            .zip(&predictions)
+            .map(|(s, p)| shown(s, p, times_s))
+            .collect())
     }
 
     /// Error on held-out runs of `setup` over that of the nominal robot: geometric mean over channels of the root mean squares' ratio.
@@ -168,7 +185,12 @@ impl CaseData {
         let rows = both[0].len() / channels;
         let mut log_sum = 0.0;
         for c in 0..channels {
-            let square = |r: &[f64]| r[c * rows..(c + 1) * rows].iter().map(|x| x * x).sum::<f64>();
+            let square = |r: &[f64]| {
+                r[c * rows..(c + 1) * rows]
+                    .iter()
+                    .map(|x| x * x)
+                    .sum::<f64>()
+            };
             log_sum += 0.5 * (square(&both[1]).max(1e-12) / square(&both[0]).max(1e-12)).ln();
         }
         Ok((log_sum / channels as f64).exp())
@@ -180,7 +202,10 @@ impl Logged {
         let names = model.actuated_names();
         let column = |signal: &Signal| log.table.column(signal).map(<[_]>::to_vec);
         let mut held: Vec<f64> = model.nominal_pos_rad().to_vec();
-        let columns: Vec<_> = names.iter().map(|n| column(&Signal::Command((*n).to_owned()))).collect();
+        let columns: Vec<_> = names
+            .iter()
+            .map(|n| column(&Signal::Command((*n).to_owned())))
+            .collect();
         let rows_rad = (0..log.table.len())
             .map(|k| {
                 for (value, column) in held.iter_mut().zip(&columns) {
@@ -191,7 +216,8 @@ impl Logged {
                 held.clone()
             })
             .collect();
-        let kinds: [fn(String) -> Signal; 3] = [Signal::Position, Signal::Velocity, Signal::Current];
+        let kinds: [fn(String) -> Signal; 3] =
+            [Signal::Position, Signal::Velocity, Signal::Current];
         let empty = || vec![None; log.table.len()];
         let values = kinds
             .iter()
@@ -199,7 +225,10 @@ impl Logged {
             .map(|s| column(&s).unwrap_or_else(empty))
             .collect();
         Self {
-            trial: name.rsplit_once('_').map_or(name, |(trial, _)| trial).to_owned(),
+            trial: name
+                .rsplit_once('_')
+                .map_or(name, |(trial, _)| trial)
+                .to_owned(),
             commands: Commands {
                 sent_s: log.table.time_s().to_vec(),
                 rows_rad,
@@ -251,14 +280,23 @@ fn shown(setup: &Setup, p: &Prediction, times_s: &[f64]) -> Vec<Vec<f64>> {
     let servos = p.pos_rad.len();
     let mut out = Vec::with_capacity(3 * servos);
     for a in 0..servos {
-        out.push(p.pos_rad[a].iter().map(|q| (1.0 + setup.gain[a]) * q + setup.offset_rad[a]).collect());
+        out.push(
+            p.pos_rad[a]
+                .iter()
+                .map(|q| (1.0 + setup.gain[a]) * q + setup.offset_rad[a])
+                .collect(),
+        );
     }
     for a in 0..servos {
         let mut y = p.vel_radps[a][0];
         let mut last = times_s[0];
         let lagged = p.vel_radps[a].iter().zip(times_s).map(|(v, &t)| {
             let lag = setup.velocity_lag_s[a];
-            let share = if lag > 0.0 { 1.0 - (-(t - last) / lag).exp() } else { 1.0 };
+            let share = if lag > 0.0 {
+                1.0 - (-(t - last) / lag).exp()
+            } else {
+                1.0
+            };
             last = t;
             y += share * (v - y);
             y
@@ -266,7 +304,12 @@ fn shown(setup: &Setup, p: &Prediction, times_s: &[f64]) -> Vec<Vec<f64>> {
         out.push(lagged.collect());
     }
     for a in 0..servos {
-        out.push(p.current_a[a].iter().map(|i| i + setup.current_bias_a[a]).collect());
+        out.push(
+            p.current_a[a]
+                .iter()
+                .map(|i| i + setup.current_bias_a[a])
+                .collect(),
+        );
     }
     out
 }

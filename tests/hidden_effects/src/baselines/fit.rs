@@ -54,14 +54,22 @@ pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<F
     let n = turns.len();
     let mut x = start.to_vec();
     let mut damping = 1e-2;
-    let mut r = data.residuals(&data.fit, &[turned(&data.model, turns, &x)])?.remove(0);
+    let mut r = data
+        .residuals(&data.fit, &[turned(&data.model, turns, &x)])?
+        .remove(0);
     let mut cost = square(&r);
     let mut normal = vec![0.0; n * n];
     for _ in 0..ROUNDS {
         let steps: Vec<f64> = turns
             .iter()
             .zip(&x)
-            .map(|((k, _), &x)| if x + 0.3 * k.scale > k.range.1 { -0.3 * k.scale } else { 0.3 * k.scale })
+            .map(|((k, _), &x)| {
+                if x + 0.3 * k.scale > k.range.1 {
+                    -0.3 * k.scale
+                } else {
+                    0.3 * k.scale
+                }
+            })
             .collect();
         let near: Vec<Setup> = (0..n)
             .map(|i| {
@@ -75,7 +83,12 @@ pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<F
             .iter()
             .zip(turns)
             .zip(&steps)
-            .map(|((m, (k, _)), h)| m.iter().zip(&r).map(|(a, b)| (a - b) / (h / k.scale)).collect())
+            .map(|((m, (k, _)), h)| {
+                m.iter()
+                    .zip(&r)
+                    .map(|(a, b)| (a - b) / (h / k.scale))
+                    .collect()
+            })
             .collect();
         let mut slope = vec![0.0; n];
         for i in 0..n {
@@ -103,10 +116,18 @@ pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<F
                 tries.push((d, at));
             }
         }
-        let setups: Vec<Setup> = tries.iter().map(|(_, at)| turned(&data.model, turns, at)).collect();
+        let setups: Vec<Setup> = tries
+            .iter()
+            .map(|(_, at)| turned(&data.model, turns, at))
+            .collect();
         let got = in_lanes(data, &setups)?;
-        let best = got.into_iter().zip(tries).min_by(|a, b| square(&a.0).total_cmp(&square(&b.0)));
-        let Some((residual, (d, at))) = best else { break };
+        let best = got
+            .into_iter()
+            .zip(tries)
+            .min_by(|a, b| square(&a.0).total_cmp(&square(&b.0)));
+        let Some((residual, (d, at))) = best else {
+            break;
+        };
         let better = square(&residual);
         if better >= cost * (1.0 - 1e-4) {
             if better < cost {
@@ -126,7 +147,11 @@ pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<F
             }
             let mut unit = vec![0.0; n];
             unit[i] = 1.0;
-            if solve_spd(&mut a, &mut unit) { (unit[i] * white).sqrt() * turns[i].0.scale } else { f64::INFINITY }
+            if solve_spd(&mut a, &mut unit) {
+                (unit[i] * white).sqrt() * turns[i].0.scale
+            } else {
+                f64::INFINITY
+            }
         })
         .collect();
     Ok(Fit {
@@ -157,10 +182,19 @@ pub fn fit_all(data: &CaseData) -> Result<(Fit, Vec<&'static str>), DataError> {
     ];
     let knobs: Vec<&'static Knob> = LIST.iter().filter_map(|id| knob_of(id)).collect();
     let turns = turns(&knobs, data.model.actuated().len());
-    let start: Vec<f64> = turns.iter().map(|(k, _)| if k.range.0 >= 0.0 { 0.3 * k.scale } else { 0.0 }).collect();
+    let start: Vec<f64> = turns
+        .iter()
+        .map(|(k, _)| if k.range.0 >= 0.0 { 0.3 * k.scale } else { 0.0 })
+        .collect();
     let fit = least_squares(data, &turns, &start)?;
-    let mut found: Vec<(f64, &'static str)> =
-        fit.turns.iter().zip(&fit.x).zip(&fit.sd).map(|(((k, _), x), sd)| (x.abs() / sd.max(1e-12), k.effect)).filter(|f| f.0 > 1.96).collect();
+    let mut found: Vec<(f64, &'static str)> = fit
+        .turns
+        .iter()
+        .zip(&fit.x)
+        .zip(&fit.sd)
+        .map(|(((k, _), x), sd)| (x.abs() / sd.max(1e-12), k.effect))
+        .filter(|f| f.0 > 1.96)
+        .collect();
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut names = Vec::new();
     for (_, name) in found {
@@ -179,13 +213,20 @@ pub fn oracle(data: &CaseData, effects: &[(String, String)]) -> Result<Option<Fi
     let names = data.model.actuated_names();
     let mut turns = Vec::new();
     for (effect, joint) in effects {
-        let Some(knob) = knob_of(effect) else { return Ok(None) };
+        let Some(knob) = knob_of(effect) else {
+            return Ok(None);
+        };
         turns.push((knob, names.iter().position(|n| n == joint).unwrap_or(0)));
     }
     let mut best: Option<Fit> = None;
-    let grid: Vec<f64> = turns.first().map_or(Vec::new(), |(k, _)| [&[0.0], k.starts].concat());
+    let grid: Vec<f64> = turns
+        .first()
+        .map_or(Vec::new(), |(k, _)| [&[0.0], k.starts].concat());
     for first in grid {
-        let mut start: Vec<f64> = turns.iter().map(|(k, _)| k.starts.first().copied().unwrap_or(0.0)).collect();
+        let mut start: Vec<f64> = turns
+            .iter()
+            .map(|(k, _)| k.starts.first().copied().unwrap_or(0.0))
+            .collect();
         start[0] = first;
         let fit = least_squares(data, &turns, &start)?;
         if best.as_ref().is_none_or(|b| fit.cost < b.cost) {
@@ -204,12 +245,19 @@ pub fn forward_selection(data: &CaseData) -> Result<(Fit, Vec<&'static str>), Da
     let all: Vec<&'static Knob> = KNOBS.iter().collect();
     let candidates = turns(&all, data.model.actuated().len());
     let mut fit = least_squares(data, &[], &[])?;
-    let criterion = |f: &Fit| f.values as f64 * (f.cost / f.values as f64).ln() + f.turns.len() as f64 * (f.values as f64).ln();
+    let criterion = |f: &Fit| {
+        f.values as f64 * (f.cost / f.values as f64).ln()
+            + f.turns.len() as f64 * (f.values as f64).ln()
+    };
     for _ in 0..MOST {
         // one scan over sizes, then the best is refined
         let mut tries: Vec<(usize, f64)> = Vec::new();
         for (i, (k, _)) in candidates.iter().enumerate() {
-            if fit.turns.iter().any(|(t, a)| t.effect == k.effect && *a == candidates[i].1) {
+            if fit
+                .turns
+                .iter()
+                .any(|(t, a)| t.effect == k.effect && *a == candidates[i].1)
+            {
                 continue;
             }
             for units in [-8.0, -3.0, -1.0, 1.0, 3.0, 8.0] {
@@ -228,7 +276,11 @@ pub fn forward_selection(data: &CaseData) -> Result<(Fit, Vec<&'static str>), Da
                 turned(&data.model, &turns, &[fit.x.as_slice(), &[x]].concat())
             })
             .collect();
-        let mut costs: Vec<(f64, usize)> = in_lanes(data, &setups)?.iter().enumerate().map(|(i, r)| (square(r), i)).collect();
+        let mut costs: Vec<(f64, usize)> = in_lanes(data, &setups)?
+            .iter()
+            .enumerate()
+            .map(|(i, r)| (square(r), i))
+            .collect();
         costs.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut best: Option<Fit> = None;
         for &(_, t) in costs.iter().take(3) {
@@ -255,14 +307,22 @@ pub fn forward_selection(data: &CaseData) -> Result<(Fit, Vec<&'static str>), Da
 /// # Errors
 /// [`DataError`].
 pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static str>), DataError> {
-    const LIST: [&str; 5] = ["command_delay", "armature", "viscous_friction", "coulomb_friction", "encoder_offset"];
+    const LIST: [&str; 5] = [
+        "command_delay",
+        "armature",
+        "viscous_friction",
+        "coulomb_friction",
+        "encoder_offset",
+    ];
     let knobs: Vec<&'static Knob> = LIST.iter().filter_map(|id| knob_of(id)).collect();
     let turns = turns(&knobs, data.model.actuated().len());
     let n = turns.len();
     let dim = n as f64;
     let mut s = Stream::new(Key::for_run(1), Purpose::Action);
     let parents = LANES / 2;
-    let raw: Vec<f64> = (0..parents).map(|i| (parents as f64 + 0.5).ln() - (i as f64 + 1.0).ln()).collect();
+    let raw: Vec<f64> = (0..parents)
+        .map(|i| (parents as f64 + 0.5).ln() - (i as f64 + 1.0).ln())
+        .collect();
     let total: f64 = raw.iter().sum();
     let weights: Vec<f64> = raw.iter().map(|w| w / total).collect();
     let mass = 1.0 / weights.iter().map(|w| w * w).sum::<f64>();
@@ -276,21 +336,55 @@ pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static 
     let mut cov = vec![0.0; n * n];
     (0..n).for_each(|i| cov[i * n + i] = 1.0);
     let (mut pc, mut ps) = (vec![0.0; n], vec![0.0; n]);
-    let place = |y: &[f64]| -> Vec<f64> { y.iter().zip(&turns).map(|(y, (k, _))| (y * k.scale).clamp(k.range.0, k.range.1)).collect() };
+    let place = |y: &[f64]| -> Vec<f64> {
+        y.iter()
+            .zip(&turns)
+            .map(|(y, (k, _))| (y * k.scale).clamp(k.range.0, k.range.1))
+            .collect()
+    };
     let mut best = (f64::INFINITY, vec![0.0; n], 0usize);
     for _ in 0..generations {
         let root = lower(&cov, n);
-        let draws: Vec<Vec<f64>> = (0..LANES).map(|_| (0..n).map(|_| s.normal_f64()).collect()).collect();
-        let steps: Vec<Vec<f64>> = draws.iter().map(|z| (0..n).map(|i| (0..=i).map(|k| root[i * n + k] * z[k]).sum()).collect()).collect();
-        let points: Vec<Vec<f64>> = steps.iter().map(|d| (0..n).map(|i| mean[i] + sigma * d[i]).collect()).collect();
-        let setups: Vec<Setup> = points.iter().map(|y| turned(&data.model, &turns, &place(y))).collect();
+        let draws: Vec<Vec<f64>> = (0..LANES)
+            .map(|_| (0..n).map(|_| s.normal_f64()).collect())
+            .collect();
+        let steps: Vec<Vec<f64>> = draws
+            .iter()
+            .map(|z| {
+                (0..n)
+                    .map(|i| (0..=i).map(|k| root[i * n + k] * z[k]).sum())
+                    .collect()
+            })
+            .collect();
+        let points: Vec<Vec<f64>> = steps
+            .iter()
+            .map(|d| (0..n).map(|i| mean[i] + sigma * d[i]).collect())
+            .collect();
+        let setups: Vec<Setup> = points
+            .iter()
+            .map(|y| turned(&data.model, &turns, &place(y)))
+            .collect();
         let residuals = in_lanes(data, &setups)?;
-        let mut order: Vec<(f64, usize)> = residuals.iter().enumerate().map(|(i, r)| (square(r), i)).collect();
+        let mut order: Vec<(f64, usize)> = residuals
+            .iter()
+            .enumerate()
+            .map(|(i, r)| (square(r), i))
+            .collect();
         order.sort_by(|a, b| a.0.total_cmp(&b.0));
         if order[0].0 < best.0 {
             best = (order[0].0, place(&points[order[0].1]), residuals[0].len());
         }
-        let mix = |from: &[Vec<f64>]| -> Vec<f64> { (0..n).map(|i| weights.iter().zip(&order).map(|(w, (_, k))| w * from[*k][i]).sum()).collect() };
+        let mix = |from: &[Vec<f64>]| -> Vec<f64> {
+            (0..n)
+                .map(|i| {
+                    weights
+                        .iter()
+                        .zip(&order)
+                        .map(|(w, (_, k))| w * from[*k][i])
+                        .sum()
+                })
+                .collect()
+        };
         let (step, draw) = (mix(&steps), mix(&draws));
         for i in 0..n {
             mean[i] += sigma * step[i];
@@ -300,15 +394,28 @@ pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static 
         }
         for i in 0..n {
             for j in 0..n {
-                let rank: f64 = weights.iter().zip(&order).map(|(w, (_, k))| w * steps[*k][i] * steps[*k][j]).sum();
-                cov[i * n + j] = (1.0 - c1 - cmu) * cov[i * n + j] + c1 * pc[i] * pc[j] + cmu * rank;
+                let rank: f64 = weights
+                    .iter()
+                    .zip(&order)
+                    .map(|(w, (_, k))| w * steps[*k][i] * steps[*k][j])
+                    .sum();
+                cov[i * n + j] =
+                    (1.0 - c1 - cmu) * cov[i * n + j] + c1 * pc[i] * pc[j] + cmu * rank;
             }
         }
         sigma *= (cs / ds * (square(&ps).sqrt() / expected - 1.0)).exp();
     }
-    let mut moved: Vec<(f64, &'static str)> = turns.iter().zip(&best.1).map(|((k, _), x)| (x.abs() / k.scale, k.effect)).collect();
+    let mut moved: Vec<(f64, &'static str)> = turns
+        .iter()
+        .zip(&best.1)
+        .map(|((k, _), x)| (x.abs() / k.scale, k.effect))
+        .collect();
     moved.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let names = moved.into_iter().filter(|m| m.0 > 1.0).map(|m| m.1).collect();
+    let names = moved
+        .into_iter()
+        .filter(|m| m.0 > 1.0)
+        .map(|m| m.1)
+        .collect();
     Ok((
         Fit {
             turns,

@@ -32,7 +32,13 @@ pub struct BaselineOutcome {
 }
 
 /// The names of the baselines, in the order of [`all`].
-pub const NAMES: [&str; 5] = ["least squares on all", "CMA-ES on a fixed set", "forward selection by BIC", "unnamed residual", "oracle"];
+pub const NAMES: [&str; 5] = [
+    "least squares on all",
+    "CMA-ES on a fixed set",
+    "forward selection by BIC",
+    "unnamed residual",
+    "oracle",
+];
 
 /// Every baseline on a case, and the oracle where the truth has a knob.
 ///
@@ -41,7 +47,9 @@ pub const NAMES: [&str; 5] = ["least squares on all", "CMA-ES on a fixed set", "
 pub fn all(folder: &Path, answer: &Answer) -> Result<Vec<BaselineOutcome>, DataError> {
     let data = CaseData::read(folder)?;
     let mut out = Vec::new();
-    let mut timed = |baseline, work: &dyn Fn() -> Result<Option<(Vec<&'static str>, f64)>, DataError>| -> Result<(), DataError> {
+    let mut timed = |baseline,
+                     work: &dyn Fn() -> Result<Option<(Vec<&'static str>, f64)>, DataError>|
+     -> Result<(), DataError> {
         let began = Instant::now();
         if let Some((names, holdout_ratio)) = work()? {
             out.push(BaselineOutcome {
@@ -53,13 +61,21 @@ pub fn all(folder: &Path, answer: &Answer) -> Result<Vec<BaselineOutcome>, DataE
         }
         Ok(())
     };
-    let judged = |(fit, names): (fit::Fit, Vec<&'static str>)| Ok(Some((names, data.holdout_ratio(&fit.setup(&data))?)));
+    let judged = |(fit, names): (fit::Fit, Vec<&'static str>)| {
+        Ok(Some((names, data.holdout_ratio(&fit.setup(&data))?)))
+    };
     timed(NAMES[0], &|| judged(fit::fit_all(&data)?))?;
     timed(NAMES[1], &|| judged(fit::evolve(&data, GENERATIONS)?))?;
     timed(NAMES[2], &|| judged(fit::forward_selection(&data)?))?;
-    timed(NAMES[3], &|| Ok(Some((Vec::new(), residual::holdout_ratio(&data)?))))?;
+    timed(NAMES[3], &|| {
+        Ok(Some((Vec::new(), residual::holdout_ratio(&data)?)))
+    })?;
     if matches!(answer.block, Block::Single | Block::Pair) {
-        let truth: Vec<(String, String)> = answer.effects.iter().map(|e| (e.effect.clone(), e.joint.clone())).collect();
+        let truth: Vec<(String, String)> = answer
+            .effects
+            .iter()
+            .map(|e| (e.effect.clone(), e.joint.clone()))
+            .collect();
         timed(NAMES[4], &|| match fit::oracle(&data, &truth)? {
             Some(fit) => judged((fit, Vec::new())),
             None => Ok(None),
@@ -91,21 +107,48 @@ pub fn summaries(all: &[(Answer, Vec<BaselineOutcome>)]) -> Vec<BaselineSummary>
     NAMES
         .iter()
         .map(|name| {
-            let mine: Vec<(&Answer, &BaselineOutcome)> =
-                all.iter().filter_map(|(a, o)| Some((a, o.iter().find(|o| o.baseline == *name)?))).collect();
-            let right = |a: &Answer, n: &str| a.effects.iter().any(|t| t.effect == n || t.equivalent.iter().any(|e| e == n));
-            let large = |a: &Answer| a.block == Block::Single && a.effects.first().is_some_and(|t| t.d >= 3.0);
-            let singles: Vec<_> = mine.iter().filter(|(a, _)| a.block == Block::Single).collect();
-            let wrong: usize = singles.iter().map(|(a, o)| o.names.iter().filter(|n| !right(a, n)).count()).sum();
-            let mut ratios: Vec<f64> = mine.iter().filter(|(a, _)| large(a)).map(|(_, o)| o.holdout_ratio).collect();
+            let mine: Vec<(&Answer, &BaselineOutcome)> = all
+                .iter()
+                .filter_map(|(a, o)| Some((a, o.iter().find(|o| o.baseline == *name)?)))
+                .collect();
+            let right = |a: &Answer, n: &str| {
+                a.effects
+                    .iter()
+                    .any(|t| t.effect == n || t.equivalent.iter().any(|e| e == n))
+            };
+            let large = |a: &Answer| {
+                a.block == Block::Single && a.effects.first().is_some_and(|t| t.d >= 3.0)
+            };
+            let singles: Vec<_> = mine
+                .iter()
+                .filter(|(a, _)| a.block == Block::Single)
+                .collect();
+            let wrong: usize = singles
+                .iter()
+                .map(|(a, o)| o.names.iter().filter(|n| !right(a, n)).count())
+                .sum();
+            let mut ratios: Vec<f64> = mine
+                .iter()
+                .filter(|(a, _)| large(a))
+                .map(|(_, o)| o.holdout_ratio)
+                .collect();
             ratios.sort_by(f64::total_cmp);
             BaselineSummary {
                 baseline: (*name).to_owned(),
-                false_alarms: Rate::count(&mine, |(a, _)| a.block == Block::Null, |(_, o)| !o.names.is_empty()),
-                first_large: Rate::count(&mine, |(a, _)| large(a), |(a, o)| o.names.first().is_some_and(|n| right(a, n))),
+                false_alarms: Rate::count(
+                    &mine,
+                    |(a, _)| a.block == Block::Null,
+                    |(_, o)| !o.names.is_empty(),
+                ),
+                first_large: Rate::count(
+                    &mine,
+                    |(a, _)| large(a),
+                    |(a, o)| o.names.first().is_some_and(|n| right(a, n)),
+                ),
                 wrong_per_case: wrong as f64 / singles.len().max(1) as f64,
                 holdout_ratio: ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN),
-                seconds: mine.iter().map(|(_, o)| o.seconds).sum::<f64>() / mine.len().max(1) as f64,
+                seconds: mine.iter().map(|(_, o)| o.seconds).sum::<f64>()
+                    / mine.len().max(1) as f64,
             }
         })
         .collect()

@@ -25,7 +25,9 @@ pub fn holdout_ratio(data: &CaseData) -> Result<f64, DataError> {
         let (mut normal, mut right) = (vec![0.0; n * n], vec![0.0; n]);
         for run in &fit {
             for k in LAGS[2]..run.shown[c].len() {
-                let Some(measured) = run.measured[c][k] else { continue };
+                let Some(measured) = run.measured[c][k] else {
+                    continue;
+                };
                 let f = features(run, a, servos, k);
                 let off = measured - run.shown[c][k];
                 for i in 0..n {
@@ -45,9 +47,15 @@ pub fn holdout_ratio(data: &CaseData) -> Result<f64, DataError> {
         let (mut before, mut after) = (1e-12, 1e-12);
         for run in &holdout {
             for k in LAGS[2]..run.shown[c].len() {
-                let Some(measured) = run.measured[c][k] else { continue };
+                let Some(measured) = run.measured[c][k] else {
+                    continue;
+                };
                 let off = measured - run.shown[c][k];
-                let guess: f64 = features(run, a, servos, k).iter().zip(&right).map(|(f, w)| f * w).sum();
+                let guess: f64 = features(run, a, servos, k)
+                    .iter()
+                    .zip(&right)
+                    .map(|(f, w)| f * w)
+                    .sum();
                 before += off * off;
                 after += (off - guess) * (off - guess);
             }
@@ -61,8 +69,19 @@ fn features(run: &super::data::Shown, a: usize, servos: usize, k: usize) -> Vec<
     let mut out = vec![1.0];
     for lag in LAGS {
         let k = k - lag;
-        let (q, v, i) = (run.shown[a][k], run.shown[servos + a][k], run.shown[2 * servos + a][k]);
-        out.extend([run.commands_rad[k][a] - q, v, (v / 0.05).tanh(), q, q.sin(), i]);
+        let (q, v, i) = (
+            run.shown[a][k],
+            run.shown[servos + a][k],
+            run.shown[2 * servos + a][k],
+        );
+        out.extend([
+            run.commands_rad[k][a] - q,
+            v,
+            (v / 0.05).tanh(),
+            q,
+            q.sin(),
+            i,
+        ]);
     }
     out
 }
