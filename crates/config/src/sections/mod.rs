@@ -9,6 +9,7 @@ mod services;
 pub use actors::ActorsConfig;
 pub use learner::{
     Activation, AdvantageScale, Device, LearnerConfig, NetworkConfig, PpoConfig, StalenessConfig,
+    WarmStartConfig,
 };
 pub use run::{EvaluationConfig, RunConfig};
 pub use services::{
