@@ -458,6 +458,7 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         ..hinge()
     });
     let (dt, bus) = (Step::<f32>::new(DT), Bus::at(12.0_f32));
+    let stop = Stop::new(&Default::default(), 1.0 / 0.0122);
     let mut memories: [JointMemory<f32>; 2] = [Lanes::splat(&JointMemory::rest(0.0, 0.0)); 2];
     let mut at = [(0.0_f32, 0.0_f32); 2];
     for k in 0..400 {
@@ -465,7 +466,11 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         for (i, f) in [DriveFeatures::default(), all].into_iter().enumerate() {
             let (q, qd) = at[i];
             let m = &mut memories[i];
-            let d = step::start(f, &p, &h, m, &dt, &bus, command, q, qd);
+            let stop = StopAt {
+                law: &stop,
+                free_radps2: 0.0,
+            };
+            let d = step::start(f, &p, &h, m, &dt, &bus, command, q, qd, stop);
             let t = d.torque;
             let next = (0.0122 * qd + dt.dt_s * t.now_nm)
                 / (0.0122 + dt.dt_s * (t.damping_nms_per_rad + dt.dt_s * t.stiffness_nm_per_rad));
