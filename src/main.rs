@@ -50,6 +50,8 @@ enum Command {
     /// Show what the simulation gets wrong, name the cause, extend the model
     #[command(subcommand)]
     Gap(commands::gap::GapCommand),
+    /// From measured logs to a policy for the robot as it is: diagnose, train in the extended model, evaluate, publish
+    Adapt(commands::adapt::AdaptArgs),
     /// Measure how fast the parts are on this machine
     #[command(subcommand)]
     Bench(commands::bench::BenchCommand),
@@ -78,6 +80,7 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Policy(command) => commands::policy::run(command),
         Command::RobotModel(command) => commands::robot_model::run(command),
         Command::Gap(command) => commands::gap::run(command),
+        Command::Adapt(args) => commands::adapt::run(args),
         Command::Bench(command) => commands::bench::run(command),
     }
 }

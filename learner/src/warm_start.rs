@@ -3,7 +3,6 @@
 //! A policy file holds the actor, its exploration noise and the frozen normaliser, but no critic; `learner.warm_start` says for how many
 //! iterations only the critic learns.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use caudata_config::WarmStartConfig;
@@ -119,6 +118,7 @@ mod tests {
     use caudata_config::Activation;
     use caudata_model::RobotModel;
     use caudata_task::TaskConfig;
+    use std::path::Path;
     use tch::{Device, Kind, Tensor};
 
     fn contract(observe_medium: bool) -> PolicyContract {

@@ -1,5 +1,6 @@
 //! One module per command.
 
+pub mod adapt;
 pub mod bench;
 mod bench_learner;
 mod bench_sim;
