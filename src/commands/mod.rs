@@ -2,6 +2,7 @@
 
 pub mod bench;
 mod bench_sim;
+pub mod cluster;
 pub mod config;
 pub mod eval;
 pub mod ground;

@@ -58,6 +58,9 @@ pub struct ServerArgs {
     /// Stream of policies: a run's id unless the run chose another name; all streams when absent
     #[arg(long)]
     stream: Option<String>,
+    /// Certificates for an https:// address: folder with ca.crt, tls.crt and tls.key
+    #[arg(long, value_name = "DIR", env = "CAUDATA_TLS_DIR")]
+    tls_dir: Option<PathBuf>,
 }
 
 pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
@@ -110,7 +113,7 @@ impl ServerArgs {
     }
 
     fn client(&self) -> Result<RegistryClient, ClientError> {
-        RegistryClient::new(&self.server)
+        RegistryClient::with_tls(&self.server, self.tls_dir.as_deref())
     }
 }
 

@@ -61,7 +61,11 @@ impl Authority {
         set_validity(&mut params, now, AUTHORITY_DAYS);
         let certificate = params.self_signed(&key).map_err(make)?.pem();
         // The key first: when only one of them could be written, the folder is not taken for an authority.
-        write_new(&folder.join(CA_KEY_FILE), key.serialize_pem().as_bytes(), 0o600)?;
+        write_new(
+            &folder.join(CA_KEY_FILE),
+            key.serialize_pem().as_bytes(),
+            0o600,
+        )?;
         write_new(&folder.join(CA_FILE), certificate.as_bytes(), 0o644)?;
         Self::open(folder)
     }
@@ -73,8 +77,7 @@ impl Authority {
     pub fn open(folder: &Path) -> Result<Self, PkiError> {
         let read = |name: &str| {
             let path = folder.join(name);
-            let text =
-                fs::read_to_string(&path).map_err(|source| PkiError::file(&path, source))?;
+            let text = fs::read_to_string(&path).map_err(|source| PkiError::file(&path, source))?;
             Ok::<_, PkiError>((path, text))
         };
         let content = |path: PathBuf| {
@@ -130,17 +133,33 @@ impl Authority {
         params.is_ca = IsCa::ExplicitNoCa;
         params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
         if request.role.listens() {
-            params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
+            params
+                .extended_key_usages
+                .push(ExtendedKeyUsagePurpose::ServerAuth);
         }
         if request.role.connects() {
-            params.extended_key_usages.push(ExtendedKeyUsagePurpose::ClientAuth);
+            params
+                .extended_key_usages
+                .push(ExtendedKeyUsagePurpose::ClientAuth);
         }
         params.use_authority_key_identifier_extension = true;
         set_validity(&mut params, now, request.days);
         let certificate = params.signed_by(&key, &self.issuer).map_err(make)?.pem();
-        write_new(&folder.join(KEY_FILE), key.serialize_pem().as_bytes(), 0o600)?;
-        write_new(&folder.join(CERTIFICATE_FILE), certificate.as_bytes(), 0o644)?;
-        write_new(&folder.join(CA_FILE), self.certificate_pem.as_bytes(), 0o644)?;
+        write_new(
+            &folder.join(KEY_FILE),
+            key.serialize_pem().as_bytes(),
+            0o600,
+        )?;
+        write_new(
+            &folder.join(CERTIFICATE_FILE),
+            certificate.as_bytes(),
+            0o644,
+        )?;
+        write_new(
+            &folder.join(CA_FILE),
+            self.certificate_pem.as_bytes(),
+            0o644,
+        )?;
         Ok(folder)
     }
 }
@@ -220,7 +239,11 @@ mod tests {
         Request {
             role,
             name: name.to_owned(),
-            hosts: vec!["learner.lab".to_owned(), "10.0.0.7".to_owned(), "::1".to_owned()],
+            hosts: vec![
+                "learner.lab".to_owned(),
+                "10.0.0.7".to_owned(),
+                "::1".to_owned(),
+            ],
             days: 7,
         }
     }
@@ -235,7 +258,10 @@ mod tests {
             .issue(&request(Role::Learner, "node-1"), new_year(), false)
             .unwrap();
         let identity = identity_of_pem(&made.join(CERTIFICATE_FILE)).unwrap();
-        assert_eq!((identity.role, identity.name.as_str()), (Role::Learner, "node-1"));
+        assert_eq!(
+            (identity.role, identity.name.as_str()),
+            (Role::Learner, "node-1")
+        );
         let week = Duration::from_secs(7 * 86_400);
         assert_eq!(identity.not_after, new_year() + week);
         assert_eq!(identity.not_before, new_year() - Duration::from_secs(3_600));
@@ -253,7 +279,9 @@ mod tests {
     fn nothing_is_overwritten_unless_asked_for() {
         let dir = tempfile::tempdir().unwrap();
         let authority = Authority::create(dir.path(), "lab", new_year()).unwrap();
-        let again = Authority::create(dir.path(), "lab", new_year()).err().unwrap();
+        let again = Authority::create(dir.path(), "lab", new_year())
+            .err()
+            .unwrap();
         assert!(matches!(again, PkiError::Exists(_)), "{again}");
         let asked = request(Role::Actor, "actor");
         let made = authority.issue(&asked, new_year(), false).unwrap();

@@ -4,4 +4,5 @@ pub mod configuration;
 pub mod every;
 pub mod iceoryx2;
 pub mod processes;
+pub mod tls;
 pub mod zenoh;
