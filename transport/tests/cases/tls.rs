@@ -59,7 +59,7 @@ fn an_actor_with_a_certificate_works_as_without_tls() {
     let mut learner = learner(&authority, "tls");
     let files = certificate(&authority, Role::Actor, "actor");
     let mut actor = actor_link(&towards(&*learner, files), "tls", 0).unwrap();
-    let update = policy(1, 600_000, Control::Run);
+    let update = policy(1, 60_000, Control::Run);
     learner.publish_policy(update.clone()).unwrap();
     assert_eq!(next_policy(&mut *actor), update);
     let mut ledger = Ledger::default();
