@@ -83,6 +83,12 @@ impl Run {
         }
     }
 
+    /// As Ctrl-C.
+    fn stop(&self) {
+        let own = Pid::from_raw(self.child.id().try_into().unwrap());
+        kill(own, Signal::SIGTERM).unwrap();
+    }
+
     /// Waits for the end; the exit code and the last line.
     fn end(mut self) -> (Option<i32>, Value) {
         let mut last = Value::Null;
@@ -107,8 +113,10 @@ fn child_of(parent: u32, words: &[&str]) -> Option<Pid> {
     let text = String::from_utf8_lossy(&output.ok()?.stdout).into_owned();
     text.lines().find_map(|line| {
         let (pid, arguments) = line.trim().split_once(' ')?;
-        let fits = words.iter().all(|word| arguments.contains(word));
-        fits.then(|| Pid::from_raw(pid.parse().ok()?).into())?
+        if !words.iter().all(|word| arguments.contains(word)) {
+            return None;
+        }
+        Some(Pid::from_raw(pid.parse().ok()?))
     })
 }
 
@@ -130,7 +138,12 @@ fn fault_59_a_killed_actor_is_replaced_and_its_chunks_are_accounted_for() {
     let out = dir.path().join("run");
     let run = Run::start(
         &out,
-        &["--iterations", "60", "--set", "learner.batch_timeout_s=2"],
+        &[
+            "--iterations",
+            "100000",
+            "--set",
+            "learner.batch_timeout_s=2",
+        ],
     );
     run.iterations(3);
     kill(
@@ -139,6 +152,8 @@ fn fault_59_a_killed_actor_is_replaced_and_its_chunks_are_accounted_for() {
     )
     .unwrap();
     run.process(&["caudata-actor", "--actor-id 1 ", "--incarnation 1 "]);
+    run.iterations(10);
+    run.stop();
     let (code, _) = run.end();
     assert_eq!(code, Some(0));
     let books = books(&out);
@@ -175,11 +190,7 @@ fn fault_60_a_hung_actor_is_noticed_and_replaced() {
     .unwrap();
     run.process(&["caudata-actor", "--actor-id 0 ", "--incarnation 1 "]);
     run.iterations(3);
-    kill(
-        Pid::from_raw(run.child.id().try_into().unwrap()),
-        Signal::SIGTERM,
-    )
-    .unwrap();
+    run.stop();
     let (code, last) = run.end();
     assert_eq!((code, last["stopped"].as_str()), (Some(0), Some("SIGTERM")));
     books(&out);
@@ -197,11 +208,7 @@ fn fault_60_a_learner_that_stands_still_for_ten_seconds_loses_nothing() {
     std::thread::sleep(Duration::from_secs(10));
     kill(learner, Signal::SIGCONT).unwrap();
     run.iterations(20);
-    kill(
-        Pid::from_raw(run.child.id().try_into().unwrap()),
-        Signal::SIGTERM,
-    )
-    .unwrap();
+    run.stop();
     let (code, _) = run.end();
     assert_eq!(code, Some(0));
     let books = books(&out);
