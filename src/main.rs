@@ -33,6 +33,15 @@ Exit codes: 0 done · 64 configuration or flag · 65 bad input file · 66 input 
 enum Command {
     /// Train on this machine: start, watch and stop everything, then evaluate the policy
     Train(commands::train::TrainArgs),
+    /// Run this host's part of a cluster: policy server, learner, some actors; or go on with it
+    Up(commands::cluster::up::UpArgs),
+    /// Run actors on this host for a learner elsewhere
+    Actors(commands::cluster::actors::ActorsArgs),
+    /// Show a running cluster at a glance
+    Status(commands::cluster::status::StatusArgs),
+    /// Make the certificates of a lab
+    #[command(subcommand)]
+    Pki(commands::cluster::pki::PkiCommand),
     /// Measure a policy in simulation
     Eval(commands::eval::EvalArgs),
     /// Print or check the configuration in effect
@@ -74,6 +83,10 @@ const QUIET_DEFAULT_OF: (&str, &str) = ("info", "warn");
 fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
     match command {
         Command::Train(args) => commands::train::run(args, process),
+        Command::Up(args) => commands::cluster::up::run(args, process),
+        Command::Actors(args) => commands::cluster::actors::run(args, process),
+        Command::Status(args) => commands::cluster::status::run(args),
+        Command::Pki(command) => commands::cluster::pki::run(command),
         Command::Eval(args) => commands::eval::run(args, process),
         Command::Config(command) => commands::config::run(command),
         Command::Sim(command) => commands::sim::run(command, process),

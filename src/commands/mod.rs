@@ -5,6 +5,7 @@ pub mod bench;
 mod bench_learner;
 mod bench_sim;
 mod bench_skill;
+pub mod cluster;
 pub mod config;
 pub mod eval;
 pub mod gap;

@@ -53,7 +53,21 @@ impl Config {
         self.check_staleness()?;
         self.check_physics()?;
         self.check_transport()?;
+        self.check_cluster()?;
         self.check_services()
+    }
+
+    fn check_cluster(&self) -> Check {
+        let cluster = &self.cluster;
+        if !cluster.run_id.is_empty() {
+            word("cluster.run_id", &cluster.run_id, 64, "-_.")?;
+        }
+        within(
+            "cluster.hang_timeout_s",
+            cluster.hang_timeout_s,
+            1.0,
+            3_600.0,
+        )
     }
 
     fn check_run(&self) -> Check {
