@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-/// `[cluster]`. None of it decides how training goes; `caudata train` uses none of it.
+/// `[cluster]`. None of it decides how training goes; `caudata train` uses `hang_timeout_s` alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClusterConfig {
