@@ -15,6 +15,7 @@ pub mod effects;
 pub mod engine;
 pub mod error;
 pub mod lanes;
+mod mobility;
 pub mod momenta;
 mod observe;
 pub mod params;
@@ -24,6 +25,7 @@ mod self_contact;
 pub mod sensors;
 pub(crate) mod simd;
 pub mod state;
+pub mod stop;
 pub mod terrain;
 pub mod water;
 

@@ -132,6 +132,12 @@ impl Config {
             0,
             100_000,
         )?;
+        within(
+            "learner.warm_start.least_std",
+            learner.warm_start.least_std,
+            0.0,
+            5.0,
+        )?;
         positive("learner.batch_timeout_s", learner.batch_timeout_s, 86_400.0)?;
         positive("learner.min_batch_share", learner.min_batch_share, 1.0)?;
         let (shortest, starve) = (learner.batch_timeout_s, learner.starve_timeout_s);

@@ -96,9 +96,9 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         None => build_info().commit_word(),
     };
 
-    let warm = &config.learner.warm_start.policy;
+    let warm = &config.learner.warm_start;
     let moments = match &state {
-        None if !warm.as_os_str().is_empty() => Some(warm_start(&net, warm, &contract)?),
+        None if !warm.policy.as_os_str().is_empty() => Some(warm_start(&net, warm, &contract)?),
         _ => None,
     };
     let ppo = PpoSettings {

@@ -11,6 +11,7 @@ pub use actors::ActorsConfig;
 pub use cluster::ClusterConfig;
 pub use learner::{
     Activation, AdvantageScale, Device, LearnerConfig, NetworkConfig, PpoConfig, StalenessConfig,
+    WarmStartConfig,
 };
 pub use run::{EvaluationConfig, RunConfig};
 pub use services::{
