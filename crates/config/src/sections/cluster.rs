@@ -29,7 +29,7 @@ impl Default for ClusterConfig {
             run_dir: PathBuf::new(),
             tls_dir: PathBuf::new(),
             policy_server: String::new(),
-            hang_timeout_s: 15.0,
+            hang_timeout_s: 30.0,
         }
     }
 }
