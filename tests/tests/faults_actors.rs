@@ -179,7 +179,7 @@ fn fault_60_a_hung_actor_is_noticed_and_replaced() {
             "--set",
             "learner.batch_timeout_s=2",
             "--set",
-            "cluster.hang_timeout_s=3",
+            "cluster.hang_timeout_s=10",
         ],
     );
     run.iterations(3);

@@ -223,9 +223,9 @@ impl Host<'_> {
                     "actor {} {how} too often and stays down{why}",
                     slot.name
                 ));
-                let others = self.slots.iter();
-                if others
-                    .clone()
+                if self
+                    .slots
+                    .iter()
                     .all(|slot| slot.process.is_none() && slot.due.is_none())
                 {
                     return Err(Failure::message(

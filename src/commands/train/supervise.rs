@@ -189,6 +189,9 @@ impl<'a> Supervisor<'a> {
             let failure = failed_child(&self.learner, code, &how);
             let killed = status.is_some_and(|status| status.code().is_none());
             return Err(match killed {
+                true if self.plan.restart_learner => {
+                    failure.hint("the same command goes on from its last checkpoint")
+                }
                 true => failure.hint(format!(
                     "go on from its last checkpoint with: caudata train --resume --out {}",
                     self.folder.root().display()

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-/// `[cluster]`. None of it decides how training goes; `caudata train` uses none of it.
+/// `[cluster]`. None of it decides how training goes; `caudata train` uses `hang_timeout_s` alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ClusterConfig {
@@ -29,7 +29,7 @@ impl Default for ClusterConfig {
             run_dir: PathBuf::new(),
             tls_dir: PathBuf::new(),
             policy_server: String::new(),
-            hang_timeout_s: 15.0,
+            hang_timeout_s: 30.0,
         }
     }
 }
