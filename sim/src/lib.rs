@@ -14,6 +14,7 @@ pub mod drive;
 pub mod effects;
 pub mod engine;
 pub mod error;
+pub mod extension;
 pub mod lanes;
 mod mobility;
 pub mod momenta;
@@ -36,6 +37,7 @@ use caudata_model::RobotModel;
 pub use config::{EngineConfig, EngineKind, Precision};
 pub use engine::Engine;
 pub use error::SimError;
+pub use extension::check_extension;
 pub use momenta::Momenta;
 pub use params::{
     CommandLoss, HingeEffects, InitialState, JointEffects, LaneParams, LinkWater,

@@ -46,6 +46,8 @@ pub type Variant = Vec<Term>;
 /// Replays candidates.
 pub struct Replayer {
     model: Arc<RobotModel>,
+    /// What the robot file's own extension has.
+    given: Variant,
     threads: usize,
     step_s: f64,
     substeps: u32,
@@ -55,15 +57,22 @@ pub struct Replayer {
 }
 
 impl Replayer {
-    /// For `model`, on `threads` threads.
-    #[must_use]
-    pub fn new(model: Arc<RobotModel>, threads: usize) -> Self {
+    /// For `model` (with its extension, if it has one), on `threads` threads.
+    ///
+    /// # Errors
+    /// [`GapError::Extension`] where the extension does not fit the catalogue.
+    pub fn new(model: Arc<RobotModel>, threads: usize) -> Result<Self, GapError> {
         let substeps = if model.actuated().len() <= FEW_JOINTS {
             1
         } else {
             2
         };
-        Self {
+        let given = match model.extension() {
+            Some(extension) => crate::extension::terms(extension, &model)?,
+            None => Variant::new(),
+        };
+        Ok(Self {
+            given,
             model,
             threads: threads.max(1),
             step_s: EngineConfig::default().dt_s,
@@ -71,13 +80,19 @@ impl Replayer {
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
-        }
+        })
     }
 
     /// The robot.
     #[must_use]
     pub fn model(&self) -> &Arc<RobotModel> {
         &self.model
+    }
+
+    /// What the robot file's own extension has, and `variant`.
+    #[must_use]
+    pub fn with_given(&self, variant: &[Term]) -> Variant {
+        self.given.iter().chain(variant).cloned().collect()
     }
 
     /// Time between recorded states, s.
@@ -97,10 +112,10 @@ impl Replayer {
 
     /// The robot of a trial with a candidate's effects.
     #[must_use]
-    pub fn plant(&self, trial: &Trial, session: f64, variant: &[Term]) -> Plant {
+    pub fn plant(&self, trial: &Trial, variant: &[Term]) -> Plant {
         let mut plant = Plant::in_trial(&self.model, trial);
-        plant.session = session;
-        for term in variant {
+        plant.session = trial.session;
+        for term in self.given.iter().chain(variant) {
             (term.effect.apply)(&mut plant, &term.place, &term.values);
         }
         plant
