@@ -16,7 +16,7 @@ use super::excites::{JointExcitation, RunExcitation};
 pub struct Blind {
     /// What is missing.
     pub missing: String,
-    /// A trial of the battery that would show it (`caudata gap excite`).
+    /// A trial of the battery that would show it (`caudata gap excite`); empty where the battery has none for this robot.
     pub record: String,
 }
 
@@ -145,13 +145,19 @@ pub fn blind(runs: &[RunExcitation], robot: &RobotModel) -> BTreeMap<String, Bli
         "imu_tilt" | "gyro_bias" | "imu_delay" => robot.imu_site().is_none(),
         _ => false,
     };
+    let trials = crate::excite::names(robot, None);
     let mut out = BTreeMap::new();
     for (effects, missing, record) in NEEDS {
         let Some(missing) = missing(&evidence) else {
             continue;
         };
         for effect in effects.iter().filter(|e| !impossible(e)) {
-            let record = (*record).to_owned();
+            // a trial that this robot cannot do is replaced by the one of its own that shows most of it
+            let record = if trials.contains(record) {
+                (*record).to_owned()
+            } else {
+                crate::excite::next(robot, &[effect], &[]).map_or_else(String::new, |n| n.trial)
+            };
             out.insert(
                 (*effect).to_owned(),
                 Blind {
