@@ -3,9 +3,9 @@
 //! A policy file holds the actor, its exploration noise and the frozen normaliser, but no critic; `learner.warm_start` says for how many
 //! iterations only the critic learns.
 
+use std::path::Path;
 use std::sync::Arc;
 
-use caudata_config::WarmStartConfig;
 use caudata_policy::{MlpSpec, PolicyFile};
 use caudata_task::PolicyContract;
 
@@ -17,7 +17,8 @@ use crate::normaliser::Moments;
 /// How many observations the normaliser of the old policy counts as: a fresh batch then moves it by a few per cent, not at once.
 const OBSERVATIONS: u64 = 200_000;
 
-/// Gives `net` the actor of the policy file that `warm` names, and answers its normaliser as moments.
+/// Gives `net` the actor of the policy file at `path`, and answers its normaliser as moments. Its action noise becomes at
+/// least `least_std`.
 ///
 /// The old task may lack observations that the new one appends (the medium bit): they begin with weight zero.
 ///
@@ -26,10 +27,10 @@ const OBSERVATIONS: u64 = 200_000;
 /// does not fit the network or the robot's joints.
 pub fn warm_start(
     net: &ActorCritic,
-    warm: &WarmStartConfig,
+    path: &Path,
+    least_std: f32,
     contract: &PolicyContract,
 ) -> Result<Moments, LearnerError> {
-    let path = warm.policy.as_path();
     let bytes = std::fs::read(path).map_err(|source| LearnerError::Read {
         path: path.to_owned(),
         source,
@@ -42,7 +43,7 @@ pub fn warm_start(
     check(net, &file, contract).map_err(refuse)?;
     let spec = file.spec();
     let mut values = net.to_vec()?;
-    let least = warm.least_std.ln();
+    let least = least_std.ln();
     let log_std: Vec<f32> = file
         .metadata()
         .log_std
@@ -118,7 +119,6 @@ mod tests {
     use caudata_config::Activation;
     use caudata_model::RobotModel;
     use caudata_task::TaskConfig;
-    use std::path::Path;
     use tch::{Device, Kind, Tensor};
 
     fn contract(observe_medium: bool) -> PolicyContract {
@@ -143,14 +143,6 @@ mod tests {
             std_max: 1.5,
         };
         ActorCritic::new(spec, seed, Device::Cpu)
-    }
-
-    fn from(policy: &Path, least_std: f32) -> WarmStartConfig {
-        WarmStartConfig {
-            policy: policy.to_owned(),
-            least_std,
-            ..WarmStartConfig::default()
-        }
     }
 
     /// A policy of a task on land, in a file: normaliser mean 1, std 2 everywhere.
@@ -183,7 +175,7 @@ mod tests {
         let value_before = net
             .value()
             .forward(&Tensor::ones([1, 98], (Kind::Float, Device::Cpu)));
-        let moments = warm_start(&net, &from(&path, 0.0), &amphibious).unwrap();
+        let moments = warm_start(&net, &path, 0.0, &amphibious).unwrap();
 
         let scaling = moments.scaling(10.0);
         assert!(scaling.mean[..97].iter().all(|&m| (m - 1.0).abs() < 1e-6));
@@ -209,7 +201,7 @@ mod tests {
         let net = network(&contract, vec![12, 10], 2);
         // The old policy's noise is 0.3.
         for (least, expected) in [(0.1, 0.3), (0.6, 0.6)] {
-            warm_start(&net, &from(&path, least), &contract).unwrap();
+            warm_start(&net, &path, least, &contract).unwrap();
             let std = net.log_std().exp().mean(Kind::Float).double_value(&[]);
             assert!((std - expected).abs() < 1e-3, "{std}");
         }
@@ -222,7 +214,7 @@ mod tests {
         let contract = contract(false);
         let refusal = |hidden: Vec<usize>, path: &Path| {
             let net = network(&contract, hidden, 2);
-            warm_start(&net, &from(path, 0.0), &contract)
+            warm_start(&net, path, 0.0, &contract)
                 .unwrap_err()
                 .to_string()
         };

@@ -138,6 +138,13 @@ impl Config {
         }
     }
 
+    /// The policy to begin with, if there is one; a relative path is looked for like the robot file.
+    pub fn warm_start_path(&self) -> Option<PathBuf> {
+        let policy = &self.learner.warm_start.policy;
+        let given = !policy.as_os_str().is_empty();
+        given.then(|| find_upwards(policy, std::env::current_exe().ok().as_deref()))
+    }
+
     /// Every key with its value in effect, in the order of the file: `("learner.ppo.gamma", "0.97")`.
     pub fn entries(&self) -> Vec<(String, String)> {
         keys::entries(&keys::table_of(self))

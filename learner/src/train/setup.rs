@@ -96,9 +96,11 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         None => build_info().commit_word(),
     };
 
-    let warm = &config.learner.warm_start;
-    let moments = match &state {
-        None if !warm.policy.as_os_str().is_empty() => Some(warm_start(&net, warm, &contract)?),
+    let moments = match (&state, config.warm_start_path()) {
+        (None, Some(path)) => {
+            let least_std = config.learner.warm_start.least_std;
+            Some(warm_start(&net, &path, least_std, &contract)?)
+        }
         _ => None,
     };
     let ppo = PpoSettings {

@@ -61,7 +61,8 @@ impl Default for LearnerConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WarmStartConfig {
-    /// Policy file (ONNX) to begin with; empty begins with random weights. Same joints, layers and activation; observations that this task
+    /// Policy file (ONNX) to begin with; empty begins with random weights. A relative path is looked for in the current directory, then in the
+    /// folders above the executable. Same joints, layers and activation; observations that this task
     /// appends to that policy's begin with weight zero. Its exploration noise is taken over, its critic is not in the file.
     pub policy: PathBuf,
     /// Iterations in which only the value function learns. 0 to 100,000. Default 20. Too few: advantages from a critic that knows nothing yet
