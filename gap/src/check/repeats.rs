@@ -8,14 +8,14 @@ use super::{Finding, Run, Severity};
 
 /// Commands of repeats may differ by this much, rad.
 const SAME_RAD: f64 = 2e-3;
-/// Deviations are looked at as means over so long, s.
-const SMOOTH_S: f64 = 0.1;
+/// Deviations are looked at as means over so long, s: a hand pushes to one side, what differs in fast motion swings about zero.
+const SMOOTH_S: f64 = 0.3;
 /// A deviation counts from so many times what repeats otherwise differ by.
 const TIMES: f64 = 8.0;
 /// And from so large a share of the servo's greatest torque, as the error would ask for.
-const TORQUE_SHARE: f64 = 0.15;
+const TORQUE_SHARE: f64 = 0.14;
 /// And from so large a share of how far the joint moves about that time: where it moves most, repeats differ most.
-const MOTION_SHARE: f64 = 0.35;
+const MOTION_SHARE: f64 = 0.05;
 /// "About that time", s.
 const NEARBY_S: f64 = 1.0;
 /// It lasts at least, s.
