@@ -3,9 +3,13 @@
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
-use caudata_gap::{Options, Request, Role, Run, diagnose};
+use caudata_gap::replay::{Data, Replayer, SegmentOptions};
+use caudata_gap::trial::{Kind, Trial};
+use caudata_gap::{Diagnosis, Options, Request, Role, Run, diagnose, extension};
+use caudata_model::RobotModel;
 use caudata_runlog::RunLog;
 
 fn main() {
@@ -107,4 +111,38 @@ fn main() {
     }
     println!("  next: {:?}", r.next_experiment);
     println!("  compute: {:?}", r.compute);
+    errors(&request, &d);
+}
+
+/// Mean absolute error of positions, run by run, before and after.
+fn errors(request: &Request, d: &Diagnosis) {
+    let model =
+        Arc::new(RobotModel::from_bytes("robot", &request.robot_toml, &request.mjcf).unwrap());
+    let trials: Vec<Trial> = (request.runs.iter())
+        .map(|r| Trial::new(&model, r).unwrap())
+        .collect();
+    let data = Data::new(&model, trials, SegmentOptions::default());
+    let terms = extension::terms(&d.extension, &model).unwrap();
+    let replayer = Replayer::new(model, request.options.threads).unwrap();
+    let p = replayer.predict(&data, &[Vec::new(), terms]).unwrap();
+    for s in &data.segments {
+        let of = |prediction: &[f32]| {
+            let (mut sum, mut n) = (0.0, 0.0);
+            for k in (s.pieces.iter())
+                .filter(|p| p.kind == Kind::Position)
+                .flat_map(|p| p.range.clone())
+            {
+                sum += (data.value[k] - f64::from(prediction[k])).abs();
+                n += 1.0;
+            }
+            sum / f64::max(n, 1.0)
+        };
+        println!(
+            "  {:?} {}: mean absolute error of pos {:.4} -> {:.4} rad",
+            data.trials[s.trial].role,
+            data.trials[s.trial].name,
+            of(&p[0]),
+            of(&p[1])
+        );
+    }
 }

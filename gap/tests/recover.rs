@@ -70,7 +70,7 @@ fn record(kind: usize, repeat: u64, late: usize, change: &dyn Fn(&mut LaneParams
     engine.reset(0, &init).unwrap();
     let round = |x: f64, lsb: f64| (x / lsb).round() * lsb;
     let mut text = String::from("t,cmd.swing,pos.swing,vel.swing,tau.swing\n");
-    for k in 0..800 {
+    for k in 0..800_usize {
         let t = k as f64 / ROWS_HZ;
         let state = engine.state();
         let q = f64::from(state.joint_pos_rad[0]) + 0.0002 * f64::from(noise.normal());

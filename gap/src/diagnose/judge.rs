@@ -9,9 +9,10 @@ use std::ops::Range;
 
 use super::algebra::{dot, symmetric_eigen};
 use super::noise::Noise;
+use super::pipeline::add_own_misses;
 use crate::effects::{self, Domain, Place, places};
 use crate::error::GapError;
-use crate::replay::{Data, Replayer, Term, Variant};
+use crate::replay::{Data, Replayer, SegmentOptions, Term, Variant};
 use crate::trial::Kind;
 
 /// Dry and viscous friction may differ by this share from run to run.
@@ -86,18 +87,19 @@ struct TrialMetric {
 }
 
 impl Judge {
-    /// For `data`, with nuisances around `base`.
+    /// For `data`, which was cut with `options`, with nuisances around the robot as given.
     ///
     /// # Errors
     /// As [`Replayer::predict`].
-    pub fn new(replayer: &Replayer, data: Data, base: &[Term]) -> Result<Self, GapError> {
-        let noise = Noise::of(replayer.model(), &data);
+    pub fn new(replayer: &Replayer, data: Data, options: SegmentOptions) -> Result<Self, GapError> {
+        let mut noise = Noise::of(replayer.model(), &data);
+        add_own_misses(replayer, &data, options, &mut noise)?;
         let mut judge = Self {
             data,
             noise,
             trials: Vec::new(),
         };
-        judge.set_base(replayer, base)?;
+        judge.set_base(replayer, &[])?;
         Ok(judge)
     }
 

@@ -14,6 +14,7 @@ mod naming;
 mod next;
 mod noise;
 mod pictures;
+mod pipeline;
 mod refine;
 mod screen;
 mod search;
@@ -286,8 +287,12 @@ fn context(
     let options = SegmentOptions::default();
     let fit_trials = of(Role::Fit);
     let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
-    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), &[])?;
-    let holdout = judge::Judge::new(&replayer, Data::new(model, of(Role::Holdout), options), &[])?;
+    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), options)?;
+    let holdout = judge::Judge::new(
+        &replayer,
+        Data::new(model, of(Role::Holdout), options),
+        options,
+    )?;
     let wanted = |e: &&'static Effect| {
         let named = |list: &[String]| list.iter().any(|id| id == e.id);
         !named(&request.options.without)

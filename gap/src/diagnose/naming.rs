@@ -10,10 +10,14 @@ use crate::replay::Variant;
 
 /// Rivals that are fitted per cause, besides the declared look-alikes.
 const RIVALS: usize = 8;
-/// A rival within this share of the cause's own gain belongs to the answer set.
-pub const MARGIN: f64 = 0.06;
-/// Temperature of the probabilities, as a share of the gain.
-const TEMPERATURE: f64 = 0.035;
+/// A rival within this share of the cause's own gain belongs to the answer set …
+const MARGIN: f64 = 0.06;
+/// … if its misfit is not higher by more than this share of the best's, …
+const MARGIN_OF_REST: f64 = 0.25;
+/// … and this many floors.
+const MARGIN_FLOORS: f64 = 0.1;
+/// Temperature of the probabilities, as a share of the margin.
+const TEMPERATURE: f64 = 0.6;
 
 /// A rival of a cause.
 pub struct Rival {
@@ -25,6 +29,8 @@ pub struct Rival {
     pub short: f64,
     /// Probability among the rivals and the cause.
     pub probability: f64,
+    /// Whether it belongs to the answer set.
+    pub in_set: bool,
 }
 
 /// A cause with its rivals.
@@ -52,7 +58,7 @@ pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError
         let simpler = named
             .rivals
             .iter()
-            .filter(|r| r.short < MARGIN && r.state.parameters() < found.best.parameters())
+            .filter(|r| r.in_set && r.state.parameters() < found.best.parameters())
             .min_by(|a, b| {
                 let size = |r: &Rival| r.state.parameters();
                 size(a).cmp(&size(b)).then(a.short.total_cmp(&b.short))
@@ -90,14 +96,18 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
             state,
             index,
             probability: 0.0,
+            in_set: false,
         })
         .collect();
     rivals.sort_by(|a, b| a.short.total_cmp(&b.short));
+    let rest = MARGIN_OF_REST * penalised(best) + MARGIN_FLOORS;
+    let margin = MARGIN.min(rest / gain.max(1e-9));
     // places of one effect are one name
-    let weight = |short: f64| (-short.max(-1.0) / TEMPERATURE).exp();
+    let weight = |short: f64| (-short.max(-margin) / (TEMPERATURE * margin)).exp();
     let total = weight(0.0) + rivals.iter().map(|r| weight(r.short)).sum::<f64>();
     for r in &mut rivals {
         r.probability = weight(r.short) / total;
+        r.in_set = r.short < margin;
     }
     Ok(Named {
         index,

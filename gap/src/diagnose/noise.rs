@@ -7,8 +7,15 @@ use caudata_model::RobotModel;
 use crate::replay::{Data, Piece};
 use crate::trial::{Channel, Kind, Trial};
 
-/// Share of a signal's own size that no simulation is expected to hit.
-const RELATIVE: f64 = 0.01;
+/// Share of a signal's own size that no simulation is expected to hit. Speeds come from a servo's own estimator, currents from its driver.
+fn relative(kind: Kind) -> f64 {
+    match kind {
+        Kind::Velocity => 0.03,
+        Kind::Current | Kind::Torque => 0.02,
+        _ => 0.01,
+    }
+}
+
 /// Repeats that differ this many times more than usual in a block have been disturbed.
 const DISTURBED: f64 = 6.0;
 /// Repeats are not expected to agree better than this, rad.
@@ -77,7 +84,7 @@ impl Noise {
             self.repeat.insert((trial, piece.kind, piece.index), repeat);
         }
         let size = spread(values);
-        let sigma = (floor.max(repeat).powi(2) + (RELATIVE * size).powi(2)).sqrt();
+        let sigma = (floor.max(repeat).powi(2) + (relative(piece.kind) * size).powi(2)).sqrt();
         let sigma = sigma.max(smallest(piece.kind));
         for k in 0..values.len() {
             self.sigma[range.start + k] = sigma as f32;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::gates;
-use super::naming::{MARGIN, Named};
+use super::naming::Named;
 use super::search::Found;
 use super::signature;
 use super::state::{Context, On, State};
@@ -238,7 +238,7 @@ fn hypotheses(context: &Context, found: &Found, named: &[Named]) -> Vec<Hypothes
                 &n.without,
                 r.probability,
                 false,
-                r.short < MARGIN,
+                r.in_set,
             ));
         }
     }

@@ -27,7 +27,7 @@ const OF_ALL: f64 = 0.035;
 /// … unless the misfit is still this far from the floor, and it takes away such a share of what is left.
 const FAR: f64 = 6.0;
 /// See [`FAR`].
-const OF_REST: f64 = 0.1;
+const OF_REST: f64 = 0.06;
 /// Misfit below which the search ends: the floor itself is not known better.
 const FLOOR: f64 = 1.15;
 /// What an additional parameter must earn: share of the misfit.

@@ -7,7 +7,7 @@ use caudata_model::RobotModel;
 use super::divergence::divergence;
 use super::extend::extended;
 use super::floors::floors;
-use super::naming::{MARGIN, Named};
+use super::naming::Named;
 use super::search::Found;
 use super::spread::{Spread, correlation, parameters, spread};
 use super::state::{Context, On, State};
@@ -162,12 +162,12 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread) -> Cau
             continue;
         }
         let id = other.effect.id.to_owned();
-        if more_general(term, other) && rival.short > -MARGIN {
+        if more_general(term, other) {
             rejected.push(Rejected {
                 effect: id,
                 reason: format!("says the same with more parameters, and nothing more: misfit {:.2} against {:.2}", rival.state.misfit(), best.misfit()),
             });
-        } else if rival.short < MARGIN {
+        } else if rival.in_set {
             if !alternatives.contains(&id) {
                 alternatives.push(id);
             }

@@ -14,7 +14,7 @@ const MOST_SAMPLES: usize = 400_000;
 /// Blocks for statistics are at least so long, s.
 pub const BLOCK_S: f64 = 1.0;
 /// Stretches of a free robot, s: it diverges from its simulation, so it is put back to what was measured.
-const FREE_SEGMENT_S: f64 = 0.6;
+const FREE_SEGMENT_S: f64 = 0.8;
 /// Time over which speeds at a start are taken, s, to each side.
 const SPEED_WINDOW_S: f64 = 0.03;
 
