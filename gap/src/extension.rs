@@ -23,6 +23,20 @@ struct File {
     extension: Option<Extension>,
 }
 
+/// Name of the MJCF that a robot file's text names; it lies in the same folder.
+///
+/// # Errors
+/// [`GapError::Extension`] where it names none.
+pub fn mjcf_name(robot_toml: &str) -> Result<String, GapError> {
+    #[derive(Deserialize)]
+    struct Named {
+        mjcf: String,
+    }
+    let named: Named = toml::from_str(robot_toml)
+        .map_err(|e| GapError::Extension(e.message().replace('\n', " ")))?;
+    Ok(named.mjcf)
+}
+
 /// The extension of a robot file's text; `None` where it has none.
 ///
 /// # Errors
@@ -30,7 +44,9 @@ struct File {
 pub fn read(robot_toml: &str) -> Result<Option<Extension>, GapError> {
     let file: File = toml::from_str(robot_toml).map_err(|e| {
         let line = e.span().map_or(1, |s| {
-            1 + robot_toml[..s.start.min(robot_toml.len())].matches('\n').count()
+            1 + robot_toml[..s.start.min(robot_toml.len())]
+                .matches('\n')
+                .count()
         });
         GapError::Extension(format!("line {line}: {}", e.message().replace('\n', " ")))
     })?;
@@ -42,30 +58,31 @@ pub fn read(robot_toml: &str) -> Result<Option<Extension>, GapError> {
 /// # Errors
 /// [`GapError::Extension`] naming an effect, place or parameter that does not exist.
 pub fn terms(extension: &Extension, model: &RobotModel) -> Result<Variant, GapError> {
-        extension.effect
-            .iter()
-            .map(|e| {
-                let bad = |what: String| GapError::Extension(format!("effect `{}`: {what}", e.id));
-                let effect =
-                    effects::find(&e.id).ok_or_else(|| bad("is not in the catalogue".into()))?;
-                let place = Place::named(model, effect, &e.location)
-                    .ok_or_else(|| bad(format!("the robot has no {}", e.location.join(", "))))?;
-                for name in e.parameters.keys() {
-                    if !effect.parameters.iter().any(|p| p.name == name) {
-                        return Err(bad(format!("has no parameter `{name}`")));
-                    }
+    extension
+        .effect
+        .iter()
+        .map(|e| {
+            let bad = |what: String| GapError::Extension(format!("effect `{}`: {what}", e.id));
+            let effect =
+                effects::find(&e.id).ok_or_else(|| bad("is not in the catalogue".into()))?;
+            let place = Place::named(model, effect, &e.location)
+                .ok_or_else(|| bad(format!("the robot has no {}", e.location.join(", "))))?;
+            for name in e.parameters.keys() {
+                if !effect.parameters.iter().any(|p| p.name == name) {
+                    return Err(bad(format!("has no parameter `{name}`")));
                 }
-                let neutral = effect.neutral(model, &place);
-                let values = (effect.parameters.iter().zip(neutral))
-                    .map(|(p, neutral)| e.parameters.get(p.name).map_or(neutral, |v| v.value))
-                    .collect();
-                Ok(Term {
-                    effect,
-                    place,
-                    values,
-                })
+            }
+            let neutral = effect.neutral(model, &place);
+            let values = (effect.parameters.iter().zip(neutral))
+                .map(|(p, neutral)| e.parameters.get(p.name).map_or(neutral, |v| v.value))
+                .collect();
+            Ok(Term {
+                effect,
+                place,
+                values,
             })
-            .collect()
+        })
+        .collect()
 }
 
 /// The lane parameters in which `variant` differs from `model`'s robot, by path.
@@ -98,10 +115,13 @@ pub fn append(extension: &Extension, robot_toml: &str) -> Result<String, GapErro
     struct Table<'a> {
         extension: &'a Extension,
     }
-    let table = toml::to_string(&Table { extension })
-        .map_err(|e| GapError::Extension(e.to_string()))?;
+    let table =
+        toml::to_string(&Table { extension }).map_err(|e| GapError::Extension(e.to_string()))?;
     let own = robot_toml.find(MARK).unwrap_or(robot_toml.len());
-    Ok(format!("{}\n\n{MARK}\n{table}", robot_toml[..own].trim_end()))
+    Ok(format!(
+        "{}\n\n{MARK}\n{table}",
+        robot_toml[..own].trim_end()
+    ))
 }
 
 /// Begins the part that a diagnosis wrote.

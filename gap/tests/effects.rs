@@ -11,7 +11,9 @@ use caudata_model::RobotModel;
 use caudata_runlog::{RunLog, Table};
 
 fn robot(name: &str) -> Arc<RobotModel> {
-    let path: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots").join(name);
+    let path: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../robots")
+        .join(name);
     Arc::new(RobotModel::load(&path).unwrap())
 }
 
@@ -44,7 +46,10 @@ fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
         }
         text.push('\n');
     }
-    let meta = format!("robot = \"{}\"\nbase = \"{base}\"\nrate_hz = 100\n", model.name());
+    let meta = format!(
+        "robot = \"{}\"\nbase = \"{base}\"\nrate_hz = 100\n",
+        model.name()
+    );
     Run {
         name: base.to_owned(),
         log: RunLog {
@@ -84,24 +89,45 @@ fn check(replayer: &Replayer, data: &Data, effect: &'static Effect) {
     }
     let predictions = replayer.predict(data, &variants).unwrap();
     // a profile, a torque limit and a soft gear have no neutral value but a far one
-    let far = ["profile_limit", "torque_limit", "voltage_limit", "gear_compliance", "hard_stop", "cogging"];
+    let far = [
+        "profile_limit",
+        "torque_limit",
+        "voltage_limit",
+        "gear_compliance",
+        "hard_stop",
+        "cogging",
+    ];
     if !far.contains(&effect.id) {
         assert!(
-            predictions[0].iter().zip(&predictions[1]).all(|(a, b)| a.to_bits() == b.to_bits()),
+            predictions[0]
+                .iter()
+                .zip(&predictions[1])
+                .all(|(a, b)| a.to_bits() == b.to_bits()),
             "{}: at nothing something changes",
             effect.id
         );
     }
     let mut changed = false;
     for (k, with) in predictions[2..].iter().enumerate() {
-        assert!(with.iter().all(|x| x.is_finite()), "{} size {k} breaks down", effect.id);
+        assert!(
+            with.iter().all(|x| x.is_finite()),
+            "{} size {k} breaks down",
+            effect.id
+        );
         for piece in data.segments.iter().flat_map(|s| &s.pieces) {
             let claimed = effect.shows_in.contains(&piece.kind);
-            let far = piece.range.clone().any(|i| (with[i] - predictions[0][i]).abs() > 1e-4);
+            let far = piece
+                .range
+                .clone()
+                .any(|i| (with[i] - predictions[0][i]).abs() > 1e-4);
             changed |= far && claimed;
         }
     }
-    assert!(changed, "{}: no size changes what it claims to change", effect.id);
+    assert!(
+        changed,
+        "{}: no size changes what it claims to change",
+        effect.id
+    );
 }
 
 #[test]
@@ -112,8 +138,19 @@ fn effects_of_a_joint_show_on_a_bench_rig() {
     for effect in effects::ALL {
         let joint = matches!(
             effect.layer,
-            effects::Layer::Actuation | effects::Layer::Transmission | effects::Layer::Timing | effects::Layer::Inertia
-        ) || ["encoder_offset", "encoder_gain", "velocity_lag", "current_bias", "parallel_spring", "hard_stop"].contains(&effect.id);
+            effects::Layer::Actuation
+                | effects::Layer::Transmission
+                | effects::Layer::Timing
+                | effects::Layer::Inertia
+        ) || [
+            "encoder_offset",
+            "encoder_gain",
+            "velocity_lag",
+            "current_bias",
+            "parallel_spring",
+            "hard_stop",
+        ]
+        .contains(&effect.id);
         // one joint has no pattern along the bus; a drift needs the end of a session, which this run is
         if joint && !["bus_skew"].contains(&effect.id) {
             check(&replayer, &data, effect);
@@ -147,7 +184,10 @@ fn effects_of_water_show_in_water() {
     let model = robot("polymander.robot.toml");
     let replayer = Replayer::new(Arc::clone(&model), 2).unwrap();
     let data = data(&model, "water", true, 3.0);
-    for effect in effects::ALL.iter().filter(|e| e.layer == effects::Layer::Water) {
+    for effect in effects::ALL
+        .iter()
+        .filter(|e| e.layer == effects::Layer::Water)
+    {
         check(&replayer, &data, effect);
     }
 }
@@ -161,7 +201,12 @@ fn predictions_do_not_depend_on_threads() {
     let variants: Vec<_> = (0..40)
         .map(|k| term(&model, effect, &place, vec![0.5 + 0.02 * f64::from(k)]))
         .collect();
-    let of = |threads: usize| Replayer::new(Arc::clone(&model), threads).unwrap().predict(&data, &variants).unwrap();
+    let of = |threads: usize| {
+        Replayer::new(Arc::clone(&model), threads)
+            .unwrap()
+            .predict(&data, &variants)
+            .unwrap()
+    };
     assert_eq!(of(1), of(2));
 }
 
@@ -169,10 +214,22 @@ fn predictions_do_not_depend_on_threads() {
 fn the_catalogue_is_whole() {
     assert!(effects::ALL.len() >= 40, "{}", effects::ALL.len());
     for (i, e) in effects::ALL.iter().enumerate() {
-        assert!(effects::ALL[..i].iter().all(|o| o.id != e.id), "{} stands twice", e.id);
-        assert!(!e.grid.is_empty() && e.grid.iter().all(|g| g.len() == e.parameters.len()), "{}", e.id);
+        assert!(
+            effects::ALL[..i].iter().all(|o| o.id != e.id),
+            "{} stands twice",
+            e.id
+        );
+        assert!(
+            !e.grid.is_empty() && e.grid.iter().all(|g| g.len() == e.parameters.len()),
+            "{}",
+            e.id
+        );
         for other in e.look_alikes {
-            assert!(effects::find(other).is_some(), "{}: look-alike {other} does not exist", e.id);
+            assert!(
+                effects::find(other).is_some(),
+                "{}: look-alike {other} does not exist",
+                e.id
+            );
         }
         for p in e.parameters {
             assert!(p.low < p.high && p.scale > 0.0, "{}.{}", e.id, p.name);

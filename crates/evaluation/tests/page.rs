@@ -1,6 +1,7 @@
 //! The page of an evaluation: what is in it is what happened, and its script runs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[allow(dead_code, reason = "shared with other tests")]
 mod by_hand;
 
 use std::path::Path;

@@ -23,7 +23,11 @@ pub fn floors(context: &Context, screened: &[Screened], misfit: f64) -> BTreeMap
             _ => continue,
         };
         let share = (needed / energy.max(1e-12)).sqrt();
-        let share = if s.effect.hinge { share.max(0.5) } else { share };
+        let share = if s.effect.hinge {
+            share.max(0.5)
+        } else {
+            share
+        };
         let p = main_parameter(sizes, &neutral);
         let spec = &s.effect.parameters[p];
         let value = neutral[p] + share * (sizes[p] - neutral[p]);
@@ -33,7 +37,11 @@ pub fn floors(context: &Context, screened: &[Screened], misfit: f64) -> BTreeMap
             s.place.label(s.effect.id),
             Floor {
                 parameter: spec.name.to_owned(),
-                value: if excited { value } else { value.clamp(low, high) },
+                value: if excited {
+                    value
+                } else {
+                    value.clamp(low, high)
+                },
                 unit: spec.unit.to_owned(),
                 excited,
             },

@@ -41,7 +41,10 @@ pub fn worth(context: &Context, from: &State, to: &State) -> Worth {
     let sorted = resampled(&gains, context.seed, context.holdout.data.len());
     let at = |share: f64| {
         let k = (share * sorted.len() as f64) as usize;
-        sorted.get(k.min(sorted.len().saturating_sub(1))).copied().unwrap_or(0.0)
+        sorted
+            .get(k.min(sorted.len().saturating_sub(1)))
+            .copied()
+            .unwrap_or(0.0)
     };
     let total: f64 = gains.iter().sum();
     let largest = gains.iter().copied().fold(0.0, f64::max);

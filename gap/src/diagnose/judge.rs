@@ -9,13 +9,20 @@ use std::ops::Range;
 
 use super::algebra::{dot, symmetric_eigen};
 use super::noise::Noise;
+use super::pipeline::add_own_misses;
 use crate::effects::{self, Domain, Place, places};
 use crate::error::GapError;
-use crate::replay::{Data, Replayer, Term, Variant};
+use crate::replay::{Data, Replayer, SegmentOptions, Term, Variant};
 use crate::trial::Kind;
 
 /// Dry and viscous friction may differ by this share from run to run.
 const FRICTION_TOLERANCE: f64 = 0.07;
+/// Before friction slides, its law is a matter of taste: the way to it by this share.
+const PRESLIDING_TOLERANCE: f64 = 0.3;
+/// A firmware's tick and the current loop, s.
+const LOOP_TOLERANCE_S: f64 = 0.0007;
+/// Rotor inertia by this share.
+const ROTOR_TOLERANCE: f64 = 0.05;
 /// Stamps, integration and bus: s.
 const TIME_TOLERANCE_S: f64 = 0.0007;
 /// Gains by this share (supply and temperature act on them).
@@ -34,28 +41,65 @@ pub struct Judge {
     trials: Vec<TrialMetric>,
 }
 
+/// A nuisance's trace in a trial, where it is not zero: places from the trial's first sample, and values.
+struct Column(Vec<(usize, Vec<f32>)>);
+
+impl Column {
+    /// Σ over its places of its values times `x`.
+    fn dot(&self, x: &[f32]) -> f64 {
+        self.0
+            .iter()
+            .map(|(at, v)| dot(v, &x[*at..at + v.len()]))
+            .sum()
+    }
+
+    /// Σ of products with another.
+    fn times(&self, other: &Self) -> f64 {
+        let mut sum = 0.0;
+        for (a, x) in &self.0 {
+            for (b, y) in &other.0 {
+                let (low, high) = ((*a).max(*b), (a + x.len()).min(b + y.len()));
+                if low < high {
+                    sum += dot(&x[low - a..high - a], &y[low - b..high - b]);
+                }
+            }
+        }
+        sum
+    }
+
+    /// Takes `c` times itself off `x`.
+    fn take_off(&self, c: f32, x: &mut [f32]) {
+        for (at, v) in &self.0 {
+            for (x, v) in x[*at..at + v.len()].iter_mut().zip(v) {
+                *x -= c * v;
+            }
+        }
+    }
+}
+
 /// Whitening of one trial.
 struct TrialMetric {
     range: Range<usize>,
-    /// Nuisance traces in units of noise. `[K][n]`
-    columns: Vec<Vec<f32>>,
+    /// Nuisance traces in units of noise. `[K]`
+    columns: Vec<Column>,
     /// V·diag((1 − 1/√(1+s))/s)·Vᵀ of the Gram matrix V·S·Vᵀ. `[K, K]`
     shrink: Vec<Vec<f64>>,
 }
 
 impl Judge {
-    /// For `data`, with nuisances around `base`.
+    /// For `data`, which was cut with `options`, with nuisances around the robot as given.
     ///
     /// # Errors
     /// As [`Replayer::predict`].
-    pub fn new(replayer: &Replayer, data: Data, base: &[Term]) -> Result<Self, GapError> {
-        let noise = Noise::of(replayer.model(), &data);
+    pub fn new(replayer: &Replayer, data: Data, options: SegmentOptions) -> Result<Self, GapError> {
+        let mut noise = Noise::of(replayer.model(), &data);
+        add_own_misses(replayer, &data, options, &mut noise)?;
         let mut judge = Self {
             data,
             noise,
             trials: Vec::new(),
         };
-        judge.set_base(replayer, base)?;
+        judge.set_base(replayer, &[])?;
         Ok(judge)
     }
 
@@ -75,7 +119,7 @@ impl Judge {
         self.trials = trial_ranges(&self.data)
             .into_iter()
             .map(|range| {
-                let mut columns: Vec<Vec<f32>> = Vec::new();
+                let mut columns: Vec<Column> = Vec::new();
                 for (n, trace) in joint_effects.iter().zip(&rest) {
                     let delta = |k: usize| {
                         let d = (trace[k] - zero[k]) * n.share / self.noise.sigma[k];
@@ -83,21 +127,21 @@ impl Judge {
                     };
                     if n.per_joint {
                         for joint in 0..joints {
-                            let mut column = vec![0.0; range.len()];
-                            for piece in pieces(&self.data, &range) {
-                                if piece.kind.of_joint() && piece.index == joint {
-                                    for k in piece.range.clone() {
-                                        column[k - range.start] = delta(k);
-                                    }
-                                }
-                            }
-                            columns.push(column);
+                            let of = pieces(&self.data, &range)
+                                .filter(|p| p.kind.of_joint() && p.index == joint)
+                                .map(|p| {
+                                    (
+                                        p.range.start - range.start,
+                                        p.range.clone().map(delta).collect(),
+                                    )
+                                });
+                            columns.push(Column(of.collect()));
                         }
                     } else {
-                        columns.push(range.clone().map(delta).collect());
+                        columns.push(Column(vec![(0, range.clone().map(delta).collect())]));
                     }
                 }
-                columns.retain(|c| dot(c, c) > 1e-3);
+                columns.retain(|c| c.times(c) > 1e-3);
                 TrialMetric::new(range, columns)
             })
             .collect();
@@ -109,8 +153,13 @@ impl Judge {
     pub fn residual(&self, prediction: &[f32]) -> Vec<f32> {
         let raw = (0..self.data.len())
             .map(|k| {
-                let r = (self.data.value[k] - f64::from(prediction[k])) as f32 / self.noise.sigma[k];
-                if r.is_finite() { r.clamp(-1e4, 1e4) } else { 100.0 }
+                let r =
+                    (self.data.value[k] - f64::from(prediction[k])) as f32 / self.noise.sigma[k];
+                if r.is_finite() {
+                    r.clamp(-1e4, 1e4)
+                } else {
+                    100.0
+                }
             })
             .collect();
         self.whiten(raw)
@@ -122,7 +171,11 @@ impl Judge {
         let raw = (0..self.data.len())
             .map(|k| {
                 let d = (to[k] - from[k]) / self.noise.sigma[k];
-                if d.is_finite() { d.clamp(-1e4, 1e4) } else { 0.0 }
+                if d.is_finite() {
+                    d.clamp(-1e4, 1e4)
+                } else {
+                    0.0
+                }
             })
             .collect();
         self.whiten(raw)
@@ -169,18 +222,28 @@ impl Judge {
 }
 
 impl TrialMetric {
-    fn new(range: Range<usize>, columns: Vec<Vec<f32>>) -> Self {
+    fn new(range: Range<usize>, columns: Vec<Column>) -> Self {
         let k = columns.len();
         let gram: Vec<Vec<f64>> = (0..k)
-            .map(|i| (0..k).map(|j| dot(&columns[i], &columns[j])).collect())
+            .map(|i| (0..k).map(|j| columns[i].times(&columns[j])).collect())
             .collect();
         let (values, v) = symmetric_eigen(&gram);
         let factor: Vec<f64> = values
             .iter()
-            .map(|&s| if s > 1e-9 { (1.0 - 1.0 / (1.0 + s).sqrt()) / s } else { 0.5 })
+            .map(|&s| {
+                if s > 1e-9 {
+                    (1.0 - 1.0 / (1.0 + s).sqrt()) / s
+                } else {
+                    0.5
+                }
+            })
             .collect();
         let shrink = (0..k)
-            .map(|i| (0..k).map(|j| (0..k).map(|m| v[i][m] * factor[m] * v[j][m]).sum()).collect())
+            .map(|i| {
+                (0..k)
+                    .map(|j| (0..k).map(|m| v[i][m] * factor[m] * v[j][m]).sum())
+                    .collect()
+            })
             .collect();
         Self {
             range,
@@ -190,13 +253,10 @@ impl TrialMetric {
     }
 
     fn apply(&self, x: &mut [f32]) {
-        let along: Vec<f64> = self.columns.iter().map(|c| dot(c, x)).collect();
+        let along: Vec<f64> = self.columns.iter().map(|c| c.dot(x)).collect();
         for (column, row) in self.columns.iter().zip(&self.shrink) {
             let c: f64 = row.iter().zip(&along).map(|(a, b)| a * b).sum();
-            let c = c as f32;
-            for (x, n) in x.iter_mut().zip(column) {
-                *x -= c * n;
-            }
+            column.take_off(c as f32, x);
         }
     }
 }
@@ -221,8 +281,12 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
     let mean = |x: &[f32]| x.iter().map(|v| f64::from(*v)).sum::<f64>() / x.len().max(1) as f64;
     let mut out = Vec::new();
     let mut add = |id: &str, first: f64, share: f64, per_joint: bool| {
-        let Some(effect) = effects::find(id) else { return };
-        let Some(place) = places(model, effect).into_iter().next() else { return };
+        let Some(effect) = effects::find(id) else {
+            return;
+        };
+        let Some(place) = places(model, effect).into_iter().next() else {
+            return;
+        };
         let mut values = effect.neutral(model, &place);
         values[0] = first;
         let mut variant = base.to_vec();
@@ -239,14 +303,45 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
     };
     // a few times the tolerance, scaled back: the trace of a tiny change drowns in rounding
     let friction = mean(&plant.lane.joint_friction_nm).max(0.003 * effective_torque(&lane, model));
-    add("coulomb_friction", 3.0 * FRICTION_TOLERANCE * friction, 1.0 / 3.0, true);
+    add(
+        "coulomb_friction",
+        3.0 * FRICTION_TOLERANCE * friction,
+        1.0 / 3.0,
+        true,
+    );
     let damping = mean(&plant.lane.joint_damping_nms_per_rad);
     if damping > 0.0 {
-        add("viscous_friction", 3.0 * FRICTION_TOLERANCE * damping, 1.0 / 3.0, true);
+        add(
+            "viscous_friction",
+            3.0 * FRICTION_TOLERANCE * damping,
+            1.0 / 3.0,
+            true,
+        );
     }
+    let way = mean(
+        &plant
+            .lane
+            .joints
+            .iter()
+            .map(|j| j.presliding_rad)
+            .collect::<Vec<_>>(),
+    );
+    add("pre_sliding", way * (1.0 + PRESLIDING_TOLERANCE), 1.0, true);
     add("kp_error", 1.0 + 3.0 * GAIN_TOLERANCE, 1.0 / 3.0, true);
+    add("servo_loop_delay", LOOP_TOLERANCE_S, 1.0, true);
+    add(
+        "armature",
+        ROTOR_TOLERANCE * mean(&plant.lane.joint_armature_kgm2).max(1e-4),
+        1.0,
+        true,
+    );
     add("command_delay", 3.0 * TIME_TOLERANCE_S, 1.0 / 3.0, false);
-    add("supply_level", 1.0 + 3.0 * SUPPLY_TOLERANCE, 1.0 / 3.0, false);
+    add(
+        "supply_level",
+        1.0 + 3.0 * SUPPLY_TOLERANCE,
+        1.0 / 3.0,
+        false,
+    );
     if !model.feet().is_empty() {
         add("contact_friction", 1.0 + GROUND_TOLERANCE, 1.0, false);
     }

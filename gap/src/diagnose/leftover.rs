@@ -21,7 +21,10 @@ pub fn leftover(context: &Context, found: &Found) -> Vec<Unexplained> {
             let part = &on.residual[piece.range.clone()];
             let square = dot(part, part);
             let name = &judge.data.trials[segment.trial].channels[piece.channel].name;
-            match cells.iter_mut().find(|c| c.1 == piece.kind && c.2 == piece.index) {
+            match cells
+                .iter_mut()
+                .find(|c| c.1 == piece.kind && c.2 == piece.index)
+            {
                 Some(c) => c.0 += square,
                 None => cells.push((square, piece.kind, piece.index, name.clone())),
             }
@@ -57,9 +60,15 @@ fn depends(context: &Context, found: &Found, kind: Kind, index: usize) -> (Vec<S
     let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
     for segment in &data.segments {
         let trial = &data.trials[segment.trial];
-        for piece in segment.pieces.iter().filter(|p| p.kind == kind && p.index == index) {
+        for piece in segment
+            .pieces
+            .iter()
+            .filter(|p| p.kind == kind && p.index == index)
+        {
             let joint = if kind.of_joint() { index } else { 0 };
-            let Some(position) = trial.channel(Kind::Position, joint) else { continue };
+            let Some(position) = trial.channel(Kind::Position, joint) else {
+                continue;
+            };
             for k in piece.range.clone().step_by(3) {
                 let t = data.time_s[k];
                 let q = position.at(t);
@@ -127,10 +136,36 @@ fn depends(context: &Context, found: &Found, kind: Kind, index: usize) -> (Vec<S
 }
 
 const NAMES: [&str; 14] = [
-    "1", "q", "q²", "sin q", "q̇", "|q̇|", "q̇·|q̇|", "sign q̇", "sign q̇·exp(−|q̇|/0.1)", "e", "|e|·sign q̇", "sin 8q", "q·q̇", "t",
+    "1",
+    "q",
+    "q²",
+    "sin q",
+    "q̇",
+    "|q̇|",
+    "q̇·|q̇|",
+    "sign q̇",
+    "sign q̇·exp(−|q̇|/0.1)",
+    "e",
+    "|e|·sign q̇",
+    "sin 8q",
+    "q·q̇",
+    "t",
 ];
 const ARGUMENTS: [&str; 14] = [
-    "offset", "angle", "angle", "angle", "speed", "speed", "speed", "direction", "direction", "load", "load", "angle", "angle", "time",
+    "offset",
+    "angle",
+    "angle",
+    "angle",
+    "speed",
+    "speed",
+    "speed",
+    "direction",
+    "direction",
+    "load",
+    "load",
+    "angle",
+    "angle",
+    "time",
 ];
 
 fn library(q: f64, v: f64, e: f64, t: f64) -> Vec<f64> {

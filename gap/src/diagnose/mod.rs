@@ -5,6 +5,7 @@
 
 pub mod algebra;
 mod divergence;
+mod extend;
 mod floors;
 mod gates;
 mod judge;
@@ -13,10 +14,12 @@ mod naming;
 mod next;
 mod noise;
 mod pictures;
+mod pipeline;
 mod refine;
 mod screen;
 mod search;
 mod signature;
+mod spread;
 mod state;
 mod verdict;
 
@@ -29,9 +32,10 @@ use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::extension::Extension;
 use crate::plots::Plots;
+use crate::repeats;
 use crate::replay::{Data, Replayer, SegmentOptions};
 use crate::report::{Compute, DataFault, Report, RunUse};
-use crate::trial::{self, Role, Run, Trial};
+use crate::trial::{Role, Run, Trial};
 
 /// What a diagnosis is made from.
 #[derive(Debug, Clone)]
@@ -115,7 +119,11 @@ pub struct Progress {
 
 impl Progress {
     fn new(stage: Stage, round: usize, model: &str) -> Self {
-        let model = if model.is_empty() { "robot as given" } else { model };
+        let model = if model.is_empty() {
+            "robot as given"
+        } else {
+            model
+        };
         Self {
             stage,
             round,
@@ -150,7 +158,7 @@ pub fn diagnose(
         .iter()
         .map(|run| Trial::new(&model, run))
         .collect::<Result<Vec<_>, _>>()?;
-    trial::group(&mut trials);
+    repeats::group(&mut trials);
     let split = hold_out(&mut trials);
     let mut runs = runs;
     for (run, trial) in runs.iter_mut().zip(&trials) {
@@ -158,12 +166,15 @@ pub fn diagnose(
     }
     let faults = mask_disturbed(&mut trials);
     let mut context = context(request, &model, trials)?;
-    let found = search::search(&mut context, progress)?;
+    let mut found = search::search(&mut context, progress)?;
     progress(Progress::new(Stage::Naming, 0, &found.best.label()));
-    let named = naming::name(&context, &found)?;
+    let named = naming::name(&context, &mut found)?;
     progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
     let mut diagnosis = verdict::conclude(request, &context, &found, &named, runs, split)?;
-    diagnosis.report.data_faults.extend(request.data_faults.iter().cloned());
+    diagnosis
+        .report
+        .data_faults
+        .extend(request.data_faults.iter().cloned());
     diagnosis.report.data_faults.extend(faults);
     let (rollouts, simulated_s) = context.replayer.spent();
     diagnosis.report.compute = Compute {
@@ -227,7 +238,11 @@ fn hold_out(trials: &mut [Trial]) -> Split {
         return Split::Same;
     }
     for t in trials.iter_mut() {
-        t.role = if t.group % 3 == 2 { Role::Holdout } else { Role::Fit };
+        t.role = if t.group % 3 == 2 {
+            Role::Holdout
+        } else {
+            Role::Fit
+        };
     }
     Split::SetAside
 }
@@ -266,14 +281,18 @@ fn context(
         if of.is_empty() {
             of.clone_from(&trials);
         }
-        trial::collapse(&of)
+        repeats::collapse(&of)
     };
     let replayer = Replayer::new(Arc::clone(model), request.options.threads)?;
     let options = SegmentOptions::default();
     let fit_trials = of(Role::Fit);
     let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
-    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), &[])?;
-    let holdout = judge::Judge::new(&replayer, Data::new(model, of(Role::Holdout), options), &[])?;
+    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), options)?;
+    let holdout = judge::Judge::new(
+        &replayer,
+        Data::new(model, of(Role::Holdout), options),
+        options,
+    )?;
     let wanted = |e: &&'static Effect| {
         let named = |list: &[String]| list.iter().any(|id| id == e.id);
         !named(&request.options.without)

@@ -6,7 +6,12 @@ use crate::effects::{self, Domain};
 use crate::report::{Cause, NextExperiment, Verdict};
 
 /// The trial that tells most, if any is needed.
-pub fn next(context: &Context, verdict: Verdict, causes: &[Cause], found: &Found) -> Option<NextExperiment> {
+pub fn next(
+    context: &Context,
+    verdict: Verdict,
+    causes: &[Cause],
+    found: &Found,
+) -> Option<NextExperiment> {
     match verdict {
         Verdict::NoGap | Verdict::Explained | Verdict::DataFault => None,
         Verdict::Ambiguous => {
@@ -27,7 +32,10 @@ pub fn next(context: &Context, verdict: Verdict, causes: &[Cause], found: &Found
         }
         Verdict::InsufficientData | Verdict::Unexplained | Verdict::PartlyExplained => {
             // what the runs leave in the dark comes first
-            let refused = found.refused.first().and_then(|(s, w)| s.terms.last().map(|t| (t, w.why)));
+            let refused = found
+                .refused
+                .first()
+                .and_then(|(s, w)| s.terms.last().map(|t| (t, w.why)));
             if let Some((term, why)) = refused
                 && verdict == Verdict::InsufficientData
             {
@@ -39,8 +47,13 @@ pub fn next(context: &Context, verdict: Verdict, causes: &[Cause], found: &Found
                 });
             }
             let dark = context.effects.iter().find_map(|e| {
-                let place = effects::places(context.replayer.model(), e).into_iter().next()?;
-                let relevant = !matches!(e.domain, Domain::AllLinks) && e.layer != effects::Layer::Water;
+                let place = effects::places(context.replayer.model(), e)
+                    .into_iter()
+                    .next()?;
+                let alone = e.id == "bus_skew" && context.excitation.joints.len() < 2;
+                let relevant = !alone
+                    && !matches!(e.domain, Domain::AllLinks)
+                    && e.layer != effects::Layer::Water;
                 let why = (e.unseen)(&context.excitation, &place)?;
                 (relevant && e.layer != effects::Layer::Sensing).then_some((e, why))
             })?;

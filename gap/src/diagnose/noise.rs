@@ -7,8 +7,15 @@ use caudata_model::RobotModel;
 use crate::replay::{Data, Piece};
 use crate::trial::{Channel, Kind, Trial};
 
-/// Share of a signal's own size that no simulation is expected to hit.
-const RELATIVE: f64 = 0.01;
+/// Share of a signal's own size that no simulation is expected to hit. Speeds come from a servo's own estimator, currents from its driver.
+fn relative(kind: Kind) -> f64 {
+    match kind {
+        Kind::Velocity => 0.03,
+        Kind::Current | Kind::Torque => 0.02,
+        _ => 0.01,
+    }
+}
+
 /// Repeats that differ this many times more than usual in a block have been disturbed.
 const DISTURBED: f64 = 6.0;
 /// Repeats are not expected to agree better than this, rad.
@@ -51,7 +58,12 @@ impl Noise {
         let values = &data.value[range.clone()];
         let floor = (quantum(model, channel) / 12.0_f64.sqrt()).max(jitter(values));
         let members: Vec<(f64, &Channel)> = (own.members.iter())
-            .filter_map(|m| Some((m.span_s.0 - own.span_s.0, m.channel(piece.kind, piece.index)?)))
+            .filter_map(|m| {
+                Some((
+                    m.span_s.0 - own.span_s.0,
+                    m.channel(piece.kind, piece.index)?,
+                ))
+            })
             .collect();
         let m = members.len() as f64;
         let mut sum = 0.0;
@@ -72,7 +84,7 @@ impl Noise {
             self.repeat.insert((trial, piece.kind, piece.index), repeat);
         }
         let size = spread(values);
-        let sigma = (floor.max(repeat).powi(2) + (RELATIVE * size).powi(2)).sqrt();
+        let sigma = (floor.max(repeat).powi(2) + (relative(piece.kind) * size).powi(2)).sqrt();
         let sigma = sigma.max(smallest(piece.kind));
         for k in 0..values.len() {
             self.sigma[range.start + k] = sigma as f32;
@@ -99,7 +111,9 @@ pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
             let mut sum = (0.0, 0.0);
             for c in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
                 let same: Vec<(f64, &Channel)> = (others.iter())
-                    .filter_map(|o| Some((o.span_s.0 - trial.span_s.0, o.channel(c.kind, c.index)?)))
+                    .filter_map(|o| {
+                        Some((o.span_s.0 - trial.span_s.0, o.channel(c.kind, c.index)?))
+                    })
                     .collect();
                 if same.len() < 2 {
                     continue;
@@ -107,7 +121,8 @@ pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
                 let low = c.time_s.partition_point(|&t| t < from);
                 let high = c.time_s.partition_point(|&t| t < from + 1.0);
                 for k in low..high {
-                    let mut all: Vec<f64> = same.iter().map(|(s, o)| o.at(c.time_s[k] + s)).collect();
+                    let mut all: Vec<f64> =
+                        same.iter().map(|(s, o)| o.at(c.time_s[k] + s)).collect();
                     all.push(c.value[k]);
                     all.sort_by(f64::total_cmp);
                     let median = all[all.len() / 2];
@@ -123,7 +138,11 @@ pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
     }
     let mut sorted: Vec<f64> = levels.iter().map(|l| l.0).collect();
     sorted.sort_by(f64::total_cmp);
-    let usual = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(0.0).max(LEAST_RAD);
+    let usual = sorted
+        .get(sorted.len() * 9 / 10)
+        .copied()
+        .unwrap_or(0.0)
+        .max(LEAST_RAD);
     levels
         .into_iter()
         .filter(|l| l.0 > DISTURBED * usual)
@@ -163,7 +182,10 @@ fn smallest(kind: Kind) -> f64 {
 
 /// White noise by second differences: 1.4826·median|y₊ − 2y + y₋|/√6, which a smooth signal does not add to.
 fn jitter(y: &[f64]) -> f64 {
-    let mut second: Vec<f64> = y.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs()).collect();
+    let mut second: Vec<f64> = y
+        .windows(3)
+        .map(|w| (w[2] - 2.0 * w[1] + w[0]).abs())
+        .collect();
     if second.is_empty() {
         return 0.0;
     }

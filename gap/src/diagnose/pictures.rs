@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::gates;
-use super::naming::{MARGIN, Named};
+use super::naming::Named;
 use super::search::Found;
 use super::signature;
 use super::state::{Context, On, State};
@@ -53,10 +53,17 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
         }
         seen.push(key);
         let last = data.time_s[piece.range.start] + OVERLAY_S;
-        let range: Vec<usize> = piece.range.clone().filter(|&k| data.time_s[k] <= last).collect();
+        let range: Vec<usize> = piece
+            .range
+            .clone()
+            .filter(|&k| data.time_s[k] <= last)
+            .collect();
         let repeats: Vec<_> = (data.trials.iter())
             .filter(|t| t.group == trial.group)
-            .filter_map(|t| t.channel(piece.kind, piece.index).map(|c| (t.span_s.0 - trial.span_s.0, c)))
+            .filter_map(|t| {
+                t.channel(piece.kind, piece.index)
+                    .map(|c| (t.span_s.0 - trial.span_s.0, c))
+            })
             .collect();
         let bands: Vec<(f64, f64)> = range
             .iter()
@@ -71,7 +78,12 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
                 band
             })
             .collect();
-        let on = |on: &On| range.iter().map(|&k| f64::from(on.prediction[k])).collect::<Vec<_>>();
+        let on = |on: &On| {
+            range
+                .iter()
+                .map(|&k| f64::from(on.prediction[k]))
+                .collect::<Vec<_>>()
+        };
         out.push(Overlay {
             run: trial.name.clone(),
             signal: piece.kind.name().to_owned(),
@@ -79,7 +91,10 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
             unit: piece.kind.unit().to_owned(),
             time_s: range.iter().map(|&k| data.time_s[k]).collect(),
             command: if piece.kind == Kind::Position {
-                range.iter().map(|&k| trial.commands[piece.index].at(data.time_s[k])).collect()
+                range
+                    .iter()
+                    .map(|&k| trial.commands[piece.index].at(data.time_s[k]))
+                    .collect()
             } else {
                 Vec::new()
             },
@@ -87,7 +102,11 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
             measured_low: bands.iter().map(|b| Some(b.0)).collect(),
             measured_high: bands.iter().map(|b| Some(b.1)).collect(),
             before: on(&found.base.holdout),
-            after: if found.best.terms.is_empty() { Vec::new() } else { on(&found.best.holdout) },
+            after: if found.best.terms.is_empty() {
+                Vec::new()
+            } else {
+                on(&found.best.holdout)
+            },
         });
     }
     out
@@ -100,7 +119,9 @@ fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
     let mut by_kind: BTreeMap<Kind, Vec<[f64; 4]>> = BTreeMap::new();
     for segment in &data.segments {
         for piece in &segment.pieces {
-            let rows = by_kind.entry(piece.kind).or_insert_with(|| vec![[0.0; 4]; HORIZONS_S.len() + 1]);
+            let rows = by_kind
+                .entry(piece.kind)
+                .or_insert_with(|| vec![[0.0; 4]; HORIZONS_S.len() + 1]);
             for k in piece.range.clone() {
                 let age = data.time_s[k] - segment.start_s;
                 let a = data.value[k] - f64::from(found.base.holdout.prediction[k]);
@@ -117,11 +138,19 @@ fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
             }
         }
     }
-    let longest = data.segments.iter().map(|s| s.duration_s()).fold(0.0, f64::max);
+    let longest = data
+        .segments
+        .iter()
+        .map(|s| s.duration_s())
+        .fold(0.0, f64::max);
     by_kind
         .into_iter()
         .map(|(kind, rows)| {
-            let of = |i: usize| rows.iter().map(|r| (r[i] / r[3].max(1.0)).sqrt()).collect::<Vec<_>>();
+            let of = |i: usize| {
+                rows.iter()
+                    .map(|r| (r[i] / r[3].max(1.0)).sqrt())
+                    .collect::<Vec<_>>()
+            };
             let mut horizon_s = HORIZONS_S.to_vec();
             horizon_s.push(longest.max(HORIZONS_S[HORIZONS_S.len() - 1]));
             Horizon {
@@ -129,7 +158,11 @@ fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
                 unit: kind.unit().to_owned(),
                 horizon_s,
                 before: of(0),
-                after: if found.best.terms.is_empty() { Vec::new() } else { of(1) },
+                after: if found.best.terms.is_empty() {
+                    Vec::new()
+                } else {
+                    of(1)
+                },
                 floor: of(2),
             }
         })
@@ -164,11 +197,16 @@ fn waterfall(found: &Found, named: &[Named]) -> Vec<WaterfallStep> {
 
 fn hypotheses(context: &Context, found: &Found, named: &[Named]) -> Vec<Hypothesis> {
     let mut out = Vec::new();
-    let of = |state: &State, index: usize, from: &State, probability: f64, accepted: bool, in_set: bool| {
+    let of = |state: &State,
+              index: usize,
+              from: &State,
+              probability: f64,
+              accepted: bool,
+              in_set: bool| {
         let term = &state.terms[index];
         let worth = gates::worth(context, from, state);
-        let excess_fit = (from.fit.misfit - 1.0).max(1e-9);
-        let excess = (from.holdout.misfit - 1.0).max(1e-9);
+        let excess_fit = from.fit.misfit.max(1e-9);
+        let excess = from.holdout.misfit.max(1e-9);
         Hypothesis {
             effect: term.effect.id.to_owned(),
             location: term.place.names.clone(),
@@ -185,14 +223,35 @@ fn hypotheses(context: &Context, found: &Found, named: &[Named]) -> Vec<Hypothes
         }
     };
     for n in named {
-        out.push(of(&found.best, n.index, &n.without, n.probability, true, true));
+        out.push(of(
+            &found.best,
+            n.index,
+            &n.without,
+            n.probability,
+            true,
+            true,
+        ));
         for r in &n.rivals {
-            out.push(of(&r.state, r.index, &n.without, r.probability, false, r.short < MARGIN));
+            out.push(of(
+                &r.state,
+                r.index,
+                &n.without,
+                r.probability,
+                false,
+                r.in_set,
+            ));
         }
     }
     if named.is_empty() {
         for (state, _) in &found.singles {
-            out.push(of(state, state.terms.len() - 1, &found.base, 0.0, false, false));
+            out.push(of(
+                state,
+                state.terms.len() - 1,
+                &found.base,
+                0.0,
+                false,
+                false,
+            ));
         }
     }
     out

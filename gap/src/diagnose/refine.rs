@@ -26,7 +26,11 @@ struct Fit {
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
-pub fn refine(context: &Context, variants: Vec<Variant>, iterations: Option<usize>) -> Result<Vec<(Variant, f64)>, GapError> {
+pub fn refine(
+    context: &Context,
+    variants: Vec<Variant>,
+    iterations: Option<usize>,
+) -> Result<Vec<(Variant, f64)>, GapError> {
     let fit = &context.fit;
     let first = context.replayer.predict(&fit.data, &variants)?;
     let mut fits: Vec<Fit> = variants
@@ -124,7 +128,11 @@ fn step(
     damping: f64,
 ) -> Option<Variant> {
     let model = context.replayer.model();
-    let mean = gram.iter().enumerate().map(|(i, row)| row[i]).fold(0.0, f64::max);
+    let mean = gram
+        .iter()
+        .enumerate()
+        .map(|(i, row)| row[i])
+        .fold(0.0, f64::max);
     if mean <= 0.0 {
         return None;
     }

@@ -48,7 +48,11 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
             if (effect.unseen)(&context.excitation, &place).is_some() {
                 continue;
             }
-            if state.terms.iter().any(|t| t.effect == effect && t.place == place) {
+            if state
+                .terms
+                .iter()
+                .any(|t| t.effect == effect && t.place == place)
+            {
                 continue;
             }
             for k in 0..effect.grid.len() {
@@ -107,11 +111,16 @@ fn judge(
     if (effect.unseen)(&context.excitation, place).is_some() {
         return;
     }
-    if state.terms.iter().any(|t| t.effect == effect && t.place == *place) {
+    if state
+        .terms
+        .iter()
+        .any(|t| t.effect == effect && t.place == *place)
+    {
         return;
     }
     let n = change.len().max(1) as f64;
-    let whole = place.domain != Domain::Joints || place.names.is_empty() || model.actuated().len() == 1;
+    let whole =
+        place.domain != Domain::Joints || place.names.is_empty() || model.actuated().len() == 1;
     let (mut trace, restricted);
     let trace: &[f32] = if whole {
         change
@@ -140,7 +149,11 @@ fn judge(
         pdd -= qd * qd;
     }
     let pdd = pdd.max(0.01 * dd);
-    let (low, high) = if effect.hinge { (0.4, 1.6) } else { (0.05, 3.0) };
+    let (low, high) = if effect.hinge {
+        (0.4, 1.6)
+    } else {
+        (0.05, 3.0)
+    };
     let share = (prd / pdd).clamp(low, high);
     let projected = (2.0 * share * prd - share * share * pdd) / n;
     let direct = (2.0 * rd - dd) / n;
@@ -157,7 +170,10 @@ fn judge(
             })
             .collect()
     };
-    let entry = match out.iter_mut().find(|s| s.effect == effect && s.place == *place) {
+    let entry = match out
+        .iter_mut()
+        .find(|s| s.effect == effect && s.place == *place)
+    {
         Some(entry) => entry,
         None => {
             out.push(Screened {
@@ -181,6 +197,10 @@ fn judge(
         entry.starts.insert(place, start);
     }
     // a smooth effect of one parameter has one way down
-    let keep = if effect.hinge { STARTS } else { effect.parameters.len().min(2) };
+    let keep = if effect.hinge {
+        STARTS
+    } else {
+        effect.parameters.len().min(2)
+    };
     entry.starts.truncate(keep);
 }

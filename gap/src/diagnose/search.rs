@@ -13,13 +13,21 @@ use crate::replay::{Term, Variant};
 /// Most effects at once.
 const MOST_TERMS: usize = 7;
 /// Candidates that are kept side by side.
-const BEAM: usize = 3;
+const BEAM: usize = 2;
 /// Screened candidates that are fitted in earnest, per state.
 const FITTED: usize = 12;
+/// The same once something was found.
+const FITTED_LATER: usize = 8;
 /// Places of one effect among them.
 const PLACES: usize = 2;
 /// A candidate whose misfit is so many times that of the best is given up.
 const BEHIND: f64 = 1.5;
+/// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has.
+const OF_ALL: f64 = 0.035;
+/// … unless the misfit is still this far from the floor, and it takes away such a share of what is left.
+const FAR: f64 = 6.0;
+/// See [`FAR`].
+const OF_REST: f64 = 0.06;
 /// Misfit below which the search ends: the floor itself is not known better.
 const FLOOR: f64 = 1.15;
 /// What an additional parameter must earn: share of the misfit.
@@ -45,8 +53,11 @@ pub struct Found {
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
-pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Result<Found, GapError> {
-    let base = single(context, Vec::new())?;
+pub fn search(
+    context: &mut Context,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Found, GapError> {
+    let mut base = single(context, Vec::new())?;
     let mut beam = vec![base.clone()];
     let mut best = base.clone();
     let mut first = Vec::new();
@@ -54,8 +65,14 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
     let mut refused: Vec<(State, Worth)> = Vec::new();
     let mut tried = 0;
     for depth in 1..=MOST_TERMS {
-        if depth > 1 && best.misfit() < FLOOR {
-            break;
+        if depth > 1 {
+            if best.misfit() < FLOOR {
+                break;
+            }
+            // what runs differ by grows with what was found: more friction drifts by more
+            rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
+            let mut all: Vec<&mut State> = beam.iter_mut().collect();
+            reread(context, &mut all)?;
         }
         let mut children: Vec<(State, Worth, usize)> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
@@ -63,7 +80,7 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
             progress(Progress::new(Stage::Screening, depth, &parent.label()));
             let screened = screen(context, parent)?;
             tried += screened.len();
-            let chosen = choose(&screened);
+            let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
             progress(Progress::new(Stage::Fitting, depth, &parent.label()));
             for child in expand(context, parent, &chosen, &mut seen)? {
                 let worth = gates::worth(context, parent, &child);
@@ -80,7 +97,9 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         let passed: Vec<State> = children
             .iter()
             .filter(|(s, w, _)| {
-                w.passed && s.terms.last().is_some_and(|t| gates::matters(context, t))
+                w.passed
+                    && enough(w, &base, &beam)
+                    && s.terms.last().is_some_and(|t| gates::matters(context, t))
             })
             .map(|(s, _, _)| s.clone())
             .collect();
@@ -113,6 +132,9 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
         beam = next;
         progress(Progress::new(Stage::Accepted, depth, &best.label()));
     }
+    if !best.terms.is_empty() {
+        rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
+    }
     if best.terms.len() > 1 {
         best = delete(context, best)?;
     }
@@ -133,6 +155,40 @@ pub fn search(context: &mut Context, progress: &mut dyn FnMut(Progress)) -> Resu
     })
 }
 
+/// Whether a further effect explains enough to be one.
+fn enough(worth: &Worth, base: &State, beam: &[State]) -> bool {
+    let parent = beam.first().map_or(0.0, |p| p.holdout.misfit);
+    worth.holdout > OF_ALL * base.holdout.misfit
+        || (parent > FAR && worth.holdout > OF_REST * parent)
+}
+
+/// Takes the tolerances around `terms`, and judges `states` by them.
+fn rebase(
+    context: &mut Context,
+    terms: &[Term],
+    states: &mut [&mut State],
+) -> Result<(), GapError> {
+    context.fit.set_base(&context.replayer, terms)?;
+    context.holdout.set_base(&context.replayer, terms)?;
+    reread(context, states)
+}
+
+/// Judges states again by the present metric.
+fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> {
+    for state in states {
+        let had_basis = !state.basis.is_empty();
+        state.fit = super::state::On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
+        state.holdout = super::state::On::new(
+            &context.holdout,
+            std::mem::take(&mut state.holdout.prediction),
+        );
+        if had_basis {
+            context.find_basis(state)?;
+        }
+    }
+    Ok(())
+}
+
 /// A candidate with its predictions.
 ///
 /// # Errors
@@ -149,14 +205,14 @@ pub fn penalised(state: &State) -> f64 {
 }
 
 /// The most promising, not more than a few places of one effect.
-fn choose(screened: &[Screened]) -> Vec<&Screened> {
+fn choose(screened: &[Screened], most: usize) -> Vec<&Screened> {
     let mut chosen: Vec<&Screened> = Vec::new();
     for s in screened.iter().filter(|s| s.gain > 0.0) {
         let same = chosen.iter().filter(|c| c.effect == s.effect).count();
         if same < PLACES {
             chosen.push(s);
         }
-        if chosen.len() == FITTED {
+        if chosen.len() == most {
             break;
         }
     }

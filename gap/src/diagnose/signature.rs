@@ -24,20 +24,44 @@ pub fn signatures(context: &Context, found: &Found, named: &[Named]) -> Vec<Sign
             };
             let (argument, x_label) = match (term.effect.layer, term.effect.id) {
                 (Layer::Timing, _) => (Argument::CommandSpeed, "change of command (rad/s)"),
-                (_, "encoder_offset" | "encoder_gain" | "cogging" | "hard_stop" | "parallel_spring") => (Argument::Angle, "angle (rad)"),
+                (
+                    _,
+                    "encoder_offset" | "encoder_gain" | "cogging" | "hard_stop" | "parallel_spring",
+                ) => (Argument::Angle, "angle (rad)"),
                 (Layer::Inertia, _) => (Argument::Angle, "angle (rad)"),
-                (Layer::Actuation, "kp_error" | "torque_limit" | "controller_dead_band" | "stale_gains" | "winding_resistance") => {
-                    (Argument::Error, "command − position (rad)")
-                }
+                (
+                    Layer::Actuation,
+                    "kp_error"
+                    | "torque_limit"
+                    | "controller_dead_band"
+                    | "stale_gains"
+                    | "winding_resistance",
+                ) => (Argument::Error, "command − position (rad)"),
                 _ => (Argument::Speed, "speed (rad/s)"),
             };
-            let kind = [Kind::Current, Kind::Torque, Kind::Position].into_iter().find(|k| {
-                context.holdout.data.trials.iter().any(|t| t.channel(*k, joint).is_some())
-            })?;
-            let kind = if term.effect.layer == Layer::Timing { Kind::Position } else { kind };
+            let kind = [Kind::Current, Kind::Torque, Kind::Position]
+                .into_iter()
+                .find(|k| {
+                    context
+                        .holdout
+                        .data
+                        .trials
+                        .iter()
+                        .any(|t| t.channel(*k, joint).is_some())
+                })?;
+            let kind = if term.effect.layer == Layer::Timing {
+                Kind::Position
+            } else {
+                kind
+            };
             map(context, found, joint, kind, argument).map(|series| Signature {
                 effect: term.effect.id.to_owned(),
-                joint: context.replayer.model().actuated_names().get(joint).map_or(String::new(), |n| (*n).to_owned()),
+                joint: context
+                    .replayer
+                    .model()
+                    .actuated_names()
+                    .get(joint)
+                    .map_or(String::new(), |n| (*n).to_owned()),
                 title: format!("measured − simulated {} against {}", kind.name(), x_label),
                 x_label: x_label.to_owned(),
                 y_label: format!("difference ({})", kind.unit()),
@@ -56,13 +80,25 @@ enum Argument {
 }
 
 /// Mean difference in bins of an argument, before and after.
-fn map(context: &Context, found: &Found, joint: usize, kind: Kind, argument: Argument) -> Option<Vec<Series>> {
+fn map(
+    context: &Context,
+    found: &Found,
+    joint: usize,
+    kind: Kind,
+    argument: Argument,
+) -> Option<Vec<Series>> {
     let data = &context.holdout.data;
     let mut rows: Vec<(f64, f64, f64)> = Vec::new();
     for segment in &data.segments {
         let trial = &data.trials[segment.trial];
-        let Some(position) = trial.channel(Kind::Position, joint) else { continue };
-        for piece in segment.pieces.iter().filter(|p| p.kind == kind && p.index == joint) {
+        let Some(position) = trial.channel(Kind::Position, joint) else {
+            continue;
+        };
+        for piece in segment
+            .pieces
+            .iter()
+            .filter(|p| p.kind == kind && p.index == joint)
+        {
             for k in piece.range.clone() {
                 let t = data.time_s[k];
                 let q = position.at(t);

@@ -35,7 +35,9 @@ pub struct On {
 }
 
 impl On {
-    fn new(judge: &Judge, prediction: Vec<f32>) -> Self {
+    /// Judges a prediction.
+    #[must_use]
+    pub fn new(judge: &Judge, prediction: Vec<f32>) -> Self {
         let residual = judge.residual(&prediction);
         Self {
             misfit: judge.misfit(&residual),
@@ -62,7 +64,10 @@ impl State {
     /// Mean of both misfits, by samples.
     #[must_use]
     pub fn misfit(&self) -> f64 {
-        let (a, b) = (self.fit.residual.len() as f64, self.holdout.residual.len() as f64);
+        let (a, b) = (
+            self.fit.residual.len() as f64,
+            self.holdout.residual.len() as f64,
+        );
         (a * self.fit.misfit + b * self.holdout.misfit) / (a + b).max(1.0)
     }
 
@@ -75,14 +80,22 @@ impl State {
     /// Its effects in words.
     #[must_use]
     pub fn label(&self) -> String {
-        let names: Vec<String> = self.terms.iter().map(|t| t.place.label(t.effect.id)).collect();
+        let names: Vec<String> = self
+            .terms
+            .iter()
+            .map(|t| t.place.label(t.effect.id))
+            .collect();
         names.join(" + ")
     }
 
     /// Effects and places, in an order that does not depend on that of discovery.
     #[must_use]
     pub fn key(&self) -> Vec<String> {
-        let mut names: Vec<String> = self.terms.iter().map(|t| t.place.label(t.effect.id)).collect();
+        let mut names: Vec<String> = self
+            .terms
+            .iter()
+            .map(|t| t.place.label(t.effect.id))
+            .collect();
         names.sort();
         names
     }
@@ -136,7 +149,11 @@ impl Context {
     ///
     /// # Errors
     /// As [`Replayer::predict`].
-    pub fn jacobian(&self, terms: &[Term], _at: &[f32]) -> Result<(Vec<Vec<f32>>, Vec<f64>), GapError> {
+    pub fn jacobian(
+        &self,
+        terms: &[Term],
+        _at: &[f32],
+    ) -> Result<(Vec<Vec<f32>>, Vec<f64>), GapError> {
         let (variants, steps) = differences(&self.replayer, terms);
         let predictions = self.replayer.predict(&self.fit.data, &variants)?;
         let columns = predictions

@@ -4,39 +4,33 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_model::RobotModel;
 
-use super::algebra::{dot, inverse};
 use super::divergence::divergence;
+use super::extend::extended;
 use super::floors::floors;
-use super::gates;
-use super::naming::{MARGIN, Named};
+use super::naming::Named;
 use super::search::Found;
+use super::spread::{Spread, correlation, parameters, spread};
 use super::state::{Context, On, State};
 use super::{Diagnosis, Request, Split, leftover, next, pictures};
 use crate::error::GapError;
-use crate::extension::{self, Extension, ExtensionEffect, ExtensionParameter};
-use crate::plots::{Correlation, Plots};
+use crate::extension::Extension;
+use crate::plots::Plots;
 use crate::replay::Term;
-use crate::report::{
-    Cause, Compute, Gain, Parameter, Rejected, Report, RunUse, Unexplained, Verdict,
-};
+use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Unexplained, Verdict};
 
 /// Misfit below which nothing is left to explain: the metric's floor is 1, and the floor itself is only known to about this.
-pub const QUIET: f64 = 2.0;
-/// Share of the excess misfit that may be left in an explained gap.
+pub const QUIET: f64 = 1.5;
+/// Share of the misfit that may be left in an explained gap.
 const LEFT: f64 = 0.15;
 /// Cells of the divergence map that are reported.
 const MOST_CELLS: usize = 400;
 
-/// Sandwich covariance of the fitted parameters, and their names.
-pub struct Spread {
-    /// `[P, P]`, SI.
-    pub covariance: Vec<Vec<f64>>,
-}
-
 /// The report of a diagnosis that stops at its data.
 pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> Diagnosis {
     let first = request.data_faults.iter().find(|f| f.fatal);
-    let what = first.map_or_else(String::new, |f| format!("{} of {}: {}", f.kind, f.location, f.detail));
+    let what = first.map_or_else(String::new, |f| {
+        format!("{} of {}: {}", f.kind, f.location, f.detail)
+    });
     Diagnosis {
         report: Report {
             verdict: Verdict::DataFault,
@@ -122,12 +116,22 @@ fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> 
     let (base, best) = (&found.base, &found.best);
     if causes.is_empty() {
         if base.misfit() < QUIET {
-            let dark = context.excitation.joints.iter().all(|j| j.fastest_radps < 0.02);
-            return if dark { Verdict::InsufficientData } else { Verdict::NoGap };
+            let dark = context
+                .excitation
+                .joints
+                .iter()
+                .all(|j| j.fastest_radps < 0.02);
+            return if dark {
+                Verdict::InsufficientData
+            } else {
+                Verdict::NoGap
+            };
         }
         // something explains the runs it was fitted to, and held-out runs do not show it
         let unseen = found.refused.iter().any(|(s, w)| {
-            w.fit > 0.5 * (base.fit.misfit - 1.0) && base.holdout.misfit < QUIET && s.fit.misfit < base.fit.misfit
+            w.fit > 0.5 * (base.fit.misfit - 1.0)
+                && base.holdout.misfit < QUIET
+                && s.fit.misfit < base.fit.misfit
         });
         return if unseen || split == Split::Same {
             Verdict::InsufficientData
@@ -135,7 +139,7 @@ fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> 
             Verdict::Unexplained
         };
     }
-    let excess = (best.misfit() - 1.0) / (base.misfit() - 1.0).max(1e-9);
+    let excess = best.misfit() / base.misfit().max(1e-9);
     if best.misfit() > QUIET && excess > LEFT {
         return Verdict::PartlyExplained;
     }
@@ -158,7 +162,12 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread) -> Cau
             continue;
         }
         let id = other.effect.id.to_owned();
-        if rival.short < MARGIN {
+        if more_general(term, other) {
+            rejected.push(Rejected {
+                effect: id,
+                reason: format!("says the same with more parameters, and nothing more: misfit {:.2} against {:.2}", rival.state.misfit(), best.misfit()),
+            });
+        } else if rival.in_set {
             if !alternatives.contains(&id) {
                 alternatives.push(id);
             }
@@ -187,6 +196,13 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread) -> Cau
     }
 }
 
+/// Whether `other` is a declared look-alike of the same layer with more parameters: it can say what `term` says and more.
+fn more_general(term: &Term, other: &Term) -> bool {
+    other.values.len() > term.values.len()
+        && other.effect.layer == term.effect.layer
+        && term.effect.look_alikes.contains(&other.effect.id)
+}
+
 fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
     let w = &named.worth;
     let mut lines = vec![
@@ -201,7 +217,11 @@ fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
         format!("and {:.2} off that of the runs it was fitted to", w.fit),
         format!("its mark: {}", term.effect.signature),
     ];
-    if let Some(first) = named.rivals.iter().find(|r| r.state.terms[r.index].effect != term.effect) {
+    if let Some(first) = named
+        .rivals
+        .iter()
+        .find(|r| r.state.terms[r.index].effect != term.effect)
+    {
         let other = &first.state.terms[first.index];
         lines.push(format!(
             "the next best name, {}, leaves {:.0} % of it",
@@ -213,108 +233,6 @@ fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
         lines.push("the floor comes from repeats".to_owned());
     }
     lines
-}
-
-fn parameters(
-    context: &Context,
-    best: &State,
-    index: usize,
-    spread: &Spread,
-) -> BTreeMap<String, Parameter> {
-    let model = context.replayer.model();
-    let offset: usize = best.terms[..index].iter().map(|t| t.values.len()).sum();
-    let term = &best.terms[index];
-    let neutral = term.effect.neutral(model, &term.place);
-    let mut out = BTreeMap::new();
-    for (p, spec) in term.effect.parameters.iter().enumerate() {
-        let value = term.values[p];
-        let (low, high) = term.effect.bounds(model, &term.place, p);
-        let near = 1e-6 * (high - low);
-        let sd = spread.covariance.get(offset + p).map_or(0.0, |row| row[offset + p].max(0.0).sqrt());
-        // no interval is finer than a tenth of what matters
-        let half = (1.96 * sd).max(0.1 * term.effect.scale(model, &term.place, p).abs());
-        let still = (value - neutral[p]).abs() < near;
-        out.insert(
-            spec.name.to_owned(),
-            Parameter {
-                value,
-                unit: spec.unit.to_owned(),
-                ci_low: (value - half).max(low),
-                ci_high: (value + half).min(high),
-                at_bound: !still && (value <= low + near || value >= high - near),
-            },
-        );
-    }
-    out
-}
-
-/// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block.
-fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
-    let none = Spread {
-        covariance: Vec::new(),
-    };
-    if best.terms.is_empty() {
-        return Ok(none);
-    }
-    let (columns, steps) = context.jacobian(&best.terms, &best.fit.prediction)?;
-    let n = columns.len();
-    let mut gram: Vec<Vec<f64>> = columns
-        .iter()
-        .map(|a| columns.iter().map(|b| dot(a, b)).collect())
-        .collect();
-    let largest = (0..n).map(|i| gram[i][i]).fold(0.0, f64::max);
-    for (i, row) in gram.iter_mut().enumerate() {
-        row[i] += 1e-9 * largest.max(1e-12);
-    }
-    let Some(bread) = inverse(&gram) else {
-        return Ok(none);
-    };
-    let residual = &best.fit.residual;
-    let scores: Vec<Vec<f64>> = columns
-        .iter()
-        .map(|c| context.fit.by_block(|k| f64::from(c[k]) * f64::from(residual[k])))
-        .collect();
-    let meat: Vec<Vec<f64>> = (0..n)
-        .map(|i| (0..n).map(|j| scores[i].iter().zip(&scores[j]).map(|(a, b)| a * b).sum()).collect())
-        .collect();
-    let product = |a: &[Vec<f64>], b: &[Vec<f64>]| -> Vec<Vec<f64>> {
-        (0..n)
-            .map(|i| (0..n).map(|j| (0..n).map(|k| a[i][k] * b[k][j]).sum()).collect())
-            .collect()
-    };
-    let mut covariance = product(&product(&bread, &meat), &bread);
-    for (i, row) in covariance.iter_mut().enumerate() {
-        for (j, c) in row.iter_mut().enumerate() {
-            *c *= steps[i] * steps[j];
-        }
-    }
-    Ok(Spread { covariance })
-}
-
-fn correlation(best: &State, spread: &Spread) -> Correlation {
-    let names: Vec<String> = best
-        .terms
-        .iter()
-        .flat_map(|t| {
-            let label = t.place.label(t.effect.id);
-            t.effect.parameters.iter().map(move |p| format!("{label}.{}", p.name))
-        })
-        .collect();
-    let c = &spread.covariance;
-    if c.len() != names.len() {
-        return Correlation::default();
-    }
-    let matrix = (0..c.len())
-        .map(|i| {
-            (0..c.len())
-                .map(|j| {
-                    let scale = (c[i][i] * c[j][j]).sqrt();
-                    if scale > 0.0 { (c[i][j] / scale).clamp(-1.0, 1.0) } else { f64::from(u8::from(i == j)) }
-                })
-                .collect()
-        })
-        .collect();
-    Correlation { names, matrix }
 }
 
 fn gain(context: &Context, base: &State, best: &State) -> BTreeMap<String, Gain> {
@@ -379,67 +297,6 @@ fn ratio_interval(a: &[f64], b: &[f64], seed: u64) -> (f64, f64) {
     (ratios[9], ratios[389])
 }
 
-fn extended(
-    request: &Request,
-    context: &Context,
-    best: &State,
-    causes: &[Cause],
-    order: &[&Named],
-) -> Extension {
-    let model = context.replayer.model();
-    let mut effect: Vec<Option<ExtensionEffect>> = vec![None; best.terms.len()];
-    for (cause, named) in causes.iter().zip(order) {
-        let randomise = cause
-            .parameters
-            .iter()
-            .map(|(name, p)| {
-                // what the fit leaves open, and half as much again for what was not recorded
-                let half = 0.75 * (p.ci_high - p.ci_low);
-                (name.clone(), [p.value - half, p.value + half])
-            })
-            .collect();
-        effect[named.index] = Some(ExtensionEffect {
-            id: cause.effect.clone(),
-            location: cause.location.clone(),
-            confidence: cause.confidence,
-            alternatives: cause.alternatives.clone(),
-            evidence: cause.evidence.clone(),
-            parameters: (cause.parameters.iter())
-                .map(|(name, p)| (name.clone(), written(p)))
-                .collect(),
-            randomise,
-        });
-    }
-    let mut noise: BTreeMap<String, (f64, usize)> = BTreeMap::new();
-    for ((_, kind, _), sd) in &context.fit.noise.repeat {
-        let entry = noise.entry(kind.name().to_owned()).or_default();
-        entry.0 += sd * sd;
-        entry.1 += 1;
-    }
-    Extension {
-        base: model.hash_hex(),
-        logs: request.runs.iter().map(|r| r.sha256.clone()).collect(),
-        effect: (model.extension().into_iter().flat_map(|e| e.effect.iter().cloned()))
-            .chain(effect.into_iter().flatten())
-            .collect(),
-        observation_noise: noise
-            .into_iter()
-            .map(|(k, (sum, n))| (k, (sum / n as f64).sqrt()))
-            .collect(),
-        lane: extension::lane(model, &context.replayer.with_given(&best.terms)),
-    }
-}
-
-fn written(p: &Parameter) -> ExtensionParameter {
-    ExtensionParameter {
-        value: p.value,
-        unit: p.unit.clone(),
-        ci_low: p.ci_low,
-        ci_high: p.ci_high,
-        at_bound: p.at_bound,
-    }
-}
-
 fn summary(
     verdict: Verdict,
     base: &State,
@@ -452,7 +309,11 @@ fn summary(
     let names: Vec<String> = causes
         .iter()
         .map(|c| {
-            let place = if c.location.is_empty() { String::new() } else { format!(" at {}", c.location.join(", ")) };
+            let place = if c.location.is_empty() {
+                String::new()
+            } else {
+                format!(" at {}", c.location.join(", "))
+            };
             format!("{}{place}", c.effect)
         })
         .collect();
@@ -472,14 +333,19 @@ fn summary(
                 .filter(|c| !c.alternatives.is_empty())
                 .map(|c| format!("{} or {}", c.effect, c.alternatives.join(" or ")))
                 .collect();
-            format!("The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.", open.join("; "))
+            format!(
+                "The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.",
+                open.join("; ")
+            )
         }
         Verdict::PartlyExplained => {
-            let left = unexplained.first().map_or(String::new(), |u| format!(", most of it at {}", u.location));
+            let left = unexplained
+                .first()
+                .map_or(String::new(), |u| format!(", most of it at {}", u.location));
             format!(
-                "{} explain a part: {fall}; {:.0} % of the excess is left{left}.",
+                "{} explain a part: {fall}; {:.0} % of it is left{left}.",
                 names.join(" and "),
-                100.0 * (best.misfit() - 1.0) / (base.misfit() - 1.0).max(1e-9)
+                100.0 * best.misfit() / base.misfit().max(1e-9)
             )
         }
         Verdict::Unexplained => format!(
@@ -488,8 +354,14 @@ fn summary(
         ),
         Verdict::InsufficientData => {
             let close = found.refused.first().map_or(String::new(), |(s, w)| {
-                let name = s.terms.last().map_or(String::new(), |t| t.place.label(t.effect.id));
-                format!(" {name} would explain the runs it was fitted to, but: {}.", w.why)
+                let name = s
+                    .terms
+                    .last()
+                    .map_or(String::new(), |t| t.place.label(t.effect.id));
+                format!(
+                    " {name} would explain the runs it was fitted to, but: {}.",
+                    w.why
+                )
             });
             format!("These runs cannot decide it.{close} See the next experiment.")
         }
@@ -500,6 +372,5 @@ fn summary(
         Split::SetAside => text.push_str(" No hold-out was given: every third trial was set aside."),
         Split::Same => text.push_str(" No hold-out was given and there are too few trials to set any aside: gains are on the very runs that were fitted."),
     }
-    let _ = gates::RELATIVE_GAIN;
     text
 }

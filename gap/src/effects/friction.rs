@@ -7,8 +7,23 @@ pub static COULOMB_FRICTION: Effect = Effect {
     id: "coulomb_friction",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter("extra_nm", "N·m", 0.0, (-0.3, 0.5), 0.004, Torque)],
-    grid: &[&[-0.02], &[-0.008], &[0.008], &[0.02], &[0.05], &[0.1], &[0.2]],
+    parameters: &[parameter(
+        "extra_nm",
+        "N·m",
+        0.0,
+        (-0.3, 0.5),
+        0.004,
+        Torque,
+    )],
+    grid: &[
+        &[-0.02],
+        &[-0.008],
+        &[0.008],
+        &[0.02],
+        &[0.05],
+        &[0.1],
+        &[0.2],
+    ],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -17,7 +32,13 @@ pub static COULOMB_FRICTION: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["stribeck_friction", "viscous_friction", "load_dependent_friction", "controller_dead_band", "pre_sliding"],
+    look_alikes: &[
+        "stribeck_friction",
+        "viscous_friction",
+        "load_dependent_friction",
+        "controller_dead_band",
+        "pre_sliding",
+    ],
     unseen: needs_motion,
     trial: "slow_triangles",
     signature: "a jump of torque at every reversal, the same at any speed and load",
@@ -27,7 +48,14 @@ pub static VISCOUS_FRICTION: Effect = Effect {
     id: "viscous_friction",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter("extra_nms_per_rad", "N·m·s/rad", 0.0, (-1.0, 4.0), 0.04, Damping)],
+    parameters: &[parameter(
+        "extra_nms_per_rad",
+        "N·m·s/rad",
+        0.0,
+        (-1.0, 4.0),
+        0.04,
+        Damping,
+    )],
     grid: &[&[-0.1], &[0.1], &[0.3], &[0.8], &[2.0]],
     hinge: false,
     apply: |plant, place, v| {
@@ -37,7 +65,13 @@ pub static VISCOUS_FRICTION: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["kd_error", "load_dependent_friction", "coulomb_friction", "torque_constant", "command_low_pass"],
+    look_alikes: &[
+        "kd_error",
+        "load_dependent_friction",
+        "coulomb_friction",
+        "torque_constant",
+        "command_low_pass",
+    ],
     unseen: needs_motion,
     trial: "chirp",
     signature: "torque grows in proportion to speed, with the servo off as well",
@@ -70,7 +104,12 @@ pub static STRIBECK_FRICTION: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["coulomb_friction", "pre_sliding", "controller_dead_band", "gear_backlash"],
+    look_alikes: &[
+        "coulomb_friction",
+        "pre_sliding",
+        "controller_dead_band",
+        "gear_backlash",
+    ],
     unseen: needs_motion,
     trial: "slow_triangles",
     signature: "more friction at rest than in motion: stick and slip at low speed only",
@@ -86,12 +125,20 @@ pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
-            joint.load_friction_driving = (joint.load_friction_driving + v[0] as f32).clamp(0.0, 0.95);
-            joint.load_friction_driven = (joint.load_friction_driven + v[0] as f32).clamp(0.0, 0.95);
+            joint.load_friction_driving =
+                (joint.load_friction_driving + v[0] as f32).clamp(0.0, 0.95);
+            joint.load_friction_driven =
+                (joint.load_friction_driven + v[0] as f32).clamp(0.0, 0.95);
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["coulomb_friction", "viscous_friction", "drive_asymmetry", "winding_resistance", "torque_constant"],
+    look_alikes: &[
+        "coulomb_friction",
+        "viscous_friction",
+        "drive_asymmetry",
+        "winding_resistance",
+        "torque_constant",
+    ],
     unseen: needs_motion,
     trial: "lift_and_lower",
     signature: "the jump at a reversal grows with the load at the same speed",
@@ -105,17 +152,31 @@ pub static DRIVE_ASYMMETRY: Effect = Effect {
         parameter("driving", "", 0.0, (0.0, 0.9), 0.02, One),
         parameter("driven", "", 0.0, (0.0, 0.9), 0.02, One),
     ],
-    grid: &[&[0.1, 0.0], &[0.3, 0.0], &[0.0, 0.1], &[0.0, 0.3], &[0.1, 0.3], &[0.3, 0.1]],
+    grid: &[
+        &[0.1, 0.0],
+        &[0.3, 0.0],
+        &[0.0, 0.1],
+        &[0.0, 0.3],
+        &[0.1, 0.3],
+        &[0.3, 0.1],
+    ],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
-            joint.load_friction_driving = (joint.load_friction_driving + v[0] as f32).clamp(0.0, 0.95);
-            joint.load_friction_driven = (joint.load_friction_driven + v[1] as f32).clamp(0.0, 0.95);
+            joint.load_friction_driving =
+                (joint.load_friction_driving + v[0] as f32).clamp(0.0, 0.95);
+            joint.load_friction_driven =
+                (joint.load_friction_driven + v[1] as f32).clamp(0.0, 0.95);
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["load_dependent_friction", "braking_asymmetry", "torque_constant", "direction_asymmetry"],
+    look_alikes: &[
+        "load_dependent_friction",
+        "braking_asymmetry",
+        "torque_constant",
+        "direction_asymmetry",
+    ],
     unseen: needs_motion,
     trial: "lift_and_lower",
     signature: "lifting and lowering the same load at the same speed lose differently",
@@ -125,7 +186,14 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
     id: "direction_asymmetry",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter("difference_nm", "N·m", 0.0, (-0.3, 0.3), 0.004, Torque)],
+    parameters: &[parameter(
+        "difference_nm",
+        "N·m",
+        0.0,
+        (-0.3, 0.3),
+        0.004,
+        Torque,
+    )],
     grid: &[&[-0.06], &[-0.015], &[0.015], &[0.06]],
     hinge: false,
     apply: |plant, place, v| {
@@ -138,7 +206,13 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["encoder_offset", "parallel_spring", "floor_slope", "link_com", "drive_asymmetry"],
+    look_alikes: &[
+        "encoder_offset",
+        "parallel_spring",
+        "floor_slope",
+        "link_com",
+        "drive_asymmetry",
+    ],
     unseen: needs_motion,
     trial: "slow_triangles",
     signature: "heavier one way than the other, in every pose",
@@ -148,7 +222,14 @@ pub static PRE_SLIDING: Effect = Effect {
     id: "pre_sliding",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter("way_rad", "rad", 0.002, (0.0002, 0.2), 0.002, One)],
+    parameters: &[parameter(
+        "way_rad",
+        "rad",
+        0.002,
+        (0.0002, 0.2),
+        0.002,
+        One,
+    )],
     grid: &[&[0.0006], &[0.006], &[0.012], &[0.025], &[0.05], &[0.1]],
     hinge: false,
     apply: |plant, place, v| {
@@ -157,7 +238,12 @@ pub static PRE_SLIDING: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["coulomb_friction", "stribeck_friction", "gear_compliance", "gear_backlash"],
+    look_alikes: &[
+        "coulomb_friction",
+        "stribeck_friction",
+        "gear_compliance",
+        "gear_backlash",
+    ],
     unseen: needs_motion,
     trial: "micro_reversals",
     signature: "friction comes on like a spring after a reversal",
@@ -167,7 +253,14 @@ pub static FRICTION_DRIFT: Effect = Effect {
     id: "friction_drift",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter("change_nm", "N·m", 0.0, (-0.3, 0.3), 0.006, Torque)],
+    parameters: &[parameter(
+        "change_nm",
+        "N·m",
+        0.0,
+        (-0.3, 0.3),
+        0.006,
+        Torque,
+    )],
     grid: &[&[-0.05], &[-0.015], &[0.015], &[0.05]],
     hinge: false,
     apply: |plant, place, v| {
@@ -180,7 +273,9 @@ pub static FRICTION_DRIFT: Effect = Effect {
     look_alikes: &["thermal_derating", "coulomb_friction"],
     unseen: |e, place| {
         if e.runs < 3 {
-            Some("three runs or more in order of recording are needed to see a drift over the session")
+            Some(
+                "three runs or more in order of recording are needed to see a drift over the session",
+            )
         } else {
             needs_motion(e, place)
         }

@@ -8,7 +8,17 @@ pub static GEAR_BACKLASH: Effect = Effect {
     layer: Layer::Transmission,
     domain: Domain::Joints,
     parameters: &[parameter("gap_rad", "rad", 0.0, (0.0, 0.3), 0.002, One)],
-    grid: &[&[0.003], &[0.006], &[0.01], &[0.015], &[0.022], &[0.032], &[0.045], &[0.065], &[0.1]],
+    grid: &[
+        &[0.003],
+        &[0.006],
+        &[0.01],
+        &[0.015],
+        &[0.022],
+        &[0.032],
+        &[0.045],
+        &[0.065],
+        &[0.1],
+    ],
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -18,7 +28,12 @@ pub static GEAR_BACKLASH: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["gear_compliance", "controller_dead_band", "pre_sliding", "servo_loop_delay"],
+    look_alikes: &[
+        "gear_compliance",
+        "controller_dead_band",
+        "pre_sliding",
+        "servo_loop_delay",
+    ],
     unseen: needs_motion,
     trial: "micro_reversals",
     signature: "free travel without torque, of the same width at any load; current reverses before the joint does",
@@ -28,7 +43,14 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
     id: "gear_compliance",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter("compliance_rad_per_nm", "rad/(N·m)", 0.0, (0.0005, 0.5), 0.002, One)],
+    parameters: &[parameter(
+        "compliance_rad_per_nm",
+        "rad/(N·m)",
+        0.0,
+        (0.0005, 0.5),
+        0.002,
+        One,
+    )],
     grid: &[&[0.003], &[0.01], &[0.02], &[0.04], &[0.08], &[0.15]],
     hinge: true,
     apply: |plant, place, v| {
@@ -39,7 +61,12 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["gear_backlash", "pre_sliding", "servo_loop_delay", "armature"],
+    look_alikes: &[
+        "gear_backlash",
+        "pre_sliding",
+        "servo_loop_delay",
+        "armature",
+    ],
     unseen: needs_motion,
     trial: "chirp",
     signature: "deflection in proportion to torque; a resonance that moves with the load's inertia",

@@ -6,7 +6,9 @@ use crate::excitation::Excitation;
 use crate::trial::Kind;
 
 fn needs_imu(e: &Excitation) -> Option<&'static str> {
-    let any = [Kind::Gyro, Kind::Acceleration, Kind::Gravity].iter().any(|k| e.has(*k));
+    let any = [Kind::Gyro, Kind::Acceleration, Kind::Gravity]
+        .iter()
+        .any(|k| e.has(*k));
     (!any).then_some("no IMU was recorded")
 }
 
@@ -62,7 +64,14 @@ pub static IMU_DELAY: Effect = Effect {
         parameter("delay_s", "s", 0.0, (0.0, 0.1), 0.004, One),
         parameter("lag_s", "s", 0.0, (0.0, 0.1), 0.004, One),
     ],
-    grid: &[&[0.005, 0.0], &[0.01, 0.0], &[0.02, 0.0], &[0.04, 0.0], &[0.0, 0.01], &[0.0, 0.03]],
+    grid: &[
+        &[0.005, 0.0],
+        &[0.01, 0.0],
+        &[0.02, 0.0],
+        &[0.04, 0.0],
+        &[0.0, 0.01],
+        &[0.0, 0.03],
+    ],
     hinge: false,
     apply: |plant, _, v| {
         plant.sensing.imu_delay_s += v[0] as f32;
@@ -84,7 +93,12 @@ pub static MOCAP_FRAME: Effect = Effect {
         parameter("yaw_rad", "rad", 0.0, (-0.5, 0.5), 0.01, One),
         parameter("z_m", "m", 0.0, (-0.1, 0.1), 0.002, One),
     ],
-    grid: &[&[0.01, 0.0, 0.0], &[0.03, 0.0, 0.0], &[0.0, 0.05, 0.0], &[0.0, 0.0, 0.01]],
+    grid: &[
+        &[0.01, 0.0, 0.0],
+        &[0.03, 0.0, 0.0],
+        &[0.0, 0.05, 0.0],
+        &[0.0, 0.0, 0.01],
+    ],
     hinge: false,
     apply: |plant, _, v| {
         plant.sensing.mocap_delay_s += v[0] as f32;

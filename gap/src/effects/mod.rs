@@ -312,12 +312,7 @@ const fn parameter(
 }
 
 /// Signals of the joints.
-const JOINT_SIGNALS: &[Kind] = &[
-    Kind::Position,
-    Kind::Velocity,
-    Kind::Current,
-    Kind::Torque,
-];
+const JOINT_SIGNALS: &[Kind] = &[Kind::Position, Kind::Velocity, Kind::Current, Kind::Torque];
 
 /// Signals of the whole body.
 const BODY_SIGNALS: &[Kind] = &[

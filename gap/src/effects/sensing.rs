@@ -19,7 +19,12 @@ pub static ENCODER_OFFSET: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["link_com", "parallel_spring", "floor_slope", "direction_asymmetry"],
+    look_alikes: &[
+        "link_com",
+        "parallel_spring",
+        "floor_slope",
+        "direction_asymmetry",
+    ],
     unseen: |_, _| None,
     trial: "hold_poses",
     signature: "the gravity curve of current against angle is shifted; independent of speed and direction",
@@ -38,7 +43,12 @@ pub static ENCODER_GAIN: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["link_mass", "link_com", "viscous_friction", "torque_constant"],
+    look_alikes: &[
+        "link_mass",
+        "link_com",
+        "viscous_friction",
+        "torque_constant",
+    ],
     unseen: needs_motion,
     trial: "hold_poses",
     signature: "grows with the angle; shows against motion capture, only weakly against current",

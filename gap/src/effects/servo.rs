@@ -16,7 +16,13 @@ pub static KP_ERROR: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["kd_error", "winding_resistance", "torque_constant", "controller_dead_band", "stale_gains"],
+    look_alikes: &[
+        "kd_error",
+        "winding_resistance",
+        "torque_constant",
+        "controller_dead_band",
+        "stale_gains",
+    ],
     unseen: |_, _| None,
     trial: "hold_poses",
     signature: "the droop under load changes; nothing in time touches it",
@@ -26,7 +32,14 @@ pub static KD_ERROR: Effect = Effect {
     id: "kd_error",
     layer: Layer::Actuation,
     domain: Domain::Joints,
-    parameters: &[parameter("extra_nms_per_rad", "N·m·s/rad", 0.0, (-1.5, 6.0), 0.1, Damping)],
+    parameters: &[parameter(
+        "extra_nms_per_rad",
+        "N·m·s/rad",
+        0.0,
+        (-1.5, 6.0),
+        0.1,
+        Damping,
+    )],
     grid: &[&[-0.5], &[-0.2], &[0.2], &[0.6], &[1.5], &[3.0]],
     hinge: false,
     apply: |plant, place, v| {
@@ -39,7 +52,14 @@ pub static KD_ERROR: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["viscous_friction", "kp_error", "command_low_pass", "servo_loop_delay", "torque_constant", "supply_level"],
+    look_alikes: &[
+        "viscous_friction",
+        "kp_error",
+        "command_low_pass",
+        "servo_loop_delay",
+        "torque_constant",
+        "supply_level",
+    ],
     unseen: needs_motion,
     trial: "steps",
     signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
@@ -49,7 +69,14 @@ pub static INTEGRAL_ACTION: Effect = Effect {
     id: "integral_action",
     layer: Layer::Actuation,
     domain: Domain::Joints,
-    parameters: &[parameter("ki_nm_per_rad_s", "N·m/(rad·s)", 0.0, (0.0, 10.0), 0.05, Gain)],
+    parameters: &[parameter(
+        "ki_nm_per_rad_s",
+        "N·m/(rad·s)",
+        0.0,
+        (0.0, 10.0),
+        0.05,
+        Gain,
+    )],
     grid: &[&[0.1], &[0.3], &[1.0], &[3.0]],
     hinge: false,
     apply: |plant, place, v| {
@@ -85,7 +112,13 @@ pub static TORQUE_CONSTANT: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["winding_resistance", "kp_error", "current_bias", "load_dependent_friction", "link_mass"],
+    look_alikes: &[
+        "winding_resistance",
+        "kp_error",
+        "current_bias",
+        "load_dependent_friction",
+        "link_mass",
+    ],
     unseen: |_, _| None,
     trial: "hold_poses",
     signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
@@ -104,7 +137,13 @@ pub static WINDING_RESISTANCE: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["kp_error", "torque_constant", "load_dependent_friction", "supply_level", "stale_gains"],
+    look_alikes: &[
+        "kp_error",
+        "torque_constant",
+        "load_dependent_friction",
+        "supply_level",
+        "stale_gains",
+    ],
     unseen: |_, _| None,
     trial: "stalls",
     signature: "more droop at stall with the same current per torque; the speed without load is as it was",
@@ -115,17 +154,39 @@ pub static TORQUE_LIMIT: Effect = Effect {
     layer: Layer::Actuation,
     domain: Domain::Joints,
     parameters: &[parameter("limit_nm", "N·m", 1.1, (0.05, 1.1), 0.03, Torque)],
-    grid: &[&[0.1], &[0.15], &[0.2], &[0.25], &[0.3], &[0.36], &[0.43], &[0.5], &[0.58], &[0.66], &[0.75], &[0.85], &[0.95]],
+    grid: &[
+        &[0.1],
+        &[0.15],
+        &[0.2],
+        &[0.25],
+        &[0.3],
+        &[0.36],
+        &[0.43],
+        &[0.5],
+        &[0.58],
+        &[0.66],
+        &[0.75],
+        &[0.85],
+        &[0.95],
+    ],
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
-            joint.current_limit_a = joint.current_dead_band_a + v[0] as f32 / joint.torque_constant_nm_per_a;
+            joint.current_limit_a =
+                joint.current_dead_band_a + v[0] as f32 / joint.torque_constant_nm_per_a;
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["voltage_limit", "supply_level", "profile_limit", "thermal_derating"],
-    unseen: |e, place| (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs"),
+    look_alikes: &[
+        "voltage_limit",
+        "supply_level",
+        "profile_limit",
+        "thermal_derating",
+    ],
+    unseen: |e, place| {
+        (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
+    },
     trial: "loaded_steps",
     signature: "current is cut flat, at any speed",
 };
@@ -135,7 +196,19 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
     layer: Layer::Actuation,
     domain: Domain::Joints,
     parameters: &[parameter("duty", "", 1.05, (0.1, 1.3), 0.03, One)],
-    grid: &[&[0.15], &[0.22], &[0.3], &[0.38], &[0.46], &[0.54], &[0.62], &[0.7], &[0.8], &[0.9], &[1.2]],
+    grid: &[
+        &[0.15],
+        &[0.22],
+        &[0.3],
+        &[0.38],
+        &[0.46],
+        &[0.54],
+        &[0.62],
+        &[0.7],
+        &[0.8],
+        &[0.9],
+        &[1.2],
+    ],
     hinge: true,
     apply: |plant, place, v| {
         // the line through stall torque and speed without load moves in parallel; braking current stays
@@ -148,7 +221,12 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["supply_level", "torque_limit", "profile_limit", "supply_sag"],
+    look_alikes: &[
+        "supply_level",
+        "torque_limit",
+        "profile_limit",
+        "supply_sag",
+    ],
     unseen: needs_motion,
     trial: "large_steps",
     signature: "torque is cut along a line that falls with speed",
@@ -158,8 +236,24 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
     id: "controller_dead_band",
     layer: Layer::Actuation,
     domain: Domain::Joints,
-    parameters: &[parameter("half_width_rad", "rad", 0.0, (0.0, 0.2), 0.001, One)],
-    grid: &[&[0.002], &[0.004], &[0.007], &[0.012], &[0.02], &[0.035], &[0.06], &[0.1]],
+    parameters: &[parameter(
+        "half_width_rad",
+        "rad",
+        0.0,
+        (0.0, 0.2),
+        0.001,
+        One,
+    )],
+    grid: &[
+        &[0.002],
+        &[0.004],
+        &[0.007],
+        &[0.012],
+        &[0.02],
+        &[0.035],
+        &[0.06],
+        &[0.1],
+    ],
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -167,7 +261,12 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["coulomb_friction", "kp_error", "gear_backlash", "stribeck_friction"],
+    look_alikes: &[
+        "coulomb_friction",
+        "kp_error",
+        "gear_backlash",
+        "stribeck_friction",
+    ],
     unseen: |_, _| None,
     trial: "slow_ramps",
     signature: "a steady error without current, of the same width under any load",

@@ -8,18 +8,46 @@ pub static GIRDLE_PLAY: Effect = Effect {
     id: "girdle_play",
     layer: Layer::Structure,
     domain: Domain::Play,
-    parameters: &[parameter("half_width_rad", "rad", f64::NAN, (0.0, 0.25), 0.004, One)],
-    grid: &[&[0.0], &[0.008], &[0.017], &[0.035], &[0.052], &[0.07], &[0.09], &[0.12]],
+    parameters: &[parameter(
+        "half_width_rad",
+        "rad",
+        f64::NAN,
+        (0.0, 0.25),
+        0.004,
+        One,
+    )],
+    grid: &[
+        &[0.0],
+        &[0.008],
+        &[0.017],
+        &[0.035],
+        &[0.052],
+        &[0.07],
+        &[0.09],
+        &[0.12],
+    ],
     hinge: true,
     apply: |plant, place, v| {
         for &b in &place.items {
             plant.lane.backlash_half_width_rad[b] = (v[0] as f32).clamp(0.0, 1.0);
         }
     },
-    shows_in: &[Kind::Gyro, Kind::Acceleration, Kind::Gravity, Kind::BaseAttitude, Kind::Foot],
+    shows_in: &[
+        Kind::Gyro,
+        Kind::Acceleration,
+        Kind::Gravity,
+        Kind::BaseAttitude,
+        Kind::Foot,
+    ],
     look_alikes: &["imu_tilt", "contact_friction", "payload"],
     unseen: |e, _| {
-        let sees = [Kind::Gyro, Kind::Acceleration, Kind::Gravity, Kind::Foot, Kind::BaseAttitude];
+        let sees = [
+            Kind::Gyro,
+            Kind::Acceleration,
+            Kind::Gravity,
+            Kind::Foot,
+            Kind::BaseAttitude,
+        ];
         (!sees.iter().any(|k| e.has(*k))).then_some(
             "play behind the joint encoders is invisible in joint signals; record the IMU, feet or motion capture",
         )
@@ -33,10 +61,24 @@ pub static PARALLEL_SPRING: Effect = Effect {
     layer: Layer::Structure,
     domain: Domain::Joints,
     parameters: &[
-        parameter("stiffness_nm_per_rad", "N·m/rad", 0.0, (0.0, 3.0), 0.006, Gain),
+        parameter(
+            "stiffness_nm_per_rad",
+            "N·m/rad",
+            0.0,
+            (0.0, 3.0),
+            0.006,
+            Gain,
+        ),
         parameter("rest_rad", "rad", 0.0, (-2.0, 2.0), 0.03, One),
     ],
-    grid: &[&[0.02, 0.0], &[0.02, 0.6], &[0.02, -0.6], &[0.08, 0.0], &[0.08, 0.6], &[0.08, -0.6]],
+    grid: &[
+        &[0.02, 0.0],
+        &[0.02, 0.6],
+        &[0.02, -0.6],
+        &[0.08, 0.0],
+        &[0.08, 0.6],
+        &[0.08, -0.6],
+    ],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -51,7 +93,13 @@ pub static PARALLEL_SPRING: Effect = Effect {
         }
     },
     shows_in: JOINT_SIGNALS,
-    look_alikes: &["link_com", "link_mass", "encoder_offset", "direction_asymmetry", "kp_error"],
+    look_alikes: &[
+        "link_com",
+        "link_mass",
+        "encoder_offset",
+        "direction_asymmetry",
+        "kp_error",
+    ],
     unseen: |_, _| None,
     trial: "hold_poses",
     signature: "torque where gravity has no lever; the same however the robot is turned",

@@ -42,7 +42,13 @@ pub static THERMAL_DERATING: Effect = Effect {
         parameter("rise_k_per_a2", "K/A²", 0.0, (0.0, 900.0), 5.0, One),
         parameter("time_s", "s", 100.0, (2.0, 1000.0), 10.0, One),
     ],
-    grid: &[&[30.0, 20.0], &[30.0, 100.0], &[150.0, 20.0], &[150.0, 100.0], &[400.0, 60.0]],
+    grid: &[
+        &[30.0, 20.0],
+        &[30.0, 100.0],
+        &[150.0, 20.0],
+        &[150.0, 100.0],
+        &[400.0, 60.0],
+    ],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {

@@ -49,7 +49,13 @@ pub static QUADRATIC_DRAG: Effect = Effect {
         parameter("along", "", 1.0, (0.0, 30.0), 0.3, One),
         parameter("across", "", 1.0, (0.0, 8.0), 0.07, One),
     ],
-    grid: &[&[4.0, 1.0], &[12.0, 1.0], &[1.0, 0.6], &[1.0, 1.4], &[1.0, 2.0]],
+    grid: &[
+        &[4.0, 1.0],
+        &[12.0, 1.0],
+        &[1.0, 0.6],
+        &[1.0, 1.4],
+        &[1.0, 2.0],
+    ],
     hinge: false,
     apply: |plant, place, v| {
         for &l in &place.items {
@@ -137,7 +143,14 @@ pub static HEAVE_DAMPING: Effect = Effect {
     id: "heave_damping",
     layer: Layer::Water,
     domain: Domain::AllLinks,
-    parameters: &[parameter("extra_ns_per_m", "N·s/m", 0.0, (-1.0, 50.0), 0.2, One)],
+    parameters: &[parameter(
+        "extra_ns_per_m",
+        "N·s/m",
+        0.0,
+        (-1.0, 50.0),
+        0.2,
+        One,
+    )],
     grid: &[&[-0.8], &[1.0], &[3.0], &[10.0]],
     hinge: false,
     apply: |plant, place, v| {

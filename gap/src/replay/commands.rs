@@ -68,7 +68,11 @@ impl<'a> Reader<'a> {
             self.advance(t);
         }
         sum += self.heard_rad * (to_s - since);
-        let command = if to_s > from_s { sum / (to_s - from_s) } else { self.heard_rad };
+        let command = if to_s > from_s {
+            sum / (to_s - from_s)
+        } else {
+            self.heard_rad
+        };
         true_angle(&self.encoder, command)
     }
 }
@@ -83,7 +87,8 @@ pub(super) fn true_angle(encoder: &EncoderErrors, shown_rad: f64) -> f64 {
     if e.eccentricity_rad != 0.0 {
         // a contraction: its slope is the eccentricity, a few hundredths
         for _ in 0..8 {
-            let swing = f64::from(e.eccentricity_rad) * (q + f64::from(e.eccentricity_phase_rad)).sin();
+            let swing =
+                f64::from(e.eccentricity_rad) * (q + f64::from(e.eccentricity_phase_rad)).sin();
             q = (shown_rad - f64::from(e.offset_rad) - swing) / f64::from(1.0 + e.gain);
         }
     }
@@ -98,7 +103,12 @@ pub(super) fn shown_angle(encoder: &EncoderErrors, q_rad: f64) -> f64 {
 }
 
 /// Current that a servo shows for a motor torque, without counting, A. Its dead band fades in over a hundredth of an ampere.
-pub(super) fn shown_current(servo: &ServoParams, torque_nm: f64, per_a_nm: f64, band_a: f64) -> f64 {
+pub(super) fn shown_current(
+    servo: &ServoParams,
+    torque_nm: f64,
+    per_a_nm: f64,
+    band_a: f64,
+) -> f64 {
     let _ = servo;
     let amps = torque_nm / per_a_nm;
     amps + band_a * (amps / 0.01).clamp(-1.0, 1.0)
@@ -112,7 +122,11 @@ fn arrivals(frames: usize, loss: &CommandLoss) -> Vec<bool> {
     let mut lost = false;
     (0..frames)
         .map(|_| {
-            let chance = if lost { 1.0 - 1.0 / burst } else { share / (burst * (1.0 - share)) };
+            let chance = if lost {
+                1.0 - 1.0 / burst
+            } else {
+                share / (burst * (1.0 - share))
+            };
             lost = f64::from(stream.uniform(0.0, 1.0)) < chance;
             !lost
         })
@@ -125,8 +139,17 @@ mod tests {
 
     #[test]
     fn a_step_within_an_interval_counts_by_its_share() {
-        let steps = Steps { time_s: vec![0.0, 1.0], value: vec![0.0, 4.0] };
-        let mut r = Reader::new(&steps, 0.25, EncoderErrors::default(), &CommandLoss::default(), 0.0);
+        let steps = Steps {
+            time_s: vec![0.0, 1.0],
+            value: vec![0.0, 4.0],
+        };
+        let mut r = Reader::new(
+            &steps,
+            0.25,
+            EncoderErrors::default(),
+            &CommandLoss::default(),
+            0.0,
+        );
         // arrives at 1.25: half of [1.0, 1.5]
         assert_eq!(r.mean(0.0, 1.0), 0.0);
         assert_eq!(r.mean(1.0, 1.5), 2.0);
@@ -135,11 +158,19 @@ mod tests {
 
     #[test]
     fn a_wrong_encoder_shifts_what_is_aimed_at() {
-        let e = EncoderErrors { gain: 0.25, offset_rad: 0.5, eccentricity_rad: 0.02, eccentricity_phase_rad: 0.3 };
+        let e = EncoderErrors {
+            gain: 0.25,
+            offset_rad: 0.5,
+            eccentricity_rad: 0.02,
+            eccentricity_phase_rad: 0.3,
+        };
         let q = true_angle(&e, 1.0);
         assert!((shown_angle(&e, q) - 1.0).abs() < 1e-9);
         // without eccentricity (1 − 0.5)/1.25 = 0.4
-        let e = EncoderErrors { eccentricity_rad: 0.0, ..e };
+        let e = EncoderErrors {
+            eccentricity_rad: 0.0,
+            ..e
+        };
         assert!((true_angle(&e, 1.0) - 0.4).abs() < 1e-12);
     }
 }

@@ -14,7 +14,7 @@ const MOST_SAMPLES: usize = 400_000;
 /// Blocks for statistics are at least so long, s.
 pub const BLOCK_S: f64 = 1.0;
 /// Stretches of a free robot, s: it diverges from its simulation, so it is put back to what was measured.
-const FREE_SEGMENT_S: f64 = 0.6;
+const FREE_SEGMENT_S: f64 = 0.8;
 /// Time over which speeds at a start are taken, s, to each side.
 const SPEED_WINDOW_S: f64 = 0.03;
 
@@ -111,11 +111,7 @@ pub struct Data {
 impl Data {
     /// Cuts `trials` into stretches and samples.
     #[must_use]
-    pub fn new(
-        model: &RobotModel,
-        trials: Vec<Trial>,
-        options: SegmentOptions,
-    ) -> Self {
+    pub fn new(model: &RobotModel, trials: Vec<Trial>, options: SegmentOptions) -> Self {
         let total: usize = trials
             .iter()
             .flat_map(|t| &t.channels)
@@ -236,7 +232,10 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
             start.vel_radps[a] = slope;
         }
         if let Some(c) = trial.channel(Kind::Velocity, a) {
-            let near = c.time_s.partition_point(|&t| t < t_s).min(c.value.len() - 1);
+            let near = c
+                .time_s
+                .partition_point(|&t| t < t_s)
+                .min(c.value.len() - 1);
             // a reported speed is less noisy than a difference of counts, and later: take the smaller
             let reported = c.value[near];
             let slope = start.vel_radps[a];
@@ -288,7 +287,10 @@ fn line(c: &Channel, t_s: f64) -> (f64, f64) {
     let high = c.time_s.partition_point(|&t| t <= t_s + SPEED_WINDOW_S);
     let n = (high - low) as f64;
     if n < 1.0 {
-        let k = c.time_s.partition_point(|&t| t < t_s).min(c.value.len() - 1);
+        let k = c
+            .time_s
+            .partition_point(|&t| t < t_s)
+            .min(c.value.len() - 1);
         return (c.value[k], 0.0);
     }
     let (t, y) = (&c.time_s[low..high], &c.value[low..high]);

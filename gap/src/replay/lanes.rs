@@ -36,7 +36,13 @@ pub(super) fn run(
         most = most.max(periods);
         readers.push(readers_of(trial, &plant, segment.start_s));
         switches.push(Switches::new(trial, segment.start_s));
-        traces.push(Trace::new(trial, &plant, segment.start_s, period_s, periods));
+        traces.push(Trace::new(
+            trial,
+            &plant,
+            segment.start_s,
+            period_s,
+            periods,
+        ));
         sound[lane] = start(engine, lane, &plant, &switches[lane], data, s);
         plants.push(plant);
     }

@@ -62,7 +62,11 @@ impl Replayer {
     /// # Errors
     /// [`GapError::Extension`] where the extension does not fit the catalogue.
     pub fn new(model: Arc<RobotModel>, threads: usize) -> Result<Self, GapError> {
-        let substeps = if model.actuated().len() <= FEW_JOINTS { 1 } else { 2 };
+        let substeps = if model.actuated().len() <= FEW_JOINTS {
+            1
+        } else {
+            2
+        };
         let given = match model.extension() {
             Some(extension) => crate::extension::terms(extension, &model)?,
             None => Variant::new(),
@@ -225,5 +229,7 @@ impl Replayer {
 
 /// A mutex whose holder died is still a mutex: what it guards is replaced whole.
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    mutex
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
 }

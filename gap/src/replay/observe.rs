@@ -35,7 +35,10 @@ impl Trace {
     pub fn new(trial: &Trial, plant: &Plant, start_s: f64, period_s: f64, periods: usize) -> Self {
         let joints = plant.model.actuated().len();
         let feet = plant.model.feet().len();
-        let body = trial.channels.iter().any(|c| !c.kind.of_joint() && c.kind != Kind::Voltage);
+        let body = trial
+            .channels
+            .iter()
+            .any(|c| !c.kind.of_joint() && c.kind != Kind::Voltage);
         let width = 3 * joints + if body { FOOT + 3 * feet } else { 0 };
         Self {
             start_s,
@@ -67,10 +70,14 @@ impl Trace {
             return;
         }
         let three = 3 * lane..3 * lane + 3;
-        self.values.extend_from_slice(&state.imu_gyro_radps[three.clone()]);
-        self.values.extend_from_slice(&state.imu_acc_mps2[three.clone()]);
-        self.values.extend_from_slice(&state.imu_gravity[three.clone()]);
-        self.values.extend_from_slice(&state.base_pos_m[three.clone()]);
+        self.values
+            .extend_from_slice(&state.imu_gyro_radps[three.clone()]);
+        self.values
+            .extend_from_slice(&state.imu_acc_mps2[three.clone()]);
+        self.values
+            .extend_from_slice(&state.imu_gravity[three.clone()]);
+        self.values
+            .extend_from_slice(&state.base_pos_m[three.clone()]);
         self.values.extend_from_slice(&state.base_vel_mps[three]);
         let q = [0, 1, 2, 3].map(|i| f64::from(state.base_quat_wxyz[4 * lane + i]));
         self.values.extend(attitude_of(q).map(|x| x as f32));
@@ -88,13 +95,20 @@ impl Trace {
         let k = (x as usize).min(self.last_row());
         let next = (k + 1).min(self.last_row());
         let share = (x - k as f64).clamp(0.0, 1.0);
-        let (a, b) = (self.values[k * self.width + c], self.values[next * self.width + c]);
+        let (a, b) = (
+            self.values[k * self.width + c],
+            self.values[next * self.width + c],
+        );
         f64::from(a) + share * f64::from(b - a)
     }
 
     /// Column `c` behind a low-pass of `time_s`, as a column of its own.
     fn lagged(&self, c: usize, time_s: f64) -> Vec<f32> {
-        let share = if time_s > 0.0 { -(-self.period_s / time_s).exp_m1() } else { 1.0 };
+        let share = if time_s > 0.0 {
+            -(-self.period_s / time_s).exp_m1()
+        } else {
+            1.0
+        };
         let mut y = f64::from(self.values[c]);
         (0..=self.last_row())
             .map(|k| {
@@ -145,16 +159,28 @@ fn channel(
     match piece.kind {
         Kind::Position => {
             let e = &sensing.encoders[i];
-            out.extend(times.iter().map(|&t| shown_angle(e, trace.at(i, seen(t))) as f32));
+            out.extend(
+                times
+                    .iter()
+                    .map(|&t| shown_angle(e, trace.at(i, seen(t))) as f32),
+            );
         }
         Kind::Velocity => {
             let gain = f64::from(1.0 + sensing.encoders[i].gain);
             let lag_s = f64::from(sensing.velocity_lag_s[i]);
             if lag_s > 0.0 {
                 let column = trace.lagged(n + i, lag_s);
-                out.extend(times.iter().map(|&t| (gain * trace.at_in(&column, seen(t))) as f32));
+                out.extend(
+                    times
+                        .iter()
+                        .map(|&t| (gain * trace.at_in(&column, seen(t))) as f32),
+                );
             } else {
-                out.extend(times.iter().map(|&t| (gain * trace.at(n + i, seen(t))) as f32));
+                out.extend(
+                    times
+                        .iter()
+                        .map(|&t| (gain * trace.at(n + i, seen(t))) as f32),
+                );
             }
         }
         Kind::Torque => out.extend(times.iter().map(|&t| trace.at(2 * n + i, seen(t)) as f32)),
@@ -177,7 +203,9 @@ fn channel(
             let column = voltage(plant, trace);
             out.extend(times.iter().map(|&t| trace.at_in(&column, seen(t)) as f32));
         }
-        Kind::Gyro | Kind::Acceleration | Kind::Gravity => imu(plant, trace, piece, times, seen, out),
+        Kind::Gyro | Kind::Acceleration | Kind::Gravity => {
+            imu(plant, trace, piece, times, seen, out)
+        }
         Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => {
             let late = f64::from(sensing.mocap_delay_s);
             let (sin, cos) = f64::from(sensing.mocap_yaw_rad).sin_cos();
@@ -200,7 +228,11 @@ fn channel(
                             1 => sin * x + cos * y,
                             _ => own,
                         };
-                        let shift = if kind == Kind::BasePosition { offset[axis] } else { 0.0 };
+                        let shift = if kind == Kind::BasePosition {
+                            offset[axis]
+                        } else {
+                            0.0
+                        };
                         turned + shift
                     }
                 };
@@ -236,8 +268,12 @@ fn imu(
         let t = seen(t) - late;
         let v = [0, 1, 2].map(|axis| trace.at_in(&columns[axis], t) as f32);
         match piece.kind {
-            Kind::Gyro => sensing.mounting.gyro_radps(v)[piece.index] + sensing.bias.gyro_radps[piece.index],
-            Kind::Acceleration => sensing.mounting.acc_mps2(v)[piece.index] + sensing.bias.acc_mps2[piece.index],
+            Kind::Gyro => {
+                sensing.mounting.gyro_radps(v)[piece.index] + sensing.bias.gyro_radps[piece.index]
+            }
+            Kind::Acceleration => {
+                sensing.mounting.acc_mps2(v)[piece.index] + sensing.bias.acc_mps2[piece.index]
+            }
             _ => sensing.mounting.turned(v)[piece.index],
         }
     }));
@@ -249,7 +285,11 @@ fn voltage(plant: &Plant, trace: &Trace) -> Vec<f32> {
     let open_v = f64::from(lane.supply_v);
     let ohm = f64::from(lane.supply_resistance_ohm);
     let lag_s = f64::from(lane.supply_lag_s);
-    let share = if lag_s > 0.0 { -(-trace.period_s / lag_s).exp_m1() } else { 1.0 };
+    let share = if lag_s > 0.0 {
+        -(-trace.period_s / lag_s).exp_m1()
+    } else {
+        1.0
+    };
     let mut volt = open_v;
     (0..=trace.last_row())
         .map(|k| {
