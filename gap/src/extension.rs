@@ -23,6 +23,20 @@ struct File {
     extension: Option<Extension>,
 }
 
+/// Name of the MJCF that a robot file's text names; it lies in the same folder.
+///
+/// # Errors
+/// [`GapError::Extension`] where it names none.
+pub fn mjcf_name(robot_toml: &str) -> Result<String, GapError> {
+    #[derive(Deserialize)]
+    struct Named {
+        mjcf: String,
+    }
+    let named: Named = toml::from_str(robot_toml)
+        .map_err(|e| GapError::Extension(e.message().replace('\n', " ")))?;
+    Ok(named.mjcf)
+}
+
 /// The extension of a robot file's text; `None` where it has none.
 ///
 /// # Errors

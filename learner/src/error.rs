@@ -118,6 +118,22 @@ pub enum LearnerError {
         /// The checkpoint.
         path: String,
     },
+    /// A file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A policy cannot be begun with.
+    #[error("learner.warm_start.policy {path}: {reason}")]
+    WarmStart {
+        /// The policy file.
+        path: PathBuf,
+        /// What does not fit.
+        reason: String,
+    },
     /// A checkpoint cannot be used.
     #[error("checkpoint {path} is damaged: {reason}")]
     CheckpointDamaged {
@@ -151,6 +167,8 @@ impl LearnerError {
                 ExitCode::BadConfig
             }
             Self::Write { source, .. } => ExitCode::of_io(source, true),
+            Self::Read { source, .. } => ExitCode::of_io(source, false),
+            Self::WarmStart { .. } => ExitCode::PolicyRefused,
             Self::Durable(caudata_durable::DurableError::Io { source, .. }) => {
                 ExitCode::of_io(source, true)
             }

@@ -94,7 +94,7 @@ fn to_host(tensor: &Tensor) -> Result<Vec<f32>, LearnerError> {
     Ok(Vec::try_from(&flat)?)
 }
 
-fn activation(of: Activation) -> caudata_policy::Activation {
+pub(crate) fn activation(of: Activation) -> caudata_policy::Activation {
     match of {
         Activation::Elu => caudata_policy::Activation::Elu,
         Activation::Swish => caudata_policy::Activation::Swish,

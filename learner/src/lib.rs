@@ -3,6 +3,7 @@
 
 pub mod adam;
 pub mod batch;
+pub mod bench;
 pub mod checkpoint;
 mod error;
 pub mod export;
@@ -13,5 +14,6 @@ pub mod publish;
 pub mod report;
 pub mod returns;
 pub mod train;
+pub mod warm_start;
 
 pub use error::LearnerError;

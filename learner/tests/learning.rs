@@ -126,7 +126,8 @@ fn a_contextual_bandit_is_solved_in_fifty_updates() {
                 }],
                 moments: Vec::new(),
             };
-            ppo.update(&batch, &scaling, version, &mut order).unwrap();
+            ppo.update(&batch, &scaling, version, &mut order, false)
+                .unwrap();
         }
         let after = bandit_return(&ppo, &scaling);
         assert!(after > -0.02, "seed {seed}: {after}");
@@ -276,7 +277,8 @@ fn a_point_mass_is_steered_nearly_as_well_as_riccati_does() {
     let before = point_mass_return(&ppo, &scaling);
     for version in 0..80 {
         let batch = collect(&ppo, &scaling, &mut world, &mut noise, version);
-        ppo.update(&batch, &scaling, version, &mut order).unwrap();
+        ppo.update(&batch, &scaling, version, &mut order, false)
+            .unwrap();
         batch.moments.iter().for_each(|m| moments.merge(m));
         scaling = moments.scaling(10.0);
     }

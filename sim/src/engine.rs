@@ -2,7 +2,7 @@
 
 use caudata_model::RobotModel;
 
-use crate::{EngineConfig, InitialState, LaneParams, SimError, State};
+use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 
 /// A batch of independent robots ("lanes"), stepped together by control periods.
 ///
@@ -16,6 +16,9 @@ pub trait Engine: Send {
 
     /// Step sizes and solver settings.
     fn config(&self) -> &EngineConfig;
+
+    /// The ground and water of all lanes.
+    fn terrain(&self) -> &Terrain;
 
     /// The physical parameters lane `lane` runs with.
     ///

@@ -50,7 +50,11 @@ impl LaneParams {
             ("link_mass_scale", &links, &mut self.link_mass_scale),
             ("link_inertia_scale", &links, &mut self.link_inertia_scale),
             ("joint_friction_nm", &joints, &mut self.joint_friction_nm),
-            ("joint_armature_kgm2", &joints, &mut self.joint_armature_kgm2),
+            (
+                "joint_armature_kgm2",
+                &joints,
+                &mut self.joint_armature_kgm2,
+            ),
             (
                 "joint_damping_nms_per_rad",
                 &joints,

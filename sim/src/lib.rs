@@ -16,6 +16,7 @@ pub mod engine;
 pub mod error;
 pub mod extension;
 pub mod lanes;
+mod mobility;
 pub mod momenta;
 mod observe;
 pub mod params;
@@ -25,6 +26,7 @@ mod self_contact;
 pub mod sensors;
 pub(crate) mod simd;
 pub mod state;
+pub mod stop;
 pub mod terrain;
 pub mod water;
 

@@ -12,7 +12,7 @@ pub struct Preset {
 }
 
 /// All presets.
-pub const PRESETS: [Preset; 2] = [
+pub const PRESETS: [Preset; 5] = [
     Preset {
         name: "quick",
         about: "a minute on two cores: the robot learns to walk on flat ground",
@@ -20,8 +20,23 @@ pub const PRESETS: [Preset; 2] = [
     },
     Preset {
         name: "flat",
-        about: "flat ground, commands in all directions, full randomisation",
+        about: "minutes on two cores: walks in every direction on flat ground, all randomisation and pushes on",
         text: include_str!("../presets/flat.toml"),
+    },
+    Preset {
+        name: "rough",
+        about: "minutes on two cores, from the policy of flat: hills and rugged ground",
+        text: include_str!("../presets/rough.toml"),
+    },
+    Preset {
+        name: "amphibious",
+        about: "minutes on two cores, from the policy of flat: from land into water and back with one policy",
+        text: include_str!("../presets/amphibious.toml"),
+    },
+    Preset {
+        name: "paper",
+        about: "the paper's table as printed: 3e8 steps, for a GPU or a night",
+        text: include_str!("../presets/paper.toml"),
     },
 ];
 

@@ -2,7 +2,7 @@
 
 use caudata_model::{ImuParams, RobotModel, ServoParams};
 use caudata_random::Stream;
-use caudata_sim::{State, sensors};
+use caudata_sim::{Engine, State, sensors};
 use caudata_task::noise::Readings;
 use caudata_task::{ACT_DIM, FEET};
 
@@ -35,6 +35,8 @@ pub struct Truth {
     pub foot_force_n: [[f32; 3]; FEET],
     /// Contact force on trunk and legs but not the feet, mean over the control period.
     pub trunk_force_n: f32,
+    /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
+    pub medium: f32,
 }
 
 /// What reading a lane needs to know of the robot.
@@ -47,7 +49,13 @@ pub(crate) struct Reader {
 
 impl Reader {
     /// Reads lane `lane`.
-    pub fn read(&self, state: &State, lane: usize) -> Truth {
+    pub fn read(&self, engine: &dyn Engine, lane: usize) -> Truth {
+        let surface = engine.terrain().water_level_m();
+        let surface_m = surface.map(|z| z + engine.params(lane).water_level_offset_m);
+        self.read_state(engine.state(), surface_m, lane)
+    }
+
+    fn read_state(&self, state: &State, surface_m: Option<f32>, lane: usize) -> Truth {
         let joints = state.joints;
         let pos = &state.joint_pos_rad[lane * joints..][..joints];
         let vel = &state.joint_vel_radps[lane * joints..][..joints];
@@ -72,6 +80,7 @@ impl Reader {
             foot_vel_mps: vectors(&state.foot_vel_mps, lane),
             foot_force_n: vectors(&state.foot_force_n, lane),
             trunk_force_n: state.trunk_force_n[lane],
+            medium: f32::from(surface_m.is_some_and(|z| com[2] < z)),
         }
     }
 }
@@ -197,12 +206,12 @@ mod tests {
         state.heading_rad[1] = FRAC_PI_2;
         state.com_vel_mps[3..].copy_from_slice(&[0.1, 0.3, 0.05]);
         state.com_angvel_radps[3..].copy_from_slice(&[7.0, 8.0, 0.4]);
-        let truth = READER.read(&state, 1);
+        let truth = READER.read_state(&state, None, 1);
         for (found, expected) in truth.com_vel_mps.iter().zip([0.3, -0.1, 0.05]) {
             assert!((found - expected).abs() < 1e-6, "{:?}", truth.com_vel_mps);
         }
         assert_eq!(truth.yaw_rate_radps, 0.4);
-        assert_eq!(READER.read(&state, 0).com_vel_mps, [0.0; 3]);
+        assert_eq!(READER.read_state(&state, None, 0).com_vel_mps, [0.0; 3]);
     }
 
     #[test]
@@ -212,7 +221,7 @@ mod tests {
             state.joint_pos_rad[18 + j] = j as f32;
             state.joint_vel_radps[18 + j] = -(j as f32);
         }
-        let truth = READER.read(&state, 1);
+        let truth = READER.read_state(&state, None, 1);
         assert_eq!(truth.joint_pos_rad[5], 6.0);
         assert_eq!(truth.joint_vel_radps[15], -17.0);
         assert_eq!(truth.readings().joint_pos_rad, truth.joint_pos_rad);
@@ -228,7 +237,7 @@ mod tests {
         }
         state.foot_height_m[..4].copy_from_slice(&[0.1, 0.1, 0.0, 0.0]);
         state.com_pos_m[2] = 0.57;
-        assert!((READER.read(&state, 0).com_height_m - 0.12).abs() < 1e-6);
+        assert!((READER.read_state(&state, None, 0).com_height_m - 0.12).abs() < 1e-6);
     }
 
     #[test]
@@ -244,14 +253,29 @@ mod tests {
             |s| &mut s.foot_force_n[11],
             |s| &mut s.trunk_force_n[0],
         ];
-        assert!(READER.read(&state(), 0).is_finite());
+        assert!(READER.read_state(&state(), None, 0).is_finite());
         for (i, part) in parts.iter().enumerate() {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 let mut state = state();
                 *part(&mut state) = bad;
-                assert!(!READER.read(&state, 0).is_finite(), "part {i} {bad}");
-                assert!(READER.read(&state, 1).is_finite());
+                assert!(
+                    !READER.read_state(&state, None, 0).is_finite(),
+                    "part {i} {bad}"
+                );
+                assert!(READER.read_state(&state, None, 1).is_finite());
             }
         }
+    }
+
+    #[test]
+    fn in_water_is_below_its_surface() {
+        let mut state = state();
+        state.com_pos_m[2] = 0.38;
+        state.com_pos_m[5] = 0.42;
+        let medium = |surface, lane| READER.read_state(&state, surface, lane).medium;
+        assert_eq!(
+            [medium(Some(0.4), 0), medium(Some(0.4), 1), medium(None, 0)],
+            [1.0, 0.0, 0.0]
+        );
     }
 }

@@ -15,6 +15,7 @@ use crate::lane::Lane;
 use crate::measure::{Reader, Sensors, Truth};
 use crate::output::{OutputBuffers, StepOutput};
 use crate::physics::PhysicsDraws;
+use crate::steer::StartShift;
 
 /// How far the engine's control period may be from the task's, s.
 const CONTROL_PERIOD_TOLERANCE_S: f64 = 1e-9;
@@ -31,8 +32,10 @@ pub struct VecEnv {
     pub(crate) progress: u64,
     pub(crate) seed: u64,
     pub(crate) actor: u64,
-    layout: ObservationLayout,
+    pub(crate) layout: ObservationLayout,
     joints: JointTable,
+    /// Swimming pose; the nominal one where the robot has none.
+    swimming_rad: [f32; ACT_DIM],
     reader: Reader,
     /// `None`: perfect sensors.
     sensors: Option<Sensors>,
@@ -45,7 +48,9 @@ pub struct VecEnv {
     /// Lanes whose episode ended in this step.
     ended: Vec<usize>,
     /// The command that each lane follows for good; empty: commands are drawn. `[N]` or empty.
-    held_commands: Vec<[f32; 3]>,
+    pub(crate) held_commands: Vec<[f32; 3]>,
+    /// Added to every drawn start.
+    pub(crate) start_shift: StartShift,
 }
 
 impl VecEnv {
@@ -66,6 +71,8 @@ impl VecEnv {
         let joints = JointTable::from_model(&model)?;
         check_engine(&model, &task, engine.as_ref())?;
         let lanes = engine.lanes();
+        let swimming = model.swimming_pos_rad().unwrap_or(model.nominal_pos_rad());
+        let swimming_rad = std::array::from_fn(|i| swimming[i] as f32);
         let layout = task.layout();
         let mut env = Self {
             contract,
@@ -75,6 +82,7 @@ impl VecEnv {
             seed,
             actor,
             joints,
+            swimming_rad,
             reader: Reader {
                 actuated: std::array::from_fn(|i| model.actuated()[i]),
                 foot_radius_m: std::array::from_fn(|i| model.feet()[i].radius_m as f32),
@@ -87,6 +95,7 @@ impl VecEnv {
             wrenches: vec![0.0; lanes * 6],
             ended: Vec::with_capacity(lanes),
             held_commands: Vec::new(),
+            start_shift: StartShift::default(),
             layout,
             task,
             engine,
@@ -136,28 +145,7 @@ impl VecEnv {
 
     /// The true state of one lane, in the task's order and frames.
     pub fn truth(&self, lane: usize) -> Truth {
-        self.reader.read(self.engine.state(), lane)
-    }
-
-    /// Makes each lane follow the one command given for it, from now on and in later episodes, instead of drawing commands.
-    /// Not part of a snapshot. `[N]`
-    ///
-    /// # Errors
-    /// When there is not one command per lane.
-    pub fn hold_commands(&mut self, commands: &[[f32; 3]]) -> Result<(), EnvError> {
-        if commands.len() != self.lanes.len() {
-            return Err(EnvError::Shape {
-                what: "commands",
-                found: commands.len(),
-                expected: self.lanes.len(),
-            });
-        }
-        self.held_commands = commands.to_vec();
-        for lane in 0..self.lanes.len() {
-            self.lanes[lane].hold(&self.task.phase, self.held_commands.get(lane));
-            self.observe_start(lane)?;
-        }
-        Ok(())
+        self.reader.read(self.engine.as_ref(), lane)
     }
 
     /// Present command of a lane: vx, vy (m/s), yaw rate (rad/s).
@@ -185,7 +173,7 @@ impl VecEnv {
         &mut self.lanes[lane].action_stream
     }
 
-    /// Tells how many environment steps the whole run has done; pushes may grow with it.
+    /// Tells how many environment steps the whole run has done; pushes and costs may grow with it.
     pub fn set_progress(&mut self, env_steps_total: u64) {
         self.progress = env_steps_total;
     }
@@ -248,7 +236,7 @@ impl VecEnv {
     /// After the engine's step: reward, end of episode, next command, observation of one lane.
     fn settle(&mut self, lane: usize) -> Result<(), EnvError> {
         let state = self.engine.state();
-        let truth = self.reader.read(state, lane);
+        let truth = self.reader.read(self.engine.as_ref(), lane);
         let diverged = state.diverged[lane] || !truth.is_finite();
         let now = &mut self.lanes[lane];
         let control_period_s = self.task.control_period_s as f32;
@@ -258,8 +246,10 @@ impl VecEnv {
         let mut terms = [0.0; TERM_COUNT];
         let mut reward = 0.0;
         if !diverged {
-            let input = reward_input(&self.task, &self.joints, now, &truth);
-            reward = reward::evaluate(&self.task.reward, &input, control_period_s, &mut terms);
+            let input = reward_input(&self.task, &self.joints, &self.swimming_rad, now, &truth);
+            let cost_scale = self.task.reward.cost_scale(self.progress);
+            let config = &self.task.reward;
+            reward = reward::evaluate(config, &input, control_period_s, cost_scale, &mut terms);
             let contact_force_n = self.task.reward.contact_force_n;
             let command = now.command.value;
             now.tally
@@ -306,7 +296,7 @@ impl VecEnv {
     }
 
     /// Draws an episode, and puts the engine's lane at its start.
-    fn start_episode(
+    pub(crate) fn start_episode(
         &mut self,
         lane: usize,
         episode: u64,
@@ -325,7 +315,7 @@ impl VecEnv {
         self.physics.apply_draw();
         let mut reset_stream = Stream::new(key, Purpose::Reset);
         let start = caudata_task::reset::draw(&self.task.reset, &self.joints, &mut reset_stream);
-        self.physics.apply_start(&start);
+        self.physics.apply_start(&self.start_shift.apply(start));
         self.engine.set_params(lane, &self.physics.params)?;
         self.engine.reset(lane, &self.physics.init)?;
         let mut started = Lane::start(
@@ -340,8 +330,8 @@ impl VecEnv {
         Ok(started)
     }
 
-    fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
-        let truth = self.reader.read(self.engine.state(), lane);
+    pub(crate) fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
+        let truth = self.reader.read(self.engine.as_ref(), lane);
         self.observe(lane, &truth)
     }
 
@@ -365,7 +355,7 @@ impl VecEnv {
             phase_rad: now.clock.phases_rad(),
             command: now.command.value,
             previous_actions: &now.actions,
-            medium: None,
+            medium: Some(truth.medium),
         }
         .write(
             &self.layout,
@@ -380,6 +370,7 @@ impl VecEnv {
 fn reward_input<'a>(
     task: &TaskConfig,
     joints: &'a JointTable,
+    swimming_rad: &'a [f32; ACT_DIM],
     lane: &'a Lane,
     truth: &'a Truth,
 ) -> RewardInput<'a> {
@@ -403,6 +394,8 @@ fn reward_input<'a>(
         foot_vel_mps: &truth.foot_vel_mps,
         foot_force_n: &truth.foot_force_n,
         trunk_force_n: truth.trunk_force_n,
+        medium: truth.medium,
+        swimming_rad,
         action: &lane.actions[0],
         previous_action: &lane.actions[1],
     }

@@ -30,4 +30,4 @@ pub use params::{
     SupplyParams, WaterParams,
 };
 pub use pose::Pose;
-pub use types::{Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site};
+pub use types::{Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness};

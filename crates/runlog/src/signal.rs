@@ -57,6 +57,8 @@ pub enum Signal {
     Torque(String),
     /// `temp.<joint>`: servo temperature, °C.
     Temperature(String),
+    /// `pwm.<joint>`: what the servo puts on its motor, share of the supply, −1 to 1.
+    Duty(String),
     /// `on.<joint>`: whether the servo gives torque (1) or is switched off and lets go (0); holds until the next sample.
     Enabled(String),
     /// `volt`: supply voltage, V.
@@ -94,7 +96,11 @@ impl Signal {
             Self::Acceleration(_) => "m/s²",
             Self::BasePosition(_) | Self::Mocap(..) | Self::Foot(..) => "m",
             Self::BaseVelocity(_) => "m/s",
-            Self::Gravity(_) | Self::BaseQuaternion(_) | Self::Contact(_) | Self::Enabled(_) => "",
+            Self::Gravity(_)
+            | Self::BaseQuaternion(_)
+            | Self::Contact(_)
+            | Self::Duty(_)
+            | Self::Enabled(_) => "",
         }
     }
 
@@ -107,6 +113,7 @@ impl Signal {
             | Self::Current(j)
             | Self::Torque(j)
             | Self::Temperature(j)
+            | Self::Duty(j)
             | Self::Enabled(j) => Some(j),
             _ => None,
         }
@@ -151,6 +158,7 @@ impl fmt::Display for Signal {
             Self::Current(j) => write!(f, "cur.{j}"),
             Self::Torque(j) => write!(f, "tau.{j}"),
             Self::Temperature(j) => write!(f, "temp.{j}"),
+            Self::Duty(j) => write!(f, "pwm.{j}"),
             Self::Enabled(j) => write!(f, "on.{j}"),
             Self::Voltage => f.write_str("volt"),
             Self::Gyro(a) => write!(f, "imu.gyro.{a}"),
@@ -171,7 +179,7 @@ impl fmt::Display for Signal {
 pub enum SignalError {
     /// None of the known forms.
     #[error(
-        "`{0}` is not a signal (cmd|pos|vel|cur|tau|temp|on.<joint>, volt, imu.gyro|acc|grav.x|y|z, base.pos|vel.x|y|z, base.quat.w|x|y|z, mocap.<marker>.x|y|z, foot.<leg>.x|y|z, contact.<leg>)"
+        "`{0}` is not a signal (cmd|pos|vel|cur|tau|temp|pwm|on.<joint>, volt, imu.gyro|acc|grav.x|y|z, base.pos|vel.x|y|z, base.quat.w|x|y|z, mocap.<marker>.x|y|z, foot.<leg>.x|y|z, contact.<leg>)"
     )]
     Unknown(String),
     /// The part that names a joint, leg or marker.
@@ -207,6 +215,7 @@ impl FromStr for Signal {
             ["cur", j] => Ok(Self::Current(name(j)?)),
             ["tau", j] => Ok(Self::Torque(name(j)?)),
             ["temp", j] => Ok(Self::Temperature(name(j)?)),
+            ["pwm", j] => Ok(Self::Duty(name(j)?)),
             ["on", j] => Ok(Self::Enabled(name(j)?)),
             ["contact", l] => Ok(Self::Contact(name(l)?)),
             ["imu", "gyro", a] => Ok(Self::Gyro(axis(a)?)),
@@ -240,6 +249,7 @@ mod tests {
             ("tau.tail_3", "N·m"),
             ("volt", "V"),
             ("temp.HR_knee", "°C"),
+            ("pwm.HR_knee", ""),
             ("on.HR_knee", ""),
             ("imu.gyro.x", "rad/s"),
             ("imu.acc.y", "m/s²"),

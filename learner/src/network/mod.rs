@@ -12,6 +12,7 @@ pub use layout::{Layout, Parameter};
 pub use mlp::{Mlp, Tape};
 
 use caudata_config::{Activation, NetworkConfig};
+use caudata_policy::MlpSpec;
 use caudata_random::{Key, Purpose, Stream};
 use tch::{Device, Kind, Tensor};
 
@@ -82,11 +83,11 @@ impl NetworkSpec {
     }
 
     /// Layer sizes of the policy, input and output included.
-    fn policy_sizes(&self) -> Vec<usize> {
+    pub(crate) fn policy_sizes(&self) -> Vec<usize> {
         sizes(self.obs_dim, &self.policy_hidden, self.act_dim)
     }
 
-    fn value_sizes(&self) -> Vec<usize> {
+    pub(crate) fn value_sizes(&self) -> Vec<usize> {
         sizes(self.obs_dim, &self.value_hidden, 1)
     }
 }
@@ -178,6 +179,53 @@ impl ActorCritic {
     /// Where the parameters live.
     pub fn device(&self) -> Device {
         self.flat.device()
+    }
+
+    /// Length of the part of [`ActorCritic::flat`] that the policy has, its log-std included; the value function's comes behind it.
+    pub fn policy_len(&self) -> usize {
+        let first = self.indices.value.first().map(|&(weight, _)| weight);
+        first.map_or(self.layout.len(), |index| {
+            self.layout.parameters()[index].offset
+        })
+    }
+
+    /// Writes the policy of `spec` and its log-std `[A]` into `values`, laid out as [`ActorCritic::flat`].
+    ///
+    /// # Errors
+    /// One line when a size is not that of this network.
+    pub fn set_policy(
+        &self,
+        values: &mut [f32],
+        spec: &MlpSpec,
+        log_std: &[f32],
+    ) -> Result<(), String> {
+        let mut put = |index: usize, from: &[f32]| {
+            let parameter = &self.layout.parameters()[index];
+            match values.get_mut(parameter.offset..parameter.offset + from.len()) {
+                Some(to) if from.len() == parameter.numel() => {
+                    to.copy_from_slice(from);
+                    Ok(())
+                }
+                _ => Err(format!(
+                    "{} has {} values, not {}",
+                    parameter.name,
+                    parameter.numel(),
+                    from.len()
+                )),
+            }
+        };
+        for (&(weight, bias), layer) in self.indices.policy.iter().zip(&spec.layers) {
+            put(weight, &layer.weight)?;
+            put(bias, &layer.bias)?;
+        }
+        let (lo, hi) = self.log_std_bounds();
+        // The inverse of `log_std`, kept off the ends of the sigmoid, where there is no gradient.
+        let raw = |&x: &f32| {
+            let share = ((f64::from(x) - lo) / (hi - lo)).clamp(0.01, 0.99);
+            (share / (1.0 - share)).ln() as f32
+        };
+        let raw: Vec<f32> = log_std.iter().map(raw).collect();
+        put(self.indices.raw_log_std, &raw)
     }
 
     /// The network whose output is the mean of the actions.

@@ -104,6 +104,15 @@ struct GradientJob {
     settings: LossSettings,
 }
 
+/// How a minibatch's gradient is used.
+#[derive(Clone, Copy)]
+struct Step {
+    /// Factor on the learning rate.
+    rate_guard: f64,
+    /// Whether the policy stays as it is.
+    value_only: bool,
+}
+
 /// Sums over the minibatches of an update, in the order of [`sums`].
 #[derive(Default)]
 struct Tally {
@@ -162,7 +171,7 @@ impl Ppo {
     }
 
     /// Learns from `batch`, whose observations the current policy (version `policy_version`) sees through `scaling`.
-    /// `order` decides which samples meet in a minibatch.
+    /// `order` decides which samples meet in a minibatch. With `value_only` the policy stays as it is.
     ///
     /// A minibatch whose loss or gradient is not finite changes nothing and is counted.
     ///
@@ -174,6 +183,7 @@ impl Ppo {
         scaling: &Scaling,
         policy_version: u64,
         order: &mut Stream,
+        value_only: bool,
     ) -> Result<UpdateStats, LearnerError> {
         let _no_grad = tch::no_grad_guard();
         self.check(batch)?;
@@ -192,7 +202,11 @@ impl Ppo {
             let samples = prepared.samples.index_select(0, &index);
             for part in self.minibatches(batch.rows) {
                 let (observations, samples) = (rows(&observations, part), rows(&samples, part));
-                self.minibatch(&observations, &samples, &prepared, guard, &mut tally)?;
+                let step = Step {
+                    rate_guard: guard,
+                    value_only,
+                };
+                self.minibatch(&observations, &samples, &prepared, step, &mut tally)?;
             }
         }
         Ok(self.stats(&tally, &prepared))
@@ -348,7 +362,7 @@ impl Ppo {
         observations: &Tensor,
         samples: &Tensor,
         prepared: &Prepared,
-        rate_guard: f64,
+        step: Step,
         tally: &mut Tally,
     ) -> Result<(), LearnerError> {
         let minibatch_rows = observations.size()[0] as usize;
@@ -382,14 +396,20 @@ impl Ppo {
             });
         }
         let Some(gradient) = total else { return Ok(()) };
+        if step.value_only {
+            let policy = self.net.policy_len() as i64;
+            let _ = gradient.narrow(0, 0, policy).zero_();
+        }
         let norm = gradient.norm().double_value(&[]);
         if !norm.is_finite() || sums.iter().any(|sum| !sum.is_finite()) {
             tally.skipped += 1;
             return Ok(());
         }
         let kl = sums[sums::KL] / minibatch_rows as f64;
-        self.learning_rate = adapted_rate(&self.settings.ppo, self.learning_rate, kl);
-        self.step(gradient, norm, self.learning_rate * rate_guard);
+        if !step.value_only {
+            self.learning_rate = adapted_rate(&self.settings.ppo, self.learning_rate, kl);
+        }
+        self.step(gradient, norm, self.learning_rate * step.rate_guard);
         tally.add(&sums, minibatch_rows, norm);
         Ok(())
     }

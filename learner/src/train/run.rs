@@ -167,11 +167,17 @@ impl Run<'_> {
             }
         }
         let batch = Batch::new(chunks);
+        let value_only = self.value_only();
         let learning = Instant::now();
         let stats = {
             let _span = tracing::info_span!("learn", samples = batch.rows).entered();
-            self.ppo
-                .update(&batch, &state.scaling, version, &mut self.progress.order)?
+            self.ppo.update(
+                &batch,
+                &state.scaling,
+                version,
+                &mut self.progress.order,
+                value_only,
+            )?
         };
         let learning_s = learning.elapsed().as_secs_f64();
         self.watch_finite(&stats, state)?;
@@ -216,6 +222,12 @@ impl Run<'_> {
             state.saved = Some((iteration, self.save(&checkpoint)?));
         }
         Ok(())
+    }
+
+    /// Whether this iteration only teaches the critic of a policy that was trained before.
+    fn value_only(&self) -> bool {
+        let warm = &self.config.learner.warm_start;
+        !warm.policy.as_os_str().is_empty() && self.progress.iteration < warm.value_only_iterations
     }
 
     fn watch_finite(
@@ -278,6 +290,10 @@ impl Run<'_> {
             mean_step_reward: batch.mean_reward(),
             lag_mean: lags.iter().sum::<u64>() as f64 / lags.len().max(1) as f64,
             lag_max: lags.iter().copied().max().unwrap_or(0),
+            lag_allowed: match self.config.actors.max_lead {
+                0 => 0,
+                _ => self.config.learner.staleness.max_lag,
+            },
             stats,
             episodes: &progress.episodes,
             accounting: self.collector.accounting(),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use caudata_actor::{encode_transport, transport_config};
+use caudata_actor::{encode_transport, transport_of};
 use caudata_config::{Config, TransportKind};
 use caudata_model::RobotModel;
 use caudata_proto::DecodeLimits;
@@ -30,6 +30,7 @@ use crate::normaliser::Moments;
 use crate::ppo::{Ppo, PpoSettings};
 use crate::publish::Publisher;
 use crate::report::History;
+use crate::warm_start::warm_start;
 
 /// What a run needs to know besides its configuration.
 pub struct TrainSettings {
@@ -71,7 +72,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     let transport = settings
         .transport
         .clone()
-        .unwrap_or_else(|| transport_config(&config.transport));
+        .unwrap_or_else(|| transport_of(config));
     let inproc = matches!(transport, TransportConfig::Inproc(_));
 
     let device = device(config.learner.device)?;
@@ -95,12 +96,22 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         None => build_info().commit_word(),
     };
 
+    let moments = match (&state, config.warm_start_path()) {
+        (None, Some(path)) => {
+            let least_std = config.learner.warm_start.least_std;
+            Some(warm_start(&net, &path, least_std, &contract)?)
+        }
+        _ => None,
+    };
     let ppo = PpoSettings {
         ppo: config.learner.ppo.clone(),
         staleness: config.learner.staleness.clone(),
     };
     let mut ppo = Ppo::new(net, ppo, threads(config, inproc))?;
     let (mut progress, snapshots) = restore(&mut ppo, state, config, contract.obs_dim())?;
+    if let Some(moments) = moments {
+        progress.0.moments = moments;
+    }
     if settings.resume != Resume::No {
         for ledger in caudata_actor::ledgers_in(&ledger_folder(&settings.run_dir)) {
             let actor = (ledger.actor_id, ledger.incarnation);
@@ -121,7 +132,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         .as_deref()
         .map(|address| {
             let stream = config.policy_server.stream_of(&settings.run_id);
-            Publisher::start(address, stream)
+            Publisher::start_with(address, stream, config.cluster.certificates())
         })
         .transpose()?;
     let hub = match &transport {

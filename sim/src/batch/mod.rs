@@ -199,6 +199,10 @@ fn build_core(
 }
 
 impl Engine for BatchEngine {
+    fn terrain(&self) -> &Terrain {
+        &self.terrain
+    }
+
     fn lanes(&self) -> usize {
         self.params.len()
     }

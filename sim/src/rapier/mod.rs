@@ -42,6 +42,7 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 
+use crate::stop::Stop;
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 use lane::{Lane, Shared};
 
@@ -88,6 +89,7 @@ impl RapierEngine {
             model.feet().len(),
         );
         let shared = Shared {
+            stops: Stop::all(&model, &config)?,
             ground: world::height_field(&terrain),
             grip: grip::Grip::new(Arc::clone(&terrain)),
             model,
@@ -126,6 +128,10 @@ impl RapierEngine {
 }
 
 impl Engine for RapierEngine {
+    fn terrain(&self) -> &Terrain {
+        &self.shared.terrain
+    }
+
     fn lanes(&self) -> usize {
         self.lanes.len()
     }

@@ -41,11 +41,13 @@ pub enum TerrainKind {
     Shore,
     /// A pool without end: level ground at z = 0 under `water_level_m` of water.
     DeepWater,
+    /// The paper's training ground in one field: four squares, flat, `hills`, `rugged` and `valley`, each ending at 0 at its border.
+    Mixed,
 }
 
 impl TerrainKind {
     /// All kinds, in the order of the declaration.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Flat,
         Self::Hills,
         Self::Rugged,
@@ -59,6 +61,7 @@ impl TerrainKind {
         Self::Slippery,
         Self::Shore,
         Self::DeepWater,
+        Self::Mixed,
     ];
 
     /// Its name in configuration files and on the command line.
@@ -78,6 +81,7 @@ impl TerrainKind {
             Self::Slippery => "slippery",
             Self::Shore => "shore",
             Self::DeepWater => "deep_water",
+            Self::Mixed => "mixed",
         }
     }
 }
@@ -87,9 +91,9 @@ impl TerrainKind {
 #[serde(deny_unknown_fields, default)]
 pub struct TerrainConfig {
     /// Shape of the ground: `flat`, `hills`, `rugged`, `rough`, `rough_easy`, `rough_medium`, `rough_hard`, `valley`, `slope`, `steps`,
-    /// `slippery`, `shore` or `deep_water`.
+    /// `slippery`, `shore`, `deep_water` or `mixed`.
     pub kind: TerrainKind,
-    /// Edge length of the square height field, m, 4..=100. Default 16: a 20 s episode at 0.3 m/s stays on it.
+    /// Edge length of the square height field, m, 4..=100. Default 16: a 20 s episode at 0.3 m/s stays on it. `mixed` needs about twice that.
     pub size_m: f64,
     /// Distance of its grid points, m, 0.02..=1. Default 0.1: a foot ball (radius 19 mm) meets single facets. `steps` uses 0.02 at most,
     /// because its risers are one cell wide.

@@ -15,6 +15,9 @@ pub(super) const FREEBOARD_M: f64 = 0.1;
 /// Where a shore's beach begins, m: ahead of a robot that starts at the origin (its nose is there).
 pub(super) const BEACH_X_M: f64 = 0.5;
 
+/// Half the width of a valley's floor, m.
+const VALLEY_FLOOR_HALF_WIDTH_M: f64 = 0.5;
+
 /// The height field of a valid `config`; `None` for kinds without one.
 pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Option<HeightGrid> {
     if matches!(config.kind, TerrainKind::Flat | TerrainKind::DeepWater) {
@@ -46,6 +49,7 @@ pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Option<HeightGrid> {
             friction = plan.patches(config, &mut stream);
             plan.each(|_, _| 0.0)
         }
+        TerrainKind::Mixed => plan.mixed(config, slope, &mut stream),
         TerrainKind::Flat | TerrainKind::Rugged | TerrainKind::DeepWater => plan.each(|_, _| 0.0),
     };
     let rugged = matches!(
@@ -120,8 +124,7 @@ impl Plan {
 
     /// Floor 1 m wide along x, walls of constant slope.
     fn valley(&self, slope: f64) -> Vec<f64> {
-        const FLOOR_HALF_WIDTH_M: f64 = 0.5;
-        self.each(|_, y| (y.abs() - FLOOR_HALF_WIDTH_M).max(0.0) * slope)
+        self.each(|_, y| (y.abs() - VALLEY_FLOOR_HALF_WIDTH_M).max(0.0) * slope)
     }
 
     /// Terraces, lowest at 0 at the edge of largest x.
@@ -136,6 +139,26 @@ impl Plan {
     fn shore(&self, surface_m: f64, slope: f64) -> Vec<f64> {
         let land = surface_m + FREEBOARD_M;
         self.each(|x, _| (land - (x - BEACH_X_M).max(0.0) * slope).max(0.0))
+    }
+
+    /// Flat (−x −y), hills (+x −y), rugged (−x +y) and valley (+x +y), each ramped down to 0 at its border.
+    fn mixed(&self, config: &TerrainConfig, slope: f64, stream: &mut Stream) -> Vec<f64> {
+        let half = self.half_m();
+        let hills = self.hills(config.wavelength_m, slope, stream);
+        let rugged: Vec<f64> = (0..self.points * self.points)
+            .map(|_| stream.uniform_f64(0.0, config.height_m))
+            .collect();
+        let square = |x: f64, y: f64| (x.abs().min(y.abs()) / MARGIN_M).min(1.0);
+        let share = self.each(square);
+        let place = self.each(|x, y| (x, y));
+        let valley = |y: f64| ((y - half / 2.0).abs() - VALLEY_FLOOR_HALF_WIDTH_M).max(0.0) * slope;
+        let height = |i: usize| match place[i] {
+            (x, y) if x < 0.0 && y < 0.0 => 0.0,
+            (x, _) if x < 0.0 => rugged[i],
+            (_, y) if y < 0.0 => hills[i],
+            (_, y) => valley(y),
+        };
+        (0..place.len()).map(|i| share[i] * height(i)).collect()
     }
 
     /// Friction factors: square patches, drawn one by one.

@@ -236,3 +236,36 @@ fn a_kind_is_called_the_same_everywhere() {
         assert_eq!(text, format!("\"{}\"", kind.name()));
     }
 }
+
+#[test]
+fn the_mixed_ground_has_one_kind_in_each_square() {
+    let config = TerrainConfig {
+        size_m: 32.0,
+        ..TerrainConfig::of(TerrainKind::Mixed)
+    };
+    let t = Terrain::generate(&config, 5).unwrap();
+    let along = |x0: f32, y0: f32| -> Vec<f32> {
+        (0..120)
+            .map(|i| t.height_m(x0 + 0.1 * (i % 12) as f32, y0 + 0.1 * (i / 12) as f32))
+            .collect()
+    };
+    let [low, high] = [f32::min, f32::max]
+        .map(|of| move |heights: &[f32]| heights.iter().copied().reduce(of).unwrap());
+    // flat
+    assert_eq!(high(&along(-9.0, -9.0)), 0.0);
+    // rugged: 120 independent heights of 0 to 4 cm
+    let rugged = along(-9.0, 9.0);
+    assert!(low(&rugged) < 0.005 && high(&rugged) > 0.035 && high(&rugged) <= 0.04);
+    // hills: smooth (neighbours 0.1 m apart differ by 0.1·tan 15° at most), and higher than the rugged ground
+    let hills = along(9.0, -9.0);
+    assert!(hills.windows(2).all(|w| (w[1] - w[0]).abs() < 0.028 * 12.0));
+    assert!(high(&along(4.0, -6.0)) > 0.04 || high(&hills) > 0.04);
+    // valley: its floor in the middle of the square (y = 8), 2 m to the side (2 − 0.5)·tan 15° up
+    near(t.height_m(8.0, 8.0), 0.0);
+    near(t.height_m(8.0, 10.0), 1.5 * 15f64.to_radians().tan());
+    // borders at 0
+    for at in [-8.0, 3.0, 9.0] {
+        near(t.height_m(at, 0.0), 0.0);
+        near(t.height_m(0.0, at), 0.0);
+    }
+}

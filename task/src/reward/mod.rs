@@ -7,6 +7,8 @@
 
 pub mod terms;
 
+use std::f32::consts::PI;
+
 use serde::{Deserialize, Serialize};
 
 use crate::error::require;
@@ -19,6 +21,16 @@ pub enum Sense {
     Reward,
     /// Weight ≤ 0.
     Cost,
+}
+
+impl Sense {
+    /// The factor on a term of this sense while costs are multiplied by `cost_scale`.
+    fn scale(self, cost_scale: f32) -> f32 {
+        match self {
+            Self::Reward => 1.0,
+            Self::Cost => cost_scale,
+        }
+    }
 }
 
 /// A row of the table of terms.
@@ -77,17 +89,23 @@ macro_rules! reward_terms {
         /// Number of terms.
         pub const TERM_COUNT: usize = [$(stringify!($name)),+].len();
 
-        /// Evaluates all terms for one control step of `dt_s` seconds. `contributions` (in the order of
+        /// Evaluates all terms for one control step of `dt_s` seconds, costs multiplied by `cost_scale`
+        /// ([`RewardConfig::cost_scale`]). `contributions` (in the order of
         /// [`TERMS`]) receives each term's part, weight and `dt_s` included; the sum is the reward.
         pub fn evaluate(
             config: &RewardConfig,
             input: &RewardInput<'_>,
             dt_s: f32,
+            cost_scale: f32,
             contributions: &mut [f32; TERM_COUNT],
         ) -> f32 {
             let weights = &config.weights;
             *contributions = [$(
-                if weights.$name == 0.0 { 0.0 } else { dt_s * weights.$name * terms::$name(config, input) }
+                if weights.$name == 0.0 {
+                    0.0
+                } else {
+                    dt_s * Sense::$sense.scale(cost_scale) * weights.$name * terms::$name(config, input)
+                }
             ),+];
             contributions.iter().sum()
         }
@@ -99,7 +117,7 @@ reward_terms! {
     tracking_lin_vel: Reward, "1", 1.0;
     /// exp(−(ω_cmd − ω_z)²/`yaw_rate_sigma`): follow the commanded yaw rate. Default 0.5 (paper).
     tracking_yaw_rate: Reward, "1", 0.5;
-    /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock. Default 1.0 (paper);
+    /// On land, exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock; 0 in water. Default 1.0 (paper);
     /// too small: the policy shuffles or vibrates.
     phase: Reward, "1", 1.0;
     /// Σ|q̇τ|, mechanical power of all motors in either direction. Default −1e-3 (paper); −3e-3 curbs
@@ -125,6 +143,14 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
+    /// In water, exp(−Σ (q − q_swimming)²/`leg_fold_sigma`) over the leg joints: legs folded back as in the robot file's swimming pose;
+    /// 0 on land. It takes the place of `phase`, which pays nothing in water, so give it about that weight: too small, and staying on
+    /// land pays. Default 0 (not in the paper).
+    leg_fold: Reward, "1", 0.0;
+    /// In water, exp(−Σ (q − q_wave)²/`wave_sigma`) over the body joints: a wave that travels from head to tail with the gait clock, as high as
+    /// the commanded forward speed asks for; 0 on land. What `phase` is to walking. Default 0 (not in the paper); without it the policy does
+    /// not find out how to swim: independent noise in eight joints makes no travelling wave.
+    body_wave: Reward, "1", 0.0;
 }
 
 fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {
@@ -161,8 +187,23 @@ pub struct RewardConfig {
     pub contact_force_n: f32,
     /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
     pub trunk_force_n: f32,
+    /// σ of `leg_fold`, rad². Default 3: legs that stand as for walking are 7 rad² from folded and earn 10 %. Smaller: no gradient from there.
+    pub leg_fold_sigma: f32,
+    /// Height of the travelling wave of `body_wave` at 0.3 m/s, head and tail, rad; in between linear, and proportional to the commanded
+    /// speed up to 1.5 times that. Default 0.14 and 0.22, with which the nominal robot swims at about 0.3 m/s open loop. Larger: faster and more
+    /// power.
+    pub wave_amplitude_rad: [f32; 2],
+    /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make nine tenths of a wave.
+    pub wave_lag_rad: f32,
+    /// σ of `body_wave`, rad². Default 0.1: a straight body earns about 30 % at 0.3 m/s.
+    pub wave_sigma: f32,
     /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
     pub soft_limit_share: f32,
+    /// Factor on all costs at the start of a run, 0 to 1; it grows to 1 in proportion over `costs_full_after_env_steps`. Default 1. Full costs
+    /// from the start make standing still pay before the robot has found out how to walk, above all where small commands are among those drawn.
+    pub costs_at_start: f32,
+    /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
+    pub costs_full_after_env_steps: u64,
     /// Weight of each term.
     pub weights: RewardWeights,
 }
@@ -175,7 +216,13 @@ impl Default for RewardConfig {
             phase_sigma: 0.01,
             contact_force_n: 1.0,
             trunk_force_n: 5.0,
+            leg_fold_sigma: 3.0,
+            wave_amplitude_rad: [0.14, 0.22],
+            wave_lag_rad: 0.7,
+            wave_sigma: 0.1,
             soft_limit_share: 0.95,
+            costs_at_start: 1.0,
+            costs_full_after_env_steps: 0,
             weights: RewardWeights::default(),
         }
     }
@@ -205,6 +252,15 @@ impl RewardConfig {
         }
     }
 
+    /// Factor on all costs after `env_steps` environment steps of the whole run.
+    pub fn cost_scale(&self, env_steps: u64) -> f32 {
+        if env_steps >= self.costs_full_after_env_steps {
+            return 1.0;
+        }
+        let share = env_steps as f64 / self.costs_full_after_env_steps as f64;
+        self.costs_at_start + (1.0 - self.costs_at_start) * share as f32
+    }
+
     /// Checks every value.
     ///
     /// # Errors
@@ -216,6 +272,8 @@ impl RewardConfig {
             (self.phase_sigma, "reward.phase_sigma"),
             (self.contact_force_n, "reward.contact_force_n"),
             (self.trunk_force_n, "reward.trunk_force_n"),
+            (self.leg_fold_sigma, "reward.leg_fold_sigma"),
+            (self.wave_sigma, "reward.wave_sigma"),
         ];
         for (value, field) in positive {
             require(
@@ -230,6 +288,26 @@ impl RewardConfig {
             "reward.soft_limit_share",
             self.soft_limit_share,
             "must be above 0 and at most 1",
+        )?;
+        for value in self.wave_amplitude_rad {
+            require(
+                (0.0..=2.0).contains(&value),
+                "reward.wave_amplitude_rad",
+                value,
+                "must be 0 to 2 rad",
+            )?;
+        }
+        require(
+            (-PI..=PI).contains(&self.wave_lag_rad),
+            "reward.wave_lag_rad",
+            self.wave_lag_rad,
+            "must be -π to π",
+        )?;
+        require(
+            (0.0..=1.0).contains(&self.costs_at_start),
+            "reward.costs_at_start",
+            self.costs_at_start,
+            "must be 0 to 1",
         )?;
         self.weights.validate()
     }
@@ -276,6 +354,10 @@ pub struct RewardInput<'a> {
     pub foot_force_n: &'a [[f32; 3]; FEET],
     /// Sum of contact forces on everything but the feet, N.
     pub trunk_force_n: f32,
+    /// 0 on land, 1 in water.
+    pub medium: f32,
+    /// Joint positions of the swimming pose, rad.
+    pub swimming_rad: &'a [f32; ACT_DIM],
     /// The action of this step, clipped.
     pub action: &'a [f32; ACT_DIM],
     /// The action of the step before, clipped.

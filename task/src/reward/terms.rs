@@ -4,6 +4,12 @@ use super::{RewardConfig, RewardInput};
 use crate::ACT_DIM;
 use crate::phase::reference_height_m;
 
+/// Forward speed at which the wave has the amplitude that is configured, m/s.
+const WAVE_SPEED_MPS: f32 = 0.3;
+
+/// In policy order the legs come last, two joints each.
+const FIRST_LEG_JOINT: usize = ACT_DIM - 2 * crate::FEET;
+
 /// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame. Paper.
 pub fn tracking_lin_vel(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let dx = input.command[0] - input.com_vel_mps[0];
@@ -18,7 +24,7 @@ pub fn tracking_yaw_rate(config: &RewardConfig, input: &RewardInput<'_>) -> f32 
 }
 
 /// exp(−Σ (z_j − z_ref(φ_j))²/σ_phase), z the height of the foot's lowest point above the ground. Paper;
-/// z_ref of MuJoCo Playground.
+/// z_ref of MuJoCo Playground. Nothing in water, where the ground is out of reach.
 pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let error: f32 = input
         .foot_height_m
@@ -26,7 +32,7 @@ pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         .zip(input.phase_rad)
         .map(|(z, phase)| (z - reference_height_m(phase, input.swing_height_m)).powi(2))
         .sum();
-    (-error / config.phase_sigma).exp()
+    (1.0 - input.medium) * (-error / config.phase_sigma).exp()
 }
 
 /// Σ|q̇τ|, W. Paper. Braking counts as much as driving: a servo cannot feed energy back.
@@ -108,4 +114,33 @@ pub fn stand_still(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
 
 fn squared_distance(a: &[f32; ACT_DIM], b: &[f32; ACT_DIM]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
+}
+
+/// exp(−Σ (q − q_swimming)²/σ) over the leg joints, in water only.
+pub fn leg_fold(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let error: f32 = (FIRST_LEG_JOINT..ACT_DIM)
+        .map(|i| (input.joint_pos_rad[i] - input.swimming_rad[i]).powi(2))
+        .sum();
+    input.medium * (-error / config.leg_fold_sigma).exp()
+}
+
+/// exp(−Σ (q_i − q_wave,i)²/σ) over the body joints, head to tail, in water only.
+pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let error: f32 = (0..FIRST_LEG_JOINT)
+        .map(|i| (input.joint_pos_rad[i] - wave_rad(config, input, i)).powi(2))
+        .sum();
+    input.medium * (-error / config.wave_sigma).exp()
+}
+
+/// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear from head to tail, s the commanded forward speed
+/// over 0.3 m/s, 0 to 1.5. Straight while standing.
+fn wave_rad(config: &RewardConfig, input: &RewardInput<'_>, i: usize) -> f32 {
+    if input.standing {
+        return 0.0;
+    }
+    let speed = (input.command[0] / WAVE_SPEED_MPS).clamp(0.0, 1.5);
+    let [head, tail] = config.wave_amplitude_rad;
+    let along = i as f32 / (FIRST_LEG_JOINT - 1) as f32;
+    let amplitude = head + (tail - head) * along;
+    speed * amplitude * (input.phase_rad[0] - i as f32 * config.wave_lag_rad).sin()
 }

@@ -33,6 +33,8 @@ fn rest() -> RewardInput<'static> {
         foot_vel_mps: &[[0.0; 3]; FEET],
         foot_force_n: &[[0.0, 0.0, 6.0]; FEET],
         trunk_force_n: 0.0,
+        medium: 0.0,
+        swimming_rad: &ZEROS,
         action: &ZEROS,
         previous_action: &ZEROS,
     }
@@ -229,7 +231,7 @@ fn the_reward_is_the_weighted_sum_times_dt() {
         ..rest()
     };
     let mut parts = [f32::NAN; TERM_COUNT];
-    let total = evaluate(&RewardConfig::default(), &input, 0.02, &mut parts);
+    let total = evaluate(&RewardConfig::default(), &input, 0.02, 1.0, &mut parts);
     // Paper: 1.0·0.697676 + 0.5·1 + 1.0·1 − 1e-3·8 = 2.189676; times 0.02 = 0.0437935. Trunk contact: weight 0.
     assert!((total - 0.043_793_5).abs() < 1e-7, "{total}");
     assert_eq!(total, parts.iter().sum::<f32>());
@@ -237,7 +239,7 @@ fn the_reward_is_the_weighted_sum_times_dt() {
     assert!((part("tracking_lin_vel") - 0.013_953_5).abs() < 1e-7);
     assert!((part("power") + 0.000_16).abs() < 1e-9);
     assert_eq!(part("trunk_contact"), 0.0);
-    let _ = evaluate(&RewardConfig::matched(), &input, 0.02, &mut parts);
+    let _ = evaluate(&RewardConfig::matched(), &input, 0.02, 1.0, &mut parts);
     let part = |name: &str| parts[TERMS.iter().position(|t| t.name == name).unwrap()];
     // Matched: exp(−0.09/0.05) = 0.165299 · 0.02; trunk contact −1·1·0.02.
     assert!((part("tracking_lin_vel") - 0.003_305_98).abs() < 1e-7);
@@ -286,4 +288,91 @@ fn a_wrong_sign_or_scale_is_refused_by_name() {
             .to_string()
             .contains("reward.phase_sigma")
     );
+}
+
+#[test]
+fn in_water_legs_fold_instead_of_stepping() {
+    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 8·0.5² = 2; exp(−2/3) = 0.513417.
+    let fold = [0.6; ACT_DIM];
+    let input = RewardInput {
+        medium: 1.0,
+        swimming_rad: &fold,
+        ..rest()
+    };
+    check(terms::leg_fold, &input, 0.513_417);
+    check(terms::phase, &input, 0.0);
+    let on_land = RewardInput {
+        medium: 0.0,
+        ..input
+    };
+    check(terms::leg_fold, &on_land, 0.0);
+    check(terms::phase, &on_land, 1.0);
+}
+
+#[test]
+fn costs_grow_over_the_run_and_rewards_do_not() {
+    let config = RewardConfig {
+        costs_at_start: 0.2,
+        costs_full_after_env_steps: 1000,
+        ..RewardConfig::matched()
+    };
+    // Halfway: 0.2 + 0.8·0.5.
+    let scales = [0, 500, 1000, 5000].map(|steps| config.cost_scale(steps));
+    for (found, expected) in scales.iter().zip([0.2, 0.6, 1.0, 1.0]) {
+        assert!((found - expected).abs() < 1e-6, "{scales:?}");
+    }
+    assert_eq!(RewardConfig::default().cost_scale(0), 1.0);
+    // 10 W cost 0.02·3e-3·10 = 6e-4, at 0.2 of the costs 1.2e-4; tracking pays 0.02 either way.
+    let input = RewardInput {
+        mech_power_w: &with(3, 10.0),
+        ..rest()
+    };
+    let at = |name: &str| TERMS.iter().position(|t| t.name == name).unwrap();
+    for (scale, power) in [(1.0, -6e-4), (0.2, -1.2e-4)] {
+        let mut parts = [0.0; TERM_COUNT];
+        let _ = evaluate(&config, &input, 0.02, scale, &mut parts);
+        assert!((parts[at("power")] - power).abs() < 1e-8);
+        assert!((parts[at("tracking_lin_vel")] - 0.02).abs() < 1e-8);
+    }
+}
+
+#[test]
+fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
+    let config = RewardConfig {
+        wave_amplitude_rad: [0.2, 0.2],
+        wave_lag_rad: PI / 2.0,
+        wave_sigma: 0.3,
+        ..RewardConfig::default()
+    };
+    // Clock at a quarter, 0.15 m/s commanded, half of the height: sin(π/2 − i·π/2)·0.1 = 0.1, 0, −0.1, 0, 0.1, 0, −0.1, 0.
+    let wave: [f32; ACT_DIM] = std::array::from_fn(|i| match i {
+        0 | 4 => 0.1,
+        2 | 6 => -0.1,
+        _ => 0.0,
+    });
+    let input = RewardInput {
+        medium: 1.0,
+        command: [0.15, 0.0, 0.0],
+        phase_rad: [PI / 2.0; FEET],
+        joint_pos_rad: &wave,
+        ..rest()
+    };
+    assert!((terms::body_wave(&config, &input) - 1.0).abs() < 1e-5);
+    // A straight body: 4·0.1² = 0.04; exp(−0.04/0.3) = 0.875173.
+    let straight = RewardInput {
+        joint_pos_rad: &ZEROS,
+        ..input
+    };
+    assert!((terms::body_wave(&config, &straight) - 0.875_173).abs() < 1e-5);
+    // Standing asks for a straight body; on land it pays nothing.
+    let standing = RewardInput {
+        standing: true,
+        ..straight
+    };
+    assert_eq!(terms::body_wave(&config, &standing), 1.0);
+    let on_land = RewardInput {
+        medium: 0.0,
+        ..input
+    };
+    assert_eq!(terms::body_wave(&config, &on_land), 0.0);
 }

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
-use caudata_sim::{Engine, EngineConfig, InitialState, LaneParams, SimError, State};
+use caudata_sim::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 use caudata_task::{ACT_DIM, TaskConfig};
 use serde::{Deserialize, Serialize};
 
@@ -56,6 +56,7 @@ pub enum Breakdown {
 pub struct FakeEngine {
     model: Arc<RobotModel>,
     config: EngineConfig,
+    terrain: Terrain,
     state: State,
     params: Vec<LaneParams>,
     steps: Vec<u32>,
@@ -71,6 +72,7 @@ impl FakeEngine {
         let state = State::zeros(lanes, model.joints().len(), ACT_DIM, model.feet().len());
         let nominal = LaneParams::nominal(&model);
         Self {
+            terrain: Terrain::flat(),
             state,
             params: vec![nominal; lanes],
             steps: vec![0; lanes],
@@ -104,6 +106,10 @@ impl FakeEngine {
 }
 
 impl Engine for FakeEngine {
+    fn terrain(&self) -> &Terrain {
+        &self.terrain
+    }
+
     fn lanes(&self) -> usize {
         self.params.len()
     }

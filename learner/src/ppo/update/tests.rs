@@ -76,8 +76,14 @@ fn scaling() -> Scaling {
 }
 
 fn update(ppo: &mut Ppo, batch: &Batch, version: u64) -> UpdateStats {
-    ppo.update(batch, &scaling(), version, &mut stream(Purpose::Minibatch))
-        .unwrap()
+    ppo.update(
+        batch,
+        &scaling(),
+        version,
+        &mut stream(Purpose::Minibatch),
+        false,
+    )
+    .unwrap()
 }
 
 #[test]
@@ -207,7 +213,27 @@ fn a_batch_of_another_size_is_refused() {
     let mut wrong = batch(2, 2);
     wrong.obs_dim = 3;
     let error = ppo(|_| {}, 1)
-        .update(&wrong, &scaling(), 0, &mut stream(Purpose::Minibatch))
+        .update(
+            &wrong,
+            &scaling(),
+            0,
+            &mut stream(Purpose::Minibatch),
+            false,
+        )
         .unwrap_err();
     assert!(error.to_string().contains("3 observations"), "{error}");
+}
+
+#[test]
+fn a_critic_alone_learns_while_the_policy_and_its_rate_stay() {
+    let batch = batch(8, 8);
+    let mut ppo = ppo(|_| {}, 1);
+    let (before, rate) = (ppo.net().to_vec().unwrap(), ppo.learning_rate());
+    let order = &mut stream(Purpose::Minibatch);
+    ppo.update(&batch, &scaling(), 0, order, true).unwrap();
+    let after = ppo.net().to_vec().unwrap();
+    let policy = ppo.net().policy_len();
+    assert_eq!(before[..policy], after[..policy]);
+    assert_ne!(before[policy..], after[policy..]);
+    assert_eq!(ppo.learning_rate(), rate);
 }

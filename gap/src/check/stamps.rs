@@ -1,0 +1,151 @@
+//! Time itself: rate, gaps, bunched rows.
+
+use caudata_runlog::Signal;
+
+use super::joints::Channels;
+use super::{Finding, Run, Severity};
+use crate::check::series::median_step_s;
+
+/// The median rate may be off the one that `log.toml` claims by this share; a loop never keeps its rate exactly.
+const RATE_TOLERANCE: f64 = 0.2;
+/// A step longer than so many median steps, and than [`GAP_S`], is a gap.
+const GAP_STEPS: f64 = 10.0;
+/// See [`GAP_STEPS`], s.
+const GAP_S: f64 = 0.2;
+/// Steps shorter than this share of the median are bunched rows: stamps taken from a buffer, not when the sample was.
+const BUNCHED: f64 = 0.2;
+/// So large a share of bunched rows is said.
+const BUNCHED_SHARE: f64 = 0.02;
+
+/// Time over which a speed is taken beside a gap, s.
+const BESIDE_S: f64 = 0.05;
+/// A gap says whether rows are missing only where the motion would have gone so far in it, rad.
+const TELLING_RAD: f64 = 0.03;
+
+pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    let time_s = run.log.table.time_s();
+    let median = median_step_s(time_s);
+    if median <= 0.0 {
+        return;
+    }
+    let claimed = run.log.meta.rate_hz;
+    let ratio = 1.0 / (median * claimed);
+    if (ratio - 1.0).abs() > RATE_TOLERANCE {
+        let hint = match ratio {
+            r if (0.000_9..0.001_1).contains(&r) => "; is `t` in milliseconds?",
+            r if (9e-7..1.1e-6).contains(&r) => "; is `t` in microseconds?",
+            _ => "; correct `t` or `rate_hz`",
+        };
+        out.push(Finding {
+            kind: if hint.contains("seconds?") {
+                "unit"
+            } else {
+                "stamps"
+            },
+            at: "t".to_owned(),
+            detail: format!(
+                "rows come at {:.4} Hz where log.toml says {claimed:.4} Hz{hint}",
+                1.0 / median
+            ),
+            severity: Severity::Fatal,
+        });
+    }
+    let steps = || time_s.windows(2).map(|w| (w[0], w[1] - w[0]));
+    let is_gap = |step: f64| step > GAP_STEPS * median && step > GAP_S;
+    let gaps: Vec<(f64, f64)> = steps().filter(|&(_, step)| is_gap(step)).collect();
+    if let Some(&(at, step)) = gaps.iter().max_by(|a, b| a.1.total_cmp(&b.1)) {
+        if let Some((at, step, channels)) = gaps.iter().find_map(|&(at, step)| {
+            let channels = clock_jumped(run, joints, at, step);
+            (channels > 0).then_some((at, step, channels))
+        }) {
+            out.push(Finding {
+                kind: "stamps",
+                at: "t".to_owned(),
+                detail: format!(
+                    "jump ahead by {step:.2} s after t = {at:.2} s while {channels} channel(s) go on as if {:.0} ms had passed: the clock was set, no row is missing",
+                    1e3 * median
+                ),
+                severity: Severity::Fatal,
+            });
+            return;
+        }
+        let lost: f64 = gaps.iter().map(|g| g.1).sum();
+        let share = lost / (time_s[time_s.len() - 1] - time_s[0]);
+        out.push(Finding {
+            kind: "gap",
+            at: "t".to_owned(),
+            detail: format!(
+                "{} gap(s), the longest of {step:.2} s after t = {at:.2} s ({:.0} % of the run is missing)",
+                gaps.len(),
+                100.0 * share
+            ),
+            severity: if share > 0.5 { Severity::Fatal } else { Severity::Note },
+        });
+    }
+    let bunched = steps().filter(|&(_, step)| step < BUNCHED * median).count();
+    if bunched as f64 > BUNCHED_SHARE * time_s.len() as f64 {
+        out.push(Finding {
+            kind: "stamps",
+            at: "t".to_owned(),
+            detail: format!(
+                "{bunched} of {} rows come less than {:.2} ms after the one before (median {:.2} ms): stamp rows when they are sampled, not when they are written",
+                time_s.len(),
+                1e3 * BUNCHED * median,
+                1e3 * median
+            ),
+            severity: Severity::Fatal,
+        });
+    }
+}
+
+/// How many channels go on across the gap of `step_s` after `at_s` as if no time had passed; 0 where any shows that time did pass.
+fn clock_jumped(run: &Run<'_>, joints: &[Channels], at_s: f64, step_s: f64) -> usize {
+    let table = &run.log.table;
+    let signals = joints.iter().flat_map(|j| {
+        [
+            Signal::Command(j.name.clone()),
+            Signal::Position(j.name.clone()),
+        ]
+    });
+    let mut jumped = 0;
+    for signal in signals {
+        let Some(column) = table.column(&signal) else {
+            continue;
+        };
+        let known = || {
+            table
+                .time_s()
+                .iter()
+                .zip(column)
+                .filter_map(|(&t, x)| Some((t, (*x)?)))
+        };
+        let before: Vec<(f64, f64)> = known()
+            .filter(|(t, _)| (at_s - BESIDE_S..=at_s).contains(t))
+            .collect();
+        let end_s = at_s + step_s;
+        let after: Vec<(f64, f64)> = known()
+            .filter(|(t, _)| (end_s..=end_s + BESIDE_S).contains(t))
+            .collect();
+        let (Some(v0), Some(v1)) = (speed(&before), speed(&after)) else {
+            continue;
+        };
+        // a steady motion on both sides, far enough to tell
+        let mean = 0.5 * (v0 + v1);
+        if (v0 - v1).abs() > 0.5 * mean.abs() || mean.abs() * step_s < TELLING_RAD {
+            continue;
+        }
+        let share = (after[0].1 - before[before.len() - 1].1) / (mean * step_s);
+        if share < 0.3 {
+            jumped += 1;
+        } else {
+            return 0;
+        }
+    }
+    jumped
+}
+
+/// Mean speed from the first to the last of some samples.
+fn speed(samples: &[(f64, f64)]) -> Option<f64> {
+    let (first, last) = (samples.first()?, samples.last()?);
+    (samples.len() >= 3).then(|| (last.1 - first.1) / (last.0 - first.0))
+}
