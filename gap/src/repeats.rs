@@ -72,11 +72,8 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
             }
         }
     }
-    let average = |f: &dyn Fn(&Trial) -> Option<f64>| -> Option<f64> {
-        let all: Vec<f64> = members.iter().filter_map(f).collect();
-        (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
-    };
-    trial.supply_v = average(&|t| t.supply_v);
+    let volts: Vec<f64> = members.iter().filter_map(|t| t.supply_v).collect();
+    trial.supply_v = (!volts.is_empty()).then(|| volts.iter().sum::<f64>() / volts.len() as f64);
     trial.session = members.iter().map(|t| t.session).sum::<f64>() / n;
     // only what all members lack is missing
     trial.masked_s = Vec::new();

@@ -203,7 +203,7 @@ fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
             sum += (data.value[k] - f64::from(x[k])).powi(2);
             n += 1.0;
         }
-        (sum / n as f64).sqrt()
+        f64::sqrt(sum / n)
     };
     let reported = d.report.gain["pos"].after;
     assert!(

@@ -147,6 +147,6 @@ mod tests {
     #[test]
     fn dot_adds_everything() {
         let x: Vec<f32> = (0..19).map(|k| k as f32).collect();
-        assert_eq!(dot(&x, &vec![2.0; 19]), 342.0);
+        assert_eq!(dot(&x, &[2.0; 19]), 342.0);
     }
 }

@@ -15,6 +15,8 @@ use crate::error::GapError;
 use crate::replay::{Data, Replayer, SegmentOptions, Term, Variant};
 use crate::trial::Kind;
 
+/// Mean square error of one channel in one run, in squared noises, that counts at most.
+const MOST_MISFIT: f64 = 80.0;
 /// Dry and viscous friction may differ by this share from run to run.
 const FRICTION_TOLERANCE: f64 = 0.07;
 /// Before friction slides, its law is a matter of taste: the way to it by this share.
@@ -99,8 +101,33 @@ impl Judge {
             noise,
             trials: Vec::new(),
         };
+        judge.cap(replayer)?;
         judge.set_base(replayer, &[])?;
         Ok(judge)
+    }
+
+    /// Raises the noise of channels in which the robot as given is hopelessly far off, so that no single one of them rules the fit.
+    fn cap(&mut self, replayer: &Replayer) -> Result<(), GapError> {
+        let base = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
+        for piece in self.data.segments.iter().flat_map(|s| &s.pieces) {
+            let square: f64 = piece
+                .range
+                .clone()
+                .map(|k| {
+                    let r =
+                        (self.data.value[k] - f64::from(base[k])) / f64::from(self.noise.sigma[k]);
+                    if r.is_finite() { r * r } else { 0.0 }
+                })
+                .sum();
+            let misfit = square / piece.range.len().max(1) as f64;
+            if misfit > MOST_MISFIT {
+                let factor = (misfit / MOST_MISFIT).sqrt() as f32;
+                for k in piece.range.clone() {
+                    self.noise.sigma[k] *= factor;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Takes the nuisances' traces anew, around `base`.

@@ -16,6 +16,8 @@ const MARGIN: f64 = 0.06;
 const MARGIN_OF_REST: f64 = 0.25;
 /// … and this many floors.
 const MARGIN_FLOORS: f64 = 0.1;
+/// A further cause with less than this probability of its name is none.
+const UNNAMED: f64 = 0.15;
 /// Temperature of the probabilities, as a share of the margin.
 const TEMPERATURE: f64 = 0.6;
 
@@ -68,9 +70,27 @@ pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError
             found.best = simpler.state.clone();
             named = rivals_of(context, found, index)?;
         }
+        // a further cause whose name nobody can tell is a leftover, not a cause
+        let own = named.probability + same_name(found, &named);
+        if own < UNNAMED && found.best.terms.len() > 1 {
+            let without = named.without.clone();
+            found.best = without;
+            return name(context, found);
+        }
         out.push(named);
     }
     Ok(out)
+}
+
+/// Probability of the same effect at other places.
+fn same_name(found: &Found, named: &Named) -> f64 {
+    let effect = found.best.terms[named.index].effect;
+    named
+        .rivals
+        .iter()
+        .filter(|r| r.state.terms[r.index].effect == effect)
+        .map(|r| r.probability)
+        .sum()
 }
 
 /// Everything that could stand in the place of term `index` of the best model, fitted.
@@ -111,7 +131,7 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
     }
     Ok(Named {
         index,
-        worth: gates::worth(context, &without, best),
+        worth: gates::worth(context, &without, best, Some(&best.terms[index].place)),
         without,
         probability: weight(0.0) / total,
         rivals,

@@ -10,16 +10,17 @@ use crate::trial::{Channel, Kind, Trial};
 /// Share of a signal's own size that no simulation is expected to hit. Speeds come from a servo's own estimator, currents from its driver.
 fn relative(kind: Kind) -> f64 {
     match kind {
-        Kind::Velocity => 0.03,
+        Kind::Velocity | Kind::Gyro => 0.03,
+        Kind::Acceleration => 0.1,
         Kind::Current | Kind::Torque => 0.02,
         _ => 0.01,
     }
 }
 
 /// Repeats that differ this many times more than usual in a block have been disturbed.
-const DISTURBED: f64 = 6.0;
+const DISTURBED: f64 = 10.0;
 /// Repeats are not expected to agree better than this, rad.
-const LEAST_RAD: f64 = 0.002;
+const LEAST_RAD: f64 = 0.004;
 
 /// Noise of a set of runs.
 #[derive(Debug, Clone, Default)]
@@ -172,8 +173,8 @@ fn smallest(kind: Kind) -> f64 {
         Kind::Current => 0.005,
         Kind::Torque => 0.005,
         Kind::Voltage => 0.05,
-        Kind::Gyro => 0.02,
-        Kind::Acceleration => 0.3,
+        Kind::Gyro => 0.05,
+        Kind::Acceleration => 0.5,
         Kind::Gravity | Kind::BaseAttitude => 0.003,
         Kind::BasePosition | Kind::Foot => 1e-3,
         Kind::BaseVelocity => 0.01,

@@ -204,9 +204,9 @@ fn hypotheses(context: &Context, found: &Found, named: &[Named]) -> Vec<Hypothes
               accepted: bool,
               in_set: bool| {
         let term = &state.terms[index];
-        let worth = gates::worth(context, from, state);
-        let excess_fit = from.fit.misfit.max(1e-9);
-        let excess = from.holdout.misfit.max(1e-9);
+        let worth = gates::worth(context, from, state, Some(&term.place));
+        let excess_fit = gates::part(&context.fit, &from.fit, Some(&term.place)).max(1e-9);
+        let excess = worth.of.max(1e-9);
         Hypothesis {
             effect: term.effect.id.to_owned(),
             location: term.place.names.clone(),

@@ -22,12 +22,9 @@ const FITTED_LATER: usize = 8;
 const PLACES: usize = 2;
 /// A candidate whose misfit is so many times that of the best is given up.
 const BEHIND: f64 = 1.5;
-/// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has.
+/// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has
+/// (unless the misfit is still far from the floor).
 const OF_ALL: f64 = 0.035;
-/// … unless the misfit is still this far from the floor, and it takes away such a share of what is left.
-const FAR: f64 = 6.0;
-/// See [`FAR`].
-const OF_REST: f64 = 0.06;
 /// Misfit below which the search ends: the floor itself is not known better.
 const FLOOR: f64 = 1.15;
 /// What an additional parameter must earn: share of the misfit.
@@ -83,7 +80,8 @@ pub fn search(
             let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
             progress(Progress::new(Stage::Fitting, depth, &parent.label()));
             for child in expand(context, parent, &chosen, &mut seen)? {
-                let worth = gates::worth(context, parent, &child);
+                let place = child.terms.last().map(|t| &t.place);
+                let worth = gates::worth(context, parent, &child, place);
                 children.push((child, worth, number));
             }
             if depth == 1 {
@@ -98,7 +96,7 @@ pub fn search(
             .iter()
             .filter(|(s, w, _)| {
                 w.passed
-                    && enough(w, &base, &beam)
+                    && enough(context, w, &base, s)
                     && s.terms.last().is_some_and(|t| gates::matters(context, t))
             })
             .map(|(s, _, _)| s.clone())
@@ -156,10 +154,10 @@ pub fn search(
 }
 
 /// Whether a further effect explains enough to be one.
-fn enough(worth: &Worth, base: &State, beam: &[State]) -> bool {
-    let parent = beam.first().map_or(0.0, |p| p.holdout.misfit);
-    worth.holdout > OF_ALL * base.holdout.misfit
-        || (parent > FAR && worth.holdout > OF_REST * parent)
+fn enough(context: &Context, worth: &Worth, base: &State, child: &State) -> bool {
+    let place = child.terms.last().map(|t| &t.place);
+    let all = gates::part(&context.holdout, &base.holdout, place);
+    worth.holdout > OF_ALL * all || worth.of > gates::FAR
 }
 
 /// Takes the tolerances around `terms`, and judges `states` by them.
@@ -284,9 +282,10 @@ fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
         // the one that is missed least
         let least = without
             .into_iter()
-            .min_by(|a, b| penalised(a).total_cmp(&penalised(b)));
-        let Some(shorter) = least else { break };
-        let worth = gates::worth(context, &shorter, &state);
+            .enumerate()
+            .min_by(|a, b| penalised(&a.1).total_cmp(&penalised(&b.1)));
+        let Some((index, shorter)) = least else { break };
+        let worth = gates::worth(context, &shorter, &state, Some(&state.terms[index].place));
         if worth.passed && penalised(&shorter) > penalised(&state) {
             break;
         }

@@ -189,7 +189,8 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread) -> Cau
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters: parameters(context, best, named.index, spread),
-        confidence: same_name.clamp(0.0, 1.0),
+        // nobody is surer than the benchmark's own error rate
+        confidence: same_name.clamp(0.03, 0.97),
         alternatives,
         evidence: evidence(context, term, named),
         rejected,
@@ -208,9 +209,9 @@ fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
     let mut lines = vec![
         format!(
             "takes {:.0} % off the misfit of held-out runs ({:.2} to {:.2} in units of the floor; 95 % interval of the fall {:.2} to {:.2})",
-            100.0 * w.holdout / named.without.holdout.misfit.max(1e-9),
-            named.without.holdout.misfit,
-            named.without.holdout.misfit - w.holdout,
+            100.0 * w.holdout / w.of.max(1e-9),
+            w.of,
+            w.of - w.holdout,
             w.interval.0,
             w.interval.1
         ),

@@ -120,8 +120,8 @@ pub static PAYLOAD: Effect = Effect {
     domain: Domain::Robot,
     parameters: &[
         parameter("mass_kg", "kg", 0.0, (0.0, 5.0), 0.02, One),
-        parameter("x_m", "m", 0.0, (-0.5, 0.5), 0.02, One),
-        parameter("z_m", "m", 0.0, (-0.5, 0.5), 0.02, One),
+        parameter("x_m", "m", 0.0, (-0.25, 0.25), 0.02, One),
+        parameter("z_m", "m", 0.0, (-0.25, 0.25), 0.02, One),
     ],
     grid: &[
         &[0.1, 0.0, 0.0],
@@ -139,7 +139,9 @@ pub static PAYLOAD: Effect = Effect {
     },
     shows_in: JOINT_SIGNALS,
     look_alikes: &["link_mass", "link_com", "buoyancy"],
-    unseen: |_, _| None,
+    unseen: |e, _| {
+        (!e.on_ground && !e.in_water).then_some("a held trunk does not show what it carries")
+    },
     trial: "stand_heights",
     signature: "weight on the trunk: every leg carries more",
 };
