@@ -129,6 +129,12 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
     if let Some(pos) = &c.pos {
         let half = (grid.points(0.06) / 2).max(1);
         let speed = slope(&smooth(pos, 2 * half), half, step_s);
+        // one count of an encoder in 0.25 s is 6 mrad/s: rest is told from slow motion
+        let calm = slope(
+            &smooth(pos, grid.points(0.25)),
+            (grid.points(0.25) / 2).max(1),
+            step_s,
+        );
         let known = || pos.iter().copied().filter(|x| x.is_finite());
         out.range_rad = [
             known().fold(f64::INFINITY, f64::min),
@@ -144,9 +150,10 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
         out.speed_max_radps = size().fold(0.0, f64::max);
         let count = size().count().max(1) as f64;
         out.speed_rms_radps = (size().map(|v| v * v).sum::<f64>() / count).sqrt();
-        out.slow_s = time(REST_RADPS, SLOW_RADPS);
+        let slow = |v: &&f64| (REST_RADPS..SLOW_RADPS).contains(&v.abs());
+        out.slow_s = calm.iter().filter(slow).count() as f64 * step_s;
         out.fast_s = time(FAST_RADPS, f64::INFINITY);
-        holds(pos, &speed, grid.points(HOLD_S), step_s, &mut out);
+        holds(pos, &calm, grid.points(HOLD_S), step_s, &mut out);
         if c.cmd.is_none() {
             reversals(&smooth(pos, 2 * half), &mut out);
         }

@@ -15,7 +15,7 @@ const TIMES: f64 = 8.0;
 /// And from so large a share of the servo's greatest torque, as the error would ask for.
 const TORQUE_SHARE: f64 = 0.14;
 /// And from so large a share of how far the joint moves about that time: where it moves most, repeats differ most.
-const MOTION_SHARE: f64 = 0.05;
+const MOTION_SHARE: f64 = 0.2;
 /// "About that time", s.
 const NEARBY_S: f64 = 1.0;
 /// It lasts at least, s.

@@ -243,6 +243,11 @@ fn fits(recipe: &Recipe, robot: &RobotModel, joint: Option<&str>) -> bool {
     }
 }
 
+/// Motions take at most this share of the greatest torque (root mean square); poses have their own, [`HOLD_SHARE`].
+const MOTION_SHARE: f64 = 0.28;
+/// How often a motion is halved to get there.
+const MOST_HALVINGS: i32 = 5;
+
 struct Maker<'a> {
     robot: &'a RobotModel,
     joint: Option<&'a str>,
@@ -330,14 +335,26 @@ impl<'a> Maker<'a> {
                 let alone = self.joint.is_some();
                 let sign = if a % 2 == 0 || alone { 1.0 } else { -1.0 };
                 let pace = if alone { 1.0 } else { 1.0 + 0.02 * a as f64 };
-                let mut wave = Wave::new(limits, self.rate_hz, sign, pace);
-                wave.hold(0.5 + if alone { 0.0 } else { 0.2 * (a % 4) as f64 });
-                if self.joint.is_none_or(|j| j == limits.name) {
-                    write(&mut wave);
-                    wave.go(limits.nominal_rad);
-                    wave.hold(0.5);
+                let written = |scale: f64| {
+                    let mut wave = Wave::new(limits, self.rate_hz, sign, pace);
+                    wave.scale = scale;
+                    wave.hold(0.5 + if alone { 0.0 } else { 0.2 * (a % 4) as f64 });
+                    if self.joint.is_none_or(|j| j == limits.name) {
+                        write(&mut wave);
+                        wave.go(limits.nominal_rad);
+                        wave.hold(0.5);
+                    }
+                    wave.finish()
+                };
+                // a joint that carries half the robot does less of it
+                let mut best = written(1.0);
+                for k in 1..=MOST_HALVINGS {
+                    if self.joint_effort(limits, &best.0) <= MOTION_SHARE {
+                        break;
+                    }
+                    best = written(0.5f64.powi(k));
                 }
-                wave.finish()
+                best
             })
             .collect();
         let n = columns.iter().map(|c| c.0.len()).max().unwrap_or(0);
@@ -366,30 +383,31 @@ impl<'a> Maker<'a> {
     /// Root mean square torque of the hardest joint, as a share of its greatest: each joint alone follows its command through its position
     /// loop, with its inertia in the nominal pose and gravity.
     fn effort(&self, rows: &[Vec<f64>]) -> f64 {
+        let of = |(a, l): (usize, &JointLimits)| {
+            let column: Vec<f64> = rows.iter().map(|row| row[a]).collect();
+            self.joint_effort(l, &column)
+        };
+        self.limits.iter().enumerate().map(of).fold(0.0, f64::max)
+    }
+
+    /// The same of one joint.
+    fn joint_effort(&self, l: &JointLimits, command_rad: &[f64]) -> f64 {
         /// Longest step, s: rotor inertia and gain swing at 10 to 20 Hz.
         const STEP_S: f64 = 1e-3;
         let substeps = (1.0 / (self.rate_hz * STEP_S)).ceil().max(1.0);
         let dt = 1.0 / (self.rate_hz * substeps);
-        let share = |(a, l): (usize, &JointLimits)| {
-            let (kp, kd) = (self.robot.kp_nm_per_rad(), self.robot.kd_nm_s_per_rad());
-            let kd = kd + self.robot.servo(a).kd_min_nm_s_per_rad;
-            let (mut q, mut v, mut sum) = (rows[0][a], 0.0, 0.0);
-            for row in rows {
-                for _ in 0..substeps as usize {
-                    // the damper is taken at the end of the step, so that no gain makes it unstable
-                    let push = (kp * (row[a] - q)).clamp(-l.tau_max_nm, l.tau_max_nm);
-                    v = (v + dt * (push - l.gravity_nm(q)) / l.inertia_kgm2)
-                        / (1.0 + dt * kd / l.inertia_kgm2);
-                    q += dt * v;
-                    sum += ((push - kd * v) / l.tau_max_nm).clamp(-1.0, 1.0).powi(2);
-                }
+        let (kp, kd) = (l.kp_nm_per_rad, l.kd_nm_s_per_rad);
+        let (mut q, mut v, mut sum) = (command_rad[0], 0.0, 0.0);
+        for u in command_rad {
+            for _ in 0..substeps as usize {
+                // the damper is taken at the end of the step, so that no gain makes it unstable
+                let push = (kp * (u - q)).clamp(-l.tau_max_nm, l.tau_max_nm);
+                v = (v + dt * (push - l.gravity_nm(q)) / l.inertia_kgm2)
+                    / (1.0 + dt * kd / l.inertia_kgm2);
+                q += dt * v;
+                sum += ((push - kd * v) / l.tau_max_nm).clamp(-1.0, 1.0).powi(2);
             }
-            (sum / (rows.len() as f64 * substeps)).sqrt()
-        };
-        self.limits
-            .iter()
-            .enumerate()
-            .map(share)
-            .fold(0.0, f64::max)
+        }
+        (sum / (command_rad.len() as f64 * substeps)).sqrt()
     }
 }

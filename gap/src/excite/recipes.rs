@@ -76,7 +76,7 @@ fn triangles(w: &mut Wave<'_>, speed_radps: f64, size_rad: f64, cycles: f64) {
 }
 
 fn steps(w: &mut Wave<'_>, centre_rad: f64, size_rad: f64, s: f64) {
-    let size = size_rad.min(w.room(centre_rad));
+    let size = (w.scale * size_rad).min(w.room(centre_rad));
     w.go(centre_rad);
     w.hold(0.5);
     for x in [1.0, 0.0, -1.0, 0.0, 1.0, -1.0, 0.0] {
@@ -119,8 +119,8 @@ pub(super) const RECIPES: &[Recipe] = &[
     })),
     joint("staircase", "climb and descend in steps of 40 mrad", &["controller_dead_band", "kp_error", "coulomb_friction", "encoder_gain"], |w| {
         let start = w.place(-0.4); w.go(start);
-        let sign = w.sign;
-        for k in [1.0, -1.0] { for _ in 0..10 { let next = w.now() + sign * k * 0.04; w.step(next, 0.4); } }
+        let (sign, step) = (w.sign, 0.04 * w.scale);
+        for k in [1.0, -1.0] { for _ in 0..10 { let next = w.now() + sign * k * step; w.step(next, 0.4); } }
     }),
     // frequency
     joint("chirp_small", "50 mrad, 0.5 to 10 Hz: within what the servo follows", &["command_delay", "command_low_pass", "servo_loop_delay", "measurement_delay", "armature", "gear_compliance"], |w| { let c = w.place(0.0); w.chirp(c, 0.05, 0.5, 10.0, 12.0); }),

@@ -12,6 +12,8 @@ pub struct Wave<'a> {
     pub sign: f64,
     /// About 1, different for each joint: factor on frequencies and speeds, for the same reason.
     pub pace: f64,
+    /// Factor on sizes and speeds of motions, 0 to 1: less than 1 where a joint is too heavy for the whole of it.
+    pub scale: f64,
     rate_hz: f64,
     rad: Vec<f64>,
     on: Vec<bool>,
@@ -26,6 +28,7 @@ impl<'a> Wave<'a> {
             limits,
             sign,
             pace,
+            scale: 1.0,
             rate_hz,
             rad: vec![limits.nominal_rad],
             on: vec![true],
@@ -114,10 +117,10 @@ impl<'a> Wave<'a> {
     /// Goes to and fro about `centre_rad` at a constant speed (of the joint's pace), slower where the joint is too heavy to turn round in a
     /// third of the way.
     pub fn triangle(&mut self, centre_rad: f64, size_rad: f64, speed_radps: f64, cycles: f64) {
-        let size = size_rad.min(self.room(centre_rad));
+        let size = (self.scale * size_rad).min(self.room(centre_rad));
         // turning round from −v to v takes 2v/a; the way there and back 2·size/v
         let turn = (0.3 * size * self.limits.acceleration_radps2).sqrt();
-        let speed = (speed_radps * self.pace)
+        let speed = (speed_radps * self.pace * self.scale)
             .min(self.limits.speed_radps)
             .min(turn)
             .max(1e-3);
@@ -133,7 +136,7 @@ impl<'a> Wave<'a> {
 
     /// A sine whose frequency grows from `low_hz` to `high_hz` in `s` seconds; its size falls where speed or torque would be too much.
     pub fn chirp(&mut self, centre_rad: f64, size_rad: f64, low_hz: f64, high_hz: f64, s: f64) {
-        let size = size_rad.min(self.room(centre_rad));
+        let size = (self.scale * size_rad).min(self.room(centre_rad));
         self.go(centre_rad);
         let n = self.rows(s);
         let mut phase = 0.0;
@@ -151,7 +154,7 @@ impl<'a> Wave<'a> {
         let hz = hz * self.pace;
         let size = self
             .limits
-            .sine_rad(size_rad.min(self.room(centre_rad)), hz);
+            .sine_rad((self.scale * size_rad).min(self.room(centre_rad)), hz);
         self.go(centre_rad);
         let periods = (s * hz).round().max(1.0);
         let n = self.rows(periods / hz);
@@ -166,7 +169,7 @@ impl<'a> Wave<'a> {
     pub fn prbs(&mut self, centre_rad: f64, size_rad: f64, bit_s: f64, bits: usize) {
         let size = self
             .limits
-            .jump_rad(size_rad.min(self.room(centre_rad)), bit_s);
+            .jump_rad((self.scale * size_rad).min(self.room(centre_rad)), bit_s);
         self.go(centre_rad);
         // a start of its own for each joint: sequences that are shifted against each other hardly go together
         let mut register: u8 = 1 + (self.limits.index as u8).wrapping_mul(37) % 126;
