@@ -68,7 +68,13 @@ pub fn stiff_salamander() -> Result<(String, String, Arc<RobotModel>), GenerateE
     let mjcf = include_str!("../../../robots/polymander.xml").to_owned();
     let toml: String = nominal
         .lines()
-        .map(|line| if line.starts_with("half_width_rad") { "half_width_rad = 0.0" } else { line })
+        .map(|line| {
+            if line.starts_with("half_width_rad") {
+                "half_width_rad = 0.0"
+            } else {
+                line
+            }
+        })
         .map(|line| format!("{line}\n"))
         .collect();
     let model = RobotModel::from_bytes("polymander", toml.as_bytes(), mjcf.as_bytes())
@@ -106,14 +112,25 @@ fn scripts(model: &RobotModel, seconds: f64, tempo: f64) -> Vec<Script> {
         for (leg, shift) in [("FL", 0.0), ("HR", 0.0), ("FR", 0.5), ("HL", 0.5)] {
             let p = phase + turn * shift;
             add(row, &format!("{leg}_hip"), 0.35 * soft(t) * p.sin());
-            add(row, &format!("{leg}_knee"), -0.45 * soft(t) * p.cos().max(0.0));
+            add(
+                row,
+                &format!("{leg}_knee"),
+                -0.45 * soft(t) * p.cos().max(0.0),
+            );
         }
         for i in 1..=4 {
-            add(row, &format!("spine_{i}"), 0.12 * soft(t) * (phase + 0.6 * f64::from(i)).sin());
+            add(
+                row,
+                &format!("spine_{i}"),
+                0.12 * soft(t) * (phase + 0.6 * f64::from(i)).sin(),
+            );
         }
     });
     let rock = rows(&|t, row| {
-        let (roll, pitch) = (0.22 * soft(t) * (turn * 0.5 * tempo * t).sin(), 0.18 * soft(t) * (turn * 0.31 * tempo * t).sin());
+        let (roll, pitch) = (
+            0.22 * soft(t) * (turn * 0.5 * tempo * t).sin(),
+            0.18 * soft(t) * (turn * 0.31 * tempo * t).sin(),
+        );
         for leg in ["FL", "FR", "HL", "HR"] {
             let side = if leg.ends_with('L') { 1.0 } else { -1.0 };
             let end = if leg.starts_with('F') { 1.0 } else { -1.0 };
@@ -123,7 +140,11 @@ fn scripts(model: &RobotModel, seconds: f64, tempo: f64) -> Vec<Script> {
     let lift = rows(&|t, row| {
         let leg = ["FL", "HR", "FR", "HL"][(t / (1.5 / tempo)) as usize % 4];
         let x = (t / (1.5 / tempo)).fract();
-        add(row, &format!("{leg}_knee"), -0.7 * (std::f64::consts::PI * x).sin().powi(2));
+        add(
+            row,
+            &format!("{leg}_knee"),
+            -0.7 * (std::f64::consts::PI * x).sin().powi(2),
+        );
     });
     vec![("walk", walk), ("rock", rock), ("lift", lift)]
 }
@@ -133,7 +154,10 @@ fn lane_of(model: &RobotModel, hidden: OnGround) -> LaneParams {
     let rad = |deg: f64| deg.to_radians() as f32;
     match hidden {
         OnGround::Nothing => {}
-        OnGround::Play { hinge, half_width_deg } => lane.backlash_half_width_rad[hinge] = rad(half_width_deg),
+        OnGround::Play {
+            hinge,
+            half_width_deg,
+        } => lane.backlash_half_width_rad[hinge] = rad(half_width_deg),
         OnGround::Friction(factor) => lane.foot_friction *= factor as f32,
         OnGround::Payload(kg) => {
             lane.payload_kg = kg as f32;
@@ -156,9 +180,19 @@ fn lane_of(model: &RobotModel, hidden: OnGround) -> LaneParams {
 }
 
 fn truth(model: &RobotModel, hidden: OnGround) -> Vec<TrueEffect> {
-    let hinges: Vec<String> =
-        model.backlash().joints.iter().map(|&j| model.joints()[j].name.clone()).collect();
-    let one = |effect: &str, layer: &str, joint: &str, names: &[&str], unit: &str, value: f64, nominal: f64| TrueEffect {
+    let hinges: Vec<String> = model
+        .backlash()
+        .joints
+        .iter()
+        .map(|&j| model.joints()[j].name.clone())
+        .collect();
+    let one = |effect: &str,
+               layer: &str,
+               joint: &str,
+               names: &[&str],
+               unit: &str,
+               value: f64,
+               nominal: f64| TrueEffect {
         effect: effect.to_owned(),
         layer: layer.to_owned(),
         joint: joint.to_owned(),
@@ -172,24 +206,69 @@ fn truth(model: &RobotModel, hidden: OnGround) -> Vec<TrueEffect> {
             nominal,
         }],
     };
-    let play = |joint: &str, deg: f64| one("girdle_play", "structure", joint, &["half"], "rad", deg.to_radians(), 0.0);
+    let play = |joint: &str, deg: f64| {
+        one(
+            "girdle_play",
+            "structure",
+            joint,
+            &["half"],
+            "rad",
+            deg.to_radians(),
+            0.0,
+        )
+    };
     match hidden {
         OnGround::Nothing => Vec::new(),
-        OnGround::Play { hinge, half_width_deg } => vec![play(&hinges[hinge], half_width_deg)],
+        OnGround::Play {
+            hinge,
+            half_width_deg,
+        } => vec![play(&hinges[hinge], half_width_deg)],
         OnGround::Friction(f) => {
             let nominal = model.contact().foot_friction;
-            vec![one("contact_friction", "contact", "", &["scale", "friction"], "", f * nominal, nominal)]
+            vec![one(
+                "contact_friction",
+                "contact",
+                "",
+                &["scale", "friction"],
+                "",
+                f * nominal,
+                nominal,
+            )]
         }
         OnGround::Payload(kg) => vec![one("payload", "inertia", "", &["mass"], "kg", kg, 0.0)],
-        OnGround::Slope(deg) => vec![one("floor_slope", "inertia", "", &["pitch"], "rad", deg.to_radians(), 0.0)],
+        OnGround::Slope(deg) => vec![one(
+            "floor_slope",
+            "inertia",
+            "",
+            &["pitch"],
+            "rad",
+            deg.to_radians(),
+            0.0,
+        )],
         OnGround::Paper {
             half_width_deg,
             low_pass_s,
             torque,
         } => vec![
             play("", half_width_deg),
-            one("command_low_pass", "timing", "", &["time"], "s", low_pass_s, 0.0),
-            one("torque_limit", "actuation", "", &["limit", "scale"], "N·m", torque * model.servo(0).tau_max_nm, model.servo(0).tau_max_nm),
+            one(
+                "command_low_pass",
+                "timing",
+                "",
+                &["time"],
+                "s",
+                low_pass_s,
+                0.0,
+            ),
+            one(
+                "torque_limit",
+                "actuation",
+                "",
+                &["limit", "scale"],
+                "N·m",
+                torque * model.servo(0).tau_max_nm,
+                model.servo(0).tau_max_nm,
+            ),
         ],
     }
 }
@@ -213,7 +292,10 @@ pub fn make(plan: &GroundPlan, parent: &Path) -> Result<Answer, GenerateError> {
     let lane = lane_of(&model, plan.hidden);
     let fit = scripts(&model, 6.0, 1.0);
     let held_out = scripts(&model, 6.0, 1.25);
-    let all = fit.iter().map(|s| ("fit", s, plan.repeats)).chain(held_out.iter().map(|s| ("holdout", s, 2)));
+    let all = fit
+        .iter()
+        .map(|s| ("fit", s, plan.repeats))
+        .chain(held_out.iter().map(|s| ("holdout", s, 2)));
     for (i, (role, (name, rows), repeats)) in all.enumerate() {
         for r in 0..repeats {
             let index = 10 * i as u64 + r;
@@ -241,7 +323,11 @@ pub fn make(plan: &GroundPlan, parent: &Path) -> Result<Answer, GenerateError> {
     }
     Ok(Answer {
         case: plan.name.clone(),
-        block: if plan.hidden == OnGround::Nothing { Block::Null } else { Block::Ground },
+        block: if plan.hidden == OnGround::Nothing {
+            Block::Null
+        } else {
+            Block::Ground
+        },
         rig: "polymander".to_owned(),
         seed: plan.seed,
         target_d: 0.0,

@@ -165,7 +165,12 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 .chain(h.equivalent.1)
                 .map(|e| (*e).to_owned()),
         );
-        p.without.extend(WIDER.iter().filter(|(id, _)| *id == h.id).map(|(_, wider)| (*wider).to_owned()));
+        p.without.extend(
+            WIDER
+                .iter()
+                .filter(|(id, _)| *id == h.id)
+                .map(|(_, wider)| (*wider).to_owned()),
+        );
         plans.push(p);
     }
     for i in 0..counts.pairs {

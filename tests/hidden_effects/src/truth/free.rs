@@ -64,9 +64,18 @@ impl Ground {
             *f *= s.uniform(0.92, 1.08);
         }
         // offsets are of the device: the same in all runs
-        let mut device = Stream::new(Key { env: 0, actor: 12, ..key }, Purpose::Sensor);
+        let mut device = Stream::new(
+            Key {
+                env: 0,
+                actor: 12,
+                ..key
+            },
+            Purpose::Sensor,
+        );
         let imu = model.sensors().imu.as_ref();
-        let (gyro, acc) = imu.map_or((0.0, 0.0), |i| (0.1 * i.gyro_bias_std_radps, 0.1 * i.acc_bias_std_mps2));
+        let (gyro, acc) = imu.map_or((0.0, 0.0), |i| {
+            (0.1 * i.gyro_bias_std_radps, 0.1 * i.acc_bias_std_mps2)
+        });
         Self {
             lane,
             // what is left after a lab has subtracted the mean at rest
@@ -80,7 +89,12 @@ impl Ground {
 #[must_use]
 pub fn signals(model: &RobotModel, channels: Channels) -> Vec<Signal> {
     let names = model.actuated_names();
-    let each = |make: fn(String) -> Signal| names.iter().map(move |n| make((*n).to_owned())).collect::<Vec<_>>();
+    let each = |make: fn(String) -> Signal| {
+        names
+            .iter()
+            .map(move |n| make((*n).to_owned()))
+            .collect::<Vec<_>>()
+    };
     let mut all = each(Signal::Command);
     all.extend(each(Signal::Position));
     all.extend(each(Signal::Velocity));
@@ -117,7 +131,14 @@ pub fn run(
         substeps: STEPS_PER_ROW,
         ..EngineConfig::rapier()
     };
-    let mut engine = caudata_sim::build(Arc::clone(model), 1, &config, &TerrainConfig::default(), 1, 1)?;
+    let mut engine = caudata_sim::build(
+        Arc::clone(model),
+        1,
+        &config,
+        &TerrainConfig::default(),
+        1,
+        1,
+    )?;
     engine.set_params(0, &ground.lane)?;
     let narrow = |row: &[f64]| row.iter().map(|&x| x as f32).collect::<Vec<f32>>();
     let mut start = narrow(&rows_rad[0]);
@@ -138,8 +159,15 @@ pub fn run(
     let mut out = Vec::with_capacity(rows_rad.len());
     for (k, row) in rows_rad.iter().enumerate() {
         let t = k as f64 * period_s;
-        let stamp = if k == 0 { 0.0 } else { t + 0.00005 * stream.normal_f64() };
-        out.push((stamp, read(model, engine.state(), ground, row, t, channels, stream)));
+        let stamp = if k == 0 {
+            0.0
+        } else {
+            t + 0.00005 * stream.normal_f64()
+        };
+        out.push((
+            stamp,
+            read(model, engine.state(), ground, row, t, channels, stream),
+        ));
         engine.step(&narrow(row), &[0.0; 6])?;
     }
     Ok(out)
@@ -154,7 +182,13 @@ fn read(
     channels: Channels,
     s: &mut Stream,
 ) -> Vec<Option<f64>> {
-    let to = |x: f64, lsb: f64| if lsb > 0.0 { (x / lsb).round() * lsb } else { x };
+    let to = |x: f64, lsb: f64| {
+        if lsb > 0.0 {
+            (x / lsb).round() * lsb
+        } else {
+            x
+        }
+    };
     let mut row: Vec<Option<f64>> = command.iter().map(|&u| Some(to(u, 1e-6))).collect();
     let servos = model.actuated();
     for (a, &j) in servos.iter().enumerate() {
@@ -169,19 +203,33 @@ fn read(
         let servo = model.servo(a);
         let free = f64::from(state.motor_torque_nm[a]) / servo.torque_per_current_nm_per_a;
         let shown = free + servo.current_dead_band_a * (free / 0.01).clamp(-1.0, 1.0);
-        row.push(Some(to(shown + 0.004 * s.normal_f64(), servo.current_lsb_a)));
+        row.push(Some(to(
+            shown + 0.004 * s.normal_f64(),
+            servo.current_lsb_a,
+        )));
     }
     row.push(Some(to(f64::from(ground.lane.supply_v), 0.1)));
     if channels.imu {
         let imu = model.sensors().imu.as_ref();
         // noise of a band of half the rate
         let band = |density: f64| density * 50.0_f64.sqrt();
-        let (gyro, acc) = imu.map_or((0.0, 0.0), |i| (band(i.gyro_noise_radps_per_sqrt_hz), band(i.acc_noise_mps2_per_sqrt_hz)));
+        let (gyro, acc) = imu.map_or((0.0, 0.0), |i| {
+            (
+                band(i.gyro_noise_radps_per_sqrt_hz),
+                band(i.acc_noise_mps2_per_sqrt_hz),
+            )
+        });
         for i in 0..3 {
-            row.push(Some(f64::from(state.imu_gyro_radps[i]) + ground.gyro_bias_radps[i] + gyro * s.normal_f64()));
+            row.push(Some(
+                f64::from(state.imu_gyro_radps[i])
+                    + ground.gyro_bias_radps[i]
+                    + gyro * s.normal_f64(),
+            ));
         }
         for i in 0..3 {
-            row.push(Some(f64::from(state.imu_acc_mps2[i]) + ground.acc_bias_mps2[i] + acc * s.normal_f64()));
+            row.push(Some(
+                f64::from(state.imu_acc_mps2[i]) + ground.acc_bias_mps2[i] + acc * s.normal_f64(),
+            ));
         }
     }
     if channels.mocap {
@@ -190,9 +238,18 @@ fn read(
             let x = x + noise * s.normal_f64();
             row.push((!hidden).then_some(x));
         };
-        state.base_pos_m.iter().for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
-        state.base_quat_wxyz.iter().for_each(|x| put(f64::from(*x), QUAT_NOISE));
-        state.foot_pos_m.iter().for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
+        state
+            .base_pos_m
+            .iter()
+            .for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
+        state
+            .base_quat_wxyz
+            .iter()
+            .for_each(|x| put(f64::from(*x), QUAT_NOISE));
+        state
+            .foot_pos_m
+            .iter()
+            .for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
     }
     row
 }
