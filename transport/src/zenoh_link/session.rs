@@ -190,10 +190,10 @@ fn with_port(endpoint: &str) -> Result<String, TransportError> {
         reason: error.to_string(),
     };
     let mut addresses = address.to_socket_addrs().map_err(failed)?;
-    let resolved = addresses
+    let first = addresses
         .next()
         .ok_or_else(|| failed(std::io::Error::other("no address")))?;
-    let listener = TcpListener::bind(resolved).map_err(failed)?;
+    let listener = TcpListener::bind(first).map_err(failed)?;
     // The port alone: a certificate is for a name, not for the address behind it.
     let port = listener.local_addr().map_err(failed)?.port();
     let host = address.strip_suffix(":0").unwrap_or(address);
