@@ -26,6 +26,7 @@ const EXIT_CODES: &str = "\
 Exit codes: 0 done · 64 configuration or flag · 65 bad input file · 66 input missing · 69 service gone
   70 internal · 71 port in use or system resource · 73 output cannot be made · 74 disk full or I/O
   75 starved or timed out · 76 protocol · 77 policy refused · 78 checkpoint damaged · 79 target missed
+  80 ambiguous · 81 partly explained · 82 unexplained · 83 insufficient data · 84 data fault
   130 interrupted twice";
 
 #[derive(Debug, Subcommand)]
@@ -46,6 +47,9 @@ enum Command {
     /// Robot files
     #[command(subcommand)]
     RobotModel(commands::robot_model::RobotModelCommand),
+    /// Show what the simulation gets wrong, name the cause, extend the model
+    #[command(subcommand)]
+    Gap(commands::gap::GapCommand),
     /// Measure how fast the parts are on this machine
     #[command(subcommand)]
     Bench(commands::bench::BenchCommand),
@@ -73,6 +77,7 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Sim(command) => commands::sim::run(command, process),
         Command::Policy(command) => commands::policy::run(command),
         Command::RobotModel(command) => commands::robot_model::run(command),
+        Command::Gap(command) => commands::gap::run(command),
         Command::Bench(command) => commands::bench::run(command),
     }
 }

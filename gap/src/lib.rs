@@ -7,6 +7,18 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod check;
+pub mod effects;
+pub mod error;
+pub mod excitation;
+pub mod excite;
+pub mod import;
+pub mod plant;
+pub mod plots;
+pub mod replay;
 pub mod report;
+pub mod trial;
 
+pub use error::GapError;
+pub use plots::Plots;
 pub use report::Report;

@@ -3,6 +3,7 @@
 
 pub mod adam;
 pub mod batch;
+pub mod bench;
 pub mod checkpoint;
 mod error;
 pub mod export;

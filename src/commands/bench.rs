@@ -1,5 +1,6 @@
 //! `caudata bench`: how fast the parts are on this machine. One number per question, measured for a given time.
 
+use std::ffi::OsString;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -17,7 +18,9 @@ use caudata_transport::{
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
+use crate::commands::bench_learner;
 use crate::commands::bench_sim::{self, Plan, SceneName};
+use crate::commands::bench_skill::{self, SkillBench};
 use crate::commands::eval::EngineName;
 use crate::commands::robot_model;
 use crate::say;
@@ -40,6 +43,16 @@ pub enum BenchCommand {
         #[command(flatten)]
         config: ConfigArgs,
     },
+    /// Updates of the learner on made-up data: samples/s, GFLOP/s, and what matrix products reach in the same run
+    Learner {
+        #[command(flatten)]
+        common: Common,
+        /// Networks, batch and threads; the preset `quick` without these flags
+        #[command(flatten)]
+        config: ConfigArgs,
+    },
+    /// Trainings from nothing: wall time until the policy walks at a commanded speed with every gate met, median of seeds
+    Skill(SkillBench),
     /// Rollout frames per second from one actor to a learner on this machine
     Transport {
         #[command(flatten)]
@@ -136,6 +149,10 @@ struct Finding {
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     let (common, finding) = match command {
         BenchCommand::Sim(args) => return bench_sim(args),
+        BenchCommand::Skill(args) => return bench_skill::run(args),
+        BenchCommand::Learner { common, config } => {
+            return bench_learner::run(&or_quick(config), common.seconds, common.json);
+        }
         BenchCommand::Policy {
             common,
             batch,
@@ -205,12 +222,32 @@ fn measure(
 }
 
 /// The flags' configuration, `quick` without any.
-fn load(flags: &ConfigArgs) -> Result<caudata_config::Config, Failure> {
+/// The flags as given, or the preset `quick`.
+pub fn or_quick(flags: &ConfigArgs) -> ConfigArgs {
     let mut flags = flags.clone();
     if flags.preset.is_none() && flags.config.is_none() {
         flags.preset = Some("quick".into());
     }
-    flags.load().or_exit(ExitCode::BadConfig)
+    flags
+}
+
+/// The flags again, for a program that takes them too.
+pub fn as_flags(flags: &ConfigArgs) -> Vec<OsString> {
+    let mut out: Vec<OsString> = Vec::new();
+    if let Some(preset) = &flags.preset {
+        out.extend(["--preset".into(), preset.into()]);
+    }
+    if let Some(file) = &flags.config {
+        out.extend(["--config".into(), file.into()]);
+    }
+    for change in &flags.overrides {
+        out.extend(["--set".into(), change.into()]);
+    }
+    out
+}
+
+fn load(flags: &ConfigArgs) -> Result<caudata_config::Config, Failure> {
+    or_quick(flags).load().or_exit(ExitCode::BadConfig)
 }
 
 fn bench_sim(args: &SimBench) -> Result<(), Failure> {

@@ -1,9 +1,15 @@
 //! One module per command.
 
 pub mod bench;
+mod bench_learner;
 mod bench_sim;
+mod bench_skill;
 pub mod config;
 pub mod eval;
+pub mod gap;
+mod gap_check;
+mod gap_excite;
+mod gap_import;
 pub mod ground;
 pub mod lane_params;
 pub mod policy;

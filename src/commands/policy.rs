@@ -1,7 +1,8 @@
 //! `caudata policy`: policies on a policy server, and in files.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use caudata_evaluation::Summary;
 use caudata_policy::PolicyFile;
 use caudata_proto::registry::{Manifest, StreamName};
 use caudata_registry_client::{ClientError, RegistryClient};
@@ -67,7 +68,7 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
             limit,
             json,
         } => list(server, *limit, *json),
-        PolicyCommand::Show { file, json } => show(&read_policy(file)?, *json),
+        PolicyCommand::Show { file, json } => show(file, &read_policy(file)?, *json),
         PolicyCommand::Pull {
             server,
             version,
@@ -156,13 +157,19 @@ fn as_json(manifest: &Manifest) -> serde_json::Value {
     })
 }
 
-fn show(policy: &PolicyFile, json: bool) -> Result<(), Failure> {
+fn show(path: &Path, policy: &PolicyFile, json: bool) -> Result<(), Failure> {
     let metadata = policy.metadata();
+    // a summary that is stale or damaged says nothing about the policy
+    let evaluation = Summary::beside(path, policy).unwrap_or_else(|error| {
+        tracing::warn!("{error}");
+        None
+    });
     if json {
         return say::json(&json!({
             "sha256": policy.sha256_hex(),
             "bytes": policy.bytes().len(),
             "metadata": metadata,
+            "evaluation": evaluation,
         }));
     }
     let contract = &metadata.contract;
@@ -196,8 +203,37 @@ fn show(policy: &PolicyFile, json: bool) -> Result<(), Failure> {
     ));
     show_joints(policy);
     show_layout(policy);
+    if let Some(evaluation) = &evaluation {
+        show_evaluation(evaluation);
+    }
     say::line("signature none (policies are not signed yet)");
     Ok(())
+}
+
+fn show_evaluation(summary: &Summary) {
+    let header = ["evaluated", "command", "achieved", "falls", "power W", ""];
+    let mut rows = vec![header.map(String::from).to_vec()];
+    let velocity = |v: [f64; 3]| v.map(|x| format!("{x:.2}")).join(" ");
+    for line in &summary.scenarios {
+        let verdict = match (line.walks, line.reached) {
+            (Some(true), _) => "walks".to_owned(),
+            (Some(false), _) => format!("does not walk: {}", line.missed.join("; ")),
+            (None, Some(reached)) => format!("gets there in {:.1} %", 100.0 * reached),
+            (None, None) => String::new(),
+        };
+        rows.push(vec![
+            line.name.clone(),
+            velocity(line.command),
+            velocity(line.achieved),
+            format!("{:.1} %", 100.0 * line.fall_share),
+            format!("{:.1}", line.power_w),
+            verdict,
+        ]);
+    }
+    say::table(&rows);
+    if let Some([met, of]) = summary.targets_met {
+        say::line(format!("{met} of {of} targets met"));
+    }
 }
 
 fn show_joints(policy: &PolicyFile) {

@@ -7,7 +7,7 @@ use crate::{Config, ConfigError, Source};
 /// Flags that choose a configuration. Later ones win: preset, file, overrides.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ConfigArgs {
-    /// A configuration that comes with the program: quick, flat
+    /// A configuration that comes with the program: quick, flat, rough, amphibious, paper
     #[arg(long, value_name = "NAME", help_heading = "Configuration")]
     pub preset: Option<String>,
     /// A TOML file; keys it does not have come from the preset and the defaults

@@ -12,7 +12,7 @@ pub struct Preset {
 }
 
 /// All presets.
-pub const PRESETS: [Preset; 2] = [
+pub const PRESETS: [Preset; 3] = [
     Preset {
         name: "quick",
         about: "a minute on two cores: the robot learns to walk on flat ground",
@@ -20,8 +20,13 @@ pub const PRESETS: [Preset; 2] = [
     },
     Preset {
         name: "flat",
-        about: "flat ground, commands in all directions, full randomisation",
+        about: "minutes on two cores: walks in every direction on flat ground, all randomisation and pushes on",
         text: include_str!("../presets/flat.toml"),
+    },
+    Preset {
+        name: "paper",
+        about: "the paper's table as printed: 3e8 steps, for a GPU or a night",
+        text: include_str!("../presets/paper.toml"),
     },
 ];
 

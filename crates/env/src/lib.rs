@@ -16,9 +16,11 @@ mod measure;
 mod output;
 mod physics;
 mod snapshot;
+mod steer;
 mod vec_env;
 
 pub use error::EnvError;
 pub use measure::Truth;
 pub use output::{EpisodeStats, StepOutput};
+pub use steer::StartShift;
 pub use vec_env::VecEnv;

@@ -15,6 +15,7 @@ use crate::lane::Lane;
 use crate::measure::{Reader, Sensors, Truth};
 use crate::output::{OutputBuffers, StepOutput};
 use crate::physics::PhysicsDraws;
+use crate::steer::StartShift;
 
 /// How far the engine's control period may be from the task's, s.
 const CONTROL_PERIOD_TOLERANCE_S: f64 = 1e-9;
@@ -31,7 +32,7 @@ pub struct VecEnv {
     pub(crate) progress: u64,
     pub(crate) seed: u64,
     pub(crate) actor: u64,
-    layout: ObservationLayout,
+    pub(crate) layout: ObservationLayout,
     joints: JointTable,
     /// Swimming pose; the nominal one where the robot has none.
     swimming_rad: [f32; ACT_DIM],
@@ -47,7 +48,9 @@ pub struct VecEnv {
     /// Lanes whose episode ended in this step.
     ended: Vec<usize>,
     /// The command that each lane follows for good; empty: commands are drawn. `[N]` or empty.
-    held_commands: Vec<[f32; 3]>,
+    pub(crate) held_commands: Vec<[f32; 3]>,
+    /// Added to every drawn start.
+    pub(crate) start_shift: StartShift,
 }
 
 impl VecEnv {
@@ -92,6 +95,7 @@ impl VecEnv {
             wrenches: vec![0.0; lanes * 6],
             ended: Vec::with_capacity(lanes),
             held_commands: Vec::new(),
+            start_shift: StartShift::default(),
             layout,
             task,
             engine,
@@ -142,27 +146,6 @@ impl VecEnv {
     /// The true state of one lane, in the task's order and frames.
     pub fn truth(&self, lane: usize) -> Truth {
         self.reader.read(self.engine.as_ref(), lane)
-    }
-
-    /// Makes each lane follow the one command given for it, from now on and in later episodes, instead of drawing commands.
-    /// Not part of a snapshot. `[N]`
-    ///
-    /// # Errors
-    /// When there is not one command per lane.
-    pub fn hold_commands(&mut self, commands: &[[f32; 3]]) -> Result<(), EnvError> {
-        if commands.len() != self.lanes.len() {
-            return Err(EnvError::Shape {
-                what: "commands",
-                found: commands.len(),
-                expected: self.lanes.len(),
-            });
-        }
-        self.held_commands = commands.to_vec();
-        for lane in 0..self.lanes.len() {
-            self.lanes[lane].hold(&self.task.phase, self.held_commands.get(lane));
-            self.observe_start(lane)?;
-        }
-        Ok(())
     }
 
     /// Present command of a lane: vx, vy (m/s), yaw rate (rad/s).
@@ -313,7 +296,7 @@ impl VecEnv {
     }
 
     /// Draws an episode, and puts the engine's lane at its start.
-    fn start_episode(
+    pub(crate) fn start_episode(
         &mut self,
         lane: usize,
         episode: u64,
@@ -332,7 +315,7 @@ impl VecEnv {
         self.physics.apply_draw();
         let mut reset_stream = Stream::new(key, Purpose::Reset);
         let start = caudata_task::reset::draw(&self.task.reset, &self.joints, &mut reset_stream);
-        self.physics.apply_start(&start);
+        self.physics.apply_start(&self.start_shift.apply(start));
         self.engine.set_params(lane, &self.physics.params)?;
         self.engine.reset(lane, &self.physics.init)?;
         let mut started = Lane::start(
@@ -347,7 +330,7 @@ impl VecEnv {
         Ok(started)
     }
 
-    fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
+    pub(crate) fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
         let truth = self.reader.read(self.engine.as_ref(), lane);
         self.observe(lane, &truth)
     }

@@ -1,27 +1,41 @@
 //! How well a policy walks.
 //!
-//! A [`Suite`] is a list of [`Scenario`]s (ground, command, disturbances). [`run_suite`] runs the mean of a policy in each and keeps
-//! a [`Trace`] per episode; [`gait`] measures it; [`gates`] says whether that is walking at all, since the rewards of walking can
-//! also be had by vibrating.
+//! A [`Suite`] is a list of [`Scenario`]s (ground, command, disturbances). [`Evaluation`] runs the mean of a policy in each; [`gait`]
+//! measures every episode; [`gates`] says whether that is walking at all, since the rewards of walking can also be had by vibrating;
+//! [`report`] makes a page of it that people look at.
 //!
-//! Invariant: the same policy, configuration and seed give the same figures; nothing here looks at a clock.
+//! Invariant: the same policy, configuration and seed give the same figures, on any number of threads; nothing here looks at a clock.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod acceptance;
+mod block;
 mod error;
 mod estimate;
+mod evaluate;
 pub mod gait;
 pub mod gates;
+pub mod report;
 mod result;
 mod run;
+mod scenario;
 mod spectrum;
 mod suite;
+mod summary;
 mod trace;
+mod transition;
+mod wave;
 
+pub use acceptance::Row;
 pub use error::EvaluationError;
 pub use estimate::Estimate;
+pub use evaluate::Evaluation;
 pub use gait::Gait;
 pub use gates::{Gate, GateReport, Limits};
-pub use result::{ScenarioResult, SuiteResult};
-pub use run::{Settings, run_scenario, run_suite};
-pub use suite::{Corner, Scenario, Suite};
-pub use trace::{Frame, Trace};
+pub use result::{Referee, ScenarioResult, SuiteResult};
+pub use run::{Outcome, Settings, run_scenario};
+pub use scenario::{Corner, Goal, Leg, Scenario, Start};
+pub use suite::Suite;
+pub use summary::{Summary, SummaryError, summary_path};
+pub use trace::{Film, Frame, RobotPose, Trace, Track};
+pub use transition::TransitionResult;
+pub use wave::WaveResult;

@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use crate::acceptance::Row;
 use crate::gait::Gait;
+use crate::transition::{Passage, TransitionResult};
+use crate::wave::{Wave, WaveResult};
 use crate::{Estimate, GateReport, Suite};
 
 /// A policy in all scenarios of a suite.
@@ -20,6 +23,35 @@ pub struct SuiteResult {
     pub policy_sha256: String,
     /// One entry per scenario.
     pub scenarios: Vec<ScenarioResult>,
+    /// The same on a second engine, where that was asked for.
+    pub referee: Option<Referee>,
+    /// The project's targets, for the suite `acceptance`; else empty.
+    pub acceptance: Vec<Row>,
+}
+
+impl SuiteResult {
+    /// The scenario of that name.
+    #[must_use]
+    pub fn scenario(&self, name: &str) -> Option<&ScenarioResult> {
+        self.scenarios.iter().find(|s| s.name == name)
+    }
+}
+
+/// What another engine says of the same policy.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Referee {
+    /// The engine.
+    pub engine: &'static str,
+    /// Its results, for all scenarios or some.
+    pub scenarios: Vec<ScenarioResult>,
+}
+
+impl Referee {
+    /// Its result for the scenario of that name.
+    #[must_use]
+    pub fn scenario(&self, name: &str) -> Option<&ScenarioResult> {
+        self.scenarios.iter().find(|s| s.name == name)
+    }
 }
 
 /// A policy in one scenario. Means are over episodes.
@@ -73,15 +105,22 @@ pub struct ScenarioResult {
     pub joint_accel_rms_radps2: f64,
     /// Whether it walks; `None` where the scenario is not about walking.
     pub gates: Option<GateReport>,
+    /// The wave along the body; `None` where it hardly bends.
+    pub wave: Option<WaveResult>,
+    /// Getting into the water or out of it; `None` where the scenario is not about that.
+    pub transition: Option<TransitionResult>,
 }
 
 /// What an episode contributes.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Episode {
     pub command: [f32; 3],
     pub fell: Option<&'static str>,
     /// `None`: over too soon to be measured.
     pub gait: Option<Gait>,
+    /// At a shore.
+    pub passage: Option<Passage>,
+    pub wave: Option<Wave>,
 }
 
 impl ScenarioResult {
@@ -126,6 +165,8 @@ impl ScenarioResult {
             joint_speed_peak_radps: most(|g| g.joint_speed_peak_radps),
             joint_accel_rms_radps2: mean(&|g| g.joint_accel_rms_radps2),
             gates,
+            wave: None,
+            transition: None,
         }
     }
 
@@ -164,6 +205,7 @@ mod tests {
             command,
             fell,
             gait,
+            ..Episode::default()
         };
         let episodes = [
             episode([0.3, 0.0, 0.0], None, Some(gait.clone())),
@@ -191,6 +233,7 @@ mod tests {
                 command: [0.3, 0.0, 0.0],
                 fell: None,
                 gait: Some(gait),
+                ..Episode::default()
             };
             20
         ];

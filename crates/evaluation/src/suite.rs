@@ -1,14 +1,30 @@
-//! What a policy is tried in.
+//! The lists of scenarios.
+
+use std::f32::consts::PI;
 
 use caudata_sim::{TerrainConfig, TerrainKind};
 use caudata_task::push::PushConfig;
-use caudata_task::randomise::RandomisationConfig;
 use serde::Serialize;
+
+use crate::scenario::{Corner, Goal, Leg, Scenario, Start};
 
 /// How far from the middle of rough ground episodes start, m: a 20 s walk at 0.3 m/s stays on it.
 const SPAWN_HALF_EXTENT_M: f32 = 6.0;
 /// Edge of rough ground, m.
 const ROUGH_SIZE_M: f64 = 32.0;
+/// Names that other parts look for.
+pub(crate) const FLAT: &str = "flat 0.3 m/s";
+pub(crate) const STAND: &str = "stand";
+pub(crate) const ROUGH: [&str; 3] = ["rough easy", "rough medium", "rough hard"];
+pub(crate) const OMNI: &str = "omni";
+pub(crate) const PUSH: &str = "push 0.5 m/s";
+pub(crate) const NOMINAL: &str = "robust: nominal";
+pub(crate) const WORST_CORNER: &str = "robust: worst corner";
+pub(crate) const INTO_WATER: &str = "shore: into the water";
+pub(crate) const ONTO_LAND: &str = "shore: onto land";
+pub(crate) const THERE_AND_BACK: &str = "shore: there and back";
+pub(crate) const SWIM: &str = "swim 0.3 m/s";
+
 /// The command that the paper's figures are for, m/s.
 pub const PAPER_COMMAND_MPS: f32 = 0.3;
 
@@ -26,19 +42,25 @@ pub enum Suite {
     Push,
     /// The worst corners of the randomisation, one by one and all together.
     Robust,
-    /// All of them.
+    /// From land into water, back onto land, and swimming in deep water.
+    Transition,
+    /// All that walks: every suite before `transition`.
     Paper,
+    /// Everything that the project's table of targets asks about, transition included.
+    Acceptance,
 }
 
 impl Suite {
     /// All suites, in the order of the declaration.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 8] = [
         Self::Flat,
         Self::Rough,
         Self::Omni,
         Self::Push,
         Self::Robust,
+        Self::Transition,
         Self::Paper,
+        Self::Acceptance,
     ];
 
     /// Its name on the command line.
@@ -50,7 +72,9 @@ impl Suite {
             Self::Omni => "omni",
             Self::Push => "push",
             Self::Robust => "robust",
+            Self::Transition => "transition",
             Self::Paper => "paper",
+            Self::Acceptance => "acceptance",
         }
     }
 
@@ -63,6 +87,7 @@ impl Suite {
             Self::Omni => vec![omni()],
             Self::Push => vec![push(mass_kg)],
             Self::Robust => robust(),
+            Self::Transition => transition(),
             Self::Paper => [
                 Self::Flat,
                 Self::Rough,
@@ -73,109 +98,24 @@ impl Suite {
             .into_iter()
             .flat_map(|suite| suite.scenarios(mass_kg))
             .collect(),
-        }
-    }
-}
-
-/// One kind of episode.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Scenario {
-    /// Its name in results.
-    pub name: String,
-    /// Commands (vx, vy in m/s, yaw rate in rad/s) that episodes follow in turn.
-    pub commands: Vec<[f32; 3]>,
-    /// The ground.
-    pub terrain: TerrainConfig,
-    /// Start positions within ± this, m.
-    pub spawn_half_extent_m: f32,
-    /// The robot's parameters.
-    pub corner: Corner,
-    /// Pushes, if any.
-    pub push: Option<PushConfig>,
-    /// Whether it must pass the gates to count as walking (standing still need not).
-    pub judged: bool,
-}
-
-impl Scenario {
-    /// An undisturbed walk on flat ground at a constant command.
-    #[must_use]
-    pub fn walk(name: &str, command: [f32; 3]) -> Self {
-        Self {
-            name: name.to_owned(),
-            commands: vec![command],
-            terrain: TerrainConfig::default(),
-            spawn_half_extent_m: 0.0,
-            corner: Corner::nominal(),
-            push: None,
-            judged: true,
-        }
-    }
-
-    /// Whether the ground is flat, so that a trunk on it is a fault.
-    #[must_use]
-    pub fn is_flat(&self) -> bool {
-        self.terrain.kind == TerrainKind::Flat
-    }
-}
-
-/// A robot that differs from its file in a few known ways.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Corner {
-    /// Delay of commands, s.
-    pub command_delay_s: f32,
-    /// Factor on the friction of the feet.
-    pub foot_friction_scale: f32,
-    /// Factor on Kp.
-    pub kp_scale: f32,
-    /// Factor on all masses.
-    pub mass_scale: f32,
-}
-
-impl Corner {
-    /// The robot as its file says.
-    #[must_use]
-    pub fn nominal() -> Self {
-        Self {
-            command_delay_s: 0.0,
-            foot_friction_scale: 1.0,
-            kp_scale: 1.0,
-            mass_scale: 1.0,
-        }
-    }
-
-    /// As a randomisation without any width.
-    #[must_use]
-    pub fn randomisation(&self) -> RandomisationConfig {
-        let all = |value: f32| [value, value];
-        RandomisationConfig {
-            enabled: true,
-            foot_friction_scale: all(self.foot_friction_scale),
-            body_friction_scale: all(1.0),
-            total_mass_scale: all(self.mass_scale),
-            link_mass_scale: all(1.0),
-            com_offset_m: all(0.0),
-            joint_friction_scale: all(1.0),
-            armature_scale: all(1.0),
-            damping_scale: all(1.0),
-            kp_scale: all(self.kp_scale),
-            kd_scale: all(1.0),
-            torque_scale: all(1.0),
-            supply_scale: all(1.0),
-            command_delay_s: all(self.command_delay_s),
-            backlash_scale: all(1.0),
+            Self::Acceptance => {
+                let mut all = Self::Paper.scenarios(mass_kg);
+                all.extend(transition());
+                all
+            }
         }
     }
 }
 
 fn flat() -> Vec<Scenario> {
     let mut all = vec![
-        Scenario::walk("flat 0.3 m/s", [PAPER_COMMAND_MPS, 0.0, 0.0]),
+        Scenario::walk(FLAT, [PAPER_COMMAND_MPS, 0.0, 0.0]),
         Scenario {
             judged: false,
-            ..Scenario::walk("stand", [0.0; 3])
+            ..Scenario::walk(STAND, [0.0; 3])
         },
     ];
-    for command in [0.4_f32, 0.5, 0.6, 0.8] {
+    for command in [0.4_f32, 0.5, 0.6, 0.7, 0.8] {
         let name = format!("flat {command:.1} m/s");
         all.push(Scenario::walk(&name, [command, 0.0, 0.0]));
     }
@@ -192,9 +132,9 @@ fn rough() -> Vec<Scenario> {
         ..Scenario::walk(name, [PAPER_COMMAND_MPS, 0.0, 0.0])
     };
     vec![
-        grade("rough easy", TerrainKind::RoughEasy),
-        grade("rough medium", TerrainKind::RoughMedium),
-        grade("rough hard", TerrainKind::RoughHard),
+        grade(ROUGH[0], TerrainKind::RoughEasy),
+        grade(ROUGH[1], TerrainKind::RoughMedium),
+        grade(ROUGH[2], TerrainKind::RoughHard),
     ]
 }
 
@@ -211,7 +151,9 @@ fn omni() -> Scenario {
         commands,
         // many of these are slow turns on the spot, for which a stride has no length
         judged: false,
-        ..Scenario::walk("omni", [0.0; 3])
+        // forward and turning left: 0.25 m/s, 0.6 rad/s
+        film: Some(69),
+        ..Scenario::walk(OMNI, [0.0; 3])
     }
 }
 
@@ -228,44 +170,44 @@ fn push(mass_kg: f64) -> Scenario {
             full_after_env_steps: 0,
         }),
         judged: false,
-        ..Scenario::walk("push 0.5 m/s", [PAPER_COMMAND_MPS, 0.0, 0.0])
+        ..Scenario::walk(PUSH, [PAPER_COMMAND_MPS, 0.0, 0.0])
     }
 }
 
 fn robust() -> Vec<Scenario> {
     let nominal = Corner::nominal();
     let corners = [
-        ("nominal", nominal),
+        (NOMINAL, nominal),
         (
-            "latency 18 ms",
+            "robust: latency 18 ms",
             Corner {
                 command_delay_s: 0.018,
                 ..nominal
             },
         ),
         (
-            "friction 0.6",
+            "robust: friction 0.6",
             Corner {
                 foot_friction_scale: 0.6,
                 ..nominal
             },
         ),
         (
-            "Kp 0.75",
+            "robust: Kp 0.75",
             Corner {
                 kp_scale: 0.75,
                 ..nominal
             },
         ),
         (
-            "mass 1.15",
+            "robust: mass 1.15",
             Corner {
                 mass_scale: 1.15,
                 ..nominal
             },
         ),
         (
-            "worst corner",
+            WORST_CORNER,
             Corner {
                 command_delay_s: 0.018,
                 foot_friction_scale: 0.6,
@@ -276,9 +218,57 @@ fn robust() -> Vec<Scenario> {
     ];
     let scenario = |(name, corner)| Scenario {
         corner,
-        ..Scenario::walk(&format!("robust: {name}"), [PAPER_COMMAND_MPS, 0.0, 0.0])
+        film: (name == WORST_CORNER).then_some(0),
+        ..Scenario::walk(name, [PAPER_COMMAND_MPS, 0.0, 0.0])
     };
     corners.map(scenario).into()
+}
+
+/// Headings at the shore start within ± this, rad.
+const SHORE_YAW_RANGE_RAD: f32 = 0.1;
+
+fn transition() -> Vec<Scenario> {
+    let terrain = TerrainConfig::of(TerrainKind::Shore);
+    let ahead = [PAPER_COMMAND_MPS, 0.0, 0.0];
+    let shore = |name: &str, xy_m, yaw_rad, goal| Scenario {
+        terrain: terrain.clone(),
+        start: Start {
+            xy_m,
+            yaw_rad,
+            yaw_range_rad: Some(SHORE_YAW_RANGE_RAD),
+        },
+        goal: Some(goal),
+        judged: false,
+        ..Scenario::walk(name, ahead)
+    };
+    // the nose is where the start is; the rest of the robot lies behind it, in deep water
+    let afloat = [2.6, 0.0];
+    vec![
+        shore(INTO_WATER, [0.0; 2], 0.0, Goal::IntoWater),
+        Scenario {
+            episode_s: Some(30.0),
+            ..shore(ONTO_LAND, afloat, PI, Goal::OntoLand)
+        },
+        Scenario {
+            episode_s: Some(60.0),
+            steering: vec![
+                Leg {
+                    from_s: 0.0,
+                    heading_rad: 0.0,
+                },
+                Leg {
+                    from_s: 15.0,
+                    heading_rad: PI,
+                },
+            ],
+            ..shore(THERE_AND_BACK, [0.0; 2], 0.0, Goal::ThereAndBack)
+        },
+        Scenario {
+            terrain: TerrainConfig::of(TerrainKind::DeepWater),
+            judged: false,
+            ..Scenario::walk(SWIM, ahead)
+        },
+    ]
 }
 
 #[cfg(test)]
@@ -287,7 +277,7 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_configurations_valid() {
-        let all = Suite::Paper.scenarios(2.596);
+        let all = Suite::Acceptance.scenarios(2.596);
         let mut names: Vec<&str> = all.iter().map(|s| s.name.as_str()).collect();
         names.sort_unstable();
         names.dedup();
@@ -299,6 +289,12 @@ mod tests {
                 push.validate().unwrap();
             }
         }
+    }
+
+    #[test]
+    fn the_filmed_command_walks_and_turns() {
+        let omni = omni();
+        assert_eq!(omni.commands[omni.film.unwrap()], [0.25, 0.0, 0.6]);
     }
 
     #[test]

@@ -24,6 +24,8 @@ pub struct Frame {
     pub foot_force_n: [f32; FEET],
     /// Contact force on trunk and legs but not the feet, N.
     pub trunk_force_n: f32,
+    /// Contact force on the tail, N.
+    pub tail_force_n: f32,
     /// Position of each actuated joint, rad.
     pub joint_pos_rad: [f32; ACT_DIM],
     /// Velocity of each actuated joint, rad/s.
@@ -35,14 +37,14 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Reads one lane of `env` after a step that did not end its episode; `command` held during that step.
+    /// Reads one lane of `env` after a step that did not end its episode.
     #[must_use]
-    pub fn read(env: &VecEnv, lane: usize, command: [f32; 3]) -> Self {
+    pub fn read(env: &VecEnv, lane: usize) -> Self {
         let truth = env.truth(lane);
         let state = env.state();
         let [vx, vy, _] = truth.com_vel_mps;
         Self {
-            command,
+            command: env.command(lane),
             velocity_mps: [vx, vy],
             yaw_rate_radps: truth.yaw_rate_radps,
             com_m: std::array::from_fn(|i| state.com_pos_m[3 * lane + i]),
@@ -51,6 +53,7 @@ impl Frame {
             foot_speed_mps: truth.foot_vel_mps.map(|[x, y, _]| x.hypot(y)),
             foot_force_n: truth.foot_force_n.map(|[_, _, z]| z),
             trunk_force_n: truth.trunk_force_n,
+            tail_force_n: state.tail_force_n[lane],
             joint_pos_rad: truth.joint_pos_rad,
             joint_vel_radps: truth.joint_vel_radps,
             torque_nm: truth.motor_torque_nm,
@@ -78,5 +81,59 @@ impl Trace {
     pub fn after(&self, from_s: f64) -> &[Frame] {
         let first = (from_s / self.period_s).round() as usize;
         self.frames.get(first..).unwrap_or_default()
+    }
+}
+
+/// An episode that can be shown: its trace, and the pose of the whole robot at each of its frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Film {
+    /// What happened.
+    pub trace: Trace,
+    /// One pose per frame.
+    pub poses: Vec<RobotPose>,
+}
+
+/// Where every part of the robot is.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RobotPose {
+    /// Origin of the base link, world, m.
+    pub base_pos_m: [f32; 3],
+    /// world_from_base, w x y z.
+    pub base_quat_wxyz: [f32; 4],
+    /// Every joint, model order, rad. `[J]`
+    pub joint_pos_rad: Vec<f32>,
+}
+
+impl RobotPose {
+    /// Reads one lane of `env`.
+    #[must_use]
+    pub fn read(env: &VecEnv, lane: usize) -> Self {
+        let state = env.state();
+        Self {
+            base_pos_m: std::array::from_fn(|i| state.base_pos_m[3 * lane + i]),
+            base_quat_wxyz: std::array::from_fn(|i| state.base_quat_wxyz[4 * lane + i]),
+            joint_pos_rad: state.joint_pos_rad[lane * state.joints..][..state.joints].to_vec(),
+        }
+    }
+}
+
+/// How fast an episode went: for means and bands over all episodes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Track {
+    /// Commanded vx, vy (m/s) and yaw rate (rad/s), then the same achieved, per frame.
+    pub rows: Vec<[f32; 6]>,
+}
+
+impl Track {
+    /// Takes the velocities out of a trace.
+    #[must_use]
+    pub fn of(trace: &Trace) -> Self {
+        let row = |f: &Frame| {
+            let ([cx, cy, cw], [vx, vy]) = (f.command, f.velocity_mps);
+            [cx, cy, cw, vx, vy, f.yaw_rate_radps]
+        };
+        Self {
+            rows: trace.frames.iter().map(row).collect(),
+        }
     }
 }

@@ -57,6 +57,10 @@ pub enum Signal {
     Torque(String),
     /// `temp.<joint>`: servo temperature, °C.
     Temperature(String),
+    /// `pwm.<joint>`: what the servo puts on its motor, share of the supply, −1 to 1.
+    Duty(String),
+    /// `on.<joint>`: whether the servo gives torque (1) or is switched off and lets go (0); holds until the next sample.
+    Enabled(String),
     /// `volt`: supply voltage, V.
     Voltage,
     /// `imu.gyro.<axis>`: angular velocity in the IMU frame, rad/s.
@@ -92,7 +96,11 @@ impl Signal {
             Self::Acceleration(_) => "m/s²",
             Self::BasePosition(_) | Self::Mocap(..) | Self::Foot(..) => "m",
             Self::BaseVelocity(_) => "m/s",
-            Self::Gravity(_) | Self::BaseQuaternion(_) | Self::Contact(_) => "",
+            Self::Gravity(_)
+            | Self::BaseQuaternion(_)
+            | Self::Contact(_)
+            | Self::Duty(_)
+            | Self::Enabled(_) => "",
         }
     }
 
@@ -104,7 +112,9 @@ impl Signal {
             | Self::Velocity(j)
             | Self::Current(j)
             | Self::Torque(j)
-            | Self::Temperature(j) => Some(j),
+            | Self::Temperature(j)
+            | Self::Duty(j)
+            | Self::Enabled(j) => Some(j),
             _ => None,
         }
     }
@@ -148,6 +158,8 @@ impl fmt::Display for Signal {
             Self::Current(j) => write!(f, "cur.{j}"),
             Self::Torque(j) => write!(f, "tau.{j}"),
             Self::Temperature(j) => write!(f, "temp.{j}"),
+            Self::Duty(j) => write!(f, "pwm.{j}"),
+            Self::Enabled(j) => write!(f, "on.{j}"),
             Self::Voltage => f.write_str("volt"),
             Self::Gyro(a) => write!(f, "imu.gyro.{a}"),
             Self::Acceleration(a) => write!(f, "imu.acc.{a}"),
@@ -167,7 +179,7 @@ impl fmt::Display for Signal {
 pub enum SignalError {
     /// None of the known forms.
     #[error(
-        "`{0}` is not a signal (cmd|pos|vel|cur|tau|temp.<joint>, volt, imu.gyro|acc|grav.x|y|z, base.pos|vel.x|y|z, base.quat.w|x|y|z, mocap.<marker>.x|y|z, foot.<leg>.x|y|z, contact.<leg>)"
+        "`{0}` is not a signal (cmd|pos|vel|cur|tau|temp|pwm|on.<joint>, volt, imu.gyro|acc|grav.x|y|z, base.pos|vel.x|y|z, base.quat.w|x|y|z, mocap.<marker>.x|y|z, foot.<leg>.x|y|z, contact.<leg>)"
     )]
     Unknown(String),
     /// The part that names a joint, leg or marker.
@@ -203,6 +215,8 @@ impl FromStr for Signal {
             ["cur", j] => Ok(Self::Current(name(j)?)),
             ["tau", j] => Ok(Self::Torque(name(j)?)),
             ["temp", j] => Ok(Self::Temperature(name(j)?)),
+            ["pwm", j] => Ok(Self::Duty(name(j)?)),
+            ["on", j] => Ok(Self::Enabled(name(j)?)),
             ["contact", l] => Ok(Self::Contact(name(l)?)),
             ["imu", "gyro", a] => Ok(Self::Gyro(axis(a)?)),
             ["imu", "acc", a] => Ok(Self::Acceleration(axis(a)?)),
@@ -235,6 +249,8 @@ mod tests {
             ("tau.tail_3", "N·m"),
             ("volt", "V"),
             ("temp.HR_knee", "°C"),
+            ("pwm.HR_knee", ""),
+            ("on.HR_knee", ""),
             ("imu.gyro.x", "rad/s"),
             ("imu.acc.y", "m/s²"),
             ("imu.grav.z", ""),

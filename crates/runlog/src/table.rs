@@ -163,8 +163,14 @@ pub(crate) fn check_value(signal: &Signal, value: f64) -> Result<(), String> {
             "`{signal}` is {value}; leave the cell empty where there is no value"
         ));
     }
-    if matches!(signal, Signal::Contact(_)) && value != 0.0 && value != 1.0 {
-        return Err(format!("`{signal}` is {value}; contact is 0 or 1"));
+    let binary = matches!(signal, Signal::Contact(_) | Signal::Enabled(_));
+    if binary && value != 0.0 && value != 1.0 {
+        let what = if matches!(signal, Signal::Contact(_)) {
+            "contact"
+        } else {
+            "a switch"
+        };
+        return Err(format!("`{signal}` is {value}; {what} is 0 or 1"));
     }
     Ok(())
 }

@@ -38,13 +38,23 @@ pub enum ExitCode {
     CheckpointDamaged = 78,
     /// Everything ran, and a measured figure misses its target.
     TargetMissed = 79,
+    /// Diagnosis: several causes explain the gap as well; the report says what to record.
+    Ambiguous = 80,
+    /// Diagnosis: named causes explain a part of the gap.
+    PartlyExplained = 81,
+    /// Diagnosis: a gap that no cause of the catalogue explains.
+    Unexplained = 82,
+    /// Diagnosis: what would show it was not recorded.
+    InsufficientData = 83,
+    /// Diagnosis: the logs contradict themselves.
+    DataFault = 84,
     /// Interrupted by a second Ctrl-C: nothing was drained.
     Interrupted = 130,
 }
 
 impl ExitCode {
     /// All codes, for tables and tests.
-    pub const ALL: [ExitCode; 15] = [
+    pub const ALL: [ExitCode; 20] = [
         ExitCode::Ok,
         ExitCode::BadConfig,
         ExitCode::BadInput,
@@ -59,6 +69,11 @@ impl ExitCode {
         ExitCode::PolicyRefused,
         ExitCode::CheckpointDamaged,
         ExitCode::TargetMissed,
+        ExitCode::Ambiguous,
+        ExitCode::PartlyExplained,
+        ExitCode::Unexplained,
+        ExitCode::InsufficientData,
+        ExitCode::DataFault,
         ExitCode::Interrupted,
     ];
 

@@ -87,7 +87,7 @@ impl NetworkSpec {
         sizes(self.obs_dim, &self.policy_hidden, self.act_dim)
     }
 
-    fn value_sizes(&self) -> Vec<usize> {
+    pub(crate) fn value_sizes(&self) -> Vec<usize> {
         sizes(self.obs_dim, &self.value_hidden, 1)
     }
 }

@@ -176,7 +176,7 @@ impl Run<'_> {
                 &state.scaling,
                 version,
                 &mut self.progress.order,
-                self.value_only(),
+                value_only,
             )?
         };
         let learning_s = learning.elapsed().as_secs_f64();

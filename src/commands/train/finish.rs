@@ -105,6 +105,10 @@ pub fn evaluate(
         true => Some(eval::evaluate(config, &model, &policy, episodes, stop)?),
         false => None,
     };
+    if let Some(result) = &evaluation {
+        let summary = eval::summary(config, &model, &policy, result);
+        eval::write_summary(&folder.policy(), &summary)?;
+    }
     let finished = outcome.finished.clone();
     let robot_hash = robot.as_ref().map(|robot| robot.policy_sha256.clone());
     let hashes = [policy.sha256_hex(), on_server.clone()];

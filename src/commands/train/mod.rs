@@ -18,7 +18,7 @@ use clap::{Args, ValueEnum};
 
 use crate::commands::robot_model;
 use crate::say;
-use children::Programs;
+pub use children::Programs;
 use folder::RunFolder;
 use supervise::Supervisor;
 use view::View;

@@ -1,11 +1,14 @@
 //! `caudata eval`: how well a policy walks, in simulation, without exploration noise.
 
+mod show;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
 use caudata_evaluation::{
-    Estimate, EvaluationError, Scenario, ScenarioResult, Settings, Suite, run_scenario, run_suite,
+    Evaluation, EvaluationError, Outcome, Scenario, ScenarioResult, Settings, Suite, SuiteResult,
+    Summary, report, run_scenario, summary_path,
 };
 use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
@@ -17,6 +20,8 @@ use clap::{Args, ValueEnum};
 use crate::commands::robot_model;
 use crate::say;
 
+pub use show::print;
+
 /// Forward speed at which a training run is evaluated when it ends, m/s: the paper's.
 const FINAL_COMMAND_MPS: f32 = 0.3;
 
@@ -26,12 +31,13 @@ pub struct EvalArgs {
     #[arg(long, value_name = "P.onnx")]
     policy: PathBuf,
     /// Under what conditions: flat (0.3 m/s, standing, faster), rough (the paper's three grades), omni (75 commands),
-    /// push, robust (corners of the randomisation), paper (all of them)
+    /// push, robust (corners of the randomisation), transition (land and water), paper (all that walk), acceptance (the
+    /// project's targets; exit code 79 where one is missed)
     #[arg(long, default_value = "flat", value_parser = suite_parser())]
     suite: Suite,
     /// On which engine; without it, the one of the configuration
     #[arg(long, value_enum)]
-    engine: Option<EngineName>,
+    engine: Option<Engines>,
     /// Episodes of each scenario; fewer give a wider confidence interval
     #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
@@ -44,6 +50,12 @@ pub struct EvalArgs {
     /// Robot file, instead of the configuration's
     #[arg(long, value_name = "FILE.robot.toml")]
     robot: Option<PathBuf>,
+    /// Writes a page with tables, curves and a replay in three dimensions; it needs nothing but a browser
+    #[arg(long, value_name = "OUT.html")]
+    report: Option<PathBuf>,
+    /// Writes a summary beside the policy (P.evaluation.json), bound to the policy's bytes; `caudata policy show` shows it
+    #[arg(long)]
+    write_summary: bool,
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
@@ -84,44 +96,116 @@ impl From<EngineName> for EngineKind {
     }
 }
 
+/// The engines of an evaluation, as words on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Engines {
+    /// Articulated bodies in vector lanes, as in training
+    Batch,
+    /// Rapier multibody joints
+    Rapier,
+    /// The batch engine, then Rapier (a hundred times slower), and how much of the speed is left there
+    Both,
+}
+
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     let policy = read_policy(&args.policy)?;
     let mut config = configuration(args)?;
-    if let Some(engine) = args.engine {
-        config.engine.kind = engine.into();
+    match args.engine {
+        Some(Engines::Batch | Engines::Both) => config.engine.kind = EngineKind::Batch,
+        Some(Engines::Rapier) => config.engine.kind = EngineKind::Rapier,
+        None => {}
     }
     if let Some(robot) = &args.robot {
         config.robot.clone_from(robot);
     }
     let model = Arc::new(robot_model::load(&config.robot_path())?);
     warn_of_differences(&config, &model, &policy)?;
-    let settings = Settings {
-        episodes: args.episodes,
-        episode_s: args.seconds,
-        seed: args.seed,
-        ..Settings::default()
+    let evaluation = Evaluation {
+        config: &config,
+        model: &model,
+        policy: &policy,
+        suite: args.suite,
+        settings: Settings {
+            episodes: args.episodes,
+            episode_s: args.seconds,
+            seed: args.seed,
+            film: args.report.is_some(),
+            ..Settings::default()
+        },
+        both_engines: args.engine == Some(Engines::Both),
     };
     let go_on = || process.stop.reason().is_none();
-    let mut show = |scenario: &ScenarioResult| {
+    let mut show = |engine: &str, scenario: &ScenarioResult| {
         if !args.json {
-            print(scenario);
+            show::print_on(engine, scenario);
         }
     };
     if !args.json {
         say::line(format!(
-            "policy version {} on engine {}, no exploration noise",
+            "policy version {}, no exploration noise",
             policy.metadata().version,
-            config.engine.kind.name()
         ));
     }
-    let result = run_suite(
-        &config, &model, &policy, args.suite, &settings, &go_on, &mut show,
-    )
-    .map_err(|error| failure(error, &process.stop))?;
-    match args.json {
-        true => say::json(&result),
-        false => Ok(()),
+    let (result, outcomes) = evaluation
+        .run(&go_on, &mut show)
+        .map_err(|error| failure(error, &process.stop))?;
+    finish(args, &evaluation, &result, &outcomes)
+}
+
+/// Writes what was asked for, and says how it ended.
+fn finish(
+    args: &EvalArgs,
+    evaluation: &Evaluation,
+    result: &SuiteResult,
+    outcomes: &[Outcome],
+) -> Result<(), Failure> {
+    let Evaluation {
+        model,
+        policy,
+        settings,
+        ..
+    } = evaluation;
+    if let Some(path) = &args.report {
+        let page =
+            report::page(result, outcomes, model, policy, settings).or_exit(ExitCode::Internal)?;
+        write(path, page.as_bytes())?;
     }
+    if args.write_summary {
+        let summary = Summary::of(result, model.hash_hex(), settings.seed);
+        write_summary(&args.policy, &summary)?;
+    }
+    match args.json {
+        true => say::json(result)?,
+        false => {
+            show::print_end(result);
+            if let Some(path) = &args.report {
+                say::line(format!("report   {}", path.display()));
+            }
+            if args.write_summary {
+                say::line(format!("summary  {}", summary_path(&args.policy).display()));
+            }
+        }
+    }
+    let rows = &result.acceptance;
+    match rows.iter().filter(|row| !row.met).count() {
+        0 => Ok(()),
+        missed => Err(Failure::message(
+            ExitCode::TargetMissed,
+            format!("{missed} of {} targets are missed", rows.len()),
+        )),
+    }
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    std::fs::write(path, bytes).or_exit_with(ExitCode::CannotCreate, || {
+        format!("cannot write {}", path.display())
+    })
+}
+
+/// Puts a summary beside its policy.
+pub fn write_summary(policy: &Path, summary: &Summary) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(summary).or_exit(ExitCode::Internal)?;
+    write(&summary_path(policy), text.as_bytes())
 }
 
 fn warn_of_differences(
@@ -194,70 +278,26 @@ pub fn evaluate(
     };
     let scenario = Scenario::walk("flat 0.3 m/s", [FINAL_COMMAND_MPS, 0.0, 0.0]);
     let go_on = || stop.reason().is_none();
-    let (result, _) = run_scenario(config, model, policy, &scenario, &settings, &go_on)
+    let outcome = run_scenario(config, model, policy, &scenario, &settings, &go_on)
         .map_err(|error| failure(error, stop))?;
-    Ok(result)
+    Ok(outcome.result)
 }
 
-/// One scenario as lines for a person.
-pub fn print(r: &ScenarioResult) {
-    let pm = |x: Estimate, digits: usize| {
-        format!(
-            "{:.digits$} ± {:.digits$}",
-            x.mean,
-            (x.ci_high - x.ci_low) / 2.0
-        )
+/// The summary of what a run was told about its policy when it ended.
+pub fn summary(
+    config: &Config,
+    model: &RobotModel,
+    policy: &PolicyFile,
+    result: &ScenarioResult,
+) -> Summary {
+    let result = SuiteResult {
+        suite: Suite::Flat,
+        engine: config.engine.kind.name(),
+        policy_version: policy.metadata().version,
+        policy_sha256: policy.sha256_hex(),
+        scenarios: vec![result.clone()],
+        referee: None,
+        acceptance: Vec::new(),
     };
-    say::line(format!(
-        "{}: {} episodes, falls {:.1} %{}",
-        r.name,
-        r.episodes,
-        100.0 * r.fall_share.mean,
-        reasons(r)
-    ));
-    say::line(format!(
-        "  velocity {} m/s forward, {} left, yaw {} rad/s; rms off the command {:.3}, {:.3} m/s, {:.3} rad/s",
-        pm(r.vx_mps, 3),
-        pm(r.vy_mps, 3),
-        pm(r.yaw_rate_radps, 3),
-        r.rmse_of_means[0],
-        r.rmse_of_means[1],
-        r.rmse_of_means[2]
-    ));
-    say::line(format!(
-        "  power {} W, cost of transport {:.2}, torque {:.2} N·m rms, {:.2} peak",
-        pm(r.power_w, 1),
-        r.cost_of_transport.mean,
-        r.torque_rms_nm,
-        r.torque_peak_nm
-    ));
-    say::line(format!(
-        "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
-        r.stride_hz.mean,
-        r.duty_factor.map(|d| format!("{d:.2}")).join(" "),
-        r.clearance_m.map(|c| format!("{:.1}", 100.0 * c)).join(" "),
-        100.0 * r.slip_mps.mean,
-        100.0 * r.vibration_share.mean,
-        100.0 * r.trunk_contact_share.mean
-    ));
-    if let (Some(gates), Some(walks)) = (&r.gates, r.walks()) {
-        let verdict = match (walks, gates.missed()) {
-            (true, _) => "walks: every gate is met".to_owned(),
-            (false, missed) if missed.is_empty() => "does not walk: it falls too often".to_owned(),
-            (false, missed) => format!("does not walk: {}", missed.join("; ")),
-        };
-        say::line(format!("  {verdict}"));
-    }
-}
-
-fn reasons(r: &ScenarioResult) -> String {
-    if r.falls.is_empty() {
-        return String::new();
-    }
-    let list: Vec<String> = r
-        .falls
-        .iter()
-        .map(|(reason, n)| format!("{reason} {n}"))
-        .collect();
-    format!(" ({})", list.join(", "))
+    Summary::of(&result, model.hash_hex(), config.run.seed)
 }

@@ -1,0 +1,301 @@
+//! The project's targets for a policy: what is owed, what is aimed at, what was measured.
+
+use serde::Serialize;
+
+use crate::result::{ScenarioResult, SuiteResult};
+use crate::suite;
+
+/// One line of the table.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// What is measured.
+    pub name: &'static str,
+    /// Its unit; `1` for pure numbers.
+    pub unit: &'static str,
+    /// The limit that is owed.
+    pub owed: f64,
+    /// The figure that is aimed at.
+    pub aim: f64,
+    /// Whether it must be at least that (else at most).
+    pub at_least: bool,
+    /// What was measured; `None`: nothing could be.
+    pub measured: Option<f64>,
+    /// Whether what is owed is met, gates and falls included.
+    pub met: bool,
+    /// Whether the aim is.
+    pub aim_met: bool,
+    /// Why not, where the figure alone does not say it.
+    pub note: String,
+}
+
+/// A figure that counts, and what stands against it.
+struct Found {
+    measured: Option<f64>,
+    against: String,
+}
+
+impl Found {
+    fn plain(measured: Option<f64>) -> Self {
+        Self {
+            measured,
+            against: String::new(),
+        }
+    }
+
+    /// A figure of walking counts only where the scenario is walked by its gates.
+    fn walked(scenario: Option<&ScenarioResult>, value: fn(&ScenarioResult) -> f64) -> Self {
+        Self {
+            measured: scenario.map(value),
+            against: scenario.map(objections).unwrap_or_default(),
+        }
+    }
+}
+
+/// Why a scenario does not count as walked; empty where it does.
+fn objections(scenario: &ScenarioResult) -> String {
+    let missed = scenario
+        .gates
+        .as_ref()
+        .map_or_else(Vec::new, |g| g.missed());
+    match scenario.walks() {
+        Some(false) if missed.is_empty() => {
+            format!("falls in {:.1} %", 100.0 * scenario.fall_share.mean)
+        }
+        Some(false) => format!("gates missed: {}", missed.join("; ")),
+        _ => String::new(),
+    }
+}
+
+fn row(name: &'static str, unit: &'static str, limits: [f64; 2], found: Found) -> Row {
+    let [owed, aim] = limits;
+    let at_least = aim > owed;
+    let holds = |limit: f64| match found.measured {
+        Some(x) if at_least => x >= limit,
+        Some(x) => x <= limit,
+        None => false,
+    };
+    let counts = found.against.is_empty();
+    Row {
+        name,
+        unit,
+        owed,
+        aim,
+        at_least,
+        measured: found.measured,
+        met: counts && holds(owed),
+        aim_met: counts && holds(aim),
+        note: match found.measured {
+            Some(_) => found.against,
+            None => "not measured".to_owned(),
+        },
+    }
+}
+
+/// The table from the results of the suite `acceptance`. Times of training are not in it: a policy does not show them.
+#[must_use]
+pub fn acceptance(result: &SuiteResult) -> Vec<Row> {
+    let mut rows = walking(result);
+    rows.extend(standing_and_pushes(result));
+    rows.extend(shore(result));
+    rows.extend(elsewhere(result));
+    rows
+}
+
+fn vx(s: &ScenarioResult) -> f64 {
+    s.vx_mps.mean
+}
+
+fn walking(result: &SuiteResult) -> Vec<Row> {
+    let flat = result.scenario(suite::FLAT);
+    let cost: fn(&ScenarioResult) -> f64 = |s| s.cost_of_transport.mean;
+    let rough = |i: usize| Found::walked(result.scenario(suite::ROUGH[i]), vx);
+    #[rustfmt::skip]
+    let rows = vec![
+        row("flat, command 0.3 m/s: speed forward", "m/s", [0.28, 0.295], Found::walked(flat, vx)),
+        row("flat, command 0.3 m/s: cost of transport", "1", [1.2, 0.8], Found::walked(flat, cost)),
+        row("fastest command tracked within 10 % on flat ground", "m/s", [0.5, 0.8], fastest(result)),
+        row("rough easy (2 cm, 15°): speed forward", "m/s", [0.24, 0.28], rough(0)),
+        row("rough medium (4 cm, 15°): speed forward", "m/s", [0.22, 0.26], rough(1)),
+        row("rough hard (4 cm, 25°): speed forward", "m/s", [0.19, 0.24], rough(2)),
+    ];
+    rows
+}
+
+/// The fastest of the commands straight ahead on flat ground that is tracked within a tenth, every gate met.
+fn fastest(result: &SuiteResult) -> Found {
+    let mut tracked: Vec<(f64, String)> = result
+        .scenarios
+        .iter()
+        .filter(|s| s.name.starts_with("flat "))
+        .filter(|s| (s.vx_mps.mean - s.command[0]).abs() <= 0.1 * s.command[0])
+        .map(|s| (s.command[0], objections(s)))
+        .collect();
+    tracked.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let walked = tracked.iter().rev().find(|(_, against)| against.is_empty());
+    let Some((best, _)) = walked.or(tracked.last()) else {
+        return Found::plain(None);
+    };
+    // without any that counts, the fastest one's objections stand beside it
+    let against = match walked {
+        Some(_) => String::new(),
+        None => tracked.last().map(|(_, a)| a.clone()).unwrap_or_default(),
+    };
+    Found {
+        measured: Some(*best),
+        against,
+    }
+}
+
+fn standing_and_pushes(result: &SuiteResult) -> Vec<Row> {
+    let omni = |i: usize| Found::plain(result.scenario(suite::OMNI).map(|s| s.rmse_of_means[i]));
+    let stand = result.scenario(suite::STAND);
+    let survived = result
+        .scenario(suite::PUSH)
+        .map(|s| 1.0 - s.fall_share.mean);
+    #[rustfmt::skip]
+    let rows = vec![
+        row("omni grid: RMSE of vx", "m/s", [0.04, 0.02], omni(0)),
+        row("omni grid: RMSE of vy", "m/s", [0.05, 0.02], omni(1)),
+        row("omni grid: RMSE of yaw rate", "rad/s", [0.12, 0.06], omni(2)),
+        row("zero command: power", "W", [2.0, 0.5], Found::plain(stand.map(|s| s.power_w.mean))),
+        row("zero command: drift", "m/s", [0.01, 0.001], Found::plain(stand.map(|s| s.drift_mps.mean))),
+        row("pushes of 0.5 m/s every 3 s: survived 20 s", "1", [0.95, 0.99], Found::plain(survived)),
+    ];
+    rows
+}
+
+fn shore(result: &SuiteResult) -> Vec<Row> {
+    let at = |name| result.scenario(name).and_then(|s| s.transition.as_ref());
+    let into = at(suite::INTO_WATER);
+    let back = at(suite::ONTO_LAND).map(|t| t.reached.mean);
+    let swim = into.and_then(|t| t.swim_speed_mps).map(|e| e.mean);
+    let wave = into.and_then(|t| t.wave_in_water.as_ref());
+    let grows = wave.map(|w| f64::from(u8::from(w.travels_to_the_tail)));
+    let legs = into.and_then(|t| t.leg_swing_kept);
+    let touch = into.and_then(|t| t.foot_contact[1]);
+    #[rustfmt::skip]
+    let rows = vec![
+        row("shore: a body length into the water within 20 s", "1", [0.95, 0.99], Found::plain(into.map(|t| t.reached.mean))),
+        row("swimming speed, command 0.3 m/s", "m/s", [0.15, 0.3], Found::plain(swim)),
+        // a yes or no: anything between them would do as a limit
+        row("in water: phase lag grows at every joint to the tail", "1", [0.5, 1.0], Found::plain(grows)),
+        row("in water: leg swing over that on land", "1", [0.5, 0.25], Found::plain(legs)),
+        row("in water: share of time that feet touch", "1", [0.02, 0.0], Found::plain(touch)),
+        row("shore: from the water back onto land within 30 s", "1", [0.5, 0.95], Found::plain(back)),
+    ];
+    rows
+}
+
+fn elsewhere(result: &SuiteResult) -> Vec<Row> {
+    let kept = |of: Option<&ScenarioResult>, over: Option<&ScenarioResult>| match (of, over) {
+        (Some(of), Some(over)) if over.vx_mps.mean > 0.0 => Found {
+            measured: Some(of.vx_mps.mean / over.vx_mps.mean),
+            against: match of.fall_share.mean > 0.05 {
+                true => objections(of),
+                false => String::new(),
+            },
+        },
+        _ => Found::plain(None),
+    };
+    let referee = result
+        .referee
+        .as_ref()
+        .and_then(|r| r.scenario(suite::FLAT));
+    let (nominal, worst) = (
+        result.scenario(suite::NOMINAL),
+        result.scenario(suite::WORST_CORNER),
+    );
+    vec![
+        row(
+            "on the second engine: speed kept",
+            "1",
+            [0.9, 0.98],
+            kept(referee, result.scenario(suite::FLAT)),
+        ),
+        row(
+            "worst corner of the randomisation: speed kept",
+            "1",
+            [0.85, 0.95],
+            kept(worst, nominal),
+        ),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Estimate, GateReport, Suite};
+
+    fn scenario(name: &str, command: f64, vx: f64, walks: bool) -> ScenarioResult {
+        ScenarioResult {
+            name: name.to_owned(),
+            command: [command, 0.0, 0.0],
+            vx_mps: Estimate::of(&[vx]),
+            cost_of_transport: Estimate::of(&[0.9]),
+            gates: Some(GateReport {
+                walks,
+                gates: Vec::new(),
+            }),
+            ..ScenarioResult::default()
+        }
+    }
+
+    fn result(scenarios: Vec<ScenarioResult>) -> SuiteResult {
+        SuiteResult {
+            suite: Suite::Acceptance,
+            engine: "batch",
+            policy_version: 1,
+            policy_sha256: String::new(),
+            scenarios,
+            referee: None,
+            acceptance: Vec::new(),
+        }
+    }
+
+    fn find<'a>(rows: &'a [Row], start: &str) -> &'a Row {
+        rows.iter().find(|r| r.name.starts_with(start)).unwrap()
+    }
+
+    #[test]
+    fn figures_against_limits() {
+        let rows = acceptance(&result(vec![scenario(suite::FLAT, 0.3, 0.285, true)]));
+        let speed = find(&rows, "flat, command 0.3 m/s: speed");
+        assert!(speed.met && !speed.aim_met && speed.at_least);
+        // at most 1.2, aim 0.8: 0.9 meets what is owed
+        let cost = find(&rows, "flat, command 0.3 m/s: cost");
+        assert!(cost.met && !cost.aim_met && !cost.at_least);
+        let omni = find(&rows, "omni grid: RMSE of vx");
+        assert_eq!((omni.met, omni.note.as_str()), (false, "not measured"));
+    }
+
+    #[test]
+    fn speed_without_walking_does_not_count() {
+        let rows = acceptance(&result(vec![scenario(suite::FLAT, 0.3, 0.3, false)]));
+        let speed = find(&rows, "flat, command 0.3 m/s: speed");
+        assert_eq!(speed.measured, Some(0.3));
+        assert!(!speed.met);
+    }
+
+    #[test]
+    fn the_fastest_command_is_the_fastest_that_is_walked() {
+        let rows = acceptance(&result(vec![
+            scenario("flat 0.4 m/s", 0.4, 0.37, true),
+            scenario("flat 0.5 m/s", 0.5, 0.51, false),
+            // off by more than a tenth
+            scenario("flat 0.6 m/s", 0.6, 0.53, true),
+        ]));
+        let fastest = find(&rows, "fastest");
+        assert_eq!((fastest.measured, fastest.met), (Some(0.4), false));
+    }
+
+    #[test]
+    fn speed_kept_in_the_worst_corner() {
+        let rows = acceptance(&result(vec![
+            scenario(suite::NOMINAL, 0.3, 0.30, true),
+            scenario(suite::WORST_CORNER, 0.3, 0.27, true),
+        ]));
+        let kept = find(&rows, "worst corner");
+        assert!((kept.measured.unwrap() - 0.9).abs() < 1e-12);
+        assert!(kept.met && !kept.aim_met);
+    }
+}

@@ -1,0 +1,132 @@
+// Tables and headings. Everything goes in as text, never as markup.
+
+caudata.el = (tag, attributes = {}, ...children) => {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
+    else if (value !== undefined && value !== false) node.setAttribute(name, value === true ? "" : value);
+  }
+  node.append(...children.filter((c) => c !== null && c !== undefined));
+  return node;
+};
+
+caudata.number = (x, digits = 2) => (x === null || x === undefined || !Number.isFinite(x) ? "–" : x.toFixed(digits).replace("-", "−"));
+caudata.estimate = (e, digits = 3) => (e ? `${caudata.number(e.mean, digits)} ± ${caudata.number((e.ci_high - e.ci_low) / 2, digits)}` : "–");
+caudata.percent = (x, digits = 1) => (x === null || x === undefined ? "–" : `${caudata.number(100 * x, digits)} %`);
+
+caudata.table = (heads, rows) => {
+  const { el } = caudata;
+  const cell = (value) => (value instanceof Node && value.tagName === "TD" ? value : el("td", {}, value));
+  return el("div", { class: "scroll" }, el("table", {},
+    el("thead", {}, el("tr", {}, ...heads.map((h) => el("th", { scope: "col" }, h)))),
+    el("tbody", {}, ...rows.map((row) => el("tr", {}, ...row.map(cell))))));
+};
+
+caudata.mark = (ok, yes = "met", no = "missed") => caudata.el("td", { class: ok ? "good" : "bad" }, ok ? `✓ ${yes}` : `✗ ${no}`);
+
+// null: not about walking.
+caudata.walks = (scenario) => {
+  if (!scenario.gates) return null;
+  return scenario.gates.walks && scenario.fall_share.mean <= 0.05;
+};
+
+caudata.verdict = (scenario) => {
+  const walks = caudata.walks(scenario);
+  if (walks === null) return "";
+  if (walks) return "walks: every gate is met";
+  const missed = scenario.gates.gates.filter((g) => !g.met).map((g) => g.name);
+  return missed.length ? `does not walk: ${missed.join("; ")}` : "does not walk: it falls too often";
+};
+
+caudata.header = (page) => {
+  const { el, number, percent } = caudata;
+  const { about, result } = page;
+  const flat = result.scenarios.find((s) => s.name === "flat 0.3 m/s") || result.scenarios[0];
+  const cards = [];
+  const card = (value, label, kind) => cards.push(el("div", { class: "card" }, el("b", { class: kind || "" }, value), el("span", {}, label)));
+  if (flat) {
+    const walks = caudata.walks(flat);
+    card(`${number(flat.vx_mps.mean, 3)} m/s`, `forward, ${flat.name}`);
+    card(`${number(flat.power_w.mean, 1)} W`, "mean joint power there");
+    if (walks !== null) card(walks ? "walks" : "does not walk", walks ? "every gate met there" : "a gate missed there", walks ? "good" : "bad");
+    card(percent(flat.fall_share.mean), "of its episodes fall", flat.fall_share.mean > 0.05 ? "bad" : "");
+  }
+  const shore = result.scenarios.find((s) => s.transition && s.transition.swim_speed_mps && s.transition.reached.mean > 0.5);
+  if (shore) card(`${number(shore.transition.swim_speed_mps.mean, 3)} m/s`, `swimming, ${shore.name}`);
+  const rows = result.acceptance;
+  if (rows.length) {
+    const met = rows.filter((r) => r.met).length;
+    card(`${met} of ${rows.length}`, "targets met", met === rows.length ? "good" : "warn");
+  }
+  const sha = result.policy_sha256.slice(0, 12);
+  const from = [`policy ${result.policy_version}`, `robot ${about.robot}`, `suite ${result.suite}`, `engine ${result.engine}`];
+  document.getElementById("top").append(
+    el("h1", {}, `How policy ${result.policy_version} walks`),
+    el("p", { class: "soft" }, from.slice(1).join(" · "), ` · ${(about.env_steps / 1e6).toFixed(1)} million training steps · seed ${about.seed}`),
+    el("p", { class: "soft small" }, "policy ", el("code", { title: result.policy_sha256 }, sha), " · robot files ", el("code", { title: about.robot_hash }, about.robot_hash.slice(0, 12)),
+      ` · run ${about.run_id}`, about.training_commit ? ` · commit ${about.training_commit.slice(0, 12)}` : "", ` · the first ${about.settle_s} s of each episode are left out of means; intervals are 95 %`),
+    el("div", { class: "cards" }, ...cards));
+};
+
+caudata.tables = (page) => {
+  const { el, number, table, mark } = caudata;
+  const { result } = page;
+  const out = document.getElementById("tables");
+  const section = (title, note, ...content) => out.append(el("h2", {}, title), ...(note ? [el("p", { class: "soft small" }, note)] : []), ...content);
+
+  if (result.acceptance.length) {
+    const rows = result.acceptance.map((r) => {
+      const sign = r.at_least ? "≥ " : "≤ ";
+      const unit = r.unit === "1" ? "" : ` ${r.unit}`;
+      const digits = Math.abs(r.measured) < 0.1 ? 4 : 3;
+      return [r.name, `${sign}${r.owed}${unit}`, `${sign}${r.aim}${unit}`, `${number(r.measured, digits)}${r.measured === null ? "" : unit}`,
+        r.measured === null ? el("td", { class: "soft" }, "–") : mark(r.met, r.aim_met ? "aim" : "met"), el("td", { class: "text soft" }, r.note)];
+    });
+    section("Targets", "A figure of walking counts only where its gait gates are met.", table(["target", "owed", "aim", "measured", "", "note"], rows));
+  }
+
+  const compared = page.paper.filter((row) => row.measured);
+  if (compared.length) {
+    const rows = compared.map(({ name, paper_mps, measured: m }) => [name, number(paper_mps, 2), caudata.estimate(m), `${number(m.mean / paper_mps, 2)} ×`, m.walks === null ? "" : mark(m.walks, "walks", "gates")]);
+    section("Beside the paper", "Tian, Fu, Ning, Pey, Ijspeert, “Learning Whole-Body Control for a Salamander Robot”: the robot's speed at a 0.3 m/s command. Theirs is measured on the robot, ours in simulation.",
+      table(["ground", "paper, m/s", "here, m/s", "over the paper", ""], rows));
+  }
+
+  const rows = result.scenarios.map((s, i) => [
+    el("td", {}, el("button", { type: "button", onclick: () => caudata.select(i, true) }, s.name)),
+    `${s.episodes}`, `${number(s.command[0])}, ${number(s.command[1])}, ${number(s.command[2])}`,
+    caudata.estimate(s.vx_mps), caudata.estimate(s.vy_mps), caudata.estimate(s.yaw_rate_radps), s.rmse_of_means.map((x) => number(x, 3)).join(" "),
+    caudata.percent(s.fall_share.mean), caudata.estimate(s.power_w, 1), number(s.cost_of_transport.mean), number(s.torque_rms_nm), number(s.torque_peak_nm), number(s.joint_speed_peak_radps, 1), number(s.joint_accel_rms_radps2, 0)]);
+  section("Every scenario", "Velocities of the whole body in the heading frame; rms: over episodes, mean velocity against the command.", table(
+    ["scenario", "episodes", "mean command", "vx, m/s", "vy, m/s", "yaw, rad/s", "rms off the command", "falls", "power, W", "cost of transport", "torque rms, N·m", "peak", "speed peak, rad/s", "accel rms, rad/s²"], rows));
+
+  const judged = result.scenarios.filter((s) => s.gates && s.gates.gates.length);
+  if (judged.length) {
+    const names = judged.map((s) => s.gates.gates).reduce((a, b) => (b.length > a.length ? b : a)).map((g) => g);
+    const head = names.map((g) => `${g.name} ${g.at_least === null ? "≤ " + g.at_most : "≥ " + g.at_least}`);
+    const lines = judged.map((s) => [s.name, ...names.map((n) => {
+      const g = s.gates.gates.find((x) => x.name === n.name);
+      return g ? el("td", { class: g.met ? "" : "bad" }, (g.met ? "" : "✗ ") + number(g.value, 3)) : el("td", { class: "soft" }, "–");
+    }), mark(caudata.walks(s), "walks", "no")]);
+    section("Is it walking?", "Speed can be had by vibrating. These gates cannot, and a figure that misses one is not called walking.", table(["scenario", ...head, ""], lines));
+  }
+
+  const shores = result.scenarios.filter((s) => s.transition);
+  if (shores.length) {
+    const pair = (values, show) => values.map(show).join(" → ");
+    const lines = shores.map(({ name, transition: t }) => [name, caudata.percent(t.reached.mean), caudata.estimate(t.reached_s, 1), caudata.estimate(t.swim_speed_mps), caudata.estimate(t.swim_power_w, 1),
+      pair(t.leg_swing_rad, (x) => number(x, 3)), caudata.percent(t.leg_swing_kept, 0), pair(t.foot_contact, (x) => caudata.percent(x, 0)),
+      t.wave_in_water ? mark(t.wave_in_water.travels_to_the_tail, "to the tail", "no") : "–"]);
+    section("Across the shore", "On land: centre of mass half a body length before the waterline; in water: a whole one beyond it. Leg swing: standard deviation of the leg joints, rad.",
+      table(["scenario", "reached", "after, s", "swimming, m/s", "power, W", "leg swing, land → water", "kept", "feet touch, land → water", "wave in water"], lines));
+  }
+
+  if (result.referee) {
+    const lines = result.referee.scenarios.map((r) => {
+      const s = result.scenarios.find((x) => x.name === r.name);
+      const kept = s && s.vx_mps.mean ? r.vx_mps.mean / s.vx_mps.mean : null;
+      return [r.name, `${r.episodes}`, s ? caudata.estimate(s.vx_mps) : "–", caudata.estimate(r.vx_mps), caudata.percent(kept), caudata.percent(r.fall_share.mean), number(r.power_w.mean, 1), el("td", { class: "text soft" }, caudata.verdict(r))];
+    });
+    section("On the second engine", null, table(["scenario", "episodes", `vx on ${result.engine}, m/s`, `vx on ${result.referee.engine}, m/s`, "kept", "falls", "power, W", ""], lines));
+  }
+};

@@ -1,0 +1,178 @@
+//! One kind of episode: ground, command, disturbances, and what it is for.
+
+use caudata_sim::{TerrainConfig, TerrainKind};
+use caudata_task::push::PushConfig;
+use caudata_task::randomise::RandomisationConfig;
+use serde::Serialize;
+
+/// One kind of episode.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scenario {
+    /// Its name in results.
+    pub name: String,
+    /// Commands (vx, vy in m/s, yaw rate in rad/s) that episodes follow in turn.
+    pub commands: Vec<[f32; 3]>,
+    /// The ground.
+    pub terrain: TerrainConfig,
+    /// Start positions within ± this, m.
+    pub spawn_half_extent_m: f32,
+    /// Around what.
+    pub start: Start,
+    /// Headings to be kept, in order of time: the yaw rate of the command then follows from the heading ([`Leg`]). Empty: the command alone.
+    pub steering: Vec<Leg>,
+    /// Length of its episodes, s; `None`: as the settings say.
+    pub episode_s: Option<f64>,
+    /// The robot's parameters.
+    pub corner: Corner,
+    /// Pushes, if any.
+    pub push: Option<PushConfig>,
+    /// Whether it must pass the gates to count as walking (standing still need not).
+    pub judged: bool,
+    /// Where it must get to, if anywhere.
+    pub goal: Option<Goal>,
+    /// Which episode reports show, if any: single corners look alike, and a page must stay small.
+    pub film: Option<usize>,
+}
+
+impl Scenario {
+    /// An undisturbed walk on flat ground at a constant command.
+    #[must_use]
+    pub fn walk(name: &str, command: [f32; 3]) -> Self {
+        Self {
+            name: name.to_owned(),
+            commands: vec![command],
+            terrain: TerrainConfig::default(),
+            spawn_half_extent_m: 0.0,
+            start: Start::default(),
+            steering: Vec::new(),
+            episode_s: None,
+            corner: Corner::nominal(),
+            push: None,
+            judged: true,
+            goal: None,
+            film: Some(0),
+        }
+    }
+
+    /// Whether the ground is flat, so that a trunk on it is a fault.
+    #[must_use]
+    pub fn is_flat(&self) -> bool {
+        self.terrain.kind == TerrainKind::Flat
+    }
+}
+
+/// Place and heading around which episodes start.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Start {
+    /// World x and y of the base, m.
+    pub xy_m: [f32; 2],
+    /// Heading, rad.
+    pub yaw_rad: f32,
+    /// Headings are drawn within ± this, rad; `None`: as in training.
+    pub yaw_range_rad: Option<f32>,
+}
+
+/// A heading to be kept from a time on, as a person with a joystick would: yaw rate = [`Leg::GAIN`] times what is missing, within [`Leg::MOST_RADPS`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Leg {
+    /// From when on, s.
+    pub from_s: f64,
+    /// Which heading, world, rad.
+    pub heading_rad: f32,
+}
+
+impl Leg {
+    /// Yaw rate per missing angle, 1/s: slow against a stride, in which the trunk sways.
+    pub const GAIN: f32 = 1.0;
+    /// Largest yaw rate that is asked for, rad/s: the omni grid's.
+    pub const MOST_RADPS: f32 = 0.6;
+
+    /// The yaw rate to command at `time_s` and `heading_rad`; `None` without legs.
+    #[must_use]
+    pub fn yaw_rate_radps(legs: &[Self], time_s: f64, heading_rad: f32) -> Option<f32> {
+        let leg = legs.iter().rev().find(|leg| leg.from_s <= time_s)?;
+        let missing = caudata_task::phase::wrap_angle(leg.heading_rad - heading_rad);
+        Some((Self::GAIN * missing).clamp(-Self::MOST_RADPS, Self::MOST_RADPS))
+    }
+}
+
+/// Where an episode at the shore must get to. Land lies at small x, water at large x.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Goal {
+    /// The centre of mass a body length beyond the waterline.
+    IntoWater,
+    /// The centre of mass half a body length before the waterline.
+    OntoLand,
+    /// First the one, then the other.
+    ThereAndBack,
+}
+
+/// A robot that differs from its file in a few known ways.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Corner {
+    /// Delay of commands, s.
+    pub command_delay_s: f32,
+    /// Factor on the friction of the feet.
+    pub foot_friction_scale: f32,
+    /// Factor on Kp.
+    pub kp_scale: f32,
+    /// Factor on all masses.
+    pub mass_scale: f32,
+}
+
+impl Corner {
+    /// The robot as its file says.
+    #[must_use]
+    pub fn nominal() -> Self {
+        Self {
+            command_delay_s: 0.0,
+            foot_friction_scale: 1.0,
+            kp_scale: 1.0,
+            mass_scale: 1.0,
+        }
+    }
+
+    /// As a randomisation without any width.
+    #[must_use]
+    pub fn randomisation(&self) -> RandomisationConfig {
+        let all = |value: f32| [value, value];
+        RandomisationConfig {
+            enabled: true,
+            foot_friction_scale: all(self.foot_friction_scale),
+            body_friction_scale: all(1.0),
+            total_mass_scale: all(self.mass_scale),
+            link_mass_scale: all(1.0),
+            com_offset_m: all(0.0),
+            joint_friction_scale: all(1.0),
+            armature_scale: all(1.0),
+            damping_scale: all(1.0),
+            kp_scale: all(self.kp_scale),
+            kd_scale: all(1.0),
+            torque_scale: all(1.0),
+            supply_scale: all(1.0),
+            command_delay_s: all(self.command_delay_s),
+            backlash_scale: all(1.0),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f32::consts::PI;
+
+    #[test]
+    fn steering_takes_the_short_way_and_the_present_leg() {
+        let leg = |from_s, heading_rad| Leg {
+            from_s,
+            heading_rad,
+        };
+        let legs = [leg(0.0, 0.0), leg(10.0, PI)];
+        assert_eq!(Leg::yaw_rate_radps(&legs, 5.0, 0.25), Some(-0.25));
+        assert_eq!(Leg::yaw_rate_radps(&legs, 10.0, 0.25), Some(0.6));
+        // from −3 to π is −0.142 the short way
+        let back = Leg::yaw_rate_radps(&legs, 20.0, -3.0).unwrap();
+        assert!((back + (3.0 - PI).abs()).abs() < 1e-5, "{back}");
+        assert_eq!(Leg::yaw_rate_radps(&[], 5.0, 0.25), None);
+    }
+}

@@ -1,0 +1,81 @@
+//! Policies made by hand.
+
+use std::f64::consts::TAU;
+use std::path::Path;
+use std::sync::Arc;
+
+use caudata_config::{Config, ConfigArgs};
+use caudata_model::RobotModel;
+use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
+use caudata_task::{ACT_DIM, PolicyContract, layout};
+
+pub fn config() -> Config {
+    let args = ConfigArgs {
+        preset: Some("quick".into()),
+        overrides: vec![
+            // lets fast motion through, as in the paper's unstated defaults
+            "task.action.filter_alpha=0.5".into(),
+            "task.action.scale=0.5".into(),
+            "task.noise.enabled=false".into(),
+        ],
+        ..ConfigArgs::default()
+    };
+    args.load().unwrap()
+}
+
+pub fn policy(contract: &PolicyContract, layers: Vec<Dense>) -> PolicyFile {
+    let obs = contract.obs_dim();
+    let spec = MlpSpec {
+        obs_mean: vec![0.0; obs],
+        obs_std: vec![1.0; obs],
+        obs_clip: None,
+        layers,
+        activation: Activation::Tanh,
+    };
+    let metadata = PolicyMetadata {
+        contract: contract.clone(),
+        version: 1,
+        run_id: "by-hand".into(),
+        training_commit: String::new(),
+        config_hash: String::new(),
+        env_steps: 0,
+        seed: 1,
+        log_std: vec![0.0; ACT_DIM],
+        created_unix_s: None,
+        evaluation: None,
+    };
+    PolicyFile::parse(Arc::from(build_onnx(&spec, &metadata).unwrap())).unwrap()
+}
+
+pub fn layer(out: usize, input: usize) -> Dense {
+    Dense {
+        out,
+        input,
+        weight: vec![0.0; out * input],
+        bias: vec![0.0; out],
+    }
+}
+
+/// Every leg joint swings at `frequency_hz`: aₜ = tanh(g·(2·cos ω·aₜ₋₁ − aₜ₋₂)), an oscillator fed by the policy's own past actions.
+pub fn vibrating(contract: &PolicyContract, frequency_hz: f64) -> PolicyFile {
+    const GAIN: f32 = 1.3;
+    let obs = contract.obs_dim();
+    let mut hidden = layer(ACT_DIM, obs);
+    let mut output = layer(ACT_DIM, ACT_DIM);
+    let turn = (2.0 * (TAU * frequency_hz * 0.02).cos()) as f32;
+    for j in 8..ACT_DIM {
+        let row = &mut hidden.weight[j * obs..][..obs];
+        row[layout::ACTIONS + j] = GAIN * turn;
+        row[layout::ACTIONS + ACT_DIM + j] = -GAIN;
+        // pairs of legs in opposition; it also starts the oscillation
+        hidden.bias[j] = if (j / 2) % 2 == 0 { 0.05 } else { -0.05 };
+        output.weight[j * ACT_DIM + j] = 1.0;
+    }
+    policy(contract, vec![hidden, output])
+}
+
+/// The robot that this project is about.
+pub fn robot() -> Arc<RobotModel> {
+    let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/polymander.robot.toml");
+    Arc::new(RobotModel::load(&robot).unwrap())
+}

@@ -1,0 +1,374 @@
+//! Joint channels: sign, unit, order, stuck and doubled channels, and whether a reading comes before its cause.
+
+use caudata_runlog::Signal;
+
+use super::series::{Together, best_lag, smooth, together};
+use super::{Finding, Run, Severity};
+
+/// Commands and readings are compared below about 1 Hz, where no lag of a servo turns a sign.
+const SLOW_S: f64 = 0.35;
+/// A command that moves less than this (standard deviation of its slow part, rad) tells nothing.
+const MOVES_RAD: f64 = 0.02;
+/// At least so long a stretch is judged, s.
+const LONG_ENOUGH_S: f64 = 1.0;
+/// Longest time from a command to its effect that any servo needs, s. More is a fault of the stamps.
+const LONGEST_LAG_S: f64 = 0.3;
+/// Lags that are looked at, s.
+const LAG_RANGE_S: f64 = 0.6;
+/// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
+const BEYOND: (f64, f64) = (1.3, 0.2);
+/// An error that no servo leaves on both sides of a reading that does not change, rad.
+const STUCK_RAD: f64 = 0.15;
+
+/// What is known of one joint, on the run's grid.
+pub(super) struct Channels {
+    pub name: String,
+    pub index: usize,
+    /// Command, rad; NaN where none is in force.
+    pub cmd: Option<Vec<f64>>,
+    pub pos: Option<Vec<f64>>,
+    pub vel: Option<Vec<f64>>,
+    pub cur: Option<Vec<f64>>,
+    /// 1 powered, 0 let go.
+    pub on: Option<Vec<f64>>,
+    slow_cmd: Option<Vec<f64>>,
+    slow_pos: Option<Vec<f64>>,
+}
+
+impl Channels {
+    /// The channels of every actuated joint that the log has, policy order.
+    pub fn all(run: &Run<'_>) -> Vec<Self> {
+        let table = &run.log.table;
+        let slow = run.grid.points(SLOW_S);
+        let names = run.robot.actuated_names();
+        names
+            .iter()
+            .enumerate()
+            .filter(|(_, name)| {
+                let named = |s: &Signal| s.joint() == Some(**name);
+                table.signals().iter().any(named)
+            })
+            .map(|(index, name)| {
+                let own =
+                    |of: fn(String) -> Signal| run.grid.linear(table, &of((*name).to_owned()));
+                let on = run.grid.held(table, &Signal::Enabled((*name).to_owned()));
+                let mut cmd = run.grid.held(table, &Signal::Command((*name).to_owned()));
+                if let (Some(cmd), Some(on)) = (&mut cmd, &on) {
+                    for (u, &on) in cmd.iter_mut().zip(on) {
+                        if on == 0.0 {
+                            *u = f64::NAN;
+                        }
+                    }
+                }
+                let pos = own(Signal::Position);
+                Self {
+                    name: (*name).to_owned(),
+                    index,
+                    slow_cmd: cmd.as_deref().map(|x| smooth(x, slow)),
+                    slow_pos: pos.as_deref().map(|x| smooth(x, slow)),
+                    cmd,
+                    pos,
+                    vel: own(Signal::Velocity),
+                    cur: own(Signal::Current),
+                    on,
+                }
+            })
+            .collect()
+    }
+}
+
+pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    for joint in joints {
+        units(run, joint, out);
+        sign(run, joint, out);
+        stuck(run, joint, out);
+        counts(run, joint, out);
+    }
+    order(run, joints, out);
+    doubled(joints, out);
+    cause_before_effect(run, joints, out);
+}
+
+fn fatal(kind: &'static str, at: String, detail: String) -> Finding {
+    Finding {
+        kind,
+        at,
+        detail,
+        severity: Severity::Fatal,
+    }
+}
+
+/// The slow parts of command and position, where there is enough of both.
+fn follows(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Together> {
+    let t = together(cmd.slow_cmd.as_ref()?, pos.slow_pos.as_ref()?, 0);
+    let enough = t.points >= run.grid.points(LONG_ENOUGH_S) && t.first_sd > MOVES_RAD;
+    enough.then_some(t)
+}
+
+fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
+    let (low, high) = run.robot.joint_limits_rad()[joint.index];
+    let widest = BEYOND.0 * low.abs().max(high.abs()) + BEYOND.1;
+    let beyond = |x: &Option<Vec<f64>>| {
+        let x = x.as_ref()?;
+        let known = x.iter().filter(|v| v.is_finite()).count();
+        let over: Vec<f64> = x.iter().copied().filter(|v| v.abs() > widest).collect();
+        (over.len() * 50 > known).then(|| over.iter().fold(0.0, |m: f64, v| m.max(v.abs())))
+    };
+    for (what, column) in [("cmd", &joint.cmd), ("pos", &joint.pos)] {
+        if let Some(most) = beyond(column) {
+            let why = if most > 10.0 {
+                "is it in degrees or counts?"
+            } else {
+                "is it in another unit, from another zero, or of another robot?"
+            };
+            out.push(fatal(
+                "unit",
+                format!("{what}.{}", joint.name),
+                format!(
+                    "reaches {most:.2} where the joint's range is {low:.2} to {high:.2} rad; {why}"
+                ),
+            ));
+        }
+    }
+    let Some(t) = follows(run, joint, joint) else {
+        return;
+    };
+    // 57.3 either way, also where the joint's range is wide enough to hold it
+    if t.r > 0.7 && t.slope > 20.0 && beyond(&joint.pos).is_none() {
+        out.push(fatal(
+            "unit",
+            format!("pos.{}", joint.name),
+            format!(
+                "moves {:.1} times as far as its command; is one of them in degrees?",
+                t.slope
+            ),
+        ));
+    } else if t.r > 0.7 && t.slope > 0.0 && t.slope < 0.03 && beyond(&joint.cmd).is_none() {
+        out.push(fatal(
+            "unit",
+            format!("cmd.{}", joint.name),
+            format!(
+                "moves {:.1} times as far as the position; is one of them in degrees?",
+                1.0 / t.slope
+            ),
+        ));
+    }
+}
+
+fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
+    let Some(t) = follows(run, joint, joint) else {
+        return;
+    };
+    if t.r < -0.5 && t.second_sd > 0.2 * t.first_sd {
+        out.push(fatal(
+            "sign",
+            format!("pos.{}", joint.name),
+            format!(
+                "goes against cmd.{} (correlation {:.2}); turn the sign of one of them",
+                joint.name, t.r
+            ),
+        ));
+        return;
+    }
+    // The motor pulls towards the command: current follows the error where the sign is right.
+    let (Some(cmd), Some(pos), Some(cur)) = (&joint.slow_cmd, &joint.slow_pos, &joint.cur) else {
+        return;
+    };
+    let error: Vec<f64> = cmd.iter().zip(pos).map(|(u, q)| u - q).collect();
+    let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
+    let unsigned = cur.iter().all(|i| i.is_nan() || *i >= 0.0);
+    if t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) && !unsigned {
+        out.push(fatal(
+            "sign",
+            format!("cur.{}", joint.name),
+            format!(
+                "pulls away from the command (correlation with cmd − pos {:.2}); turn its sign",
+                t.r
+            ),
+        ));
+    }
+}
+
+/// A reading that stays the same to the last bit while the command asks for both sides of it.
+fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
+    let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {
+        return;
+    };
+    // A weak servo does not get through friction: what counts as an error goes with its gain.
+    let servo = run.robot.servo(joint.index);
+    let kp = run
+        .log
+        .meta
+        .kp
+        .unwrap_or(run.robot.kp_nm_per_rad())
+        .max(1e-6);
+    let far = STUCK_RAD.max(0.3 * servo.tau_max_nm / kp);
+    let mut from = 0;
+    for i in 1..=pos.len() {
+        if i < pos.len() && pos[i] == pos[from] {
+            continue;
+        }
+        let asked = || cmd[from..i].iter().filter(|u| u.is_finite());
+        let above = asked().any(|u| u - pos[from] > far);
+        let below = asked().any(|u| pos[from] - u > far);
+        let lasts = (i - from) as f64 * run.grid.step_s;
+        if above && below && lasts > 0.3 {
+            out.push(fatal(
+                "stuck",
+                format!("pos.{}", joint.name),
+                format!(
+                    "reads {:.4} rad for {lasts:.1} s from t = {:.2} s while the command asks for both sides of it",
+                    pos[from],
+                    run.grid.start_s + from as f64 * run.grid.step_s
+                ),
+            ));
+            return;
+        }
+        from = i;
+    }
+}
+
+/// Positions that were rounded much more coarsely than the encoder counts.
+fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
+    let signal = Signal::Position(joint.name.clone());
+    let Some(column) = run.log.table.column(&signal) else {
+        return;
+    };
+    let mut known: Vec<f64> = column.iter().flatten().copied().collect();
+    known.sort_unstable_by(f64::total_cmp);
+    known.dedup();
+    let span = known.last().unwrap_or(&0.0) - known.first().unwrap_or(&0.0);
+    let step = known
+        .windows(2)
+        .map(|w| w[1] - w[0])
+        .filter(|d| *d > 1e-9)
+        .fold(f64::INFINITY, f64::min);
+    let lsb = run.robot.servo(joint.index).encoder_lsb_rad();
+    if known.len() >= 5 && span > 20.0 * lsb && step > 4.0 * lsb {
+        out.push(Finding {
+            kind: "quantisation",
+            at: format!("pos.{}", joint.name),
+            detail: format!(
+                "comes in steps of {:.4} rad where the encoder counts {lsb:.4} rad; log it unrounded",
+                step
+            ),
+            severity: Severity::Note,
+        });
+    }
+}
+
+/// Two joints' readings in each other's place.
+fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    let mut named = vec![false; joints.len()];
+    for a in 0..joints.len() {
+        // where the own reading follows, nothing is exchanged
+        let own = follows(run, &joints[a], &joints[a]);
+        let own_follows = own.is_none_or(|t| t.r > 0.5 && t.slope > 0.1);
+        if own_follows || own.is_some_and(|t| t.r < -0.5) {
+            continue;
+        }
+        for b in 0..joints.len() {
+            if a == b || named[a] || named[b] {
+                continue;
+            }
+            let (Some(ab), Some(own_a)) = (follows(run, &joints[a], &joints[b]), own) else {
+                continue;
+            };
+            let goes = |t: Together| t.r.abs() > 0.8 && (0.3..3.0).contains(&t.slope.abs());
+            // its own command does not explain the other reading: it rests, or goes otherwise
+            let own_b = follows(run, &joints[b], &joints[b]);
+            let elsewhere = own_b.is_none_or(|t| t.r.abs() < ab.r.abs() - 0.2);
+            if goes(ab) && elsewhere && own_a.r.abs() < ab.r.abs() - 0.3 {
+                named[a] = true;
+                let back = follows(run, &joints[b], &joints[a]).is_some_and(goes);
+                named[b] = back;
+                let (a, b) = (&joints[a].name, &joints[b].name);
+                let more = if back {
+                    format!(" and pos.{a} follows cmd.{b}: exchange them")
+                } else {
+                    ": are the columns in another joint's order?".to_owned()
+                };
+                out.push(fatal(
+                    "order",
+                    format!("pos.{a}"),
+                    format!("pos.{b} follows cmd.{a} (correlation {:.2}){more}", ab.r),
+                ));
+            }
+        }
+    }
+}
+
+/// Two joints that read the same although they are asked for different things.
+fn doubled(joints: &[Channels], out: &mut Vec<Finding>) {
+    for (a, first) in joints.iter().enumerate() {
+        for second in &joints[a + 1..] {
+            let (Some(x), Some(y)) = (&first.pos, &second.pos) else {
+                continue;
+            };
+            let known = || {
+                x.iter()
+                    .zip(y)
+                    .filter(|(p, q)| p.is_finite() && q.is_finite())
+            };
+            let all = known().count();
+            let same = known().filter(|(p, q)| p == q).count();
+            let moved = together(x, y, 0).first_sd > MOVES_RAD;
+            let asked_alike = match (&first.cmd, &second.cmd) {
+                (Some(u), Some(v)) => {
+                    let off = u.iter().zip(v).map(|(u, v)| (u - v).abs());
+                    off.fold(0.0, |m: f64, d| if d > m { d } else { m }) < 1e-3
+                }
+                _ => false,
+            };
+            if moved && !asked_alike && all > 50 && same * 100 > all * 98 {
+                out.push(fatal(
+                    "duplicate",
+                    format!("pos.{}", second.name),
+                    format!(
+                        "is the same as pos.{} in {same} of {all} points; one channel was logged twice",
+                        first.name
+                    ),
+                ));
+            }
+        }
+    }
+}
+
+/// A position that moves before its command was sent, or much later than any servo: stamps of two clocks.
+fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    let grid = &run.grid;
+    let fine = grid.points(0.04);
+    let most = grid.points(LAG_RANGE_S) as isize;
+    let rate = |x: &[f64]| super::series::slope(&smooth(x, fine), fine.div_ceil(2), grid.step_s);
+    let mut leads = Vec::new();
+    for joint in joints {
+        let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {
+            continue;
+        };
+        let (u, q) = (rate(cmd), rate(pos));
+        if together(&u, &q, 0).first_sd < 0.1 {
+            continue;
+        }
+        let (lag, at_lag) = best_lag(&u, &q, -most..=most);
+        let lag_s = lag as f64 * grid.step_s;
+        // The best among the lags that a servo can have must be clearly worse: a periodic motion fits a period off, too.
+        let late = grid.points(LONGEST_LAG_S) as isize;
+        let possible = best_lag(&u, &q, 0..=late).1;
+        let impossible = lag_s < -(2.5 * grid.step_s).max(0.02) || lag_s > LONGEST_LAG_S;
+        if impossible && at_lag.r > 0.6 && at_lag.r > possible.r + 0.15 {
+            leads.push((joint.name.as_str(), lag_s, at_lag.r));
+        }
+    }
+    if let Some(&(name, lag_s, r)) = leads.iter().max_by(|a, b| a.2.total_cmp(&b.2)) {
+        let how = if lag_s < 0.0 { "before" } else { "after" };
+        out.push(fatal(
+            "stamps",
+            format!("pos.{name}"),
+            format!(
+                "moves {:.0} ms {how} its command (correlation {r:.2}; {} joint(s)): commands and readings were stamped by different clocks or shifted",
+                1e3 * lag_s.abs(),
+                leads.len()
+            ),
+        ));
+    }
+}

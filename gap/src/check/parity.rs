@@ -1,0 +1,356 @@
+//! Relations that hold whatever the robot does: speed is the change of position, gravity is 9.81 m/s² down, turning turns gravity.
+
+use caudata_runlog::{Axis, QuatPart, Signal};
+
+use super::joints::Channels;
+use super::series::{Together, best_lag, smooth, together};
+use super::{Finding, Run, Severity};
+
+/// Speeds are compared as means over so long, s: encoder steps vanish.
+const WINDOW_S: f64 = 0.15;
+/// Longest lag of a speed estimate, s.
+const LAG_S: f64 = 0.12;
+/// Speeds below this (standard deviation, rad/s or m/s) tell nothing.
+const MOVES: f64 = 0.08;
+/// The ratio of a speed to the change of position may be off one by this factor: a filter takes some of it away.
+const RATIO: f64 = 1.5;
+/// Least correlation of a speed with the change of position.
+const LEAST_R: f64 = 0.6;
+
+pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    let speeds: Vec<(&Channels, Together)> = joints
+        .iter()
+        .filter_map(|j| Some((j, speed_parity(run, j.pos.as_ref()?, j.vel.as_ref()?)?)))
+        .collect();
+    // All speeds off by the same factor: it is the clock.
+    if speeds.len() >= 2 && speeds.iter().all(|(_, t)| t.r > LEAST_R) {
+        let ratios: Vec<f64> = speeds.iter().map(|(_, t)| t.slope).collect();
+        let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+        let alike = ratios.iter().all(|r| (r / mean - 1.0).abs() < 0.1);
+        let known_unit = unit_factor(mean).is_some();
+        if alike && !known_unit && !(1.0 / RATIO..RATIO).contains(&mean) && mean > 0.0 {
+            out.push(fatal(
+                "stamps",
+                "t".to_owned(),
+                format!(
+                    "every joint's speed is {mean:.2} times its change of position per time: time runs at the wrong rate"
+                ),
+            ));
+            return;
+        }
+    }
+    for (joint, t) in speeds {
+        let at = format!("vel.{}", joint.name);
+        if let Some(f) = speed_fault(t, &at, &format!("pos.{}", joint.name)) {
+            out.push(f);
+        }
+    }
+    imu(run, out);
+    base(run, out);
+    plain_ranges(run, joints, out);
+}
+
+fn fatal(kind: &'static str, at: String, detail: String) -> Finding {
+    Finding {
+        kind,
+        at,
+        detail,
+        severity: Severity::Fatal,
+    }
+}
+
+/// The change of `pos` per time against `speed`, at the lag where they go best together; `None` where nothing moves.
+fn speed_parity(run: &Run<'_>, pos: &[f64], speed: &[f64]) -> Option<Together> {
+    let grid = &run.grid;
+    let width = grid.points(WINDOW_S).max(2);
+    let half = width / 2;
+    let change = super::series::slope(pos, half, grid.step_s);
+    let mean = smooth(speed, 2 * half);
+    let lags = grid.points(LAG_S) as isize;
+    let (_, t) = best_lag(&change, &mean, 0..=lags);
+    let turned = together(&change, &mean, 0);
+    let t = if turned.r < -t.r.abs() { turned } else { t };
+    (t.points >= grid.points(1.0) && t.first_sd > MOVES).then_some(t)
+}
+
+/// The unit that stands behind a ratio of speeds.
+fn unit_factor(ratio: f64) -> Option<&'static str> {
+    let near = |x: f64| (ratio / x - 1.0).abs() < 0.12;
+    [
+        (57.2958, "deg/s"),
+        (9.5493, "rev/min"),
+        (0.159_155, "rev/s"),
+        (41.7, "counts of 0.229 rev/min"),
+        (1000.0, "thousandths"),
+    ]
+    .into_iter()
+    .find_map(|(x, name)| near(x).then_some(name))
+}
+
+fn speed_fault(t: Together, at: &str, of: &str) -> Option<Finding> {
+    if t.r < -0.5 {
+        let detail = format!("goes against the change of {of} (correlation {:.2})", t.r);
+        return Some(fatal("sign", at.to_owned(), detail));
+    }
+    if t.r < LEAST_R {
+        let detail = format!(
+            "does not follow the change of {of} (correlation {:.2}); is it another joint's, or stuck?",
+            t.r
+        );
+        return Some(fatal("parity", at.to_owned(), detail));
+    }
+    if let Some(unit) = unit_factor(t.slope) {
+        let detail = format!(
+            "is {:.1} times the change of {of} per second; is it in {unit}?",
+            t.slope
+        );
+        return Some(fatal("unit", at.to_owned(), detail));
+    }
+    if !(1.0 / RATIO..RATIO).contains(&t.slope) {
+        let detail = format!("is {:.2} times the change of {of} per second", t.slope);
+        return Some(fatal("parity", at.to_owned(), detail));
+    }
+    None
+}
+
+/// Three channels of a vector, if the log has them all.
+fn vector(run: &Run<'_>, of: fn(Axis) -> Signal) -> Option<[Vec<f64>; 3]> {
+    let [x, y, z] = Axis::ALL.map(|a| run.grid.linear(&run.log.table, &of(a)));
+    Some([x?, y?, z?])
+}
+
+fn norms(v: &[Vec<f64>; 3]) -> Vec<f64> {
+    (0..v[0].len())
+        .map(|i| (v[0][i].powi(2) + v[1][i].powi(2) + v[2][i].powi(2)).sqrt())
+        .collect()
+}
+
+/// Mean of what is known; `None` where nothing is.
+fn mean(x: &[f64]) -> Option<f64> {
+    let known: Vec<f64> = x.iter().copied().filter(|v| v.is_finite()).collect();
+    (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
+}
+
+fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
+    let gyro = vector(run, Signal::Gyro);
+    let acc = vector(run, Signal::Acceleration);
+    let grav = vector(run, Signal::Gravity);
+    let g = run.robot.gravity_mps2();
+    let g = (g[0].powi(2) + g[1].powi(2) + g[2].powi(2)).sqrt();
+    if let Some(median) = acc.as_ref().and_then(|a| super::series::median(norms(a))) {
+        let at = "imu.acc".to_owned();
+        if (median / 1.0 - 1.0).abs() < 0.2 && g > 2.0 {
+            out.push(fatal("unit", at, format!("is {median:.2} long in the middle where gravity is {g:.2} m/s²; is it in units of g?")));
+        } else if !(0.8..1.25).contains(&(median / g)) {
+            out.push(fatal(
+                "parity",
+                at,
+                format!("is {median:.2} m/s² long in the middle where gravity is {g:.2} m/s²"),
+            ));
+        }
+    }
+    if let Some(grav) = &grav {
+        if let Some(length) = super::series::median(norms(grav))
+            && !(0.9..1.1).contains(&length)
+        {
+            out.push(fatal(
+                "unit",
+                "imu.grav".to_owned(),
+                format!("is {length:.2} long; the direction of gravity is a unit vector"),
+            ));
+        }
+        if let (Some(acc), Some(along)) = (&acc, acc.as_ref().and_then(|a| along(a, grav))) {
+            let length = super::series::median(norms(acc)).unwrap_or(g).max(1e-9);
+            // at rest the accelerometer reads gravity's reaction: straight against its direction
+            if along / length > -0.7 {
+                let (kind, how) = if along / length > 0.7 {
+                    ("sign", "along")
+                } else {
+                    ("order", "across")
+                };
+                out.push(fatal(
+                    kind,
+                    "imu.acc".to_owned(),
+                    format!(
+                        "points {how} imu.grav (cosine {:.2}) where it must point against it: check signs and axes",
+                        along / length
+                    ),
+                ));
+            }
+        }
+        if let Some(gyro) = &gyro {
+            turning(run, gyro, grav, out);
+        }
+    }
+    if let Some(gyro) = &gyro {
+        let most = norms(gyro)
+            .into_iter()
+            .filter(|x| x.is_finite())
+            .fold(0.0, f64::max);
+        if most > 60.0 {
+            out.push(fatal(
+                "unit",
+                "imu.gyro".to_owned(),
+                format!("reaches {most:.0} rad/s; is it in deg/s?"),
+            ));
+        }
+    }
+}
+
+/// Mean component of `a` along the unit vector `g`.
+fn along(a: &[Vec<f64>; 3], g: &[Vec<f64>; 3]) -> Option<f64> {
+    let dots: Vec<f64> = (0..a[0].len())
+        .map(|i| (0..3).map(|k| a[k][i] * g[k][i]).sum())
+        .collect();
+    mean(&dots)
+}
+
+/// Gravity seen from a turning body turns the other way: d(grav)/dt = −ω × grav.
+fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut Vec<Finding>) {
+    let half = (run.grid.points(WINDOW_S) / 2).max(1);
+    let smooth3 = |v: &[Vec<f64>; 3]| [0, 1, 2].map(|k| smooth(&v[k], 2 * half));
+    let (w, g) = (smooth3(gyro), smooth3(grav));
+    let change: Vec<f64> = (0..3)
+        .flat_map(|k| super::series::slope(&grav[k], half, run.grid.step_s))
+        .collect();
+    let predicted = |signs: [f64; 3], axes: [usize; 3]| -> Vec<f64> {
+        let w = |k: usize, i: usize| signs[k] * w[axes[k]][i];
+        (0..3)
+            .flat_map(|k| {
+                let (a, b) = ((k + 1) % 3, (k + 2) % 3);
+                let g = &g;
+                let w = &w;
+                (0..g[0].len()).map(move |i| -(w(a, i) * g[b][i] - w(b, i) * g[a][i]))
+            })
+            .collect()
+    };
+    let plain = together(&predicted([1.0; 3], [0, 1, 2]), &change, 0);
+    if plain.second_sd < 0.02 {
+        return;
+    }
+    if plain.r > LEAST_R {
+        if let Some(unit) = unit_factor(1.0 / plain.slope) {
+            out.push(fatal(
+                "unit",
+                "imu.gyro".to_owned(),
+                format!(
+                    "turns {:.1} times as fast as gravity does; is it in {unit}?",
+                    1.0 / plain.slope
+                ),
+            ));
+        }
+        return;
+    }
+    // Which exchange of axes and signs would explain it?
+    let mut best: Option<(f64, String)> = None;
+    for axes in [
+        [0, 1, 2],
+        [0, 2, 1],
+        [1, 0, 2],
+        [1, 2, 0],
+        [2, 0, 1],
+        [2, 1, 0],
+    ] {
+        for bits in 0..8u8 {
+            let signs = [0, 1, 2].map(|k| if bits >> k & 1 == 1 { -1.0 } else { 1.0 });
+            let r = together(&predicted(signs, axes), &change, 0).r;
+            if best.as_ref().is_none_or(|b| r > b.0 + 1e-9) {
+                let word = |k: usize| {
+                    let minus = if signs[k] < 0.0 { "-" } else { "" };
+                    format!("{minus}{}", ["x", "y", "z"][axes[k]])
+                };
+                best = Some((r, format!("({}, {}, {})", word(0), word(1), word(2))));
+            }
+        }
+    }
+    let hint = match best {
+        Some((r, axes)) if r > 0.8 => {
+            format!("; with its axes taken as {axes} it does ({r:.2})")
+        }
+        _ => String::new(),
+    };
+    let kind = if plain.r < -0.5 {
+        "sign"
+    } else if hint.is_empty() {
+        "parity"
+    } else {
+        "order"
+    };
+    out.push(fatal(
+        kind,
+        "imu.gyro".to_owned(),
+        format!(
+            "does not turn imu.grav as it must (correlation {:.2}){hint}",
+            plain.r
+        ),
+    ));
+}
+
+fn base(run: &Run<'_>, out: &mut Vec<Finding>) {
+    let table = &run.log.table;
+    let quat: Option<Vec<Vec<f64>>> = QuatPart::ALL
+        .iter()
+        .map(|p| run.grid.held(table, &Signal::BaseQuaternion(*p)))
+        .collect();
+    if let Some(q) = quat {
+        let lengths = (0..q[0].len())
+            .map(|i| q.iter().map(|c| c[i] * c[i]).sum::<f64>().sqrt())
+            .collect();
+        if let Some(length) = super::series::median(lengths)
+            && !(0.95..1.05).contains(&length)
+        {
+            out.push(fatal(
+                "unit",
+                "base.quat".to_owned(),
+                format!("is {length:.2} long; a rotation is a unit quaternion (w, x, y, z)"),
+            ));
+        }
+    }
+    for axis in Axis::ALL {
+        let (pos, vel) = (Signal::BasePosition(axis), Signal::BaseVelocity(axis));
+        if let (Some(p), Some(v)) = (run.grid.linear(table, &pos), run.grid.linear(table, &vel))
+            && let Some(t) = speed_parity(run, &p, &v)
+            && let Some(f) = speed_fault(t, &vel.to_string(), &pos.to_string())
+        {
+            out.push(f);
+        }
+    }
+}
+
+/// Readings in the wrong order of magnitude.
+fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    let middle = |signal: &Signal| super::series::median(run.grid.linear(&run.log.table, signal)?);
+    if let Some(v) = middle(&Signal::Voltage) {
+        let nominal = run.log.meta.supply_v.unwrap_or(run.robot.supply_v());
+        if !(0.2..3.0).contains(&(v / nominal)) {
+            out.push(fatal(
+                "unit",
+                "volt".to_owned(),
+                format!("is {v:.1} in the middle where the supply is about {nominal:.1} V"),
+            ));
+        }
+    }
+    for joint in joints {
+        if let Some(t) = middle(&Signal::Temperature(joint.name.clone()))
+            && !(-30.0..130.0).contains(&t)
+        {
+            out.push(fatal(
+                "unit",
+                format!("temp.{}", joint.name),
+                format!("is {t:.0} in the middle; servos live between −30 and 130 °C"),
+            ));
+        }
+        let servo = run.robot.servo(joint.index);
+        let stall_a =
+            servo.tau_max_nm / servo.torque_per_current_nm_per_a + servo.current_dead_band_a;
+        let most = joint.cur.iter().flatten().filter(|i| i.is_finite());
+        let most = most.fold(0.0, |m: f64, i| m.max(i.abs()));
+        if most > 20.0 * stall_a {
+            out.push(fatal(
+                "unit",
+                format!("cur.{}", joint.name),
+                format!("reaches {most:.0} where the servo stalls at {stall_a:.1} A; is it in mA?"),
+            ));
+        }
+    }
+}

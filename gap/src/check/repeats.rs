@@ -1,0 +1,235 @@
+//! Runs of one trial against each other: what happened once and not again.
+
+use serde::{Deserialize, Serialize};
+
+use super::joints::Channels;
+use super::series::{median, smooth};
+use super::{Finding, Run, Severity};
+
+/// Commands of repeats may differ by this much, rad.
+const SAME_RAD: f64 = 2e-3;
+/// Deviations are looked at as means over so long, s.
+const SMOOTH_S: f64 = 0.1;
+/// A deviation counts from so many times what repeats otherwise differ by.
+const TIMES: f64 = 8.0;
+/// And from so large a share of the servo's greatest torque, as the error would ask for.
+const TORQUE_SHARE: f64 = 0.08;
+/// It lasts at least, s.
+const SHORTEST_S: f64 = 0.15;
+/// A run that is off for longer than this share is another run, not a touched one.
+const LONGEST_SHARE: f64 = 0.3;
+
+/// A stretch of a run in which something happened that its repeats do not show.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OddSpan {
+    /// Name of the run.
+    pub run: String,
+    /// Start, s, in the run's time.
+    pub from_s: f64,
+    /// End, s.
+    pub to_s: f64,
+    /// The joint that shows it most.
+    pub joint: String,
+    /// Greatest deviation from the repeats, rad.
+    pub peak_rad: f64,
+}
+
+/// Groups of runs that were sent the same commands: indices into `runs`, in order.
+pub(super) fn groups(runs: &[Run<'_>], channels: &[Vec<Channels>]) -> Vec<Vec<usize>> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for i in 0..runs.len() {
+        let found = groups.iter_mut().find(|g| alike(runs, channels, g[0], i));
+        match found {
+            Some(group) => group.push(i),
+            None => groups.push(vec![i]),
+        }
+    }
+    groups
+}
+
+fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bool {
+    let (ca, cb) = (&channels[a], &channels[b]);
+    let length = |r: &Run<'_>| r.grid.len as f64 * r.grid.step_s;
+    let (la, lb) = (length(&runs[a]), length(&runs[b]));
+    let same_meta = |r: &Run<'_>| (r.log.meta.base, r.log.meta.kp.map(f64::to_bits));
+    if ca.len() != cb.len() || ca.is_empty() || (la / lb - 1.0).abs() > 0.03 {
+        return false;
+    }
+    if same_meta(&runs[a]) != same_meta(&runs[b]) {
+        return false;
+    }
+    ca.iter().zip(cb).all(|(x, y)| {
+        let (Some(u), Some(v)) = (&x.cmd, &y.cmd) else {
+            return x.cmd.is_none() && y.cmd.is_none();
+        };
+        // grids differ a little from run to run: compare at equal times, the nearest point or one beside it
+        let n = u.len();
+        let ratio = runs[a].grid.step_s / runs[b].grid.step_s;
+        let mut off = 0usize;
+        for (i, &u) in u.iter().enumerate() {
+            let k = (i as f64 * ratio).round() as usize;
+            let near = (k.saturating_sub(2)..=k + 2).filter_map(|k| v.get(k));
+            let close = near
+                .clone()
+                .any(|v| (u - v).abs() < SAME_RAD || (u.is_nan() && v.is_nan()));
+            if !close && near.count() > 0 {
+                off += 1;
+            }
+        }
+        off * 100 <= n
+    })
+}
+
+/// Odd spans of a group of repeats: with three or more, of the run that is off; with two, of both.
+pub(super) fn odd_spans(
+    runs: &[Run<'_>],
+    channels: &[Vec<Channels>],
+    group: &[usize],
+) -> Vec<OddSpan> {
+    if group.len() < 2 {
+        return Vec::new();
+    }
+    let grid = &runs[group[0]].grid;
+    let len = group.iter().map(|&i| runs[i].grid.len).min().unwrap_or(0);
+    let width = grid.points(SMOOTH_S);
+    let mut found: Vec<OddSpan> = Vec::new();
+    for j in 0..channels[group[0]].len() {
+        let all: Option<Vec<Vec<f64>>> = group
+            .iter()
+            .map(|&i| Some(smooth(channels[i][j].pos.as_ref()?, width)))
+            .collect();
+        let Some(all) = all else { continue };
+        let joint = &channels[group[0]][j];
+        let servo = runs[group[0]].robot.servo(joint.index);
+        let meta = &runs[group[0]].log.meta;
+        let kp = meta
+            .kp
+            .unwrap_or(runs[group[0]].robot.kp_nm_per_rad())
+            .max(1e-6);
+        let least = TORQUE_SHARE * servo.tau_max_nm / kp;
+        let middle: Vec<f64> = (0..len)
+            .map(|t| {
+                let here: Vec<f64> = all.iter().map(|x| x[t]).collect();
+                if here.len() == 2 {
+                    here[0]
+                } else {
+                    median(here).unwrap_or(f64::NAN)
+                }
+            })
+            .collect();
+        let off: Vec<Vec<f64>> = all
+            .iter()
+            .map(|x| (0..len).map(|t| (x[t] - middle[t]).abs()).collect())
+            .collect();
+        // what repeats differ by: the middle over everything that is not zero because it is the median itself
+        let usual: Vec<f64> = off.iter().flatten().copied().filter(|d| *d > 0.0).collect();
+        let scale = 1.5 * median(usual).unwrap_or(0.0);
+        let threshold = (TIMES * scale)
+            .max(least)
+            .max(3.0 * servo.encoder_lsb_rad());
+        let members: Vec<usize> = if group.len() == 2 {
+            vec![1]
+        } else {
+            (0..group.len()).collect()
+        };
+        for m in members {
+            spans(
+                &off[m],
+                threshold,
+                grid.points(SHORTEST_S),
+                grid.points(0.3),
+            )
+            .into_iter()
+            .for_each(|(from, to)| {
+                let others = |t: usize| {
+                    off.iter()
+                        .enumerate()
+                        .all(|(k, d)| k == m || !(d[t] > 0.5 * off[m][t]))
+                };
+                let alone = (from..to).filter(|&t| others(t)).count() * 3 >= (to - from) * 2;
+                let short = ((to - from) as f64) < LONGEST_SHARE * len as f64;
+                if !alone || !short {
+                    return;
+                }
+                let peak_rad = off[m][from..to].iter().fold(0.0, |a: f64, b| a.max(*b));
+                let both: &[usize] = if group.len() == 2 { &[0, 1] } else { &[m] };
+                for &m in both {
+                    let start = runs[group[m]].grid.start_s;
+                    found.push(OddSpan {
+                        run: runs[group[m]].name.clone(),
+                        from_s: start + from as f64 * grid.step_s,
+                        to_s: start + to as f64 * grid.step_s,
+                        joint: joint.name.clone(),
+                        peak_rad,
+                    });
+                }
+            });
+        }
+    }
+    merge(found)
+}
+
+/// Stretches above `threshold` of at least `shortest` points; pauses up to `pause` points belong to them.
+fn spans(x: &[f64], threshold: f64, shortest: usize, pause: usize) -> Vec<(usize, usize)> {
+    let mut out: Vec<(usize, usize)> = Vec::new();
+    for (i, _) in x.iter().enumerate().filter(|(_, v)| **v > threshold) {
+        match out.last_mut() {
+            Some(last) if i <= last.1 + pause => last.1 = i + 1,
+            _ => out.push((i, i + 1)),
+        }
+    }
+    out.retain(|(a, b)| b - a >= shortest);
+    out
+}
+
+/// One span per run and time: of the joints that show it, the one that shows it most.
+fn merge(mut all: Vec<OddSpan>) -> Vec<OddSpan> {
+    all.sort_by(|a, b| a.run.cmp(&b.run).then(a.from_s.total_cmp(&b.from_s)));
+    let mut out: Vec<OddSpan> = Vec::new();
+    for span in all {
+        match out.last_mut() {
+            Some(last) if last.run == span.run && span.from_s <= last.to_s + 0.5 => {
+                last.to_s = last.to_s.max(span.to_s);
+                if span.peak_rad > last.peak_rad {
+                    last.peak_rad = span.peak_rad;
+                    last.joint = span.joint;
+                }
+            }
+            _ => out.push(span),
+        }
+    }
+    out
+}
+
+/// As findings.
+pub(super) fn finding(span: &OddSpan, repeats: usize) -> Finding {
+    let who = if repeats == 2 {
+        "two repeats part here and nowhere else; record a third to know which one was disturbed"
+    } else {
+        "its repeats agree with each other; leave the stretch out or record the run again"
+    };
+    Finding {
+        kind: "touch",
+        at: format!("{} {}", span.run, span.joint),
+        detail: format!(
+            "is off by up to {:.3} rad from t = {:.2} to {:.2} s, as if touched: {who}",
+            span.peak_rad, span.from_s, span.to_s
+        ),
+        severity: Severity::Note,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spans_join_over_pauses_and_short_ones_fall() {
+        let mut x = vec![0.0; 100];
+        x[10..20].fill(1.0);
+        x[23..30].fill(1.0);
+        x[60] = 1.0;
+        assert_eq!(spans(&x, 0.5, 5, 5), [(10, 30)]);
+        assert_eq!(spans(&x, 0.5, 5, 2), [(10, 20), (23, 30)]);
+    }
+}

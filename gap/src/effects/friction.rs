@@ -1,0 +1,285 @@
+//! Friction (X1 to X7, X11).
+
+use super::Reference::{Damping, One, Speed, Torque};
+use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+
+pub static COULOMB_FRICTION: Effect = Effect {
+    id: "coulomb_friction",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "extra_nm",
+        "N·m",
+        0.0,
+        (-0.3, 0.5),
+        0.004,
+        Torque,
+    )],
+    grid: &[
+        &[-0.02],
+        &[-0.008],
+        &[0.008],
+        &[0.02],
+        &[0.05],
+        &[0.1],
+        &[0.2],
+    ],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let friction = &mut plant.lane.joint_friction_nm[a];
+            *friction = (*friction + v[0] as f32).max(0.0);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "stribeck_friction",
+        "viscous_friction",
+        "load_dependent_friction",
+        "controller_dead_band",
+        "pre_sliding",
+    ],
+    unseen: needs_motion,
+    trial: "slow_triangles",
+    signature: "a jump of torque at every reversal, the same at any speed and load",
+};
+
+pub static VISCOUS_FRICTION: Effect = Effect {
+    id: "viscous_friction",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "extra_nms_per_rad",
+        "N·m·s/rad",
+        0.0,
+        (-1.0, 4.0),
+        0.04,
+        Damping,
+    )],
+    grid: &[&[-0.1], &[0.1], &[0.3], &[0.8], &[2.0]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let damping = plant.lane.joint_damping_nms_per_rad[a] + v[0] as f32;
+            plant.lane.joint_damping_nms_per_rad[a] = damping.max(0.0);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "kd_error",
+        "load_dependent_friction",
+        "coulomb_friction",
+        "torque_constant",
+        "command_low_pass",
+    ],
+    unseen: needs_motion,
+    trial: "chirp",
+    signature: "torque grows in proportion to speed, with the servo off as well",
+};
+
+pub static STRIBECK_FRICTION: Effect = Effect {
+    id: "stribeck_friction",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter("extra_nm", "N·m", 0.0, (0.0, 0.5), 0.004, Torque),
+        parameter("speed_radps", "rad/s", 0.015, (0.001, 0.4), 0.002, Speed),
+    ],
+    grid: &[
+        &[0.02, 0.005],
+        &[0.02, 0.015],
+        &[0.02, 0.05],
+        &[0.06, 0.005],
+        &[0.06, 0.015],
+        &[0.06, 0.05],
+        &[0.06, 0.15],
+        &[0.15, 0.015],
+        &[0.15, 0.05],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].stribeck_nm += v[0] as f32;
+            plant.lane.joints[a].stribeck_speed_radps = (v[1] as f32).clamp(1e-3, 100.0);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "coulomb_friction",
+        "pre_sliding",
+        "controller_dead_band",
+        "gear_backlash",
+    ],
+    unseen: needs_motion,
+    trial: "slow_triangles",
+    signature: "more friction at rest than in motion: stick and slip at low speed only",
+};
+
+pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
+    id: "load_dependent_friction",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[parameter("share", "", 0.0, (0.0, 0.9), 0.02, One)],
+    grid: &[&[0.05], &[0.1], &[0.2], &[0.35], &[0.55]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.load_friction_driving =
+                (joint.load_friction_driving + v[0] as f32).clamp(0.0, 0.95);
+            joint.load_friction_driven =
+                (joint.load_friction_driven + v[0] as f32).clamp(0.0, 0.95);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "coulomb_friction",
+        "viscous_friction",
+        "drive_asymmetry",
+        "winding_resistance",
+        "torque_constant",
+    ],
+    unseen: needs_motion,
+    trial: "lift_and_lower",
+    signature: "the jump at a reversal grows with the load at the same speed",
+};
+
+pub static DRIVE_ASYMMETRY: Effect = Effect {
+    id: "drive_asymmetry",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter("driving", "", 0.0, (0.0, 0.9), 0.02, One),
+        parameter("driven", "", 0.0, (0.0, 0.9), 0.02, One),
+    ],
+    grid: &[
+        &[0.1, 0.0],
+        &[0.3, 0.0],
+        &[0.0, 0.1],
+        &[0.0, 0.3],
+        &[0.1, 0.3],
+        &[0.3, 0.1],
+    ],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.load_friction_driving =
+                (joint.load_friction_driving + v[0] as f32).clamp(0.0, 0.95);
+            joint.load_friction_driven =
+                (joint.load_friction_driven + v[1] as f32).clamp(0.0, 0.95);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "load_dependent_friction",
+        "braking_asymmetry",
+        "torque_constant",
+        "direction_asymmetry",
+    ],
+    unseen: needs_motion,
+    trial: "lift_and_lower",
+    signature: "lifting and lowering the same load at the same speed lose differently",
+};
+
+pub static DIRECTION_ASYMMETRY: Effect = Effect {
+    id: "direction_asymmetry",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "difference_nm",
+        "N·m",
+        0.0,
+        (-0.3, 0.3),
+        0.004,
+        Torque,
+    )],
+    grid: &[&[-0.06], &[-0.015], &[0.015], &[0.06]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.friction_asymmetry_nm += v[0] as f32;
+            // friction cannot drive: what the heavy direction has more than the mean allows is added to the mean
+            let mean = &mut plant.lane.joint_friction_nm[a];
+            *mean = mean.max(joint.friction_asymmetry_nm.abs());
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "encoder_offset",
+        "parallel_spring",
+        "floor_slope",
+        "link_com",
+        "drive_asymmetry",
+    ],
+    unseen: needs_motion,
+    trial: "slow_triangles",
+    signature: "heavier one way than the other, in every pose",
+};
+
+pub static PRE_SLIDING: Effect = Effect {
+    id: "pre_sliding",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "way_rad",
+        "rad",
+        0.002,
+        (0.0002, 0.2),
+        0.002,
+        One,
+    )],
+    grid: &[&[0.0006], &[0.006], &[0.012], &[0.025], &[0.05], &[0.1]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].presliding_rad = (v[0] as f32).clamp(1e-5, 1.0);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "coulomb_friction",
+        "stribeck_friction",
+        "gear_compliance",
+        "gear_backlash",
+    ],
+    unseen: needs_motion,
+    trial: "micro_reversals",
+    signature: "friction comes on like a spring after a reversal",
+};
+
+pub static FRICTION_DRIFT: Effect = Effect {
+    id: "friction_drift",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "change_nm",
+        "N·m",
+        0.0,
+        (-0.3, 0.3),
+        0.006,
+        Torque,
+    )],
+    grid: &[&[-0.05], &[-0.015], &[0.015], &[0.05]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let friction = &mut plant.lane.joint_friction_nm[a];
+            *friction = (*friction + (v[0] * (plant.session - 0.5)) as f32).max(0.0);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &["thermal_derating", "coulomb_friction"],
+    unseen: |e, place| {
+        if e.runs < 3 {
+            Some(
+                "three runs or more in order of recording are needed to see a drift over the session",
+            )
+        } else {
+            needs_motion(e, place)
+        }
+    },
+    trial: "warm_up_series",
+    signature: "friction changes from the first to the last run of the session",
+};

@@ -1,0 +1,121 @@
+//! Gears (X8 to X10).
+
+use super::Reference::{One, Torque};
+use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+
+pub static GEAR_BACKLASH: Effect = Effect {
+    id: "gear_backlash",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[parameter("gap_rad", "rad", 0.0, (0.0, 0.3), 0.002, One)],
+    grid: &[
+        &[0.003],
+        &[0.006],
+        &[0.01],
+        &[0.015],
+        &[0.022],
+        &[0.032],
+        &[0.045],
+        &[0.065],
+        &[0.1],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].gear_half_gap_rad += 0.5 * v[0] as f32;
+            let rotor = &mut plant.lane.joint_armature_kgm2[a];
+            *rotor = rotor.max(1e-4);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "gear_compliance",
+        "controller_dead_band",
+        "pre_sliding",
+        "servo_loop_delay",
+    ],
+    unseen: needs_motion,
+    trial: "micro_reversals",
+    signature: "free travel without torque, of the same width at any load; current reverses before the joint does",
+};
+
+pub static GEAR_COMPLIANCE: Effect = Effect {
+    id: "gear_compliance",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "compliance_rad_per_nm",
+        "rad/(N·m)",
+        0.0,
+        (0.0005, 0.5),
+        0.002,
+        One,
+    )],
+    grid: &[&[0.003], &[0.01], &[0.02], &[0.04], &[0.08], &[0.15]],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].gear_stiffness_nm_per_rad = (1.0 / v[0].max(1e-5)) as f32;
+            let rotor = &mut plant.lane.joint_armature_kgm2[a];
+            *rotor = rotor.max(1e-4);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "gear_backlash",
+        "pre_sliding",
+        "servo_loop_delay",
+        "armature",
+    ],
+    unseen: needs_motion,
+    trial: "chirp",
+    signature: "deflection in proportion to torque; a resonance that moves with the load's inertia",
+};
+
+pub static COGGING: Effect = Effect {
+    id: "cogging",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter("sin_nm", "N·m", 0.0, (-0.3, 0.3), 0.006, Torque),
+        parameter("cos_nm", "N·m", 0.0, (-0.3, 0.3), 0.006, Torque),
+        parameter("per_turn", "", 1.0, (3.0, 100.0), 0.05, One),
+    ],
+    grid: &[
+        &[0.02, 0.0, 4.0],
+        &[0.0, 0.02, 4.0],
+        &[0.02, 0.0, 6.0],
+        &[0.0, 0.02, 6.0],
+        &[0.02, 0.0, 8.0],
+        &[0.0, 0.02, 8.0],
+        &[0.02, 0.0, 10.0],
+        &[0.0, 0.02, 10.0],
+        &[0.02, 0.0, 12.0],
+        &[0.0, 0.02, 12.0],
+        &[0.02, 0.0, 14.0],
+        &[0.0, 0.02, 14.0],
+        &[0.02, 0.0, 16.0],
+        &[0.0, 0.02, 16.0],
+        &[0.02, 0.0, 20.0],
+        &[0.0, 0.02, 20.0],
+        &[0.02, 0.0, 24.0],
+        &[0.0, 0.02, 24.0],
+        &[0.02, 0.0, 32.0],
+        &[0.0, 0.02, 32.0],
+    ],
+    hinge: false,
+    apply: |plant, place, v| {
+        // A·sin(n·q + φ) = s·sin(n·q) + c·cos(n·q)
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.ripple_nm = v[0].hypot(v[1]) as f32;
+            joint.ripple_phase_rad = v[1].atan2(v[0]) as f32;
+            joint.ripple_per_turn = v[2] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &["parallel_spring", "encoder_gain", "stribeck_friction"],
+    unseen: needs_motion,
+    trial: "slow_turn",
+    signature: "a torque that repeats with the angle, at any speed",
+};

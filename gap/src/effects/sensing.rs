@@ -1,0 +1,103 @@
+//! Encoders, velocity estimates, current sensing (S1, S2, S4, S5).
+//!
+//! The encoder is inside the position loop: an offset moves the joint, not the reading.
+
+use super::Reference::One;
+use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+use crate::trial::Kind;
+
+pub static ENCODER_OFFSET: Effect = Effect {
+    id: "encoder_offset",
+    layer: Layer::Sensing,
+    domain: Domain::Joints,
+    parameters: &[parameter("offset_rad", "rad", 0.0, (-0.2, 0.2), 0.003, One)],
+    grid: &[&[-0.05], &[-0.02], &[0.02], &[0.05]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.sensing.encoders[a].offset_rad += v[0] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "link_com",
+        "parallel_spring",
+        "floor_slope",
+        "direction_asymmetry",
+    ],
+    unseen: |_, _| None,
+    trial: "hold_poses",
+    signature: "the gravity curve of current against angle is shifted; independent of speed and direction",
+};
+
+pub static ENCODER_GAIN: Effect = Effect {
+    id: "encoder_gain",
+    layer: Layer::Sensing,
+    domain: Domain::Joints,
+    parameters: &[parameter("gain", "", 0.0, (-0.1, 0.1), 0.005, One)],
+    grid: &[&[-0.05], &[-0.02], &[0.02], &[0.05]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.sensing.encoders[a].gain += v[0] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "link_mass",
+        "link_com",
+        "viscous_friction",
+        "torque_constant",
+    ],
+    unseen: needs_motion,
+    trial: "hold_poses",
+    signature: "grows with the angle; shows against motion capture, only weakly against current",
+};
+
+pub static VELOCITY_LAG: Effect = Effect {
+    id: "velocity_lag",
+    layer: Layer::Sensing,
+    domain: Domain::Joints,
+    parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.2), 0.003, One)],
+    grid: &[&[0.005], &[0.01], &[0.02], &[0.04], &[0.08]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.sensing.velocity_lag_s[a] += v[0] as f32;
+        }
+    },
+    shows_in: &[Kind::Velocity],
+    look_alikes: &["measurement_delay"],
+    unseen: |e, place| {
+        if e.has(Kind::Velocity) {
+            needs_motion(e, place)
+        } else {
+            Some("no velocities were recorded")
+        }
+    },
+    trial: "chirp",
+    signature: "the reported velocity lags behind the derivative of the reported position; positions are untouched",
+};
+
+pub static CURRENT_BIAS: Effect = Effect {
+    id: "current_bias",
+    layer: Layer::Sensing,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter("bias_a", "A", 0.0, (-0.5, 0.5), 0.01, One),
+        parameter("gain", "", 0.0, (-0.6, 0.6), 0.04, One),
+    ],
+    grid: &[&[-0.05, 0.0], &[0.05, 0.0], &[0.0, -0.15], &[0.0, 0.15]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.sensing.currents[a].bias_a += v[0] as f32;
+            plant.sensing.currents[a].gain += v[1] as f32;
+        }
+    },
+    shows_in: &[Kind::Current],
+    look_alikes: &["torque_constant"],
+    unseen: |e, _| (!e.has(Kind::Current)).then_some("no currents were recorded"),
+    trial: "hold_poses",
+    signature: "only the current reading is off; the motion is as simulated",
+};

@@ -1,0 +1,328 @@
+//! Position loop and motor (A1 to A7, A11 to A13).
+
+use super::Reference::{Damping, Gain, One, Torque};
+use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+
+pub static KP_ERROR: Effect = Effect {
+    id: "kp_error",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.04, One)],
+    grid: &[&[0.5], &[0.75], &[0.9], &[1.1], &[1.3], &[1.7]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.kp_nm_per_rad[a] *= v[0] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "kd_error",
+        "winding_resistance",
+        "torque_constant",
+        "controller_dead_band",
+        "stale_gains",
+    ],
+    unseen: |_, _| None,
+    trial: "hold_poses",
+    signature: "the droop under load changes; nothing in time touches it",
+};
+
+pub static KD_ERROR: Effect = Effect {
+    id: "kd_error",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "extra_nms_per_rad",
+        "N·m·s/rad",
+        0.0,
+        (-1.5, 6.0),
+        0.1,
+        Damping,
+    )],
+    grid: &[&[-0.5], &[-0.2], &[0.2], &[0.6], &[1.5], &[3.0]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            // what the gain does not hold comes off the servo's own damping
+            let kd = plant.lane.kd_nms_per_rad[a] + v[0] as f32;
+            plant.lane.kd_nms_per_rad[a] = kd.max(0.0);
+            let own = &mut plant.lane.joints[a].kd_min_nms_per_rad;
+            *own = (*own + kd.min(0.0)).max(0.0);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "viscous_friction",
+        "kp_error",
+        "command_low_pass",
+        "servo_loop_delay",
+        "torque_constant",
+        "supply_level",
+    ],
+    unseen: needs_motion,
+    trial: "steps",
+    signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
+};
+
+pub static INTEGRAL_ACTION: Effect = Effect {
+    id: "integral_action",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "ki_nm_per_rad_s",
+        "N·m/(rad·s)",
+        0.0,
+        (0.0, 10.0),
+        0.05,
+        Gain,
+    )],
+    grid: &[&[0.1], &[0.3], &[1.0], &[3.0]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].ki_nm_per_rad_s += v[0] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &["kp_error", "thermal_derating"],
+    unseen: |_, _| None,
+    trial: "long_holds",
+    signature: "the droop goes away within seconds",
+};
+
+pub static TORQUE_CONSTANT: Effect = Effect {
+    id: "torque_constant",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter("scale", "", 1.0, (0.4, 2.5), 0.04, One)],
+    grid: &[&[0.6], &[0.8], &[0.9], &[1.1], &[1.25], &[1.5]],
+    hinge: false,
+    apply: |plant, place, v| {
+        // volts make current through R, current makes torque through k_t, speed makes volts through the same constant
+        let s = v[0] as f32;
+        for &a in &place.items {
+            plant.lane.kp_nm_per_rad[a] *= s;
+            plant.lane.kd_nms_per_rad[a] *= s;
+            plant.lane.torque_scale[a] *= s;
+            let joint = &mut plant.lane.joints[a];
+            joint.kd_min_nms_per_rad *= s * s;
+            joint.speed_scale /= s;
+            joint.torque_constant_nm_per_a *= s;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "winding_resistance",
+        "kp_error",
+        "current_bias",
+        "load_dependent_friction",
+        "link_mass",
+    ],
+    unseen: |_, _| None,
+    trial: "hold_poses",
+    signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
+};
+
+pub static WINDING_RESISTANCE: Effect = Effect {
+    id: "winding_resistance",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter("scale", "", 1.0, (0.4, 3.0), 0.04, One)],
+    grid: &[&[0.6], &[0.8], &[0.9], &[1.1], &[1.3], &[1.7]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].winding_scale *= v[0] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "kp_error",
+        "torque_constant",
+        "load_dependent_friction",
+        "supply_level",
+        "stale_gains",
+    ],
+    unseen: |_, _| None,
+    trial: "stalls",
+    signature: "more droop at stall with the same current per torque; the speed without load is as it was",
+};
+
+pub static TORQUE_LIMIT: Effect = Effect {
+    id: "torque_limit",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter("limit_nm", "N·m", 1.1, (0.05, 1.1), 0.03, Torque)],
+    grid: &[
+        &[0.1],
+        &[0.15],
+        &[0.2],
+        &[0.25],
+        &[0.3],
+        &[0.36],
+        &[0.43],
+        &[0.5],
+        &[0.58],
+        &[0.66],
+        &[0.75],
+        &[0.85],
+        &[0.95],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.current_limit_a =
+                joint.current_dead_band_a + v[0] as f32 / joint.torque_constant_nm_per_a;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "voltage_limit",
+        "supply_level",
+        "profile_limit",
+        "thermal_derating",
+    ],
+    unseen: |e, place| {
+        (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
+    },
+    trial: "loaded_steps",
+    signature: "current is cut flat, at any speed",
+};
+
+pub static VOLTAGE_LIMIT: Effect = Effect {
+    id: "voltage_limit",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter("duty", "", 1.05, (0.1, 1.3), 0.03, One)],
+    grid: &[
+        &[0.15],
+        &[0.22],
+        &[0.3],
+        &[0.38],
+        &[0.46],
+        &[0.54],
+        &[0.62],
+        &[0.7],
+        &[0.8],
+        &[0.9],
+        &[1.2],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        // the line through stall torque and speed without load moves in parallel; braking current stays
+        let s = v[0] as f32;
+        for &a in &place.items {
+            plant.lane.torque_scale[a] *= s;
+            let joint = &mut plant.lane.joints[a];
+            joint.speed_scale *= s;
+            joint.brake_scale /= s;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "supply_level",
+        "torque_limit",
+        "profile_limit",
+        "supply_sag",
+    ],
+    unseen: needs_motion,
+    trial: "large_steps",
+    signature: "torque is cut along a line that falls with speed",
+};
+
+pub static CONTROLLER_DEAD_BAND: Effect = Effect {
+    id: "controller_dead_band",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter(
+        "half_width_rad",
+        "rad",
+        0.0,
+        (0.0, 0.2),
+        0.001,
+        One,
+    )],
+    grid: &[
+        &[0.002],
+        &[0.004],
+        &[0.007],
+        &[0.012],
+        &[0.02],
+        &[0.035],
+        &[0.06],
+        &[0.1],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].dead_band_rad += v[0] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "coulomb_friction",
+        "kp_error",
+        "gear_backlash",
+        "stribeck_friction",
+    ],
+    unseen: |_, _| None,
+    trial: "slow_ramps",
+    signature: "a steady error without current, of the same width under any load",
+};
+
+pub static BRAKING_ASYMMETRY: Effect = Effect {
+    id: "braking_asymmetry",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter("brake_scale", "", 1.0, (0.02, 1.5), 0.05, One),
+        parameter("back_drive_kp_ratio", "", 1.0, (0.1, 3.0), 0.05, One),
+    ],
+    grid: &[
+        &[0.1, 1.0],
+        &[0.2, 1.0],
+        &[0.3, 1.0],
+        &[0.4, 1.0],
+        &[0.55, 1.0],
+        &[0.7, 1.0],
+        &[1.0, 0.5],
+        &[1.0, 0.8],
+        &[1.0, 1.3],
+        &[1.0, 1.8],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.brake_scale *= v[0] as f32;
+            joint.back_drive_kp_ratio *= v[1] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &["drive_asymmetry", "torque_limit", "viscous_friction"],
+    unseen: needs_motion,
+    trial: "fast_reversals",
+    signature: "only where torque is against the motion",
+};
+
+pub static STALE_GAINS: Effect = Effect {
+    id: "stale_gains",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter("ratio", "", 1.0, (0.1, 8.0), 0.1, One)],
+    grid: &[&[0.25], &[0.5], &[2.0], &[4.0]],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.kp_nm_per_rad[a] *= v[0] as f32;
+            plant.lane.kd_nms_per_rad[a] *= v[0] as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &["kp_error", "winding_resistance"],
+    unseen: |_, _| None,
+    trial: "steps",
+    signature: "both gains by one factor, as of another register",
+};

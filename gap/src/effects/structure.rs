@@ -1,0 +1,158 @@
+//! Play, springs, stops (R1, R3, R4).
+
+use caudata_model::JointKind;
+
+use super::Reference::{Gain, One};
+use super::{Domain, Effect, JOINT_SIGNALS, Layer, parameter};
+use crate::trial::Kind;
+
+pub static GIRDLE_PLAY: Effect = Effect {
+    id: "girdle_play",
+    layer: Layer::Structure,
+    domain: Domain::Play,
+    parameters: &[parameter(
+        "half_width_rad",
+        "rad",
+        0.0,
+        (0.0, 0.25),
+        0.004,
+        One,
+    )],
+    grid: &[
+        &[0.0],
+        &[0.008],
+        &[0.017],
+        &[0.035],
+        &[0.052],
+        &[0.07],
+        &[0.09],
+        &[0.12],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &b in &place.items {
+            plant.lane.backlash_half_width_rad[b] = (v[0] as f32).clamp(0.0, 1.0);
+        }
+    },
+    shows_in: &[
+        Kind::Gyro,
+        Kind::Acceleration,
+        Kind::Gravity,
+        Kind::BaseAttitude,
+        Kind::Foot,
+    ],
+    look_alikes: &["imu_tilt", "contact_friction", "payload"],
+    unseen: |e, _| {
+        let sees = [
+            Kind::Gyro,
+            Kind::Acceleration,
+            Kind::Gravity,
+            Kind::Foot,
+            Kind::BaseAttitude,
+        ];
+        (!sees.iter().any(|k| e.has(*k))).then_some(
+            "play behind the joint encoders is invisible in joint signals; record the IMU, feet or motion capture",
+        )
+    },
+    trial: "girdle_rocking",
+    signature: "the body tips between two stops with the sign of its load; joint encoders see nothing",
+};
+
+pub static PARALLEL_SPRING: Effect = Effect {
+    id: "parallel_spring",
+    layer: Layer::Structure,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter(
+            "stiffness_nm_per_rad",
+            "N·m/rad",
+            0.0,
+            (0.0, 3.0),
+            0.006,
+            Gain,
+        ),
+        parameter("rest_rad", "rad", 0.0, (-2.0, 2.0), 0.03, One),
+    ],
+    grid: &[
+        &[0.02, 0.0],
+        &[0.02, 0.6],
+        &[0.02, -0.6],
+        &[0.08, 0.0],
+        &[0.08, 0.6],
+        &[0.08, -0.6],
+    ],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            // two springs in parallel: stiffnesses add, the rest position is their weighted mean
+            let (own, rest) = (joint.spring_nm_per_rad, joint.spring_rest_rad);
+            let both = own + v[0] as f32;
+            if both > 0.0 {
+                joint.spring_rest_rad = (own * rest + (v[0] * v[1]) as f32) / both;
+            }
+            joint.spring_nm_per_rad = both;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "link_com",
+        "link_mass",
+        "encoder_offset",
+        "direction_asymmetry",
+        "kp_error",
+    ],
+    unseen: |_, _| None,
+    trial: "hold_poses",
+    signature: "torque where gravity has no lever; the same however the robot is turned",
+};
+
+pub static HARD_STOP: Effect = Effect {
+    id: "hard_stop",
+    layer: Layer::Structure,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter("low_rad", "rad", -4.0, (-4.0, 2.0), 0.005, One),
+        parameter("high_rad", "rad", 4.0, (-2.0, 4.0), 0.005, One),
+    ],
+    grid: &[
+        &[-4.0, 0.2],
+        &[-4.0, 0.4],
+        &[-4.0, 0.55],
+        &[-4.0, 0.7],
+        &[-4.0, 0.85],
+        &[-4.0, 1.0],
+        &[-4.0, 1.2],
+        &[-4.0, 1.4],
+        &[-4.0, 1.7],
+        &[-0.2, 4.0],
+        &[-0.4, 4.0],
+        &[-0.55, 4.0],
+        &[-0.7, 4.0],
+        &[-0.85, 4.0],
+        &[-1.0, 4.0],
+        &[-1.2, 4.0],
+        &[-1.4, 4.0],
+        &[-1.7, 4.0],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.low_rad = joint.low_rad.max(v[0] as f32);
+            joint.high_rad = joint.high_rad.min(v[1] as f32).max(joint.low_rad);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &["torque_limit", "parallel_spring"],
+    unseen: |_, _| None,
+    trial: "full_range",
+    signature: "the joint never passes an angle, and current surges there",
+};
+
+/// Number of play hinges of a robot.
+#[must_use]
+pub fn play_hinges(model: &caudata_model::RobotModel) -> usize {
+    let of = |k: JointKind| k == JointKind::Backlash;
+    model.joints().iter().filter(|j| of(j.kind)).count()
+}

@@ -1,0 +1,70 @@
+//! Supply and heat (A8 to A10).
+
+use super::Reference::One;
+use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+use crate::trial::Kind;
+
+pub static SUPPLY_SAG: Effect = Effect {
+    id: "supply_sag",
+    layer: Layer::Actuation,
+    domain: Domain::Robot,
+    parameters: &[parameter("resistance_ohm", "Ω", 0.0, (0.0, 5.0), 0.1, One)],
+    grid: &[&[0.2], &[0.5], &[1.0], &[2.0]],
+    hinge: false,
+    apply: |plant, _, v| plant.lane.supply_resistance_ohm += v[0] as f32,
+    shows_in: &[Kind::Voltage, Kind::Position, Kind::Velocity],
+    look_alikes: &["supply_level", "voltage_limit"],
+    unseen: needs_motion,
+    trial: "all_joints_probe",
+    signature: "all joints lose speed when any of them works; follows the total current within milliseconds",
+};
+
+pub static SUPPLY_LEVEL: Effect = Effect {
+    id: "supply_level",
+    layer: Layer::Actuation,
+    domain: Domain::Robot,
+    parameters: &[parameter("scale", "", 1.0, (0.3, 2.0), 0.03, One)],
+    grid: &[&[0.5], &[0.7], &[0.85], &[1.15], &[1.4]],
+    hinge: true,
+    apply: |plant, _, v| plant.lane.supply_v *= v[0] as f32,
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &["voltage_limit", "supply_sag", "profile_limit"],
+    unseen: needs_motion,
+    trial: "large_steps",
+    signature: "as a voltage limit, the same in all joints and at any load; the logged voltage shows it",
+};
+
+pub static THERMAL_DERATING: Effect = Effect {
+    id: "thermal_derating",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter("rise_k_per_a2", "K/A²", 0.0, (0.0, 900.0), 5.0, One),
+        parameter("time_s", "s", 100.0, (2.0, 1000.0), 10.0, One),
+    ],
+    grid: &[
+        &[30.0, 20.0],
+        &[30.0, 100.0],
+        &[150.0, 20.0],
+        &[150.0, 100.0],
+        &[400.0, 60.0],
+    ],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.lane.joints[a].thermal_rise_k_per_a2 += v[0] as f32;
+            plant.lane.joints[a].thermal_time_s = (v[1] as f32).clamp(0.1, 1e5);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &["winding_resistance", "friction_drift", "kp_error"],
+    unseen: |e, place| {
+        if e.longest_s < 5.0 {
+            Some("the runs are too short to warm anything")
+        } else {
+            (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
+        }
+    },
+    trial: "hot_hold",
+    signature: "droop grows with the current squared over the past minute",
+};

@@ -1,0 +1,31 @@
+//! What can go wrong before a verdict: one line each, with what to do.
+
+use thiserror::Error;
+
+/// Why a diagnosis could not be made.
+#[derive(Debug, Error)]
+pub enum GapError {
+    /// No run to fit to.
+    #[error("no run to diagnose; give at least one --log")]
+    NoRuns,
+    /// A run lacks what diagnosis needs.
+    #[error("run {run}: {message}")]
+    Run {
+        /// Folder name.
+        run: String,
+        /// What is missing and what to do.
+        message: String,
+    },
+    /// The robot file.
+    #[error(transparent)]
+    Model(#[from] caudata_model::ModelError),
+    /// The simulator refused.
+    #[error("simulation: {0}")]
+    Sim(#[from] caudata_sim::SimError),
+    /// The extension of a robot file.
+    #[error("extension: {0}")]
+    Extension(String),
+    /// A worker thread died.
+    #[error("a worker thread of the replay died; this is a fault of the program")]
+    Worker,
+}

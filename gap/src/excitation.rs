@@ -1,0 +1,113 @@
+//! What the runs excite: speeds, loads, durations, channels.
+
+use std::collections::BTreeSet;
+
+use caudata_model::RobotModel;
+use caudata_runlog::BaseHold;
+
+use crate::effects::{Domain, Place};
+use crate::trial::{Kind, Trial};
+
+/// One joint's part in the runs.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct JointExcitation {
+    /// 99th percentile of its speed, rad/s.
+    pub fastest_radps: f64,
+    /// Lowest and highest position, rad.
+    pub range_rad: (f64, f64),
+    /// Largest product of gain and error over the servo's largest torque.
+    pub most_torque_share: f64,
+}
+
+/// What runs excite.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Excitation {
+    /// Per actuated joint.
+    pub joints: Vec<JointExcitation>,
+    /// Kinds of channels that at least one run has.
+    pub kinds: BTreeSet<Kind>,
+    /// Fastest mean change of a command over 0.1 s, rad/s.
+    pub fastest_command_radps: f64,
+    /// Longest run, s.
+    pub longest_s: f64,
+    /// Number of runs.
+    pub runs: usize,
+    /// Whether a run stands on the ground.
+    pub on_ground: bool,
+    /// Whether a run is in the water.
+    pub in_water: bool,
+}
+
+impl Excitation {
+    /// What `trials` excite.
+    #[must_use]
+    pub fn of(model: &RobotModel, trials: &[&Trial]) -> Self {
+        let mut all = Self {
+            joints: vec![JointExcitation::default(); model.actuated().len()],
+            runs: trials.len(),
+            ..Self::default()
+        };
+        for trial in trials {
+            all.longest_s = all.longest_s.max(trial.duration_s());
+            all.on_ground |= trial.base == BaseHold::Free;
+            all.in_water |= trial.base == BaseHold::Water;
+            all.kinds.extend(trial.channels.iter().map(|c| c.kind));
+            for command in &trial.commands {
+                let (mut t, span) = (trial.span_s.0, 0.1);
+                while t + span <= trial.span_s.1 {
+                    let rate = (command.at(t + span) - command.at(t)).abs() / span;
+                    all.fastest_command_radps = all.fastest_command_radps.max(rate);
+                    t += span;
+                }
+            }
+            let kp = trial.kp_nm_per_rad.unwrap_or(model.kp_nm_per_rad());
+            for channel in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
+                let joint = &mut all.joints[channel.index];
+                let command = &trial.commands[channel.index];
+                let mut speeds = Vec::new();
+                for (k, (&t, &q)) in channel.time_s.iter().zip(&channel.value).enumerate() {
+                    joint.range_rad.0 = joint.range_rad.0.min(q);
+                    joint.range_rad.1 = joint.range_rad.1.max(q);
+                    let torque = kp * (command.at(t) - q).abs();
+                    let share = torque / model.servo(channel.index).tau_max_nm;
+                    joint.most_torque_share = joint.most_torque_share.max(share);
+                    // over 40 ms or more: a count of the encoder is no speed
+                    let later = channel.time_s[k..].partition_point(|&x| x < t + 0.04) + k;
+                    if later < channel.value.len() {
+                        speeds.push((channel.value[later] - q).abs() / (channel.time_s[later] - t));
+                    }
+                }
+                speeds.sort_by(f64::total_cmp);
+                let high = speeds.get(speeds.len() * 99 / 100).copied().unwrap_or(0.0);
+                joint.fastest_radps = joint.fastest_radps.max(high);
+            }
+        }
+        all
+    }
+
+    /// Whether a kind of channel was recorded.
+    #[must_use]
+    pub fn has(&self, kind: Kind) -> bool {
+        self.kinds.contains(&kind)
+    }
+
+    /// Fastest of the joints at `place`, rad/s.
+    #[must_use]
+    pub fn fastest_radps(&self, place: &Place) -> f64 {
+        self.most(place, |j| j.fastest_radps)
+    }
+
+    /// Hardest-working of the joints at `place`.
+    #[must_use]
+    pub fn most_torque_share(&self, place: &Place) -> f64 {
+        self.most(place, |j| j.most_torque_share)
+    }
+
+    fn most(&self, place: &Place, f: impl Fn(&JointExcitation) -> f64) -> f64 {
+        let at = |a: usize| place.domain != Domain::Joints || place.items.contains(&a);
+        (self.joints.iter().enumerate())
+            .filter(|(a, _)| at(*a))
+            .map(|(_, j)| f(j))
+            .fold(0.0, f64::max)
+    }
+}

@@ -1,0 +1,266 @@
+//! Motions of the whole robot: walking, swimming, rocking, and joints working against each other.
+
+use std::f64::consts::{PI, TAU};
+
+use caudata_model::RobotModel;
+
+use super::limits::JointLimits;
+use super::wave::Wave;
+
+/// Commands of all joints being written.
+pub(super) struct Body<'a> {
+    pub limits: &'a [JointLimits],
+    rate_hz: f64,
+    /// By foot: the joints that only this leg has, from the trunk outwards (policy order indices).
+    legs: Vec<Vec<usize>>,
+    /// Joints that belong to no leg, head to tail.
+    spine: Vec<usize>,
+    nominal: Vec<f64>,
+    /// One row per period. `[T][A]`
+    pub rows: Vec<Vec<f64>>,
+}
+
+impl<'a> Body<'a> {
+    pub fn new(robot: &RobotModel, limits: &'a [JointLimits], rate_hz: f64) -> Self {
+        let carries: Vec<Vec<usize>> = robot
+            .feet()
+            .iter()
+            .map(|foot| {
+                let links = robot.links();
+                let chain = std::iter::successors(Some(foot.link), |&l| links[l].parent);
+                let carrying: Vec<usize> = chain.collect();
+                let on_chain =
+                    |a: &usize| carrying.contains(&robot.joints()[robot.actuated()[*a]].child_link);
+                (0..limits.len()).filter(on_chain).collect()
+            })
+            .collect();
+        let shared = |a: usize| carries.iter().filter(|c| c.contains(&a)).count() != 1;
+        // with one foot nothing is shared, and with none there is no leg
+        let legs: Vec<Vec<usize>> = carries
+            .iter()
+            .map(|c| c.iter().copied().filter(|&a| !shared(a)).collect())
+            .collect();
+        let spine = (0..limits.len())
+            .filter(|a| !legs.iter().any(|l| l.contains(a)))
+            .collect();
+        let nominal = robot.nominal_pos_rad().to_vec();
+        Self {
+            limits,
+            rate_hz,
+            legs,
+            spine,
+            rows: vec![nominal.clone()],
+            nominal,
+        }
+    }
+
+    fn put(&mut self, mut row: Vec<f64>) {
+        for (q, l) in row.iter_mut().zip(self.limits) {
+            *q = q.clamp(l.range_rad.0, l.range_rad.1);
+        }
+        self.rows.push(row);
+    }
+
+    fn count(&self, s: f64) -> usize {
+        (s * self.rate_hz).round().max(1.0) as usize
+    }
+
+    /// Writes `s` seconds of `pose(t, fade)`; `fade` goes from 0 to 1 and back over the first and last second (a third of a short one).
+    fn play(&mut self, s: f64, pose: impl Fn(&Self, f64, f64, &mut Vec<f64>)) {
+        let n = self.count(s);
+        let ramp_s = 1.0f64.min(s / 3.0);
+        for k in 1..=n {
+            let t = k as f64 / self.rate_hz;
+            let edge = (t / ramp_s).min((s - t) / ramp_s).clamp(0.0, 1.0);
+            let fade = 0.5 * (1.0 - (PI * edge).cos());
+            let mut row = self.nominal.clone();
+            pose(self, t, fade, &mut row);
+            self.put(row);
+        }
+    }
+
+    /// Nominal pose.
+    pub fn hold(&mut self, s: f64) {
+        self.play(s, |_, _, _, _| {});
+    }
+
+    /// Every joint by a wave of its own.
+    fn each(&mut self, write: impl Fn(&mut Wave<'_>, usize)) {
+        let columns: Vec<Vec<f64>> = self
+            .limits
+            .iter()
+            .enumerate()
+            .map(|(a, l)| {
+                let mut wave = Wave::new(l, self.rate_hz, if a % 2 == 0 { 1.0 } else { -1.0 }, 1.0);
+                write(&mut wave, a);
+                wave.finish().0
+            })
+            .collect();
+        let n = columns.iter().map(Vec::len).max().unwrap_or(0);
+        for k in 0..n {
+            let row = columns
+                .iter()
+                .map(|c| c.get(k).or(c.last()).copied().unwrap_or(0.0))
+                .collect();
+            self.put(row);
+        }
+    }
+
+    pub fn all_chirp(&mut self) {
+        self.each(|w, _| {
+            let c = w.limits.nominal_rad;
+            w.chirp(c, 0.08, 0.5, 5.0, 12.0);
+        });
+    }
+
+    pub fn all_steps(&mut self) {
+        self.each(|w, _| {
+            let c = w.limits.nominal_rad;
+            let size = 0.35f64.min(w.room(c));
+            w.hold(0.5);
+            for x in [1.0, 0.0, -1.0, 0.0, 1.0, -1.0, 0.0] {
+                w.step(c + w.sign * size * x, 1.0);
+            }
+        });
+    }
+
+    /// The first joint steps all the time; the others chirp in the middle third.
+    pub fn load_probe(&mut self) {
+        self.each(|w, a| {
+            let c = w.limits.nominal_rad;
+            if a == 0 {
+                for _ in 0..12 {
+                    w.step(c + 0.3, 0.5);
+                    w.step(c, 0.5);
+                }
+            } else {
+                w.hold(4.0);
+                w.sine(c, 0.4, 2.0, 4.0);
+                w.hold(4.0);
+            }
+        });
+    }
+
+    /// The legs of one side, then of the other; spine joints to one side, then to the other.
+    pub fn mirror(&mut self) {
+        for side in [0, 1] {
+            self.play(5.0, |b, t, fade, row| {
+                for (i, leg) in b.legs.iter().enumerate().filter(|(i, _)| i % 2 == side) {
+                    for (k, &a) in leg.iter().enumerate() {
+                        let size = b.limits[a].sine_rad(0.35, 0.8);
+                        row[a] += fade * size * (TAU * 0.8 * t + 0.7 * (k + i / 2) as f64).sin();
+                    }
+                }
+                for &a in &b.spine {
+                    let turn = if side == 0 { 1.0 } else { -1.0 };
+                    let size = b.limits[a].sine_rad(0.25, 0.4);
+                    row[a] += fade * turn * size * (TAU * 0.4 * t).sin();
+                }
+            });
+        }
+    }
+
+    /// Legs of one side (or one end) stretch while the others give way: the trunk rolls (or pitches).
+    pub fn rock(&mut self, roll: bool) {
+        for hz in [0.3, 0.8, 1.6] {
+            self.play(6.0, |b, t, fade, row| {
+                for (i, leg) in b.legs.iter().enumerate() {
+                    // feet stand in the order front left, front right, hind left, hind right
+                    let (left, front) = (i % 2 == 0, i < b.legs.len() / 2);
+                    let up = if if roll { left } else { front } {
+                        1.0
+                    } else {
+                        -1.0
+                    };
+                    if let Some(&knee) = leg.last() {
+                        row[knee] +=
+                            fade * up * b.limits[knee].sine_rad(0.3, hz) * (TAU * hz * t).sin();
+                    }
+                }
+            });
+        }
+    }
+
+    /// Each knee lifts its foot for a second and a half, slowly up, slowly down.
+    pub fn lift_feet(&mut self) {
+        for i in 0..self.legs.len() {
+            self.play(3.0, |b, _, fade, row| {
+                if let Some(&knee) = b.legs[i].last() {
+                    row[knee] -= 0.7 * fade;
+                }
+            });
+            self.hold(0.5);
+        }
+    }
+
+    pub fn stamp(&mut self) {
+        for i in 0..self.legs.len() {
+            for _ in 0..3 {
+                self.play(0.8, |b, t, fade, row| {
+                    if let Some(&knee) = b.legs[i].last() {
+                        // up smoothly, down at once
+                        row[knee] -= if t < 0.45 { 0.5 * fade } else { 0.0 };
+                    }
+                });
+            }
+        }
+    }
+
+    /// A trot: diagonal legs together, hips swing, knees lift in the swing, the spine bends with them. `height`: 1 nominal, less is lower.
+    pub fn gait(&mut self, hz: f64, height: f64, bend_rad: f64, s: f64) {
+        self.play(s, |b, t, fade, row| {
+            let phase = TAU * hz * t;
+            for (i, leg) in b.legs.iter().enumerate() {
+                let diagonal = if i % 2 == i / 2 % 2 { 0.0 } else { PI };
+                let (swing, lift) = ((phase + diagonal).sin(), (phase + diagonal).cos().max(0.0));
+                if let (Some(&hip), Some(&knee)) = (leg.first(), leg.last()) {
+                    row[hip] += fade * b.limits[hip].sine_rad(0.3, hz) * swing;
+                    let low = (height - 1.0) * row[knee].abs();
+                    row[knee] += fade * (low - 0.35 * lift);
+                }
+            }
+            for &a in b.trunk() {
+                row[a] += fade * (bend_rad + b.limits[a].sine_rad(0.1, hz) * phase.cos());
+            }
+        });
+    }
+
+    /// Spine joints between the legs: the first half or so; the tail trails.
+    fn trunk(&self) -> &[usize] {
+        &self.spine[..self.spine.len().div_ceil(2)]
+    }
+
+    /// A travelling wave from head to tail, one wave on the body, growing towards the tail; legs folded back.
+    pub fn swim(&mut self, hz: f64, size_rad: f64, s: f64) {
+        self.play(s, |b, t, fade, row| {
+            let n = b.spine.len().max(1) as f64;
+            for (i, &a) in b.spine.iter().enumerate() {
+                let x = i as f64 / n;
+                let size = b.limits[a].sine_rad(size_rad * (0.4 + 0.6 * x), hz);
+                row[a] += fade * size * (TAU * (hz * t - x)).sin();
+            }
+            for leg in &b.legs {
+                if let Some(&hip) = leg.first() {
+                    row[hip] += fade * (b.limits[hip].range_rad.0 - row[hip]) * 0.9;
+                }
+            }
+        });
+    }
+
+    pub fn bob(&mut self) {
+        for _ in 0..4 {
+            self.play(1.0, |b, _, fade, row| {
+                for leg in &b.legs {
+                    if let Some(&knee) = leg.last() {
+                        row[knee] -= 0.6 * fade;
+                    }
+                }
+            });
+            self.hold(3.0);
+        }
+    }
+
+    pub fn has_legs(&self) -> bool {
+        self.legs.iter().any(|l| !l.is_empty())
+    }
+}

@@ -1,0 +1,217 @@
+//! What a joint may be asked for: range, speed, and torque that a servo stands for long.
+
+use caudata_model::{Pose, RobotModel};
+
+/// Distance kept from the ends of the range, share of the range.
+const MARGIN: f64 = 0.05;
+/// Commands stay below this share of the speed without load.
+const SPEED_SHARE: f64 = 0.6;
+/// Commands ask for accelerations that take at most this share of the greatest torque.
+const TORQUE_SHARE: f64 = 0.5;
+/// Poses that are held take at most this share of the greatest torque. Servo makers advise a fifth of the stall torque for steady
+/// work (ROBOTIS e-manual, note on stall torque); a bench session of minutes stands more.
+pub const HOLD_SHARE: f64 = 0.35;
+/// The one trial that is meant to warm the servo.
+pub const HOT_SHARE: f64 = 0.5;
+/// Steps of the search for what gravity allows, rad.
+const SEARCH_RAD: f64 = 0.02;
+
+/// Limits of one actuated joint, with the others in their nominal pose and the base held level.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JointLimits {
+    /// Joint.
+    pub name: String,
+    /// Place in policy order.
+    pub index: usize,
+    /// Nominal position, rad.
+    pub nominal_rad: f64,
+    /// What may be commanded, rad: the range less a margin.
+    pub range_rad: (f64, f64),
+    /// What may be held, rad: there gravity asks for no more than [`HOLD_SHARE`] of the torque.
+    pub hold_rad: (f64, f64),
+    /// Fastest command, rad/s.
+    pub speed_radps: f64,
+    /// Greatest acceleration of a command, rad/s².
+    pub acceleration_radps2: f64,
+    /// Inertia about the axis, with the drive's, kg·m².
+    pub inertia_kgm2: f64,
+    /// Greatest torque, N·m.
+    pub tau_max_nm: f64,
+    /// Torque of gravity over the range, N·m, every [`SEARCH_RAD`] from the lower limit on.
+    gravity_nm: Vec<f64>,
+}
+
+impl JointLimits {
+    /// Limits of every actuated joint, policy order.
+    #[must_use]
+    pub fn all(robot: &RobotModel) -> Vec<Self> {
+        (0..robot.actuated().len())
+            .map(|a| Self::of(robot, a))
+            .collect()
+    }
+
+    fn of(robot: &RobotModel, index: usize) -> Self {
+        let (low, high) = robot.joint_limits_rad()[index];
+        let margin = MARGIN * (high - low);
+        let servo = robot.servo(index);
+        let inertia_kgm2 = inertia(robot, index) + servo.armature_kgm2;
+        let points = ((high - low) / SEARCH_RAD).ceil() as usize;
+        let mut out = Self {
+            name: robot.actuated_names()[index].to_owned(),
+            index,
+            nominal_rad: robot.nominal_pos_rad()[index],
+            range_rad: (low + margin, high - margin),
+            hold_rad: (low + margin, high - margin),
+            speed_radps: SPEED_SHARE * servo.qd_max_radps * robot.supply_v()
+                / servo.reference_supply_v,
+            acceleration_radps2: TORQUE_SHARE * servo.tau_max_nm / inertia_kgm2,
+            inertia_kgm2,
+            tau_max_nm: servo.tau_max_nm,
+            gravity_nm: (0..=points)
+                .map(|i| gravity(robot, index, low + i as f64 * SEARCH_RAD))
+                .collect(),
+        };
+        out.hold_rad = out.held_within(low, HOLD_SHARE);
+        out
+    }
+
+    /// The part of the range around the nominal position that takes at most `share` of the greatest torque to hold.
+    fn held_within(&self, low_rad: f64, share: f64) -> (f64, f64) {
+        let allowed = |q: f64| self.at(q - low_rad).abs() <= share * self.tau_max_nm;
+        let mut reach = (self.nominal_rad, self.nominal_rad);
+        while reach.0 - SEARCH_RAD >= self.range_rad.0 && allowed(reach.0 - SEARCH_RAD) {
+            reach.0 -= SEARCH_RAD;
+        }
+        while reach.1 + SEARCH_RAD <= self.range_rad.1 && allowed(reach.1 + SEARCH_RAD) {
+            reach.1 += SEARCH_RAD;
+        }
+        reach
+    }
+
+    fn at(&self, above_low_rad: f64) -> f64 {
+        let last = self.gravity_nm.len() - 1;
+        let k = (above_low_rad / SEARCH_RAD).round().clamp(0.0, last as f64);
+        self.gravity_nm[k as usize]
+    }
+
+    /// Torque that holds position `q_rad` against gravity, N·m.
+    #[must_use]
+    pub fn gravity_nm(&self, q_rad: f64) -> f64 {
+        let margin = (self.range_rad.1 - self.range_rad.0) / (1.0 - 2.0 * MARGIN) * MARGIN;
+        self.at(q_rad - (self.range_rad.0 - margin))
+    }
+
+    /// Position in the range whose hold takes most, but not more than [`HOT_SHARE`]; its torque as a share.
+    #[must_use]
+    pub fn hottest(&self) -> (f64, f64) {
+        let mut best = (self.nominal_rad, 0.0);
+        let mut q = self.range_rad.0;
+        while q <= self.range_rad.1 {
+            let share = self.gravity_nm(q).abs() / self.tau_max_nm;
+            if share <= HOT_SHARE && share > best.1 {
+                best = (q, share);
+            }
+            q += SEARCH_RAD;
+        }
+        best
+    }
+
+    /// Amplitude of a sine of `hz` that stays within speed and acceleration and `size_rad`.
+    #[must_use]
+    pub fn sine_rad(&self, size_rad: f64, hz: f64) -> f64 {
+        let w = std::f64::consts::TAU * hz;
+        size_rad
+            .min(self.speed_radps / w)
+            .min(self.acceleration_radps2 / (w * w))
+    }
+}
+
+/// Potential energy with joint `index` at `q_rad`, J.
+fn energy(robot: &RobotModel, index: usize, q_rad: f64) -> f64 {
+    let mut pos = robot.nominal_pos_rad().to_vec();
+    pos[index] = q_rad;
+    let Ok(kinematics) = robot
+        .full_pos_rad(&pos)
+        .and_then(|full| robot.kinematics(&Pose::IDENTITY, &full))
+    else {
+        return 0.0; // not reached: the lengths are the model's own
+    };
+    let c = robot.centre_of_mass_m(&kinematics);
+    let g = robot.gravity_mps2();
+    -robot.total_mass_kg() * (0..3).map(|k| g[k] * c[k]).sum::<f64>()
+}
+
+/// Torque against gravity, N·m: the slope of the potential energy.
+fn gravity(robot: &RobotModel, index: usize, q_rad: f64) -> f64 {
+    const H: f64 = 1e-4;
+    (energy(robot, index, q_rad + H) - energy(robot, index, q_rad - H)) / (2.0 * H)
+}
+
+/// Inertia about the joint's axis of everything that it carries, in the nominal pose, kg·m².
+fn inertia(robot: &RobotModel, index: usize) -> f64 {
+    let full = robot.full_pos_rad(robot.nominal_pos_rad());
+    let Ok(kinematics) = full.and_then(|full| robot.kinematics(&Pose::IDENTITY, &full)) else {
+        return 0.0;
+    };
+    let j = robot.actuated()[index];
+    let (frame, carried) = (kinematics.joints[j], robot.joints()[j].child_link);
+    let links = robot.links();
+    let below =
+        |l: usize| std::iter::successors(Some(l), |&l| links[l].parent).any(|l| l == carried);
+    (0..links.len())
+        .filter(|&l| below(l))
+        .map(|l| {
+            let (link, pose) = (&links[l], &kinematics.links[l]);
+            let com = pose.point(link.com_m);
+            let r = [0, 1, 2].map(|k| com[k] - frame.anchor_m[k]);
+            let across = {
+                let a = frame.axis;
+                [
+                    r[1] * a[2] - r[2] * a[1],
+                    r[2] * a[0] - r[0] * a[2],
+                    r[0] * a[1] - r[1] * a[0],
+                ]
+            };
+            // the axis in the link's own frame, in which its inertia is given
+            let axis = pose.inverse().rotate(frame.axis);
+            let turned: f64 = (0..3)
+                .map(|i| {
+                    (0..3)
+                        .map(|k| axis[i] * link.inertia_kgm2[i][k] * axis[k])
+                        .sum::<f64>()
+                })
+                .sum();
+            turned + link.mass_kg * across.iter().map(|x| x * x).sum::<f64>()
+        })
+        .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rig() -> RobotModel {
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../robots/xl330_pendulum.robot.toml"
+        );
+        RobotModel::load(path.as_ref()).unwrap()
+    }
+
+    #[test]
+    fn a_pendulums_gravity_inertia_and_reach() {
+        let j = &JointLimits::all(&rig())[0];
+        // m·g·l·sin q: 0.49·9.81·0.1 = 0.4807 N·m level
+        assert!((j.gravity_nm(std::f64::consts::FRAC_PI_2).abs() - 0.4807).abs() < 2e-3);
+        assert!((j.gravity_nm(0.5).abs() - 0.4807 * 0.4794).abs() < 6e-3);
+        // 0.49·0.01 + 2/5·0.49·0.0004 + armature 0.002
+        assert!((j.inertia_kgm2 - (0.0049 + 7.84e-5 + 0.002)).abs() < 1e-9);
+        // 0.35·0.77 = 0.2695 N·m: sin q ≤ 0.5606, q ≤ 0.595
+        assert!((j.hold_rad.1 - 0.595).abs() < 0.03, "{:?}", j.hold_rad);
+        assert!((j.hold_rad.0 + 0.595).abs() < 0.03);
+        let (q, share) = j.hottest();
+        assert!(share > 0.48 && share <= 0.5, "{q} {share}");
+        // 2 Hz: 0.6·15.96 rad/s over 12.57 = 0.76 rad; 0.5·0.77/0.00698 = 55 rad/s² over 157.9 = 0.349 rad
+        assert!((j.sine_rad(1.0, 2.0) - 0.349).abs() < 0.002);
+    }
+}

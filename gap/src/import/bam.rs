@@ -1,0 +1,349 @@
+//! Recordings of a servo that swings a weight, in the JSON form of the BAM project (github.com/Rhoban/bam).
+//!
+//! One file is one run: `mass` (kg), `length` (m), `kp` (the servo's gain register), `vin` (V), `motor`, `trajectory`, and `entries` with
+//! `timestamp` (s), `position` (rad), `speed` (rad/s), `load` (present PWM, 16-bit two's complement written without its sign),
+//! `input_volts` (V), `temp` (°C), `goal_position` (rad), `torque_enable`.
+//!
+//! Gain register to N·m/rad: duty per error times torque per duty. Duty per error is `register / divisor · counts / full duty`; torque per
+//! duty is the supply times the slope of the robot file's servo at stall. The manual's divisor for this servo family is 128; the XL330's own
+//! PWM readings follow 256 to within one count (residual 0.4 to 0.6 counts of 885 at register 100), so 256 is used, and each file is held to it.
+
+use std::path::Path;
+
+use caudata_model::RobotModel;
+use caudata_runlog::{BaseHold, LogMeta, Setting, Signal};
+use serde::Deserialize;
+
+use super::{ImportError, Imported};
+
+/// PWM reading that stands for full duty (e-manual of the X series).
+const FULL_DUTY: f64 = 885.0;
+/// Register units per count of PWM and count of error, measured (see above).
+const GAIN_DIVISOR: f64 = 256.0;
+/// A gain seen in the PWM readings may be off the register's by this share before it is said.
+const GAIN_TOLERANCE: f64 = 0.05;
+/// PWM readings nearer to full duty than this are taken for saturated.
+const SATURATED: f64 = 880.0;
+/// Fewer rows than this make no run.
+const MIN_ROWS: usize = 10;
+
+#[derive(Deserialize)]
+struct Recording {
+    mass: f64,
+    length: f64,
+    kp: f64,
+    vin: f64,
+    motor: String,
+    trajectory: String,
+    entries: Vec<Entry>,
+}
+
+#[derive(Deserialize)]
+struct Entry {
+    timestamp: f64,
+    position: f64,
+    speed: f64,
+    load: f64,
+    input_volts: f64,
+    temp: f64,
+    goal_position: f64,
+    torque_enable: bool,
+}
+
+impl Entry {
+    /// PWM counts with their sign: the register is 16-bit two's complement.
+    fn pwm_counts(&self) -> f64 {
+        if self.load >= 32_768.0 {
+            self.load - 65_536.0
+        } else {
+            self.load
+        }
+    }
+}
+
+/// Reads a recording of `robot`, which must have one actuated joint.
+///
+/// # Errors
+/// [`ImportError`] with the file and the reason.
+pub fn read(path: &Path, robot: &RobotModel) -> Result<Imported, ImportError> {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    parse(
+        &path.display().to_string(),
+        &stem,
+        &super::read(path)?,
+        robot,
+    )
+}
+
+/// As [`read`], from bytes; `file` names them in errors, `stem` in the name of the run.
+///
+/// # Errors
+/// As [`read`].
+pub fn parse(
+    file: &str,
+    stem: &str,
+    bytes: &[u8],
+    robot: &RobotModel,
+) -> Result<Imported, ImportError> {
+    let wrong = |message: String| ImportError::Format {
+        file: file.to_owned(),
+        message,
+    };
+    let run: Recording =
+        serde_json::from_slice(bytes).map_err(|e| wrong(e.to_string().replace('\n', " ")))?;
+    let unfit = |message: String| ImportError::Robot {
+        file: file.to_owned(),
+        robot: robot.name().to_owned(),
+        message,
+    };
+    let &[joint] = robot.actuated_names().as_slice() else {
+        return Err(unfit(
+            "the recording has one joint; give the robot file of the rig".to_owned(),
+        ));
+    };
+    let servo = robot.servo(0);
+    let good = |x: f64| x.is_finite() && x > 0.0;
+    if !(good(run.kp) && good(run.vin) && good(run.mass) && good(run.length)) {
+        return Err(wrong(
+            "`kp`, `vin`, `mass` and `length` must be above zero".to_owned(),
+        ));
+    }
+    if run.entries.len() < MIN_ROWS {
+        return Err(wrong(format!(
+            "has {} entries; a run has at least {MIN_ROWS}",
+            run.entries.len()
+        )));
+    }
+    let counts_per_rad = f64::from(servo.encoder_counts_per_turn) / std::f64::consts::TAU;
+    let duty_per_rad = run.kp / GAIN_DIVISOR * counts_per_rad / FULL_DUTY;
+    let stall_nm_per_volt = servo.tau_max_nm / servo.reference_supply_v;
+
+    let columns = [
+        Signal::Command,
+        Signal::Position,
+        Signal::Velocity,
+        Signal::Duty,
+        Signal::Temperature,
+        Signal::Enabled,
+    ];
+    let mut signals: Vec<Signal> = columns.iter().map(|of| of(joint.to_owned())).collect();
+    signals.push(Signal::Voltage);
+    let mut rows = Vec::with_capacity(run.entries.len());
+    for (i, e) in run.entries.iter().enumerate() {
+        let values = [
+            e.timestamp,
+            e.position,
+            e.speed,
+            e.load,
+            e.input_volts,
+            e.temp,
+            e.goal_position,
+        ];
+        if values.iter().any(|v| !v.is_finite()) {
+            return Err(wrong(format!("entry {i} has a value that is not finite")));
+        }
+        if e.pwm_counts().abs() > 1.01 * FULL_DUTY {
+            return Err(wrong(format!(
+                "entry {i}: `load` is {}, beyond ±{FULL_DUTY} PWM counts",
+                e.load
+            )));
+        }
+        let duty = (e.pwm_counts() / FULL_DUTY).clamp(-1.0, 1.0);
+        let row = vec![
+            e.torque_enable.then_some(e.goal_position),
+            Some(e.position),
+            Some(e.speed),
+            Some(duty),
+            Some(e.temp),
+            Some(f64::from(u8::from(e.torque_enable))),
+            Some(e.input_volts),
+        ];
+        rows.push((e.timestamp, row));
+    }
+
+    let mut meta = LogMeta::new(robot.name(), BaseHold::Fixed, rate_hz(&run.entries));
+    meta.notes = format!("imported from {stem}, trajectory {}", run.trajectory);
+    meta.kp = Some(duty_per_rad * run.vin * stall_nm_per_volt);
+    meta.kd = Some(0.0);
+    meta.supply_v = Some(run.vin);
+    let mut put = |key: &str, value| meta.settings.insert(key.to_owned(), value);
+    put("trial", Setting::Text(run.trajectory.clone()));
+    put("motor", Setting::Text(run.motor.clone()));
+    put("kp_register", Setting::Number(run.kp));
+    put("load_mass_kg", Setting::Number(run.mass));
+    put("load_length_m", Setting::Number(run.length));
+
+    let mut notes = Vec::new();
+    if let Some(counts) = pwm_per_count(&run.entries, counts_per_rad) {
+        let measured = run.kp / counts;
+        put("gain_divisor_measured", Setting::Number(measured));
+        if (measured / GAIN_DIVISOR - 1.0).abs() > GAIN_TOLERANCE {
+            notes.push(format!(
+                "{file}: the PWM readings follow register/{measured:.0}, not register/{GAIN_DIVISOR:.0}; `kp` in log.toml may be off by as much"
+            ));
+        }
+    }
+    let off = run.entries.iter().filter(|e| !e.torque_enable).count();
+    if off > 0 {
+        notes.push(format!(
+            "{file}: the servo is let go in {off} of {} rows (on.{joint} = 0)",
+            rows.len()
+        ));
+    }
+    Ok(Imported {
+        name: folder_name(&run, stem),
+        meta,
+        signals,
+        rows,
+        notes,
+    })
+}
+
+/// `sin_sin_kp200_2026-01-15_10h28m42`, of letters that any file system takes.
+fn folder_name(run: &Recording, stem: &str) -> String {
+    format!("{}_kp{}_{stem}", run.trajectory, run.kp)
+        .chars()
+        .map(|c| {
+            if c.is_ascii_alphanumeric() || "_-".contains(c) {
+                c
+            } else {
+                '-'
+            }
+        })
+        .collect()
+}
+
+/// Rows per second: the inverse of the median step.
+fn rate_hz(entries: &[Entry]) -> f64 {
+    let mut steps: Vec<f64> = entries
+        .windows(2)
+        .map(|w| w[1].timestamp - w[0].timestamp)
+        .collect();
+    steps.sort_unstable_by(f64::total_cmp);
+    let median = steps[steps.len() / 2];
+    if median > 0.0 {
+        (1.0 / median).min(1e5)
+    } else {
+        1.0 // the writer then refuses the rows and says which
+    }
+}
+
+/// PWM counts per count of position error, by least squares over the rows where the servo holds and is not saturated.
+fn pwm_per_count(entries: &[Entry], counts_per_rad: f64) -> Option<f64> {
+    let (mut xx, mut xy) = (0.0, 0.0);
+    for e in entries {
+        if e.torque_enable && e.pwm_counts().abs() < SATURATED {
+            let error = (e.goal_position - e.position) * counts_per_rad;
+            xx += error * error;
+            xy += error * e.pwm_counts();
+        }
+    }
+    // A run that hardly moves says nothing: rounding to whole counts would decide.
+    (xx > 1e5 && xy > 0.0).then(|| xy / xx)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rig() -> RobotModel {
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../robots/xl330_pendulum.robot.toml"
+        );
+        RobotModel::load(path.as_ref()).unwrap()
+    }
+
+    /// Twelve rows at 5 ms; error 0.3 rad = 195.6 counts, so register 200 asks for 195.6·200/256 = 152.8 counts.
+    fn recording(loads: [i64; 2], on_last: bool) -> String {
+        let entries: Vec<String> = (0..12)
+            .map(|i| {
+                let on = i < 11 || on_last;
+                let load = loads[usize::from(i >= 6)];
+                let goal = if i < 6 { 0.4 } else { -0.2 };
+                format!(
+                    r#"{{"timestamp": {}, "position": 0.1, "speed": 0.0, "load": {load}, "input_volts": 7.3, "temp": 29,
+                        "goal_position": {goal}, "torque_enable": {on}}}"#,
+                    f64::from(i) * 0.005
+                )
+            })
+            .collect();
+        format!(
+            r#"{{"mass": 0.49, "length": 0.1, "kp": 200, "vin": 7.4, "motor": "xl330", "trajectory": "square wave",
+                "entries": [{}]}}"#,
+            entries.join(",")
+        )
+    }
+
+    fn import(text: &str) -> Result<Imported, ImportError> {
+        parse("a.json", "a", text.as_bytes(), &rig())
+    }
+
+    #[test]
+    fn a_run_in_neutral_form() {
+        // −153 as the register shows it: 65536 − 153
+        let run = import(&recording([153, 65_383], false)).unwrap();
+        assert_eq!(run.name, "square-wave_kp200_a");
+        let header: Vec<String> = run.signals.iter().map(ToString::to_string).collect();
+        assert_eq!(
+            header.join(","),
+            "cmd.swing,pos.swing,vel.swing,pwm.swing,temp.swing,on.swing,volt"
+        );
+        // register 200: 200/256 · 4096/2π / 885 = 0.5755 duty/rad; times 7.4 V times 0.77/7.4 N·m/V
+        assert!((run.meta.kp.unwrap() - 0.5755 * 0.77).abs() < 1e-4);
+        assert_eq!(run.meta.supply_v, Some(7.4));
+        assert!((run.meta.rate_hz - 200.0).abs() < 1e-9);
+        assert_eq!(run.rows[0].1[3], Some(153.0 / 885.0));
+        assert_eq!(run.rows[6].1[3], Some(-153.0 / 885.0));
+        // the last row is let go: no command
+        assert_eq!(
+            (run.rows[10].1[0], run.rows[10].1[5]),
+            (Some(-0.2), Some(1.0))
+        );
+        assert_eq!((run.rows[11].1[0], run.rows[11].1[5]), (None, Some(0.0)));
+        assert_eq!(run.notes.len(), 1, "{:?}", run.notes);
+    }
+
+    #[test]
+    fn a_gain_that_is_not_the_registers_is_said() {
+        // twice the PWM: the servo follows register/128
+        let run = import(&recording([306, 65_230], true)).unwrap();
+        assert!(run.notes[0].contains("register/128"), "{:?}", run.notes);
+        let Setting::Number(divisor) = run.meta.settings["gain_divisor_measured"] else {
+            panic!("not a number");
+        };
+        assert!((divisor - 127.8).abs() < 0.1, "{divisor}");
+    }
+
+    #[test]
+    fn wrong_recordings_say_what() {
+        let check = |text: &str, want: &str| {
+            let e = import(text).unwrap_err().to_string();
+            assert!(e.contains(want) && !e.contains('\n'), "{e}");
+        };
+        check("", "a.json: EOF");
+        check("[1, 2]", "a.json:");
+        check(&recording([1000, 0], true), "entry 0: `load` is 1000");
+        check(
+            &recording([0, 0], true).replace("\"kp\": 200", "\"kp\": 0"),
+            "must be above zero",
+        );
+        check(
+            r#"{"mass":1,"length":1,"kp":1,"vin":7,"motor":"m","trajectory":"t","entries":[]}"#,
+            "has 0 entries",
+        );
+    }
+
+    #[test]
+    fn written_and_read_again_it_is_the_same() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = import(&recording([153, 65_383], true)).unwrap();
+        let folder = run.write(dir.path()).unwrap();
+        let log = caudata_runlog::RunLog::read(&folder).unwrap();
+        assert_eq!(log.meta, run.meta);
+        assert_eq!(log.table.signals(), run.signals);
+        assert_eq!(log.table.row(6).unwrap(), run.rows[6].1);
+        // nothing is overwritten
+        assert!(run.write(dir.path()).is_err());
+    }
+}

@@ -1,0 +1,89 @@
+//! A candidate robot: physical parameters of a lane, what its sensors do wrong, and what happens to its commands and clocks.
+
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+use caudata_sim::LaneParams;
+use caudata_sim::sensors::{CurrentErrors, EncoderErrors, ImuBias, ImuMounting};
+use serde::{Deserialize, Serialize};
+
+use crate::trial::Trial;
+
+/// What sensors and clocks do wrong. All zero: nothing.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Sensing {
+    /// Encoders, inside the position loop. `[A]`
+    pub encoders: Vec<EncoderErrors>,
+    /// Current sensing. `[A]`
+    pub currents: Vec<CurrentErrors>,
+    /// Time constant of each servo's velocity estimate, s. `[A]`
+    pub velocity_lag_s: Vec<f32>,
+    /// How the IMU sits and scales.
+    pub mounting: ImuMounting,
+    /// Its offsets.
+    pub bias: ImuBias,
+    /// How late it reports, s.
+    pub imu_delay_s: f32,
+    /// Time constant of its low-pass, s.
+    pub imu_lag_s: f32,
+    /// How late everything measured is stamped, s.
+    pub measurement_delay_s: f32,
+    /// By how much stamps run ahead of time, s/s: what is stamped t was measured at t·(1 − drift).
+    pub clock_drift: f32,
+    /// Shift of motion capture, world, m.
+    pub mocap_offset_m: [f32; 3],
+    /// Turn of motion capture about the vertical, rad.
+    pub mocap_yaw_rad: f32,
+    /// How late motion capture is, s.
+    pub mocap_delay_s: f32,
+}
+
+/// A candidate robot.
+#[derive(Debug, Clone)]
+pub struct Plant {
+    /// What it is built from.
+    pub model: Arc<RobotModel>,
+    /// Physics.
+    pub lane: LaneParams,
+    /// Sensors and clocks.
+    pub sensing: Sensing,
+    /// Where in the session the run is, 0 (first) to 1 (last).
+    pub session: f64,
+}
+
+impl Plant {
+    /// The robot file's robot.
+    #[must_use]
+    pub fn nominal(model: &Arc<RobotModel>) -> Self {
+        let joints = model.actuated().len();
+        Self {
+            model: Arc::clone(model),
+            lane: LaneParams::nominal(model),
+            sensing: Sensing {
+                encoders: vec![EncoderErrors::default(); joints],
+                currents: vec![CurrentErrors::default(); joints],
+                velocity_lag_s: vec![0.0; joints],
+                ..Sensing::default()
+            },
+            session: 0.0,
+        }
+    }
+
+    /// The robot under the circumstances of a run: its gains, its supply.
+    #[must_use]
+    pub fn in_trial(model: &Arc<RobotModel>, trial: &Trial) -> Self {
+        let mut plant = Self::nominal(model);
+        let lane = &mut plant.lane;
+        if let Some(kp) = trial.kp_nm_per_rad {
+            lane.kp_nm_per_rad.fill(kp as f32);
+        }
+        if let Some(kd) = trial.kd_nms_per_rad {
+            lane.kd_nms_per_rad.fill(kd as f32);
+        }
+        if let Some(volt) = trial.supply_v {
+            lane.supply_v = volt as f32;
+        }
+        plant
+    }
+}

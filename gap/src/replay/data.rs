@@ -1,0 +1,312 @@
+//! What was measured, as one flat vector: by stretch of a run, then by channel, then by time.
+
+use std::ops::Range;
+
+use caudata_model::RobotModel;
+use caudata_runlog::BaseHold;
+
+use crate::trial::{Channel, Kind, Trial};
+
+/// Time after the start of a stretch that does not count: what friction and loops remember from before is not known, s.
+const SETTLE_S: f64 = 0.15;
+/// Most samples that count; denser recordings are thinned out evenly.
+const MOST_SAMPLES: usize = 400_000;
+/// Blocks for statistics are at least so long, s.
+pub const BLOCK_S: f64 = 1.0;
+/// Stretches of a free robot, s: it diverges from its simulation, so it is put back to what was measured.
+const FREE_SEGMENT_S: f64 = 0.6;
+/// Time over which speeds at a start are taken, s, to each side.
+const SPEED_WINDOW_S: f64 = 0.03;
+
+/// How runs are cut.
+#[derive(Debug, Clone, Copy)]
+pub struct SegmentOptions {
+    /// Length of a stretch of a held robot, s; infinite: the whole run.
+    pub fixed_s: f64,
+    /// Length of a stretch of a free or swimming robot, s.
+    pub free_s: f64,
+}
+
+impl Default for SegmentOptions {
+    fn default() -> Self {
+        Self {
+            fixed_s: f64::INFINITY,
+            free_s: FREE_SEGMENT_S,
+        }
+    }
+}
+
+/// A stretch of a run that one lane replays.
+#[derive(Debug, Clone)]
+pub struct Segment {
+    /// Which trial.
+    pub trial: usize,
+    /// s.
+    pub start_s: f64,
+    /// s.
+    pub end_s: f64,
+    /// Its samples in the flat vector.
+    pub range: Range<usize>,
+    /// Its channels' samples.
+    pub pieces: Vec<Piece>,
+    /// Measured start.
+    pub start: Start,
+}
+
+impl Segment {
+    /// s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.end_s - self.start_s
+    }
+}
+
+/// What was measured when a stretch begins.
+#[derive(Debug, Clone, Default)]
+pub struct Start {
+    /// Joint positions as shown, rad. `[A]`
+    pub pos_rad: Vec<f64>,
+    /// Joint velocities, rad/s. `[A]`
+    pub vel_radps: Vec<f64>,
+    /// Base position, world, m.
+    pub base_pos_m: Option<[f64; 3]>,
+    /// Roll, pitch, yaw of the base, rad.
+    pub base_rpy_rad: Option<[f64; 3]>,
+    /// Velocity of the base, world, m/s.
+    pub base_vel_mps: [f64; 3],
+    /// Angular velocity of the base, body, rad/s.
+    pub base_angvel_radps: [f64; 3],
+}
+
+/// One channel's samples in one stretch.
+#[derive(Debug, Clone)]
+pub struct Piece {
+    /// What it is.
+    pub kind: Kind,
+    /// As in [`Channel::index`].
+    pub index: usize,
+    /// Channel of the trial.
+    pub channel: usize,
+    /// Places in the flat vector.
+    pub range: Range<usize>,
+}
+
+/// Trials and their samples.
+#[derive(Debug, Clone, Default)]
+pub struct Data {
+    /// In order of recording.
+    pub trials: Vec<Trial>,
+    /// Place of each trial in the session, 0 to 1.
+    pub session: Vec<f64>,
+    /// In order.
+    pub segments: Vec<Segment>,
+    /// Stamps, s. `[N]`
+    pub time_s: Vec<f64>,
+    /// Measured values. `[N]`
+    pub value: Vec<f64>,
+    /// Block of each sample; blocks never reach over two stretches. `[N]`
+    pub block: Vec<u32>,
+    /// Number of blocks.
+    pub blocks: usize,
+}
+
+impl Data {
+    /// Cuts `trials` (with their places in the session) into stretches and samples.
+    #[must_use]
+    pub fn new(model: &RobotModel, trials: Vec<(f64, Trial)>, options: SegmentOptions) -> Self {
+        let (session, trials): (Vec<f64>, Vec<Trial>) = trials.into_iter().unzip();
+        let total: usize = trials
+            .iter()
+            .flat_map(|t| &t.channels)
+            .map(|c| c.value.len())
+            .sum();
+        let stride = total.div_ceil(MOST_SAMPLES).max(1);
+        let mut data = Self {
+            session,
+            ..Self::default()
+        };
+        for (number, trial) in trials.iter().enumerate() {
+            let length_s = match trial.base {
+                BaseHold::Fixed => options.fixed_s,
+                _ => options.free_s,
+            };
+            let (first, last) = replay_span(trial);
+            let count = ((last - first) / length_s).floor().max(1.0);
+            let each = (last - first) / count;
+            for k in 0..count as usize {
+                let start_s = first + k as f64 * each;
+                data.push(model, number, trial, (start_s, start_s + each), stride);
+            }
+        }
+        data.trials = trials;
+        data
+    }
+
+    fn push(
+        &mut self,
+        model: &RobotModel,
+        number: usize,
+        trial: &Trial,
+        (start_s, end_s): (f64, f64),
+        stride: usize,
+    ) {
+        let begin = self.value.len();
+        let first_block = self.blocks;
+        let blocks = ((end_s - start_s) / BLOCK_S).floor().max(1.0);
+        let block_s = (end_s - start_s) / blocks;
+        let free = trial.base != BaseHold::Fixed;
+        let settle_s = if free { 0.04 } else { SETTLE_S };
+        let mut pieces = Vec::new();
+        for (index, channel) in trial.channels.iter().enumerate() {
+            let from = self.value.len();
+            let low = channel.time_s.partition_point(|&t| t < start_s + settle_s);
+            let high = channel.time_s.partition_point(|&t| t < end_s);
+            for k in (low..high).step_by(stride) {
+                let t = channel.time_s[k];
+                if trial.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&t)) {
+                    continue;
+                }
+                self.time_s.push(t);
+                self.value.push(channel.value[k]);
+                let block = ((t - start_s) / block_s).floor().clamp(0.0, blocks - 1.0);
+                self.block.push((first_block + block as usize) as u32);
+            }
+            if self.value.len() > from {
+                pieces.push(Piece {
+                    kind: channel.kind,
+                    index: channel.index,
+                    channel: index,
+                    range: from..self.value.len(),
+                });
+            }
+        }
+        self.blocks += blocks as usize;
+        self.segments.push(Segment {
+            trial: number,
+            start_s,
+            end_s,
+            range: begin..self.value.len(),
+            pieces,
+            start: start(model, trial, start_s),
+        });
+    }
+
+    /// Number of samples.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.value.len()
+    }
+
+    /// Whether there is nothing.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.value.is_empty()
+    }
+
+    /// 0: held, 1: on the ground, 2: in water.
+    #[must_use]
+    pub fn hold(&self, segment: usize) -> usize {
+        match self.trials[self.segments[segment].trial].base {
+            BaseHold::Fixed => 0,
+            BaseHold::Free => 1,
+            BaseHold::Water => 2,
+        }
+    }
+}
+
+/// From when every joint's position and a command are known.
+fn replay_span(trial: &Trial) -> (f64, f64) {
+    let (mut first, mut last) = trial.span_s;
+    for c in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
+        first = first.max(c.time_s[0]);
+        last = last.min(c.time_s[c.time_s.len() - 1] + 1e-6);
+    }
+    (first, last.max(first + 1e-3))
+}
+
+fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
+    let joints = model.actuated().len();
+    let mut start = Start {
+        pos_rad: model.nominal_pos_rad().to_vec(),
+        vel_radps: vec![0.0; joints],
+        ..Start::default()
+    };
+    for a in 0..joints {
+        if let Some(c) = trial.channel(Kind::Position, a) {
+            let (pos, slope) = line(c, t_s);
+            start.pos_rad[a] = pos;
+            start.vel_radps[a] = slope;
+        }
+        if let Some(c) = trial.channel(Kind::Velocity, a) {
+            let near = c
+                .time_s
+                .partition_point(|&t| t < t_s)
+                .min(c.value.len() - 1);
+            // a reported speed is less noisy than a difference of counts, and later: take the smaller
+            let reported = c.value[near];
+            let slope = start.vel_radps[a];
+            start.vel_radps[a] = if reported * slope <= 0.0 {
+                0.0
+            } else if reported.abs() < slope.abs() {
+                reported
+            } else {
+                slope
+            };
+        }
+    }
+    let three = |kind: Kind| -> Option<[(f64, f64); 3]> {
+        let mut out = [(0.0, 0.0); 3];
+        for (axis, out) in out.iter_mut().enumerate() {
+            *out = line(trial.channel(kind, axis)?, t_s);
+        }
+        Some(out)
+    };
+    if let Some(p) = three(Kind::BasePosition) {
+        start.base_pos_m = Some(p.map(|x| x.0));
+        start.base_vel_mps = p.map(|x| x.1);
+    }
+    if let Some(v) = three(Kind::BaseVelocity) {
+        start.base_vel_mps = v.map(|x| x.0);
+    }
+    let attitude = three(Kind::BaseAttitude);
+    let gravity = three(Kind::Gravity);
+    let down = match (attitude, gravity) {
+        (Some(a), _) => Some((a[0].0, a[1].0, a[2].0)),
+        (None, Some(g)) => Some((g[0].0, g[1].0, 0.0)),
+        _ => None,
+    };
+    if let Some((gx, gy, yaw)) = down {
+        // gravity in the body is (sin p, −cos p·sin r, −cos p·cos r)
+        let pitch = gx.clamp(-1.0, 1.0).asin();
+        let roll = (-gy / pitch.cos().max(1e-3)).clamp(-1.0, 1.0).asin();
+        start.base_rpy_rad = Some([roll, pitch, yaw]);
+    }
+    if let Some(w) = three(Kind::Gyro) {
+        start.base_angvel_radps = w.map(|x| x.0);
+    }
+    start
+}
+
+/// Value and slope of a channel at `t_s` by a straight line through its samples nearby.
+fn line(c: &Channel, t_s: f64) -> (f64, f64) {
+    let low = c.time_s.partition_point(|&t| t < t_s - SPEED_WINDOW_S);
+    let high = c.time_s.partition_point(|&t| t <= t_s + SPEED_WINDOW_S);
+    let n = (high - low) as f64;
+    if n < 1.0 {
+        let k = c
+            .time_s
+            .partition_point(|&t| t < t_s)
+            .min(c.value.len() - 1);
+        return (c.value[k], 0.0);
+    }
+    let (t, y) = (&c.time_s[low..high], &c.value[low..high]);
+    let mean_t = t.iter().sum::<f64>() / n;
+    let mean_y = y.iter().sum::<f64>() / n;
+    let (mut sxx, mut sxy) = (0.0, 0.0);
+    for (t, y) in t.iter().zip(y) {
+        sxx += (t - mean_t).powi(2);
+        sxy += (t - mean_t) * (y - mean_y);
+    }
+    let slope = if sxx > 1e-9 { sxy / sxx } else { 0.0 };
+    (mean_y + slope * (t_s - mean_t), slope)
+}

@@ -1,0 +1,193 @@
+//! One engine full of jobs: reset, step, record.
+
+use caudata_sim::batch::BatchEngine;
+use caudata_sim::{Engine, InitialState, State};
+
+use super::commands::{Reader, true_angle};
+use super::data::Data;
+use super::observe::{self, Trace};
+use super::{Replayer, Variant};
+use crate::error::GapError;
+use crate::plant::Plant;
+use crate::trial::Trial;
+
+/// Runs `jobs` (variant, segment), at most as many as the engine has lanes. An empty prediction stands for a candidate that cannot be simulated.
+pub(super) fn run(
+    replayer: &Replayer,
+    engine: &mut BatchEngine,
+    data: &Data,
+    variants: &[Variant],
+    jobs: &[(usize, usize)],
+) -> Result<Vec<Vec<f32>>, GapError> {
+    let model = replayer.model().clone();
+    let (joints, lanes) = (model.actuated().len(), engine.lanes());
+    let period_s = replayer.period_s();
+    let mut sound = vec![true; jobs.len()];
+    let mut plants = Vec::with_capacity(jobs.len());
+    let mut readers = Vec::with_capacity(jobs.len());
+    let mut switches = Vec::with_capacity(jobs.len());
+    let mut traces = Vec::with_capacity(jobs.len());
+    let mut most = 0;
+    for (lane, &(v, s)) in jobs.iter().enumerate() {
+        let segment = &data.segments[s];
+        let trial = &data.trials[segment.trial];
+        let plant = replayer.plant(trial, data.session[segment.trial], &variants[v]);
+        let periods = (segment.duration_s() / period_s).ceil() as usize;
+        most = most.max(periods);
+        readers.push(readers_of(trial, &plant, segment.start_s));
+        switches.push(Switches::new(trial, segment.start_s));
+        traces.push(Trace::new(
+            trial,
+            &plant,
+            segment.start_s,
+            period_s,
+            periods,
+        ));
+        sound[lane] = start(engine, lane, &plant, &switches[lane], data, s);
+        plants.push(plant);
+    }
+    let mut targets = vec![0.0_f32; lanes * joints];
+    let wrenches = vec![0.0_f32; lanes * 6];
+    for k in 0..=most {
+        for (lane, &(_, s)) in jobs.iter().enumerate() {
+            if k < traces[lane].rows() {
+                traces[lane].record(engine.state(), lane, &model);
+            }
+            let from = data.segments[s].start_s + k as f64 * period_s;
+            for (a, reader) in readers[lane].iter_mut().enumerate() {
+                targets[lane * joints + a] = reader.mean(from, from + period_s) as f32;
+            }
+            if switches[lane].due(from) && sound[lane] {
+                let params = switches[lane].apply(&plants[lane]);
+                sound[lane] &= engine.set_params(lane, &params).is_ok();
+            }
+        }
+        if k < most {
+            engine.step(&targets, &wrenches)?;
+        }
+    }
+    let diverged = |state: &State, lane: usize| state.diverged[lane];
+    let out = jobs
+        .iter()
+        .enumerate()
+        .map(|(lane, &(_, s))| {
+            if !sound[lane] || diverged(engine.state(), lane) {
+                return Vec::new();
+            }
+            observe::predict(&plants[lane], &traces[lane], data, s)
+        })
+        .collect();
+    Ok(out)
+}
+
+/// Puts a lane at its measured start. Whether the candidate is physical.
+fn start(
+    engine: &mut BatchEngine,
+    lane: usize,
+    plant: &Plant,
+    switches: &Switches,
+    data: &Data,
+    segment: usize,
+) -> bool {
+    let measured = &data.segments[segment].start;
+    let mut init = InitialState::nominal(&plant.model);
+    for (a, q) in init.joint_pos_rad.iter_mut().enumerate() {
+        *q = true_angle(&plant.sensing.encoders[a], measured.pos_rad[a]) as f32;
+    }
+    for (a, qd) in init.joint_vel_radps.iter_mut().enumerate() {
+        *qd = measured.vel_radps[a] as f32;
+    }
+    if let Some(p) = measured.base_pos_m {
+        init.base_xy_m = [p[0] as f32, p[1] as f32];
+        init.base_z_m = Some(p[2] as f32);
+    }
+    if let Some(rpy) = measured.base_rpy_rad {
+        init.base_rpy_rad = rpy.map(|x| x as f32);
+    }
+    if data.hold(segment) != 0 {
+        init.base_vel_mps = measured.base_vel_mps.map(|x| x as f32);
+        init.base_angvel_radps = measured.base_angvel_radps.map(|x| x as f32);
+    }
+    let params = switches.apply(plant);
+    let good = engine.set_params(lane, &params).is_ok();
+    good && engine.reset(lane, &init).is_ok()
+}
+
+fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Vec<Reader<'a>> {
+    trial
+        .commands
+        .iter()
+        .enumerate()
+        .map(|(a, steps)| {
+            let delay = plant.lane.command_delay_s + plant.lane.joints[a].command_skew_s;
+            Reader::new(
+                steps,
+                f64::from(delay),
+                plant.sensing.encoders[a],
+                &plant.lane.command_loss,
+                from_s,
+            )
+        })
+        .collect()
+}
+
+/// Which servos are on.
+struct Switches {
+    /// Time, joint, on.
+    events: Vec<(f64, usize, bool)>,
+    next: usize,
+    on: Vec<bool>,
+}
+
+impl Switches {
+    fn new(trial: &Trial, from_s: f64) -> Self {
+        let mut events = Vec::new();
+        let mut on = vec![true; trial.enabled.len()];
+        for (a, steps) in trial.enabled.iter().enumerate() {
+            let Some(steps) = steps else { continue };
+            on[a] = steps.at(from_s) > 0.5;
+            for (t, v) in steps.time_s.iter().zip(&steps.value) {
+                if *t > from_s {
+                    events.push((*t, a, *v > 0.5));
+                }
+            }
+        }
+        events.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
+        Self {
+            events,
+            next: 0,
+            on,
+        }
+    }
+
+    /// Whether something switched by `t_s`.
+    fn due(&mut self, t_s: f64) -> bool {
+        let before = self.next;
+        while self.next < self.events.len() && self.events[self.next].0 <= t_s {
+            let (_, a, on) = self.events[self.next];
+            self.on[a] = on;
+            self.next += 1;
+        }
+        self.next > before
+    }
+
+    /// The engine's parameters: command delays are in the command stream already, and a servo that is off gives nothing.
+    fn apply(&self, plant: &Plant) -> caudata_sim::LaneParams {
+        let mut params = plant.lane.clone();
+        params.command_delay_s = 0.0;
+        params.command_loss = caudata_sim::CommandLoss::default();
+        for joint in &mut params.joints {
+            joint.command_skew_s = 0.0;
+        }
+        for (a, on) in self.on.iter().enumerate() {
+            if !on {
+                params.torque_scale[a] = 0.0;
+            }
+            // the loop sees the angle through its encoder
+            let gain = 1.0 + plant.sensing.encoders[a].gain;
+            params.kp_nm_per_rad[a] *= gain;
+            params.kd_nms_per_rad[a] *= gain;
+        }
+        params
+    }
+}

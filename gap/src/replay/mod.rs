@@ -1,0 +1,220 @@
+//! Replay: a flat list of (candidate robot, stretch of a run) goes through the lanes of the batch engine; what the robot's sensors would have
+//! said comes out at the very stamps of the log.
+//!
+//! Each lane has its own parameters, commands and start. Command delays act on the command stream in continuous time, so that they are
+//! exact to the fraction of a step. Lanes never influence each other, chunks of lanes go to threads by number: same jobs, same bits, whatever the
+//! number of threads.
+
+mod commands;
+mod data;
+mod lanes;
+mod observe;
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+use caudata_model::RobotModel;
+use caudata_sim::batch::BatchEngine;
+use caudata_sim::{EngineConfig, Terrain, TerrainConfig};
+
+use crate::effects::{Effect, Place};
+use crate::error::GapError;
+use crate::plant::Plant;
+use crate::trial::Trial;
+
+pub use data::{Data, Piece, Segment, SegmentOptions};
+
+/// Lanes of one engine: the widest vector register's.
+const LANES: usize = 16;
+/// Robots with more joints than this are recorded every other step.
+const FEW_JOINTS: usize = 4;
+
+/// A hypothesis with its numbers: an effect at a place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Term {
+    /// Which effect.
+    pub effect: &'static Effect,
+    /// Where.
+    pub place: Place,
+    /// SI, one per parameter of the effect.
+    pub values: Vec<f64>,
+}
+
+/// A candidate: the robot of the file with these effects, in this order.
+pub type Variant = Vec<Term>;
+
+/// Replays candidates.
+pub struct Replayer {
+    model: Arc<RobotModel>,
+    threads: usize,
+    step_s: f64,
+    substeps: u32,
+    engines: [Mutex<Vec<BatchEngine>>; 3],
+    rollouts: AtomicUsize,
+    simulated_ms: AtomicUsize,
+}
+
+impl Replayer {
+    /// For `model`, on `threads` threads.
+    #[must_use]
+    pub fn new(model: Arc<RobotModel>, threads: usize) -> Self {
+        let substeps = if model.actuated().len() <= FEW_JOINTS {
+            1
+        } else {
+            2
+        };
+        Self {
+            model,
+            threads: threads.max(1),
+            step_s: EngineConfig::default().dt_s,
+            substeps,
+            engines: [(); 3].map(|()| Mutex::new(Vec::new())),
+            rollouts: AtomicUsize::new(0),
+            simulated_ms: AtomicUsize::new(0),
+        }
+    }
+
+    /// The robot.
+    #[must_use]
+    pub fn model(&self) -> &Arc<RobotModel> {
+        &self.model
+    }
+
+    /// Time between recorded states, s.
+    #[must_use]
+    pub fn period_s(&self) -> f64 {
+        self.step_s * f64::from(self.substeps)
+    }
+
+    /// Simulated stretches so far, and simulated time, s.
+    #[must_use]
+    pub fn spent(&self) -> (usize, f64) {
+        (
+            self.rollouts.load(Ordering::Relaxed),
+            self.simulated_ms.load(Ordering::Relaxed) as f64 * 1e-3,
+        )
+    }
+
+    /// The robot of a trial with a candidate's effects.
+    #[must_use]
+    pub fn plant(&self, trial: &Trial, session: f64, variant: &[Term]) -> Plant {
+        let mut plant = Plant::in_trial(&self.model, trial);
+        plant.session = session;
+        for term in variant {
+            (term.effect.apply)(&mut plant, &term.place, &term.values);
+        }
+        plant
+    }
+
+    /// What the sensors would have said: for each candidate the flat vector that [`Data`] describes; NaN where the simulation broke down or the
+    /// candidate is not physical. `[V][N]`
+    ///
+    /// # Errors
+    /// [`GapError::Sim`] where the robot cannot be simulated at all.
+    pub fn predict(&self, data: &Data, variants: &[Variant]) -> Result<Vec<Vec<f32>>, GapError> {
+        let mut jobs: Vec<(usize, usize)> = (0..variants.len())
+            .flat_map(|v| (0..data.segments.len()).map(move |s| (v, s)))
+            .collect();
+        // neighbours in an engine should be equally long
+        let length = |s: usize| data.segments[s].duration_s();
+        jobs.sort_by(|a, b| {
+            let hold = |s: usize| data.hold(s);
+            hold(a.1)
+                .cmp(&hold(b.1))
+                .then(length(b.1).total_cmp(&length(a.1)))
+                .then(a.1.cmp(&b.1))
+                .then(a.0.cmp(&b.0))
+        });
+        let mut chunks: Vec<&[(usize, usize)]> = Vec::new();
+        for of_hold in jobs.chunk_by(|a, b| data.hold(a.1) == data.hold(b.1)) {
+            chunks.extend(of_hold.chunks(LANES));
+        }
+        let next = AtomicUsize::new(0);
+        let done: Mutex<Vec<(usize, Vec<Vec<f32>>)>> = Mutex::new(Vec::new());
+        let failed: Mutex<Option<GapError>> = Mutex::new(None);
+        let work = || {
+            loop {
+                let k = next.fetch_add(1, Ordering::Relaxed);
+                let Some(chunk) = chunks.get(k) else { return };
+                match self.chunk(data, variants, chunk) {
+                    Ok(out) => lock(&done).push((k, out)),
+                    Err(e) => {
+                        *lock(&failed) = Some(e);
+                        next.store(chunks.len(), Ordering::Relaxed);
+                        return;
+                    }
+                }
+            }
+        };
+        let threads = self.threads.min(chunks.len()).max(1);
+        std::thread::scope(|scope| {
+            for _ in 1..threads {
+                scope.spawn(work);
+            }
+            work();
+        });
+        if let Some(e) = lock(&failed).take() {
+            return Err(e);
+        }
+        let mut out = vec![vec![f32::NAN; data.len()]; variants.len()];
+        for (k, predictions) in lock(&done).drain(..) {
+            for ((v, s), prediction) in chunks[k].iter().zip(predictions) {
+                let range = data.segments[*s].range.clone();
+                if prediction.len() == range.len() {
+                    out[*v][range].copy_from_slice(&prediction);
+                }
+            }
+        }
+        Ok(out)
+    }
+
+    /// One engine full of jobs, all of one hold.
+    fn chunk(
+        &self,
+        data: &Data,
+        variants: &[Variant],
+        jobs: &[(usize, usize)],
+    ) -> Result<Vec<Vec<f32>>, GapError> {
+        let hold = jobs.first().map_or(0, |j| data.hold(j.1));
+        let pooled = lock(&self.engines[hold]).pop();
+        let mut engine = match pooled {
+            Some(engine) => engine,
+            None => self.build(hold)?,
+        };
+        let outcome = lanes::run(self, &mut engine, data, variants, jobs);
+        lock(&self.engines[hold]).push(engine);
+        let total: f64 = jobs.iter().map(|j| data.segments[j.1].duration_s()).sum();
+        self.rollouts.fetch_add(jobs.len(), Ordering::Relaxed);
+        self.simulated_ms
+            .fetch_add((total * 1e3) as usize, Ordering::Relaxed);
+        outcome
+    }
+
+    fn build(&self, hold: usize) -> Result<BatchEngine, GapError> {
+        let config = EngineConfig {
+            dt_s: self.step_s,
+            substeps: self.substeps,
+            fixed_base: hold == 0,
+            ..EngineConfig::default()
+        };
+        let mut ground = TerrainConfig::default();
+        if hold == 2 {
+            ground.kind = caudata_sim::TerrainKind::DeepWater;
+        }
+        let terrain = Terrain::generate(&ground, 1)?;
+        Ok(BatchEngine::new(
+            Arc::clone(&self.model),
+            LANES,
+            config,
+            Arc::new(terrain),
+            1,
+        )?)
+    }
+}
+
+/// A mutex whose holder died is still a mutex: what it guards is replaced whole.
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
+}

@@ -1,0 +1,482 @@
+//! A measured run as diagnosis sees it: commands, switches, and sampled channels with their own stamps.
+
+use std::collections::BTreeMap;
+
+use caudata_model::RobotModel;
+use caudata_runlog::{Axis, BaseHold, QuatPart, RunLog, Signal};
+
+use crate::error::GapError;
+
+/// Shortest run that can be replayed, s.
+pub const MIN_DURATION_S: f64 = 1.0;
+/// Commands that differ by less than this are the same, rad (half a count of a 4096-count encoder).
+const SAME_COMMAND_RAD: f64 = 0.0008;
+
+/// What a run is used for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Role {
+    /// Parameters are fitted to it.
+    Fit,
+    /// Only judged on it.
+    Holdout,
+}
+
+/// A run to diagnose.
+#[derive(Debug, Clone)]
+pub struct Run {
+    /// Folder name.
+    pub name: String,
+    /// Its rows and circumstances.
+    pub log: RunLog,
+    /// What it is used for.
+    pub role: Role,
+    /// SHA-256 of the log file, hexadecimal; for the report.
+    pub sha256: String,
+}
+
+/// Kind of a measured channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    /// Joint position, rad.
+    Position,
+    /// Joint velocity as reported, rad/s.
+    Velocity,
+    /// Motor current, A.
+    Current,
+    /// Motor torque, N·m.
+    Torque,
+    /// Supply voltage, V.
+    Voltage,
+    /// Angular velocity in the IMU frame, rad/s.
+    Gyro,
+    /// Specific force in the IMU frame, m/s².
+    Acceleration,
+    /// Direction of gravity in the IMU frame.
+    Gravity,
+    /// Position of the base, world, m.
+    BasePosition,
+    /// Velocity of the base, world, m/s.
+    BaseVelocity,
+    /// Orientation of the base: roll and pitch by the direction of gravity in it, and yaw. `index` 0, 1: x, y of gravity in the base; 2: yaw, rad.
+    BaseAttitude,
+    /// Position of a foot's ball, world, m. `index`: foot·3 + axis.
+    Foot,
+}
+
+impl Kind {
+    /// Name in reports.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Position => "pos",
+            Self::Velocity => "vel",
+            Self::Current => "cur",
+            Self::Torque => "tau",
+            Self::Voltage => "volt",
+            Self::Gyro => "imu.gyro",
+            Self::Acceleration => "imu.acc",
+            Self::Gravity => "imu.grav",
+            Self::BasePosition => "base.pos",
+            Self::BaseVelocity => "base.vel",
+            Self::BaseAttitude => "base.quat",
+            Self::Foot => "foot",
+        }
+    }
+
+    /// SI unit.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Position | Self::BaseAttitude => "rad",
+            Self::Velocity | Self::Gyro => "rad/s",
+            Self::Current => "A",
+            Self::Torque => "N·m",
+            Self::Voltage => "V",
+            Self::Acceleration => "m/s²",
+            Self::Gravity => "",
+            Self::BasePosition | Self::Foot => "m",
+            Self::BaseVelocity => "m/s",
+        }
+    }
+
+    /// Whether `index` of such a channel is an actuated joint.
+    #[must_use]
+    pub fn of_joint(self) -> bool {
+        matches!(
+            self,
+            Self::Position | Self::Velocity | Self::Current | Self::Torque
+        )
+    }
+}
+
+/// One measured channel.
+#[derive(Debug, Clone)]
+pub struct Channel {
+    /// What it is.
+    pub kind: Kind,
+    /// Joint (policy order), axis, or as [`Kind`] says.
+    pub index: usize,
+    /// Joint, axis or foot in words.
+    pub name: String,
+    /// Stamps, s, increasing. `[N]`
+    pub time_s: Vec<f64>,
+    /// Values, SI. `[N]`
+    pub value: Vec<f64>,
+}
+
+/// Values that hold until the next.
+#[derive(Debug, Clone, Default)]
+pub struct Steps {
+    /// s, increasing.
+    pub time_s: Vec<f64>,
+    /// From that time on.
+    pub value: Vec<f64>,
+}
+
+impl Steps {
+    /// What holds at `t_s`; the first value before all of them.
+    #[must_use]
+    pub fn at(&self, t_s: f64) -> f64 {
+        let k = self.time_s.partition_point(|&t| t <= t_s);
+        self.value.get(k.saturating_sub(1)).copied().unwrap_or(0.0)
+    }
+}
+
+/// One run.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    /// Folder name.
+    pub name: String,
+    /// What it is used for.
+    pub role: Role,
+    /// How the base was held.
+    pub base: BaseHold,
+    /// First and last time that is replayed, s.
+    pub span_s: (f64, f64),
+    /// Per actuated joint, rad.
+    pub commands: Vec<Steps>,
+    /// Per actuated joint: 1 where the servo gives torque. `None`: always.
+    pub enabled: Vec<Option<Steps>>,
+    /// What was measured.
+    pub channels: Vec<Channel>,
+    /// Proportional gain in force, N·m/rad.
+    pub kp_nm_per_rad: Option<f64>,
+    /// Derivative gain in force, N·m·s/rad.
+    pub kd_nms_per_rad: Option<f64>,
+    /// Supply without load, V, as measured or noted.
+    pub supply_v: Option<f64>,
+    /// Trials with the same commands and settings have the same number.
+    pub group: usize,
+    /// Stretches of time that do not count (somebody touched the robot, …), s.
+    pub masked_s: Vec<(f64, f64)>,
+}
+
+impl Trial {
+    /// s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.span_s.1 - self.span_s.0
+    }
+
+    /// The channel of `kind` and `index`.
+    #[must_use]
+    pub fn channel(&self, kind: Kind, index: usize) -> Option<&Channel> {
+        self.channels
+            .iter()
+            .find(|c| c.kind == kind && c.index == index)
+    }
+
+    /// Reads a run of `model`.
+    ///
+    /// # Errors
+    /// [`GapError::Run`] where it has no commands, no joint positions, foreign joints, or is too short.
+    pub fn new(model: &RobotModel, run: &Run) -> Result<Self, GapError> {
+        let bad = |message: String| GapError::Run {
+            run: run.name.clone(),
+            message,
+        };
+        let table = &run.log.table;
+        let joints = model.actuated_names();
+        for signal in table.signals() {
+            if let Some(joint) = signal.joint()
+                && !joints.contains(&joint)
+            {
+                return Err(bad(format!(
+                    "`{signal}`: the robot has no actuated joint `{joint}`; it has {}",
+                    joints.join(", ")
+                )));
+            }
+        }
+        let time = table.time_s();
+        let (Some(&first), Some(&last)) = (time.first(), time.last()) else {
+            return Err(bad("has no rows".into()));
+        };
+        if last - first < MIN_DURATION_S {
+            return Err(bad(format!(
+                "lasts {:.2} s; at least {MIN_DURATION_S} s are needed",
+                last - first
+            )));
+        }
+        let steps = |signal: &Signal| -> Option<Steps> {
+            let column = table.column(signal)?;
+            let mut steps = Steps::default();
+            for (t, v) in time.iter().zip(column) {
+                if let Some(v) = *v
+                    && steps.value.last() != Some(&v)
+                {
+                    steps.time_s.push(*t);
+                    steps.value.push(v);
+                }
+            }
+            (!steps.value.is_empty()).then_some(steps)
+        };
+        let mut commands = Vec::new();
+        let mut commanded = 0;
+        for (a, joint) in joints.iter().enumerate() {
+            let column = steps(&Signal::Command((*joint).to_owned()));
+            commanded += usize::from(column.is_some());
+            commands.push(column.unwrap_or(Steps {
+                time_s: vec![first],
+                value: vec![model.nominal_pos_rad()[a]],
+            }));
+        }
+        if commanded == 0 {
+            return Err(bad(
+                "has no `cmd.<joint>` column; what was commanded is needed to replay it".into(),
+            ));
+        }
+        let enabled = joints
+            .iter()
+            .map(|joint| steps(&Signal::Enabled((*joint).to_owned())))
+            .collect();
+        let channels = channels(model, table);
+        if !channels.iter().any(|c| c.kind == Kind::Position) {
+            return Err(bad("has no `pos.<joint>` column with values".into()));
+        }
+        let meta = &run.log.meta;
+        let mut supply_v = meta.supply_v;
+        if let Some(volt) = channels.iter().find(|c| c.kind == Kind::Voltage) {
+            supply_v = Some(open_voltage(&volt.value));
+        }
+        Ok(Self {
+            name: run.name.clone(),
+            role: run.role,
+            base: meta.base,
+            span_s: (first, last),
+            commands,
+            enabled,
+            channels,
+            kp_nm_per_rad: meta.kp,
+            kd_nms_per_rad: meta.kd,
+            supply_v,
+            group: 0,
+            masked_s: Vec::new(),
+        })
+    }
+
+    /// Whether `other` was commanded the same under the same settings, times counted from each one's start.
+    fn repeats(&self, other: &Self) -> bool {
+        let same = |a: Option<f64>, b: Option<f64>| a == b;
+        if self.base != other.base
+            || (self.duration_s() - other.duration_s()).abs() > 0.1
+            || !same(self.kp_nm_per_rad, other.kp_nm_per_rad)
+            || !same(self.kd_nms_per_rad, other.kd_nms_per_rad)
+        {
+            return false;
+        }
+        let duration = self.duration_s().min(other.duration_s());
+        // both middle of holds and ramps: a stamp's jitter moves a step by a row, so allow some to disagree
+        let (mut wrong, mut all) = (0, 0);
+        for (a, b) in self.commands.iter().zip(&other.commands) {
+            for k in 0..400 {
+                let s = duration * (k as f64 + 0.5) / 400.0;
+                let there = b.at(other.span_s.0 + s);
+                let near = [-0.012, 0.0, 0.012]
+                    .map(|d| (a.at(self.span_s.0 + s + d) - there).abs())
+                    .into_iter()
+                    .fold(f64::INFINITY, f64::min);
+                wrong += usize::from(near > 10.0 * SAME_COMMAND_RAD);
+                all += 1;
+            }
+        }
+        wrong * 50 < all
+    }
+}
+
+/// Gives trials with the same commands the same group number.
+pub fn group(trials: &mut [Trial]) {
+    let mut next = 0;
+    for i in 0..trials.len() {
+        let before = trials[..i].iter().find(|t| t.repeats(&trials[i]));
+        trials[i].group = before.map_or_else(
+            || {
+                next += 1;
+                next - 1
+            },
+            |t| t.group,
+        );
+    }
+}
+
+/// Voltage without load: what the upper half of the readings are on average, V.
+fn open_voltage(volt_v: &[f64]) -> f64 {
+    let mut sorted = volt_v.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let upper = &sorted[sorted.len() / 2..];
+    upper.iter().sum::<f64>() / upper.len().max(1) as f64
+}
+
+fn channels(model: &RobotModel, table: &caudata_runlog::Table) -> Vec<Channel> {
+    let time = table.time_s();
+    let joints = model.actuated_names();
+    let mut channels = Vec::new();
+    let mut attitude: BTreeMap<usize, Vec<Option<f64>>> = BTreeMap::new();
+    let axis = |a: Axis| (a as usize, ["x", "y", "z"][a as usize].to_owned());
+    for signal in table.signals() {
+        let Some(column) = table.column(signal) else {
+            continue;
+        };
+        let joint = |kind: Kind, name: &String| {
+            let index = joints.iter().position(|j| j == name)?;
+            Some((kind, index, name.clone()))
+        };
+        let of_axis = |kind: Kind, a: Axis| {
+            let (index, name) = axis(a);
+            Some((kind, index, name))
+        };
+        let key = match signal {
+            Signal::Position(j) => joint(Kind::Position, j),
+            Signal::Velocity(j) => joint(Kind::Velocity, j),
+            Signal::Current(j) => joint(Kind::Current, j),
+            Signal::Torque(j) => joint(Kind::Torque, j),
+            Signal::Voltage => Some((Kind::Voltage, 0, String::new())),
+            Signal::Gyro(a) => of_axis(Kind::Gyro, *a),
+            Signal::Acceleration(a) => of_axis(Kind::Acceleration, *a),
+            Signal::Gravity(a) => of_axis(Kind::Gravity, *a),
+            Signal::BasePosition(a) => of_axis(Kind::BasePosition, *a),
+            Signal::BaseVelocity(a) => of_axis(Kind::BaseVelocity, *a),
+            Signal::BaseQuaternion(part) => {
+                let slot = match part {
+                    QuatPart::W => 0,
+                    QuatPart::X => 1,
+                    QuatPart::Y => 2,
+                    QuatPart::Z => 3,
+                };
+                attitude.insert(slot, column.to_vec());
+                None
+            }
+            Signal::Foot(leg, a) => {
+                let (index, word) = axis(*a);
+                model
+                    .feet()
+                    .iter()
+                    .position(|f| f.name == *leg)
+                    .map(|f| (Kind::Foot, 3 * f + index, format!("{leg}.{word}")))
+            }
+            _ => None,
+        };
+        if let Some((kind, index, name)) = key {
+            push(&mut channels, kind, index, name, time, column);
+        }
+    }
+    if attitude.len() == 4 {
+        let names = ["gravity_x", "gravity_y", "yaw"];
+        let mut three = [(); 3].map(|()| vec![None; time.len()]);
+        for k in 0..time.len() {
+            if let [Some(w), Some(x), Some(y), Some(z)] = [0, 1, 2, 3].map(|i| attitude[&i][k]) {
+                let [gx, gy, yaw] = attitude_of([w, x, y, z]);
+                three[0][k] = Some(gx);
+                three[1][k] = Some(gy);
+                three[2][k] = Some(yaw);
+            }
+        }
+        for (index, column) in three.iter().enumerate() {
+            push(
+                &mut channels,
+                Kind::BaseAttitude,
+                index,
+                names[index].to_owned(),
+                time,
+                column,
+            );
+        }
+    }
+    channels.sort_by_key(|c| (c.kind, c.index));
+    channels
+}
+
+/// x and y of the direction of gravity in the body (level: 0, 0), and yaw, rad, of world_from_body `[w, x, y, z]`.
+#[must_use]
+pub fn attitude_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+    let n = (w * w + x * x + y * y + z * z).sqrt().max(1e-12);
+    let (w, x, y, z) = (w / n, x / n, y / n, z / n);
+    // minus the third row of the rotation matrix
+    let gx = -2.0 * (x * z - w * y);
+    let gy = -2.0 * (y * z + w * x);
+    let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    [gx, gy, yaw]
+}
+
+fn push(
+    channels: &mut Vec<Channel>,
+    kind: Kind,
+    index: usize,
+    name: String,
+    time: &[f64],
+    column: &[Option<f64>],
+) {
+    let (mut time_s, mut value) = (Vec::new(), Vec::new());
+    for (t, v) in time.iter().zip(column) {
+        if let Some(v) = *v {
+            time_s.push(*t);
+            value.push(v);
+        }
+    }
+    if value.len() >= 2 {
+        channels.push(Channel {
+            kind,
+            index,
+            name,
+            time_s,
+            value,
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn attitude_by_hand() {
+        let near = |got: [f64; 3], want: [f64; 3]| {
+            for i in 0..3 {
+                assert!((got[i] - want[i]).abs() < 1e-12, "{got:?} {want:?}");
+            }
+        };
+        near(attitude_of([1.0, 0.0, 0.0, 0.0]), [0.0, 0.0, 0.0]);
+        // nose down by 0.2 (positive turn about y): gravity towards +x of the body
+        let (c, s) = (0.1_f64.cos(), 0.1_f64.sin());
+        near(attitude_of([c, 0.0, s, 0.0]), [0.2_f64.sin(), 0.0, 0.0]);
+        near(attitude_of([c, s, 0.0, 0.0]), [0.0, -0.2_f64.sin(), 0.0]);
+        near(attitude_of([c, 0.0, 0.0, s]), [0.0, 0.0, 0.2]);
+    }
+
+    #[test]
+    fn steps_hold() {
+        let s = Steps {
+            time_s: vec![1.0, 2.0],
+            value: vec![5.0, 7.0],
+        };
+        assert_eq!(
+            [0.0, 1.0, 1.9, 2.0, 9.0].map(|t| s.at(t)),
+            [5.0, 5.0, 5.0, 7.0, 7.0]
+        );
+    }
+
+    #[test]
+    fn open_voltage_ignores_sags() {
+        // upper half of 11, 11.5, 12, 12: 12
+        assert_eq!(open_voltage(&[12.0, 11.0, 11.5, 12.0]), 12.0);
+    }
+}

@@ -1,0 +1,155 @@
+//! Evaluations as text for a person.
+
+use caudata_evaluation::{Estimate, Row, ScenarioResult, SuiteResult, TransitionResult};
+
+use crate::say;
+
+/// One scenario.
+pub fn print(r: &ScenarioResult) {
+    say::line(format!("{}: {}", r.name, episodes(r)));
+    body(r);
+}
+
+/// One scenario, with the name of the engine.
+pub fn print_on(engine: &str, r: &ScenarioResult) {
+    say::line(format!("{} on {engine}: {}", r.name, episodes(r)));
+    body(r);
+}
+
+/// What is said after all scenarios: the second engine, the targets.
+pub fn print_end(result: &SuiteResult) {
+    if let Some(referee) = &result.referee {
+        for there in &referee.scenarios {
+            let Some(here) = result.scenario(&there.name) else {
+                continue;
+            };
+            say::line(format!(
+                "{}: {:.3} m/s on {}, {:.3} m/s on {}: {:.1} % kept",
+                there.name,
+                here.vx_mps.mean,
+                result.engine,
+                there.vx_mps.mean,
+                referee.engine,
+                100.0 * there.vx_mps.mean / here.vx_mps.mean
+            ));
+        }
+    }
+    if !result.acceptance.is_empty() {
+        let mut table = vec![
+            ["target", "owed", "aim", "measured", "", ""]
+                .map(str::to_owned)
+                .into(),
+        ];
+        table.extend(result.acceptance.iter().map(target));
+        say::table(&table);
+    }
+}
+
+fn target(row: &Row) -> Vec<String> {
+    let sign = if row.at_least { "≥" } else { "≤" };
+    let unit = if row.unit == "1" { "" } else { row.unit };
+    let with_unit = |x: f64| format!("{sign} {x} {unit}").trim_end().to_owned();
+    let measured = row.measured.map_or_else(
+        || "–".to_owned(),
+        |x| format!("{x:.3} {unit}").trim_end().to_owned(),
+    );
+    let met = match (row.met, row.aim_met) {
+        (_, true) => "aim met",
+        (true, false) => "met",
+        (false, false) => "missed",
+    };
+    vec![
+        row.name.to_owned(),
+        with_unit(row.owed),
+        with_unit(row.aim),
+        measured,
+        met.to_owned(),
+        row.note.clone(),
+    ]
+}
+
+fn pm(x: Estimate, digits: usize) -> String {
+    let half = (x.ci_high - x.ci_low) / 2.0;
+    format!("{:.digits$} ± {half:.digits$}", x.mean)
+}
+
+fn episodes(r: &ScenarioResult) -> String {
+    let list: Vec<String> = r
+        .falls
+        .iter()
+        .map(|(reason, n)| format!("{reason} {n}"))
+        .collect();
+    let reasons = match list.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", list.join(", ")),
+    };
+    let falls = 100.0 * r.fall_share.mean;
+    format!("{} episodes, falls {falls:.1} %{reasons}", r.episodes)
+}
+
+fn body(r: &ScenarioResult) {
+    say::line(format!(
+        "  velocity {} m/s forward, {} left, yaw {} rad/s; rms off the command {:.3}, {:.3} m/s, {:.3} rad/s",
+        pm(r.vx_mps, 3),
+        pm(r.vy_mps, 3),
+        pm(r.yaw_rate_radps, 3),
+        r.rmse_of_means[0],
+        r.rmse_of_means[1],
+        r.rmse_of_means[2]
+    ));
+    say::line(format!(
+        "  power {} W, cost of transport {:.2}, torque {:.2} N·m rms, {:.2} peak",
+        pm(r.power_w, 1),
+        r.cost_of_transport.mean,
+        r.torque_rms_nm,
+        r.torque_peak_nm
+    ));
+    say::line(format!(
+        "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
+        r.stride_hz.mean,
+        r.duty_factor.map(|d| format!("{d:.2}")).join(" "),
+        r.clearance_m.map(|c| format!("{:.1}", 100.0 * c)).join(" "),
+        100.0 * r.slip_mps.mean,
+        100.0 * r.vibration_share.mean,
+        100.0 * r.trunk_contact_share.mean
+    ));
+    if let Some(transition) = &r.transition {
+        shore(transition);
+    }
+    if let (Some(gates), Some(walks)) = (&r.gates, r.walks()) {
+        let verdict = match (walks, gates.missed()) {
+            (true, _) => "walks: every gate is met".to_owned(),
+            (false, missed) if missed.is_empty() => "does not walk: it falls too often".to_owned(),
+            (false, missed) => format!("does not walk: {}", missed.join("; ")),
+        };
+        say::line(format!("  {verdict}"));
+    }
+}
+
+fn shore(t: &TransitionResult) {
+    let or_none = |x: Option<Estimate>, digits| x.map_or_else(|| "–".to_owned(), |x| pm(x, digits));
+    let share =
+        |x: Option<f64>| x.map_or_else(|| "–".to_owned(), |x| format!("{:.0} %", 100.0 * x));
+    say::line(format!(
+        "  gets there in {:.1} % ({} s); swims {} m/s at {} W; legs swing {} as far as on land; feet touch {} of the time, {} on land",
+        100.0 * t.reached.mean,
+        or_none(t.reached_s, 1),
+        or_none(t.swim_speed_mps, 3),
+        or_none(t.swim_power_w, 1),
+        share(t.leg_swing_kept),
+        share(t.foot_contact[1]),
+        share(t.foot_contact[0]),
+    ));
+    let Some(wave) = &t.wave_in_water else { return };
+    say::line(format!(
+        "  in water the body bends at {:.2} Hz, lags behind the head by {}°: {}",
+        wave.hz.mean,
+        wave.lag_rad
+            .map(|lag| format!("{:.0}", lag.to_degrees()))
+            .join(" "),
+        match wave.travels_to_the_tail {
+            true => "a wave that travels to the tail",
+            false => "no wave that travels to the tail",
+        }
+    ));
+}

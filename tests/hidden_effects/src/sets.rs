@@ -1,0 +1,313 @@
+//! Which cases make up a set. Sets are drawn by seed; nobody diagnosing knows it.
+
+use caudata_random::{Key, Purpose, Stream};
+
+use crate::battery::Amount;
+use crate::case::Block;
+use crate::decoy::Decoy;
+use crate::hidden::{CATALOGUE, Hidden, OUTSIDE, Scope, find};
+
+/// A case to be made.
+#[derive(Clone)]
+pub struct Plan {
+    /// Block.
+    pub block: Block,
+    /// `pendulum` or `arm`.
+    pub rig: &'static str,
+    /// Seed of its nuisances.
+    pub seed: u64,
+    /// Length.
+    pub amount: Amount,
+    /// Effect, joint, d.
+    pub effects: Vec<(&'static Hidden, usize, f64)>,
+    /// Decoy.
+    pub decoy: Option<Decoy>,
+    /// Left out of the catalogue.
+    pub without: Vec<String>,
+}
+
+/// How many cases of which block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SetName {
+    /// A few, short, for every run of the tests.
+    Quick,
+    /// For every change: 20 nulls, 60 singles, and some of all blocks.
+    Pr,
+    /// Everything.
+    Nightly,
+}
+
+struct Counts {
+    nulls: usize,
+    pairs: usize,
+    decoys: usize,
+    outside: usize,
+    left_out: usize,
+    starved: usize,
+    changes: usize,
+}
+
+/// Pairs that look alike in poor data (GAP.md 2.7).
+const LOOK_ALIKE: &[(&str, &str)] = &[
+    ("command_low_pass", "command_delay"),
+    ("kd_error", "kp_error"),
+    ("armature", "link_com"),
+    ("link_mass", "link_com"),
+    ("encoder_gain", "viscous_friction"),
+    ("winding_resistance", "load_dependent_friction"),
+    ("load_dependent_friction", "viscous_friction"),
+    ("coulomb_friction", "controller_dead_band"),
+];
+
+/// Effects whose starved data leave them among look-alikes.
+const STARVABLE: &[&str] = &[
+    "command_low_pass",
+    "command_delay",
+    "kd_error",
+    "armature",
+    "viscous_friction",
+    "link_mass",
+    "kp_error",
+    "link_com",
+];
+
+/// Decoys, in the order in which small sets take them.
+const DECOYS: [Decoy; 8] = Decoy::ALL;
+
+/// The plans of a set drawn by `seed`, in an order that tells nothing. `most` cuts it short.
+#[must_use]
+pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
+    let mut s = Stream::new(Key::for_run(seed), Purpose::Command);
+    let (counts, amount) = match set {
+        SetName::Quick => (
+            Counts {
+                nulls: 3,
+                pairs: 1,
+                decoys: 2,
+                outside: 1,
+                left_out: 0,
+                starved: 0,
+                changes: 0,
+            },
+            Amount::Short,
+        ),
+        SetName::Pr => (
+            Counts {
+                nulls: 20,
+                pairs: 20,
+                decoys: 16,
+                outside: 12,
+                left_out: 4,
+                starved: 8,
+                changes: 4,
+            },
+            Amount::Full,
+        ),
+        SetName::Nightly => (
+            Counts {
+                nulls: 200,
+                pairs: 120,
+                decoys: 96,
+                outside: 60,
+                left_out: 60,
+                starved: 48,
+                changes: 24,
+            },
+            Amount::Full,
+        ),
+    };
+    let mut plans = singles(set, amount, &mut s);
+    let case = |block, rig, s: &mut Stream| Plan {
+        block,
+        rig,
+        seed: s.next_u64(),
+        amount,
+        effects: Vec::new(),
+        decoy: None,
+        without: Vec::new(),
+    };
+    let rig = |i: usize| {
+        if set == SetName::Quick || i % 3 != 2 {
+            "pendulum"
+        } else {
+            "arm"
+        }
+    };
+    for i in 0..counts.nulls {
+        plans.push(case(Block::Null, rig(i), &mut s));
+    }
+    for i in 0..counts.decoys {
+        let mut p = case(Block::Decoy, rig(i), &mut s);
+        p.decoy = Some(DECOYS[i % DECOYS.len()]);
+        plans.push(p);
+    }
+    for i in 0..counts.outside {
+        let mut p = case(Block::Outside, rig(i), &mut s);
+        let d = [4.0, 8.0][i / OUTSIDE.len() % 2];
+        p.effects = vec![(&OUTSIDE[i % OUTSIDE.len()], joint(p.rig, &mut s), d)];
+        plans.push(p);
+    }
+    for i in 0..counts.left_out {
+        let mut p = case(Block::Outside, rig(i), &mut s);
+        let h = any(&mut s, |h| h.scope == Scope::Joint && h.layer != "sensing");
+        p.effects = vec![(h, joint(p.rig, &mut s), 4.0)];
+        p.without = vec![h.id.to_owned()];
+        p.without.extend(
+            h.equivalent
+                .0
+                .iter()
+                .chain(h.equivalent.1)
+                .map(|e| (*e).to_owned()),
+        );
+        plans.push(p);
+    }
+    for i in 0..counts.pairs {
+        let mut p = case(Block::Pair, rig(i), &mut s);
+        let first_joint = joint(p.rig, &mut s);
+        let (a, b) = match i % 10 {
+            0..3 => {
+                let (a, b) = LOOK_ALIKE[s.below(LOOK_ALIKE.len() as u64) as usize];
+                (find(a), find(b))
+            }
+            _ => {
+                let a = any(&mut s, |h| h.scope == Scope::Joint);
+                (
+                    Some(a),
+                    Some(any(&mut s, |h| {
+                        h.scope != Scope::Chain && h.id != a.id && !h.equivalent.0.contains(&a.id)
+                    })),
+                )
+            }
+        };
+        let second_joint = if i % 10 < 6 {
+            first_joint
+        } else {
+            joint(p.rig, &mut s)
+        };
+        if let (Some(a), Some(b)) = (a, b) {
+            p.effects = vec![(a, first_joint, 4.0), (b, second_joint, 4.0)];
+            plans.push(p);
+        }
+    }
+    for i in 0..counts.starved {
+        let mut p = case(Block::Starved, rig(i), &mut s);
+        if let Some(h) = find(STARVABLE[i % STARVABLE.len()]) {
+            p.effects = vec![(h, joint(p.rig, &mut s), 4.0)];
+            plans.push(p);
+        }
+    }
+    for i in 0..counts.changes {
+        let mut p = case(Block::HoldoutChange, rig(i), &mut s);
+        p.effects = vec![(
+            any(&mut s, |h| h.scope == Scope::Joint && h.layer != "sensing"),
+            joint(p.rig, &mut s),
+            8.0,
+        )];
+        plans.push(p);
+    }
+    s.shuffle(&mut plans);
+    if let Some(most) = most {
+        plans.truncate(most);
+    }
+    plans
+}
+
+fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
+    let one = |h: &'static Hidden, rig: &'static str, j: usize, d: f64, s: &mut Stream| Plan {
+        block: Block::Single,
+        rig,
+        seed: s.next_u64(),
+        amount,
+        effects: vec![(h, j, d)],
+        decoy: None,
+        without: Vec::new(),
+    };
+    let mut plans = Vec::new();
+    match set {
+        SetName::Quick => {
+            // effects of every layer, large enough that missing one is a defect
+            for id in [
+                "command_delay",
+                "kp_error",
+                "coulomb_friction",
+                "velocity_lag",
+                "armature",
+            ] {
+                if let Some(h) = find(id) {
+                    plans.push(one(h, "pendulum", 0, 8.0, s));
+                }
+            }
+        }
+        SetName::Pr => {
+            for (i, h) in CATALOGUE.iter().enumerate() {
+                let rig = if h.scope == Scope::Chain || i % 3 == 2 {
+                    "arm"
+                } else {
+                    "pendulum"
+                };
+                plans.push(one(h, rig, joint(rig, s), 4.0, s));
+                if i % 2 == 0 && h.scope != Scope::Chain {
+                    plans.push(one(h, "pendulum", 0, [1.0, 2.0, 8.0][i / 2 % 3], s));
+                }
+            }
+        }
+        SetName::Nightly => {
+            for h in CATALOGUE {
+                for d in super::score::summary::LADDER {
+                    for (rig, j) in [("pendulum", 0), ("arm", 0), ("arm", 1)] {
+                        let one_is_enough = h.scope != Scope::Joint && j == 1;
+                        if one_is_enough || (h.scope == Scope::Chain && rig == "pendulum") {
+                            continue;
+                        }
+                        plans.push(one(h, rig, j, d, s));
+                    }
+                }
+            }
+        }
+    }
+    plans
+}
+
+fn joint(rig: &str, s: &mut Stream) -> usize {
+    if rig == "arm" { s.below(2) as usize } else { 0 }
+}
+
+fn any(s: &mut Stream, fits: impl Fn(&Hidden) -> bool) -> &'static Hidden {
+    let all: Vec<&'static Hidden> = CATALOGUE.iter().filter(|h| fits(h)).collect();
+    all[s.below(all.len() as u64) as usize]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn same_seed_same_set_and_blocks_are_all_there() {
+        let ids = |p: &[Plan]| p.iter().map(|p| (p.block, p.seed)).collect::<Vec<_>>();
+        assert_eq!(
+            ids(&plan(SetName::Pr, 1, None)),
+            ids(&plan(SetName::Pr, 1, None))
+        );
+        assert_ne!(
+            ids(&plan(SetName::Pr, 1, None)),
+            ids(&plan(SetName::Pr, 2, None))
+        );
+        let nightly = plan(SetName::Nightly, 1, None);
+        for block in [
+            Block::Null,
+            Block::Single,
+            Block::Pair,
+            Block::Decoy,
+            Block::Outside,
+            Block::Starved,
+            Block::HoldoutChange,
+        ] {
+            assert!(nightly.iter().any(|p| p.block == block), "{block:?}");
+        }
+        assert_eq!(
+            nightly.iter().filter(|p| p.block == Block::Null).count(),
+            200
+        );
+        assert_eq!(plan(SetName::Quick, 1, Some(4)).len(), 4);
+    }
+}
