@@ -104,14 +104,20 @@ impl Guard {
             *ticks = if out { *ticks + 1 } else { 0 };
             *ticks >= DEBOUNCE
         };
-        let current_a = servos.current_a.iter().fold(0.0, |m: f32, c| m.max(c.abs()));
+        let current_a = servos
+            .current_a
+            .iter()
+            .fold(0.0, |m: f32, c| m.max(c.abs()));
         let faults = [
             (
                 count(&mut self.supply_ticks, !supply.contains(&servos.supply_v)),
                 Fault::Supply,
             ),
             (
-                count(&mut self.heat_ticks, health.hottest_c >= limits.temperature_max_c),
+                count(
+                    &mut self.heat_ticks,
+                    health.hottest_c >= limits.temperature_max_c,
+                ),
                 Fault::Heat,
             ),
             (

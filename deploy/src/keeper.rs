@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use caudata_model::RobotModel;
 use caudata_proto::registry::{Manifest, StreamName};
 use caudata_registry_client::RegistryClient;
+use caudata_signing::Trust;
 
 use crate::DeployError;
 use crate::metrics::RobotMetrics;
@@ -18,6 +19,7 @@ use crate::verify::{Refusal, Verified, VerifyError, check_manifest, verify};
 pub struct Keeper {
     store: Arc<Mutex<PolicyStore>>,
     model: Arc<RobotModel>,
+    trust: Option<Arc<Trust>>,
     metrics: RobotMetrics,
 }
 
@@ -27,8 +29,16 @@ impl Keeper {
         Self {
             store: Arc::new(Mutex::new(store)),
             model,
+            trust: None,
             metrics,
         }
+    }
+
+    /// Takes only what keys of `trust` signed.
+    #[must_use]
+    pub fn trusting(mut self, trust: Trust) -> Self {
+        self.trust = Some(Arc::new(trust));
+        self
     }
 
     /// The newest policy of `stream`: fetched and verified, or read back where this robot has it.
@@ -78,6 +88,10 @@ impl Keeper {
                 other => return other,
             },
             Decision::Fetch => {}
+        }
+        if let Some(Err(refusal)) = self.trust.as_ref().map(|trust| trust.check(manifest)) {
+            // Not recorded: whoever can make up announcements must not be able to fill the records with them.
+            return Err(self.refused(policy, Refusal::Untrusted(refusal)));
         }
         if let Err(refusal) = check_manifest(manifest, &self.model) {
             return Err(self.quarantine(policy, refusal));

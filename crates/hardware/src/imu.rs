@@ -49,6 +49,11 @@ impl<B: I2c> ImuChip<B> {
         })
     }
 
+    /// The bus, for tests to play tricks on.
+    pub fn bus_mut(&mut self) -> &mut B {
+        &mut self.bus
+    }
+
     /// The newest rates and accelerations.
     ///
     /// # Errors

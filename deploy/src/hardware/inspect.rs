@@ -126,16 +126,24 @@ fn servo<P: Port>(
     let what = format!("id {id}: model {}, firmware {}", pong.model, pong.firmware);
     inspection.judge(name, "model", what, pong.model == expected);
     let errors = hardware_error(bus, id)?;
-    inspection.judge(name, "hardware errors", errors.to_string(), errors.is_none());
+    inspection.judge(
+        name,
+        "hardware errors",
+        errors.to_string(),
+        errors.is_none(),
+    );
     // Settings kept without power are locked while the torque is on.
     persistently(|| bus.write(id, &xm430::TORQUE_ENABLE, 0, SETUP_DEADLINE))?;
     for finding in compare(bus, id, &wants(wiring, joint, limits_rad), fix)? {
         let text = format!("{}, must be {}", finding.found, finding.want.value);
-        let mark = if finding.right { Mark::Fixed } else { Mark::Wrong };
+        let mark = if finding.right {
+            Mark::Fixed
+        } else {
+            Mark::Wrong
+        };
         inspection.add(name, finding.want.register.name, text, mark);
     }
-    let (volts, _) =
-        persistently(|| bus.read(id, &xm430::PRESENT_INPUT_VOLTAGE, SETUP_DEADLINE))?;
+    let (volts, _) = persistently(|| bus.read(id, &xm430::PRESENT_INPUT_VOLTAGE, SETUP_DEADLINE))?;
     let volts = (VOLTAGE_LSB_V * f64::from(volts)) as f32;
     let limits = &wiring.limits;
     let good = (limits.supply_min_v..=limits.supply_max_v).contains(&volts);
@@ -147,7 +155,12 @@ fn servo<P: Port>(
     let at_rad = joint.joint_rad(counts);
     let [low, high] = limits_rad;
     let good = at_rad > low - LIMIT_MARGIN_RAD && at_rad < high + LIMIT_MARGIN_RAD;
-    let text = format!("{:.1}° within {:.0}° to {:.0}°", at_rad.to_degrees(), low.to_degrees(), high.to_degrees());
+    let text = format!(
+        "{:.1}° within {:.0}° to {:.0}°",
+        at_rad.to_degrees(),
+        low.to_degrees(),
+        high.to_degrees()
+    );
     inspection.judge(name, "position", text, good);
     Ok(())
 }
@@ -158,12 +171,21 @@ fn wants(wiring: &Wiring, joint: &JointWiring, limits_rad: [f64; 2]) -> Vec<Want
     let servo = &wiring.servo;
     let want = |register, value| Want { register, value };
     vec![
-        want(&xm430::RETURN_DELAY_TIME, (wiring.bus.return_delay_us / RETURN_DELAY_LSB_US) as i32),
+        want(
+            &xm430::RETURN_DELAY_TIME,
+            (wiring.bus.return_delay_us / RETURN_DELAY_LSB_US) as i32,
+        ),
         want(&xm430::DRIVE_MODE, 0),
         want(&xm430::OPERATING_MODE, i32::from(servo.operating_mode)),
         want(&xm430::HOMING_OFFSET, 0),
-        want(&xm430::TEMPERATURE_LIMIT, i32::from(servo.temperature_limit_c)),
-        want(&xm430::CURRENT_LIMIT, (servo.current_limit_a / CURRENT_LSB_A).round() as i32),
+        want(
+            &xm430::TEMPERATURE_LIMIT,
+            i32::from(servo.temperature_limit_c),
+        ),
+        want(
+            &xm430::CURRENT_LIMIT,
+            (servo.current_limit_a / CURRENT_LSB_A).round() as i32,
+        ),
         want(&xm430::MAX_POSITION_LIMIT, ends[0].max(ends[1])),
         want(&xm430::MIN_POSITION_LIMIT, ends[0].min(ends[1])),
         want(&xm430::STATUS_RETURN_LEVEL, 2),
@@ -203,6 +225,11 @@ pub fn imu<B: I2c>(chip: &mut ImuChip<B>) -> Inspection {
     let text = format!("up is {x:.2} forward, {y:.2} left, {z:.2} up");
     inspection.judge("imu", "axes", text, z > LEVEL_COS);
     let turning = norm(gyro);
-    inspection.judge("imu", "at rest", format!("{turning:.3} rad/s"), turning < REST_RADPS);
+    inspection.judge(
+        "imu",
+        "at rest",
+        format!("{turning:.3} rad/s"),
+        turning < REST_RADPS,
+    );
     inspection
 }

@@ -8,9 +8,13 @@ pub mod inspect;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use caudata_dynamixel::units::{BUS_WATCHDOG_LSB_MS, CURRENT_LSB_A, VELOCITY_LSB_RADPS, VOLTAGE_LSB_V};
+use caudata_dynamixel::units::{
+    BUS_WATCHDOG_LSB_MS, CURRENT_LSB_A, VELOCITY_LSB_RADPS, VOLTAGE_LSB_V,
+};
 use caudata_dynamixel::xm430::{self, Register};
-use caudata_dynamixel::{Answer, Bus, BusCounts, BusFault, GroupRead, GroupWrite, Port, SerialPort};
+use caudata_dynamixel::{
+    Answer, Bus, BusCounts, BusFault, GroupRead, GroupWrite, Port, SerialPort,
+};
 use caudata_hardware::i2c::BRIDGE_BAUD;
 use caudata_hardware::{BridgeI2c, I2c, ImuChip, ImuSample, JointWiring, LinuxI2c, Wiring};
 use caudata_model::RobotModel;
@@ -54,7 +58,11 @@ pub fn read_wiring(
         reason,
     };
     if wiring.robot != model.name() {
-        let reason = format!("it is for robot `{}`, this is `{}`", wiring.robot, model.name());
+        let reason = format!(
+            "it is for robot `{}`, this is `{}`",
+            wiring.robot,
+            model.name()
+        );
         return Err(wrong(reason).into());
     }
     let joints = wiring.joints(&model.actuated_names()).map_err(wrong)?;
@@ -135,7 +143,10 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         joints: Vec<JointWiring>,
     ) -> Result<Self, DeployError> {
         if joints.len() != ACT_DIM {
-            let what = format!("{} joints are wired, the policy has {ACT_DIM}", joints.len());
+            let what = format!(
+                "{} joints are wired, the policy has {ACT_DIM}",
+                joints.len()
+            );
             return Err(DeployError::Internal { what });
         }
         let water = match &wiring.water {
@@ -268,7 +279,10 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         block: &mut [u8],
         deadline: Duration,
     ) -> Result<bool, BusError> {
-        match self.bus.read_block(self.ids[joint], address, block, deadline) {
+        match self
+            .bus
+            .read_block(self.ids[joint], address, block, deadline)
+        {
             Ok(_) => Ok(true),
             Err(BusFault::Silent { .. } | BusFault::Refused { .. }) => Ok(false),
             Err(error) => Err(lost(&error)),
@@ -294,17 +308,23 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             self.bus
                 .read_group(&mut torque, ARM_DEADLINE)
                 .map_err(|e| lost(&e))?;
-            let on = |i: &usize| {
-                matches!(torque.answer(*i), Answer::Data(_)) && torque.data(*i) == [1]
-            };
+            let on =
+                |i: &usize| matches!(torque.answer(*i), Answer::Data(_)) && torque.data(*i) == [1];
             if (0..ACT_DIM).all(|i| on(&i)) {
-                write(&mut self.bus, &self.ids, &xm430::BUS_WATCHDOG, self.watchdog_units)
-                    .map_err(|e| lost(&e))?;
+                write(
+                    &mut self.bus,
+                    &self.ids,
+                    &xm430::BUS_WATCHDOG,
+                    self.watchdog_units,
+                )
+                .map_err(|e| lost(&e))?;
                 self.armed = true;
                 return Ok(());
             }
         }
-        let off = (0..ACT_DIM).find(|i| torque.data(*i) != [1]).unwrap_or_default();
+        let off = (0..ACT_DIM)
+            .find(|i| torque.data(*i) != [1])
+            .unwrap_or_default();
         Err(BusError::Lost {
             reason: format!("servo {} does not switch its torque on", self.ids[off]),
         })
@@ -329,9 +349,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
             (Some(group), true) => group,
             _ => &mut self.plain,
         };
-        self.bus
-            .read_group(group, deadline)
-            .map_err(|e| lost(&e))?;
+        self.bus.read_group(group, deadline).map_err(|e| lost(&e))?;
         let (missing, alert) = self.take(fast);
         self.health.silent_ticks = self.silent.iter().copied().max().unwrap_or_default();
         if missing == ACT_DIM {
@@ -343,8 +361,9 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
             return Err(BusError::Timeout { deadline });
         }
         self.all_silent = 0;
+        // Waiting for a silent servo took the whole deadline.
         let left = deadline.saturating_sub(begun.elapsed()).min(CARE_DEADLINE);
-        if !left.is_zero() {
+        if missing == 0 && !left.is_zero() {
             self.care(alert, left)?;
         }
         self.newest.time_s = self.start.elapsed().as_secs_f64();
@@ -382,7 +401,11 @@ impl<P: Port, B: I2c> Imu for HardwareRobot<P, B> {
         match self.imu.sample() {
             Ok(sample) => {
                 let same = self.sample == Some(sample);
-                self.health.imu_same_ticks = if same { self.health.imu_same_ticks + 1 } else { 0 };
+                self.health.imu_same_ticks = if same {
+                    self.health.imu_same_ticks + 1
+                } else {
+                    0
+                };
                 self.health.imu_stale_ticks = 0;
                 self.sample = Some(sample);
             }

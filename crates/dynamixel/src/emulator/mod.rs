@@ -47,6 +47,8 @@ pub struct EmulatedBus {
     free_at_us: u64,
     /// Questions heard so far.
     questions: u64,
+    /// Group writes of goal positions so far.
+    goal_writes: u64,
 }
 
 impl EmulatedBus {
@@ -61,6 +63,7 @@ impl EmulatedBus {
             queue: VecDeque::new(),
             free_at_us: 0,
             questions: 0,
+            goal_writes: 0,
         }
     }
 
@@ -87,6 +90,11 @@ impl EmulatedBus {
     /// Questions heard so far.
     pub fn questions(&self) -> u64 {
         self.questions
+    }
+
+    /// Group writes of goal positions heard so far.
+    pub fn goal_writes(&self) -> u64 {
+        self.goal_writes
     }
 
     /// Lets time pass: watchdogs.
@@ -199,6 +207,9 @@ impl EmulatedBus {
             return;
         };
         let length = usize::from(u16::from_le_bytes([l0, l1]));
+        if u16::from_le_bytes([a0, a1]) == crate::xm430::GOAL_POSITION.address {
+            self.goal_writes += 1;
+        }
         for share in data.chunks_exact(length + 1) {
             self.write_quietly(share[0], [a0, a1], &share[1..], now_us);
         }
