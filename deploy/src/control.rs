@@ -22,7 +22,7 @@ use crate::runner::{PolicyRunner, View};
 use crate::updates::{PolicyEvent, Updates};
 use crate::walk_command::CommandTable;
 
-/// How long a tick waits for readings.
+/// How long a tick waits for the readings of a simulated robot.
 pub const READ_DEADLINE: Duration = Duration::from_millis(7);
 /// Ticks in a row without readings after which the robot counts as lost (2 s).
 pub const LATE_IN_A_ROW_MAX: u32 = 100;
@@ -44,6 +44,8 @@ pub struct RunPlan {
     pub commands: CommandTable,
     /// How far a target may move per tick, rad.
     pub step_max_rad: f32,
+    /// How long a tick waits for readings.
+    pub read_deadline: Duration,
     /// Limits of the hardware; `None` on a simulated robot.
     pub limits: Option<Limits>,
 }
@@ -285,7 +287,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         if let Some(first) = self.first.take() {
             return Ok(Some(first));
         }
-        match self.robot.read(READ_DEADLINE) {
+        match self.robot.read(self.plan.read_deadline) {
             Ok(servos) => {
                 self.late_in_a_row = 0;
                 let dt_s = (servos.time_s - self.last_time_s) as f32;

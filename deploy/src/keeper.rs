@@ -9,6 +9,7 @@ use caudata_signing::Trust;
 
 use crate::DeployError;
 use crate::metrics::RobotMetrics;
+use crate::probe::{ProbeProgram, Probed};
 use crate::state::{Blame, Decision, PolicyRef, Sha256Digest};
 use crate::store::PolicyStore;
 use crate::updates::PolicyEvent;
@@ -20,6 +21,7 @@ pub struct Keeper {
     store: Arc<Mutex<PolicyStore>>,
     model: Arc<RobotModel>,
     trust: Option<Arc<Trust>>,
+    probe: Option<Arc<ProbeProgram>>,
     metrics: RobotMetrics,
 }
 
@@ -30,6 +32,7 @@ impl Keeper {
             store: Arc::new(Mutex::new(store)),
             model,
             trust: None,
+            probe: None,
             metrics,
         }
     }
@@ -38,6 +41,13 @@ impl Keeper {
     #[must_use]
     pub fn trusting(mut self, trust: Trust) -> Self {
         self.trust = Some(Arc::new(trust));
+        self
+    }
+
+    /// Lets a child process try candidates first.
+    #[must_use]
+    pub fn probing(mut self, probe: ProbeProgram) -> Self {
+        self.probe = Some(Arc::new(probe));
         self
     }
 
@@ -97,7 +107,7 @@ impl Keeper {
             return Err(self.quarantine(policy, refusal));
         }
         let bytes = client.fetch(manifest).await?;
-        let verified = self.checked(bytes.into(), &policy)?;
+        let verified = self.tried(bytes.into(), &policy)?;
         let mut store = self.store();
         store.put(&policy, verified.file.bytes())?;
         store.update(|state| state.adopt(policy.clone()))?;
@@ -149,6 +159,24 @@ impl Keeper {
     fn read_back(&self, policy: &PolicyRef) -> Result<Verified, DeployError> {
         let bytes = self.store().get(policy)?;
         self.checked(bytes, policy)
+    }
+
+    /// As [`Keeper::checked`], after a child process survived it.
+    fn tried(&self, bytes: Arc<[u8]>, policy: &PolicyRef) -> Result<Verified, DeployError> {
+        let probed = self.probe.as_ref().map(|probe| probe.run(policy, &bytes));
+        match probed {
+            Some(Probed::Died(how)) => {
+                return Err(self.quarantine(policy.clone(), Refusal::KilledItsProbe { how }));
+            }
+            Some(Probed::Unable(reason)) => tracing::warn!(reason, "the candidate was not tried"),
+            _ => {}
+        }
+        // What the child found is found here again, and sorted by what is to blame.
+        let verified = self.checked(bytes, policy)?;
+        if let Some(Probed::Refused(reason)) = probed {
+            return Err(self.quarantine(policy.clone(), Refusal::ByItsProbe(reason)));
+        }
+        Ok(verified)
     }
 
     fn checked(&self, bytes: Arc<[u8]>, policy: &PolicyRef) -> Result<Verified, DeployError> {

@@ -22,6 +22,7 @@ pub mod metrics;
 pub mod motion;
 pub mod orientation;
 pub mod pacing;
+pub mod probe;
 pub mod recorder;
 pub mod report;
 pub mod runner;

@@ -85,6 +85,21 @@ pub enum Refusal {
     /// Keys that this robot trusts did not sign it.
     #[error("{0}")]
     Untrusted(#[from] Untrusted),
+    /// It brought down the child process that looked at it.
+    #[error("the process that tried it died: {how}")]
+    KilledItsProbe {
+        /// How.
+        how: String,
+    },
+    /// The child process that looked at it found something wrong.
+    #[error("{0}")]
+    ByItsProbe(String),
+    /// Inference takes too long on this computer.
+    #[error("half of its runs take more than {median_us} µs on this computer")]
+    TooSlow {
+        /// The median.
+        median_us: u128,
+    },
     /// It was refused before.
     #[error("refused before: {0}")]
     Before(String),
@@ -104,12 +119,17 @@ impl Refusal {
             Self::Contract(_)
             | Self::Task(_)
             | Self::OtherRobot { .. }
-            | Self::OtherModel { .. } => Blame::Robot(robot),
+            | Self::OtherModel { .. }
+            | Self::ByItsProbe(_)
+            | Self::TooSlow { .. } => Blame::Robot(robot),
             Self::WrongHash { .. }
             | Self::OtherVersion { .. }
             | Self::Untrusted(_)
             | Self::Older { .. } => Blame::Transfer,
-            Self::Policy(_) | Self::Probe { .. } | Self::Before(_) => Blame::Policy,
+            Self::Policy(_)
+            | Self::Probe { .. }
+            | Self::KilledItsProbe { .. }
+            | Self::Before(_) => Blame::Policy,
         }
     }
 }

@@ -5,8 +5,6 @@ use std::time::{Duration, Instant};
 
 use caudata_dynamixel::Port;
 
-/// How long a bridge may take for one transfer.
-pub const BRIDGE_DEADLINE: Duration = Duration::from_millis(10);
 /// Most bytes that one transfer reads through a bridge.
 pub const BRIDGE_BYTES_MAX: usize = 64;
 /// Speed of the bridge's serial port.
@@ -42,12 +40,13 @@ impl<T: I2c + ?Sized> I2c for Box<T> {
 #[derive(Debug)]
 pub struct BridgeI2c<P> {
     port: P,
+    deadline: Duration,
 }
 
 impl<P: Port> BridgeI2c<P> {
-    /// A bridge behind `port`.
-    pub fn new(port: P) -> Self {
-        Self { port }
+    /// A bridge behind `port` that may take `deadline` for a transfer.
+    pub fn new(port: P, deadline: Duration) -> Self {
+        Self { port, deadline }
     }
 }
 
@@ -62,11 +61,11 @@ impl<P: Port> I2c for BridgeI2c<P> {
         let mut request = Vec::with_capacity(bytes.len() + 4);
         write_request(chip, bytes, &mut request);
         request.push(b'P');
-        self.port.send(&request, Instant::now() + BRIDGE_DEADLINE)
+        self.port.send(&request, Instant::now() + self.deadline)
     }
 
     fn write_read(&mut self, chip: u8, bytes: &[u8], out: &mut [u8]) -> io::Result<()> {
-        let end = Instant::now() + BRIDGE_DEADLINE;
+        let end = Instant::now() + self.deadline;
         let mut request = [0; 16];
         let used = 7 + bytes.len();
         if used > request.len() || out.len() > BRIDGE_BYTES_MAX {

@@ -73,6 +73,8 @@ pub struct BusWiring {
     pub return_delay_us: u64,
     /// A servo that hears nothing for this long stops by itself, ms.
     pub watchdog_ms: u64,
+    /// How long a tick waits for readings, ms.
+    pub read_deadline_ms: u64,
 }
 
 /// What every servo holds.
@@ -298,6 +300,9 @@ impl Wiring {
         }
         if !(BUS_WATCHDOG_LSB_MS..=127 * BUS_WATCHDOG_LSB_MS).contains(&bus.watchdog_ms) {
             return Err("bus.watchdog_ms must be 20 to 2540: without it a robot whose computer dies walks on".to_owned());
+        }
+        if !(1..=1000).contains(&bus.read_deadline_ms) {
+            return Err("bus.read_deadline_ms must be 1 to 1000".to_owned());
         }
         if ![3, 5].contains(&servo.operating_mode) {
             return Err("servo.operating_mode must be 3 or 5".to_owned());

@@ -2,6 +2,7 @@
 
 mod doctor;
 mod drive;
+mod probe;
 mod pull;
 mod run;
 mod status;
@@ -21,6 +22,7 @@ use serde::Serialize;
 use crate::hardware::PortOverrides;
 use crate::keeper::Keeper;
 use crate::metrics::RobotMetrics;
+use crate::probe::{CHILD_DEADLINE, ProbeProgram};
 use crate::store::PolicyStore;
 use crate::{DeployError, failure};
 
@@ -48,6 +50,8 @@ enum Command {
     Run(Box<RunArgs>),
     /// Pull, verify and store the newest policy; run nothing
     Pull(pull::PullArgs),
+    #[command(hide = true)]
+    Probe(probe::ProbeArgs),
     /// Check servos, supply, pose and IMU before any torque
     Doctor(doctor::DoctorArgs),
     /// Send velocity commands to a robot that runs with --link-addr: w s a d q e, space stops, k kills
@@ -109,6 +113,7 @@ pub fn dispatch(args: &Args, process: &Process) -> Result<(), Failure> {
         Command::Run(args) => run::run(args, process),
         Command::Pull(args) => pull::run(args),
         Command::Status(args) => status::run(args),
+        Command::Probe(args) => probe::run(args),
         Command::Drive(args) => drive::run(args, process),
         Command::Doctor(args) => doctor::run(args),
     }
@@ -136,6 +141,14 @@ impl Source {
         let mut keeper = Keeper::new(store, model.clone(), metrics.clone());
         if let Some(path) = &args.trust {
             keeper = keeper.trusting(Trust::read(path)?);
+        }
+        // Without a program of its own there is nobody to try candidates; the checks here stay.
+        if let Ok(program) = std::env::current_exe() {
+            keeper = keeper.probing(ProbeProgram {
+                program,
+                robot: args.robot.clone(),
+                deadline: CHILD_DEADLINE,
+            });
         }
         let source = Self {
             keeper,

@@ -17,7 +17,7 @@ use crate::DeployError;
 use crate::bus::{BusError, Health, Robot};
 use crate::command_link::{LinkKey, UdpLink};
 use crate::commands::{PortArgs, Source, SourceArgs, say, say_json};
-use crate::control::{ControlLoop, RunPlan};
+use crate::control::{ControlLoop, READ_DEADLINE, RunPlan};
 use crate::flight_log::{FlightLog, LogCounts, meta, write_rows};
 use crate::follower::Follower;
 use crate::gate::HELD_IN_A_ROW_MAX;
@@ -132,21 +132,36 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     match &args.bus {
         BusAddress::Sim(address) => {
             let mut robot = SimLink::connect(address, &source.model, source.control_period_s)?;
-            walk(
-                args, &source, &mut robot, None, verified, commands, metrics, process,
-            )
+            let plan = plan(args, &source, commands, READ_DEADLINE, None);
+            walk(args, &source, &mut robot, plan, verified, metrics, process)
         }
         BusAddress::Wiring(path) => {
             let overrides = args.ports.overrides();
             let (wiring, joints) = read_wiring(path, &source.model, &overrides)?;
             let mut robot = open_robot(&wiring, joints, &source.model)?;
-            let limits = Some(wiring.limits);
-            let result = walk(
-                args, &source, &mut robot, limits, verified, commands, metrics, process,
-            );
+            let deadline = Duration::from_millis(wiring.bus.read_deadline_ms);
+            let plan = plan(args, &source, commands, deadline, Some(wiring.limits));
+            let result = walk(args, &source, &mut robot, plan, verified, metrics, process);
             tracing::info!(counts = ?robot.bus_counts(), "servo bus");
             result
         }
+    }
+}
+
+fn plan(
+    args: &RunArgs,
+    source: &Source,
+    commands: CommandTable,
+    read_deadline: Duration,
+    limits: Option<Limits>,
+) -> RunPlan {
+    RunPlan {
+        period: Duration::from_secs_f64(source.control_period_s),
+        walk_s: args.seconds,
+        commands,
+        step_max_rad: step_max_rad(source),
+        read_deadline,
+        limits,
     }
 }
 
@@ -194,9 +209,8 @@ fn walk<R: Robot>(
     args: &RunArgs,
     source: &Source,
     robot: &mut R,
-    limits: Option<Limits>,
+    plan: RunPlan,
     verified: Verified,
-    commands: CommandTable,
     metrics: RobotMetrics,
     process: &Process,
 ) -> Result<(), DeployError> {
@@ -213,13 +227,6 @@ fn walk<R: Robot>(
         false => None,
     };
     let housekeeper = keep_house(source.keeper.clone(), events)?;
-    let plan = RunPlan {
-        period: Duration::from_secs_f64(source.control_period_s),
-        walk_s: args.seconds,
-        commands,
-        step_max_rad: step_max_rad(source),
-        limits,
-    };
     let result = drive(
         args, source, robot, plan, verified, updates, metrics, process,
     );

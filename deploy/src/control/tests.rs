@@ -139,6 +139,7 @@ fn run_with(
         walk_s: Some(walk_s),
         commands: CommandTable::constant(WalkCommand([0.9, 0.0, 0.0])),
         step_max_rad: 0.3,
+        read_deadline: READ_DEADLINE,
         limits: None,
     };
     let (updates, events) = Updates::new(slot);
@@ -359,6 +360,7 @@ fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<[f32;
         walk_s: Some(walk_s),
         commands: CommandTable::constant(WalkCommand([0.9, 0.0, 0.0])),
         step_max_rad: 0.3,
+        read_deadline: READ_DEADLINE,
         limits: None,
     };
     let (updates, _events) = Updates::new(Slot::default());

@@ -8,6 +8,7 @@ pub mod inspect;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use caudata_dynamixel::setup::{SETUP_DEADLINE, persistently};
 use caudata_dynamixel::units::{
     BUS_WATCHDOG_LSB_MS, CURRENT_LSB_A, VELOCITY_LSB_RADPS, VOLTAGE_LSB_V,
 };
@@ -23,8 +24,8 @@ use caudata_task::ACT_DIM;
 use crate::DeployError;
 use crate::bus::{BusError, Health, Imu, ImuReading, Robot, ServoBus, ServoReadings};
 
-/// Most of a tick's time on the bus that looking after one servo may take.
-const CARE_DEADLINE: Duration = Duration::from_millis(2);
+/// Looking after one servo may take this part of a tick's time for reading: 2 of 7 ms.
+const CARE_SHARE: f64 = 2.0 / 7.0;
 /// Time for goals to leave.
 const WRITE_DEADLINE: Duration = Duration::from_millis(5);
 /// Ticks in a row without any servo after which the bus counts as gone.
@@ -101,7 +102,8 @@ pub fn open_imu(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusErro
     let bus: Box<dyn I2c + Send> = match address.strip_prefix("bridge:") {
         Some(port) => {
             let port = SerialPort::open(Path::new(port), BRIDGE_BAUD).map_err(connect)?;
-            Box::new(BridgeI2c::new(port))
+            let deadline = Duration::from_millis(wiring.bus.read_deadline_ms);
+            Box::new(BridgeI2c::new(port, deadline))
         }
         None => Box::new(LinuxI2c::open(Path::new(address)).map_err(connect)?),
     };
@@ -135,9 +137,9 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
     /// Takes over a bus and an IMU that [`inspect`] found in order. Nothing moves yet.
     ///
     /// # Errors
-    /// [`DeployError::Internal`] where there are other than 16 joints.
+    /// [`DeployError::Internal`] where there are other than 16 joints, [`DeployError::Bus`] where the first does not answer.
     pub fn new(
-        bus: Bus<P>,
+        mut bus: Bus<P>,
         imu: ImuChip<B>,
         wiring: &Wiring,
         joints: Vec<JointWiring>,
@@ -160,6 +162,10 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             None => None,
         };
         let ids: Vec<u8> = joints.iter().map(|j| j.id).collect();
+        // Known from the first tick on; then each servo tells in turn.
+        let register = &xm430::PRESENT_INPUT_VOLTAGE;
+        let (volts, _) =
+            persistently(|| bus.read(ids[0], register, SETUP_DEADLINE)).map_err(|e| lost(&e))?;
         let group = |fast| GroupRead::new(&ids, xm430::TICK_ADDRESS, xm430::TICK_BYTES, fast);
         Ok(Self {
             fast: wiring.bus.fast_sync_read.then(|| group(true)),
@@ -175,7 +181,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
                 pos_rad: [0.0; ACT_DIM],
                 vel_radps: [0.0; ACT_DIM],
                 current_a: [0.0; ACT_DIM],
-                supply_v: 0.0,
+                supply_v: (VOLTAGE_LSB_V * f64::from(volts)) as f32,
             },
             silent: [0; ACT_DIM],
             all_silent: 0,
@@ -362,7 +368,9 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         }
         self.all_silent = 0;
         // Waiting for a silent servo took the whole deadline.
-        let left = deadline.saturating_sub(begun.elapsed()).min(CARE_DEADLINE);
+        let left = deadline
+            .saturating_sub(begun.elapsed())
+            .min(deadline.mul_f64(CARE_SHARE));
         if missing == 0 && !left.is_zero() {
             self.care(alert, left)?;
         }
