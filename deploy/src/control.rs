@@ -153,6 +153,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let first = complete(robot, &mut gravity, servos, period_s)?;
         let joints = *runner.joints();
         metrics.policy_version.set(version_gauge(&runner));
+        let recorder = Recorder::new(plan.period);
         Ok(Self {
             gate: OutputGate::new(&joints, plan.step_max_rad, first.servos.pos_rad),
             guard: Guard::new(plan.limits.clone()),
@@ -165,7 +166,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             runner,
             updates,
             log: None,
-            recorder: Recorder::new(plan.period),
+            recorder,
             link: None,
             metrics,
             gravity,

@@ -308,9 +308,13 @@ fn wrong_input_has_its_own_codes() {
         .arg(&state);
     check(missing, 66);
     std::fs::create_dir_all(&state).unwrap();
-    std::fs::write(state.join("state.json"), "{").unwrap();
+    for copy in ["state.json", "state.copy.json"] {
+        std::fs::write(state.join(copy), "{").unwrap();
+    }
     check(program("pull", nobody, &state), 65);
-    std::fs::remove_file(state.join("state.json")).unwrap();
+    for copy in ["state.json", "state.copy.json"] {
+        std::fs::remove_file(state.join(copy)).unwrap();
+    }
     // A policy, but no robot.
     let server = Server::start(&folder.path().join("server"));
     server.publish(standing(1));

@@ -292,7 +292,10 @@ fn drive<R: Robot>(
     let result = control.run(&process.stop);
     if let Some(folder) = &args.recorder_dir {
         let calm = matches!(result, Ok(Ended::Time | Ended::Signal));
-        record(folder, source, args, &control, calm)?;
+        // The run's own error comes first.
+        if let Err(error) = record(folder, source, args, &control, calm) {
+            tracing::error!(%error, "the last moments are lost");
+        }
     }
     let policy = control.runner().policy().clone();
     let fault = control.fault();
