@@ -164,8 +164,9 @@ impl Keeper {
     /// As [`Keeper::checked`], after a child process survived it.
     fn tried(&self, bytes: Arc<[u8]>, policy: &PolicyRef) -> Result<Verified, DeployError> {
         let probed = self.probe.as_ref().map(|probe| probe.run(policy, &bytes));
-        match probed {
+        match &probed {
             Some(Probed::Died(how)) => {
+                let how = how.clone();
                 return Err(self.quarantine(policy.clone(), Refusal::KilledItsProbe { how }));
             }
             Some(Probed::Unable(reason)) => tracing::warn!(reason, "the candidate was not tried"),

@@ -33,6 +33,7 @@ impl<B: I2c> ImuChip<B> {
         identify(&mut bus, wiring.address, LSM6_ID, "LSM6DSOX")?;
         for (register, value) in [
             (LSM6_CTRL3_C, LSM6_CTRL3_C_VALUE),
+            (LSM6_CTRL8_XL, LSM6_CTRL8_XL_VALUE),
             (LSM6_CTRL1_XL, LSM6_CTRL1_XL_VALUE),
             (LSM6_CTRL2_G, LSM6_CTRL2_G_VALUE),
         ] {
