@@ -33,6 +33,15 @@ Exit codes: 0 done · 64 configuration or flag · 65 bad input file · 66 input 
 enum Command {
     /// Train on this machine: start, watch and stop everything, then evaluate the policy
     Train(commands::train::TrainArgs),
+    /// Run this host's part of a cluster: policy server, learner, some actors; or go on with it
+    Up(commands::cluster::up::UpArgs),
+    /// Run actors on this host for a learner elsewhere
+    Actors(commands::cluster::actors::ActorsArgs),
+    /// Show a running cluster at a glance
+    Status(commands::cluster::status::StatusArgs),
+    /// Make the certificates of a lab
+    #[command(subcommand)]
+    Pki(commands::cluster::pki::PkiCommand),
     /// Measure a policy in simulation
     Eval(commands::eval::EvalArgs),
     /// Print or check the configuration in effect
@@ -50,6 +59,8 @@ enum Command {
     /// Show what the simulation gets wrong, name the cause, extend the model
     #[command(subcommand)]
     Gap(commands::gap::GapCommand),
+    /// From measured logs to a policy for the robot as it is: diagnose, train in the extended model, evaluate, publish
+    Adapt(commands::adapt::AdaptArgs),
     /// Measure how fast the parts are on this machine
     #[command(subcommand)]
     Bench(commands::bench::BenchCommand),
@@ -72,12 +83,17 @@ const QUIET_DEFAULT_OF: (&str, &str) = ("info", "warn");
 fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
     match command {
         Command::Train(args) => commands::train::run(args, process),
+        Command::Up(args) => commands::cluster::up::run(args, process),
+        Command::Actors(args) => commands::cluster::actors::run(args, process),
+        Command::Status(args) => commands::cluster::status::run(args),
+        Command::Pki(command) => commands::cluster::pki::run(command),
         Command::Eval(args) => commands::eval::run(args, process),
         Command::Config(command) => commands::config::run(command),
         Command::Sim(command) => commands::sim::run(command, process),
         Command::Policy(command) => commands::policy::run(command),
         Command::RobotModel(command) => commands::robot_model::run(command),
         Command::Gap(command) => commands::gap::run(command),
+        Command::Adapt(args) => commands::adapt::run(args),
         Command::Bench(command) => commands::bench::run(command),
     }
 }

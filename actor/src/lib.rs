@@ -13,20 +13,26 @@
 mod chunk;
 mod error;
 pub mod gaussian;
+mod identity;
 mod ledger;
 mod link;
 mod metrics;
 pub mod moments;
 mod policy;
+mod pulse;
 pub mod quota;
 mod run;
 mod settings;
 mod snapshot;
 
 pub use error::ActorError;
+pub use identity::{clock_incarnation, host_name, named_actor_id};
 pub use ledger::{Ledger, LedgerCount, ledger_path, ledgers_in, read_ledger};
-pub use link::{decode_transport, encode_transport, transport_config};
+pub use link::{
+    decode_transport, encode_transport, transport_config, transport_of, with_certificates,
+};
 pub use metrics::ActorMetrics;
+pub use pulse::{BEAT_EVERY, PulsedLink, say_alive};
 pub use run::{ActorReport, run};
 pub use settings::{ActorSettings, actor_key, build_env};
 pub use snapshot::{ActorSnapshot, SnapshotPort};

@@ -1,7 +1,9 @@
 //! From the `[transport]` section to the transport's own configuration, and to a word on a command line and back.
 
-use caudata_config::{TransportKind, TransportSection};
-use caudata_transport::{Iceoryx2Config, InprocConfig, Limits, TransportConfig, ZenohConfig};
+use caudata_config::{Config, TransportKind, TransportSection};
+use caudata_transport::{
+    Iceoryx2Config, InprocConfig, Limits, TlsFiles, TransportConfig, ZenohConfig,
+};
 
 /// The transport's configuration as the section says.
 pub fn transport_config(section: &TransportSection) -> TransportConfig {
@@ -23,8 +25,24 @@ pub fn transport_config(section: &TransportSection) -> TransportConfig {
             limits,
             listen: section.zenoh_listen.clone(),
             connect: section.zenoh_connect.clone(),
+            tls: None,
         }),
     }
+}
+
+/// The transport's configuration as `config` says, certificates included.
+pub fn transport_of(config: &Config) -> TransportConfig {
+    with_certificates(transport_config(&config.transport), config)
+}
+
+/// With this process's certificates where `transport` has none and `config` says where they are.
+pub fn with_certificates(mut transport: TransportConfig, config: &Config) -> TransportConfig {
+    if let TransportConfig::Zenoh(zenoh) = &mut transport
+        && zenoh.tls.is_none()
+    {
+        zenoh.tls = config.cluster.certificates().map(TlsFiles::in_folder);
+    }
+    transport
 }
 
 /// One word for a command line: JSON. The learner prints it in its `started` event, actors take it as `--transport`.

@@ -3,15 +3,16 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::{Duration, SystemTime};
 
 use caudata_actor::{
-    ActorError, ActorMetrics, ActorSettings, actor_key, build_env, decode_transport, run,
-    transport_config,
+    ActorError, ActorMetrics, ActorSettings, PulsedLink, actor_key, build_env, clock_incarnation,
+    decode_transport, host_name, named_actor_id, run, say_alive, transport_of, with_certificates,
 };
 use caudata_config::ConfigArgs;
 use caudata_model::RobotModel;
 use caudata_telemetry::{
-    ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, parse_args,
+    ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, Pulse, parse_args,
 };
 use clap::Parser;
 
@@ -27,9 +28,17 @@ struct Args {
     /// Number of this actor within the run, from 0
     #[arg(long, default_value_t = 0)]
     actor_id: u32,
-    /// How many times this actor was started before
-    #[arg(long, default_value_t = 0)]
-    incarnation: u64,
+    /// Instead of a number: a name that no other actor of the run has, for instance a pod's; `@host` takes this host's
+    #[arg(
+        long,
+        value_name = "NAME",
+        env = "CAUDATA_ACTOR_NAME",
+        conflicts_with = "actor_id"
+    )]
+    actor_name: Option<String>,
+    /// How many times this actor was started before; otherwise 0, or with a name the time of the clock
+    #[arg(long)]
+    incarnation: Option<u64>,
     /// How to reach the learner, as its `started` event has it (JSON); otherwise `[transport]` says
     #[arg(long, value_name = "JSON")]
     transport: Option<String>,
@@ -42,6 +51,9 @@ struct Args {
     /// Serve /metrics and /healthz here (port 0: any free port)
     #[arg(long, value_name = "ADDR")]
     metrics_addr: Option<SocketAddr>,
+    /// Say `alive` on standard output twice a second while the loop runs, for the supervisor that watches
+    #[arg(long)]
+    heartbeat: bool,
     #[command(flatten)]
     log: LogArgs,
 }
@@ -57,12 +69,16 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
         config.robot.clone_from(robot);
     }
     let transport = match &args.transport {
-        None => transport_config(&config.transport),
-        Some(text) => decode_transport(text).or_exit_with(
-            ExitCode::BadConfig,
-            || "--transport is not what a learner prints",
-        )?,
+        None => transport_of(&config),
+        Some(text) => {
+            let told = decode_transport(text).or_exit_with(
+                ExitCode::BadConfig,
+                || "--transport is not what a learner prints",
+            )?;
+            with_certificates(told, &config)
+        }
     };
+    let (actor_id, incarnation) = identity(args)?;
     let robot_path = config.robot_path();
     let model = RobotModel::load(&robot_path).or_exit_with(ExitCode::BadInput, || {
         format!("robot file {}", robot_path.display())
@@ -70,19 +86,48 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
 
     let registry = Metrics::new();
     let metrics = ActorMetrics::register(&registry);
-    let server = args
-        .metrics_addr
-        .map(|addr| MetricsServer::start(addr, registry, process.stop.clone()))
-        .transpose()?;
+    let pulse = Pulse::new();
+    let patience = Duration::from_secs_f64(config.cluster.hang_timeout_s);
+    let stop = &process.stop;
+    let serve = |addr| {
+        MetricsServer::start_with_pulse(addr, registry, stop.clone(), pulse.clone(), patience)
+    };
+    let server = args.metrics_addr.map(serve).transpose()?;
+    if args.heartbeat {
+        let (pulse, stop) = (pulse.clone(), stop.clone());
+        std::thread::Builder::new()
+            .name("heartbeat".into())
+            .spawn(move || say_alive(&pulse, &stop, std::io::stdout()))
+            .or_exit(ExitCode::OsResource)?;
+    }
 
-    let mut settings =
-        ActorSettings::from_config(&config, &args.run_id, args.actor_id, args.incarnation);
+    let mut settings = ActorSettings::from_config(&config, &args.run_id, actor_id, incarnation);
     settings.ledger.clone_from(&args.ledger);
-    let key = actor_key(args.actor_id, args.incarnation);
+    let key = actor_key(actor_id, incarnation);
     let env = build_env(&config, Arc::new(model), key).map_err(ActorError::into_failure)?;
-    let link = caudata_transport::actor_link(&transport, &args.run_id, args.actor_id)
+    let link = caudata_transport::actor_link(&transport, &args.run_id, actor_id)
         .map_err(|error| ActorError::from(error).into_failure())?;
+    let link = Box::new(PulsedLink::new(link, pulse));
     let report = run(&settings, env, link, &process.stop, &metrics, None, None);
     drop(server);
     report.map(|_| ()).map_err(ActorError::into_failure)
+}
+
+/// Number and incarnation, as told or out of name and clock.
+fn identity(args: &Args) -> Result<(u32, u64), Failure> {
+    let Some(name) = &args.actor_name else {
+        return Ok((args.actor_id, args.incarnation.unwrap_or(0)));
+    };
+    let name = match name.as_str() {
+        "@host" => {
+            host_name().or_exit_with(ExitCode::OsResource, || "cannot read the host's name")?
+        }
+        name => name.to_owned(),
+    };
+    let incarnation = args
+        .incarnation
+        .unwrap_or_else(|| clock_incarnation(SystemTime::now()));
+    let id = named_actor_id(&name);
+    tracing::info!(name, id, incarnation, "this actor");
+    Ok((id, incarnation))
 }

@@ -8,17 +8,24 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod check;
+pub mod diagnose;
 pub mod effects;
 pub mod error;
 pub mod excitation;
 pub mod excite;
+pub mod extension;
 pub mod import;
+pub mod page;
 pub mod plant;
 pub mod plots;
+pub mod repeats;
 pub mod replay;
 pub mod report;
 pub mod trial;
 
+pub use diagnose::{Diagnosis, Options, Progress, Request, Stage, diagnose};
 pub use error::GapError;
+pub use extension::{Extension, mjcf_name};
 pub use plots::Plots;
 pub use report::Report;
+pub use trial::{Role, Run};

@@ -53,13 +53,13 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// The robot file's robot.
+    /// The robot file's robot, without the effects of its extension ([`crate::extension::terms`]).
     #[must_use]
     pub fn nominal(model: &Arc<RobotModel>) -> Self {
         let joints = model.actuated().len();
         Self {
             model: Arc::clone(model),
-            lane: LaneParams::nominal(model),
+            lane: LaneParams::bare(model),
             sensing: Sensing {
                 encoders: vec![EncoderErrors::default(); joints],
                 currents: vec![CurrentErrors::default(); joints],

@@ -114,7 +114,7 @@ pub struct Hypothesis {
     pub effect: String,
     /// Joints, links; empty = the whole robot.
     pub location: Vec<String>,
-    /// Share of the excess misfit that it takes away on the runs it was fitted to, 0 to 1.
+    /// Share of the misfit that it takes away on the runs it was fitted to, 0 to 1.
     pub share_fit: f64,
     /// The same on held-out runs (negative: makes it worse).
     pub share_holdout: f64,

@@ -9,8 +9,6 @@ use crate::error::GapError;
 
 /// Shortest run that can be replayed, s.
 pub const MIN_DURATION_S: f64 = 1.0;
-/// Commands that differ by less than this are the same, rad (half a count of a 4096-count encoder).
-const SAME_COMMAND_RAD: f64 = 0.0008;
 
 /// What a run is used for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -124,6 +122,23 @@ pub struct Channel {
     pub value: Vec<f64>,
 }
 
+impl Channel {
+    /// Value at `t_s`, on the line between samples.
+    #[must_use]
+    pub fn at(&self, t_s: f64) -> f64 {
+        let k = self.time_s.partition_point(|&t| t < t_s);
+        if k == 0 {
+            return self.value[0];
+        }
+        if k >= self.value.len() {
+            return self.value[self.value.len() - 1];
+        }
+        let (t0, t1) = (self.time_s[k - 1], self.time_s[k]);
+        let share = if t1 > t0 { (t_s - t0) / (t1 - t0) } else { 0.0 };
+        self.value[k - 1] + share * (self.value[k] - self.value[k - 1])
+    }
+}
+
 /// Values that hold until the next.
 #[derive(Debug, Clone, Default)]
 pub struct Steps {
@@ -169,6 +184,10 @@ pub struct Trial {
     pub group: usize,
     /// Stretches of time that do not count (somebody touched the robot, …), s.
     pub masked_s: Vec<(f64, f64)>,
+    /// The runs that this one is the mean of; empty for a single run.
+    pub members: Vec<Trial>,
+    /// Where in the session it was recorded, 0 (first run) to 1 (last).
+    pub session: f64,
 }
 
 impl Trial {
@@ -271,50 +290,9 @@ impl Trial {
             supply_v,
             group: 0,
             masked_s: Vec::new(),
+            members: Vec::new(),
+            session: 0.0,
         })
-    }
-
-    /// Whether `other` was commanded the same under the same settings, times counted from each one's start.
-    fn repeats(&self, other: &Self) -> bool {
-        let same = |a: Option<f64>, b: Option<f64>| a == b;
-        if self.base != other.base
-            || (self.duration_s() - other.duration_s()).abs() > 0.1
-            || !same(self.kp_nm_per_rad, other.kp_nm_per_rad)
-            || !same(self.kd_nms_per_rad, other.kd_nms_per_rad)
-        {
-            return false;
-        }
-        let duration = self.duration_s().min(other.duration_s());
-        // both middle of holds and ramps: a stamp's jitter moves a step by a row, so allow some to disagree
-        let (mut wrong, mut all) = (0, 0);
-        for (a, b) in self.commands.iter().zip(&other.commands) {
-            for k in 0..400 {
-                let s = duration * (k as f64 + 0.5) / 400.0;
-                let there = b.at(other.span_s.0 + s);
-                let near = [-0.012, 0.0, 0.012]
-                    .map(|d| (a.at(self.span_s.0 + s + d) - there).abs())
-                    .into_iter()
-                    .fold(f64::INFINITY, f64::min);
-                wrong += usize::from(near > 10.0 * SAME_COMMAND_RAD);
-                all += 1;
-            }
-        }
-        wrong * 50 < all
-    }
-}
-
-/// Gives trials with the same commands the same group number.
-pub fn group(trials: &mut [Trial]) {
-    let mut next = 0;
-    for i in 0..trials.len() {
-        let before = trials[..i].iter().find(|t| t.repeats(&trials[i]));
-        trials[i].group = before.map_or_else(
-            || {
-                next += 1;
-                next - 1
-            },
-            |t| t.group,
-        );
     }
 }
 

@@ -1,5 +1,6 @@
 //! Policies to the policy server, in the background: a server that is slow or gone never holds training up.
 
+use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -65,6 +66,18 @@ impl Publisher {
     /// # Errors
     /// An address or stream name that is none, or the system refuses the thread.
     pub fn start(address: &str, stream: &str) -> Result<Self, LearnerError> {
+        Self::start_with(address, stream, None)
+    }
+
+    /// As [`Publisher::start`], to an `https://` address with the certificates in `tls_dir`.
+    ///
+    /// # Errors
+    /// As [`Publisher::start`], and certificates that do not work.
+    pub fn start_with(
+        address: &str,
+        stream: &str,
+        tls_dir: Option<&Path>,
+    ) -> Result<Self, LearnerError> {
         let stream = StreamName::new(stream)
             .map_err(|error| LearnerError::setting(format!("policy_server.stream: {error}")))?;
         // With a thread of its own: between two publications the connection still answers the server's questions
@@ -77,7 +90,7 @@ impl Publisher {
             .map_err(LearnerError::Thread)?;
         let client = {
             let _context = runtime.enter();
-            RegistryClient::new(address)?
+            RegistryClient::with_tls(address, tls_dir)?
         };
         let shared = Arc::new(Shared::default());
         let (sender, notices) = bounded(NOTICES_MAX);

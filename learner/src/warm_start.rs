@@ -17,7 +17,8 @@ use crate::normaliser::Moments;
 /// How many observations the normaliser of the old policy counts as: a fresh batch then moves it by a few per cent, not at once.
 const OBSERVATIONS: u64 = 200_000;
 
-/// Gives `net` the actor of the policy file at `path`, and answers its normaliser as moments.
+/// Gives `net` the actor of the policy file at `path`, and answers its normaliser as moments. Its action noise becomes at
+/// least `least_std`.
 ///
 /// The old task may lack observations that the new one appends (the medium bit): they begin with weight zero.
 ///
@@ -27,6 +28,7 @@ const OBSERVATIONS: u64 = 200_000;
 pub fn warm_start(
     net: &ActorCritic,
     path: &Path,
+    least_std: f32,
     contract: &PolicyContract,
 ) -> Result<Moments, LearnerError> {
     let bytes = std::fs::read(path).map_err(|source| LearnerError::Read {
@@ -41,12 +43,15 @@ pub fn warm_start(
     check(net, &file, contract).map_err(refuse)?;
     let spec = file.spec();
     let mut values = net.to_vec()?;
-    net.set_policy(
-        &mut values,
-        &padded(spec, contract.obs_dim()),
-        &file.metadata().log_std,
-    )
-    .map_err(refuse)?;
+    let least = least_std.ln();
+    let log_std: Vec<f32> = file
+        .metadata()
+        .log_std
+        .iter()
+        .map(|x| x.max(least))
+        .collect();
+    net.set_policy(&mut values, &padded(spec, contract.obs_dim()), &log_std)
+        .map_err(refuse)?;
     net.copy_from_slice(&values)?;
     Ok(moments(spec, contract.obs_dim()))
 }
@@ -170,7 +175,7 @@ mod tests {
         let value_before = net
             .value()
             .forward(&Tensor::ones([1, 98], (Kind::Float, Device::Cpu)));
-        let moments = warm_start(&net, &path, &amphibious).unwrap();
+        let moments = warm_start(&net, &path, 0.0, &amphibious).unwrap();
 
         let scaling = moments.scaling(10.0);
         assert!(scaling.mean[..97].iter().all(|&m| (m - 1.0).abs() < 1e-6));
@@ -189,13 +194,29 @@ mod tests {
     }
 
     #[test]
+    fn exploration_begins_no_smaller_than_asked_for() {
+        let dir = tempfile::tempdir().unwrap();
+        let (path, _) = old_policy(dir.path());
+        let contract = contract(false);
+        let net = network(&contract, vec![12, 10], 2);
+        // The old policy's noise is 0.3.
+        for (least, expected) in [(0.1, 0.3), (0.6, 0.6)] {
+            warm_start(&net, &path, least, &contract).unwrap();
+            let std = net.log_std().exp().mean(Kind::Float).double_value(&[]);
+            assert!((std - expected).abs() < 1e-3, "{std}");
+        }
+    }
+
+    #[test]
     fn what_does_not_fit_is_named() {
         let dir = tempfile::tempdir().unwrap();
         let (path, _) = old_policy(dir.path());
         let contract = contract(false);
         let refusal = |hidden: Vec<usize>, path: &Path| {
             let net = network(&contract, hidden, 2);
-            warm_start(&net, path, &contract).unwrap_err().to_string()
+            warm_start(&net, path, 0.0, &contract)
+                .unwrap_err()
+                .to_string()
         };
         let error = refusal(vec![12, 11], &path);
         assert!(

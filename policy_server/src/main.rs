@@ -6,7 +6,7 @@ use std::process::ExitCode as OsExitCode;
 use std::time::Duration;
 
 use caudata_policy_server::{
-    ServeError, ServerMetrics, Store, StoreError, StoreLimits, listen, serve,
+    ServeError, ServerMetrics, Store, StoreError, StoreLimits, listen, serve, serve_tls, tls_config,
 };
 use caudata_telemetry::{
     ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, StopFlag, announce,
@@ -14,6 +14,7 @@ use caudata_telemetry::{
 };
 use clap::Parser;
 use tokio::sync::watch;
+use tonic::transport::ServerTlsConfig;
 
 /// Holds policy versions and hands them to robots: a content-addressed store behind gRPC.
 #[derive(Parser)]
@@ -25,6 +26,9 @@ struct Args {
     /// Address to listen on; port 0 takes any free one
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7401")]
     addr: SocketAddr,
+    /// Folder with ca.crt, tls.crt and tls.key (`caudata pki`): clients must show a certificate. Needed beyond loopback
+    #[arg(long, value_name = "DIR")]
+    tls_dir: Option<PathBuf>,
     /// Address of /metrics and /healthz; none when absent
     #[arg(long, value_name = "ADDR")]
     metrics_addr: Option<SocketAddr>,
@@ -47,6 +51,7 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
         versions_kept: args.keep,
         ..StoreLimits::default()
     };
+    let tls = tls_of(args)?;
     let store = Store::open(&args.data, limits).map_err(store_failure)?;
     let metrics = Metrics::new();
     let counters = ServerMetrics::register(&metrics);
@@ -70,10 +75,31 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
         let bound = listener.local_addr().or_exit(ExitCode::OsResource)?;
         tracing::info!(addr = %bound, data = %args.data.display(), "serving policies");
         announce("policy_server", bound);
-        serve(listener, store, counters, stopped)
-            .await
-            .map_err(serve_failure)
+        match tls {
+            None => serve(listener, store, counters, stopped).await,
+            Some(tls) => serve_tls(listener, store, counters, stopped, tls).await,
+        }
+        .map_err(serve_failure)
     })
+}
+
+/// The certificates; none on loopback unless asked for.
+fn tls_of(args: &Args) -> Result<Option<ServerTlsConfig>, Failure> {
+    let Some(folder) = &args.tls_dir else {
+        if args.addr.ip().is_loopback() {
+            return Ok(None);
+        }
+        let message = format!(
+            "{} can be reached from other hosts, and there are no certificates",
+            args.addr
+        );
+        return Err(Failure::message(ExitCode::BadConfig, message)
+            .hint("make some with `caudata pki` and give --tls-dir, or listen on 127.0.0.1"));
+    };
+    let tls = tls_config(folder).map_err(|(path, error)| {
+        Failure::message(ExitCode::NoInput, format!("{}: {error}", path.display()))
+    })?;
+    Ok(Some(tls))
 }
 
 fn store_failure(error: StoreError) -> Failure {

@@ -8,8 +8,9 @@ use caudata_proto::wire::registry::policy_registry_server::PolicyRegistryServer;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_stream::wrappers::TcpListenerStream;
-use tonic::transport::Server;
+use tonic::transport::{Server, ServerTlsConfig};
 
+use crate::access::GuardLayer;
 use crate::metrics::ServerMetrics;
 use crate::service::RegistryService;
 use crate::store::Store;
@@ -88,6 +89,28 @@ pub async fn serve(
     serve_with(listener, store, metrics, stop, Keepalive::default()).await
 }
 
+/// As [`serve`], encrypted: clients show a certificate, and its role decides what they may do.
+///
+/// # Errors
+/// As [`serve`]; [`ServeError::Transport`] also when the certificates do not work.
+pub async fn serve_tls(
+    listener: TcpListener,
+    store: Store,
+    metrics: ServerMetrics,
+    stop: watch::Receiver<bool>,
+    tls: ServerTlsConfig,
+) -> Result<(), ServeError> {
+    serve_any(
+        listener,
+        store,
+        metrics,
+        stop,
+        Keepalive::default(),
+        Some(tls),
+    )
+    .await
+}
+
 /// As [`serve`], with another patience for silent connections.
 ///
 /// # Errors
@@ -98,6 +121,17 @@ pub async fn serve_with(
     metrics: ServerMetrics,
     stop: watch::Receiver<bool>,
     keepalive: Keepalive,
+) -> Result<(), ServeError> {
+    serve_any(listener, store, metrics, stop, keepalive, None).await
+}
+
+async fn serve_any(
+    listener: TcpListener,
+    store: Store,
+    metrics: ServerMetrics,
+    stop: watch::Receiver<bool>,
+    keepalive: Keepalive,
+    tls: Option<ServerTlsConfig>,
 ) -> Result<(), ServeError> {
     let registry = RegistryService::new(store, stop.clone(), metrics);
     let (health, health_service) = tonic_health::server::health_reporter();
@@ -116,7 +150,15 @@ pub async fn serve_with(
             .set_not_serving::<PolicyRegistryServer<RegistryService>>()
             .await;
     };
-    let server = Server::builder()
+    let guard = GuardLayer {
+        enforced: tls.is_some(),
+    };
+    let mut builder = Server::builder();
+    if let Some(tls) = tls {
+        builder = builder.tls_config(tls)?;
+    }
+    let server = builder
+        .layer(guard)
         .concurrency_limit_per_connection(STREAMS_PER_CONNECTION as usize)
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
         .http2_keepalive_interval(Some(keepalive.interval))

@@ -1,6 +1,6 @@
 //! Robots thrashing at random on every terrain: how many lanes break down, and that nothing that is reported is ever not finite.
 //!
-//! `cargo run --release -p caudata-sim --example batch_stress -- [lanes] [seconds] [threads]`
+//! `cargo run --release -p caudata-sim --example batch_stress -- [lanes] [seconds] [threads] [terrain …]`, terrains by name (`DeepWater`); none: all.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 
 use std::path::Path;
@@ -15,6 +15,7 @@ fn main() {
     let lanes: usize = args.next().map_or(1024, |s| s.parse().expect("lanes"));
     let seconds: f64 = args.next().map_or(60.0, |s| s.parse().expect("seconds"));
     let threads: usize = args.next().map_or(1, |s| s.parse().expect("threads"));
+    let only: Vec<String> = args.collect();
     let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
     let model = Arc::new(RobotModel::load(&robot).expect("robot model"));
     let kinds = [
@@ -30,6 +31,9 @@ fn main() {
         TerrainKind::DeepWater,
     ];
     for kind in kinds {
+        if !only.is_empty() && !only.contains(&format!("{kind:?}")) {
+            continue;
+        }
         let config = EngineConfig {
             self_collision: true,
             ..EngineConfig::default()

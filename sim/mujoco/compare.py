@@ -43,9 +43,6 @@ def build(req):
     m.opt.ls_iterations = options.get("ls_iterations", 50)
     m.opt.density = options.get("density", 0.0)
     m.opt.viscosity = options.get("viscosity", 0.0)
-    if "stops" in options:
-        m.jnt_solref[:] = options["stops"]["solref"]
-        m.jnt_solimp[:] = options["stops"]["solimp"]
     if "gravity_mps2" in options:
         m.opt.gravity[:] = options["gravity_mps2"]
     for name, p in req["joints"].items():

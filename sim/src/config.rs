@@ -57,11 +57,6 @@ pub struct EngineConfig {
     /// Gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink in before they are
     /// noticed. Too large: more contact points to solve. Default 0.005.
     pub contact_margin_m: f64,
-    /// Stiffness of joint end stops, N·m/rad, 1..=10000. Default 1000: the servo's full torque bends a stop by a tenth of a degree.
-    /// (They are implicit: stiff stops do not need small steps.)
-    pub stop_stiffness_nm_per_rad: f64,
-    /// Damping of joint end stops while touched, N·m·s/rad, 0..=100. Default 2.
-    pub stop_damping_nms_per_rad: f64,
     /// Whether backlash hinges are held at zero although the model has them. Default false. True is about 1.5 times as fast (four of
     /// the Polymander's 28 degrees of freedom less) and walks like a stiffer robot: farther, with less power.
     pub lock_backlash: bool,
@@ -78,15 +73,6 @@ pub struct EngineConfig {
     pub lane_width: u32,
     /// `batch`: `single` or `double`. Default `single`.
     pub precision: Precision,
-    /// `batch`: stiffness of a contact point, N/m, 100..=1e6. Default 10000: a foot of the standing Polymander sinks in by 0.6 mm (MuJoCo with its
-    /// default solver settings: 0.4). Softer: feet sink in and the gait loses clearance. Stiffer: friction needs smaller steps to settle.
-    pub contact_stiffness_n_per_m: f64,
-    /// `batch`: damping of a contact point once it is `contact_damping_depth_m` deep, N·s/m, 0..=1e4. Default 60: about two thirds of critical
-    /// for a lower leg (0.2 kg) on that stiffness, so feet do not bounce.
-    pub contact_damping_ns_per_m: f64,
-    /// `batch`: penetration at which that damping is full, m, 1e-6..=0.01. Default 0.0002. Smaller: touching begins with a jump of the
-    /// force; larger: feet bounce.
-    pub contact_damping_depth_m: f64,
     /// `batch`: stiffness of a contact point's friction bristle, N/m, 100..=1e6. Default 30000. Softer: feet give way sideways before they
     /// hold. Stiffer: sticking needs smaller steps.
     pub bristle_stiffness_n_per_m: f64,
@@ -104,8 +90,6 @@ impl Default for EngineConfig {
             contact_frequency_hz: 60.0,
             contact_damping_ratio: 10.0,
             contact_margin_m: 0.005,
-            stop_stiffness_nm_per_rad: 1000.0,
-            stop_damping_nms_per_rad: 2.0,
             lock_backlash: false,
             fixed_base: false,
             self_collision: false,
@@ -113,9 +97,6 @@ impl Default for EngineConfig {
             max_base_speed_mps: 50.0,
             lane_width: 0,
             precision: Precision::Single,
-            contact_stiffness_n_per_m: 10_000.0,
-            contact_damping_ns_per_m: 60.0,
-            contact_damping_depth_m: 2e-4,
             bristle_stiffness_n_per_m: 30_000.0,
             bristle_damping_ns_per_m: 100.0,
         }
@@ -185,20 +166,6 @@ impl EngineConfig {
             "must be 0 to 0.05 m",
         )?;
         check(
-            "stop_stiffness_nm_per_rad",
-            self.stop_stiffness_nm_per_rad,
-            1.0,
-            1e4,
-            "must be 1 to 10000 N·m/rad",
-        )?;
-        check(
-            "stop_damping_nms_per_rad",
-            self.stop_damping_nms_per_rad,
-            0.0,
-            100.0,
-            "must be 0 to 100 N·m·s/rad",
-        )?;
-        check(
             "max_joint_speed_radps",
             self.max_joint_speed_radps,
             10.0,
@@ -211,27 +178,6 @@ impl EngineConfig {
             1.0,
             1e3,
             "must be 1 to 1000 m/s",
-        )?;
-        check(
-            "contact_stiffness_n_per_m",
-            self.contact_stiffness_n_per_m,
-            100.0,
-            1e6,
-            "must be 100 to 1000000 N/m",
-        )?;
-        check(
-            "contact_damping_ns_per_m",
-            self.contact_damping_ns_per_m,
-            0.0,
-            1e4,
-            "must be 0 to 10000 N·s/m",
-        )?;
-        check(
-            "contact_damping_depth_m",
-            self.contact_damping_depth_m,
-            1e-6,
-            0.01,
-            "must be 0.000001 to 0.01 m",
         )?;
         check(
             "bristle_stiffness_n_per_m",

@@ -20,6 +20,12 @@ pub enum SimError {
     /// The robot model has something this engine cannot simulate.
     #[error("robot model cannot be simulated: {0}")]
     Model(String),
+    /// The robot file's extension names a parameter that does not exist.
+    #[error("robot file: extension.lane.`{path}` is no parameter of this robot")]
+    Extension {
+        /// The path as written.
+        path: String,
+    },
     /// An array has the wrong length.
     #[error("{what} has {got} values, expected {expected}")]
     Shape {

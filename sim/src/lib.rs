@@ -14,7 +14,9 @@ pub mod drive;
 pub mod effects;
 pub mod engine;
 pub mod error;
+pub mod extension;
 pub mod lanes;
+mod mobility;
 pub mod momenta;
 mod observe;
 pub mod params;
@@ -24,6 +26,7 @@ mod self_contact;
 pub mod sensors;
 pub(crate) mod simd;
 pub mod state;
+pub mod stop;
 pub mod terrain;
 pub mod water;
 
@@ -34,6 +37,7 @@ use caudata_model::RobotModel;
 pub use config::{EngineConfig, EngineKind, Precision};
 pub use engine::Engine;
 pub use error::SimError;
+pub use extension::check_extension;
 pub use momenta::Momenta;
 pub use params::{
     CommandLoss, HingeEffects, InitialState, JointEffects, LaneParams, LinkWater,

@@ -75,9 +75,17 @@ pub struct LaneParams {
 }
 
 impl LaneParams {
-    /// The model's own values: no scaling, no offset, no delay, default supply.
+    /// The robot file's values: no scaling, no offset, no delay, default supply; with what its `[extension]` has, where it has one.
     #[must_use]
     pub fn nominal(model: &RobotModel) -> Self {
+        let mut params = Self::bare(model);
+        params.extend(model);
+        params
+    }
+
+    /// As [`LaneParams::nominal`] without the robot file's `[extension]`.
+    #[must_use]
+    pub fn bare(model: &RobotModel) -> Self {
         let per_servo = |f: &dyn Fn(usize) -> f64| -> Vec<f32> {
             (0..model.actuated().len()).map(|a| f(a) as f32).collect()
         };

@@ -18,6 +18,7 @@ use caudata_transport::{
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
+use crate::commands::bench_gap::{self, GapBench};
 use crate::commands::bench_learner;
 use crate::commands::bench_sim::{self, Plan, SceneName};
 use crate::commands::bench_skill::{self, SkillBench};
@@ -51,6 +52,8 @@ pub enum BenchCommand {
         #[command(flatten)]
         config: ConfigArgs,
     },
+    /// Diagnosis against hidden effects: false alarms, power, names, intervals, beside other methods
+    Gap(GapBench),
     /// Trainings from nothing: wall time until the policy walks at a commanded speed with every gate met, median of seeds
     Skill(SkillBench),
     /// Rollout frames per second from one actor to a learner on this machine
@@ -149,6 +152,7 @@ struct Finding {
 pub fn run(command: &BenchCommand) -> Result<(), Failure> {
     let (common, finding) = match command {
         BenchCommand::Sim(args) => return bench_sim(args),
+        BenchCommand::Gap(args) => return bench_gap::run(args),
         BenchCommand::Skill(args) => return bench_skill::run(args),
         BenchCommand::Learner { common, config } => {
             return bench_learner::run(&or_quick(config), common.seconds, common.json);

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use caudata_telemetry::{ExitCode, Failure};
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
-use super::{gap_check, gap_excite, gap_import};
+use super::{gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_report};
 
 #[derive(Debug, Subcommand)]
 pub enum GapCommand {
@@ -13,6 +13,12 @@ pub enum GapCommand {
     Check(gap_check::CheckArgs),
     /// Turn recordings of other projects into log folders
     Import(gap_import::ImportArgs),
+    /// Say where simulation and measurement part, why, and what it is worth to know
+    Diagnose(gap_diagnose::DiagnoseArgs),
+    /// Merge what a diagnosis found into a robot file
+    Apply(gap_apply::ApplyArgs),
+    /// Show a diagnosis again
+    Report(gap_report::ReportArgs),
     /// Write the experiment battery as command files for the robot
     Excite(gap_excite::ExciteArgs),
 }
@@ -21,6 +27,9 @@ pub fn run(command: &GapCommand) -> Result<(), Failure> {
     match command {
         GapCommand::Check(args) => gap_check::run(args),
         GapCommand::Import(args) => gap_import::run(args),
+        GapCommand::Diagnose(args) => gap_diagnose::run(args),
+        GapCommand::Apply(args) => gap_apply::run(args),
+        GapCommand::Report(args) => gap_report::run(args),
         GapCommand::Excite(args) => gap_excite::run(args),
     }
 }
@@ -57,6 +66,23 @@ pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         out.extend(inside);
     }
     Ok(out)
+}
+
+/// The bytes of a robot file, and name and bytes of the MJCF beside it.
+///
+/// # Errors
+/// When one cannot be read.
+pub fn robot_files(path: &Path) -> Result<(Vec<u8>, String, Vec<u8>), Failure> {
+    let read = |path: &Path| {
+        std::fs::read(path).map_err(|e| {
+            Failure::new(ExitCode::of_io(&e, false), e).context(path.display().to_string())
+        })
+    };
+    let robot_toml = read(path)?;
+    let mjcf_name = caudata_gap::mjcf_name(&String::from_utf8_lossy(&robot_toml))
+        .or_exit(ExitCode::BadInput)?;
+    let mjcf = read(&path.with_file_name(&mjcf_name))?;
+    Ok((robot_toml, mjcf_name, mjcf))
 }
 
 fn is_log(dir: &Path) -> bool {

@@ -109,7 +109,12 @@ fn print(checked: &Checked) {
         );
         let mut by_need: Vec<(String, Vec<&str>)> = Vec::new();
         for (effect, blind) in &checked.cannot_tell {
-            let need = format!("{} [{}]", blind.missing, blind.record);
+            let trial = if blind.record.is_empty() {
+                String::new()
+            } else {
+                format!(" [{}]", blind.record)
+            };
+            let need = format!("{}{trial}", blind.missing);
             match by_need.iter_mut().find(|n| n.0 == need) {
                 Some(n) => n.1.push(effect),
                 None => by_need.push((need, vec![effect])),

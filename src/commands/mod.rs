@@ -1,15 +1,21 @@
 //! One module per command.
 
+pub mod adapt;
 pub mod bench;
+mod bench_gap;
 mod bench_learner;
 mod bench_sim;
 mod bench_skill;
+pub mod cluster;
 pub mod config;
 pub mod eval;
 pub mod gap;
+mod gap_apply;
 mod gap_check;
+mod gap_diagnose;
 mod gap_excite;
 mod gap_import;
+mod gap_report;
 pub mod ground;
 pub mod lane_params;
 pub mod policy;

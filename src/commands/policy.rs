@@ -64,6 +64,9 @@ pub struct ServerArgs {
     /// Stream of policies: a run's id unless the run chose another name; all streams when absent
     #[arg(long)]
     stream: Option<String>,
+    /// Certificates for an https:// address: folder with ca.crt, tls.crt and tls.key
+    #[arg(long, value_name = "DIR", env = "CAUDATA_TLS_DIR")]
+    tls_dir: Option<PathBuf>,
 }
 
 pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
@@ -98,7 +101,7 @@ pub fn block_on<T>(work: impl Future<Output = Result<T, ClientError>>) -> Result
 /// The exit code that a client error stands for.
 pub fn client_failure(error: ClientError) -> Failure {
     let code = match &error {
-        ClientError::Address { .. } => ExitCode::BadConfig,
+        ClientError::Address { .. } | ClientError::Certificates { .. } => ExitCode::BadConfig,
         _ if error.is_not_found() => ExitCode::NoInput,
         ClientError::Unreachable { .. } => ExitCode::Unavailable,
         ClientError::TimedOut { .. } => ExitCode::TempFail,
@@ -130,7 +133,7 @@ impl ServerArgs {
 
     /// A client of the server.
     pub fn client(&self) -> Result<RegistryClient, ClientError> {
-        RegistryClient::new(&self.server)
+        RegistryClient::with_tls(&self.server, self.tls_dir.as_deref())
     }
 }
 

@@ -1,6 +1,6 @@
 //! What a link needs to know: which transport, its limits, its addresses.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -118,11 +118,48 @@ pub struct ZenohConfig {
     pub limits: Limits,
     /// Where the learner listens, zenoh endpoints. Default `["tcp/127.0.0.1:0"]`: this host only, the
     /// system chooses the port, and [`LearnerLink::actor_config`](crate::LearnerLink::actor_config) says which.
-    /// There is no authentication or encryption: other addresses belong on a trusted network.
+    /// `tcp/` is plain and accepted on loopback only; other addresses are `tls/` and need [`tls`](Self::tls).
     pub listen: Vec<String>,
     /// What to connect to: for actors the learner's address or routers; for a learner behind a router
     /// the routers (then `listen` may be empty). Default empty.
     pub connect: Vec<String>,
+    /// Own certificate and key, and the authority that the other side's must come from. Needed for `tls/` endpoints. What the
+    /// other side may do follows from its certificate's common name: an actor may send rollouts and ask for policies, a learner
+    /// and a router may do everything, nobody else anything.
+    pub tls: Option<TlsFiles>,
+}
+
+/// Certificates of one side, PEM files.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TlsFiles {
+    /// Certificate of the authority that signs everybody's.
+    pub ca: PathBuf,
+    /// Own certificate.
+    pub certificate: PathBuf,
+    /// Its private key.
+    pub key: PathBuf,
+}
+
+impl TlsFiles {
+    /// `ca.crt`, `tls.crt` and `tls.key` in `folder`, as `caudata pki` and Kubernetes' secrets name them.
+    pub fn in_folder(folder: &Path) -> Self {
+        Self {
+            ca: folder.join("ca.crt"),
+            certificate: folder.join("tls.crt"),
+            key: folder.join("tls.key"),
+        }
+    }
+
+    /// The first of the files that cannot be read, with what the system says.
+    pub(crate) fn unreadable(&self) -> Option<String> {
+        [&self.ca, &self.certificate, &self.key]
+            .into_iter()
+            .find_map(|path| {
+                let error = std::fs::File::open(path).err()?;
+                Some(format!("{}: {error}", path.display()))
+            })
+    }
 }
 
 impl Default for ZenohConfig {
@@ -131,6 +168,7 @@ impl Default for ZenohConfig {
             limits: Limits::default(),
             listen: vec!["tcp/127.0.0.1:0".to_owned()],
             connect: Vec::new(),
+            tls: None,
         }
     }
 }

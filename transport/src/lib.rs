@@ -24,7 +24,7 @@ mod policy_cell;
 mod reliable;
 mod zenoh_link;
 
-pub use config::{Iceoryx2Config, InprocConfig, Limits, TransportConfig, ZenohConfig};
+pub use config::{Iceoryx2Config, InprocConfig, Limits, TlsFiles, TransportConfig, ZenohConfig};
 pub use error::{SendError, TransportError};
 pub use inproc::InprocHub;
 pub use link::{

@@ -37,6 +37,8 @@ macro_rules! every_case {
                 a_late_joiner_gets_the_newest_policy
                 stop_reaches_every_actor
                 the_learner_counts_its_actors;
+            floods:
+                fault_62_a_flood_of_one_actor_holds_up_nobody;
             $($group: $($case)*;)?
         }
     };

@@ -56,6 +56,8 @@ pub struct Config {
     pub telemetry: TelemetryConfig,
     /// What is done with the policy at the end.
     pub evaluation: EvaluationConfig,
+    /// A run on several hosts.
+    pub cluster: ClusterConfig,
 }
 
 impl Default for Config {
@@ -72,6 +74,7 @@ impl Default for Config {
             policy_server: PolicyServerConfig::default(),
             telemetry: TelemetryConfig::default(),
             evaluation: EvaluationConfig::default(),
+            cluster: ClusterConfig::default(),
         }
     }
 }
@@ -125,6 +128,21 @@ impl Config {
     /// this executable, so that a checkout's `target/release/caudata` finds `robots/` from anywhere.
     pub fn robot_path(&self) -> PathBuf {
         find_upwards(&self.robot, std::env::current_exe().ok().as_deref())
+    }
+
+    /// Identifier of the run when it is not made up for each start: `cluster.run_id`, else `run.name`.
+    pub fn cluster_run_id(&self) -> &str {
+        match self.cluster.run_id.as_str() {
+            "" => &self.run.name,
+            id => id,
+        }
+    }
+
+    /// The policy to begin with, if there is one; a relative path is looked for like the robot file.
+    pub fn warm_start_path(&self) -> Option<PathBuf> {
+        let policy = &self.learner.warm_start.policy;
+        let given = !policy.as_os_str().is_empty();
+        given.then(|| find_upwards(policy, std::env::current_exe().ok().as_deref()))
     }
 
     /// Every key with its value in effect, in the order of the file: `("learner.ppo.gamma", "0.97")`.

@@ -12,7 +12,7 @@ pub struct Preset {
 }
 
 /// All presets.
-pub const PRESETS: [Preset; 3] = [
+pub const PRESETS: [Preset; 5] = [
     Preset {
         name: "quick",
         about: "a minute on two cores: the robot learns to walk on flat ground",
@@ -22,6 +22,16 @@ pub const PRESETS: [Preset; 3] = [
         name: "flat",
         about: "minutes on two cores: walks in every direction on flat ground, all randomisation and pushes on",
         text: include_str!("../presets/flat.toml"),
+    },
+    Preset {
+        name: "rough",
+        about: "minutes on two cores, from the policy of flat: hills and rugged ground",
+        text: include_str!("../presets/rough.toml"),
+    },
+    Preset {
+        name: "amphibious",
+        about: "minutes on two cores, from the policy of flat: from land into water and back with one policy",
+        text: include_str!("../presets/amphibious.toml"),
     },
     Preset {
         name: "paper",

@@ -53,7 +53,21 @@ impl Config {
         self.check_staleness()?;
         self.check_physics()?;
         self.check_transport()?;
+        self.check_cluster()?;
         self.check_services()
+    }
+
+    fn check_cluster(&self) -> Check {
+        let cluster = &self.cluster;
+        if !cluster.run_id.is_empty() {
+            word("cluster.run_id", &cluster.run_id, 64, "-_.")?;
+        }
+        within(
+            "cluster.hang_timeout_s",
+            cluster.hang_timeout_s,
+            1.0,
+            3_600.0,
+        )
     }
 
     fn check_run(&self) -> Check {
@@ -117,6 +131,12 @@ impl Config {
             learner.warm_start.value_only_iterations,
             0,
             100_000,
+        )?;
+        within(
+            "learner.warm_start.least_std",
+            learner.warm_start.least_std,
+            0.0,
+            5.0,
         )?;
         positive("learner.batch_timeout_s", learner.batch_timeout_s, 86_400.0)?;
         positive("learner.min_batch_share", learner.min_batch_share, 1.0)?;

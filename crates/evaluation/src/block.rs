@@ -13,6 +13,7 @@ use crate::gait::{Gait, Measure};
 use crate::result::Episode;
 use crate::scenario::{Leg, Scenario};
 use crate::transition::Shore;
+use crate::wave::Wave;
 use crate::{EvaluationError, Film, Frame, RobotPose, Trace, Track};
 
 /// Lanes of a block: few enough to spread 256 episodes over four cores, many enough for inference in batches.
@@ -77,7 +78,10 @@ pub(crate) fn run_blocks<T: Send>(
 /// What a block gives.
 pub(crate) struct Round {
     pub traces: Vec<Trace>,
+    /// What each episode began with.
     pub commands: Vec<[f32; 3]>,
+    /// Whether that changed.
+    steered: bool,
     pub episodes: Vec<Episode>,
     pub tracks: Vec<Track>,
     pub film: Option<Film>,
@@ -116,7 +120,7 @@ impl Round {
             if !go_on() {
                 return Err(EvaluationError::Stopped);
             }
-            steer(env, &scenario.steering, &commands, time_s);
+            steer(env, &scenario.course, &commands, time_s);
             inference
                 .run(env.observations(), lanes, &mut actions)
                 .map_err(EvaluationError::Inference)?;
@@ -143,6 +147,7 @@ impl Round {
         Ok(Self {
             traces,
             commands,
+            steered: !scenario.course.is_empty(),
             episodes: Vec::new(),
             tracks: Vec::new(),
             film,
@@ -151,6 +156,7 @@ impl Round {
 
     /// Measures the traces and lets go of them.
     pub fn measured(mut self, measure: &Measure, shore: Option<&Shore>, tracks: bool) -> Self {
+        let steered = self.steered;
         let traces = std::mem::take(&mut self.traces);
         if tracks {
             self.tracks = traces.iter().map(Track::of).collect();
@@ -158,25 +164,40 @@ impl Round {
         self.episodes = traces
             .iter()
             .zip(&self.commands)
-            .map(|(trace, &command)| Episode {
-                command,
-                fell: trace.fell,
-                gait: Gait::of(trace, measure),
-                passage: shore.map(|shore| shore.passage(trace, measure)),
-                wave: crate::wave::Wave::of(trace.after(measure.settle_s), trace.period_s),
+            .map(|(trace, &first)| {
+                let settled = trace.after(measure.settle_s);
+                Episode {
+                    command: match steered {
+                        true => mean_command(settled, first),
+                        false => first,
+                    },
+                    fell: trace.fell,
+                    gait: Gait::of(trace, measure),
+                    passage: shore.map(|shore| shore.passage(trace, measure)),
+                    wave: Wave::of(settled, trace.period_s),
+                }
             })
             .collect();
         self
     }
 }
 
-/// Sets the yaw rate of every lane's command so that it keeps the present leg's heading.
+/// Gives every lane the command of the present leg.
 fn steer(env: &mut VecEnv, legs: &[Leg], commands: &[[f32; 3]], time_s: f64) {
-    for (lane, &[vx, vy, _]) in commands.iter().enumerate() {
+    for (lane, &first) in commands.iter().enumerate() {
         let heading_rad = env.state().heading_rad[lane];
-        if let Some(yaw_rate) = Leg::yaw_rate_radps(legs, time_s, heading_rad) {
-            env.set_command(lane, [vx, vy, yaw_rate]);
+        if let Some(command) = Leg::command(legs, first, time_s, heading_rad) {
+            env.set_command(lane, command);
         }
+    }
+}
+
+/// Mean of what was commanded after settling; `first` where nothing was.
+fn mean_command(frames: &[Frame], first: [f32; 3]) -> [f32; 3] {
+    let n = frames.len() as f32;
+    match frames.is_empty() {
+        true => first,
+        false => std::array::from_fn(|i| frames.iter().map(|f| f.command[i]).sum::<f32>() / n),
     }
 }
 

@@ -3,6 +3,7 @@
 use caudata_task::{ACT_DIM, FEET};
 use serde::Serialize;
 
+use crate::envelope::Envelope;
 use crate::spectrum::{Spectrum, Welch};
 use crate::trace::{Frame, Trace};
 
@@ -26,6 +27,8 @@ pub struct Measure {
     pub trunk_force_n: f64,
     /// Mass of the robot, kg.
     pub mass_kg: f64,
+    /// What its servos can give.
+    pub envelope: Envelope,
 }
 
 /// One episode in figures. Means are over its frames after settling.
@@ -61,6 +64,8 @@ pub struct Gait {
     pub torque_peak_nm: f64,
     /// Root mean square of the torque of all motors, N·m.
     pub torque_rms_nm: f64,
+    /// Share of time and motors at 95 % or more of what the servo can give at that speed.
+    pub servo_limit_share: f64,
     /// Largest speed of any joint, rad/s.
     pub joint_speed_peak_radps: f64,
     /// Root mean square of the acceleration of all joints (difference of velocities), rad/s²: how smooth the motion is.
@@ -103,6 +108,7 @@ impl Gait {
             vibration_share: vibration_share(frames, trace.period_s),
             torque_peak_nm: peak(frames, |f| &f.torque_nm),
             torque_rms_nm: mean(frames, |f| mean_square(&f.torque_nm)).sqrt(),
+            servo_limit_share: mean(frames, |f| at_limit(f, &measure.envelope)),
             joint_speed_peak_radps: peak(frames, |f| &f.joint_vel_radps),
             joint_accel_rms_radps2: accel_rms(frames, trace.period_s),
         })
@@ -134,6 +140,13 @@ fn accel_rms(frames: &[Frame], period_s: f64) -> f64 {
         mean_square(&change) / (period_s * period_s)
     });
     (squares.sum::<f64>() / (frames.len() - 1) as f64).sqrt()
+}
+
+/// Share of the motors that give all they can.
+fn at_limit(frame: &Frame, envelope: &Envelope) -> f64 {
+    let motors = frame.torque_nm.iter().zip(&frame.joint_vel_radps);
+    let reached = motors.filter(|(t, v)| envelope.is_reached(f64::from(**t), f64::from(**v)));
+    reached.count() as f64 / ACT_DIM as f64
 }
 
 fn on_ground(frame: &Frame, foot: usize, measure: &Measure) -> u8 {
@@ -244,6 +257,7 @@ fn vibration_share(frames: &[Frame], period_s: f64) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::envelope::tests::W210;
     use caudata_random::{Key, Purpose, Stream};
     use std::f64::consts::{PI, TAU};
 
@@ -252,6 +266,7 @@ pub(crate) mod tests {
         contact_force_n: 1.0,
         trunk_force_n: 1.0,
         mass_kg: 2.6,
+        envelope: W210,
     };
 
     /// A robot that trots at `stride_hz` with 0.3 m/s for 12 s, with a vibration of `shake` (0 to 1) of its joint speed at 8 Hz.

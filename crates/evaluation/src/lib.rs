@@ -9,6 +9,7 @@
 
 mod acceptance;
 mod block;
+mod envelope;
 mod error;
 mod estimate;
 mod evaluate;
@@ -26,6 +27,7 @@ mod transition;
 mod wave;
 
 pub use acceptance::Row;
+pub use envelope::Envelope;
 pub use error::EvaluationError;
 pub use estimate::Estimate;
 pub use evaluate::Evaluation;
@@ -33,7 +35,7 @@ pub use gait::Gait;
 pub use gates::{Gate, GateReport, Limits};
 pub use result::{Referee, ScenarioResult, SuiteResult};
 pub use run::{Outcome, Settings, run_scenario};
-pub use scenario::{Corner, Goal, Leg, Scenario, Start};
+pub use scenario::{Corner, Goal, Leg, Order, Scenario, Start};
 pub use suite::Suite;
 pub use summary::{Summary, SummaryError, summary_path};
 pub use trace::{Film, Frame, RobotPose, Trace, Track};

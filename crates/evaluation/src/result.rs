@@ -99,6 +99,8 @@ pub struct ScenarioResult {
     pub torque_peak_nm: f64,
     /// Root mean square torque, N·m.
     pub torque_rms_nm: f64,
+    /// Share of time and motors at 95 % or more of what the servo can give at that speed.
+    pub servo_limit_share: f64,
     /// Largest joint speed in any episode, rad/s.
     pub joint_speed_peak_radps: f64,
     /// Root mean square joint acceleration, rad/s².
@@ -162,6 +164,7 @@ impl ScenarioResult {
             trunk_contact_share: estimate(&|g| g.trunk_contact_share),
             torque_peak_nm: most(|g| g.torque_peak_nm),
             torque_rms_nm: mean(&|g| g.torque_rms_nm),
+            servo_limit_share: mean(&|g| g.servo_limit_share),
             joint_speed_peak_radps: most(|g| g.joint_speed_peak_radps),
             joint_accel_rms_radps2: mean(&|g| g.joint_accel_rms_radps2),
             gates,

@@ -14,7 +14,7 @@ use crate::gait::Measure;
 use crate::result::Episode;
 use crate::transition::{Shore, TransitionResult};
 use crate::wave::WaveResult;
-use crate::{EvaluationError, Film, GateReport, Limits, Scenario, ScenarioResult, Track};
+use crate::{Envelope, EvaluationError, Film, GateReport, Limits, Scenario, ScenarioResult, Track};
 
 /// Actor number in the keys of the evaluation's random streams, less the number of the block: no actor of a training run has it, so that the
 /// episodes are new to the policy.
@@ -91,6 +91,7 @@ pub fn run_scenario(
         contact_force_n: f64::from(config.task.reward.contact_force_n),
         trunk_force_n: f64::from(config.task.reward.contact_force_n),
         mass_kg: model.total_mass_kg(),
+        envelope: Envelope::of(model),
     };
     let run = |block: Block| -> Result<Round, EvaluationError> {
         let mut config = config.clone();

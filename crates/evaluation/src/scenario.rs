@@ -18,8 +18,8 @@ pub struct Scenario {
     pub spawn_half_extent_m: f32,
     /// Around what.
     pub start: Start,
-    /// Headings to be kept, in order of time: the yaw rate of the command then follows from the heading ([`Leg`]). Empty: the command alone.
-    pub steering: Vec<Leg>,
+    /// What is commanded instead, in order of time. Empty: the command alone.
+    pub course: Vec<Leg>,
     /// Length of its episodes, s; `None`: as the settings say.
     pub episode_s: Option<f64>,
     /// The robot's parameters.
@@ -44,7 +44,7 @@ impl Scenario {
             terrain: TerrainConfig::default(),
             spawn_half_extent_m: 0.0,
             start: Start::default(),
-            steering: Vec::new(),
+            course: Vec::new(),
             episode_s: None,
             corner: Corner::nominal(),
             push: None,
@@ -72,27 +72,52 @@ pub struct Start {
     pub yaw_range_rad: Option<f32>,
 }
 
-/// A heading to be kept from a time on, as a person with a joystick would: yaw rate = [`Leg::GAIN`] times what is missing, within [`Leg::MOST_RADPS`].
+/// What is commanded from a time on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leg {
     /// From when on, s.
     pub from_s: f64,
-    /// Which heading, world, rad.
-    pub heading_rad: f32,
+    /// What.
+    pub order: Order,
+}
+
+/// What a leg asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Order {
+    /// This command: vx, vy (m/s), yaw rate (rad/s).
+    Command([f32; 3]),
+    /// To keep a heading (world, rad), as a person with a joystick would: the episode's vx and vy, and [`Leg::GAIN`] times the missing angle
+    /// as yaw rate, within [`Leg::MOST_RADPS`].
+    Heading(f32),
 }
 
 impl Leg {
     /// Yaw rate per missing angle, 1/s: slow against a stride, in which the trunk sways.
     pub const GAIN: f32 = 1.0;
-    /// Largest yaw rate that is asked for, rad/s: the omni grid's.
+    /// Largest yaw rate that is asked for to keep a heading, rad/s: the omni grid's.
     pub const MOST_RADPS: f32 = 0.6;
 
-    /// The yaw rate to command at `time_s` and `heading_rad`; `None` without legs.
+    /// The command at `time_s` and `heading_rad` in an episode that began with `first`; `None` without legs.
     #[must_use]
-    pub fn yaw_rate_radps(legs: &[Self], time_s: f64, heading_rad: f32) -> Option<f32> {
+    pub fn command(
+        legs: &[Self],
+        first: [f32; 3],
+        time_s: f64,
+        heading_rad: f32,
+    ) -> Option<[f32; 3]> {
         let leg = legs.iter().rev().find(|leg| leg.from_s <= time_s)?;
-        let missing = caudata_task::phase::wrap_angle(leg.heading_rad - heading_rad);
-        Some((Self::GAIN * missing).clamp(-Self::MOST_RADPS, Self::MOST_RADPS))
+        Some(match leg.order {
+            Order::Command(command) => command,
+            Order::Heading(wanted_rad) => {
+                let missing = caudata_task::phase::wrap_angle(wanted_rad - heading_rad);
+                let most = Self::MOST_RADPS;
+                [
+                    first[0],
+                    first[1],
+                    (Self::GAIN * missing).clamp(-most, most),
+                ]
+            }
+        })
     }
 }
 
@@ -161,18 +186,28 @@ mod tests {
     use super::*;
     use std::f32::consts::PI;
 
+    const FIRST: [f32; 3] = [0.3, 0.1, 0.0];
+
+    fn leg(from_s: f64, order: Order) -> Leg {
+        Leg { from_s, order }
+    }
+
     #[test]
-    fn steering_takes_the_short_way_and_the_present_leg() {
-        let leg = |from_s, heading_rad| Leg {
-            from_s,
-            heading_rad,
-        };
-        let legs = [leg(0.0, 0.0), leg(10.0, PI)];
-        assert_eq!(Leg::yaw_rate_radps(&legs, 5.0, 0.25), Some(-0.25));
-        assert_eq!(Leg::yaw_rate_radps(&legs, 10.0, 0.25), Some(0.6));
+    fn headings_are_kept_the_short_way_in_the_present_leg() {
+        let legs = [leg(0.0, Order::Heading(0.0)), leg(10.0, Order::Heading(PI))];
+        let at = |time_s, heading_rad| Leg::command(&legs, FIRST, time_s, heading_rad);
+        assert_eq!(at(5.0, 0.25), Some([0.3, 0.1, -0.25]));
+        assert_eq!(at(10.0, 0.25), Some([0.3, 0.1, 0.6]));
         // from −3 to π is −0.142 the short way
-        let back = Leg::yaw_rate_radps(&legs, 20.0, -3.0).unwrap();
-        assert!((back + (3.0 - PI).abs()).abs() < 1e-5, "{back}");
-        assert_eq!(Leg::yaw_rate_radps(&[], 5.0, 0.25), None);
+        let back = at(20.0, -3.0).unwrap()[2];
+        assert!((back + (PI - 3.0)).abs() < 1e-5, "{back}");
+        assert_eq!(Leg::command(&[], FIRST, 5.0, 0.25), None);
+    }
+
+    #[test]
+    fn a_command_replaces_the_first_one() {
+        let legs = [leg(4.0, Order::Command([0.1, 0.0, 0.4]))];
+        let at = |time_s| Leg::command(&legs, FIRST, time_s, 0.0);
+        assert_eq!((at(3.9), at(4.0)), (None, Some([0.1, 0.0, 0.4])));
     }
 }

@@ -6,7 +6,7 @@ use caudata_sim::{TerrainConfig, TerrainKind};
 use caudata_task::push::PushConfig;
 use serde::Serialize;
 
-use crate::scenario::{Corner, Goal, Leg, Scenario, Start};
+use crate::scenario::{Corner, Goal, Leg, Order, Scenario, Start};
 
 /// How far from the middle of rough ground episodes start, m: a 20 s walk at 0.3 m/s stays on it.
 const SPAWN_HALF_EXTENT_M: f32 = 6.0;
@@ -119,7 +119,28 @@ fn flat() -> Vec<Scenario> {
         let name = format!("flat {command:.1} m/s");
         all.push(Scenario::walk(&name, [command, 0.0, 0.0]));
     }
+    all.push(changing());
     all
+}
+
+/// Commands that change every 4 s, within what the paper's robot was asked for.
+fn changing() -> Scenario {
+    let commands = [
+        [0.3, 0.0, 0.0],
+        [0.3, 0.0, 0.3],
+        [0.15, 0.0, -0.3],
+        [0.2, 0.05, 0.0],
+        [0.0, 0.0, 0.0],
+    ];
+    let leg = |(i, command)| Leg {
+        from_s: 4.0 * i as f64,
+        order: Order::Command(command),
+    };
+    Scenario {
+        course: commands.into_iter().enumerate().map(leg).collect(),
+        judged: false,
+        ..Scenario::walk("changing commands", commands[0])
+    }
 }
 
 fn rough() -> Vec<Scenario> {
@@ -251,14 +272,14 @@ fn transition() -> Vec<Scenario> {
         },
         Scenario {
             episode_s: Some(60.0),
-            steering: vec![
+            course: vec![
                 Leg {
                     from_s: 0.0,
-                    heading_rad: 0.0,
+                    order: Order::Heading(0.0),
                 },
                 Leg {
                     from_s: 15.0,
-                    heading_rad: PI,
+                    order: Order::Heading(PI),
                 },
             ],
             ..shore(THERE_AND_BACK, [0.0; 2], 0.0, Goal::ThereAndBack)

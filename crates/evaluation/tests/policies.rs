@@ -1,13 +1,14 @@
 //! Policies made by hand, whose verdict is known.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[allow(dead_code, reason = "shared with other tests")]
 mod by_hand;
 
-use caudata_evaluation::{Scenario, ScenarioResult, Settings, run_scenario};
+use caudata_evaluation::{Scenario, ScenarioResult, Settings, Suite, run_scenario};
 use caudata_policy::PolicyFile;
 use caudata_task::{ACT_DIM, PolicyContract};
 
-use by_hand::{config, layer, policy, robot, vibrating};
+use by_hand::{config, layer, policy, robot, swimming, vibrating};
 
 /// Episodes of each verdict, and their length.
 fn settings() -> Settings {
@@ -19,12 +20,15 @@ fn settings() -> Settings {
 }
 
 fn verdict(make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
+    run(&Scenario::walk("by hand", [0.3, 0.0, 0.0]), make)
+}
+
+fn run(scenario: &Scenario, make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
     let config = config();
     let model = robot();
     let contract = PolicyContract::new(&model, &config.task).unwrap();
-    let scenario = Scenario::walk("by hand", [0.3, 0.0, 0.0]);
     let policy = make(&contract);
-    let outcome = run_scenario(&config, &model, &policy, &scenario, &settings(), &|| true).unwrap();
+    let outcome = run_scenario(&config, &model, &policy, scenario, &settings(), &|| true).unwrap();
     assert_eq!(outcome.result.episodes, 2);
     outcome.result
 }
@@ -60,4 +64,34 @@ fn a_standing_policy_is_not_called_walking() {
 fn the_same_seed_gives_the_same_figures() {
     let run = || verdict(|contract| vibrating(contract, 5.0));
     assert_eq!(run(), run());
+}
+
+#[test]
+fn a_wave_to_the_tail_swims_and_a_wave_to_the_head_does_not() {
+    let deep = Suite::Transition.scenarios(2.6).pop().unwrap();
+    assert_eq!(deep.name, "swim 0.3 m/s");
+    let ahead = run(&deep, |contract| swimming(contract, 0.8));
+    let wave = ahead.wave.unwrap();
+    assert!(wave.travels_to_the_tail, "{wave:?}");
+    // each joint follows its command with much the same delay, so that the lags are those that were asked for
+    for (j, lag) in wave.lag_rad.iter().enumerate() {
+        let off = lag - 0.8 * j as f64;
+        assert!(off.abs() < 0.4, "joint {j}: {:?}", wave.lag_rad);
+    }
+    assert!(ahead.vx_mps.mean > 0.03, "{:?}", ahead.vx_mps);
+    assert_eq!(ahead.fall_share.mean, 0.0);
+
+    let back = run(&deep, |contract| swimming(contract, -0.8));
+    assert!(!back.wave.unwrap().travels_to_the_tail);
+    assert!(back.vx_mps.mean < 0.0, "{:?}", back.vx_mps);
+}
+
+#[test]
+fn swimming_at_the_shore_is_measured_in_the_water() {
+    let onto_land = Suite::Transition.scenarios(2.6).swap_remove(1);
+    let result = run(&onto_land, |contract| swimming(contract, 0.8));
+    let transition = result.transition.unwrap();
+    assert!(transition.swim_speed_mps.unwrap().mean > 0.03);
+    assert_eq!(transition.foot_contact[1], Some(0.0));
+    assert!(transition.wave_in_water.unwrap().travels_to_the_tail);
 }

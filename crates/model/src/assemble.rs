@@ -181,6 +181,7 @@ pub(crate) fn joints(
                 axis: m.axis,
                 anchor_m: m.anchor_m,
                 range_rad: m.range_rad,
+                stop: m.stop,
                 stiffness_nm_per_rad: m.stiffness,
                 spring_ref_rad: m.spring_ref,
                 damping_nm_s_per_rad: m.damping,

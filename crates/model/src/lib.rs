@@ -11,6 +11,7 @@
 
 mod assemble;
 mod error;
+mod extension;
 mod kinematics;
 mod load;
 mod mjcf;
@@ -21,6 +22,7 @@ mod robot_file;
 mod types;
 
 pub use error::ModelError;
+pub use extension::{Extension, ExtensionEffect, ExtensionParameter};
 pub use kinematics::{JointFrame, Kinematics};
 pub use model::{BaseKind, RobotModel};
 pub use params::{
@@ -28,4 +30,4 @@ pub use params::{
     SupplyParams, WaterParams,
 };
 pub use pose::Pose;
-pub use types::{Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site};
+pub use types::{Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness};

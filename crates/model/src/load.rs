@@ -177,6 +177,7 @@ fn build(
         servo_of,
         sensors: SensorParams { imu: file.imu },
         supply: file.supply,
+        extension: file.extension,
         backlash,
         contact: file.contact,
         water,

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::error::ModelError;
+use crate::extension::Extension;
 use crate::params::{
     BacklashParams, ContactParams, SensorParams, ServoParams, SupplyParams, WaterParams,
 };
@@ -48,6 +49,7 @@ pub struct RobotModel {
     pub(crate) imu_site: Option<usize>,
     pub(crate) heading_sites: Option<(usize, usize)>,
     pub(crate) torso_link: usize,
+    pub(crate) extension: Option<Extension>,
 }
 
 impl RobotModel {
@@ -179,6 +181,11 @@ impl RobotModel {
     /// Play at the girdles (no joints where the robot has none).
     pub fn backlash(&self) -> &BacklashParams {
         &self.backlash
+    }
+
+    /// What a diagnosis found that the rest of the robot file lacks.
+    pub fn extension(&self) -> Option<&Extension> {
+        self.extension.as_ref()
     }
 
     /// Ground contact.

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 
 use crate::error::ModelError;
+use crate::extension::Extension;
 use crate::params::{AddedShare, ContactParams, DragScale, ImuParams, ServoParams, SupplyParams};
 
 /// Value of `format` that this version reads.
@@ -30,6 +31,7 @@ pub(crate) struct RobotFile {
     pub passive: Option<PassiveTable>,
     pub backlash: Option<BacklashTable>,
     pub water: Option<WaterTable>,
+    pub extension: Option<Extension>,
 }
 
 #[derive(Clone, Copy, Deserialize, PartialEq)]

@@ -70,6 +70,8 @@ pub struct Joint {
     pub anchor_m: [f64; 3],
     /// Lower and upper limit, rad; `None`: unlimited.
     pub range_rad: Option<(f64, f64)>,
+    /// How these limits give way.
+    pub stop: Softness,
     /// Spring stiffness, N·m/rad, towards `spring_ref_rad`.
     pub stiffness_nm_per_rad: f64,
     /// Position at which the spring is relaxed, rad.
@@ -82,6 +84,29 @@ pub struct Joint {
     pub friction_loss_nm: f64,
     /// Held at zero by the robot file (`[passive] locked`, `[backlash] enabled = false`); the joint keeps its place in model order.
     pub locked: bool,
+}
+
+/// How a limit or a contact gives way, as MJCF writes it (`solref`, `solimp`; MuJoCo's documentation, "Computation", "Solver parameters").
+///
+/// Beyond the limit by `r`, moving out at `v` with acceleration `a`, the constraint pushes back with
+/// `f = (k·r − b·v − a)·d / ((1 − d)·A)`, where `A` is the inverse of the inertia that it meets in the model's zero pose, `d(r)` the impedance, and
+/// `b = 2 / (d_max·τ)`, `k = d(r) / (d_max·τ·ζ)²`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Softness {
+    /// Time constant τ (s) and damping ratio ζ; or, both negative, −stiffness (1/s²) and −damping (1/s).
+    pub solref: [f64; 2],
+    /// Impedance: d at the limit, d from `width` on, width (rad or m), midpoint (share of the width), power (1 or 2).
+    pub solimp: [f64; 5],
+}
+
+impl Default for Softness {
+    /// MuJoCo's defaults.
+    fn default() -> Self {
+        Self {
+            solref: [0.02, 1.0],
+            solimp: [0.9, 0.95, 0.001, 0.5, 2.0],
+        }
+    }
 }
 
 /// A primitive shape, centred on its own frame.
@@ -159,6 +184,8 @@ pub struct Geom {
     pub contype: u32,
     /// See `contype`.
     pub conaffinity: u32,
+    /// How a contact of this shape gives way (MuJoCo mixes it with the other shape's unless `priority` decides; here it is this shape's alone).
+    pub soft: Softness,
 }
 
 impl Geom {

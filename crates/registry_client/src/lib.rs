@@ -4,6 +4,7 @@
 //! goes on where it stopped. The bytes that [`RegistryClient::fetch`] returns hash to what was asked for.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+use std::path::Path;
 use std::time::Duration;
 
 use caudata_policy::PolicyFile;
@@ -14,7 +15,7 @@ use caudata_proto::registry::{
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
 use sha2::{Digest, Sha256};
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Code, Status};
 
 /// Time to reach the server.
@@ -38,6 +39,12 @@ pub enum ClientError {
     Address {
         /// What was given.
         address: String,
+    },
+    /// The certificates are not there, or do not work.
+    #[error("certificates: {reason}")]
+    Certificates {
+        /// What is wrong.
+        reason: String,
     },
     /// Nobody answers.
     #[error("policy server {address} does not answer: {reason}; is it running?")]
@@ -103,6 +110,19 @@ impl ClientError {
     }
 }
 
+fn certificates(folder: &Path) -> Result<ClientTlsConfig, ClientError> {
+    let read = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read(&path).map_err(|error| ClientError::Certificates {
+            reason: format!("{}: {error}", path.display()),
+        })
+    };
+    // The names are those of `caudata pki` and of Kubernetes' secrets.
+    Ok(ClientTlsConfig::new()
+        .ca_certificate(Certificate::from_pem(read("ca.crt")?))
+        .identity(Identity::from_pem(read("tls.crt")?, read("tls.key")?)))
+}
+
 /// A connection to one policy server; cloning shares it. Reconnects by itself.
 #[derive(Clone, Debug)]
 pub struct RegistryClient {
@@ -111,24 +131,48 @@ pub struct RegistryClient {
 }
 
 impl RegistryClient {
-    /// A client for `address` (`host:port`). Connects with the first call, so a server that starts later is fine.
+    /// A client for `address` (`host:port`) on this host, without encryption. Connects with the first call, so a server that
+    /// starts later is fine.
     ///
     /// # Errors
     /// [`ClientError::Address`].
     pub fn new(address: &str) -> Result<Self, ClientError> {
+        Self::with_tls(address, None)
+    }
+
+    /// A client for `address`: `https://host:port` is encrypted and both sides show certificates, ours from `tls_dir`, a folder with
+    /// `ca.crt`, `tls.crt` and `tls.key` (`caudata pki`); `host:port` is plain, which servers accept on their own host only.
+    ///
+    /// # Errors
+    /// [`ClientError::Address`], also for `https://` without certificates; [`ClientError::Certificates`].
+    pub fn with_tls(address: &str, tls_dir: Option<&Path>) -> Result<Self, ClientError> {
         let bad = || ClientError::Address {
             address: address.to_owned(),
         };
-        let host = address.strip_prefix("http://").unwrap_or(address);
+        let (encrypted, host) = match address.strip_prefix("https://") {
+            Some(host) => (true, host),
+            None => (false, address.strip_prefix("http://").unwrap_or(address)),
+        };
         let port = host.rsplit_once(':').map(|(_, port)| port.parse::<u16>());
         if !matches!(port, Some(Ok(_))) {
             return Err(bad());
         }
-        let endpoint = Endpoint::from_shared(format!("http://{host}"))
+        let scheme = if encrypted { "https" } else { "http" };
+        let mut endpoint = Endpoint::from_shared(format!("{scheme}://{host}"))
             .map_err(|_| bad())?
             .connect_timeout(CONNECT_TIMEOUT)
             .http2_keep_alive_interval(Duration::from_secs(20))
             .keep_alive_timeout(Duration::from_secs(10));
+        if encrypted {
+            let folder = tls_dir.ok_or_else(|| ClientError::Certificates {
+                reason: format!("{address} is encrypted and no folder of certificates is given"),
+            })?;
+            endpoint = endpoint
+                .tls_config(certificates(folder)?)
+                .map_err(|error| ClientError::Certificates {
+                    reason: format!("{}: {error}", folder.display()),
+                })?;
+        }
         Ok(Self {
             address: host.to_owned(),
             inner: PolicyRegistryClient::new(endpoint.connect_lazy()),

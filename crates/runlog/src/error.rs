@@ -50,6 +50,14 @@ pub enum LogError {
         /// What is wrong.
         message: String,
     },
+    /// An MCAP file is wrong.
+    #[error("{file}: {message}")]
+    Mcap {
+        /// The file.
+        file: String,
+        /// What is wrong.
+        message: String,
+    },
     /// A row handed to the writer cannot be part of a log; nothing of it was written.
     #[error("row refused: {0}")]
     Refused(String),

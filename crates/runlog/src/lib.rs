@@ -8,6 +8,8 @@
 //! reader with a note. [`RunLog`] reads and checks everything; what it returns is valid. [`Table`] and [`TableWriter`] are the CSV alone,
 //! for command files and simulated runs.
 //!
+//! Instead of `log.csv` a folder may hold one MCAP file of the ROS 2 profile ([`ros`]).
+//!
 //! Invariant: no clock is read here; time is what the caller says.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
@@ -15,6 +17,7 @@
 mod error;
 mod log;
 mod meta;
+pub mod ros;
 mod signal;
 mod table;
 mod writer;

@@ -1,16 +1,20 @@
 //! A log folder, read whole.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::error::LogError;
 use crate::meta::LogMeta;
+use crate::ros::parse_mcap;
 use crate::table::Table;
 
 /// Name of the rows' file in a log folder.
 pub const CSV_NAME: &str = "log.csv";
 /// Name of the circumstances' file in a log folder.
 pub const META_NAME: &str = "log.toml";
+
+/// Largest MCAP file that is read, bytes.
+pub const MAX_MCAP_BYTES: u64 = 1024 * 1024 * 1024;
 
 /// A run: circumstances and rows.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,7 +37,39 @@ impl RunLog {
             source,
         })?;
         let meta = LogMeta::parse(&path.display().to_string(), &text)?;
-        let table = Table::read(&dir.join(CSV_NAME))?;
+        let csv = dir.join(CSV_NAME);
+        let table = match mcap_in(dir) {
+            Some(mcap) if !csv.is_file() => read_mcap(&mcap)?,
+            _ => Table::read(&csv)?,
+        };
         Ok(Self { meta, table })
     }
+}
+
+/// The first MCAP file of the folder, by name.
+fn mcap_in(dir: &Path) -> Option<PathBuf> {
+    let entries = fs::read_dir(dir).ok()?;
+    let mut found: Vec<PathBuf> = entries
+        .filter_map(|e| Some(e.ok()?.path()))
+        .filter(|p| p.extension().is_some_and(|x| x == "mcap"))
+        .collect();
+    found.sort();
+    found.into_iter().next()
+}
+
+fn read_mcap(path: &Path) -> Result<Table, LogError> {
+    let io = |source| LogError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let bytes = fs::metadata(path).map_err(io)?.len();
+    if bytes > MAX_MCAP_BYTES {
+        return Err(LogError::Mcap {
+            file: path.display().to_string(),
+            message: format!(
+                "is {bytes} bytes long; at most {MAX_MCAP_BYTES} are read: split it or leave out camera topics"
+            ),
+        });
+    }
+    parse_mcap(&path.display().to_string(), &fs::read(path).map_err(io)?)
 }

@@ -78,6 +78,21 @@ impl Table {
         Ok(table)
     }
 
+    /// From columns that have been checked: times increase strictly, values are finite, one per row.
+    pub(crate) fn from_columns(
+        signals: Vec<Signal>,
+        time_s: Vec<f64>,
+        columns: Vec<Vec<Option<f64>>>,
+        notes: Vec<String>,
+    ) -> Self {
+        Self {
+            signals,
+            time_s,
+            columns,
+            notes,
+        }
+    }
+
     fn push_line(&mut self, line: &str) -> Result<(), String> {
         if line.trim().is_empty() {
             return Err("blank line".to_owned());

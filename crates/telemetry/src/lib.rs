@@ -22,6 +22,7 @@
 //! *Invariant:* nothing here knows robots, policies or rollouts.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod advice;
 mod announce;
 mod banner;
 mod exit;
@@ -30,9 +31,11 @@ mod metrics;
 mod parent;
 mod process;
 pub mod progress;
+mod pulse;
 mod serve;
 mod stop;
 
+pub use advice::{Advice, Advisor, IterationLoad};
 pub use announce::{Listening, announce, read_announcement};
 pub use banner::{BuildInfo, Code, build_info};
 pub use exit::{ExitCode, Failure, FailureExt};
@@ -40,5 +43,6 @@ pub use logging::{LogArgs, LogFormat, LoggingError, init_logging};
 pub use metrics::{Counter, Gauge, Histogram, IntGauge, Metrics, SecondsCounter};
 pub use parent::{PARENT_PID_VAR, die_with_parent};
 pub use process::{Process, parse_args};
+pub use pulse::Pulse;
 pub use serve::{MetricsServer, ServeError};
 pub use stop::{DRAIN_DEADLINE, StopFlag, stop_on_signals};

@@ -6,6 +6,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use axum::Router;
 use axum::http::StatusCode;
@@ -15,7 +16,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
-use crate::{Metrics, StopFlag};
+use crate::{Metrics, Pulse, StopFlag};
 
 /// Connections served at once; further ones wait in the listen queue of the system.
 const CONNECTIONS_MAX: usize = 16;
@@ -53,6 +54,30 @@ impl MetricsServer {
     /// # Errors
     /// [`ServeError::InUse`] when the port is taken, [`ServeError::Io`] otherwise.
     pub fn start(addr: SocketAddr, metrics: Metrics, stop: StopFlag) -> Result<Self, ServeError> {
+        Self::serve(addr, metrics, stop, None)
+    }
+
+    /// As [`MetricsServer::start`]; `/healthz` also answers 503 while `pulse` has been silent for longer than `limit`, so that
+    /// whoever watches this process sees a loop that hangs, not only one that has ended.
+    ///
+    /// # Errors
+    /// As [`MetricsServer::start`].
+    pub fn start_with_pulse(
+        addr: SocketAddr,
+        metrics: Metrics,
+        stop: StopFlag,
+        pulse: Pulse,
+        limit: Duration,
+    ) -> Result<Self, ServeError> {
+        Self::serve(addr, metrics, stop, Some((pulse, limit)))
+    }
+
+    fn serve(
+        addr: SocketAddr,
+        metrics: Metrics,
+        stop: StopFlag,
+        pulse: Option<(Pulse, Duration)>,
+    ) -> Result<Self, ServeError> {
         let failed = |source: io::Error| match source.kind() {
             io::ErrorKind::AddrInUse => ServeError::InUse(addr),
             _ => ServeError::Io { addr, source },
@@ -68,7 +93,7 @@ impl MetricsServer {
         let thread = std::thread::Builder::new()
             .name("metrics".into())
             .spawn(move || {
-                let served = runtime.block_on(serve(listener, router(metrics, stop), ended));
+                let served = runtime.block_on(serve(listener, router(metrics, stop, pulse), ended));
                 if let Err(error) = served {
                     tracing::warn!(%error, "the metrics endpoint ended");
                 }
@@ -97,16 +122,21 @@ impl Drop for MetricsServer {
     }
 }
 
-fn router(metrics: Metrics, stop: StopFlag) -> Router {
+fn router(metrics: Metrics, stop: StopFlag, pulse: Option<(Pulse, Duration)>) -> Router {
     let page = move || {
         let text = metrics.encode();
         async move { ([(CONTENT_TYPE, TEXT_FORMAT)], text) }
     };
     let health = move || {
         let draining = stop.is_set();
+        let hangs = pulse
+            .as_ref()
+            .is_some_and(|(pulse, limit)| pulse.silent_for() > *limit);
         async move {
             if draining {
                 (StatusCode::SERVICE_UNAVAILABLE, "stopping\n")
+            } else if hangs {
+                (StatusCode::SERVICE_UNAVAILABLE, "hangs\n")
             } else {
                 (StatusCode::OK, "ok\n")
             }

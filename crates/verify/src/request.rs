@@ -79,15 +79,7 @@ fn servos(model: &RobotModel) -> Vec<Value> {
         .collect()
 }
 
-/// MuJoCo's converged setting, which the travel and standing rows are held against. Its joint stops are soft unless told otherwise: a play
-/// hinge then gives way by degrees, where the engines' stops (1000 N·m/rad) give a tenth of one. So they are made as hard as its step allows.
+/// MuJoCo's converged setting, which the travel and standing rows are held against. Stops and contacts are as soft as the MJCF has them.
 pub(crate) fn converged() -> Value {
-    let mut options = as_in_mjcf();
-    options["stops"] = json!({ "solref": [0.002, 1.0], "solimp": [0.99, 0.99, 0.001, 0.5, 2.0] });
-    options
-}
-
-/// The same with the MJCF's soft stops.
-pub(crate) fn as_in_mjcf() -> Value {
     json!({ "dt_s": 0.0005, "cone": "elliptic", "impratio": 100.0 })
 }

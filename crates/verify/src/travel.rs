@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use caudata_model::RobotModel;
 use caudata_sim::{Engine, EngineConfig, InitialState, TerrainConfig, build};
 use serde_json::{Value, json};
 
@@ -11,6 +12,9 @@ use crate::{Bench, Row, VerifyError, request};
 /// Steps whose travel is compared, s; the second is the one that is judged.
 const STEPS_S: [f64; 4] = [0.004, 0.002, 0.001, 0.0005];
 const JUDGED: usize = 1;
+
+/// How far one joint is moved to see how MuJoCo's own answers scatter, rad.
+const NUDGE_RAD: f32 = 1e-4;
 
 /// Centre of mass (3), heading, base position (3), after each control period.
 pub(crate) type Path = Vec<[f64; 7]>;
@@ -30,6 +34,20 @@ pub(crate) fn start_of(engine: &dyn Engine, lane: usize) -> Start {
         base: [of(&s.base_pos_m, 3), of(&s.base_quat_wxyz, 4)].concat(),
         joint_pos: of(&s.joint_pos_rad, s.joints),
     }
+}
+
+/// Distance, m, and change of heading, rad, of several paths.
+type Outcomes = Vec<(f64, f64)>;
+
+/// A gait's commands, one row per control period.
+fn targets(model: &RobotModel, gait: &Gait, periods: usize) -> Vec<Vec<f32>> {
+    (0..periods)
+        .map(|k| {
+            let mut row = vec![0.0; model.actuated().len()];
+            gait.targets(model, k as f64 * 0.02, &mut row);
+            row
+        })
+        .collect()
 }
 
 /// The paths in an answer of the script.
@@ -59,7 +77,7 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         .map(|i| Gait::random(settings.seed, i))
         .collect();
     let periods = (settings.gait_s / 0.02).round() as usize;
-    let mut reference: Option<Vec<(f64, f64)>> = None;
+    let mut reference: Option<Outcomes> = None;
     let mut rows = Vec::new();
     for subject in &settings.subjects {
         let mut by_step = Vec::new();
@@ -88,36 +106,31 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
             }
         };
         if reference.is_none() {
-            let runs: Vec<Value> = gaits
-                .iter()
-                .map(|gait| {
-                    let start = &by_step[JUDGED].0;
-                    let targets: Vec<Vec<f32>> = (0..periods)
-                        .map(|k| {
-                            let mut row = vec![0.0; model.actuated().len()];
-                            gait.targets(&model, k as f64 * 0.02, &mut row);
-                            row
-                        })
-                        .collect();
-                    json!({ "joint_pos": start.joint_pos, "base": start.base, "targets": targets })
-                })
-                .collect();
-            let mut outcomes = |options: Value| -> Result<Vec<(f64, f64)>, VerifyError> {
-                let more = json!({ "runs": runs, "control_period_s": 0.02 });
+            let start = &by_step[JUDGED].0;
+            let mut nudged = start.joint_pos.clone();
+            nudged[model.actuated()[0]] += NUDGE_RAD;
+            let runs = |joint_pos: &[f32]| -> Vec<Value> {
+                (gaits.iter())
+                    .map(|gait| {
+                        let rows = targets(&model, gait, periods);
+                        json!({ "joint_pos": joint_pos, "base": start.base, "targets": rows })
+                    })
+                    .collect()
+            };
+            let mut outcomes = |options: Value, from: &[f32]| -> Result<Outcomes, VerifyError> {
+                let more = json!({ "runs": runs(from), "control_period_s": 0.02 });
                 let ask = bench.robot.task("gaits", &model, options, more);
                 Ok(paths(&mujoco.ask(&ask)?)?.iter().map(outcome).collect())
             };
-            let converged = outcomes(request::converged())?;
+            let converged = outcomes(request::converged(), &start.joint_pos)?;
             let mut coarse = request::converged();
             coarse["dt_s"] = json!(0.001);
             let step = "its own {} at 1 ms against 0.5 ms, mean change";
-            rows.extend(own_change(step, &converged, &outcomes(coarse)?));
-            let stops = "its own {} with the MJCF's soft stops, mean change";
-            rows.extend(own_change(
-                stops,
-                &converged,
-                &outcomes(request::as_in_mjcf())?,
-            ));
+            let other = outcomes(coarse, &start.joint_pos)?;
+            rows.extend(own_change(step, &converged, &other));
+            let nudge = "its own {} from a start 0.1 mrad beside, mean change";
+            let other = outcomes(request::converged(), &nudged)?;
+            rows.extend(own_change(nudge, &converged, &other));
             reference = Some(converged);
         }
         let theirs = reference.as_deref().unwrap_or_default();

@@ -6,17 +6,20 @@
 use std::collections::BTreeMap;
 
 use caudata_model::RobotModel;
-use caudata_runlog::BaseHold;
+use caudata_runlog::{BaseHold, RunLog};
 use serde::{Deserialize, Serialize};
 
 use super::excites::{JointExcitation, RunExcitation};
+use crate::effects;
+use crate::excitation::Excitation;
+use crate::trial::Trial;
 
 /// An effect that cannot show.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Blind {
     /// What is missing.
     pub missing: String,
-    /// A trial of the battery that would show it (`caudata gap excite`).
+    /// A trial of the battery that would show it (`caudata gap excite`); empty where the battery has none for this robot.
     pub record: String,
 }
 
@@ -126,9 +129,57 @@ const NEEDS: &[Need] = &[
     (&["linear_drag", "quadratic_drag", "added_mass", "buoyancy", "buoyancy_centre", "heave_damping", "water_current", "water_level"], |e| unless(e.wet(), "runs in water (base = \"water\")"), "swim"),
 ];
 
+/// Effects that the catalogue's own predicates call unseen at every place, and that the table above does not list.
+fn unseen(
+    logs: &[(&str, &RunLog)],
+    robot: &RobotModel,
+    known: &BTreeMap<String, Blind>,
+) -> BTreeMap<String, Blind> {
+    let trials: Vec<Trial> = logs
+        .iter()
+        .filter_map(|(name, log)| {
+            let run = crate::trial::Run {
+                name: (*name).to_owned(),
+                log: (*log).clone(),
+                role: crate::trial::Role::Fit,
+                sha256: String::new(),
+            };
+            Trial::new(robot, &run).ok()
+        })
+        .collect();
+    if trials.is_empty() {
+        return BTreeMap::new();
+    }
+    let excitation = Excitation::of(robot, &trials.iter().collect::<Vec<_>>());
+    let mut out = BTreeMap::new();
+    for effect in effects::ALL.iter().filter(|e| !known.contains_key(e.id)) {
+        let places = effects::places(robot, effect);
+        let why: Option<Vec<&str>> = places
+            .iter()
+            .map(|p| (effect.unseen)(&excitation, p))
+            .collect();
+        if let Some(why) = why.as_ref().and_then(|w| w.first()) {
+            let trial = crate::excite::canonical(effect.trial).unwrap_or_default();
+            let can = crate::excite::names(robot, None).contains(&trial);
+            out.insert(
+                effect.id.to_owned(),
+                Blind {
+                    missing: (*why).to_owned(),
+                    record: if can { trial.to_owned() } else { String::new() },
+                },
+            );
+        }
+    }
+    out
+}
+
 /// Effects that these runs cannot show, by id. Effects that the robot cannot have (water without water, feet without feet) are left out.
 #[must_use]
-pub fn blind(runs: &[RunExcitation], robot: &RobotModel) -> BTreeMap<String, Blind> {
+pub fn blind(
+    logs: &[(&str, &RunLog)],
+    runs: &[RunExcitation],
+    robot: &RobotModel,
+) -> BTreeMap<String, Blind> {
     let evidence = Evidence { runs, robot };
     let impossible = |effect: &str| match effect {
         "girdle_play" => robot.backlash().joints.is_empty(),
@@ -145,13 +196,19 @@ pub fn blind(runs: &[RunExcitation], robot: &RobotModel) -> BTreeMap<String, Bli
         "imu_tilt" | "gyro_bias" | "imu_delay" => robot.imu_site().is_none(),
         _ => false,
     };
+    let trials = crate::excite::names(robot, None);
     let mut out = BTreeMap::new();
     for (effects, missing, record) in NEEDS {
         let Some(missing) = missing(&evidence) else {
             continue;
         };
         for effect in effects.iter().filter(|e| !impossible(e)) {
-            let record = (*record).to_owned();
+            // a trial that this robot cannot do is replaced by the one of its own that shows most of it
+            let record = if trials.contains(record) {
+                (*record).to_owned()
+            } else {
+                crate::excite::next(robot, &[effect], &[]).map_or_else(String::new, |n| n.trial)
+            };
             out.insert(
                 (*effect).to_owned(),
                 Blind {
@@ -161,5 +218,7 @@ pub fn blind(runs: &[RunExcitation], robot: &RobotModel) -> BTreeMap<String, Bli
             );
         }
     }
+    let more = unseen(logs, robot, &out);
+    out.extend(more.into_iter().filter(|(effect, _)| !impossible(effect)));
     out
 }

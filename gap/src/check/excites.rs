@@ -41,7 +41,7 @@ pub struct JointExcitation {
     pub holds: usize,
     /// Longest rest, s.
     pub longest_hold_s: f64,
-    /// Changes of direction.
+    /// Changes of direction of the command (of the position, where there is none).
     pub reversals: usize,
     /// Of these, after less than 15 mrad on both sides.
     pub small_reversals: usize,
@@ -147,7 +147,9 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
         out.slow_s = time(REST_RADPS, SLOW_RADPS);
         out.fast_s = time(FAST_RADPS, f64::INFINITY);
         holds(pos, &speed, grid.points(HOLD_S), step_s, &mut out);
-        reversals(&smooth(pos, 2 * half), &mut out);
+        if c.cmd.is_none() {
+            reversals(&smooth(pos, 2 * half), &mut out);
+        }
     }
     if let Some(cmd) = &c.cmd {
         let jump = |w: &[f64]| (w[1] - w[0]).abs();
@@ -158,6 +160,8 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
             }
         }
         out.band_hz = band(cmd, step_s);
+        // of the command: a reading reverses with every count
+        reversals(cmd, &mut out);
         if let Some(pos) = &c.pos {
             let squares: Vec<f64> = cmd
                 .iter()

@@ -17,6 +17,8 @@ const LONGEST_LAG_S: f64 = 0.3;
 const LAG_RANGE_S: f64 = 0.6;
 /// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
 const BEYOND: (f64, f64) = (1.3, 0.2);
+/// By so much must another joint's reading go better with a command than the own one does.
+const OTHER_IS_BETTER: f64 = 0.1;
 /// An error that no servo leaves on both sides of a reading that does not change, rad.
 const STUCK_RAD: f64 = 0.15;
 
@@ -78,13 +80,15 @@ impl Channels {
 }
 
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
-    for joint in joints {
+    let exchanged = order(run, joints, out);
+    for (joint, exchanged) in joints.iter().zip(exchanged) {
         units(run, joint, out);
-        sign(run, joint, out);
+        if !exchanged {
+            sign(run, joint, out);
+        }
         stuck(run, joint, out);
         counts(run, joint, out);
     }
-    order(run, joints, out);
     doubled(joints, out);
     cause_before_effect(run, joints, out);
 }
@@ -257,45 +261,45 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     }
 }
 
-/// Two joints' readings in each other's place.
-fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+/// Two joints' readings in each other's place. Returns which joints are in another's.
+fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool> {
     let mut named = vec![false; joints.len()];
     for a in 0..joints.len() {
         // where the own reading follows, nothing is exchanged
-        let own = follows(run, &joints[a], &joints[a]);
-        let own_follows = own.is_none_or(|t| t.r > 0.5 && t.slope > 0.1);
-        if own_follows || own.is_some_and(|t| t.r < -0.5) {
+        let Some(own_a) = follows(run, &joints[a], &joints[a]) else {
+            continue;
+        };
+        if named[a] || (own_a.r > 0.5 && own_a.slope > 0.1) {
             continue;
         }
-        for b in 0..joints.len() {
-            if a == b || named[a] || named[b] {
-                continue;
-            }
-            let (Some(ab), Some(own_a)) = (follows(run, &joints[a], &joints[b]), own) else {
-                continue;
-            };
-            let goes = |t: Together| t.r.abs() > 0.8 && (0.3..3.0).contains(&t.slope.abs());
+        let goes = |t: Together| t.r > 0.8 && (0.3..3.0).contains(&t.slope);
+        let clearly = |t: Together, own: Together| t.r > own.r.abs() + OTHER_IS_BETTER;
+        let best = (0..joints.len())
+            .filter(|&b| b != a && !named[b])
+            .filter_map(|b| Some((b, follows(run, &joints[a], &joints[b])?)))
+            .filter(|&(_, ab)| goes(ab) && clearly(ab, own_a))
             // its own command does not explain the other reading: it rests, or goes otherwise
-            let own_b = follows(run, &joints[b], &joints[b]);
-            let elsewhere = own_b.is_none_or(|t| t.r.abs() < ab.r.abs() - 0.2);
-            if goes(ab) && elsewhere && own_a.r.abs() < ab.r.abs() - 0.3 {
-                named[a] = true;
-                let back = follows(run, &joints[b], &joints[a]).is_some_and(goes);
-                named[b] = back;
-                let (a, b) = (&joints[a].name, &joints[b].name);
-                let more = if back {
-                    format!(" and pos.{a} follows cmd.{b}: exchange them")
-                } else {
-                    ": are the columns in another joint's order?".to_owned()
-                };
-                out.push(fatal(
-                    "order",
-                    format!("pos.{a}"),
-                    format!("pos.{b} follows cmd.{a} (correlation {:.2}){more}", ab.r),
-                ));
-            }
-        }
+            .filter(|&(b, ab)| {
+                follows(run, &joints[b], &joints[b]).is_none_or(|own_b| clearly(ab, own_b))
+            })
+            .max_by(|x, y| x.1.r.total_cmp(&y.1.r));
+        let Some((b, ab)) = best else { continue };
+        let back = follows(run, &joints[b], &joints[a]).is_some_and(goes);
+        named[a] = true;
+        named[b] = back;
+        let (a, b) = (&joints[a].name, &joints[b].name);
+        let more = if back {
+            format!(" and pos.{a} follows cmd.{b}: exchange them")
+        } else {
+            ": are the columns in another joint's order?".to_owned()
+        };
+        out.push(fatal(
+            "order",
+            format!("pos.{a}"),
+            format!("pos.{b} follows cmd.{a} (correlation {:.2}){more}", ab.r),
+        ));
     }
+    named
 }
 
 /// Two joints that read the same although they are asked for different things.

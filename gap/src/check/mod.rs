@@ -164,7 +164,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
         let mut found = Vec::new();
         let joints = joints::Channels::all(run);
         if usable(run, &joints, &mut found) {
-            stamps::faults(run, &mut found);
+            stamps::faults(run, &joints, &mut found);
             joints::faults(run, &joints, &mut found);
             parity::faults(run, &joints, &mut found);
         }
@@ -200,7 +200,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
         faults,
         repeats: groups.iter().map(names).collect(),
         odd_spans: odd,
-        cannot_tell: blind(&excitations, robot),
+        cannot_tell: blind(logs, &excitations, robot),
         runs: checks,
     }
 }

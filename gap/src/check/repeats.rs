@@ -8,12 +8,16 @@ use super::{Finding, Run, Severity};
 
 /// Commands of repeats may differ by this much, rad.
 const SAME_RAD: f64 = 2e-3;
-/// Deviations are looked at as means over so long, s.
-const SMOOTH_S: f64 = 0.1;
+/// Deviations are looked at as means over so long, s: a hand pushes to one side, what differs in fast motion swings about zero.
+const SMOOTH_S: f64 = 0.3;
 /// A deviation counts from so many times what repeats otherwise differ by.
 const TIMES: f64 = 8.0;
 /// And from so large a share of the servo's greatest torque, as the error would ask for.
-const TORQUE_SHARE: f64 = 0.08;
+const TORQUE_SHARE: f64 = 0.14;
+/// And from so large a share of how far the joint moves about that time: where it moves most, repeats differ most.
+const MOTION_SHARE: f64 = 0.05;
+/// "About that time", s.
+const NEARBY_S: f64 = 1.0;
 /// It lasts at least, s.
 const SHORTEST_S: f64 = 0.15;
 /// A run that is off for longer than this share is another run, not a touched one.
@@ -68,17 +72,25 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
         let mut off = 0usize;
         for (i, &u) in u.iter().enumerate() {
             let k = (i as f64 * ratio).round() as usize;
-            let near = (k.saturating_sub(2)..=k + 2).filter_map(|k| v.get(k));
-            let close = near
-                .clone()
-                .any(|v| (u - v).abs() < SAME_RAD || (u.is_nan() && v.is_nan()));
-            if !close && near.count() > 0 {
+            // a row may fall between two grid points of one run and not of the other: compare with what is passed through near by
+            let near = &v[k.saturating_sub(2).min(v.len())..(k + 3).min(v.len())];
+            let (low, high) = near
+                .iter()
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| {
+                    (l.min(*v), h.max(*v))
+                });
+            let close = (low - SAME_RAD..=high + SAME_RAD).contains(&u)
+                || (u.is_nan() && near.iter().any(|v| v.is_nan()));
+            if !close && !near.is_empty() {
                 off += 1;
             }
         }
         off * 100 <= n
     })
 }
+
+/// A run with more odd spans than this is not one that was touched: play and stiction let repeats come to rest in different places.
+const MOST_SPANS: usize = 2;
 
 /// Odd spans of a group of repeats: with three or more, of the run that is off; with two, of both.
 pub(super) fn odd_spans(
@@ -127,6 +139,26 @@ pub(super) fn odd_spans(
         let threshold = (TIMES * scale)
             .max(least)
             .max(3.0 * servo.encoder_lsb_rad());
+        let nearby = grid.points(NEARBY_S);
+        let mean = smooth(&middle, nearby);
+        let squares: Vec<f64> = middle
+            .iter()
+            .zip(&mean)
+            .map(|(x, m)| (x - m).powi(2))
+            .collect();
+        let motion: Vec<f64> = smooth(&squares, nearby)
+            .iter()
+            .map(|s| MOTION_SHARE * (2.0 * s).sqrt())
+            .collect();
+        let off: Vec<Vec<f64>> = off
+            .iter()
+            .map(|d| {
+                d.iter()
+                    .zip(&motion)
+                    .map(|(d, m)| if d > m { *d } else { 0.0 })
+                    .collect()
+            })
+            .collect();
         let members: Vec<usize> = if group.len() == 2 {
             vec![1]
         } else {
@@ -144,7 +176,7 @@ pub(super) fn odd_spans(
                 let others = |t: usize| {
                     off.iter()
                         .enumerate()
-                        .all(|(k, d)| k == m || !(d[t] > 0.5 * off[m][t]))
+                        .all(|(k, d)| k == m || d[t].is_nan() || d[t] <= 0.5 * off[m][t])
                 };
                 let alone = (from..to).filter(|&t| others(t)).count() * 3 >= (to - from) * 2;
                 let short = ((to - from) as f64) < LONGEST_SHARE * len as f64;
@@ -166,7 +198,14 @@ pub(super) fn odd_spans(
             });
         }
     }
-    merge(found)
+    let mut all = merge(found);
+    let counts: Vec<usize> = all
+        .iter()
+        .map(|s| all.iter().filter(|x| x.run == s.run).count())
+        .collect();
+    let mut counts = counts.iter();
+    all.retain(|_| counts.next().is_some_and(|n| *n <= MOST_SPANS));
+    all
 }
 
 /// Stretches above `threshold` of at least `shortest` points; pauses up to `pause` points belong to them.

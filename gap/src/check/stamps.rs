@@ -1,5 +1,8 @@
 //! Time itself: rate, gaps, bunched rows.
 
+use caudata_runlog::Signal;
+
+use super::joints::Channels;
 use super::{Finding, Run, Severity};
 use crate::check::series::median_step_s;
 
@@ -14,7 +17,12 @@ const BUNCHED: f64 = 0.2;
 /// So large a share of bunched rows is said.
 const BUNCHED_SHARE: f64 = 0.02;
 
-pub(super) fn faults(run: &Run<'_>, out: &mut Vec<Finding>) {
+/// Time over which a speed is taken beside a gap, s.
+const BESIDE_S: f64 = 0.05;
+/// A gap says whether rows are missing only where the motion would have gone so far in it, rad.
+const TELLING_RAD: f64 = 0.03;
+
+pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let time_s = run.log.table.time_s();
     let median = median_step_s(time_s);
     if median <= 0.0 {
@@ -46,6 +54,21 @@ pub(super) fn faults(run: &Run<'_>, out: &mut Vec<Finding>) {
     let is_gap = |step: f64| step > GAP_STEPS * median && step > GAP_S;
     let gaps: Vec<(f64, f64)> = steps().filter(|&(_, step)| is_gap(step)).collect();
     if let Some(&(at, step)) = gaps.iter().max_by(|a, b| a.1.total_cmp(&b.1)) {
+        if let Some((at, step, channels)) = gaps.iter().find_map(|&(at, step)| {
+            let channels = clock_jumped(run, joints, at, step);
+            (channels > 0).then_some((at, step, channels))
+        }) {
+            out.push(Finding {
+                kind: "stamps",
+                at: "t".to_owned(),
+                detail: format!(
+                    "jump ahead by {step:.2} s after t = {at:.2} s while {channels} channel(s) go on as if {:.0} ms had passed: the clock was set, no row is missing",
+                    1e3 * median
+                ),
+                severity: Severity::Fatal,
+            });
+            return;
+        }
         let lost: f64 = gaps.iter().map(|g| g.1).sum();
         let share = lost / (time_s[time_s.len() - 1] - time_s[0]);
         out.push(Finding {
@@ -73,4 +96,56 @@ pub(super) fn faults(run: &Run<'_>, out: &mut Vec<Finding>) {
             severity: Severity::Fatal,
         });
     }
+}
+
+/// How many channels go on across the gap of `step_s` after `at_s` as if no time had passed; 0 where any shows that time did pass.
+fn clock_jumped(run: &Run<'_>, joints: &[Channels], at_s: f64, step_s: f64) -> usize {
+    let table = &run.log.table;
+    let signals = joints.iter().flat_map(|j| {
+        [
+            Signal::Command(j.name.clone()),
+            Signal::Position(j.name.clone()),
+        ]
+    });
+    let mut jumped = 0;
+    for signal in signals {
+        let Some(column) = table.column(&signal) else {
+            continue;
+        };
+        let known = || {
+            table
+                .time_s()
+                .iter()
+                .zip(column)
+                .filter_map(|(&t, x)| Some((t, (*x)?)))
+        };
+        let before: Vec<(f64, f64)> = known()
+            .filter(|(t, _)| (at_s - BESIDE_S..=at_s).contains(t))
+            .collect();
+        let end_s = at_s + step_s;
+        let after: Vec<(f64, f64)> = known()
+            .filter(|(t, _)| (end_s..=end_s + BESIDE_S).contains(t))
+            .collect();
+        let (Some(v0), Some(v1)) = (speed(&before), speed(&after)) else {
+            continue;
+        };
+        // a steady motion on both sides, far enough to tell
+        let mean = 0.5 * (v0 + v1);
+        if (v0 - v1).abs() > 0.5 * mean.abs() || mean.abs() * step_s < TELLING_RAD {
+            continue;
+        }
+        let share = (after[0].1 - before[before.len() - 1].1) / (mean * step_s);
+        if share < 0.3 {
+            jumped += 1;
+        } else {
+            return 0;
+        }
+    }
+    jumped
+}
+
+/// Mean speed from the first to the last of some samples.
+fn speed(samples: &[(f64, f64)]) -> Option<f64> {
+    let (first, last) = (samples.first()?, samples.last()?);
+    (samples.len() >= 3).then(|| (last.1 - first.1) / (last.0 - first.0))
 }

@@ -108,7 +108,7 @@ pub struct ParameterSpec {
     pub low: f64,
     /// Largest value, in units of the reference.
     pub high: f64,
-    /// Value without the effect, in units of the reference.
+    /// Value without the effect, in units of the reference. Not a number: what the robot file has.
     pub neutral: f64,
     /// Smallest change that matters, in units of the reference.
     pub scale: f64,
@@ -175,7 +175,13 @@ impl Effect {
     #[must_use]
     pub fn neutral(&self, model: &RobotModel, place: &Place) -> Vec<f64> {
         (0..self.parameters.len())
-            .map(|i| self.value(model, place, i, self.parameters[i].neutral))
+            .map(|i| {
+                let neutral = self.parameters[i].neutral;
+                if neutral.is_nan() {
+                    return model.backlash().half_width_rad;
+                }
+                self.value(model, place, i, neutral)
+            })
             .collect()
     }
 

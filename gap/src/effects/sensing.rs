@@ -10,8 +10,8 @@ pub static ENCODER_OFFSET: Effect = Effect {
     id: "encoder_offset",
     layer: Layer::Sensing,
     domain: Domain::Joints,
-    parameters: &[parameter("offset_rad", "rad", 0.0, (-0.2, 0.2), 0.003, One)],
-    grid: &[&[-0.05], &[-0.02], &[0.02], &[0.05]],
+    parameters: &[parameter("offset_rad", "rad", 0.0, (-0.6, 0.6), 0.005, One)],
+    grid: &[&[-0.25], &[-0.05], &[-0.02], &[0.02], &[0.05], &[0.25]],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -34,8 +34,8 @@ pub static ENCODER_GAIN: Effect = Effect {
     id: "encoder_gain",
     layer: Layer::Sensing,
     domain: Domain::Joints,
-    parameters: &[parameter("gain", "", 0.0, (-0.1, 0.1), 0.005, One)],
-    grid: &[&[-0.05], &[-0.02], &[0.02], &[0.05]],
+    parameters: &[parameter("gain", "", 0.0, (-0.35, 0.35), 0.005, One)],
+    grid: &[&[-0.15], &[-0.05], &[-0.02], &[0.02], &[0.05], &[0.15]],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {

@@ -1,7 +1,5 @@
 //! Play, springs, stops (R1, R3, R4).
 
-use caudata_model::JointKind;
-
 use super::Reference::{Gain, One};
 use super::{Domain, Effect, JOINT_SIGNALS, Layer, parameter};
 use crate::trial::Kind;
@@ -13,7 +11,7 @@ pub static GIRDLE_PLAY: Effect = Effect {
     parameters: &[parameter(
         "half_width_rad",
         "rad",
-        0.0,
+        f64::NAN,
         (0.0, 0.25),
         0.004,
         One,
@@ -112,8 +110,8 @@ pub static HARD_STOP: Effect = Effect {
     layer: Layer::Structure,
     domain: Domain::Joints,
     parameters: &[
-        parameter("low_rad", "rad", -4.0, (-4.0, 2.0), 0.005, One),
-        parameter("high_rad", "rad", 4.0, (-2.0, 4.0), 0.005, One),
+        parameter("low_rad", "rad", -4.0, (-4.0, 1.0), 0.005, One),
+        parameter("high_rad", "rad", 4.0, (-1.0, 4.0), 0.005, One),
     ],
     grid: &[
         &[-4.0, 0.2],
@@ -124,7 +122,9 @@ pub static HARD_STOP: Effect = Effect {
         &[-4.0, 1.0],
         &[-4.0, 1.2],
         &[-4.0, 1.4],
-        &[-4.0, 1.7],
+        &[-4.0, 1.65],
+        &[-4.0, 1.9],
+        &[-4.0, 2.15],
         &[-0.2, 4.0],
         &[-0.4, 4.0],
         &[-0.55, 4.0],
@@ -133,7 +133,9 @@ pub static HARD_STOP: Effect = Effect {
         &[-1.0, 4.0],
         &[-1.2, 4.0],
         &[-1.4, 4.0],
-        &[-1.7, 4.0],
+        &[-1.65, 4.0],
+        &[-1.9, 4.0],
+        &[-2.15, 4.0],
     ],
     hinge: true,
     apply: |plant, place, v| {
@@ -149,10 +151,3 @@ pub static HARD_STOP: Effect = Effect {
     trial: "full_range",
     signature: "the joint never passes an angle, and current surges there",
 };
-
-/// Number of play hinges of a robot.
-#[must_use]
-pub fn play_hinges(model: &caudata_model::RobotModel) -> usize {
-    let of = |k: JointKind| k == JointKind::Backlash;
-    model.joints().iter().filter(|j| of(j.kind)).count()
-}

@@ -7,7 +7,7 @@ const MARGIN: f64 = 0.05;
 /// Commands stay below this share of the speed without load.
 const SPEED_SHARE: f64 = 0.6;
 /// Commands ask for accelerations that take at most this share of the greatest torque.
-const TORQUE_SHARE: f64 = 0.5;
+const TORQUE_SHARE: f64 = 0.4;
 /// Poses that are held take at most this share of the greatest torque. Servo makers advise a fifth of the stall torque for steady
 /// work (ROBOTIS e-manual, note on stall torque); a bench session of minutes stands more.
 pub const HOLD_SHARE: f64 = 0.35;
@@ -37,6 +37,10 @@ pub struct JointLimits {
     pub inertia_kgm2: f64,
     /// Greatest torque, N·m.
     pub tau_max_nm: f64,
+    /// Gain of the position loop, N·m/rad.
+    pub kp_nm_per_rad: f64,
+    /// Its damping, the servo's own included, N·m·s/rad.
+    pub kd_nm_s_per_rad: f64,
     /// Torque of gravity over the range, N·m, every [`SEARCH_RAD`] from the lower limit on.
     gravity_nm: Vec<f64>,
 }
@@ -67,6 +71,8 @@ impl JointLimits {
             acceleration_radps2: TORQUE_SHARE * servo.tau_max_nm / inertia_kgm2,
             inertia_kgm2,
             tau_max_nm: servo.tau_max_nm,
+            kp_nm_per_rad: robot.kp_nm_per_rad(),
+            kd_nm_s_per_rad: robot.kd_nm_s_per_rad() + servo.kd_min_nm_s_per_rad,
             gravity_nm: (0..=points)
                 .map(|i| gravity(robot, index, low + i as f64 * SEARCH_RAD))
                 .collect(),
@@ -116,13 +122,27 @@ impl JointLimits {
         best
     }
 
-    /// Amplitude of a sine of `hz` that stays within speed and acceleration and `size_rad`.
+    /// Amplitude of a sine of `hz` that stays within speed and torque and `size_rad`.
+    ///
+    /// The torque is that of the position loop on this inertia: per rad of command `kp·|I·ω² − j·d·ω| / |kp − I·ω² + j·d·ω|`, which is most
+    /// where the joint swings on its own gain.
     #[must_use]
     pub fn sine_rad(&self, size_rad: f64, hz: f64) -> f64 {
         let w = std::f64::consts::TAU * hz;
+        let (inertia, damping) = (self.inertia_kgm2 * w * w, self.kd_nm_s_per_rad * w);
+        let swing = (self.kp_nm_per_rad - inertia).hypot(damping).max(1e-9);
+        let per_rad = self.kp_nm_per_rad * inertia.hypot(damping) / swing;
         size_rad
             .min(self.speed_radps / w)
-            .min(self.acceleration_radps2 / (w * w))
+            .min(TORQUE_SHARE * self.tau_max_nm / per_rad.max(1e-9))
+    }
+
+    /// Size of random jumps every `bit_s` that a sine of no frequency among theirs would exceed by more than half.
+    #[must_use]
+    pub fn jump_rad(&self, size_rad: f64, bit_s: f64) -> f64 {
+        let highest_hz = 0.5 / bit_s;
+        let sines = (1..=20).map(|k| self.sine_rad(size_rad, highest_hz * f64::from(k) / 20.0));
+        size_rad.min(1.5 * sines.fold(f64::INFINITY, f64::min))
     }
 }
 
@@ -211,7 +231,12 @@ mod tests {
         assert!((j.hold_rad.0 + 0.595).abs() < 0.03);
         let (q, share) = j.hottest();
         assert!(share > 0.48 && share <= 0.5, "{q} {share}");
-        // 2 Hz: 0.6·15.96 rad/s over 12.57 = 0.76 rad; 0.5·0.77/0.00698 = 55 rad/s² over 157.9 = 0.349 rad
-        assert!((j.sine_rad(1.0, 2.0) - 0.349).abs() < 0.002);
+        // 2 Hz: I·ω² = 0.006978·157.9 = 1.102, d·ω = 0.0482·12.566 = 0.6057; 0.886·1.2575/|(−0.216, 0.6057)| = 1.7327 N·m per rad;
+        // 0.4·0.77/1.7327 = 0.1778 rad, below 0.6·15.96/12.57 = 0.76 rad
+        assert!(
+            (j.sine_rad(1.0, 2.0) - 0.1778).abs() < 0.002,
+            "{}",
+            j.sine_rad(1.0, 2.0)
+        );
     }
 }

@@ -131,7 +131,7 @@ pub fn trial(
     rate_hz: f64,
 ) -> Result<Trial, ExciteError> {
     let maker = Maker::new(robot, joint, rate_hz)?;
-    let wanted = RECIPES.iter().find(|r| r.name == name);
+    let wanted = RECIPES.iter().find(|r| Some(r.name) == canonical(name));
     wanted
         .and_then(|r| maker.make(r))
         .ok_or_else(|| ExciteError::Trial {
@@ -150,6 +150,46 @@ pub fn names(robot: &RobotModel, joint: Option<&str>) -> Vec<&'static str> {
         .collect()
 }
 
+/// Other names of trials: kinds of experiment as the catalogue of effects speaks of them, and the trial of the battery that is one.
+const KINDS: &[(&str, &str)] = &[
+    ("all_joints_probe", "all_chirp"),
+    ("chirp", "chirp_medium"),
+    ("coast_down", "coast"),
+    ("fast_chirp", "chirp_large"),
+    ("fast_reversals", "reversals_fast"),
+    ("full_range", "sweep_full"),
+    ("gait_two_speeds", "gait"),
+    ("girdle_rocking", "rock_x"),
+    ("hold_poses", "holds"),
+    ("large_steps", "steps_large"),
+    ("lift_and_lower", "lift_lower"),
+    ("loaded_steps", "steps_loaded"),
+    ("long_chirp", "gait_long"),
+    ("long_holds", "holds_long"),
+    ("low_gait", "gait_low"),
+    ("micro_reversals", "micro"),
+    ("passive_drift", "coast"),
+    ("slow_dip", "float"),
+    ("slow_ramps", "triangle_slow"),
+    ("slow_triangles", "triangle_slow"),
+    ("slow_turn", "gait_turn"),
+    ("stalls", "steps_loaded"),
+    ("stand_headings", "rest"),
+    ("stand_heights", "rest"),
+    ("steps", "steps_medium"),
+    ("three_amplitudes_three_frequencies", "swim_sizes"),
+    ("torque_off_drop", "drop_high"),
+    ("warm_up_series", "gait_long"),
+    ("wet_and_dry_chirp", "swim_sizes"),
+];
+
+/// The battery's name of a trial, or of a kind of trial; `None` for neither.
+#[must_use]
+pub fn canonical(name: &str) -> Option<&'static str> {
+    let kind = KINDS.iter().find(|k| k.0 == name).map(|k| k.1);
+    kind.or_else(|| RECIPES.iter().find(|r| r.name == name).map(|r| r.name))
+}
+
 /// The trial that says most about `separates` (effect ids): made for as many of them as possible, and for each as directly as possible.
 /// `joints`: where the effects are suspected; empty: anywhere. `None` where no trial of the battery shows any of them.
 #[must_use]
@@ -163,8 +203,10 @@ pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option
         };
         separates.iter().map(of).sum()
     };
+    // of equals the first: it loads the robot least
     let best = RECIPES
         .iter()
+        .rev()
         .filter(|r| fits(r, robot, None) && worth(r) > 0.0)
         .max_by(|a, b| worth(a).total_cmp(&worth(b)))?;
     let shown: Vec<String> = separates
@@ -287,13 +329,9 @@ impl<'a> Maker<'a> {
             .map(|(a, limits)| {
                 let alone = self.joint.is_some();
                 let sign = if a % 2 == 0 || alone { 1.0 } else { -1.0 };
-                let pace = if alone {
-                    1.0
-                } else {
-                    1.0 + 0.06 * (a % 5) as f64
-                };
+                let pace = if alone { 1.0 } else { 1.0 + 0.02 * a as f64 };
                 let mut wave = Wave::new(limits, self.rate_hz, sign, pace);
-                wave.hold(0.5);
+                wave.hold(0.5 + if alone { 0.0 } else { 0.2 * (a % 4) as f64 });
                 if self.joint.is_none_or(|j| j == limits.name) {
                     write(&mut wave);
                     wave.go(limits.nominal_rad);
@@ -325,17 +363,28 @@ impl<'a> Maker<'a> {
         (commands, on)
     }
 
-    /// Root mean square of gravity and inertia torque along the commands, of the hardest joint, as a share of its greatest torque.
+    /// Root mean square torque of the hardest joint, as a share of its greatest: each joint alone follows its command through its position
+    /// loop, with its inertia in the nominal pose and gravity.
     fn effort(&self, rows: &[Vec<f64>]) -> f64 {
+        /// Longest step, s: rotor inertia and gain swing at 10 to 20 Hz.
+        const STEP_S: f64 = 1e-3;
+        let substeps = (1.0 / (self.rate_hz * STEP_S)).ceil().max(1.0);
+        let dt = 1.0 / (self.rate_hz * substeps);
         let share = |(a, l): (usize, &JointLimits)| {
-            let mut sum = 0.0;
-            for k in 1..rows.len().saturating_sub(1) {
-                let bend = rows[k + 1][a] - 2.0 * rows[k][a] + rows[k - 1][a];
-                let torque =
-                    l.gravity_nm(rows[k][a]) + l.inertia_kgm2 * bend * self.rate_hz * self.rate_hz;
-                sum += (torque / l.tau_max_nm).clamp(-1.0, 1.0).powi(2);
+            let (kp, kd) = (self.robot.kp_nm_per_rad(), self.robot.kd_nm_s_per_rad());
+            let kd = kd + self.robot.servo(a).kd_min_nm_s_per_rad;
+            let (mut q, mut v, mut sum) = (rows[0][a], 0.0, 0.0);
+            for row in rows {
+                for _ in 0..substeps as usize {
+                    // the damper is taken at the end of the step, so that no gain makes it unstable
+                    let push = (kp * (row[a] - q)).clamp(-l.tau_max_nm, l.tau_max_nm);
+                    v = (v + dt * (push - l.gravity_nm(q)) / l.inertia_kgm2)
+                        / (1.0 + dt * kd / l.inertia_kgm2);
+                    q += dt * v;
+                    sum += ((push - kd * v) / l.tau_max_nm).clamp(-1.0, 1.0).powi(2);
+                }
             }
-            (sum / rows.len() as f64).sqrt()
+            (sum / (rows.len() as f64 * substeps)).sqrt()
         };
         self.limits
             .iter()

@@ -183,7 +183,7 @@ pub(super) const RECIPES: &[Recipe] = &[
     // water
     body("float", "float at rest", Place::Water, &["buoyancy", "buoyancy_centre", "water_level"], |b| b.hold(12.0)),
     body("bob", "draw the legs up and let them down at once", Place::Water, &["heave_damping", "buoyancy"], |b| b.bob()),
-    body("swim", "swim: a wave along the body at 0.8 Hz", Place::Water, &["quadratic_drag", "linear_drag", "added_mass"], |b| b.swim(0.8, 0.35, 14.0)),
+    body("swim", "swim: a wave along the body at 0.8 Hz", Place::Water, &["quadratic_drag", "added_mass", "linear_drag"], |b| b.swim(0.8, 0.35, 14.0)),
     body("swim_sizes", "three sizes at three frequencies", Place::Water, &["linear_drag", "quadratic_drag", "added_mass"], |b| { for hz in [0.4, 0.8, 1.4] { for size in [0.12, 0.25, 0.45] { b.swim(hz, size, 5.0); } } }),
-    body("coast", "swim, then hold still and drift", Place::Water, &["quadratic_drag", "linear_drag", "water_current"], |b| { b.swim(1.0, 0.4, 6.0); b.hold(8.0); }),
+    body("coast", "swim, then hold still and drift", Place::Water, &["water_current", "quadratic_drag", "linear_drag"], |b| { b.swim(1.0, 0.4, 6.0); b.hold(8.0); }),
 ];

@@ -83,10 +83,10 @@ impl<'a> Wave<'a> {
         self.on.push(self.powered);
     }
 
-    /// Stays for `s` seconds.
+    /// Stays for `s` seconds (in the joint's pace).
     pub fn hold(&mut self, s: f64) {
         let now = self.now();
-        for _ in 0..self.rows(s) {
+        for _ in 0..self.rows(s * self.pace) {
             self.put(now);
         }
     }
@@ -111,10 +111,16 @@ impl<'a> Wave<'a> {
         self.hold(s);
     }
 
-    /// Goes to and fro about `centre_rad` at a constant speed (of the joint's pace).
+    /// Goes to and fro about `centre_rad` at a constant speed (of the joint's pace), slower where the joint is too heavy to turn round in a
+    /// third of the way.
     pub fn triangle(&mut self, centre_rad: f64, size_rad: f64, speed_radps: f64, cycles: f64) {
         let size = size_rad.min(self.room(centre_rad));
-        let speed = (speed_radps * self.pace).min(self.limits.speed_radps);
+        // turning round from −v to v takes 2v/a; the way there and back 2·size/v
+        let turn = (0.3 * size * self.limits.acceleration_radps2).sqrt();
+        let speed = (speed_radps * self.pace)
+            .min(self.limits.speed_radps)
+            .min(turn)
+            .max(1e-3);
         self.go(centre_rad);
         let n = self.rows(4.0 * size / speed * cycles);
         for k in 1..=n {
@@ -158,7 +164,9 @@ impl<'a> Wave<'a> {
 
     /// Jumps between two places after a fixed pseudo-random sequence (shift register of 7 bits, x⁷ + x⁶ + 1), `bit_s` each.
     pub fn prbs(&mut self, centre_rad: f64, size_rad: f64, bit_s: f64, bits: usize) {
-        let size = size_rad.min(self.room(centre_rad));
+        let size = self
+            .limits
+            .jump_rad(size_rad.min(self.room(centre_rad)), bit_s);
         self.go(centre_rad);
         // a start of its own for each joint: sequences that are shifted against each other hardly go together
         let mut register: u8 = 1 + (self.limits.index as u8).wrapping_mul(37) % 126;

@@ -346,4 +346,16 @@ mod tests {
         // nothing is overwritten
         assert!(run.write(dir.path()).is_err());
     }
+
+    proptest::proptest! {
+        /// A recording with any damage is a run or an error, never a panic.
+        #[test]
+        fn no_damage_panics(at in 0usize..4000, with: u8, load in -70_000i64..70_000) {
+            let mut bytes = recording([load, 5], true).into_bytes();
+            let n = bytes.len();
+            bytes[at % n] = with;
+            let _ = parse("a.json", "a", &bytes, &rig());
+            let _ = parse("a.json", "a", &bytes[..at % n], &rig());
+        }
+    }
 }

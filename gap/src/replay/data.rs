@@ -14,7 +14,7 @@ const MOST_SAMPLES: usize = 400_000;
 /// Blocks for statistics are at least so long, s.
 pub const BLOCK_S: f64 = 1.0;
 /// Stretches of a free robot, s: it diverges from its simulation, so it is put back to what was measured.
-const FREE_SEGMENT_S: f64 = 0.6;
+const FREE_SEGMENT_S: f64 = 0.8;
 /// Time over which speeds at a start are taken, s, to each side.
 const SPEED_WINDOW_S: f64 = 0.03;
 
@@ -96,8 +96,6 @@ pub struct Piece {
 pub struct Data {
     /// In order of recording.
     pub trials: Vec<Trial>,
-    /// Place of each trial in the session, 0 to 1.
-    pub session: Vec<f64>,
     /// In order.
     pub segments: Vec<Segment>,
     /// Stamps, s. `[N]`
@@ -111,20 +109,16 @@ pub struct Data {
 }
 
 impl Data {
-    /// Cuts `trials` (with their places in the session) into stretches and samples.
+    /// Cuts `trials` into stretches and samples.
     #[must_use]
-    pub fn new(model: &RobotModel, trials: Vec<(f64, Trial)>, options: SegmentOptions) -> Self {
-        let (session, trials): (Vec<f64>, Vec<Trial>) = trials.into_iter().unzip();
+    pub fn new(model: &RobotModel, trials: Vec<Trial>, options: SegmentOptions) -> Self {
         let total: usize = trials
             .iter()
             .flat_map(|t| &t.channels)
             .map(|c| c.value.len())
             .sum();
         let stride = total.div_ceil(MOST_SAMPLES).max(1);
-        let mut data = Self {
-            session,
-            ..Self::default()
-        };
+        let mut data = Self::default();
         for (number, trial) in trials.iter().enumerate() {
             let length_s = match trial.base {
                 BaseHold::Fixed => options.fixed_s,

@@ -31,7 +31,7 @@ pub(super) fn run(
     for (lane, &(v, s)) in jobs.iter().enumerate() {
         let segment = &data.segments[s];
         let trial = &data.trials[segment.trial];
-        let plant = replayer.plant(trial, data.session[segment.trial], &variants[v]);
+        let plant = replayer.plant(trial, &variants[v]);
         let periods = (segment.duration_s() / period_s).ceil() as usize;
         most = most.max(periods);
         readers.push(readers_of(trial, &plant, segment.start_s));

@@ -26,6 +26,8 @@ pub use data::{Data, Piece, Segment, SegmentOptions};
 
 /// Lanes of one engine: the widest vector register's.
 const LANES: usize = 16;
+/// Depth of the water unless a run says otherwise, m: deeper than any robot is long.
+const DEPTH_M: f64 = 2.0;
 /// Robots with more joints than this are recorded every other step.
 const FEW_JOINTS: usize = 4;
 
@@ -46,6 +48,10 @@ pub type Variant = Vec<Term>;
 /// Replays candidates.
 pub struct Replayer {
     model: Arc<RobotModel>,
+    /// Height of the water's surface above the ground at z = 0, m.
+    water_level_m: f64,
+    /// What the robot file's own extension has.
+    given: Variant,
     threads: usize,
     step_s: f64,
     substeps: u32,
@@ -55,15 +61,23 @@ pub struct Replayer {
 }
 
 impl Replayer {
-    /// For `model`, on `threads` threads.
-    #[must_use]
-    pub fn new(model: Arc<RobotModel>, threads: usize) -> Self {
+    /// For `model` (with its extension, if it has one), on `threads` threads.
+    ///
+    /// # Errors
+    /// [`GapError::Extension`] where the extension does not fit the catalogue.
+    pub fn new(model: Arc<RobotModel>, threads: usize) -> Result<Self, GapError> {
         let substeps = if model.actuated().len() <= FEW_JOINTS {
             1
         } else {
             2
         };
-        Self {
+        let given = match model.extension() {
+            Some(extension) => crate::extension::terms(extension, &model)?,
+            None => Variant::new(),
+        };
+        Ok(Self {
+            water_level_m: DEPTH_M,
+            given,
             model,
             threads: threads.max(1),
             step_s: EngineConfig::default().dt_s,
@@ -71,13 +85,26 @@ impl Replayer {
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
-        }
+        })
+    }
+
+    /// Puts the water's surface at `level_m` above the ground at z = 0 (`water_level_m` of a run's `log.toml`).
+    #[must_use]
+    pub fn with_water_level(mut self, level_m: f64) -> Self {
+        self.water_level_m = level_m;
+        self
     }
 
     /// The robot.
     #[must_use]
     pub fn model(&self) -> &Arc<RobotModel> {
         &self.model
+    }
+
+    /// What the robot file's own extension has, and `variant`.
+    #[must_use]
+    pub fn with_given(&self, variant: &[Term]) -> Variant {
+        self.given.iter().chain(variant).cloned().collect()
     }
 
     /// Time between recorded states, s.
@@ -97,10 +124,10 @@ impl Replayer {
 
     /// The robot of a trial with a candidate's effects.
     #[must_use]
-    pub fn plant(&self, trial: &Trial, session: f64, variant: &[Term]) -> Plant {
+    pub fn plant(&self, trial: &Trial, variant: &[Term]) -> Plant {
         let mut plant = Plant::in_trial(&self.model, trial);
-        plant.session = session;
-        for term in variant {
+        plant.session = trial.session;
+        for term in self.given.iter().chain(variant) {
             (term.effect.apply)(&mut plant, &term.place, &term.values);
         }
         plant
@@ -200,6 +227,7 @@ impl Replayer {
         let mut ground = TerrainConfig::default();
         if hold == 2 {
             ground.kind = caudata_sim::TerrainKind::DeepWater;
+            ground.water_level_m = self.water_level_m;
         }
         let terrain = Terrain::generate(&ground, 1)?;
         Ok(BatchEngine::new(

@@ -9,6 +9,9 @@ use super::accounting::{Accounting, ActorKey, Arrival, DropReason};
 
 /// Refused chunks after which an incarnation is not listened to any more.
 pub const STRIKES_MAX: u32 = 3;
+/// Share of a batch that is not waited for where actors may be ahead (`max_lead` above 0): one slow actor among many would otherwise
+/// set the pace of all. Their chunks count in the next batch.
+const STRAGGLERS: f64 = 0.05;
 
 /// What the collector checks chunks against.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,6 +56,14 @@ impl CollectorSettings {
     /// Chunks of one version that an actor may have used up.
     fn quota(&self) -> usize {
         self.chunks_per_version as usize * (self.max_lead as usize + 1)
+    }
+
+    /// Chunks of a batch of `target` that may come later. None below twenty.
+    fn stragglers(&self, target: usize) -> usize {
+        match self.max_lead {
+            0 => 0,
+            _ => (STRAGGLERS * target as f64) as usize,
+        }
     }
 
     fn fewest(&self) -> usize {
@@ -180,7 +191,7 @@ impl Collector {
         let target = coming
             .max(self.settings.fewest())
             .min(self.settings.full_batch());
-        self.waiting.len() >= target
+        self.waiting.len() >= target - self.settings.stragglers(target)
     }
 
     /// Whether what has come is enough to go on without the rest.

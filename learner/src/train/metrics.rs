@@ -17,6 +17,8 @@ pub(super) struct LearnerMetrics {
     pub waiting: IntGauge,
     pub actors: IntGauge,
     pub staleness: Gauge,
+    pub staleness_max: Gauge,
+    pub scale_advice: Gauge,
     pub effective_share: Gauge,
     pub kl: Gauge,
     pub learning_rate: Gauge,
@@ -63,6 +65,14 @@ impl LearnerMetrics {
             staleness: metrics.gauge(
                 "caudata_policy_staleness_versions",
                 "Policy versions between collection and use, mean of the last batch",
+            ),
+            staleness_max: metrics.gauge(
+                "caudata_policy_staleness_max_versions",
+                "Policy versions between collection and use, oldest data of the last batch",
+            ),
+            scale_advice: metrics.gauge(
+                "caudata_learner_scale_advice",
+                "1: more actors would help; -1: fewer would do; 0: as it is",
             ),
             effective_share: metrics.gauge(
                 "caudata_learner_effective_sample_share",

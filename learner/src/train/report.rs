@@ -9,6 +9,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use caudata_task::reward::TERMS;
 use caudata_telemetry::progress::{self, Event, EventWriter};
+use caudata_telemetry::{Advisor, IterationLoad};
 
 use super::metrics::LearnerMetrics;
 use crate::batch::Accounting;
@@ -22,6 +23,9 @@ pub(super) struct Reporter {
     events: EventWriter<Box<dyn Write + Send>>,
     tensorboard: Option<EventFile>,
     pub metrics: LearnerMetrics,
+    advisor: Advisor,
+    /// Chunks received and dropped until the last iteration.
+    counted: (u64, u64),
     said: bool,
 }
 
@@ -35,6 +39,8 @@ pub(super) struct IterationReport<'a> {
     pub mean_step_reward: f64,
     pub lag_mean: f64,
     pub lag_max: u64,
+    /// Age at which data is dropped, versions.
+    pub lag_allowed: u64,
     pub stats: &'a UpdateStats,
     pub episodes: &'a EpisodeWindow,
     pub accounting: &'a Accounting,
@@ -54,6 +60,8 @@ impl Reporter {
             events: EventWriter::new(events),
             tensorboard: None,
             metrics,
+            advisor: Advisor::default(),
+            counted: (0, 0),
             said: false,
         };
         match EventFile::create(run_dir, unix_time_s()) {
@@ -103,8 +111,13 @@ impl Reporter {
         }
     }
 
-    fn update_metrics(&self, report: &IterationReport, event: &progress::Iteration) {
+    fn update_metrics(&mut self, report: &IterationReport, event: &progress::Iteration) {
+        let load = self.load_of(report, event);
+        let advice = self.advisor.after(&load);
+        self.counted = (event.accounting.received, event.accounting.dropped);
         let m = &self.metrics;
+        m.scale_advice.set(advice.as_metric());
+        m.staleness_max.set(report.lag_max as f64);
         m.iterations.inc();
         m.steps.inc_by(report.batch_steps as u64);
         m.skipped_updates.inc_by(report.stats.skipped);
@@ -120,6 +133,18 @@ impl Reporter {
         }
         m.collect.observe(report.collection_s);
         m.learn.observe(report.learning_s);
+    }
+
+    fn load_of(&self, report: &IterationReport, event: &progress::Iteration) -> IterationLoad {
+        let (received, dropped) = self.counted;
+        IterationLoad {
+            waiting_s: report.collection_s,
+            learning_s: report.learning_s,
+            lag_max: report.lag_max,
+            lag_allowed: report.lag_allowed,
+            received: event.accounting.received.saturating_sub(received),
+            dropped: event.accounting.dropped.saturating_sub(dropped),
+        }
     }
 
     fn write_scalars(&mut self, report: &IterationReport, event: &progress::Iteration) {

@@ -290,6 +290,10 @@ impl Run<'_> {
             mean_step_reward: batch.mean_reward(),
             lag_mean: lags.iter().sum::<u64>() as f64 / lags.len().max(1) as f64,
             lag_max: lags.iter().copied().max().unwrap_or(0),
+            lag_allowed: match self.config.actors.max_lead {
+                0 => 0,
+                _ => self.config.learner.staleness.max_lag,
+            },
             stats,
             episodes: &progress.episodes,
             accounting: self.collector.accounting(),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use caudata_actor::{encode_transport, transport_config};
+use caudata_actor::{encode_transport, transport_of};
 use caudata_config::{Config, TransportKind};
 use caudata_model::RobotModel;
 use caudata_proto::DecodeLimits;
@@ -72,7 +72,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     let transport = settings
         .transport
         .clone()
-        .unwrap_or_else(|| transport_config(&config.transport));
+        .unwrap_or_else(|| transport_of(config));
     let inproc = matches!(transport, TransportConfig::Inproc(_));
 
     let device = device(config.learner.device)?;
@@ -96,9 +96,11 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         None => build_info().commit_word(),
     };
 
-    let warm = &config.learner.warm_start.policy;
-    let moments = match &state {
-        None if !warm.as_os_str().is_empty() => Some(warm_start(&net, warm, &contract)?),
+    let moments = match (&state, config.warm_start_path()) {
+        (None, Some(path)) => {
+            let least_std = config.learner.warm_start.least_std;
+            Some(warm_start(&net, &path, least_std, &contract)?)
+        }
         _ => None,
     };
     let ppo = PpoSettings {
@@ -130,7 +132,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         .as_deref()
         .map(|address| {
             let stream = config.policy_server.stream_of(&settings.run_id);
-            Publisher::start(address, stream)
+            Publisher::start_with(address, stream, config.cluster.certificates())
         })
         .transpose()?;
     let hub = match &transport {

@@ -1,8 +1,9 @@
 //! Contact of one ball with the ground, as a force that is linear in the acceleration of the touching point.
 //!
-//! Normal force: a spring with damping that grows with penetration up to its full value (so that touching begins without a jump).
-//! Spring at the middle of the step (θ = ½), damping at its end, so both enter the articulated inertia as `dt·(d + θ·dt·k)` and no step is too
-//! large for them. It never pulls.
+//! Normal force: MuJoCo's law with the `solref` and `solimp` of the MJCF, a spring, a damper and an inertia (see [`Stop`]; A is the mean over
+//! directions at the link's centre of mass). Like MuJoCo's, its acceleration is that of the coordinates alone, without Coriolis and centrifugal
+//! parts. Spring and damper are taken in the middle of the step (θ = ½), so no step is too large for them. It never pulls: it acts where the
+//! point would go into the ground faster than the law wants, judged by how it would have accelerated without contact in the last step.
 //!
 //! Friction: a bristle (Cundall and Strack, "A discrete numerical model for granular assemblies", 1979) that the point drags along once
 //! the force exceeds friction × normal force. Regularised friction instead (force ∝ slip speed) creeps under load: an open-loop trot then
@@ -10,9 +11,13 @@
 //! contact, friction then gets exactly its share of the push. Any estimate from the start of this step is too large while a foot lands: that cost the
 //! trot 16 % of its way at 2 ms (2 % so), and halving the step only halved it. While sliding, only the direction across the slip is implicit, so that the force along the
 //! slip is Coulomb's whatever the acceleration.
+//!
+//! Here MuJoCo differs on purpose: its friction is the convex relaxation of Coulomb's, in which a sliding contact also lifts (the normal force
+//! grows with the slip), and sticking takes a time constant. `docs/simulation.md` says how much of a gait's way that is.
 
 use super::ground::Ground;
 use super::kinematics::Frame;
+use super::program::Point;
 use super::vec3::{Inertia, V3, add_cross, add_scaled, cross, dot, scale, select3, sub, zero3};
 use crate::EngineConfig;
 use crate::real::{Mask, Real};
@@ -27,14 +32,8 @@ const DEEPEST_M: f64 = 0.01;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ContactLaw<R: Lanes> {
     dt: R::Elem,
-    /// Normal stiffness, N/m.
-    k: R::Elem,
-    /// Full normal damping, N·s/m.
-    d: R::Elem,
-    /// 1 over the penetration at which damping is full, 1/m.
-    per_depth: R::Elem,
-    /// θ·dt·k
-    k_step: R::Elem,
+    /// θ·dt, s.
+    theta_dt: R::Elem,
     /// Bristle stiffness, N/m.
     kt: R::Elem,
     /// Bristle damping plus θ·dt·kt, N·s/m.
@@ -46,10 +45,7 @@ impl<R: Lanes> ContactLaw<R> {
         let dt = config.dt_s;
         Self {
             dt: R::elem(dt),
-            k: R::elem(config.contact_stiffness_n_per_m),
-            d: R::elem(config.contact_damping_ns_per_m),
-            per_depth: R::elem(1.0 / config.contact_damping_depth_m),
-            k_step: R::elem(THETA * dt * config.contact_stiffness_n_per_m),
+            theta_dt: R::elem(THETA * dt),
             kt: R::elem(config.bristle_stiffness_n_per_m),
             dt_full: R::elem(
                 config.bristle_damping_ns_per_m + THETA * dt * config.bristle_stiffness_n_per_m,
@@ -67,6 +63,10 @@ pub(super) struct Touch<R> {
     pub arm: V3<R>,
     /// Normal of the ground.
     pub normal: V3<R>,
+    /// A: acceleration of the point per force, 1/kg.
+    pub give: R,
+    /// 1 where a lane touches, 0 elsewhere.
+    pub touching: R,
     pub f0: V3<R>,
     /// Symmetric.
     pub m: [R; 6],
@@ -78,31 +78,33 @@ impl<R: Real> Touch<R> {
             any: false,
             arm: zero3(),
             normal: zero3(),
+            give: R::zero(),
+            touching: R::zero(),
             f0: zero3(),
             m: [R::zero(); 6],
         }
     }
 
-    /// The force with the body's acceleration beyond its bias, N.
+    /// The force with the body's acceleration beyond its bias, N; and that acceleration of the point, m/s².
     #[inline(always)]
-    pub fn force(&self, ang: V3<R>, lin: V3<R>) -> V3<R> {
+    pub fn force(&self, ang: V3<R>, lin: V3<R>) -> (V3<R>, V3<R>) {
         let a = add_cross(lin, ang, self.arm);
-        sub(self.f0, super::vec3::sym_times(&self.m, a))
+        (sub(self.f0, super::vec3::sym_times(&self.m, a)), a)
     }
 }
 
-/// Values that a contact point keeps from step to step: deflection of its bristle, world, m, and the normal force of the last step, N.
-pub(super) const MEMORY: usize = 4;
+/// Values that a contact point keeps from step to step: deflection of its bristle, world, m; of the last step the normal force, N, and the
+/// acceleration along the normal without it, m/s².
+pub(super) const MEMORY: usize = 5;
 
-/// Works out the contact of a ball (`centre` in the frame `frame`, from the base at `base`), adds it to the body's inertia and notes it.
+/// Works out the contact of a ball (`point` in the frame `frame`, from the base at `base`), adds it to the body's inertia and notes it.
 #[inline(always)]
 pub(super) fn touch<R: Lanes, const FLAT: bool>(
     law: &ContactLaw<R>,
     ground: &Ground<R>,
     base: V3<R>,
     frame: &Frame<R>,
-    centre: [R::Elem; 3],
-    radius: R::Elem,
+    point: &Point<R>,
     mut friction: R,
     memory: &mut [R],
     inertia: &mut Inertia<R>,
@@ -110,8 +112,8 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
 ) {
     let k = R::uniform;
     let (o, one) = (R::zero(), R::one());
-    let c = [k(centre[0]), k(centre[1]), k(centre[2])];
-    let radius = k(radius);
+    let c = point.centre.map(k);
+    let radius = k(point.radius);
     let rot = &frame.rot;
     let z = rot[2][2].mul_add(
         c[2],
@@ -175,14 +177,21 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     } else {
         (dot(vel, normal), dot(ahead, normal))
     };
-    let damping = k(law.d) * (depth * k(law.per_depth)).min(one);
-    let push = k(law.k) * depth.min(R::splat(DEEPEST_M));
-    let now = push - damping * vn;
-    let on = touching & o.lt(now);
+    // normal: spring, damper and inertia
+    let depth = depth.min(R::splat(DEEPEST_M));
+    let give = k(point.mobility);
+    let d = point.soft.impedance(depth);
+    let weight = d / ((one - d) * give);
+    let spring = d * R::splat(point.soft.stiffness_per_s2());
+    let damper = R::splat(point.soft.damping_per_s());
+    let on = touching & memory[4].lt(spring * depth - damper * vn);
+    let half = k(law.theta_dt);
+    let resists = spring.mul_add(half, damper);
+    let mid_n = (ahead_n - vn).mul_add(R::splat(THETA), vn);
+    let f0_n = weight * (spring * depth - resists * mid_n);
+    let m_n = weight * resists.mul_add(half, one);
     // the normal force that came out of the last step: no estimate of this one's is free of bias (see above)
     let limit = friction * memory[3];
-    let dn = damping + k(law.k_step);
-    let f0_n = push - dn * ahead_n;
 
     // friction: deflection, tangential part, held within the limit
     let old = [memory[0], memory[1], memory[2]];
@@ -210,7 +219,7 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     let share = R::select(slides, limit * inverse, one);
     let along = select3(slides, scale(trial, inverse), zero3());
     let mt = R::select(on, share * k(law.dt_full) * dt, o);
-    let mn = R::select(on, dn * dt, o);
+    let mn = R::select(on, m_n, o);
     let back = R::select(on, -share, o);
     let up = R::select(on, f0_n, o);
 
@@ -252,6 +261,8 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
         any: true,
         arm,
         normal,
+        give,
+        touching: R::select(touching, one, o),
         f0,
         m,
     };
@@ -263,6 +274,7 @@ fn leave<R: Lanes>(memory: &mut [R], note: &mut Touch<R>) {
     memory[1] = R::zero();
     memory[2] = R::zero();
     memory[3] = R::zero();
+    memory[4] = R::zero();
     note.any = false;
 }
 

@@ -1,6 +1,7 @@
 //! All lanes of an engine in groups of one width, behind a trait that hides the width.
 
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use caudata_model::RobotModel;
 
@@ -17,6 +18,9 @@ use crate::real::Real;
 use crate::simd::{Kernel, Lanes};
 use crate::state::FIELDS;
 use crate::{EngineConfig, LaneParams, SimError, State, Terrain};
+
+/// Parts that a step's groups are cut into, per thread.
+const PARTS_PER_THREAD: usize = 8;
 
 /// One lane's state without its parameters.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -209,19 +213,20 @@ impl<R: Lanes> Core for CoreOf<R> {
 
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State) {
         let shared = &self.shared;
-        let parts = pool.threads().min(self.scratch.len());
-        let share = self.groups.len().div_ceil(parts);
+        let threads = pool.threads().min(self.scratch.len());
+        // Small parts, each taken by the next thread that is free: the machine may be busy with other things as well. A group's result does
+        // not depend on who works it out.
+        let share = self.groups.len().div_ceil(PARTS_PER_THREAD * threads);
         let widths = report::widths(&shared.program);
         let actuated = shared.program.actuated;
         let mut rest = Rows::of(state);
         let mut first = 0;
-        let mut work = Vec::with_capacity(parts);
-        for (groups, scratch) in self.groups.chunks_mut(share).zip(&mut self.scratch) {
+        let mut work = Vec::with_capacity(PARTS_PER_THREAD * threads);
+        for groups in self.groups.chunks_mut(share) {
             let lanes = (groups.len() * R::LANES).min(self.lanes - first);
             work.push(Mutex::new(Part {
                 shared,
                 groups,
-                scratch,
                 rows: rest.split_off_front(lanes, &widths),
                 targets: &targets[first * actuated..(first + lanes) * actuated],
                 wrenches: &wrenches[first * 6..(first + lanes) * 6],
@@ -230,11 +235,18 @@ impl<R: Lanes> Core for CoreOf<R> {
             }));
             first += lanes;
         }
+        let scratch: Vec<Mutex<&mut Scratch<R>>> =
+            self.scratch.iter_mut().map(Mutex::new).collect();
+        let next = AtomicUsize::new(0);
         pool.run(&|k| {
-            if let Some(part) = work.get(k)
-                && let Ok(mut part) = part.lock()
-            {
-                part.run();
+            // nobody else has this thread's working memory, or a part that it took
+            let Some(Ok(mut scratch)) = scratch.get(k).map(Mutex::lock) else {
+                return;
+            };
+            while let Some(part) = work.get(next.fetch_add(1, Ordering::Relaxed)) {
+                if let Ok(mut part) = part.lock() {
+                    part.run(&mut scratch);
+                }
             }
         });
     }
@@ -301,11 +313,10 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// What one thread does in a step.
+/// Some groups and what they are told in a step.
 struct Part<'a, R: Lanes> {
     shared: &'a Shared<R>,
     groups: &'a mut [Group<R>],
-    scratch: &'a mut Scratch<R>,
     rows: Rows<'a>,
     targets: &'a [f32],
     wrenches: &'a [f32],
@@ -314,7 +325,7 @@ struct Part<'a, R: Lanes> {
 }
 
 impl<R: Lanes> Part<'_, R> {
-    fn run(&mut self) {
+    fn run(&mut self, scratch: &mut Scratch<R>) {
         let actuated = self.shared.program.actuated;
         for g in 0..self.groups.len() {
             let first = g * R::LANES;
@@ -326,7 +337,7 @@ impl<R: Lanes> Part<'_, R> {
                 R::run(Period::<R, true> {
                     shared: self.shared,
                     group,
-                    scratch: self.scratch,
+                    scratch,
                     used,
                     targets,
                     wrenches,
@@ -335,23 +346,23 @@ impl<R: Lanes> Part<'_, R> {
                 R::run(Period::<R, false> {
                     shared: self.shared,
                     group,
-                    scratch: self.scratch,
+                    scratch,
                     used,
                     targets,
                     wrenches,
                 });
             }
-            self.publish(g, first, used);
+            self.publish(scratch, g, first, used);
         }
     }
 
     /// Copies the report into the rows; lanes that broke down keep theirs.
-    fn publish(&mut self, g: usize, first: usize, used: usize) {
+    fn publish(&mut self, scratch: &mut Scratch<R>, g: usize, first: usize, used: usize) {
         let diverged = &self.groups[g].diverged[..used];
         self.rows.diverged[first..first + used].copy_from_slice(diverged);
         R::run(Publish {
-            out: &self.scratch.out,
-            turned: &mut self.scratch.turned,
+            out: &scratch.out,
+            turned: &mut scratch.turned,
             rows: &mut self.rows.fields,
             widths: &self.widths,
             first,

@@ -4,6 +4,7 @@ use super::kinematics;
 use super::lanes::{Group, Layout, layout};
 use super::period::{Scratch, Shared};
 use super::vec3::{V3, add_cross, add_scaled, dot, scale};
+use crate::drive::passive::{self, StopAt};
 use crate::drive::{JointMemory, friction, step};
 use crate::simd::Lanes;
 
@@ -24,17 +25,23 @@ pub(super) fn integrate<R: Lanes>(
     let (q, rest) = rest.split_at_mut(n);
     let (qd, rest) = rest.split_at_mut(n);
     let (bristle, rest) = rest.split_at_mut(n);
-    let qdd = &mut rest[..n];
+    let (qdd, rest) = rest.split_at_mut(n);
+    let free = &mut rest[..n];
     let half = R::splat(0.5);
     for i in 0..n {
         let (before, acceleration) = (qd[i], scratch.qdd[i]);
         let now = acceleration.mul_add(dt, before);
         let moved = now * dt;
+        let hinge = &group.params.hinges[i];
+        let stop = StopAt {
+            law: &program.nodes[i].stop,
+            free_radps2: free[i],
+        };
+        free[i] = passive::free_radps2(hinge, stop, q[i], before, moved, now, acceleration);
         qd[i] = now;
         qdd[i] = acceleration;
         q[i] += moved;
         sound = sound & now.abs().le(fastest);
-        let hinge = &group.params.hinges[i];
         let Some(a) = program.nodes[i].servo else {
             bristle[i] = friction::drag_bristle(bristle[i], moved, hinge.presliding_rad);
             continue;

@@ -57,13 +57,17 @@ impl Layout {
     pub fn qdd(self) -> usize {
         Self::HEAD + 3 * self.joints
     }
+    /// The same without the joints' stops.
+    pub fn free(self) -> usize {
+        Self::HEAD + 4 * self.joints
+    }
     /// What contact points keep, [`MEMORY`] each.
     pub fn contacts(self) -> usize {
-        Self::HEAD + 4 * self.joints
+        Self::HEAD + 5 * self.joints
     }
     /// Length of the whole.
     pub fn len(self) -> usize {
-        Self::HEAD + 4 * self.joints + MEMORY * self.points
+        Self::HEAD + 5 * self.joints + MEMORY * self.points
     }
 }
 
@@ -203,7 +207,7 @@ impl<R: Lanes> Group<R> {
                 to.set_lane(lane, &one);
             }
         }
-        let hinges = JointPassive::all(model, p, config);
+        let hinges = JointPassive::all(model, p);
         let servos: Vec<ServoDrive<f64>> = (0..program.actuated)
             .map(|a| ServoDrive::new(model, p, a, config.dt_s))
             .collect();

@@ -83,6 +83,7 @@ impl BatchEngine {
         threads: usize,
     ) -> Result<Self, SimError> {
         config.validate()?;
+        crate::check_extension(&model)?;
         if lanes == 0 || lanes > MAX_LANES {
             return Err(SimError::Shape {
                 what: "lanes",

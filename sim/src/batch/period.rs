@@ -16,6 +16,7 @@ use super::vec3::{Inertia, V3, dot, zero3};
 use super::wet;
 use crate::drive::command::Scheduled;
 use crate::drive::loss::LossMemory;
+use crate::drive::passive::StopAt;
 use crate::drive::step::{self, Driven, Step};
 use crate::drive::supply::{self, Bus};
 use crate::drive::{ImplicitTorque, JointMemory};
@@ -334,12 +335,17 @@ fn load_joints<R: Lanes>(
     } = group;
     let (q, qd) = (&x[lay.q()..lay.q() + n], &x[lay.qd()..lay.qd() + n]);
     let bristle = &x[lay.bristle()..lay.bristle() + n];
+    let free = &x[lay.free()..lay.free() + n];
     let step = &shared.step;
     let since = R::splat(shared.dt_s * f64::from(substep));
     let bus = Bus::at(x[Layout::BUS]);
     let mut current = R::zero();
     for i in 0..n {
         let hinge = &params.hinges[i];
+        let stop = StopAt {
+            law: &program.nodes[i].stop,
+            free_radps2: free[i],
+        };
         let torque = if let Some(a) = program.nodes[i].servo {
             let command = scratch.scheduled[a].over_step(since, step.dt_s, step.per_dt);
             let driven = step::start(
@@ -352,12 +358,13 @@ fn load_joints<R: Lanes>(
                 command,
                 q[i],
                 qd[i],
+                stop,
             );
             current += driven.current_a;
             scratch.driven[a] = Some(driven);
             driven.torque
         } else {
-            step::hinge_torque(hinge, step, bristle[i], q[i], qd[i])
+            step::hinge_torque(hinge, step, bristle[i], q[i], qd[i], stop)
         };
         scratch.loads[i] = load(&torque, params.armature[i], step.dt_s, qd[i]);
     }
@@ -370,7 +377,7 @@ fn load<R: Lanes>(t: &ImplicitTorque<R>, armature: R, dt: R, qd: R) -> Load<R> {
     let resistance = t.stiffness_nm_per_rad.mul_add(dt, t.damping_nms_per_rad);
     Load {
         torque: t.now_nm - resistance * qd,
-        inertia: resistance.mul_add(dt, armature),
+        inertia: resistance.mul_add(dt, armature + t.inertia_kgm2),
     }
 }
 
@@ -394,13 +401,15 @@ fn sum_contacts<R: Lanes, const FLAT: bool>(
             if !touch.any {
                 continue;
             }
-            let force = touch.force(ang, lin);
-            let normal = if FLAT {
-                force[2]
+            let (force, acceleration) = touch.force(ang, lin);
+            let (normal, acceleration) = if FLAT {
+                (force[2], acceleration[2])
             } else {
-                dot(force, touch.normal)
+                (dot(force, touch.normal), dot(acceleration, touch.normal))
             };
+            let free = (acceleration - touch.give * normal) * touch.touching;
             group.x[contacts + MEMORY * p + 3] = normal.max(R::zero());
+            group.x[contacts + MEMORY * p + 4] = free;
             match program.points[p].part {
                 Part::Foot(f) => {
                     for c in 0..3 {

@@ -1,10 +1,10 @@
 //! Threads that stay: starting one costs more than a control period of a few hundred lanes.
 //!
-//! Which thread does what is fixed (task `k` runs on thread `k`), nothing is stolen, and no result depends on it.
+//! Task `k` runs on thread `k`. Both sides look for each other a short while before they sleep: waking a thread takes as long as a group of lanes.
 #![allow(unsafe_code)]
 
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvError, SyncSender, TryRecvError, sync_channel};
 use std::thread::JoinHandle;
 
 type Panic = Box<dyn std::any::Any + Send>;
@@ -19,6 +19,21 @@ unsafe impl Send for Task {}
 struct Worker {
     tasks: Option<SyncSender<Task>>,
     thread: Option<JoinHandle<()>>,
+}
+
+/// How often a thread looks for its message before it sleeps: some 20 µs, less than a group of lanes takes for a control period.
+const LOOKS: u32 = 400;
+
+/// The next message.
+fn receive<T>(from: &Receiver<T>) -> Result<T, RecvError> {
+    for _ in 0..LOOKS {
+        match from.try_recv() {
+            Ok(message) => return Ok(message),
+            Err(TryRecvError::Disconnected) => return Err(RecvError),
+            Err(TryRecvError::Empty) => std::hint::spin_loop(),
+        }
+    }
+    from.recv()
 }
 
 /// A fixed number of threads, the caller's own included.
@@ -63,7 +78,7 @@ impl Pool {
         let mut outcome = catch_unwind(AssertUnwindSafe(|| task(0)));
         for _ in 0..told {
             // a worker answers every task that it took; it holds a sender as long as it lives
-            match self.answers.recv() {
+            match receive(&self.answers) {
                 Ok(Ok(())) => {}
                 Ok(Err(panic)) => outcome = Err(panic),
                 Err(_) => break,
@@ -79,7 +94,7 @@ fn start(index: usize, answer: SyncSender<Result<(), Panic>>) -> Option<Worker> 
     // never more than one task at a time
     let (tasks, inbox) = sync_channel::<Task>(1);
     let work = move || {
-        while let Ok(task) = inbox.recv() {
+        while let Ok(task) = receive(&inbox) {
             // SAFETY: `Pool::run` keeps it alive until the answer below.
             let task = unsafe { &*task.0 };
             let outcome = catch_unwind(AssertUnwindSafe(|| task(index)));

@@ -10,14 +10,19 @@ use std::ops::Range;
 use caudata_model::pose::{self, Pose};
 use caudata_model::{BaseKind, Geom, JointKind, JointMotion, RobotModel, Shape};
 
+use crate::mobility::Mobility;
 use crate::self_contact;
 use crate::simd::Lanes;
+use crate::stop::Stop;
 use crate::{EngineConfig, SimError};
 
 /// Most degrees of freedom (beyond a free base's six) that the engine takes.
 pub const MAX_JOINTS: usize = 256;
 /// Most contact points that the engine takes.
 pub const MAX_POINTS: usize = 4096;
+
+/// Inverse mass of what cannot move, 1/kg: its contacts push on nothing, but by a finite force.
+const LEAST_MOBILITY: f64 = 1e-3;
 
 /// How far an axis may be off a frame axis and still count as aligned.
 const ALIGNED: f64 = 1e-12;
@@ -45,6 +50,8 @@ pub(super) struct Node<R: Lanes> {
     pub joint: usize,
     /// Index in policy order of the servo, where it has one.
     pub servo: Option<usize>,
+    /// Its end stops.
+    pub stop: Stop,
 }
 
 /// Where a link is.
@@ -83,6 +90,10 @@ pub(super) struct Point<R: Lanes> {
     pub centre: [R::Elem; 3],
     /// Radius, m.
     pub radius: R::Elem,
+    /// Inverse of the mass that a contact reckons with, 1/kg.
+    pub mobility: R::Elem,
+    /// How it gives way.
+    pub soft: Stop,
     pub part: Part,
 }
 
@@ -143,6 +154,7 @@ impl<R: Lanes> Program<R> {
     /// Compiles `model` as `config` asks for.
     pub fn new(model: &RobotModel, config: &EngineConfig, water: bool) -> Result<Self, SimError> {
         let free = model.base() == BaseKind::Free && !config.fixed_base;
+        let mobility = Mobility::of(model, config)?;
         let mut nodes: Vec<Node<R>> = Vec::new();
         // node and pose in it, per link
         let mut placed: Vec<(usize, Pose)> = Vec::new();
@@ -184,6 +196,7 @@ impl<R: Lanes> Program<R> {
                         JointKind::Actuated { index } => Some(index),
                         JointKind::Passive | JointKind::Backlash => None,
                     },
+                    stop: Stop::new(&joint.stop, mobility.joints[j]),
                 });
                 node = nodes.len();
                 at = from_node.inverse().compose(&at);
@@ -199,7 +212,7 @@ impl<R: Lanes> Program<R> {
         let links = link_places(model, &placed);
         let links_of = ranges(nodes.len() + 1, links.iter().map(|l| l.node));
         mark_first_children(&mut nodes, &links_of);
-        let points = contact_points(model, &placed)?;
+        let points = contact_points(model, &placed, &mobility)?;
         let points_of = ranges(nodes.len() + 1, points.iter().map(|p| p.node));
         let place = |link: usize, at: &Pose| place::<R>(&placed, link, at);
         let find = |link: usize| {
@@ -340,6 +353,7 @@ fn mark_first_children<R: Lanes>(nodes: &mut [Node<R>], links_of: &[Range<usize>
 fn contact_points<R: Lanes>(
     model: &RobotModel,
     placed: &[(usize, Pose)],
+    mobility: &Mobility,
 ) -> Result<Vec<Point<R>>, SimError> {
     let mut points = Vec::new();
     for (i, link) in model.links().iter().enumerate() {
@@ -364,6 +378,8 @@ fn contact_points<R: Lanes>(
                 node,
                 centre: node_from_geom.point(c).map(R::elem),
                 radius: R::elem(radius),
+                mobility: R::elem(mobility.links[i].max(LEAST_MOBILITY)),
+                soft: Stop::new(&geom.soft, mobility.links[i]),
                 part: foot.map_or(other, Part::Foot),
             }));
         }

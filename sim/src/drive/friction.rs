@@ -73,6 +73,7 @@ pub fn bristle_torque<R: Real>(
         ),
         stiffness_nm_per_rad: stiffness,
         damping_nms_per_rad: stiffness * soon_s,
+        inertia_kgm2: R::zero(),
     }
 }
 

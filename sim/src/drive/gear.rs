@@ -73,6 +73,7 @@ pub fn step<R: Real>(
             now_nm: spring + coupling * speed,
             stiffness_nm_per_rad: R::zero(),
             damping_nms_per_rad: coupling * (R::one() - share),
+            inertia_kgm2: R::zero(),
         },
         speed_radps: speed,
         speed_per_speed: share,

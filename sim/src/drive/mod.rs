@@ -34,7 +34,8 @@ pub use step::JointMemory;
 
 use crate::real::Real;
 
-/// A torque that follows its joint: `now − k·(q⁺ − q) − d·q̇⁺`, where q⁺ and q̇⁺ are position and velocity at the end of the step.
+/// A torque that follows its joint: `now − k·(q⁺ − q) − d·q̇⁺ − j·q̈`, where q⁺ and q̇⁺ are position and velocity at the end of the step and q̈ is the
+/// acceleration over it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ImplicitTorque<R> {
     /// At the present position, without the damper's part, N·m.
@@ -43,6 +44,8 @@ pub struct ImplicitTorque<R> {
     pub stiffness_nm_per_rad: R,
     /// d, N·m·s/rad.
     pub damping_nms_per_rad: R,
+    /// j, kg·m².
+    pub inertia_kgm2: R,
 }
 
 impl<R: Real> ImplicitTorque<R> {
@@ -61,6 +64,7 @@ impl<R: Real> ImplicitTorque<R> {
             now_nm: torque_nm,
             stiffness_nm_per_rad: R::zero(),
             damping_nms_per_rad: R::zero(),
+            inertia_kgm2: R::zero(),
         }
     }
 
@@ -72,6 +76,7 @@ impl<R: Real> ImplicitTorque<R> {
             now_nm: self.now_nm + other.now_nm,
             stiffness_nm_per_rad: self.stiffness_nm_per_rad + other.stiffness_nm_per_rad,
             damping_nms_per_rad: self.damping_nms_per_rad + other.damping_nms_per_rad,
+            inertia_kgm2: self.inertia_kgm2 + other.inertia_kgm2,
         }
     }
 
@@ -87,10 +92,11 @@ impl<R: Real> ImplicitTorque<R> {
                 no.stiffness_nm_per_rad,
             ),
             damping_nms_per_rad: R::select(mask, yes.damping_nms_per_rad, no.damping_nms_per_rad),
+            inertia_kgm2: R::select(mask, yes.inertia_kgm2, no.inertia_kgm2),
         }
     }
 
-    /// What it came to after the joint moved by `moved_rad` and reached `qd_radps`, N·m.
+    /// What it came to after the joint moved by `moved_rad` and reached `qd_radps`, without the inertia's part, N·m.
     #[must_use]
     #[inline(always)]
     pub fn after(&self, moved_rad: R, qd_radps: R) -> R {

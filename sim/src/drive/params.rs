@@ -1,20 +1,17 @@
 //! What the drive-line computes with, per lane: made from [`LaneParams`] once, in the form that costs least per step.
 
-use caudata_model::{JointKind, JointMotion, RobotModel};
+use caudata_model::{JointKind, RobotModel};
 
 use super::command::MAX_COMMAND_DELAY_S;
 use super::gear::TOOTH_STIFFNESS_NM_PER_RAD;
 use super::supply::Supply;
 use super::{filter, friction};
+use crate::LaneParams;
 use crate::lanes::per_lane;
 use crate::params::backlash_joints;
-use crate::{EngineConfig, LaneParams};
 
 /// Stands for "no limit" where a finite number is needed.
 pub const NO_LIMIT: f64 = 1e9;
-
-/// A slide's end stop in N/m per N·m/rad of a hinge's: the same stop met at a lever of 0.1 m.
-const SLIDE_STOP_FACTOR: f64 = 100.0;
 
 per_lane! {
     /// Spring, damper, friction and end stops of any hinge (of a slide: read m for rad, N for N·m).
@@ -33,10 +30,6 @@ per_lane! {
         pub low_rad: R,
         /// Upper end stop, rad.
         pub high_rad: R,
-        /// Stiffness of the stops, N·m/rad.
-        pub stop_stiffness_nm_per_rad: R,
-        /// Damping of the stops while touched, N·m·s/rad.
-        pub stop_damping_nms_per_rad: R,
     }
 }
 
@@ -190,20 +183,14 @@ impl ServoDrive<f64> {
 impl JointPassive<f64> {
     /// All hinges of a lane with parameters `params`, model order. `[J]`
     #[must_use]
-    pub fn all(model: &RobotModel, params: &LaneParams, config: &EngineConfig) -> Vec<Self> {
+    pub fn all(model: &RobotModel, params: &LaneParams) -> Vec<Self> {
         let wide = |x: f32| f64::from(x);
         let mut hinges = params.hinges.iter();
         let mut all: Vec<Self> = model
             .joints()
             .iter()
             .map(|j| {
-                let stop = match j.motion {
-                    JointMotion::Hinge => 1.0,
-                    JointMotion::Slide => SLIDE_STOP_FACTOR,
-                };
-                let stops = Self {
-                    stop_stiffness_nm_per_rad: config.stop_stiffness_nm_per_rad * stop,
-                    stop_damping_nms_per_rad: config.stop_damping_nms_per_rad * stop,
+                let bare = Self {
                     presliding_rad: friction::PRESLIDING_RAD,
                     ..Self::default()
                 };
@@ -218,7 +205,7 @@ impl JointPassive<f64> {
                             presliding_rad: wide(e.presliding_rad),
                             low_rad: wide(e.low_rad),
                             high_rad: wide(e.high_rad),
-                            ..stops
+                            ..bare
                         }
                     }
                     JointKind::Passive | JointKind::Backlash => match hinges.next() {
@@ -229,9 +216,9 @@ impl JointPassive<f64> {
                             friction_nm: wide(h.friction_nm),
                             low_rad: wide(h.low_rad),
                             high_rad: wide(h.high_rad),
-                            ..stops
+                            ..bare
                         },
-                        None => stops,
+                        None => bare,
                     },
                 }
             })

@@ -2,9 +2,10 @@
 
 use std::f64::consts::TAU;
 
+use super::passive::{self, StopAt};
 use super::supply::Bus;
 use super::{DriveFeatures, ImplicitTorque, JointPassive, ServoDrive};
-use super::{filter, friction, gear, passive, servo, thermal};
+use super::{filter, friction, gear, servo, thermal};
 use crate::lanes::per_lane;
 use crate::real::Real;
 
@@ -100,6 +101,7 @@ pub fn start<R: Real>(
     command_rad: R,
     q_rad: R,
     qd_radps: R,
+    stop: StopAt<'_, R>,
 ) -> Driven<R> {
     let soft = R::splat(0.5).lt(p.gear_is_soft);
     let motor_radps = if f.gear {
@@ -151,7 +153,7 @@ pub fn start<R: Real>(
         (rigid, None)
     };
     Driven {
-        torque: on_joint.plus(passive::spring_and_stops(hinge, q_rad)),
+        torque: on_joint.plus(passive::spring_and_stops(hinge, stop, q_rad, qd_radps)),
         motor_nm,
         motor_radps,
         current_a: servo::current_a(p, motor_nm),
@@ -206,6 +208,7 @@ pub fn hinge_torque<R: Real>(
     bristle_rad: R,
     q_rad: R,
     qd_radps: R,
+    stop: StopAt<'_, R>,
 ) -> ImplicitTorque<R> {
     let mut drag = friction::bristle_torque(
         hinge.friction_nm,
@@ -215,7 +218,7 @@ pub fn hinge_torque<R: Real>(
         step.dt_s,
     );
     drag.damping_nms_per_rad += hinge.damping_nms_per_rad;
-    drag.plus(passive::spring_and_stops(hinge, q_rad))
+    drag.plus(passive::spring_and_stops(hinge, stop, q_rad, qd_radps))
 }
 
 /// The command after low-pass and profile, rad.

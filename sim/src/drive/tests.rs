@@ -1,9 +1,11 @@
 //! The whole drive-line on one joint: a single inertia, stepped as an engine does it.
 
+use super::passive::{self, StopAt};
 use super::step::{self, Step};
 use super::supply::{self, Bus, Supply};
 use super::*;
 use crate::lanes::Lanes;
+use crate::stop::Stop;
 
 const DT: f64 = 0.001;
 
@@ -55,11 +57,16 @@ struct Rig {
     q: f64,
     qd: f64,
     motor_nm: f64,
+    stop: Stop,
+    free: f64,
 }
 
 impl Rig {
     fn new(servo: ServoDrive<f64>, hinge: JointPassive<f64>) -> Self {
         Self {
+            // the stop reckons with the load and the rotor
+            stop: Stop::new(&Default::default(), 1.0 / (0.01 + servo.rotor_kgm2)),
+            free: 0.0,
             servo,
             hinge,
             memory: JointMemory::rest(0.0, 0.0),
@@ -76,6 +83,10 @@ impl Rig {
         let dt = Step::new(DT);
         let bus = Bus::at(self.volt);
         let m = &mut self.memory;
+        let stop = StopAt {
+            law: &self.stop,
+            free_radps2: self.free,
+        };
         let d = step::start(
             f,
             &self.servo,
@@ -86,9 +97,10 @@ impl Rig {
             command,
             self.q,
             self.qd,
+            stop,
         );
-        let inertia = 0.01 + self.servo.armature_kgm2();
         let t = d.torque;
+        let inertia = 0.01 + self.servo.armature_kgm2() + t.inertia_kgm2;
         let qd = (inertia * self.qd + DT * (load + t.now_nm))
             / (inertia + DT * (t.damping_nms_per_rad + DT * t.stiffness_nm_per_rad));
         step::finish(
@@ -102,6 +114,8 @@ impl Rig {
             self.qd,
             qd,
         );
+        let qdd = (qd - self.qd) / DT;
+        self.free = passive::free_radps2(&self.hinge, stop, self.q, self.qd, DT * qd, qd, qdd);
         self.q += DT * qd;
         self.qd = qd;
         self.motor_nm = d.motor_nm;
@@ -165,13 +179,12 @@ fn integral_does_not_wind_up() {
         },
         JointPassive {
             low_rad: -0.2,
-            stop_stiffness_nm_per_rad: 1000.0,
-            stop_damping_nms_per_rad: 2.0,
             ..hinge()
         },
     );
     rig.run(5.0, |_| 0.0, -0.6);
-    near("rests on its stop", rig.q, -0.2001, 1e-4);
+    // 0.1 N·m on the stop: d = 0.91, 0.91/0.09·0.0122·0.91·2770 = 311 N·m/rad
+    near("rests on its stop", rig.q, -0.2003, 5e-5);
     near("current limit", rig.motor_nm, 0.5, 1e-9);
     // the error of 0.2 rad alone would have gathered 30·0.2·5 = 30 N·m
     near("integral", rig.memory.integral_nm, 0.0, 0.1);
@@ -445,6 +458,7 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         ..hinge()
     });
     let (dt, bus) = (Step::<f32>::new(DT), Bus::at(12.0_f32));
+    let stop = Stop::new(&Default::default(), 1.0 / 0.0122);
     let mut memories: [JointMemory<f32>; 2] = [Lanes::splat(&JointMemory::rest(0.0, 0.0)); 2];
     let mut at = [(0.0_f32, 0.0_f32); 2];
     for k in 0..400 {
@@ -452,7 +466,11 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         for (i, f) in [DriveFeatures::default(), all].into_iter().enumerate() {
             let (q, qd) = at[i];
             let m = &mut memories[i];
-            let d = step::start(f, &p, &h, m, &dt, &bus, command, q, qd);
+            let stop = StopAt {
+                law: &stop,
+                free_radps2: 0.0,
+            };
+            let d = step::start(f, &p, &h, m, &dt, &bus, command, q, qd, stop);
             let t = d.torque;
             let next = (0.0122 * qd + dt.dt_s * t.now_nm)
                 / (0.0122 + dt.dt_s * (t.damping_nms_per_rad + dt.dt_s * t.stiffness_nm_per_rad));

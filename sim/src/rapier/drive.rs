@@ -8,6 +8,7 @@ use super::lane::Shared;
 use super::robot::{JointState, Robot};
 use crate::drive::command::Scheduled;
 use crate::drive::loss::LossMemory;
+use crate::drive::passive::{self, StopAt};
 use crate::drive::step::{self, Driven, Step};
 use crate::drive::supply::{self, Bus, Supply};
 use crate::drive::{
@@ -26,6 +27,8 @@ pub(super) struct DriveMemory {
     servos: Vec<JointMemory<f32>>,
     /// Friction bristles; those of actuated joints are in `servos`. `[J]`
     bristle_rad: Vec<f32>,
+    /// Accelerations in the last step, without the joints' stops. `[J]`
+    free_radps2: Vec<f32>,
     /// Bus voltage, V.
     bus_v: f32,
 }
@@ -41,6 +44,7 @@ impl DriveMemory {
                 .map(|(&q, &qd)| Lanes::splat(&JointMemory::rest(f64::from(q), f64::from(qd))))
                 .collect(),
             bristle_rad: vec![0.0; shared.model.joints().len()],
+            free_radps2: vec![0.0; shared.model.joints().len()],
             bus_v: params.supply_v,
         }
     }
@@ -89,7 +93,7 @@ impl Drive {
             step: Step::new(dt_s),
             supply: Lanes::splat(&Supply::new(params, dt_s)),
             servos: servos.iter().map(Lanes::splat).collect(),
-            passive: JointPassive::all(model, params, &shared.config)
+            passive: JointPassive::all(model, params)
                 .iter()
                 .map(Lanes::splat)
                 .collect(),
@@ -131,6 +135,10 @@ impl Drive {
         for (j, model_joint) in shared.model.joints().iter().enumerate() {
             let Some(at) = robot.joint(j) else { continue };
             let hinge = &self.passive[j];
+            let stop = StopAt {
+                law: &shared.stops[j],
+                free_radps2: memory.free_radps2[j],
+            };
             let (torque, driven) = match model_joint.kind {
                 JointKind::Actuated { index } => {
                     let command = self.scheduled[index].over_step(
@@ -148,12 +156,20 @@ impl Drive {
                         command,
                         at.pos,
                         at.vel,
+                        stop,
                     );
                     current_a += driven.current_a;
                     (driven.torque, Some(driven))
                 }
                 JointKind::Passive | JointKind::Backlash => (
-                    step::hinge_torque(hinge, &self.step, memory.bristle_rad[j], at.pos, at.vel),
+                    step::hinge_torque(
+                        hinge,
+                        &self.step,
+                        memory.bristle_rad[j],
+                        at.pos,
+                        at.vel,
+                        stop,
+                    ),
                     None,
                 ),
             };
@@ -170,6 +186,13 @@ impl Drive {
             let Started { at, driven } = self.started[j];
             let hinge = &self.passive[j];
             let moved = now.pos - at.pos;
+            let stop = StopAt {
+                law: &shared.stops[j],
+                free_radps2: memory.free_radps2[j],
+            };
+            let acceleration = (now.vel - at.vel) * self.step.per_dt;
+            memory.free_radps2[j] =
+                passive::free_radps2(hinge, stop, at.pos, at.vel, moved, now.vel, acceleration);
             let (JointKind::Actuated { index }, Some(driven)) = (model_joint.kind, driven) else {
                 memory.bristle_rad[j] =
                     friction::drag_bristle(memory.bristle_rad[j], moved, hinge.presliding_rad);

@@ -13,6 +13,7 @@ use super::robot::Robot;
 use super::water::{Water, WaterMemory};
 use crate::drive::ServoDrive;
 use crate::observe::{self, Coordinates, LinkMass, Motion};
+use crate::stop::Stop;
 use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 
 /// How high above touching height a held robot hangs unless told otherwise, m.
@@ -23,6 +24,8 @@ pub(super) struct Shared {
     pub model: Arc<RobotModel>,
     pub config: EngineConfig,
     pub terrain: Arc<Terrain>,
+    /// End stops, model order.
+    pub stops: Vec<Stop>,
     /// The terrain's height field as Rapier has it, shared by all worlds.
     pub ground: Option<SharedShape>,
     /// Slippery places of the ground.

@@ -42,6 +42,7 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 
+use crate::stop::Stop;
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 use lane::{Lane, Shared};
 
@@ -71,6 +72,7 @@ impl RapierEngine {
         threads: usize,
     ) -> Result<Self, SimError> {
         config.validate()?;
+        crate::check_extension(&model)?;
         if lanes == 0 || lanes > MAX_LANES {
             return Err(SimError::Shape {
                 what: "lanes",
@@ -87,6 +89,7 @@ impl RapierEngine {
             model.feet().len(),
         );
         let shared = Shared {
+            stops: Stop::all(&model, &config)?,
             ground: world::height_field(&terrain),
             grip: grip::Grip::new(Arc::clone(&terrain)),
             model,

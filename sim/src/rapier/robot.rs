@@ -23,6 +23,8 @@ pub(super) struct Robot {
     root_com_m: [f64; 3],
     /// One per body, for the coming step.
     loads: Vec<Load>,
+    /// Rotor inertia of each joint, model order, kg·m² (the stops' inertia comes on top).
+    armature_kgm2: Vec<f32>,
 }
 
 /// Force and torque on one body, world, at its centre of mass.
@@ -48,7 +50,13 @@ impl Robot {
         masses: &[LinkMass],
     ) -> Result<Self, SimError> {
         let (world, handles) = world::build(shared, params, masses)?;
-        let mut robot = Self {
+        let armature_kgm2 = (shared.model.joints().iter())
+            .map(|joint| match joint.kind {
+                JointKind::Actuated { index } => servos[index].armature_kgm2() as f32,
+                JointKind::Passive | JointKind::Backlash => joint.armature_kgm2 as f32,
+            })
+            .collect();
+        Ok(Self {
             root_com_m: if handles.free_base {
                 masses[0].com_m
             } else {
@@ -57,24 +65,8 @@ impl Robot {
             loads: vec![Load::default(); handles.bodies.len()],
             world,
             handles,
-        };
-        robot.set_armature(shared, servos);
-        Ok(robot)
-    }
-
-    /// Rotor inertia of the actuated joints (the lane's), and of the others (the model's).
-    fn set_armature(&mut self, shared: &Shared, servos: &[ServoDrive<f64>]) {
-        let Self { world, handles, .. } = self;
-        let Some(multibody) = multibody_mut(world, handles) else {
-            return;
-        };
-        for (joint, dof) in shared.model.joints().iter().zip(&handles.dofs) {
-            let Some(dof) = dof else { continue };
-            multibody.armature_mut()[dof.assembly] = match joint.kind {
-                JointKind::Actuated { index } => servos[index].armature_kgm2() as f32,
-                JointKind::Passive | JointKind::Backlash => joint.armature_kgm2 as f32,
-            };
-        }
+            armature_kgm2,
+        })
     }
 
     /// Moves a freshly built robot (all joints at zero) to `at`.
@@ -190,6 +182,7 @@ impl Robot {
             world,
             handles,
             loads,
+            armature_kgm2,
             ..
         } = self;
         let Some(dof) = handles.dofs[j] else { return };
@@ -197,6 +190,7 @@ impl Robot {
             return;
         };
         multibody.damping_mut()[dof.assembly] = torque.damping_nms_per_rad;
+        multibody.armature_mut()[dof.assembly] = armature_kgm2[j] + torque.inertia_kgm2;
         let Some(link) = multibody.link_mut(dof.link) else {
             return;
         };

@@ -98,11 +98,12 @@ fn body(r: &ScenarioResult) {
         r.rmse_of_means[2]
     ));
     say::line(format!(
-        "  power {} W, cost of transport {:.2}, torque {:.2} N·m rms, {:.2} peak",
+        "  power {} W, cost of transport {:.2}, torque {:.2} N·m rms, {:.2} peak, at the servo's limit {:.1} %",
         pm(r.power_w, 1),
         r.cost_of_transport.mean,
         r.torque_rms_nm,
-        r.torque_peak_nm
+        r.torque_peak_nm,
+        100.0 * r.servo_limit_share
     ));
     say::line(format!(
         "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",

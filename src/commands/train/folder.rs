@@ -29,8 +29,29 @@ impl RunFolder {
         }
         // Also the name of the stream on the policy server, which knows no capitals.
         let run_id = format!("{name}-{time}-{}", std::process::id()).to_ascii_lowercase();
+        Self::make(&root, run_id)
+    }
+
+    /// The folder of a run with a given id at `root`: made, or taken up again.
+    pub fn of_run(root: &Path, run_id: &str) -> Result<Self, Failure> {
+        if !root.join("run_id.txt").exists() {
+            return Self::make(root, run_id.to_owned());
+        }
+        let folder = Self::reopen(Some(root), root)?;
+        if folder.run_id != run_id {
+            let message = format!("{} holds the run `{}`", root.display(), folder.run_id);
+            return Err(
+                Failure::message(ExitCode::CannotCreate, message).hint(format!(
+                    "`{run_id}` needs a folder of its own: cluster.run_dir"
+                )),
+            );
+        }
+        Ok(folder)
+    }
+
+    fn make(root: &Path, run_id: String) -> Result<Self, Failure> {
         let folder = Self {
-            root: absolute(&root)?,
+            root: absolute(root)?,
             run_id,
         };
         for part in [

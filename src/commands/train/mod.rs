@@ -1,13 +1,13 @@
 //! `caudata train`: everything on this machine, started, watched and stopped.
 
 mod accounting;
-mod backoff;
-mod children;
+pub mod backoff;
+pub mod children;
 mod finish;
-mod folder;
+pub mod folder;
 mod robot;
-mod supervise;
-mod view;
+pub mod supervise;
+pub mod view;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use crate::commands::robot_model;
 use crate::say;
 pub use children::Programs;
 use folder::RunFolder;
-use supervise::Supervisor;
+use supervise::{Plan, Supervisor};
 use view::View;
 
 #[derive(Debug, Args)]
@@ -111,7 +111,15 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let view = View::new(args.json);
     view.note(&format!("run folder {}", folder.root().display()));
     let resume = args.resume();
-    let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, &resume);
+    let plan = Plan {
+        resume: resume.clone(),
+        actors: match config.transport.kind {
+            TransportKind::Inproc => 0,
+            TransportKind::Iceoryx2 | TransportKind::Zenoh => config.actors.count,
+        },
+        restart_learner: false,
+    };
+    let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
     if supervisor.is_err() && resume == Resume::No {
         folder.disown();
     }

@@ -5,9 +5,9 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use caudata_actor::LedgerCount;
-use caudata_config::{Config, TransportKind};
+use caudata_config::Config;
 use caudata_telemetry::progress::{Event, Finished};
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Listening, StopFlag};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Listening, Pulse, StopFlag};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use nix::sys::signal::Signal;
 
@@ -28,8 +28,21 @@ const SERVER_START_MAX: Duration = Duration::from_secs(15);
 const LEARNER_STOP_MAX: Duration = Duration::from_secs(45);
 /// How long other children may take to stop.
 const CHILD_STOP_MAX: Duration = Duration::from_secs(5);
+/// Restarts of the learner per minute, where it is restarted at all.
+const LEARNER_RESTARTS_PER_MINUTE: u32 = 5;
 /// Restarts of the policy server per minute.
 const SERVER_RESTARTS_PER_MINUTE: u32 = 5;
+
+/// What is started, and what is started again.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Where the learner begins.
+    pub resume: Resume,
+    /// Actors on this host, numbered from 0.
+    pub actors: u32,
+    /// Whether a learner that died goes on from its newest checkpoint while the actors wait, instead of ending the run.
+    pub restart_learner: bool,
+}
 
 /// The processes of a run.
 pub struct Supervisor<'a> {
@@ -42,7 +55,9 @@ pub struct Supervisor<'a> {
     server: Process,
     server_addr: SocketAddr,
     server_backoff: Backoff,
+    plan: Plan,
     learner: Process,
+    learner_backoff: Backoff,
     lines: Receiver<String>,
     progress: std::fs::File,
     actors: Vec<ActorSlot>,
@@ -64,6 +79,8 @@ struct ActorSlot {
     id: u32,
     process: Option<Process>,
     backoff: Backoff,
+    /// Beats when the process says that it is alive.
+    pulse: Pulse,
     /// When it shall be started (again).
     due: Option<Instant>,
     /// Incarnations started by this supervisor.
@@ -94,7 +111,7 @@ impl<'a> Supervisor<'a> {
         folder: &'a RunFolder,
         stop: &'a StopFlag,
         view: View,
-        resume: &Resume,
+        plan: Plan,
     ) -> Result<Self, Failure> {
         let progress = std::fs::OpenOptions::new()
             .create(true)
@@ -104,16 +121,13 @@ impl<'a> Supervisor<'a> {
         let (server, server_addr) =
             start_server(programs, config, folder, config.policy_server.addr)?;
         let (sender, lines) = bounded(LINES_WAITING_MAX);
-        let learner = start_learner(programs, config, folder, server_addr, resume, sender)?;
-        let processes = match config.transport.kind {
-            TransportKind::Inproc => 0,
-            TransportKind::Iceoryx2 | TransportKind::Zenoh => config.actors.count,
-        };
-        let actors = (0..processes)
+        let learner = start_learner(programs, config, folder, server_addr, &plan.resume, sender)?;
+        let actors = (0..plan.actors)
             .map(|id| ActorSlot {
                 id,
                 process: None,
                 backoff: Backoff::new(config.actors.restarts_per_minute),
+                pulse: Pulse::new(),
                 due: None,
                 started: Vec::new(),
             })
@@ -128,7 +142,9 @@ impl<'a> Supervisor<'a> {
             server,
             server_addr,
             server_backoff: Backoff::new(SERVER_RESTARTS_PER_MINUTE),
+            plan,
             learner,
+            learner_backoff: Backoff::new(LEARNER_RESTARTS_PER_MINUTE),
             lines,
             progress,
             actors,
@@ -143,7 +159,7 @@ impl<'a> Supervisor<'a> {
 
     /// Watches until the learner has ended, then stops the actors. The policy server stays up for the evaluation.
     pub fn watch(mut self) -> Result<Outcome, Failure> {
-        while self.learner.ended().is_none() {
+        while self.learner.ended().is_none() || self.restart_learner() {
             // Whatever fails here ends the run in good order: the learner saves, the transport is cleaned up.
             self.take_lines(LOOK_EVERY);
             let watched = self.watch_actors().and_then(|()| self.watch_server());
@@ -173,6 +189,9 @@ impl<'a> Supervisor<'a> {
             let failure = failed_child(&self.learner, code, &how);
             let killed = status.is_some_and(|status| status.code().is_none());
             return Err(match killed {
+                true if self.plan.restart_learner => {
+                    failure.hint("the same command goes on from its last checkpoint")
+                }
                 true => failure.hint(format!(
                     "go on from its last checkpoint with: caudata train --resume --out {}",
                     self.folder.root().display()
@@ -196,6 +215,52 @@ impl<'a> Supervisor<'a> {
             server,
             server_addr,
         })
+    }
+
+    /// Starts a learner that died again, if that is the plan and may help; true when one runs.
+    fn restart_learner(&mut self) -> bool {
+        let ending = self.stopping_since.is_some() || self.fatal.is_some() || self.stop.is_set();
+        let Some(status) = self.learner.ended() else {
+            return true;
+        };
+        let code = status.code().and_then(ExitCode::from_number);
+        let hopeless = status.success()
+            || code.is_some_and(|code| is_permanent(code) || code == ExitCode::CheckpointDamaged);
+        if !self.plan.restart_learner || ending || hopeless {
+            return false;
+        }
+        self.take_lines(Duration::ZERO);
+        let how = children::describe(status);
+        let Verdict::RestartAfter(pause) = self.learner_backoff.died(self.began.elapsed()) else {
+            return false;
+        };
+        self.view.warn(&format!(
+            "the learner {how}; it goes on from its newest checkpoint in {:.2} s",
+            pause.as_secs_f64()
+        ));
+        self.clean_up_transport();
+        if self.stop.wait(pause) {
+            return false;
+        }
+        let (sender, lines) = bounded(LINES_WAITING_MAX);
+        let started = start_learner(
+            self.programs,
+            self.config,
+            self.folder,
+            self.server_addr,
+            &Resume::Latest,
+            sender,
+        );
+        match started {
+            Ok(learner) => {
+                (self.learner, self.lines) = (learner, lines);
+                true
+            }
+            Err(failure) => {
+                self.end_early(failure);
+                false
+            }
+        }
     }
 
     /// Shows and keeps what the learner has said, waiting at most `patience` for the first line.
@@ -230,12 +295,19 @@ impl<'a> Supervisor<'a> {
         match event {
             Event::Started(started) => {
                 self.first_iteration = started.iteration;
+                let moved = self.transport.as_ref() != Some(&started.transport);
                 self.transport = Some(started.transport);
                 self.next_incarnations = started.next_incarnations;
+                // Actors that run find a learner that is back at its address by themselves.
                 let now = Instant::now();
-                self.actors
-                    .iter_mut()
-                    .for_each(|actor| actor.due = Some(now));
+                for actor in &mut self.actors {
+                    if moved {
+                        actor.process = None;
+                    }
+                    if actor.process.is_none() {
+                        actor.due = Some(now);
+                    }
+                }
             }
             Event::Finished(finished) => self.finished = Some(*finished),
             _ => {}
@@ -262,6 +334,17 @@ impl<'a> Supervisor<'a> {
         let Some(process) = &mut actor.process else {
             return;
         };
+        let silent = actor.pulse.silent_for();
+        let hung = silent.as_secs_f64() > self.config.cluster.hang_timeout_s;
+        if process.ended().is_none() && hung && !winding_down {
+            self.view.warn(&format!(
+                "actor {} (process {}) has given no sign of life for {:.0} s; it is killed",
+                actor.id,
+                process.pid(),
+                silent.as_secs_f64()
+            ));
+            process.finish(Duration::ZERO);
+        }
         let Some(status) = process.ended() else {
             return;
         };
@@ -329,14 +412,18 @@ impl<'a> Supervisor<'a> {
         command.args(["--incarnation", &incarnation.to_string()]);
         command.args(["--transport", &transport]);
         command.arg("--ledger").arg(ledger);
+        command.arg("--heartbeat");
         add_telemetry(&mut command, config, true);
+        actor.pulse.beat();
+        let pulse = actor.pulse.clone();
+        let sink: LineSink = Box::new(move |_| pulse.beat());
         let log = folder.logs().join(format!("actor-{}.log", actor.id));
         actor.started.push(incarnation);
         actor.process = Some(Process::start(
             &format!("actor {}", actor.id),
             command,
             &log,
-            None,
+            Some(sink),
         )?);
         Ok(())
     }
@@ -428,7 +515,7 @@ impl Outcome {
 }
 
 /// Exit codes that starting again does not cure.
-fn is_permanent(code: ExitCode) -> bool {
+pub fn is_permanent(code: ExitCode) -> bool {
     matches!(
         code,
         ExitCode::BadConfig
@@ -462,6 +549,9 @@ fn start_server(
         .arg(folder.root().join(&config.policy_server.dir));
     command.args(["--addr", &addr.to_string()]);
     command.args(["--keep", &config.policy_server.keep_versions.to_string()]);
+    if let Some(certificates) = server_certificates(config) {
+        command.arg("--tls-dir").arg(certificates);
+    }
     add_telemetry(&mut command, config, true);
     let (sender, announced) = bounded(1);
     let sink: LineSink = Box::new(move |line| {
@@ -494,6 +584,12 @@ pub fn patience_after(error: RecvTimeoutError) -> Duration {
     }
 }
 
+/// The certificates of a policy server that others than this host reach.
+fn server_certificates(config: &Config) -> Option<&std::path::Path> {
+    let open = !config.policy_server.addr.ip().is_loopback();
+    config.cluster.certificates().filter(|_| open)
+}
+
 fn start_learner(
     programs: &Programs,
     config: &Config,
@@ -506,7 +602,15 @@ fn start_learner(
     command.arg("--config").arg(folder.config());
     command.arg("--run-dir").arg(folder.root());
     command.args(["--run-id", folder.run_id()]);
-    command.args(["--policy-server", &server.to_string()]);
+    let server = match server_certificates(config) {
+        // Its certificate is for a name, not for "any address".
+        Some(_) if config.cluster.policy_server.is_empty() => {
+            format!("https://localhost:{}", server.port())
+        }
+        Some(_) => config.cluster.policy_server.clone(),
+        None => server.to_string(),
+    };
+    command.args(["--policy-server", &server]);
     match resume {
         Resume::No => {}
         Resume::Latest => {

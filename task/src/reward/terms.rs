@@ -4,6 +4,9 @@ use super::{RewardConfig, RewardInput};
 use crate::ACT_DIM;
 use crate::phase::reference_height_m;
 
+/// Forward speed at which the wave has the amplitude that is configured, m/s.
+const WAVE_SPEED_MPS: f32 = 0.3;
+
 /// In policy order the legs come last, two joints each.
 const FIRST_LEG_JOINT: usize = ACT_DIM - 2 * crate::FEET;
 
@@ -119,4 +122,25 @@ pub fn leg_fold(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         .map(|i| (input.joint_pos_rad[i] - input.swimming_rad[i]).powi(2))
         .sum();
     input.medium * (-error / config.leg_fold_sigma).exp()
+}
+
+/// exp(−Σ (q_i − q_wave,i)²/σ) over the body joints, head to tail, in water only.
+pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let error: f32 = (0..FIRST_LEG_JOINT)
+        .map(|i| (input.joint_pos_rad[i] - wave_rad(config, input, i)).powi(2))
+        .sum();
+    input.medium * (-error / config.wave_sigma).exp()
+}
+
+/// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear from head to tail, s the commanded forward speed
+/// over 0.3 m/s, 0 to 1.5. Straight while standing.
+fn wave_rad(config: &RewardConfig, input: &RewardInput<'_>, i: usize) -> f32 {
+    if input.standing {
+        return 0.0;
+    }
+    let speed = (input.command[0] / WAVE_SPEED_MPS).clamp(0.0, 1.5);
+    let [head, tail] = config.wave_amplitude_rad;
+    let along = i as f32 / (FIRST_LEG_JOINT - 1) as f32;
+    let amplitude = head + (tail - head) * along;
+    speed * amplitude * (input.phase_rad[0] - i as f32 * config.wave_lag_rad).sin()
 }

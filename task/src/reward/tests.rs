@@ -335,3 +335,44 @@ fn costs_grow_over_the_run_and_rewards_do_not() {
         assert!((parts[at("tracking_lin_vel")] - 0.02).abs() < 1e-8);
     }
 }
+
+#[test]
+fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
+    let config = RewardConfig {
+        wave_amplitude_rad: [0.2, 0.2],
+        wave_lag_rad: PI / 2.0,
+        wave_sigma: 0.3,
+        ..RewardConfig::default()
+    };
+    // Clock at a quarter, 0.15 m/s commanded, half of the height: sin(π/2 − i·π/2)·0.1 = 0.1, 0, −0.1, 0, 0.1, 0, −0.1, 0.
+    let wave: [f32; ACT_DIM] = std::array::from_fn(|i| match i {
+        0 | 4 => 0.1,
+        2 | 6 => -0.1,
+        _ => 0.0,
+    });
+    let input = RewardInput {
+        medium: 1.0,
+        command: [0.15, 0.0, 0.0],
+        phase_rad: [PI / 2.0; FEET],
+        joint_pos_rad: &wave,
+        ..rest()
+    };
+    assert!((terms::body_wave(&config, &input) - 1.0).abs() < 1e-5);
+    // A straight body: 4·0.1² = 0.04; exp(−0.04/0.3) = 0.875173.
+    let straight = RewardInput {
+        joint_pos_rad: &ZEROS,
+        ..input
+    };
+    assert!((terms::body_wave(&config, &straight) - 0.875_173).abs() < 1e-5);
+    // Standing asks for a straight body; on land it pays nothing.
+    let standing = RewardInput {
+        standing: true,
+        ..straight
+    };
+    assert_eq!(terms::body_wave(&config, &standing), 1.0);
+    let on_land = RewardInput {
+        medium: 0.0,
+        ..input
+    };
+    assert_eq!(terms::body_wave(&config, &on_land), 0.0);
+}

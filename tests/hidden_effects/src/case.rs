@@ -18,6 +18,8 @@ pub enum Block {
     Outside,
     /// One effect, data that excite too little.
     Starved,
+    /// The salamander on the ground, by another engine.
+    Ground,
     /// The robot changes between fit and hold-out.
     HoldoutChange,
 }

@@ -689,7 +689,7 @@ pub const CATALOGUE: &[Hidden] = &[
                 1.0,
             )
         },
-        equivalent: NONE,
+        equivalent: (&["payload"], &[]),
     },
     Hidden {
         id: "link_com",
@@ -712,7 +712,7 @@ pub const CATALOGUE: &[Hidden] = &[
             const NAMES: [&[&str]; 3] = [&["x_m"], &["y_m"], &["z_m"]];
             one(NAMES[axis], "m", w.spec.links[link].com_offset_m[axis], 0.0)
         },
-        equivalent: NONE,
+        equivalent: (&["payload"], &[]),
     },
     Hidden {
         id: "link_inertia",

@@ -6,10 +6,13 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod baselines;
 pub mod battery;
 pub mod case;
 pub mod decoy;
+pub mod examinee;
 pub mod generate;
+pub mod ground;
 pub mod hidden;
 pub mod replay;
 pub mod run;

@@ -31,6 +31,20 @@ pub fn predict(
     commands: &Commands,
     times_s: &[f64],
 ) -> Result<Vec<Prediction>, SimError> {
+    predict_shifted(model, variants, &[], commands, times_s)
+}
+
+/// As [`predict`], with `shifts_rad` `[variants][A]` added to the commands of each variant (none: an empty slice).
+///
+/// # Errors
+/// As [`predict`].
+pub fn predict_shifted(
+    model: &Arc<RobotModel>,
+    variants: &[LaneParams],
+    shifts_rad: &[Vec<f64>],
+    commands: &Commands,
+    times_s: &[f64],
+) -> Result<Vec<Prediction>, SimError> {
     let config = EngineConfig {
         dt_s: DT_S,
         substeps: 1,
@@ -47,17 +61,26 @@ pub fn predict(
         1,
         1,
     )?;
-    let first: Vec<f32> = commands.rows_rad[0].iter().map(|&x| x as f32).collect();
-    let start = InitialState {
-        joint_pos_rad: first.clone(),
-        ..InitialState::nominal(model)
+    let shifted = |row: &[f64]| -> Vec<f32> {
+        let shift = |lane: usize, a: usize| shifts_rad.get(lane).map_or(0.0, |s| s[a]);
+        (0..lanes)
+            .flat_map(|lane| {
+                row.iter()
+                    .enumerate()
+                    .map(move |(a, &x)| (x + shift(lane, a)) as f32)
+            })
+            .collect()
     };
+    let mut targets = shifted(&commands.rows_rad[0]);
     for (lane, params) in variants.iter().enumerate() {
+        let start = InitialState {
+            joint_pos_rad: targets[lane * servos..(lane + 1) * servos].to_vec(),
+            ..InitialState::nominal(model)
+        };
         engine.set_params(lane, params)?;
         engine.reset(lane, &start)?;
     }
     let wrenches = vec![0.0; 6 * lanes];
-    let mut targets = first.repeat(lanes);
     for _ in 0..(1.0 / DT_S) as usize {
         engine.step(&targets, &wrenches)?;
     }
@@ -97,8 +120,7 @@ pub fn predict(
                 moved = true;
             }
             if moved {
-                let next: Vec<f32> = commands.rows_rad[row].iter().map(|&x| x as f32).collect();
-                targets = next.repeat(lanes);
+                targets = shifted(&commands.rows_rad[row]);
             }
             engine.step(&targets, &wrenches)?;
             step += 1;

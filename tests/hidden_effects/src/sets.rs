@@ -59,6 +59,12 @@ const LOOK_ALIKE: &[(&str, &str)] = &[
     ("coulomb_friction", "controller_dead_band"),
 ];
 
+/// Effects that another one holds as a special case: who is left out takes the wider one along.
+const WIDER: &[(&str, &str)] = &[
+    ("load_dependent_friction", "drive_asymmetry"),
+    ("coulomb_friction", "friction_drift"),
+];
+
 /// Effects whose starved data leave them among look-alikes.
 const STARVABLE: &[&str] = &[
     "command_low_pass",
@@ -159,6 +165,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 .chain(h.equivalent.1)
                 .map(|e| (*e).to_owned()),
         );
+        p.without.extend(WIDER.iter().filter(|(id, _)| *id == h.id).map(|(_, wider)| (*wider).to_owned()));
         plans.push(p);
     }
     for i in 0..counts.pairs {

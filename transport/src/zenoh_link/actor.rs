@@ -8,7 +8,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
-use super::{PieceRequest, down_key, policy_key, session, up_key};
+use super::{PieceRequest, access, down_key, policy_key, session, up_key};
 use crate::actor_core::{ActorCore, RemoteActor, Uplink};
 use crate::reliable::{PolicyHead, PolicyId, Status, UpHead};
 use crate::{ActorLink, PolicyUpdate, TransportError, ZenohConfig, identity};
@@ -22,6 +22,8 @@ pub(crate) fn actor(
     run_id: &str,
 ) -> Result<Box<dyn ActorLink>, TransportError> {
     let endpoints = session::actor_endpoints(config)?;
+    // Now: what is wrong with the settings would otherwise look like a learner that is not there yet.
+    access::check_endpoints(&endpoints, config.tls.as_ref())?;
     let link = identity::fresh();
     let core = ActorCore::new(link, &config.limits);
     let uplink = Arc::new(ZenohUplink {
@@ -33,6 +35,7 @@ pub(crate) fn actor(
         uplink: Arc::clone(&uplink),
         down_key: down_key(run_id, link),
         policy_key: policy_key(run_id),
+        config: config.clone(),
     };
     let thread = core.spawn("caudata-pull", move || puller.run(&endpoints))?;
     Ok(Box::new(RemoteActor::start(core, uplink, vec![thread])?))
@@ -73,6 +76,7 @@ struct Puller {
     uplink: Arc<ZenohUplink>,
     down_key: String,
     policy_key: String,
+    config: ZenohConfig,
 }
 
 impl Puller {
@@ -110,7 +114,7 @@ impl Puller {
     }
 
     fn open(&self, endpoints: &[String]) -> Result<Session, TransportError> {
-        let session = session::open_actor(endpoints, &self.core.limits)?;
+        let session = session::open_actor(endpoints, &self.config)?;
         let core = Arc::clone(&self.core);
         let on_answer = move |sample: Sample| {
             if let Some(status) = Status::decode(&sample.payload().to_bytes()) {

@@ -49,6 +49,8 @@ fn open(config: &ZenohConfig, run_id: &str) -> Result<Box<dyn LearnerLink>, Tran
         limits: config.limits.clone(),
         listen: Vec::new(),
         connect,
+        // An actor shows a certificate of its own.
+        tls: None,
     });
     Ok(Box::new(RemoteLearner::new(core, downlink, actor_config)))
 }

@@ -9,6 +9,7 @@
 //! protocol in [`reliable`](crate::reliable) notices. Nothing here blocks a zenoh thread: a learner that does
 //! not read lets no grants go out, and so nothing comes in.
 
+mod access;
 mod actor;
 mod learner;
 mod session;

@@ -7,7 +7,8 @@ use std::time::Duration;
 use zenoh::{Config, Session, Wait};
 
 use super::PIECE_BYTES;
-use crate::{Limits, TransportError, ZenohConfig};
+use super::access;
+use crate::{Limits, TlsFiles, TransportError, ZenohConfig};
 
 /// Connections that may exist besides one per actor: actors that are being replaced.
 const SPARE_SESSIONS: usize = 16;
@@ -56,13 +57,13 @@ pub(super) fn open_learner(config: &ZenohConfig) -> Result<(Session, Vec<String>
                 "zenoh.listen and zenoh.connect are both empty".to_owned(),
             ));
         }
-        let session = open("client", &[], &config.connect, &config.limits)?;
+        let session = open("client", &[], &config.connect, config)?;
         return Ok((session, config.connect.clone()));
     }
     let mut attempt = 1;
     loop {
         let listen = with_ports(&config.listen)?;
-        match open("peer", &listen, &config.connect, &config.limits) {
+        match open("peer", &listen, &config.connect, config) {
             Ok(session) if config.connect.is_empty() => return Ok((session, reachable(&listen))),
             Ok(session) => return Ok((session, config.connect.clone())),
             // Somebody else took the port between our asking for one and zenoh's binding it.
@@ -86,22 +87,28 @@ pub(super) fn actor_endpoints(config: &ZenohConfig) -> Result<Vec<String>, Trans
 }
 
 /// Opens an actor's session; fails when nobody answers. Once open it reconnects by itself.
-pub(super) fn open_actor(endpoints: &[String], limits: &Limits) -> Result<Session, TransportError> {
-    open("client", &[], endpoints, limits)
+pub(super) fn open_actor(
+    endpoints: &[String],
+    config: &ZenohConfig,
+) -> Result<Session, TransportError> {
+    open("client", &[], endpoints, config)
 }
 
 fn open(
     mode: &str,
     listen: &[String],
     connect: &[String],
-    limits: &Limits,
+    config: &ZenohConfig,
 ) -> Result<Session, TransportError> {
+    let tls = config.tls.as_ref();
+    access::check_endpoints(listen, tls)?;
+    access::check_endpoints(connect, tls)?;
     let endpoints = || [listen, connect].concat().join(", ");
     let failed = |error: zenoh::Error| TransportError::Endpoint {
         endpoint: endpoints(),
         reason: error.to_string(),
     };
-    let config = settings(mode, listen, connect, limits).map_err(failed)?;
+    let config = settings(mode, listen, connect, &config.limits, tls).map_err(failed)?;
     zenoh::open(config).wait().map_err(failed)
 }
 
@@ -110,6 +117,7 @@ fn settings(
     listen: &[String],
     connect: &[String],
     limits: &Limits,
+    tls: Option<&TlsFiles>,
 ) -> Result<Config, zenoh::Error> {
     let list = |endpoints: &[String]| format!("{endpoints:?}");
     let lease_ms = limits.peer_timeout_ms.max(MIN_LEASE_MS);
@@ -159,16 +167,19 @@ fn settings(
     for (key, value) in settings {
         config.insert_json5(key, &value)?;
     }
+    if let Some(tls) = tls {
+        access::insert(&mut config, tls)?;
+    }
     Ok(config)
 }
 
-/// The endpoints with every TCP port 0 replaced by a free port, so that it is known before anyone connects.
+/// The endpoints with every port 0 replaced by a free port, so that it is known before anyone connects.
 fn with_ports(endpoints: &[String]) -> Result<Vec<String>, TransportError> {
     endpoints.iter().map(|e| with_port(e)).collect()
 }
 
 fn with_port(endpoint: &str) -> Result<String, TransportError> {
-    let Some(address) = endpoint.strip_prefix("tcp/") else {
+    let Some((scheme, address)) = endpoint.split_once('/') else {
         return Ok(endpoint.to_owned());
     };
     if !address.ends_with(":0") {
@@ -179,22 +190,27 @@ fn with_port(endpoint: &str) -> Result<String, TransportError> {
         reason: error.to_string(),
     };
     let mut addresses = address.to_socket_addrs().map_err(failed)?;
-    let address = addresses
+    let resolved = addresses
         .next()
         .ok_or_else(|| failed(std::io::Error::other("no address")))?;
-    let listener = TcpListener::bind(address).map_err(failed)?;
-    Ok(format!("tcp/{}", listener.local_addr().map_err(failed)?))
+    let listener = TcpListener::bind(resolved).map_err(failed)?;
+    // The port alone: a certificate is for a name, not for the address behind it.
+    let port = listener.local_addr().map_err(failed)?.port();
+    let host = address.strip_suffix(":0").unwrap_or(address);
+    Ok(format!("{scheme}/{host}:{port}"))
 }
 
-/// The endpoints as this host can connect to them: "any address" becomes the loopback address.
+/// The endpoints as this host can connect to them: "any address" becomes the loopback address, or with TLS the name
+/// `localhost`, which the certificate then has to have.
 fn reachable(endpoints: &[String]) -> Vec<String> {
     endpoints
         .iter()
         .map(|endpoint| {
-            let address = endpoint
-                .strip_prefix("tcp/")
-                .and_then(|address| address.parse::<SocketAddr>().ok());
-            match address {
+            let (scheme, address) = endpoint.split_once('/').unwrap_or_default();
+            match address.parse::<SocketAddr>().ok() {
+                Some(address) if address.ip().is_unspecified() && scheme == "tls" => {
+                    format!("tls/localhost:{}", address.port())
+                }
                 Some(address) if address.ip().is_unspecified() => {
                     let ip = if address.is_ipv4() {
                         Ipv4Addr::LOCALHOST.into()
@@ -224,9 +240,19 @@ mod tests {
 
     #[test]
     fn actors_reach_any_address_by_loopback() {
-        let listen = ["tcp/0.0.0.0:7447", "tcp/[::]:7448", "tcp/node7:7449"].map(str::to_owned);
-        let reached = ["tcp/127.0.0.1:7447", "tcp/[::1]:7448", "tcp/node7:7449"];
-        assert_eq!(reachable(&listen), reached);
+        let listen = [
+            "tcp/0.0.0.0:7447",
+            "tcp/[::]:7448",
+            "tls/node7:7449",
+            "tls/0.0.0.0:1",
+        ];
+        let reached = [
+            "tcp/127.0.0.1:7447",
+            "tcp/[::1]:7448",
+            "tls/node7:7449",
+            "tls/localhost:1",
+        ];
+        assert_eq!(reachable(&listen.map(str::to_owned)), reached);
     }
 
     #[test]
@@ -243,7 +269,10 @@ mod tests {
     fn every_setting_is_one_that_zenoh_knows() {
         for mode in ["peer", "client"] {
             let listen = ["tcp/127.0.0.1:7447".to_owned()];
-            settings(mode, &listen, &listen, &Limits::default()).unwrap();
+            let tls = TlsFiles::in_folder(std::path::Path::new("/etc/caudata/tls"));
+            for tls in [None, Some(&tls)] {
+                settings(mode, &listen, &listen, &Limits::default(), tls).unwrap();
+            }
         }
     }
 }

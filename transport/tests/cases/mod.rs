@@ -2,6 +2,8 @@
 
 pub mod configuration;
 pub mod every;
+pub mod floods;
 pub mod iceoryx2;
 pub mod processes;
+pub mod tls;
 pub mod zenoh;

@@ -170,6 +170,7 @@ pub fn same_address(config: &TransportConfig, actor_config: &TransportConfig) ->
             limits: actor.limits.clone(),
             listen: actor.connect.clone(),
             connect: Vec::new(),
+            tls: None,
         }),
         _ => config.clone(),
     }

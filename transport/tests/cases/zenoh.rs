@@ -103,6 +103,7 @@ fn works_through_a_router() {
         limits: limits(),
         listen: Vec::new(),
         connect: vec![endpoint],
+        tls: None,
     });
     let mut learner = learner_link(&config, "routed").unwrap();
     let second = learner_link(&config, "routed").err().unwrap();

@@ -17,8 +17,8 @@ pub struct ActorsConfig {
     pub chunk_steps: u32,
     /// Chunks that an actor sends for each policy version. 1 to 64.
     pub chunks_per_version: u32,
-    /// Quotas that an actor may collect ahead with an old policy while it waits for the next version. 0: actors
-    /// and learner take turns and runs repeat bit for bit. 1: they overlap, data is one version old. 0 to 8.
+    /// Quotas that an actor may collect ahead with an old policy while it waits for the next version. 0 (`sync`): actors
+    /// and learner take turns and runs repeat bit for bit. 1 and more (`async`): they overlap, data is so many versions old. 0 to 8.
     pub max_lead: u32,
     /// Threads that step one actor's environments. 1 to 256. Results do not depend on it.
     pub threads: u32,

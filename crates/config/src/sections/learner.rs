@@ -61,12 +61,16 @@ impl Default for LearnerConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WarmStartConfig {
-    /// Policy file (ONNX) to begin with; empty begins with random weights. Same joints, layers and activation; observations that this task
+    /// Policy file (ONNX) to begin with; empty begins with random weights. A relative path is looked for in the current directory, then in the
+    /// folders above the executable. Same joints, layers and activation; observations that this task
     /// appends to that policy's begin with weight zero. Its exploration noise is taken over, its critic is not in the file.
     pub policy: PathBuf,
     /// Iterations in which only the value function learns. 0 to 100,000. Default 20. Too few: advantages from a critic that knows nothing yet
     /// spoil the policy; more only cost time. Without a policy file it has no effect.
     pub value_only_iterations: u64,
+    /// Smallest standard deviation of the action noise to begin with, 0 to 5. Default 0: that of the file, which is small where a policy was
+    /// trained to its end. Too small: nothing new is found out; too large: what it knew is forgotten.
+    pub least_std: f32,
 }
 
 impl Default for WarmStartConfig {
@@ -74,6 +78,7 @@ impl Default for WarmStartConfig {
         Self {
             policy: PathBuf::new(),
             value_only_iterations: 20,
+            least_std: 0.0,
         }
     }
 }

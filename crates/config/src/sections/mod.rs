@@ -2,13 +2,16 @@
 //! happens when it is too small or too large.
 
 mod actors;
+mod cluster;
 mod learner;
 mod run;
 mod services;
 
 pub use actors::ActorsConfig;
+pub use cluster::ClusterConfig;
 pub use learner::{
     Activation, AdvantageScale, Device, LearnerConfig, NetworkConfig, PpoConfig, StalenessConfig,
+    WarmStartConfig,
 };
 pub use run::{EvaluationConfig, RunConfig};
 pub use services::{

@@ -27,8 +27,8 @@ pub struct TransportSection {
     pub peer_timeout_ms: u64,
     /// iceoryx2: folder for its bookkeeping files; empty takes one in the system's temporary folder. Keep it short.
     pub iceoryx2_root: PathBuf,
-    /// zenoh: where the learner listens. No authentication: other addresses than this host's belong on a
-    /// trusted network.
+    /// zenoh: where the learner listens. `tcp/HOST:PORT` is plain and accepted on loopback only; `tls/HOST:PORT` needs certificates
+    /// (`cluster.tls_dir`).
     pub zenoh_listen: Vec<String>,
     /// zenoh: what to connect to (a router, or the learner).
     pub zenoh_connect: Vec<String>,

@@ -15,7 +15,7 @@ pub use film::{Curves, FilmData};
 pub use pack::Packed;
 pub use scene::RobotScene;
 
-use crate::{Outcome, ScenarioResult, Settings, SuiteResult, suite};
+use crate::{Envelope, Outcome, ScenarioResult, Settings, SuiteResult, suite};
 
 /// Parts of the script, in order; each adds to one object `caudata`.
 const SCRIPT: [&str; 6] = [
@@ -44,7 +44,7 @@ struct Page<'a> {
     paper: Vec<PaperRow>,
     result: &'a SuiteResult,
     robot: RobotScene,
-    servo: ServoEnvelope,
+    servo: Envelope,
     joint_names: Vec<String>,
     foot_names: Vec<String>,
     /// One per scenario.
@@ -88,33 +88,6 @@ struct Shown {
     film: Option<FilmData>,
 }
 
-/// The first joint's servo, at the supply that simulations use: torques N·m, speeds rad/s.
-#[derive(Debug, Serialize)]
-struct ServoEnvelope {
-    tau_max_nm: f64,
-    flat_to_radps: f64,
-    taper_at_radps: f64,
-    tau_there_nm: f64,
-    tau_brake_max_nm: f64,
-    supply_v: f64,
-}
-
-impl ServoEnvelope {
-    fn of(model: &RobotModel) -> Self {
-        let servo = model.servo(0);
-        let supply_v = model.supply_v();
-        let scale = supply_v / servo.reference_supply_v;
-        Self {
-            tau_max_nm: servo.tau_max_nm,
-            flat_to_radps: scale * servo.qd_tau_max_radps,
-            taper_at_radps: scale * servo.qd_max_radps,
-            tau_there_nm: servo.tau_qd_max_nm,
-            tau_brake_max_nm: servo.tau_brake_max_nm,
-            supply_v,
-        }
-    }
-}
-
 /// The page, as HTML. `outcomes` are those of `result`'s scenarios, in order.
 ///
 /// # Errors
@@ -141,7 +114,7 @@ pub fn page(
         paper: PAPER_MPS.iter().map(|row| paper_row(row, result)).collect(),
         result,
         robot: RobotScene::of(model),
-        servo: ServoEnvelope::of(model),
+        servo: Envelope::of(model),
         joint_names: names(model.actuated_names()),
         foot_names: model.feet().iter().map(|f| f.name.clone()).collect(),
         shown: outcomes.iter().map(|o| shown(o, settings)).collect(),

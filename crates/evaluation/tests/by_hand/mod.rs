@@ -74,6 +74,27 @@ pub fn vibrating(contract: &PolicyContract, frequency_hz: f64) -> PolicyFile {
     policy(contract, vec![hidden, output])
 }
 
+/// Swims: yaw joint j follows the gait clock `lag_rad`·j late, with an amplitude that grows from 0.1 to 0.5 rad towards the tail; legs folded back.
+pub fn swimming(contract: &PolicyContract, lag_rad: f32) -> PolicyFile {
+    const YAW_JOINTS: usize = 8;
+    let model = robot();
+    let scale = contract.action.scale;
+    let mut output = layer(ACT_DIM, contract.obs_dim());
+    for j in 0..YAW_JOINTS {
+        let amplitude = (0.1 + 0.4 * j as f32 / 7.0) / scale;
+        let (sin, cos) = (lag_rad * j as f32).sin_cos();
+        let row = &mut output.weight[j * contract.obs_dim()..];
+        // cos(φ − lag) from the clock of the first foot
+        row[layout::PHASE] = amplitude * cos;
+        row[layout::PHASE + 1] = amplitude * sin;
+    }
+    let folded = model.swimming_pos_rad().unwrap();
+    for j in YAW_JOINTS..ACT_DIM {
+        output.bias[j] = (folded[j] as f32 - contract.nominal_pos_rad[j]) / scale;
+    }
+    policy(contract, vec![output])
+}
+
 /// The robot that this project is about.
 pub fn robot() -> Arc<RobotModel> {
     let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots/polymander.robot.toml");

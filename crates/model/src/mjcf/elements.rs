@@ -2,7 +2,7 @@
 
 use crate::error::ModelError;
 use crate::pose::{self, Pose};
-use crate::types::{Geom, JointMotion, Shape};
+use crate::types::{Geom, JointMotion, Shape, Softness};
 
 use super::compiler::Compiler;
 use super::xml::Element;
@@ -15,14 +15,16 @@ const DEFAULT_FRICTION: f64 = 1.0;
 #[rustfmt::skip]
 pub(super) const JOINT: &[&str] = &[
     "name", "class", "type", "pos", "axis", "range", "limited", "stiffness", "springref", "damping", "armature", "frictionloss",
-    
-    "solreflimit", "solimplimit", "group",
+    "solreflimit", "solimplimit",
+
+    "group",
 ];
 #[rustfmt::skip]
 pub(super) const GEOM: &[&str] = &[
     "name", "class", "type", "size", "pos", "quat", "euler", "fromto", "friction", "contype", "conaffinity",
+    "solref", "solimp",
 
-    "priority", "condim", "solref", "solimp", "group", "rgba",
+    "priority", "condim", "group", "rgba",
 ];
 #[rustfmt::skip]
 pub(super) const SITE: &[&str] = &[
@@ -114,12 +116,48 @@ pub(super) fn joint(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjJoint,
         axis: e.direction("axis")?.unwrap_or([0.0, 0.0, 1.0]),
         anchor_m: e.array::<3>("pos")?.unwrap_or([0.0; 3]),
         range_rad: range.filter(|_| limited),
+        stop: softness(e, "solreflimit", "solimplimit")?,
         stiffness: e.non_negative("stiffness")?,
         spring_ref: e.number("springref")?.unwrap_or(0.0) * unit,
         damping: e.non_negative("damping")?,
         armature: e.non_negative("armature")?,
         friction_loss: e.non_negative("frictionloss")?,
     })
+}
+
+/// How a constraint gives way; values left out are MuJoCo's.
+fn softness(
+    e: &Element<'_, '_>,
+    solref: &'static str,
+    solimp: &'static str,
+) -> Result<Softness, ModelError> {
+    let mut out = Softness::default();
+    if let Some(given) = e.numbers(solref, 1, 2)? {
+        out.solref[..given.len()].copy_from_slice(&given);
+    }
+    if let Some(given) = e.numbers(solimp, 1, 5)? {
+        out.solimp[..given.len()].copy_from_slice(&given);
+    }
+    let [time, damping] = out.solref;
+    if !(time > 0.0 && damping > 0.0 || time < 0.0 && damping <= 0.0) {
+        let message =
+            "must be a time constant and a damping ratio above zero, or -stiffness and -damping";
+        return Err(e.error(solref, message));
+    }
+    let [low, high, width, middle, power] = out.solimp;
+    if !([low, high, middle].iter().all(|x| (0.0..1.0).contains(x)) && width >= 0.0) {
+        return Err(e.error(
+            solimp,
+            "must be two shares below one, a width, a share below one",
+        ));
+    }
+    if power != 1.0 && power != 2.0 {
+        return Err(e.error(
+            solimp,
+            "has a power other than 1 and 2, which are those supported",
+        ));
+    }
+    Ok(out)
 }
 
 pub(super) fn geom(
@@ -153,6 +191,7 @@ pub(super) fn geom(
         friction,
         contype: e.bits("contype", 1)?,
         conaffinity: e.bits("conaffinity", 1)?,
+        soft: softness(e, "solref", "solimp")?,
     })
 }
 

@@ -8,7 +8,7 @@
 //! | `default` | class, nested; defaults of joint, geom, site, position, motor |
 //! | `worldbody` | geom (fixed scenery, planes), body (one tree) |
 //! | `body` | name, pos, quat, euler, childclass; holds inertial (required), freejoint (root), joint, geom, site, body |
-//! | `joint`, `geom`, `site`, `inertial` | see `elements.rs` |
+//! | `joint`, `geom`, `site`, `inertial` | see `elements.rs`; of `solimp` and `solimplimit`, powers 1 and 2 |
 //! | `actuator` | position, motor: name, joint; accepted without effect (the robot file decides): kp, kv, ctrlrange, forcerange |
 //! | `contact` | exclude body1, body2 |
 //!
@@ -24,7 +24,7 @@ use roxmltree::{Document, Node};
 
 use crate::error::ModelError;
 use crate::pose::Pose;
-use crate::types::{Geom, JointMotion};
+use crate::types::{Geom, JointMotion, Softness};
 
 use compiler::Compiler;
 use xml::{DEPTH_LIMIT, Defaults, Source};
@@ -64,6 +64,7 @@ pub(crate) struct MjJoint {
     pub axis: [f64; 3],
     pub anchor_m: [f64; 3],
     pub range_rad: Option<(f64, f64)>,
+    pub stop: Softness,
     pub stiffness: f64,
     pub spring_ref: f64,
     pub damping: f64,

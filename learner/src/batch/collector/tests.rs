@@ -297,3 +297,41 @@ fn a_run_without_the_bad_actor_is_the_same_run() {
     assert_eq!(batches.0, batches.1);
     assert_eq!(dirty.accounting().summary().reasons["quarantined"], 3);
 }
+
+/// FAULTS.md, 61: 63 of 64 actors have sent. Without a lead all are waited for, with one the batch goes ahead, and the slow actor's chunk
+/// is used when it comes.
+#[test]
+fn fault_61_one_slow_actor_of_sixty_four_holds_up_nobody() {
+    for (max_lead, ready) in [(0, false), (1, true)] {
+        let many = CollectorSettings {
+            actors: 64,
+            ..settings(max_lead)
+        };
+        let mut collector = Collector::new(many, Accounting::default());
+        collector.policy_published(0, sha(0));
+        for actor in 0..63 {
+            assert_eq!(reason(offer(&mut collector, chunk(actor, 0, 0))), "waiting");
+        }
+        assert_eq!(collector.is_ready(), ready, "max_lead {max_lead}");
+    }
+    let many = CollectorSettings {
+        actors: 64,
+        ..settings(1)
+    };
+    let mut collector = Collector::new(many, Accounting::default());
+    for version in 0..10 {
+        collector.policy_published(version, sha(version));
+        for actor in 0..63 {
+            offer(&mut collector, chunk(actor, version, version));
+        }
+        if version % 4 == 3 {
+            // Three versions old, which is within the lag.
+            let late = chunk(63, version / 4, version - 3);
+            assert_eq!(reason(offer(&mut collector, late)), "waiting");
+        }
+        assert!(collector.is_ready());
+        assert!(collector.take().len() >= 63);
+    }
+    let report = collector.accounting().report();
+    assert_eq!((report.accepted, report.dropped), (63 * 10 + 2, 0));
+}

@@ -26,6 +26,7 @@ struct Stage {
     folder: RunFolder,
     config: Config,
     stop: StopFlag,
+    restart_learner: bool,
 }
 
 impl Stage {
@@ -53,6 +54,7 @@ impl Stage {
             folder,
             config,
             stop: StopFlag::new(),
+            restart_learner: false,
         }
     }
 
@@ -65,7 +67,11 @@ impl Stage {
             &self.folder,
             &self.stop,
             view,
-            &Resume::No,
+            Plan {
+                resume: Resume::No,
+                actors: self.config.actors.count,
+                restart_learner: self.restart_learner,
+            },
         )?
         .watch()
     }
@@ -163,6 +169,43 @@ fn a_killed_actor_is_started_again_as_its_next_incarnation() {
         .collect();
     assert_eq!(counts, [(0, 5), (1, 6)]);
     assert_eq!(outcome.finished.reason, "completed");
+}
+
+/// SIGSTOP, a deadlock and a host that swaps look alike: the process is there and says nothing.
+#[test]
+fn an_actor_that_hangs_is_killed_and_started_again() {
+    let actor = r#"
+        case "$*" in
+            *'--incarnation 0'*) : > $RUN/ledgers/actor-0-0.ledger; echo alive; kill -STOP $$;;
+            *'--incarnation 1'*) : > $RUN/ledgers/actor-0-1.ledger; while :; do echo alive; sleep 0.1; done;;
+        esac"#;
+    let learner = format!(
+        "{STARTED}; {}; {}",
+        wait_for("$RUN/ledgers/actor-0-1.ledger"),
+        finished("completed")
+    );
+    let mut stage = Stage::new(&learner, actor);
+    stage.config.cluster.hang_timeout_s = 1.0;
+    let outcome = stage.run().unwrap();
+    assert_eq!(outcome.restarts, 1);
+    assert_eq!(outcome.finished.reason, "completed");
+}
+
+/// The actor waits meanwhile: it is the same process before and after.
+#[test]
+fn a_killed_learner_of_a_cluster_goes_on_from_its_checkpoint() {
+    let learner = format!(
+        "{STARTED}; {}; case \"$*\" in *--resume*) {};; *) kill -9 $$;; esac",
+        wait_for("$RUN/actor-pid"),
+        finished("completed")
+    );
+    let actor = "echo $$ >> $RUN/actor-pid; while :; do echo alive; sleep 0.1; done";
+    let mut stage = Stage::new(&learner, actor);
+    stage.restart_learner = true;
+    let outcome = stage.run().unwrap();
+    assert_eq!(outcome.finished.reason, "completed");
+    let starts = fs::read_to_string(stage.folder.root().join("actor-pid")).unwrap();
+    assert_eq!((outcome.restarts, starts.lines().count()), (0, 1));
 }
 
 #[test]

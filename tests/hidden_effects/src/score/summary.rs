@@ -72,6 +72,8 @@ pub struct Summary {
     pub pairs_one: Rate,
     /// Wrong names per case (nulls, singles, pairs).
     pub wrong_per_case: f64,
+    /// Wrong names per single.
+    pub wrong_per_single: f64,
     /// Laws outside the catalogue that were flagged.
     pub outside_flagged: Rate,
     /// … that got a wrong name with confidence.
@@ -171,6 +173,12 @@ impl Summary {
             pairs_both: Rate::count(all, block(Block::Pair), |o| o.truth.iter().all(|t| t.named)),
             pairs_one: Rate::count(all, block(Block::Pair), |o| o.truth.iter().any(|t| t.named)),
             wrong_per_case: mean(&counted.iter().map(|o| o.wrong as f64).collect::<Vec<_>>()),
+            wrong_per_single: mean(
+                &all.iter()
+                    .filter(|o| single(o))
+                    .map(|o| o.wrong as f64)
+                    .collect::<Vec<_>>(),
+            ),
             outside_flagged: Rate::count(all, block(Block::Outside), |o| o.right),
             outside_wrong: Rate::count(all, block(Block::Outside), |o| {
                 o.wrong_confidence >= CONFIDENT
@@ -334,6 +342,20 @@ impl Summary {
         ]);
         rows
     }
+}
+
+/// Median error on held-out runs after over before, singles of d ≥ 3; a diagnosis that changes nothing counts as 1.
+#[must_use]
+pub fn median_gain(all: &[Outcome]) -> f64 {
+    let large =
+        |o: &&Outcome| o.block == Block::Single && o.truth.first().is_some_and(|t| t.d >= 3.0);
+    let mut ratios: Vec<f64> = all
+        .iter()
+        .filter(large)
+        .map(|o| o.gain_ratio.unwrap_or(1.0))
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 fn mean(x: &[f64]) -> f64 {

@@ -11,9 +11,11 @@ const TEETH_NM_PER_RAD: f64 = 1500.0;
 const IMPACT_LOSS_S_PER_RAD: f64 = 2.5;
 /// Stiffness of end stops, N·m/rad.
 const STOP_NM_PER_RAD: f64 = 800.0;
-/// Damping of the bristle near rest, N·m·s/rad, and the speed at which it has faded, rad/s.
-const BRISTLE_DAMPING_NMS_PER_RAD: f64 = 0.02;
+/// Damping of the bristle near rest, as a time on its stiffness, s, and the speed at which it has faded, rad/s.
+const BRISTLE_DAMPING_S: f64 = 0.001;
 const BRISTLE_FADE_RADPS: f64 = 0.1;
+/// A joint with no more dry friction than this has none, N·m.
+const FRICTIONLESS_NM: f64 = 1e-5;
 /// Growth of a copper winding's resistance, 1/K.
 const COPPER_PER_K: f64 = 0.0039;
 /// Length of a stutter, s.
@@ -198,18 +200,21 @@ pub fn friction_bound_nm(
     if share > 0.0 {
         bound *= 1.0 + share * (std::f64::consts::TAU * t_s / period + phase).sin();
     }
-    bound.max(1e-5)
+    bound.max(FRICTIONLESS_NM)
 }
 
 /// LuGre friction: torque against the motion (N·m) and the bristle's rate (rad/s) at speed `v` and deflection `z`.
 #[must_use]
 pub fn lugre(p: &JointSpec, bound_nm: f64, v_radps: f64, z_rad: f64, step_s: f64) -> (f64, f64) {
-    let stiffness = p.coulomb_nm.max(1e-4) / p.presliding_rad;
+    let stiffness = p.coulomb_nm.max(1e-5) / p.presliding_rad;
+    if bound_nm <= FRICTIONLESS_NM {
+        return (p.viscous_nms_per_rad * v_radps, 0.0);
+    }
     // Never faster than the integration can follow.
     let pull = (stiffness * v_radps.abs() / bound_nm).min(2.0 / step_s);
     let rate = v_radps - pull * z_rad;
     let fade = v_radps / BRISTLE_FADE_RADPS;
-    let damping = BRISTLE_DAMPING_NMS_PER_RAD * (-fade * fade).exp();
+    let damping = stiffness * BRISTLE_DAMPING_S * (-fade * fade).exp();
     (
         stiffness * z_rad + damping * rate + p.viscous_nms_per_rad * v_radps,
         rate,

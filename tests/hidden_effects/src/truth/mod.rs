@@ -5,6 +5,7 @@
 //! a sampled firmware loop that sees a counted encoder.
 
 pub mod drive;
+pub mod free;
 pub mod linear;
 pub mod sensors;
 pub mod sim;

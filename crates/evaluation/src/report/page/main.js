@@ -12,7 +12,7 @@ caudata.start = () => {
   caudata.page = page;
   caudata.header(page);
   let plots = null;
-  const replay = new caudata.Replay(page.robot, page.foot_names, (frame) => { if (plots) plots.at(frame); });
+  const replay = new caudata.Replay(page.robot, page.foot_names, (frame, soon) => { if (plots) plots.at(frame, soon); });
   plots = new caudata.Plots(page, (frame) => { replay.play(false); replay.seek(frame); });
   const dot = (color) => el("i", { style: `background: rgb(${color.map((x) => Math.round(255 * x)).join(",")})` });
   const { COLORS } = caudata.Replay;

@@ -42,6 +42,18 @@ caudata.Sheet = class {
     this.text(text, this.width / 2, this.height / 2, { align: "center", color: this.theme.soft });
   }
 
+  // What is drawn so far, to be put back before a moving part is drawn again.
+  keep() {
+    this.kept = this.kept || document.createElement("canvas");
+    this.kept.width = this.canvas.width; this.kept.height = this.canvas.height;
+    this.kept.getContext("2d").drawImage(this.canvas, 0, 0);
+  }
+
+  restore() {
+    this.begin();
+    this.ctx.drawImage(this.kept, 0, 0, this.width, this.height);
+  }
+
   text(text, x, y, { align = "left", base = "middle", color, turn } = {}) {
     const { ctx } = this;
     ctx.save();
@@ -149,7 +161,7 @@ caudata.Plots = class {
     for (const name of ["track", "gait", "body", "wave", "legs", "servo", "path"]) this.sheets[name] = new caudata.Sheet(document.getElementById(`plot-${name}`));
     this.axes = {};
     for (const name of ["track", "gait", "body", "legs"]) this.seekable(name);
-    const redraw = () => { this.backdrop = null; this.all(); };
+    const redraw = () => { this.drawn = {}; this.all(); };
     window.addEventListener("resize", redraw);
     window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   }
@@ -176,7 +188,7 @@ caudata.Plots = class {
     this.shown = this.page.shown[index];
     this.film = film;
     this.frame = 0;
-    this.backdrop = null;
+    this.drawn = {};
     this.shore = !!this.scenario.transition;
     if (film) this.times = Float32Array.from({ length: film.frames }, (_, r) => r * film.period);
     this.captions();
@@ -188,8 +200,12 @@ caudata.Plots = class {
     this.track(); this.gait(); this.body(); this.wave(); this.legs(); this.servo(); this.path();
   }
 
-  at(frame) {
+  // `soon`: the frame is one of many in a row, a few of which may be left out.
+  at(frame, soon) {
     this.frame = frame;
+    const now = performance.now();
+    if (soon && now - (this.last || 0) < 45) return;
+    this.last = now;
     this.track(); this.gait(); this.body(); this.legs(); this.path();
   }
 
@@ -224,11 +240,15 @@ caudata.Plots = class {
 
   track() {
     const sheet = this.sheets.track;
-    if (this.shown.grid.length) return this.backdrop ? undefined : (this.backdrop = true, this.grid());
+    if (this.shown.grid.length) {
+      if (!this.drawn.track) this.grid();
+      this.drawn.track = true;
+      return undefined;
+    }
     const { curves } = this.shown;
     if (!curves) return sheet.empty("no episodes to show");
     // everything but the cursor is drawn once
-    if (!this.backdrop) {
+    if (!this.drawn.track) {
       sheet.begin();
       const { theme, width, height } = sheet;
       const names = ["forward, m/s", "to the left, m/s", "yaw rate, rad/s"];
@@ -236,7 +256,7 @@ caudata.Plots = class {
       const top = 22, gap = 14, each = (height - top - 42 - 2 * gap) / 3;
       this.trackAxes = curves.signals.map((s, i) => {
         const y0 = top + i * (each + gap);
-        const axes = sheet.axes({ box: [62, y0, width - 10, y0 + each], x: [0, Math.max(xs[n - 1], 0.1)], y: caudata.range([s.command, s.low, s.high, s.mean], 0.1), xTicks: 10, yTicks: 3, xText: i === 2, xLabel: i === 2 ? "time, s" : "" });
+        const axes = sheet.axes({ box: [62, y0, width - 10, y0 + each], x: [0, Math.max(xs[n - 1], 0.1)], y: caudata.range([s.command, s.low, s.high, s.mean], 0.1), xTicks: 10, yTicks: 4, xText: i === 2, xLabel: i === 2 ? "time, s" : "" });
         sheet.band(axes, xs, s.low, s.high, theme.band);
         sheet.line(axes, xs, s.command, theme.command, 1.5, [5, 4]);
         sheet.line(axes, xs, s.mean, theme.accent, 2);
@@ -245,12 +265,10 @@ caudata.Plots = class {
       });
       sheet.key([{ label: "commanded", color: theme.command, dash: [5, 4] }, { label: "achieved, mean", color: theme.accent }, { label: "10 to 90 %", color: theme.band, band: true }], 62, 9);
       this.axes.track = this.trackAxes[0];
-      this.backdrop = document.createElement("canvas");
-      this.backdrop.width = sheet.canvas.width; this.backdrop.height = sheet.canvas.height;
-      this.backdrop.getContext("2d").drawImage(sheet.canvas, 0, 0);
+      this.drawn.track = true;
+      sheet.keep();
     } else {
-      sheet.begin();
-      sheet.ctx.drawImage(this.backdrop, 0, 0, sheet.width, sheet.height);
+      sheet.restore();
     }
     if (this.film) this.trackAxes.forEach((axes) => sheet.cursor(axes, this.time));
   }
@@ -417,6 +435,21 @@ caudata.Plots = class {
   path() {
     const sheet = this.sheets.path;
     if (!this.film) return sheet.empty("no film of this scenario");
+    const { film } = this;
+    if (this.drawn.path) sheet.restore();
+    else this.way(sheet);
+    const { ctx, theme } = sheet, axes = this.axes.path;
+    sheet.clip(axes, () => {
+      const [x, y] = film.com(this.frame), a = film.heading(this.frame);
+      ctx.fillStyle = theme.bad;
+      ctx.beginPath();
+      for (const [along, side] of [[13, 0], [-8, 6], [-8, -6]]) ctx.lineTo(axes.px(x) + along * Math.cos(a) - side * Math.sin(a), axes.py(y) - along * Math.sin(a) - side * Math.cos(a));
+      ctx.fill();
+    });
+  }
+
+  // All of the path but where the robot is.
+  way(sheet) {
     sheet.begin();
     const { theme, width, height, ctx } = sheet, { film } = this;
     const xs = [], ys = [];
@@ -440,11 +473,9 @@ caudata.Plots = class {
     sheet.clip(axes, () => {
       ctx.fillStyle = theme.accent;
       for (let r = 0; r < film.frames; r += every) { const [x, y] = film.com(r); ctx.beginPath(); ctx.arc(axes.px(x), axes.py(y), 2.6, 0, 7); ctx.fill(); }
-      const [x, y] = film.com(this.frame), a = film.heading(this.frame);
-      ctx.fillStyle = theme.bad;
-      ctx.beginPath();
-      for (const [along, side] of [[13, 0], [-8, 6], [-8, -6]]) ctx.lineTo(axes.px(x) + along * Math.cos(a) - side * Math.sin(a), axes.py(y) - along * Math.sin(a) - side * Math.cos(a));
-      ctx.fill();
     });
+    this.axes.path = axes;
+    this.drawn.path = true;
+    sheet.keep();
   }
 };

@@ -51,12 +51,13 @@ caudata.Replay = class {
     const s = (f) => (f * this.film.period).toFixed(2);
     this.$("clock").textContent = `${s(Math.round(this.frame))} / ${s(this.film.frames - 1)} s`;
     this.dirty = true;
-    this.onFrame(Math.round(this.frame));
+    this.onFrame(Math.round(this.frame), this.playing);
   }
 
   play(on) {
     if (on && this.film && this.frame >= this.film.frames - 1) this.seek(0);
     this.playing = on;
+    if (!on && this.film) this.onFrame(Math.round(this.frame), false);
     this.$("play").textContent = on ? "Pause" : "Play";
   }
 
@@ -111,7 +112,7 @@ caudata.Replay = class {
   }
 
   tick(now) {
-    const passed = Math.min((now - (this.last || now)) / 1000, 0.1);
+    const passed = Math.min((now - (this.last || now)) / 1000, 0.5);
     this.last = now;
     if (!this.film) return;
     if (this.playing) {

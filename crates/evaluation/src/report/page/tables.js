@@ -96,9 +96,9 @@ caudata.tables = (page) => {
     el("td", {}, el("button", { type: "button", onclick: () => caudata.select(i, true) }, s.name)),
     `${s.episodes}`, `${number(s.command[0])}, ${number(s.command[1])}, ${number(s.command[2])}`,
     caudata.estimate(s.vx_mps), caudata.estimate(s.vy_mps), caudata.estimate(s.yaw_rate_radps), s.rmse_of_means.map((x) => number(x, 3)).join(" "),
-    caudata.percent(s.fall_share.mean), caudata.estimate(s.power_w, 1), number(s.cost_of_transport.mean), number(s.torque_rms_nm), number(s.torque_peak_nm), number(s.joint_speed_peak_radps, 1), number(s.joint_accel_rms_radps2, 0)]);
+    caudata.percent(s.fall_share.mean), caudata.estimate(s.power_w, 1), number(s.cost_of_transport.mean), number(s.torque_rms_nm), number(s.torque_peak_nm), caudata.percent(s.servo_limit_share), number(s.joint_speed_peak_radps, 1), number(s.joint_accel_rms_radps2, 0)]);
   section("Every scenario", "Velocities of the whole body in the heading frame; rms: over episodes, mean velocity against the command.", table(
-    ["scenario", "episodes", "mean command", "vx, m/s", "vy, m/s", "yaw, rad/s", "rms off the command", "falls", "power, W", "cost of transport", "torque rms, N·m", "peak", "speed peak, rad/s", "accel rms, rad/s²"], rows));
+    ["scenario", "episodes", "mean command", "vx, m/s", "vy, m/s", "yaw, rad/s", "rms off the command", "falls", "power, W", "cost of transport", "torque rms, N·m", "peak", "at the servo's limit", "speed peak, rad/s", "accel rms, rad/s²"], rows));
 
   const judged = result.scenarios.filter((s) => s.gates && s.gates.gates.length);
   if (judged.length) {

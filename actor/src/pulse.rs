@@ -1,0 +1,67 @@
+//! The pulse of an actor: every time that its loop turns to the link, it is alive.
+
+use std::io::Write;
+use std::time::Duration;
+
+use caudata_telemetry::{Pulse, StopFlag};
+use caudata_transport::{ActorLink, LinkStats, PolicyUpdate, SendError, TransportError};
+
+/// How often an actor that is watched says that it lives.
+pub const BEAT_EVERY: Duration = Duration::from_millis(500);
+
+/// A link that beats with each use. The loop of an actor asks it at every control step, and at least every 20 ms while it
+/// waits.
+pub struct PulsedLink {
+    inner: Box<dyn ActorLink>,
+    pulse: Pulse,
+}
+
+impl PulsedLink {
+    /// `inner`, with `pulse` beating.
+    pub fn new(inner: Box<dyn ActorLink>, pulse: Pulse) -> Self {
+        Self { inner, pulse }
+    }
+}
+
+impl ActorLink for PulsedLink {
+    fn send(&mut self, frame: &[u8], timeout: Duration) -> Result<(), SendError> {
+        self.pulse.beat();
+        self.inner.send(frame, timeout)
+    }
+
+    fn next_policy(&mut self, timeout: Duration) -> Result<Option<PolicyUpdate>, TransportError> {
+        self.pulse.beat();
+        self.inner.next_policy(timeout)
+    }
+
+    fn flush(&mut self, timeout: Duration) -> Result<(), SendError> {
+        self.pulse.beat();
+        self.inner.flush(timeout)
+    }
+
+    fn stop_requested(&self) -> bool {
+        self.pulse.beat();
+        self.inner.stop_requested()
+    }
+
+    fn is_connected(&self) -> bool {
+        self.inner.is_connected()
+    }
+
+    fn stats(&self) -> LinkStats {
+        self.inner.stats()
+    }
+}
+
+/// Says `alive` on `out` every [`BEAT_EVERY`] while the loop beats, until `stop` is raised or nobody reads. Runs on a thread of its
+/// own; a process that stands still (SIGSTOP, swapping) says nothing either.
+pub fn say_alive(pulse: &Pulse, stop: &StopFlag, mut out: impl Write) {
+    loop {
+        if pulse.silent_for() < 2 * BEAT_EVERY && writeln!(out, "alive").is_err() {
+            return;
+        }
+        if stop.wait(BEAT_EVERY) {
+            return;
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! What a servo can give at a speed: the torque limits that figures are held against.
+
+use caudata_model::RobotModel;
+use serde::Serialize;
+
+/// Share of the limit from which a torque counts as at it: means over a step hardly ever reach it wholly.
+const AT_THE_LIMIT: f64 = 0.95;
+
+/// The torque envelope of the first joint's servo at the supply that simulations use (`caudata_sim::drive::servo`).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Envelope {
+    /// Largest torque at low speed, N·m.
+    pub tau_max_nm: f64,
+    /// Speed up to which that is there, rad/s.
+    pub flat_to_radps: f64,
+    /// A second speed on the line that falls from there, rad/s.
+    pub taper_at_radps: f64,
+    /// Torque at that speed, N·m.
+    pub tau_there_nm: f64,
+    /// Largest torque against the motion, N·m.
+    pub tau_brake_max_nm: f64,
+    /// The supply, V.
+    pub supply_v: f64,
+}
+
+impl Envelope {
+    /// Of a robot.
+    #[must_use]
+    pub fn of(model: &RobotModel) -> Self {
+        let servo = model.servo(0);
+        let supply_v = model.supply_v();
+        let scale = supply_v / servo.reference_supply_v;
+        Self {
+            tau_max_nm: servo.tau_max_nm,
+            flat_to_radps: scale * servo.qd_tau_max_radps,
+            taper_at_radps: scale * servo.qd_max_radps,
+            tau_there_nm: servo.tau_qd_max_nm,
+            tau_brake_max_nm: servo.tau_brake_max_nm,
+            supply_v,
+        }
+    }
+
+    /// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m; negative beyond the no-load speed.
+    #[must_use]
+    pub fn driving_limit_nm(&self, speed_radps: f64) -> f64 {
+        let fall =
+            (self.tau_max_nm - self.tau_there_nm) / (self.taper_at_radps - self.flat_to_radps);
+        let line = self.tau_max_nm - fall * (speed_radps - self.flat_to_radps);
+        line.clamp(-self.tau_brake_max_nm, self.tau_max_nm)
+    }
+
+    /// Whether a motor that gives `torque_nm` at `speed_radps` gives all it can.
+    #[must_use]
+    pub fn is_reached(&self, torque_nm: f64, speed_radps: f64) -> bool {
+        let limit_nm = match torque_nm * speed_radps < 0.0 {
+            true => self.tau_brake_max_nm,
+            false => self.driving_limit_nm(speed_radps.abs()),
+        };
+        // beyond the no-load speed nothing drives: the least torque is all there is
+        torque_nm.abs() >= AT_THE_LIMIT * limit_nm && torque_nm != 0.0
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// XM430-W210 at its reference supply of 12 V.
+    pub(crate) const W210: Envelope = Envelope {
+        tau_max_nm: 1.94,
+        flat_to_radps: 0.8,
+        taper_at_radps: 7.6,
+        tau_there_nm: 0.40,
+        tau_brake_max_nm: 2.2,
+        supply_v: 12.0,
+    };
+
+    #[test]
+    fn limits_by_hand() {
+        assert_eq!(W210.driving_limit_nm(0.5), 1.94);
+        // half way between 0.8 and 7.6 rad/s: (1.94 + 0.40)/2
+        assert!((W210.driving_limit_nm(4.2) - 1.17).abs() < 1e-12);
+        // (1.94 − 0.40)/6.8 = 0.2265 N·m·s: zero at 0.8 + 1.94/0.2265 = 9.366 rad/s
+        assert!(W210.driving_limit_nm(9.3) > 0.0 && W210.driving_limit_nm(9.4) < 0.0);
+    }
+
+    #[test]
+    fn reached_by_hand() {
+        // 95 % of 1.17 is 1.1115
+        assert!(W210.is_reached(1.12, 4.2) && W210.is_reached(-1.12, -4.2));
+        assert!(!W210.is_reached(1.10, 4.2));
+        // braking: 95 % of 2.2 is 2.09
+        assert!(!W210.is_reached(-1.9, 4.2) && W210.is_reached(-2.1, 4.2));
+        assert!(!W210.is_reached(0.0, 12.0));
+    }
+}

@@ -1,0 +1,424 @@
+//! The ROS 2 messages that a robot's log is made of, field by field as `common_interfaces` defines them.
+
+use super::cdr::{CdrError, Reader, Writer};
+
+/// `builtin_interfaces/Time` in nanoseconds, and the frame: `std_msgs/Header`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Header {
+    /// Nanoseconds; 0: not stamped.
+    pub stamp_ns: i64,
+    /// Frame.
+    pub frame: String,
+}
+
+impl Header {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let (s, ns) = (r.i32()?, r.u32()?);
+        Ok(Self {
+            stamp_ns: i64::from(s) * 1_000_000_000 + i64::from(ns),
+            frame: r.text()?,
+        })
+    }
+
+    fn write(&self, w: &mut Writer) {
+        w.i32(self.stamp_ns.div_euclid(1_000_000_000) as i32);
+        w.u32(self.stamp_ns.rem_euclid(1_000_000_000) as u32);
+        w.text(&self.frame);
+    }
+}
+
+/// `sensor_msgs/msg/JointState`. Lists are as long as `name`, or empty.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JointState {
+    /// Stamp.
+    pub header: Header,
+    /// Joints.
+    pub name: Vec<String>,
+    /// rad.
+    pub position: Vec<f64>,
+    /// rad/s.
+    pub velocity: Vec<f64>,
+    /// N·m.
+    pub effort: Vec<f64>,
+}
+
+impl JointState {
+    /// Type name in MCAP files.
+    pub const TYPE: &'static str = "sensor_msgs/msg/JointState";
+
+    /// From CDR.
+    ///
+    /// # Errors
+    /// [`CdrError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+        let r = &mut Reader::new(bytes)?;
+        Ok(Self {
+            header: Header::read(r)?,
+            name: r.list(Reader::text)?,
+            position: r.list(Reader::f64)?,
+            velocity: r.list(Reader::f64)?,
+            effort: r.list(Reader::f64)?,
+        })
+    }
+
+    /// To CDR.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        let mut w = Writer::default();
+        self.header.write(&mut w);
+        w.list(&self.name, |w, n| w.text(n));
+        for all in [&self.position, &self.velocity, &self.effort] {
+            w.list(all, |w, x| w.f64(*x));
+        }
+        w.finish()
+    }
+}
+
+/// `sensor_msgs/msg/Imu`; covariances are not kept, but for "no orientation".
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Imu {
+    /// Stamp.
+    pub header: Header,
+    /// world_from_imu, w, x, y, z; `None` where the sensor gives none (covariance −1).
+    pub orientation_wxyz: Option<[f64; 4]>,
+    /// rad/s.
+    pub gyro_radps: [f64; 3],
+    /// m/s².
+    pub acc_mps2: [f64; 3],
+}
+
+impl Imu {
+    /// Type name in MCAP files.
+    pub const TYPE: &'static str = "sensor_msgs/msg/Imu";
+
+    /// From CDR.
+    ///
+    /// # Errors
+    /// [`CdrError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+        let r = &mut Reader::new(bytes)?;
+        let header = Header::read(r)?;
+        let [x, y, z, w] = r.f64s()?;
+        let covariance: [f64; 9] = r.f64s()?;
+        let gyro_radps = r.f64s()?;
+        let _: [f64; 9] = r.f64s()?;
+        let acc_mps2 = r.f64s()?;
+        let _: [f64; 9] = r.f64s()?;
+        let unit = (x * x + y * y + z * z + w * w - 1.0).abs() < 0.1;
+        Ok(Self {
+            header,
+            orientation_wxyz: (covariance[0] != -1.0 && unit).then_some([w, x, y, z]),
+            gyro_radps,
+            acc_mps2,
+        })
+    }
+
+    /// To CDR.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = Writer::default();
+        self.header.write(&mut out);
+        let [w, x, y, z] = self.orientation_wxyz.unwrap_or([1.0, 0.0, 0.0, 0.0]);
+        out.f64s(&[x, y, z, w]);
+        let mut covariance = [0.0; 9];
+        if self.orientation_wxyz.is_none() {
+            covariance[0] = -1.0;
+        }
+        out.f64s(&covariance);
+        out.f64s(&self.gyro_radps);
+        out.f64s(&[0.0; 9]);
+        out.f64s(&self.acc_mps2);
+        out.f64s(&[0.0; 9]);
+        out.finish()
+    }
+}
+
+/// `sensor_msgs/msg/BatteryState`: its voltage.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BatteryState {
+    /// Stamp.
+    pub header: Header,
+    /// V.
+    pub voltage_v: f32,
+}
+
+impl BatteryState {
+    /// Type name in MCAP files.
+    pub const TYPE: &'static str = "sensor_msgs/msg/BatteryState";
+
+    /// From CDR.
+    ///
+    /// # Errors
+    /// [`CdrError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+        let r = &mut Reader::new(bytes)?;
+        Ok(Self {
+            header: Header::read(r)?,
+            voltage_v: r.f32()?,
+        })
+    }
+
+    /// To CDR; what is not known is NaN, as the message asks for.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        let mut w = Writer::default();
+        self.header.write(&mut w);
+        w.f32(self.voltage_v);
+        for _ in 0..6 {
+            w.f32(f32::NAN); // temperature, current, charge, capacity, design capacity, percentage
+        }
+        for _ in 0..3 {
+            w.u8(0); // status, health, technology: unknown
+        }
+        w.u8(1); // present
+        w.list::<f32>(&[], |w, x| w.f32(*x));
+        w.list::<f32>(&[], |w, x| w.f32(*x));
+        w.text("");
+        w.text("");
+        w.finish()
+    }
+}
+
+/// `geometry_msgs/msg/PoseStamped`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PoseStamped {
+    /// Stamp.
+    pub header: Header,
+    /// m.
+    pub position_m: [f64; 3],
+    /// w, x, y, z.
+    pub orientation_wxyz: [f64; 4],
+}
+
+impl PoseStamped {
+    /// Type name in MCAP files.
+    pub const TYPE: &'static str = "geometry_msgs/msg/PoseStamped";
+
+    /// From CDR.
+    ///
+    /// # Errors
+    /// [`CdrError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+        let r = &mut Reader::new(bytes)?;
+        let header = Header::read(r)?;
+        let position_m = r.f64s()?;
+        let [x, y, z, w] = r.f64s()?;
+        Ok(Self {
+            header,
+            position_m,
+            orientation_wxyz: [w, x, y, z],
+        })
+    }
+
+    /// To CDR.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = Writer::default();
+        self.header.write(&mut out);
+        out.f64s(&self.position_m);
+        let [w, x, y, z] = self.orientation_wxyz;
+        out.f64s(&[x, y, z, w]);
+        out.finish()
+    }
+}
+
+/// `geometry_msgs/msg/TwistStamped`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TwistStamped {
+    /// Stamp.
+    pub header: Header,
+    /// m/s.
+    pub linear_mps: [f64; 3],
+    /// rad/s.
+    pub angular_radps: [f64; 3],
+}
+
+impl TwistStamped {
+    /// Type name in MCAP files.
+    pub const TYPE: &'static str = "geometry_msgs/msg/TwistStamped";
+
+    /// From CDR.
+    ///
+    /// # Errors
+    /// [`CdrError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+        let r = &mut Reader::new(bytes)?;
+        Ok(Self {
+            header: Header::read(r)?,
+            linear_mps: r.f64s()?,
+            angular_radps: r.f64s()?,
+        })
+    }
+
+    /// To CDR.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        let mut w = Writer::default();
+        self.header.write(&mut w);
+        w.f64s(&self.linear_mps);
+        w.f64s(&self.angular_radps);
+        w.finish()
+    }
+}
+
+const HEADER: &str = "
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+";
+const QUATERNION: &str = "
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x
+float64 y
+float64 z
+float64 w
+";
+const VECTOR: &str = "
+================================================================================
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+";
+
+/// The definition of a message type with everything that it holds (encoding `ros2msg`); `None` for types that are not written here.
+#[must_use]
+pub fn schema(type_name: &str) -> Option<String> {
+    let (fields, held): (&str, &[&str]) = match type_name {
+        JointState::TYPE => (
+            "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort",
+            &[HEADER],
+        ),
+        Imu::TYPE => (
+            "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\ngeometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\ngeometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance",
+            &[HEADER, QUATERNION, VECTOR],
+        ),
+        BatteryState::TYPE => (
+            "std_msgs/Header header\nfloat32 voltage\nfloat32 temperature\nfloat32 current\nfloat32 charge\nfloat32 capacity\nfloat32 design_capacity\nfloat32 percentage\nuint8 power_supply_status\nuint8 power_supply_health\nuint8 power_supply_technology\nbool present\nfloat32[] cell_voltage\nfloat32[] cell_temperature\nstring location\nstring serial_number",
+            &[HEADER],
+        ),
+        PoseStamped::TYPE => (
+            "std_msgs/Header header\ngeometry_msgs/Pose pose\n================================================================================\nMSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n================================================================================\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z",
+            &[HEADER, QUATERNION],
+        ),
+        TwistStamped::TYPE => (
+            "std_msgs/Header header\ngeometry_msgs/Twist twist\n================================================================================\nMSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+            &[HEADER, VECTOR],
+        ),
+        _ => return None,
+    };
+    Some(format!("{fields}{}", held.concat()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header() -> Header {
+        Header {
+            stamp_ns: 1_500_000_002,
+            frame: "b".to_owned(),
+        }
+    }
+
+    /// 1.5 s and 2 ns, frame "b", one joint "hip" at 1 rad, no speeds, no efforts; laid out by hand.
+    #[test]
+    fn golden_bytes_of_a_joint_state() {
+        let state = JointState {
+            header: header(),
+            name: vec!["hip".to_owned()],
+            position: vec![1.0],
+            velocity: vec![],
+            effort: vec![],
+        };
+        #[rustfmt::skip]
+        let want: &[u8] = &[
+            0, 1, 0, 0,                         // little endian
+            1, 0, 0, 0,  0x02, 0x65, 0xcd, 0x1d, // 1 s, 500 000 002 ns
+            2, 0, 0, 0,  b'b', 0, 0, 0,          // "b" and two of padding
+            1, 0, 0, 0,                          // one name
+            4, 0, 0, 0,  b'h', b'i', b'p', 0,    // behind the header: 28 bytes
+            1, 0, 0, 0,                          // one position: 32 bytes, so no padding
+            0, 0, 0, 0, 0, 0, 0xf0, 0x3f,
+            0, 0, 0, 0,  0, 0, 0, 0,             // none, none
+        ];
+        assert_eq!(state.encode(), want);
+        assert_eq!(JointState::decode(want).unwrap(), state);
+        for cut in 0..want.len() {
+            assert!(
+                JointState::decode(&want[..cut]).is_err(),
+                "{cut} bytes are no message"
+            );
+        }
+    }
+
+    #[test]
+    fn every_message_reads_as_written() {
+        let imu = Imu {
+            header: header(),
+            orientation_wxyz: Some([0.5, 0.5, -0.5, 0.5]),
+            gyro_radps: [1.0, 2.0, 3.0],
+            acc_mps2: [4.0, 5.0, 6.0],
+        };
+        assert_eq!(Imu::decode(&imu.encode()).unwrap(), imu);
+        // frame "b" ends at 14, padded to 16; 37 numbers follow
+        assert_eq!(imu.encode().len(), 4 + 16 + 37 * 8);
+        let blind = Imu {
+            orientation_wxyz: None,
+            ..imu
+        };
+        assert_eq!(Imu::decode(&blind.encode()).unwrap(), blind);
+        let battery = BatteryState {
+            header: header(),
+            voltage_v: 12.5,
+        };
+        assert_eq!(BatteryState::decode(&battery.encode()).unwrap(), battery);
+        // 16, seven numbers of 4, four bytes, two empty lists, two empty texts (4 + 1, padded, 4 + 1)
+        assert_eq!(battery.encode().len(), 4 + 16 + 28 + 4 + 8 + 8 + 5);
+        let pose = PoseStamped {
+            header: header(),
+            position_m: [1.0, 2.0, 3.0],
+            orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+        };
+        assert_eq!(PoseStamped::decode(&pose.encode()).unwrap(), pose);
+        let twist = TwistStamped {
+            header: header(),
+            linear_mps: [1.0, 2.0, 3.0],
+            angular_radps: [0.1, 0.2, 0.3],
+        };
+        assert_eq!(TwistStamped::decode(&twist.encode()).unwrap(), twist);
+        // before the epoch, too
+        let early = Header {
+            stamp_ns: -1,
+            frame: String::new(),
+        };
+        let twist = TwistStamped {
+            header: early.clone(),
+            ..twist
+        };
+        assert_eq!(TwistStamped::decode(&twist.encode()).unwrap().header, early);
+    }
+
+    #[test]
+    fn every_written_type_has_a_definition() {
+        for t in [
+            JointState::TYPE,
+            Imu::TYPE,
+            BatteryState::TYPE,
+            PoseStamped::TYPE,
+            TwistStamped::TYPE,
+        ] {
+            assert!(
+                schema(t).unwrap().contains("MSG: builtin_interfaces/Time"),
+                "{t}"
+            );
+        }
+        assert_eq!(schema("std_msgs/msg/String"), None);
+    }
+}

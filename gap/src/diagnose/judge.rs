@@ -1,0 +1,381 @@
+//! The metric: how far a prediction is from what was measured, in units of what cannot be held against a model.
+//!
+//! A residual is divided by its noise ([`super::noise`]), and directions in which careful labs differ from run to run (a little more friction, a
+//! little less voltage, half a step of time) are taken as random with their tolerances: with N the traces of these nuisances at one tolerance
+//! each, the residual r is whitened to (I + N·Nᵀ)^(−½)·r, run by run. What is left of a mismatch that a nuisance explains is small; what no nuisance
+//! explains stays. The misfit is the mean square of that: 1 is the floor.
+
+use std::ops::Range;
+
+use super::algebra::{dot, symmetric_eigen};
+use super::noise::Noise;
+use super::pipeline::add_own_misses;
+use crate::effects::{self, Domain, Place, places};
+use crate::error::GapError;
+use crate::replay::{Data, Replayer, SegmentOptions, Term, Variant};
+use crate::trial::Kind;
+
+/// Dry and viscous friction may differ by this share from run to run.
+const FRICTION_TOLERANCE: f64 = 0.07;
+/// Before friction slides, its law is a matter of taste: the way to it by this share.
+const PRESLIDING_TOLERANCE: f64 = 0.3;
+/// A firmware's tick and the current loop, s.
+const LOOP_TOLERANCE_S: f64 = 0.0007;
+/// Rotor inertia by this share.
+const ROTOR_TOLERANCE: f64 = 0.05;
+/// Stamps, integration and bus: s.
+const TIME_TOLERANCE_S: f64 = 0.0007;
+/// Gains by this share (supply and temperature act on them).
+const GAIN_TOLERANCE: f64 = 0.01;
+/// Supply by this share.
+const SUPPLY_TOLERANCE: f64 = 0.015;
+/// Ground friction by this share.
+const GROUND_TOLERANCE: f64 = 0.1;
+
+/// Runs of one role with their metric.
+pub struct Judge {
+    /// The runs.
+    pub data: Data,
+    /// Their noise.
+    pub noise: Noise,
+    trials: Vec<TrialMetric>,
+}
+
+/// A nuisance's trace in a trial, where it is not zero: places from the trial's first sample, and values.
+struct Column(Vec<(usize, Vec<f32>)>);
+
+impl Column {
+    /// Σ over its places of its values times `x`.
+    fn dot(&self, x: &[f32]) -> f64 {
+        self.0
+            .iter()
+            .map(|(at, v)| dot(v, &x[*at..at + v.len()]))
+            .sum()
+    }
+
+    /// Σ of products with another.
+    fn times(&self, other: &Self) -> f64 {
+        let mut sum = 0.0;
+        for (a, x) in &self.0 {
+            for (b, y) in &other.0 {
+                let (low, high) = ((*a).max(*b), (a + x.len()).min(b + y.len()));
+                if low < high {
+                    sum += dot(&x[low - a..high - a], &y[low - b..high - b]);
+                }
+            }
+        }
+        sum
+    }
+
+    /// Takes `c` times itself off `x`.
+    fn take_off(&self, c: f32, x: &mut [f32]) {
+        for (at, v) in &self.0 {
+            for (x, v) in x[*at..at + v.len()].iter_mut().zip(v) {
+                *x -= c * v;
+            }
+        }
+    }
+}
+
+/// Whitening of one trial.
+struct TrialMetric {
+    range: Range<usize>,
+    /// Nuisance traces in units of noise. `[K]`
+    columns: Vec<Column>,
+    /// V·diag((1 − 1/√(1+s))/s)·Vᵀ of the Gram matrix V·S·Vᵀ. `[K, K]`
+    shrink: Vec<Vec<f64>>,
+}
+
+impl Judge {
+    /// For `data`, which was cut with `options`, with nuisances around the robot as given.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn new(replayer: &Replayer, data: Data, options: SegmentOptions) -> Result<Self, GapError> {
+        let mut noise = Noise::of(replayer.model(), &data);
+        add_own_misses(replayer, &data, options, &mut noise)?;
+        let mut judge = Self {
+            data,
+            noise,
+            trials: Vec::new(),
+        };
+        judge.set_base(replayer, &[])?;
+        Ok(judge)
+    }
+
+    /// Takes the nuisances' traces anew, around `base`.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn set_base(&mut self, replayer: &Replayer, base: &[Term]) -> Result<(), GapError> {
+        let model = replayer.model();
+        let joint_effects = nuisances(replayer, base);
+        let mut variants = vec![base.to_vec()];
+        variants.extend(joint_effects.iter().map(|n| n.variant.clone()));
+        let mut predictions = replayer.predict(&self.data, &variants)?;
+        let rest = predictions.split_off(1);
+        let zero = predictions.swap_remove(0);
+        let joints = model.actuated().len();
+        self.trials = trial_ranges(&self.data)
+            .into_iter()
+            .map(|range| {
+                let mut columns: Vec<Column> = Vec::new();
+                for (n, trace) in joint_effects.iter().zip(&rest) {
+                    let delta = |k: usize| {
+                        let d = (trace[k] - zero[k]) * n.share / self.noise.sigma[k];
+                        if d.is_finite() { d } else { 0.0 }
+                    };
+                    if n.per_joint {
+                        for joint in 0..joints {
+                            let of = pieces(&self.data, &range)
+                                .filter(|p| p.kind.of_joint() && p.index == joint)
+                                .map(|p| {
+                                    (
+                                        p.range.start - range.start,
+                                        p.range.clone().map(delta).collect(),
+                                    )
+                                });
+                            columns.push(Column(of.collect()));
+                        }
+                    } else {
+                        columns.push(Column(vec![(0, range.clone().map(delta).collect())]));
+                    }
+                }
+                columns.retain(|c| c.times(c) > 1e-3);
+                TrialMetric::new(range, columns)
+            })
+            .collect();
+        Ok(())
+    }
+
+    /// Measured less predicted, whitened. Samples without a prediction count as a hundred times their noise.
+    #[must_use]
+    pub fn residual(&self, prediction: &[f32]) -> Vec<f32> {
+        let raw = (0..self.data.len())
+            .map(|k| {
+                let r =
+                    (self.data.value[k] - f64::from(prediction[k])) as f32 / self.noise.sigma[k];
+                if r.is_finite() {
+                    r.clamp(-1e4, 1e4)
+                } else {
+                    100.0
+                }
+            })
+            .collect();
+        self.whiten(raw)
+    }
+
+    /// One prediction less another, whitened.
+    #[must_use]
+    pub fn change(&self, to: &[f32], from: &[f32]) -> Vec<f32> {
+        let raw = (0..self.data.len())
+            .map(|k| {
+                let d = (to[k] - from[k]) / self.noise.sigma[k];
+                if d.is_finite() {
+                    d.clamp(-1e4, 1e4)
+                } else {
+                    0.0
+                }
+            })
+            .collect();
+        self.whiten(raw)
+    }
+
+    fn whiten(&self, mut x: Vec<f32>) -> Vec<f32> {
+        for trial in &self.trials {
+            trial.apply(&mut x[trial.range.clone()]);
+        }
+        x
+    }
+
+    /// Noise as repeats show it, whitened; empty without repeats.
+    #[must_use]
+    pub fn repeat_noise(&self) -> Vec<f32> {
+        if self.noise.repeated {
+            self.whiten(self.noise.difference.clone())
+        } else {
+            Vec::new()
+        }
+    }
+
+    /// Mean square of a whitened vector.
+    #[must_use]
+    pub fn misfit(&self, residual: &[f32]) -> f64 {
+        dot(residual, residual) / residual.len().max(1) as f64
+    }
+
+    /// Per block: Σ of f over its samples. `[B]`
+    #[must_use]
+    pub fn by_block(&self, f: impl Fn(usize) -> f64) -> Vec<f64> {
+        let mut sums = vec![0.0; self.data.blocks];
+        for (k, b) in self.data.block.iter().enumerate() {
+            sums[*b as usize] += f(k);
+        }
+        sums
+    }
+
+    /// Whether the candidate could be simulated at all.
+    #[must_use]
+    pub fn sound(prediction: &[f32]) -> bool {
+        prediction.iter().all(|x| x.is_finite())
+    }
+}
+
+impl TrialMetric {
+    fn new(range: Range<usize>, columns: Vec<Column>) -> Self {
+        let k = columns.len();
+        let gram: Vec<Vec<f64>> = (0..k)
+            .map(|i| (0..k).map(|j| columns[i].times(&columns[j])).collect())
+            .collect();
+        let (values, v) = symmetric_eigen(&gram);
+        let factor: Vec<f64> = values
+            .iter()
+            .map(|&s| {
+                if s > 1e-9 {
+                    (1.0 - 1.0 / (1.0 + s).sqrt()) / s
+                } else {
+                    0.5
+                }
+            })
+            .collect();
+        let shrink = (0..k)
+            .map(|i| {
+                (0..k)
+                    .map(|j| (0..k).map(|m| v[i][m] * factor[m] * v[j][m]).sum())
+                    .collect()
+            })
+            .collect();
+        Self {
+            range,
+            columns,
+            shrink,
+        }
+    }
+
+    fn apply(&self, x: &mut [f32]) {
+        let along: Vec<f64> = self.columns.iter().map(|c| c.dot(x)).collect();
+        for (column, row) in self.columns.iter().zip(&self.shrink) {
+            let c: f64 = row.iter().zip(&along).map(|(a, b)| a * b).sum();
+            column.take_off(c as f32, x);
+        }
+    }
+}
+
+/// A nuisance: a candidate, and which share of its trace is one tolerance.
+struct Nuisance {
+    variant: Variant,
+    share: f32,
+    /// Independent from joint to joint.
+    per_joint: bool,
+}
+
+/// What differs from run to run in a careful lab, as candidates on top of `base`.
+fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
+    let model = replayer.model();
+    let lane = crate::plant::Plant::nominal(model).lane;
+    let mut plant = crate::plant::Plant::nominal(model);
+    plant.session = 0.5;
+    for term in base {
+        (term.effect.apply)(&mut plant, &term.place, &term.values);
+    }
+    let mean = |x: &[f32]| x.iter().map(|v| f64::from(*v)).sum::<f64>() / x.len().max(1) as f64;
+    let mut out = Vec::new();
+    let mut add = |id: &str, first: f64, share: f64, per_joint: bool| {
+        let Some(effect) = effects::find(id) else {
+            return;
+        };
+        let Some(place) = places(model, effect).into_iter().next() else {
+            return;
+        };
+        let mut values = effect.neutral(model, &place);
+        values[0] = first;
+        let mut variant = base.to_vec();
+        variant.push(Term {
+            effect,
+            place,
+            values,
+        });
+        out.push(Nuisance {
+            variant,
+            share: share as f32,
+            per_joint,
+        });
+    };
+    // a few times the tolerance, scaled back: the trace of a tiny change drowns in rounding
+    let friction = mean(&plant.lane.joint_friction_nm).max(0.003 * effective_torque(&lane, model));
+    add(
+        "coulomb_friction",
+        3.0 * FRICTION_TOLERANCE * friction,
+        1.0 / 3.0,
+        true,
+    );
+    let damping = mean(&plant.lane.joint_damping_nms_per_rad);
+    if damping > 0.0 {
+        add(
+            "viscous_friction",
+            3.0 * FRICTION_TOLERANCE * damping,
+            1.0 / 3.0,
+            true,
+        );
+    }
+    let way = mean(
+        &plant
+            .lane
+            .joints
+            .iter()
+            .map(|j| j.presliding_rad)
+            .collect::<Vec<_>>(),
+    );
+    add("pre_sliding", way * (1.0 + PRESLIDING_TOLERANCE), 1.0, true);
+    add("kp_error", 1.0 + 3.0 * GAIN_TOLERANCE, 1.0 / 3.0, true);
+    add("servo_loop_delay", LOOP_TOLERANCE_S, 1.0, true);
+    add(
+        "armature",
+        ROTOR_TOLERANCE * mean(&plant.lane.joint_armature_kgm2).max(1e-4),
+        1.0,
+        true,
+    );
+    add("command_delay", 3.0 * TIME_TOLERANCE_S, 1.0 / 3.0, false);
+    add(
+        "supply_level",
+        1.0 + 3.0 * SUPPLY_TOLERANCE,
+        1.0 / 3.0,
+        false,
+    );
+    if !model.feet().is_empty() {
+        add("contact_friction", 1.0 + GROUND_TOLERANCE, 1.0, false);
+    }
+    out
+}
+
+fn effective_torque(lane: &caudata_sim::LaneParams, model: &caudata_model::RobotModel) -> f64 {
+    let n = lane.torque_scale.len().max(1);
+    (0..n).map(|a| model.servo(a).tau_max_nm).sum::<f64>() / n as f64
+}
+
+fn trial_ranges(data: &Data) -> Vec<Range<usize>> {
+    let mut ranges: Vec<(usize, Range<usize>)> = Vec::new();
+    for segment in &data.segments {
+        match ranges.last_mut() {
+            Some((trial, range)) if *trial == segment.trial => range.end = segment.range.end,
+            _ => ranges.push((segment.trial, segment.range.clone())),
+        }
+    }
+    ranges.into_iter().map(|(_, r)| r).collect()
+}
+
+fn pieces<'a>(
+    data: &'a Data,
+    range: &'a Range<usize>,
+) -> impl Iterator<Item = &'a crate::replay::Piece> {
+    data.segments
+        .iter()
+        .filter(move |s| s.range.start >= range.start && s.range.end <= range.end)
+        .flat_map(|s| &s.pieces)
+}
+
+/// Whether a sample's channel belongs to a place: its joints' channels for joints, everything else otherwise.
+#[must_use]
+pub fn concerns(place: &Place, kind: Kind, index: usize) -> bool {
+    place.domain != Domain::Joints || !kind.of_joint() || place.items.contains(&index)
+}

@@ -1,0 +1,321 @@
+//! From runs to a verdict.
+//!
+//! Noise floor, divergence, screening, refinement, greedy extension with deletion and swaps, gates on held-out runs, answer sets, detection floors,
+//! leftovers, the next experiment. Deterministic: the only randomness is resampling, from a seed.
+
+pub mod algebra;
+mod divergence;
+mod extend;
+mod floors;
+mod gates;
+mod judge;
+mod leftover;
+mod naming;
+mod next;
+mod noise;
+mod pictures;
+mod pipeline;
+mod refine;
+mod screen;
+mod search;
+mod signature;
+mod spread;
+mod state;
+mod verdict;
+
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+
+use crate::effects::{self, Effect};
+use crate::error::GapError;
+use crate::excitation::Excitation;
+use crate::extension::Extension;
+use crate::plots::Plots;
+use crate::repeats;
+use crate::replay::{Data, Replayer, SegmentOptions};
+use crate::report::{Compute, DataFault, Report, RunUse};
+use crate::trial::{Role, Run, Trial};
+
+/// What a diagnosis is made from.
+#[derive(Debug, Clone)]
+pub struct Request {
+    /// The robot file, as bytes, and a name for it in messages.
+    pub robot_toml: Vec<u8>,
+    /// The MJCF that it names.
+    pub mjcf: Vec<u8>,
+    /// Names the robot file in messages.
+    pub label: String,
+    /// In order of recording.
+    pub runs: Vec<Run>,
+    /// Faults that a check of the data found. A fatal one ends the diagnosis.
+    pub data_faults: Vec<DataFault>,
+    /// Settings.
+    pub options: Options,
+}
+
+/// Settings of a diagnosis.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Threads; results do not depend on it.
+    pub threads: usize,
+    /// Seed of resampling.
+    pub seed: u64,
+    /// Effects that are not tried, by id.
+    pub without: Vec<String>,
+    /// Only these are tried, by id; empty: all.
+    pub only: Vec<String>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            threads: 2,
+            seed: 1,
+            without: Vec::new(),
+            only: Vec::new(),
+        }
+    }
+}
+
+/// What a diagnosis gives.
+#[derive(Debug, Clone)]
+pub struct Diagnosis {
+    /// `report.json`.
+    pub report: Report,
+    /// What goes into the extended robot file.
+    pub extension: Extension,
+    /// What the page draws.
+    pub plots: Plots,
+}
+
+/// What it is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Reading runs, noise.
+    Reading,
+    /// Trying sizes of every effect.
+    Screening,
+    /// Fitting the promising ones.
+    Fitting,
+    /// A cause was accepted.
+    Accepted,
+    /// Looking for look-alikes.
+    Naming,
+    /// Floors, intervals, pictures.
+    Reporting,
+}
+
+/// How far it is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Progress {
+    /// What it is doing.
+    pub stage: Stage,
+    /// Which round of extension, from 1.
+    pub round: usize,
+    /// The model that it works on, in words.
+    pub model: String,
+}
+
+impl Progress {
+    fn new(stage: Stage, round: usize, model: &str) -> Self {
+        let model = if model.is_empty() {
+            "robot as given"
+        } else {
+            model
+        };
+        Self {
+            stage,
+            round,
+            model: model.to_owned(),
+        }
+    }
+}
+
+/// Diagnoses.
+///
+/// # Errors
+/// [`GapError`] where the robot or a run cannot be used at all. Whatever the data say about themselves is a verdict, not an error.
+pub fn diagnose(
+    request: &Request,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Diagnosis, GapError> {
+    progress(Progress::new(Stage::Reading, 0, ""));
+    let model = Arc::new(RobotModel::from_bytes(
+        &request.label,
+        &request.robot_toml,
+        &request.mjcf,
+    )?);
+    if request.runs.is_empty() {
+        return Err(GapError::NoRuns);
+    }
+    let runs = uses(request);
+    if request.data_faults.iter().any(|f| f.fatal) {
+        return Ok(verdict::data_fault(request, &model, runs));
+    }
+    let mut trials = request
+        .runs
+        .iter()
+        .map(|run| Trial::new(&model, run))
+        .collect::<Result<Vec<_>, _>>()?;
+    repeats::group(&mut trials);
+    let split = hold_out(&mut trials);
+    let mut runs = runs;
+    for (run, trial) in runs.iter_mut().zip(&trials) {
+        run.role = role_name(trial.role).to_owned();
+    }
+    let faults = mask_disturbed(&mut trials);
+    let mut context = context(request, &model, trials)?;
+    let mut found = search::search(&mut context, progress)?;
+    progress(Progress::new(Stage::Naming, 0, &found.best.label()));
+    let named = naming::name(&context, &mut found)?;
+    progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
+    let mut diagnosis = verdict::conclude(request, &context, &found, &named, runs, split)?;
+    diagnosis
+        .report
+        .data_faults
+        .extend(request.data_faults.iter().cloned());
+    diagnosis.report.data_faults.extend(faults);
+    let (rollouts, simulated_s) = context.replayer.spent();
+    diagnosis.report.compute = Compute {
+        candidates: found.tried,
+        rollouts,
+        simulated_s,
+        seconds: 0.0,
+    };
+    Ok(diagnosis)
+}
+
+fn role_name(role: Role) -> &'static str {
+    match role {
+        Role::Fit => "fit",
+        Role::Holdout => "holdout",
+    }
+}
+
+fn uses(request: &Request) -> Vec<RunUse> {
+    request
+        .runs
+        .iter()
+        .map(|run| {
+            let time = run.log.table.time_s();
+            RunUse {
+                name: run.name.clone(),
+                role: role_name(run.role).to_owned(),
+                duration_s: match (time.first(), time.last()) {
+                    (Some(a), Some(b)) => b - a,
+                    _ => 0.0,
+                },
+                sha256: run.sha256.clone(),
+            }
+        })
+        .collect()
+}
+
+/// How held-out runs came about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Split {
+    /// They were given.
+    Given,
+    /// Every third group of repeats was set aside.
+    SetAside,
+    /// There are too few runs: what was fitted is judged on the same runs.
+    Same,
+}
+
+/// Sets runs aside where none are held out.
+fn hold_out(trials: &mut [Trial]) -> Split {
+    let held = trials.iter().any(|t| t.role == Role::Holdout);
+    let fitted = trials.iter().any(|t| t.role == Role::Fit);
+    if held && fitted {
+        return Split::Given;
+    }
+    let groups = trials.iter().map(|t| t.group).max().map_or(0, |g| g + 1);
+    if groups < 3 {
+        for t in trials.iter_mut() {
+            t.role = Role::Fit;
+        }
+        return Split::Same;
+    }
+    for t in trials.iter_mut() {
+        t.role = if t.group % 3 == 2 {
+            Role::Holdout
+        } else {
+            Role::Fit
+        };
+    }
+    Split::SetAside
+}
+
+/// Takes stretches out in which one run departs from its repeats, and says so.
+fn mask_disturbed(trials: &mut [Trial]) -> Vec<DataFault> {
+    noise::disturbed(trials)
+        .into_iter()
+        .map(|(trial, from, to)| {
+            trials[trial].masked_s.push((from, to));
+            DataFault {
+                kind: "disturbance".to_owned(),
+                location: trials[trial].name.clone(),
+                detail: format!(
+                    "from {from:.2} s to {to:.2} s the run departs from its repeats far more than elsewhere, as if somebody had touched the robot; \
+                     this stretch is left out"
+                ),
+                fatal: false,
+            }
+        })
+        .collect()
+}
+
+/// Height of the water's surface that a run notes, m.
+fn water_level(run: &Run) -> Option<f64> {
+    match run.log.meta.settings.get("water_level_m") {
+        Some(caudata_runlog::Setting::Number(level_m)) if *level_m > 0.0 => Some(*level_m),
+        _ => None,
+    }
+}
+
+fn context(
+    request: &Request,
+    model: &Arc<RobotModel>,
+    trials: Vec<Trial>,
+) -> Result<state::Context, GapError> {
+    let last = trials.len().max(2) as f64 - 1.0;
+    let mut trials = trials;
+    for (k, t) in trials.iter_mut().enumerate() {
+        t.session = k as f64 / last;
+    }
+    let of = |role: Role| -> Vec<Trial> {
+        let mut of: Vec<Trial> = trials.iter().filter(|p| p.role == role).cloned().collect();
+        if of.is_empty() {
+            of.clone_from(&trials);
+        }
+        repeats::collapse(&of)
+    };
+    let replayer = Replayer::new(Arc::clone(model), request.options.threads)?;
+    let replayer = match request.runs.iter().find_map(water_level) {
+        Some(level_m) => replayer.with_water_level(level_m),
+        None => replayer,
+    };
+    let options = SegmentOptions::default();
+    let fit_trials = of(Role::Fit);
+    let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
+    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), options)?;
+    let holdout = judge::Judge::new(
+        &replayer,
+        Data::new(model, of(Role::Holdout), options),
+        options,
+    )?;
+    let wanted = |e: &&'static Effect| {
+        let named = |list: &[String]| list.iter().any(|id| id == e.id);
+        !named(&request.options.without)
+            && (request.options.only.is_empty() || named(&request.options.only))
+    };
+    Ok(state::Context {
+        replayer,
+        fit,
+        holdout,
+        effects: effects::ALL.iter().copied().filter(wanted).collect(),
+        excitation,
+        seed: request.options.seed,
+    })
+}

@@ -1,0 +1,155 @@
+//! Naming: which effects would explain as much in a cause's place. A cause is a set of names with probabilities, not a name.
+
+use super::gates::{self, Worth};
+use super::refine::refine;
+use super::screen::{Screened, screen};
+use super::search::{Found, penalised, single, swapped};
+use super::state::{Context, State};
+use crate::error::GapError;
+use crate::replay::Variant;
+
+/// Rivals that are fitted per cause, besides the declared look-alikes.
+const RIVALS: usize = 8;
+/// A rival within this share of the cause's own gain belongs to the answer set …
+const MARGIN: f64 = 0.06;
+/// … if its misfit is not higher by more than this share of the best's, …
+const MARGIN_OF_REST: f64 = 0.25;
+/// … and this many floors.
+const MARGIN_FLOORS: f64 = 0.1;
+/// Temperature of the probabilities, as a share of the margin.
+const TEMPERATURE: f64 = 0.6;
+
+/// A rival of a cause.
+pub struct Rival {
+    /// The model with the rival in the cause's place.
+    pub state: State,
+    /// Which term it is there.
+    pub index: usize,
+    /// What it fails to explain, as a share of the cause's gain; 0: as good, negative: better.
+    pub short: f64,
+    /// Probability among the rivals and the cause.
+    pub probability: f64,
+    /// Whether it belongs to the answer set.
+    pub in_set: bool,
+}
+
+/// A cause with its rivals.
+pub struct Named {
+    /// Term of the best model.
+    pub index: usize,
+    /// The model without it, refitted.
+    pub without: State,
+    /// What it is worth on top of that.
+    pub worth: Worth,
+    /// Rivals, best first.
+    pub rivals: Vec<Rival>,
+    /// Probability of its own name.
+    pub probability: f64,
+}
+
+/// Finds the rivals of every cause.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError> {
+    let mut out = Vec::new();
+    for index in 0..found.best.terms.len() {
+        let mut named = rivals_of(context, found, index)?;
+        let simpler = named
+            .rivals
+            .iter()
+            .filter(|r| r.in_set && r.state.parameters() < found.best.parameters())
+            .min_by(|a, b| {
+                let size = |r: &Rival| r.state.parameters();
+                size(a).cmp(&size(b)).then(a.short.total_cmp(&b.short))
+            });
+        if let Some(simpler) = simpler {
+            // who says the same with less is the first to be believed
+            found.best = simpler.state.clone();
+            named = rivals_of(context, found, index)?;
+        }
+        out.push(named);
+    }
+    Ok(out)
+}
+
+/// Everything that could stand in the place of term `index` of the best model, fitted.
+fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, GapError> {
+    let best = &found.best;
+    let mut terms: Variant = best.terms.clone();
+    let term = terms.remove(index);
+    let terms = refine(context, vec![terms], None)?.swap_remove(0).0;
+    let mut without = single(context, terms)?;
+    context.find_basis(&mut without)?;
+    let screened = if without.terms.is_empty() && !found.first.is_empty() {
+        found.first.clone()
+    } else {
+        screen(context, &without)?
+    };
+    let chosen = rivals(&term, &screened);
+    let states = swapped(context, best, index, &chosen)?;
+    let gain = penalised(&without) - penalised(best);
+    let mut rivals: Vec<Rival> = states
+        .into_iter()
+        .map(|state| Rival {
+            short: (penalised(&state) - penalised(best)) / gain.max(1e-9),
+            state,
+            index,
+            probability: 0.0,
+            in_set: false,
+        })
+        .collect();
+    rivals.sort_by(|a, b| a.short.total_cmp(&b.short));
+    let rest = MARGIN_OF_REST * penalised(best) + MARGIN_FLOORS;
+    let margin = MARGIN.min(rest / gain.max(1e-9));
+    // places of one effect are one name
+    let weight = |short: f64| (-short.max(-margin) / (TEMPERATURE * margin)).exp();
+    let total = weight(0.0) + rivals.iter().map(|r| weight(r.short)).sum::<f64>();
+    for r in &mut rivals {
+        r.probability = weight(r.short) / total;
+        r.in_set = r.short < margin;
+    }
+    Ok(Named {
+        index,
+        worth: gates::worth(context, &without, best),
+        without,
+        probability: weight(0.0) / total,
+        rivals,
+    })
+}
+
+/// Declared look-alikes at their best place, and whatever screening likes.
+fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
+    let mut chosen: Vec<&Screened> = Vec::new();
+    let own = |s: &Screened| s.effect == term.effect;
+    for id in term.effect.look_alikes {
+        let near = screened.iter().filter(|s| s.effect.id == *id);
+        // at the same place if it can be there, else wherever it does best
+        let mut near: Vec<&Screened> = near.collect();
+        near.sort_by_key(|s| s.place != term.place);
+        chosen.extend(near.first());
+    }
+    let mut more = 0;
+    for s in screened.iter().filter(|s| s.gain > 0.0 && !own(s)) {
+        if chosen
+            .iter()
+            .any(|c| c.effect == s.effect && c.place == s.place)
+        {
+            continue;
+        }
+        chosen.push(s);
+        more += 1;
+        if more == RIVALS {
+            break;
+        }
+    }
+    // the same effect at other places: where it is belongs to the name
+    for s in screened
+        .iter()
+        .filter(|s| own(s) && s.place != term.place && s.gain > 0.0)
+        .take(3)
+    {
+        chosen.push(s);
+    }
+    chosen
+}

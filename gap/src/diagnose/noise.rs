@@ -1,0 +1,215 @@
+//! What cannot be reproduced: noise of each channel in each run, from repeats where there are some, else from counts and jitter.
+
+use std::collections::BTreeMap;
+
+use caudata_model::RobotModel;
+
+use crate::replay::{Data, Piece};
+use crate::trial::{Channel, Kind, Trial};
+
+/// Share of a signal's own size that no simulation is expected to hit. Speeds come from a servo's own estimator, currents from its driver.
+fn relative(kind: Kind) -> f64 {
+    match kind {
+        Kind::Velocity => 0.03,
+        Kind::Current | Kind::Torque => 0.02,
+        _ => 0.01,
+    }
+}
+
+/// Repeats that differ this many times more than usual in a block have been disturbed.
+const DISTURBED: f64 = 6.0;
+/// Repeats are not expected to agree better than this, rad.
+const LEAST_RAD: f64 = 0.002;
+
+/// Noise of a set of runs.
+#[derive(Debug, Clone, Default)]
+pub struct Noise {
+    /// Of each sample, standard deviation, SI. `[N]`
+    pub sigma: Vec<f32>,
+    /// Of what repeats differ by alone, by (trial, kind, index), SI.
+    pub repeat: BTreeMap<(usize, Kind, usize), f64>,
+    /// One run less the mean of its repeats, in units of `sigma`; 0 where there are no repeats. `[N]`
+    pub difference: Vec<f32>,
+    /// Whether any run has a repeat.
+    pub repeated: bool,
+}
+
+impl Noise {
+    /// Of `data`.
+    #[must_use]
+    pub fn of(model: &RobotModel, data: &Data) -> Self {
+        let mut noise = Self {
+            sigma: vec![1.0; data.len()],
+            difference: vec![0.0; data.len()],
+            ..Self::default()
+        };
+        for segment in &data.segments {
+            for piece in &segment.pieces {
+                noise.piece(model, data, segment.trial, piece);
+            }
+        }
+        noise
+    }
+
+    fn piece(&mut self, model: &RobotModel, data: &Data, trial: usize, piece: &Piece) {
+        let own = &data.trials[trial];
+        let channel = &own.channels[piece.channel];
+        let range = piece.range.clone();
+        let values = &data.value[range.clone()];
+        let floor = (quantum(model, channel) / 12.0_f64.sqrt()).max(jitter(values));
+        let members: Vec<(f64, &Channel)> = (own.members.iter())
+            .filter_map(|m| {
+                Some((
+                    m.span_s.0 - own.span_s.0,
+                    m.channel(piece.kind, piece.index)?,
+                ))
+            })
+            .collect();
+        let m = members.len() as f64;
+        let mut sum = 0.0;
+        let mut differences = vec![0.0; values.len()];
+        if members.len() > 1 {
+            for (k, difference) in differences.iter_mut().enumerate() {
+                let t = data.time_s[range.start + k];
+                let all: Vec<f64> = members.iter().map(|(shift, c)| c.at(t + shift)).collect();
+                let mean = all.iter().sum::<f64>() / m;
+                sum += all.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (m - 1.0);
+                // one member against the mean of all: σ²·(1 − 1/m)
+                *difference = (all[0] - mean) / (1.0 - 1.0 / m).sqrt();
+            }
+            self.repeated = true;
+        }
+        let repeat = (sum / values.len().max(1) as f64).sqrt();
+        if members.len() > 1 {
+            self.repeat.insert((trial, piece.kind, piece.index), repeat);
+        }
+        let size = spread(values);
+        let sigma = (floor.max(repeat).powi(2) + (relative(piece.kind) * size).powi(2)).sqrt();
+        let sigma = sigma.max(smallest(piece.kind));
+        for k in 0..values.len() {
+            self.sigma[range.start + k] = sigma as f32;
+            self.difference[range.start + k] = (differences[k] / sigma) as f32;
+        }
+    }
+}
+
+/// Stretches in which one of at least three repeats departs from the others far more than usual: (trial, from, to), s.
+#[must_use]
+pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
+    let mut levels: Vec<(f64, usize, f64, f64)> = Vec::new();
+    for (number, trial) in trials.iter().enumerate() {
+        let others: Vec<&Trial> = (trials.iter().enumerate())
+            .filter(|(k, t)| *k != number && t.group == trial.group)
+            .map(|(_, t)| t)
+            .collect();
+        // with only two runs nobody knows which of them was touched
+        if others.len() < 2 {
+            continue;
+        }
+        for block in 0..trial.duration_s().floor() as usize {
+            let from = trial.span_s.0 + block as f64;
+            let mut sum = (0.0, 0.0);
+            for c in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
+                let same: Vec<(f64, &Channel)> = (others.iter())
+                    .filter_map(|o| {
+                        Some((o.span_s.0 - trial.span_s.0, o.channel(c.kind, c.index)?))
+                    })
+                    .collect();
+                if same.len() < 2 {
+                    continue;
+                }
+                let low = c.time_s.partition_point(|&t| t < from);
+                let high = c.time_s.partition_point(|&t| t < from + 1.0);
+                for k in low..high {
+                    let mut all: Vec<f64> =
+                        same.iter().map(|(s, o)| o.at(c.time_s[k] + s)).collect();
+                    all.push(c.value[k]);
+                    all.sort_by(f64::total_cmp);
+                    let median = all[all.len() / 2];
+                    sum.0 += (c.value[k] - median).powi(2);
+                    sum.1 += 1.0;
+                }
+            }
+            if sum.1 > 0.0 {
+                let level: f64 = sum.0 / sum.1;
+                levels.push((level.sqrt(), number, from, from + 1.0));
+            }
+        }
+    }
+    let mut sorted: Vec<f64> = levels.iter().map(|l| l.0).collect();
+    sorted.sort_by(f64::total_cmp);
+    let usual = sorted
+        .get(sorted.len() * 9 / 10)
+        .copied()
+        .unwrap_or(0.0)
+        .max(LEAST_RAD);
+    levels
+        .into_iter()
+        .filter(|l| l.0 > DISTURBED * usual)
+        .map(|(_, trial, from, to)| (trial, from, to))
+        .collect()
+}
+
+/// Step of a channel's numbers, SI.
+fn quantum(model: &RobotModel, channel: &Channel) -> f64 {
+    match channel.kind {
+        Kind::Position => model.servo(channel.index).encoder_lsb_rad(),
+        Kind::Velocity => model.servo(channel.index).velocity_lsb_radps,
+        Kind::Current => model.servo(channel.index).current_lsb_a,
+        _ => {
+            let steps = channel.value.windows(2).map(|w| (w[1] - w[0]).abs());
+            let least = steps.filter(|s| *s > 1e-9).fold(f64::INFINITY, f64::min);
+            if least.is_finite() { least } else { 0.0 }
+        }
+    }
+}
+
+/// Noise finer than this is not believed, SI.
+fn smallest(kind: Kind) -> f64 {
+    match kind {
+        Kind::Position => 5e-4,
+        Kind::Velocity => 0.01,
+        Kind::Current => 0.005,
+        Kind::Torque => 0.005,
+        Kind::Voltage => 0.05,
+        Kind::Gyro => 0.02,
+        Kind::Acceleration => 0.3,
+        Kind::Gravity | Kind::BaseAttitude => 0.003,
+        Kind::BasePosition | Kind::Foot => 1e-3,
+        Kind::BaseVelocity => 0.01,
+    }
+}
+
+/// White noise by second differences: 1.4826·median|y₊ − 2y + y₋|/√6, which a smooth signal does not add to.
+fn jitter(y: &[f64]) -> f64 {
+    let mut second: Vec<f64> = y
+        .windows(3)
+        .map(|w| (w[2] - 2.0 * w[1] + w[0]).abs())
+        .collect();
+    if second.is_empty() {
+        return 0.0;
+    }
+    second.sort_by(f64::total_cmp);
+    1.4826 * second[second.len() / 2] / 6.0_f64.sqrt()
+}
+
+/// Standard deviation.
+fn spread(y: &[f64]) -> f64 {
+    let n = y.len().max(1) as f64;
+    let mean = y.iter().sum::<f64>() / n;
+    (y.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jitter_sees_noise_and_not_motion() {
+        // a parabola has the constant second difference 2·a·dt²: tiny; alternating ±1 has 4: 1.4826·4/√6
+        let smooth: Vec<f64> = (0..100).map(|k| (f64::from(k) * 0.01).powi(2)).collect();
+        assert!(jitter(&smooth) < 1.3e-4);
+        let rough: Vec<f64> = (0..100).map(|k| f64::from(k % 2) * 2.0).collect();
+        assert!((jitter(&rough) - 1.4826 * 4.0 / 6.0_f64.sqrt()).abs() < 1e-9);
+    }
+}

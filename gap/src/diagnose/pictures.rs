@@ -1,0 +1,258 @@
+//! Numbers for the page's pictures.
+
+use std::collections::BTreeMap;
+
+use super::gates;
+use super::naming::Named;
+use super::search::Found;
+use super::signature;
+use super::state::{Context, On, State};
+use crate::plots::{Horizon, Hypothesis, Overlay, Plots, WaterfallStep};
+use crate::trial::Kind;
+
+/// Overlays that are drawn.
+const OVERLAYS: usize = 6;
+/// Length of an overlay, s.
+const OVERLAY_S: f64 = 8.0;
+/// Horizons, s.
+const HORIZONS_S: [f64; 5] = [0.2, 0.5, 1.0, 2.0, 5.0];
+
+/// All of them.
+pub fn plots(context: &Context, found: &Found, named: &[Named]) -> Plots {
+    Plots {
+        overlays: overlays(context, found),
+        signatures: signature::signatures(context, found, named),
+        horizons: horizons(context, found),
+        waterfall: waterfall(found, named),
+        hypotheses: hypotheses(context, found, named),
+        correlation: Default::default(),
+    }
+}
+
+fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
+    let judge = &context.holdout;
+    let data = &judge.data;
+    let mut worst: Vec<(f64, usize, usize)> = Vec::new();
+    for (s, segment) in data.segments.iter().enumerate() {
+        for (p, piece) in segment.pieces.iter().enumerate() {
+            let part = &found.base.holdout.residual[piece.range.clone()];
+            let mean = part.iter().map(|r| f64::from(*r).powi(2)).sum::<f64>() / part.len() as f64;
+            worst.push((mean, s, p));
+        }
+    }
+    worst.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let mut seen: Vec<(Kind, usize, usize)> = Vec::new();
+    let mut out = Vec::new();
+    for (_, s, p) in worst {
+        let segment = &data.segments[s];
+        let piece = &segment.pieces[p];
+        let trial = &data.trials[segment.trial];
+        let key = (piece.kind, piece.index, trial.group);
+        if seen.contains(&key) || out.len() == OVERLAYS {
+            continue;
+        }
+        seen.push(key);
+        let last = data.time_s[piece.range.start] + OVERLAY_S;
+        let range: Vec<usize> = piece
+            .range
+            .clone()
+            .filter(|&k| data.time_s[k] <= last)
+            .collect();
+        let repeats: Vec<_> = (data.trials.iter())
+            .filter(|t| t.group == trial.group)
+            .filter_map(|t| {
+                t.channel(piece.kind, piece.index)
+                    .map(|c| (t.span_s.0 - trial.span_s.0, c))
+            })
+            .collect();
+        let bands: Vec<(f64, f64)> = range
+            .iter()
+            .map(|&k| {
+                let sigma = f64::from(judge.noise.sigma[k]);
+                let own = data.value[k];
+                let mut band = (own - sigma, own + sigma);
+                for (shift, c) in &repeats {
+                    let v = c.at(data.time_s[k] + shift);
+                    band = (band.0.min(v), band.1.max(v));
+                }
+                band
+            })
+            .collect();
+        let on = |on: &On| {
+            range
+                .iter()
+                .map(|&k| f64::from(on.prediction[k]))
+                .collect::<Vec<_>>()
+        };
+        out.push(Overlay {
+            run: trial.name.clone(),
+            signal: piece.kind.name().to_owned(),
+            joint: trial.channels[piece.channel].name.clone(),
+            unit: piece.kind.unit().to_owned(),
+            time_s: range.iter().map(|&k| data.time_s[k]).collect(),
+            command: if piece.kind == Kind::Position {
+                range
+                    .iter()
+                    .map(|&k| trial.commands[piece.index].at(data.time_s[k]))
+                    .collect()
+            } else {
+                Vec::new()
+            },
+            measured: range.iter().map(|&k| Some(data.value[k])).collect(),
+            measured_low: bands.iter().map(|b| Some(b.0)).collect(),
+            measured_high: bands.iter().map(|b| Some(b.1)).collect(),
+            before: on(&found.base.holdout),
+            after: if found.best.terms.is_empty() {
+                Vec::new()
+            } else {
+                on(&found.best.holdout)
+            },
+        });
+    }
+    out
+}
+
+/// Error after so much time since the start of a stretch.
+fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
+    let judge = &context.holdout;
+    let data = &judge.data;
+    let mut by_kind: BTreeMap<Kind, Vec<[f64; 4]>> = BTreeMap::new();
+    for segment in &data.segments {
+        for piece in &segment.pieces {
+            let rows = by_kind
+                .entry(piece.kind)
+                .or_insert_with(|| vec![[0.0; 4]; HORIZONS_S.len() + 1]);
+            for k in piece.range.clone() {
+                let age = data.time_s[k] - segment.start_s;
+                let a = data.value[k] - f64::from(found.base.holdout.prediction[k]);
+                let b = data.value[k] - f64::from(found.best.holdout.prediction[k]);
+                let s = f64::from(judge.noise.sigma[k]);
+                for (h, row) in rows.iter_mut().enumerate() {
+                    if HORIZONS_S.get(h).is_none_or(|limit| age <= *limit) {
+                        row[0] += a * a;
+                        row[1] += b * b;
+                        row[2] += s * s;
+                        row[3] += 1.0;
+                    }
+                }
+            }
+        }
+    }
+    let longest = data
+        .segments
+        .iter()
+        .map(|s| s.duration_s())
+        .fold(0.0, f64::max);
+    by_kind
+        .into_iter()
+        .map(|(kind, rows)| {
+            let of = |i: usize| {
+                rows.iter()
+                    .map(|r| (r[i] / r[3].max(1.0)).sqrt())
+                    .collect::<Vec<_>>()
+            };
+            let mut horizon_s = HORIZONS_S.to_vec();
+            horizon_s.push(longest.max(HORIZONS_S[HORIZONS_S.len() - 1]));
+            Horizon {
+                signal: kind.name().to_owned(),
+                unit: kind.unit().to_owned(),
+                horizon_s,
+                before: of(0),
+                after: if found.best.terms.is_empty() {
+                    Vec::new()
+                } else {
+                    of(1)
+                },
+                floor: of(2),
+            }
+        })
+        .collect()
+}
+
+fn waterfall(found: &Found, named: &[Named]) -> Vec<WaterfallStep> {
+    let mut steps = vec![WaterfallStep {
+        label: "as given".to_owned(),
+        misfit: found.base.holdout.misfit,
+    }];
+    let mut order: Vec<&Named> = named.iter().collect();
+    order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
+    let total: f64 = order.iter().map(|n| n.worth.holdout.max(0.0)).sum();
+    let fall = found.base.holdout.misfit - found.best.holdout.misfit;
+    let mut at = found.base.holdout.misfit;
+    for n in order {
+        let term = &found.best.terms[n.index];
+        // shares of the whole fall, in proportion to what each is worth on top of the others
+        at -= fall * n.worth.holdout.max(0.0) / total.max(1e-9);
+        steps.push(WaterfallStep {
+            label: term.place.label(term.effect.id),
+            misfit: at,
+        });
+    }
+    steps.push(WaterfallStep {
+        label: "floor".to_owned(),
+        misfit: 1.0,
+    });
+    steps
+}
+
+fn hypotheses(context: &Context, found: &Found, named: &[Named]) -> Vec<Hypothesis> {
+    let mut out = Vec::new();
+    let of = |state: &State,
+              index: usize,
+              from: &State,
+              probability: f64,
+              accepted: bool,
+              in_set: bool| {
+        let term = &state.terms[index];
+        let worth = gates::worth(context, from, state);
+        let excess_fit = from.fit.misfit.max(1e-9);
+        let excess = from.holdout.misfit.max(1e-9);
+        Hypothesis {
+            effect: term.effect.id.to_owned(),
+            location: term.place.names.clone(),
+            share_fit: worth.fit / excess_fit,
+            share_holdout: worth.holdout / excess,
+            ci_low: worth.interval.0 / excess,
+            ci_high: worth.interval.1 / excess,
+            probability,
+            in_answer_set: in_set,
+            accepted,
+            parameters: (term.effect.parameters.iter().zip(&term.values))
+                .map(|(p, v)| (p.name.to_owned(), *v))
+                .collect(),
+        }
+    };
+    for n in named {
+        out.push(of(
+            &found.best,
+            n.index,
+            &n.without,
+            n.probability,
+            true,
+            true,
+        ));
+        for r in &n.rivals {
+            out.push(of(
+                &r.state,
+                r.index,
+                &n.without,
+                r.probability,
+                false,
+                r.in_set,
+            ));
+        }
+    }
+    if named.is_empty() {
+        for (state, _) in &found.singles {
+            out.push(of(
+                state,
+                state.terms.len() - 1,
+                &found.base,
+                0.0,
+                false,
+                false,
+            ));
+        }
+    }
+    out
+}

@@ -1,0 +1,159 @@
+//! Refinement: least squares (Levenberg–Marquardt with bounds) of many candidates in step with each other, so that their simulations share lanes.
+
+use super::algebra::{dot, solve};
+use super::state::{Context, differences};
+use crate::error::GapError;
+use crate::replay::Variant;
+
+/// Most iterations.
+const ITERATIONS: usize = 8;
+/// Dampings that are tried at once, relative to the present one.
+const TRIES: [f64; 3] = [0.1, 1.0, 12.0];
+/// A fall of the misfit by less than this share ends a fit.
+const ENOUGH: f64 = 1e-3;
+
+/// A candidate being fitted.
+struct Fit {
+    terms: Variant,
+    prediction: Vec<f32>,
+    cost: f64,
+    damping: f64,
+    failures: usize,
+    done: bool,
+}
+
+/// Fits every parameter of every candidate to the fit runs. Gives the fitted candidates with their misfits, in the same order.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn refine(
+    context: &Context,
+    variants: Vec<Variant>,
+    iterations: Option<usize>,
+) -> Result<Vec<(Variant, f64)>, GapError> {
+    let fit = &context.fit;
+    let first = context.replayer.predict(&fit.data, &variants)?;
+    let mut fits: Vec<Fit> = variants
+        .into_iter()
+        .zip(first)
+        .map(|(terms, prediction)| {
+            let cost = fit.misfit(&fit.residual(&prediction));
+            Fit {
+                done: terms.is_empty(),
+                terms,
+                prediction,
+                cost,
+                damping: 0.1,
+                failures: 0,
+            }
+        })
+        .collect();
+    for _ in 0..iterations.unwrap_or(ITERATIONS) {
+        if fits.iter().all(|f| f.done) {
+            break;
+        }
+        round(context, &mut fits)?;
+    }
+    Ok(fits.into_iter().map(|f| (f.terms, f.cost)).collect())
+}
+
+fn round(context: &Context, fits: &mut [Fit]) -> Result<(), GapError> {
+    let judge = &context.fit;
+    let active: Vec<usize> = (0..fits.len()).filter(|&i| !fits[i].done).collect();
+    let mut variants = Vec::new();
+    let mut spans = Vec::new();
+    for &i in &active {
+        let (more, steps) = differences(&context.replayer, &fits[i].terms);
+        spans.push((variants.len(), steps));
+        variants.extend(more);
+    }
+    let predictions = context.replayer.predict(&judge.data, &variants)?;
+    let mut tries: Vec<(usize, f64, Variant)> = Vec::new();
+    for (&i, (from, steps)) in active.iter().zip(&spans) {
+        let columns: Vec<Vec<f32>> = (0..steps.len())
+            .map(|p| judge.change(&predictions[from + 2 * p], &predictions[from + 2 * p + 1]))
+            .collect();
+        let residual = judge.residual(&fits[i].prediction);
+        let gram: Vec<Vec<f64>> = columns
+            .iter()
+            .map(|a| columns.iter().map(|b| 0.25 * dot(a, b)).collect())
+            .collect();
+        let slope: Vec<f64> = columns.iter().map(|c| 0.5 * dot(c, &residual)).collect();
+        for share in TRIES {
+            let damping = fits[i].damping * share;
+            if let Some(variant) = step(context, &fits[i].terms, &gram, &slope, steps, damping) {
+                tries.push((i, damping, variant));
+            }
+        }
+    }
+    let variants: Vec<Variant> = tries.iter().map(|t| t.2.clone()).collect();
+    let predictions = context.replayer.predict(&judge.data, &variants)?;
+    let mut better = vec![None; fits.len()];
+    for ((i, damping, _), (k, prediction)) in tries.iter().zip(predictions.iter().enumerate()) {
+        let cost = judge.misfit(&judge.residual(prediction));
+        let best: &mut Option<(f64, f64, usize)> = &mut better[*i];
+        if best.is_none_or(|b| cost < b.0) {
+            *best = Some((cost, *damping, k));
+        }
+    }
+    for &i in &active {
+        let fit = &mut fits[i];
+        match better[i] {
+            Some((cost, damping, k)) if cost < fit.cost => {
+                let fall = (fit.cost - cost) / fit.cost.max(1e-12);
+                fit.terms.clone_from(&tries[k].2);
+                fit.prediction.clone_from(&predictions[k]);
+                fit.cost = cost;
+                fit.damping = (damping * 0.5).clamp(1e-6, 1e6);
+                fit.failures = 0;
+                fit.done = fall < ENOUGH;
+            }
+            _ => {
+                fit.failures += 1;
+                fit.damping = (fit.damping * 30.0).clamp(1e-6, 1e6);
+                fit.done = fit.failures >= 2 || better[i].is_none();
+            }
+        }
+    }
+    Ok(())
+}
+
+/// One damped step, within bounds.
+fn step(
+    context: &Context,
+    terms: &Variant,
+    gram: &[Vec<f64>],
+    slope: &[f64],
+    steps: &[f64],
+    damping: f64,
+) -> Option<Variant> {
+    let model = context.replayer.model();
+    let mean = gram
+        .iter()
+        .enumerate()
+        .map(|(i, row)| row[i])
+        .fold(0.0, f64::max);
+    if mean <= 0.0 {
+        return None;
+    }
+    let mut matrix = gram.to_vec();
+    for (i, row) in matrix.iter_mut().enumerate() {
+        // a parameter without any trace stays where it is
+        row[i] += damping * row[i] + 1e-9 * mean;
+    }
+    let change = solve(&matrix, slope)?;
+    let mut variant = terms.clone();
+    let mut k = 0;
+    for term in &mut variant {
+        for p in 0..term.values.len() {
+            let (low, high) = term.effect.bounds(model, &term.place, p);
+            // at most a tenth of the range, or half of the value, at once
+            let value = term.values[p];
+            let most = (0.1 * (high - low)).max(0.5 * value.abs());
+            let by = (change[k] * steps[k]).clamp(-most, most);
+            term.values[p] = (value + by).clamp(low, high);
+            k += 1;
+        }
+    }
+    Some(variant)
+}

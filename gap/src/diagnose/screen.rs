@@ -1,0 +1,206 @@
+//! Screening: what would each effect at each place explain of what is left, by its traces at a grid of sizes.
+//!
+//! One trace per size serves for all places of a joint effect at once: all joints get it together, and each joint's channels are judged on
+//! their own. (Joints of a held robot hardly move each other; whoever passes is fitted in earnest afterwards.)
+
+use super::algebra::dot;
+use super::judge::{Judge, concerns};
+use super::state::{Context, State};
+use crate::effects::{Domain, Effect, Place, places};
+use crate::error::GapError;
+use crate::replay::{Term, Variant};
+
+/// Predictions kept in memory at once, bytes.
+const MEMORY_BYTES: usize = 256 * 1024 * 1024;
+/// Starts that are kept per candidate.
+const STARTS: usize = 3;
+
+/// A candidate that was screened.
+#[derive(Debug, Clone)]
+pub struct Screened {
+    /// Which effect.
+    pub effect: &'static Effect,
+    /// Where.
+    pub place: Place,
+    /// Fall of the misfit that its best size promises.
+    pub gain: f64,
+    /// Values to start a fit from, best first. SI.
+    pub starts: Vec<Vec<f64>>,
+    /// Mean square of its trace per grid point, largest sensitivity: misfit per (size of grid point)².
+    pub traces: Vec<(Vec<f64>, f64)>,
+}
+
+/// Screens every effect that the context allows, at every place, on top of `state`.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapError> {
+    let model = context.replayer.model();
+    let fit = &context.fit;
+    let mut plan: Vec<(&'static Effect, Place, usize, Variant)> = Vec::new();
+    for &effect in &context.effects {
+        let all = places(model, effect);
+        let simulated: Vec<Place> = match effect.domain {
+            Domain::Joints => all.into_iter().take(1).collect(),
+            _ => all,
+        };
+        for place in simulated {
+            if (effect.unseen)(&context.excitation, &place).is_some() {
+                continue;
+            }
+            if state
+                .terms
+                .iter()
+                .any(|t| t.effect == effect && t.place == place)
+            {
+                continue;
+            }
+            for k in 0..effect.grid.len() {
+                let values = effect.sizes(model, &place, k);
+                let mut variant = state.terms.clone();
+                variant.push(Term {
+                    effect,
+                    place: place.clone(),
+                    values,
+                });
+                plan.push((effect, place.clone(), k, variant));
+            }
+        }
+    }
+    let mut out: Vec<Screened> = Vec::new();
+    let at_once = (MEMORY_BYTES / (8 * fit.data.len().max(1))).max(16);
+    for batch in plan.chunks(at_once) {
+        let variants: Vec<Variant> = batch.iter().map(|p| p.3.clone()).collect();
+        let predictions = context.replayer.predict(&fit.data, &variants)?;
+        for ((effect, place, k, _), prediction) in batch.iter().zip(&predictions) {
+            if !Judge::sound(prediction) {
+                continue;
+            }
+            let change = fit.change(prediction, &state.fit.prediction);
+            for place in judged_places(context, effect, place) {
+                judge(context, state, effect, &place, *k, &change, &mut out);
+            }
+        }
+    }
+    for s in &mut out {
+        s.traces.sort_by(|a, b| a.1.total_cmp(&b.1));
+    }
+    out.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    Ok(out)
+}
+
+/// Places that a simulated trace speaks for.
+fn judged_places(context: &Context, effect: &'static Effect, simulated: &Place) -> Vec<Place> {
+    if effect.domain == Domain::Joints {
+        places(context.replayer.model(), effect)
+    } else {
+        vec![simulated.clone()]
+    }
+}
+
+fn judge(
+    context: &Context,
+    state: &State,
+    effect: &'static Effect,
+    place: &Place,
+    k: usize,
+    change: &[f32],
+    out: &mut Vec<Screened>,
+) {
+    let model = context.replayer.model();
+    if (effect.unseen)(&context.excitation, place).is_some() {
+        return;
+    }
+    if state
+        .terms
+        .iter()
+        .any(|t| t.effect == effect && t.place == *place)
+    {
+        return;
+    }
+    let n = change.len().max(1) as f64;
+    let whole =
+        place.domain != Domain::Joints || place.names.is_empty() || model.actuated().len() == 1;
+    let (mut trace, restricted);
+    let trace: &[f32] = if whole {
+        change
+    } else {
+        trace = change.to_vec();
+        for segment in &context.fit.data.segments {
+            for piece in &segment.pieces {
+                if !concerns(place, piece.kind, piece.index) || !piece.kind.of_joint() {
+                    trace[piece.range.clone()].fill(0.0);
+                }
+            }
+        }
+        restricted = trace;
+        &restricted
+    };
+    let residual = &state.fit.residual;
+    let (rd, dd) = (dot(residual, trace), dot(trace, trace));
+    if dd < 1e-6 * n {
+        return;
+    }
+    // less what parameters that are free already can do
+    let (mut prd, mut pdd) = (rd, dd);
+    for q in &state.basis {
+        let (qd, qr) = (dot(q, trace), dot(q, residual));
+        prd -= qd * qr;
+        pdd -= qd * qd;
+    }
+    let pdd = pdd.max(0.01 * dd);
+    let (low, high) = if effect.hinge {
+        (0.4, 1.6)
+    } else {
+        (0.05, 3.0)
+    };
+    let share = (prd / pdd).clamp(low, high);
+    let projected = (2.0 * share * prd - share * share * pdd) / n;
+    let direct = (2.0 * rd - dd) / n;
+    let gain = projected.max(direct);
+    let sizes = effect.sizes(model, place, k);
+    let neutral = effect.neutral(model, place);
+    let start: Vec<f64> = if effect.hinge {
+        sizes.clone()
+    } else {
+        (sizes.iter().zip(&neutral).enumerate())
+            .map(|(i, (s, z))| {
+                let (low, high) = effect.bounds(model, place, i);
+                (z + share * (s - z)).clamp(low, high)
+            })
+            .collect()
+    };
+    let entry = match out
+        .iter_mut()
+        .find(|s| s.effect == effect && s.place == *place)
+    {
+        Some(entry) => entry,
+        None => {
+            out.push(Screened {
+                effect,
+                place: place.clone(),
+                gain: f64::NEG_INFINITY,
+                starts: Vec::new(),
+                traces: Vec::new(),
+            });
+            let last = out.len() - 1;
+            &mut out[last]
+        }
+    };
+    entry.traces.push((sizes, dd / n));
+    // starts in order of gain: the first is the best
+    if gain > entry.gain {
+        entry.gain = gain;
+        entry.starts.insert(0, start);
+    } else {
+        let place = 1.min(entry.starts.len());
+        entry.starts.insert(place, start);
+    }
+    // a smooth effect of one parameter has one way down
+    let keep = if effect.hinge {
+        STARTS
+    } else {
+        effect.parameters.len().min(2)
+    };
+    entry.starts.truncate(keep);
+}

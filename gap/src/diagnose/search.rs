@@ -1,0 +1,323 @@
+//! The search for causes: add the best, refit all, try to delete, try to swap; a beam of candidates side by side.
+
+use std::collections::BTreeSet;
+
+use super::gates::{self, Worth};
+use super::refine::refine;
+use super::screen::{Screened, screen};
+use super::state::{Context, State};
+use super::{Progress, Stage};
+use crate::error::GapError;
+use crate::replay::{Term, Variant};
+
+/// Most effects at once.
+const MOST_TERMS: usize = 7;
+/// Candidates that are kept side by side.
+const BEAM: usize = 2;
+/// Screened candidates that are fitted in earnest, per state.
+const FITTED: usize = 12;
+/// The same once something was found.
+const FITTED_LATER: usize = 8;
+/// Places of one effect among them.
+const PLACES: usize = 2;
+/// A candidate whose misfit is so many times that of the best is given up.
+const BEHIND: f64 = 1.5;
+/// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has.
+const OF_ALL: f64 = 0.035;
+/// … unless the misfit is still this far from the floor, and it takes away such a share of what is left.
+const FAR: f64 = 6.0;
+/// See [`FAR`].
+const OF_REST: f64 = 0.06;
+/// Misfit below which the search ends: the floor itself is not known better.
+const FLOOR: f64 = 1.15;
+/// What an additional parameter must earn: share of the misfit.
+pub const PER_PARAMETER: f64 = 0.015;
+
+/// What the search found.
+pub struct Found {
+    /// The robot as given.
+    pub base: State,
+    /// The best that passed.
+    pub best: State,
+    /// Screening on top of the robot as given.
+    pub first: Vec<Screened>,
+    /// Single effects that were fitted to what the robot as given leaves, best first, with what they are worth.
+    pub singles: Vec<(State, Worth)>,
+    /// Effects whose gates failed only on held-out runs, on top of the best.
+    pub refused: Vec<(State, Worth)>,
+    /// Effects tried.
+    pub tried: usize,
+}
+
+/// Searches.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn search(
+    context: &mut Context,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<Found, GapError> {
+    let mut base = single(context, Vec::new())?;
+    let mut beam = vec![base.clone()];
+    let mut best = base.clone();
+    let mut first = Vec::new();
+    let mut singles: Vec<(State, Worth)> = Vec::new();
+    let mut refused: Vec<(State, Worth)> = Vec::new();
+    let mut tried = 0;
+    for depth in 1..=MOST_TERMS {
+        if depth > 1 {
+            if best.misfit() < FLOOR {
+                break;
+            }
+            // what runs differ by grows with what was found: more friction drifts by more
+            rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
+            let mut all: Vec<&mut State> = beam.iter_mut().collect();
+            reread(context, &mut all)?;
+        }
+        let mut children: Vec<(State, Worth, usize)> = Vec::new();
+        let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
+        for (number, parent) in beam.iter().enumerate() {
+            progress(Progress::new(Stage::Screening, depth, &parent.label()));
+            let screened = screen(context, parent)?;
+            tried += screened.len();
+            let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
+            progress(Progress::new(Stage::Fitting, depth, &parent.label()));
+            for child in expand(context, parent, &chosen, &mut seen)? {
+                let worth = gates::worth(context, parent, &child);
+                children.push((child, worth, number));
+            }
+            if depth == 1 {
+                first = screened;
+            }
+        }
+        children.sort_by(|a, b| penalised(&a.0).total_cmp(&penalised(&b.0)));
+        if depth == 1 {
+            singles = children.iter().map(|(s, w, _)| (s.clone(), *w)).collect();
+        }
+        let passed: Vec<State> = children
+            .iter()
+            .filter(|(s, w, _)| {
+                w.passed
+                    && enough(w, &base, &beam)
+                    && s.terms.last().is_some_and(|t| gates::matters(context, t))
+            })
+            .map(|(s, _, _)| s.clone())
+            .collect();
+        refused = children
+            .into_iter()
+            .filter(|(_, w, _)| !w.passed && w.fit > 0.0)
+            .map(|(s, w, _)| (s, w))
+            .take(8)
+            .collect();
+        let Some(leader) = passed.first() else { break };
+        if penalised(leader) >= penalised(&best) {
+            break;
+        }
+        best = leader.clone();
+        best = delete(context, best)?;
+        let mut next = passed;
+        next.truncate(BEAM);
+        if best.key() != next[0].key() {
+            next.insert(0, best.clone());
+            next.truncate(BEAM);
+        }
+        for state in &mut next {
+            context.find_basis(state)?;
+        }
+        if depth > 1 || next.len() > 1 {
+            // one that is far behind cannot catch up by a single effect more often than it costs
+            let lead = next[0].misfit();
+            next.retain(|s| s.misfit() < BEHIND * lead);
+        }
+        beam = next;
+        progress(Progress::new(Stage::Accepted, depth, &best.label()));
+    }
+    if !best.terms.is_empty() {
+        rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
+    }
+    if best.terms.len() > 1 {
+        best = delete(context, best)?;
+    }
+    if !best.terms.is_empty() {
+        let polished = refine(context, vec![best.terms.clone()], Some(12))?;
+        let polished = single(context, polished[0].0.clone())?;
+        if polished.fit.misfit <= best.fit.misfit {
+            best = polished;
+        }
+    }
+    Ok(Found {
+        base,
+        best,
+        first,
+        singles,
+        refused,
+        tried,
+    })
+}
+
+/// Whether a further effect explains enough to be one.
+fn enough(worth: &Worth, base: &State, beam: &[State]) -> bool {
+    let parent = beam.first().map_or(0.0, |p| p.holdout.misfit);
+    worth.holdout > OF_ALL * base.holdout.misfit
+        || (parent > FAR && worth.holdout > OF_REST * parent)
+}
+
+/// Takes the tolerances around `terms`, and judges `states` by them.
+fn rebase(
+    context: &mut Context,
+    terms: &[Term],
+    states: &mut [&mut State],
+) -> Result<(), GapError> {
+    context.fit.set_base(&context.replayer, terms)?;
+    context.holdout.set_base(&context.replayer, terms)?;
+    reread(context, states)
+}
+
+/// Judges states again by the present metric.
+fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> {
+    for state in states {
+        let had_basis = !state.basis.is_empty();
+        state.fit = super::state::On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
+        state.holdout = super::state::On::new(
+            &context.holdout,
+            std::mem::take(&mut state.holdout.prediction),
+        );
+        if had_basis {
+            context.find_basis(state)?;
+        }
+    }
+    Ok(())
+}
+
+/// A candidate with its predictions.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn single(context: &Context, terms: Variant) -> Result<State, GapError> {
+    let mut states = context.states(&[terms])?;
+    Ok(states.swap_remove(0))
+}
+
+/// Misfit with what its parameters must have earned.
+#[must_use]
+pub fn penalised(state: &State) -> f64 {
+    state.misfit() * (1.0 + PER_PARAMETER * state.parameters() as f64)
+}
+
+/// The most promising, not more than a few places of one effect.
+fn choose(screened: &[Screened], most: usize) -> Vec<&Screened> {
+    let mut chosen: Vec<&Screened> = Vec::new();
+    for s in screened.iter().filter(|s| s.gain > 0.0) {
+        let same = chosen.iter().filter(|c| c.effect == s.effect).count();
+        if same < PLACES {
+            chosen.push(s);
+        }
+        if chosen.len() == most {
+            break;
+        }
+    }
+    chosen
+}
+
+/// Fits `parent` with each of the chosen added, from several starts; the best fit of each.
+fn expand(
+    context: &Context,
+    parent: &State,
+    chosen: &[&Screened],
+    seen: &mut BTreeSet<Vec<String>>,
+) -> Result<Vec<State>, GapError> {
+    let mut variants: Vec<Variant> = Vec::new();
+    let mut of: Vec<usize> = Vec::new();
+    let mut number = 0;
+    for s in chosen {
+        let mut key = parent.key();
+        key.push(s.place.label(s.effect.id));
+        key.sort();
+        if !seen.insert(key) {
+            continue;
+        }
+        for start in &s.starts {
+            let mut terms = parent.terms.clone();
+            terms.push(Term {
+                effect: s.effect,
+                place: s.place.clone(),
+                values: start.clone(),
+            });
+            variants.push(terms);
+            of.push(number);
+        }
+        number += 1;
+    }
+    best_fits(context, variants, &of, number)
+}
+
+/// Fits and keeps the best of each group.
+fn best_fits(
+    context: &Context,
+    variants: Vec<Variant>,
+    of: &[usize],
+    groups: usize,
+) -> Result<Vec<State>, GapError> {
+    let fitted = refine(context, variants, None)?;
+    let mut best: Vec<Option<(Variant, f64)>> = vec![None; groups];
+    for ((terms, cost), &g) in fitted.into_iter().zip(of) {
+        if best[g].as_ref().is_none_or(|b| cost < b.1) {
+            best[g] = Some((terms, cost));
+        }
+    }
+    let variants: Vec<Variant> = best.into_iter().flatten().map(|b| b.0).collect();
+    context.states(&variants)
+}
+
+/// Deletes effects that the others make superfluous, one by one.
+fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
+    while state.terms.len() > 1 {
+        let variants: Vec<Variant> = (0..state.terms.len())
+            .map(|i| {
+                let mut terms = state.terms.clone();
+                terms.remove(i);
+                terms
+            })
+            .collect();
+        let of: Vec<usize> = (0..variants.len()).collect();
+        let without = best_fits(context, variants, &of, of.len())?;
+        // the one that is missed least
+        let least = without
+            .into_iter()
+            .min_by(|a, b| penalised(a).total_cmp(&penalised(b)));
+        let Some(shorter) = least else { break };
+        let worth = gates::worth(context, &shorter, &state);
+        if worth.passed && penalised(&shorter) > penalised(&state) {
+            break;
+        }
+        state = shorter;
+    }
+    Ok(state)
+}
+
+/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn swapped(
+    context: &Context,
+    state: &State,
+    index: usize,
+    rivals: &[&Screened],
+) -> Result<Vec<State>, GapError> {
+    let mut variants = Vec::new();
+    let mut of = Vec::new();
+    for (number, rival) in rivals.iter().enumerate() {
+        for start in &rival.starts {
+            let mut terms = state.terms.clone();
+            terms[index] = Term {
+                effect: rival.effect,
+                place: rival.place.clone(),
+                values: start.clone(),
+            };
+            variants.push(terms);
+            of.push(number);
+        }
+    }
+    best_fits(context, variants, &of, rivals.len())
+}

@@ -1,0 +1,195 @@
+//! What a search carries along: the runs with their metric, and a candidate with its predictions.
+
+use super::algebra::dot;
+use super::judge::Judge;
+use crate::effects::Effect;
+use crate::error::GapError;
+use crate::excitation::Excitation;
+use crate::replay::{Replayer, Term, Variant};
+
+/// Everything that does not change from candidate to candidate.
+pub struct Context {
+    /// The simulator.
+    pub replayer: Replayer,
+    /// Runs to fit to.
+    pub fit: Judge,
+    /// Runs held out.
+    pub holdout: Judge,
+    /// Effects that are tried.
+    pub effects: Vec<&'static Effect>,
+    /// What the runs to fit to excite.
+    pub excitation: Excitation,
+    /// Seed of every resampling.
+    pub seed: u64,
+}
+
+/// A candidate on one set of runs.
+#[derive(Debug, Clone, Default)]
+pub struct On {
+    /// What the sensors would have said. `[N]`
+    pub prediction: Vec<f32>,
+    /// Whitened. `[N]`
+    pub residual: Vec<f32>,
+    /// Mean square of that.
+    pub misfit: f64,
+}
+
+impl On {
+    /// Judges a prediction.
+    #[must_use]
+    pub fn new(judge: &Judge, prediction: Vec<f32>) -> Self {
+        let residual = judge.residual(&prediction);
+        Self {
+            misfit: judge.misfit(&residual),
+            residual,
+            prediction,
+        }
+    }
+}
+
+/// A candidate.
+#[derive(Debug, Clone, Default)]
+pub struct State {
+    /// Its effects.
+    pub terms: Variant,
+    /// On the runs it is fitted to.
+    pub fit: On,
+    /// On held-out runs.
+    pub holdout: On,
+    /// Orthonormal basis of what its parameters can do on the runs it is fitted to, whitened. `[≤ P][N]`
+    pub basis: Vec<Vec<f32>>,
+}
+
+impl State {
+    /// Mean of both misfits, by samples.
+    #[must_use]
+    pub fn misfit(&self) -> f64 {
+        let (a, b) = (
+            self.fit.residual.len() as f64,
+            self.holdout.residual.len() as f64,
+        );
+        (a * self.fit.misfit + b * self.holdout.misfit) / (a + b).max(1.0)
+    }
+
+    /// Number of parameters.
+    #[must_use]
+    pub fn parameters(&self) -> usize {
+        self.terms.iter().map(|t| t.values.len()).sum()
+    }
+
+    /// Its effects in words.
+    #[must_use]
+    pub fn label(&self) -> String {
+        let names: Vec<String> = self
+            .terms
+            .iter()
+            .map(|t| t.place.label(t.effect.id))
+            .collect();
+        names.join(" + ")
+    }
+
+    /// Effects and places, in an order that does not depend on that of discovery.
+    #[must_use]
+    pub fn key(&self) -> Vec<String> {
+        let mut names: Vec<String> = self
+            .terms
+            .iter()
+            .map(|t| t.place.label(t.effect.id))
+            .collect();
+        names.sort();
+        names
+    }
+}
+
+impl Context {
+    /// Candidates with these effects, simulated on all runs.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn states(&self, variants: &[Variant]) -> Result<Vec<State>, GapError> {
+        let fit = self.replayer.predict(&self.fit.data, variants)?;
+        let holdout = self.replayer.predict(&self.holdout.data, variants)?;
+        Ok(variants
+            .iter()
+            .zip(fit.into_iter().zip(holdout))
+            .map(|(terms, (f, h))| State {
+                terms: terms.clone(),
+                fit: On::new(&self.fit, f),
+                holdout: On::new(&self.holdout, h),
+                basis: Vec::new(),
+            })
+            .collect())
+    }
+
+    /// Fills in `state.basis` from derivatives by its parameters.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn find_basis(&self, state: &mut State) -> Result<(), GapError> {
+        state.basis.clear();
+        for mut column in self.jacobian(&state.terms, &state.fit.prediction)?.0 {
+            for q in &state.basis {
+                let along = dot(q, &column) as f32;
+                for (c, q) in column.iter_mut().zip(q) {
+                    *c -= along * q;
+                }
+            }
+            let length = dot(&column, &column).sqrt();
+            if length > 1e-3 {
+                for c in &mut column {
+                    *c /= length as f32;
+                }
+                state.basis.push(column);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whitened derivatives by each parameter on the fit runs, per step; and the steps, SI. `([P][N], [P])`
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn jacobian(
+        &self,
+        terms: &[Term],
+        _at: &[f32],
+    ) -> Result<(Vec<Vec<f32>>, Vec<f64>), GapError> {
+        let (variants, steps) = differences(&self.replayer, terms);
+        let predictions = self.replayer.predict(&self.fit.data, &variants)?;
+        let columns = predictions
+            .chunks(2)
+            .map(|pair| {
+                let mut d = self.fit.change(&pair[0], &pair[1]);
+                for d in &mut d {
+                    *d *= 0.5;
+                }
+                d
+            })
+            .collect();
+        Ok((columns, steps))
+    }
+}
+
+/// Two candidates per parameter, up and down by a step, and half the distance between them, SI.
+#[must_use]
+pub fn differences(replayer: &Replayer, terms: &[Term]) -> (Vec<Variant>, Vec<f64>) {
+    let model = replayer.model();
+    let (mut variants, mut steps) = (Vec::new(), Vec::new());
+    for (i, term) in terms.iter().enumerate() {
+        for p in 0..term.values.len() {
+            let scale = term.effect.scale(model, &term.place, p).abs();
+            let neutral = term.effect.neutral(model, &term.place)[p];
+            let step = (0.3 * scale).max(0.02 * (term.values[p] - neutral).abs());
+            let (low, high) = term.effect.bounds(model, &term.place, p);
+            let up = (term.values[p] + step).min(high);
+            let down = (term.values[p] - step).max(low);
+            for value in [up, down] {
+                let mut variant = terms.to_vec();
+                variant[i].values[p] = value;
+                variants.push(variant);
+            }
+            steps.push(0.5 * (up - down).max(1e-12));
+        }
+    }
+    (variants, steps)
+}

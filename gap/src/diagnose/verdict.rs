@@ -1,0 +1,376 @@
+//! The verdict and the report.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use caudata_model::RobotModel;
+
+use super::divergence::divergence;
+use super::extend::extended;
+use super::floors::floors;
+use super::naming::Named;
+use super::search::Found;
+use super::spread::{Spread, correlation, parameters, spread};
+use super::state::{Context, On, State};
+use super::{Diagnosis, Request, Split, leftover, next, pictures};
+use crate::error::GapError;
+use crate::extension::Extension;
+use crate::plots::Plots;
+use crate::replay::Term;
+use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Unexplained, Verdict};
+
+/// Misfit below which nothing is left to explain: the metric's floor is 1, and the floor itself is only known to about this.
+pub const QUIET: f64 = 1.5;
+/// Share of the misfit that may be left in an explained gap.
+const LEFT: f64 = 0.15;
+/// Cells of the divergence map that are reported.
+const MOST_CELLS: usize = 400;
+
+/// The report of a diagnosis that stops at its data.
+pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> Diagnosis {
+    let first = request.data_faults.iter().find(|f| f.fatal);
+    let what = first.map_or_else(String::new, |f| {
+        format!("{} of {}: {}", f.kind, f.location, f.detail)
+    });
+    Diagnosis {
+        report: Report {
+            verdict: Verdict::DataFault,
+            summary: format!("The data contradict themselves before any physics: {what}"),
+            divergence: Vec::new(),
+            divergence_after: Vec::new(),
+            causes: Vec::new(),
+            gain: BTreeMap::new(),
+            unexplained: Vec::new(),
+            next_experiment: None,
+            detection_floor: BTreeMap::new(),
+            data_faults: request.data_faults.clone(),
+            runs,
+            compute: Compute::default(),
+        },
+        extension: Extension {
+            base: model.hash_hex(),
+            ..Extension::default()
+        },
+        plots: Plots::default(),
+    }
+}
+
+/// Draws the conclusion.
+pub fn conclude(
+    request: &Request,
+    context: &Context,
+    found: &Found,
+    named: &[Named],
+    runs: Vec<RunUse>,
+    split: Split,
+) -> Result<Diagnosis, GapError> {
+    let (base, best) = (&found.base, &found.best);
+    let spread = spread(context, best)?;
+    let mut causes: Vec<Cause> = Vec::new();
+    let mut order: Vec<&Named> = named.iter().collect();
+    order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
+    for n in &order {
+        causes.push(cause(context, best, n, &spread));
+    }
+    let unexplained = leftover::leftover(context, found);
+    let verdict = verdict(context, found, &causes, split);
+    let next_experiment = next::next(context, verdict, &causes, found);
+    let summary = summary(verdict, base, best, &causes, &unexplained, split, found);
+    let judge = &context.holdout;
+    let mut before = divergence(judge, &base.holdout, context.seed);
+    let mut after = if best.terms.is_empty() {
+        Vec::new()
+    } else {
+        divergence(judge, &best.holdout, context.seed)
+    };
+    before.truncate(MOST_CELLS);
+    after.truncate(MOST_CELLS);
+    let floor = floors(context, &found.first, best.misfit());
+    let extension = extended(request, context, best, &causes, &order);
+    let mut plots = pictures::plots(context, found, named);
+    plots.correlation = correlation(best, &spread);
+    Ok(Diagnosis {
+        report: Report {
+            verdict,
+            summary,
+            divergence: before,
+            divergence_after: after,
+            causes,
+            gain: gain(context, base, best),
+            unexplained: if matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
+                unexplained
+            } else {
+                Vec::new()
+            },
+            next_experiment,
+            detection_floor: floor,
+            data_faults: Vec::new(),
+            runs,
+            compute: Compute::default(),
+        },
+        extension,
+        plots,
+    })
+}
+
+fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> Verdict {
+    let (base, best) = (&found.base, &found.best);
+    if causes.is_empty() {
+        if base.misfit() < QUIET {
+            let dark = context
+                .excitation
+                .joints
+                .iter()
+                .all(|j| j.fastest_radps < 0.02);
+            return if dark {
+                Verdict::InsufficientData
+            } else {
+                Verdict::NoGap
+            };
+        }
+        // something explains the runs it was fitted to, and held-out runs do not show it
+        let unseen = found.refused.iter().any(|(s, w)| {
+            w.fit > 0.5 * (base.fit.misfit - 1.0)
+                && base.holdout.misfit < QUIET
+                && s.fit.misfit < base.fit.misfit
+        });
+        return if unseen || split == Split::Same {
+            Verdict::InsufficientData
+        } else {
+            Verdict::Unexplained
+        };
+    }
+    let excess = best.misfit() / base.misfit().max(1e-9);
+    if best.misfit() > QUIET && excess > LEFT {
+        return Verdict::PartlyExplained;
+    }
+    if causes.iter().any(|c| !c.alternatives.is_empty()) {
+        Verdict::Ambiguous
+    } else {
+        Verdict::Explained
+    }
+}
+
+fn cause(context: &Context, best: &State, named: &Named, spread: &Spread) -> Cause {
+    let term = &best.terms[named.index];
+    let mut alternatives: Vec<String> = Vec::new();
+    let mut rejected: Vec<Rejected> = Vec::new();
+    let mut same_name = named.probability;
+    for rival in &named.rivals {
+        let other = &rival.state.terms[rival.index];
+        if other.effect == term.effect {
+            same_name += rival.probability;
+            continue;
+        }
+        let id = other.effect.id.to_owned();
+        if more_general(term, other) {
+            rejected.push(Rejected {
+                effect: id,
+                reason: format!("says the same with more parameters, and nothing more: misfit {:.2} against {:.2}", rival.state.misfit(), best.misfit()),
+            });
+        } else if rival.in_set {
+            if !alternatives.contains(&id) {
+                alternatives.push(id);
+            }
+        } else if !alternatives.contains(&id) && !rejected.iter().any(|r| r.effect == id) {
+            rejected.push(Rejected {
+                effect: id,
+                reason: format!(
+                    "in its place, refitted, it leaves {:.0} % of what {} explains (misfit {:.2} against {:.2})",
+                    100.0 * rival.short.min(9.99),
+                    term.effect.id,
+                    rival.state.misfit(),
+                    best.misfit()
+                ),
+            });
+        }
+    }
+    Cause {
+        effect: term.effect.id.to_owned(),
+        layer: term.effect.layer.name().to_owned(),
+        location: term.place.names.clone(),
+        parameters: parameters(context, best, named.index, spread),
+        confidence: same_name.clamp(0.0, 1.0),
+        alternatives,
+        evidence: evidence(context, term, named),
+        rejected,
+    }
+}
+
+/// Whether `other` is a declared look-alike of the same layer with more parameters: it can say what `term` says and more.
+fn more_general(term: &Term, other: &Term) -> bool {
+    other.values.len() > term.values.len()
+        && other.effect.layer == term.effect.layer
+        && term.effect.look_alikes.contains(&other.effect.id)
+}
+
+fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
+    let w = &named.worth;
+    let mut lines = vec![
+        format!(
+            "takes {:.0} % off the misfit of held-out runs ({:.2} to {:.2} in units of the floor; 95 % interval of the fall {:.2} to {:.2})",
+            100.0 * w.holdout / named.without.holdout.misfit.max(1e-9),
+            named.without.holdout.misfit,
+            named.without.holdout.misfit - w.holdout,
+            w.interval.0,
+            w.interval.1
+        ),
+        format!("and {:.2} off that of the runs it was fitted to", w.fit),
+        format!("its mark: {}", term.effect.signature),
+    ];
+    if let Some(first) = named
+        .rivals
+        .iter()
+        .find(|r| r.state.terms[r.index].effect != term.effect)
+    {
+        let other = &first.state.terms[first.index];
+        lines.push(format!(
+            "the next best name, {}, leaves {:.0} % of it",
+            other.place.label(other.effect.id),
+            100.0 * first.short
+        ));
+    }
+    if context.fit.noise.repeated {
+        lines.push("the floor comes from repeats".to_owned());
+    }
+    lines
+}
+
+fn gain(context: &Context, base: &State, best: &State) -> BTreeMap<String, Gain> {
+    let judge = &context.holdout;
+    let mut kinds = BTreeSet::new();
+    for s in &judge.data.segments {
+        kinds.extend(s.pieces.iter().map(|p| p.kind));
+    }
+    let mut out = BTreeMap::new();
+    for kind in kinds {
+        let mut of_kind = vec![false; judge.data.len()];
+        for s in &judge.data.segments {
+            for p in s.pieces.iter().filter(|p| p.kind == kind) {
+                of_kind[p.range.clone()].fill(true);
+            }
+        }
+        let squares = |on: &On| -> Vec<f64> {
+            judge.by_block(|k| {
+                if of_kind[k] {
+                    (judge.data.value[k] - f64::from(on.prediction[k])).powi(2)
+                } else {
+                    0.0
+                }
+            })
+        };
+        let n = of_kind.iter().filter(|x| **x).count().max(1) as f64;
+        let (a, b) = (squares(&base.holdout), squares(&best.holdout));
+        let rms = |x: &[f64]| (x.iter().sum::<f64>() / n).sqrt();
+        let (before, after) = (rms(&a), rms(&b));
+        let (ci_low, ci_high) = ratio_interval(&a, &b, context.seed);
+        out.insert(
+            kind.name().to_owned(),
+            Gain {
+                before,
+                after,
+                ratio: after / before.max(1e-12),
+                ci_low,
+                ci_high,
+            },
+        );
+    }
+    out
+}
+
+/// 95 % interval of √(Σb/Σa) over blocks drawn with replacement.
+fn ratio_interval(a: &[f64], b: &[f64], seed: u64) -> (f64, f64) {
+    use caudata_random::{Key, Purpose, Stream};
+    let mut stream = Stream::new(Key::for_run(seed), Purpose::Minibatch);
+    let n = a.len().max(1);
+    let mut ratios: Vec<f64> = (0..400)
+        .map(|_| {
+            let (mut x, mut y) = (0.0, 0.0);
+            for _ in 0..n {
+                let k = ((f64::from(stream.uniform(0.0, 1.0)) * n as f64) as usize).min(n - 1);
+                x += a.get(k).copied().unwrap_or(0.0);
+                y += b.get(k).copied().unwrap_or(0.0);
+            }
+            (y / x.max(1e-300)).sqrt()
+        })
+        .collect();
+    ratios.sort_by(f64::total_cmp);
+    (ratios[9], ratios[389])
+}
+
+fn summary(
+    verdict: Verdict,
+    base: &State,
+    best: &State,
+    causes: &[Cause],
+    unexplained: &[Unexplained],
+    split: Split,
+    found: &Found,
+) -> String {
+    let names: Vec<String> = causes
+        .iter()
+        .map(|c| {
+            let place = if c.location.is_empty() {
+                String::new()
+            } else {
+                format!(" at {}", c.location.join(", "))
+            };
+            format!("{}{place}", c.effect)
+        })
+        .collect();
+    let fall = format!(
+        "held-out misfit falls from {:.2} to {:.2} floors",
+        base.holdout.misfit, best.holdout.misfit
+    );
+    let mut text = match verdict {
+        Verdict::NoGap => format!(
+            "Simulation and measurement agree within what runs differ by (misfit {:.2}); the table of floors says what would have been seen.",
+            base.misfit()
+        ),
+        Verdict::Explained => format!("Explained by {}: {fall}.", names.join(" and ")),
+        Verdict::Ambiguous => {
+            let open: Vec<String> = causes
+                .iter()
+                .filter(|c| !c.alternatives.is_empty())
+                .map(|c| format!("{} or {}", c.effect, c.alternatives.join(" or ")))
+                .collect();
+            format!(
+                "The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.",
+                open.join("; ")
+            )
+        }
+        Verdict::PartlyExplained => {
+            let left = unexplained
+                .first()
+                .map_or(String::new(), |u| format!(", most of it at {}", u.location));
+            format!(
+                "{} explain a part: {fall}; {:.0} % of it is left{left}.",
+                names.join(" and "),
+                100.0 * best.misfit() / base.misfit().max(1e-9)
+            )
+        }
+        Verdict::Unexplained => format!(
+            "There is a gap (misfit {:.2} floors) that no effect of the catalogue explains.",
+            base.misfit()
+        ),
+        Verdict::InsufficientData => {
+            let close = found.refused.first().map_or(String::new(), |(s, w)| {
+                let name = s
+                    .terms
+                    .last()
+                    .map_or(String::new(), |t| t.place.label(t.effect.id));
+                format!(
+                    " {name} would explain the runs it was fitted to, but: {}.",
+                    w.why
+                )
+            });
+            format!("These runs cannot decide it.{close} See the next experiment.")
+        }
+        Verdict::DataFault => String::new(),
+    };
+    match split {
+        Split::Given => {}
+        Split::SetAside => text.push_str(" No hold-out was given: every third trial was set aside."),
+        Split::Same => text.push_str(" No hold-out was given and there are too few trials to set any aside: gains are on the very runs that were fitted."),
+    }
+    text
+}

@@ -1,0 +1,127 @@
+//! `report.html`: a diagnosis to be looked at. One file, nothing loaded from anywhere; light and dark, telephone and paper.
+
+mod figures;
+mod heat;
+mod sections;
+mod style;
+mod svg;
+
+use std::fmt::Write;
+
+use crate::plots::Plots;
+use crate::report::{Report, Verdict};
+use svg::escape;
+
+/// The page of a diagnosis of `robot`. `plots`: what there is to draw beyond the report itself.
+#[must_use]
+pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
+    let (word, class) = sections::verdict(report.verdict);
+    let mut body = String::new();
+    let _ = write!(
+        body,
+        "<p class=\"top\">Diagnosis of <b>{}</b></p><h1><span class=\"badge {class}\">{word}</span><br>{}</h1>",
+        escape(robot),
+        escape(&report.summary)
+    );
+    body.push_str(&sections::tiles(report));
+    if !report.data_faults.is_empty() {
+        section(
+            &mut body,
+            "faults",
+            "Faults of the data",
+            "What the logs themselves say, before any simulation.",
+        );
+        body.push_str(&sections::faults(report));
+    }
+    if !report.causes.is_empty() {
+        section(&mut body, "causes", "Causes", "");
+        body.push_str(&figures::key(true));
+        body.push_str(&sections::causes(report, plots));
+    }
+    body.push_str(&sections::next(report));
+    if report.verdict != Verdict::DataFault || !report.divergence.is_empty() {
+        section(
+            &mut body,
+            "map",
+            "Where simulation and measurement part",
+            "",
+        );
+        body.push_str(&heat::maps(report));
+        body.push_str(&sections::cells(report));
+    }
+    if let Some(p) = plots.filter(|p| !p.overlays.is_empty()) {
+        section(&mut body, "worst", "The worst cells", "");
+        body.push_str(&figures::key(
+            p.overlays.iter().any(|o| !o.after.is_empty()),
+        ));
+        grid(&mut body, p.overlays.iter().map(figures::overlay));
+    }
+    gain(&mut body, report, plots);
+    if let Some(p) = plots.filter(|p| !p.hypotheses.is_empty()) {
+        section(&mut body, "tried", "Everything that was tried", "");
+        body.push_str(&figures::hypotheses(&p.hypotheses));
+        if p.correlation.names.len() > 1 {
+            body.push_str(&figures::correlation(&p.correlation));
+        }
+    }
+    if !report.detection_floor.is_empty() {
+        section(
+            &mut body,
+            "floors",
+            "What could have been seen",
+            "An effect below its size here would not have shown; one that is not excited could not.",
+        );
+        body.push_str(&sections::floors(report));
+    }
+    section(&mut body, "runs", "Runs", "");
+    body.push_str(&sections::runs(report));
+    let c = &report.compute;
+    let _ = write!(
+        body,
+        "<footer>{} hypotheses, {} simulated runs, {} s simulated. Everything here is in <code>report.json</code> beside this page.</footer>",
+        c.candidates,
+        c.rollouts,
+        svg::number(c.simulated_s)
+    );
+    format!(
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><title>{word}: {}</title><style>{}</style></head><body><main>{body}</main></body></html>\n",
+        escape(robot),
+        style::CSS
+    )
+}
+
+fn section(body: &mut String, id: &str, title: &str, lead: &str) {
+    let _ = write!(body, "<h2 id=\"{id}\">{title}</h2>");
+    if !lead.is_empty() {
+        let _ = write!(body, "<p class=\"soft\">{lead}</p>");
+    }
+}
+
+fn grid(body: &mut String, figures: impl Iterator<Item = String>) {
+    body.push_str("<div class=\"grid\">");
+    body.extend(figures);
+    body.push_str("</div>");
+}
+
+fn gain(body: &mut String, report: &Report, plots: Option<&Plots>) {
+    let waterfall = plots.map_or(&[][..], |p| &p.waterfall[..]);
+    let horizons = plots.map_or(&[][..], |p| &p.horizons[..]);
+    if report.gain.is_empty() && waterfall.len() < 2 && horizons.is_empty() {
+        return;
+    }
+    section(
+        body,
+        "gain",
+        "What it is worth on runs that were not used",
+        "",
+    );
+    if !report.gain.is_empty() {
+        body.push_str(&figures::gains(report));
+    }
+    if waterfall.len() > 1 {
+        body.push_str(&figures::waterfall(waterfall));
+    }
+    if !horizons.is_empty() {
+        grid(body, horizons.iter().map(figures::horizon));
+    }
+}

@@ -1,0 +1,113 @@
+//! Runs that repeat each other: who belongs together, and their mean.
+
+use crate::trial::{Channel, Trial};
+
+/// Commands that differ by less than this are the same, rad (half a count of a 4096-count encoder).
+const SAME_COMMAND_RAD: f64 = 0.0008;
+
+/// Gives trials with the same commands the same group number.
+pub fn group(trials: &mut [Trial]) {
+    let mut next = 0;
+    for i in 0..trials.len() {
+        let before = trials[..i].iter().find(|t| repeats(t, &trials[i]));
+        trials[i].group = before.map_or_else(
+            || {
+                next += 1;
+                next - 1
+            },
+            |t| t.group,
+        );
+    }
+}
+
+/// One trial per group of repeats: their mean at the stamps of the first, since what repeats agree on is what a model can explain.
+#[must_use]
+pub fn collapse(trials: &[Trial]) -> Vec<Trial> {
+    let mut out: Vec<Trial> = Vec::new();
+    for trial in trials {
+        if out
+            .iter()
+            .any(|t| t.group == trial.group && t.role == trial.role)
+        {
+            continue;
+        }
+        let members: Vec<Trial> = trials
+            .iter()
+            .filter(|t| t.group == trial.group && t.role == trial.role)
+            .cloned()
+            .collect();
+        out.push(if members.len() == 1 {
+            trial.clone()
+        } else {
+            mean(trial, members)
+        });
+    }
+    out
+}
+
+fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
+    let n = members.len() as f64;
+    let mut trial = first.clone();
+    for channel in &mut trial.channels {
+        // angles in the world, and anything that not all of them have, stay those of the first
+        let others: Vec<(&Trial, &Channel)> = members
+            .iter()
+            .filter_map(|m| m.channel(channel.kind, channel.index).map(|c| (m, c)))
+            .collect();
+        if others.len() < members.len() {
+            continue;
+        }
+        for (k, t) in channel.time_s.iter().enumerate() {
+            let since = t - first.span_s.0;
+            let (mut sum, mut count) = (0.0, 0.0);
+            for (m, c) in &others {
+                let at = m.span_s.0 + since;
+                if !m.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&at)) {
+                    sum += c.at(at);
+                    count += 1.0;
+                }
+            }
+            if count > 0.0 {
+                channel.value[k] = sum / count;
+            }
+        }
+    }
+    let average = |f: &dyn Fn(&Trial) -> Option<f64>| -> Option<f64> {
+        let all: Vec<f64> = members.iter().filter_map(f).collect();
+        (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
+    };
+    trial.supply_v = average(&|t| t.supply_v);
+    trial.session = members.iter().map(|t| t.session).sum::<f64>() / n;
+    // only what all members lack is missing
+    trial.masked_s = Vec::new();
+    trial.members = members;
+    trial
+}
+
+/// Whether `other` was commanded the same under the same settings, times counted from each one's start.
+fn repeats(own: &Trial, other: &Trial) -> bool {
+    let same = |a: Option<f64>, b: Option<f64>| a == b;
+    if own.base != other.base
+        || (own.duration_s() - other.duration_s()).abs() > 0.1
+        || !same(own.kp_nm_per_rad, other.kp_nm_per_rad)
+        || !same(own.kd_nms_per_rad, other.kd_nms_per_rad)
+    {
+        return false;
+    }
+    let duration = own.duration_s().min(other.duration_s());
+    // both middle of holds and ramps: a stamp's jitter moves a step by a row, so allow some to disagree
+    let (mut wrong, mut all) = (0, 0);
+    for (a, b) in own.commands.iter().zip(&other.commands) {
+        for k in 0..400 {
+            let s = duration * (k as f64 + 0.5) / 400.0;
+            let there = b.at(other.span_s.0 + s);
+            let near = [-0.012, 0.0, 0.012]
+                .map(|d| (a.at(own.span_s.0 + s + d) - there).abs())
+                .into_iter()
+                .fold(f64::INFINITY, f64::min);
+            wrong += usize::from(near > 10.0 * SAME_COMMAND_RAD);
+            all += 1;
+        }
+    }
+    wrong * 50 < all
+}

@@ -1,0 +1,159 @@
+//! Who may call what: TLS with certificates on both sides, and a role for each call.
+
+use std::path::{Path, PathBuf};
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use caudata_pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
+use tonic::Status;
+use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
+use tonic::transport::{Certificate, Identity, ServerTlsConfig};
+
+/// The service's name in the path of a call.
+const REGISTRY: &str = "/caudata.registry.v1.PolicyRegistry/";
+/// Calls that change what others see, and the roles that may make them. All other calls of the registry read.
+const WRITES: [(&str, &[Role]); 6] = [
+    ("Publish", &[Role::Learner]),
+    ("Ack", &[Role::Robot]),
+    ("Nack", &[Role::Robot]),
+    ("SetLabel", &[Role::Operator]),
+    ("Revert", &[Role::Operator]),
+    ("Quarantine", &[Role::Operator]),
+];
+/// Who may read.
+const READERS: &[Role] = &[Role::Learner, Role::Operator, Role::Robot];
+
+/// Reads `ca.crt`, `tls.crt` and `tls.key` of `folder`; clients must show a certificate of the same authority.
+///
+/// # Errors
+/// The file that cannot be read.
+pub fn tls_config(folder: &Path) -> Result<ServerTlsConfig, (PathBuf, std::io::Error)> {
+    let read = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read(&path).map_err(|error| (path, error))
+    };
+    Ok(ServerTlsConfig::new()
+        .client_ca_root(Certificate::from_pem(read(CA_FILE)?))
+        .identity(Identity::from_pem(read(CERTIFICATE_FILE)?, read(KEY_FILE)?))
+        .timeout(HANDSHAKE_MAX))
+}
+
+/// A connection that has not finished its handshake by then is closed.
+const HANDSHAKE_MAX: std::time::Duration = std::time::Duration::from_secs(5);
+
+/// Whether `role` may make the call with this path. Health and reflection are open to every certificate of the lab.
+fn allowed(path: &str, role: Role) -> bool {
+    let Some(call) = path.strip_prefix(REGISTRY) else {
+        return path.starts_with("/grpc.");
+    };
+    let write = WRITES.iter().find(|(name, _)| *name == call);
+    write.map_or(READERS, |(_, roles)| roles).contains(&role)
+}
+
+/// Puts [`Guard`] around a service.
+#[derive(Clone, Copy, Debug)]
+pub struct GuardLayer {
+    /// False on a plain connection, which is on loopback: whoever is on this host may do everything.
+    pub enforced: bool,
+}
+
+impl<S> tower_layer::Layer<S> for GuardLayer {
+    type Service = Guard<S>;
+
+    fn layer(&self, inner: S) -> Guard<S> {
+        Guard {
+            inner,
+            enforced: self.enforced,
+        }
+    }
+}
+
+/// Lets a call through when the certificate of its connection has a role that may make it; answers `UNAUTHENTICATED` or
+/// `PERMISSION_DENIED` otherwise.
+#[derive(Clone, Debug)]
+pub struct Guard<S> {
+    inner: S,
+    enforced: bool,
+}
+
+impl<S, B, R> tower_service::Service<http::Request<B>> for Guard<S>
+where
+    S: tower_service::Service<http::Request<B>, Response = http::Response<R>>,
+    S::Future: Send + 'static,
+    S::Error: Send + 'static,
+    R: Default + Send + 'static,
+{
+    type Response = http::Response<R>;
+    type Error = S::Error;
+    type Future =
+        Pin<Box<dyn Future<Output = Result<http::Response<R>, S::Error>> + Send + 'static>>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
+        self.inner.poll_ready(context)
+    }
+
+    fn call(&mut self, request: http::Request<B>) -> Self::Future {
+        let checked = if self.enforced {
+            check(&request)
+        } else {
+            Ok(())
+        };
+        match checked {
+            Ok(()) => Box::pin(self.inner.call(request)),
+            Err(status) => {
+                tracing::warn!(
+                    path = request.uri().path(),
+                    reason = status.message(),
+                    "refused"
+                );
+                Box::pin(std::future::ready(Ok(status.into_http())))
+            }
+        }
+    }
+}
+
+fn check<B>(request: &http::Request<B>) -> Result<(), Status> {
+    let connection = request.extensions().get::<TlsConnectInfo<TcpConnectInfo>>();
+    let certificates = connection.and_then(TlsConnectInfo::peer_certs);
+    let own = certificates.as_ref().and_then(|chain| chain.first());
+    let Some(own) = own else {
+        return Err(Status::unauthenticated(
+            "a certificate of the lab is needed",
+        ));
+    };
+    let identity = identity_of_der(own).map_err(Status::unauthenticated)?;
+    let path = request.uri().path();
+    if allowed(path, identity.role) {
+        return Ok(());
+    }
+    let (role, name) = (identity.role, identity.name);
+    let call = path.rsplit('/').next().unwrap_or_default();
+    Err(Status::permission_denied(format!(
+        "{role} `{name}` may not {call}"
+    )))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_learner_publishes_and_an_actor_has_no_business_here() {
+        let path = |call: &str| format!("{REGISTRY}{call}");
+        for (role, publishes, reads) in [
+            (Role::Learner, true, true),
+            (Role::Operator, false, true),
+            (Role::Robot, false, true),
+            (Role::Actor, false, false),
+            (Role::Router, false, false),
+            (Role::Server, false, false),
+        ] {
+            assert_eq!(allowed(&path("Publish"), role), publishes, "{role}");
+            for call in ["Fetch", "Watch", "List", "GetManifest"] {
+                assert_eq!(allowed(&path(call), role), reads, "{role} {call}");
+            }
+            assert!(allowed("/grpc.health.v1.Health/Check", role));
+            assert!(!allowed("/other.Service/Call", role));
+        }
+    }
+}

@@ -1,0 +1,373 @@
+//! `caudata adapt`: from measured logs to a policy for the robot as it is.
+//!
+//! Each step is a command of its own, run as one and printed before it runs: diagnose, train in the extended model starting from the policy
+//! that the robot has, evaluate before and after, publish. What was done so far stays in the output folder when a later step fails.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use caudata_config::ConfigArgs;
+use caudata_proto::registry::StreamName;
+use caudata_registry_client::{RegistryClient, manifest_of};
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use clap::Args;
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::commands::eval::read_policy;
+use crate::commands::policy::block_on;
+use crate::say;
+
+/// Exit codes of a diagnosis whose extended model is worth training in: explained, ambiguous, partly explained.
+const WORTH_IT: [i32; 3] = [0, 80, 81];
+
+#[derive(Debug, Args)]
+pub struct AdaptArgs {
+    /// Log folder of the robot, or a folder of log folders; may be given several times
+    #[arg(long = "log", value_name = "DIR", required = true)]
+    logs: Vec<PathBuf>,
+    /// Log folder that diagnosis is only judged on
+    #[arg(long = "holdout", value_name = "DIR")]
+    holdouts: Vec<PathBuf>,
+    /// The policy that the robot has
+    #[arg(long, value_name = "P.onnx")]
+    policy: PathBuf,
+    /// Folder for everything that is made: diagnosis, run, evaluations, adapt.json
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Iterations of training
+    #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    iterations: u64,
+    /// Suite of the evaluations
+    #[arg(long, default_value = "flat")]
+    suite: String,
+    /// Episodes of each scenario
+    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    episodes: u32,
+    /// Policy server to publish the new policy to; without it, it is not published
+    #[arg(long, value_name = "HOST:PORT")]
+    publish: Option<String>,
+    /// Stream to publish under
+    #[arg(long, default_value = "adapted", requires = "publish")]
+    stream: String,
+    /// One JSON object on the last line
+    #[arg(long)]
+    json: bool,
+    /// How the policy was trained; without these flags config.toml beside the policy, else the preset flat
+    #[command(flatten)]
+    config: ConfigArgs,
+}
+
+/// `adapt.json`.
+#[derive(Debug, Serialize)]
+struct Adapted {
+    /// Verdict of the diagnosis.
+    verdict: Value,
+    /// Effects it names.
+    causes: Vec<Value>,
+    /// Whether a policy was trained: not where nothing was found.
+    trained: bool,
+    /// The policy as it was, in the model as it was.
+    before_in_nominal: Option<Value>,
+    /// The policy as it was, in the extended model.
+    before_in_extended: Option<Value>,
+    /// The new policy, in the extended model.
+    after_in_extended: Option<Value>,
+    /// The new policy.
+    policy: Option<PathBuf>,
+    /// Version under which the server has it.
+    published: Option<u64>,
+    /// Wall time of each step, s.
+    seconds: Vec<(String, f64)>,
+}
+
+pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
+    let policy = read_policy(&args.policy)?;
+    let flags = training_flags(args);
+    let config = flags.load().or_exit(ExitCode::BadConfig)?;
+    let robot = config.robot_path();
+    std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
+        format!("folder {}", args.out.display())
+    })?;
+    let mut steps = Steps {
+        quiet: args.json,
+        seconds: Vec::new(),
+    };
+
+    let diagnosis = args.out.join("diagnosis");
+    let mut command = own("gap")?;
+    command.arg("diagnose").arg("--robot").arg(&robot);
+    for dir in &args.logs {
+        command.arg("--log").arg(dir);
+    }
+    for dir in &args.holdouts {
+        command.arg("--holdout").arg(dir);
+    }
+    command.arg("--out").arg(&diagnosis);
+    let code = steps.run("diagnose", &mut command, &[0, 80, 81, 82, 83, 84])?;
+    let report = read_json(&diagnosis.join("report.json"))?;
+    let causes: Vec<Value> = report["causes"].as_array().cloned().unwrap_or_default();
+    let mut adapted = Adapted {
+        verdict: report["verdict"].clone(),
+        causes: causes.iter().map(brief).collect(),
+        trained: false,
+        before_in_nominal: None,
+        before_in_extended: None,
+        after_in_extended: None,
+        policy: None,
+        published: None,
+        seconds: Vec::new(),
+    };
+    if !WORTH_IT.contains(&code) || causes.is_empty() {
+        adapted.seconds = steps.seconds;
+        finish(args, &adapted)?;
+        if !args.json {
+            say::line(format_args!(
+                "{}: nothing to adapt to; the policy stays as it is",
+                text(&adapted.verdict)
+            ));
+        }
+        return Ok(());
+    }
+
+    let extended = diagnosis.join("extended.robot.toml");
+    let new = args.out.join("run").join("policy.onnx");
+    let mut command = own("train")?;
+    command.args(super::bench::as_flags(&flags));
+    command.args(["--iterations", &args.iterations.to_string(), "--out"]);
+    command.arg(args.out.join("run"));
+    let absolute = |path: &Path| std::path::absolute(path).or_exit(ExitCode::NoInput);
+    let quoted = |path: PathBuf| Value::from(path.display().to_string()).to_string();
+    for set in [
+        format!("robot={}", quoted(absolute(&extended)?)),
+        format!(
+            "learner.warm_start.policy={}",
+            quoted(absolute(&args.policy)?)
+        ),
+        "learner.warm_start.least_std=0.2".to_owned(),
+        // It walks already: costs and pushes count from the start.
+        "task.reward.costs_full_after_env_steps=0".to_owned(),
+        "task.push.full_after_env_steps=0".to_owned(),
+        "evaluation.episodes=0".to_owned(),
+        "evaluation.robot_run_s=0".to_owned(),
+    ] {
+        command.args(["--set", &set]);
+    }
+    steps.run("train", &mut command, &[0])?;
+    adapted.trained = true;
+    adapted.policy = Some(new.clone());
+
+    let mut evaluate =
+        |name: &str, policy: &Path, robot: &Path| -> Result<Option<Value>, Failure> {
+            let file = args.out.join(format!("{name}.json"));
+            let mut command = own("eval")?;
+            command
+                .arg("--policy")
+                .arg(policy)
+                .arg("--robot")
+                .arg(robot);
+            command.args(super::bench::as_flags(&flags));
+            command.args(["--suite", &args.suite, "--json", "--episodes"]);
+            command.arg(args.episodes.to_string());
+            let out = std::fs::File::create(&file).or_exit(ExitCode::CannotCreate)?;
+            command.stdout(out);
+            steps.run(name, &mut command, &[0, 79])?;
+            last_json(&file).map(Some)
+        };
+    adapted.before_in_nominal = evaluate("before_in_nominal", &args.policy, &robot)?;
+    adapted.before_in_extended = evaluate("before_in_extended", &args.policy, &extended)?;
+    adapted.after_in_extended = evaluate("after_in_extended", &new, &extended)?;
+    if let Some(server) = &args.publish {
+        adapted.published = Some(publish(server, &args.stream, &new)?);
+    }
+    adapted.seconds = steps.seconds;
+    finish(args, &adapted)?;
+    if !args.json {
+        tell(&adapted, policy.metadata().version);
+    }
+    Ok(())
+}
+
+/// The flags as given; else the configuration that lies beside the policy, else the preset `flat`.
+fn training_flags(args: &AdaptArgs) -> ConfigArgs {
+    let mut flags = args.config.clone();
+    if flags.preset.is_none() && flags.config.is_none() {
+        let beside = args.policy.with_file_name("config.toml");
+        if beside.is_file() {
+            flags.config = Some(beside);
+        } else {
+            flags.preset = Some("flat".into());
+        }
+    }
+    flags
+}
+
+fn own(command: &str) -> Result<Command, Failure> {
+    let mut own = Command::new(std::env::current_exe().or_exit(ExitCode::Internal)?);
+    own.arg(command);
+    Ok(own)
+}
+
+struct Steps {
+    quiet: bool,
+    seconds: Vec<(String, f64)>,
+}
+
+impl Steps {
+    /// Runs a step; its exit code, which must be one of `good`.
+    fn run(&mut self, name: &str, command: &mut Command, good: &[i32]) -> Result<i32, Failure> {
+        if self.quiet {
+            if name == "diagnose" || name == "train" {
+                command.stdout(Stdio::null());
+            }
+        } else {
+            say::line(format_args!("── {name}: {}", spelled(command)));
+        }
+        let began = Instant::now();
+        let status = command.status().or_exit(ExitCode::OsResource)?;
+        let took_s = began.elapsed().as_secs_f64();
+        self.seconds.push((name.to_owned(), took_s));
+        match status.code() {
+            Some(code) if good.contains(&code) => Ok(code),
+            _ => Err(Failure::message(
+                ExitCode::Internal,
+                format!("{name} ended with {status}; its message is above"),
+            )
+            .hint("what was made so far is in the output folder; the command that failed can be run by hand")),
+        }
+    }
+}
+
+/// The command as one would type it.
+fn spelled(command: &Command) -> String {
+    let words = command.get_args().map(|word| word.to_string_lossy());
+    std::iter::once("caudata".into())
+        .chain(words)
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
+fn read_json(path: &Path) -> Result<Value, Failure> {
+    let bytes = std::fs::read(path).or_exit_with(ExitCode::NoInput, || {
+        format!("cannot read {}", path.display())
+    })?;
+    serde_json::from_slice(&bytes).or_exit_with(ExitCode::BadInput, || path.display().to_string())
+}
+
+/// The last line of a command's output.
+fn last_json(path: &Path) -> Result<Value, Failure> {
+    let text = std::fs::read_to_string(path).or_exit_with(ExitCode::NoInput, || {
+        format!("cannot read {}", path.display())
+    })?;
+    let last = text.lines().last().unwrap_or_default();
+    serde_json::from_str(last).or_exit_with(ExitCode::BadInput, || path.display().to_string())
+}
+
+/// Name, place and values of a cause.
+fn brief(cause: &Value) -> Value {
+    serde_json::json!({
+        "effect": cause["effect"], "where": cause["where"], "parameters": cause["parameters"], "confidence": cause["confidence"],
+    })
+}
+
+/// The version that it has on the server.
+fn publish(server: &str, stream: &str, path: &Path) -> Result<u64, Failure> {
+    let stream = StreamName::new(stream).or_exit(ExitCode::BadConfig)?;
+    let file = read_policy(path)?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+    let created_ms = now.map_or(0, |t| t.as_millis() as u64);
+    let manifest = manifest_of(stream, &file, created_ms).or_exit(ExitCode::BadInput)?;
+    block_on(async {
+        let mut client = RegistryClient::new(server)?;
+        client.publish(manifest, file.bytes()).await
+    })?;
+    Ok(file.metadata().version)
+}
+
+fn finish(args: &AdaptArgs, adapted: &Adapted) -> Result<(), Failure> {
+    let path = args.out.join("adapt.json");
+    let bytes = serde_json::to_vec_pretty(adapted).or_exit(ExitCode::Internal)?;
+    caudata_durable::replace(&path, &bytes).or_exit(ExitCode::IoError)?;
+    if args.json {
+        say::json(adapted)?;
+    }
+    Ok(())
+}
+
+fn text(value: &Value) -> &str {
+    value.as_str().unwrap_or_default()
+}
+
+fn tell(adapted: &Adapted, version: u64) {
+    let names: Vec<String> = adapted
+        .causes
+        .iter()
+        .map(|cause| {
+            let places: Vec<&str> = cause["where"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .map(text)
+                .collect();
+            match places.as_slice() {
+                [] => text(&cause["effect"]).to_owned(),
+                some => format!("{} at {}", text(&cause["effect"]), some.join(", ")),
+            }
+        })
+        .collect();
+    say::line(format_args!(
+        "{}: {}",
+        text(&adapted.verdict),
+        names.join("; ")
+    ));
+    let mut rows = vec![
+        [
+            "scenario",
+            "policy",
+            "model",
+            "forward m/s",
+            "falls",
+            "power W",
+        ]
+        .map(str::to_owned)
+        .to_vec(),
+    ];
+    for (policy, model, result) in [
+        (
+            format!("as it was ({version})"),
+            "nominal",
+            &adapted.before_in_nominal,
+        ),
+        (
+            format!("as it was ({version})"),
+            "extended",
+            &adapted.before_in_extended,
+        ),
+        ("new".to_owned(), "extended", &adapted.after_in_extended),
+    ] {
+        let scenarios = result.as_ref().and_then(|r| r["scenarios"].as_array());
+        for scenario in scenarios.into_iter().flatten() {
+            let number = |key: &str| scenario[key]["mean"].as_f64().unwrap_or(f64::NAN);
+            rows.push(vec![
+                text(&scenario["name"]).to_owned(),
+                policy.clone(),
+                model.to_owned(),
+                format!("{:.3}", number("vx_mps")),
+                format!("{:.1} %", 100.0 * number("fall_share")),
+                format!("{:.1}", number("power_w")),
+            ]);
+        }
+    }
+    say::table(&rows);
+    if let Some(version) = adapted.published {
+        say::line(format_args!("published as version {version}"));
+    }
+    let total_s: f64 = adapted.seconds.iter().map(|(_, s)| s).sum();
+    if let Some(policy) = &adapted.policy {
+        say::line(format_args!(
+            "new policy {} after {total_s:.0} s",
+            policy.display()
+        ));
+    }
+}

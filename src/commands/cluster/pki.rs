@@ -1,0 +1,144 @@
+//! `caudata pki`: the certificates of a lab.
+
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use caudata_pki::{
+    Authority, CERTIFICATE_FILE, PkiError, Request, Role, VALID_DAYS, identity_of_pem,
+};
+use caudata_telemetry::{ExitCode, Failure};
+use clap::Subcommand;
+
+use crate::say;
+
+#[derive(Debug, Subcommand)]
+pub enum PkiCommand {
+    /// Make the authority of a lab; its key stays in the folder and goes nowhere
+    Init {
+        /// Folder
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+        /// Name of the lab
+        #[arg(long, default_value = "caudata")]
+        lab: String,
+    },
+    /// Make the certificate of one process, in a folder of its own: ca.crt, tls.crt, tls.key
+    Issue {
+        /// Folder of the authority
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+        /// learner, actor, server, router, operator or robot
+        #[arg(long)]
+        role: String,
+        /// Name of the process and of its folder
+        #[arg(long)]
+        name: String,
+        /// Name or address by which others reach it; may be given several times
+        #[arg(long = "host", value_name = "HOST")]
+        hosts: Vec<String>,
+        /// Validity
+        #[arg(long, value_name = "N", default_value_t = VALID_DAYS)]
+        days: u32,
+        /// Make a new key and certificate where there is one already
+        #[arg(long)]
+        renew: bool,
+    },
+    /// Show the certificates of a folder and how long they are valid
+    Show {
+        /// Folder of the authority
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+    },
+}
+
+pub fn run(command: &PkiCommand) -> Result<(), Failure> {
+    match command {
+        PkiCommand::Init { dir, lab } => {
+            Authority::create(dir, lab, SystemTime::now()).map_err(failure)?;
+            say::line(format!(
+                "the authority of {lab} is in {}; keep ca.key there, and a copy of it where nobody else reads",
+                dir.display()
+            ));
+            Ok(())
+        }
+        PkiCommand::Issue {
+            dir,
+            role,
+            name,
+            hosts,
+            days,
+            renew,
+        } => {
+            let role: Role = role.parse().map_err(failure)?;
+            if role.listens() && hosts.is_empty() {
+                let message =
+                    format!("others connect to a {role}: its certificate must name its hosts");
+                return Err(Failure::message(ExitCode::BadConfig, message)
+                    .hint("give --host for every name or address by which it is reached"));
+            }
+            let request = Request {
+                role,
+                name: name.clone(),
+                hosts: hosts.clone(),
+                days: *days,
+            };
+            let authority = Authority::open(dir).map_err(failure)?;
+            let folder = authority
+                .issue(&request, SystemTime::now(), *renew)
+                .map_err(failure)?;
+            say::line(format!(
+                "{}: {role} `{name}`, valid for {days} days",
+                folder.display()
+            ));
+            Ok(())
+        }
+        PkiCommand::Show { dir } => show(dir),
+    }
+}
+
+fn show(dir: &Path) -> Result<(), Failure> {
+    let entries = std::fs::read_dir(dir).map_err(|error| {
+        Failure::message(ExitCode::NoInput, format!("{}: {error}", dir.display()))
+    })?;
+    let mut folders: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    folders.sort();
+    let mut rows = vec![
+        ["folder", "role", "name", "valid for"]
+            .map(str::to_owned)
+            .to_vec(),
+    ];
+    for folder in folders {
+        let certificate = folder.join(CERTIFICATE_FILE);
+        if !certificate.is_file() {
+            continue;
+        }
+        let identity = identity_of_pem(&certificate).map_err(failure)?;
+        let left = match identity.not_after.duration_since(SystemTime::now()) {
+            Ok(left) => format!("{:.1} days", left.as_secs_f64() / 86_400.0),
+            Err(_) => "expired".to_owned(),
+        };
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        rows.push(vec![
+            name.into_owned(),
+            identity.role.to_string(),
+            identity.name,
+            left,
+        ]);
+    }
+    say::table(&rows);
+    Ok(())
+}
+
+fn failure(error: PkiError) -> Failure {
+    let code = match &error {
+        PkiError::Role(_) | PkiError::Name(_) | PkiError::Days(_) => ExitCode::BadConfig,
+        PkiError::Exists(_) => ExitCode::CannotCreate,
+        PkiError::File { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+            ExitCode::NoInput
+        }
+        PkiError::File { .. } => ExitCode::IoError,
+        PkiError::Content { .. } => ExitCode::BadInput,
+        PkiError::Make(_) => ExitCode::Internal,
+    };
+    Failure::new(code, error)
+}

@@ -1,0 +1,138 @@
+//! `caudata up`: policy server, learner and some actors of a cluster's run, on this host.
+
+use std::path::{Path, PathBuf};
+
+use caudata_config::{Config, ConfigArgs, TransportKind};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
+use clap::Args;
+
+use crate::commands::robot_model;
+use crate::commands::train::Resume;
+use crate::commands::train::children::Programs;
+use crate::commands::train::folder::RunFolder;
+use crate::commands::train::supervise::{Plan, Supervisor};
+use crate::commands::train::view::View;
+use crate::say;
+
+#[derive(Debug, Args)]
+pub struct UpArgs {
+    /// Actors on this host; more join with `caudata actors`. Otherwise one for each core but one
+    #[arg(long, value_name = "N")]
+    actors: Option<u32>,
+    /// Events as JSON lines; the last line says how it ended
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArgs,
+}
+
+/// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at Ctrl-C.
+pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
+    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
+    if config.transport.kind != TransportKind::Zenoh {
+        let message = format!(
+            "transport.kind is \"{}\": only zenoh reaches other hosts",
+            config.transport.kind.name()
+        );
+        return Err(Failure::message(ExitCode::BadConfig, message)
+            .hint("set transport.kind=zenoh, or use `caudata train` for one host"));
+    }
+    robot_model::load(&config.robot_path())?;
+    let run_id = config.cluster_run_id().to_owned();
+    let folder = RunFolder::of_run(&run_dir(&config), &run_id)?;
+    config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
+    let text = config.to_toml().or_exit(ExitCode::BadConfig)?;
+    folder.write("config.toml", text.as_bytes())?;
+
+    let programs = Programs::beside_this_one()?;
+    let view = View::new(args.json);
+    view.note(&format!("run {run_id} in {}", folder.root().display()));
+    if let Some(address) = config.transport.zenoh_listen.first() {
+        view.note(&format!(
+            "actors of other hosts join with: caudata actors --config FILE --connect {}",
+            with_own_name(address)
+        ));
+    }
+    let plan = Plan {
+        resume: Resume::Latest,
+        actors: args.actors.unwrap_or_else(spare_cores),
+        restart_learner: true,
+    };
+    let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan)?;
+    let mut outcome = supervisor.watch()?;
+    outcome.stop_server();
+    let finished = &outcome.finished;
+    if args.json {
+        return say::json(&serde_json::json!({
+            "reason": finished.reason,
+            "iteration": finished.iteration,
+            "checkpoint": finished.checkpoint_path,
+            "accounting": finished.accounting,
+            "restarts": outcome.restarts,
+            "folder": folder.root(),
+        }));
+    }
+    let policy = folder.policy();
+    say::line(match finished.reason.as_str() {
+        "completed" => format!(
+            "complete after iteration {}; the policy is {}",
+            finished.iteration,
+            policy.display()
+        ),
+        reason => format!(
+            "stopped ({reason}) after iteration {}; the same command goes on from there",
+            finished.iteration
+        ),
+    });
+    Ok(())
+}
+
+/// The run's folder: `cluster.run_dir`, else its id under `run.out_dir`.
+pub fn run_dir(config: &Config) -> PathBuf {
+    match config.cluster.run_dir.as_path() {
+        empty if empty == Path::new("") => config.run.out_dir.join(config.cluster_run_id()),
+        folder => folder.to_owned(),
+    }
+}
+
+/// One core stays for the learner.
+fn spare_cores() -> u32 {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    u32::try_from(cores.saturating_sub(1)).unwrap_or(1).max(1)
+}
+
+/// An endpoint with this host's name instead of "any address", for others to connect to.
+fn with_own_name(endpoint: &str) -> String {
+    let host = caudata_actor::host_name().unwrap_or_else(|_| "HOST".to_owned());
+    endpoint
+        .replace("/0.0.0.0:", &format!("/{host}:"))
+        .replace("/[::]:", &format!("/{host}:"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use caudata_config::Source;
+
+    #[test]
+    fn a_run_has_the_folder_that_is_given_or_its_id() {
+        let config = |sets: &[&str]| {
+            let source = sets.iter().fold(Source::default(), |s, set| s.set(*set));
+            Config::load(&source).unwrap()
+        };
+        let dir = |sets: &[&str]| run_dir(&config(sets));
+        assert_eq!(dir(&["run.name=walk"]), Path::new("runs/walk"));
+        assert_eq!(dir(&["cluster.run_id=a.b"]), Path::new("runs/a.b"));
+        assert_eq!(dir(&["cluster.run_dir=/data/x"]), Path::new("/data/x"));
+    }
+
+    #[test]
+    fn others_are_told_a_name_that_leads_here() {
+        let host = caudata_actor::host_name().unwrap();
+        assert_eq!(
+            with_own_name("tls/0.0.0.0:7447"),
+            format!("tls/{host}:7447")
+        );
+        assert_eq!(with_own_name("tls/learner:7447"), "tls/learner:7447");
+    }
+}

@@ -1,0 +1,89 @@
+//! `caudata gap apply`: what a diagnosis found, merged into a robot file.
+
+use std::path::PathBuf;
+
+use caudata_gap::extension;
+use caudata_telemetry::{ExitCode, Failure};
+use clap::Args;
+use serde_json::json;
+
+use super::gap::robot_files;
+use super::robot_model;
+use crate::say;
+
+#[derive(Debug, Args)]
+pub struct ApplyArgs {
+    /// Robot file to extend
+    #[arg(long, value_name = "R.robot.toml")]
+    robot: PathBuf,
+    /// Folder that `caudata gap diagnose` wrote
+    #[arg(long, value_name = "DIR")]
+    diagnosis: PathBuf,
+    /// The extended robot file; the MJCF goes beside it
+    #[arg(long, value_name = "NEW.robot.toml")]
+    out: PathBuf,
+    /// Extend a robot file that is not the one that was diagnosed
+    #[arg(long)]
+    force: bool,
+    /// One JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &ApplyArgs) -> Result<(), Failure> {
+    let robot = robot_model::load(&args.robot)?;
+    let (robot_toml, mjcf_name, mjcf) = robot_files(&args.robot)?;
+    let found = robot_model::load(&args.diagnosis.join("extended.robot.toml"))?;
+    let Some(extension) = found.extension() else {
+        return Err(Failure::message(
+            ExitCode::BadInput,
+            format!("{} holds no extension", args.diagnosis.display()),
+        ));
+    };
+    if extension.base != robot.hash_hex() && !args.force {
+        let message = format!(
+            "the diagnosis is of another robot file (hash {:.12}, this one {:.12})",
+            extension.base,
+            robot.hash_hex()
+        );
+        return Err(
+            Failure::message(ExitCode::BadInput, message).hint("diagnose this one, or say --force")
+        );
+    }
+    let text = String::from_utf8_lossy(&robot_toml);
+    let extended =
+        extension::append(extension, &text).map_err(|e| Failure::new(ExitCode::BadInput, e))?;
+    let put = |path: &PathBuf, bytes: &[u8]| {
+        std::fs::write(path, bytes).map_err(|e| {
+            Failure::new(ExitCode::of_io(&e, true), e)
+                .context(format!("cannot write {}", path.display()))
+        })
+    };
+    put(&args.out, extended.as_bytes())?;
+    let beside = args.out.with_file_name(&mjcf_name);
+    // in the robot's own folder it is there already
+    if std::fs::read(&beside).ok().as_deref() != Some(&mjcf[..]) {
+        if beside.exists() {
+            return Err(Failure::message(
+                ExitCode::CannotCreate,
+                format!("{} is another file of that name", beside.display()),
+            )
+            .hint("choose another folder for --out"));
+        }
+        put(&beside, &mjcf)?;
+    }
+    let made = robot_model::load(&args.out)?;
+    let effects: Vec<&str> = extension.effect.iter().map(|e| e.id.as_str()).collect();
+    if args.json {
+        return say::json(
+            &json!({ "robot": args.out, "hash": made.hash_hex(), "effects": effects, "parameters": extension.lane }),
+        );
+    }
+    say::line(format!(
+        "{}: {} effect(s), {} parameter(s) of the simulator",
+        args.out.display(),
+        effects.len(),
+        extension.lane.len()
+    ));
+    Ok(())
+}

@@ -1,0 +1,198 @@
+//! The salamander on the ground, by the Rapier engine at half the diagnosing simulator's step, with the sensors of a lab around it: encoders,
+//! IMU, and motion capture of feet and base.
+//!
+//! Another engine, another contact model and another joint solver than the diagnosis has. Drive-line formulas are those of `sim/` (both engines
+//! share them), so what is hidden here lies in structure, masses and ground.
+
+use std::sync::Arc;
+
+use caudata_model::RobotModel;
+use caudata_random::{Key, Purpose, Stream};
+use caudata_runlog::{Axis, QuatPart, Signal};
+use caudata_sim::{EngineConfig, EngineKind, InitialState, LaneParams, SimError, TerrainConfig};
+
+use super::sensors::Row;
+
+/// Step of the engine, s.
+const STEP_S: f64 = 0.001;
+/// Steps per row (100 Hz).
+const STEPS_PER_ROW: u32 = 10;
+/// How long the robot stands before the run begins, s.
+const SETTLE_S: f64 = 1.0;
+/// Motion capture: noise (m), and every so many seconds a gap of so many.
+const MOCAP_NOISE_M: f64 = 0.0004;
+const MOCAP_GAP_EVERY_S: f64 = 4.0;
+const MOCAP_GAP_S: f64 = 0.15;
+/// White noise of the orientation from motion capture, as parts of the quaternion.
+const QUAT_NOISE: f64 = 0.0004;
+
+/// What is recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Channels {
+    /// IMU.
+    pub imu: bool,
+    /// Motion capture of base and feet.
+    pub mocap: bool,
+}
+
+/// A robot on the ground and its imperfections of this session.
+#[derive(Clone, Debug)]
+pub struct Ground {
+    /// Physics.
+    pub lane: LaneParams,
+    /// Offset of the gyroscope, rad/s.
+    pub gyro_bias_radps: [f64; 3],
+    /// Offset of the accelerometer, m/s².
+    pub acc_bias_mps2: [f64; 3],
+}
+
+impl Ground {
+    /// A careful lab's robot on a given day.
+    #[must_use]
+    pub fn of_the_day(model: &RobotModel, lane: &LaneParams, seed: u64, run: u64) -> Self {
+        let key = Key {
+            seed,
+            actor: 11,
+            env: run,
+            episode: 0,
+        };
+        let mut s = Stream::new(key, Purpose::Randomisation);
+        let mut lane = lane.clone();
+        lane.foot_friction *= s.uniform(0.9, 1.1);
+        lane.supply_v += s.uniform(-0.4, 0.4);
+        for f in &mut lane.joint_friction_nm {
+            *f *= s.uniform(0.92, 1.08);
+        }
+        // offsets are of the device: the same in all runs
+        let mut device = Stream::new(Key { env: 0, actor: 12, ..key }, Purpose::Sensor);
+        let imu = model.sensors().imu.as_ref();
+        let (gyro, acc) = imu.map_or((0.0, 0.0), |i| (0.1 * i.gyro_bias_std_radps, 0.1 * i.acc_bias_std_mps2));
+        Self {
+            lane,
+            // what is left after a lab has subtracted the mean at rest
+            gyro_bias_radps: [(); 3].map(|()| gyro * device.normal_f64()),
+            acc_bias_mps2: [(); 3].map(|()| acc * device.normal_f64()),
+        }
+    }
+}
+
+/// Columns of a log.
+#[must_use]
+pub fn signals(model: &RobotModel, channels: Channels) -> Vec<Signal> {
+    let names = model.actuated_names();
+    let each = |make: fn(String) -> Signal| names.iter().map(move |n| make((*n).to_owned())).collect::<Vec<_>>();
+    let mut all = each(Signal::Command);
+    all.extend(each(Signal::Position));
+    all.extend(each(Signal::Velocity));
+    all.extend(each(Signal::Current));
+    all.push(Signal::Voltage);
+    if channels.imu {
+        all.extend(Axis::ALL.map(Signal::Gyro));
+        all.extend(Axis::ALL.map(Signal::Acceleration));
+    }
+    if channels.mocap {
+        all.extend(Axis::ALL.map(Signal::BasePosition));
+        all.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
+        for foot in model.feet() {
+            all.extend(Axis::ALL.map(|a| Signal::Foot(foot.name.clone(), a)));
+        }
+    }
+    all
+}
+
+/// Walks the robot through `rows_rad` (one command per row) and returns the log's rows.
+///
+/// # Errors
+/// [`SimError`] where parameters are not physical.
+pub fn run(
+    model: &Arc<RobotModel>,
+    ground: &Ground,
+    rows_rad: &[Vec<f64>],
+    channels: Channels,
+    stream: &mut Stream,
+) -> Result<Vec<Row>, SimError> {
+    let config = EngineConfig {
+        kind: EngineKind::Rapier,
+        dt_s: STEP_S,
+        substeps: STEPS_PER_ROW,
+        ..EngineConfig::rapier()
+    };
+    let mut engine = caudata_sim::build(Arc::clone(model), 1, &config, &TerrainConfig::default(), 1, 1)?;
+    engine.set_params(0, &ground.lane)?;
+    let narrow = |row: &[f64]| row.iter().map(|&x| x as f32).collect::<Vec<f32>>();
+    let mut start = narrow(&rows_rad[0]);
+    for q in &mut start {
+        *q += 0.004 * stream.normal();
+    }
+    engine.reset(
+        0,
+        &InitialState {
+            joint_pos_rad: start,
+            ..InitialState::nominal(model)
+        },
+    )?;
+    let period_s = config.control_period_s();
+    for _ in 0..(SETTLE_S / period_s) as usize {
+        engine.step(&narrow(&rows_rad[0]), &[0.0; 6])?;
+    }
+    let mut out = Vec::with_capacity(rows_rad.len());
+    for (k, row) in rows_rad.iter().enumerate() {
+        let t = k as f64 * period_s;
+        let stamp = if k == 0 { 0.0 } else { t + 0.00005 * stream.normal_f64() };
+        out.push((stamp, read(model, engine.state(), ground, row, t, channels, stream)));
+        engine.step(&narrow(row), &[0.0; 6])?;
+    }
+    Ok(out)
+}
+
+fn read(
+    model: &RobotModel,
+    state: &caudata_sim::State,
+    ground: &Ground,
+    command: &[f64],
+    t: f64,
+    channels: Channels,
+    s: &mut Stream,
+) -> Vec<Option<f64>> {
+    let to = |x: f64, lsb: f64| if lsb > 0.0 { (x / lsb).round() * lsb } else { x };
+    let mut row: Vec<Option<f64>> = command.iter().map(|&u| Some(to(u, 1e-6))).collect();
+    let servos = model.actuated();
+    for (a, &j) in servos.iter().enumerate() {
+        let q = f64::from(state.joint_pos_rad[j]) + 0.0002 * s.normal_f64();
+        row.push(Some(to(q, model.servo(a).encoder_lsb_rad())));
+    }
+    for (a, &j) in servos.iter().enumerate() {
+        let v = f64::from(state.joint_vel_radps[j]) + 0.01 * s.normal_f64();
+        row.push(Some(to(v, model.servo(a).velocity_lsb_radps)));
+    }
+    for a in 0..servos.len() {
+        let servo = model.servo(a);
+        let free = f64::from(state.motor_torque_nm[a]) / servo.torque_per_current_nm_per_a;
+        let shown = free + servo.current_dead_band_a * (free / 0.01).clamp(-1.0, 1.0);
+        row.push(Some(to(shown + 0.004 * s.normal_f64(), servo.current_lsb_a)));
+    }
+    row.push(Some(to(f64::from(ground.lane.supply_v), 0.1)));
+    if channels.imu {
+        let imu = model.sensors().imu.as_ref();
+        // noise of a band of half the rate
+        let band = |density: f64| density * 50.0_f64.sqrt();
+        let (gyro, acc) = imu.map_or((0.0, 0.0), |i| (band(i.gyro_noise_radps_per_sqrt_hz), band(i.acc_noise_mps2_per_sqrt_hz)));
+        for i in 0..3 {
+            row.push(Some(f64::from(state.imu_gyro_radps[i]) + ground.gyro_bias_radps[i] + gyro * s.normal_f64()));
+        }
+        for i in 0..3 {
+            row.push(Some(f64::from(state.imu_acc_mps2[i]) + ground.acc_bias_mps2[i] + acc * s.normal_f64()));
+        }
+    }
+    if channels.mocap {
+        let hidden = t.rem_euclid(MOCAP_GAP_EVERY_S) > MOCAP_GAP_EVERY_S - MOCAP_GAP_S;
+        let mut put = |x: f64, noise: f64| {
+            let x = x + noise * s.normal_f64();
+            row.push((!hidden).then_some(x));
+        };
+        state.base_pos_m.iter().for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
+        state.base_quat_wxyz.iter().for_each(|x| put(f64::from(*x), QUAT_NOISE));
+        state.foot_pos_m.iter().for_each(|x| put(f64::from(*x), MOCAP_NOISE_M));
+    }
+    row
+}
