@@ -41,6 +41,25 @@ pub struct GroundTruth {
     pub foot_contacts: Option<[bool; FEET]>,
 }
 
+/// What the hardware says about itself, beyond its readings. A robot without such reports is in good health.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Health {
+    /// Ticks in a row that the worst servo has been silent; its last readings stand in for it.
+    pub silent_ticks: u32,
+    /// A servo (joint number) and its latched hardware errors (register 70).
+    pub alert: Option<(usize, u8)>,
+    /// A servo (joint number) whose torque or settings are gone.
+    pub restarted: Option<usize>,
+    /// A servo (joint number) that stopped because it heard nothing.
+    pub watchdog_fired: Option<usize>,
+    /// Hottest servo, °C.
+    pub hottest_c: u8,
+    /// Ticks in a row without a new IMU sample.
+    pub imu_stale_ticks: u32,
+    /// IMU samples in a row that were the same to the last digit.
+    pub imu_same_ticks: u32,
+}
+
 /// Why a bus did not do what was asked.
 #[derive(Debug, thiserror::Error)]
 pub enum BusError {
@@ -109,5 +128,15 @@ pub trait Robot: ServoBus + Imu {
     /// What is known beyond the robot's own sensors.
     fn ground_truth(&self) -> GroundTruth {
         GroundTruth::default()
+    }
+
+    /// What the hardware says about itself.
+    fn health(&self) -> Health {
+        Health::default()
+    }
+
+    /// Whether it is in water, for policies that know the difference; `None` where nothing tells.
+    fn in_water(&mut self) -> Option<bool> {
+        None
     }
 }

@@ -2,23 +2,27 @@
 
 use std::time::Duration;
 
+use caudata_hardware::wiring::Limits;
 use caudata_task::{ACT_DIM, COMMAND_DIM};
 use caudata_telemetry::StopFlag;
 
 use crate::DeployError;
-use crate::bus::{BusError, GroundTruth, ImuReading, Robot, ServoReadings};
+use crate::bus::{BusError, GroundTruth, Health, ImuReading, Robot, ServoReadings};
+use crate::command_link::{CommandLink, LINK_STAND, LINK_STOP};
 use crate::flight_log::{FlightLog, LogRow};
 use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate};
+use crate::guard::{Fault, Guard, Verdict};
 use crate::metrics::RobotMetrics;
 use crate::motion::{Motion, Stage};
 use crate::orientation::GravityFilter;
 use crate::pacing::{Clock, Pacer};
+use crate::recorder::Recorder;
 use crate::report::{Ended, Latencies, Odometer, Velocity, rounded};
 use crate::runner::{PolicyRunner, View};
 use crate::updates::{PolicyEvent, Updates};
 use crate::walk_command::CommandTable;
 
-/// How long a tick waits for readings.
+/// How long a tick waits for the readings of a simulated robot.
 pub const READ_DEADLINE: Duration = Duration::from_millis(7);
 /// Ticks in a row without readings after which the robot counts as lost (2 s).
 pub const LATE_IN_A_ROW_MAX: u32 = 100;
@@ -40,6 +44,10 @@ pub struct RunPlan {
     pub commands: CommandTable,
     /// How far a target may move per tick, rad.
     pub step_max_rad: f32,
+    /// How long a tick waits for readings.
+    pub read_deadline: Duration,
+    /// Limits of the hardware; `None` on a simulated robot.
+    pub limits: Option<Limits>,
 }
 
 /// Everything sensed at one tick.
@@ -53,6 +61,10 @@ pub struct Sensed {
     pub gravity: [f32; 3],
     /// What a simulation knows.
     pub truth: GroundTruth,
+    /// What the hardware says about itself.
+    pub health: Health,
+    /// Whether it is in water.
+    pub in_water: Option<bool>,
 }
 
 /// What the loop counted.
@@ -103,9 +115,12 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     runner: PolicyRunner,
     updates: Updates,
     log: Option<FlightLog>,
+    recorder: Recorder,
+    link: Option<Box<dyn CommandLink>>,
     metrics: RobotMetrics,
     gravity: GravityFilter,
     gate: OutputGate,
+    guard: Guard,
     motion: Motion,
     /// Sensed by [`ControlLoop::start`], used by the first tick.
     first: Option<Sensed>,
@@ -115,6 +130,7 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     fallen_ticks: u32,
     late_in_a_row: u32,
     ended: Option<Ended>,
+    fault: Option<(Fault, Health)>,
     counts: Counts,
 }
 
@@ -137,8 +153,10 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let first = complete(robot, &mut gravity, servos, period_s)?;
         let joints = *runner.joints();
         metrics.policy_version.set(version_gauge(&runner));
+        let recorder = Recorder::new(plan.period);
         Ok(Self {
             gate: OutputGate::new(&joints, plan.step_max_rad, first.servos.pos_rad),
+            guard: Guard::new(plan.limits.clone()),
             motion: Motion::new(joints.nominal_rad, period_s),
             last_time_s: first.servos.time_s,
             first: Some(first),
@@ -148,6 +166,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             runner,
             updates,
             log: None,
+            recorder,
+            link: None,
             metrics,
             gravity,
             walk_start_s: None,
@@ -155,6 +175,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             fallen_ticks: 0,
             late_in_a_row: 0,
             ended: None,
+            fault: None,
             counts: Counts::default(),
         })
     }
@@ -167,6 +188,16 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     /// Writes every tick to `log`.
     pub fn set_log(&mut self, log: FlightLog) {
         self.log = Some(log);
+    }
+
+    /// Takes commands from `link` instead of the plan's.
+    pub fn set_link(&mut self, link: Box<dyn CommandLink>) {
+        self.link = Some(link);
+    }
+
+    /// The last 30 s, oldest first.
+    pub fn recorder(&self) -> &Recorder {
+        &self.recorder
     }
 
     /// The policy that runs.
@@ -222,10 +253,12 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let dt_s = sensed.servos.time_s - self.last_time_s;
         self.last_time_s = sensed.servos.time_s;
         self.watch_for_the_end(stop, &sensed);
+        self.watch_hardware(&sensed);
+        let wanted_command = self.wanted_command(&sensed);
         self.swap_policy();
         let sent = self.gate.last_rad();
         let wanted = if self.motion.stage() == Stage::Walk {
-            self.walk(&sensed, dt_s)
+            self.walk(&sensed, dt_s, wanted_command)
         } else {
             Some(sent)
         };
@@ -235,15 +268,17 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         };
         let targets = self.gate.pass(targets);
         self.robot.write(&targets)?;
+        let row = LogRow {
+            command_rad: targets,
+            torque: true,
+            servos: sensed.servos,
+            imu: sensed.imu,
+            gravity: sensed.gravity,
+            truth: sensed.truth,
+        };
+        self.recorder.push(row);
         if let Some(log) = &mut self.log {
-            log.push(LogRow {
-                command_rad: targets,
-                torque: true,
-                servos: sensed.servos,
-                imu: sensed.imu,
-                gravity: sensed.gravity,
-                truth: sensed.truth,
-            });
+            log.push(row);
         }
         Ok(())
     }
@@ -253,7 +288,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         if let Some(first) = self.first.take() {
             return Ok(Some(first));
         }
-        match self.robot.read(READ_DEADLINE) {
+        match self.robot.read(self.plan.read_deadline) {
             Ok(servos) => {
                 self.late_in_a_row = 0;
                 let dt_s = (servos.time_s - self.last_time_s) as f32;
@@ -292,13 +327,61 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             self.ended.get_or_insert(Ended::Signal);
             self.motion.finish();
         }
-        let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z;
+        // An IMU that gives no number says nothing about being upright: it counts as lying.
+        let finite = |v: &[f32; 3]| v.iter().all(|x| x.is_finite());
+        let sane = finite(&sensed.imu.gyro_radps) && finite(&sensed.imu.acc_mps2);
+        let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z || !sane || !finite(&sensed.gravity);
         self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
         if self.fallen_ticks == FALLEN_TICKS && self.motion.stage() == Stage::Walk {
             tracing::error!(gravity = ?sensed.gravity, "the robot fell: stopping");
             self.ended = Some(Ended::Fallen);
             self.motion.damp();
         }
+    }
+
+    /// The command of this tick. A link that is silent stops the robot: speed 0 after 200 ms, standing after 1 s; a kill brakes at
+    /// once, whatever the policy does.
+    fn wanted_command(&mut self, sensed: &Sensed) -> [f32; COMMAND_DIM] {
+        let Some(link) = &mut self.link else {
+            let start_s = self.walk_start_s.unwrap_or(sensed.servos.time_s);
+            return self.plan.commands.at(sensed.servos.time_s - start_s);
+        };
+        let view = link.view();
+        if view.killed {
+            self.ended.get_or_insert(Ended::Killed);
+            self.motion.damp();
+        } else if view.age > LINK_STAND {
+            self.motion.stand();
+        } else if view.age <= LINK_STOP && self.motion.resume(self.gate.last_rad()) {
+            self.runner.forget();
+        }
+        match view.age <= LINK_STOP {
+            true => view.command,
+            false => [0.0; COMMAND_DIM],
+        }
+    }
+
+    /// What the hardware says goes before what the policy wants.
+    fn watch_hardware(&mut self, sensed: &Sensed) {
+        let (fault, damp) = match self.guard.judge(&sensed.health, &sensed.servos) {
+            Verdict::Fine => return,
+            Verdict::Stand(fault) => (fault, false),
+            Verdict::Damp(fault) => (fault, true),
+        };
+        if !matches!(self.ended, Some(Ended::Fault(known)) if known == fault) {
+            tracing::error!(?fault, health = ?sensed.health, "the hardware is not in order: stopping");
+        }
+        self.ended.get_or_insert(Ended::Fault(fault));
+        self.fault.get_or_insert((fault, sensed.health));
+        match damp {
+            true => self.motion.damp(),
+            false => self.motion.finish(),
+        }
+    }
+
+    /// What the hardware stopped the run for, and what it said about itself then.
+    pub fn fault(&self) -> Option<(Fault, Health)> {
+        self.fault
     }
 
     /// Takes over a newer policy, with empty history, blended in from what was sent last.
@@ -327,7 +410,12 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     }
 
     /// The policy's targets; `None`: hold what was sent last.
-    fn walk(&mut self, sensed: &Sensed, dt_s: f64) -> Option<[f32; ACT_DIM]> {
+    fn walk(
+        &mut self,
+        sensed: &Sensed,
+        dt_s: f64,
+        wanted: [f32; COMMAND_DIM],
+    ) -> Option<[f32; ACT_DIM]> {
         let start_s = match self.walk_start_s {
             Some(start) => {
                 self.runner.advance(self.periods(dt_s));
@@ -339,7 +427,6 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         if let (Some(pos), Some(quat)) = (sensed.truth.base_pos_m, sensed.truth.base_quat_wxyz) {
             self.counts.odometer.add(pos, quat, dt_s);
         }
-        let wanted = self.plan.commands.at(sensed.servos.time_s - start_s);
         let command = self.runner.trained_command(wanted);
         for (sum, value) in self.counts.command_sum.iter_mut().zip(command) {
             *sum += f64::from(value);
@@ -350,6 +437,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             gyro_radps: sensed.imu.gyro_radps,
             gravity: sensed.gravity,
             command,
+            in_water: sensed.in_water,
         };
         match self.runner.act(&view) {
             Some(targets) => {
@@ -409,6 +497,8 @@ fn complete<R: Robot>(
         imu,
         gravity: imu.gravity.unwrap_or(estimate),
         truth: robot.ground_truth(),
+        health: robot.health(),
+        in_water: robot.in_water(),
     })
 }
 

@@ -4,14 +4,17 @@ use std::io;
 use std::path::PathBuf;
 
 use caudata_durable::DurableError;
+use caudata_hardware::WiringError;
 use caudata_model::ModelError;
 use caudata_policy::PolicyError;
 use caudata_proto::registry::RegistryError;
 use caudata_registry_client::ClientError;
 use caudata_runlog::LogError;
+use caudata_signing::SigningError;
 use caudata_telemetry::{ExitCode, Failure};
 
 use crate::bus::BusError;
+use crate::guard::Fault;
 use crate::state::PolicyRef;
 use crate::verify::Refusal;
 
@@ -69,6 +72,30 @@ pub enum DeployError {
         /// How many.
         in_a_row: u32,
     },
+    /// The hardware stopped the run.
+    #[error("the robot stopped by itself: {fault:?} ({detail})")]
+    Stopped {
+        /// What.
+        fault: Fault,
+        /// Where, and what the hardware says.
+        detail: String,
+    },
+    /// The trust file.
+    #[error("trust file {0}")]
+    Trust(#[from] SigningError),
+    /// The wiring file.
+    #[error(transparent)]
+    Wiring(#[from] WiringError),
+    /// The robot is not fit for torque.
+    #[error("{wrong} of {checks} checks failed, the first: {first}")]
+    Unfit {
+        /// How many checks failed.
+        wrong: usize,
+        /// How many were made.
+        checks: usize,
+        /// The first that failed.
+        first: String,
+    },
     /// ONNX Runtime is not there.
     #[error(transparent)]
     Runtime(PolicyError),
@@ -119,6 +146,14 @@ pub enum DeployError {
         /// What is wrong.
         reason: String,
     },
+    /// The key of the command link.
+    #[error("key file {}: {reason}", path.display())]
+    LinkKey {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// Threads or sockets are refused.
     #[error("the system refuses {what}: {source}")]
     System {
@@ -145,16 +180,25 @@ impl DeployError {
             }
             | Self::BlobMissing { .. }
             | Self::Runtime(_) => ExitCode::NoInput,
+            Self::Wiring(WiringError::Read { .. }) | Self::Trust(SigningError::File { .. }) => {
+                ExitCode::NoInput
+            }
             Self::Robot { .. }
+            | Self::Wiring(_)
+            | Self::Trust(_)
             | Self::Task { .. }
             | Self::StateDamaged { .. }
             | Self::BlobDamaged { .. }
+            | Self::LinkKey { .. }
             | Self::Commands { .. } => ExitCode::BadInput,
             Self::Stream { .. } | Self::Server(ClientError::Address { .. }) => ExitCode::BadConfig,
             Self::Server(ClientError::BadAnswer(_)) | Self::Bus(BusError::Protocol { .. }) => {
                 ExitCode::Protocol
             }
-            Self::Server(_) | Self::NoPolicy { .. } | Self::Bus(_) => ExitCode::Unavailable,
+            Self::Unfit { .. } => ExitCode::TargetMissed,
+            Self::Server(_) | Self::NoPolicy { .. } | Self::Bus(_) | Self::Stopped { .. } => {
+                ExitCode::Unavailable
+            }
             Self::Refused { .. } | Self::BadActions { .. } => ExitCode::PolicyRefused,
             Self::Durable(e) if e.is_disk_full() => ExitCode::IoError,
             Self::Folder { .. } | Self::Durable(_) => ExitCode::CannotCreate,
@@ -177,6 +221,9 @@ impl DeployError {
             Self::Refused { .. } => Some("nothing else is on this robot's disk to run instead"),
             Self::Bus(BusError::Connect { .. }) => {
                 Some("`caudata sim robot` starts a simulated robot and prints its address")
+            }
+            Self::Unfit { .. } => {
+                Some("`caudata-robot doctor` shows every check; `--fix` sets servos right")
             }
             _ => None,
         }

@@ -115,6 +115,35 @@ impl FlightLog {
     }
 }
 
+/// Writes rows that are there already as a log of their own; how many went in.
+///
+/// # Errors
+/// As [`FlightLog::create`] and [`FlightLog::finish`].
+pub fn write_rows<'a>(
+    folder: &Path,
+    model: &RobotModel,
+    meta: &LogMeta,
+    rows: impl Iterator<Item = &'a LogRow>,
+) -> Result<u64, DeployError> {
+    let mut rows = rows.peekable();
+    let truth = rows
+        .peek()
+        .map_or_else(GroundTruth::default, |row| row.truth);
+    let columns = Columns::new(model, &truth);
+    let mut log = LogWriter::create(folder, &columns.signals, meta)?;
+    let mut values = Vec::with_capacity(columns.signals.len());
+    for row in rows {
+        columns.fill(row, &mut values);
+        match log.row(row.servos.time_s, &values) {
+            Err(LogError::Refused(_)) => {}
+            other => other?,
+        }
+    }
+    let written = log.rows();
+    log.finish()?;
+    Ok(written)
+}
+
 /// `log.toml` of a run.
 pub fn meta(
     model: &RobotModel,

@@ -5,9 +5,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use caudata_model::RobotModel;
 use caudata_proto::registry::{Manifest, StreamName};
 use caudata_registry_client::RegistryClient;
+use caudata_signing::Trust;
 
 use crate::DeployError;
 use crate::metrics::RobotMetrics;
+use crate::probe::{ProbeProgram, Probed};
 use crate::state::{Blame, Decision, PolicyRef, Sha256Digest};
 use crate::store::PolicyStore;
 use crate::updates::PolicyEvent;
@@ -18,6 +20,8 @@ use crate::verify::{Refusal, Verified, VerifyError, check_manifest, verify};
 pub struct Keeper {
     store: Arc<Mutex<PolicyStore>>,
     model: Arc<RobotModel>,
+    trust: Option<Arc<Trust>>,
+    probe: Option<Arc<ProbeProgram>>,
     metrics: RobotMetrics,
 }
 
@@ -27,8 +31,24 @@ impl Keeper {
         Self {
             store: Arc::new(Mutex::new(store)),
             model,
+            trust: None,
+            probe: None,
             metrics,
         }
+    }
+
+    /// Takes only what keys of `trust` signed.
+    #[must_use]
+    pub fn trusting(mut self, trust: Trust) -> Self {
+        self.trust = Some(Arc::new(trust));
+        self
+    }
+
+    /// Lets a child process try candidates first.
+    #[must_use]
+    pub fn probing(mut self, probe: ProbeProgram) -> Self {
+        self.probe = Some(Arc::new(probe));
+        self
     }
 
     /// The newest policy of `stream`: fetched and verified, or read back where this robot has it.
@@ -79,11 +99,15 @@ impl Keeper {
             },
             Decision::Fetch => {}
         }
+        if let Some(Err(refusal)) = self.trust.as_ref().map(|trust| trust.check(manifest)) {
+            // Not recorded: whoever can make up announcements must not be able to fill the records with them.
+            return Err(self.refused(policy, Refusal::Untrusted(refusal)));
+        }
         if let Err(refusal) = check_manifest(manifest, &self.model) {
             return Err(self.quarantine(policy, refusal));
         }
         let bytes = client.fetch(manifest).await?;
-        let verified = self.checked(bytes.into(), &policy)?;
+        let verified = self.tried(bytes.into(), &policy)?;
         let mut store = self.store();
         store.put(&policy, verified.file.bytes())?;
         store.update(|state| state.adopt(policy.clone()))?;
@@ -135,6 +159,25 @@ impl Keeper {
     fn read_back(&self, policy: &PolicyRef) -> Result<Verified, DeployError> {
         let bytes = self.store().get(policy)?;
         self.checked(bytes, policy)
+    }
+
+    /// As [`Keeper::checked`], after a child process survived it.
+    fn tried(&self, bytes: Arc<[u8]>, policy: &PolicyRef) -> Result<Verified, DeployError> {
+        let probed = self.probe.as_ref().map(|probe| probe.run(policy, &bytes));
+        match &probed {
+            Some(Probed::Died(how)) => {
+                let how = how.clone();
+                return Err(self.quarantine(policy.clone(), Refusal::KilledItsProbe { how }));
+            }
+            Some(Probed::Unable(reason)) => tracing::warn!(reason, "the candidate was not tried"),
+            _ => {}
+        }
+        // What the child found is found here again, and sorted by what is to blame.
+        let verified = self.checked(bytes, policy)?;
+        if let Some(Probed::Refused(reason)) = probed {
+            return Err(self.quarantine(policy.clone(), Refusal::ByItsProbe(reason)));
+        }
+        Ok(verified)
     }
 
     fn checked(&self, bytes: Arc<[u8]>, policy: &PolicyRef) -> Result<Verified, DeployError> {

@@ -2,6 +2,8 @@
 //!
 //! ```text
 //! Rise ──▶ Settle ──▶ Walk ──▶ Return ──▶ Rest ──▶ Off
+//!                      ▲ └─ no command ─▶ Stand ──┘ (asked to stop)
+//!                      └──── command back ──┘
 //!   └────────┴── asked to stop ──▲                  ▲
 //!   any ── policy or body out of order ──▶ Damped ──┘
 //! ```
@@ -27,6 +29,8 @@ pub enum Stage {
     Settle,
     /// The policy decides.
     Walk,
+    /// In the nominal pose, ready to walk on.
+    Stand,
     /// Back to the nominal pose.
     Return,
     /// Standing, about to let go.
@@ -68,9 +72,27 @@ impl Motion {
 
     /// Asks to come to an end in order: stand, then torque off.
     pub fn finish(&mut self) {
-        if matches!(self.stage, Stage::Rise | Stage::Settle | Stage::Walk) {
+        let upright = [Stage::Rise, Stage::Settle, Stage::Walk, Stage::Stand];
+        if upright.contains(&self.stage) {
             self.enter(Stage::Return);
         }
+    }
+
+    /// Returns to the nominal pose and waits there.
+    pub fn stand(&mut self) {
+        if self.stage == Stage::Walk {
+            self.enter(Stage::Stand);
+        }
+    }
+
+    /// Walks on after [`Motion::stand`], once it stands.
+    pub fn resume(&mut self, sent_rad: [f32; ACT_DIM]) -> bool {
+        let stands = self.stage == Stage::Stand && sent_rad == self.nominal_rad;
+        if stands {
+            self.enter(Stage::Walk);
+            self.blend_again(sent_rad);
+        }
+        stands
     }
 
     /// Stops at once: brake, then torque off.
@@ -105,6 +127,7 @@ impl Motion {
                 self.nominal_rad
             }
             Stage::Walk => self.blended(policy_rad),
+            Stage::Stand => self.step_towards_nominal(sent_rad),
             Stage::Return => self.ramp(sent_rad, Stage::Rest),
             Stage::Rest => {
                 if self.in_stage_for(SETTLE_S) {
@@ -133,11 +156,16 @@ impl Motion {
     }
 
     /// One step of at most `RAMP_RADPS` per joint towards the nominal pose.
-    fn ramp(&mut self, sent_rad: [f32; ACT_DIM], then: Stage) -> [f32; ACT_DIM] {
+    fn step_towards_nominal(&self, sent_rad: [f32; ACT_DIM]) -> [f32; ACT_DIM] {
         let step = RAMP_RADPS * self.period_s;
-        let targets: [f32; ACT_DIM] = std::array::from_fn(|i| {
+        std::array::from_fn(|i| {
             sent_rad[i] + (self.nominal_rad[i] - sent_rad[i]).max(-step).min(step)
-        });
+        })
+    }
+
+    /// Towards the nominal pose, and on to the next stage once it is reached.
+    fn ramp(&mut self, sent_rad: [f32; ACT_DIM], then: Stage) -> [f32; ACT_DIM] {
+        let targets = self.step_towards_nominal(sent_rad);
         if targets == self.nominal_rad {
             self.enter(then);
         }
@@ -243,5 +271,24 @@ mod tests {
         assert_eq!((motion.stage(), sent), (Stage::Off, [0.3; ACT_DIM]));
         motion.damp();
         assert_eq!(motion.stage(), Stage::Off);
+    }
+
+    #[test]
+    fn without_a_command_it_stands_and_walks_on_only_from_there() {
+        let mut motion = walking();
+        motion.stand();
+        // 0.1 rad at 0.01 rad per tick: 10 ticks until it stands.
+        let mut sent = [0.1; ACT_DIM];
+        for _ in 0..9 {
+            sent = motion.targets(POLICY, sent, ZERO);
+            assert!(!motion.resume(sent));
+        }
+        for _ in 0..100 {
+            sent = motion.targets(POLICY, sent, ZERO);
+        }
+        assert_eq!((motion.stage(), sent), (Stage::Stand, ZERO));
+        assert!(motion.resume(sent));
+        // Blended in anew: tick 1 of 25.
+        assert!((motion.targets(POLICY, sent, ZERO)[0] - 0.02).abs() < 1e-6);
     }
 }

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use crate::guard::Fault;
 use crate::state::Sha256Digest;
 
 /// Width of a latency bucket, µs.
@@ -176,6 +177,11 @@ pub enum Ended {
     Fallen,
     /// The policy gave actions that are not finite.
     BadActions,
+    /// The kill button.
+    Killed,
+    /// The hardware.
+    #[serde(untagged)]
+    Fault(Fault),
 }
 
 /// The last line of `caudata-robot run --json`.

@@ -43,6 +43,8 @@ pub struct View<'a> {
     pub gravity: [f32; 3],
     /// Commanded vx, vy (m/s), yaw rate (rad/s).
     pub command: [f32; COMMAND_DIM],
+    /// Whether the robot is in water; `None` where nothing tells, which counts as land.
+    pub in_water: Option<bool>,
 }
 
 impl PolicyRunner {
@@ -97,6 +99,17 @@ impl PolicyRunner {
         std::array::from_fn(|i| wanted[i].max(self.ranges[i][0]).min(self.ranges[i][1]))
     }
 
+    /// Begins anew: no past actions, filter at rest. The gait clock goes on.
+    pub fn forget(&mut self) {
+        self.filter = ActionFilter::new();
+        self.actions = [[0.0; ACT_DIM]; ACTION_HISTORY];
+    }
+
+    /// What the policy saw last.
+    pub fn observation(&self) -> &[f32] {
+        &self.obs
+    }
+
     /// Moves the gait clock on by whole control periods.
     pub fn advance(&mut self, periods: u32) {
         for _ in 0..periods {
@@ -116,7 +129,7 @@ impl PolicyRunner {
             phase_rad: self.clock.phases_rad(),
             command: view.command,
             previous_actions: &self.actions,
-            medium: None,
+            medium: view.in_water.map(|water| f32::from(u8::from(water))),
         };
         let mut action = [0.0; ACT_DIM];
         let nominal = &self.joints.nominal_rad;

@@ -5,6 +5,7 @@
 //!     └──────────── refused, or misbehaved ──▶ quarantined (with the reason)
 //! ```
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
@@ -14,6 +15,10 @@ use serde::{Deserialize, Serialize};
 pub const STATE_FORMAT: &str = "caudata.robot_state.v1";
 /// Quarantined policies that are remembered; older ones are forgotten.
 pub const QUARANTINE_MAX: usize = 64;
+/// How far a version may be above the highest one seen: a jump to the end of all numbers would shut every later policy out.
+pub const VERSION_JUMP_MAX: u64 = 1_000_000;
+/// Streams whose highest version is remembered; with more, the ones that nothing on this robot is from are forgotten.
+pub const STREAMS_MAX: usize = 256;
 
 /// A SHA-256, written as 64 lower-case hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -148,6 +153,9 @@ pub struct RobotState {
     pub last_good: Option<PolicyRef>,
     /// Refused, oldest first.
     pub quarantined: Vec<Quarantined>,
+    /// Highest version of each stream that was taken or found bad: nothing older is taken any more, also where the robot went back.
+    #[serde(default)]
+    pub seen: BTreeMap<String, u64>,
 }
 
 impl Default for RobotState {
@@ -158,6 +166,7 @@ impl Default for RobotState {
             active: None,
             last_good: None,
             quarantined: Vec::new(),
+            seen: BTreeMap::new(),
         }
     }
 }
@@ -178,14 +187,39 @@ impl RobotState {
                     have: active.version,
                 }
             }
-            _ => Decision::Fetch,
+            _ => self.decide_by_seen(offered),
         }
+    }
+
+    fn decide_by_seen(&self, offered: &PolicyRef) -> Decision {
+        let seen = self.seen.get(&offered.stream).copied();
+        if seen.is_some_and(|seen| offered.version < seen) && !self.needs(offered.sha256) {
+            return Decision::Older {
+                have: seen.unwrap_or_default(),
+            };
+        }
+        if offered.version.saturating_sub(seen.unwrap_or_default()) > VERSION_JUMP_MAX {
+            return Decision::Refused {
+                reason: format!("its version is more than {VERSION_JUMP_MAX} above any seen"),
+            };
+        }
+        Decision::Fetch
+    }
+
+    fn saw(&mut self, policy: &PolicyRef) {
+        if self.seen.len() >= STREAMS_MAX && !self.seen.contains_key(&policy.stream) {
+            let held: Vec<String> = self.on_disk().into_iter().map(|p| p.stream).collect();
+            self.seen.retain(|stream, _| held.contains(stream));
+        }
+        let seen = self.seen.entry(policy.stream.clone()).or_default();
+        *seen = policy.version.max(*seen);
     }
 
     /// `policy` passed every check: it is the one to run from now on.
     pub fn adopt(&mut self, policy: PolicyRef) {
         self.quarantined
             .retain(|e| e.policy.sha256 != policy.sha256);
+        self.saw(&policy);
         self.active = Some(policy);
         self.generation += 1;
     }
@@ -202,6 +236,9 @@ impl RobotState {
     /// file that does not fit it takes nothing away from what its own robot holds.
     pub fn quarantine(&mut self, policy: PolicyRef, reason: String, blame: Blame) {
         let sha256 = policy.sha256;
+        if blame == Blame::Policy {
+            self.saw(&policy);
+        }
         let robot = match blame {
             Blame::Robot(robot) => Some(robot),
             Blame::Policy | Blame::Transfer => None,
@@ -370,5 +407,37 @@ mod tests {
         ] {
             assert!(bad.parse::<Sha256Digest>().is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn fault_14_an_older_version_stays_refused_after_going_back() {
+        let mut state = state();
+        // Version 2 turns out bad: back to 1. Neither 1 under other bytes nor anything below 2 is taken again.
+        state.quarantine(policy(2), "falls".into(), Blame::Policy);
+        assert_eq!(state.active, Some(policy(1)));
+        let older = PolicyRef {
+            sha256: Sha256Digest([9; 32]),
+            ..policy(1)
+        };
+        assert_eq!(state.decide(&older, HERE), Decision::Older { have: 2 });
+        assert_eq!(state.decide(&policy(1), HERE), Decision::HaveIt);
+        assert_eq!(state.decide(&policy(3), HERE), Decision::Fetch);
+    }
+
+    #[test]
+    fn fault_19_a_version_at_the_end_of_all_numbers_is_refused() {
+        let last = PolicyRef {
+            version: u64::MAX,
+            ..policy(3)
+        };
+        assert!(matches!(
+            state().decide(&last, HERE),
+            Decision::Refused { .. }
+        ));
+        let far = PolicyRef {
+            version: 2 + VERSION_JUMP_MAX,
+            ..policy(3)
+        };
+        assert_eq!(state().decide(&far, HERE), Decision::Fetch);
     }
 }

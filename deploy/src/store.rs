@@ -1,4 +1,4 @@
-//! The robot's folder: `state.json`, and `blobs/<sha256>.onnx`. What is read from it is checked as if it came from outside.
+//! The robot's folder: `state.json` with its copy `state.copy.json`, and `blobs/<sha256>.onnx`. What is read from it is checked as if it came from outside.
 
 use std::fs;
 use std::io;
@@ -14,6 +14,8 @@ use crate::state::{PolicyRef, RobotState, STATE_FORMAT, Sha256Digest};
 
 /// Largest state file that is read, bytes.
 const STATE_BYTES_MAX: u64 = 1 << 20;
+/// The state, twice.
+const COPIES: [&str; 2] = ["state.json", "state.copy.json"];
 
 /// The state and the policies on disk. Every change is on the disk before it counts.
 #[derive(Debug)]
@@ -38,7 +40,7 @@ impl PolicyStore {
         durable::remove_leftovers(&blobs)?;
         Ok(Self {
             folder: folder.to_owned(),
-            state: read_state(&folder.join("state.json"))?.unwrap_or_default(),
+            state: read_state(folder)?.unwrap_or_default(),
         })
     }
 
@@ -47,7 +49,7 @@ impl PolicyStore {
     /// # Errors
     /// As [`PolicyStore::open`].
     pub fn peek(folder: &Path) -> Result<Option<RobotState>, DeployError> {
-        read_state(&folder.join("state.json"))
+        read_state(folder)
     }
 
     /// What the robot knows.
@@ -65,10 +67,11 @@ impl PolicyStore {
         if state == self.state {
             return Ok(());
         }
-        let text = serde_json::to_vec_pretty(&state).map_err(|e| DeployError::Internal {
-            what: e.to_string(),
-        })?;
-        durable::replace(&self.folder.join("state.json"), &text)?;
+        let text = encode(&state)?;
+        // Both hold the same: whichever survives says the newest that was promised.
+        for name in COPIES {
+            durable::replace(&self.folder.join(name), &text)?;
+        }
         self.state = state;
         self.remove_unneeded();
         Ok(())
@@ -124,7 +127,61 @@ impl PolicyStore {
     }
 }
 
-fn read_state(path: &Path) -> Result<Option<RobotState>, DeployError> {
+/// A state file: the state, and the SHA-256 of its compact JSON, so that a flipped bit is noticed.
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StateFile {
+    sha256: Sha256Digest,
+    state: RobotState,
+}
+
+fn digest(state: &RobotState) -> Result<Sha256Digest, String> {
+    let text = serde_json::to_vec(state).map_err(|e| e.to_string())?;
+    Ok(Sha256Digest(Sha256::digest(text).into()))
+}
+
+fn encode(state: &RobotState) -> Result<Vec<u8>, DeployError> {
+    let file = digest(state).map(|sha256| StateFile {
+        sha256,
+        state: state.clone(),
+    });
+    file.and_then(|file| serde_json::to_vec_pretty(&file).map_err(|e| e.to_string()))
+        .map_err(|what| DeployError::Internal { what })
+}
+
+/// The newest state that can be read; `None` where there never was one.
+fn read_state(folder: &Path) -> Result<Option<RobotState>, DeployError> {
+    let mut newest: Option<RobotState> = None;
+    let mut damage = None;
+    for name in COPIES {
+        let path = folder.join(name);
+        match read_copy(&path) {
+            Ok(None) => {}
+            Ok(Some(state)) => {
+                if newest
+                    .as_ref()
+                    .is_none_or(|n| n.generation < state.generation)
+                {
+                    newest = Some(state);
+                }
+            }
+            Err(DeployError::StateDamaged { path, reason }) => {
+                damage.get_or_insert((path, reason));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    match (newest, damage) {
+        (None, Some((path, reason))) => Err(DeployError::StateDamaged { path, reason }),
+        (Some(state), Some((path, reason))) => {
+            tracing::error!(path = %path.display(), reason, "one copy of the state is damaged; the other is used");
+            Ok(Some(state))
+        }
+        (newest, None) => Ok(newest),
+    }
+}
+
+fn read_copy(path: &Path) -> Result<Option<RobotState>, DeployError> {
     let damaged = |reason: String| DeployError::StateDamaged {
         path: path.to_owned(),
         reason,
@@ -138,11 +195,14 @@ fn read_state(path: &Path) -> Result<Option<RobotState>, DeployError> {
         path: path.to_owned(),
         source,
     })?;
-    let state: RobotState = serde_json::from_slice(&bytes).map_err(|e| damaged(e.to_string()))?;
-    if state.format != STATE_FORMAT {
-        return Err(damaged(format!("its format is `{}`", state.format)));
+    let file: StateFile = serde_json::from_slice(&bytes).map_err(|e| damaged(e.to_string()))?;
+    if file.state.format != STATE_FORMAT {
+        return Err(damaged(format!("its format is `{}`", file.state.format)));
     }
-    Ok(Some(state))
+    if digest(&file.state).map_err(damaged)? != file.sha256 {
+        return Err(damaged("it is not what was written".to_owned()));
+    }
+    Ok(Some(file.state))
 }
 
 #[cfg(test)]
@@ -218,5 +278,54 @@ mod tests {
             "neither active nor good"
         );
         assert!(store.get(&policy(b"six")).is_ok(), "active");
+    }
+
+    /// A folder that holds `one` (version 1), adopted, with both copies of the state.
+    fn adopted() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = PolicyStore::open(folder.path()).unwrap();
+        store.put(&policy(b"one"), b"one").unwrap();
+        store.update(|s| s.adopt(policy(b"one"))).unwrap();
+        folder
+    }
+
+    #[test]
+    fn fault_15_one_damaged_copy_forgets_nothing() {
+        for name in COPIES {
+            let whole = fs::read(adopted().path().join(name)).unwrap();
+            // Cut anywhere, or any single bit flipped: the other copy speaks, or the damaged one still says the same.
+            for at in (0..whole.len()).step_by(7) {
+                let mut flipped = whole.clone();
+                flipped[at] ^= 0x10;
+                for damaged in [&whole[..at], &flipped] {
+                    let folder = adopted();
+                    fs::write(folder.path().join(name), damaged).unwrap();
+                    let store = PolicyStore::open(folder.path()).unwrap();
+                    assert_eq!(store.state().active, Some(policy(b"one")), "{name} {at}");
+                    assert_eq!(store.state().seen["s"], 1);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn fault_16_both_copies_damaged_is_not_an_empty_state() {
+        let folder = adopted();
+        for name in COPIES {
+            fs::write(folder.path().join(name), b"{").unwrap();
+        }
+        let error = PolicyStore::open(folder.path()).unwrap_err();
+        assert!(matches!(error, DeployError::StateDamaged { .. }), "{error}");
+    }
+
+    #[test]
+    fn the_newer_copy_wins_where_power_went_between_the_two() {
+        let folder = adopted();
+        let old = fs::read(folder.path().join(COPIES[1])).unwrap();
+        let mut store = PolicyStore::open(folder.path()).unwrap();
+        store.update(|s| s.confirm(policy(b"one").sha256)).unwrap();
+        fs::write(folder.path().join(COPIES[1]), old).unwrap();
+        let store = PolicyStore::open(folder.path()).unwrap();
+        assert_eq!(store.state().last_good, Some(policy(b"one")));
     }
 }

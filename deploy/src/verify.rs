@@ -5,8 +5,9 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 use caudata_policy::{Inference, MlpSpec, PolicyError, PolicyFile, evaluate_mlp};
 use caudata_proto::registry::Manifest;
+use caudata_signing::Untrusted;
 use caudata_task::command::CommandConfig;
-use caudata_task::{ACT_DIM, PolicyContract, TaskConfig, TaskError};
+use caudata_task::{ACT_DIM, ObservationLayout, PolicyContract, TaskConfig, TaskError};
 use sha2::{Digest, Sha256};
 
 use crate::state::{Blame, PolicyRef, Sha256Digest};
@@ -81,6 +82,24 @@ pub enum Refusal {
         /// What is wrong.
         problem: String,
     },
+    /// Keys that this robot trusts did not sign it.
+    #[error("{0}")]
+    Untrusted(#[from] Untrusted),
+    /// It brought down the child process that looked at it.
+    #[error("the process that tried it died: {how}")]
+    KilledItsProbe {
+        /// How.
+        how: String,
+    },
+    /// The child process that looked at it found something wrong.
+    #[error("{0}")]
+    ByItsProbe(String),
+    /// Inference takes too long on this computer.
+    #[error("half of its runs take more than {median_us} µs on this computer")]
+    TooSlow {
+        /// The median.
+        median_us: u128,
+    },
     /// It was refused before.
     #[error("refused before: {0}")]
     Before(String),
@@ -100,11 +119,17 @@ impl Refusal {
             Self::Contract(_)
             | Self::Task(_)
             | Self::OtherRobot { .. }
-            | Self::OtherModel { .. } => Blame::Robot(robot),
-            Self::WrongHash { .. } | Self::OtherVersion { .. } | Self::Older { .. } => {
-                Blame::Transfer
-            }
-            Self::Policy(_) | Self::Probe { .. } | Self::Before(_) => Blame::Policy,
+            | Self::OtherModel { .. }
+            | Self::ByItsProbe(_)
+            | Self::TooSlow { .. } => Blame::Robot(robot),
+            Self::WrongHash { .. }
+            | Self::OtherVersion { .. }
+            | Self::Untrusted(_)
+            | Self::Older { .. } => Blame::Transfer,
+            Self::Policy(_)
+            | Self::Probe { .. }
+            | Self::KilledItsProbe { .. }
+            | Self::Before(_) => Blame::Policy,
         }
     }
 }
@@ -190,6 +215,7 @@ pub fn expected_contract(
     let task = TaskConfig {
         action: policy.action,
         phase: policy.phase.config(),
+        observe_medium: policy.observation == ObservationLayout::new(true),
         command: CommandConfig {
             vx_mps: policy.command.vx_mps,
             vy_mps: policy.command.vy_mps,

@@ -308,14 +308,50 @@ fn wrong_input_has_its_own_codes() {
         .arg(&state);
     check(missing, 66);
     std::fs::create_dir_all(&state).unwrap();
-    std::fs::write(state.join("state.json"), "{").unwrap();
+    for copy in ["state.json", "state.copy.json"] {
+        std::fs::write(state.join(copy), "{").unwrap();
+    }
     check(program("pull", nobody, &state), 65);
-    std::fs::remove_file(state.join("state.json")).unwrap();
+    for copy in ["state.json", "state.copy.json"] {
+        std::fs::remove_file(state.join(copy)).unwrap();
+    }
     // A policy, but no robot.
     let server = Server::start(&folder.path().join("server"));
     server.publish(standing(1));
     let mut nowhere = program("run", server.address, &state);
     nowhere.args(["--bus", "sim:127.0.0.1:1"]);
     check(nowhere, 69);
+    server.stop();
+}
+
+#[test]
+fn faults_14_and_22_a_robot_that_trusts_a_key_takes_signed_policies_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let server = Server::start(&folder.path().join("server"));
+    let key = caudata_signing::ReleaseKey::from_seed("release", &[7; 32]);
+    let other = caudata_signing::ReleaseKey::from_seed("release", &[8; 32]);
+    let trust = folder.path().join("trust.toml");
+    std::fs::write(&trust, key.trust_file()).unwrap();
+    let pull = || {
+        let mut command = program("pull", server.address, &state);
+        command.arg("--trust").arg(&trust);
+        outcome(command)
+    };
+    server.publish(standing(1));
+    let (code, _, errors) = pull();
+    assert_eq!(code, 77, "{errors}");
+    assert!(errors.contains("0 valid signatures"), "{errors}");
+    server.publish_signed(standing(2), &other);
+    assert_eq!(pull().0, 77, "another key under the same name");
+    server.publish_signed(standing(3), &key);
+    let (code, pulled, errors) = pull();
+    assert_eq!(
+        (code, &pulled["policy"]["version"]),
+        (0, &3.into()),
+        "{errors}"
+    );
+    // Nothing that was not signed left a trace.
+    assert_eq!(status(&state)["quarantined"], serde_json::json!([]));
     server.stop();
 }

@@ -11,6 +11,7 @@ use clap::{Args, Subcommand};
 use serde_json::json;
 
 use crate::commands::eval::read_policy;
+use crate::commands::policy_sign;
 use crate::say;
 
 #[derive(Debug, Subcommand)]
@@ -35,6 +36,10 @@ pub enum PolicyCommand {
         #[arg(long)]
         json: bool,
     },
+    /// Make a key that signs policies, and a trust file for robots
+    Keygen(policy_sign::KeygenArgs),
+    /// Publish a policy of one stream into another, signed
+    Release(policy_sign::ReleaseArgs),
     /// Fetch a policy from a policy server, checked, into a file
     Pull {
         #[command(flatten)]
@@ -71,6 +76,8 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
             limit,
             json,
         } => list(server, *limit, *json),
+        PolicyCommand::Keygen(args) => policy_sign::keygen(args),
+        PolicyCommand::Release(args) => policy_sign::release(args),
         PolicyCommand::Show { file, json } => show(file, &read_policy(file)?, *json),
         PolicyCommand::Pull {
             server,
@@ -113,7 +120,19 @@ impl ServerArgs {
             .or_exit(ExitCode::BadConfig)
     }
 
-    fn client(&self) -> Result<RegistryClient, ClientError> {
+    /// The stream, which must have been given.
+    pub fn one_stream(&self) -> Result<StreamName, Failure> {
+        self.stream()?.ok_or_else(|| {
+            Failure::message(
+                ExitCode::BadConfig,
+                "which stream? `caudata policy list` shows them",
+            )
+            .hint("add --stream NAME")
+        })
+    }
+
+    /// A client of the server.
+    pub fn client(&self) -> Result<RegistryClient, ClientError> {
         RegistryClient::with_tls(&self.server, self.tls_dir.as_deref())
     }
 }
@@ -297,13 +316,7 @@ fn pull(
     out: &std::path::Path,
     json: bool,
 ) -> Result<(), Failure> {
-    let stream = server.stream()?.ok_or_else(|| {
-        Failure::message(
-            ExitCode::BadConfig,
-            "which stream? `caudata policy list` shows them",
-        )
-        .hint("add --stream NAME")
-    })?;
+    let stream = server.one_stream()?;
     let (manifest, bytes) = block_on(async {
         let mut client = server.client()?;
         let manifest = client.manifest(&stream, version).await?;

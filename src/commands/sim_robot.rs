@@ -23,6 +23,7 @@ use caudata_task::JointTable;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag, announce};
 
 use crate::commands::robot_model;
+use crate::commands::sim_robot_pty::{self, PtyArgs};
 
 /// How often a wait looks at the stop flag.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -38,6 +39,11 @@ pub struct SimRobotArgs {
     /// Robot file; default: the configuration's
     #[arg(long, value_name = "FILE.robot.toml")]
     robot: Option<PathBuf>,
+    /// How the robot is reached: `tcp`, or `pty` for emulated servos and IMU on pseudo-terminals
+    #[arg(long, value_enum, default_value_t = LinkKind::Tcp)]
+    bus: LinkKind,
+    #[command(flatten)]
+    pty: PtyArgs,
     /// Address to listen on; port 0 takes any free one. It is printed as one JSON line
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7402")]
     addr: SocketAddr,
@@ -52,6 +58,15 @@ pub struct SimRobotArgs {
     config: ConfigArgs,
 }
 
+/// How the robot is reached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum LinkKind {
+    /// Readings and commands in lock-step, over TCP.
+    Tcp,
+    /// The wire protocol of servos and IMU, on pseudo-terminals.
+    Pty,
+}
+
 /// Serves one client after the other until asked to stop.
 pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
     let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
@@ -60,6 +75,9 @@ pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
     }
     let model = Arc::new(robot_model::load(&config.robot_path())?);
     JointTable::from_model(&model).or_exit(ExitCode::BadInput)?;
+    if args.bus == LinkKind::Pty {
+        return sim_robot_pty::run(&args.pty, &config, model, args.seed, stop);
+    }
     let contact_force_n = config.task.reward.contact_force_n;
     let engine = caudata_sim::build(model, 1, &config.engine, &config.terrain, args.seed, 1)
         .or_exit(ExitCode::BadConfig)?;

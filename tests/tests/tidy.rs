@@ -145,11 +145,16 @@ fn only_the_learner_links_libtorch() {
 fn what_may_depend_on_what() {
     let metadata = metadata();
     // (package, packages that it must not link, why)
-    let rules: [(&str, &[&str], &str); 9] = [
+    let rules: [(&str, &[&str], &str); 10] = [
         (
             "caudata-deploy",
             &["caudata-sim", "rapier3d", "caudata-env"],
             "the robot runs no simulator",
+        ),
+        (
+            "caudata-hardware",
+            &["caudata-sim", "tokio", "caudata-task"],
+            "servos and sensors know neither physics nor the task",
         ),
         (
             "caudata-task",

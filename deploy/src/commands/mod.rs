@@ -1,5 +1,8 @@
 //! The commands of `caudata-robot`.
 
+mod doctor;
+mod drive;
+mod probe;
 mod pull;
 mod run;
 mod status;
@@ -10,13 +13,16 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 use caudata_proto::registry::StreamName;
+use caudata_signing::Trust;
 use caudata_task::TaskConfig;
 use caudata_telemetry::{Failure, LogArgs, Metrics, Process};
 use clap::{Parser, Subcommand};
 use serde::Serialize;
 
+use crate::hardware::PortOverrides;
 use crate::keeper::Keeper;
 use crate::metrics::RobotMetrics;
+use crate::probe::{CHILD_DEADLINE, ProbeProgram};
 use crate::store::PolicyStore;
 use crate::{DeployError, failure};
 
@@ -36,7 +42,7 @@ pub struct Args {
 const EXIT_CODES: &str = "\
 Exit codes: 0 done · 64 flag · 65 bad input file or state · 66 input missing · 69 server or robot gone, nothing to run
   70 internal · 71 system resource · 73 output cannot be made · 74 disk full or I/O · 76 another protocol or robot
-  77 policy refused, nothing else to run · 130 interrupted twice";
+  77 policy refused, nothing else to run · 79 the robot is not fit for torque · 130 interrupted twice";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -44,6 +50,12 @@ enum Command {
     Run(Box<RunArgs>),
     /// Pull, verify and store the newest policy; run nothing
     Pull(pull::PullArgs),
+    #[command(hide = true)]
+    Probe(probe::ProbeArgs),
+    /// Check servos, supply, pose and IMU before any torque
+    Doctor(doctor::DoctorArgs),
+    /// Send velocity commands to a robot that runs with --link-addr: w s a d q e, space stops, k kills
+    Drive(drive::DriveArgs),
     /// Show which policies this robot holds and trusts
     Status(status::StatusArgs),
 }
@@ -67,6 +79,29 @@ pub struct SourceArgs {
     /// Folder in which this robot keeps its policies
     #[arg(long, value_name = "DIR")]
     pub state: PathBuf,
+    /// Take only policies that keys of this file signed (`caudata policy release`)
+    #[arg(long, value_name = "FILE.toml")]
+    pub trust: Option<PathBuf>,
+}
+
+/// Ports instead of those of the wiring file.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PortArgs {
+    /// Serial port of the servos instead of the wiring file's
+    #[arg(long, value_name = "PATH")]
+    servo_port: Option<PathBuf>,
+    /// IMU bus instead of the wiring file's: a Linux I²C bus, or `bridge:` and the serial port of a bridge
+    #[arg(long, value_name = "BUS")]
+    imu_bus: Option<String>,
+}
+
+impl PortArgs {
+    fn overrides(&self) -> PortOverrides {
+        PortOverrides {
+            servo_port: self.servo_port.clone(),
+            imu_bus: self.imu_bus.clone(),
+        }
+    }
 }
 
 /// Runs the command.
@@ -78,6 +113,9 @@ pub fn dispatch(args: &Args, process: &Process) -> Result<(), Failure> {
         Command::Run(args) => run::run(args, process),
         Command::Pull(args) => pull::run(args),
         Command::Status(args) => status::run(args),
+        Command::Probe(args) => probe::run(args),
+        Command::Drive(args) => drive::run(args, process),
+        Command::Doctor(args) => doctor::run(args),
     }
     .map_err(failure)
 }
@@ -100,8 +138,20 @@ impl Source {
         })?;
         let metrics = RobotMetrics::register(metrics);
         let store = PolicyStore::open(&args.state)?;
+        let mut keeper = Keeper::new(store, model.clone(), metrics.clone());
+        if let Some(path) = &args.trust {
+            keeper = keeper.trusting(Trust::read(path)?);
+        }
+        // Without a program of its own there is nobody to try candidates; the checks here stay.
+        if let Ok(program) = std::env::current_exe() {
+            keeper = keeper.probing(ProbeProgram {
+                program,
+                robot: args.robot.clone(),
+                deadline: CHILD_DEADLINE,
+            });
+        }
         let source = Self {
-            keeper: Keeper::new(store, model.clone(), metrics.clone()),
+            keeper,
             model,
             control_period_s: TaskConfig::default().control_period_s,
             stream,

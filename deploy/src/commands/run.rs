@@ -1,20 +1,29 @@
 //! `caudata-robot run`.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use caudata_dynamixel::{BusFault, SerialPort};
+use caudata_hardware::wiring::Limits;
+use caudata_hardware::{I2c, JointWiring, Wiring};
+use caudata_model::RobotModel;
 use caudata_telemetry::{Metrics, MetricsServer, Process};
 use crossbeam_channel::Receiver;
 
 use crate::DeployError;
-use crate::commands::{Source, SourceArgs, say, say_json};
-use crate::control::{ControlLoop, RunPlan};
-use crate::flight_log::{FlightLog, LogCounts, meta};
+use crate::bus::{BusError, Health, Robot};
+use crate::command_link::{LinkKey, UdpLink};
+use crate::commands::{PortArgs, Source, SourceArgs, say, say_json};
+use crate::control::{ControlLoop, READ_DEADLINE, RunPlan};
+use crate::flight_log::{FlightLog, LogCounts, meta, write_rows};
 use crate::follower::Follower;
 use crate::gate::HELD_IN_A_ROW_MAX;
+use crate::guard::Fault;
+use crate::hardware::inspect::{self, Inspection, Mark};
+use crate::hardware::{HardwareRobot, open_bus, open_imu, read_wiring};
 use crate::keeper::Keeper;
 use crate::metrics::RobotMetrics;
 use crate::pacing::SystemClock;
@@ -34,12 +43,23 @@ const RATE_LIMIT_FACTOR: f64 = 2.0;
 pub struct RunArgs {
     #[command(flatten)]
     source: SourceArgs,
-    /// The robot: `sim:HOST:PORT` is a simulated one (`caudata sim robot`)
+    /// The robot: `sim:HOST:PORT` is a simulated one (`caudata sim robot`), `wiring:FILE.toml` real servos, or emulated ones
     #[arg(long, value_name = "BUS")]
     bus: BusAddress,
+    #[command(flatten)]
+    ports: PortArgs,
     /// Folder for the log of this run; none when absent
     #[arg(long, value_name = "DIR")]
     log_dir: Option<PathBuf>,
+    /// Folder for the last 30 s before a run ended badly (fall, fault, kill); none when absent
+    #[arg(long, value_name = "DIR")]
+    recorder_dir: Option<PathBuf>,
+    /// Take velocity commands from `caudata-robot drive` at this UDP address
+    #[arg(long, value_name = "ADDR", requires = "link_key", conflicts_with_all = ["command", "commands"])]
+    link_addr: Option<SocketAddr>,
+    /// File with the key that both ends of the command link share
+    #[arg(long, value_name = "FILE")]
+    link_key: Option<PathBuf>,
     /// What the robot stands on, for the log
     #[arg(long, value_name = "TEXT", default_value = "")]
     terrain: String,
@@ -74,6 +94,8 @@ pub struct RunArgs {
 pub enum BusAddress {
     /// A simulated robot at `host:port`.
     Sim(String),
+    /// The servos and the IMU of a wiring file.
+    Wiring(PathBuf),
 }
 
 impl FromStr for BusAddress {
@@ -82,7 +104,8 @@ impl FromStr for BusAddress {
     fn from_str(text: &str) -> Result<Self, String> {
         match text.split_once(':') {
             Some(("sim", address)) if address.contains(':') => Ok(Self::Sim(address.to_owned())),
-            _ => Err("must be sim:HOST:PORT".to_owned()),
+            Some(("wiring", path)) if !path.is_empty() => Ok(Self::Wiring(path.into())),
+            _ => Err("must be sim:HOST:PORT or wiring:FILE.toml".to_owned()),
         }
     }
 }
@@ -106,8 +129,91 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         None => None,
     };
     let verified = choose(&source)?;
-    let BusAddress::Sim(address) = &args.bus;
-    let mut robot = SimLink::connect(address, &source.model, source.control_period_s)?;
+    match &args.bus {
+        BusAddress::Sim(address) => {
+            let mut robot = SimLink::connect(address, &source.model, source.control_period_s)?;
+            let plan = plan(args, &source, commands, READ_DEADLINE, None);
+            walk(args, &source, &mut robot, plan, verified, metrics, process)
+        }
+        BusAddress::Wiring(path) => {
+            let overrides = args.ports.overrides();
+            let (wiring, joints) = read_wiring(path, &source.model, &overrides)?;
+            let mut robot = open_robot(&wiring, joints, &source.model)?;
+            let deadline = Duration::from_millis(wiring.bus.read_deadline_ms);
+            let plan = plan(args, &source, commands, deadline, Some(wiring.limits));
+            let result = walk(args, &source, &mut robot, plan, verified, metrics, process);
+            tracing::info!(counts = ?robot.bus_counts(), "servo bus");
+            result
+        }
+    }
+}
+
+fn plan(
+    args: &RunArgs,
+    source: &Source,
+    commands: CommandTable,
+    read_deadline: Duration,
+    limits: Option<Limits>,
+) -> RunPlan {
+    RunPlan {
+        period: Duration::from_secs_f64(source.control_period_s),
+        walk_s: args.seconds,
+        commands,
+        step_max_rad: step_max_rad(source),
+        read_deadline,
+        limits,
+    }
+}
+
+/// Servos and IMU, inspected; servos that hold something else are set right.
+fn open_robot(
+    wiring: &Wiring,
+    joints: Vec<JointWiring>,
+    model: &RobotModel,
+) -> Result<HardwareRobot<SerialPort, Box<dyn I2c + Send>>, DeployError> {
+    let mut bus = open_bus(wiring)?;
+    let lost = |fault: BusFault| BusError::Lost {
+        reason: fault.to_string(),
+    };
+    let servos = inspect::servos(&mut bus, wiring, &joints, model, true).map_err(lost)?;
+    for check in &servos.checks {
+        if check.mark == Mark::Fixed {
+            tracing::warn!(
+                at = check.at,
+                what = check.what,
+                found = check.found,
+                "set right"
+            );
+        }
+    }
+    fit(&servos)?;
+    let mut imu = open_imu(wiring)?;
+    fit(&inspect::imu(&mut imu))?;
+    HardwareRobot::new(bus, imu, wiring, joints)
+}
+
+/// Refuses a robot with which something is wrong.
+pub(super) fn fit(inspection: &Inspection) -> Result<(), DeployError> {
+    let Some(first) = inspection.wrong().next() else {
+        return Ok(());
+    };
+    Err(DeployError::Unfit {
+        wrong: inspection.wrong().count(),
+        checks: inspection.checks.len(),
+        first: format!("{}: {}: {}", first.at, first.what, first.found),
+    })
+}
+
+/// Follows, keeps house and drives.
+fn walk<R: Robot>(
+    args: &RunArgs,
+    source: &Source,
+    robot: &mut R,
+    plan: RunPlan,
+    verified: Verified,
+    metrics: RobotMetrics,
+    process: &Process,
+) -> Result<(), DeployError> {
     let slot = Slot::default();
     let (updates, events) = Updates::new(slot.clone());
     let follower = match args.follow {
@@ -121,20 +227,15 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         false => None,
     };
     let housekeeper = keep_house(source.keeper.clone(), events)?;
-    let plan = RunPlan {
-        period: Duration::from_secs_f64(source.control_period_s),
-        walk_s: args.seconds,
-        commands,
-        step_max_rad: step_max_rad(&source),
-    };
     let result = drive(
-        args, &source, &mut robot, plan, verified, updates, metrics, process,
+        args, source, robot, plan, verified, updates, metrics, process,
     );
     drop(follower);
     if housekeeper.join().is_err() {
         tracing::error!("the housekeeping thread panicked");
     }
-    finish(args, result?)
+    let (summary, fault) = result?;
+    finish(args, summary, fault)
 }
 
 /// The server's newest policy, or else the best on the disk.
@@ -158,16 +259,16 @@ fn choose(source: &Source) -> Result<Verified, DeployError> {
 }
 
 /// The run itself.
-fn drive(
+fn drive<R: Robot>(
     args: &RunArgs,
     source: &Source,
-    robot: &mut SimLink,
+    robot: &mut R,
     plan: RunPlan,
     verified: Verified,
     updates: Updates,
     metrics: RobotMetrics,
     process: &Process,
-) -> Result<RunSummary, DeployError> {
+) -> Result<(RunSummary, Option<(Fault, Health)>), DeployError> {
     let clock = SystemClock::new();
     let runner = PolicyRunner::new(verified, None)?;
     warn_of_untrained(&plan, &runner);
@@ -185,8 +286,19 @@ fn drive(
         let log = FlightLog::create(folder, &source.model, &meta, &first.truth)?;
         control.set_log(log);
     }
+    if let (Some(addr), Some(key)) = (args.link_addr, &args.link_key) {
+        control.set_link(Box::new(UdpLink::listen(addr, LinkKey::read(key)?)?));
+    }
     let result = control.run(&process.stop);
+    if let Some(folder) = &args.recorder_dir {
+        let calm = matches!(result, Ok(Ended::Time | Ended::Signal));
+        // The run's own error comes first.
+        if let Err(error) = record(folder, source, args, &control, calm) {
+            tracing::error!(%error, "the last moments are lost");
+        }
+    }
     let policy = control.runner().policy().clone();
+    let fault = control.fault();
     let (log, counts) = control.into_parts();
     // The log is closed whatever happened; the run's own error comes first.
     let rows = log.map(FlightLog::finish).transpose();
@@ -194,7 +306,7 @@ fn drive(
     let rows: LogCounts = rows?.unwrap_or_default();
     let commanded = counts.mean_command();
     let travel = counts.odometer.result();
-    Ok(RunSummary {
+    let summary = RunSummary {
         robot: source.model.name().to_owned(),
         policy_stream: policy.stream,
         policy_version: policy.version,
@@ -215,7 +327,32 @@ fn drive(
         commanded,
         achieved: travel.map(|(velocity, _)| velocity),
         distance_m: travel.map(|(_, distance)| distance),
-    })
+    };
+    Ok((summary, fault))
+}
+
+/// Writes the last 30 s of a run that ended badly.
+fn record<R: Robot>(
+    folder: &Path,
+    source: &Source,
+    args: &RunArgs,
+    control: &ControlLoop<'_, R, SystemClock>,
+    calm: bool,
+) -> Result<(), DeployError> {
+    let rows = control.recorder();
+    let Some(last) = rows.iter().last().filter(|_| !calm) else {
+        return Ok(());
+    };
+    let meta = meta(
+        &source.model,
+        control.runner().policy(),
+        source.control_period_s,
+        last.servos.supply_v,
+        &args.terrain,
+    );
+    let rows = write_rows(folder, &source.model, &meta, rows.iter())?;
+    tracing::error!(folder = %folder.display(), rows, "the last moments are written");
+    Ok(())
 }
 
 fn warn_of_untrained(plan: &RunPlan, runner: &PolicyRunner) {
@@ -231,7 +368,11 @@ fn warn_of_untrained(plan: &RunPlan, runner: &PolicyRunner) {
 }
 
 /// Prints the summary; a policy that had to be stopped is a failure.
-fn finish(args: &RunArgs, summary: RunSummary) -> Result<(), DeployError> {
+fn finish(
+    args: &RunArgs,
+    summary: RunSummary,
+    fault: Option<(Fault, Health)>,
+) -> Result<(), DeployError> {
     if args.json {
         say_json(&summary)?;
     } else {
@@ -246,6 +387,10 @@ fn finish(args: &RunArgs, summary: RunSummary) -> Result<(), DeployError> {
             },
             in_a_row: HELD_IN_A_ROW_MAX,
         });
+    }
+    if let Some((fault, health)) = fault {
+        let detail = format!("{health:?}");
+        return Err(DeployError::Stopped { fault, detail });
     }
     Ok(())
 }

@@ -7,6 +7,7 @@ use sha2::{Digest, Sha256};
 
 use super::*;
 use crate::bus::{Imu, ServoBus};
+use crate::command_link::LinkView;
 use crate::state::{PolicyRef, Sha256Digest};
 use crate::testing::{model, policy_file, standing};
 use crate::updates::Slot;
@@ -38,6 +39,10 @@ struct FakeRobot {
     broken_from: usize,
     /// From this command on it lies on its back.
     falls_from: usize,
+    /// From this command on the hardware says this about itself.
+    ill: (usize, Health),
+    /// From this command on the IMU gives no number.
+    blind_from: usize,
     /// Reads that time out after each command number given here: (commands sent, reads left).
     silent: (usize, u32),
 }
@@ -50,6 +55,8 @@ impl FakeRobot {
             torque_off: 0,
             broken_from: usize::MAX,
             falls_from: usize::MAX,
+            ill: (usize::MAX, Health::default()),
+            blind_from: usize::MAX,
             silent: (usize::MAX, 0),
         }
     }
@@ -86,15 +93,23 @@ impl ServoBus for FakeRobot {
 impl Imu for FakeRobot {
     fn reading(&mut self) -> Result<ImuReading, BusError> {
         let fallen = self.sent.len() >= self.falls_from;
+        let blind = self.sent.len() >= self.blind_from;
         Ok(ImuReading {
-            gyro_radps: [0.0; 3],
+            gyro_radps: [if blind { f32::NAN } else { 0.0 }; 3],
             acc_mps2: [0.0, 0.0, 9.81],
             gravity: Some([0.0, 0.0, if fallen { 1.0 } else { -1.0 }]),
         })
     }
 }
 
-impl Robot for FakeRobot {}
+impl Robot for FakeRobot {
+    fn health(&self) -> Health {
+        match self.sent.len() >= self.ill.0 {
+            true => self.ill.1,
+            false => Health::default(),
+        }
+    }
+}
 
 fn verified(version: u64, bytes: Vec<u8>) -> Verified {
     let policy = PolicyRef {
@@ -124,6 +139,8 @@ fn run_with(
         walk_s: Some(walk_s),
         commands: CommandTable::constant(WalkCommand([0.9, 0.0, 0.0])),
         step_max_rad: 0.3,
+        read_deadline: READ_DEADLINE,
+        limits: None,
     };
     let (updates, events) = Updates::new(slot);
     let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
@@ -259,4 +276,159 @@ fn ten_good_seconds_make_a_good_policy() {
         long.events.try_recv().unwrap(),
         PolicyEvent::Good(_)
     ));
+}
+
+/// A run of the policy that stands, with `change` made to the robot: why it ended, the number of targets sent, and its counts.
+fn stopped(change: impl FnOnce(&mut FakeRobot)) -> (Ended, usize, u32) {
+    let mut robot = FakeRobot::new();
+    change(&mut robot);
+    let policy = verified(1, standing(1));
+    let run = run_with(&mut robot, policy, Slot::default(), 100.0, &StopFlag::new());
+    (run.result.unwrap(), robot.sent.len(), robot.torque_off)
+}
+
+#[test]
+fn fault_39_41_42_43_hardware_faults_stand_or_brake_and_let_go() {
+    let ill = |health| stopped(|robot| robot.ill = (150, health));
+    let silent = |ticks| Health {
+        silent_ticks: ticks,
+        ..Health::default()
+    };
+    // Stand: already there, half a second of rest (25 ticks), torque off.
+    let (why, sent, off) = ill(silent(3));
+    assert_eq!((why, off), (Ended::Fault(Fault::ServoSilent), 1));
+    assert!((175..=180).contains(&sent), "{sent}");
+    // Damped: a second of braking (50 ticks), torque off.
+    let (why, sent, off) = ill(silent(10));
+    assert_eq!((why, off), (Ended::Fault(Fault::ServoSilent), 1));
+    assert!((200..=202).contains(&sent), "{sent}");
+    let alert = Health {
+        alert: Some((9, 0x20)),
+        ..Health::default()
+    };
+    assert_eq!(ill(alert).0, Ended::Fault(Fault::ServoAlert));
+    let restarted = Health {
+        restarted: Some(9),
+        ..Health::default()
+    };
+    assert_eq!(ill(restarted).0, Ended::Fault(Fault::ServoRestarted));
+    let fired = Health {
+        watchdog_fired: Some(9),
+        ..Health::default()
+    };
+    assert_eq!(ill(fired).0, Ended::Fault(Fault::WatchdogFired));
+    // One or two ticks of silence are nothing: it walks until the time is over.
+    let mut robot = FakeRobot::new();
+    robot.ill = (150, silent(2));
+    let policy = verified(1, standing(1));
+    let run = run_with(&mut robot, policy, Slot::default(), 2.0, &StopFlag::new());
+    assert_eq!(run.result.unwrap(), Ended::Time);
+}
+
+#[test]
+fn fault_45_an_imu_without_numbers_counts_as_fallen() {
+    // The policy stands whatever it sees; only the IMU speaks against going on. A NaN in the observation is held back as well.
+    let (why, _, off) = stopped(|robot| robot.blind_from = 150);
+    assert!(matches!(why, Ended::Fallen | Ended::BadActions), "{why:?}");
+    assert_eq!(off, 1);
+}
+
+/// A link whose newest command came at `heard`, by the number of views so far; a kill from view `kill_from` on.
+struct FakeLink {
+    views: u32,
+    heard: fn(u32) -> Option<u32>,
+    kill_from: u32,
+}
+
+impl CommandLink for FakeLink {
+    fn view(&mut self) -> LinkView {
+        self.views += 1;
+        let age = (self.heard)(self.views).map(|at| PERIOD * (self.views - at));
+        LinkView {
+            command: [0.2, 0.0, 0.0],
+            age: age.unwrap_or(Duration::MAX),
+            killed: self.views >= self.kill_from,
+        }
+    }
+}
+
+fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<[f32; ACT_DIM]>, f64) {
+    let mut robot = FakeRobot::new();
+    let clock = FakeClock::default();
+    let plan = RunPlan {
+        period: PERIOD,
+        walk_s: Some(walk_s),
+        commands: CommandTable::constant(WalkCommand([0.9, 0.0, 0.0])),
+        step_max_rad: 0.3,
+        read_deadline: READ_DEADLINE,
+        limits: None,
+    };
+    let (updates, _events) = Updates::new(Slot::default());
+    let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
+    // Walks with every joint at the same offset from the nominal pose, whatever it sees.
+    let bytes = policy_file(1, |spec, _| spec.layers[0].weight.fill(0.0));
+    let runner = PolicyRunner::new(verified(1, bytes), None).unwrap();
+    let mut control =
+        ControlLoop::start(&mut robot, &clock, plan, runner, updates, metrics).unwrap();
+    control.set_link(Box::new(link));
+    let result = control.run(&StopFlag::new());
+    let vx = control.into_parts().1.mean_command().vx_mps;
+    (result, robot.sent, vx)
+}
+
+#[test]
+fn fault_47_a_silent_link_stops_then_stands_and_walks_on_when_it_is_back() {
+    // Heard at every tick until 200, then nothing until 400, then again.
+    let link = FakeLink {
+        views: 0,
+        heard: |view| {
+            Some(if (200..400).contains(&view) {
+                200
+            } else {
+                view
+            })
+        },
+        kill_from: u32::MAX,
+    };
+    let (result, sent, vx) = linked(link, 10.0);
+    assert_eq!(result.unwrap(), Ended::Time);
+    let model = model();
+    let nominal: Vec<f32> = model.nominal_pos_rad().iter().map(|q| *q as f32).collect();
+    let stands = |tick: usize| sent[tick].as_slice() == nominal;
+    assert!(!stands(190) && !stands(240), "walks, then with speed 0");
+    // 1 s (50 ticks) after the last command it goes back at 0.01 rad per tick and stands.
+    assert!(stands(390), "stands");
+    assert!(!stands(430), "walks on");
+    // The mean is below the 0.2 m/s commanded, and not 0.
+    assert!(vx > 0.1 && vx < 0.2, "{vx}");
+}
+
+#[test]
+fn a_link_that_never_spoke_keeps_the_robot_standing() {
+    let link = FakeLink {
+        views: 0,
+        heard: |_| None,
+        kill_from: 300,
+    };
+    let (result, sent, _) = linked(link, 100.0);
+    assert_eq!(result.unwrap(), Ended::Killed);
+    let model = model();
+    let nominal: Vec<f32> = model.nominal_pos_rad().iter().map(|q| *q as f32).collect();
+    assert!(sent[150..290].iter().all(|s| {
+        let far = s.iter().zip(&nominal).map(|(a, b)| (a - b).abs());
+        far.fold(0.0, f32::max) < 0.02
+    }));
+}
+
+#[test]
+fn a_kill_brakes_at_the_next_tick() {
+    let link = FakeLink {
+        views: 0,
+        heard: Some,
+        kill_from: 200,
+    };
+    let (result, sent, _) = linked(link, 100.0);
+    assert_eq!(result.unwrap(), Ended::Killed);
+    // Damped for 50 ticks from view 200 on, then off.
+    assert!((249..=252).contains(&sent.len()), "{}", sent.len());
 }

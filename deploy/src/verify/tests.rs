@@ -140,7 +140,7 @@ fn a_policy_for_something_else_is_refused_in_one_clear_line() {
 }
 
 #[test]
-fn a_policy_that_must_know_whether_it_swims_is_refused() {
+fn a_policy_that_knows_land_from_water_passes_with_its_own_layout_only() {
     let task = TaskConfig {
         observe_medium: true,
         ..TaskConfig::default()
@@ -153,11 +153,8 @@ fn a_policy_that_must_know_whether_it_swims_is_refused() {
         spec.layers[0].weight.resize(98 * ACT_DIM, 0.0);
     });
     let policy = reference(1, &bytes);
-    let line = refusal(bytes, &policy).to_string();
-    assert_eq!(
-        line,
-        "the policy differs from what is expected here in its observation layout"
-    );
+    let passed = verify(bytes.into(), &policy, &model()).unwrap();
+    assert_eq!(passed.file.metadata().contract.obs_dim(), 98);
 }
 
 #[test]

@@ -64,6 +64,18 @@ impl Server {
         self.publish_to(STREAM, bytes);
     }
 
+    /// Publishes with a signature.
+    pub fn publish_signed(&self, bytes: Vec<u8>, key: &caudata_signing::ReleaseKey) {
+        let file = PolicyFile::parse(Arc::from(bytes)).unwrap();
+        let mut manifest = manifest_of(StreamName::new(STREAM).unwrap(), &file, 5).unwrap();
+        key.sign(&mut manifest);
+        let address = self.address.to_string();
+        self.runtime.block_on(async move {
+            let mut client = RegistryClient::new(&address).unwrap();
+            client.publish(manifest, file.bytes()).await.unwrap();
+        });
+    }
+
     /// A stream takes policies of one contract only.
     pub fn publish_to(&self, stream: &str, bytes: Vec<u8>) {
         let file = PolicyFile::parse(Arc::from(bytes)).unwrap();

@@ -1,0 +1,102 @@
+//! An emulated bus behind the host's port trait, in one process and with a time of its own: waiting costs nothing.
+
+use std::io;
+use std::time::Instant;
+
+use crate::emulator::EmulatedBus;
+use crate::port::Port;
+
+/// The host's end of an [`EmulatedBus`]. Its time moves when the host waits.
+#[derive(Debug)]
+pub struct EmulatedPort {
+    bus: EmulatedBus,
+    now_us: u64,
+    /// The deadline given last, by both clocks: deadlines are told by the machine's, which stands still while this one waits.
+    deadline: Option<(Instant, u64)>,
+    arrived: Vec<u8>,
+    /// Noise without end: as many bytes as the host takes.
+    babbles: bool,
+}
+
+impl EmulatedPort {
+    /// A port to `bus`.
+    pub fn new(bus: EmulatedBus) -> Self {
+        Self {
+            bus,
+            now_us: 0,
+            deadline: None,
+            arrived: Vec::new(),
+            babbles: false,
+        }
+    }
+
+    /// The far end.
+    pub fn bus(&mut self) -> &mut EmulatedBus {
+        &mut self.bus
+    }
+
+    /// Time over there, µs.
+    pub fn now_us(&self) -> u64 {
+        self.now_us
+    }
+
+    /// Lets time pass.
+    pub fn wait_us(&mut self, us: u64) {
+        self.now_us += us;
+        self.bus.pass(self.now_us);
+    }
+
+    /// A deadline by the time over there.
+    fn end_us(&mut self, deadline: Instant) -> u64 {
+        if let Some((known, end_us)) = self.deadline
+            && known == deadline
+        {
+            return end_us;
+        }
+        let left = deadline.saturating_duration_since(Instant::now());
+        let end_us = self.now_us + left.as_micros() as u64;
+        self.deadline = Some((deadline, end_us));
+        end_us
+    }
+
+    /// Noise without end from now on, or no longer.
+    pub fn babble(&mut self, babbles: bool) {
+        self.babbles = babbles;
+    }
+}
+
+impl Port for EmulatedPort {
+    fn send(&mut self, bytes: &[u8], deadline: Instant) -> io::Result<()> {
+        self.end_us(deadline);
+        self.bus.hear(bytes, self.now_us);
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> io::Result<usize> {
+        if self.babbles {
+            buffer.fill(0xFF);
+            return Ok(buffer.len());
+        }
+        if self.arrived.is_empty() {
+            let end = self.end_us(deadline).max(self.now_us);
+            let due = self.bus.next_due_us().map_or(end, |due| due.min(end));
+            self.wait_us(due.saturating_sub(self.now_us));
+            self.bus.collect(self.now_us, &mut self.arrived);
+        }
+        let count = self.arrived.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&self.arrived[..count]);
+        self.arrived.drain(..count);
+        Ok(count)
+    }
+
+    fn discard_input(&mut self) -> io::Result<()> {
+        self.bus.collect(self.now_us, &mut self.arrived);
+        self.arrived.clear();
+        Ok(())
+    }
+
+    fn set_baud(&mut self, baud: u32) -> io::Result<()> {
+        self.bus.set_host_baud(baud);
+        Ok(())
+    }
+}

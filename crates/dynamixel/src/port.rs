@@ -1,0 +1,151 @@
+//! A port that bytes go through, and the serial port of a Linux machine.
+
+use std::fs::File;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{Mode, OFlags, open};
+use rustix::termios::{
+    ControlModes, OptionalActions, QueueSelector, SpecialCodeIndex, tcflush, tcgetattr, tcsetattr,
+};
+
+/// Bytes out and in, each with a deadline.
+pub trait Port {
+    /// Sends all of `bytes`.
+    ///
+    /// # Errors
+    /// `TimedOut` at the deadline; what the system says.
+    fn send(&mut self, bytes: &[u8], deadline: Instant) -> io::Result<()>;
+
+    /// What has arrived, at least one byte; 0 where nothing came until `deadline`.
+    ///
+    /// # Errors
+    /// What the system says; a port that is gone is `UnexpectedEof`.
+    fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> io::Result<usize>;
+
+    /// Throws away what has arrived and was not received.
+    ///
+    /// # Errors
+    /// What the system says.
+    fn discard_input(&mut self) -> io::Result<()>;
+
+    /// Bits per second from now on.
+    ///
+    /// # Errors
+    /// What the system says, also where the port cannot go that fast.
+    fn set_baud(&mut self, baud: u32) -> io::Result<()>;
+}
+
+/// A serial port: raw bytes, 8 bits, no parity, one stop bit, no flow control.
+///
+/// USB adapters with an FTDI chip hold bytes back for 16 ms unless their latency timer is 1 ms
+/// (`/sys/bus/usb-serial/devices/ttyUSB0/latency_timer`); a tick of 20 ms does not work otherwise. `caudata-robot doctor`
+/// measures the round trip.
+#[derive(Debug)]
+pub struct SerialPort {
+    path: PathBuf,
+    file: File,
+}
+
+impl SerialPort {
+    /// Opens the port at `path`.
+    ///
+    /// # Errors
+    /// What the system says; a file that is no terminal cannot be set up.
+    pub fn open(path: &Path, baud: u32) -> io::Result<Self> {
+        let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let file = File::from(open(path, flags, Mode::empty())?);
+        let mut port = Self {
+            path: path.to_owned(),
+            file,
+        };
+        port.set_baud(baud)?;
+        port.discard_input()?;
+        Ok(port)
+    }
+
+    /// Where it was opened.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Waits for `wanted`; false at the deadline.
+    fn ready(&self, wanted: PollFlags, deadline: Instant) -> io::Result<bool> {
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            let timeout = Timespec {
+                tv_sec: i64::try_from(left.as_secs()).unwrap_or(i64::MAX),
+                tv_nsec: i64::from(left.subsec_nanos()),
+            };
+            let mut fds = [PollFd::new(&self.file, wanted)];
+            match poll(&mut fds, Some(&timeout)) {
+                Ok(0) => return Ok(false),
+                Ok(_) => return Ok(true),
+                Err(rustix::io::Errno::INTR) => {}
+                Err(e) => return Err(e.into()),
+            }
+        }
+    }
+}
+
+fn gone() -> io::Error {
+    io::Error::new(ErrorKind::UnexpectedEof, "the port is gone")
+}
+
+impl Port for SerialPort {
+    fn send(&mut self, mut bytes: &[u8], deadline: Instant) -> io::Result<()> {
+        while !bytes.is_empty() {
+            match rustix::io::write(&self.file, bytes) {
+                Ok(0) => return Err(gone()),
+                Ok(n) => bytes = &bytes[n..],
+                Err(rustix::io::Errno::INTR) => {}
+                Err(rustix::io::Errno::AGAIN) => {
+                    if !self.ready(PollFlags::OUT, deadline)? {
+                        return Err(io::Error::new(
+                            ErrorKind::TimedOut,
+                            "the port takes no bytes",
+                        ));
+                    }
+                }
+                Err(e) => return Err(e.into()),
+            }
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> io::Result<usize> {
+        loop {
+            match rustix::io::read(&self.file, &mut *buffer) {
+                Ok(0) => return Err(gone()),
+                Ok(n) => return Ok(n),
+                Err(rustix::io::Errno::INTR) => {}
+                Err(rustix::io::Errno::AGAIN) => {
+                    if !self.ready(PollFlags::IN, deadline)? {
+                        return Ok(0);
+                    }
+                }
+                Err(e) => return Err(e.into()),
+            }
+        }
+    }
+
+    fn discard_input(&mut self) -> io::Result<()> {
+        tcflush(&self.file, QueueSelector::IFlush).map_err(Into::into)
+    }
+
+    fn set_baud(&mut self, baud: u32) -> io::Result<()> {
+        let mut settings = tcgetattr(&self.file)?;
+        settings.make_raw();
+        settings.control_modes |= ControlModes::CREAD | ControlModes::CLOCAL;
+        settings.control_modes -=
+            ControlModes::CSTOPB | ControlModes::PARENB | ControlModes::CRTSCTS;
+        // With 0 an empty port would look like one that is gone.
+        settings.special_codes[SpecialCodeIndex::VMIN] = 1;
+        settings.special_codes[SpecialCodeIndex::VTIME] = 0;
+        settings.set_speed(baud)?;
+        tcsetattr(&self.file, OptionalActions::Now, &settings)?;
+        Ok(())
+    }
+}

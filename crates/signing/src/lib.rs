@@ -1,0 +1,402 @@
+//! Signatures over policy manifests. A robot that trusts keys takes policies by who signed them, not by where they came from: a
+//! stolen server or a stolen TLS key cannot make it walk differently.
+//!
+//! Ed25519 over one exact sequence of bytes ([`signed_bytes`]) that holds every field of the manifest but the signatures. The SHA-256
+//! of the policy file is one of them, and the file holds its contract, so one signature binds all of it.
+//!
+//! *Invariant:* whatever a manifest or a file says, checking never panics, and a key counts once.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+use std::collections::BTreeSet;
+use std::io::{Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+use caudata_proto::registry::{Manifest, Signature};
+use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
+use serde::Deserialize;
+
+/// `format` of a trust file.
+pub const TRUST_FORMAT: &str = "caudata.trust.v1";
+/// First bytes of what is signed: a signature for anything else does not count here.
+const DOMAIN: &[u8] = b"caudata.manifest.v1\0";
+/// Most keys of a trust file.
+const KEYS_MAX: usize = 64;
+
+/// What is wrong with a key or trust file.
+#[derive(Debug, thiserror::Error)]
+pub enum SigningError {
+    /// It cannot be read or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// Which file.
+        path: PathBuf,
+        /// The system's words.
+        source: std::io::Error,
+    },
+    /// Its content is not what it must be.
+    #[error("{}: {reason}", path.display())]
+    Content {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// Why a manifest is not trusted.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("it has {valid} valid signatures of trusted keys, {needed} are needed")]
+pub struct Untrusted {
+    /// Distinct trusted keys with a valid signature.
+    pub valid: usize,
+    /// How many there must be.
+    pub needed: usize,
+}
+
+/// The bytes that are signed: every field, each behind its length, in the order of the manifest.
+pub fn signed_bytes(manifest: &Manifest) -> Vec<u8> {
+    let mut out = DOMAIN.to_vec();
+    let mut put = |field: &[u8]| {
+        out.extend_from_slice(&(field.len() as u64).to_le_bytes());
+        out.extend_from_slice(field);
+    };
+    put(manifest.stream.to_string().as_bytes());
+    put(&manifest.version.to_le_bytes());
+    put(&manifest.sha256);
+    put(&manifest.size.to_le_bytes());
+    put(&manifest.created_unix_ms.to_le_bytes());
+    put(manifest.run_id.as_bytes());
+    put(&manifest.contract_hash);
+    put(manifest.robot_name.as_bytes());
+    put(&manifest.robot_hash);
+    put(&manifest.env_steps.to_le_bytes());
+    put(manifest.training_commit.as_bytes());
+    put(manifest.config_hash.as_bytes());
+    put(manifest
+        .evaluation_json
+        .as_deref()
+        .unwrap_or_default()
+        .as_bytes());
+    out
+}
+
+/// A key that signs.
+pub struct ReleaseKey {
+    id: String,
+    key: SigningKey,
+}
+
+impl ReleaseKey {
+    /// A new key from the system's random source.
+    ///
+    /// # Errors
+    /// [`SigningError::File`].
+    pub fn generate(id: &str) -> Result<Self, SigningError> {
+        let source = Path::new("/dev/urandom");
+        let mut seed = [0; 32];
+        std::fs::File::open(source)
+            .and_then(|mut file| file.read_exact(&mut seed))
+            .map_err(file_error(source))?;
+        Ok(Self::from_seed(id, &seed))
+    }
+
+    /// The key that belongs to a seed.
+    pub fn from_seed(id: &str, seed: &[u8; 32]) -> Self {
+        Self {
+            id: id.to_owned(),
+            key: SigningKey::from_bytes(seed),
+        }
+    }
+
+    /// Reads a key file: 64 hexadecimal digits.
+    ///
+    /// # Errors
+    /// [`SigningError`].
+    pub fn read(path: &Path, id: &str) -> Result<Self, SigningError> {
+        let text = std::fs::read_to_string(path).map_err(file_error(path))?;
+        let seed = from_hex(text.trim()).ok_or_else(|| SigningError::Content {
+            path: path.to_owned(),
+            reason: "a key is 64 hexadecimal digits".to_owned(),
+        })?;
+        Ok(Self::from_seed(id, &seed))
+    }
+
+    /// Writes a new key file, readable by its owner only.
+    ///
+    /// # Errors
+    /// [`SigningError::File`], also where there is a file of this name.
+    pub fn write(&self, path: &Path) -> Result<(), SigningError> {
+        let mut file = std::fs::OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .mode(0o600)
+            .open(path)
+            .map_err(file_error(path))?;
+        let text = format!("{}\n", hex(&self.key.to_bytes()));
+        file.write_all(text.as_bytes()).map_err(file_error(path))
+    }
+
+    /// A trust file that trusts this key alone.
+    pub fn trust_file(&self) -> String {
+        let public = hex(self.key.verifying_key().as_bytes());
+        let id = &self.id;
+        format!(
+            "format = \"{TRUST_FORMAT}\"\nthreshold = 1\n\n[[key]]\nid = \"{id}\"\npublic = \"{public}\"\n"
+        )
+    }
+
+    /// Adds a signature to `manifest`, in place of one by the same key id.
+    pub fn sign(&self, manifest: &mut Manifest) {
+        let signature = self.key.sign(&signed_bytes(manifest)).to_bytes().to_vec();
+        manifest.signatures.retain(|s| s.key_id != self.id);
+        manifest.signatures.push(Signature {
+            key_id: self.id.clone(),
+            signature,
+        });
+    }
+}
+
+fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningError + '_ {
+    move |source| SigningError::File {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// Which keys a robot trusts, and how many of them must have signed.
+#[derive(Clone, Debug)]
+pub struct Trust {
+    threshold: usize,
+    keys: Vec<(String, VerifyingKey)>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TrustFile {
+    format: String,
+    /// Signatures that are needed.
+    threshold: usize,
+    /// Keys that were trusted once; their signatures do not count, also where they are listed below.
+    #[serde(default)]
+    revoked: Vec<String>,
+    #[serde(default)]
+    key: Vec<TrustedKey>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TrustedKey {
+    id: String,
+    /// 64 hexadecimal digits.
+    public: String,
+}
+
+impl Trust {
+    /// Reads a trust file.
+    ///
+    /// # Errors
+    /// [`SigningError`].
+    pub fn read(path: &Path) -> Result<Self, SigningError> {
+        let text = std::fs::read_to_string(path).map_err(file_error(path))?;
+        Self::parse(&text).map_err(|reason| SigningError::Content {
+            path: path.to_owned(),
+            reason,
+        })
+    }
+
+    /// Parses and checks a trust file.
+    ///
+    /// # Errors
+    /// What is wrong, in one line.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let file: TrustFile =
+            toml::from_str(text).map_err(|e| e.to_string().trim().replace('\n', " "))?;
+        if file.format != TRUST_FORMAT {
+            return Err(format!("format is `{}`, not `{TRUST_FORMAT}`", file.format));
+        }
+        if file.key.len() > KEYS_MAX {
+            return Err(format!("more than {KEYS_MAX} keys"));
+        }
+        let (mut ids, mut publics, mut keys) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
+        for TrustedKey { id, public } in file.key {
+            let key = from_hex(&public).and_then(|bytes| VerifyingKey::from_bytes(&bytes).ok());
+            let key = key.ok_or_else(|| format!("key `{id}`: `public` is not an Ed25519 key"))?;
+            // One key under two names would count twice.
+            if !publics.insert(key.to_bytes()) || !ids.insert(id.clone()) {
+                return Err(format!("key `{id}` is listed twice"));
+            }
+            if !file.revoked.contains(&id) {
+                keys.push((id, key));
+            }
+        }
+        let threshold = file.threshold;
+        if threshold == 0 || threshold > keys.len() {
+            return Err(format!("threshold {threshold} with {} keys", keys.len()));
+        }
+        Ok(Self { threshold, keys })
+    }
+
+    /// Whether enough trusted keys signed `manifest`.
+    ///
+    /// # Errors
+    /// [`Untrusted`].
+    pub fn check(&self, manifest: &Manifest) -> Result<(), Untrusted> {
+        let bytes = signed_bytes(manifest);
+        let signed = |(id, key): &&(String, VerifyingKey)| {
+            manifest.signatures.iter().any(|signature| {
+                let form = ed25519_dalek::Signature::from_slice(&signature.signature);
+                signature.key_id == *id && form.is_ok_and(|s| key.verify_strict(&bytes, &s).is_ok())
+            })
+        };
+        // By trusted key, not by signature: the same one twice counts once.
+        let valid = self.keys.iter().filter(signed).count();
+        if valid >= self.threshold {
+            return Ok(());
+        }
+        Err(Untrusted {
+            valid,
+            needed: self.threshold,
+        })
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+fn from_hex(text: &str) -> Option<[u8; 32]> {
+    let digits: Option<Vec<u8>> = text.chars().map(|c| Some(c.to_digit(16)? as u8)).collect();
+    let digits = digits.filter(|d| d.len() == 64)?;
+    Some(std::array::from_fn(|i| {
+        digits[2 * i] << 4 | digits[2 * i + 1]
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use caudata_proto::registry::StreamName;
+
+    fn manifest() -> Manifest {
+        Manifest {
+            stream: StreamName::new("release/flat").unwrap(),
+            version: 7,
+            sha256: [1; 32],
+            size: 1000,
+            created_unix_ms: 5,
+            run_id: "run".into(),
+            contract_hash: [2; 32],
+            robot_name: "polymander".into(),
+            robot_hash: [3; 32],
+            env_steps: 9,
+            training_commit: String::new(),
+            config_hash: "c".into(),
+            evaluation_json: Some("{}".into()),
+            signatures: Vec::new(),
+        }
+    }
+
+    fn key(number: u8) -> ReleaseKey {
+        ReleaseKey::from_seed(&format!("k{number}"), &[number; 32])
+    }
+
+    fn trust(numbers: &[u8], threshold: usize, revoked: &str) -> Result<Trust, String> {
+        let mut text = format!(
+            "format = \"{TRUST_FORMAT}\"\nthreshold = {threshold}\nrevoked = [{revoked}]\n"
+        );
+        for number in numbers {
+            let own = key(*number).trust_file();
+            text.push_str(own.split_once("\n\n").unwrap().1);
+        }
+        Trust::parse(&text)
+    }
+
+    #[test]
+    fn the_signature_of_rfc_8032_test_1() {
+        // Section 7.1: seed and public key of the empty message's test vector.
+        let seed =
+            from_hex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60").unwrap();
+        let key = ReleaseKey::from_seed("rfc", &seed);
+        assert!(
+            key.trust_file()
+                .contains("d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a")
+        );
+        let signature = hex(&key.key.sign(b"").to_bytes());
+        assert!(
+            signature
+                .starts_with("e5564300c360ac729086e2cc806e828a84877f1eb8e5d974d873e06522490155")
+        );
+    }
+
+    #[test]
+    fn fault_20_every_field_is_bound() {
+        let mut signed = manifest();
+        key(1).sign(&mut signed);
+        let trust = trust(&[1], 1, "").unwrap();
+        assert_eq!(trust.check(&signed), Ok(()));
+        let changes: [fn(&mut Manifest); 14] = [
+            |m| m.stream = StreamName::new("release/other").unwrap(),
+            |m| m.version += 1,
+            |m| m.sha256[31] ^= 1,
+            |m| m.size += 1,
+            |m| m.created_unix_ms += 1,
+            |m| m.run_id.push('x'),
+            |m| m.contract_hash[0] ^= 1,
+            |m| m.robot_name.push('x'),
+            |m| m.robot_hash[0] ^= 1,
+            |m| m.env_steps += 1,
+            |m| m.training_commit.push('x'),
+            |m| m.config_hash.clear(),
+            |m| m.evaluation_json = None,
+            // A letter that moves from one field to the next is another message, too.
+            |m| {
+                m.training_commit = "c".into();
+                m.config_hash.clear();
+            },
+        ];
+        for (index, change) in changes.iter().enumerate() {
+            let mut other = signed.clone();
+            change(&mut other);
+            assert!(trust.check(&other).is_err(), "change {index}");
+        }
+    }
+
+    #[test]
+    fn fault_22_unknown_revoked_duplicate_and_too_few_are_refused() {
+        let by = |numbers: &[u8]| {
+            let mut signed = manifest();
+            numbers.iter().for_each(|n| key(*n).sign(&mut signed));
+            signed
+        };
+        let untrusted = |valid, needed| Err(Untrusted { valid, needed });
+        let one = trust(&[1], 1, "").unwrap();
+        assert_eq!(one.check(&manifest()), untrusted(0, 1));
+        assert_eq!(one.check(&by(&[2])), untrusted(0, 1));
+        let revoked = trust(&[1, 2], 1, "\"k1\"").unwrap();
+        assert_eq!(revoked.check(&by(&[1])), untrusted(0, 1));
+        assert_eq!(revoked.check(&by(&[2])), Ok(()));
+        let two = trust(&[1, 2, 3], 2, "").unwrap();
+        let mut twice = by(&[1]);
+        twice.signatures.push(twice.signatures[0].clone());
+        assert_eq!(two.check(&twice), untrusted(1, 2));
+        assert_eq!(two.check(&by(&[1, 3])), Ok(()));
+        // The signature of one key under the name of another.
+        let mut renamed = by(&[1]);
+        renamed.signatures[0].key_id = "k2".into();
+        assert_eq!(two.check(&renamed), untrusted(0, 2));
+        // Cut short, or of another length.
+        let mut cut = by(&[1]);
+        cut.signatures[0].signature.pop();
+        assert_eq!(one.check(&cut), untrusted(0, 1));
+    }
+
+    #[test]
+    fn trust_files_that_would_trust_too_much_are_refused() {
+        assert!(trust(&[1], 0, "").is_err(), "nobody needs to sign");
+        assert!(trust(&[1], 2, "").is_err(), "can never be met");
+        assert!(trust(&[1, 1], 2, "").is_err(), "one key twice");
+        assert!(trust(&[1], 1, "\"k1\"").is_err(), "only revoked keys");
+        assert!(Trust::parse("format = \"caudata.trust.v2\"\nthreshold = 1\n").is_err());
+    }
+}

@@ -1,0 +1,444 @@
+//! Velocity commands over the network: authenticated, fresh, newest wins, and silence stops the robot.
+//!
+//! UDP, one datagram per command: `CDL1 | kind | nonce (8) | sequence (8) | vx, vy, yaw rate (3 × f32) | tag (16)`, little endian.
+//! The tag is the first half of HMAC-SHA-256 over everything before it, with a key that both ends hold. The nonce is drawn by the
+//! robot when it starts and told to whoever asks (kind 0); with it in every command, and sequence numbers that only grow, nothing
+//! recorded earlier counts, not after a restart of the robot either.
+
+use std::io;
+use std::net::{SocketAddr, UdpSocket};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use caudata_task::COMMAND_DIM;
+use sha2::{Digest, Sha256};
+
+use crate::DeployError;
+
+/// Age of the newest command beyond which the robot is told to stand still.
+pub const LINK_STOP: Duration = Duration::from_millis(200);
+/// Age beyond which it stands.
+pub const LINK_STAND: Duration = Duration::from_secs(1);
+/// Length of a datagram.
+pub const DATAGRAM: usize = 4 + 1 + 8 + 8 + 12 + TAG;
+/// Shortest key, bytes.
+pub const KEY_MIN: usize = 16;
+
+const TAG: usize = 16;
+const MAGIC: &[u8; 4] = b"CDL1";
+/// How often the listener looks whether it is still wanted.
+const LOOK: Duration = Duration::from_millis(50);
+/// Largest command, m/s and rad/s.
+const COMMAND_MAX: f32 = 20.0;
+
+/// What the control loop sees of a link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinkView {
+    /// Newest command.
+    pub command: [f32; COMMAND_DIM],
+    /// How old it is.
+    pub age: Duration,
+    /// The kill button was pressed; it stays so.
+    pub killed: bool,
+}
+
+/// Where commands come from while the robot walks. Never waits.
+pub trait CommandLink: Send {
+    /// The newest.
+    fn view(&mut self) -> LinkView;
+}
+
+/// The secret that both ends hold.
+#[derive(Clone)]
+pub struct LinkKey(Vec<u8>);
+
+impl LinkKey {
+    /// The bytes of a file, which must be at least [`KEY_MIN`].
+    ///
+    /// # Errors
+    /// [`DeployError::LinkKey`].
+    pub fn read(path: &Path) -> Result<Self, DeployError> {
+        let wrong = |reason: String| DeployError::LinkKey {
+            path: path.to_owned(),
+            reason,
+        };
+        let bytes = std::fs::read(path).map_err(|e| wrong(e.to_string()))?;
+        if bytes.len() < KEY_MIN {
+            return Err(wrong(format!("a key has at least {KEY_MIN} bytes")));
+        }
+        Ok(Self(bytes))
+    }
+
+    /// HMAC-SHA-256 (RFC 2104).
+    fn hmac(&self, message: &[u8]) -> [u8; 32] {
+        let mut block = [0; 64];
+        match self.0.len() <= 64 {
+            true => block[..self.0.len()].copy_from_slice(&self.0),
+            false => block[..32].copy_from_slice(&Sha256::digest(&self.0)),
+        }
+        let keyed = |pad: u8| Sha256::new().chain_update(block.map(|b| b ^ pad));
+        let inner = keyed(0x36).chain_update(message).finalize();
+        keyed(0x5C).chain_update(inner).finalize().into()
+    }
+}
+
+/// What a datagram says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(u8)]
+pub enum Kind {
+    /// What is your nonce?
+    Ask = 0,
+    /// This is my nonce.
+    Tell = 1,
+    /// A velocity.
+    Velocity = 2,
+    /// Stop at once.
+    Kill = 3,
+}
+
+/// One datagram.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Message {
+    /// What it says.
+    pub kind: Kind,
+    /// The robot's nonce; 0 in [`Kind::Ask`].
+    pub nonce: u64,
+    /// Grows with every datagram of a sender.
+    pub sequence: u64,
+    /// vx, vy (m/s), yaw rate (rad/s).
+    pub command: [f32; COMMAND_DIM],
+}
+
+impl Message {
+    /// As it goes over the network.
+    pub fn encode(&self, key: &LinkKey) -> [u8; DATAGRAM] {
+        let mut out = [0; DATAGRAM];
+        out[..4].copy_from_slice(MAGIC);
+        out[4] = self.kind as u8;
+        out[5..13].copy_from_slice(&self.nonce.to_le_bytes());
+        out[13..21].copy_from_slice(&self.sequence.to_le_bytes());
+        for (i, value) in self.command.iter().enumerate() {
+            out[21 + 4 * i..25 + 4 * i].copy_from_slice(&value.to_le_bytes());
+        }
+        let tag = key.hmac(&out[..DATAGRAM - TAG]);
+        out[DATAGRAM - TAG..].copy_from_slice(&tag[..TAG]);
+        out
+    }
+
+    /// Out of a datagram; `None` for anything that this key did not make.
+    pub fn decode(bytes: &[u8], key: &LinkKey) -> Option<Self> {
+        let bytes: &[u8; DATAGRAM] = bytes.try_into().ok()?;
+        let (said, tag) = bytes.split_at(DATAGRAM - TAG);
+        // All of it is compared, so that the time taken tells nothing.
+        let differs = |sum, (a, b): (&u8, &u8)| sum | (a ^ b);
+        if tag.iter().zip(&key.hmac(said)[..TAG]).fold(0, differs) != 0 {
+            return None;
+        }
+        let kind = match (said.starts_with(MAGIC), said[4]) {
+            (true, 0) => Kind::Ask,
+            (true, 1) => Kind::Tell,
+            (true, 2) => Kind::Velocity,
+            (true, 3) => Kind::Kill,
+            _ => return None,
+        };
+        let eight = |at: usize| Some(u64::from_le_bytes(said[at..at + 8].try_into().ok()?));
+        let mut command = [0.0; COMMAND_DIM];
+        for (i, value) in command.iter_mut().enumerate() {
+            *value = f32::from_le_bytes(said[21 + 4 * i..25 + 4 * i].try_into().ok()?);
+        }
+        Some(Self {
+            kind,
+            nonce: eight(5)?,
+            sequence: eight(13)?,
+            command,
+        })
+    }
+}
+
+/// The robot's end, without the network: what counts and what does not.
+#[derive(Clone, Debug)]
+pub struct Receiver {
+    nonce: u64,
+    sequence: u64,
+    command: [f32; COMMAND_DIM],
+    /// When the newest command came.
+    at: Option<Duration>,
+    killed: bool,
+    /// Datagrams that did not count.
+    pub ignored: u64,
+}
+
+impl Receiver {
+    /// With a nonce that was never used before.
+    pub fn new(nonce: u64) -> Self {
+        Self {
+            nonce,
+            sequence: 0,
+            command: [0.0; COMMAND_DIM],
+            at: None,
+            killed: false,
+            ignored: 0,
+        }
+    }
+
+    /// Takes a datagram that came at `now`; what to answer, if anything.
+    pub fn take(&mut self, bytes: &[u8], key: &LinkKey, now: Duration) -> Option<Message> {
+        let Some(message) = Message::decode(bytes, key) else {
+            self.ignored += 1;
+            return None;
+        };
+        if message.kind == Kind::Ask {
+            return Some(Message {
+                kind: Kind::Tell,
+                nonce: self.nonce,
+                sequence: message.sequence,
+                command: [0.0; COMMAND_DIM],
+            });
+        }
+        let fresh = message.nonce == self.nonce && message.sequence > self.sequence;
+        let sane = message.command.iter().all(|v| v.abs() <= COMMAND_MAX);
+        match message.kind {
+            Kind::Kill if fresh => self.killed = true,
+            Kind::Velocity if fresh && sane => {
+                self.command = message.command;
+                self.at = Some(now);
+            }
+            _ => {
+                self.ignored += 1;
+                return None;
+            }
+        }
+        self.sequence = message.sequence;
+        None
+    }
+
+    /// What the loop sees at `now`.
+    pub fn view(&self, now: Duration) -> LinkView {
+        LinkView {
+            command: self.command,
+            age: self.at.map_or(Duration::MAX, |at| now.saturating_sub(at)),
+            killed: self.killed,
+        }
+    }
+}
+
+/// Listens in a thread of its own; dropped, it ends.
+pub struct UdpLink {
+    start: Instant,
+    receiver: Arc<Mutex<Receiver>>,
+    last: Receiver,
+    stop: Arc<std::sync::atomic::AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    address: SocketAddr,
+}
+
+impl UdpLink {
+    /// Listens on `addr`.
+    ///
+    /// # Errors
+    /// [`DeployError::System`].
+    pub fn listen(addr: SocketAddr, key: LinkKey) -> Result<Self, DeployError> {
+        let refused = |source| DeployError::System {
+            what: "the command link's address",
+            source,
+        };
+        let socket = UdpSocket::bind(addr).map_err(refused)?;
+        socket.set_read_timeout(Some(LOOK)).map_err(refused)?;
+        let address = socket.local_addr().map_err(refused)?;
+        let first = Receiver::new(random_nonce().map_err(refused)?);
+        let receiver = Arc::new(Mutex::new(first.clone()));
+        let stop = Arc::new(std::sync::atomic::AtomicBool::new(false));
+        let start = Instant::now();
+        let (shared, stopped) = (receiver.clone(), stop.clone());
+        let listen = move || {
+            let mut buffer = [0; 2 * DATAGRAM];
+            while !stopped.load(std::sync::atomic::Ordering::Relaxed) {
+                let Ok((length, from)) = socket.recv_from(&mut buffer) else {
+                    continue;
+                };
+                let answer = shared.lock().unwrap_or_else(PoisonError::into_inner).take(
+                    &buffer[..length],
+                    &key,
+                    start.elapsed(),
+                );
+                if let Some(answer) = answer {
+                    // Lost answers are asked for again.
+                    let _ = socket.send_to(&answer.encode(&key), from);
+                }
+            }
+        };
+        let thread = std::thread::Builder::new()
+            .name("command-link".into())
+            .spawn(listen)
+            .map_err(refused)?;
+        tracing::info!(%address, "listening for commands");
+        Ok(Self {
+            start,
+            receiver,
+            last: first,
+            stop,
+            thread: Some(thread),
+            address,
+        })
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl CommandLink for UdpLink {
+    fn view(&mut self) -> LinkView {
+        // Held by the listener just now: what was seen last counts for one more tick.
+        if let Ok(receiver) = self.receiver.try_lock() {
+            self.last.clone_from(&receiver);
+        }
+        self.last.view(self.start.elapsed())
+    }
+}
+
+impl Drop for UdpLink {
+    fn drop(&mut self) {
+        self.stop.store(true, std::sync::atomic::Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Eight bytes of the system's random source.
+fn random_nonce() -> io::Result<u64> {
+    use io::Read;
+    let mut bytes = [0; 8];
+    std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+    // 0 is what those send who do not know it yet.
+    Ok(u64::from_le_bytes(bytes).max(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    fn key() -> LinkKey {
+        LinkKey(b"sixteen bytes or more".to_vec())
+    }
+
+    #[test]
+    fn hmac_of_rfc_4231_test_cases_1_2_and_6() {
+        let hex = |bytes: [u8; 32]| bytes.map(|b| format!("{b:02x}")).concat();
+        let of = |key: &[u8], text: &[u8]| hex(LinkKey(key.to_vec()).hmac(text));
+        assert_eq!(
+            of(&[0x0b; 20], b"Hi There"),
+            "b0344c61d8db38535ca8afceaf0bf12b881dc200c9833da726e9376c2e32cff7"
+        );
+        assert_eq!(
+            of(b"Jefe", b"what do ya want for nothing?"),
+            "5bdcc146bf60754e6a042426089575c75a003f089d2739839dec58b964ec3843"
+        );
+        assert_eq!(
+            of(
+                &[0xaa; 131],
+                b"Test Using Larger Than Block-Size Key - Hash Key First"
+            ),
+            "60e431591ee0b67f0d8a26aacbf5b77f8e0bc6213728c5140546040f0ee37f54"
+        );
+    }
+
+    fn velocity(nonce: u64, sequence: u64, vx: f32) -> [u8; DATAGRAM] {
+        let message = Message {
+            kind: Kind::Velocity,
+            nonce,
+            sequence,
+            command: [vx, 0.0, 0.0],
+        };
+        message.encode(&key())
+    }
+
+    #[test]
+    fn fault_47_only_fresh_and_authentic_commands_count() {
+        let mut link = Receiver::new(77);
+        assert_eq!(link.view(MS).age, Duration::MAX, "never heard anything");
+        link.take(&velocity(77, 5, 0.2), &key(), 100 * MS);
+        let view = link.view(150 * MS);
+        assert_eq!((view.command, view.age), ([0.2, 0.0, 0.0], 50 * MS));
+        // Replayed, older, of an earlier start, of another key, not a number, too fast, cut short: none of them counts.
+        let other = LinkKey(b"another key of 16+".to_vec());
+        let forged = Message::decode(&velocity(77, 6, 0.9), &key())
+            .unwrap()
+            .encode(&other);
+        let mut flipped = velocity(77, 6, 0.9);
+        flipped[21] ^= 1;
+        for bytes in [
+            &velocity(77, 5, 0.9)[..],
+            &velocity(77, 4, 0.9),
+            &velocity(76, 6, 0.9),
+            &forged,
+            &flipped,
+            &velocity(77, 6, f32::NAN),
+            &velocity(77, 6, 1e9),
+            &velocity(77, 6, 0.9)[..DATAGRAM - 1],
+            b"",
+        ] {
+            link.take(bytes, &key(), 200 * MS);
+            assert_eq!(link.view(200 * MS).command, [0.2, 0.0, 0.0]);
+        }
+        assert_eq!((link.view(200 * MS).age, link.ignored), (100 * MS, 9));
+        // A flood in order: the newest wins.
+        for sequence in 6..1006 {
+            link.take(
+                &velocity(77, sequence, 0.001 * sequence as f32),
+                &key(),
+                300 * MS,
+            );
+        }
+        assert!((link.view(300 * MS).command[0] - 1.005).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_kill_stays() {
+        let mut link = Receiver::new(1);
+        let kill = Message {
+            kind: Kind::Kill,
+            nonce: 1,
+            sequence: 1,
+            command: [0.0; 3],
+        };
+        link.take(&kill.encode(&key()), &key(), MS);
+        link.take(&velocity(1, 2, 0.2), &key(), 2 * MS);
+        assert!(link.view(2 * MS).killed);
+    }
+
+    #[test]
+    fn over_a_socket_the_nonce_is_asked_for_and_then_commands_arrive() {
+        let mut link = UdpLink::listen("127.0.0.1:0".parse().unwrap(), key()).unwrap();
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        socket.connect(link.address()).unwrap();
+        socket
+            .set_read_timeout(Some(Duration::from_secs(20)))
+            .unwrap();
+        let ask = Message {
+            kind: Kind::Ask,
+            nonce: 0,
+            sequence: 1,
+            command: [0.0; 3],
+        };
+        socket.send(&ask.encode(&key())).unwrap();
+        let mut buffer = [0; DATAGRAM];
+        socket.recv(&mut buffer).unwrap();
+        let told = Message::decode(&buffer, &key()).unwrap();
+        assert_eq!(told.kind, Kind::Tell);
+        let begun = Instant::now();
+        let mut sequence = 1;
+        while link.view().command[0] != 0.3 && begun.elapsed() < Duration::from_secs(20) {
+            sequence += 1;
+            socket.send(&velocity(told.nonce, sequence, 0.3)).unwrap();
+            std::thread::sleep(5 * MS);
+        }
+        assert_eq!(link.view().command[0], 0.3);
+    }
+}

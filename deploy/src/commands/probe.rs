@@ -1,0 +1,83 @@
+//! `caudata-robot probe`: the child that looks at a candidate from standard input. People do not call it.
+
+use std::io::Read;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use caudata_policy::MAX_FILE_BYTES;
+use nix::sys::resource::{Resource, setrlimit};
+
+use crate::DeployError;
+use crate::commands::load_model;
+use crate::probe::{CHILD_CPU_S, CHILD_SPACE_BYTES};
+use crate::state::{PolicyRef, Sha256Digest};
+use crate::verify::{Refusal, VerifyError, verify};
+
+/// Runs whose time is taken.
+const TIMED: usize = 200;
+/// Half of them must be faster: a quarter of a tick.
+const MEDIAN_MAX_US: u128 = 5_000;
+
+#[derive(Debug, clap::Args)]
+pub struct ProbeArgs {
+    #[arg(long)]
+    robot: PathBuf,
+    #[arg(long)]
+    stream: String,
+    #[arg(long)]
+    version_number: u64,
+    #[arg(long)]
+    sha256: Sha256Digest,
+}
+
+pub fn run(args: &ProbeArgs) -> Result<(), DeployError> {
+    let refused = |what| {
+        move |e: nix::Error| DeployError::System {
+            what,
+            source: e.into(),
+        }
+    };
+    let model = load_model(&args.robot)?;
+    setrlimit(Resource::RLIMIT_AS, CHILD_SPACE_BYTES, CHILD_SPACE_BYTES)
+        .map_err(refused("a limit of memory"))?;
+    setrlimit(Resource::RLIMIT_CPU, CHILD_CPU_S, CHILD_CPU_S)
+        .map_err(refused("a limit of processor time"))?;
+    setrlimit(Resource::RLIMIT_CORE, 0, 0).map_err(refused("a limit of core files"))?;
+    let mut bytes = Vec::new();
+    std::io::stdin()
+        .lock()
+        .take(MAX_FILE_BYTES as u64 + 1)
+        .read_to_end(&mut bytes)
+        .map_err(|source| DeployError::System {
+            what: "its standard input",
+            source,
+        })?;
+    let policy = PolicyRef {
+        stream: args.stream.clone(),
+        version: args.version_number,
+        sha256: args.sha256,
+    };
+    let refuse = |refusal: Refusal| DeployError::Refused {
+        policy: policy.clone(),
+        refusal: Box::new(refusal),
+    };
+    let mut verified = verify(bytes.into(), &policy, &model).map_err(|error| match error {
+        VerifyError::Runtime(error) => DeployError::Runtime(error),
+        VerifyError::Refused(refusal) => refuse(refusal),
+    })?;
+    let obs = verified.file.spec().obs_mean.clone();
+    let mut actions = [0.0; caudata_task::ACT_DIM];
+    let mut took = Vec::with_capacity(TIMED);
+    for _ in 0..TIMED {
+        let begun = Instant::now();
+        let ran = verified.inference.run(&obs, 1, &mut actions);
+        ran.map_err(|error| refuse(error.into()))?;
+        took.push(begun.elapsed().as_micros());
+    }
+    took.sort_unstable();
+    let median_us = took[TIMED / 2];
+    if median_us > MEDIAN_MAX_US {
+        return Err(refuse(Refusal::TooSlow { median_us }));
+    }
+    Ok(())
+}

@@ -1,0 +1,176 @@
+//! A candidate is first loaded and run in a child process with little memory and little time: what crashes or hangs there never
+//! reaches the process that moves the robot.
+
+use std::io::{Read, Write};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use caudata_telemetry::ExitCode;
+
+use crate::state::PolicyRef;
+
+/// How long a child may take, its start included.
+pub const CHILD_DEADLINE: Duration = Duration::from_secs(30);
+/// Processor time of a child, s.
+pub const CHILD_CPU_S: u64 = 10;
+/// Address space of a child, bytes. ONNX Runtime reserves a few hundred MiB of it without using them.
+pub const CHILD_SPACE_BYTES: u64 = 2 << 30;
+/// How often a child is looked at.
+const LOOK: Duration = Duration::from_millis(10);
+/// Most of what a child says that is kept, bytes.
+const WORDS_MAX: u64 = 16 << 10;
+
+/// The program that probes: this one, with the command `probe`.
+#[derive(Clone, Debug)]
+pub struct ProbeProgram {
+    /// The program.
+    pub program: PathBuf,
+    /// Robot file.
+    pub robot: PathBuf,
+    /// See [`CHILD_DEADLINE`].
+    pub deadline: Duration,
+}
+
+/// What a child came to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Probed {
+    /// It ran the policy and found nothing wrong.
+    Passed,
+    /// It found something wrong, and says what.
+    Refused(String),
+    /// It ended otherwise than a program should, or not in time.
+    Died(String),
+    /// It could not do its work, which says nothing about the policy.
+    Unable(String),
+}
+
+impl ProbeProgram {
+    /// Probes `bytes`, which are said to be `policy`.
+    pub fn run(&self, policy: &PolicyRef, bytes: &[u8]) -> Probed {
+        let child = Command::new(&self.program)
+            .arg("probe")
+            .arg("--robot")
+            .arg(&self.robot)
+            .args(["--stream", &policy.stream])
+            .args(["--version-number", &policy.version.to_string()])
+            .args(["--sha256", &policy.sha256.to_string()])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn();
+        match child {
+            Ok(child) => self.watch(child, bytes),
+            Err(error) => Probed::Unable(error.to_string()),
+        }
+    }
+
+    fn watch(&self, mut child: Child, bytes: &[u8]) -> Probed {
+        let (stdin, stderr) = (child.stdin.take(), child.stderr.take());
+        // In threads of their own: a child that neither reads nor speaks must not hold this one.
+        let words = std::thread::scope(|scope| {
+            scope.spawn(move || {
+                if let Some(mut stdin) = stdin {
+                    // A child that has seen enough hangs up.
+                    let _ = stdin.write_all(bytes);
+                }
+            });
+            let words = scope.spawn(move || {
+                let mut text = Vec::new();
+                if let Some(stderr) = stderr {
+                    let _ = stderr.take(WORDS_MAX).read_to_end(&mut text);
+                }
+                String::from_utf8_lossy(&text).into_owned()
+            });
+            let ended = wait(&mut child, self.deadline);
+            (ended, words.join().unwrap_or_default())
+        });
+        let (ended, text) = words;
+        let error = text.lines().find_map(|line| line.strip_prefix("error: "));
+        let said = error.unwrap_or("it says nothing").to_owned();
+        match ended {
+            Err(how) => Probed::Died(how),
+            Ok(0) => Probed::Passed,
+            Ok(code) if code == i32::from(ExitCode::PolicyRefused.number()) => {
+                Probed::Refused(said)
+            }
+            Ok(_) => Probed::Unable(said),
+        }
+    }
+}
+
+/// The exit code of a child; `Err` where it has none, or took too long and was killed.
+fn wait(child: &mut Child, deadline: Duration) -> Result<i32, String> {
+    let end = Instant::now() + deadline;
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return status.code().ok_or_else(|| status.to_string()),
+            Ok(None) if Instant::now() < end => std::thread::sleep(LOOK),
+            late => {
+                let _ = child.kill();
+                let _ = child.wait();
+                return Err(match late {
+                    Err(error) => error.to_string(),
+                    Ok(_) => format!("it took more than {} s", deadline.as_secs_f32()),
+                });
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::Sha256Digest;
+    use std::os::unix::fs::PermissionsExt;
+
+    /// What a shell script in place of the program comes to, fed with a megabyte.
+    fn script(text: &str, deadline: Duration) -> Probed {
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("probe.sh");
+        std::fs::write(&program, format!("#!/bin/sh\n{text}\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o700)).unwrap();
+        let probe = ProbeProgram {
+            program,
+            robot: "r.toml".into(),
+            deadline,
+        };
+        let policy = PolicyRef {
+            stream: "s".into(),
+            version: 1,
+            sha256: Sha256Digest([0; 32]),
+        };
+        probe.run(&policy, &vec![0; 1 << 20])
+    }
+
+    const LONG: Duration = Duration::from_secs(60);
+
+    #[test]
+    fn fault_31_a_candidate_that_crashes_or_hangs_the_child_is_found_out() {
+        assert_eq!(script("cat > /dev/null", LONG), Probed::Passed);
+        let crash = script("kill -SEGV $$", LONG);
+        assert!(
+            matches!(&crash, Probed::Died(how) if how.contains("11")),
+            "{crash:?}"
+        );
+        let abort = script("kill -ABRT $$", LONG);
+        assert!(
+            matches!(&abort, Probed::Died(how) if how.contains('6')),
+            "{abort:?}"
+        );
+        let hang = script("exec sleep 1000", Duration::from_millis(300));
+        assert!(
+            matches!(&hang, Probed::Died(how) if how.contains("0.3 s")),
+            "{hang:?}"
+        );
+        let refused = script(
+            "echo 'error: policy s version 1 refused: bad' >&2; exit 77",
+            LONG,
+        );
+        assert_eq!(
+            refused,
+            Probed::Refused("policy s version 1 refused: bad".into())
+        );
+        assert!(matches!(script("exit 66", LONG), Probed::Unable(_)));
+    }
+}
