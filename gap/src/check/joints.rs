@@ -344,7 +344,7 @@ fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding
     let fine = grid.points(0.04);
     let most = grid.points(LAG_RANGE_S) as isize;
     let rate = |x: &[f64]| super::series::slope(&smooth(x, fine), fine.div_ceil(2), grid.step_s);
-    let mut leads = Vec::new();
+    let (mut leads, mut moving) = (Vec::new(), 0);
     for joint in joints {
         let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {
             continue;
@@ -353,6 +353,7 @@ fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding
         if together(&u, &q, 0).first_sd < 0.1 {
             continue;
         }
+        moving += 1;
         let (lag, at_lag) = best_lag(&u, &q, -most..=most);
         let lag_s = lag as f64 * grid.step_s;
         // The best among the lags that a servo can have must be clearly worse: a periodic motion fits a period off, too.
@@ -362,6 +363,10 @@ fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding
         if impossible && at_lag.r > 0.6 && at_lag.r > possible.r + 0.15 {
             leads.push((joint.name.as_str(), lag_s, at_lag.r));
         }
+    }
+    // stamps are wrong for all joints; a single one may swing on its own gain, a period off
+    if 2 * leads.len() <= moving {
+        return;
     }
     if let Some(&(name, lag_s, r)) = leads.iter().max_by(|a, b| a.2.total_cmp(&b.2)) {
         let how = if lag_s < 0.0 { "before" } else { "after" };

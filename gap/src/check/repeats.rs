@@ -13,7 +13,7 @@ const SMOOTH_S: f64 = 0.3;
 /// A deviation counts from so many times what repeats otherwise differ by.
 const TIMES: f64 = 8.0;
 /// And from so large a share of the servo's greatest torque, as the error would ask for.
-const TORQUE_SHARE: f64 = 0.14;
+const TORQUE_SHARE: f64 = 0.2;
 /// And from so large a share of how far the joint moves about that time: where it moves most, repeats differ most.
 const MOTION_SHARE: f64 = 0.2;
 /// "About that time", s.
@@ -90,7 +90,7 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
 }
 
 /// A run with more odd spans than this is not one that was touched: play and stiction let repeats come to rest in different places.
-const MOST_SPANS: usize = 2;
+const MOST_SPANS: usize = 1;
 
 /// Odd spans of a group of repeats: with three or more, of the run that is off; with two, of both.
 pub(super) fn odd_spans(

@@ -21,6 +21,8 @@ const BUNCHED_SHARE: f64 = 0.02;
 const BESIDE_S: f64 = 0.05;
 /// A gap says whether rows are missing only where the motion would have gone so far in it, rad.
 const TELLING_RAD: f64 = 0.03;
+/// Over a longer gap no motion is steady enough to say, s.
+const LONGEST_JUMP_S: f64 = 0.5;
 
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let time_s = run.log.table.time_s();
@@ -54,7 +56,8 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
     let is_gap = |step: f64| step > GAP_STEPS * median && step > GAP_S;
     let gaps: Vec<(f64, f64)> = steps().filter(|&(_, step)| is_gap(step)).collect();
     if let Some(&(at, step)) = gaps.iter().max_by(|a, b| a.1.total_cmp(&b.1)) {
-        if let Some((at, step, channels)) = gaps.iter().find_map(|&(at, step)| {
+        let short = gaps.iter().filter(|g| g.1 <= LONGEST_JUMP_S);
+        if let Some((at, step, channels)) = short.into_iter().find_map(|&(at, step)| {
             let channels = clock_jumped(run, joints, at, step);
             (channels > 0).then_some((at, step, channels))
         }) {

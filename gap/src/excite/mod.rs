@@ -244,7 +244,7 @@ fn fits(recipe: &Recipe, robot: &RobotModel, joint: Option<&str>) -> bool {
 }
 
 /// Motions take at most this share of the greatest torque (root mean square); poses have their own, [`HOLD_SHARE`].
-const MOTION_SHARE: f64 = 0.28;
+const MOTION_SHARE: f64 = 0.2;
 /// How often a motion is halved to get there.
 const MOST_HALVINGS: i32 = 5;
 
@@ -293,7 +293,7 @@ impl<'a> Maker<'a> {
                 body.hold(0.5);
                 write(&mut body);
                 body.hold(0.5);
-                (body.rows, Vec::new())
+                (self.lightened(body.rows), Vec::new())
             }
         };
         let moves = |a: usize| {
@@ -388,6 +388,22 @@ impl<'a> Maker<'a> {
             self.joint_effort(l, &column)
         };
         self.limits.iter().enumerate().map(of).fold(0.0, f64::max)
+    }
+
+    /// A motion of the whole robot, in which joints that it asks too much of go half as far, and half again.
+    fn lightened(&self, mut rows: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+        for (a, l) in self.limits.iter().enumerate() {
+            for _ in 0..MOST_HALVINGS {
+                let column: Vec<f64> = rows.iter().map(|row| row[a]).collect();
+                if self.joint_effort(l, &column) <= MOTION_SHARE {
+                    break;
+                }
+                for row in &mut rows {
+                    row[a] = l.nominal_rad + 0.5 * (row[a] - l.nominal_rad);
+                }
+            }
+        }
+        rows
     }
 
     /// The same of one joint.

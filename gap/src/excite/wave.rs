@@ -184,8 +184,15 @@ impl<'a> Wave<'a> {
         }
     }
 
-    /// Lets go for `s` seconds, then takes hold of where the joint hangs: the nominal position.
+    /// Lets go for `s` seconds, then takes hold of where the joint hangs: the nominal position. A joint that no gravity moves is not let go: it
+    /// would stay where it is, and be torn back.
     pub fn drop(&mut self, s: f64) {
+        const LEAST_SHARE: f64 = 0.01;
+        let falls = self.limits.hottest().1 > LEAST_SHARE;
+        if !falls {
+            self.go(self.limits.nominal_rad);
+            return;
+        }
         self.powered = false;
         self.hold(s);
         self.powered = true;
