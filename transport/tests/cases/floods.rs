@@ -75,8 +75,8 @@ fn fault_62_silent_connections_lock_nobody_out() {
     let mut ledger = Ledger::default();
     for number in 1..=50 {
         send(&mut *early, &frame(label(0, number), 20_000));
+        read(&mut *rig.learner, &mut ledger, number);
     }
-    read(&mut *rig.learner, &mut ledger, 50);
     let mut late = rig.actor(1);
     assert_eq!(next_policy(&mut *late).version, 1);
     send(&mut *late, &frame(label(1, 1), 20_000));

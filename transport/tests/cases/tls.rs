@@ -155,8 +155,8 @@ fn an_actor_cannot_pose_as_the_learner() {
     let mut ledger = Ledger::default();
     for number in 1..=20 {
         send(&mut *actor, &frame(label(0, number), 10_000));
+        read(&mut *learner, &mut ledger, number);
     }
-    read(&mut *learner, &mut ledger, 20);
     // Said on behalf of the learner: the actor would stop.
     impostor
         .put("caudata/pose/down/1", vec![0u8; 64])
