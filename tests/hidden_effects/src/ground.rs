@@ -15,6 +15,9 @@ use crate::case::{Answer, Block, TrueEffect, TrueValue};
 use crate::generate::GenerateError;
 use crate::truth::free::{self, Channels, Ground};
 
+/// Name of the rig in answers.
+pub const RIG: &str = "polymander";
+
 /// What is hidden.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OnGround {
@@ -328,7 +331,7 @@ pub fn make(plan: &GroundPlan, parent: &Path) -> Result<Answer, GenerateError> {
         } else {
             Block::Ground
         },
-        rig: "polymander".to_owned(),
+        rig: RIG.to_owned(),
         seed: plan.seed,
         target_d: 0.0,
         effects: truth(&model, plan.hidden),

@@ -9,6 +9,7 @@ use caudata_gap::report::Report;
 
 use crate::case::{Answer, Answers};
 use crate::generate::{self, GenerateError, Request, Rig};
+use crate::ground::{self, GroundPlan};
 use crate::score::{Given, Outcome, judge};
 use crate::seal;
 use crate::sets::Plan;
@@ -90,6 +91,16 @@ pub fn generate(
 }
 
 fn make(index: usize, plan: &Plan, cases: &Path) -> Result<Answer, GenerateError> {
+    if let Some((hidden, channels)) = plan.ground {
+        let plan = GroundPlan {
+            name: format!("c{index:04}"),
+            hidden,
+            channels,
+            seed: plan.seed,
+            repeats: 2,
+        };
+        return ground::make(&plan, cases);
+    }
     let rig = Rig::bench(plan.rig)?;
     let request = Request {
         name: format!("c{index:04}"),
@@ -140,16 +151,19 @@ pub fn diagnose(
     );
     let mut outcomes = Vec::new();
     for (answer, given) in known.answers.iter().zip(&given) {
-        let rig = Rig::bench(&answer.rig)?;
-        let links: Vec<(String, String)> = rig
-            .model
+        let model = if answer.rig == ground::RIG {
+            ground::stiff_salamander()?.2
+        } else {
+            Rig::bench(&answer.rig)?.model
+        };
+        let links: Vec<(String, String)> = model
             .actuated()
             .iter()
             .map(|&j| {
-                let joint = &rig.model.joints()[j];
+                let joint = &model.joints()[j];
                 (
                     joint.name.clone(),
-                    rig.model.links()[joint.child_link].name.clone(),
+                    model.links()[joint.child_link].name.clone(),
                 )
             })
             .collect();

@@ -5,7 +5,9 @@ use caudata_random::{Key, Purpose, Stream};
 use crate::battery::Amount;
 use crate::case::Block;
 use crate::decoy::Decoy;
+use crate::ground::OnGround;
 use crate::hidden::{CATALOGUE, Hidden, OUTSIDE, Scope, find};
+use crate::truth::free::Channels;
 
 /// A case to be made.
 #[derive(Clone)]
@@ -24,6 +26,8 @@ pub struct Plan {
     pub decoy: Option<Decoy>,
     /// Left out of the catalogue.
     pub without: Vec<String>,
+    /// The salamander on the ground instead of a bench rig.
+    pub ground: Option<(OnGround, Channels)>,
 }
 
 /// How many cases of which block.
@@ -45,6 +49,7 @@ struct Counts {
     left_out: usize,
     starved: usize,
     changes: usize,
+    ground: usize,
 }
 
 /// Pairs that look alike in poor data (GAP.md 2.7).
@@ -94,6 +99,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 left_out: 0,
                 starved: 0,
                 changes: 0,
+                ground: 0,
             },
             Amount::Short,
         ),
@@ -106,6 +112,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 left_out: 4,
                 starved: 8,
                 changes: 4,
+                ground: 4,
             },
             Amount::Full,
         ),
@@ -118,6 +125,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 left_out: 60,
                 starved: 48,
                 changes: 24,
+                ground: 60,
             },
             Amount::Full,
         ),
@@ -131,6 +139,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
         effects: Vec::new(),
         decoy: None,
         without: Vec::new(),
+        ground: None,
     };
     let rig = |i: usize| {
         if set == SetName::Quick || i % 3 != 2 {
@@ -217,6 +226,11 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
         )];
         plans.push(p);
     }
+    for i in 0..counts.ground {
+        let mut p = case(Block::Ground, "polymander", &mut s);
+        p.ground = Some(on_ground(i, &mut s));
+        plans.push(p);
+    }
     s.shuffle(&mut plans);
     if let Some(most) = most {
         plans.truncate(most);
@@ -233,6 +247,7 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
         effects: vec![(h, j, d)],
         decoy: None,
         without: Vec::new(),
+        ground: None,
     };
     let mut plans = Vec::new();
     match set {
@@ -278,6 +293,41 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
         }
     }
     plans
+}
+
+/// Cases on the ground in turn: play at each hinge, the paper's robot, slippery feet, a payload, a slope, nothing.
+fn on_ground(i: usize, s: &mut Stream) -> (OnGround, Channels) {
+    let all = Channels {
+        imu: true,
+        mocap: true,
+    };
+    let half_width_deg = s.uniform_f64(2.0, 5.0);
+    let paper = OnGround::Paper {
+        half_width_deg: 4.0,
+        low_pass_s: s.uniform_f64(0.02, 0.05),
+        torque: s.uniform_f64(0.6, 0.8),
+    };
+    match i % 10 {
+        hinge @ 0..4 => (
+            OnGround::Play {
+                hinge,
+                half_width_deg,
+            },
+            all,
+        ),
+        4 => (paper, all),
+        5 => (
+            paper,
+            Channels {
+                mocap: false,
+                ..all
+            },
+        ),
+        6 => (OnGround::Friction(s.uniform_f64(0.4, 0.7)), all),
+        7 => (OnGround::Payload(s.uniform_f64(0.2, 0.5)), all),
+        8 => (OnGround::Slope(s.uniform_f64(2.0, 6.0)), all),
+        _ => (OnGround::Nothing, all),
+    }
 }
 
 fn joint(rig: &str, s: &mut Stream) -> usize {

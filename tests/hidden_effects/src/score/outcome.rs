@@ -42,6 +42,8 @@ pub struct Judged {
     pub in_set: bool,
     /// |estimate − truth| / |truth − nominal|.
     pub parameter_error: Option<f64>,
+    /// |estimate − truth|, in the parameter's unit.
+    pub absolute_error: Option<f64>,
     /// Whether the 95 % interval holds the truth.
     pub interval_holds: Option<bool>,
 }
@@ -96,14 +98,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         .iter()
         .map(|t| judged(t, causes, joint_links))
         .collect();
-    let inside = |t: &&TrueEffect| answer.block != Block::Outside || !t.effect.is_empty();
-    let is_true = |c: &Cause| {
-        answer
-            .effects
-            .iter()
-            .filter(inside)
-            .any(|t| same(t, &c.effect))
-    };
+    let is_true = |c: &Cause| answer.effects.iter().any(|t| same(t, &c.effect));
     let wrong: Vec<&Cause> = causes.iter().filter(|c| !is_true(c)).collect();
     let detected = matches!(
         verdict,
@@ -219,6 +214,7 @@ fn judged(t: &TrueEffect, causes: &[Cause], joint_links: &[(String, String)]) ->
         joint_right: cause.map(|c| place_right(t, c, joint_links)),
         in_set,
         parameter_error: value.map(|v| v.0),
+        absolute_error: value.map(|v| v.2),
         interval_holds: value.map(|v| v.1),
     }
 }
@@ -235,8 +231,8 @@ fn place_right(t: &TrueEffect, c: &Cause, joint_links: &[(String, String)]) -> b
     c.location.len() == 1 && (c.location[0] == t.joint || Some(&c.location[0]) == link)
 }
 
-/// Relative error and whether the interval holds the truth.
-fn compare(t: &TrueEffect, c: &Cause) -> Option<(f64, bool)> {
+/// Relative error, whether the interval holds the truth, and absolute error.
+fn compare(t: &TrueEffect, c: &Cause) -> Option<(f64, bool, f64)> {
     if t.effect != c.effect {
         return None;
     }
@@ -258,10 +254,9 @@ fn compare(t: &TrueEffect, c: &Cause) -> Option<(f64, bool)> {
     let (truth, nominal) = as_reported(v, name)?;
     let size = (truth - nominal).abs();
     let slack = 1e-9 + 1e-6 * truth.abs();
-    Some((
-        (p.value - truth).abs() / size.max(1e-12),
-        p.ci_low - slack <= truth && truth <= p.ci_high + slack,
-    ))
+    let off = (p.value - truth).abs();
+    let holds = p.ci_low - slack <= truth && truth <= p.ci_high + slack;
+    Some((off / size.max(1e-12), holds, off))
 }
 
 /// Truth and nominal in the form that a parameter's name says: a scale, an extra on top, or the value itself.

@@ -8,6 +8,9 @@ use crate::case::Block;
 
 /// The steps of size, d.
 pub const LADDER: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
+/// Id of play at the girdles, and how well it must be found: half a degree, rad.
+const PLAY: &str = "girdle_play";
+const PLAY_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 /// Bins of the reliability diagram.
 const BINS: usize = 5;
 
@@ -82,6 +85,10 @@ pub struct Summary {
     pub starved: Rate,
     /// Changes of the robot before the hold-out that were not sold as a cause.
     pub holdout_change: Rate,
+    /// Salamander on the ground: first name right.
+    pub ground: Rate,
+    /// Play at a girdle: found at the right hinge within half a degree.
+    pub play: Rate,
     /// Expected calibration error of confidences.
     pub calibration_error: f64,
     /// Reliability diagram.
@@ -185,6 +192,18 @@ impl Summary {
             }),
             starved: Rate::count(all, block(Block::Starved), |o| o.right),
             holdout_change: Rate::count(all, block(Block::HoldoutChange), |o| o.right),
+            ground: Rate::count(all, block(Block::Ground), first),
+            play: Rate::count(
+                all,
+                |o| o.block == Block::Ground && o.truth.iter().any(|t| t.effect == PLAY),
+                |o| {
+                    o.truth.iter().any(|t| {
+                        t.effect == PLAY
+                            && t.joint_right == Some(true)
+                            && t.absolute_error.is_some_and(|e| e <= PLAY_RAD)
+                    })
+                },
+            ),
             calibration_error,
             reliability,
             next_helps: Rate::count(
@@ -318,6 +337,16 @@ impl Summary {
                 "change before the hold-out not sold as a cause".to_owned(),
                 self.holdout_change.to_string(),
                 "",
+            ),
+            (
+                "on the ground: first name right".to_owned(),
+                self.ground.to_string(),
+                "",
+            ),
+            (
+                "girdle play: right hinge, within 0.5 deg".to_owned(),
+                self.play.to_string(),
+                "found",
             ),
             (
                 "expected calibration error".to_owned(),
