@@ -20,8 +20,8 @@ const TEMPERATURE_C: u8 = 32;
 const FIELD_WORLD_T: [f64; 3] = [2.0e-5, 0.0, -4.3e-5];
 /// Standard gravity, m/s².
 const G_MPS2: f32 = 9.806_65;
-/// How fast the mean heading follows, s: longer than a stride, so that the sway of the head averages out.
-const HEADING_S: f64 = 1.0;
+/// Time over which a direction of travel is taken, s: more than a stride, so that the sway of the head averages out.
+const WINDOW_S: f64 = 1.0;
 /// Beginning and end of a walk that do not count: standing up and returning, s.
 const LEAD_IN_S: f64 = 5.0;
 const LEAD_OUT_S: f64 = 3.0;
@@ -42,36 +42,36 @@ pub struct Travel {
 /// Follows the base while the torque is on.
 #[derive(Clone, Debug, Default)]
 struct Trace {
-    heading: Option<[f64; 2]>,
-    last_m: [f64; 2],
+    /// Beginning of the present window: time, s, and place, m; and the sum of headings in it.
+    window: Option<(f64, [f64; 2], [f64; 2])>,
     forward_m: f64,
-    /// (time, forward distance) at every step.
+    /// (time, forward distance) at the end of every window.
     steps: Vec<(f64, f64)>,
     height_min_m: f64,
 }
 
-/// Steps of a trace that are remembered: 17 minutes; a longer walk is judged by its last ones.
-const STEPS_MAX: usize = 1 << 18;
+/// Windows of a trace that are remembered: 18 hours; a longer walk is judged by its last ones.
+const STEPS_MAX: usize = 1 << 16;
 
 impl Trace {
-    fn add(&mut self, time_s: f64, dt_s: f64, pos_m: [f64; 3], yaw_rad: f64) {
+    fn add(&mut self, time_s: f64, pos_m: [f64; 3], yaw_rad: f64) {
         let at = [pos_m[0], pos_m[1]];
-        let now = [yaw_rad.cos(), yaw_rad.sin()];
-        let Some(heading) = &mut self.heading else {
-            self.heading = Some(now);
-            self.last_m = at;
+        let Some((begun_s, from_m, heading)) = &mut self.window else {
+            self.window = Some((time_s, at, [yaw_rad.cos(), yaw_rad.sin()]));
+            self.steps.push((time_s, 0.0));
             self.height_min_m = pos_m[2];
             return;
         };
-        let share = (dt_s / HEADING_S).min(1.0);
-        for axis in 0..2 {
-            heading[axis] += share * (now[axis] - heading[axis]);
+        heading[0] += yaw_rad.cos();
+        heading[1] += yaw_rad.sin();
+        self.height_min_m = self.height_min_m.min(pos_m[2]);
+        if time_s - *begun_s < WINDOW_S {
+            return;
         }
         let size = heading[0].hypot(heading[1]).max(1e-9);
-        let along = (0..2).map(|i| heading[i] / size * (at[i] - self.last_m[i]));
+        let along = (0..2).map(|i| heading[i] / size * (at[i] - from_m[i]));
         self.forward_m += along.sum::<f64>();
-        self.last_m = at;
-        self.height_min_m = self.height_min_m.min(pos_m[2]);
+        self.window = Some((time_s, at, [yaw_rad.cos(), yaw_rad.sin()]));
         if self.steps.len() == STEPS_MAX {
             self.steps.drain(..STEPS_MAX / 2);
         }
@@ -211,8 +211,8 @@ impl EmulatedRobot {
             let quat = &self.engine.state().base_quat_wxyz;
             let [w, x, y, z] = std::array::from_fn(|i| f64::from(quat[i]));
             let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
-            let (time_s, dt_s, pos_m) = (self.time_s(), self.step_s(), self.base_pos_m());
-            self.trace.add(time_s, dt_s, pos_m, yaw);
+            let (time_s, pos_m) = (self.time_s(), self.base_pos_m());
+            self.trace.add(time_s, pos_m, yaw);
         }
         self.sense();
         Ok(())
@@ -329,10 +329,11 @@ mod tests {
         for step in 0..=5000_u32 {
             let time_s = 0.004 * f64::from(step);
             let y = 0.25 * (time_s - 2.0).clamp(0.0, 16.0);
-            trace.add(time_s, 0.004, [0.0, y, 0.1], std::f64::consts::FRAC_PI_2);
+            trace.add(time_s, [0.0, y, 0.1], std::f64::consts::FRAC_PI_2);
         }
         let travel = trace.travel().unwrap();
-        assert!((travel.forward_m - 4.0).abs() < 1e-9);
+        // What the last window has begun does not count yet.
+        assert!((travel.forward_m - 4.0).abs() < 1e-6, "{travel:?}");
         assert!(
             (travel.forward_mps.unwrap() - 0.25).abs() < 1e-3,
             "{travel:?}"
