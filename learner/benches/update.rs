@@ -51,7 +51,7 @@ fn main() {
     let mut best = f64::INFINITY;
     for _ in 0..8 {
         let started = Instant::now();
-        ppo.update(&batch, &scaling, 0, &mut order).unwrap();
+        ppo.update(&batch, &scaling, 0, &mut order, false).unwrap();
         best = best.min(started.elapsed().as_secs_f64());
     }
     println!(

@@ -66,7 +66,7 @@ impl Run {
     fn iterations(&self, count: usize) -> u64 {
         let last = (0..count)
             .map(|_| self.wait_for("iteration"))
-            .last()
+            .next_back()
             .unwrap();
         last["iteration"].as_u64().unwrap()
     }

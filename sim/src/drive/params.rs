@@ -205,7 +205,6 @@ impl JointPassive<f64> {
                             presliding_rad: wide(e.presliding_rad),
                             low_rad: wide(e.low_rad),
                             high_rad: wide(e.high_rad),
-                            ..bare
                         }
                     }
                     JointKind::Passive | JointKind::Backlash => match hinges.next() {

@@ -219,7 +219,11 @@ pub fn holdout(model: &RobotModel, amount: Amount, stream: &mut Stream) -> Vec<T
             let sines: Vec<(f64, f64, f64)> = (0..5)
                 .map(|i| {
                     let f = 0.4 * 1.8f64.powi(i) * stream.uniform_f64(0.9, 1.1);
-                    (0.3 / (1.0 + f), f, stream.uniform_f64(0.0, 6.28))
+                    (
+                        0.3 / (1.0 + f),
+                        f,
+                        stream.uniform_f64(0.0, std::f64::consts::TAU),
+                    )
                 })
                 .collect();
             let n = t.rows(7.0);

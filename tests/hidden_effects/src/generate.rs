@@ -145,7 +145,7 @@ pub fn lab(model: &RobotModel, seed: u64) -> World {
         // a gear's ripple, well below its friction
         p.ripple_nm += s.uniform_f64(0.001, 0.003);
         p.ripple_per_turn = s.uniform_f64(20.0, 45.0).round();
-        p.ripple_phase_rad = s.uniform_f64(0.0, 6.28);
+        p.ripple_phase_rad = s.uniform_f64(0.0, std::f64::consts::TAU);
     }
     World {
         spec,
@@ -167,7 +167,11 @@ fn of_the_day(world: &World, seed: u64, run: u64) -> (World, Vec<f64>) {
     let mut start = Vec::new();
     for p in &mut w.spec.joints {
         p.coulomb_nm *= s.uniform_f64(0.92, 1.08);
-        p.drift = (0.03, s.uniform_f64(20.0, 60.0), s.uniform_f64(0.0, 6.28));
+        p.drift = (
+            0.03,
+            s.uniform_f64(20.0, 60.0),
+            s.uniform_f64(0.0, std::f64::consts::TAU),
+        );
         start.push(0.004 * s.normal_f64());
     }
     (w, start)
@@ -353,7 +357,8 @@ fn size_for(
         detectability(rig, &world, trials, view, seed)
     };
     let (first, most) = hidden.sizes;
-    let (mut low, mut high): (Option<(f64, f64)>, Option<(f64, f64)>) = (None, None);
+    let mut low: Option<(f64, f64)> = None;
+    let mut high: Option<(f64, f64)> = None;
     let mut size = first;
     let mut best = (first, 0.0);
     for _ in 0..12 {

@@ -1,4 +1,5 @@
 //! The truth simulator against closed forms and conservation laws.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use caudata_hidden_effects::generate::Rig;
 use caudata_hidden_effects::truth::drive::{

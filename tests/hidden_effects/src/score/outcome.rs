@@ -201,7 +201,7 @@ fn judged(t: &TrueEffect, causes: &[Cause], joint_links: &[(String, String)]) ->
     }
     let in_set = causes
         .iter()
-        .any(|c| c.effect == t.effect || c.alternatives.iter().any(|a| *a == t.effect));
+        .any(|c| c.effect == t.effect || c.alternatives.contains(&t.effect));
     let value = cause.and_then(|c| compare(t, c));
     Judged {
         effect: t.effect.clone(),

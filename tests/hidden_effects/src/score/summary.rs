@@ -242,9 +242,9 @@ impl Summary {
         ];
         for step in &self.by_size {
             let owed = match step.d {
-                d if d == 1.0 => "40 %",
-                d if d == 2.0 => "85 %; name 65 %",
-                d if d == 4.0 => "98 %; name 85 %",
+                1.0 => "40 %",
+                2.0 => "85 %; name 65 %",
+                4.0 => "98 %; name 85 %",
                 _ => "",
             };
             rows.push((
