@@ -125,7 +125,8 @@ pub fn answers(root: &Path, secret: &[u8]) -> Result<Answers, BenchError> {
     Ok(serde_json::from_slice(&seal::open(&sealed, secret)?)?)
 }
 
-/// Diagnoses every case of a set, `jobs` at a time, and judges it. The answers are opened only after the last diagnosis has ended.
+/// Diagnoses every case of a set, `jobs` at a time, and judges it. The examiner opens the answers to learn
+/// which effects a case leaves out of the catalogue; the process that diagnoses never sees them.
 ///
 /// # Errors
 /// [`BenchError`].
