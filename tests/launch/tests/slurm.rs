@@ -244,9 +244,11 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
         slurm
             .queue()
             .lines()
-            .any(|line| line.starts_with(&learner) && !line.ends_with(" R"))
+            .any(|line| line.starts_with(&learner) && line.ends_with(" PD"))
     });
-    // Slurm waits two minutes before a job that was requeued starts; a site does not ask for that, a test does.
+    // Slurm waits two minutes before a job that was requeued starts; a test does not. But slurmd refuses a launch whose credential is not
+    // younger, in whole seconds, than the end of the job's last start ("already killed, do not launch"), and the job then fails for good.
+    std::thread::sleep(Duration::from_secs(3));
     let release = ["update", &format!("JobId={learner}"), "StartTime=now"];
     wait_until("the learner started again", || {
         let _ = Command::new("scontrol")
