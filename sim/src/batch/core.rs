@@ -1,7 +1,7 @@
 //! All lanes of an engine in groups of one width, behind a trait that hides the width.
 
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use caudata_model::RobotModel;
 
@@ -214,8 +214,8 @@ impl<R: Lanes> Core for CoreOf<R> {
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State) {
         let shared = &self.shared;
         let threads = pool.threads().min(self.scratch.len());
-        // Small parts, each taken by the next thread that is free: the machine may be busy with other things as well. A group's result does
-        // not depend on who works it out.
+        // Small parts. Each thread begins with those that it had in the last step, which are in its cache, and then helps the others: the
+        // machine may be busy with other things as well. A group's result does not depend on who works it out.
         let share = self.groups.len().div_ceil(PARTS_PER_THREAD * threads);
         let widths = report::widths(&shared.program);
         let actuated = shared.program.actuated;
@@ -237,14 +237,17 @@ impl<R: Lanes> Core for CoreOf<R> {
         }
         let scratch: Vec<Mutex<&mut Scratch<R>>> =
             self.scratch.iter_mut().map(Mutex::new).collect();
-        let next = AtomicUsize::new(0);
+        let taken: Vec<AtomicBool> = work.iter().map(|_| AtomicBool::new(false)).collect();
         pool.run(&|k| {
             // nobody else has this thread's working memory, or a part that it took
             let Some(Ok(mut scratch)) = scratch.get(k).map(Mutex::lock) else {
                 return;
             };
-            while let Some(part) = work.get(next.fetch_add(1, Ordering::Relaxed)) {
-                if let Ok(mut part) = part.lock() {
+            let own = k * work.len() / threads;
+            for at in (own..work.len()).chain(0..own) {
+                if !taken[at].swap(true, Ordering::Relaxed)
+                    && let Ok(mut part) = work[at].lock()
+                {
                     part.run(&mut scratch);
                 }
             }

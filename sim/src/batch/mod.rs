@@ -24,6 +24,7 @@
 
 mod aba;
 mod contact;
+mod convex;
 mod core;
 mod ground;
 mod integrate;

@@ -315,7 +315,7 @@ fn step<R: Lanes, const FLAT: bool>(
         &mut scratch.beyond,
         &mut scratch.qdd,
     );
-    sum_contacts::<R, FLAT>(program, group, scratch);
+    sum_contacts::<R, FLAT>(shared, group, scratch);
     integrate::integrate(shared, group, scratch)
 }
 
@@ -384,10 +384,11 @@ fn load<R: Lanes>(t: &ImplicitTorque<R>, armature: R, dt: R, qd: R) -> Load<R> {
 /// Adds up the contact forces that came out.
 #[inline(always)]
 fn sum_contacts<R: Lanes, const FLAT: bool>(
-    program: &Program<R>,
+    shared: &Shared<R>,
     group: &mut Group<R>,
     scratch: &Scratch<R>,
 ) {
+    let program = &shared.program;
     let feet = 2 * program.actuated;
     let trunk = feet + 3 * program.feet.len();
     let contacts = layout(program).contacts();
@@ -402,6 +403,12 @@ fn sum_contacts<R: Lanes, const FLAT: bool>(
                 continue;
             }
             let (force, acceleration) = touch.force(ang, lin);
+            if shared.law.convex {
+                for c in 0..3 {
+                    let free = acceleration[c] - touch.give * force[c];
+                    group.x[contacts + MEMORY * p + c] = free * touch.touching;
+                }
+            }
             let (normal, acceleration) = if FLAT {
                 (force[2], acceleration[2])
             } else {
