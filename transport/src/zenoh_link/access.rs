@@ -38,7 +38,8 @@ pub(super) fn check_endpoints(
             // zenoh 1.10 reads and writes one TLS stream from two threads (eclipse-zenoh/zenoh#2557).
             Some(("tls", _)) => {
                 return Err(refuse(
-                    "TLS over TCP can corrupt memory; write quic/ (UDP, the same certificates)".to_owned(),
+                    "TLS over TCP can corrupt memory; write quic/ (UDP, the same certificates)"
+                        .to_owned(),
                 ));
             }
             _ => {

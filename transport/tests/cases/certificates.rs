@@ -170,3 +170,57 @@ fn an_actor_cannot_pose_as_the_learner() {
     drop((posing, listening, actor, learner));
     impostor.close().wait().unwrap();
 }
+
+/// What the TLS link of zenoh 1.10 did not survive (eclipse-zenoh/zenoh#2557): both directions busy at once, for long. Every frame
+/// carries a checksum over all its bytes, every policy is compared whole.
+#[test]
+fn both_directions_at_once_for_long() {
+    both_directions(2_000);
+}
+
+/// The same for minutes: some ten gigabytes.
+#[test]
+#[ignore = "long: minutes"]
+fn both_directions_at_once_for_minutes() {
+    both_directions(200_000);
+}
+
+fn both_directions(frames: u64) {
+    let dir = tempfile::tempdir().unwrap();
+    let authority = authority(dir.path());
+    let mut learner = learner(&authority, "long");
+    let files = certificate(&authority, Role::Actor, "actor");
+    let config = towards(&*learner, files);
+    std::thread::scope(|scope| {
+        for sender in 0..2 {
+            let mut actor = actor_link(&config, "long", sender).unwrap();
+            scope.spawn(move || {
+                let mut newest = 0;
+                for number in 1..=frames {
+                    send(
+                        &mut *actor,
+                        &frame(label(u64::from(sender), number), 60_000),
+                    );
+                    while let Some(update) = actor.next_policy(Duration::ZERO).unwrap() {
+                        assert_eq!(update, policy(update.version, 60_000, Control::Run));
+                        assert!(update.version > newest);
+                        newest = update.version;
+                    }
+                }
+                flush(&mut *actor);
+                assert!(newest > 1, "policies came all the while");
+            });
+        }
+        let mut ledger = Ledger::default();
+        let mut version = 0;
+        while ledger.total() < 2 * frames {
+            if ledger.total() >= 20 * version {
+                version += 1;
+                learner
+                    .publish_policy(policy(version, 60_000, Control::Run))
+                    .unwrap();
+            }
+            ledger.take(&recv(&mut *learner));
+        }
+    });
+}
