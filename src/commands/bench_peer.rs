@@ -91,6 +91,8 @@ impl Peer {
         let child = command
             .stdin(Stdio::null())
             .env(PARENT_PID_VAR, std::process::id().to_string())
+            // zenoh warns about every QUIC session that its access control does not tell network interfaces apart; ours does not ask.
+            .env("CAUDATA_LOG", "error")
             .spawn()
             .or_exit(ExitCode::OsResource)?;
         Ok(Self { child })

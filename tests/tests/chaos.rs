@@ -533,6 +533,8 @@ fn chaos_ends_with_books_that_add_up_and_nothing_left_behind() {
         std::thread::sleep(Duration::from_millis(100));
     }
 
+    // Longer than `cluster.hang_timeout_s`: nobody stands still any more.
+    std::thread::sleep(Duration::from_secs(6));
     kill(cluster.up.pid(), Signal::SIGTERM).unwrap();
     let up = cluster.up.child.wait().unwrap();
     // The learner's stop reaches the actors elsewhere too.

@@ -15,7 +15,7 @@ const SPARE_SESSIONS: usize = 16;
 /// First and longest pause between attempts to reach the other side again, ms.
 const RETRY_MS: (u32, u32) = (100, 1_000);
 /// Shortest lease, ms: a host that is merely busy is not taken for dead.
-const MIN_LEASE_MS: u64 = 5_000;
+const MIN_LEASE_MS: u64 = 3_000;
 /// Longest wait for a session to close.
 const CLOSE_WAIT: Duration = Duration::from_secs(2);
 /// Ports tried when another process takes the one that the system had offered.
