@@ -483,13 +483,12 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
             }
         }
         let mut version = 0;
-        // Making policies is the learner's work, not that of collecting.
-        let mut making_s = 0.0;
         stage.publish(version, make(&stage.run_id, version)?.into(), Control::Run)?;
         let mut collect = |stage: &mut Stage, seconds: f64| -> Result<(f64, f64), Failure> {
             let began = Instant::now();
             let mut steps = 0;
-            making_s = 0.0;
+            // Making policies is the learner's work, not that of collecting.
+            let mut making_s = 0.0;
             while began.elapsed().as_secs_f64() < seconds {
                 let Some(frame) = stage.learner.recv(WAIT).or_exit(ExitCode::Internal)? else {
                     continue;

@@ -3,7 +3,12 @@
 //!
 //! Two actors run beside the learner (`caudata up`), two come from elsewhere (`caudata actors`) over QUIC with certificates, through a
 //! proxy that cuts, delays and loses datagrams. `CAUDATA_CHAOS_SECONDS` (default 60) and `CAUDATA_CHAOS_SEED` (default 1) change it.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader};
