@@ -70,7 +70,6 @@ fn commands_hold(robot: &RobotModel) -> usize {
 }
 
 #[test]
-#[ignore = "known shortfall (docs/status.md): hot_hold asks for 0.61 of the torque where 0.5 is allowed"]
 fn commands_respect_ranges_speeds_and_torque() {
     assert!(commands_hold(&robot("polymander")) >= 45);
     assert!(commands_hold(&robot("xl330_pendulum")) >= 25);
@@ -116,7 +115,6 @@ fn robot_holds(name: &str) {
 }
 
 #[test]
-#[ignore = "known shortfall (docs/status.md): FL_hip reaches 10.3 rad/s in steps_large"]
 fn a_simulated_salamander_stands_the_battery() {
     robot_holds("polymander");
 }

@@ -17,8 +17,14 @@ const LONGEST_LAG_S: f64 = 0.3;
 const LAG_RANGE_S: f64 = 0.6;
 /// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
 const BEYOND: (f64, f64) = (1.3, 0.2);
-/// By so much must another joint's reading go better with a command than the own one does.
-const OTHER_IS_BETTER: f64 = 0.1;
+/// Another joint's reading must leave at most this share of what the own one leaves unaccounted for.
+const OTHER_IS_BETTER: f64 = 0.35;
+/// A reading of which its command leaves less than this share follows it.
+const FOLLOWS: f64 = 0.06;
+/// Step of lags in that comparison, s.
+const LAG_STEP_S: f64 = 0.05;
+/// Motion below this (standard deviation) is not told from noise, rad.
+const RESOLVED_RAD: f64 = 0.004;
 /// An error that no servo leaves on both sides of a reading that does not change, rad.
 const STUCK_RAD: f64 = 0.15;
 
@@ -262,44 +268,74 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 }
 
 /// Two joints' readings in each other's place. Returns which joints are in another's.
+///
+/// A reading is compared with what a servo may make of a command: late, smaller, shifted. Alike commands (a wave that travels down a spine) make a
+/// reading go well with a neighbour's command too, but only one way: readings that were exchanged each go better with the other's command.
 fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool> {
-    let mut named = vec![false; joints.len()];
-    for a in 0..joints.len() {
-        // where the own reading follows, nothing is exchanged
-        let Some(own_a) = follows(run, &joints[a], &joints[a]) else {
+    let n = joints.len();
+    let mut named = vec![false; n];
+    let own: Vec<Option<f64>> = (0..n).map(|a| missed(run, &joints[a], &joints[a])).collect();
+    for a in 0..n {
+        let Some(own_a) = own[a].filter(|m| *m > FOLLOWS && !named[a]) else {
             continue;
         };
-        if named[a] || (own_a.r > 0.5 && own_a.slope > 0.1) {
+        // whose reading goes best with this command
+        let best = (0..n)
+            .filter(|&b| b != a && !named[b])
+            .filter_map(|b| Some((b, missed(run, &joints[a], &joints[b])?)))
+            .filter(|&(b, ab)| ab < OTHER_IS_BETTER * own_a && own[b].is_none_or(|m| ab < OTHER_IS_BETTER * m))
+            .min_by(|x, y| x.1.total_cmp(&y.1));
+        let Some((b, ab)) = best else { continue };
+        let back = missed(run, &joints[b], &joints[a]);
+        let exchanged = back.is_some_and(|ba| ba < OTHER_IS_BETTER * own_a);
+        // without a way back (the other command rests, or three are in each other's place) only commands that are not alike prove anything
+        if !exchanged && alike(run, &joints[a], &joints[b]) {
             continue;
         }
-        let goes = |t: Together| t.r > 0.8 && (0.3..3.0).contains(&t.slope);
-        let clearly = |t: Together, own: Together| t.r > own.r.abs() + OTHER_IS_BETTER;
-        let best = (0..joints.len())
-            .filter(|&b| b != a && !named[b])
-            .filter_map(|b| Some((b, follows(run, &joints[a], &joints[b])?)))
-            .filter(|&(_, ab)| goes(ab) && clearly(ab, own_a))
-            // its own command does not explain the other reading: it rests, or goes otherwise
-            .filter(|&(b, ab)| {
-                follows(run, &joints[b], &joints[b]).is_none_or(|own_b| clearly(ab, own_b))
-            })
-            .max_by(|x, y| x.1.r.total_cmp(&y.1.r));
-        let Some((b, ab)) = best else { continue };
-        let back = follows(run, &joints[b], &joints[a]).is_some_and(goes);
         named[a] = true;
-        named[b] = back;
+        named[b] = exchanged;
         let (a, b) = (&joints[a].name, &joints[b].name);
-        let more = if back {
-            format!(" and pos.{a} follows cmd.{b}: exchange them")
+        let more = if exchanged {
+            format!(" and pos.{a} cmd.{b}: exchange them")
         } else {
             ": are the columns in another joint's order?".to_owned()
         };
         out.push(fatal(
             "order",
             format!("pos.{a}"),
-            format!("pos.{b} follows cmd.{a} (correlation {:.2}){more}", ab.r),
+            format!(
+                "pos.{b} follows cmd.{a} ({:.1} % of its motion is left; of pos.{a} {:.0} %){more}",
+                100.0 * ab,
+                100.0 * own_a
+            ),
         ));
     }
     named
+}
+
+/// Share of a reading's slow motion that a command does not account for, late by what a servo needs at most, and of any size of the same sign.
+/// `None` where the command does not move enough to tell.
+fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<f64> {
+    let (u, q) = (cmd.slow_cmd.as_ref()?, pos.slow_pos.as_ref()?);
+    follows(run, cmd, pos)?;
+    let stride = run.grid.points(LAG_STEP_S);
+    let u: Vec<f64> = u.iter().step_by(stride).copied().collect();
+    let q: Vec<f64> = q.iter().step_by(stride).copied().collect();
+    let most = (LONGEST_LAG_S / (stride as f64 * run.grid.step_s)).round() as isize;
+    let (_, t) = best_lag(&u, &q, 0..=most);
+    let resolved = t.second_sd > 0.2 * t.first_sd && (0.1..3.0).contains(&t.slope);
+    let left = if resolved && t.r > 0.0 { 1.0 - t.r * t.r } else { 1.0 };
+    // counts, friction and droop leave something of the best
+    Some(left.max((RESOLVED_RAD / t.second_sd.max(1e-9)).powi(2).min(1.0)))
+}
+
+/// Whether two commands go together, one of them late by anything up to what is looked at.
+fn alike(run: &Run<'_>, a: &Channels, b: &Channels) -> bool {
+    let (Some(u), Some(v)) = (&a.slow_cmd, &b.slow_cmd) else {
+        return false;
+    };
+    let most = run.grid.points(LAG_RANGE_S) as isize;
+    best_lag(u, v, -most..=most).1.r > 0.5
 }
 
 /// Two joints that read the same although they are asked for different things.
