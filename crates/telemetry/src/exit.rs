@@ -227,6 +227,7 @@ impl<E: Error + Send + Sync + 'static> From<E> for Failure {
             code,
             error,
             hint: None,
+            label: "error",
         }
     }
 }

@@ -5,6 +5,7 @@ use super::refine::refine;
 use super::screen::{Screened, screen};
 use super::search::{Found, penalised, single, swapped};
 use super::state::{Context, State};
+use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::Variant;
 
@@ -98,7 +99,7 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
     let best = &found.best;
     let mut terms: Variant = best.terms.clone();
     let term = terms.remove(index);
-    let terms = refine(context, vec![terms], None)?.swap_remove(0).0;
+    let terms = refine(context, vec![terms], None, None)?.swap_remove(0).0;
     let mut without = single(context, terms)?;
     context.find_basis(&mut without)?;
     let screened = if without.terms.is_empty() && !found.first.is_empty() {
@@ -107,12 +108,12 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         screen(context, &without)?
     };
     let chosen = rivals(&term, &screened);
-    let states = swapped(context, best, index, &chosen)?;
-    let gain = penalised(&without) - penalised(best);
+    let states = swapped(context, best, index, &chosen, without.fit.misfit)?;
+    let gain = penalised(context, &without) - penalised(context, best);
     let mut rivals: Vec<Rival> = states
         .into_iter()
         .map(|state| Rival {
-            short: (penalised(&state) - penalised(best)) / gain.max(1e-9),
+            short: (penalised(context, &state) - penalised(context, best)) / gain.max(1e-9),
             state,
             index,
             probability: 0.0,
@@ -120,7 +121,13 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         })
         .collect();
     rivals.sort_by(|a, b| a.short.total_cmp(&b.short));
-    let rest = MARGIN_OF_REST * penalised(best) + MARGIN_FLOORS;
+    // what is left at the joints that it concerns, as a part of the whole
+    let joints = context.replayer.model().actuated().len().max(1);
+    let concerned = match term.place.domain {
+        Domain::Joints => term.place.items.len().clamp(1, joints) as f64 / joints as f64,
+        _ => 1.0,
+    };
+    let rest = (MARGIN_OF_REST * penalised(context, best) + MARGIN_FLOORS) * concerned;
     let margin = MARGIN.min(rest / gain.max(1e-9));
     // places of one effect are one name
     let weight = |short: f64| (-short.max(-margin) / (TEMPERATURE * margin)).exp();

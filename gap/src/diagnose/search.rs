@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::gates::{self, Worth};
-use super::refine::refine;
+use super::refine::{Race, refine};
 use super::screen::{Screened, screen};
 use super::state::{Context, State};
 use super::{Progress, Stage};
@@ -63,7 +63,7 @@ pub fn search(
     let mut tried = 0;
     for depth in 1..=MOST_TERMS {
         if depth > 1 {
-            if best.misfit() < FLOOR {
+            if gates::worst(context, &best) < FLOOR {
                 break;
             }
             // what runs differ by grows with what was found: more friction drifts by more
@@ -88,7 +88,7 @@ pub fn search(
                 first = screened;
             }
         }
-        children.sort_by(|a, b| penalised(&a.0).total_cmp(&penalised(&b.0)));
+        children.sort_by(|a, b| penalised(context, &a.0).total_cmp(&penalised(context, &b.0)));
         if depth == 1 {
             singles = children.iter().map(|(s, w, _)| (s.clone(), *w)).collect();
         }
@@ -108,7 +108,7 @@ pub fn search(
             .take(8)
             .collect();
         let Some(leader) = passed.first() else { break };
-        if penalised(leader) >= penalised(&best) {
+        if penalised(context, leader) >= penalised(context, &best) {
             break;
         }
         best = leader.clone();
@@ -137,7 +137,7 @@ pub fn search(
         best = delete(context, best)?;
     }
     if !best.terms.is_empty() {
-        let polished = refine(context, vec![best.terms.clone()], Some(12))?;
+        let polished = refine(context, vec![best.terms.clone()], Some(12), None)?;
         let polished = single(context, polished[0].0.clone())?;
         if polished.fit.misfit <= best.fit.misfit {
             best = polished;
@@ -196,10 +196,12 @@ pub fn single(context: &Context, terms: Variant) -> Result<State, GapError> {
     Ok(states.swap_remove(0))
 }
 
-/// Misfit with what its parameters must have earned.
+/// Misfit with what its parameters must have earned. A parameter of one joint can only earn where that joint is measured, so that it owes
+/// the less the more joints there are.
 #[must_use]
-pub fn penalised(state: &State) -> f64 {
-    state.misfit() * (1.0 + PER_PARAMETER * state.parameters() as f64)
+pub fn penalised(context: &Context, state: &State) -> f64 {
+    let joints = context.replayer.model().actuated().len().max(1);
+    state.misfit() * (1.0 + PER_PARAMETER * state.parameters() as f64 / joints as f64)
 }
 
 /// The most promising, not more than a few places of one effect.
@@ -246,7 +248,7 @@ fn expand(
         }
         number += 1;
     }
-    best_fits(context, variants, &of, number)
+    best_fits(context, variants, &of, number, parent.fit.misfit)
 }
 
 /// Fits and keeps the best of each group.
@@ -255,8 +257,9 @@ fn best_fits(
     variants: Vec<Variant>,
     of: &[usize],
     groups: usize,
+    from: f64,
 ) -> Result<Vec<State>, GapError> {
-    let fitted = refine(context, variants, None)?;
+    let fitted = refine(context, variants, None, Some(&Race { of, from }))?;
     let mut best: Vec<Option<(Variant, f64)>> = vec![None; groups];
     for ((terms, cost), &g) in fitted.into_iter().zip(of) {
         if best[g].as_ref().is_none_or(|b| cost < b.1) {
@@ -278,15 +281,15 @@ fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
             })
             .collect();
         let of: Vec<usize> = (0..variants.len()).collect();
-        let without = best_fits(context, variants, &of, of.len())?;
+        let without = best_fits(context, variants, &of, of.len(), f64::INFINITY)?;
         // the one that is missed least
         let least = without
             .into_iter()
             .enumerate()
-            .min_by(|a, b| penalised(&a.1).total_cmp(&penalised(&b.1)));
+            .min_by(|a, b| penalised(context, &a.1).total_cmp(&penalised(context, &b.1)));
         let Some((index, shorter)) = least else { break };
         let worth = gates::worth(context, &shorter, &state, Some(&state.terms[index].place));
-        if worth.passed && penalised(&shorter) > penalised(&state) {
+        if worth.passed && penalised(context, &shorter) > penalised(context, &state) {
             break;
         }
         state = shorter;
@@ -294,7 +297,7 @@ fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
     Ok(state)
 }
 
-/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each.
+/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `from`: misfit on the fit runs without the term.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
@@ -303,6 +306,7 @@ pub fn swapped(
     state: &State,
     index: usize,
     rivals: &[&Screened],
+    from: f64,
 ) -> Result<Vec<State>, GapError> {
     let mut variants = Vec::new();
     let mut of = Vec::new();
@@ -318,5 +322,5 @@ pub fn swapped(
             of.push(number);
         }
     }
-    best_fits(context, variants, &of, rivals.len())
+    best_fits(context, variants, &of, rivals.len(), from)
 }

@@ -11,7 +11,7 @@ use super::naming::Named;
 use super::search::Found;
 use super::spread::{Spread, correlation, parameters, spread};
 use super::state::{Context, On, State};
-use super::{Diagnosis, Request, Split, leftover, next, pictures};
+use super::{Diagnosis, Request, Split, gates, leftover, next, pictures};
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
@@ -20,6 +20,10 @@ use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Unexplained,
 
 /// Misfit below which nothing is left to explain: the metric's floor is 1, and the floor itself is only known to about this.
 pub const QUIET: f64 = 1.5;
+/// Nobody is surer than the benchmark's own error rate …
+const TRUST: f64 = 0.97;
+/// … and where much is left unexplained, that is this high.
+const TRUST_IN_PART: f64 = 0.6;
 /// Share of the misfit that may be left in an explained gap.
 const LEFT: f64 = 0.15;
 /// Cells of the divergence map that are reported.
@@ -65,11 +69,17 @@ pub fn conclude(
 ) -> Result<Diagnosis, GapError> {
     let (base, best) = (&found.base, &found.best);
     let spread = spread(context, best)?;
+    // a model that leaves much unexplained lacks something, and what it has may stand in for that
+    let trust = if left(context, base, best) > 0.0 {
+        TRUST_IN_PART
+    } else {
+        TRUST
+    };
     let mut causes: Vec<Cause> = Vec::new();
     let mut order: Vec<&Named> = named.iter().collect();
     order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
     for n in &order {
-        causes.push(cause(context, best, n, &spread));
+        causes.push(cause(context, best, n, &spread, trust));
     }
     let unexplained = leftover::leftover(context, found);
     let verdict = verdict(context, found, &causes, split);
@@ -115,7 +125,7 @@ pub fn conclude(
 fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> Verdict {
     let (base, best) = (&found.base, &found.best);
     if causes.is_empty() {
-        if base.misfit() < QUIET {
+        if gates::worst(context, base) < QUIET {
             let dark = context
                 .excitation
                 .joints
@@ -139,8 +149,7 @@ fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> 
             Verdict::Unexplained
         };
     }
-    let excess = best.misfit() / base.misfit().max(1e-9);
-    if best.misfit() > QUIET && excess > LEFT {
+    if left(context, base, best) > 0.0 {
         return Verdict::PartlyExplained;
     }
     if causes.iter().any(|c| !c.alternatives.is_empty()) {
@@ -150,7 +159,18 @@ fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> 
     }
 }
 
-fn cause(context: &Context, best: &State, named: &Named, spread: &Spread) -> Cause {
+/// Share of the misfit that is left where it is greatest; 0 where that is no more than is known of the floor.
+fn left(context: &Context, base: &State, best: &State) -> f64 {
+    let (before, after) = (gates::worst(context, base), gates::worst(context, best));
+    let share = after / before.max(1e-9);
+    if after > QUIET && share > LEFT {
+        share.min(1.0)
+    } else {
+        0.0
+    }
+}
+
+fn cause(context: &Context, best: &State, named: &Named, spread: &Spread, trust: f64) -> Cause {
     let term = &best.terms[named.index];
     let mut alternatives: Vec<String> = Vec::new();
     let mut rejected: Vec<Rejected> = Vec::new();
@@ -189,8 +209,7 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread) -> Cau
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters: parameters(context, best, named.index, spread),
-        // nobody is surer than the benchmark's own error rate
-        confidence: same_name.clamp(0.03, 0.97),
+        confidence: (same_name * trust).clamp(0.03, 0.97),
         alternatives,
         evidence: evidence(context, term, named),
         rejected,
