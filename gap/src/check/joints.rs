@@ -2,13 +2,15 @@
 
 use caudata_runlog::Signal;
 
-use super::series::{Together, best_lag, smooth, together};
+use super::series::{Together, best_lag, slope, smooth, together};
 use super::{Finding, Run, Severity};
 
 /// Commands and readings are compared below about 1 Hz, where no lag of a servo turns a sign.
 const SLOW_S: f64 = 0.35;
 /// A command that moves less than this (standard deviation of its slow part, rad) tells nothing.
 const MOVES_RAD: f64 = 0.02;
+/// A joint slower than this rests, rad/s.
+const RESTS_RADPS: f64 = 0.1;
 /// At least so long a stretch is judged, s.
 const LONG_ENOUGH_S: f64 = 1.0;
 /// Longest time from a command to its effect that any servo needs, s. More is a fault of the stamps.
@@ -17,12 +19,19 @@ const LONGEST_LAG_S: f64 = 0.3;
 const LAG_RANGE_S: f64 = 0.6;
 /// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
 const BEYOND: (f64, f64) = (1.3, 0.2);
-/// Another joint's reading must leave at most this share of what the own one leaves unaccounted for.
-const OTHER_IS_BETTER: f64 = 0.35;
 /// A reading of which its command leaves less than this share follows it.
-const FOLLOWS: f64 = 0.06;
-/// Step of lags in that comparison, s.
-const LAG_STEP_S: f64 = 0.05;
+const FOLLOWS: f64 = 0.02;
+/// Each of two readings must leave at most this share with the other's command of what it leaves with its own.
+const BETTER: f64 = 0.5;
+/// The same where only one of them can be told …
+const MUCH_BETTER: f64 = 0.2;
+/// … which must follow as well as this …
+const FOLLOWS_WELL: f64 = 0.06;
+/// … and as far as this share of the command.
+const FOLLOWS_FAR: f64 = 0.5;
+/// For this comparison, over so long a time is smoothed, and lags differ by so much, s.
+const FINE_S: f64 = 0.1;
+const LAG_STEP_S: f64 = 0.02;
 /// Motion below this (standard deviation) is not told from noise, rad.
 const RESOLVED_RAD: f64 = 0.004;
 /// An error that no servo leaves on both sides of a reading that does not change, rad.
@@ -41,13 +50,15 @@ pub(super) struct Channels {
     pub on: Option<Vec<f64>>,
     slow_cmd: Option<Vec<f64>>,
     slow_pos: Option<Vec<f64>>,
+    fine_cmd: Option<Vec<f64>>,
+    fine_pos: Option<Vec<f64>>,
 }
 
 impl Channels {
     /// The channels of every actuated joint that the log has, policy order.
     pub fn all(run: &Run<'_>) -> Vec<Self> {
         let table = &run.log.table;
-        let slow = run.grid.points(SLOW_S);
+        let (slow, fine) = (run.grid.points(SLOW_S), run.grid.points(FINE_S));
         let names = run.robot.actuated_names();
         names
             .iter()
@@ -74,6 +85,8 @@ impl Channels {
                     index,
                     slow_cmd: cmd.as_deref().map(|x| smooth(x, slow)),
                     slow_pos: pos.as_deref().map(|x| smooth(x, slow)),
+                    fine_cmd: cmd.as_deref().map(|x| smooth(x, fine)),
+                    fine_pos: pos.as_deref().map(|x| smooth(x, fine)),
                     cmd,
                     pos,
                     vel: own(Signal::Velocity),
@@ -180,11 +193,22 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         ));
         return;
     }
-    // The motor pulls towards the command: current follows the error where the sign is right.
+    // At rest the motor pulls towards the command: current follows the error where the sign is right. (In motion the error is the lag.)
     let (Some(cmd), Some(pos), Some(cur)) = (&joint.slow_cmd, &joint.slow_pos, &joint.cur) else {
         return;
     };
-    let error: Vec<f64> = cmd.iter().zip(pos).map(|(u, q)| u - q).collect();
+    let half = run.grid.points(0.5 * SLOW_S);
+    let speed = slope(pos, half, run.grid.step_s);
+    let moves = slope(cmd, half, run.grid.step_s);
+    let error: Vec<f64> = (cmd.iter().zip(pos).zip(speed.iter().zip(&moves)))
+        .map(|((u, q), (v, w))| {
+            if v.abs() < RESTS_RADPS && w.abs() < RESTS_RADPS {
+                u - q
+            } else {
+                f64::NAN
+            }
+        })
+        .collect();
     let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
     let unsigned = cur.iter().all(|i| i.is_nan() || *i >= 0.0);
     if t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) && !unsigned {
@@ -274,59 +298,85 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool> {
     let n = joints.len();
     let mut named = vec![false; n];
-    let own: Vec<Option<f64>> = (0..n).map(|a| missed(run, &joints[a], &joints[a])).collect();
+    let own: Vec<Option<Missed>> = joints.iter().map(|j| missed(run, j, j)).collect();
+    let better = |other: Missed, own: Option<Missed>, share: f64| {
+        own.is_none_or(|own| other.left < share * own.left)
+    };
     for a in 0..n {
-        let Some(own_a) = own[a].filter(|m| *m > FOLLOWS && !named[a]) else {
+        if named[a] || own[a].is_none_or(|m| m.left < FOLLOWS) {
             continue;
-        };
+        }
         // whose reading goes best with this command
         let best = (0..n)
             .filter(|&b| b != a && !named[b])
             .filter_map(|b| Some((b, missed(run, &joints[a], &joints[b])?)))
-            .filter(|&(b, ab)| ab < OTHER_IS_BETTER * own_a && own[b].is_none_or(|m| ab < OTHER_IS_BETTER * m))
-            .min_by(|x, y| x.1.total_cmp(&y.1));
+            .filter(|&(b, ab)| better(ab, own[a], BETTER) && better(ab, own[b], BETTER))
+            .min_by(|x, y| x.1.left.total_cmp(&y.1.left));
         let Some((b, ab)) = best else { continue };
         let back = missed(run, &joints[b], &joints[a]);
-        let exchanged = back.is_some_and(|ba| ba < OTHER_IS_BETTER * own_a);
-        // without a way back (the other command rests, or three are in each other's place) only commands that are not alike prove anything
-        if !exchanged && alike(run, &joints[a], &joints[b]) {
+        let exchanged =
+            back.is_some_and(|ba| better(ba, own[a], BETTER) && better(ba, own[b], BETTER));
+        // without a way back (the other command rests, or three are in each other's place) only a good fit to a command that is not alike proves
+        // anything: a limp tail follows a trunk that bends
+        let alone = ab.left < FOLLOWS_WELL
+            && ab.slope > FOLLOWS_FAR
+            && better(ab, own[a], MUCH_BETTER)
+            && better(ab, own[b], MUCH_BETTER)
+            && !alike(run, &joints[a], &joints[b]);
+        if !exchanged && !alone {
             continue;
         }
         named[a] = true;
         named[b] = exchanged;
-        let (a, b) = (&joints[a].name, &joints[b].name);
+        let (a_name, b_name) = (&joints[a].name, &joints[b].name);
         let more = if exchanged {
-            format!(" and pos.{a} cmd.{b}: exchange them")
+            format!(" and pos.{a_name} cmd.{b_name}: exchange them")
         } else {
             ": are the columns in another joint's order?".to_owned()
         };
         out.push(fatal(
             "order",
-            format!("pos.{a}"),
+            format!("pos.{a_name}"),
             format!(
-                "pos.{b} follows cmd.{a} ({:.1} % of its motion is left; of pos.{a} {:.0} %){more}",
-                100.0 * ab,
-                100.0 * own_a
+                "pos.{b_name} follows cmd.{a_name} ({:.1} % of its motion is left; of pos.{a_name} {:.0} %){more}",
+                100.0 * ab.left,
+                100.0 * own[a].map_or(1.0, |m| m.left)
             ),
         ));
     }
     named
 }
 
-/// Share of a reading's slow motion that a command does not account for, late by what a servo needs at most, and of any size of the same sign.
-/// `None` where the command does not move enough to tell.
-fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<f64> {
-    let (u, q) = (cmd.slow_cmd.as_ref()?, pos.slow_pos.as_ref()?);
+/// What a command does not account for in a reading.
+#[derive(Clone, Copy)]
+struct Missed {
+    /// Share of the reading's motion.
+    left: f64,
+    /// Size of the reading's motion over the command's.
+    slope: f64,
+}
+
+/// How a reading follows a command that acts late by what a servo needs at most, and at any size of the same sign. `None` where the command
+/// does not move enough to tell.
+fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Missed> {
     follows(run, cmd, pos)?;
+    let (u, q) = (cmd.fine_cmd.as_ref()?, pos.fine_pos.as_ref()?);
     let stride = run.grid.points(LAG_STEP_S);
-    let u: Vec<f64> = u.iter().step_by(stride).copied().collect();
-    let q: Vec<f64> = q.iter().step_by(stride).copied().collect();
+    let thinned = |x: &[f64]| -> Vec<f64> { x.iter().step_by(stride).copied().collect() };
     let most = (LONGEST_LAG_S / (stride as f64 * run.grid.step_s)).round() as isize;
-    let (_, t) = best_lag(&u, &q, 0..=most);
+    let (_, t) = best_lag(&thinned(u), &thinned(q), 0..=most);
     let resolved = t.second_sd > 0.2 * t.first_sd && (0.1..3.0).contains(&t.slope);
-    let left = if resolved && t.r > 0.0 { 1.0 - t.r * t.r } else { 1.0 };
+    let left = if resolved && t.r > 0.0 {
+        1.0 - t.r * t.r
+    } else {
+        1.0
+    };
     // counts, friction and droop leave something of the best
-    Some(left.max((RESOLVED_RAD / t.second_sd.max(1e-9)).powi(2).min(1.0)))
+    let noise = (RESOLVED_RAD / t.second_sd.max(1e-9)).powi(2).min(1.0);
+    Some(Missed {
+        left: left.max(noise),
+        slope: t.slope,
+    })
 }
 
 /// Whether two commands go together, one of them late by anything up to what is looked at.
@@ -379,7 +429,7 @@ fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding
     let grid = &run.grid;
     let fine = grid.points(0.04);
     let most = grid.points(LAG_RANGE_S) as isize;
-    let rate = |x: &[f64]| super::series::slope(&smooth(x, fine), fine.div_ceil(2), grid.step_s);
+    let rate = |x: &[f64]| slope(&smooth(x, fine), fine.div_ceil(2), grid.step_s);
     let (mut leads, mut moving) = (Vec::new(), 0);
     for joint in joints {
         let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {

@@ -5,6 +5,7 @@ use super::refine::refine;
 use super::screen::{Screened, screen};
 use super::search::{Found, penalised, single, swapped};
 use super::state::{Context, State};
+use super::verdict::left;
 use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::Variant;
@@ -16,9 +17,11 @@ const MARGIN: f64 = 0.06;
 /// … if its misfit is not higher by more than this share of the best's, …
 const MARGIN_OF_REST: f64 = 0.25;
 /// … and this many floors.
-const MARGIN_FLOORS: f64 = 0.1;
-/// A further cause with less than this probability of its name is none.
-const UNNAMED: f64 = 0.15;
+const MARGIN_FLOORS: f64 = 0.06;
+/// A cause with less than this probability of its name is none.
+const UNNAMED: f64 = 0.2;
+/// Where much is left unexplained, a cause must take this share off the misfit of its joint.
+const LEAST_SHARE_IN_PART: f64 = 0.1;
 /// Temperature of the probabilities, as a share of the margin.
 const TEMPERATURE: f64 = 0.6;
 
@@ -56,26 +59,39 @@ pub struct Named {
 /// As [`crate::replay::Replayer::predict`].
 pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError> {
     let mut out = Vec::new();
+    let size = |s: &State| s.parameters(context.replayer.model());
     for index in 0..found.best.terms.len() {
         let mut named = rivals_of(context, found, index)?;
         let simpler = named
             .rivals
             .iter()
-            .filter(|r| r.in_set && r.state.parameters() < found.best.parameters())
+            .filter(|r| r.in_set && size(&r.state) < size(&found.best))
+            // what is clearly worse does not say the same
+            .filter(|r| {
+                let more = gates::worth(context, &r.state, &found.best, None);
+                more.low <= 0.0 || more.fit <= 0.0
+            })
             .min_by(|a, b| {
-                let size = |r: &Rival| r.state.parameters();
-                size(a).cmp(&size(b)).then(a.short.total_cmp(&b.short))
+                let by_size = size(&a.state).cmp(&size(&b.state));
+                by_size.then(a.short.total_cmp(&b.short))
             });
         if let Some(simpler) = simpler {
             // who says the same with less is the first to be believed
             found.best = simpler.state.clone();
             named = rivals_of(context, found, index)?;
         }
-        // a further cause whose name nobody can tell is a leftover, not a cause
+        // a cause whose name nobody can tell is a leftover, not a cause
         let own = named.probability + same_name(found, &named);
-        if own < UNNAMED && found.best.terms.len() > 1 {
-            let without = named.without.clone();
-            found.best = without;
+        if own < UNNAMED {
+            found.best = named.without;
+            return name(context, found);
+        }
+        // and what takes little off where much is left stands in for what is not in the catalogue
+        let share = named.worth.holdout / named.worth.of.max(1e-9);
+        let too_little =
+            left(context, &found.base, &found.best) > 0.0 && share < LEAST_SHARE_IN_PART;
+        if too_little || named.worth.holdout <= 0.0 {
+            found.best = named.without;
             return name(context, found);
         }
         out.push(named);
