@@ -50,6 +50,17 @@ pub struct Plant {
     pub sensing: Sensing,
     /// Where in the session the run is, 0 (first) to 1 (last).
     pub session: f64,
+    /// Dry friction that a joint has at the beginning of every run and loses (or gains) while it moves. `[A]`
+    pub run_in: Vec<RunIn>,
+}
+
+/// Friction that goes away within a run: `extra_nm·e^(−t/time_s)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RunIn {
+    /// At the run's beginning, N·m.
+    pub extra_nm: f64,
+    /// Time in which it falls to 1/e, s.
+    pub time_s: f64,
 }
 
 impl Plant {
@@ -67,6 +78,13 @@ impl Plant {
                 ..Sensing::default()
             },
             session: 0.0,
+            run_in: vec![
+                RunIn {
+                    extra_nm: 0.0,
+                    time_s: 1.0
+                };
+                joints
+            ],
         }
     }
 

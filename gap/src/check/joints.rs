@@ -25,6 +25,8 @@ const FOLLOWS: f64 = 0.02;
 const BETTER: f64 = 0.5;
 /// The same where only one of them can be told …
 const MUCH_BETTER: f64 = 0.2;
+/// … or, where commands are alike, this.
+const FAR_BETTER: f64 = 0.1;
 /// … which must follow as well as this …
 const FOLLOWS_WELL: f64 = 0.06;
 /// … and as far as this share of the command.
@@ -316,13 +318,14 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
         let back = missed(run, &joints[b], &joints[a]);
         let exchanged =
             back.is_some_and(|ba| better(ba, own[a], BETTER) && better(ba, own[b], BETTER));
-        // without a way back (the other command rests, or three are in each other's place) only a good fit to a command that is not alike proves
-        // anything: a limp tail follows a trunk that bends
-        let alone = ab.left < FOLLOWS_WELL
-            && ab.slope > FOLLOWS_FAR
-            && better(ab, own[a], MUCH_BETTER)
-            && better(ab, own[b], MUCH_BETTER)
+        // without a way back (the other command hardly moves, or three are in each other's place) only a good fit to a command that is not alike
+        // proves anything, or one as good as a servo's own: a limp tail follows a trunk that bends
+        let ahead = |share: f64| better(ab, own[a], share) && better(ab, own[b], share);
+        let not_alike = ab.left < FOLLOWS_WELL
+            && ahead(MUCH_BETTER)
             && !alike(run, &joints[a], &joints[b]);
+        let as_its_own = ab.left < FOLLOWS && ahead(FAR_BETTER);
+        let alone = ab.slope > FOLLOWS_FAR && (not_alike || as_its_own);
         if !exchanged && !alone {
             continue;
         }

@@ -292,33 +292,39 @@ pub static FRICTION_DRIFT: Effect = Effect {
     id: "friction_drift",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter(
-        "change_nm",
-        "N·m",
-        0.0,
-        (-0.3, 0.3),
-        0.006,
-        Torque,
-    )],
-    grid: &[&[-0.05], &[-0.015], &[0.015], &[0.05]],
+    parameters: &[
+        parameter("change_nm", "N·m", 0.0, (-0.3, 0.3), 0.006, Torque),
+        parameter("run_in_nm", "N·m", 0.0, (-0.2, 0.3), 0.006, Torque),
+        parameter("run_in_s", "s", 4.0, (0.5, 30.0), 0.5, One),
+    ],
+    grid: &[
+        &[-0.05, 0.0, 4.0],
+        &[-0.015, 0.0, 4.0],
+        &[0.015, 0.0, 4.0],
+        &[0.05, 0.0, 4.0],
+        &[0.0, 0.03, 4.0],
+        &[0.0, 0.1, 4.0],
+        &[0.0, -0.02, 4.0],
+    ],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
             let friction = &mut plant.lane.joint_friction_nm[a];
             *friction = (*friction + (v[0] * (plant.session - 0.5)) as f32).max(0.0);
+            let run_in = &mut plant.run_in[a];
+            run_in.extra_nm += v[1];
+            run_in.time_s = v[2].max(0.05);
         }
     },
     shows_in: JOINT_SIGNALS,
     look_alikes: &["thermal_derating", "coulomb_friction"],
     unseen: |e, place| {
-        if e.runs < 3 {
-            Some(
-                "three runs or more in order of recording are needed to see a drift over the session",
-            )
+        if e.runs < 3 && e.longest_s < 5.0 {
+            Some("a drift shows in runs of several seconds, or from the first to the last of three or more")
         } else {
             needs_motion(e, place)
         }
     },
     trial: "warm_up_series",
-    signature: "friction changes from the first to the last run of the session",
+    signature: "friction changes within every run as the joint warms, or from the first to the last run of the session",
 };

@@ -284,7 +284,7 @@ impl<'a> Maker<'a> {
             return None;
         }
         let (commands_rad, on) = match recipe.make {
-            Make::Joint(write) => self.joints(write, recipe.turns),
+            Make::Joint(write) => self.joints(write),
             Make::Body(write) => {
                 let mut body = Body::new(self.robot, &self.limits, self.rate_hz);
                 if recipe.place == Place::Ground && !body.has_legs() {
@@ -326,8 +326,8 @@ impl<'a> Maker<'a> {
     }
 
     /// A single-joint motion for each chosen joint; the others stay nominal.
-    fn joints(&self, write: fn(&mut Wave<'_>), turns: usize) -> (Vec<Vec<f64>>, Vec<Vec<bool>>) {
-        let mut columns: Vec<(Vec<f64>, Vec<bool>)> = self
+    fn joints(&self, write: fn(&mut Wave<'_>)) -> (Vec<Vec<f64>>, Vec<Vec<bool>>) {
+        let columns: Vec<(Vec<f64>, Vec<bool>)> = self
             .limits
             .iter()
             .enumerate()
@@ -357,20 +357,6 @@ impl<'a> Maker<'a> {
                 best
             })
             .collect();
-        if self.joint.is_none() && turns > 1 {
-            // each group waits until those before it are done
-            let mut begin = 0;
-            for turn in 0..turns {
-                let members = || (0..self.limits.len()).filter(move |a| a % turns == turn);
-                let longest = members().map(|a| columns[a].0.len()).max().unwrap_or(0);
-                for a in members() {
-                    let nominal = self.limits[a].nominal_rad;
-                    columns[a].0.splice(0..0, std::iter::repeat_n(nominal, begin));
-                    columns[a].1.splice(0..0, std::iter::repeat_n(true, begin));
-                }
-                begin += longest;
-            }
-        }
         let n = columns.iter().map(|c| c.0.len()).max().unwrap_or(0);
         let row = |k: usize| {
             columns

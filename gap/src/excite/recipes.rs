@@ -29,8 +29,6 @@ pub(super) struct Recipe {
     pub place: Place,
     pub repeats: usize,
     pub excites: &'static [&'static str],
-    /// Into how many groups the joints are parted, which move one after the other: a joint that jumps throws its neighbours about.
-    pub turns: usize,
     pub make: Make,
 }
 
@@ -46,7 +44,6 @@ const fn joint(
         place: Place::Stand,
         repeats: 3,
         excites,
-        turns: 1,
         make: Make::Joint(make),
     }
 }
@@ -64,14 +61,8 @@ const fn body(
         place,
         repeats: 3,
         excites,
-        turns: 1,
         make: Make::Body(make),
     }
-}
-
-const fn in_turns(mut recipe: Recipe) -> Recipe {
-    recipe.turns = 4;
-    recipe
 }
 
 const fn once(mut recipe: Recipe) -> Recipe {
@@ -159,7 +150,7 @@ pub(super) const RECIPES: &[Recipe] = &[
     // steps
     joint("steps_small", "steps of 30 mrad", &["kp_error", "kd_error", "controller_dead_band", "servo_loop_delay"], |w| { let c = w.place(0.0); steps(w, c, 0.03, 0.6); }),
     joint("steps_medium", "steps of 0.2 rad", &["kd_error", "kp_error", "profile_limit", "armature"], |w| { let c = w.place(0.0); steps(w, c, 0.2, 0.8); }),
-    in_turns(joint("steps_large", "steps of 0.8 rad: full torque, full speed; every fourth joint at a time", &["torque_limit", "profile_limit", "voltage_limit", "winding_resistance", "supply_level", "braking_asymmetry"], |w| { let c = w.place(0.0); steps(w, c, 0.8, 1.2); })),
+    joint("steps_large", "steps of 0.8 rad: full torque, full speed", &["torque_limit", "profile_limit", "voltage_limit", "winding_resistance", "supply_level", "braking_asymmetry"], |w| { let c = w.place(0.0); steps(w, c, 0.8, 1.2); }),
     joint("steps_loaded", "steps of 0.2 rad about a raised pose", &["torque_limit", "kp_error", "load_dependent_friction", "drive_asymmetry"], |w| { let c = w.place(0.8); steps(w, c, 0.2, 0.8); }),
     joint("reversals_fast", "full turns of direction at speed", &["braking_asymmetry", "torque_limit", "supply_sag"], |w| { let c = w.place(0.0); for size in [0.2, 0.4, 0.6] { w.triangle(c, size, 3.5, 4.0); } }),
     // load
