@@ -18,10 +18,12 @@ const MARGIN: f64 = 0.06;
 const MARGIN_OF_REST: f64 = 0.25;
 /// … and this many floors.
 const MARGIN_FLOORS: f64 = 0.06;
-/// A cause with less than this probability of its name is none.
+/// A cause with less than this probability of its name is none …
 const UNNAMED: f64 = 0.2;
+/// … unless its layer (friction, motor, timing …) has this one.
+const LAYER_KNOWN: f64 = 0.6;
 /// Where much is left unexplained, a cause must take this share off the misfit of its joint.
-const LEAST_SHARE_IN_PART: f64 = 0.1;
+const LEAST_SHARE_IN_PART: f64 = 0.08;
 /// Temperature of the probabilities, as a share of the margin.
 const TEMPERATURE: f64 = 0.6;
 
@@ -80,9 +82,9 @@ pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError
             found.best = simpler.state.clone();
             named = rivals_of(context, found, index)?;
         }
-        // a cause whose name nobody can tell is a leftover, not a cause
+        // a cause of which nobody can tell the name, nor even the layer, is a leftover, not a cause
         let own = named.probability + same_name(found, &named);
-        if own < UNNAMED {
+        if own < UNNAMED && same_layer(found, &named) < LAYER_KNOWN {
             found.best = named.without;
             return name(context, found);
         }
@@ -108,6 +110,14 @@ fn same_name(found: &Found, named: &Named) -> f64 {
         .filter(|r| r.state.terms[r.index].effect == effect)
         .map(|r| r.probability)
         .sum()
+}
+
+/// Probability of all effects of the same layer.
+fn same_layer(found: &Found, named: &Named) -> f64 {
+    let layer = found.best.terms[named.index].effect.layer;
+    let rivals = named.rivals.iter();
+    let of_layer = rivals.filter(|r| r.state.terms[r.index].effect.layer == layer);
+    named.probability + of_layer.map(|r| r.probability).sum::<f64>()
 }
 
 /// Everything that could stand in the place of term `index` of the best model, fitted.

@@ -151,8 +151,9 @@ impl<'a> Body<'a> {
                         row[a] += fade * size * (TAU * 0.8 * t + 0.7 * (k + i / 2) as f64).sin();
                     }
                 }
-                for &a in &b.spine {
-                    let turn = if side == 0 { 1.0 } else { -1.0 };
+                // neighbours turn against each other: a held body that all of them bend the same way swings up on its own weight
+                for (i, &a) in b.spine.iter().enumerate() {
+                    let turn = if side == i % 2 { 1.0 } else { -1.0 };
                     let size = b.limits[a].sine_rad(0.25, 0.4);
                     row[a] += fade * turn * size * (TAU * 0.4 * t).sin();
                 }
