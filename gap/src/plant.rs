@@ -7,6 +7,7 @@ use caudata_sim::LaneParams;
 use caudata_sim::sensors::{CurrentErrors, EncoderErrors, ImuBias, ImuMounting};
 use serde::{Deserialize, Serialize};
 
+use crate::effects::less_voltage;
 use crate::trial::Trial;
 
 /// What sensors and clocks do wrong. All zero: nothing.
@@ -101,6 +102,13 @@ impl Plant {
         }
         if let Some(volt) = trial.supply_v {
             lane.supply_v = volt as f32;
+            // the envelope's speeds go with the supply by themselves; its torques are given for one supply
+            for a in 0..plant.lane.torque_scale.len() {
+                let share = volt / model.servo(a).reference_supply_v;
+                if share < 1.0 {
+                    less_voltage(&mut plant, a, share as f32);
+                }
+            }
         }
         plant
     }

@@ -188,6 +188,10 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread, trust:
                 reason: format!("says the same with more parameters, and nothing more: misfit {:.2} against {:.2}", rival.state.misfit(), best.misfit()),
             });
         } else if rival.in_set {
+            // two names for the very same motions are one hypothesis, as far as these runs go
+            if indistinguishable(best, &rival.state) {
+                same_name += rival.probability;
+            }
             if !alternatives.contains(&id) {
                 alternatives.push(id);
             }
@@ -214,6 +218,17 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread, trust:
         evidence: evidence(context, term, named),
         rejected,
     }
+}
+
+/// Whether two models predict the same, to a hundredth of what counts.
+fn indistinguishable(a: &State, b: &State) -> bool {
+    const SAME: f64 = 0.01;
+    let apart = |a: &On, b: &On| -> f64 {
+        let pairs = a.residual.iter().zip(&b.residual);
+        let square: f64 = pairs.map(|(x, y)| f64::from(x - y).powi(2)).sum();
+        square / a.residual.len().max(1) as f64
+    };
+    apart(&a.fit, &b.fit) < SAME && apart(&a.holdout, &b.holdout) < SAME
 }
 
 /// Effects that are special cases of others: the wider one says what the narrower one says, and more.

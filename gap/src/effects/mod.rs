@@ -24,6 +24,7 @@ use crate::plant::Plant;
 use crate::trial::Kind;
 
 pub use place::{Place, places};
+pub(crate) use servo::less_voltage;
 
 /// Where in the chain an effect acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -227,7 +227,7 @@ pub static TORQUE_SATURATION: Effect = Effect {
 /// Torque limits of joint `a` where the motor gets `share` of its voltage: the line through stall torque and speed without load moves in parallel
 /// (the speeds are the caller's). Against the motion, back-EMF helps the bridge, so that the motor brakes harder than it drives, but not
 /// harder than its current limit for braking allows.
-pub(super) fn less_voltage(plant: &mut crate::plant::Plant, a: usize, share: f32) {
+pub(crate) fn less_voltage(plant: &mut crate::plant::Plant, a: usize, share: f32) {
     /// Braking torque over stall torque: back-EMF is about half the voltage where a joint begins to brake.
     const BRAKING: f64 = 1.5;
     let servo = plant.model.servo(a);
