@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use caudata_model::RobotModel;
 
+use super::clock::{Clock, PhaseSeconds};
 use super::ground::Ground;
 use super::lanes::Group;
 use super::period::{Period, Scratch, Shared};
@@ -50,6 +51,10 @@ pub(super) trait Core: Send {
     fn get(&self, lane: usize) -> LaneState;
     fn put(&mut self, lane: usize, from: &LaneState) -> bool;
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State);
+    /// Starts to time the phases of the steps that follow.
+    fn time_phases(&mut self);
+    /// All threads together.
+    fn phase_seconds(&self) -> PhaseSeconds;
 }
 
 /// Where a lane starts.
@@ -209,6 +214,22 @@ impl<R: Lanes> Core for CoreOf<R> {
             return false;
         }
         put_slot(group, slot, from)
+    }
+
+    fn time_phases(&mut self) {
+        for scratch in &mut self.scratch {
+            scratch.clock = Some(Clock::new());
+        }
+    }
+
+    fn phase_seconds(&self) -> PhaseSeconds {
+        let mut sum = PhaseSeconds::default();
+        for clock in self.scratch.iter().filter_map(|s| s.clock.as_ref()) {
+            for (sum, seconds) in sum.iter_mut().zip(clock.seconds) {
+                *sum += seconds;
+            }
+        }
+        sum
     }
 
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State) {
