@@ -73,6 +73,9 @@ pub struct EngineConfig {
     pub lane_width: u32,
     /// `batch`: `single` or `double`. Default `single`.
     pub precision: Precision,
+    /// `batch`: friction as MuJoCo's elliptic cone has it, instead of Coulomb's on a bristle. Default false. True: open-loop gaits go as in MuJoCo, but a
+    /// sliding foot lifts itself, and sticking sets in over the contact's time constant.
+    pub convex_friction: bool,
     /// `batch`: stiffness of a contact point's friction bristle, N/m, 100..=1e6. Default 30000. Softer: feet give way sideways before they
     /// hold. Stiffer: sticking needs smaller steps.
     pub bristle_stiffness_n_per_m: f64,
@@ -97,6 +100,7 @@ impl Default for EngineConfig {
             max_base_speed_mps: 50.0,
             lane_width: 0,
             precision: Precision::Single,
+            convex_friction: false,
             bristle_stiffness_n_per_m: 30_000.0,
             bristle_damping_ns_per_m: 100.0,
         }

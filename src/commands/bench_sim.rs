@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use caudata_model::RobotModel;
+use caudata_sim::batch::{BatchEngine, Phase};
 use caudata_sim::{
     Engine, EngineConfig, EngineKind, InitialState, SimError, Terrain, TerrainConfig, TerrainKind,
     build,
@@ -83,6 +84,15 @@ pub struct Speed {
     pub ratio: Option<f64>,
     /// Lanes that diverged while it was measured.
     pub diverged: usize,
+    /// Share of one thread's time by phase of the step, `[0, 1]`; empty for an engine that cannot tell.
+    pub phases: Vec<PhaseShare>,
+}
+
+/// One phase of a step.
+#[derive(Clone, Debug, Serialize)]
+pub struct PhaseShare {
+    pub phase: &'static str,
+    pub share: f64,
 }
 
 /// Measures everything in the plan; also says which MuJoCo, or why none.
@@ -195,7 +205,7 @@ fn one(
         return Ok(None); // only that engine has lanes in registers
     }
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let make = |threads: usize| -> Result<Ours, SimError> {
+    let make = |threads: usize| -> Result<Ours<dyn Engine>, SimError> {
         let model = Arc::clone(model);
         Ours::new(build(
             model,
@@ -257,20 +267,59 @@ fn one(
         mujoco_steps_per_s,
         ratio: mujoco_steps_per_s.map(|theirs| steps_per_s / theirs),
         diverged,
+        phases: phases(plan, model, scene, &config)?,
     }))
 }
 
+/// Where one thread's time goes, in a run of its own: looking at the clock costs some per cent.
+fn phases(
+    plan: &Plan,
+    model: &Arc<RobotModel>,
+    scene: SceneName,
+    config: &EngineConfig,
+) -> Result<Vec<PhaseShare>, Failure> {
+    if config.kind != EngineKind::Batch {
+        return Ok(Vec::new());
+    }
+    let make = || -> Result<Ours<BatchEngine>, SimError> {
+        let terrain = Arc::new(Terrain::generate(&scene.terrain(), 1)?);
+        let model = Arc::clone(model);
+        Ours::new(Box::new(BatchEngine::new(
+            model,
+            plan.lanes,
+            config.clone(),
+            terrain,
+            1,
+        )?))
+    };
+    let mut ours = make().or_exit(ExitCode::BadConfig)?;
+    let seconds = plan.seconds / f64::from(ROUNDS);
+    ours.round(0.2 * seconds)?;
+    ours.engine.time_phases();
+    ours.round(seconds)?;
+    let spent = ours.engine.phase_seconds();
+    let total: f64 = spent.iter().sum();
+    Ok(Phase::ALL
+        .into_iter()
+        .zip(spent)
+        .map(|(phase, seconds)| PhaseShare {
+            phase: phase.name(),
+            share: seconds / total,
+        })
+        .collect())
+}
+
 /// One of our engines, walking.
-struct Ours {
-    engine: Box<dyn Engine>,
+struct Ours<E: Engine + ?Sized> {
+    engine: Box<E>,
     /// Each control period's targets for all lanes.
     targets: Vec<Vec<f32>>,
     wrenches: Vec<f32>,
     period: usize,
 }
 
-impl Ours {
-    fn new(mut engine: Box<dyn Engine>) -> Result<Self, SimError> {
+impl<E: Engine + ?Sized> Ours<E> {
+    fn new(mut engine: Box<E>) -> Result<Self, SimError> {
         let start = InitialState::nominal(engine.model());
         let lanes = engine.lanes();
         for lane in 0..lanes {
@@ -355,8 +404,37 @@ pub fn print(speeds: &[Speed], mujoco: &str) {
         }
     }
     crate::say::table(&rows);
+    print_phases(speeds);
     crate::say::line(format!(
         "{mujoco}. Its setting: Newton, 4 iterations, 8 line searches, pyramidal cone, one thread. All steps {} ms.",
         1e3 * DT_S
     ));
+}
+
+/// Where the time of a step goes, one row per phase, one column per line of the other table.
+fn print_phases(speeds: &[Speed]) {
+    let timed: Vec<&Speed> = speeds.iter().filter(|s| !s.phases.is_empty()).collect();
+    if timed.is_empty() {
+        return;
+    }
+    let mut header = vec!["time of one thread".to_owned()];
+    header.extend(timed.iter().map(|s| {
+        let scene = s.scene.to_possible_value();
+        let scene = scene.map_or_else(String::new, |v| v.get_name().to_owned());
+        match s.lane_width {
+            0 => scene,
+            width => format!("{scene}, {width} lanes"),
+        }
+    }));
+    let mut rows = vec![header];
+    for (at, phase) in Phase::ALL.into_iter().enumerate() {
+        let mut row = vec![phase.name().to_owned()];
+        row.extend(
+            timed
+                .iter()
+                .map(|s| format!("{:.1} %", 100.0 * s.phases[at].share)),
+        );
+        rows.push(row);
+    }
+    crate::say::table(&rows);
 }

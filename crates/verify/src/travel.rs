@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
-use caudata_sim::{Engine, EngineConfig, InitialState, TerrainConfig, build};
+use caudata_sim::{Engine, EngineConfig, EngineKind, InitialState, TerrainConfig, build};
 use serde_json::{Value, json};
 
 use crate::gait::Gait;
@@ -135,6 +135,19 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         }
         let theirs = reference.as_deref().unwrap_or_default();
         rows.extend(against(name, &by_step[JUDGED].1, theirs));
+        if subject.config.kind == EngineKind::Batch {
+            // like for like: with MuJoCo's law of friction
+            let config = EngineConfig {
+                convex_friction: true,
+                ..bench.config(subject, STEPS_S[JUDGED])
+            };
+            let (_, convex) = ours(bench, &config, &gaits, periods)?;
+            rows.extend(against(
+                &format!("{name}, convex friction"),
+                &convex,
+                theirs,
+            ));
+        }
     }
     Ok(rows)
 }

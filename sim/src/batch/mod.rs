@@ -23,7 +23,9 @@
 //! distances differ by 8 % and headings by 24° on average; MuJoCo with stiffer joint stops differs from itself by 9 % and 30°.
 
 mod aba;
+mod clock;
 mod contact;
+mod convex;
 mod core;
 mod ground;
 mod integrate;
@@ -43,6 +45,7 @@ use std::sync::Arc;
 
 use caudata_model::{BaseKind, RobotModel};
 
+pub use self::clock::{Phase, PhaseSeconds};
 use self::core::{Core, CoreOf, LaneState, Start};
 use crate::config::Precision;
 use crate::observe::{self, Coordinates};
@@ -122,6 +125,17 @@ impl BatchEngine {
             engine.reset(lane, &init)?;
         }
         Ok(engine)
+    }
+
+    /// Starts to time the phases of the steps that follow, from zero.
+    pub fn time_phases(&mut self) {
+        self.core.time_phases();
+    }
+
+    /// Seconds that the steps since [`time_phases`](Self::time_phases) spent in each phase, over all threads; zeros without it.
+    #[must_use]
+    pub fn phase_seconds(&self) -> PhaseSeconds {
+        self.core.phase_seconds()
     }
 
     fn check_lane(&self, lane: usize) -> Result<(), SimError> {
