@@ -114,7 +114,11 @@ impl Bench {
                 for p in 0..term.values.len() {
                     let (low, high) = term.effect.bounds(&model, &term.place, p);
                     // ranges are wide: steps go with the value where there is one
-                    let step = share * (0.2 * (high - low)).min(2.0 * term.values[p].abs() + 20.0 * term.effect.scale(&model, &term.place, p).abs());
+                    let step = share
+                        * (0.2 * (high - low)).min(
+                            2.0 * term.values[p].abs()
+                                + 20.0 * term.effect.scale(&model, &term.place, p).abs(),
+                        );
                     for by in [-step, -0.3 * step, 0.3 * step, step] {
                         let mut next = terms.clone();
                         next[i].values[p] = (next[i].values[p] + by).clamp(low, high);
@@ -152,7 +156,10 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
     let model = Arc::new(RobotModel::from_bytes("xl330", &robot_toml, &mjcf).unwrap());
     let runs = runs(&folder, &model);
     assert_eq!(runs.len(), 16);
-    let trials = runs.iter().map(|r| Trial::new(&model, r).unwrap()).collect();
+    let trials = runs
+        .iter()
+        .map(|r| Trial::new(&model, r).unwrap())
+        .collect();
     let bench = Bench {
         replayer: Replayer::new(Arc::clone(&model), 2).unwrap(),
         data: Data::new(&model, trials, SegmentOptions::default()),
@@ -214,9 +221,20 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
     for ((name, _), r) in models.iter().zip(&rows) {
         say(&format!("{name:36} {:.4}  {:.4}  {:.4}", r[0], r[1], r[2]));
     }
-    say(&format!("{:?}: {}", found.report.verdict, found.report.summary));
+    say(&format!(
+        "{:?}: {}",
+        found.report.verdict, found.report.summary
+    ));
     for c in &found.report.causes {
-        say(&format!("  {} {:.2} {:?}", c.effect, c.confidence, c.parameters.iter().map(|(n, p)| format!("{n} {:.4} [{:.4}, {:.4}]", p.value, p.ci_low, p.ci_high)).collect::<Vec<_>>()));
+        say(&format!(
+            "  {} {:.2} {:?}",
+            c.effect,
+            c.confidence,
+            c.parameters
+                .iter()
+                .map(|(n, p)| format!("{n} {:.4} [{:.4}, {:.4}]", p.value, p.ci_low, p.ci_high))
+                .collect::<Vec<_>>()
+        ));
         for r in c.rejected.iter().take(3) {
             say(&format!("     not {}: {}", r.effect, r.reason));
         }
@@ -227,7 +245,16 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
         assert!(ours[2] < row[2], "sin_sin: {name} is better");
     }
     assert!(ours[2] <= 0.055, "sin_sin {:.4}", ours[2]);
-    let names: Vec<&str> = found.report.causes.iter().map(|c| c.effect.as_str()).collect();
-    let by_load = ["load_dependent_friction", "drive_asymmetry", "load_stiction"];
+    let names: Vec<&str> = found
+        .report
+        .causes
+        .iter()
+        .map(|c| c.effect.as_str())
+        .collect();
+    let by_load = [
+        "load_dependent_friction",
+        "drive_asymmetry",
+        "load_stiction",
+    ];
     assert!(names.iter().any(|n| by_load.contains(n)), "{names:?}");
 }

@@ -321,9 +321,8 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
         // without a way back (the other command hardly moves, or three are in each other's place) only a good fit to a command that is not alike
         // proves anything, or one as good as a servo's own: a limp tail follows a trunk that bends
         let ahead = |share: f64| better(ab, own[a], share) && better(ab, own[b], share);
-        let not_alike = ab.left < FOLLOWS_WELL
-            && ahead(MUCH_BETTER)
-            && !alike(run, &joints[a], &joints[b]);
+        let not_alike =
+            ab.left < FOLLOWS_WELL && ahead(MUCH_BETTER) && !alike(run, &joints[a], &joints[b]);
         let as_its_own = ab.left < FOLLOWS && ahead(FAR_BETTER);
         let alone = ab.slope > FOLLOWS_FAR && (not_alike || as_its_own);
         if !exchanged && !alone {

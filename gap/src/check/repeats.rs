@@ -104,7 +104,10 @@ pub(super) fn odd_spans(
     let grid = &runs[group[0]].grid;
     // repeats are compared at equal times: the median step of rows, and with it the grid, differs a little from run to run
     let span_s = |i: usize| (runs[i].grid.len.saturating_sub(1)) as f64 * runs[i].grid.step_s;
-    let shared_s = group.iter().map(|&i| span_s(i)).fold(f64::INFINITY, f64::min);
+    let shared_s = group
+        .iter()
+        .map(|&i| span_s(i))
+        .fold(f64::INFINITY, f64::min);
     let len = (shared_s / grid.step_s + 1e-6).floor() as usize + 1;
     let width = grid.points(SMOOTH_S);
     let mut found: Vec<OddSpan> = Vec::new();

@@ -201,7 +201,10 @@ fn jitter(y: &[f64]) -> f64 {
 
 /// The same by the mean square, which outliers add to: √(Σ(y₊ − 2y + y₋)²/6n).
 fn spikes(y: &[f64]) -> f64 {
-    let square: f64 = y.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).powi(2)).sum();
+    let square: f64 = y
+        .windows(3)
+        .map(|w| (w[2] - 2.0 * w[1] + w[0]).powi(2))
+        .sum();
     (square / (6.0 * y.len().saturating_sub(2).max(1) as f64)).sqrt()
 }
 

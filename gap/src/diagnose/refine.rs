@@ -80,15 +80,14 @@ pub fn refine(
 
 /// Ends fits that will not win, after `rounds` iterations.
 fn weed(fits: &mut [Fit], race: &Race<'_>, rounds: usize) {
-    let earned = |f: &Fit| race.from - f.cost;
-    let most = fits.iter().map(earned).fold(0.0, f64::max);
-    for i in 0..fits.len() {
-        let own = earned(&fits[i]);
-        let starts = fits.iter().zip(race.of).filter(|(_, g)| **g == race.of[i]);
-        let best_start = starts.map(|(f, _)| earned(f)).fold(0.0, f64::max);
-        let beaten = rounds >= STARTS_UNTIL && own < GOOD_START * best_start;
-        let behind = rounds >= RACE_UNTIL && own < BEHIND * most;
-        fits[i].done |= beaten || behind;
+    let earned: Vec<f64> = fits.iter().map(|f| race.from - f.cost).collect();
+    let most = earned.iter().copied().fold(0.0, f64::max);
+    for ((fit, own), group) in fits.iter_mut().zip(&earned).zip(race.of) {
+        let starts = earned.iter().zip(race.of).filter(|(_, g)| *g == group);
+        let best_start = starts.map(|(e, _)| *e).fold(0.0, f64::max);
+        let beaten = rounds >= STARTS_UNTIL && *own < GOOD_START * best_start;
+        let behind = rounds >= RACE_UNTIL && *own < BEHIND * most;
+        fit.done |= beaten || behind;
     }
 }
 

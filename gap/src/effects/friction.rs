@@ -320,7 +320,9 @@ pub static FRICTION_DRIFT: Effect = Effect {
     look_alikes: &["thermal_derating", "coulomb_friction"],
     unseen: |e, place| {
         if e.runs < 3 && e.longest_s < 5.0 {
-            Some("a drift shows in runs of several seconds, or from the first to the last of three or more")
+            Some(
+                "a drift shows in runs of several seconds, or from the first to the last of three or more",
+            )
         } else {
             needs_motion(e, place)
         }

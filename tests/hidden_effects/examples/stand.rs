@@ -25,8 +25,14 @@ fn main() {
     let faults: Vec<Fault<'_>> = vec![
         ("healthy", Box::new(|_| ())),
         ("soft_knee", Box::new(move |p| p.kp_nm_per_rad[knee] *= 0.7)),
-        ("weak_servo", Box::new(move |p| p.joints[knee].current_limit_a = 0.5)),
-        ("rubbing_spine", Box::new(move |p| p.joint_friction_nm[tail] += 0.08)),
+        (
+            "weak_servo",
+            Box::new(move |p| p.joints[knee].current_limit_a = 0.5),
+        ),
+        (
+            "rubbing_spine",
+            Box::new(move |p| p.joint_friction_nm[tail] += 0.08),
+        ),
         (
             "loose_gear",
             Box::new(move |p| p.joints[knee].gear_half_gap_rad = 0.012),
