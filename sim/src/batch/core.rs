@@ -43,8 +43,8 @@ pub(super) trait Core: Send {
         config: &EngineConfig,
         params: &LaneParams,
     );
-    /// Length of [`LaneState::x`].
-    fn state_len(&self) -> usize;
+    /// Whether a lane's state has the lengths that these lanes have.
+    fn fits(&self, lane: &LaneState) -> bool;
     /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity (world), joints in model order,
     /// servos holding `rest`. Then reports it in `row` of `state`.
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State);
@@ -122,8 +122,12 @@ impl<R: Lanes> Core for CoreOf<R> {
         }
     }
 
-    fn state_len(&self) -> usize {
-        super::lanes::layout(&self.shared.program).len()
+    fn fits(&self, lane: &LaneState) -> bool {
+        let group = &self.groups[0];
+        lane.x.len() == group.x.len()
+            && lane.drives.len() == group.drives.len()
+            && lane.sums.len() == group.sums.len()
+            && lane.history.len() == group.history.lane(0).len()
     }
 
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State) {
@@ -207,12 +211,6 @@ impl<R: Lanes> Core for CoreOf<R> {
 
     fn put(&mut self, lane: usize, from: &LaneState) -> bool {
         let (group, slot) = (&mut self.groups[lane / R::LANES], lane % R::LANES);
-        if from.x.len() != group.x.len()
-            || from.drives.len() != group.drives.len()
-            || from.sums.len() != group.sums.len()
-        {
-            return false;
-        }
         put_slot(group, slot, from)
     }
 
