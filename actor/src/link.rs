@@ -12,6 +12,7 @@ pub fn transport_config(section: &TransportSection) -> TransportConfig {
         max_policy_bytes: section.max_policy_bytes as usize,
         window_frames: section.window_frames as usize,
         max_actors: section.max_actors as usize,
+        max_frames_per_s: section.max_frames_per_s,
         heartbeat_ms: section.heartbeat_ms,
         peer_timeout_ms: section.peer_timeout_ms,
     };

@@ -1,5 +1,10 @@
 //! FAULTS.md, 61, as a measured rate: one of 64 actors at a hundredth of the speed of the others.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -24,16 +24,14 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::bench::{Common, as_flags, example_policy, or_quick};
-use super::bench_peer::{self as peer, Order, Peer, WAIT, own_cpu_s};
+use super::bench_peer::{self as peer, Order, Peer, WAIT, own_cpu_s, thread_cpu_s};
 use crate::commands::robot_model;
 use crate::commands::train::Programs;
 use crate::say;
 
 /// What is not measured at the start of each phase.
 const WARM_UP_S: f64 = 0.5;
-/// The same where programs start and load a robot.
-const START_S: f64 = 2.0;
-/// Longest wait for the other ends to leave.
+/// Longest wait for the other ends to come or to leave.
 const LEAVE_MAX: Duration = Duration::from_secs(10);
 /// Quotas that measured actors may be ahead: so many that they never wait for a policy.
 const LEAD: u32 = 8;
@@ -486,9 +484,11 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
         }
         let mut version = 0;
         stage.publish(version, make(&stage.run_id, version)?.into(), Control::Run)?;
-        let mut collect = |stage: &mut Stage, seconds: f64| -> Result<f64, Failure> {
+        let mut collect = |stage: &mut Stage, seconds: f64| -> Result<(f64, f64), Failure> {
             let began = Instant::now();
             let mut steps = 0;
+            // Making policies is the learner's work, not that of collecting.
+            let mut making_s = 0.0;
             while began.elapsed().as_secs_f64() < seconds {
                 let Some(frame) = stage.learner.recv(WAIT).or_exit(ExitCode::Internal)? else {
                     continue;
@@ -498,19 +498,30 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
                     steps += chunk.steps * chunk.lanes;
                     // As in training: a policy per quota, here of made-up weights.
                     version += 1;
+                    let before = thread_cpu_s()?;
                     let policy = make(&stage.run_id, version)?;
+                    making_s += thread_cpu_s()? - before;
                     stage.publish(version, policy.into(), Control::Run)?;
                 }
             }
-            Ok(steps as f64)
+            Ok((steps as f64, making_s))
         };
-        collect(&mut stage, START_S)?;
+        // From the first chunk on: a program takes its time to start.
+        let started = Instant::now();
+        while collect(&mut stage, WARM_UP_S)?.0 == 0.0 {
+            if started.elapsed() > LEAVE_MAX {
+                let message = format!("no rollouts came over {}", kind.name());
+                return Err(Failure::message(ExitCode::TempFail, message));
+            }
+        }
+        collect(&mut stage, WARM_UP_S)?;
         let cpu_s = || -> Result<f64, Failure> {
             Ok(own_cpu_s()? + peers.iter().map(Peer::cpu_s).sum::<f64>())
         };
         let (began, before) = (Instant::now(), cpu_s()?);
-        let steps = collect(&mut stage, seconds)?;
-        let (wall_s, cpu) = (began.elapsed().as_secs_f64(), cpu_s()? - before);
+        let (steps, made_s) = collect(&mut stage, seconds)?;
+        let wall_s = began.elapsed().as_secs_f64();
+        let cpu = cpu_s()? - before - made_s;
         stage.publish(version, Arc::default(), Control::Stop)?;
         stage.let_go()?;
         for peer in peers {

@@ -3,7 +3,12 @@
 //!
 //! Two actors run beside the learner (`caudata up`), two come from elsewhere (`caudata actors`) over QUIC with certificates, through a
 //! proxy that cuts, delays and loses datagrams. `CAUDATA_CHAOS_SECONDS` (default 60) and `CAUDATA_CHAOS_SEED` (default 1) change it.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader};
@@ -533,6 +538,8 @@ fn chaos_ends_with_books_that_add_up_and_nothing_left_behind() {
         std::thread::sleep(Duration::from_millis(100));
     }
 
+    // Longer than `cluster.hang_timeout_s`: nobody stands still any more.
+    std::thread::sleep(Duration::from_secs(6));
     kill(cluster.up.pid(), Signal::SIGTERM).unwrap();
     let up = cluster.up.child.wait().unwrap();
     // The learner's stop reaches the actors elsewhere too.

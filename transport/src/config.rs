@@ -35,6 +35,10 @@ pub struct Limits {
     /// Actors connected at once. Default 64; 1 to 1024. One more is refused and keeps getting
     /// [`SendError::Disconnected`](crate::SendError::Disconnected).
     pub max_actors: usize,
+    /// Rollout frames that the learner takes from one actor per second, in the long run; up to `window_frames` at once. Default 0:
+    /// as many as it can read. 1 to 100,000 otherwise. Lower than what an actor makes: it waits (back-pressure), nothing is lost.
+    /// In-process actors are not limited.
+    pub max_frames_per_s: u32,
     /// How often the sides tell each other that they live, ms. Default 250; 10 to 60,000.
     pub heartbeat_ms: u64,
     /// Silence after which the other side counts as gone, ms. Default 3,000; at least three heartbeats.
@@ -48,6 +52,7 @@ impl Default for Limits {
             max_policy_bytes: 8 << 20,
             window_frames: 4,
             max_actors: 64,
+            max_frames_per_s: 0,
             heartbeat_ms: 250,
             peer_timeout_ms: 3_000,
         }
@@ -76,6 +81,7 @@ impl Limits {
         range("max_policy_bytes", self.max_policy_bytes as u64, 1, bytes)?;
         range("window_frames", self.window_frames as u64, 1, count)?;
         range("max_actors", self.max_actors as u64, 1, count)?;
+        range("max_frames_per_s", self.max_frames_per_s.into(), 0, 100_000)?;
         range("heartbeat_ms", self.heartbeat_ms, 10, 60_000)?;
         let shortest = self.heartbeat_ms.saturating_mul(3);
         range("peer_timeout_ms", self.peer_timeout_ms, shortest, 3_600_000)

@@ -280,6 +280,12 @@ impl Config {
             self.actors.count,
             1_024,
         )?;
+        within(
+            "transport.max_frames_per_s",
+            transport.max_frames_per_s,
+            0,
+            100_000,
+        )?;
         within("transport.heartbeat_ms", transport.heartbeat_ms, 10, 60_000)?;
         let silence = transport.peer_timeout_ms;
         within(

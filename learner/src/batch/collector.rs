@@ -264,9 +264,10 @@ impl Collector {
         self.drop_waiting_if(DropReason::AtShutdown, |_| true);
     }
 
-    /// Whether every actor that was there has said goodbye.
+    /// Whether every actor that was there has said goodbye. One that was expected and never heard of has nothing to say.
     pub fn all_gone(&self) -> bool {
-        self.present.is_empty()
+        let silent = |actor: &u32| !self.newest.contains_key(actor);
+        self.present.iter().all(silent)
     }
 
     /// Actors that a batch waits for.

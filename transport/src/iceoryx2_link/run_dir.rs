@@ -20,7 +20,7 @@ use crate::{Iceoryx2Config, Limits, TransportError};
 /// Where the system keeps POSIX shared memory; iceoryx2 has no other place for it on Linux.
 pub(super) const SHM_DIR: &str = "/dev/shm";
 /// First line of the note; another version is refused, not read.
-const FORMAT: &str = "caudata-transport 1";
+const FORMAT: &str = "caudata-transport 2";
 /// Longest path of a socket in bytes, less the terminating zero.
 const MAX_SOCKET_PATH: usize = 107;
 /// What iceoryx2 appends to the directory for a socket: `/`, prefix, a number of up to 39 digits, `.event`.
@@ -44,11 +44,12 @@ impl Note {
             max_policy_bytes,
             window_frames,
             max_actors,
+            max_frames_per_s,
             heartbeat_ms,
             peer_timeout_ms,
         } = self.limits;
         format!(
-            "{FORMAT}\n{}\n{}\n{max_frame_bytes} {max_policy_bytes} {window_frames} {max_actors} {heartbeat_ms} {peer_timeout_ms}\n",
+            "{FORMAT}\n{}\n{}\n{max_frame_bytes} {max_policy_bytes} {window_frames} {max_actors} {max_frames_per_s} {heartbeat_ms} {peer_timeout_ms}\n",
             self.run_id, self.tag
         )
     }
@@ -64,7 +65,16 @@ impl Note {
             .split(' ')
             .map(|n| n.parse().ok())
             .collect::<Option<_>>()?;
-        let [frame, policy, window, actors, heartbeat_ms, peer_timeout_ms] = numbers[..] else {
+        let [
+            frame,
+            policy,
+            window,
+            actors,
+            rate,
+            heartbeat_ms,
+            peer_timeout_ms,
+        ] = numbers[..]
+        else {
             return None;
         };
         let limits = Limits {
@@ -72,6 +82,7 @@ impl Note {
             max_policy_bytes: policy.try_into().ok()?,
             window_frames: window.try_into().ok()?,
             max_actors: actors.try_into().ok()?,
+            max_frames_per_s: rate.try_into().ok()?,
             heartbeat_ms,
             peer_timeout_ms,
         };

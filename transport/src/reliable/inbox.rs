@@ -16,6 +16,8 @@ pub(crate) struct Inbox {
     window: u64,
     max_frame_bytes: usize,
     max_actors: usize,
+    /// Frames per second and link; `None`: no limit.
+    rate: Option<f64>,
     peer_timeout: Duration,
     links: BTreeMap<u64, Link>,
     queue: VecDeque<(u64, Vec<u8>)>,
@@ -29,6 +31,11 @@ struct Link {
     received: u64,
     /// How many of the received are still in the queue.
     waiting: u64,
+    /// The highest number that it has been told it may send; never goes back.
+    granted: u64,
+    /// Frames that the rate allows now, at most the window, and when they were counted.
+    allowance: f64,
+    counted: Instant,
     probe: u64,
     heard: Instant,
     gone: bool,
@@ -43,6 +50,9 @@ impl Inbox {
             window: limits.window_frames as u64,
             max_frame_bytes: limits.max_frame_bytes,
             max_actors: limits.max_actors,
+            rate: Some(limits.max_frames_per_s)
+                .filter(|&r| r > 0)
+                .map(f64::from),
             peer_timeout: limits.peer_timeout(),
             links: BTreeMap::new(),
             queue: VecDeque::new(),
@@ -69,12 +79,17 @@ impl Inbox {
             UpKind::Data if head.number <= link.received => self.duplicates += 1,
             // A gap: something before it was lost. The next probe shows the actor what.
             UpKind::Data if head.number > link.received + 1 => {}
-            UpKind::Data if frame.len() > self.max_frame_bytes || link.waiting >= self.window => {
+            UpKind::Data
+                if frame.len() > self.max_frame_bytes
+                    || link.waiting >= self.window
+                    || (self.rate.is_some() && head.number > link.granted) =>
+            {
                 self.refused += 1;
             }
             UpKind::Data => {
                 link.received = head.number;
                 link.waiting += 1;
+                link.allowance = (link.allowance - 1.0).max(0.0);
                 self.queue.push_back((head.link, frame));
                 return true;
             }
@@ -117,11 +132,12 @@ impl Inbox {
         let mut answers = Vec::new();
         for (&id, link) in &mut self.links {
             if link.is_there(now, self.peer_timeout) && (everyone || link.answer) {
+                link.grant(self.window, self.rate, now);
                 answers.push(Status {
                     epoch: self.epoch,
                     link: id,
                     received: link.received,
-                    granted: link.received - link.waiting + self.window,
+                    granted: link.granted,
                     probe: link.probe,
                     generation: self.generation,
                     max_frame_bytes: self.max_frame_bytes as u64,
@@ -177,6 +193,10 @@ impl Inbox {
         self.links.entry(head.link).or_insert(Link {
             received: head.base - 1,
             waiting: 0,
+            // What it sent before it heard of this learner, it sent within the window.
+            granted: head.base - 1 + self.window,
+            allowance: self.window as f64,
+            counted: now,
             probe: 0,
             heard: now,
             gone: false,
@@ -201,6 +221,21 @@ impl Inbox {
 }
 
 impl Link {
+    /// Raises what it may send: the window beyond what has been read, and no more than the rate allows beyond what has come.
+    fn grant(&mut self, window: u64, rate: Option<f64>, now: Instant) {
+        let by_window = self.received - self.waiting + window;
+        let Some(rate) = rate else {
+            self.granted = by_window;
+            return;
+        };
+        let since_s = now.saturating_duration_since(self.counted).as_secs_f64();
+        self.counted = now;
+        self.allowance = (self.allowance + since_s * rate).min(window as f64);
+        // Granted and not yet come is part of the allowance.
+        let by_rate = self.received + self.allowance as u64;
+        self.granted = self.granted.max(by_window.min(by_rate));
+    }
+
     fn is_there(&self, now: Instant, peer_timeout: Duration) -> bool {
         !self.gone && now.duration_since(self.heard) < peer_timeout
     }
@@ -296,6 +331,37 @@ mod tests {
         assert_eq!(inbox.peers(later), 0);
         inbox.on_message(&data(2, 1), b"x".to_vec(), later);
         assert_eq!(inbox.answers(false, later).len(), 1);
+    }
+
+    /// Ten frames a second, windows of two: after the first two one more every 100 ms, however fast they are read.
+    #[test]
+    fn a_rate_holds_back_grants_and_refuses_what_was_not_granted() {
+        let start = Instant::now();
+        let limits = Limits {
+            max_frame_bytes: 4,
+            window_frames: 2,
+            max_frames_per_s: 10,
+            ..Limits::default()
+        };
+        let mut inbox = Inbox::new(9, &limits);
+        let granted = |inbox: &mut Inbox, ms| {
+            inbox.answers(true, start + Duration::from_millis(ms))[0].granted
+        };
+        for number in [1, 2] {
+            assert!(inbox.on_message(&data(1, number), b"a".to_vec(), start));
+            inbox.pop();
+        }
+        assert_eq!(granted(&mut inbox, 0), 2);
+        assert_eq!(granted(&mut inbox, 50), 2);
+        // Not granted: refused, although the window has room.
+        assert!(!inbox.on_message(&data(1, 3), b"a".to_vec(), start));
+        assert_eq!(inbox.refused(), 1);
+        assert_eq!(granted(&mut inbox, 150), 3);
+        assert!(inbox.on_message(&data(1, 3), b"a".to_vec(), start));
+        inbox.pop();
+        assert_eq!(granted(&mut inbox, 190), 3);
+        // A long pause saves up no more than the window.
+        assert_eq!(granted(&mut inbox, 10_000), 5);
     }
 
     /// Two seats, windows of two: a killed actor's unread frames keep its seat, so no more than four are ever unread.

@@ -15,7 +15,7 @@ const SPARE_SESSIONS: usize = 16;
 /// First and longest pause between attempts to reach the other side again, ms.
 const RETRY_MS: (u32, u32) = (100, 1_000);
 /// Shortest lease, ms: a host that is merely busy is not taken for dead.
-const MIN_LEASE_MS: u64 = 5_000;
+const MIN_LEASE_MS: u64 = 3_000;
 /// Longest wait for a session to close.
 const CLOSE_WAIT: Duration = Duration::from_secs(2);
 /// Ports tried when another process takes the one that the system had offered.
@@ -119,7 +119,10 @@ fn settings(
     limits: &Limits,
     tls: Option<&TlsFiles>,
 ) -> Result<Config, zenoh::Error> {
-    let list = |endpoints: &[String]| format!("{endpoints:?}");
+    let list = |endpoints: &[String]| {
+        let endpoints: Vec<String> = endpoints.iter().map(|e| single_stream(e)).collect();
+        format!("{endpoints:?}")
+    };
     let lease_ms = limits.peer_timeout_ms.max(MIN_LEASE_MS);
     let (retry_first_ms, retry_longest_ms) = RETRY_MS;
     // A client opens at once or fails, so that the caller can report it and try again; a learner that listens
@@ -171,6 +174,15 @@ fn settings(
         access::insert(&mut config, tls)?;
     }
     Ok(config)
+}
+
+/// A QUIC endpoint with one stream for everything. With zenoh's default of one per priority a message can overtake the declaration of its
+/// key, and is then lost.
+fn single_stream(endpoint: &str) -> String {
+    match endpoint.starts_with("quic/") && !endpoint.contains('?') {
+        true => format!("{endpoint}?multistream=0"),
+        false => endpoint.to_owned(),
+    }
 }
 
 /// The endpoints with every port 0 replaced by a free port, so that it is known before anyone connects.
@@ -239,6 +251,14 @@ mod tests {
         assert_ne!(chosen[0], listen[0]);
         assert!(chosen[0].starts_with("tcp/127.0.0.1:"));
         assert_eq!(chosen[1], listen[1]);
+    }
+
+    #[test]
+    fn quic_has_one_stream_and_other_endpoints_stay() {
+        let one = single_stream("quic/learner:7447");
+        assert_eq!(one, "quic/learner:7447?multistream=0");
+        assert_eq!(single_stream(&one), one);
+        assert_eq!(single_stream("tcp/127.0.0.1:7447"), "tcp/127.0.0.1:7447");
     }
 
     #[test]

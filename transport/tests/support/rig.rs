@@ -28,6 +28,7 @@ pub fn limits() -> Limits {
         max_policy_bytes: 64 << 10,
         window_frames: 4,
         max_actors: 8,
+        max_frames_per_s: 0,
         heartbeat_ms: 30,
         peer_timeout_ms: 1_000,
     }

@@ -21,6 +21,9 @@ pub struct TransportSection {
     pub window_frames: u32,
     /// Actors connected at once. 1 to 1,024. One more is refused.
     pub max_actors: u32,
+    /// Rollout frames that the learner takes from one actor per second, in the long run. 0: as many as it can read; else 1 to 100,000. A cap
+    /// against an actor that floods; lower than what an honest one makes, it waits and the run is slower. Not in-process.
+    pub max_frames_per_s: u32,
     /// How often the sides tell each other that they live, ms. 10 to 60,000.
     pub heartbeat_ms: u64,
     /// Silence after which the other side counts as gone, ms. At least three heartbeats, to 3,600,000.
@@ -42,6 +45,7 @@ impl Default for TransportSection {
             max_policy_bytes: 8 << 20,
             window_frames: 4,
             max_actors: 64,
+            max_frames_per_s: 0,
             heartbeat_ms: 250,
             peer_timeout_ms: 3_000,
             iceoryx2_root: PathBuf::new(),

@@ -371,3 +371,17 @@ fn in_lockstep_every_actor_gives_the_same_share_and_nothing_goes_ahead_of_the_sl
         "actor_number"
     );
 }
+
+#[test]
+fn nobody_waits_for_the_goodbye_of_an_actor_that_never_came() {
+    // Two actors are expected; one comes, and one with a name of its own.
+    let mut collector = collector(1);
+    let named = 0x8000_0001;
+    collector.offer(&hello(0, 0));
+    collector.offer(&hello(named, 7));
+    assert!(!collector.all_gone());
+    collector.offer(&bye(0, 0, 0));
+    assert!(!collector.all_gone());
+    collector.offer(&bye(named, 7, 0));
+    assert!(collector.all_gone());
+}
