@@ -210,7 +210,7 @@ fn soak(seconds: u64) {
     let mut last = 0;
     let mut swaps = 0;
     for line in lines {
-        let fields = &line["fields"];
+        let fields = &line;
         if fields["message"] != "policy swapped in" {
             continue;
         }

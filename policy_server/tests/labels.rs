@@ -220,7 +220,7 @@ async fn going_back_is_a_new_and_higher_version_with_the_old_bytes() {
     }
     let old = client.manifest(&stream(), Some(1)).await.unwrap();
     let low = client.revert(reverting(&old, 3, 5), "better").await;
-    assert_eq!(refused(low), Code::FailedPrecondition);
+    assert_eq!(refused(low), Code::AlreadyExists);
     let back = client
         .revert(reverting(&old, 4, 5), "better")
         .await

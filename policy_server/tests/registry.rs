@@ -5,7 +5,7 @@ mod common;
 
 use std::sync::Arc;
 
-use caudata_policy::PolicyFile;
+use caudata_policy::{PolicyFile, build_onnx};
 use caudata_policy_server::{StoreLimits, listen};
 use caudata_proto::registry::WatchChange;
 use caudata_registry_client::manifest_of;

@@ -644,8 +644,9 @@ async fn within<T>(
 fn refusal(address: &str, status: &Status) -> ClientError {
     use std::error::Error;
     let from_network = status.source().is_some();
-    // A connection that broke under a call is `Unknown`.
-    if matches!(status.code(), Code::Unavailable | Code::Unknown) && from_network {
+    // A connection that broke under a call is `Unknown`, or `Internal` where HTTP/2 noticed first.
+    let broken = [Code::Unavailable, Code::Unknown, Code::Internal, Code::Cancelled];
+    if broken.contains(&status.code()) && from_network {
         return ClientError::Unreachable {
             address: address.to_owned(),
             reason: innermost(status),

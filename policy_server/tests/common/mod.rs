@@ -21,8 +21,8 @@ use tonic::Code;
 pub struct Server {
     pub address: std::net::SocketAddr,
     pub client: RegistryClient,
-    stop: watch::Sender<bool>,
-    ended: JoinHandle<()>,
+    pub stop: watch::Sender<bool>,
+    pub ended: JoinHandle<()>,
 }
 
 impl Server {
