@@ -79,6 +79,15 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
         }
     };
     let (actor_id, incarnation) = identity(args)?;
+    let count = config.actors.count;
+    if config.actors.lockstep && actor_id >= count {
+        let message = format!(
+            "actor {actor_id}: in lockstep actors are numbered from 0 to actors.count − 1 = {}",
+            count - 1
+        );
+        return Err(Failure::message(ExitCode::BadConfig, message)
+            .hint("give --actor-id, or set actors.lockstep=false"));
+    }
     let robot_path = config.robot_path();
     let model = RobotModel::load(&robot_path).or_exit_with(ExitCode::BadInput, || {
         format!("robot file {}", robot_path.display())

@@ -119,7 +119,10 @@ impl Actor<'_> {
             if let Some(reason) = self.stop_reason() {
                 return Ok(reason);
             }
-            self.take_policy(Duration::ZERO)?;
+            // In lockstep a newer policy waits until the quotas of the older one are collected.
+            if !self.settings.lockstep {
+                self.take_policy(Duration::ZERO)?;
+            }
             if !self.quota.may_collect() {
                 self.wait_for_policy()?;
                 continue;

@@ -26,6 +26,8 @@ pub struct ActorSettings {
     pub chunks_per_version: u32,
     /// Quotas that may be collected ahead.
     pub max_lead: u32,
+    /// Whether a policy is taken only when the quotas of the one before are collected.
+    pub lockstep: bool,
     /// Threads of ONNX Runtime.
     pub inference_threads: usize,
     /// Longest wait for a policy, or for the learner to come back.
@@ -50,6 +52,7 @@ impl ActorSettings {
             chunk_steps: actors.chunk_steps as usize,
             chunks_per_version: actors.chunks_per_version,
             max_lead: actors.max_lead,
+            lockstep: actors.lockstep,
             inference_threads: actors.inference_threads as usize,
             policy_timeout: Duration::from_secs_f64(actors.policy_timeout_s),
             flush_timeout: Duration::from_secs_f64(actors.flush_timeout_s),
@@ -63,6 +66,16 @@ impl ActorSettings {
 /// actor does not collect the same ones again.
 pub fn actor_key(actor_id: u32, incarnation: u64) -> u64 {
     (incarnation << 32) | u64::from(actor_id)
+}
+
+/// Actor and first lane in the keys of the random streams. In lockstep the lanes of all actors are numbered through and the actor's
+/// number tells nothing apart, so that it does not matter which actor steps a lane.
+fn stream_keys(config: &Config, actor_key: u64) -> (u64, u64) {
+    if !config.actors.lockstep {
+        return (actor_key, 0);
+    }
+    let (incarnation, id) = (actor_key >> 32, actor_key & u64::from(u32::MAX));
+    (incarnation << 32, id * u64::from(config.actors.lanes))
 }
 
 /// The environments of one actor: engine, terrain and task as configured. `actor_key` comes from [`actor_key`], or
@@ -86,18 +99,35 @@ pub fn build_env(
         config.actors.threads as usize,
     )
     .map_err(|error| ActorError::Env(error.into()))?;
-    Ok(VecEnv::new(
+    let (actor, first_lane) = stream_keys(config, actor_key);
+    Ok(VecEnv::from_lane(
         model,
         config.task.clone(),
         engine,
         config.run.seed,
-        actor_key,
+        actor,
+        first_lane,
     )?)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn in_lockstep_lanes_are_numbered_through() {
+        let keys = |lockstep: &str, id, incarnation| {
+            let source = caudata_config::Source::default()
+                .set("actors.lanes=8")
+                .set(lockstep);
+            stream_keys(&Config::load(&source).unwrap(), actor_key(id, incarnation))
+        };
+        assert_eq!(keys("actors.lockstep=true", 0, 0), (0, 0));
+        assert_eq!(keys("actors.lockstep=true", 3, 0), (0, 24));
+        // A restarted actor steps the same lanes and draws other episodes.
+        assert_eq!(keys("actors.lockstep=true", 3, 2), (2 << 32, 24));
+        assert_eq!(keys("actors.lockstep=false", 3, 2), (actor_key(3, 2), 0));
+    }
 
     #[test]
     fn each_incarnation_has_its_own_key() {

@@ -25,6 +25,6 @@ ENV LD_LIBRARY_PATH=/opt/caudata/libtorch
 WORKDIR /opt/caudata
 USER 65532:65532
 VOLUME /var/lib/caudata
-EXPOSE 7447 9464
+EXPOSE 7447/udp 9464
 STOPSIGNAL SIGTERM
 ENTRYPOINT ["/usr/local/bin/caudata-learner"]

@@ -4,24 +4,23 @@ use std::ffi::OsString;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use caudata_actor::{build_env, transport_config};
-use caudata_config::{ConfigArgs, TransportKind, TransportSection};
+use caudata_actor::build_env;
+use caudata_config::ConfigArgs;
 use caudata_policy::{
     Activation, Dense, Inference, MlpSpec, PolicyFile, PolicyMetadata, build_onnx,
 };
 use caudata_task::{ACT_DIM, PolicyContract};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
-use caudata_transport::{
-    ActorLink, InprocConfig, InprocHub, LearnerLink, SendError, TransportConfig, actor_link,
-    learner_link,
-};
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
 
 use crate::commands::bench_gap::{self, GapBench};
+use crate::commands::bench_ingest::{self, IngestBench};
+use crate::commands::bench_lag::{self, LagBench};
 use crate::commands::bench_learner;
 use crate::commands::bench_sim::{self, Plan, SceneName};
 use crate::commands::bench_skill::{self, SkillBench};
+use crate::commands::bench_transport::{self, TransportBench};
 use crate::commands::eval::EngineName;
 use crate::commands::robot_model;
 use crate::say;
@@ -56,17 +55,12 @@ pub enum BenchCommand {
     Gap(GapBench),
     /// Trainings from nothing: wall time until the policy walks at a commanded speed with every gate met, median of seeds
     Skill(SkillBench),
-    /// Rollout frames per second from one actor to a learner on this machine
-    Transport {
-        #[command(flatten)]
-        common: Common,
-        /// Which transport
-        #[arg(long, value_enum, default_value_t = Kind::Inproc)]
-        kind: Kind,
-        /// Size of a frame, bytes
-        #[arg(long, default_value_t = 1 << 20)]
-        frame_bytes: usize,
-    },
+    /// Rollouts from actors to a learner on this machine, by transport: rate, latency, CPU, beside memcpy and a bare TCP socket
+    Transport(TransportBench),
+    /// Many light actors against one learner: what arrives, how fast it is acknowledged, what it takes
+    Ingest(IngestBench),
+    /// Trainings whose data is a forced number of iterations old: the final return against fresh data, with and without correction
+    Lag(LagBench),
 }
 
 #[derive(Debug, Args)]
@@ -94,6 +88,9 @@ pub struct SimBench {
     /// No MuJoCo beside
     #[arg(long)]
     no_mujoco: bool,
+    /// The robot file's drive-line as it is, without delay, low-pass, Stribeck and load-dependent friction, gear play and sag of the supply
+    #[arg(long)]
+    bare: bool,
     /// Robot, engine, terrain and task; the preset `quick` without these flags
     #[command(flatten)]
     config: ConfigArgs,
@@ -103,30 +100,10 @@ pub struct SimBench {
 pub struct Common {
     /// How long to measure, s
     #[arg(long, default_value_t = 3.0)]
-    seconds: f64,
+    pub seconds: f64,
     /// One JSON object on the last line
     #[arg(long)]
-    json: bool,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Kind {
-    /// Between threads
-    Inproc,
-    /// Shared memory
-    Iceoryx2,
-    /// TCP on this machine
-    Zenoh,
-}
-
-impl From<Kind> for TransportKind {
-    fn from(kind: Kind) -> Self {
-        match kind {
-            Kind::Inproc => TransportKind::Inproc,
-            Kind::Iceoryx2 => TransportKind::Iceoryx2,
-            Kind::Zenoh => TransportKind::Zenoh,
-        }
-    }
+    pub json: bool,
 }
 
 /// What a benchmark found.
@@ -154,6 +131,9 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
         BenchCommand::Sim(args) => return bench_sim(args),
         BenchCommand::Gap(args) => return bench_gap::run(args),
         BenchCommand::Skill(args) => return bench_skill::run(args),
+        BenchCommand::Transport(args) => return bench_transport::run(args),
+        BenchCommand::Ingest(args) => return bench_ingest::run(args),
+        BenchCommand::Lag(args) => return bench_lag::run(args),
         BenchCommand::Learner { common, config } => {
             return bench_learner::run(&or_quick(config), common.seconds, common.json);
         }
@@ -163,14 +143,6 @@ pub fn run(command: &BenchCommand) -> Result<(), Failure> {
             threads,
             config,
         } => (common, bench_policy(common, *batch, *threads, config)?),
-        BenchCommand::Transport {
-            common,
-            kind,
-            frame_bytes,
-        } => (
-            common,
-            bench_transport(common, (*kind).into(), *frame_bytes)?,
-        ),
     };
     if common.json {
         return say::json(&finding);
@@ -225,7 +197,6 @@ fn measure(
     })
 }
 
-/// The flags' configuration, `quick` without any.
 /// The flags as given, or the preset `quick`.
 pub fn or_quick(flags: &ConfigArgs) -> ConfigArgs {
     let mut flags = flags.clone();
@@ -275,6 +246,7 @@ fn bench_sim(args: &SimBench) -> Result<(), Failure> {
         lanes: args.lanes as usize,
         seconds: args.common.seconds,
         mujoco: !args.no_mujoco,
+        bare: args.bare,
     };
     let (speeds, mujoco) = if args.no_physics {
         (Vec::new(), "skipped: --no-physics".to_owned())
@@ -335,8 +307,8 @@ fn bench_policy(
     let model = robot_model::load(&config.robot_path())?;
     let contract = PolicyContract::new(&model, &config.task).or_exit(ExitCode::BadInput)?;
     let hidden = &config.learner.network.policy_hidden;
-    let file =
-        PolicyFile::parse(example_policy(&contract, hidden)?.into()).or_exit(ExitCode::Internal)?;
+    let file = PolicyFile::parse(example_policy(&contract, hidden, "bench", 0)?.into())
+        .or_exit(ExitCode::Internal)?;
     let mut inference = Inference::new(&file, threads as usize).or_exit(ExitCode::NoInput)?;
     let lanes = batch as usize;
     let observations: Vec<f32> = (0..lanes * contract.obs_dim())
@@ -359,7 +331,12 @@ fn bench_policy(
 }
 
 /// A policy file with made-up weights: only its size matters.
-fn example_policy(contract: &PolicyContract, hidden: &[u32]) -> Result<Vec<u8>, Failure> {
+pub fn example_policy(
+    contract: &PolicyContract,
+    hidden: &[u32],
+    run_id: &str,
+    version: u64,
+) -> Result<Vec<u8>, Failure> {
     let sizes: Vec<usize> = std::iter::once(contract.obs_dim())
         .chain(hidden.iter().map(|&n| n as usize))
         .chain([contract.act_dim()])
@@ -384,8 +361,8 @@ fn example_policy(contract: &PolicyContract, hidden: &[u32]) -> Result<Vec<u8>, 
     };
     let metadata = PolicyMetadata {
         contract: contract.clone(),
-        version: 0,
-        run_id: "bench".into(),
+        version,
+        run_id: run_id.into(),
         training_commit: String::new(),
         config_hash: String::new(),
         env_steps: 0,
@@ -395,77 +372,4 @@ fn example_policy(contract: &PolicyContract, hidden: &[u32]) -> Result<Vec<u8>, 
         evaluation: None,
     };
     build_onnx(&spec, &metadata).or_exit(ExitCode::Internal)
-}
-
-type Links = (Box<dyn LearnerLink>, Box<dyn ActorLink>);
-
-fn bench_transport(
-    common: &Common,
-    kind: TransportKind,
-    frame_bytes: usize,
-) -> Result<Finding, Failure> {
-    let section = TransportSection {
-        kind,
-        ..TransportSection::default()
-    };
-    let config = transport_config(&section);
-    let (mut learner, mut actor) = links(&config)?;
-    let mut frame = vec![0u8; frame_bytes];
-    let settings = serde_json::json!({ "kind": kind.name(), "frame_bytes": frame_bytes });
-    const PATIENCE: Duration = Duration::from_secs(10);
-    let mut number = 0u64;
-    let mut finding = measure("transport", ("frames", 1), common, settings, || {
-        // Each frame differs, so that nothing can be answered from a cache.
-        number += 1;
-        if let Some(head) = frame.first_chunk_mut() {
-            *head = number.to_le_bytes();
-        }
-        send(actor.as_mut(), &frame, PATIENCE)?;
-        match learner.recv(PATIENCE).or_exit(ExitCode::Internal)? {
-            Some(got) if got.bytes == frame => Ok(()),
-            Some(_) => Err(Failure::message(
-                ExitCode::Internal,
-                "a frame came back different",
-            )),
-            None => Err(Failure::message(
-                ExitCode::TempFail,
-                "a frame did not arrive",
-            )),
-        }
-    })?;
-    if let serde_json::Value::Object(settings) = &mut finding.settings {
-        let rate = finding.per_second * frame_bytes as f64 / 1e6;
-        settings.insert("megabytes_per_second".into(), rate.round().into());
-    }
-    Ok(finding)
-}
-
-fn send(actor: &mut dyn ActorLink, frame: &[u8], patience: Duration) -> Result<(), Failure> {
-    let deadline = Instant::now() + patience;
-    loop {
-        match actor.send(frame, Duration::from_millis(100)) {
-            Err(SendError::Full { .. } | SendError::Disconnected { .. })
-                if Instant::now() < deadline => {}
-            result => return result.or_exit(ExitCode::Unavailable),
-        }
-    }
-}
-
-/// Both ends of a run of this process's own.
-fn links(config: &TransportConfig) -> Result<Links, Failure> {
-    if let TransportConfig::Inproc(inproc) = config {
-        return inproc_links(inproc);
-    }
-    let run_id = format!("bench-{}", std::process::id());
-    let learner = learner_link(config, &run_id).or_exit(ExitCode::OsResource)?;
-    let actor = actor_link(&learner.actor_config(), &run_id, 0).or_exit(ExitCode::OsResource)?;
-    Ok((learner, actor))
-}
-
-fn inproc_links(config: &InprocConfig) -> Result<Links, Failure> {
-    let hub = InprocHub::new(config).or_exit(ExitCode::BadConfig)?;
-    Ok((
-        hub.learner().or_exit(ExitCode::Internal)?,
-        hub.actor().or_exit(ExitCode::Internal)?,
-    ))
 }

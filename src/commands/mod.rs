@@ -3,9 +3,13 @@
 pub mod adapt;
 pub mod bench;
 mod bench_gap;
+mod bench_ingest;
+mod bench_lag;
 mod bench_learner;
+mod bench_peer;
 mod bench_sim;
 mod bench_skill;
+mod bench_transport;
 pub mod cluster;
 pub mod config;
 pub mod eval;

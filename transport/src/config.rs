@@ -16,7 +16,7 @@ pub enum TransportConfig {
     Inproc(InprocConfig),
     /// Actors are processes on the learner's host: shared memory.
     Iceoryx2(Iceoryx2Config),
-    /// Actors are anywhere that reaches the learner, or a common router, by TCP.
+    /// Actors are anywhere that reaches the learner, or a common router, by TCP on one host, by QUIC between hosts.
     Zenoh(ZenohConfig),
 }
 
@@ -118,12 +118,12 @@ pub struct ZenohConfig {
     pub limits: Limits,
     /// Where the learner listens, zenoh endpoints. Default `["tcp/127.0.0.1:0"]`: this host only, the
     /// system chooses the port, and [`LearnerLink::actor_config`](crate::LearnerLink::actor_config) says which.
-    /// `tcp/` is plain and accepted on loopback only; other addresses are `tls/` and need [`tls`](Self::tls).
+    /// `tcp/` is plain and accepted on loopback only; other addresses are `quic/` (UDP) and need [`tls`](Self::tls).
     pub listen: Vec<String>,
     /// What to connect to: for actors the learner's address or routers; for a learner behind a router
     /// the routers (then `listen` may be empty). Default empty.
     pub connect: Vec<String>,
-    /// Own certificate and key, and the authority that the other side's must come from. Needed for `tls/` endpoints. What the
+    /// Own certificate and key, and the authority that the other side's must come from. Needed for `quic/` endpoints. What the
     /// other side may do follows from its certificate's common name: an actor may send rollouts and ask for policies, a learner
     /// and a router may do everything, nobody else anything.
     pub tls: Option<TlsFiles>,

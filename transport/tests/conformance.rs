@@ -38,7 +38,8 @@ macro_rules! every_case {
                 stop_reaches_every_actor
                 the_learner_counts_its_actors;
             floods:
-                fault_62_a_flood_of_one_actor_holds_up_nobody;
+                fault_62_a_flood_of_one_actor_holds_up_nobody
+                fault_62_latency_under_a_flood;
             $($group: $($case)*;)?
         }
     };
@@ -60,12 +61,20 @@ macro_rules! between_processes {
 every_case! { Inproc, inproc }
 between_processes! { Iceoryx2, iceoryx2 }
 between_processes! { Zenoh, zenoh }
+between_processes! { Quic, quic }
 
 /// The long fault suite: a thousand actors killed in mid-write.
 #[test]
 #[ignore = "long: a thousand processes"]
 fn fault_a_thousand_killed_actors_iceoryx2() {
     cases::processes::killing(support::rig::Kind::Iceoryx2, 1_000, 20_000);
+}
+
+/// The same over QUIC with certificates, a tenth of it.
+#[test]
+#[ignore = "long: a hundred processes"]
+fn fault_a_hundred_killed_actors_quic() {
+    cases::processes::killing(support::rig::Kind::Quic, 100, 5_000);
 }
 
 /// The same over the network, a tenth of it.

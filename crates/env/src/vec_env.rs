@@ -32,6 +32,8 @@ pub struct VecEnv {
     pub(crate) progress: u64,
     pub(crate) seed: u64,
     pub(crate) actor: u64,
+    /// Number of the first lane in the keys of the random streams.
+    pub(crate) first_lane: u64,
     pub(crate) layout: ObservationLayout,
     joints: JointTable,
     /// Swimming pose; the nominal one where the robot has none.
@@ -67,6 +69,22 @@ impl VecEnv {
         seed: u64,
         actor: u64,
     ) -> Result<Self, EnvError> {
+        Self::from_lane(model, task, engine, seed, actor, 0)
+    }
+
+    /// As [`Self::new`], with lanes numbered from `first_lane`: several environments with the same `actor` and lanes that
+    /// follow on one another draw what one environment with all the lanes would.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn from_lane(
+        model: Arc<RobotModel>,
+        task: TaskConfig,
+        engine: Box<dyn Engine>,
+        seed: u64,
+        actor: u64,
+        first_lane: u64,
+    ) -> Result<Self, EnvError> {
         let contract = PolicyContract::new(&model, &task)?;
         let joints = JointTable::from_model(&model)?;
         check_engine(&model, &task, engine.as_ref())?;
@@ -81,6 +99,7 @@ impl VecEnv {
             progress: 0,
             seed,
             actor,
+            first_lane,
             joints,
             swimming_rad,
             reader: Reader {
@@ -305,7 +324,7 @@ impl VecEnv {
         let key = Key {
             seed: self.seed,
             actor: self.actor,
-            env: lane as u64,
+            env: self.first_lane + lane as u64,
             episode,
         };
         let mut physics_stream = Stream::new(key, Purpose::Randomisation);
@@ -395,6 +414,7 @@ fn reward_input<'a>(
         foot_force_n: &truth.foot_force_n,
         trunk_force_n: truth.trunk_force_n,
         medium: truth.medium,
+        com_over_ground_m: truth.com_over_ground_m,
         swimming_rad,
         action: &lane.actions[0],
         previous_action: &lane.actions[1],

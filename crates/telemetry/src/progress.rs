@@ -73,6 +73,9 @@ pub struct Iteration {
     pub lag_mean: f64,
     /// The largest of them.
     pub lag_max: u64,
+    /// Effective sample size of the importance weights, as a share of the batch; 1 where all data is fresh.
+    #[serde(default)]
+    pub effective_share: f64,
     /// Mean KL divergence of the update, nats.
     pub kl: f64,
     /// Losses: clipped surrogate, value, entropy of the policy (nats).

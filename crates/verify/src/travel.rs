@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
-use caudata_sim::{Engine, EngineConfig, InitialState, TerrainConfig, build};
+use caudata_sim::{Engine, EngineConfig, EngineKind, InitialState, TerrainConfig, build};
 use serde_json::{Value, json};
 
 use crate::gait::Gait;
-use crate::{Bench, Row, VerifyError, request};
+use crate::{Bench, Row, VerifyError, largest, request};
 
 /// Steps whose travel is compared, s; the second is the one that is judged.
 const STEPS_S: [f64; 4] = [0.004, 0.002, 0.001, 0.0005];
@@ -135,6 +135,19 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         }
         let theirs = reference.as_deref().unwrap_or_default();
         rows.extend(against(name, &by_step[JUDGED].1, theirs));
+        if subject.config.kind == EngineKind::Batch {
+            // like for like: with MuJoCo's law of friction
+            let config = EngineConfig {
+                convex_friction: true,
+                ..bench.config(subject, STEPS_S[JUDGED])
+            };
+            let (_, convex) = ours(bench, &config, &gaits, periods)?;
+            rows.extend(against(
+                &format!("{name}, convex friction"),
+                &convex,
+                theirs,
+            ));
+        }
     }
     Ok(rows)
 }
@@ -205,15 +218,6 @@ fn against(name: &str, ours: &[Path], theirs: &[(f64, f64)]) -> Vec<Row> {
             "",
         ),
     ]
-}
-
-/// The larger one; not a number wins.
-fn largest(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.is_nan() {
-        f64::NAN
-    } else {
-        a.max(b)
-    }
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {

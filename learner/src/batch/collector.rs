@@ -34,6 +34,8 @@ pub struct CollectorSettings {
     pub chunks_per_version: u32,
     /// Quotas that an actor may be ahead. 0: a batch consists of chunks of the current version only.
     pub max_lead: u32,
+    /// Batches of equal share per actor, whose lag is exactly `max_lead`; lanes lie side by side, whoever stepped them.
+    pub lockstep: bool,
     /// Versions that a chunk may be old when it is used.
     pub max_lag: u64,
     /// Share of a full batch that is enough when actors are missing.
@@ -62,6 +64,7 @@ impl CollectorSettings {
     fn stragglers(&self, target: usize) -> usize {
         match self.max_lead {
             0 => 0,
+            _ if self.lockstep => 0,
             _ => (STRAGGLERS * target as f64) as usize,
         }
     }
@@ -185,8 +188,15 @@ impl Collector {
     }
 
     /// Whether a batch is complete: full, or everything that the actors that are there will send.
+    ///
+    /// In lockstep: when every actor has sent all that it may before the next policy comes, so that none of them can miss a version.
     pub fn is_ready(&self) -> bool {
         let per_actor = self.settings.chunks_per_version as usize;
+        if self.settings.lockstep {
+            let owed = per_actor * (self.settings.max_lead as usize).max(1);
+            let came = |actor: &u32| self.waiting_of(*actor) >= owed;
+            return !self.present.is_empty() && self.present.iter().all(came);
+        }
         let coming = self.present.len() * per_actor;
         let target = coming
             .max(self.settings.fewest())
@@ -209,8 +219,14 @@ impl Collector {
     /// heard again.
     pub fn take(&mut self) -> Vec<RolloutChunk> {
         self.waiting.sort_by_key(order);
-        let count = self.waiting.len().min(self.settings.full_batch());
-        let batch: Vec<RolloutChunk> = self.waiting.drain(..count).collect();
+        let batch = match self.settings.lockstep {
+            true => self.take_shares(),
+            false => {
+                let count = self.waiting.len().min(self.settings.full_batch());
+                self.waiting.drain(..count).collect()
+            }
+        };
+        let count = batch.len();
         for chunk in &batch {
             self.accounting.accept((chunk.actor_id, chunk.incarnation));
         }
@@ -219,6 +235,27 @@ impl Collector {
             self.present.retain(|actor| came.contains(actor));
         }
         batch
+    }
+
+    /// The oldest chunks of each actor, as many as it sends per version.
+    fn take_shares(&mut self) -> Vec<RolloutChunk> {
+        let share = self.settings.chunks_per_version as usize;
+        let mut taken: BTreeMap<u32, usize> = BTreeMap::new();
+        let (batch, rest) =
+            std::mem::take(&mut self.waiting)
+                .into_iter()
+                .partition(|chunk: &RolloutChunk| {
+                    let of_actor = taken.entry(chunk.actor_id).or_default();
+                    *of_actor += 1;
+                    *of_actor <= share
+                });
+        self.waiting = rest;
+        batch
+    }
+
+    fn waiting_of(&self, actor: u32) -> usize {
+        let of_actor = |chunk: &&RolloutChunk| chunk.actor_id == actor;
+        self.waiting.iter().filter(of_actor).count()
     }
 
     /// No more batches will be taken.
@@ -279,6 +316,13 @@ impl Collector {
             return Err((
                 "dimensions",
                 format!("[T, N, D, A] is {dims:?}, this run has {expected:?}"),
+            ));
+        }
+        if s.lockstep && chunk.actor_id >= s.actors {
+            let (actor, actors) = (chunk.actor_id, s.actors);
+            return Err((
+                "actor_number",
+                format!("actor {actor} in a run in lockstep with {actors} actors"),
             ));
         }
         match self.policies.get(&chunk.policy_version) {

@@ -3,9 +3,11 @@
 mod accounting;
 mod collector;
 mod rows;
+mod side_by_side;
 
 pub use accounting::{
     Accounting, ActorKey, Arrival, DropReason, IncarnationAccount, Report, ReportRow,
 };
 pub use collector::{Collector, CollectorSettings, Outcome, STRIKES_MAX};
 pub use rows::{Batch, Segment};
+pub use side_by_side::side_by_side;

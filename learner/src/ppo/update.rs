@@ -1,6 +1,6 @@
 //! One update: values and log-probabilities of the batch, advantages, then epochs of minibatches.
 
-use caudata_config::{AdvantageScale, PpoConfig, StalenessConfig};
+use caudata_config::{AdvantageScale, Correction, PpoConfig, StalenessConfig};
 use caudata_random::Stream;
 use tch::{Device, Tensor};
 
@@ -253,7 +253,11 @@ impl Ppo {
         let values: Vec<f32> = host(&Tensor::cat(&self.pool.map(self.cut(&all), value_of)?, 0))?;
         let prox_means = Tensor::cat(&self.pool.map(self.cut(&observations), mean_of)?, 0);
         let prox_log_std = self.net.log_std();
-        let prox_log_probs: Vec<f32> = host(&log_prob(&actions, &prox_means, &prox_log_std))?;
+        // Plain PPO clips against the policy that acted, whatever its age: then every ratio below is 1.
+        let prox_log_probs: Vec<f32> = match self.settings.staleness.correction {
+            Correction::Decoupled => host(&log_prob(&actions, &prox_means, &prox_log_std))?,
+            Correction::None => batch.behaviour_log_probs.clone(),
+        };
 
         let targets = self.targets(batch, &values, &prox_log_probs, policy_version);
         let columns = interleave(&prox_log_probs, &targets);

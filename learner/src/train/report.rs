@@ -189,6 +189,7 @@ fn event_of(report: &IterationReport) -> progress::Iteration {
             .collect(),
         lag_mean: report.lag_mean,
         lag_max: report.lag_max,
+        effective_share: stats.effective_share,
         kl: stats.kl,
         surrogate_loss: stats.surrogate,
         value_loss: stats.value_loss,

@@ -18,7 +18,7 @@ use super::report::{IterationReport, Reporter};
 use super::seen::PoliciesSeen;
 use super::setup::ledger_folder;
 use crate::LearnerError;
-use crate::batch::{Batch, Collector};
+use crate::batch::{Batch, Collector, side_by_side};
 use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow, FORMAT, Saved};
 use crate::export::{PolicyIdentity, export, write_policy};
 use crate::normaliser::{Moments, Scaling};
@@ -116,6 +116,9 @@ impl Run<'_> {
     fn iterate(&mut self, state: &mut LoopState) -> Result<String, LearnerError> {
         self.announce(&state.policy)?;
         state.seen.made(&state.policy);
+        // In lockstep a policy goes out when everything that older ones were to collect is there.
+        let holds_back = self.config.actors.lockstep && self.config.actors.max_lead > 0;
+        let mut held_back = false;
         while self.progress.iteration < self.config.run.iterations {
             let started = Instant::now();
             let chunks = {
@@ -136,13 +139,18 @@ impl Run<'_> {
             };
             let collection_s = started.elapsed().as_secs_f64();
             state.actors_wait = true;
+            if std::mem::take(&mut held_back) {
+                self.announce(&state.policy)?;
+                state.seen.made(&state.policy);
+            }
             self.learn(chunks, state, started, collection_s)?;
             self.tell_published(&mut state.seen);
             if self.stop.is_set() {
                 return Ok(self.stop_reason());
             }
             if self.progress.iteration < self.config.run.iterations {
-                self.hand_out(state)?;
+                self.hand_out(state, holds_back)?;
+                held_back = holds_back;
             }
         }
         Ok("completed".to_owned())
@@ -166,7 +174,10 @@ impl Run<'_> {
                 returns.add(f64::from(episode.return_sum), share);
             }
         }
-        let batch = Batch::new(chunks);
+        let batch = Batch::new(match self.config.actors.lockstep {
+            true => side_by_side(chunks),
+            false => chunks,
+        });
         let value_only = self.value_only();
         let learning = Instant::now();
         let stats = {
@@ -205,16 +216,18 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Gives the actors the new policy, and saves and publishes where it is time to.
-    fn hand_out(&mut self, state: &mut LoopState) -> Result<(), LearnerError> {
+    /// Gives the actors the new policy unless it is `held_back`, and saves and publishes where it is time to.
+    fn hand_out(&mut self, state: &mut LoopState, held_back: bool) -> Result<(), LearnerError> {
         let learner = &self.config.learner;
         let iteration = self.progress.iteration;
         let save = iteration.is_multiple_of(learner.checkpoint_every);
         // Before the actors go on; the file is written while they are at work.
         let checkpoint = if save { Some(self.state(state)?) } else { None };
-        self.announce(&state.policy)?;
-        state.actors_wait = false;
-        state.seen.made(&state.policy);
+        if !held_back {
+            self.announce(&state.policy)?;
+            state.actors_wait = false;
+            state.seen.made(&state.policy);
+        }
         if iteration.is_multiple_of(learner.publish_every) {
             self.publish(&state.policy)?;
         }

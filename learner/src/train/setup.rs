@@ -243,6 +243,7 @@ fn collector_settings(
         actors: actors.count,
         chunks_per_version: actors.chunks_per_version,
         max_lead: actors.max_lead,
+        lockstep: actors.lockstep,
         max_lag: config.learner.staleness.max_lag,
         min_share: config.learner.min_batch_share,
         limits: DecodeLimits {

@@ -12,9 +12,10 @@
 //! trot 16 % of its way at 2 ms (2 % so), and halving the step only halved it. While sliding, only the direction across the slip is implicit, so that the force along the
 //! slip is Coulomb's whatever the acceleration.
 //!
-//! Here MuJoCo differs on purpose: its friction is the convex relaxation of Coulomb's, in which a sliding contact also lifts (the normal force
+//! Here MuJoCo differs, unless [`convex`](super::convex) is chosen: its friction is the convex relaxation of Coulomb's, in which a sliding contact also lifts (the normal force
 //! grows with the slip), and sticking takes a time constant. `docs/simulation.md` says how much of a gait's way that is.
 
+use super::convex;
 use super::ground::Ground;
 use super::kinematics::Frame;
 use super::program::Point;
@@ -33,7 +34,9 @@ const DEEPEST_M: f64 = 0.01;
 pub(super) struct ContactLaw<R: Lanes> {
     dt: R::Elem,
     /// θ·dt, s.
-    theta_dt: R::Elem,
+    pub theta_dt: R::Elem,
+    /// MuJoCo's friction instead of the bristle.
+    pub convex: bool,
     /// Bristle stiffness, N/m.
     kt: R::Elem,
     /// Bristle damping plus θ·dt·kt, N·s/m.
@@ -46,6 +49,7 @@ impl<R: Lanes> ContactLaw<R> {
         Self {
             dt: R::elem(dt),
             theta_dt: R::elem(THETA * dt),
+            convex: config.convex_friction,
             kt: R::elem(config.bristle_stiffness_n_per_m),
             dt_full: R::elem(
                 config.bristle_damping_ns_per_m + THETA * dt * config.bristle_stiffness_n_per_m,
@@ -94,7 +98,7 @@ impl<R: Real> Touch<R> {
 }
 
 /// Values that a contact point keeps from step to step: deflection of its bristle, world, m; of the last step the normal force, N, and the
-/// acceleration along the normal without it, m/s².
+/// acceleration along the normal without it, m/s². With convex friction the first three are that acceleration, world, m/s².
 pub(super) const MEMORY: usize = 5;
 
 /// Works out the contact of a ball (`point` in the frame `frame`, from the base at `base`), adds it to the body's inertia and notes it.
@@ -171,6 +175,26 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
         frame.ang,
         vel,
     );
+    if law.convex {
+        let depth = depth.min(R::splat(DEEPEST_M));
+        let free = [memory[0], memory[1], memory[2]];
+        let (f0, m) = convex::force(
+            law, point, touching, depth, normal, vel, acc, friction, free,
+        );
+        add_general(inertia, arm, &m);
+        inertia.f = sub(inertia.f, f0);
+        inertia.n = sub(inertia.n, cross(arm, f0));
+        *note = Touch {
+            any: true,
+            arm,
+            normal,
+            give: k(point.mobility),
+            touching: R::select(touching, one, o),
+            f0,
+            m,
+        };
+        return;
+    }
     let ahead = add_scaled(vel, acc, dt);
     let (vn, ahead_n) = if FLAT {
         (vel[2], ahead[2])

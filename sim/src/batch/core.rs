@@ -1,10 +1,11 @@
 //! All lanes of an engine in groups of one width, behind a trait that hides the width.
 
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use caudata_model::RobotModel;
 
+use super::clock::{Clock, PhaseSeconds};
 use super::ground::Ground;
 use super::lanes::Group;
 use super::period::{Period, Scratch, Shared};
@@ -42,14 +43,18 @@ pub(super) trait Core: Send {
         config: &EngineConfig,
         params: &LaneParams,
     );
-    /// Length of [`LaneState::x`].
-    fn state_len(&self) -> usize;
+    /// Whether a lane's state has the lengths that these lanes have.
+    fn fits(&self, lane: &LaneState) -> bool;
     /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity (world), joints in model order,
     /// servos holding `rest`. Then reports it in `row` of `state`.
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State);
     fn get(&self, lane: usize) -> LaneState;
     fn put(&mut self, lane: usize, from: &LaneState) -> bool;
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State);
+    /// Starts to time the phases of the steps that follow.
+    fn time_phases(&mut self);
+    /// All threads together.
+    fn phase_seconds(&self) -> PhaseSeconds;
 }
 
 /// Where a lane starts.
@@ -117,8 +122,12 @@ impl<R: Lanes> Core for CoreOf<R> {
         }
     }
 
-    fn state_len(&self) -> usize {
-        super::lanes::layout(&self.shared.program).len()
+    fn fits(&self, lane: &LaneState) -> bool {
+        let group = &self.groups[0];
+        lane.x.len() == group.x.len()
+            && lane.drives.len() == group.drives.len()
+            && lane.sums.len() == group.sums.len()
+            && lane.history.len() == group.history.lane(0).len()
     }
 
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State) {
@@ -202,20 +211,30 @@ impl<R: Lanes> Core for CoreOf<R> {
 
     fn put(&mut self, lane: usize, from: &LaneState) -> bool {
         let (group, slot) = (&mut self.groups[lane / R::LANES], lane % R::LANES);
-        if from.x.len() != group.x.len()
-            || from.drives.len() != group.drives.len()
-            || from.sums.len() != group.sums.len()
-        {
-            return false;
-        }
         put_slot(group, slot, from)
+    }
+
+    fn time_phases(&mut self) {
+        for scratch in &mut self.scratch {
+            scratch.clock = Some(Clock::new());
+        }
+    }
+
+    fn phase_seconds(&self) -> PhaseSeconds {
+        let mut sum = PhaseSeconds::default();
+        for clock in self.scratch.iter().filter_map(|s| s.clock.as_ref()) {
+            for (sum, seconds) in sum.iter_mut().zip(clock.seconds) {
+                *sum += seconds;
+            }
+        }
+        sum
     }
 
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State) {
         let shared = &self.shared;
         let threads = pool.threads().min(self.scratch.len());
-        // Small parts, each taken by the next thread that is free: the machine may be busy with other things as well. A group's result does
-        // not depend on who works it out.
+        // Small parts. Each thread begins with those that it had in the last step, which are in its cache, and then helps the others: the
+        // machine may be busy with other things as well. A group's result does not depend on who works it out.
         let share = self.groups.len().div_ceil(PARTS_PER_THREAD * threads);
         let widths = report::widths(&shared.program);
         let actuated = shared.program.actuated;
@@ -237,14 +256,17 @@ impl<R: Lanes> Core for CoreOf<R> {
         }
         let scratch: Vec<Mutex<&mut Scratch<R>>> =
             self.scratch.iter_mut().map(Mutex::new).collect();
-        let next = AtomicUsize::new(0);
+        let taken: Vec<AtomicBool> = work.iter().map(|_| AtomicBool::new(false)).collect();
         pool.run(&|k| {
             // nobody else has this thread's working memory, or a part that it took
             let Some(Ok(mut scratch)) = scratch.get(k).map(Mutex::lock) else {
                 return;
             };
-            while let Some(part) = work.get(next.fetch_add(1, Ordering::Relaxed)) {
-                if let Ok(mut part) = part.lock() {
+            let own = k * work.len() / threads;
+            for at in (own..work.len()).chain(0..own) {
+                if !taken[at].swap(true, Ordering::Relaxed)
+                    && let Ok(mut part) = work[at].lock()
+                {
                     part.run(&mut scratch);
                 }
             }

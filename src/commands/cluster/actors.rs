@@ -21,7 +21,7 @@ const STOP_MAX: Duration = Duration::from_secs(5);
 
 #[derive(Debug, Args)]
 pub struct ActorsArgs {
-    /// The learner or a router, for instance tls/learner.lab:7447
+    /// The learner or a router, for instance quic/learner.lab:7447
     #[arg(long, value_name = "ENDPOINT", required = true)]
     connect: Vec<String>,
     /// How many; otherwise one for each core

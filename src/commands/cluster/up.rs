@@ -130,9 +130,9 @@ mod tests {
     fn others_are_told_a_name_that_leads_here() {
         let host = caudata_actor::host_name().unwrap();
         assert_eq!(
-            with_own_name("tls/0.0.0.0:7447"),
-            format!("tls/{host}:7447")
+            with_own_name("quic/0.0.0.0:7447"),
+            format!("quic/{host}:7447")
         );
-        assert_eq!(with_own_name("tls/learner:7447"), "tls/learner:7447");
+        assert_eq!(with_own_name("quic/learner:7447"), "quic/learner:7447");
     }
 }

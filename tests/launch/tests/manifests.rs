@@ -149,7 +149,10 @@ fn the_configuration_of_the_cluster_is_valid_and_meant_for_several_hosts() {
     assert_eq!(config.text("transport.kind"), "zenoh");
     assert!(!config.text("cluster.tls_dir").is_empty());
     for endpoint in config.get("transport.zenoh_listen").as_array().unwrap() {
-        assert!(endpoint.as_str().unwrap().starts_with("tls/"), "{endpoint}");
+        assert!(
+            endpoint.as_str().unwrap().starts_with("quic/"),
+            "{endpoint}"
+        );
     }
     assert!(config.text("cluster.policy_server").starts_with("https://"));
 }

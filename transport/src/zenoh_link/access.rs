@@ -24,10 +24,10 @@ pub(super) fn check_endpoints(
             Some(("tcp", address)) if is_loopback(address) => {}
             Some(("tcp", _)) => {
                 return Err(refuse(
-                    "plain connections stay on loopback; beyond this host write tls/ and give certificates".to_owned(),
+                    "plain connections stay on loopback; beyond this host write quic/ and give certificates".to_owned(),
                 ));
             }
-            Some(("tls", _)) => match tls {
+            Some(("quic", _)) => match tls {
                 None => return Err(refuse("it needs certificates (cluster.tls_dir)".to_owned())),
                 Some(files) => {
                     if let Some(what) = files.unreadable() {
@@ -35,9 +35,16 @@ pub(super) fn check_endpoints(
                     }
                 }
             },
+            // zenoh 1.10 reads and writes one TLS stream from two threads (eclipse-zenoh/zenoh#2557).
+            Some(("tls", _)) => {
+                return Err(refuse(
+                    "TLS over TCP can corrupt memory; write quic/ (UDP, the same certificates)"
+                        .to_owned(),
+                ));
+            }
             _ => {
                 return Err(refuse(
-                    "it must be tcp/HOST:PORT on loopback, or tls/HOST:PORT".to_owned(),
+                    "it must be tcp/HOST:PORT on loopback, or quic/HOST:PORT".to_owned(),
                 ));
             }
         }
@@ -163,13 +170,13 @@ mod tests {
         ] {
             let error = check(elsewhere, None).unwrap_err();
             assert!(
-                error.contains(elsewhere) && error.contains("tls/"),
+                error.contains(elsewhere) && error.contains("quic/"),
                 "{error}"
             );
         }
         for other in [
             "udp/127.0.0.1:7447",
-            "quic/127.0.0.1:7447",
+            "tls/127.0.0.1:7447",
             "127.0.0.1:7447",
             "",
         ] {
@@ -179,11 +186,11 @@ mod tests {
 
     #[test]
     fn encrypted_connections_need_certificates_that_are_there() {
-        let error = check("tls/learner:7447", None).unwrap_err();
+        let error = check("quic/learner:7447", None).unwrap_err();
         assert!(error.contains("certificates"), "{error}");
         let dir = tempfile::tempdir().unwrap();
         let files = TlsFiles::in_folder(dir.path());
-        let error = check("tls/learner:7447", Some(&files)).unwrap_err();
+        let error = check("quic/learner:7447", Some(&files)).unwrap_err();
         assert!(
             error.contains("ca.crt"),
             "the first missing file is named: {error}"
@@ -191,7 +198,7 @@ mod tests {
         for file in [&files.ca, &files.certificate, &files.key] {
             std::fs::write(file, "").unwrap();
         }
-        check("tls/learner:7447", Some(&files)).unwrap();
+        check("quic/learner:7447", Some(&files)).unwrap();
     }
 
     /// The router's file must be one that this version of zenoh reads, and must give actors what the learner gives them.

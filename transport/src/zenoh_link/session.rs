@@ -1,6 +1,6 @@
 //! zenoh's settings, every one that matters written out: no scouting, no defaults without a bound.
 
-use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs, UdpSocket};
 use std::sync::mpsc;
 use std::time::Duration;
 
@@ -193,14 +193,17 @@ fn with_port(endpoint: &str) -> Result<String, TransportError> {
     let first = addresses
         .next()
         .ok_or_else(|| failed(std::io::Error::other("no address")))?;
-    let listener = TcpListener::bind(first).map_err(failed)?;
+    let bound = match scheme {
+        "quic" => UdpSocket::bind(first).and_then(|socket| socket.local_addr()),
+        _ => TcpListener::bind(first).and_then(|listener| listener.local_addr()),
+    };
     // The port alone: a certificate is for a name, not for the address behind it.
-    let port = listener.local_addr().map_err(failed)?.port();
+    let port = bound.map_err(failed)?.port();
     let host = address.strip_suffix(":0").unwrap_or(address);
     Ok(format!("{scheme}/{host}:{port}"))
 }
 
-/// The endpoints as this host can connect to them: "any address" becomes the loopback address, or with TLS the name
+/// The endpoints as this host can connect to them: "any address" becomes the loopback address, or with certificates the name
 /// `localhost`, which the certificate then has to have.
 fn reachable(endpoints: &[String]) -> Vec<String> {
     endpoints
@@ -208,8 +211,8 @@ fn reachable(endpoints: &[String]) -> Vec<String> {
         .map(|endpoint| {
             let (scheme, address) = endpoint.split_once('/').unwrap_or_default();
             match address.parse::<SocketAddr>().ok() {
-                Some(address) if address.ip().is_unspecified() && scheme == "tls" => {
-                    format!("tls/localhost:{}", address.port())
+                Some(address) if address.ip().is_unspecified() && scheme == "quic" => {
+                    format!("quic/localhost:{}", address.port())
                 }
                 Some(address) if address.ip().is_unspecified() => {
                     let ip = if address.is_ipv4() {
@@ -243,14 +246,14 @@ mod tests {
         let listen = [
             "tcp/0.0.0.0:7447",
             "tcp/[::]:7448",
-            "tls/node7:7449",
-            "tls/0.0.0.0:1",
+            "quic/node7:7449",
+            "quic/0.0.0.0:1",
         ];
         let reached = [
             "tcp/127.0.0.1:7447",
             "tcp/[::1]:7448",
-            "tls/node7:7449",
-            "tls/localhost:1",
+            "quic/node7:7449",
+            "quic/localhost:1",
         ];
         assert_eq!(reachable(&listen.map(str::to_owned)), reached);
     }

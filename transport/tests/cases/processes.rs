@@ -7,7 +7,7 @@ use caudata_transport::{
 use crate::support::frames::{ATTEMPT, Ledger, check, flush, frame, recv, send, wait_until};
 use crate::support::policies::{assert_nothing_more, label, next_policy, policy};
 use crate::support::process::{Helper, start_learner};
-use crate::support::rig::{Kind, Residue, Rig, fresh_run_id, limits, remote};
+use crate::support::rig::{Kind, Residue, Rig, for_actors, fresh_run_id, limits, remote};
 
 /// One actor more than the limit is kept out, not the others; when one leaves it comes in.
 pub fn one_actor_too_many_waits_for_its_turn(kind: Kind) {
@@ -165,13 +165,15 @@ pub fn actors_find_a_restarted_learner(kind: Kind) {
 }
 
 pub fn same_address(config: &TransportConfig, actor_config: &TransportConfig) -> TransportConfig {
-    match actor_config {
-        TransportConfig::Zenoh(actor) => TransportConfig::Zenoh(ZenohConfig {
-            limits: actor.limits.clone(),
-            listen: actor.connect.clone(),
-            connect: Vec::new(),
-            tls: None,
-        }),
+    match (actor_config, config) {
+        (TransportConfig::Zenoh(actor), TransportConfig::Zenoh(own)) => {
+            TransportConfig::Zenoh(ZenohConfig {
+                limits: actor.limits.clone(),
+                listen: actor.connect.clone(),
+                connect: Vec::new(),
+                tls: own.tls.clone(),
+            })
+        }
         _ => config.clone(),
     }
 }
@@ -215,6 +217,7 @@ pub fn an_actor_may_come_before_its_learner(kind: Kind) {
     let run_id = fresh_run_id();
     // zenoh: an address is settled beforehand by a learner that has left again.
     let settled = learner_link(&config, &run_id).unwrap().actor_config();
+    let settled = for_actors(settled, &config);
     let mut actor = actor_link(&settled, &run_id, 0).unwrap();
     let early = actor.send(b"x", ATTEMPT);
     assert!(

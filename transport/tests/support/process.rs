@@ -11,6 +11,7 @@ use nix::unistd::Pid;
 use serde::{Deserialize, Serialize};
 
 use super::frames::{Label, check, flush, frame, send, wait_until};
+use super::rig::for_actors;
 
 const ORDER: &str = "CAUDATA_TRANSPORT_TEST_ORDER";
 
@@ -190,5 +191,5 @@ pub fn start_learner(run_id: &str, config: &TransportConfig) -> (Helper, Transpo
         .trim_matches('"')
         .replace("\\n", "\n")
         .replace("\\\"", "\"");
-    (helper, toml::from_str(&text).unwrap())
+    (helper, for_actors(toml::from_str(&text).unwrap(), config))
 }

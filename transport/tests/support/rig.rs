@@ -1,11 +1,14 @@
 //! One run over one transport: its learner's end and as many actors' ends as a case wants.
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::SystemTime;
 
+use caudata_pki::{Authority, Request, Role};
 use caudata_transport::{
-    ActorLink, Iceoryx2Config, InprocConfig, InprocHub, LearnerLink, Limits, TransportConfig,
-    ZenohConfig, actor_link, learner_link,
+    ActorLink, Iceoryx2Config, InprocConfig, InprocHub, LearnerLink, Limits, TlsFiles,
+    TransportConfig, ZenohConfig, actor_link, learner_link,
 };
 
 /// The transports under test.
@@ -14,6 +17,8 @@ pub enum Kind {
     Inproc,
     Iceoryx2,
     Zenoh,
+    /// zenoh over QUIC, certificates on both sides.
+    Quic,
 }
 
 /// Small frames and quick heartbeats.
@@ -56,7 +61,7 @@ impl Rig {
         let config = remote(kind, limits);
         let learner = learner_link(&config, &run_id).unwrap();
         Self {
-            config: learner.actor_config(),
+            config: for_actors(learner.actor_config(), &config),
             residue: Residue::of(&config),
             run_id,
             learner,
@@ -93,7 +98,55 @@ pub fn remote(kind: Kind, limits: Limits) -> TransportConfig {
             limits,
             ..ZenohConfig::default()
         }),
+        Kind::Quic => TransportConfig::Zenoh(ZenohConfig {
+            limits,
+            listen: vec!["quic/localhost:0".to_owned()],
+            connect: Vec::new(),
+            tls: Some(lab().0.clone()),
+        }),
     }
+}
+
+/// What a learner with `config` says to its actors, with an actor's certificates where there are any.
+pub fn for_actors(told: TransportConfig, config: &TransportConfig) -> TransportConfig {
+    match (told, config) {
+        (TransportConfig::Zenoh(told), TransportConfig::Zenoh(config)) => {
+            TransportConfig::Zenoh(ZenohConfig {
+                tls: config.tls.as_ref().map(|_| lab().1.clone()),
+                ..told
+            })
+        }
+        (told, _) => told,
+    }
+}
+
+/// The certificates of this test process's lab: a learner's and an actor's.
+fn lab() -> &'static (TlsFiles, TlsFiles) {
+    static LAB: OnceLock<(TlsFiles, TlsFiles)> = OnceLock::new();
+    LAB.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+        // Nobody is there to remove it at the end: the next test process does.
+        for old in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+            let name = old.file_name().into_string().unwrap();
+            let gone = |pid: &str| !Path::new("/proc").join(pid).exists();
+            if name.strip_prefix("lab-").is_some_and(gone) {
+                let _ = std::fs::remove_dir_all(old.path());
+            }
+        }
+        let now = SystemTime::now();
+        let folder = folder.join(format!("lab-{}", std::process::id()));
+        let authority = Authority::create(&folder, "lab", now).unwrap();
+        let issue = |role, name: &str| {
+            let request = Request {
+                role,
+                name: name.to_owned(),
+                hosts: vec!["localhost".to_owned()],
+                days: 1,
+            };
+            TlsFiles::in_folder(&authority.issue(&request, now, false).unwrap())
+        };
+        (issue(Role::Learner, "learner"), issue(Role::Actor, "actor"))
+    })
 }
 
 pub fn fresh_run_id() -> String {

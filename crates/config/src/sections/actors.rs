@@ -20,6 +20,10 @@ pub struct ActorsConfig {
     /// Quotas that an actor may collect ahead with an old policy while it waits for the next version. 0 (`sync`): actors
     /// and learner take turns and runs repeat bit for bit. 1 and more (`async`): they overlap, data is so many versions old. 0 to 8.
     pub max_lead: u32,
+    /// The lag is always exactly `max_lead` (in the first iterations less), and the work is split by lane: for the same `count × lanes`
+    /// any number of actors gives the same weights, bit for bit, over any transport, as long as none dies. Costs waiting: with 1 nobody
+    /// is ahead of the slowest by more than one quota. Actors are numbered from 0 to `count` − 1; names are refused.
+    pub lockstep: bool,
     /// Threads that step one actor's environments. 1 to 256. Results do not depend on it.
     pub threads: u32,
     /// Threads of the policy's inference in one actor. 1 to 64. Small networks gain nothing above 1.
@@ -41,6 +45,7 @@ impl Default for ActorsConfig {
             chunk_steps: 24,
             chunks_per_version: 1,
             max_lead: 1,
+            lockstep: false,
             threads: 1,
             inference_threads: 1,
             policy_timeout_s: 300.0,

@@ -96,6 +96,17 @@ pub enum Device {
     Cuda,
 }
 
+/// What is done about data that older policies collected.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Correction {
+    /// Decoupled loss with truncated importance weights, V-trace targets.
+    #[default]
+    Decoupled,
+    /// Nothing: the clipped loss of plain PPO against the policy that acted.
+    None,
+}
+
 /// `[learner.network]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -224,6 +235,9 @@ pub enum AdvantageScale {
 pub struct StalenessConfig {
     /// Policy versions after which a chunk is dropped and counted. 0 to 1,000. 0 uses only the newest policy's.
     pub max_lag: u64,
+    /// `decoupled`: data of older policies counts with the weight π_prox/μ (Hilton et al. 2022), and values are corrected by V-trace.
+    /// `none`: plain PPO, whose ratio is π_θ/μ and whose targets take all data for the newest policy's; for comparison.
+    pub correction: Correction,
     /// ρ̄ of V-trace (Espeholt et al. 2018): cap of the ratio in the correction of values. 0.1 to 10; 1 is the paper's.
     pub rho_max: f64,
     /// c̄ of V-trace: cap of the trace, multiplied by λ. 0.1 to 10; 1 makes it GAE at lag 0.
@@ -239,6 +253,7 @@ impl Default for StalenessConfig {
     fn default() -> Self {
         Self {
             max_lag: 4,
+            correction: Correction::Decoupled,
             rho_max: 1.0,
             c_max: 1.0,
             weight_max: 2.0,

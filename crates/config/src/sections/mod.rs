@@ -10,8 +10,8 @@ mod services;
 pub use actors::ActorsConfig;
 pub use cluster::ClusterConfig;
 pub use learner::{
-    Activation, AdvantageScale, Device, LearnerConfig, NetworkConfig, PpoConfig, StalenessConfig,
-    WarmStartConfig,
+    Activation, AdvantageScale, Correction, Device, LearnerConfig, NetworkConfig, PpoConfig,
+    StalenessConfig, WarmStartConfig,
 };
 pub use run::{EvaluationConfig, RunConfig};
 pub use services::{

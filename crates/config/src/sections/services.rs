@@ -27,7 +27,7 @@ pub struct TransportSection {
     pub peer_timeout_ms: u64,
     /// iceoryx2: folder for its bookkeeping files; empty takes one in the system's temporary folder. Keep it short.
     pub iceoryx2_root: PathBuf,
-    /// zenoh: where the learner listens. `tcp/HOST:PORT` is plain and accepted on loopback only; `tls/HOST:PORT` needs certificates
+    /// zenoh: where the learner listens. `tcp/HOST:PORT` is plain and accepted on loopback only; `quic/HOST:PORT` needs certificates
     /// (`cluster.tls_dir`).
     pub zenoh_listen: Vec<String>,
     /// zenoh: what to connect to (a router, or the learner).

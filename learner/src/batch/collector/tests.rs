@@ -16,6 +16,7 @@ fn settings(max_lead: u32) -> CollectorSettings {
         actors: 2,
         chunks_per_version: 1,
         max_lead,
+        lockstep: false,
         max_lag: 4,
         min_share: 0.5,
         limits: DecodeLimits::default(),
@@ -334,4 +335,39 @@ fn fault_61_one_slow_actor_of_sixty_four_holds_up_nobody() {
     }
     let report = collector.accounting().report();
     assert_eq!((report.accepted, report.dropped), (63 * 10 + 2, 0));
+}
+
+#[test]
+fn in_lockstep_every_actor_gives_the_same_share_and_nothing_goes_ahead_of_the_slowest() {
+    let lockstep = CollectorSettings {
+        lockstep: true,
+        ..settings(1)
+    };
+    let mut collector = Collector::new(lockstep, Accounting::default());
+    collector.policy_published(0, sha(0));
+    // Actor 0 sends both of its quotas before actor 1 sends its first.
+    offer(&mut collector, chunk(0, 0, 0));
+    offer(&mut collector, chunk(0, 1, 0));
+    assert!(!collector.is_ready());
+    offer(&mut collector, chunk(1, 0, 0));
+    assert!(collector.is_ready());
+    let taken: Vec<_> = collector
+        .take()
+        .iter()
+        .map(|c| (c.actor_id, c.sequence))
+        .collect();
+    assert_eq!(taken, [(0, 0), (1, 0)]);
+    assert!(!collector.is_ready());
+    offer(&mut collector, chunk(1, 1, 0));
+    let taken: Vec<_> = collector
+        .take()
+        .iter()
+        .map(|c| (c.actor_id, c.sequence))
+        .collect();
+    assert_eq!(taken, [(0, 1), (1, 1)]);
+    // Lanes are numbered through: there is no place for a third actor.
+    assert_eq!(
+        reason(offer(&mut collector, chunk(2, 0, 0))),
+        "actor_number"
+    );
 }
