@@ -32,8 +32,25 @@ impl Dice {
     }
 }
 
+/// A process that does not outlive the test, however that ends.
+struct Killed(Child);
+
+impl Killed {
+    /// SIGKILL, now.
+    fn kill(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
 /// The server as a process of its own, on one port for good.
-fn server(data: &Path, address: Option<SocketAddr>) -> (Child, SocketAddr) {
+fn server(data: &Path, address: Option<SocketAddr>) -> (Killed, SocketAddr) {
     let program =
         Path::new(env!("CARGO_BIN_EXE_caudata-robot")).with_file_name("caudata-policy-server");
     let address = address.unwrap_or_else(|| "127.0.0.1:0".parse().unwrap());
@@ -47,7 +64,7 @@ fn server(data: &Path, address: Option<SocketAddr>) -> (Child, SocketAddr) {
         .unwrap();
     let mut out = BufReader::new(child.stdout.take().unwrap());
     let bound = read_announcement("policy_server", &mut out).expect("it listens");
-    (child, bound)
+    (Killed(child), bound)
 }
 
 /// Carries bytes to `to`, unless it is cut.
@@ -177,8 +194,7 @@ fn soak(seconds: u64) {
         while Instant::now() < end && !robot.is_finished() {
             std::thread::sleep(Duration::from_millis(1500 + dice.below(3000)));
             if dice.below(2) == 0 {
-                child.kill().unwrap();
-                child.wait().unwrap();
+                child.kill();
                 std::thread::sleep(Duration::from_millis(dice.below(1500)));
                 child = server(&data, Some(address)).0;
                 kills += 1;
@@ -242,8 +258,7 @@ fn soak(seconds: u64) {
     );
 
     // The server's store is whole after all of it, and knows what the robot said.
-    child.kill().unwrap();
-    child.wait().unwrap();
+    child.kill();
     let (mut child, _) = server(&data, Some(address));
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -261,8 +276,7 @@ fn soak(seconds: u64) {
             "{overview:?}"
         );
     });
-    child.kill().unwrap();
-    child.wait().unwrap();
+    child.kill();
     let state = status_of(&state);
     assert_eq!(state["quarantined"].as_array().unwrap().len(), 0, "{state}");
     println!(
