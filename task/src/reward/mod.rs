@@ -194,10 +194,10 @@ pub struct RewardConfig {
     /// speed up to 1.5 times that. Default 0.14 and 0.22, with which the nominal robot swims at about 0.3 m/s open loop. Larger: faster and more
     /// power.
     pub wave_amplitude_rad: [f32; 2],
-    /// Height of the centre of mass above the highest ground under a foot from which on the robot swims, if it is in water, m. Default 0.16:
-    /// standing is 0.1, and a floating robot with its legs folded back runs aground at 0.07. Below it the rewards are those of land, although
+    /// Height of the centre of mass above the highest ground under a foot from which on the robot swims, if it is in water, m. Default 0.09:
+    /// it stands at 0.073, and runs aground lower than that with its legs folded back. Below it the rewards are those of land, although
     /// the medium bit says water. Too small: a robot that comes ashore keeps its legs folded and lies in the shallows for ever; too large:
-    /// it tries to walk where its feet find no ground.
+    /// it treads water for the pay of walking where its feet find no ground (0.16 did that).
     pub afloat_above_m: f32,
     /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make nine tenths of a wave.
     pub wave_lag_rad: f32,
@@ -224,7 +224,7 @@ impl Default for RewardConfig {
             trunk_force_n: 5.0,
             leg_fold_sigma: 3.0,
             wave_amplitude_rad: [0.14, 0.22],
-            afloat_above_m: 0.16,
+            afloat_above_m: 0.09,
             wave_lag_rad: 0.7,
             wave_sigma: 0.1,
             soft_limit_share: 0.95,

@@ -310,7 +310,7 @@ fn in_water_legs_fold_instead_of_stepping() {
     check(terms::phase, &on_land, 1.0);
     // With ground in reach the bit still says water, but the feet step and the belly may touch.
     let wading = RewardInput {
-        com_over_ground_m: 0.1,
+        com_over_ground_m: 0.07,
         trunk_force_n: 100.0,
         ..input
     };
