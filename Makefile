@@ -12,7 +12,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test check lint doc deny advisories bench test-faults clean tools
+.PHONY: help setup build train test check lint doc deny advisories bench test-faults fuzz clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -35,6 +35,9 @@ test: tools ## run all tests but the long fault suites; ARGS goes to cargo test
 
 test-faults: build ## run the long suites that `make test` leaves out (faults, soak)
 	@$(ENV) cargo test --release --locked --workspace $(ARGS) -- --ignored --nocapture
+
+fuzz: build ## knock at every door that bytes come in by, a minute each, CAUDATA_FUZZ_S=seconds
+	@$(ENV) CAUDATA_FUZZ_S=$(or $(CAUDATA_FUZZ_S),60) cargo test --release --locked --workspace --test fuzz $(ARGS) -- --nocapture --test-threads 1
 
 bench: build ## measure this machine: ARGS="sim", "policy" or "transport", with --json for figures
 	@$(ENV) target/release/caudata bench $(or $(ARGS),sim)

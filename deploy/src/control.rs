@@ -33,6 +33,13 @@ pub const FALLEN_GRAVITY_Z: f32 = -0.2;
 /// Ticks in a row of that before the robot is stopped (0.5 s).
 pub const FALLEN_TICKS: u32 = 25;
 
+/// Mean speed of the joints below which the robot counts as standing still, rad/s. Servos report in steps of 0.024 rad/s.
+pub const STILL_RADPS: f32 = 0.1;
+/// Ticks in a row of that, with the command at zero, before a newer policy is swapped in (0.2 s).
+pub const STILL_TICKS: u32 = 10;
+/// A robot that was made to stand for a swap and does not come to rest by then gets it all the same (2 s): its targets stand still.
+pub const STAND_TICKS_MAX: u32 = 100;
+
 /// What a run is asked to do.
 #[derive(Clone, Debug)]
 pub struct RunPlan {
@@ -48,6 +55,8 @@ pub struct RunPlan {
     pub read_deadline: Duration,
     /// Limits of the hardware; `None` on a simulated robot.
     pub limits: Option<Limits>,
+    /// How long a newer policy waits for the robot to stand before the robot is made to; `None`: for ever.
+    pub swap_wait: Option<Duration>,
 }
 
 /// Everything sensed at one tick.
@@ -76,6 +85,10 @@ pub struct Counts {
     pub late_readings: u64,
     /// Policies swapped in.
     pub swaps: u64,
+    /// Largest mean speed of the joints at which that happened, rad/s.
+    pub swap_speed_radps: f32,
+    /// Times that the robot was made to stand for a swap.
+    pub stands_for_swap: u64,
     /// Periods skipped.
     pub overruns: u64,
     /// Actions held.
@@ -91,6 +104,8 @@ pub struct Counts {
     pub tick_latency: Latencies,
     /// From due to woken.
     pub wake_latency: Latencies,
+    /// Observation, inference and action filter.
+    pub inference_latency: Latencies,
     /// How far it went.
     pub odometer: Odometer,
 }
@@ -127,6 +142,13 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     last_time_s: f64,
     walk_start_s: Option<f64>,
     trial_ticks: u32,
+    /// When this policy took over, s of the robot's time.
+    begun_at_s: f64,
+    still_ticks: u32,
+    /// Ticks for which a newer policy has waited.
+    swap_ticks: u32,
+    /// Ticks for which the robot has stood, or gone there, to let it in; `None`: it does not.
+    stand_ticks: Option<u32>,
     fallen_ticks: u32,
     late_in_a_row: u32,
     ended: Option<Ended>,
@@ -172,6 +194,10 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             gravity,
             walk_start_s: None,
             trial_ticks: 0,
+            begun_at_s: 0.0,
+            still_ticks: 0,
+            swap_ticks: 0,
+            stand_ticks: None,
             fallen_ticks: 0,
             late_in_a_row: 0,
             ended: None,
@@ -215,6 +241,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     /// # Errors
     /// [`DeployError::Bus`] where the robot is lost; the torque was switched off as far as that was possible.
     pub fn run(&mut self, stop: &StopFlag) -> Result<Ended, DeployError> {
+        self.updates
+            .tell(PolicyEvent::Begun(self.runner.policy().clone()));
         let mut pacer = Pacer::new(self.clock.now(), self.plan.period);
         let result = loop {
             let due = pacer.next(self.clock.now());
@@ -231,6 +259,16 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.counts.overruns = pacer.overruns();
         self.counts.held = self.gate.held();
         self.counts.rate_limited = self.gate.rate_limited();
+        if matches!(
+            (&result, self.ended),
+            (
+                Ok(()),
+                None | Some(Ended::Time | Ended::Signal | Ended::Killed)
+            )
+        ) {
+            let policy = self.runner.policy().clone();
+            self.updates.tell(PolicyEvent::Ended(policy));
+        }
         let limp = self.robot.torque_off();
         result?;
         limp?;
@@ -255,7 +293,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.watch_for_the_end(stop, &sensed);
         self.watch_hardware(&sensed);
         let wanted_command = self.wanted_command(&sensed);
-        self.swap_policy();
+        self.look_for_swap(&sensed, &wanted_command);
         let sent = self.gate.last_rad();
         let wanted = if self.motion.stage() == Stage::Walk {
             self.walk(&sensed, dt_s, wanted_command)
@@ -334,6 +372,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
         if self.fallen_ticks == FALLEN_TICKS && self.motion.stage() == Stage::Walk {
             tracing::error!(gravity = ?sensed.gravity, "the robot fell: stopping");
+            self.blame_a_fall(sensed);
             self.ended = Some(Ended::Fallen);
             self.motion.damp();
         }
@@ -352,7 +391,10 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             self.motion.damp();
         } else if view.age > LINK_STAND {
             self.motion.stand();
-        } else if view.age <= LINK_STOP && self.motion.resume(self.gate.last_rad()) {
+        } else if view.age <= LINK_STOP
+            && self.stand_ticks.is_none()
+            && self.motion.resume(self.gate.last_rad())
+        {
             self.runner.forget();
         }
         match view.age <= LINK_STOP {
@@ -384,28 +426,119 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.fault
     }
 
-    /// Takes over a newer policy, with empty history, blended in from what was sent last.
-    fn swap_policy(&mut self) {
-        if !matches!(
-            self.motion.stage(),
-            Stage::Rise | Stage::Settle | Stage::Walk
-        ) {
+    /// A policy that never went through its trial here and falls is not begun with again. One that did may have met a stone.
+    fn blame_a_fall(&mut self, sensed: &Sensed) {
+        if self.runner.is_proved() || self.trial_ticks >= TRIAL_TICKS {
             return;
         }
+        self.updates.tell(PolicyEvent::Bad {
+            policy: self.runner.policy().clone(),
+            reason: "fell in its trial".to_owned(),
+            walked_s: self.drove_s(sensed),
+            fell: true,
+        });
+    }
+
+    /// How long the present policy has been in charge, s.
+    fn drove_s(&self, sensed: &Sensed) -> f64 {
+        let from = self.walk_start_s.unwrap_or(sensed.servos.time_s);
+        rounded((sensed.servos.time_s - from.max(self.begun_at_s)).max(0.0))
+    }
+
+    /// A newer policy gets in only at a safe moment: before walking has begun, or standing. While the robot walks it waits; where that
+    /// takes too long, the robot is made to stand.
+    fn look_for_swap(&mut self, sensed: &Sensed, wanted: &[f32; COMMAND_DIM]) {
+        let speed = mean_speed(&sensed.servos);
+        let stage = self.motion.stage();
+        // Held still by the loop, or commanded to stand and standing.
+        let held = matches!(stage, Stage::Settle | Stage::Stand);
+        let asked = stage == Stage::Walk && *wanted == [0.0; COMMAND_DIM];
+        let still = (held || asked) && speed < STILL_RADPS;
+        self.still_ticks = if still { self.still_ticks + 1 } else { 0 };
+        if !self.updates.waits() {
+            self.swap_ticks = 0;
+            if self.stand_ticks.take().is_some() {
+                self.walk_on();
+            }
+            return;
+        }
+        self.swap_ticks = self.swap_ticks.saturating_add(1);
+        self.metrics.armed.set(1);
+        let stood_long = self
+            .stand_ticks
+            .is_some_and(|ticks| ticks >= STAND_TICKS_MAX);
+        let safe = match stage {
+            Stage::Rise => true,
+            Stage::Settle => true,
+            Stage::Stand => self.still_ticks >= STILL_TICKS || stood_long,
+            Stage::Walk => self.still_ticks >= STILL_TICKS,
+            // On its way to the end: the next run begins with it.
+            Stage::Return | Stage::Rest | Stage::Damped | Stage::Off => false,
+        };
+        if safe {
+            self.swap_policy(sensed, speed, wanted);
+        } else {
+            self.hurry(stage);
+        }
+    }
+
+    /// Makes the robot stand where a newer policy has waited for too long.
+    fn hurry(&mut self, stage: Stage) {
+        if let Some(ticks) = &mut self.stand_ticks {
+            *ticks += u32::from(self.gate.last_rad() == self.runner.joints().nominal_rad);
+            return;
+        }
+        let waited = self.plan.period * self.swap_ticks;
+        if stage == Stage::Walk && self.plan.swap_wait.is_some_and(|limit| waited >= limit) {
+            let waited_s = waited.as_secs_f32();
+            tracing::info!(
+                waited_s,
+                "a newer policy waits: the robot stands to let it in"
+            );
+            self.counts.stands_for_swap += 1;
+            self.stand_ticks = Some(0);
+            self.motion.stand();
+        }
+    }
+
+    /// Takes over a newer policy, with empty history, blended in from what was sent last.
+    fn swap_policy(&mut self, sensed: &Sensed, speed: f32, commanded: &[f32; COMMAND_DIM]) {
         let Some(verified) = self.updates.take() else {
             return;
         };
         match PolicyRunner::new(verified, Some(self.runner.clock())) {
             Ok(runner) => {
-                tracing::info!(policy = %runner.policy(), "policy swapped in");
+                let stage = self.motion.stage();
+                let waited_s = self.plan.period.as_secs_f32() * self.swap_ticks as f32;
+                let policy = runner.policy();
+                tracing::info!(version = policy.version, sha256 = %policy.sha256, ?stage, waited_s, speed_radps = speed, ?commanded, "policy swapped in");
                 let old = std::mem::replace(&mut self.runner, runner);
                 self.updates.tell(PolicyEvent::Replaced(Box::new(old)));
+                self.updates
+                    .tell(PolicyEvent::Begun(self.runner.policy().clone()));
                 self.metrics.policy_version.set(version_gauge(&self.runner));
+                self.metrics.armed.set(0);
                 self.counts.swaps += 1;
+                // Rising, the robot moves by the loop's own ramp, not by a policy.
+                if stage != Stage::Rise {
+                    self.counts.swap_speed_radps = self.counts.swap_speed_radps.max(speed);
+                }
                 self.trial_ticks = 0;
+                self.begun_at_s = sensed.servos.time_s;
                 self.motion.blend_again(self.gate.last_rad());
             }
             Err(error) => tracing::error!(%error, "policy not swapped in"),
+        }
+        self.swap_ticks = 0;
+        if self.stand_ticks.take().is_some() {
+            self.walk_on();
+        }
+    }
+
+    /// After standing for a swap. With a command link the link decides.
+    fn walk_on(&mut self) {
+        if self.link.is_none() {
+            self.motion.resume(self.gate.last_rad());
         }
     }
 
@@ -439,31 +572,43 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             command,
             in_water: sensed.in_water,
         };
-        match self.runner.act(&view) {
+        let begun = self.clock.now();
+        let acted = self.runner.act(&view);
+        self.counts
+            .inference_latency
+            .add(self.clock.now().saturating_sub(begun));
+        match acted {
             Some(targets) => {
                 self.gate.good();
                 self.trial_ticks += 1;
                 if self.trial_ticks == TRIAL_TICKS {
-                    self.updates
-                        .tell(PolicyEvent::Good(self.runner.policy().sha256));
+                    self.updates.tell(PolicyEvent::Good {
+                        policy: self.runner.policy().clone(),
+                        walked_s: self.drove_s(sensed),
+                    });
                 }
                 Some(targets)
             }
             None => {
-                self.bad_action();
+                self.bad_action(sensed);
                 None
             }
         }
     }
 
-    fn bad_action(&mut self) {
+    fn bad_action(&mut self, sensed: &Sensed) {
         self.metrics.held_actions.inc();
         self.trial_ticks = 0;
         if self.gate.hold() == Held::Stop {
             let policy = self.runner.policy().clone();
             tracing::error!(%policy, "actions are not finite: stopping");
             let reason = format!("gave {HELD_IN_A_ROW_MAX} actions in a row that are not finite");
-            self.updates.tell(PolicyEvent::Bad { policy, reason });
+            self.updates.tell(PolicyEvent::Bad {
+                policy,
+                reason,
+                walked_s: self.drove_s(sensed),
+                fell: false,
+            });
             self.ended = Some(Ended::BadActions);
             self.motion.damp();
         }
@@ -481,6 +626,15 @@ const FIRST_READ_DEADLINE: Duration = Duration::from_secs(5);
 
 fn version_gauge(runner: &PolicyRunner) -> i64 {
     i64::try_from(runner.policy().version).unwrap_or(i64::MAX)
+}
+
+/// Mean over the joints of their speeds, rad/s. What is not a number is no standing still.
+fn mean_speed(servos: &ServoReadings) -> f32 {
+    let sum: f32 = servos.vel_radps.iter().map(|v| v.abs()).sum();
+    match sum.is_finite() {
+        true => sum / ACT_DIM as f32,
+        false => f32::INFINITY,
+    }
 }
 
 /// Adds the IMU and what follows from it to servo readings taken `dt_s` after the last ones.

@@ -107,6 +107,21 @@ pub enum DeployError {
         /// What is wrong.
         reason: String,
     },
+    /// Both copies of the state were damaged, and nobody proved yet what is too old.
+    #[error(
+        "this robot's state was lost; nothing is taken until a policy server that the trust file knows proves what is newest"
+    )]
+    StateLost,
+    /// The server's word about where the label leads does not count, or does not fit.
+    #[error("cannot tell whether `{label}` of {stream} is fresh: {reason}")]
+    Stale {
+        /// Which stream.
+        stream: String,
+        /// Which label.
+        label: String,
+        /// Why.
+        reason: String,
+    },
     /// A folder or file cannot be used.
     #[error("cannot use {}: {source}", path.display())]
     Folder {
@@ -188,6 +203,7 @@ impl DeployError {
             | Self::Trust(_)
             | Self::Task { .. }
             | Self::StateDamaged { .. }
+            | Self::StateLost
             | Self::BlobDamaged { .. }
             | Self::LinkKey { .. }
             | Self::Commands { .. } => ExitCode::BadInput,
@@ -196,6 +212,7 @@ impl DeployError {
                 ExitCode::Protocol
             }
             Self::Unfit { .. } => ExitCode::TargetMissed,
+            Self::Stale { .. } => ExitCode::Unavailable,
             Self::Server(_) | Self::NoPolicy { .. } | Self::Bus(_) | Self::Stopped { .. } => {
                 ExitCode::Unavailable
             }
@@ -212,9 +229,9 @@ impl DeployError {
     /// What the user can do, where that is not in the message.
     pub fn hint(&self) -> Option<&'static str> {
         match self {
-            Self::StateDamaged { .. } => {
-                Some("move the state folder away; the next run fetches the newest policy again")
-            }
+            Self::StateDamaged { .. } => Some(
+                "give --trust with a [[fresh_key]] of the server, or move the state folder away and give up what it knew",
+            ),
             Self::NoPolicy { .. } => {
                 Some("`caudata policy list` shows the streams; training publishes under its run id")
             }

@@ -1,21 +1,41 @@
 //! Follows a stream while the robot walks: newer policies are fetched and verified here and wait in a slot for the loop.
 
+use std::path::PathBuf;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use caudata_proto::registry::{Manifest, StreamName, WatchChange};
-use caudata_registry_client::{ClientError, RegistryClient};
+use caudata_proto::registry::{LabelName, StreamName, WatchChange};
+use caudata_registry_client::{RegistryClient, Watch, jittered};
 use tokio::sync::watch;
 
 use crate::DeployError;
 use crate::keeper::{Keeper, reference};
-use crate::state::{PolicyRef, Sha256Digest};
+use crate::metrics::RobotMetrics;
+use crate::state::PolicyRef;
 use crate::updates::Slot;
+use crate::verify::Verified;
 
 /// First pause before a server that went away is tried again; doubles up to [`RETRY_MAX`].
 pub const RETRY_FIRST: Duration = Duration::from_millis(500);
 /// Longest pause between tries.
 pub const RETRY_MAX: Duration = Duration::from_secs(30);
+/// How often the server is asked where the label leads, also where it tells of no change: one that was made to forget shows then.
+pub const PROOF_EVERY: Duration = Duration::from_secs(60);
+/// Without an answer that counts for this long, an alarm is raised; what runs goes on.
+pub const STALE_AFTER: Duration = Duration::from_secs(600);
+
+/// What to follow, and where.
+#[derive(Clone, Debug)]
+pub struct Follow {
+    /// Address of the policy server.
+    pub address: String,
+    /// Certificates, where the address is an encrypted one.
+    pub tls_dir: Option<PathBuf>,
+    /// Stream.
+    pub stream: StreamName,
+    /// Label.
+    pub label: LabelName,
+}
 
 /// A thread that follows one stream; dropped, it ends.
 #[derive(Debug)]
@@ -31,10 +51,10 @@ impl Follower {
     /// [`DeployError::System`], [`DeployError::Server`] for a wrong address.
     pub fn start(
         keeper: Keeper,
-        address: &str,
-        stream: StreamName,
+        follow: Follow,
         running: PolicyRef,
         slot: Slot,
+        metrics: RobotMetrics,
     ) -> Result<Self, DeployError> {
         let refused = |what| move |source| DeployError::System { what, source };
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -43,15 +63,17 @@ impl Follower {
             .map_err(refused("a network runtime"))?;
         let client = {
             let _context = runtime.enter();
-            RegistryClient::new(address)?
+            RegistryClient::with_tls(&follow.address, follow.tls_dir.as_deref())?
         };
         let (stop, stopped) = watch::channel(false);
         let mut following = Following {
             keeper,
             client,
-            stream,
-            offered: running.sha256,
+            follow,
+            offered: running,
             slot,
+            metrics,
+            proved_at: Instant::now(),
         };
         let thread = std::thread::Builder::new()
             .name("follower".into())
@@ -76,68 +98,154 @@ impl Drop for Follower {
 struct Following {
     keeper: Keeper,
     client: RegistryClient,
-    stream: StreamName,
+    follow: Follow,
     /// What was handed over, or refused, last.
-    offered: Sha256Digest,
+    offered: PolicyRef,
     slot: Slot,
+    metrics: RobotMetrics,
+    /// When the server last said where the label leads, and it counted.
+    proved_at: Instant,
 }
 
 impl Following {
     async fn until(&mut self, mut stopped: watch::Receiver<bool>) {
         tokio::select! {
             _ = stopped.changed() => {}
-            () = self.follow() => {}
+            () = self.run() => {}
         }
     }
 
-    async fn follow(&mut self) {
+    async fn run(&mut self) {
         let mut pause = RETRY_FIRST;
         loop {
             match self.watch(&mut pause).await {
                 Ok(()) => tracing::info!("policy server closed the watch; asking again"),
                 Err(error) => {
-                    tracing::warn!(%error, ?pause, "cannot follow; the policy at hand goes on")
+                    tracing::warn!(%error, ?pause, "cannot follow; the policy at hand goes on");
                 }
             }
-            tokio::time::sleep(pause).await;
+            self.raise_alarm();
+            tokio::time::sleep(jittered(pause)).await;
             pause = (pause * 2).min(RETRY_MAX);
         }
     }
 
     /// One watch from its snapshot to its end.
-    async fn watch(&mut self, pause: &mut Duration) -> Result<(), ClientError> {
-        let mut events = self.client.watch(Some(&self.stream), 0).await?;
-        while let Some(event) = events.next().await? {
+    async fn watch(&mut self, pause: &mut Duration) -> Result<(), DeployError> {
+        let stream = self.follow.stream.clone();
+        let mut events = self.client.watch(Some(&stream), 0).await?;
+        self.heed_quarantine().await?;
+        while self.next_change(&mut events).await? {
             *pause = RETRY_FIRST;
-            match event.change {
-                WatchChange::Snapshot(manifests) => {
-                    if let Some(newest) = manifests.iter().find(|m| m.stream == self.stream) {
-                        self.consider(newest).await;
-                    }
-                }
-                WatchChange::Published(manifest) => self.consider(&manifest).await,
-                WatchChange::Progress => {}
-            }
+            self.consider().await;
+            self.raise_alarm();
         }
         Ok(())
     }
 
-    async fn consider(&mut self, manifest: &Manifest) {
-        let policy = reference(manifest);
-        if policy.sha256 == self.offered {
+    /// Waits until there is something to ask for; false when the server closed the watch in order.
+    async fn next_change(&mut self, events: &mut Watch) -> Result<bool, DeployError> {
+        let asked = tokio::time::Instant::now();
+        loop {
+            let event = tokio::select! {
+                event = events.next() => event?,
+                () = tokio::time::sleep_until(asked + PROOF_EVERY) => return Ok(true),
+            };
+            let Some(event) = event else {
+                return Ok(false);
+            };
+            match event.change {
+                WatchChange::Progress => {}
+                WatchChange::Quarantined(state) => {
+                    if state.version == self.offered.version {
+                        self.withdraw(&state.reason).await;
+                    }
+                    return Ok(true);
+                }
+                WatchChange::Snapshot(_)
+                | WatchChange::Published(_)
+                | WatchChange::LabelMoved(_) => return Ok(true),
+            }
+        }
+    }
+
+    /// While this robot was not listening, what it runs may have been taken out of use.
+    async fn heed_quarantine(&mut self) -> Result<(), DeployError> {
+        let stream = self.follow.stream.clone();
+        let overview = self.client.overview(Some(&stream)).await?;
+        let ours = |q: &&caudata_proto::registry::QuarantineState| {
+            q.stream == stream && q.version == self.offered.version
+        };
+        if let Some(state) = overview.quarantined.iter().find(ours) {
+            let reason = state.reason.clone();
+            self.withdraw(&reason).await;
+        }
+        Ok(())
+    }
+
+    /// What runs is out of use: the last good one takes over, unless the label leads to something better in a moment.
+    async fn withdraw(&mut self, reason: &str) {
+        let policy = self.offered.clone();
+        if policy.stream != self.follow.stream.as_str() {
             return;
         }
-        match self.keeper.take(&mut self.client, manifest).await {
-            Ok(verified) => {
-                self.offered = policy.sha256;
-                self.slot.put(verified);
+        self.keeper.withdraw(&policy, reason);
+        match self.keeper.from_disk() {
+            Ok(Some(verified)) => self.offer(verified),
+            Ok(None) => {
+                tracing::error!(%policy, "nothing else is on this robot; it goes on until something comes")
             }
+            Err(error) => tracing::error!(%error, "nothing else can run"),
+        }
+    }
+
+    /// Asks where the label leads, and gets that ready where it is something else than what was offered last.
+    async fn consider(&mut self) {
+        let Follow { stream, label, .. } = self.follow.clone();
+        let manifest = match self
+            .keeper
+            .announced(&mut self.client, &stream, &label)
+            .await
+        {
+            Ok(manifest) => manifest,
+            Err(error) => {
+                tracing::warn!(%error, "the policy at hand goes on");
+                return;
+            }
+        };
+        self.proved_at = Instant::now();
+        let policy = reference(&manifest);
+        if policy == self.offered {
+            return;
+        }
+        match self.keeper.take(&mut self.client, &manifest).await {
+            Ok(verified) => self.offer(verified),
             Err(error) => {
                 if matches!(error, DeployError::Refused { .. }) {
-                    self.offered = policy.sha256;
+                    self.offered = policy;
                 }
                 tracing::error!(%error, "the policy at hand goes on");
             }
         }
+    }
+
+    fn offer(&mut self, mut verified: Verified) {
+        self.offered = verified.policy.clone();
+        match self.keeper.begin(&mut verified) {
+            Ok(()) => self.slot.put(verified),
+            Err(error) => tracing::error!(%error, "the policy at hand goes on"),
+        }
+    }
+
+    fn raise_alarm(&self) {
+        let stale = self.proved_at.elapsed() > STALE_AFTER;
+        if stale && self.metrics.stale.get() == 0 {
+            let since_s = self.proved_at.elapsed().as_secs();
+            tracing::error!(
+                since_s,
+                "no policy server says what is newest; what runs goes on"
+            );
+        }
+        self.metrics.stale.set(i64::from(stale));
     }
 }

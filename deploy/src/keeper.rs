@@ -3,14 +3,15 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use caudata_model::RobotModel;
-use caudata_proto::registry::{Manifest, StreamName};
-use caudata_registry_client::RegistryClient;
+use caudata_proto::registry::{LabelName, Manifest, NONCE_BYTES, RobotState as Word, StreamName};
+use caudata_registry_client::{ClientError, RegistryClient};
 use caudata_signing::Trust;
 
 use crate::DeployError;
 use crate::metrics::RobotMetrics;
 use crate::probe::{ProbeProgram, Probed};
-use crate::state::{Blame, Decision, PolicyRef, Sha256Digest};
+use crate::reporter::{News, Reporter};
+use crate::state::{ATTEMPTS_MAX, Blame, Decision, PolicyRef, Sha256Digest};
 use crate::store::PolicyStore;
 use crate::updates::PolicyEvent;
 use crate::verify::{Refusal, Verified, VerifyError, check_manifest, verify};
@@ -22,6 +23,7 @@ pub struct Keeper {
     model: Arc<RobotModel>,
     trust: Option<Arc<Trust>>,
     probe: Option<Arc<ProbeProgram>>,
+    reporter: Option<Arc<Reporter>>,
     metrics: RobotMetrics,
 }
 
@@ -33,6 +35,7 @@ impl Keeper {
             model,
             trust: None,
             probe: None,
+            reporter: None,
             metrics,
         }
     }
@@ -51,25 +54,79 @@ impl Keeper {
         self
     }
 
-    /// The newest policy of `stream`: fetched and verified, or read back where this robot has it.
+    /// Tells the policy server what becomes of policies.
+    #[must_use]
+    pub fn reporting(mut self, reporter: Arc<Reporter>) -> Self {
+        self.reporter = Some(reporter);
+        self
+    }
+
+    /// The policy that `label` of `stream` leads to: fetched and verified, or read back where this robot has it. Where the trust file knows
+    /// servers' keys, the server must prove that this is where the label leads now.
     ///
     /// # Errors
-    /// [`DeployError::Refused`] with the reason, which is also recorded; [`DeployError::Server`], [`DeployError::NoPolicy`];
-    /// what the disk says.
+    /// [`DeployError::Refused`] with the reason, which is also recorded; [`DeployError::Server`], [`DeployError::NoPolicy`],
+    /// [`DeployError::Stale`]; what the disk says.
     pub async fn pull(
         &self,
         client: &mut RegistryClient,
         stream: &StreamName,
+        label: &LabelName,
     ) -> Result<Verified, DeployError> {
-        let manifest = client.manifest(stream, None).await.map_err(|e| {
-            if e.is_not_found() {
-                return DeployError::NoPolicy {
-                    stream: stream.to_string(),
-                };
-            }
-            e.into()
-        })?;
+        let manifest = self.announced(client, stream, label).await?;
         self.take(client, &manifest).await
+    }
+
+    /// What `label` of `stream` leads to.
+    ///
+    /// # Errors
+    /// As [`Keeper::pull`].
+    pub async fn announced(
+        &self,
+        client: &mut RegistryClient,
+        stream: &StreamName,
+        label: &LabelName,
+    ) -> Result<Manifest, DeployError> {
+        let missing = |error: ClientError| match error.is_not_found() {
+            true => DeployError::NoPolicy {
+                stream: stream.to_string(),
+            },
+            false => error.into(),
+        };
+        let Some(trust) = self.trust.as_ref().filter(|t| t.knows_fresh_keys()) else {
+            return client.labelled(stream, label).await.map_err(missing);
+        };
+        let stale = |reason: String| DeployError::Stale {
+            stream: stream.to_string(),
+            label: label.to_string(),
+            reason,
+        };
+        // The proof first: what it names is then asked for by its number, so that a label that moves meanwhile does no harm.
+        let nonce = new_nonce()?;
+        let answer = client
+            .freshness(nonce, stream, label)
+            .await
+            .map_err(missing)?;
+        trust
+            .check_fresh(&answer, &nonce, stream, label)
+            .map_err(|why| stale(why.to_string()))?;
+        let proved = answer.said;
+        let manifest = client
+            .manifest(stream, Some(proved.version))
+            .await
+            .map_err(missing)?;
+        if manifest.sha256 != proved.sha256 || manifest.version != proved.version {
+            return Err(stale(
+                "the server shows another version than it proved".to_owned(),
+            ));
+        }
+        let mut store = self.store();
+        if store.is_torn() {
+            store.recover(stream.as_str(), proved.version)?;
+            tracing::warn!(%stream, floor = proved.version, "the lost state is begun anew: nothing older is taken");
+        }
+        drop(store);
+        Ok(manifest)
     }
 
     /// The policy of `manifest`, likewise.
@@ -82,6 +139,9 @@ impl Keeper {
         manifest: &Manifest,
     ) -> Result<Verified, DeployError> {
         let policy = reference(manifest);
+        if self.store().is_torn() {
+            return Err(DeployError::StateLost);
+        }
         // Its own statement: the store must not stay locked while the decision is carried out.
         let decision = self.store().state().decide(&policy, self.robot());
         match decision {
@@ -116,6 +176,52 @@ impl Keeper {
         Ok(verified)
     }
 
+    /// Counts, on the disk, that `verified` is made ready to drive the robot.
+    ///
+    /// # Errors
+    /// [`DeployError::Refused`] where that was too often already; what the disk says.
+    pub fn begin(&self, verified: &mut Verified) -> Result<(), DeployError> {
+        let policy = verified.policy.clone();
+        let before = self.store().state().attempts(policy.sha256);
+        if before >= ATTEMPTS_MAX {
+            return Err(self.quarantine(policy, Refusal::TooManyAttempts { attempts: before }));
+        }
+        let mut attempts = 0;
+        let counted = self
+            .store()
+            .update(|state| attempts = state.begin(policy.sha256));
+        match counted {
+            Ok(()) => {}
+            // A card that takes nothing more must not keep a good policy from running; one on trial it does.
+            Err(error) if attempts == 0 => tracing::error!(%error, "cannot write the state"),
+            Err(error) => return Err(error),
+        }
+        verified.proved = attempts == 0;
+        let news = News {
+            attempts,
+            ..News::default()
+        };
+        self.tell(&policy, Word::Armed, news);
+        Ok(())
+    }
+
+    /// Whether the state was lost and no server proved yet what is newest.
+    pub fn is_torn(&self) -> bool {
+        self.store().is_torn()
+    }
+
+    /// An operator took `policy` out of use.
+    pub fn withdraw(&self, policy: &PolicyRef, reason: &str) {
+        let error = self.quarantine(policy.clone(), Refusal::Withdrawn(reason.to_owned()));
+        tracing::error!(%error, "out of use");
+    }
+
+    fn tell(&self, policy: &PolicyRef, word: Word, news: News) {
+        if let Some(reporter) = &self.reporter {
+            reporter.tell(policy, word, news);
+        }
+    }
+
     /// The best policy on this robot's disk; `None` where there is none that may run. Damaged files and policies that no
     /// longer pass are passed over with a warning.
     ///
@@ -142,13 +248,43 @@ impl Keeper {
     /// # Errors
     /// What the disk says.
     pub fn note(&self, event: PolicyEvent) -> Result<(), DeployError> {
+        let attempts = |policy: &PolicyRef| self.store().state().attempts(policy.sha256);
         match event {
-            PolicyEvent::Good(sha256) => self.store().update(|state| state.confirm(sha256)),
-            PolicyEvent::Bad { policy, reason } => {
+            PolicyEvent::Begun(policy) => {
+                let news = News {
+                    attempts: attempts(&policy),
+                    ..News::default()
+                };
+                self.tell(&policy, Word::Trial, news);
+                Ok(())
+            }
+            PolicyEvent::Good { policy, walked_s } => {
+                let news = News {
+                    walked_s,
+                    attempts: attempts(&policy),
+                    ..News::default()
+                };
+                self.tell(&policy, Word::Good, news);
+                self.store().update(|state| state.confirm(policy.sha256))
+            }
+            PolicyEvent::Bad {
+                policy,
+                reason,
+                walked_s,
+                fell,
+            } => {
                 self.metrics.refused.inc();
+                let news = News {
+                    reason: reason.clone(),
+                    walked_s,
+                    falls: u32::from(fell),
+                    attempts: attempts(&policy),
+                };
+                self.tell(&policy, Word::Failed, news);
                 self.store()
                     .update(|state| state.quarantine(policy, reason, Blame::Policy))
             }
+            PolicyEvent::Ended(policy) => self.store().update(|s| s.end_in_order(policy.sha256)),
             PolicyEvent::Replaced(runner) => {
                 drop(runner);
                 Ok(())
@@ -199,6 +335,17 @@ impl Keeper {
 
     fn refused(&self, policy: PolicyRef, refusal: Refusal) -> DeployError {
         self.metrics.refused.inc();
+        // What the server knows itself, or never offered, needs no report.
+        if !matches!(
+            refusal,
+            Refusal::Older { .. } | Refusal::Before(_) | Refusal::Withdrawn(_)
+        ) {
+            let news = News {
+                reason: refusal.to_string(),
+                ..News::default()
+            };
+            self.tell(&policy, Word::Refused, news);
+        }
         DeployError::Refused {
             policy,
             refusal: Box::new(refusal),
@@ -220,5 +367,18 @@ pub fn reference(manifest: &Manifest) -> PolicyRef {
         stream: manifest.stream.to_string(),
         version: manifest.version,
         sha256: Sha256Digest(manifest.sha256),
+        reverts_to: manifest.reverts_to,
     }
+}
+
+/// Thirty-two bytes that nobody can have seen before.
+fn new_nonce() -> Result<[u8; NONCE_BYTES], DeployError> {
+    let mut nonce = [0; NONCE_BYTES];
+    std::fs::File::open("/dev/urandom")
+        .and_then(|mut source| std::io::Read::read_exact(&mut source, &mut nonce))
+        .map_err(|source| DeployError::System {
+            what: "random bytes",
+            source,
+        })?;
+    Ok(nonce)
 }

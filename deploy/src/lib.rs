@@ -25,6 +25,7 @@ pub mod pacing;
 pub mod probe;
 pub mod recorder;
 pub mod report;
+pub mod reporter;
 pub mod runner;
 pub mod sim_link;
 pub mod state;

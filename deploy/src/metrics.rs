@@ -19,6 +19,10 @@ pub struct RobotMetrics {
     pub policy_version: IntGauge,
     /// Policies that were refused.
     pub refused: Counter,
+    /// 1 while a newer policy waits for a safe moment.
+    pub armed: IntGauge,
+    /// 1 where no server proved for long that what runs is the newest.
+    pub stale: IntGauge,
 }
 
 impl RobotMetrics {
@@ -45,6 +49,14 @@ impl RobotMetrics {
             policy_version: metrics.int_gauge(
                 "caudata_robot_policy_version",
                 "Version of the policy that runs",
+            ),
+            armed: metrics.int_gauge(
+                "caudata_robot_policy_waiting",
+                "1 while a newer policy waits for a safe moment",
+            ),
+            stale: metrics.int_gauge(
+                "caudata_robot_policy_stale",
+                "1 where no policy server proved for ten minutes that what runs is the newest",
             ),
             refused: metrics.counter(
                 "caudata_robot_policies_refused_total",

@@ -54,6 +54,7 @@ impl ProbeProgram {
             .arg(&self.robot)
             .args(["--stream", &policy.stream])
             .args(["--version-number", &policy.version.to_string()])
+            .args(["--file-version", &policy.file_version().to_string()])
             .args(["--sha256", &policy.sha256.to_string()])
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
@@ -139,6 +140,7 @@ mod tests {
             stream: "s".into(),
             version: 1,
             sha256: Sha256Digest([0; 32]),
+            reverts_to: None,
         };
         probe.run(&policy, &vec![0; 1 << 20])
     }

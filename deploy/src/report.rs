@@ -195,8 +195,12 @@ pub struct RunSummary {
     pub policy_version: u64,
     /// Its SHA-256.
     pub policy_sha256: Sha256Digest,
-    /// Policies swapped in while walking.
+    /// Policies swapped in during the run.
     pub policy_swaps: u64,
+    /// Times that the robot was made to stand for one.
+    pub stands_for_swap: u64,
+    /// Largest mean speed of the joints at which one was swapped in after rising, rad/s.
+    pub swap_speed_radps: f64,
     /// Why the run ended.
     pub ended: Ended,
     /// Time that a policy was in charge, s of the robot's time.
@@ -211,6 +215,12 @@ pub struct RunSummary {
     pub tick_p50_us: u64,
     /// The same, 99th percentile.
     pub tick_p99_us: u64,
+    /// The same, 99.9th percentile.
+    pub tick_p999_us: u64,
+    /// One inference with its observation and action filter, 99th percentile, µs.
+    pub inference_p99_us: u64,
+    /// Memory in use at the end of the run, bytes.
+    pub resident_bytes: u64,
     /// From when the tick was due to waking, 99th percentile, µs.
     pub wake_late_p99_us: u64,
     /// Actions that were not finite; the last target was held instead.

@@ -18,6 +18,8 @@ pub type CommandRanges = [[f32; 2]; COMMAND_DIM];
 #[derive(Debug)]
 pub struct PolicyRunner {
     policy: PolicyRef,
+    /// Whether it went through its trial here before.
+    proved: bool,
     inference: Inference,
     layout: ObservationLayout,
     joints: JointTable,
@@ -72,6 +74,7 @@ impl PolicyRunner {
             actions: [[0.0; ACT_DIM]; ACTION_HISTORY],
             obs: vec![0.0; contract.obs_dim()],
             policy: verified.policy,
+            proved: verified.proved,
             inference: verified.inference,
         })
     }
@@ -79,6 +82,11 @@ impl PolicyRunner {
     /// Which policy this is.
     pub fn policy(&self) -> &PolicyRef {
         &self.policy
+    }
+
+    /// Whether it went through its trial on this robot before.
+    pub fn is_proved(&self) -> bool {
+        self.proved
     }
 
     /// Its gait clock.

@@ -17,6 +17,9 @@ pub const STATE_FORMAT: &str = "caudata.robot_state.v1";
 pub const QUARANTINE_MAX: usize = 64;
 /// How far a version may be above the highest one seen: a jump to the end of all numbers would shut every later policy out.
 pub const VERSION_JUMP_MAX: u64 = 1_000_000;
+/// How often a policy may be begun with before it must have gone through its trial: one that takes the program down with it is not
+/// tried for ever.
+pub const ATTEMPTS_MAX: u32 = 3;
 /// Streams whose highest version is remembered; with more, the ones that nothing on this robot is from are forgotten.
 pub const STREAMS_MAX: usize = 256;
 
@@ -79,6 +82,26 @@ pub struct PolicyRef {
     pub version: u64,
     /// SHA-256 of the file.
     pub sha256: Sha256Digest,
+    /// The version that the file itself bears, where an older one was published again under a higher number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reverts_to: Option<u64>,
+}
+
+impl PolicyRef {
+    /// The version that the file must bear.
+    pub fn file_version(&self) -> u64 {
+        self.reverts_to.unwrap_or(self.version)
+    }
+}
+
+/// A policy that has not yet shown that it walks.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trial {
+    /// Which bytes.
+    pub sha256: Sha256Digest,
+    /// How often it was made ready to drive the robot.
+    pub attempts: u32,
 }
 
 impl fmt::Display for PolicyRef {
@@ -156,6 +179,9 @@ pub struct RobotState {
     /// Highest version of each stream that was taken or found bad: nothing older is taken any more, also where the robot went back.
     #[serde(default)]
     pub seen: BTreeMap<String, u64>,
+    /// The policy on trial, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trial: Option<Trial>,
 }
 
 impl Default for RobotState {
@@ -167,6 +193,7 @@ impl Default for RobotState {
             last_good: None,
             quarantined: Vec::new(),
             seen: BTreeMap::new(),
+            trial: None,
         }
     }
 }
@@ -224,8 +251,49 @@ impl RobotState {
         self.generation += 1;
     }
 
+    /// Counts that the policy with these bytes is made ready to drive the robot; one that ran well before needs no counting. Answers
+    /// how often that was, with this time.
+    pub fn begin(&mut self, sha256: Sha256Digest) -> u32 {
+        if self.is_proved(sha256) {
+            return 0;
+        }
+        let before = self.attempts(sha256);
+        let attempts = before + 1;
+        self.trial = Some(Trial { sha256, attempts });
+        self.generation += 1;
+        attempts
+    }
+
+    /// How often the policy with these bytes was made ready to drive the robot and had not yet gone through its trial.
+    pub fn attempts(&self, sha256: Sha256Digest) -> u32 {
+        let same = self.trial.as_ref().filter(|trial| trial.sha256 == sha256);
+        same.map_or(0, |trial| trial.attempts)
+    }
+
+    /// A run with the policy ended in order before its trial was over: that says nothing against it.
+    pub fn end_in_order(&mut self, sha256: Sha256Digest) {
+        if self.trial.take_if(|trial| trial.sha256 == sha256).is_some() {
+            self.generation += 1;
+        }
+    }
+
+    /// Whether the policy with these bytes ran well here.
+    pub fn is_proved(&self, sha256: Sha256Digest) -> bool {
+        self.last_good.as_ref().is_some_and(|p| p.sha256 == sha256)
+    }
+
+    /// Begins anew after everything was forgotten: nothing below `floor` is taken from `stream`.
+    pub fn recovered(stream: &str, floor: u64) -> Self {
+        Self {
+            seen: BTreeMap::from([(stream.to_owned(), floor)]),
+            generation: 1,
+            ..Self::default()
+        }
+    }
+
     /// The policy with these bytes ran well.
     pub fn confirm(&mut self, sha256: Sha256Digest) {
+        self.trial.take_if(|trial| trial.sha256 == sha256);
         if let Some(active) = self.active.clone().filter(|a| a.sha256 == sha256) {
             self.last_good = Some(active);
             self.generation += 1;
@@ -259,6 +327,7 @@ impl RobotState {
             return;
         }
         self.last_good.take_if(|p| p.sha256 == sha256);
+        self.trial.take_if(|trial| trial.sha256 == sha256);
         if self.active.as_ref().is_some_and(|p| p.sha256 == sha256) {
             self.active = self.last_good.clone();
         }
@@ -286,6 +355,7 @@ mod tests {
             stream: "flat".to_owned(),
             version,
             sha256: Sha256Digest([version as u8; 32]),
+            reverts_to: None,
         }
     }
 
@@ -439,5 +509,26 @@ mod tests {
             ..policy(3)
         };
         assert_eq!(state().decide(&far, HERE), Decision::Fetch);
+    }
+
+    #[test]
+    fn fault_33_attempts_are_counted_until_the_trial_is_over() {
+        let mut state = state();
+        assert_eq!(state.begin(policy(1).sha256), 0, "it ran well before");
+        assert_eq!([1, 2, 3].map(|_| state.begin(policy(2).sha256)), [1, 2, 3]);
+        let text = serde_json::to_string(&state).unwrap();
+        let mut after: RobotState = serde_json::from_str(&text).unwrap();
+        assert_eq!(after.attempts(policy(2).sha256), 3);
+        let mut calm = after.clone();
+        calm.end_in_order(policy(2).sha256);
+        assert_eq!(calm.attempts(policy(2).sha256), 0);
+        after.confirm(policy(2).sha256);
+        assert_eq!(
+            (after.attempts(policy(2).sha256), after.trial.clone()),
+            (0, None)
+        );
+        // Another one begins from nothing.
+        state.adopt(policy(3));
+        assert_eq!(state.begin(policy(3).sha256), 1);
     }
 }

@@ -22,6 +22,8 @@ const COPIES: [&str; 2] = ["state.json", "state.copy.json"];
 pub struct PolicyStore {
     folder: PathBuf,
     state: RobotState,
+    /// The state was lost.
+    torn: bool,
 }
 
 impl PolicyStore {
@@ -41,7 +43,50 @@ impl PolicyStore {
         Ok(Self {
             folder: folder.to_owned(),
             state: read_state(folder)?.unwrap_or_default(),
+            torn: false,
         })
+    }
+
+    /// Opens the folder although no copy of the state can be read: nothing is known, so that nothing may be taken until
+    /// [`PolicyStore::recover`] said what is too old. The damaged copies are kept aside for a person.
+    ///
+    /// # Errors
+    /// As [`PolicyStore::open`], but not for damage.
+    pub fn open_torn(folder: &Path) -> Result<Self, DeployError> {
+        Ok(Self {
+            folder: folder.to_owned(),
+            state: RobotState::default(),
+            torn: true,
+        })
+    }
+
+    /// Whether the state was lost and nothing took its place yet.
+    pub fn is_torn(&self) -> bool {
+        self.torn
+    }
+
+    /// Begins a new state after a server proved, freshly, that `stream` is at `floor`: nothing older is taken.
+    ///
+    /// # Errors
+    /// [`DeployError::Durable`], [`DeployError::Folder`]; it is then as torn as before.
+    pub fn recover(&mut self, stream: &str, floor: u64) -> Result<(), DeployError> {
+        for name in COPIES {
+            let path = self.folder.join(name);
+            let aside = self.folder.join(format!("{name}.damaged"));
+            match fs::rename(&path, &aside) {
+                Err(source) if source.kind() != io::ErrorKind::NotFound => {
+                    return Err(DeployError::Folder { path, source });
+                }
+                _ => {}
+            }
+        }
+        let text = encode(&RobotState::recovered(stream, floor))?;
+        for name in COPIES {
+            durable::replace(&self.folder.join(name), &text)?;
+        }
+        self.state = RobotState::recovered(stream, floor);
+        self.torn = false;
+        Ok(())
     }
 
     /// Reads the state without changing anything; `None` where there is none.
@@ -66,6 +111,10 @@ impl PolicyStore {
         change(&mut state);
         if state == self.state {
             return Ok(());
+        }
+        // What was lost must not be overwritten by what looks like a beginning.
+        if self.torn {
+            return Err(DeployError::StateLost);
         }
         let text = encode(&state)?;
         // Both hold the same: whichever survives says the newest that was promised.
@@ -214,6 +263,7 @@ mod tests {
             stream: "s".to_owned(),
             version: 1,
             sha256: Sha256Digest(Sha256::digest(bytes).into()),
+            reverts_to: None,
         }
     }
 
@@ -327,5 +377,25 @@ mod tests {
         fs::write(folder.path().join(COPIES[1]), old).unwrap();
         let store = PolicyStore::open(folder.path()).unwrap();
         assert_eq!(store.state().last_good, Some(policy(b"one")));
+    }
+
+    #[test]
+    fn fault_16_a_lost_state_takes_nothing_until_a_floor_is_proved() {
+        let folder = adopted();
+        for name in COPIES {
+            fs::write(folder.path().join(name), b"{").unwrap();
+        }
+        let mut store = PolicyStore::open_torn(folder.path()).unwrap();
+        assert!(store.is_torn());
+        let error = store.update(|s| s.adopt(policy(b"one"))).unwrap_err();
+        assert!(matches!(error, DeployError::StateLost), "{error}");
+        // Power gone between the two: still torn, not new.
+        assert!(PolicyStore::open(folder.path()).is_err());
+        store.recover("s", 9).unwrap();
+        let store = PolicyStore::open(folder.path()).unwrap();
+        let here = Sha256Digest([7; 32]);
+        let older = crate::state::Decision::Older { have: 9 };
+        assert_eq!(store.state().decide(&policy(b"one"), here), older);
+        assert!(folder.path().join("state.json.damaged").exists());
     }
 }

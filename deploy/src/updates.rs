@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use crate::runner::PolicyRunner;
-use crate::state::{PolicyRef, Sha256Digest};
+use crate::state::PolicyRef;
 use crate::verify::Verified;
 
 /// Events that wait to be dealt with.
@@ -14,15 +14,28 @@ const EVENTS_MAX: usize = 16;
 /// What the loop has to say about a policy.
 #[derive(Debug)]
 pub enum PolicyEvent {
+    /// It drives the robot from now on.
+    Begun(PolicyRef),
     /// It ran well through its trial.
-    Good(Sha256Digest),
+    Good {
+        /// Which one.
+        policy: PolicyRef,
+        /// How long it drove the robot, s.
+        walked_s: f64,
+    },
     /// It misbehaved and must not run again.
     Bad {
         /// Which one.
         policy: PolicyRef,
         /// What it did.
         reason: String,
+        /// How long it drove the robot, s.
+        walked_s: f64,
+        /// Whether the robot fell.
+        fell: bool,
     },
+    /// The run ended in order; what it was on trial for is not held against it.
+    Ended(PolicyRef),
     /// It was replaced; taking it apart takes longer than the loop has.
     Replaced(Box<PolicyRunner>),
 }
@@ -40,6 +53,15 @@ impl Slot {
             .unwrap_or_else(PoisonError::into_inner)
             .replace(verified);
         drop(old);
+    }
+
+    /// Whether there is one; false also where somebody is just putting one there.
+    pub fn has_one(&self) -> bool {
+        match self.0.try_lock() {
+            Ok(slot) => slot.is_some(),
+            Err(TryLockError::Poisoned(slot)) => slot.into_inner().is_some(),
+            Err(TryLockError::WouldBlock) => false,
+        }
     }
 
     /// Takes it; `None` also where somebody is just putting one there.
@@ -64,6 +86,11 @@ impl Updates {
     pub fn new(slot: Slot) -> (Self, Receiver<PolicyEvent>) {
         let (events, receiver) = bounded(EVENTS_MAX);
         (Self { slot, events }, receiver)
+    }
+
+    /// Whether a newer policy waits.
+    pub fn waits(&self) -> bool {
+        self.slot.has_one()
     }
 
     /// A newer policy, if there is one.

@@ -28,6 +28,8 @@ pub struct Verified {
     pub file: PolicyFile,
     /// Loaded.
     pub inference: Inference,
+    /// Whether it went through its trial on this robot before.
+    pub proved: bool,
 }
 
 /// Why a policy must not run here.
@@ -100,6 +102,15 @@ pub enum Refusal {
         /// The median.
         median_us: u128,
     },
+    /// It was begun with too often.
+    #[error("it was begun with {attempts} times and never went through its trial")]
+    TooManyAttempts {
+        /// How often.
+        attempts: u32,
+    },
+    /// An operator took it out of use.
+    #[error("it is quarantined on the policy server: {0}")]
+    Withdrawn(String),
     /// It was refused before.
     #[error("refused before: {0}")]
     Before(String),
@@ -129,6 +140,8 @@ impl Refusal {
             Self::Policy(_)
             | Self::Probe { .. }
             | Self::KilledItsProbe { .. }
+            | Self::TooManyAttempts { .. }
+            | Self::Withdrawn(_)
             | Self::Before(_) => Blame::Policy,
         }
     }
@@ -180,10 +193,10 @@ pub fn verify(
         return Err(Refusal::WrongHash { found, expected }.into());
     }
     let file = PolicyFile::parse(bytes).map_err(Refusal::from)?;
-    if file.metadata().version != policy.version {
+    if file.metadata().version != policy.file_version() {
         return Err(Refusal::OtherVersion {
             found: file.metadata().version,
-            expected: policy.version,
+            expected: policy.file_version(),
         }
         .into());
     }
@@ -200,6 +213,7 @@ pub fn verify(
         policy: policy.clone(),
         file,
         inference,
+        proved: false,
     })
 }
 

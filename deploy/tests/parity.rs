@@ -40,6 +40,7 @@ fn the_robot_observes_what_training_observed() {
         stream: "s".to_owned(),
         version: 1,
         sha256: Sha256Digest(Sha256::digest(&bytes).into()),
+        reverts_to: None,
     };
     let verified = verify(bytes.into(), &policy, &model()).unwrap();
     let spec = verified.file.spec().clone();

@@ -8,7 +8,9 @@ use std::time::Duration;
 
 use caudata_runlog::{Axis, RunLog, Signal};
 use common::policies::{policy_file, standing};
-use common::{Server, ended, error_lines, outcome, perfect_robot, program, program_on, start};
+use common::{
+    Server, ended, error_lines, outcome, perfect_robot, program, program_on, start, status_of,
+};
 use nix::sys::signal::{Signal as Posix, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
@@ -24,12 +26,6 @@ fn run(
     let mut command = program("run", server, state);
     command.args(["--bus", &format!("sim:{robot}"), "--seconds", "0.5"]);
     command
-}
-
-fn status(state: &Path) -> Value {
-    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
-    command.args(["status", "--json", "--state"]).arg(state);
-    outcome(command).1
 }
 
 /// The only file in the state's `blobs`.
@@ -127,7 +123,7 @@ fn a_bad_policy_is_refused_and_the_last_one_keeps_running() {
     let reason = "joint 2 is `spine_4` in the policy and `spine_3` here";
     let line = format!("error: policy order version 1 refused: {reason}");
     assert_eq!(error_lines(&errors), [line]);
-    assert_eq!(status(&state)["quarantined"][0]["reason"], reason);
+    assert_eq!(status_of(&state)["quarantined"][0]["reason"], reason);
     // It stays refused.
     let (code, _, errors) = run_on("order");
     assert_eq!(code, 77, "{errors}");
@@ -145,8 +141,8 @@ fn a_bad_policy_is_refused_and_the_last_one_keeps_running() {
         "{errors}"
     );
     assert!(errors.contains("running what is on disk"), "{errors}");
-    assert_eq!(status(&state)["active"]["version"], 2);
-    let reason = status(&state)["quarantined"][1]["reason"].to_string();
+    assert_eq!(status_of(&state)["active"]["version"], 2);
+    let reason = status_of(&state)["quarantined"][1]["reason"].to_string();
     assert!(reason.contains("trained on model 000"), "{reason}");
     server.stop();
 }
@@ -182,7 +178,7 @@ fn a_wrong_robot_file_does_not_cost_the_right_one_its_policy() {
         assert!(code == 77 || code == 69, "{code}: {errors}");
         assert!(errors.contains("trained on model"), "{errors}");
     }
-    let now = status(&state);
+    let now = status_of(&state);
     assert_eq!(now["active"]["version"], 1, "{now}");
     let refused = now["quarantined"][0]["robot"].as_str().unwrap();
     assert_eq!(refused.len(), 64, "{now}");
@@ -250,13 +246,13 @@ fn follows_newer_policies_while_it_walks_and_stops_on_a_signal() {
     let running = start(command);
     let active = |version: u64| {
         // Bounded by the patience of whoever runs the tests; nothing is asserted about time.
-        while status(&state)["active"]["version"] != version {
+        while status_of(&state)["active"]["version"] != version {
             std::thread::sleep(Duration::from_millis(50));
         }
     };
     active(1);
     server.publish(policy_file(2, |spec, _| spec.layers[0].weight.fill(3e38)));
-    while status(&state)["quarantined"]
+    while status_of(&state)["quarantined"]
         .as_array()
         .is_none_or(Vec::is_empty)
     {
@@ -352,6 +348,6 @@ fn faults_14_and_22_a_robot_that_trusts_a_key_takes_signed_policies_only() {
         "{errors}"
     );
     // Nothing that was not signed left a trace.
-    assert_eq!(status(&state)["quarantined"], serde_json::json!([]));
+    assert_eq!(status_of(&state)["quarantined"], serde_json::json!([]));
     server.stop();
 }

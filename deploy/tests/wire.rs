@@ -201,3 +201,53 @@ fn fault_41_an_overload_stands_the_robot_down_with_its_name() {
     assert!(errors.contains("ServoAlert"), "{errors}");
     server.stop();
 }
+
+#[test]
+fn a_log_of_the_flight_recorder_goes_straight_through_the_check() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../policies/flat.onnx");
+    server.publish(std::fs::read(shipped).unwrap());
+    let robot = Emulated::start(&folder.path().join("robot"), |_| {}, None);
+    let log = folder.path().join("log");
+    let mut command = program("run", server.address, &folder.path().join("state"));
+    command
+        .args([
+            "--bus",
+            &format!("wiring:{}", patient_wiring(folder.path())),
+            "--seconds",
+            "6",
+            "--command",
+            "0.3,0,0",
+            "--terrain",
+            "flat",
+            "--log-dir",
+        ])
+        .arg(&log)
+        .args(robot.ports());
+    let (code, summary, errors) = outcome(command);
+    robot.stop();
+    assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
+    let caudata = Path::new(env!("CARGO_BIN_EXE_caudata-robot")).with_file_name("caudata");
+    let mut check = std::process::Command::new(caudata);
+    check
+        .args(["gap", "check", "--robot", ROBOT_FILE, "--json", "--log"])
+        .arg(&log);
+    let (code, checked, errors) = outcome(check);
+    assert_eq!(
+        (code, &checked["verdict"]),
+        (0, &"ok".into()),
+        "{errors}\n{checked}"
+    );
+    // It was read as what it is: 50 Hz, all joints, in motion.
+    let run = &checked["runs"][0];
+    assert!(
+        (run["rate_hz"].as_f64().unwrap() - 50.0).abs() < 1.0,
+        "{run}"
+    );
+    let joints = run["excites"]["joints"].as_array().unwrap();
+    assert_eq!(joints.len(), 16);
+    let moved = |j: &&serde_json::Value| j["speed_max_radps"].as_f64().unwrap() > 0.3;
+    assert!(joints.iter().filter(moved).count() >= 8, "{run}");
+    server.stop();
+}

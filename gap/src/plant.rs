@@ -7,6 +7,7 @@ use caudata_sim::LaneParams;
 use caudata_sim::sensors::{CurrentErrors, EncoderErrors, ImuBias, ImuMounting};
 use serde::{Deserialize, Serialize};
 
+use crate::effects::less_voltage;
 use crate::trial::Trial;
 
 /// What sensors and clocks do wrong. All zero: nothing.
@@ -50,6 +51,17 @@ pub struct Plant {
     pub sensing: Sensing,
     /// Where in the session the run is, 0 (first) to 1 (last).
     pub session: f64,
+    /// Dry friction that a joint has at the beginning of every run and loses (or gains) while it moves. `[A]`
+    pub run_in: Vec<RunIn>,
+}
+
+/// Friction that goes away within a run: `extra_nm·e^(−t/time_s)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RunIn {
+    /// At the run's beginning, N·m.
+    pub extra_nm: f64,
+    /// Time in which it falls to 1/e, s.
+    pub time_s: f64,
 }
 
 impl Plant {
@@ -67,6 +79,13 @@ impl Plant {
                 ..Sensing::default()
             },
             session: 0.0,
+            run_in: vec![
+                RunIn {
+                    extra_nm: 0.0,
+                    time_s: 1.0
+                };
+                joints
+            ],
         }
     }
 
@@ -83,6 +102,13 @@ impl Plant {
         }
         if let Some(volt) = trial.supply_v {
             lane.supply_v = volt as f32;
+            // the envelope's speeds go with the supply by themselves; its torques are given for one supply
+            for a in 0..plant.lane.torque_scale.len() {
+                let share = volt / model.servo(a).reference_supply_v;
+                if share < 1.0 {
+                    less_voltage(&mut plant, a, share as f32);
+                }
+            }
         }
         plant
     }

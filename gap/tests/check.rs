@@ -41,7 +41,6 @@ fn found(checked: &Checked, kind: &str, at: &str) {
 }
 
 #[test]
-#[ignore = "known shortfall (docs/status.md): a travelling wave of the spine is taken for exchanged joints"]
 fn nothing_is_said_of_clean_logs() {
     for name in ["polymander", "xl330_pendulum"] {
         let robot = robot(name);
@@ -131,7 +130,6 @@ fn other_units_are_found() {
 }
 
 #[test]
-#[ignore = "known shortfall (docs/status.md): joints with nearly the same command are not always told apart"]
 fn exchanged_joints_are_found() {
     let robot = robot("polymander");
     for trial in ["chirp_medium", "holds", "steps_large"] {

@@ -12,7 +12,9 @@ use caudata_learner::normaliser::Scaling;
 use caudata_learner::publish::{Notice, Publisher};
 use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
-use caudata_policy_server::{Keepalive, ServerMetrics, Store, StoreLimits, listen, serve_with};
+use caudata_policy_server::{
+    Keepalive, ServeOptions, ServerMetrics, SharedStore, Store, StoreLimits, listen, serve_with,
+};
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::RegistryClient;
 use caudata_task::{PolicyContract, TaskConfig};
@@ -67,7 +69,11 @@ fn server_with(
     let (stop, stopped) = watch::channel(false);
     let metrics = ServerMetrics::register(&Metrics::new());
     runtime.spawn(async move {
-        serve_with(listener, store, metrics, stopped, keepalive)
+        let options = ServeOptions {
+            keepalive,
+            ..ServeOptions::default()
+        };
+        serve_with(listener, SharedStore::new(store), metrics, stopped, options)
             .await
             .unwrap();
     });

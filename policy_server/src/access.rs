@@ -12,13 +12,15 @@ use tonic::transport::{Certificate, Identity, ServerTlsConfig};
 /// The service's name in the path of a call.
 const REGISTRY: &str = "/caudata.registry.v1.PolicyRegistry/";
 /// Calls that change what others see, and the roles that may make them. All other calls of the registry read.
-const WRITES: [(&str, &[Role]); 6] = [
+const WRITES: [(&str, &[Role]); 7] = [
     ("Publish", &[Role::Learner]),
     ("Ack", &[Role::Robot]),
     ("Nack", &[Role::Robot]),
     ("SetLabel", &[Role::Operator]),
     ("Revert", &[Role::Operator]),
     ("Quarantine", &[Role::Operator]),
+    // Who did what is nobody's business but the operators'.
+    ("Audit", &[Role::Operator]),
 ];
 /// Who may read.
 const READERS: &[Role] = &[Role::Learner, Role::Operator, Role::Robot];
@@ -48,6 +50,15 @@ fn allowed(path: &str, role: Role) -> bool {
     };
     let write = WRITES.iter().find(|(name, _)| *name == call);
     write.map_or(READERS, |(_, roles)| roles).contains(&role)
+}
+
+/// Who makes a call, as the certificate of its connection says; not there on a plain connection.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Caller {
+    /// What it is.
+    pub role: Role,
+    /// Its name.
+    pub name: String,
 }
 
 /// Puts [`Guard`] around a service.
@@ -92,14 +103,21 @@ where
         self.inner.poll_ready(context)
     }
 
-    fn call(&mut self, request: http::Request<B>) -> Self::Future {
+    fn call(&mut self, mut request: http::Request<B>) -> Self::Future {
+        // Nothing that came over the wire may stand for a certificate.
+        request.extensions_mut().remove::<Caller>();
         let checked = if self.enforced {
-            check(&request)
+            check(&request).map(Some)
         } else {
-            Ok(())
+            Ok(None)
         };
         match checked {
-            Ok(()) => Box::pin(self.inner.call(request)),
+            Ok(caller) => {
+                if let Some(caller) = caller {
+                    request.extensions_mut().insert(caller);
+                }
+                Box::pin(self.inner.call(request))
+            }
             Err(status) => {
                 tracing::warn!(
                     path = request.uri().path(),
@@ -112,7 +130,7 @@ where
     }
 }
 
-fn check<B>(request: &http::Request<B>) -> Result<(), Status> {
+fn check<B>(request: &http::Request<B>) -> Result<Caller, Status> {
     let connection = request.extensions().get::<TlsConnectInfo<TcpConnectInfo>>();
     let certificates = connection.and_then(TlsConnectInfo::peer_certs);
     let own = certificates.as_ref().and_then(|chain| chain.first());
@@ -123,10 +141,10 @@ fn check<B>(request: &http::Request<B>) -> Result<(), Status> {
     };
     let identity = identity_of_der(own).map_err(Status::unauthenticated)?;
     let path = request.uri().path();
-    if allowed(path, identity.role) {
-        return Ok(());
-    }
     let (role, name) = (identity.role, identity.name);
+    if allowed(path, role) {
+        return Ok(Caller { role, name });
+    }
     let call = path.rsplit('/').next().unwrap_or_default();
     Err(Status::permission_denied(format!(
         "{role} `{name}` may not {call}"

@@ -61,6 +61,42 @@ pub enum StoreError {
         /// The damaged file.
         path: PathBuf,
     },
+    /// Somebody else moved the label.
+    #[error(
+        "label {label} of {stream} was moved meanwhile (change {found}, expected {expected}); look again and decide anew"
+    )]
+    LabelMoved {
+        /// Stream in question.
+        stream: String,
+        /// Label in question.
+        label: String,
+        /// The label's generation.
+        found: u64,
+        /// What the caller expected.
+        expected: u64,
+    },
+    /// A label must not lead there, or a version must not be published so.
+    #[error("{reason}")]
+    NotAllowed {
+        /// What speaks against it, and what to do.
+        reason: String,
+    },
+    /// Nothing is changed any more until a person has looked at the disk.
+    #[error(
+        "the store is read-only since {reason}; what it holds is still served. Look at the disk, then start the server again"
+    )]
+    ReadOnly {
+        /// What happened.
+        reason: String,
+    },
+    /// Too many labels.
+    #[error("{stream} has its limit of {limit} labels; use one of them")]
+    TooManyLabels {
+        /// Stream in question.
+        stream: String,
+        /// The limit.
+        limit: usize,
+    },
     /// Too many streams.
     #[error("the store holds its limit of {limit} streams; remove one or raise the limit")]
     TooManyStreams {

@@ -3,11 +3,15 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode as OsExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
 use caudata_policy_server::{
-    ServeError, ServerMetrics, Store, StoreError, StoreLimits, listen, serve, serve_tls, tls_config,
+    CONNECTIONS_MAX, ConnectionLimits, PEER_CONNECTIONS_MAX, ServeError, ServeOptions,
+    ServerMetrics, SharedStore, Store, StoreError, StoreLimits, listen, serve_page, serve_with,
+    tls_config,
 };
+use caudata_signing::ReleaseKey;
 use caudata_telemetry::{
     ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, StopFlag, announce,
     parse_args,
@@ -32,9 +36,27 @@ struct Args {
     /// Address of /metrics and /healthz; none when absent
     #[arg(long, value_name = "ADDR")]
     metrics_addr: Option<SocketAddr>,
-    /// Versions kept per stream, newest first
+    /// Address of the page for people (versions, labels, robots); none when absent. Whoever can reach it can read it
+    #[arg(long, value_name = "ADDR")]
+    page_addr: Option<SocketAddr>,
+    /// Versions kept per stream, newest first; those that a label leads to stay
     #[arg(long, value_name = "N", default_value_t = StoreLimits::default().versions_kept)]
     keep: usize,
+    /// Robots that must have run a version through its trial before `stable` may lead to it
+    #[arg(long, value_name = "N", default_value_t = StoreLimits::default().stable_needs)]
+    stable_needs: usize,
+    /// Secret key by which this server says where labels lead (`caudata policy keygen --fresh`)
+    #[arg(long, value_name = "FILE", requires = "fresh_key_id")]
+    fresh_key: Option<PathBuf>,
+    /// Name of that key
+    #[arg(long, value_name = "ID", requires = "fresh_key")]
+    fresh_key_id: Option<String>,
+    /// Connections at once, altogether
+    #[arg(long, value_name = "N", default_value_t = CONNECTIONS_MAX)]
+    connections: usize,
+    /// Connections at once from one other host
+    #[arg(long, value_name = "N", default_value_t = PEER_CONNECTIONS_MAX)]
+    connections_per_host: usize,
     #[command(flatten)]
     log: LogArgs,
 }
@@ -49,10 +71,20 @@ fn main() -> OsExitCode {
 fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
     let limits = StoreLimits {
         versions_kept: args.keep,
+        stable_needs: args.stable_needs,
         ..StoreLimits::default()
     };
-    let tls = tls_of(args)?;
+    let options = ServeOptions {
+        tls: tls_of(args)?,
+        fresh_key: fresh_key(args)?,
+        connections: ConnectionLimits {
+            total: args.connections,
+            per_peer: args.connections_per_host,
+        },
+        ..ServeOptions::default()
+    };
     let store = Store::open(&args.data, limits).map_err(store_failure)?;
+    let store = SharedStore::new(store);
     let metrics = Metrics::new();
     let counters = ServerMetrics::register(&metrics);
     let _endpoint = match args.metrics_addr {
@@ -75,12 +107,31 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
         let bound = listener.local_addr().or_exit(ExitCode::OsResource)?;
         tracing::info!(addr = %bound, data = %args.data.display(), "serving policies");
         announce("policy_server", bound);
-        match tls {
-            None => serve(listener, store, counters, stopped).await,
-            Some(tls) => serve_tls(listener, store, counters, stopped, tls).await,
+        if let Some(addr) = args.page_addr {
+            let listener = listen(addr).await.map_err(serve_failure)?;
+            let bound = listener.local_addr().or_exit(ExitCode::OsResource)?;
+            tracing::info!("page at http://{bound}/");
+            announce("page", bound);
+            let (store, stopped) = (store.clone(), stopped.clone());
+            tokio::spawn(async move {
+                if let Err(error) = serve_page(listener, store, stopped).await {
+                    tracing::error!(%error, "the page ended");
+                }
+            });
         }
-        .map_err(serve_failure)
+        serve_with(listener, store, counters, stopped, options)
+            .await
+            .map_err(serve_failure)
     })
+}
+
+/// The key for freshness, where one is given.
+fn fresh_key(args: &Args) -> Result<Option<Arc<ReleaseKey>>, Failure> {
+    let (Some(path), Some(id)) = (&args.fresh_key, &args.fresh_key_id) else {
+        return Ok(None);
+    };
+    let key = ReleaseKey::read(path, id).or_exit(ExitCode::NoInput)?;
+    Ok(Some(Arc::new(key)))
 }
 
 /// The certificates; none on loopback unless asked for.

@@ -13,6 +13,10 @@ pub struct ServerMetrics {
     pub refused: Counter,
     /// Fetches answered.
     pub fetched: Counter,
+    /// What robots said about versions.
+    pub reports: Counter,
+    /// 1 where the store can no longer be changed.
+    pub read_only: IntGauge,
     /// Watches open now.
     pub watchers: IntGauge,
     /// Versions in the store.
@@ -36,6 +40,14 @@ impl ServerMetrics {
             ),
             refused: metrics.counter("caudata_policy_refused_total", "Publications refused"),
             fetched: metrics.counter("caudata_policy_fetched_total", "Policy fetches answered"),
+            reports: metrics.counter(
+                "caudata_policy_reports_total",
+                "Reports of robots about policy versions",
+            ),
+            read_only: metrics.int_gauge(
+                "caudata_policy_read_only",
+                "1 after a failed sync: nothing is stored any more",
+            ),
             watchers: metrics.int_gauge("caudata_policy_watchers", "Watches open now"),
             versions: metrics.int_gauge("caudata_policy_versions", "Policy versions in the store"),
             streams: metrics.int_gauge("caudata_policy_streams", "Policy streams in the store"),

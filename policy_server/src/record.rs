@@ -38,6 +38,12 @@ pub enum RecordError {
         /// Which field.
         field: &'static str,
     },
+    /// A word that is none of those it can be.
+    #[error("`{word}` is not a state of a robot's report")]
+    Word {
+        /// The word.
+        word: String,
+    },
     /// A value that no published manifest can have.
     #[error(transparent)]
     Manifest(#[from] RegistryError),
@@ -86,6 +92,8 @@ struct OnDisk {
     training_commit: String,
     config_hash: String,
     evaluation_json: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    reverts_to: Option<u64>,
     signatures: Vec<(String, String)>,
 }
 
@@ -108,6 +116,7 @@ impl From<&Record> for OnDisk {
             training_commit: manifest.training_commit,
             config_hash: manifest.config_hash,
             evaluation_json: manifest.evaluation_json.unwrap_or_default(),
+            reverts_to: manifest.reverts_to,
             signatures: manifest
                 .signatures
                 .into_iter()
@@ -143,6 +152,7 @@ impl OnDisk {
             training_commit: self.training_commit,
             config_hash: self.config_hash,
             evaluation_json: self.evaluation_json,
+            reverts_to: self.reverts_to,
             signatures,
         };
         Ok(Record {
@@ -150,6 +160,12 @@ impl OnDisk {
             manifest: manifest.try_into()?,
         })
     }
+}
+
+/// A SHA-256 of 64 hexadecimal digits.
+pub fn from_hex_32(field: &'static str, text: &str) -> Result<[u8; 32], RecordError> {
+    let bytes = from_hex(field, text)?;
+    bytes.try_into().map_err(|_| RecordError::Hex { field })
 }
 
 fn from_hex(field: &'static str, text: &str) -> Result<Vec<u8>, RecordError> {

@@ -1,24 +1,41 @@
 //! Puts the registry, health and reflection services on one port and stops them in order.
 
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use caudata_proto::wire::FILE_DESCRIPTOR_SET;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistryServer;
+use caudata_signing::ReleaseKey;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
-use tokio_stream::wrappers::TcpListenerStream;
 use tonic::transport::{Server, ServerTlsConfig};
 
 use crate::access::GuardLayer;
+use crate::limits::{ConnectionLimits, Incoming};
 use crate::metrics::ServerMetrics;
-use crate::service::RegistryService;
+use crate::service::{RegistryService, SharedStore};
 use crate::store::Store;
 
 /// Requests served at once on one connection; further ones wait.
 const STREAMS_PER_CONNECTION: u32 = 32;
 /// Largest message accepted; uploads come in pieces of 128 KiB.
 const MESSAGE_SIZE_MAX: usize = 256 << 10;
+/// Headers of one call at most, bytes.
+const HEADERS_MAX: u32 = 8 << 10;
+/// Calls that a client may take back before the server has looked at them; beyond that its connection is closed.
+const RESETS_MAX: usize = 20;
+/// A call that has not begun to be answered by then is given up; streams of answers go on.
+const CALL_MAX: Duration = Duration::from_secs(60);
+
+struct AbortOnDrop(tokio::task::JoinHandle<()>);
+
+impl Drop for AbortOnDrop {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
 /// When a silent connection is given up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Keepalive {
@@ -75,6 +92,19 @@ pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
         })
 }
 
+/// How to serve.
+#[derive(Clone, Default)]
+pub struct ServeOptions {
+    /// When a silent connection is given up.
+    pub keepalive: Keepalive,
+    /// Clients show a certificate, and its role decides what they may do; `None`: plain, for this host only.
+    pub tls: Option<ServerTlsConfig>,
+    /// Signs where labels lead; `None`: the server cannot say so.
+    pub fresh_key: Option<Arc<ReleaseKey>>,
+    /// How many connections.
+    pub connections: ConnectionLimits,
+}
+
 /// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish for
 /// [`DRAIN_MAX`].
 ///
@@ -86,7 +116,8 @@ pub async fn serve(
     metrics: ServerMetrics,
     stop: watch::Receiver<bool>,
 ) -> Result<(), ServeError> {
-    serve_with(listener, store, metrics, stop, Keepalive::default()).await
+    let store = SharedStore::new(store);
+    serve_with(listener, store, metrics, stop, ServeOptions::default()).await
 }
 
 /// As [`serve`], encrypted: clients show a certificate, and its role decides what they may do.
@@ -100,40 +131,25 @@ pub async fn serve_tls(
     stop: watch::Receiver<bool>,
     tls: ServerTlsConfig,
 ) -> Result<(), ServeError> {
-    serve_any(
-        listener,
-        store,
-        metrics,
-        stop,
-        Keepalive::default(),
-        Some(tls),
-    )
-    .await
+    let options = ServeOptions {
+        tls: Some(tls),
+        ..ServeOptions::default()
+    };
+    serve_with(listener, SharedStore::new(store), metrics, stop, options).await
 }
 
-/// As [`serve`], with another patience for silent connections.
+/// As [`serve`], with a choice of how.
 ///
 /// # Errors
-/// As [`serve`].
+/// As [`serve_tls`].
 pub async fn serve_with(
     listener: TcpListener,
-    store: Store,
+    store: SharedStore,
     metrics: ServerMetrics,
     stop: watch::Receiver<bool>,
-    keepalive: Keepalive,
+    options: ServeOptions,
 ) -> Result<(), ServeError> {
-    serve_any(listener, store, metrics, stop, keepalive, None).await
-}
-
-async fn serve_any(
-    listener: TcpListener,
-    store: Store,
-    metrics: ServerMetrics,
-    stop: watch::Receiver<bool>,
-    keepalive: Keepalive,
-    tls: Option<ServerTlsConfig>,
-) -> Result<(), ServeError> {
-    let registry = RegistryService::new(store, stop.clone(), metrics);
+    let registry = RegistryService::new(store, stop.clone(), metrics, options.fresh_key);
     let (health, health_service) = tonic_health::server::health_reporter();
     health
         .set_serving::<PolicyRegistryServer<RegistryService>>()
@@ -142,6 +158,14 @@ async fn serve_any(
         .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
+    let (mut broken, broken_health) = (registry.read_only(), health.clone());
+    let watched = tokio::spawn(async move {
+        if broken.wait_for(|broken| *broken).await.is_ok() {
+            broken_health
+                .set_not_serving::<PolicyRegistryServer<RegistryService>>()
+                .await;
+        }
+    });
     let mut stopped = stop.clone();
     let drained = async move {
         // An error means that the sender is gone, which is a stop as well.
@@ -151,18 +175,21 @@ async fn serve_any(
             .await;
     };
     let guard = GuardLayer {
-        enforced: tls.is_some(),
+        enforced: options.tls.is_some(),
     };
     let mut builder = Server::builder();
-    if let Some(tls) = tls {
+    if let Some(tls) = options.tls {
         builder = builder.tls_config(tls)?;
     }
     let server = builder
         .layer(guard)
         .concurrency_limit_per_connection(STREAMS_PER_CONNECTION as usize)
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
-        .http2_keepalive_interval(Some(keepalive.interval))
-        .http2_keepalive_timeout(Some(keepalive.timeout))
+        .timeout(CALL_MAX)
+        .http2_max_header_list_size(HEADERS_MAX)
+        .http2_max_pending_accept_reset_streams(Some(RESETS_MAX))
+        .http2_keepalive_interval(Some(options.keepalive.interval))
+        .http2_keepalive_timeout(Some(options.keepalive.timeout))
         .add_service(health_service)
         .add_service(reflection)
         .add_service(
@@ -170,7 +197,9 @@ async fn serve_any(
                 .max_decoding_message_size(MESSAGE_SIZE_MAX)
                 .max_encoding_message_size(MESSAGE_SIZE_MAX * 4),
         )
-        .serve_with_incoming_shutdown(TcpListenerStream::new(listener), drained);
+        .serve_with_incoming_shutdown(Incoming::new(listener, options.connections), drained);
+    // Ends with the server, whichever way that ends.
+    let _watched = AbortOnDrop(watched);
     let mut stopping = stop;
     tokio::select! {
         ended = server => Ok(ended?),

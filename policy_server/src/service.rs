@@ -4,21 +4,26 @@
 //! |---|---|
 //! | malformed request, hash or header mismatch | `INVALID_ARGUMENT` |
 //! | version taken by other bytes | `ALREADY_EXISTS` |
-//! | contract other than the stream's | `FAILED_PRECONDITION` |
-//! | too large, too many streams, disk full, watcher too slow | `RESOURCE_EXHAUSTED` |
-//! | unknown stream, version, blob | `NOT_FOUND` |
+//! | contract other than the stream's; a label or revert that must not be | `FAILED_PRECONDITION` |
+//! | somebody else moved the label | `ABORTED` |
+//! | too large, too many streams or labels, disk full, watcher too slow | `RESOURCE_EXHAUSTED` |
+//! | unknown stream, version, label, blob | `NOT_FOUND` |
 //! | generation no longer known | `OUT_OF_RANGE` |
 //! | stored bytes damaged | `DATA_LOSS` |
-//! | shutting down | `UNAVAILABLE` |
+//! | shutting down, read-only after a failed sync | `UNAVAILABLE` |
+//! | a robot's report under another name than its certificate's | `PERMISSION_DENIED` |
+//! | no key to sign freshness with | `UNIMPLEMENTED` |
 
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use caudata_pki::Role;
 use caudata_policy::PolicyFile;
 use caudata_proto::registry::{
-    FETCH_CHUNK_BYTES, FetchRequest, ListRequest, Manifest, ManifestRequest, RegistryError,
-    StreamName, WatchRequest,
+    FETCH_CHUNK_BYTES, FetchRequest, Freshness, LabelName, ListRequest, Manifest, ManifestRequest,
+    NONCE_BYTES, Overview, QuarantineState, RegistryError, RobotReport, SetLabel, StreamName,
+    WatchRequest,
 };
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistry;
@@ -27,10 +32,14 @@ use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
+use crate::access::Caller;
+use crate::audit::{ENTRIES_KEPT, Origin};
 use crate::error::StoreError;
+use crate::labels::Change;
 use crate::metrics::ServerMetrics;
 use crate::record::Record;
 use crate::store::{Published, Store, hex};
+use caudata_signing::ReleaseKey;
 
 /// A publisher must send its next piece within this time.
 pub const UPLOAD_IDLE_MAX: Duration = Duration::from_secs(30);
@@ -43,33 +52,91 @@ const WATCH_BACKLOG: usize = 64;
 /// Messages queued towards one client before the server waits for it.
 const REPLY_QUEUE: usize = 8;
 
+/// Reports in one answer at most, the newest first.
+const REPORTS_MAX: usize = 1000;
+/// Audit entries in one answer at most.
+const AUDIT_MAX: usize = 500;
+
+/// The store, as the service and the page share it.
+#[derive(Clone, Debug)]
+pub struct SharedStore(Arc<Mutex<Store>>);
+
+impl SharedStore {
+    /// Shares `store`.
+    #[must_use]
+    pub fn new(store: Store) -> Self {
+        Self(Arc::new(Mutex::new(store)))
+    }
+
+    /// Waits for it.
+    pub fn lock(&self) -> MutexGuard<'_, Store> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 /// The service over one store.
 #[derive(Clone)]
 pub struct RegistryService {
-    store: Arc<Mutex<Store>>,
-    changes: broadcast::Sender<Arc<Record>>,
+    store: SharedStore,
+    changes: broadcast::Sender<Arc<Change>>,
     draining: watch::Receiver<bool>,
     metrics: ServerMetrics,
+    fresh_key: Option<Arc<ReleaseKey>>,
+    /// Turns true for good when the store can no longer be changed.
+    read_only: Arc<watch::Sender<bool>>,
 }
 
 type ReplyStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
 
 impl RegistryService {
     /// A service over `store` that refuses new work once `draining` turns true.
-    pub fn new(store: Store, draining: watch::Receiver<bool>, metrics: ServerMetrics) -> Self {
+    pub fn new(
+        store: SharedStore,
+        draining: watch::Receiver<bool>,
+        metrics: ServerMetrics,
+        fresh_key: Option<Arc<ReleaseKey>>,
+    ) -> Self {
         let (changes, _) = broadcast::channel(WATCH_BACKLOG);
         let service = Self {
-            store: Arc::new(Mutex::new(store)),
+            store,
             changes,
             draining,
             metrics,
+            fresh_key,
+            read_only: Arc::new(watch::Sender::new(false)),
         };
         service.update_gauges();
         service
     }
 
+    /// Turns true for good when the store can no longer be changed.
+    #[must_use]
+    pub fn read_only(&self) -> watch::Receiver<bool> {
+        self.read_only.subscribe()
+    }
+
     fn store(&self) -> MutexGuard<'_, Store> {
-        self.store.lock().unwrap_or_else(PoisonError::into_inner)
+        self.store.lock()
+    }
+
+    /// Changes the store away from the network threads, and tells whoever watches for health where that ended it.
+    async fn change<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Store) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, Status> {
+        let (result, broken) = self
+            .on_disk(move |store| (work(store), store.read_only().is_some()))
+            .await?;
+        if broken {
+            self.metrics.read_only.set(1);
+            self.read_only.send_replace(true);
+        }
+        result.map_err(|error| status_of(&error))
+    }
+
+    fn tell(&self, change: Change) {
+        // No watcher listening is fine.
+        let _ = self.changes.send(Arc::new(change));
     }
 
     fn update_gauges(&self) {
@@ -102,24 +169,89 @@ impl RegistryService {
             .map_err(|error| Status::internal(format!("store task failed: {error}")))
     }
 
-    async fn publish_file(&self, manifest: Manifest, bytes: Vec<u8>) -> Result<Published, Status> {
+    async fn publish_file(
+        &self,
+        origin: Origin,
+        manifest: Manifest,
+        bytes: Vec<u8>,
+    ) -> Result<Published, Status> {
+        if manifest.reverts_to.is_some() {
+            return Err(Status::invalid_argument(
+                "an older version comes back by Revert, which needs no bytes",
+            ));
+        }
+        let (manifest, bytes) = tokio::task::spawn_blocking(move || {
+            check_against_file(&manifest, &bytes).map(|()| (manifest, bytes))
+        })
+        .await
+        .map_err(|error| Status::internal(format!("check failed: {error}")))??;
         let published = self
-            .on_disk(move |store| -> Result<Published, Status> {
-                check_against_file(&manifest, &bytes)?;
-                store
-                    .publish(manifest, &bytes)
-                    .map_err(|error| status_of(&error))
-            })
-            .await??;
+            .change(move |store| store.publish_by(&origin, "publish", "", manifest, &bytes))
+            .await?;
+        self.count(&published);
+        Ok(published)
+    }
+
+    fn count(&self, published: &Published) {
         if published.already_present {
             self.metrics.repeated.inc();
         } else {
             self.metrics.published.inc();
             self.update_gauges();
-            // No watcher listening is fine.
-            let _ = self.changes.send(Arc::new(published.record.clone()));
+            self.tell(Change::Published(published.record.clone()));
         }
-        Ok(published)
+    }
+
+    async fn take_report(
+        &self,
+        request: Request<wire::RobotReport>,
+        well: bool,
+    ) -> Result<Response<wire::ReportResponse>, Status> {
+        self.refuse_when_draining()?;
+        let (caller, origin) = (caller(&request), origin_of(&request));
+        let report = checked::<_, RobotReport>(request)?;
+        if let Some(caller) = caller.filter(|c| c.role == Role::Robot && c.name != report.robot) {
+            let name = caller.name;
+            let other = report.robot;
+            return Err(Status::permission_denied(format!(
+                "robot `{name}` cannot speak for `{other}`"
+            )));
+        }
+        if report.state.went_well() != well {
+            let word = report.state.word();
+            return Err(Status::invalid_argument(format!(
+                "`{word}` is not for this call: what went well is an Ack, what did not a Nack"
+            )));
+        }
+        let (robot, version, state) = (report.robot.clone(), report.version, report.state.word());
+        let news = self
+            .change(move |store| store.report(&origin, report))
+            .await?;
+        if news {
+            tracing::info!(robot, version, state, "a robot says");
+            self.metrics.reports.inc();
+        }
+        Ok(Response::new(wire::ReportResponse {}))
+    }
+}
+
+fn caller<T>(request: &Request<T>) -> Option<Caller> {
+    request.extensions().get::<Caller>().cloned()
+}
+
+/// Who is written down for a request.
+fn origin_of<T>(request: &Request<T>) -> Origin {
+    match caller(request) {
+        Some(caller) => Origin::of(&format!("{}:{}", caller.role, caller.name)),
+        None => Origin::local(),
+    }
+}
+
+fn publish_response(published: &Published) -> wire::PublishResponse {
+    wire::PublishResponse {
+        manifest: Some(published.record.manifest.clone().into()),
+        generation: published.record.generation,
+        already_present: published.already_present,
     }
 }
 
@@ -130,6 +262,7 @@ impl PolicyRegistry for RegistryService {
         request: Request<Streaming<wire::PublishRequest>>,
     ) -> Result<Response<wire::PublishResponse>, Status> {
         self.refuse_when_draining()?;
+        let origin = origin_of(&request);
         let (manifest, bytes) = receive_upload(request.into_inner())
             .await
             .inspect_err(|_| {
@@ -137,7 +270,7 @@ impl PolicyRegistry for RegistryService {
             })?;
         let stream = manifest.stream.to_string();
         let version = manifest.version;
-        let published = self.publish_file(manifest, bytes).await.inspect_err(|status| {
+        let published = self.publish_file(origin, manifest, bytes).await.inspect_err(|status| {
             self.metrics.refused.inc();
             tracing::warn!(stream, version, code = ?status.code(), "publication refused: {}", status.message());
         })?;
@@ -150,11 +283,7 @@ impl PolicyRegistry for RegistryService {
             already_present = published.already_present,
             "published"
         );
-        Ok(Response::new(wire::PublishResponse {
-            manifest: Some(record.manifest.clone().into()),
-            generation: record.generation,
-            already_present: published.already_present,
-        }))
+        Ok(Response::new(publish_response(&published)))
     }
 
     async fn list(
@@ -189,9 +318,11 @@ impl PolicyRegistry for RegistryService {
     ) -> Result<Response<wire::GetManifestResponse>, Status> {
         let request = checked::<_, ManifestRequest>(request)?;
         let store = self.store();
-        let record = store
-            .manifest(&request.stream, request.version)
-            .map_err(|error| status_of(&error))?;
+        let found = match &request.label {
+            Some(label) => store.labelled(&request.stream, label),
+            None => store.manifest(&request.stream, request.version),
+        };
+        let record = found.map_err(|error| status_of(&error))?;
         Ok(Response::new(wire::GetManifestResponse {
             manifest: Some(record.manifest.clone().into()),
             generation: record.generation,
@@ -267,6 +398,146 @@ impl PolicyRegistry for RegistryService {
         });
         Ok(Response::new(Box::pin(ReceiverStream::new(queue))))
     }
+
+    async fn set_label(
+        &self,
+        request: Request<wire::SetLabelRequest>,
+    ) -> Result<Response<wire::LabelState>, Status> {
+        self.refuse_when_draining()?;
+        let origin = origin_of(&request);
+        let wanted = checked::<_, SetLabel>(request)?;
+        let state = self
+            .change(move |store| store.set_label(&origin, wanted))
+            .await?;
+        let (label, version) = (&state.label, state.version);
+        tracing::info!(stream = %state.stream, %label, version, by = state.by, overridden = state.override_reason, "label moved");
+        self.tell(Change::Label(state.clone()));
+        Ok(Response::new(state.into()))
+    }
+
+    async fn revert(
+        &self,
+        request: Request<wire::RevertRequest>,
+    ) -> Result<Response<wire::PublishResponse>, Status> {
+        self.refuse_when_draining()?;
+        let origin = origin_of(&request);
+        let (manifest, reason) = checked::<_, (Manifest, String)>(request)?;
+        let published = self
+            .change(move |store| store.revert(&origin, manifest, &reason))
+            .await?;
+        self.count(&published);
+        let manifest = &published.record.manifest;
+        tracing::info!(stream = %manifest.stream, version = manifest.version, reverts_to = manifest.reverts_to, "reverted");
+        Ok(Response::new(publish_response(&published)))
+    }
+
+    async fn quarantine(
+        &self,
+        request: Request<wire::QuarantineRequest>,
+    ) -> Result<Response<wire::QuarantineState>, Status> {
+        self.refuse_when_draining()?;
+        let origin = origin_of(&request);
+        let state = checked::<_, QuarantineState>(request)?;
+        let state = self
+            .change(move |store| store.quarantine(&origin, state))
+            .await?;
+        tracing::warn!(stream = %state.stream, version = state.version, reason = state.reason, by = state.by, "quarantined");
+        self.tell(Change::Quarantined(state.clone()));
+        Ok(Response::new(state.into()))
+    }
+
+    async fn ack(
+        &self,
+        request: Request<wire::RobotReport>,
+    ) -> Result<Response<wire::ReportResponse>, Status> {
+        self.take_report(request, true).await
+    }
+
+    async fn nack(
+        &self,
+        request: Request<wire::RobotReport>,
+    ) -> Result<Response<wire::ReportResponse>, Status> {
+        self.take_report(request, false).await
+    }
+
+    async fn freshness(
+        &self,
+        request: Request<wire::FreshnessRequest>,
+    ) -> Result<Response<wire::FreshnessResponse>, Status> {
+        let (nonce, stream, label) =
+            checked::<_, ([u8; NONCE_BYTES], StreamName, LabelName)>(request)?;
+        let Some(key) = &self.fresh_key else {
+            return Err(Status::unimplemented(
+                "this server has no key to say so with (--fresh-key)",
+            ));
+        };
+        let said = {
+            let store = self.store();
+            let record = store
+                .labelled(&stream, &label)
+                .map_err(|error| status_of(&error))?;
+            Freshness {
+                nonce,
+                version: record.manifest.version,
+                sha256: record.manifest.sha256,
+                stream,
+                label,
+            }
+        };
+        Ok(Response::new(key.vouch(said).into()))
+    }
+
+    async fn overview(
+        &self,
+        request: Request<wire::OverviewRequest>,
+    ) -> Result<Response<wire::OverviewResponse>, Status> {
+        let stream = checked::<_, Option<StreamName>>(request)?;
+        Ok(Response::new(
+            overview(&self.store(), stream.as_ref()).into(),
+        ))
+    }
+
+    async fn audit(
+        &self,
+        request: Request<wire::AuditRequest>,
+    ) -> Result<Response<wire::AuditResponse>, Status> {
+        let wire::AuditRequest { limit, before } = request.into_inner();
+        let limit = match usize::try_from(limit).unwrap_or(AUDIT_MAX) {
+            0 => AUDIT_MAX,
+            asked => asked.min(AUDIT_MAX).min(ENTRIES_KEPT),
+        };
+        let store = self.store();
+        let entries = store.audit().newest(before).take(limit);
+        Ok(Response::new(wire::AuditResponse {
+            entries: entries.cloned().map(Into::into).collect(),
+        }))
+    }
+}
+
+/// Labels, quarantine and reports of `stream` (`None`: of all), the newest reports first.
+pub fn overview(store: &Store, stream: Option<&StreamName>) -> Overview {
+    let wanted = |name: &StreamName| stream.is_none_or(|s| s == name);
+    let mut reports: Vec<RobotReport> = store
+        .reports
+        .values()
+        .flat_map(|reports| reports.0.values())
+        .filter(|report| wanted(&report.stream))
+        .cloned()
+        .collect();
+    reports.sort_by_key(|report| std::cmp::Reverse(report.unix_ms));
+    reports.truncate(REPORTS_MAX);
+    Overview {
+        labels: store.labels(stream),
+        quarantined: store
+            .quarantined
+            .values()
+            .filter(|state| wanted(&state.stream))
+            .cloned()
+            .collect(),
+        reports,
+        generation: store.generation(),
+        read_only: store.read_only().map(|r| r.chars().take(300).collect()),
+    }
 }
 
 impl RegistryService {
@@ -277,11 +548,11 @@ impl RegistryService {
         if request.since_generation == 0 {
             return Ok((vec![snapshot(&store, request.stream.as_ref())], now));
         }
-        let mut missed: Vec<&Record> = store
-            .records(None)
-            .filter(|record| record.generation > request.since_generation)
+        let mut missed: Vec<Change> = store
+            .changes()
+            .filter(|change| change.generation() > request.since_generation)
             .collect();
-        // Generations count publications one by one: fewer records than that means that some were retired.
+        // Generations count changes one by one: fewer than that means that some do not show any more.
         let expected = now.checked_sub(request.since_generation);
         if expected != Some(missed.len() as u64) {
             return Err(Status::out_of_range(format!(
@@ -289,11 +560,11 @@ impl RegistryService {
                 request.since_generation
             )));
         }
-        missed.sort_by_key(|record| record.generation);
+        missed.sort_by_key(Change::generation);
         let events = missed
-            .into_iter()
-            .filter(|record| follows(request.stream.as_ref(), record))
-            .map(published_event)
+            .iter()
+            .filter(|change| follows(request.stream.as_ref(), change))
+            .map(change_event)
             .collect();
         Ok((events, now))
     }
@@ -303,7 +574,7 @@ impl RegistryService {
 struct Watcher {
     stream: Option<StreamName>,
     seen: u64,
-    changes: broadcast::Receiver<Arc<Record>>,
+    changes: broadcast::Receiver<Arc<Change>>,
     draining: watch::Receiver<bool>,
     reply: mpsc::Sender<Result<wire::WatchEvent, Status>>,
 }
@@ -355,13 +626,13 @@ impl Watcher {
 
     fn next_event(
         &mut self,
-        change: Result<Arc<Record>, broadcast::error::RecvError>,
+        change: Result<Arc<Change>, broadcast::error::RecvError>,
     ) -> Result<Option<wire::WatchEvent>, Status> {
         match change {
-            Ok(record) if record.generation <= self.seen => Ok(None),
-            Ok(record) => {
-                self.seen = record.generation;
-                Ok(follows(self.stream.as_ref(), &record).then(|| published_event(&record)))
+            Ok(change) if change.generation() <= self.seen => Ok(None),
+            Ok(change) => {
+                self.seen = change.generation();
+                Ok(follows(self.stream.as_ref(), &change).then(|| change_event(&change)))
             }
             Err(broadcast::error::RecvError::Lagged(missed)) => {
                 Err(Status::resource_exhausted(format!(
@@ -376,16 +647,16 @@ impl Watcher {
     }
 }
 
-fn follows(stream: Option<&StreamName>, record: &Record) -> bool {
-    stream.is_none_or(|wanted| record.manifest.stream == *wanted)
+fn follows(stream: Option<&StreamName>, change: &Change) -> bool {
+    stream.is_none_or(|wanted| change.stream() == wanted)
 }
 
 fn snapshot(store: &Store, stream: Option<&StreamName>) -> wire::WatchEvent {
     let manifests = store
         .stream_names()
         .filter(|name| stream.is_none_or(|wanted| *name == wanted))
-        .filter_map(|name| store.newest(name))
-        .map(|record| record.manifest.clone().into())
+        .filter_map(|name| store.newest_usable(name))
+        .map(|record: &Record| record.manifest.clone().into())
         .collect();
     wire::WatchEvent {
         generation: store.generation(),
@@ -395,12 +666,17 @@ fn snapshot(store: &Store, stream: Option<&StreamName>) -> wire::WatchEvent {
     }
 }
 
-fn published_event(record: &Record) -> wire::WatchEvent {
+fn change_event(change: &Change) -> wire::WatchEvent {
+    let event = match change {
+        Change::Published(record) => {
+            wire::watch_event::Event::Published(record.manifest.clone().into())
+        }
+        Change::Label(state) => wire::watch_event::Event::LabelMoved(state.clone().into()),
+        Change::Quarantined(state) => wire::watch_event::Event::Quarantined(state.clone().into()),
+    };
     wire::WatchEvent {
-        generation: record.generation,
-        event: Some(wire::watch_event::Event::Published(
-            record.manifest.clone().into(),
-        )),
+        generation: change.generation(),
+        event: Some(event),
     }
 }
 
@@ -531,10 +807,16 @@ fn status_of(error: &StoreError) -> Status {
         StoreError::HashMismatch { .. } | StoreError::HeaderMismatch { .. } => {
             Status::invalid_argument(message)
         }
-        StoreError::ContractMismatch { .. } => Status::failed_precondition(message),
+        StoreError::ContractMismatch { .. } | StoreError::NotAllowed { .. } => {
+            Status::failed_precondition(message)
+        }
+        StoreError::LabelMoved { .. } => Status::aborted(message),
+        StoreError::ReadOnly { .. } => Status::unavailable(message),
         StoreError::NotFound { .. } => Status::not_found(message),
         StoreError::Damaged { .. } => Status::data_loss(message),
-        StoreError::TooManyStreams { .. } => Status::resource_exhausted(message),
+        StoreError::TooManyStreams { .. } | StoreError::TooManyLabels { .. } => {
+            Status::resource_exhausted(message)
+        }
         StoreError::Durable(durable) if durable.is_disk_full() => {
             Status::resource_exhausted(message)
         }

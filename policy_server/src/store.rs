@@ -1,22 +1,31 @@
-//! The store on disk: blobs named by their SHA-256, and one small record per published version.
+//! The store on disk: blobs named by their SHA-256, one small record per published version, and what people and robots say of it.
 //!
 //! ```text
-//! <data>/blobs/<sha256>.onnx            written once, never changed
-//! <data>/streams/<stream>/<version>.json  makes a version visible; written after its blob is on disk
-//! <data>/damaged/                       what was found damaged, set aside for a person to look at
+//! <data>/blobs/<sha256>.onnx                 written once, never changed
+//! <data>/streams/<stream>/<version>.json     makes a version visible; written after its blob is on disk
+//! <data>/labels/<stream>/<label>.json        where a label leads
+//! <data>/quarantine/<stream>/<version>.json  a version out of use
+//! <data>/reports/<stream>/<version>.json     what robots said about it
+//! <data>/audit.jsonl                         who changed what; a line is there before its change
+//! <data>/damaged/                            what was found damaged, set aside for a person to look at
 //! ```
 //!
-//! *Invariant:* a version is whole or absent. The record is written last and atomically, so a crash at any point leaves
-//! at most an unreferenced blob, which the next start removes.
+//! *Invariant:* a version is whole or absent, and so is every other change. The file that makes it visible is written last and
+//! atomically, so a crash at any point leaves at most an unreferenced blob and an announcement, which the next start removes
+//! and takes back.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use caudata_proto::registry::{Manifest, StreamName};
+use caudata_durable::{Disk, OsDisk};
+use caudata_proto::registry::{LabelName, LabelState, Manifest, QuarantineState, StreamName};
 use sha2::{Digest, Sha256};
 
+use crate::audit::{AuditLog, Deed, Origin};
 use crate::error::StoreError;
+use crate::notes::Reports;
 use crate::record::{Record, RecordError};
 
 /// Limits of the store.
@@ -27,6 +36,9 @@ pub struct StoreLimits {
     /// Versions kept per stream, newest first; older ones are removed after each publication. Too small: robots that
     /// were offline find their version gone; too large: disk (about 0.2 MB each for a 128-128 network).
     pub versions_kept: usize,
+    /// Robots that must have run a version through its trial before `stable` may lead to it. 0: none. Too small: one lucky walk
+    /// makes a policy everybody's; too large: a small lab never gets there without an override.
+    pub stable_needs: usize,
 }
 
 impl Default for StoreLimits {
@@ -34,9 +46,13 @@ impl Default for StoreLimits {
         Self {
             streams_max: 256,
             versions_kept: 64,
+            stable_needs: 1,
         }
     }
 }
+
+/// Labels of one stream at most.
+pub const LABELS_MAX: usize = 32;
 
 /// What a publication did.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,10 +66,16 @@ pub struct Published {
 /// The store. One process at a time owns a data folder (it holds a lock file).
 #[derive(Debug)]
 pub struct Store {
-    root: PathBuf,
-    limits: StoreLimits,
-    generation: u64,
+    pub(crate) root: PathBuf,
+    pub(crate) limits: StoreLimits,
+    pub(crate) disk: Arc<dyn Disk>,
+    pub(crate) generation: u64,
     streams: BTreeMap<StreamName, BTreeMap<u64, Record>>,
+    pub(crate) labels: BTreeMap<(StreamName, LabelName), LabelState>,
+    pub(crate) quarantined: BTreeMap<(StreamName, u64), QuarantineState>,
+    pub(crate) reports: BTreeMap<(StreamName, u64), Reports>,
+    audit: AuditLog,
+    read_only: Option<String>,
     _lock: fs::File,
 }
 
@@ -64,21 +86,120 @@ impl Store {
     /// # Errors
     /// [`StoreError::Unusable`] where the folder cannot be made, is locked by another server, or holds a newer format.
     pub fn open(root: &Path, limits: StoreLimits) -> Result<Self, StoreError> {
-        for folder in ["blobs", "streams", "damaged"] {
-            fs::create_dir_all(root.join(folder))
+        fs::create_dir_all(root).map_err(|error| unusable(root, &error.to_string()))?;
+        Self::open_on(root, limits, Arc::new(OsDisk))
+    }
+
+    /// As [`Store::open`], on a disk that may be a rehearsed one. `root` must be there.
+    ///
+    /// # Errors
+    /// As [`Store::open`].
+    pub fn open_on(
+        root: &Path,
+        limits: StoreLimits,
+        disk: Arc<dyn Disk>,
+    ) -> Result<Self, StoreError> {
+        for folder in FOLDERS {
+            caudata_durable::make_folder_on(&*disk, &root.join(folder))
                 .map_err(|error| unusable(root, &format!("cannot make {folder}/: {error}")))?;
         }
         let lock = lock(root)?;
         let mut store = Self {
             root: root.to_path_buf(),
             limits,
+            audit: AuditLog::open(root, disk.clone())?,
+            disk,
             generation: 0,
             streams: BTreeMap::new(),
+            labels: BTreeMap::new(),
+            quarantined: BTreeMap::new(),
+            reports: BTreeMap::new(),
+            read_only: None,
             _lock: lock,
         };
         store.load_records()?;
+        store.load_notes()?;
         store.remove_unreferenced()?;
+        store.take_back_what_did_not_happen()?;
         Ok(store)
+    }
+
+    /// The last line of the record may announce what a crash prevented.
+    fn take_back_what_did_not_happen(&mut self) -> Result<(), StoreError> {
+        let Some((_, generation)) = self.audit.announced() else {
+            return Ok(());
+        };
+        if self
+            .changes()
+            .any(|change| change.generation() == generation)
+        {
+            return Ok(());
+        }
+        tracing::warn!(generation, "the last announced change did not happen");
+        // A change without a trace must not give its number to another one that watchers then miss.
+        self.generation = self.generation.max(generation);
+        self.audit.write_undone("the server ended before")
+    }
+
+    /// Its folder.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Why nothing can be changed at present; `None`: it can.
+    #[must_use]
+    pub fn read_only(&self) -> Option<&str> {
+        self.read_only.as_deref()
+    }
+
+    pub(crate) fn check_writable(&self) -> Result<(), StoreError> {
+        match &self.read_only {
+            None => Ok(()),
+            Some(reason) => Err(StoreError::ReadOnly {
+                reason: reason.clone(),
+            }),
+        }
+    }
+
+    /// After a failed sync nobody knows what is on the disk: nothing is changed any more, and nothing is tried again.
+    pub(crate) fn heed<T>(&mut self, result: Result<T, StoreError>) -> Result<T, StoreError> {
+        if let Err(StoreError::Durable(error)) = &result
+            && error.is_sync_failure()
+        {
+            tracing::error!(%error, "the store is read-only from now on");
+            self.read_only.get_or_insert(error.to_string());
+        }
+        result
+    }
+
+    /// Announces a change, makes it, and takes the announcement back where that fails.
+    pub(crate) fn announced<T>(
+        &mut self,
+        origin: &Origin,
+        deed: &Deed<'_>,
+        change: impl FnOnce(&mut Self) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        self.check_writable()?;
+        let written = self.audit.write(origin, deed);
+        self.heed(written)?;
+        let result = change(self);
+        let result = self.heed(result);
+        if let Err(error) = &result
+            && self.read_only.is_none()
+        {
+            // The next start does it otherwise.
+            let undone = self.audit.write_undone(&first_words(&error.to_string()));
+            if let Err(error) = self.heed(undone) {
+                tracing::error!(%error, "the record says more than happened until it can be written again");
+            }
+        }
+        result
+    }
+
+    /// The record of changes.
+    pub(crate) fn audit(&self) -> &AuditLog {
+        &self.audit
     }
 
     /// Publishes `bytes` as `manifest.stream` version `manifest.version`.
@@ -89,6 +210,21 @@ impl Store {
     /// [`StoreError::VersionTaken`], [`StoreError::HashMismatch`], [`StoreError::ContractMismatch`],
     /// [`StoreError::TooManyStreams`], or [`StoreError::Durable`] (disk full); nothing becomes visible then.
     pub fn publish(&mut self, manifest: Manifest, bytes: &[u8]) -> Result<Published, StoreError> {
+        self.publish_by(&Origin::local(), "publish", "", manifest, bytes)
+    }
+
+    /// As [`Store::publish`], for the record: by whom, as what (`publish`, `revert`), with which words.
+    ///
+    /// # Errors
+    /// As [`Store::publish`]; [`StoreError::NotAllowed`] for bytes that are quarantined, [`StoreError::ReadOnly`].
+    pub fn publish_by(
+        &mut self,
+        origin: &Origin,
+        what: &str,
+        words: &str,
+        manifest: Manifest,
+        bytes: &[u8],
+    ) -> Result<Published, StoreError> {
         let actual: [u8; 32] = Sha256::digest(bytes).into();
         if actual != manifest.sha256 {
             return Err(StoreError::HashMismatch {
@@ -111,14 +247,30 @@ impl Store {
             };
         }
         self.check_stream(&manifest)?;
+        self.check_not_quarantined(&manifest)?;
         let record = Record {
             generation: self.generation + 1,
             manifest,
         };
-        self.write_blob(&actual, bytes)?;
-        self.write_record(&record)?;
-        self.generation = record.generation;
         let stream = record.manifest.stream.clone();
+        let deed = Deed {
+            what,
+            stream: stream.as_str(),
+            version: record.manifest.version,
+            generation: Some(record.generation),
+            detail: format!("sha256 {} {words}", hex(&actual))
+                .trim_end()
+                .to_owned(),
+        };
+        self.announced(origin, &deed, |store| {
+            store.write_blob(&actual, bytes)?;
+            store.write_record(&record).inspect_err(|_| {
+                if !store.references(&actual) {
+                    let _ = store.disk.remove(&store.blob_path(&actual));
+                }
+            })
+        })?;
+        self.generation = record.generation;
         self.streams
             .entry(stream.clone())
             .or_default()
@@ -130,7 +282,7 @@ impl Store {
         })
     }
 
-    /// One version; `None` for `version` means the newest.
+    /// One version; `None` for `version` means the newest that is not quarantined.
     ///
     /// # Errors
     /// [`StoreError::NotFound`].
@@ -141,7 +293,7 @@ impl Store {
     ) -> Result<&Record, StoreError> {
         let found = match version {
             Some(version) => self.find(stream, version),
-            None => self.newest(stream),
+            None => self.newest_usable(stream),
         };
         found.ok_or_else(|| StoreError::NotFound {
             what: match version {
@@ -155,6 +307,13 @@ impl Store {
     #[must_use]
     pub fn newest(&self, stream: &StreamName) -> Option<&Record> {
         self.streams.get(stream)?.values().next_back()
+    }
+
+    /// The newest version of a stream that is not quarantined; where `latest` leads.
+    #[must_use]
+    pub fn newest_usable(&self, stream: &StreamName) -> Option<&Record> {
+        let usable = |record: &&Record| !self.is_quarantined(stream, record.manifest.version);
+        self.streams.get(stream)?.values().rev().find(usable)
     }
 
     /// All records of `stream` (`None`: of every stream), newest first within each stream.
@@ -173,7 +332,7 @@ impl Store {
         self.streams.keys()
     }
 
-    /// Grows by one with each publication, over all streams, and survives restarts.
+    /// Grows by one with each publication, label and quarantine, over all streams, and survives restarts.
     #[must_use]
     pub fn generation(&self) -> u64 {
         self.generation
@@ -209,7 +368,7 @@ impl Store {
             .any(|record| record.manifest.sha256 == *sha256)
     }
 
-    fn find(&self, stream: &StreamName, version: u64) -> Option<&Record> {
+    pub(crate) fn find(&self, stream: &StreamName, version: u64) -> Option<&Record> {
         self.streams.get(stream)?.get(&version)
     }
 
@@ -233,7 +392,7 @@ impl Store {
 
     fn write_blob(&self, sha256: &[u8; 32], bytes: &[u8]) -> Result<(), StoreError> {
         let path = self.blob_path(sha256);
-        match caudata_durable::create_new(&path, bytes) {
+        match caudata_durable::create_new_on(&*self.disk, &path, bytes) {
             // The same bytes under another version: the blob is shared.
             Err(caudata_durable::DurableError::Exists { .. }) => Ok(()),
             other => Ok(other?),
@@ -242,14 +401,16 @@ impl Store {
 
     fn write_record(&self, record: &Record) -> Result<(), StoreError> {
         let path = self.record_path(&record.manifest.stream, record.manifest.version);
-        let folder = path.parent().unwrap_or(&self.root).to_path_buf();
-        fs::create_dir_all(&folder)
-            .map_err(|error| caudata_durable::DurableError::from_io("make", &folder, error))?;
-        caudata_durable::sync_folder(&self.root.join("streams"))?;
+        self.make_folder_of(&path)?;
         let text = record
             .to_json()
             .map_err(|error| unusable(&path, &error.to_string()))?;
-        Ok(caudata_durable::create_new(&path, &text)?)
+        Ok(caudata_durable::create_new_on(&*self.disk, &path, &text)?)
+    }
+
+    pub(crate) fn make_folder_of(&self, path: &Path) -> Result<(), StoreError> {
+        let folder = path.parent().unwrap_or(&self.root);
+        Ok(caudata_durable::make_folder_on(&*self.disk, folder)?)
     }
 
     fn load_records(&mut self) -> Result<(), StoreError> {
@@ -304,28 +465,39 @@ impl Store {
             .collect();
         for path in entries(&folder)? {
             if !named.contains(&path) {
-                let _ = fs::remove_file(&path);
+                let _ = self.disk.remove(&path);
             }
         }
         Ok(())
     }
 
-    /// Removes versions beyond the limit: the record first, so that no visible version ever lacks its blob.
+    /// Removes versions beyond the limit, unless a label leads there: the record first, so that no visible version ever lacks its blob.
     fn retire_old(&mut self, stream: &StreamName) {
+        let held: BTreeSet<u64> = self
+            .labels
+            .values()
+            .filter(|label| label.stream == *stream)
+            .map(|label| label.version)
+            .collect();
         let Some(versions) = self.streams.get_mut(stream) else {
             return;
         };
-        let mut retired = Vec::new();
-        while versions.len() > self.limits.versions_kept.max(1) {
-            if let Some((_, record)) = versions.pop_first() {
-                retired.push(record);
-            }
-        }
+        let beyond = versions
+            .len()
+            .saturating_sub(self.limits.versions_kept.max(1));
+        // What a label leads to stays, however old.
+        let old: Vec<u64> = versions.keys().copied().take(beyond).collect();
+        let old = old.into_iter().filter(|version| !held.contains(version));
+        let retired: Vec<Record> = old
+            .filter_map(|version| versions.remove(&version))
+            .collect();
         for record in retired {
-            let _ = fs::remove_file(self.record_path(stream, record.manifest.version));
+            let version = record.manifest.version;
+            let _ = self.disk.remove(&self.record_path(stream, version));
             if !self.references(&record.manifest.sha256) {
-                let _ = fs::remove_file(self.blob_path(&record.manifest.sha256));
+                let _ = self.disk.remove(&self.blob_path(&record.manifest.sha256));
             }
+            self.forget_notes(stream, version);
         }
     }
 
@@ -347,7 +519,7 @@ impl Store {
         }
     }
 
-    fn set_aside(&self, path: &Path) {
+    pub(crate) fn set_aside(&self, path: &Path) {
         let name = path
             .components()
             .rev()
@@ -355,7 +527,9 @@ impl Store {
             .map(|part| part.as_os_str().to_string_lossy().into_owned())
             .collect::<Vec<_>>();
         let name = name.into_iter().rev().collect::<Vec<_>>().join("_");
-        let _ = fs::rename(path, self.root.join("damaged").join(name));
+        let _ = self
+            .disk
+            .rename(path, &self.root.join("damaged").join(name));
     }
 
     fn blob_path(&self, sha256: &[u8; 32]) -> PathBuf {
@@ -372,8 +546,22 @@ impl Store {
     }
 }
 
+const FOLDERS: [&str; 6] = [
+    "blobs",
+    "streams",
+    "labels",
+    "quarantine",
+    "reports",
+    "damaged",
+];
+
+/// What fits into a line of the record.
+fn first_words(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(200).collect()
+}
+
 /// Stream names may hold `/`; on disk that is `@`, which no stream name may hold.
-fn stream_folder(stream: &StreamName) -> String {
+pub(crate) fn stream_folder(stream: &StreamName) -> String {
     stream.as_str().replace('/', "@")
 }
 
@@ -389,14 +577,14 @@ fn lock(root: &Path) -> Result<fs::File, StoreError> {
     Ok(file)
 }
 
-fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
+pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, StoreError> {
     let listed = fs::read_dir(folder).map_err(|error| unusable(folder, &error.to_string()))?;
     let mut paths: Vec<PathBuf> = listed.flatten().map(|entry| entry.path()).collect();
     paths.sort();
     Ok(paths)
 }
 
-fn unusable(path: &Path, reason: &str) -> StoreError {
+pub(crate) fn unusable(path: &Path, reason: &str) -> StoreError {
     StoreError::Unusable {
         path: path.to_path_buf(),
         reason: reason.to_owned(),

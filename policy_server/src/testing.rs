@@ -19,6 +19,7 @@ pub fn manifest(stream: &str, version: u64, bytes: &[u8]) -> Manifest {
         training_commit: String::new(),
         config_hash: String::new(),
         evaluation_json: None,
+        reverts_to: None,
         signatures: vec![],
     }
 }

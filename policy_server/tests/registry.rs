@@ -1,107 +1,29 @@
 //! The service from the outside: a real server on a port of its own, talked to through the client that everybody uses.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::path::Path;
+mod common;
+
 use std::sync::Arc;
 
-use caudata_model::RobotModel;
-use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
-use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve};
-use caudata_proto::registry::{StreamName, WatchChange};
-use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
-use caudata_task::{PolicyContract, TaskConfig};
-use caudata_telemetry::Metrics;
-use tokio::sync::watch;
-use tokio::task::JoinHandle;
+use caudata_policy::{PolicyFile, build_onnx};
+use caudata_policy_server::{StoreLimits, listen};
+use caudata_proto::registry::WatchChange;
+use caudata_registry_client::manifest_of;
+use common::{Server, code, policy, publish, stream};
 use tonic::Code;
 
-struct Server {
-    client: RegistryClient,
-    stop: watch::Sender<bool>,
-    ended: JoinHandle<()>,
-}
-
-impl Server {
-    async fn start(data: &Path, versions_kept: usize) -> Self {
-        let limits = StoreLimits {
-            versions_kept,
-            ..StoreLimits::default()
-        };
-        let store = Store::open(data, limits).unwrap();
-        let listener = listen("127.0.0.1:0".parse().unwrap()).await.unwrap();
-        let address = listener.local_addr().unwrap();
-        let (stop, stopped) = watch::channel(false);
-        let metrics = ServerMetrics::register(&Metrics::new());
-        let ended =
-            tokio::spawn(async move { serve(listener, store, metrics, stopped).await.unwrap() });
-        Self {
-            client: RegistryClient::new(&address.to_string()).unwrap(),
-            stop,
-            ended,
-        }
-    }
-
-    async fn stop(self) {
-        drop(self.client);
-        self.stop.send(true).unwrap();
-        self.ended.await.unwrap();
-    }
-}
-
-fn stream() -> StreamName {
-    StreamName::new("polymander/test").unwrap()
-}
-
-/// A real policy file whose weights depend on `version`.
-fn policy(version: u64) -> PolicyFile {
-    let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
-    let model = RobotModel::load(&robot).unwrap();
-    let contract = PolicyContract::new(&model, &TaskConfig::default()).unwrap();
-    let (obs, act) = (contract.obs_dim(), contract.act_dim());
-    let spec = MlpSpec {
-        obs_mean: vec![0.0; obs],
-        obs_std: vec![1.0; obs],
-        obs_clip: None,
-        layers: vec![Dense {
-            out: act,
-            input: obs,
-            weight: vec![version as f32; act * obs],
-            bias: vec![0.0; act],
-        }],
-        activation: Activation::Elu,
-    };
-    let metadata = PolicyMetadata {
-        contract,
-        version,
-        run_id: "run-1".into(),
-        training_commit: String::new(),
-        config_hash: String::new(),
-        env_steps: 10 * version,
-        seed: 1,
-        log_std: vec![0.0; act],
-        created_unix_s: None,
-        evaluation: None,
-    };
-    PolicyFile::parse(Arc::from(build_onnx(&spec, &metadata).unwrap())).unwrap()
-}
-
-async fn publish(client: &mut RegistryClient, file: &PolicyFile) -> Result<bool, ClientError> {
-    let manifest = manifest_of(stream(), file, 5).unwrap();
-    let published = client.publish(manifest, file.bytes()).await?;
-    Ok(published.already_present)
-}
-
-fn code(error: &ClientError) -> Code {
-    match error {
-        ClientError::Refused { code, .. } => *code,
-        other => panic!("not a refusal: {other:?}"),
+/// Limits that keep so many versions.
+fn keep(versions_kept: usize) -> StoreLimits {
+    StoreLimits {
+        versions_kept,
+        ..StoreLimits::default()
     }
 }
 
 #[tokio::test]
 async fn what_is_published_comes_back_byte_for_byte_also_after_a_restart() {
     let data = tempfile::tempdir().unwrap();
-    let mut server = Server::start(data.path(), 8).await;
+    let mut server = Server::start(data.path(), keep(8)).await;
     let file = policy(1);
     assert!(!publish(&mut server.client, &file).await.unwrap());
     assert!(
@@ -110,7 +32,7 @@ async fn what_is_published_comes_back_byte_for_byte_also_after_a_restart() {
     );
     server.stop().await;
 
-    let mut server = Server::start(data.path(), 8).await;
+    let mut server = Server::start(data.path(), keep(8)).await;
     let manifest = server.client.manifest(&stream(), None).await.unwrap();
     assert_eq!(manifest.sha256, file.sha256());
     assert_eq!(manifest.env_steps, 10);
@@ -124,7 +46,7 @@ async fn what_is_published_comes_back_byte_for_byte_also_after_a_restart() {
 #[tokio::test]
 async fn refusals_have_their_own_codes() {
     let data = tempfile::tempdir().unwrap();
-    let mut server = Server::start(data.path(), 8).await;
+    let mut server = Server::start(data.path(), keep(8)).await;
     let client = &mut server.client;
     publish(client, &policy(1)).await.unwrap();
 
@@ -172,7 +94,7 @@ async fn refusals_have_their_own_codes() {
 #[tokio::test]
 async fn lists_come_in_pages_newest_first() {
     let data = tempfile::tempdir().unwrap();
-    let mut server = Server::start(data.path(), 8).await;
+    let mut server = Server::start(data.path(), keep(8)).await;
     for version in 1..=5 {
         publish(&mut server.client, &policy(version)).await.unwrap();
     }
@@ -189,7 +111,7 @@ async fn lists_come_in_pages_newest_first() {
 #[tokio::test]
 async fn a_watch_begins_with_a_snapshot_and_resumes_without_gaps() {
     let data = tempfile::tempdir().unwrap();
-    let mut server = Server::start(data.path(), 2).await;
+    let mut server = Server::start(data.path(), keep(2)).await;
     let name = stream();
     publish(&mut server.client, &policy(1)).await.unwrap();
 
@@ -229,7 +151,7 @@ async fn a_watch_begins_with_a_snapshot_and_resumes_without_gaps() {
 #[tokio::test]
 async fn health_and_reflection_answer() {
     let data = tempfile::tempdir().unwrap();
-    let server = Server::start(data.path(), 2).await;
+    let server = Server::start(data.path(), keep(2)).await;
     let address = format!("http://{}", server.client.address());
     let channel = tonic::transport::Endpoint::from_shared(address)
         .unwrap()
@@ -273,7 +195,7 @@ async fn health_and_reflection_answer() {
 #[tokio::test]
 async fn a_stopping_server_ends_its_watches_and_a_taken_port_is_named() {
     let data = tempfile::tempdir().unwrap();
-    let mut server = Server::start(data.path(), 2).await;
+    let mut server = Server::start(data.path(), keep(2)).await;
     let address = server.client.address().to_owned();
     let taken = listen(address.parse().unwrap()).await.unwrap_err();
     assert!(taken.to_string().contains(&address), "{taken}");
@@ -291,7 +213,7 @@ async fn a_stopping_server_ends_its_watches_and_a_taken_port_is_named() {
 #[tokio::test]
 async fn many_publishers_of_one_version_agree_on_one_winner() {
     let data = tempfile::tempdir().unwrap();
-    let server = Server::start(data.path(), 8).await;
+    let server = Server::start(data.path(), keep(8)).await;
     // Same version, different bytes: env_steps differs, so the files do.
     let tasks: Vec<_> = (0..8u64)
         .map(|variant| {

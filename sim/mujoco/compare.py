@@ -53,6 +53,8 @@ def build(req):
         m.dof_frictionloss[dof] = p["friction"]
         m.jnt_stiffness[joint.id] = p["stiffness"]
         m.qpos_spring[joint.qposadr[0]] = p["spring_ref"]
+    # what the compiler derived from armature and friction is derived anew; the reference pose stays as it is
+    mujoco.mj_setConst(m, mujoco.MjData(m))
     return m
 
 
@@ -117,7 +119,9 @@ def gaits(req):
     servo = Servo(req["servos"])
     substeps = round(req["control_period_s"] / m.opt.timestep)
     answer = []
-    hind, front = (m.site(n).id for n in req["heading_sites"])
+    # a robot without such sites has no heading
+    sites = req["heading_sites"]
+    hind, front = (m.site(n).id for n in sites) if sites else (0, 0)
     for run in req["runs"]:
         mujoco.mj_resetData(m, d)
         place(m, d, req, all_q, run["joint_pos"], run["base"])
@@ -127,7 +131,7 @@ def gaits(req):
         def report():
             mujoco.mj_kinematics(m, d)
             mujoco.mj_comPos(m, d)
-            line = d.site_xpos[front] - d.site_xpos[hind]
+            line = d.site_xpos[front] - d.site_xpos[hind] if sites else (1.0, 0.0)
             path.append(d.subtree_com[0].tolist() + [float(np.arctan2(line[1], line[0]))] + d.qpos[:3].tolist())
 
         report()

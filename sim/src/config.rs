@@ -43,18 +43,18 @@ pub struct EngineConfig {
     /// `dt_s` = 0.004 and `substeps` = 5.
     pub kind: EngineKind,
     /// Physics step, s, 0.0002..=0.01. Default 0.002: an open-loop trot then travels within 2 % of its small-step limit. Smaller is more
-    /// accurate and proportionally slower; above about 5 ms the explicit servo loop gets soft and foot contact coarse.
+    /// accurate and proportionally slower; above about 5 ms foot contact gets coarse, and with `rapier` the servo loop soft (it is explicit there).
     pub dt_s: f64,
     /// Physics steps per control period, 1..=200; `substeps * dt_s` is the control period. Default 10 (20 ms).
     pub substeps: u32,
-    /// Solver iterations per physics step, 1..=16. Each costs nearly a whole step. Default 1.
+    /// `rapier`: solver iterations per physics step, 1..=16. Each costs nearly a whole step. Default 1.
     pub solver_iterations: u32,
-    /// Natural frequency of the contact constraint, Hz, 1..=1000. Higher is stiffer: less sinking in, harder impacts. Default 60 (Rapier's
+    /// `rapier`: natural frequency of the contact constraint, Hz, 1..=1000. Higher is stiffer: less sinking in, harder impacts. Default 60 (Rapier's
     /// value against fixed ground).
     pub contact_frequency_hz: f64,
-    /// Damping ratio of the contact constraint, 0.1..=50. Higher pushes penetration out more slowly. Default 10 (Rapier's).
+    /// `rapier`: damping ratio of the contact constraint, 0.1..=50. Higher pushes penetration out more slowly. Default 10 (Rapier's).
     pub contact_damping_ratio: f64,
-    /// Gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink in before they are
+    /// `rapier`: gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink in before they are
     /// noticed. Too large: more contact points to solve. Default 0.005.
     pub contact_margin_m: f64,
     /// Whether backlash hinges are held at zero although the model has them. Default false. True is about 1.5 times as fast (four of
@@ -62,10 +62,11 @@ pub struct EngineConfig {
     pub lock_backlash: bool,
     /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default false.
     pub fixed_base: bool,
-    /// Whether legs touch the trunk and other legs, with the shapes that touch the ground. Default false: gaits on land do not need it
+    /// Whether legs touch the trunk and other legs. `rapier`: with the shapes that touch the ground; `batch`: with those of their contact points that
+    /// are balls (ends of capsules, feet), corners of boxes and rims of cylinders pass through one another. Default false: gaits on land do not need it
     /// (legs of the Polymander meet only when it bends its spine with hips at their ends), and every pair costs.
     pub self_collision: bool,
-    /// Joint speed beyond which a lane counts as diverged, rad/s. Default 200 (the servos end at 8).
+    /// Joint speed, and spin of the base, beyond which a lane counts as diverged, rad/s. Default 200 (the servos end at 8).
     pub max_joint_speed_radps: f64,
     /// Base speed beyond which a lane counts as diverged, m/s. Default 50.
     pub max_base_speed_mps: f64,

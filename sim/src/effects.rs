@@ -113,6 +113,11 @@ effects! {
         load_friction_driving: 0.0, 0.95;
         /// Friction per load torque while the load drives the motor. Nominal: the servo's.
         load_friction_driven: 0.0, 0.95;
+        /// Friction per load torque at rest on top of that; falls with speed as Stribeck's does, at the same speed. Nominal 0.
+        load_stribeck: 0.0, 0.95;
+        /// How fast torque falls behind the current: a motor that would give τ gives τ/(1 + s·|τ|), 1/(N·m) (iron that saturates, brushes and
+        /// bridge that drop more). Nominal 0.
+        torque_saturation_per_nm: 0.0, 100.0;
         /// Friction more in the positive and less in the negative direction, N·m. Nominal 0.
         friction_asymmetry_nm: -100.0, 100.0;
         /// Deflection at which friction starts to slide, rad. Nominal 0.002.
@@ -172,6 +177,8 @@ impl JointEffects {
             stribeck_speed_radps: servo.stribeck_speed_radps as f32,
             load_friction_driving: servo.load_friction_driving as f32,
             load_friction_driven: servo.load_friction_driven as f32,
+            load_stribeck: 0.0,
+            torque_saturation_per_nm: 0.0,
             friction_asymmetry_nm: 0.0,
             presliding_rad: PRESLIDING_RAD as f32,
             ripple_nm: 0.0,

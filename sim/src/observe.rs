@@ -1,7 +1,7 @@
 //! From minimal coordinates to everything [`State`] reports. Engine-independent, in f64.
 
 use caudata_model::pose::{add, cross, dot, sub};
-use caudata_model::{JointMotion, Kinematics, ModelError, Pose, RobotModel};
+use caudata_model::{BaseKind, JointMotion, Kinematics, ModelError, Pose, RobotModel};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{InitialState, LaneParams, SimError, State, Terrain};
@@ -310,9 +310,32 @@ impl Coordinates {
     }
 }
 
-/// Height of the base's origin at which the lowest colliding geom just touches the terrain, m; in deeper water the base's origin is at its
-/// surface. Exact on flat ground; elsewhere each geom is kept above the highest ground under its bounding square, so it may hang a little.
-pub(crate) fn touching_height_m(
+/// How high above touching height a held robot hangs unless told otherwise, m.
+const HELD_CLEARANCE_M: f64 = 0.2;
+
+/// Height of the base's origin that `init` asks for, m: touching the ground, a held robot (`hung`) a little higher, and either at the surface of
+/// water that is deeper.
+pub(crate) fn start_height_m(
+    model: &RobotModel,
+    terrain: &Terrain,
+    hung: bool,
+    init: &InitialState,
+    at: &Coordinates,
+) -> Result<f64, SimError> {
+    if let Some(z) = init.base_z_m {
+        return Ok(f64::from(z));
+    }
+    if model.base() == BaseKind::Fixed {
+        return Ok(0.0); // where the model puts it
+    }
+    let clearance = if hung { HELD_CLEARANCE_M } else { 0.0 };
+    let standing = touching_height_m(model, terrain, at)? + clearance;
+    let floating = terrain.water_level_m().map_or(f64::NEG_INFINITY, f64::from);
+    Ok(standing.max(floating))
+}
+
+/// Height of the base's origin at which the lowest colliding geom just touches the terrain, m. Exact on flat ground; elsewhere each geom is kept above the highest ground under its bounding square, so it may hang a little.
+fn touching_height_m(
     model: &RobotModel,
     terrain: &Terrain,
     at: &Coordinates,
@@ -336,9 +359,7 @@ pub(crate) fn touching_height_m(
             height = height.max(ground - (world.pos_m[2] - rz));
         }
     }
-    let standing = if height.is_finite() { height } else { 0.0 };
-    let floating = terrain.water_level_m().map_or(f64::NEG_INFINITY, f64::from);
-    Ok(standing.max(floating))
+    Ok(if height.is_finite() { height } else { 0.0 })
 }
 
 /// Highest ground in the square of half edges `rx`, `ry` around a point, sampled.

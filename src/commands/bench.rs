@@ -88,6 +88,9 @@ pub struct SimBench {
     /// No MuJoCo beside
     #[arg(long)]
     no_mujoco: bool,
+    /// The robot file's drive-line as it is, without delay, low-pass, Stribeck and load-dependent friction, gear play and sag of the supply
+    #[arg(long)]
+    bare: bool,
     /// Robot, engine, terrain and task; the preset `quick` without these flags
     #[command(flatten)]
     config: ConfigArgs,
@@ -243,6 +246,7 @@ fn bench_sim(args: &SimBench) -> Result<(), Failure> {
         lanes: args.lanes as usize,
         seconds: args.common.seconds,
         mujoco: !args.no_mujoco,
+        bare: args.bare,
     };
     let (speeds, mujoco) = if args.no_physics {
         (Vec::new(), "skipped: --no-physics".to_owned())

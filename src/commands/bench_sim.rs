@@ -7,9 +7,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use caudata_model::RobotModel;
+use caudata_sim::batch::{BatchEngine, Phase};
 use caudata_sim::{
-    Engine, EngineConfig, EngineKind, InitialState, SimError, Terrain, TerrainConfig, TerrainKind,
-    build,
+    Engine, EngineConfig, EngineKind, InitialState, LaneParams, SimError, Terrain, TerrainConfig,
+    TerrainKind, build,
 };
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use caudata_verify::{Gait, Mujoco, Presence, RobotRequest, VerifyError};
@@ -60,6 +61,8 @@ pub struct Plan {
     pub lanes: usize,
     pub seconds: f64,
     pub mujoco: bool,
+    /// Without the drive-line's effects (see [`walking`]).
+    pub bare: bool,
 }
 
 /// One line of the table.
@@ -83,6 +86,15 @@ pub struct Speed {
     pub ratio: Option<f64>,
     /// Lanes that diverged while it was measured.
     pub diverged: usize,
+    /// Share of one thread's time by phase of the step, `[0, 1]`; empty for an engine that cannot tell.
+    pub phases: Vec<PhaseShare>,
+}
+
+/// One phase of a step.
+#[derive(Clone, Debug, Serialize)]
+pub struct PhaseShare {
+    pub phase: &'static str,
+    pub share: f64,
 }
 
 /// Measures everything in the plan; also says which MuJoCo, or why none.
@@ -194,17 +206,17 @@ fn one(
     if width != 0 && config.kind != EngineKind::Batch {
         return Ok(None); // only that engine has lanes in registers
     }
+    if ![0, 1, 4, 8, 16].contains(&width) {
+        return Err(Failure::message(
+            ExitCode::BadConfig,
+            format!("--lane-width {width} is not 0 (the widest), 1, 4, 8 or 16"),
+        ));
+    }
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let make = |threads: usize| -> Result<Ours, SimError> {
+    let make = |threads: usize| -> Result<Ours<dyn Engine>, SimError> {
         let model = Arc::clone(model);
-        Ours::new(build(
-            model,
-            plan.lanes,
-            &config,
-            &scene.terrain(),
-            1,
-            threads,
-        )?)
+        let engine = build(model, plan.lanes, &config, &scene.terrain(), 1, threads)?;
+        Ours::new(engine, plan.bare)
     };
     let (mut single, mut all) = match (make(1), make(threads)) {
         (Ok(single), Ok(all)) => (single, all),
@@ -215,7 +227,11 @@ fn one(
                 ..
             }),
             _,
-        ) if (1..=16).contains(&width) => {
+        ) => {
+            tracing::warn!(
+                lanes = width,
+                "skipped: this processor has no registers of so many lanes"
+            );
             return Ok(None);
         }
         (Err(error), _) | (_, Err(error)) => return Err(Failure::new(ExitCode::BadConfig, error)),
@@ -236,13 +252,8 @@ fn one(
     }
     let [steps_per_s, mujoco, all_threads_steps_per_s] = best;
     let mujoco_steps_per_s = theirs.is_some().then_some(mujoco);
-    let diverged = single
-        .engine
-        .state()
-        .diverged
-        .iter()
-        .filter(|d| **d)
-        .count();
+    let broken = single.engine.state().diverged.iter().filter(|d| **d);
+    let diverged = single.diverged + broken.count();
     Ok(Some(Speed {
         engine: name
             .to_possible_value()
@@ -257,24 +268,80 @@ fn one(
         mujoco_steps_per_s,
         ratio: mujoco_steps_per_s.map(|theirs| steps_per_s / theirs),
         diverged,
+        phases: phases(plan, model, scene, &config)?,
     }))
 }
 
+/// Where one thread's time goes, in a run of its own: looking at the clock costs some per cent.
+fn phases(
+    plan: &Plan,
+    model: &Arc<RobotModel>,
+    scene: SceneName,
+    config: &EngineConfig,
+) -> Result<Vec<PhaseShare>, Failure> {
+    if config.kind != EngineKind::Batch {
+        return Ok(Vec::new());
+    }
+    let make = || -> Result<Ours<BatchEngine>, SimError> {
+        let terrain = Arc::new(Terrain::generate(&scene.terrain(), 1)?);
+        let model = Arc::clone(model);
+        let engine = BatchEngine::new(model, plan.lanes, config.clone(), terrain, 1)?;
+        Ours::new(Box::new(engine), plan.bare)
+    };
+    let mut ours = make().or_exit(ExitCode::BadConfig)?;
+    let seconds = plan.seconds / f64::from(ROUNDS);
+    ours.round(0.2 * seconds)?;
+    ours.engine.time_phases();
+    ours.round(seconds)?;
+    let spent = ours.engine.phase_seconds();
+    let total: f64 = spent.iter().sum();
+    Ok(Phase::ALL
+        .into_iter()
+        .zip(spent)
+        .map(|(phase, seconds)| PhaseShare {
+            phase: phase.name(),
+            share: seconds / total,
+        })
+        .collect())
+}
+
 /// One of our engines, walking.
-struct Ours {
-    engine: Box<dyn Engine>,
+struct Ours<E: Engine + ?Sized> {
+    engine: Box<E>,
     /// Each control period's targets for all lanes.
     targets: Vec<Vec<f32>>,
     wrenches: Vec<f32>,
     period: usize,
+    /// Lanes that broke down before a restart.
+    diverged: usize,
 }
 
-impl Ours {
-    fn new(mut engine: Box<dyn Engine>) -> Result<Self, SimError> {
-        let start = InitialState::nominal(engine.model());
+/// The robot with every effect of its drive-line and supply switched on, of the size that the catalogue expects in such servos: the
+/// time of a step with all of them is what counts. (MuJoCo has none of them.)
+fn walking(model: &RobotModel) -> LaneParams {
+    let mut params = LaneParams::nominal(model);
+    params.command_delay_s = 0.007;
+    params.supply_resistance_ohm = 0.1;
+    params.supply_lag_s = 0.005;
+    for joint in &mut params.joints {
+        joint.command_skew_s = 0.001;
+        joint.command_low_pass_s = 0.005;
+        joint.stribeck_nm = 0.02;
+        joint.load_friction_driving = 0.1;
+        joint.load_friction_driven = 0.05;
+        joint.gear_half_gap_rad = 0.002;
+    }
+    params
+}
+
+impl<E: Engine + ?Sized> Ours<E> {
+    fn new(mut engine: Box<E>, bare: bool) -> Result<Self, SimError> {
         let lanes = engine.lanes();
-        for lane in 0..lanes {
-            engine.reset(lane, &start)?;
+        if !bare {
+            let params = walking(engine.model());
+            for lane in 0..lanes {
+                engine.set_params(lane, &params)?;
+            }
         }
         let width = engine.model().actuated().len();
         let targets = (0..PERIODS)
@@ -293,7 +360,19 @@ impl Ours {
             engine,
             targets,
             period: 0,
+            diverged: 0,
         })
+    }
+
+    /// Everybody back to the start, as MuJoCo's rollout begins anew: a robot that walked into a hole would measure lying still.
+    fn restart(&mut self) -> Result<(), SimError> {
+        let broken = &self.engine.state().diverged;
+        self.diverged += broken.iter().filter(|d| **d).count();
+        let start = InitialState::nominal(self.engine.model());
+        for lane in 0..self.engine.lanes() {
+            self.engine.reset(lane, &start)?;
+        }
+        Ok(())
     }
 
     /// Physics steps and seconds of one round.
@@ -301,6 +380,9 @@ impl Ours {
         let began = Instant::now();
         let mut steps = 0.0;
         while steps == 0.0 || began.elapsed().as_secs_f64() < seconds {
+            if self.period % PERIODS == 0 {
+                self.restart().or_exit(ExitCode::Internal)?;
+            }
             let targets = &self.targets[self.period % PERIODS];
             self.period += 1;
             self.engine
@@ -355,8 +437,37 @@ pub fn print(speeds: &[Speed], mujoco: &str) {
         }
     }
     crate::say::table(&rows);
+    print_phases(speeds);
     crate::say::line(format!(
         "{mujoco}. Its setting: Newton, 4 iterations, 8 line searches, pyramidal cone, one thread. All steps {} ms.",
         1e3 * DT_S
     ));
+}
+
+/// Where the time of a step goes, one row per phase, one column per line of the other table.
+fn print_phases(speeds: &[Speed]) {
+    let timed: Vec<&Speed> = speeds.iter().filter(|s| !s.phases.is_empty()).collect();
+    if timed.is_empty() {
+        return;
+    }
+    let mut header = vec!["time of one thread".to_owned()];
+    header.extend(timed.iter().map(|s| {
+        let scene = s.scene.to_possible_value();
+        let scene = scene.map_or_else(String::new, |v| v.get_name().to_owned());
+        match s.lane_width {
+            0 => scene,
+            width => format!("{scene}, {width} lanes"),
+        }
+    }));
+    let mut rows = vec![header];
+    for (at, phase) in Phase::ALL.into_iter().enumerate() {
+        let mut row = vec![phase.name().to_owned()];
+        row.extend(
+            timed
+                .iter()
+                .map(|s| format!("{:.1} %", 100.0 * s.phases[at].share)),
+        );
+        rows.push(row);
+    }
+    crate::say::table(&rows);
 }

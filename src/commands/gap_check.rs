@@ -37,7 +37,7 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
         CheckVerdict::DataFault => {
             let count = checked.faults.iter().filter(|f| f.fatal).count();
             let message = format!("{count} fault(s) must be put right before a diagnosis");
-            Err(Failure::message(ExitCode::DataFault, message))
+            Err(Failure::outcome(ExitCode::DataFault, message))
         }
     }
 }

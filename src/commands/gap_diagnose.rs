@@ -188,7 +188,7 @@ pub fn verdict(report: &Report) -> Result<(), Failure> {
         Verdict::InsufficientData => ExitCode::InsufficientData,
         Verdict::DataFault => ExitCode::DataFault,
     };
-    let failure = Failure::message(code, &report.summary);
+    let failure = Failure::outcome(code, &report.summary);
     Err(match &report.next_experiment {
         Some(next) => failure.hint(format!(
             "record the trial {} (`caudata gap excite --trial {}`)",

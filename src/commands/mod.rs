@@ -23,6 +23,7 @@ mod gap_report;
 pub mod ground;
 pub mod lane_params;
 pub mod policy;
+pub mod policy_people;
 pub mod policy_sign;
 pub mod robot_model;
 pub mod sim;

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 
 use caudata_evaluation::Summary;
 use caudata_policy::PolicyFile;
-use caudata_proto::registry::{Manifest, StreamName};
+use caudata_proto::registry::{LabelName, Manifest, QuarantineState, StreamName};
 use caudata_registry_client::{ClientError, RegistryClient};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, Subcommand};
 use serde_json::json;
 
 use crate::commands::eval::read_policy;
-use crate::commands::policy_sign;
+use crate::commands::{policy_people, policy_sign};
 use crate::say;
 
 #[derive(Debug, Subcommand)]
@@ -27,11 +27,19 @@ pub enum PolicyCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Show what a policy file says about itself: joints, gains, observation layout, origin
+    /// Show what a policy file says about itself (joints, gains, observation layout, origin), or what a server knows about a version
     Show {
-        /// The policy
+        /// The policy; a version on the server when absent
         #[arg(value_name = "P.onnx")]
-        file: PathBuf,
+        file: Option<PathBuf>,
+        #[command(flatten)]
+        server: ServerArgs,
+        /// Which version; the newest when absent
+        #[arg(long, conflicts_with = "file")]
+        version: Option<u64>,
+        /// The version that this label leads to
+        #[arg(long, conflicts_with_all = ["file", "version"])]
+        label: Option<LabelName>,
         /// Everything, as one JSON object
         #[arg(long)]
         json: bool,
@@ -40,6 +48,14 @@ pub enum PolicyCommand {
     Keygen(policy_sign::KeygenArgs),
     /// Publish a policy of one stream into another, signed
     Release(policy_sign::ReleaseArgs),
+    /// Move a label such as `canary` or `stable` to a version, or show where labels lead
+    Label(policy_people::LabelArgs),
+    /// Publish an older version again, as a new and higher one: robots never go down
+    Revert(policy_people::RevertArgs),
+    /// Take a version out of use for good
+    Quarantine(policy_people::QuarantineArgs),
+    /// Show who changed what on a policy server
+    Audit(policy_people::AuditArgs),
     /// Fetch a policy from a policy server, checked, into a file
     Pull {
         #[command(flatten)]
@@ -78,7 +94,22 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
         } => list(server, *limit, *json),
         PolicyCommand::Keygen(args) => policy_sign::keygen(args),
         PolicyCommand::Release(args) => policy_sign::release(args),
-        PolicyCommand::Show { file, json } => show(file, &read_policy(file)?, *json),
+        PolicyCommand::Label(args) => policy_people::label(args),
+        PolicyCommand::Revert(args) => policy_people::revert(args),
+        PolicyCommand::Quarantine(args) => policy_people::quarantine(args),
+        PolicyCommand::Audit(args) => policy_people::audit(args),
+        PolicyCommand::Show {
+            file: Some(file),
+            json,
+            ..
+        } => show(file, &read_policy(file)?, *json),
+        PolicyCommand::Show {
+            file: None,
+            server,
+            version,
+            label,
+            json,
+        } => policy_people::show_version(server, *version, label.as_ref(), *json),
         PolicyCommand::Pull {
             server,
             version,
@@ -104,7 +135,8 @@ pub fn client_failure(error: ClientError) -> Failure {
         ClientError::Address { .. } | ClientError::Certificates { .. } => ExitCode::BadConfig,
         _ if error.is_not_found() => ExitCode::NoInput,
         ClientError::Unreachable { .. } => ExitCode::Unavailable,
-        ClientError::TimedOut { .. } => ExitCode::TempFail,
+        _ if error.is_lost_race() => ExitCode::TempFail,
+        ClientError::TimedOut { .. } | ClientError::TooSlow => ExitCode::TempFail,
         ClientError::BadAnswer(_) | ClientError::WrongBytes { .. } => ExitCode::Protocol,
         ClientError::Refused { .. } => ExitCode::Unavailable,
     };
@@ -112,7 +144,8 @@ pub fn client_failure(error: ClientError) -> Failure {
 }
 
 impl ServerArgs {
-    fn stream(&self) -> Result<Option<StreamName>, Failure> {
+    /// The stream, where one was given.
+    pub fn stream(&self) -> Result<Option<StreamName>, Failure> {
         self.stream
             .as_deref()
             .map(StreamName::new)
@@ -139,13 +172,33 @@ impl ServerArgs {
 
 fn list(server: &ServerArgs, limit: u32, json: bool) -> Result<(), Failure> {
     let stream = server.stream()?;
-    let page = block_on(async { server.client()?.list(stream.as_ref(), limit, None).await })?;
+    let (page, overview) = block_on(async {
+        let mut client = server.client()?;
+        let page = client.list(stream.as_ref(), limit, None).await?;
+        let overview = client.overview(stream.as_ref()).await?;
+        Ok((page, overview))
+    })?;
+    let marks = |m: &Manifest| -> Vec<String> {
+        let labels = overview.labels.iter();
+        let labels = labels.filter(|s| s.stream == m.stream && s.version == m.version);
+        let mut marks: Vec<String> = labels.map(|s| s.label.to_string()).collect();
+        let out = |q: &QuarantineState| q.stream == m.stream && q.version == m.version;
+        if overview.quarantined.iter().any(out) {
+            marks.push("quarantined".to_owned());
+        }
+        marks
+    };
     if json {
-        let policies: Vec<_> = page.manifests.iter().map(as_json).collect();
+        let policies = page.manifests.iter().map(|m| {
+            let mut object = as_json(m);
+            object["labels"] = json!(marks(m));
+            object
+        });
+        let policies: Vec<_> = policies.collect();
         return say::json(&json!({ "policies": policies, "more": page.more }));
     }
     let mut rows = vec![
-        ["stream", "version", "sha256", "bytes", "steps"]
+        ["stream", "version", "sha256", "bytes", "steps", "labels"]
             .map(String::from)
             .to_vec(),
     ];
@@ -157,6 +210,7 @@ fn list(server: &ServerArgs, limit: u32, json: bool) -> Result<(), Failure> {
             hash[..12].to_owned(),
             m.size.to_string(),
             m.env_steps.to_string(),
+            marks(m).join(" "),
         ]
     }));
     say::table(&rows);
@@ -166,7 +220,8 @@ fn list(server: &ServerArgs, limit: u32, json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-fn as_json(manifest: &Manifest) -> serde_json::Value {
+/// What a manifest says.
+pub fn as_json(manifest: &Manifest) -> serde_json::Value {
     json!({
         "stream": manifest.stream.as_str(),
         "version": manifest.version,
@@ -228,7 +283,7 @@ fn show(path: &Path, policy: &PolicyFile, json: bool) -> Result<(), Failure> {
     if let Some(evaluation) = &evaluation {
         show_evaluation(evaluation);
     }
-    say::line("signature none (policies are not signed yet)");
+    say::line("signatures travel with the announcement on a policy server, not in the file");
     Ok(())
 }
 

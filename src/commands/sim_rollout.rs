@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
-use caudata_model::RobotModel;
+use caudata_model::{BaseKind, RobotModel};
 use caudata_runlog::{Axis, BaseHold, LogMeta, QuatPart, Setting, Signal, Table, TableWriter};
 use caudata_sim::{Engine, InitialState, LaneParams, State};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
@@ -21,6 +21,9 @@ use crate::say;
 
 /// A foot counts as on the ground above this much force, N.
 const CONTACT_FORCE_N: f32 = 0.1;
+
+/// Largest command that is taken for one, rad: ten turns. More is another unit, or nonsense.
+const LARGEST_RAD: f64 = 62.8;
 
 #[derive(Debug, Args)]
 pub struct RolloutArgs {
@@ -93,7 +96,9 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     };
     let table = Table::read(&args.commands)
         .or_exit_with(code, || format!("commands {}", args.commands.display()))?;
+    check_out(&args.out, &args.commands)?;
     let commands = Commands::new(&table, &model)?;
+    commands.fit(config.engine.control_period_s())?;
     let periods = periods(args, &commands, config.engine.control_period_s())?;
     let mut engine = build_engine(&config, &model)?;
     engine.set_params(0, &params).or_exit(ExitCode::BadConfig)?;
@@ -112,15 +117,37 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     })?;
     let diverged = engine.state().diverged[0];
     if args.json {
-        return say::json(
+        say::json(
             &json!({ "rows": rows, "out": args.out, "meta": meta_path, "diverged": diverged }),
-        );
+        )?;
+    } else {
+        say::line(format!("{rows} rows are in {}", args.out.display()));
     }
-    say::line(format!("{rows} rows are in {}", args.out.display()));
     if diverged {
-        say::line("warning: the simulation broke down; the last rows stand still");
+        let message = "the simulation broke down; the last rows stand still";
+        return Err(Failure::message(ExitCode::Internal, message));
     }
     Ok(())
+}
+
+/// Neither the commands nor the circumstances, which are written beside it, may be what `--out` overwrites.
+fn check_out(out: &Path, commands: &Path) -> Result<(), Failure> {
+    let beside = out.with_extension("toml");
+    let same = |a: &Path, b: &Path| match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => a == b,
+    };
+    let why = if out == beside {
+        "is where the circumstances of the run go; give a .csv"
+    } else if same(out, commands) || same(&beside, commands) {
+        "would overwrite the commands; give another name"
+    } else {
+        return Ok(());
+    };
+    Err(Failure::message(
+        ExitCode::BadConfig,
+        format!("--out {} {why}", out.display()),
+    ))
 }
 
 /// Physics steps per row.
@@ -159,6 +186,7 @@ fn circumstances(
     let wet = ground.is_ok_and(|t| t.water_level_m().is_some());
     let base = match args.base {
         Base::Fixed => BaseHold::Fixed,
+        Base::Free if engine.model().base() == BaseKind::Fixed => BaseHold::Fixed,
         Base::Free if wet => BaseHold::Water,
         Base::Free => BaseHold::Free,
     };
@@ -174,7 +202,20 @@ fn circumstances(
     meta.kd = same(&params.kd_nms_per_rad);
     meta.supply_v = Some(f64::from(params.supply_v));
     let mut put = |key: &str, value| meta.settings.insert(key.to_owned(), value);
-    put("seed", Setting::Number(args.seed as f64));
+    // as text: a number would lose digits beyond 2^53
+    put("seed", Setting::Text(args.seed.to_string()));
+    put(
+        "commands",
+        Setting::Text(args.commands.display().to_string()),
+    );
+    put("place_x_m", Setting::Number(f64::from(args.place[0])));
+    put("place_y_m", Setting::Number(f64::from(args.place[1])));
+    if let Some(preset) = &args.config.preset {
+        put("preset", Setting::Text(preset.clone()));
+    }
+    if let Some(file) = &args.config.config {
+        put("config", Setting::Text(file.display().to_string()));
+    }
     put("dt_s", Setting::Number(config.engine.dt_s));
     let engine_name = serde_json::to_value(config.engine.kind).unwrap_or_default();
     put(
@@ -240,6 +281,13 @@ impl Commands {
         if table.is_empty() {
             return bad("the command file has no rows".into());
         }
+        if let Some(note) = table.notes().first() {
+            return bad(format!("{note}; end the file with a line break"));
+        }
+        let commanded = |signal: &Signal| matches!(signal, Signal::Command(_));
+        if !table.signals().iter().any(commanded) {
+            return bad("the command file has no column cmd.<joint>".into());
+        }
         let mut row: Vec<f32> = model.nominal_pos_rad().iter().map(|&q| q as f32).collect();
         let columns: Vec<_> = joints
             .iter()
@@ -249,6 +297,12 @@ impl Commands {
         for at in 0..table.len() {
             for (value, column) in row.iter_mut().zip(&columns) {
                 if let Some(command) = column.and_then(|column| column[at]) {
+                    if command.abs() > LARGEST_RAD {
+                        let t_s = table.time_s()[at];
+                        return bad(format!(
+                            "a command of {command} rad at t = {t_s} s: no joint turns by more than {LARGEST_RAD} rad"
+                        ));
+                    }
                     *value = command as f32;
                 }
             }
@@ -258,6 +312,24 @@ impl Commands {
             time_s: table.time_s().to_vec(),
             rows,
         })
+    }
+
+    /// Refuses commands that come faster than the engine takes them: every one but the last of a control period would be lost.
+    fn fit(&self, period_s: f64) -> Result<(), Failure> {
+        const ROUNDING: f64 = 1e-6;
+        let fast = |pair: &&[f64]| pair[1] - pair[0] < period_s * (1.0 - ROUNDING);
+        let Some(pair) = self.time_s.windows(2).find(fast) else {
+            return Ok(());
+        };
+        Err(Failure::message(
+            ExitCode::BadInput,
+            format!(
+                "commands at t = {} s and {} s fall into one control period of {period_s} s; give --rate-hz {:.0} or more",
+                pair[0],
+                pair[1],
+                1.0 / (pair[1] - pair[0])
+            ),
+        ))
     }
 
     /// What is commanded from `t_s` on.
@@ -387,9 +459,40 @@ mod tests {
     }
 
     #[test]
+    fn commands_faster_than_the_control_period_are_refused() {
+        let commands = commands("t,cmd.FL_hip\n0,0\n0.01,0.5\n0.02,0\n").unwrap();
+        commands.fit(0.01).unwrap();
+        let failure = commands.fit(0.02).unwrap_err();
+        assert!(failure.to_string().contains("--rate-hz 100"), "{failure}");
+    }
+
+    #[test]
+    fn nothing_that_is_read_is_overwritten() {
+        let dir = tempfile::tempdir().unwrap();
+        let commands = dir.path().join("c.csv");
+        std::fs::write(&commands, "t\n").unwrap();
+        assert!(check_out(&commands, &commands).is_err());
+        assert!(check_out(&dir.path().join("log.toml"), &commands).is_err());
+        check_out(&dir.path().join("log.csv"), &commands).unwrap();
+    }
+
+    #[test]
     fn an_unknown_joint_and_an_empty_file_are_refused() {
         let failure = commands("t,cmd.wing\n0.0,0.1\n").unwrap_err();
         assert!(failure.to_string().contains("wing"), "{failure}");
+        for (csv, why) in [
+            ("t,pos.FL_hip\n0.0,0.1\n", "no column cmd"),
+            ("t,cmd.FL_hip\n0.0,0.1\n1.0,0.5", "line break"),
+            (
+                "t,cmd.FL_hip\n0.0,1e39\n",
+                "1000000000000000000000000000000000000000 rad",
+            ),
+            ("t,cmd.FL_hip\n0.0,500\n", "500 rad at t = 0 s"),
+        ] {
+            let failure = commands(csv).unwrap_err();
+            assert!(failure.to_string().contains(why), "{failure}");
+            assert_eq!(failure.code(), ExitCode::BadInput);
+        }
         assert_eq!(
             commands("t,cmd.FL_hip\n").unwrap_err().code(),
             ExitCode::BadInput

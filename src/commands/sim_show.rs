@@ -22,6 +22,9 @@ const TURN_FRAMES: u32 = 48;
 /// Most pictures of an animation.
 const FRAMES_MAX: usize = 1500;
 
+/// Where a robot stands half in the water of the default shore, m.
+const WATERLINE_M: [f32; 2] = [1.6, 0.0];
+
 #[derive(Debug, Args)]
 pub struct ShowArgs {
     /// Where the picture goes: `.png`, or `.gif` for an animation (of a log: all of it; otherwise one turn around)
@@ -39,9 +42,9 @@ pub struct ShowArgs {
     /// Seed of the ground; default: the log's, or 1
     #[arg(long)]
     seed: Option<u64>,
-    /// Where a scene's robot starts, m
-    #[arg(long, value_name = "X,Y", value_parser = pair, default_value = "0,0", allow_hyphen_values = true)]
-    place: [f32; 2],
+    /// Where a scene's robot starts, m; default: the origin, on a shore the waterline (1.6, 0)
+    #[arg(long, value_name = "X,Y", value_parser = pair, allow_hyphen_values = true)]
+    place: Option<[f32; 2]>,
     /// How long a scene's robot settles before the picture, s
     #[arg(long, default_value_t = 1.0)]
     settle_s: f64,
@@ -188,8 +191,10 @@ fn choose_terrain(
         {
             config.terrain = logged_terrain(log, *kind)?;
         }
-        if let Some(Setting::Number(logged)) = log.meta.settings.get("seed") {
-            seed = *logged as u64;
+        match log.meta.settings.get("seed") {
+            Some(Setting::Text(logged)) => seed = logged.parse().unwrap_or(seed),
+            Some(Setting::Number(logged)) => seed = *logged as u64,
+            _ => {}
         }
     }
     if let Some(Ground(kind)) = args.terrain {
@@ -237,7 +242,10 @@ fn settled(
     )
     .or_exit(ExitCode::BadConfig)?;
     let start = InitialState {
-        base_xy_m: args.place,
+        base_xy_m: args.place.unwrap_or(match config.terrain.kind {
+            TerrainKind::Shore => WATERLINE_M,
+            _ => [0.0; 2],
+        }),
         joint_pos_rad: targets.clone(),
         ..InitialState::nominal(model)
     };

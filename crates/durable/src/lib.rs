@@ -5,9 +5,14 @@
 //! and the name reaches the disk before the caller goes on.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+mod disk;
+pub mod rehearsal;
+
+use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
+
+pub use disk::{Disk, OsDisk};
 
 /// Why a durable write failed. The file's earlier content, if any, is untouched.
 #[derive(Debug, thiserror::Error)]
@@ -54,6 +59,13 @@ impl DurableError {
         }
     }
 
+    /// True where the system would not say that the bytes are on the disk. What is on it then is not known: writing on could build on
+    /// sand, so that whoever keeps a store stops changing it.
+    #[must_use]
+    pub fn is_sync_failure(&self) -> bool {
+        matches!(self, Self::Io { action: "sync", .. })
+    }
+
     /// True where the cause is missing space.
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
@@ -69,12 +81,20 @@ pub const TEMPORARY_SUFFIX: &str = ".partial";
 /// # Errors
 /// [`DurableError::DiskFull`] or [`DurableError::Io`]; the temporary file is removed and `path` is as it was.
 pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
-    let temporary = write_temporary(path, bytes)?;
-    fs::rename(&temporary, path).map_err(|source| {
-        let _ = fs::remove_file(&temporary);
+    replace_on(&OsDisk, path, bytes)
+}
+
+/// [`replace`] on a disk that may be a rehearsed one.
+///
+/// # Errors
+/// As [`replace`].
+pub fn replace_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
+    let temporary = write_temporary(disk, path, bytes)?;
+    disk.rename(&temporary, path).map_err(|source| {
+        let _ = disk.remove(&temporary);
         DurableError::from_io("rename", path, source)
     })?;
-    sync_folder_of(path)
+    sync_folder_of(disk, path)
 }
 
 /// Like [`replace`], but refuses to touch a file that exists.
@@ -82,13 +102,35 @@ pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
 /// # Errors
 /// [`DurableError::Exists`] where the name is taken, else as [`replace`].
 pub fn create_new(path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
-    let temporary = write_temporary(path, bytes)?;
+    create_new_on(&OsDisk, path, bytes)
+}
+
+/// [`create_new`] on a disk that may be a rehearsed one.
+///
+/// # Errors
+/// As [`create_new`].
+pub fn create_new_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
+    let temporary = write_temporary(disk, path, bytes)?;
     // A hard link fails where the name is taken; a rename would silently replace it.
-    let linked = fs::hard_link(&temporary, path)
+    let linked = disk
+        .link(&temporary, path)
         .map_err(|source| DurableError::from_io("create", path, source));
-    let _ = fs::remove_file(&temporary);
+    let _ = disk.remove(&temporary);
     linked?;
-    sync_folder_of(path)
+    sync_folder_of(disk, path)
+}
+
+/// Makes a folder and syncs the one above it, so that it survives a power cut. One that is there already is fine.
+///
+/// # Errors
+/// [`DurableError`].
+pub fn make_folder_on(disk: &dyn Disk, path: &Path) -> Result<(), DurableError> {
+    if path.is_dir() {
+        return Ok(());
+    }
+    disk.make_folder(path)
+        .map_err(|source| DurableError::from_io("make", path, source))?;
+    sync_folder_of(disk, path)
 }
 
 /// Syncs a folder, so that names created or renamed in it survive a power cut.
@@ -122,21 +164,13 @@ pub fn remove_leftovers(folder: &Path) -> Result<usize, DurableError> {
 }
 
 /// Writes and syncs the temporary file beside `path`; on failure nothing is left behind.
-fn write_temporary(path: &Path, bytes: &[u8]) -> Result<PathBuf, DurableError> {
+fn write_temporary(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<PathBuf, DurableError> {
     let temporary = temporary_path(path);
-    let written = OpenOptions::new()
-        .write(true)
-        .create(true)
-        .truncate(true)
-        .open(&temporary)
-        .and_then(|mut file| {
-            file.write_all(bytes)?;
-            file.sync_all()
-        });
-    written.map_err(|source| {
-        let _ = fs::remove_file(&temporary);
-        DurableError::from_io("write", path, source)
-    })?;
+    disk.write_synced(&temporary, bytes)
+        .map_err(|(action, source)| {
+            let _ = disk.remove(&temporary);
+            DurableError::from_io(action, path, source)
+        })?;
     Ok(temporary)
 }
 
@@ -147,11 +181,13 @@ fn temporary_path(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-fn sync_folder_of(path: &Path) -> Result<(), DurableError> {
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => sync_folder(folder),
-        _ => sync_folder(Path::new(".")),
-    }
+fn sync_folder_of(disk: &dyn Disk, path: &Path) -> Result<(), DurableError> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    disk.sync_folder(folder)
+        .map_err(|source| DurableError::from_io("sync", folder, source))
 }
 
 #[cfg(test)]

@@ -23,6 +23,8 @@ pub struct Truth {
     pub yaw_rate_radps: f32,
     /// Above the ground under the feet.
     pub com_height_m: f32,
+    /// Centre of mass above the highest ground under a foot.
+    pub com_over_ground_m: f32,
     /// IMU frame.
     pub gyro_radps: [f32; 3],
     /// Unit vector of gravity, IMU frame.
@@ -62,10 +64,12 @@ impl Reader {
         let foot_pos: [[f32; 3]; FEET] = vectors(&state.foot_pos_m, lane);
         let foot_height_m = row(&state.foot_height_m, lane);
         let com: [f32; 3] = row(&state.com_pos_m, lane);
-        let ground_m = (0..FEET)
-            .map(|j| foot_pos[j][2] - self.foot_radius_m[j] - foot_height_m[j])
-            .sum::<f32>()
-            / FEET as f32;
+        let mut ground_m = [0.0; FEET];
+        for j in 0..FEET {
+            ground_m[j] = foot_pos[j][2] - self.foot_radius_m[j] - foot_height_m[j];
+        }
+        let mean_ground_m = ground_m.iter().sum::<f32>() / FEET as f32;
+        let highest_ground_m = ground_m.into_iter().fold(f32::MIN, f32::max);
         Truth {
             joint_pos_rad: pick(pos, &self.actuated),
             joint_vel_radps: pick(vel, &self.actuated),
@@ -73,7 +77,8 @@ impl Reader {
             mech_power_w: row(&state.mech_power_w, lane),
             com_vel_mps: into_heading(row(&state.com_vel_mps, lane), state.heading_rad[lane]),
             yaw_rate_radps: state.com_angvel_radps[3 * lane + 2],
-            com_height_m: com[2] - ground_m,
+            com_height_m: com[2] - mean_ground_m,
+            com_over_ground_m: com[2] - highest_ground_m,
             gyro_radps: row(&state.imu_gyro_radps, lane),
             gravity: row(&state.imu_gravity, lane),
             foot_height_m,
@@ -237,7 +242,9 @@ mod tests {
         }
         state.foot_height_m[..4].copy_from_slice(&[0.1, 0.1, 0.0, 0.0]);
         state.com_pos_m[2] = 0.57;
-        assert!((READER.read_state(&state, None, 0).com_height_m - 0.12).abs() < 1e-6);
+        let truth = READER.read_state(&state, None, 0);
+        assert!((truth.com_height_m - 0.12).abs() < 1e-6);
+        assert!((truth.com_over_ground_m - 0.07).abs() < 1e-6);
     }
 
     #[test]

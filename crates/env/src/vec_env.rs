@@ -414,6 +414,7 @@ fn reward_input<'a>(
         foot_force_n: &truth.foot_force_n,
         trunk_force_n: truth.trunk_force_n,
         medium: truth.medium,
+        com_over_ground_m: truth.com_over_ground_m,
         swimming_rad,
         action: &lane.actions[0],
         previous_action: &lane.actions[1],

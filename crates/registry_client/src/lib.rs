@@ -5,12 +5,13 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use caudata_policy::PolicyFile;
 use caudata_proto::registry::{
-    FetchPart, ListPage, MAX_PUBLISH_CHUNK_BYTES, Manifest, Published, RegistryError, StreamName,
-    WatchEvent,
+    AuditPage, FetchPart, LabelName, LabelState, ListPage, MAX_PUBLISH_CHUNK_BYTES, Manifest,
+    ManifestRequest, NONCE_BYTES, Overview, Published, QuarantineState, RegistryError, RobotReport,
+    SetLabel, SignedFreshness, StreamName, WatchEvent,
 };
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
@@ -28,6 +29,14 @@ pub const FETCH_IDLE_MAX: Duration = Duration::from_secs(15);
 pub const FETCH_RETRIES: u32 = 5;
 /// First pause before a retry; doubles each time.
 pub const RETRY_PAUSE: Duration = Duration::from_millis(200);
+/// Longest pause before a retry.
+pub const RETRY_PAUSE_MAX: Duration = Duration::from_secs(5);
+/// Least bytes per second of a fetch, over [`RATE_WINDOW`]: a server that drips holds nobody for ever.
+pub const RATE_MIN: u64 = 4 << 10;
+/// Over how long the rate is judged.
+pub const RATE_WINDOW: Duration = Duration::from_secs(30);
+/// Longest time for one file, whatever the rate.
+pub const FETCH_MAX: Duration = Duration::from_secs(600);
 /// A watch that is silent for this long is dead: the server sends progress every 10 s.
 pub const WATCH_IDLE_MAX: Duration = Duration::from_secs(35);
 
@@ -71,6 +80,9 @@ pub enum ClientError {
         /// What is wrong.
         reason: String,
     },
+    /// Bytes come, but too few.
+    #[error("policy server sends less than {RATE_MIN} bytes per second; is the network that slow?")]
+    TooSlow,
     /// The call took too long.
     #[error("policy server did not finish {what} in time; try again")]
     TimedOut {
@@ -95,6 +107,18 @@ impl ClientError {
             ),
             _ => false,
         }
+    }
+
+    /// True where somebody else changed the same thing first: look again and decide anew.
+    #[must_use]
+    pub fn is_lost_race(&self) -> bool {
+        matches!(
+            self,
+            Self::Refused {
+                code: Code::Aborted,
+                ..
+            }
+        )
     }
 
     /// True where the server does not hold what was asked for.
@@ -237,10 +261,33 @@ impl RegistryClient {
         stream: &StreamName,
         version: Option<u64>,
     ) -> Result<Manifest, ClientError> {
-        let request = wire::GetManifestRequest {
-            stream: stream.to_string(),
+        let request = ManifestRequest {
+            stream: stream.clone(),
             version,
+            label: None,
         };
+        self.get_manifest(request).await
+    }
+
+    /// The manifest that `label` leads to.
+    ///
+    /// # Errors
+    /// See [`ClientError`]; [`ClientError::is_not_found`] where it leads nowhere.
+    pub async fn labelled(
+        &mut self,
+        stream: &StreamName,
+        label: &LabelName,
+    ) -> Result<Manifest, ClientError> {
+        let request = ManifestRequest {
+            stream: stream.clone(),
+            version: None,
+            label: Some(label.clone()),
+        };
+        self.get_manifest(request).await
+    }
+
+    async fn get_manifest(&mut self, request: ManifestRequest) -> Result<Manifest, ClientError> {
+        let request = wire::GetManifestRequest::from(request);
         let call = self.inner.get_manifest(request);
         let answer = within("get manifest", CALL_TIMEOUT, &self.address, call).await?;
         let manifest = answer
@@ -256,18 +303,10 @@ impl RegistryClient {
     /// See [`ClientError`]; the last one after [`FETCH_RETRIES`] retries.
     pub async fn fetch(&mut self, manifest: &Manifest) -> Result<Vec<u8>, ClientError> {
         let mut bytes = Vec::with_capacity(usize::try_from(manifest.size).unwrap_or(0));
-        let mut pause = RETRY_PAUSE;
-        for attempt in 0..=FETCH_RETRIES {
-            match self.fetch_rest(manifest, &mut bytes).await {
-                Ok(()) => break,
-                Err(error) if error.is_transient() && attempt < FETCH_RETRIES => {
-                    tracing::warn!(%error, got = bytes.len(), size = manifest.size, "fetch cut, going on");
-                    tokio::time::sleep(pause).await;
-                    pause *= 2;
-                }
-                Err(error) => return Err(error),
-            }
-        }
+        let whole = self.fetch_with_retries(manifest, &mut bytes);
+        tokio::time::timeout(FETCH_MAX, whole)
+            .await
+            .map_err(|_| ClientError::TimedOut { what: "fetch" })??;
         let actual: [u8; 32] = Sha256::digest(&bytes).into();
         if bytes.len() as u64 != manifest.size || actual != manifest.sha256 {
             return Err(ClientError::WrongBytes {
@@ -279,6 +318,29 @@ impl RegistryClient {
             });
         }
         Ok(bytes)
+    }
+
+    async fn fetch_with_retries(
+        &mut self,
+        manifest: &Manifest,
+        bytes: &mut Vec<u8>,
+    ) -> Result<(), ClientError> {
+        let mut pause = RETRY_PAUSE;
+        let mut attempt = 0;
+        loop {
+            let before = bytes.len();
+            match self.fetch_rest(manifest, bytes).await {
+                Ok(()) => return Ok(()),
+                Err(error) if error.is_transient() && attempt < FETCH_RETRIES => {
+                    tracing::warn!(%error, got = bytes.len(), size = manifest.size, "fetch cut, going on");
+                    // A connection that brings something each time is a bad one, not a dead one.
+                    attempt = if bytes.len() > before { 0 } else { attempt + 1 };
+                    tokio::time::sleep(jittered(pause)).await;
+                    pause = (pause * 2).min(RETRY_PAUSE_MAX);
+                }
+                Err(error) => return Err(error),
+            }
+        }
     }
 
     /// Appends what is missing to `bytes`; on an error `bytes` holds what came so far.
@@ -300,15 +362,20 @@ impl RegistryClient {
         let mut answer = within("fetch", CALL_TIMEOUT, &self.address, call)
             .await?
             .into_inner();
+        let mut rate = Rate::new(Instant::now());
         while let Some(message) =
             within("fetch", FETCH_IDLE_MAX, &self.address, answer.message()).await?
         {
             match FetchPart::try_from(message)? {
-                FetchPart::Info(info) if info.offset == offset && info.size == manifest.size => {}
+                FetchPart::Info(info)
+                    if info.offset == offset
+                        && info.size == manifest.size
+                        && info.sha256 == manifest.sha256 => {}
                 FetchPart::Data(piece)
                     if bytes.len() as u64 + piece.len() as u64 <= manifest.size =>
                 {
                     bytes.extend_from_slice(&piece);
+                    rate.add(piece.len() as u64, Instant::now())?;
                 }
                 _ => {
                     return Err(ClientError::WrongBytes {
@@ -324,6 +391,110 @@ impl RegistryClient {
             return Err(ClientError::TimedOut { what: "fetch" });
         }
         Ok(())
+    }
+
+    /// Moves a label, if it is still as the caller saw it.
+    ///
+    /// # Errors
+    /// See [`ClientError`]; [`Code::Aborted`] where somebody else was faster.
+    pub async fn set_label(&mut self, wanted: SetLabel) -> Result<LabelState, ClientError> {
+        let call = self.inner.set_label(wire::SetLabelRequest::from(wanted));
+        let answer = within("set label", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(answer.into_inner().try_into()?)
+    }
+
+    /// Publishes the bytes of an older version again, as `manifest` says ([`caudata_proto::registry::reverting`]).
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn revert(
+        &mut self,
+        manifest: Manifest,
+        reason: &str,
+    ) -> Result<Published, ClientError> {
+        let call = self.inner.revert(wire::RevertRequest {
+            manifest: Some(manifest.into()),
+            reason: reason.to_owned(),
+        });
+        let answer = within("revert", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(answer.into_inner().try_into()?)
+    }
+
+    /// Takes a version out of use.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn quarantine(
+        &mut self,
+        stream: &StreamName,
+        version: u64,
+        reason: &str,
+    ) -> Result<QuarantineState, ClientError> {
+        let call = self.inner.quarantine(wire::QuarantineRequest {
+            stream: stream.to_string(),
+            version,
+            reason: reason.to_owned(),
+        });
+        let answer = within("quarantine", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(answer.into_inner().try_into()?)
+    }
+
+    /// Tells what became of a version on a robot.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn report(&mut self, report: RobotReport) -> Result<(), ClientError> {
+        let went_well = report.state.went_well();
+        let report = wire::RobotReport::from(report);
+        let call = async {
+            match went_well {
+                true => self.inner.ack(report).await,
+                false => self.inner.nack(report).await,
+            }
+        };
+        within("report", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(())
+    }
+
+    /// Asks where a label leads, bound to `asked.nonce`. The caller checks the signature; `asked` holds only the question.
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn freshness(
+        &mut self,
+        nonce: [u8; NONCE_BYTES],
+        stream: &StreamName,
+        label: &LabelName,
+    ) -> Result<SignedFreshness, ClientError> {
+        let call = self.inner.freshness(wire::FreshnessRequest {
+            nonce: nonce.to_vec(),
+            stream: stream.to_string(),
+            label: label.to_string(),
+        });
+        let answer = within("freshness", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(answer.into_inner().try_into()?)
+    }
+
+    /// Labels, quarantine and reports of `stream` (`None`: of all).
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn overview(&mut self, stream: Option<&StreamName>) -> Result<Overview, ClientError> {
+        let call = self.inner.overview(wire::OverviewRequest {
+            stream: stream.map(ToString::to_string).unwrap_or_default(),
+        });
+        let answer = within("overview", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(answer.into_inner().try_into()?)
+    }
+
+    /// Who changed what, newest first; entries before number `before` (0: from the newest on).
+    ///
+    /// # Errors
+    /// See [`ClientError`].
+    pub async fn audit(&mut self, limit: u32, before: u64) -> Result<AuditPage, ClientError> {
+        let call = self.inner.audit(wire::AuditRequest { limit, before });
+        let answer = within("audit", CALL_TIMEOUT, &self.address, call).await?;
+        Ok(answer.into_inner().try_into()?)
     }
 
     /// Follows changes of `stream` from a generation on (0: a snapshot first).
@@ -345,6 +516,46 @@ impl RegistryClient {
             address: self.address.clone(),
             events: answer.into_inner(),
         })
+    }
+}
+
+/// `pause` made up to half longer or shorter by chance, so that clients that lost the same server do not all come back at once.
+#[must_use]
+pub fn jittered(pause: Duration) -> Duration {
+    use std::hash::{BuildHasher, Hasher};
+    // Keyed anew in each process and each time, from the system's random source; nothing depends on its quality.
+    let draw = std::collections::hash_map::RandomState::new()
+        .build_hasher()
+        .finish();
+    pause.mul_f64(0.5 + (draw >> 11) as f64 / (1u64 << 53) as f64)
+}
+
+/// Whether a transfer is fast enough.
+struct Rate {
+    since: Instant,
+    bytes: u64,
+}
+
+impl Rate {
+    fn new(now: Instant) -> Self {
+        Self {
+            since: now,
+            bytes: 0,
+        }
+    }
+
+    /// # Errors
+    /// [`ClientError::TooSlow`] where the window that ends now brought too little.
+    fn add(&mut self, bytes: u64, now: Instant) -> Result<(), ClientError> {
+        self.bytes += bytes;
+        if now.duration_since(self.since) < RATE_WINDOW {
+            return Ok(());
+        }
+        if self.bytes < RATE_MIN * RATE_WINDOW.as_secs() {
+            return Err(ClientError::TooSlow);
+        }
+        *self = Self::new(now);
+        Ok(())
     }
 }
 
@@ -396,6 +607,7 @@ pub fn manifest_of(
         training_commit: metadata.training_commit.clone(),
         config_hash: metadata.config_hash.clone(),
         evaluation_json: metadata.evaluation.as_ref().map(ToString::to_string),
+        reverts_to: None,
         signatures: Vec::new(),
     })
 }
@@ -432,8 +644,9 @@ async fn within<T>(
 fn refusal(address: &str, status: &Status) -> ClientError {
     use std::error::Error;
     let from_network = status.source().is_some();
-    // A connection that broke under a call is `Unknown`.
-    if matches!(status.code(), Code::Unavailable | Code::Unknown) && from_network {
+    // A connection that broke under a call is `Unknown`, or `Internal` where HTTP/2 noticed first.
+    let broken = [Code::Unavailable, Code::Unknown, Code::Internal, Code::Cancelled];
+    if broken.contains(&status.code()) && from_network {
         return ClientError::Unreachable {
             address: address.to_owned(),
             reason: innermost(status),
@@ -456,6 +669,33 @@ fn innermost(error: &dyn std::error::Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pauses_scatter_around_their_length() {
+        let pause = Duration::from_secs(10);
+        let drawn: Vec<f64> = (0..200).map(|_| jittered(pause).as_secs_f64()).collect();
+        assert!(drawn.iter().all(|p| (5.0..15.0).contains(p)), "{drawn:?}");
+        let mean = drawn.iter().sum::<f64>() / 200.0;
+        // Uniform over 10 s: standard error of 200 draws 0.2 s.
+        assert!((9.0..11.0).contains(&mean), "{mean}");
+        let spread = drawn.iter().filter(|p| **p < 7.5).count();
+        assert!((20..80).contains(&spread), "{spread}");
+    }
+
+    #[test]
+    fn fault_27_one_byte_per_second_is_too_slow_and_a_poor_network_is_not() {
+        let start = Instant::now();
+        let at = |s| start + Duration::from_secs(s);
+        let mut drip = Rate::new(start);
+        assert!((0..30).all(|s| drip.add(1, at(s)).is_ok()));
+        assert!(matches!(drip.add(1, at(30)), Err(ClientError::TooSlow)));
+        let mut poor = Rate::new(start);
+        assert!((0..600).all(|s| poor.add(4200, at(s)).is_ok()));
+        // What came fast at first does not count later.
+        let mut stalls = Rate::new(start);
+        assert!(stalls.add(1 << 20, at(1)).is_ok() && stalls.add(1, at(30)).is_ok());
+        assert!(matches!(stalls.add(1, at(60)), Err(ClientError::TooSlow)));
+    }
 
     #[test]
     fn addresses_need_a_port() {

@@ -12,7 +12,9 @@ use std::io::{Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-use caudata_proto::registry::{Manifest, Signature};
+use caudata_proto::registry::{
+    Freshness, LabelName, Manifest, NONCE_BYTES, Signature, SignedFreshness, StreamName,
+};
 use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 use serde::Deserialize;
 
@@ -20,6 +22,8 @@ use serde::Deserialize;
 pub const TRUST_FORMAT: &str = "caudata.trust.v1";
 /// First bytes of what is signed: a signature for anything else does not count here.
 const DOMAIN: &[u8] = b"caudata.manifest.v1\0";
+/// The same for what a server says about where a label leads.
+const FRESHNESS_DOMAIN: &[u8] = b"caudata.freshness.v1\0";
 /// Most keys of a trust file.
 const KEYS_MAX: usize = 64;
 
@@ -54,6 +58,17 @@ pub struct Untrusted {
     pub needed: usize,
 }
 
+/// Why an answer about where a label leads does not count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Stale {
+    /// It answers another question, such as one of yesterday.
+    #[error("the answer is for another nonce, stream or label")]
+    OtherQuestion,
+    /// No trusted key signed it.
+    #[error("no key that may say so signed the answer")]
+    Unsigned,
+}
+
 /// The bytes that are signed: every field, each behind its length, in the order of the manifest.
 pub fn signed_bytes(manifest: &Manifest) -> Vec<u8> {
     let mut out = DOMAIN.to_vec();
@@ -78,6 +93,25 @@ pub fn signed_bytes(manifest: &Manifest) -> Vec<u8> {
         .as_deref()
         .unwrap_or_default()
         .as_bytes());
+    // Only where it is there, so that signatures of before still count.
+    if let Some(old) = manifest.reverts_to {
+        put(&old.to_le_bytes());
+    }
+    out
+}
+
+/// The bytes that are signed to say where a label leads, the asking side's nonce first.
+pub fn freshness_bytes(said: &Freshness) -> Vec<u8> {
+    let mut out = FRESHNESS_DOMAIN.to_vec();
+    let mut put = |field: &[u8]| {
+        out.extend_from_slice(&(field.len() as u64).to_le_bytes());
+        out.extend_from_slice(field);
+    };
+    put(&said.nonce);
+    put(said.stream.as_str().as_bytes());
+    put(said.label.as_str().as_bytes());
+    put(&said.version.to_le_bytes());
+    put(&said.sha256);
     out
 }
 
@@ -146,6 +180,24 @@ impl ReleaseKey {
         )
     }
 
+    /// The lines of a trust file by which robots take this key as one that says where labels lead. It releases nothing.
+    pub fn fresh_trust_lines(&self) -> String {
+        let public = hex(self.key.verifying_key().as_bytes());
+        let id = &self.id;
+        format!("[[fresh_key]]\nid = \"{id}\"\npublic = \"{public}\"\n")
+    }
+
+    /// Says, signed, where a label leads.
+    #[must_use]
+    pub fn vouch(&self, said: Freshness) -> SignedFreshness {
+        let signature = self.key.sign(&freshness_bytes(&said)).to_bytes().to_vec();
+        let key_id = self.id.clone();
+        SignedFreshness {
+            said,
+            signature: Signature { key_id, signature },
+        }
+    }
+
     /// Adds a signature to `manifest`, in place of one by the same key id.
     pub fn sign(&self, manifest: &mut Manifest) {
         let signature = self.key.sign(&signed_bytes(manifest)).to_bytes().to_vec();
@@ -169,6 +221,7 @@ fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningError + '_ {
 pub struct Trust {
     threshold: usize,
     keys: Vec<(String, VerifyingKey)>,
+    fresh_keys: Vec<(String, VerifyingKey)>,
 }
 
 #[derive(Deserialize)]
@@ -182,6 +235,9 @@ struct TrustFile {
     revoked: Vec<String>,
     #[serde(default)]
     key: Vec<TrustedKey>,
+    /// Keys of servers, which say where labels lead; they release nothing.
+    #[serde(default)]
+    fresh_key: Vec<TrustedKey>,
 }
 
 #[derive(Deserialize)]
@@ -215,11 +271,14 @@ impl Trust {
         if file.format != TRUST_FORMAT {
             return Err(format!("format is `{}`, not `{TRUST_FORMAT}`", file.format));
         }
-        if file.key.len() > KEYS_MAX {
+        if file.key.len() + file.fresh_key.len() > KEYS_MAX {
             return Err(format!("more than {KEYS_MAX} keys"));
         }
-        let (mut ids, mut publics, mut keys) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
-        for TrustedKey { id, public } in file.key {
+        let (mut ids, mut publics) = (BTreeSet::new(), BTreeSet::new());
+        let (mut keys, mut fresh_keys) = (Vec::new(), Vec::new());
+        let release = file.key.into_iter().map(|key| (key, true));
+        let fresh = file.fresh_key.into_iter().map(|key| (key, false));
+        for (TrustedKey { id, public }, releases) in release.chain(fresh) {
             let key = from_hex(&public).and_then(|bytes| VerifyingKey::from_bytes(&bytes).ok());
             let key = key.ok_or_else(|| format!("key `{id}`: `public` is not an Ed25519 key"))?;
             // One key under two names would count twice.
@@ -227,14 +286,51 @@ impl Trust {
                 return Err(format!("key `{id}` is listed twice"));
             }
             if !file.revoked.contains(&id) {
-                keys.push((id, key));
+                let list = if releases { &mut keys } else { &mut fresh_keys };
+                list.push((id, key));
             }
         }
         let threshold = file.threshold;
         if threshold == 0 || threshold > keys.len() {
             return Err(format!("threshold {threshold} with {} keys", keys.len()));
         }
-        Ok(Self { threshold, keys })
+        Ok(Self {
+            threshold,
+            keys,
+            fresh_keys,
+        })
+    }
+
+    /// Whether there is a key that can say where a label leads.
+    pub fn knows_fresh_keys(&self) -> bool {
+        !self.fresh_keys.is_empty()
+    }
+
+    /// Whether `answer` was signed by a key that may say so, for exactly this nonce, stream and label.
+    ///
+    /// # Errors
+    /// [`Stale`].
+    pub fn check_fresh(
+        &self,
+        answer: &SignedFreshness,
+        nonce: &[u8; NONCE_BYTES],
+        stream: &StreamName,
+        label: &LabelName,
+    ) -> Result<(), Stale> {
+        let said = &answer.said;
+        if said.nonce != *nonce || said.stream != *stream || said.label != *label {
+            return Err(Stale::OtherQuestion);
+        }
+        let bytes = freshness_bytes(said);
+        let form = ed25519_dalek::Signature::from_slice(&answer.signature.signature);
+        let known = |(id, key): &(String, VerifyingKey)| {
+            let fits = |s: &ed25519_dalek::Signature| key.verify_strict(&bytes, s).is_ok();
+            *id == answer.signature.key_id && form.as_ref().is_ok_and(fits)
+        };
+        match self.fresh_keys.iter().any(known) {
+            true => Ok(()),
+            false => Err(Stale::Unsigned),
+        }
     }
 
     /// Whether enough trusted keys signed `manifest`.
@@ -276,7 +372,6 @@ fn from_hex(text: &str) -> Option<[u8; 32]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use caudata_proto::registry::StreamName;
 
     fn manifest() -> Manifest {
         Manifest {
@@ -293,6 +388,7 @@ mod tests {
             training_commit: String::new(),
             config_hash: "c".into(),
             evaluation_json: Some("{}".into()),
+            reverts_to: None,
             signatures: Vec::new(),
         }
     }
@@ -398,5 +494,64 @@ mod tests {
         assert!(trust(&[1, 1], 2, "").is_err(), "one key twice");
         assert!(trust(&[1], 1, "\"k1\"").is_err(), "only revoked keys");
         assert!(Trust::parse("format = \"caudata.trust.v2\"\nthreshold = 1\n").is_err());
+    }
+
+    #[test]
+    fn fault_17_an_answer_of_yesterday_or_by_a_release_key_is_stale() {
+        let said = |nonce| Freshness {
+            nonce: [nonce; 32],
+            stream: manifest().stream,
+            label: LabelName::latest(),
+            version: 7,
+            sha256: [1; 32],
+        };
+        let server = key(9);
+        let text = format!("{}{}", key(1).trust_file(), server.fresh_trust_lines());
+        let trust = Trust::parse(&text).unwrap();
+        assert!(trust.knows_fresh_keys());
+        let check = |answer: &SignedFreshness, nonce: u8| {
+            trust.check_fresh(
+                answer,
+                &[nonce; 32],
+                &manifest().stream,
+                &LabelName::latest(),
+            )
+        };
+        let answer = server.vouch(said(1));
+        assert_eq!(check(&answer, 1), Ok(()));
+        // The same answer to the nonce of today.
+        assert_eq!(check(&answer, 2), Err(Stale::OtherQuestion));
+        let mut relabelled = answer.clone();
+        relabelled.said.nonce = [2; 32];
+        assert_eq!(check(&relabelled, 2), Err(Stale::Unsigned));
+        for change in [
+            |f: &mut Freshness| f.version = 8,
+            |f: &mut Freshness| f.sha256[0] ^= 1,
+        ] {
+            let mut forged = answer.clone();
+            change(&mut forged.said);
+            assert_eq!(check(&forged, 1), Err(Stale::Unsigned));
+        }
+        let mut elsewhere = said(1);
+        elsewhere.label = LabelName::new("stable").unwrap();
+        assert_eq!(
+            check(&server.vouch(elsewhere), 1),
+            Err(Stale::OtherQuestion)
+        );
+        // A release key says nothing about labels, and a server's key releases nothing.
+        assert_eq!(check(&key(1).vouch(said(1)), 1), Err(Stale::Unsigned));
+        let mut by_server = manifest();
+        server.sign(&mut by_server);
+        assert!(trust.check(&by_server).is_err());
+    }
+
+    #[test]
+    fn a_revert_is_bound_and_a_manifest_without_one_is_signed_as_before() {
+        let (mut plain, mut back) = (manifest(), manifest());
+        back.reverts_to = Some(3);
+        assert_ne!(signed_bytes(&plain), signed_bytes(&back));
+        key(1).sign(&mut plain);
+        back.signatures = plain.signatures;
+        assert!(trust(&[1], 1, "").unwrap().check(&back).is_err());
     }
 }

@@ -125,6 +125,8 @@ pub struct Failure {
     code: ExitCode,
     error: anyhow::Error,
     hint: Option<String>,
+    /// What the line begins with.
+    label: &'static str,
 }
 
 impl Failure {
@@ -134,6 +136,16 @@ impl Failure {
             code,
             error: error.into(),
             hint: None,
+            label: "error",
+        }
+    }
+
+    /// The outcome of a command that did all it was asked to, where the outcome has an exit code of its own (a verdict, a missed target): it is
+    /// printed as `result: …`, not as an error.
+    pub fn outcome(code: ExitCode, message: impl fmt::Display) -> Self {
+        Self {
+            label: "result",
+            ..Self::message(code, message)
         }
     }
 
@@ -166,9 +178,9 @@ impl Failure {
         self.hint.as_deref()
     }
 
-    /// Writes the one line `error: …` with all causes, and `hint: …` below it.
+    /// Writes the one line `error: …` (or `result: …`) with all causes, and `hint: …` below it.
     pub fn write_to(&self, out: &mut dyn Write) -> io::Result<()> {
-        writeln!(out, "error: {self}")?;
+        writeln!(out, "{}: {self}", self.label)?;
         if let Some(hint) = &self.hint {
             writeln!(out, "hint: {hint}")?;
         }
@@ -215,6 +227,7 @@ impl<E: Error + Send + Sync + 'static> From<E> for Failure {
             code,
             error,
             hint: None,
+            label: "error",
         }
     }
 }
@@ -284,5 +297,10 @@ mod tests {
             String::from_utf8(out).unwrap(),
             "error: cannot start the server: port 7 is taken\nhint: choose another port\n"
         );
+        let mut out = Vec::new();
+        let outcome = Failure::outcome(ExitCode::Ambiguous, "delay or low-pass");
+        outcome.write_to(&mut out).unwrap();
+        assert_eq!(out, b"result: delay or low-pass\n");
+        assert_eq!(outcome.code(), ExitCode::Ambiguous);
     }
 }

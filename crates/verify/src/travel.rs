@@ -7,7 +7,7 @@ use caudata_sim::{Engine, EngineConfig, EngineKind, InitialState, TerrainConfig,
 use serde_json::{Value, json};
 
 use crate::gait::Gait;
-use crate::{Bench, Row, VerifyError, request};
+use crate::{Bench, Row, VerifyError, largest, request};
 
 /// Steps whose travel is compared, s; the second is the one that is judged.
 const STEPS_S: [f64; 4] = [0.004, 0.002, 0.001, 0.0005];
@@ -218,15 +218,6 @@ fn against(name: &str, ours: &[Path], theirs: &[(f64, f64)]) -> Vec<Row> {
             "",
         ),
     ]
-}
-
-/// The larger one; not a number wins.
-fn largest(a: f64, b: f64) -> f64 {
-    if a.is_nan() || b.is_nan() {
-        f64::NAN
-    } else {
-        a.max(b)
-    }
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {

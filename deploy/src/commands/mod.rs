@@ -12,17 +12,20 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
-use caudata_proto::registry::StreamName;
+use caudata_proto::registry::{LabelName, StreamName};
+use caudata_registry_client::RegistryClient;
 use caudata_signing::Trust;
 use caudata_task::TaskConfig;
 use caudata_telemetry::{Failure, LogArgs, Metrics, Process};
 use clap::{Parser, Subcommand};
 use serde::Serialize;
 
+use crate::follower::Follow;
 use crate::hardware::PortOverrides;
 use crate::keeper::Keeper;
 use crate::metrics::RobotMetrics;
 use crate::probe::{CHILD_DEADLINE, ProbeProgram};
+use crate::reporter::{ReportTo, Reporter};
 use crate::store::PolicyStore;
 use crate::{DeployError, failure};
 
@@ -76,6 +79,15 @@ pub struct SourceArgs {
     /// Stream to follow; training publishes under its run id
     #[arg(long, value_name = "NAME")]
     pub stream: String,
+    /// Label of the stream to follow: `latest`, or one that people move (`caudata policy label`)
+    #[arg(long, value_name = "LABEL", default_value = LabelName::LATEST)]
+    pub label: LabelName,
+    /// Certificates for an https:// address: folder with ca.crt, tls.crt and tls.key
+    #[arg(long, value_name = "DIR", env = "CAUDATA_TLS_DIR")]
+    pub tls_dir: Option<PathBuf>,
+    /// Name under which this robot reports to the policy server; over TLS that of its certificate. The host's name when absent
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
     /// Folder in which this robot keeps its policies
     #[arg(long, value_name = "DIR")]
     pub state: PathBuf,
@@ -124,8 +136,7 @@ pub fn dispatch(args: &Args, process: &Process) -> Result<(), Failure> {
 struct Source {
     model: Arc<RobotModel>,
     control_period_s: f64,
-    stream: StreamName,
-    address: String,
+    follow: Follow,
     keeper: Keeper,
 }
 
@@ -137,10 +148,23 @@ impl Source {
             source,
         })?;
         let metrics = RobotMetrics::register(metrics);
-        let store = PolicyStore::open(&args.state)?;
-        let mut keeper = Keeper::new(store, model.clone(), metrics.clone());
-        if let Some(path) = &args.trust {
-            keeper = keeper.trusting(Trust::read(path)?);
+        let trust = args.trust.as_deref().map(Trust::read).transpose()?;
+        let provable = trust.as_ref().is_some_and(Trust::knows_fresh_keys);
+        let store = match PolicyStore::open(&args.state) {
+            Err(error @ DeployError::StateDamaged { .. }) if provable => {
+                tracing::error!(%error, "waiting for a policy server's proof of what is newest");
+                PolicyStore::open_torn(&args.state)?
+            }
+            other => other?,
+        };
+        let reporter = Reporter::start(&ReportTo {
+            address: args.policy_server.clone(),
+            tls_dir: args.tls_dir.clone(),
+            robot: args.name.clone().unwrap_or_else(host_name),
+        })?;
+        let mut keeper = Keeper::new(store, model.clone(), metrics.clone()).reporting(reporter);
+        if let Some(trust) = trust {
+            keeper = keeper.trusting(trust);
         }
         // Without a program of its own there is nobody to try candidates; the checks here stay.
         if let Ok(program) = std::env::current_exe() {
@@ -154,8 +178,12 @@ impl Source {
             keeper,
             model,
             control_period_s: TaskConfig::default().control_period_s,
-            stream,
-            address: args.policy_server.clone(),
+            follow: Follow {
+                address: args.policy_server.clone(),
+                tls_dir: args.tls_dir.clone(),
+                stream,
+                label: args.label.clone(),
+            },
         };
         Ok((source, metrics))
     }
@@ -170,9 +198,30 @@ impl Source {
                 source,
             })?;
         runtime.block_on(async {
-            let mut client = caudata_registry_client::RegistryClient::new(&self.address)?;
-            self.keeper.pull(&mut client, &self.stream).await
+            let Follow {
+                address,
+                tls_dir,
+                stream,
+                label,
+            } = &self.follow;
+            let mut client = RegistryClient::with_tls(address, tls_dir.as_deref())?;
+            self.keeper.pull(&mut client, stream, label).await
         })
+    }
+}
+
+/// The host's name, of what a robot's name may hold; `robot` where the system tells none.
+fn host_name() -> String {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let fits: String = name
+        .trim()
+        .chars()
+        .filter(char::is_ascii_graphic)
+        .take(64)
+        .collect();
+    match fits.is_empty() {
+        true => "robot".to_owned(),
+        false => fits,
     }
 }
 

@@ -27,6 +27,8 @@ pub struct ProbeArgs {
     #[arg(long)]
     version_number: u64,
     #[arg(long)]
+    file_version: u64,
+    #[arg(long)]
     sha256: Sha256Digest,
 }
 
@@ -56,6 +58,7 @@ pub fn run(args: &ProbeArgs) -> Result<(), DeployError> {
         stream: args.stream.clone(),
         version: args.version_number,
         sha256: args.sha256,
+        reverts_to: (args.file_version != args.version_number).then_some(args.file_version),
     };
     let refuse = |refusal: Refusal| DeployError::Refused {
         policy: policy.clone(),

@@ -78,9 +78,12 @@ pub struct RunArgs {
     /// How long the policy is in charge, s; until stopped when absent
     #[arg(long, value_name = "N", value_parser = positive)]
     seconds: Option<f64>,
-    /// Swap in newer policies as they are published
+    /// Swap in what the label comes to lead to, at safe moments: standing, or before walking
     #[arg(long)]
     follow: bool,
+    /// How long a newer policy waits for such a moment, s, before the robot is made to stand for it; 0: for ever
+    #[arg(long, value_name = "N", default_value_t = 30.0, value_parser = not_negative)]
+    swap_wait: f64,
     /// Address of /metrics and /healthz; none when absent
     #[arg(long, value_name = "ADDR")]
     metrics_addr: Option<SocketAddr>,
@@ -107,6 +110,13 @@ impl FromStr for BusAddress {
             Some(("wiring", path)) if !path.is_empty() => Ok(Self::Wiring(path.into())),
             _ => Err("must be sim:HOST:PORT or wiring:FILE.toml".to_owned()),
         }
+    }
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..=1e6).contains(&value) => Ok(value),
+        _ => Err("must be 0 to 1000000".to_owned()),
     }
 }
 
@@ -162,6 +172,7 @@ fn plan(
         step_max_rad: step_max_rad(source),
         read_deadline,
         limits,
+        swap_wait: (args.swap_wait > 0.0).then(|| Duration::from_secs_f64(args.swap_wait)),
     }
 }
 
@@ -210,19 +221,21 @@ fn walk<R: Robot>(
     source: &Source,
     robot: &mut R,
     plan: RunPlan,
-    verified: Verified,
+    mut verified: Verified,
     metrics: RobotMetrics,
     process: &Process,
 ) -> Result<(), DeployError> {
+    // Here, and not before: a robot that is not there says nothing about the policy.
+    source.keeper.begin(&mut verified)?;
     let slot = Slot::default();
     let (updates, events) = Updates::new(slot.clone());
     let follower = match args.follow {
         true => Some(Follower::start(
             source.keeper.clone(),
-            &source.address,
-            source.stream.clone(),
+            source.follow.clone(),
             verified.policy.clone(),
             slot,
+            metrics.clone(),
         )?),
         false => None,
     };
@@ -245,10 +258,15 @@ fn choose(source: &Source) -> Result<Verified, DeployError> {
         Err(
             error @ (DeployError::Server(_)
             | DeployError::NoPolicy { .. }
+            | DeployError::Stale { .. }
             | DeployError::Refused { .. }),
         ) => error,
         Err(error) => return Err(error),
     };
+    if source.keeper.is_torn() {
+        tracing::error!(%error, "no proof");
+        return Err(DeployError::StateLost);
+    }
     match source.keeper.from_disk()? {
         Some(verified) => {
             tracing::warn!(%error, running = %verified.policy, "running what is on disk");
@@ -312,6 +330,8 @@ fn drive<R: Robot>(
         policy_version: policy.version,
         policy_sha256: policy.sha256,
         policy_swaps: counts.swaps,
+        stands_for_swap: counts.stands_for_swap,
+        swap_speed_radps: rounded(f64::from(counts.swap_speed_radps)),
         ended,
         walked_s: rounded(counts.walked_s),
         ticks: counts.ticks,
@@ -319,6 +339,9 @@ fn drive<R: Robot>(
         late_readings: counts.late_readings,
         tick_p50_us: counts.tick_latency.quantile_us(0.5),
         tick_p99_us: counts.tick_latency.quantile_us(0.99),
+        tick_p999_us: counts.tick_latency.quantile_us(0.999),
+        inference_p99_us: counts.inference_latency.quantile_us(0.99),
+        resident_bytes: resident_bytes(),
         wake_late_p99_us: counts.wake_latency.quantile_us(0.99),
         held_actions: counts.held,
         rate_limited_ticks: counts.rate_limited,
@@ -384,6 +407,7 @@ fn finish(
                 stream: summary.policy_stream,
                 version: summary.policy_version,
                 sha256: summary.policy_sha256,
+                reverts_to: None,
             },
             in_a_row: HELD_IN_A_ROW_MAX,
         });
@@ -426,6 +450,14 @@ fn print(summary: &RunSummary, args: &RunArgs) {
             summary.log_rows
         ));
     }
+}
+
+/// Memory of this process that is in use now, bytes; 0 where the system does not tell.
+fn resident_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let kib = line.and_then(|line| line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok());
+    1024 * kib.unwrap_or(0)
 }
 
 fn step_max_rad(source: &Source) -> f32 {

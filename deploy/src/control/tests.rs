@@ -116,6 +116,7 @@ fn verified(version: u64, bytes: Vec<u8>) -> Verified {
         stream: "s".to_owned(),
         version,
         sha256: Sha256Digest(Sha256::digest(&bytes).into()),
+        reverts_to: None,
     };
     verify(bytes.into(), &policy, &model()).unwrap()
 }
@@ -124,6 +125,13 @@ struct Run {
     result: Result<Ended, DeployError>,
     counts: Counts,
     events: Receiver<PolicyEvent>,
+}
+
+impl Run {
+    /// What the loop told, oldest first.
+    fn told(&self) -> Vec<PolicyEvent> {
+        self.events.try_iter().collect()
+    }
 }
 
 fn run_with(
@@ -141,6 +149,7 @@ fn run_with(
         step_max_rad: 0.3,
         read_deadline: READ_DEADLINE,
         limits: None,
+        swap_wait: None,
     };
     let (updates, events) = Updates::new(slot);
     let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
@@ -197,14 +206,14 @@ fn three_bad_actions_stop_the_robot_and_the_policy_for_good() {
     let mut robot = FakeRobot::new();
     robot.broken_from = 150;
     let run = run(&mut robot, 100.0);
-    assert_eq!(run.result.unwrap(), Ended::BadActions);
+    assert_eq!(run.result.as_ref().unwrap(), &Ended::BadActions);
     assert_eq!((run.counts.held, robot.torque_off), (3, 1));
     assert!(robot.sent.iter().flatten().all(|q| q.is_finite()));
     // The first two bad actions hold the target sent before them.
     assert_eq!(robot.sent[150], robot.sent[149]);
     assert_eq!(robot.sent[151], robot.sent[149]);
-    let event = run.events.try_recv().unwrap();
-    assert!(matches!(event, PolicyEvent::Bad { policy, .. } if policy.version == 1));
+    let event = run.told().pop().unwrap();
+    assert!(matches!(event, PolicyEvent::Bad { policy, fell: false, .. } if policy.version == 1));
 }
 
 #[test]
@@ -258,9 +267,12 @@ fn a_newer_policy_is_swapped_in_and_blended() {
     let mut robot = FakeRobot::new();
     let policy = verified(1, policy_file(1, |_, _| {}));
     let run = run_with(&mut robot, policy, slot, 1.0, &StopFlag::new());
-    assert_eq!((run.result.unwrap(), run.counts.swaps), (Ended::Time, 1));
-    let event = run.events.try_recv().unwrap();
-    assert!(matches!(event, PolicyEvent::Replaced(old) if old.policy().version == 1));
+    assert_eq!(run.result.as_ref().unwrap(), &Ended::Time);
+    assert_eq!(run.counts.swaps, 1);
+    let told = run.told();
+    assert!(matches!(&told[0], PolicyEvent::Begun(policy) if policy.version == 1));
+    assert!(matches!(&told[1], PolicyEvent::Replaced(old) if old.policy().version == 1));
+    assert!(matches!(&told[2], PolicyEvent::Begun(policy) if policy.version == 2));
     // The new one stands: once walking, nothing leaves the nominal pose.
     assert_eq!(robot.sent[120], *robot.sent.last().unwrap());
 }
@@ -269,13 +281,19 @@ fn a_newer_policy_is_swapped_in_and_blended() {
 fn ten_good_seconds_make_a_good_policy() {
     let mut robot = FakeRobot::new();
     let short = run(&mut robot, 9.9);
-    assert!(short.events.try_recv().is_err());
+    let good = |event: &PolicyEvent| matches!(event, PolicyEvent::Good { .. });
+    let told = short.told();
+    assert!(!told.iter().any(good));
+    // It ended in order, so that it is not held against the policy.
+    assert!(matches!(told.last(), Some(PolicyEvent::Ended(_))));
     let mut robot = FakeRobot::new();
     let long = run(&mut robot, 10.0);
-    assert!(matches!(
-        long.events.try_recv().unwrap(),
-        PolicyEvent::Good(_)
-    ));
+    let told = long.told();
+    let walked = told.iter().find_map(|event| match event {
+        PolicyEvent::Good { walked_s, .. } => Some(*walked_s),
+        _ => None,
+    });
+    assert!((walked.unwrap() - 9.98).abs() < 0.03, "{walked:?}");
 }
 
 /// A run of the policy that stands, with `change` made to the robot: why it ended, the number of targets sent, and its counts.
@@ -362,6 +380,7 @@ fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<[f32;
         step_max_rad: 0.3,
         read_deadline: READ_DEADLINE,
         limits: None,
+        swap_wait: None,
     };
     let (updates, _events) = Updates::new(Slot::default());
     let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
@@ -431,4 +450,117 @@ fn a_kill_brakes_at_the_next_tick() {
     assert_eq!(result.unwrap(), Ended::Killed);
     // Damped for 50 ticks from view 200 on, then off.
     assert!((249..=252).contains(&sent.len()), "{}", sent.len());
+}
+
+#[test]
+fn fault_32_a_fall_in_the_trial_is_the_policys_fault_and_one_after_it_is_not() {
+    let fall = |falls_from: usize, proved: bool| {
+        let mut robot = FakeRobot::new();
+        robot.falls_from = falls_from;
+        let mut policy = verified(1, standing(1));
+        policy.proved = proved;
+        let run = run_with(&mut robot, policy, Slot::default(), 100.0, &StopFlag::new());
+        assert_eq!(run.result.as_ref().unwrap(), &Ended::Fallen);
+        let fell = |event: &PolicyEvent| matches!(event, PolicyEvent::Bad { fell: true, .. });
+        run.told().iter().any(fell)
+    };
+    assert!(fall(150, false), "in its trial");
+    assert!(!fall(150, true), "it went through its trial in another run");
+    // Walking begins after about 30 ticks; 500 more make it good.
+    assert!(!fall(900, false), "after its trial");
+}
+
+/// A run under `commands` whose slot gets a standing policy after `after` targets; the number of targets sent when the new one
+/// took over, and the counts.
+fn swapped(commands: &str, after: usize, swap_wait: Option<Duration>) -> (Option<usize>, Counts) {
+    /// Puts the policy there when the robot has been sent enough.
+    struct Late {
+        inner: FakeRobot,
+        slot: Slot,
+        late: Option<(usize, Verified)>,
+        /// When the first target of the new policy went out: all of the nominal pose for a standing one.
+        seen: Option<usize>,
+    }
+    impl ServoBus for Late {
+        fn read(&mut self, deadline: Duration) -> Result<ServoReadings, BusError> {
+            let sent = self.inner.sent.len();
+            if self.late.as_ref().is_some_and(|(at, _)| sent >= *at) {
+                let (_, policy) = self.late.take().unwrap();
+                self.slot.put(policy);
+            }
+            if self.late.is_none() && self.seen.is_none() && !self.slot.has_one() {
+                self.seen = Some(sent);
+            }
+            let mut readings = self.inner.read(deadline)?;
+            // The joints move as fast as they were sent.
+            if let [.., before, last] = self.inner.sent.as_slice() {
+                readings.vel_radps = std::array::from_fn(|i| (last[i] - before[i]) / 0.02);
+            }
+            Ok(readings)
+        }
+        fn write(&mut self, targets: &[f32; ACT_DIM]) -> Result<(), BusError> {
+            self.inner.write(targets)
+        }
+        fn torque_off(&mut self) -> Result<(), BusError> {
+            self.inner.torque_off()
+        }
+    }
+    impl Imu for Late {
+        fn reading(&mut self) -> Result<ImuReading, BusError> {
+            self.inner.reading()
+        }
+    }
+    impl Robot for Late {}
+    let slot = Slot::default();
+    let mut robot = Late {
+        inner: FakeRobot::new(),
+        slot: slot.clone(),
+        late: Some((after, verified(2, standing(2)))),
+        seen: None,
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("commands.csv");
+    std::fs::write(&table, commands).unwrap();
+    let clock = FakeClock::default();
+    let plan = RunPlan {
+        period: PERIOD,
+        walk_s: Some(8.0),
+        commands: CommandTable::read(&table).unwrap(),
+        step_max_rad: 0.3,
+        read_deadline: READ_DEADLINE,
+        limits: None,
+        swap_wait,
+    };
+    let (updates, _events) = Updates::new(slot);
+    let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
+    // Its targets follow the gait clock and the command, so that the joints move while it walks.
+    let runner = PolicyRunner::new(verified(1, policy_file(1, |_, _| {})), None).unwrap();
+    let mut control =
+        ControlLoop::start(&mut robot, &clock, plan, runner, updates, metrics).unwrap();
+    control.run(&StopFlag::new()).unwrap();
+    let counts = control.into_parts().1;
+    (robot.seen, counts)
+}
+
+#[test]
+fn fault_34_a_newer_policy_waits_for_the_robot_to_stand() {
+    let walking = "t,vx,vy,yaw_rate\n0,0.3,0,0\n100,0.3,0,0\n";
+    // Walking all the time: never.
+    let (seen, counts) = swapped(walking, 200, None);
+    assert_eq!((seen, counts.swaps, counts.stands_for_swap), (None, 0, 0));
+    // With a limit of a second the robot is made to stand, gets it, and walks on.
+    let (seen, counts) = swapped(walking, 200, Some(Duration::from_secs(1)));
+    assert_eq!((counts.swaps, counts.stands_for_swap), (1, 1));
+    assert!(
+        counts.swap_speed_radps < STILL_RADPS,
+        "{}",
+        counts.swap_speed_radps
+    );
+    let seen = seen.unwrap();
+    // A second of waiting (50 ticks), the way to the nominal pose at 0.01 rad per tick, a fifth of a second of rest.
+    assert!((255..400).contains(&seen), "{seen}");
+    assert!((counts.walked_s - 8.0).abs() < 0.5, "{}", counts.walked_s);
+    // Before walking it gets in at once.
+    let (seen, counts) = swapped(walking, 5, None);
+    assert!(seen.unwrap() < 10 && counts.swaps == 1, "{seen:?}");
 }

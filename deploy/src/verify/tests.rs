@@ -10,6 +10,7 @@ fn reference(version: u64, bytes: &[u8]) -> PolicyRef {
         stream: "s".to_owned(),
         version,
         sha256: Sha256Digest(Sha256::digest(bytes).into()),
+        reverts_to: None,
     }
 }
 

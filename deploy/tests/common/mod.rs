@@ -219,3 +219,10 @@ pub fn text_of(path: &Path) -> String {
     file.read_to_string(&mut text).unwrap();
     text
 }
+
+/// What the robot's folder says.
+pub fn status_of(state: &Path) -> Value {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    command.args(["status", "--json", "--state"]).arg(state);
+    outcome(command).1
+}

@@ -2,13 +2,15 @@
 
 use caudata_runlog::Signal;
 
-use super::series::{Together, best_lag, smooth, together};
+use super::series::{Together, best_lag, slope, smooth, together};
 use super::{Finding, Run, Severity};
 
 /// Commands and readings are compared below about 1 Hz, where no lag of a servo turns a sign.
 const SLOW_S: f64 = 0.35;
 /// A command that moves less than this (standard deviation of its slow part, rad) tells nothing.
 const MOVES_RAD: f64 = 0.02;
+/// A joint slower than this rests, rad/s.
+const RESTS_RADPS: f64 = 0.1;
 /// At least so long a stretch is judged, s.
 const LONG_ENOUGH_S: f64 = 1.0;
 /// Longest time from a command to its effect that any servo needs, s. More is a fault of the stamps.
@@ -17,8 +19,23 @@ const LONGEST_LAG_S: f64 = 0.3;
 const LAG_RANGE_S: f64 = 0.6;
 /// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
 const BEYOND: (f64, f64) = (1.3, 0.2);
-/// By so much must another joint's reading go better with a command than the own one does.
-const OTHER_IS_BETTER: f64 = 0.1;
+/// A reading of which its command leaves less than this share follows it.
+const FOLLOWS: f64 = 0.02;
+/// Each of two readings must leave at most this share with the other's command of what it leaves with its own.
+const BETTER: f64 = 0.5;
+/// The same where only one of them can be told …
+const MUCH_BETTER: f64 = 0.2;
+/// … or, where commands are alike, this.
+const FAR_BETTER: f64 = 0.1;
+/// … which must follow as well as this …
+const FOLLOWS_WELL: f64 = 0.06;
+/// … and as far as this share of the command.
+const FOLLOWS_FAR: f64 = 0.5;
+/// For this comparison, over so long a time is smoothed, and lags differ by so much, s.
+const FINE_S: f64 = 0.1;
+const LAG_STEP_S: f64 = 0.02;
+/// Motion below this (standard deviation) is not told from noise, rad.
+const RESOLVED_RAD: f64 = 0.004;
 /// An error that no servo leaves on both sides of a reading that does not change, rad.
 const STUCK_RAD: f64 = 0.15;
 
@@ -35,13 +52,15 @@ pub(super) struct Channels {
     pub on: Option<Vec<f64>>,
     slow_cmd: Option<Vec<f64>>,
     slow_pos: Option<Vec<f64>>,
+    fine_cmd: Option<Vec<f64>>,
+    fine_pos: Option<Vec<f64>>,
 }
 
 impl Channels {
     /// The channels of every actuated joint that the log has, policy order.
     pub fn all(run: &Run<'_>) -> Vec<Self> {
         let table = &run.log.table;
-        let slow = run.grid.points(SLOW_S);
+        let (slow, fine) = (run.grid.points(SLOW_S), run.grid.points(FINE_S));
         let names = run.robot.actuated_names();
         names
             .iter()
@@ -68,6 +87,8 @@ impl Channels {
                     index,
                     slow_cmd: cmd.as_deref().map(|x| smooth(x, slow)),
                     slow_pos: pos.as_deref().map(|x| smooth(x, slow)),
+                    fine_cmd: cmd.as_deref().map(|x| smooth(x, fine)),
+                    fine_pos: pos.as_deref().map(|x| smooth(x, fine)),
                     cmd,
                     pos,
                     vel: own(Signal::Velocity),
@@ -174,11 +195,22 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         ));
         return;
     }
-    // The motor pulls towards the command: current follows the error where the sign is right.
+    // At rest the motor pulls towards the command: current follows the error where the sign is right. (In motion the error is the lag.)
     let (Some(cmd), Some(pos), Some(cur)) = (&joint.slow_cmd, &joint.slow_pos, &joint.cur) else {
         return;
     };
-    let error: Vec<f64> = cmd.iter().zip(pos).map(|(u, q)| u - q).collect();
+    let half = run.grid.points(0.5 * SLOW_S);
+    let speed = slope(pos, half, run.grid.step_s);
+    let moves = slope(cmd, half, run.grid.step_s);
+    let error: Vec<f64> = (cmd.iter().zip(pos).zip(speed.iter().zip(&moves)))
+        .map(|((u, q), (v, w))| {
+            if v.abs() < RESTS_RADPS && w.abs() < RESTS_RADPS {
+                u - q
+            } else {
+                f64::NAN
+            }
+        })
+        .collect();
     let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
     let unsigned = cur.iter().all(|i| i.is_nan() || *i >= 0.0);
     if t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) && !unsigned {
@@ -262,44 +294,100 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 }
 
 /// Two joints' readings in each other's place. Returns which joints are in another's.
+///
+/// A reading is compared with what a servo may make of a command: late, smaller, shifted. Alike commands (a wave that travels down a spine) make a
+/// reading go well with a neighbour's command too, but only one way: readings that were exchanged each go better with the other's command.
 fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool> {
-    let mut named = vec![false; joints.len()];
-    for a in 0..joints.len() {
-        // where the own reading follows, nothing is exchanged
-        let Some(own_a) = follows(run, &joints[a], &joints[a]) else {
-            continue;
-        };
-        if named[a] || (own_a.r > 0.5 && own_a.slope > 0.1) {
+    let n = joints.len();
+    let mut named = vec![false; n];
+    let own: Vec<Option<Missed>> = joints.iter().map(|j| missed(run, j, j)).collect();
+    let better = |other: Missed, own: Option<Missed>, share: f64| {
+        own.is_none_or(|own| other.left < share * own.left)
+    };
+    for a in 0..n {
+        if named[a] || own[a].is_none_or(|m| m.left < FOLLOWS) {
             continue;
         }
-        let goes = |t: Together| t.r > 0.8 && (0.3..3.0).contains(&t.slope);
-        let clearly = |t: Together, own: Together| t.r > own.r.abs() + OTHER_IS_BETTER;
-        let best = (0..joints.len())
+        // whose reading goes best with this command
+        let best = (0..n)
             .filter(|&b| b != a && !named[b])
-            .filter_map(|b| Some((b, follows(run, &joints[a], &joints[b])?)))
-            .filter(|&(_, ab)| goes(ab) && clearly(ab, own_a))
-            // its own command does not explain the other reading: it rests, or goes otherwise
-            .filter(|&(b, ab)| {
-                follows(run, &joints[b], &joints[b]).is_none_or(|own_b| clearly(ab, own_b))
-            })
-            .max_by(|x, y| x.1.r.total_cmp(&y.1.r));
+            .filter_map(|b| Some((b, missed(run, &joints[a], &joints[b])?)))
+            .filter(|&(b, ab)| better(ab, own[a], BETTER) && better(ab, own[b], BETTER))
+            .min_by(|x, y| x.1.left.total_cmp(&y.1.left));
         let Some((b, ab)) = best else { continue };
-        let back = follows(run, &joints[b], &joints[a]).is_some_and(goes);
+        let back = missed(run, &joints[b], &joints[a]);
+        let exchanged =
+            back.is_some_and(|ba| better(ba, own[a], BETTER) && better(ba, own[b], BETTER));
+        // without a way back (the other command hardly moves, or three are in each other's place) only a good fit to a command that is not alike
+        // proves anything, or one as good as a servo's own: a limp tail follows a trunk that bends
+        let ahead = |share: f64| better(ab, own[a], share) && better(ab, own[b], share);
+        let not_alike =
+            ab.left < FOLLOWS_WELL && ahead(MUCH_BETTER) && !alike(run, &joints[a], &joints[b]);
+        let as_its_own = ab.left < FOLLOWS && ahead(FAR_BETTER);
+        let alone = ab.slope > FOLLOWS_FAR && (not_alike || as_its_own);
+        if !exchanged && !alone {
+            continue;
+        }
         named[a] = true;
-        named[b] = back;
-        let (a, b) = (&joints[a].name, &joints[b].name);
-        let more = if back {
-            format!(" and pos.{a} follows cmd.{b}: exchange them")
+        named[b] = exchanged;
+        let (a_name, b_name) = (&joints[a].name, &joints[b].name);
+        let more = if exchanged {
+            format!(" and pos.{a_name} cmd.{b_name}: exchange them")
         } else {
             ": are the columns in another joint's order?".to_owned()
         };
         out.push(fatal(
             "order",
-            format!("pos.{a}"),
-            format!("pos.{b} follows cmd.{a} (correlation {:.2}){more}", ab.r),
+            format!("pos.{a_name}"),
+            format!(
+                "pos.{b_name} follows cmd.{a_name} ({:.1} % of its motion is left; of pos.{a_name} {:.0} %){more}",
+                100.0 * ab.left,
+                100.0 * own[a].map_or(1.0, |m| m.left)
+            ),
         ));
     }
     named
+}
+
+/// What a command does not account for in a reading.
+#[derive(Clone, Copy)]
+struct Missed {
+    /// Share of the reading's motion.
+    left: f64,
+    /// Size of the reading's motion over the command's.
+    slope: f64,
+}
+
+/// How a reading follows a command that acts late by what a servo needs at most, and at any size of the same sign. `None` where the command
+/// does not move enough to tell.
+fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Missed> {
+    follows(run, cmd, pos)?;
+    let (u, q) = (cmd.fine_cmd.as_ref()?, pos.fine_pos.as_ref()?);
+    let stride = run.grid.points(LAG_STEP_S);
+    let thinned = |x: &[f64]| -> Vec<f64> { x.iter().step_by(stride).copied().collect() };
+    let most = (LONGEST_LAG_S / (stride as f64 * run.grid.step_s)).round() as isize;
+    let (_, t) = best_lag(&thinned(u), &thinned(q), 0..=most);
+    let resolved = t.second_sd > 0.2 * t.first_sd && (0.1..3.0).contains(&t.slope);
+    let left = if resolved && t.r > 0.0 {
+        1.0 - t.r * t.r
+    } else {
+        1.0
+    };
+    // counts, friction and droop leave something of the best
+    let noise = (RESOLVED_RAD / t.second_sd.max(1e-9)).powi(2).min(1.0);
+    Some(Missed {
+        left: left.max(noise),
+        slope: t.slope,
+    })
+}
+
+/// Whether two commands go together, one of them late by anything up to what is looked at.
+fn alike(run: &Run<'_>, a: &Channels, b: &Channels) -> bool {
+    let (Some(u), Some(v)) = (&a.slow_cmd, &b.slow_cmd) else {
+        return false;
+    };
+    let most = run.grid.points(LAG_RANGE_S) as isize;
+    best_lag(u, v, -most..=most).1.r > 0.5
 }
 
 /// Two joints that read the same although they are asked for different things.
@@ -343,7 +431,7 @@ fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding
     let grid = &run.grid;
     let fine = grid.points(0.04);
     let most = grid.points(LAG_RANGE_S) as isize;
-    let rate = |x: &[f64]| super::series::slope(&smooth(x, fine), fine.div_ceil(2), grid.step_s);
+    let rate = |x: &[f64]| slope(&smooth(x, fine), fine.div_ceil(2), grid.step_s);
     let (mut leads, mut moving) = (Vec::new(), 0);
     for joint in joints {
         let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {

@@ -102,13 +102,22 @@ pub(super) fn odd_spans(
         return Vec::new();
     }
     let grid = &runs[group[0]].grid;
-    let len = group.iter().map(|&i| runs[i].grid.len).min().unwrap_or(0);
+    // repeats are compared at equal times: the median step of rows, and with it the grid, differs a little from run to run
+    let span_s = |i: usize| (runs[i].grid.len.saturating_sub(1)) as f64 * runs[i].grid.step_s;
+    let shared_s = group
+        .iter()
+        .map(|&i| span_s(i))
+        .fold(f64::INFINITY, f64::min);
+    let len = (shared_s / grid.step_s + 1e-6).floor() as usize + 1;
     let width = grid.points(SMOOTH_S);
     let mut found: Vec<OddSpan> = Vec::new();
     for j in 0..channels[group[0]].len() {
         let all: Option<Vec<Vec<f64>>> = group
             .iter()
-            .map(|&i| Some(smooth(channels[i][j].pos.as_ref()?, width)))
+            .map(|&i| {
+                let own = smooth(channels[i][j].pos.as_ref()?, width);
+                Some(on_grid(&own, grid.step_s / runs[i].grid.step_s, len))
+            })
             .collect();
         let Some(all) = all else { continue };
         let joint = &channels[group[0]][j];
@@ -208,6 +217,23 @@ pub(super) fn odd_spans(
     all
 }
 
+/// `len` points of `x`, `step` of its points apart, on the line between them.
+fn on_grid(x: &[f64], step: f64, len: usize) -> Vec<f64> {
+    (0..len)
+        .map(|i| {
+            let at = i as f64 * step;
+            let k = (at.floor() as usize).min(x.len().saturating_sub(1));
+            let next = (k + 1).min(x.len().saturating_sub(1));
+            let share = (at - k as f64).clamp(0.0, 1.0);
+            match (x.get(k), x.get(next)) {
+                (Some(a), Some(_)) if share < 1e-9 => *a,
+                (Some(a), Some(b)) => a + share * (b - a),
+                _ => f64::NAN,
+            }
+        })
+        .collect()
+}
+
 /// Stretches above `threshold` of at least `shortest` points; pauses up to `pause` points belong to them.
 fn spans(x: &[f64], threshold: f64, shortest: usize, pause: usize) -> Vec<(usize, usize)> {
     let mut out: Vec<(usize, usize)> = Vec::new();
@@ -261,6 +287,16 @@ pub(super) fn finding(span: &OddSpan, repeats: usize) -> Finding {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_finer_grid_is_read_at_equal_times() {
+        // a ramp of 1 a second, sampled every 10 ms and every 10.1 ms
+        let fine: Vec<f64> = (0..200).map(|i| 0.0101 * f64::from(i)).collect();
+        let read = on_grid(&fine, 0.01 / 0.0101, 190);
+        for (i, x) in read.iter().enumerate() {
+            assert!((x - 0.01 * i as f64).abs() < 1e-12, "{i}: {x}");
+        }
+    }
 
     #[test]
     fn spans_join_over_pauses_and_short_ones_fall() {

@@ -2,6 +2,7 @@
 
 use caudata_random::{Key, Purpose, Stream};
 
+use super::algebra::dot;
 use super::judge::Judge;
 use super::state::{Context, On, State};
 use crate::effects::{Domain, Place};
@@ -115,6 +116,32 @@ pub fn part(judge: &Judge, on: &On, place: Option<&Place>) -> f64 {
         }
     }
     sum / f64::max(n, 1.0)
+}
+
+/// Misfit where it is greatest: of the channels of each joint by themselves, and of those of the body. A single bad joint of many hardly shows in
+/// the mean over all.
+#[must_use]
+pub fn worst(context: &Context, state: &State) -> f64 {
+    let joints = context.replayer.model().actuated().len();
+    let mut sums = vec![(0.0, 0.0); joints + 1];
+    for (judge, on) in [
+        (&context.fit, &state.fit),
+        (&context.holdout, &state.holdout),
+    ] {
+        for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
+            let group = if piece.kind.of_joint() {
+                piece.index
+            } else {
+                joints
+            };
+            let part = &on.residual[piece.range.clone()];
+            sums[group].0 += dot(part, part);
+            sums[group].1 += part.len() as f64;
+        }
+    }
+    sums.iter()
+        .map(|(square, n)| square / f64::max(*n, 1.0))
+        .fold(0.0, f64::max)
 }
 
 /// Samples that `place` concerns: channels of its joints, if it names joints; else all.

@@ -5,6 +5,8 @@ use super::refine::refine;
 use super::screen::{Screened, screen};
 use super::search::{Found, penalised, single, swapped};
 use super::state::{Context, State};
+use super::verdict::left;
+use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::Variant;
 
@@ -15,9 +17,13 @@ const MARGIN: f64 = 0.06;
 /// … if its misfit is not higher by more than this share of the best's, …
 const MARGIN_OF_REST: f64 = 0.25;
 /// … and this many floors.
-const MARGIN_FLOORS: f64 = 0.1;
-/// A further cause with less than this probability of its name is none.
-const UNNAMED: f64 = 0.15;
+const MARGIN_FLOORS: f64 = 0.06;
+/// A cause with less than this probability of its name is none …
+const UNNAMED: f64 = 0.2;
+/// … unless its layer (friction, motor, timing …) has this one.
+const LAYER_KNOWN: f64 = 0.6;
+/// Where much is left unexplained, a cause must take this share off the misfit of its joint.
+const LEAST_SHARE_IN_PART: f64 = 0.08;
 /// Temperature of the probabilities, as a share of the margin.
 const TEMPERATURE: f64 = 0.6;
 
@@ -55,26 +61,39 @@ pub struct Named {
 /// As [`crate::replay::Replayer::predict`].
 pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError> {
     let mut out = Vec::new();
+    let size = |s: &State| s.parameters(context.replayer.model());
     for index in 0..found.best.terms.len() {
         let mut named = rivals_of(context, found, index)?;
         let simpler = named
             .rivals
             .iter()
-            .filter(|r| r.in_set && r.state.parameters() < found.best.parameters())
+            .filter(|r| r.in_set && size(&r.state) < size(&found.best))
+            // what is clearly worse does not say the same
+            .filter(|r| {
+                let more = gates::worth(context, &r.state, &found.best, None);
+                more.low <= 0.0 || more.fit <= 0.0
+            })
             .min_by(|a, b| {
-                let size = |r: &Rival| r.state.parameters();
-                size(a).cmp(&size(b)).then(a.short.total_cmp(&b.short))
+                let by_size = size(&a.state).cmp(&size(&b.state));
+                by_size.then(a.short.total_cmp(&b.short))
             });
         if let Some(simpler) = simpler {
             // who says the same with less is the first to be believed
             found.best = simpler.state.clone();
             named = rivals_of(context, found, index)?;
         }
-        // a further cause whose name nobody can tell is a leftover, not a cause
+        // a cause of which nobody can tell the name, nor even the layer, is a leftover, not a cause
         let own = named.probability + same_name(found, &named);
-        if own < UNNAMED && found.best.terms.len() > 1 {
-            let without = named.without.clone();
-            found.best = without;
+        if own < UNNAMED && same_layer(found, &named) < LAYER_KNOWN {
+            found.best = named.without;
+            return name(context, found);
+        }
+        // and what takes little off where much is left stands in for what is not in the catalogue
+        let share = named.worth.holdout / named.worth.of.max(1e-9);
+        let too_little =
+            left(context, &found.base, &found.best) > 0.0 && share < LEAST_SHARE_IN_PART;
+        if too_little || named.worth.holdout <= 0.0 {
+            found.best = named.without;
             return name(context, found);
         }
         out.push(named);
@@ -93,12 +112,20 @@ fn same_name(found: &Found, named: &Named) -> f64 {
         .sum()
 }
 
+/// Probability of all effects of the same layer.
+fn same_layer(found: &Found, named: &Named) -> f64 {
+    let layer = found.best.terms[named.index].effect.layer;
+    let rivals = named.rivals.iter();
+    let of_layer = rivals.filter(|r| r.state.terms[r.index].effect.layer == layer);
+    named.probability + of_layer.map(|r| r.probability).sum::<f64>()
+}
+
 /// Everything that could stand in the place of term `index` of the best model, fitted.
 fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, GapError> {
     let best = &found.best;
     let mut terms: Variant = best.terms.clone();
     let term = terms.remove(index);
-    let terms = refine(context, vec![terms], None)?.swap_remove(0).0;
+    let terms = refine(context, vec![terms], None, None)?.swap_remove(0).0;
     let mut without = single(context, terms)?;
     context.find_basis(&mut without)?;
     let screened = if without.terms.is_empty() && !found.first.is_empty() {
@@ -107,12 +134,12 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         screen(context, &without)?
     };
     let chosen = rivals(&term, &screened);
-    let states = swapped(context, best, index, &chosen)?;
-    let gain = penalised(&without) - penalised(best);
+    let states = swapped(context, best, index, &chosen, without.fit.misfit)?;
+    let gain = penalised(context, &without) - penalised(context, best);
     let mut rivals: Vec<Rival> = states
         .into_iter()
         .map(|state| Rival {
-            short: (penalised(&state) - penalised(best)) / gain.max(1e-9),
+            short: (penalised(context, &state) - penalised(context, best)) / gain.max(1e-9),
             state,
             index,
             probability: 0.0,
@@ -120,7 +147,13 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         })
         .collect();
     rivals.sort_by(|a, b| a.short.total_cmp(&b.short));
-    let rest = MARGIN_OF_REST * penalised(best) + MARGIN_FLOORS;
+    // what is left at the joints that it concerns, as a part of the whole
+    let joints = context.replayer.model().actuated().len().max(1);
+    let concerned = match term.place.domain {
+        Domain::Joints => term.place.items.len().clamp(1, joints) as f64 / joints as f64,
+        _ => 1.0,
+    };
+    let rest = (MARGIN_OF_REST * penalised(context, best) + MARGIN_FLOORS) * concerned;
     let margin = MARGIN.min(rest / gain.max(1e-9));
     // places of one effect are one name
     let weight = |short: f64| (-short.max(-margin) / (TEMPERATURE * margin)).exp();

@@ -12,6 +12,23 @@ const TRIES: [f64; 3] = [0.1, 1.0, 12.0];
 /// A fall of the misfit by less than this share ends a fit.
 const ENOUGH: f64 = 1e-3;
 
+/// Iterations after which of several starts only those go on that are about as good as the best.
+const STARTS_UNTIL: usize = 2;
+/// A start goes on if it has explained this share of what the best start has.
+const GOOD_START: f64 = 0.9;
+/// Iterations after which candidates that are far behind stay as they are.
+const RACE_UNTIL: usize = 3;
+/// Far behind: they explain less than this share of what the best explains.
+const BEHIND: f64 = 0.4;
+
+/// Who competes with whom, so that time goes to those who may win.
+pub struct Race<'a> {
+    /// Which variants are starts of the same candidate. `[V]`
+    pub of: &'a [usize],
+    /// Misfit that all of them begin with.
+    pub from: f64,
+}
+
 /// A candidate being fitted.
 struct Fit {
     terms: Variant,
@@ -30,6 +47,7 @@ pub fn refine(
     context: &Context,
     variants: Vec<Variant>,
     iterations: Option<usize>,
+    race: Option<&Race<'_>>,
 ) -> Result<Vec<(Variant, f64)>, GapError> {
     let fit = &context.fit;
     let first = context.replayer.predict(&fit.data, &variants)?;
@@ -48,13 +66,29 @@ pub fn refine(
             }
         })
         .collect();
-    for _ in 0..iterations.unwrap_or(ITERATIONS) {
+    for k in 0..iterations.unwrap_or(ITERATIONS) {
         if fits.iter().all(|f| f.done) {
             break;
         }
         round(context, &mut fits)?;
+        if let Some(race) = race {
+            weed(&mut fits, race, k + 1);
+        }
     }
     Ok(fits.into_iter().map(|f| (f.terms, f.cost)).collect())
+}
+
+/// Ends fits that will not win, after `rounds` iterations.
+fn weed(fits: &mut [Fit], race: &Race<'_>, rounds: usize) {
+    let earned: Vec<f64> = fits.iter().map(|f| race.from - f.cost).collect();
+    let most = earned.iter().copied().fold(0.0, f64::max);
+    for ((fit, own), group) in fits.iter_mut().zip(&earned).zip(race.of) {
+        let starts = earned.iter().zip(race.of).filter(|(_, g)| *g == group);
+        let best_start = starts.map(|(e, _)| *e).fold(0.0, f64::max);
+        let beaten = rounds >= STARTS_UNTIL && *own < GOOD_START * best_start;
+        let behind = rounds >= RACE_UNTIL && *own < BEHIND * most;
+        fit.done |= beaten || behind;
+    }
 }
 
 fn round(context: &Context, fits: &mut [Fit]) -> Result<(), GapError> {

@@ -1,5 +1,7 @@
 //! What a search carries along: the runs with their metric, and a candidate with its predictions.
 
+use caudata_model::RobotModel;
+
 use super::algebra::dot;
 use super::judge::Judge;
 use crate::effects::Effect;
@@ -71,10 +73,15 @@ impl State {
         (a * self.fit.misfit + b * self.holdout.misfit) / (a + b).max(1.0)
     }
 
-    /// Number of parameters.
+    /// Number of parameters that are not where they are without the effect: one that leaves no trace stays there.
     #[must_use]
-    pub fn parameters(&self) -> usize {
-        self.terms.iter().map(|t| t.values.len()).sum()
+    pub fn parameters(&self, model: &RobotModel) -> usize {
+        let moved = |t: &Term| {
+            let neutral = t.effect.neutral(model, &t.place);
+            let same = t.values.iter().zip(neutral).filter(|(v, z)| *v == z);
+            t.values.len() - same.count()
+        };
+        self.terms.iter().map(moved).sum()
     }
 
     /// Its effects in words.

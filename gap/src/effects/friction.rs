@@ -105,6 +105,7 @@ pub static STRIBECK_FRICTION: Effect = Effect {
     },
     shows_in: JOINT_SIGNALS,
     look_alikes: &[
+        "load_stiction",
         "coulomb_friction",
         "pre_sliding",
         "controller_dead_band",
@@ -133,6 +134,8 @@ pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
     },
     shows_in: JOINT_SIGNALS,
     look_alikes: &[
+        "load_stiction",
+        "torque_saturation",
         "coulomb_friction",
         "viscous_friction",
         "drive_asymmetry",
@@ -142,6 +145,42 @@ pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
     unseen: needs_motion,
     trial: "lift_and_lower",
     signature: "the jump at a reversal grows with the load at the same speed",
+};
+
+pub static LOAD_STICTION: Effect = Effect {
+    id: "load_stiction",
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    parameters: &[
+        parameter("share", "", 0.0, (0.0, 0.9), 0.03, One),
+        parameter("speed_radps", "rad/s", 0.02, (0.001, 0.2), 0.004, Speed),
+    ],
+    grid: &[
+        &[0.1, 0.005],
+        &[0.1, 0.03],
+        &[0.25, 0.005],
+        &[0.25, 0.03],
+        &[0.5, 0.01],
+        &[0.5, 0.05],
+    ],
+    hinge: true,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            let joint = &mut plant.lane.joints[a];
+            joint.load_stribeck = (joint.load_stribeck + v[0] as f32).clamp(0.0, 0.95);
+            joint.stribeck_speed_radps = (v[1] as f32).clamp(1e-3, 100.0);
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "stribeck_friction",
+        "load_dependent_friction",
+        "coulomb_friction",
+        "drive_asymmetry",
+    ],
+    unseen: needs_motion,
+    trial: "lift_and_lower",
+    signature: "a joint sticks the harder the more it carries, and lets go with a jerk; without load it does not stick",
 };
 
 pub static DRIVE_ASYMMETRY: Effect = Effect {
@@ -253,33 +292,41 @@ pub static FRICTION_DRIFT: Effect = Effect {
     id: "friction_drift",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter(
-        "change_nm",
-        "N·m",
-        0.0,
-        (-0.3, 0.3),
-        0.006,
-        Torque,
-    )],
-    grid: &[&[-0.05], &[-0.015], &[0.015], &[0.05]],
+    parameters: &[
+        parameter("change_nm", "N·m", 0.0, (-0.3, 0.3), 0.006, Torque),
+        parameter("run_in_nm", "N·m", 0.0, (-0.2, 0.3), 0.006, Torque),
+        parameter("run_in_s", "s", 4.0, (0.5, 30.0), 0.5, One),
+    ],
+    grid: &[
+        &[-0.05, 0.0, 4.0],
+        &[-0.015, 0.0, 4.0],
+        &[0.015, 0.0, 4.0],
+        &[0.05, 0.0, 4.0],
+        &[0.0, 0.03, 4.0],
+        &[0.0, 0.1, 4.0],
+        &[0.0, -0.02, 4.0],
+    ],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
             let friction = &mut plant.lane.joint_friction_nm[a];
             *friction = (*friction + (v[0] * (plant.session - 0.5)) as f32).max(0.0);
+            let run_in = &mut plant.run_in[a];
+            run_in.extra_nm += v[1];
+            run_in.time_s = v[2].max(0.05);
         }
     },
     shows_in: JOINT_SIGNALS,
     look_alikes: &["thermal_derating", "coulomb_friction"],
     unseen: |e, place| {
-        if e.runs < 3 {
+        if e.runs < 3 && e.longest_s < 5.0 {
             Some(
-                "three runs or more in order of recording are needed to see a drift over the session",
+                "a drift shows in runs of several seconds, or from the first to the last of three or more",
             )
         } else {
             needs_motion(e, place)
         }
     },
     trial: "warm_up_series",
-    signature: "friction changes from the first to the last run of the session",
+    signature: "friction changes within every run as the joint warms, or from the first to the last run of the session",
 };

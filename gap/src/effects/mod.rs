@@ -24,6 +24,7 @@ use crate::plant::Plant;
 use crate::trial::Kind;
 
 pub use place::{Place, places};
+pub(crate) use servo::less_voltage;
 
 /// Where in the chain an effect acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -246,6 +247,7 @@ pub static ALL: &[&Effect] = &[
     &servo::TORQUE_CONSTANT,
     &servo::WINDING_RESISTANCE,
     &servo::TORQUE_LIMIT,
+    &servo::TORQUE_SATURATION,
     &servo::VOLTAGE_LIMIT,
     &servo::CONTROLLER_DEAD_BAND,
     &servo::BRAKING_ASYMMETRY,
@@ -257,6 +259,7 @@ pub static ALL: &[&Effect] = &[
     &friction::VISCOUS_FRICTION,
     &friction::STRIBECK_FRICTION,
     &friction::LOAD_DEPENDENT_FRICTION,
+    &friction::LOAD_STICTION,
     &friction::DRIVE_ASYMMETRY,
     &friction::DIRECTION_ASYMMETRY,
     &friction::PRE_SLIDING,

@@ -138,6 +138,7 @@ pub static WINDING_RESISTANCE: Effect = Effect {
     },
     shows_in: JOINT_SIGNALS,
     look_alikes: &[
+        "torque_saturation",
         "kp_error",
         "torque_constant",
         "load_dependent_friction",
@@ -191,6 +192,53 @@ pub static TORQUE_LIMIT: Effect = Effect {
     signature: "current is cut flat, at any speed",
 };
 
+pub static TORQUE_SATURATION: Effect = Effect {
+    id: "torque_saturation",
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    parameters: &[parameter("drop", "", 0.0, (0.0, 0.8), 0.04, One)],
+    grid: &[&[0.1], &[0.2], &[0.35], &[0.5], &[0.65]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            // the servo's greatest torque falls by this share, less torque by less
+            let drop = v[0].clamp(0.0, 0.9);
+            let most_nm = plant.model.servo(a).tau_max_nm * f64::from(plant.lane.torque_scale[a]);
+            plant.lane.joints[a].torque_saturation_per_nm =
+                (drop / (1.0 - drop) / most_nm.max(1e-6)) as f32;
+        }
+    },
+    shows_in: JOINT_SIGNALS,
+    look_alikes: &[
+        "winding_resistance",
+        "torque_constant",
+        "torque_limit",
+        "load_dependent_friction",
+        "supply_sag",
+        "voltage_limit",
+    ],
+    unseen: |e, place| {
+        (e.most_torque_share(place) < 0.2).then_some("the servo never works hard in these runs")
+    },
+    trial: "loaded_steps",
+    signature: "torque falls behind in proportion to itself: small errors are answered in full, large ones less and less, at any speed",
+};
+
+/// Torque limits of joint `a` where the motor gets `share` of its voltage: the line through stall torque and speed without load moves in parallel
+/// (the speeds are the caller's). Against the motion, back-EMF helps the bridge, so that the motor brakes harder than it drives, but not
+/// harder than its current limit for braking allows.
+pub(crate) fn less_voltage(plant: &mut crate::plant::Plant, a: usize, share: f32) {
+    /// Braking torque over stall torque: back-EMF is about half the voltage where a joint begins to brake.
+    const BRAKING: f64 = 1.5;
+    let servo = plant.model.servo(a);
+    let before = plant.lane.torque_scale[a];
+    plant.lane.torque_scale[a] *= share;
+    let joint = &mut plant.lane.joints[a];
+    let allowed_nm = servo.tau_brake_max_nm as f32 * before * joint.brake_scale;
+    let possible_nm = (BRAKING * servo.tau_max_nm) as f32 * before * share;
+    joint.brake_scale *= allowed_nm.min(possible_nm) / (allowed_nm * share).max(1e-9);
+}
+
 pub static VOLTAGE_LIMIT: Effect = Effect {
     id: "voltage_limit",
     layer: Layer::Actuation,
@@ -211,13 +259,9 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
     ],
     hinge: true,
     apply: |plant, place, v| {
-        // the line through stall torque and speed without load moves in parallel; braking current stays
-        let s = v[0] as f32;
         for &a in &place.items {
-            plant.lane.torque_scale[a] *= s;
-            let joint = &mut plant.lane.joints[a];
-            joint.speed_scale *= s;
-            joint.brake_scale /= s;
+            less_voltage(plant, a, v[0] as f32);
+            plant.lane.joints[a].speed_scale *= v[0] as f32;
         }
     },
     shows_in: JOINT_SIGNALS,

@@ -1,6 +1,7 @@
 //! Supply and heat (A8 to A10).
 
 use super::Reference::One;
+use super::servo::less_voltage;
 use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
 use crate::trial::Kind;
 
@@ -26,7 +27,16 @@ pub static SUPPLY_LEVEL: Effect = Effect {
     parameters: &[parameter("scale", "", 1.0, (0.3, 2.0), 0.03, One)],
     grid: &[&[0.5], &[0.7], &[0.85], &[1.15], &[1.4]],
     hinge: true,
-    apply: |plant, _, v| plant.lane.supply_v *= v[0] as f32,
+    apply: |plant, _, v| {
+        // speeds of the envelope go with the supply by themselves; so does the torque at stall, as long as no current limit comes first
+        let share = v[0] as f32;
+        plant.lane.supply_v *= share;
+        if share < 1.0 {
+            for a in 0..plant.lane.torque_scale.len() {
+                less_voltage(plant, a, share);
+            }
+        }
+    },
     shows_in: JOINT_SIGNALS,
     look_alikes: &["voltage_limit", "supply_sag", "profile_limit"],
     unseen: needs_motion,

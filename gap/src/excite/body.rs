@@ -7,6 +7,10 @@ use caudata_model::RobotModel;
 use super::limits::JointLimits;
 use super::wave::Wave;
 
+/// Swing of the hips in a walk, rad. Feet that stand pass it on to the trunk, which works harder for it than the hips do: at 0.3 rad a spine joint of the
+/// salamander is at 48 % of its torque.
+const HIP_SWING_RAD: f64 = 0.25;
+
 /// Commands of all joints being written.
 pub(super) struct Body<'a> {
     pub limits: &'a [JointLimits],
@@ -151,8 +155,9 @@ impl<'a> Body<'a> {
                         row[a] += fade * size * (TAU * 0.8 * t + 0.7 * (k + i / 2) as f64).sin();
                     }
                 }
-                for &a in &b.spine {
-                    let turn = if side == 0 { 1.0 } else { -1.0 };
+                // neighbours turn against each other: a held body that all of them bend the same way swings up on its own weight
+                for (i, &a) in b.spine.iter().enumerate() {
+                    let turn = if side == i % 2 { 1.0 } else { -1.0 };
                     let size = b.limits[a].sine_rad(0.25, 0.4);
                     row[a] += fade * turn * size * (TAU * 0.4 * t).sin();
                 }
@@ -214,7 +219,7 @@ impl<'a> Body<'a> {
                 let diagonal = if i % 2 == i / 2 % 2 { 0.0 } else { PI };
                 let (swing, lift) = ((phase + diagonal).sin(), (phase + diagonal).cos().max(0.0));
                 if let (Some(&hip), Some(&knee)) = (leg.first(), leg.last()) {
-                    row[hip] += fade * b.limits[hip].sine_rad(0.3, hz) * swing;
+                    row[hip] += fade * b.limits[hip].sine_rad(HIP_SWING_RAD, hz) * swing;
                     let low = (height - 1.0) * row[knee].abs();
                     row[knee] += fade * (low - 0.35 * lift);
                 }

@@ -107,13 +107,29 @@ impl JointLimits {
         self.at(q_rad - (self.range_rad.0 - margin))
     }
 
-    /// Position in the range whose hold takes most, but not more than [`HOT_SHARE`]; its torque as a share.
+    /// Where the position loop comes to rest under the command `q_rad`: a gain hangs through, often towards where gravity pulls harder.
+    fn rest_rad(&self, q_rad: f64) -> f64 {
+        /// rad.
+        const STEP: f64 = 0.002;
+        let pull = |q: f64| self.kp_nm_per_rad * (q_rad - q) - self.gravity_nm(q);
+        let way = pull(q_rad).signum();
+        let mut q = q_rad;
+        // no farther than the gain reaches with all of the servo's torque
+        let most = self.tau_max_nm / self.kp_nm_per_rad.max(1e-9);
+        while way * pull(q) > 0.0 && (q - q_rad).abs() < most {
+            q += way * STEP;
+        }
+        q
+    }
+
+    /// Command in the range whose hold takes most, but not more than [`HOT_SHARE`]; its torque as a share.
     #[must_use]
     pub fn hottest(&self) -> (f64, f64) {
         let mut best = (self.nominal_rad, 0.0);
         let mut q = self.range_rad.0;
         while q <= self.range_rad.1 {
-            let share = self.gravity_nm(q).abs() / self.tau_max_nm;
+            let torque = self.gravity_nm(self.rest_rad(q)).abs();
+            let share = torque / self.tau_max_nm;
             if share <= HOT_SHARE && share > best.1 {
                 best = (q, share);
             }

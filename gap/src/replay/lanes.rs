@@ -11,6 +11,10 @@ use crate::error::GapError;
 use crate::plant::Plant;
 use crate::trial::Trial;
 
+/// How long a command waits in any servo, s: half a period of a firmware loop of about 1 kHz and its bridge. The simulated loop acts at once; without this
+/// every faultless servo shows 0.5 to 0.8 ms of delay.
+const SERVO_TICK_S: f64 = 0.0006;
+
 /// Runs `jobs` (variant, segment), at most as many as the engine has lanes. An empty prediction stands for a candidate that cannot be simulated.
 pub(super) fn run(
     replayer: &Replayer,
@@ -35,7 +39,7 @@ pub(super) fn run(
         let periods = (segment.duration_s() / period_s).ceil() as usize;
         most = most.max(periods);
         readers.push(readers_of(trial, &plant, segment.start_s));
-        switches.push(Switches::new(trial, segment.start_s));
+        switches.push(Switches::new(trial, &plant, segment.start_s));
         traces.push(Trace::new(
             trial,
             &plant,
@@ -58,7 +62,7 @@ pub(super) fn run(
                 targets[lane * joints + a] = reader.mean(from, from + period_s) as f32;
             }
             if switches[lane].due(from) && sound[lane] {
-                let params = switches[lane].apply(&plants[lane]);
+                let params = switches[lane].apply(&plants[lane], from);
                 sound[lane] &= engine.set_params(lane, &params).is_ok();
             }
         }
@@ -108,7 +112,7 @@ fn start(
         init.base_vel_mps = measured.base_vel_mps.map(|x| x as f32);
         init.base_angvel_radps = measured.base_angvel_radps.map(|x| x as f32);
     }
-    let params = switches.apply(plant);
+    let params = switches.apply(plant, data.segments[segment].start_s);
     let good = engine.set_params(lane, &params).is_ok();
     good && engine.reset(lane, &init).is_ok()
 }
@@ -122,7 +126,7 @@ fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Vec<Reader<'a
             let delay = plant.lane.command_delay_s + plant.lane.joints[a].command_skew_s;
             Reader::new(
                 steps,
-                f64::from(delay),
+                SERVO_TICK_S + f64::from(delay),
                 plant.sensing.encoders[a],
                 &plant.lane.command_loss,
                 from_s,
@@ -131,8 +135,15 @@ fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Vec<Reader<'a
         .collect()
 }
 
-/// Which servos are on.
+/// Time after which friction that changes within a run is set anew, s.
+const REFRESH_S: f64 = 0.2;
+
+/// Which servos are on, and what else changes within a run.
 struct Switches {
+    /// When the run began, s.
+    origin_s: f64,
+    /// When friction that changes is next set anew, s; infinite: nothing changes.
+    refresh_s: f64,
     /// Time, joint, on.
     events: Vec<(f64, usize, bool)>,
     next: usize,
@@ -140,7 +151,8 @@ struct Switches {
 }
 
 impl Switches {
-    fn new(trial: &Trial, from_s: f64) -> Self {
+    fn new(trial: &Trial, plant: &Plant, from_s: f64) -> Self {
+        let changes = plant.run_in.iter().any(|r| r.extra_nm != 0.0);
         let mut events = Vec::new();
         let mut on = vec![true; trial.enabled.len()];
         for (a, steps) in trial.enabled.iter().enumerate() {
@@ -154,6 +166,12 @@ impl Switches {
         }
         events.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
         Self {
+            origin_s: trial.span_s.0,
+            refresh_s: if changes {
+                from_s + REFRESH_S
+            } else {
+                f64::INFINITY
+            },
             events,
             next: 0,
             on,
@@ -168,12 +186,23 @@ impl Switches {
             self.on[a] = on;
             self.next += 1;
         }
-        self.next > before
+        let refresh = t_s >= self.refresh_s;
+        if refresh {
+            self.refresh_s = t_s + REFRESH_S;
+        }
+        self.next > before || refresh
     }
 
-    /// The engine's parameters: command delays are in the command stream already, and a servo that is off gives nothing.
-    fn apply(&self, plant: &Plant) -> caudata_sim::LaneParams {
+    /// The engine's parameters at time `t_s`: command delays are in the command stream already, and a servo that is off gives nothing.
+    fn apply(&self, plant: &Plant, t_s: f64) -> caudata_sim::LaneParams {
         let mut params = plant.lane.clone();
+        for (friction, run_in) in params.joint_friction_nm.iter_mut().zip(&plant.run_in) {
+            if run_in.extra_nm != 0.0 {
+                let since_s = (t_s - self.origin_s).max(0.0);
+                let extra = run_in.extra_nm * (-since_s / run_in.time_s).exp();
+                *friction = (*friction + extra as f32).max(0.0);
+            }
+        }
         params.command_delay_s = 0.0;
         params.command_loss = caudata_sim::CommandLoss::default();
         for joint in &mut params.joints {

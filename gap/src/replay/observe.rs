@@ -189,10 +189,12 @@ fn channel(
             let errors = &sensing.currents[i];
             let servo = plant.model.servo(i);
             out.extend(times.iter().map(|&t| {
-                let torque = trace.at(2 * n + i, seen(t));
+                let given = trace.at(2 * n + i, seen(t));
+                // the current is that of a motor that does not saturate
+                let left = 1.0 - f64::from(joint.torque_saturation_per_nm) * given.abs();
                 let true_a = shown_current(
                     servo,
-                    torque,
+                    given / left.max(1e-3),
                     f64::from(joint.torque_constant_nm_per_a),
                     f64::from(joint.current_dead_band_a),
                 );

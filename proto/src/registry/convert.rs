@@ -3,7 +3,7 @@
 use serde::de::IgnoredAny;
 
 use super::{
-    FETCH_CHUNK_BYTES, FetchInfo, FetchPart, FetchRequest, ListPage, ListRequest,
+    FETCH_CHUNK_BYTES, FetchInfo, FetchPart, FetchRequest, LabelName, ListPage, ListRequest,
     MAX_EVALUATION_BYTES, MAX_POLICY_BYTES, MAX_SIGNATURES, Manifest, ManifestRequest, Published,
     RegistryError, Signature, StreamName, WatchChange, WatchEvent, WatchRequest,
 };
@@ -20,6 +20,11 @@ impl TryFrom<pb::Manifest> for Manifest {
             0,
             MAX_SIGNATURES as u64,
         )?;
+        if m.reverts_to.is_some_and(|old| old >= m.version) {
+            return Err(RegistryError::Together(
+                "`reverts_to` must be below `version`",
+            ));
+        }
         Ok(Self {
             stream: StreamName::new(&m.stream)?,
             version: m.version,
@@ -34,6 +39,7 @@ impl TryFrom<pb::Manifest> for Manifest {
             training_commit: text("training_commit", m.training_commit, 0, 64)?,
             config_hash: text("config_hash", m.config_hash, 0, 64)?,
             evaluation_json: evaluation(m.evaluation_json)?,
+            reverts_to: m.reverts_to,
             signatures: m
                 .signatures
                 .into_iter()
@@ -59,6 +65,7 @@ impl From<Manifest> for pb::Manifest {
             training_commit: m.training_commit,
             config_hash: m.config_hash,
             evaluation_json: m.evaluation_json.unwrap_or_default(),
+            reverts_to: m.reverts_to,
             signatures: m
                 .signatures
                 .into_iter()
@@ -153,9 +160,17 @@ impl TryFrom<pb::GetManifestRequest> for ManifestRequest {
     type Error = RegistryError;
 
     fn try_from(r: pb::GetManifestRequest) -> Result<Self, RegistryError> {
+        let label = match r.label.as_str() {
+            "" => None,
+            name => Some(LabelName::new(name)?),
+        };
+        if label.is_some() && r.version.is_some() {
+            return Err(RegistryError::Together("a version or a label, not both"));
+        }
         Ok(Self {
             stream: StreamName::new(&r.stream)?,
             version: r.version,
+            label,
         })
     }
 }
@@ -165,6 +180,7 @@ impl From<ManifestRequest> for pb::GetManifestRequest {
         Self {
             stream: r.stream.0,
             version: r.version,
+            label: r.label.map(|label| label.0).unwrap_or_default(),
         }
     }
 }
@@ -285,6 +301,12 @@ impl TryFrom<pb::WatchEvent> for WatchEvent {
                 WatchChange::Published(Box::new(Manifest::try_from(m)?))
             }
             pb::watch_event::Event::Progress(pb::Progress {}) => WatchChange::Progress,
+            pb::watch_event::Event::LabelMoved(s) => {
+                WatchChange::LabelMoved(Box::new(s.try_into()?))
+            }
+            pb::watch_event::Event::Quarantined(s) => {
+                WatchChange::Quarantined(Box::new(s.try_into()?))
+            }
         };
         Ok(Self {
             generation: e.generation,
@@ -301,6 +323,8 @@ impl From<WatchEvent> for pb::WatchEvent {
             }),
             WatchChange::Published(m) => pb::watch_event::Event::Published((*m).into()),
             WatchChange::Progress => pb::watch_event::Event::Progress(pb::Progress {}),
+            WatchChange::LabelMoved(s) => pb::watch_event::Event::LabelMoved((*s).into()),
+            WatchChange::Quarantined(s) => pb::watch_event::Event::Quarantined((*s).into()),
         };
         Self {
             generation: e.generation,
@@ -318,7 +342,7 @@ fn manifests(list: Vec<pb::Manifest>) -> Result<Vec<Manifest>, RegistryError> {
 }
 
 /// An empty name means all streams.
-fn optional_stream(name: &str) -> Result<Option<StreamName>, RegistryError> {
+pub(super) fn optional_stream(name: &str) -> Result<Option<StreamName>, RegistryError> {
     if name.is_empty() {
         Ok(None)
     } else {
@@ -326,14 +350,14 @@ fn optional_stream(name: &str) -> Result<Option<StreamName>, RegistryError> {
     }
 }
 
-fn hash(field: &'static str, bytes: &[u8]) -> Result<[u8; 32], RegistryError> {
+pub(super) fn hash(field: &'static str, bytes: &[u8]) -> Result<[u8; 32], RegistryError> {
     bytes.try_into().map_err(|_| RegistryError::HashLength {
         field,
         found: bytes.len(),
     })
 }
 
-fn text(
+pub(super) fn text(
     field: &'static str,
     text: String,
     min: usize,
@@ -345,7 +369,12 @@ fn text(
     Err(RegistryError::Text { field, min, max })
 }
 
-fn range(field: &'static str, found: u64, min: u64, max: u64) -> Result<(), RegistryError> {
+pub(super) fn range(
+    field: &'static str,
+    found: u64,
+    min: u64,
+    max: u64,
+) -> Result<(), RegistryError> {
     if (min..=max).contains(&found) {
         return Ok(());
     }

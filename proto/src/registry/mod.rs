@@ -4,8 +4,15 @@
 //! request into a type of this module before it looks at it, a client does so with each answer.
 
 mod convert;
+mod convert_people;
+mod people;
 #[cfg(test)]
 mod tests;
+
+pub use people::{
+    AuditEntry, AuditPage, Freshness, LabelName, LabelState, MAX_REASON, NONCE_BYTES, Overview,
+    QuarantineState, RobotReport, RobotState, SetLabel, SignedFreshness, reverting,
+};
 
 use thiserror::Error;
 
@@ -67,6 +74,22 @@ pub enum RegistryError {
         /// Largest value allowed.
         max: u64,
     },
+    /// A label that is not one.
+    #[error("a label is 1 to 32 characters of a-z, 0-9 and `-`")]
+    Label,
+    /// Words that are too long or hold control characters.
+    #[error("`{field}` must be {min} to {max} bytes in one line")]
+    Words {
+        /// Which words.
+        field: &'static str,
+        /// Fewest bytes.
+        min: usize,
+        /// Most bytes.
+        max: usize,
+    },
+    /// Things that do not go together.
+    #[error("{0}")]
+    Together(&'static str),
     /// An evaluation summary that is too long or not one JSON object.
     #[error("`evaluation_json` must be one JSON object of at most 65536 bytes")]
     Evaluation,
@@ -131,6 +154,8 @@ pub struct Manifest {
     pub config_hash: String,
     /// Summary of an evaluation as one JSON object; `None` where there was none.
     pub evaluation_json: Option<String>,
+    /// The version whose bytes these are, where an older one is published again; always below `version`.
+    pub reverts_to: Option<u64>,
     /// Detached signatures; empty until policies are signed.
     pub signatures: Vec<Signature>,
 }
@@ -182,8 +207,10 @@ pub struct ListPage {
 pub struct ManifestRequest {
     /// Which stream.
     pub stream: StreamName,
-    /// `None`: the newest.
+    /// `None`: the newest, or the label's.
     pub version: Option<u64>,
+    /// The version that this label leads to; not together with `version`.
+    pub label: Option<LabelName>,
 }
 
 /// Asks for a file's bytes.
@@ -246,4 +273,8 @@ pub enum WatchChange {
     Published(Box<Manifest>),
     /// Nothing new; the server is alive.
     Progress,
+    /// A label moved.
+    LabelMoved(Box<LabelState>),
+    /// A version is out of use.
+    Quarantined(Box<QuarantineState>),
 }

@@ -18,10 +18,49 @@ fn manifest() -> Manifest {
         training_commit: "abc123".into(),
         config_hash: "def456".into(),
         evaluation_json: Some(r#"{"speed_mps": 0.3}"#.into()),
+        reverts_to: Some(2),
         signatures: vec![Signature {
             key_id: "release-1".into(),
             signature: vec![9; 64],
         }],
+    }
+}
+
+fn label() -> LabelState {
+    LabelState {
+        stream: manifest().stream,
+        label: LabelName::new("canary").unwrap(),
+        version: 3,
+        generation: 8,
+        by: "operator:ana".into(),
+        override_reason: None,
+        unix_ms: 5,
+    }
+}
+
+fn quarantined() -> QuarantineState {
+    QuarantineState {
+        stream: manifest().stream,
+        version: 2,
+        reason: "falls on gravel".into(),
+        by: "local".into(),
+        generation: 9,
+        unix_ms: 6,
+    }
+}
+
+fn report() -> RobotReport {
+    RobotReport {
+        robot: "robot-1".into(),
+        stream: manifest().stream,
+        version: 3,
+        sha256: [1; 32],
+        state: RobotState::Failed,
+        reason: "fell".into(),
+        walked_s: 3.5,
+        falls: 1,
+        attempts: 2,
+        unix_ms: 7,
     }
 }
 
@@ -38,6 +77,7 @@ where
 fn every_message_survives_the_round_trip() {
     let bare = Manifest {
         evaluation_json: None,
+        reverts_to: None,
         signatures: vec![],
         ..manifest()
     };
@@ -69,9 +109,40 @@ fn every_message_survives_the_round_trip() {
         let request = ManifestRequest {
             stream: stream.clone(),
             version,
+            label: None,
         };
         round_trip::<pb::GetManifestRequest, _>(&request);
     }
+    round_trip::<pb::GetManifestRequest, _>(&ManifestRequest {
+        stream: stream.clone(),
+        version: None,
+        label: Some(LabelName::latest()),
+    });
+    round_trip::<pb::SetLabelRequest, _>(&SetLabel {
+        stream: stream.clone(),
+        label: LabelName::new("stable").unwrap(),
+        version: 3,
+        expected_generation: 9,
+        override_reason: Some("für die Vorführung".into()),
+    });
+    round_trip::<pb::RobotReport, _>(&report());
+    round_trip::<pb::FreshnessResponse, _>(&SignedFreshness {
+        said: Freshness {
+            nonce: [7; 32],
+            stream: stream.clone(),
+            label: LabelName::latest(),
+            version: 3,
+            sha256: [1; 32],
+        },
+        signature: manifest().signatures[0].clone(),
+    });
+    round_trip::<pb::OverviewResponse, _>(&Overview {
+        labels: vec![label()],
+        quarantined: vec![quarantined()],
+        reports: vec![report()],
+        generation: 12,
+        read_only: Some("sync failed".into()),
+    });
     for if_none_match in [None, Some([4; 32])] {
         let request = FetchRequest {
             sha256: [1; 32],
@@ -95,6 +166,8 @@ fn every_message_survives_the_round_trip() {
         WatchChange::Snapshot(vec![bare]),
         WatchChange::Published(Box::new(manifest())),
         WatchChange::Progress,
+        WatchChange::LabelMoved(Box::new(label())),
+        WatchChange::Quarantined(Box::new(quarantined())),
     ] {
         round_trip::<pb::WatchEvent, _>(&WatchEvent {
             generation: 4,
@@ -205,4 +278,35 @@ fn fetched_pieces_are_bounded_and_never_empty() {
     assert!(FetchPart::try_from(beyond).is_err());
     let none = FetchPart::try_from(pb::FetchResponse { part: None });
     assert_eq!(none, Err(RegistryError::Missing { field: "part" }));
+}
+
+#[test]
+fn labels_are_safe_as_file_names_and_reasons_are_one_line() {
+    for good in ["latest", "canary", "stable", "demo-2026"] {
+        assert_eq!(LabelName::new(good).unwrap().as_str(), good);
+    }
+    for bad in ["", "../x", "A", "a/b", "a b", &"x".repeat(33)] {
+        assert!(LabelName::new(bad).is_err(), "{bad}");
+    }
+    let mut wire = pb::RobotReport::from(report());
+    wire.reason = String::new();
+    assert!(
+        RobotReport::try_from(wire.clone()).is_err(),
+        "a Nack says why"
+    );
+    wire.reason = "two\nlines".into();
+    assert!(RobotReport::try_from(wire.clone()).is_err());
+    wire.reason = "fell".into();
+    wire.walked_s = f64::NAN;
+    assert!(RobotReport::try_from(wire).is_err());
+    let mut both = pb::GetManifestRequest::from(ManifestRequest {
+        stream: manifest().stream,
+        version: Some(1),
+        label: None,
+    });
+    both.label = "stable".into();
+    assert!(ManifestRequest::try_from(both).is_err());
+    let mut forward = pb::Manifest::from(manifest());
+    forward.reverts_to = Some(forward.version);
+    assert!(Manifest::try_from(forward).is_err(), "back means down");
 }

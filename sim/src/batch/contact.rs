@@ -12,7 +12,7 @@
 //! trot 16 % of its way at 2 ms (2 % so), and halving the step only halved it. While sliding, only the direction across the slip is implicit, so that the force along the
 //! slip is Coulomb's whatever the acceleration.
 //!
-//! Here MuJoCo differs on purpose: its friction is the convex relaxation of Coulomb's, in which a sliding contact also lifts (the normal force
+//! Here MuJoCo differs, unless [`convex`](super::convex) is chosen: its friction is the convex relaxation of Coulomb's, in which a sliding contact also lifts (the normal force
 //! grows with the slip), and sticking takes a time constant. `docs/simulation.md` says how much of a gait's way that is.
 
 use super::convex;

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use caudata_model::RobotModel;
 
+use super::clock::{Clock, PhaseSeconds};
 use super::ground::Ground;
 use super::lanes::Group;
 use super::period::{Period, Scratch, Shared};
@@ -42,14 +43,18 @@ pub(super) trait Core: Send {
         config: &EngineConfig,
         params: &LaneParams,
     );
-    /// Length of [`LaneState::x`].
-    fn state_len(&self) -> usize;
+    /// Whether a lane's state has the lengths that these lanes have.
+    fn fits(&self, lane: &LaneState) -> bool;
     /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity (world), joints in model order,
     /// servos holding `rest`. Then reports it in `row` of `state`.
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State);
     fn get(&self, lane: usize) -> LaneState;
     fn put(&mut self, lane: usize, from: &LaneState) -> bool;
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State);
+    /// Starts to time the phases of the steps that follow.
+    fn time_phases(&mut self);
+    /// All threads together.
+    fn phase_seconds(&self) -> PhaseSeconds;
 }
 
 /// Where a lane starts.
@@ -117,8 +122,12 @@ impl<R: Lanes> Core for CoreOf<R> {
         }
     }
 
-    fn state_len(&self) -> usize {
-        super::lanes::layout(&self.shared.program).len()
+    fn fits(&self, lane: &LaneState) -> bool {
+        let group = &self.groups[0];
+        lane.x.len() == group.x.len()
+            && lane.drives.len() == group.drives.len()
+            && lane.sums.len() == group.sums.len()
+            && lane.history.len() == group.history.lane(0).len()
     }
 
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State) {
@@ -202,13 +211,23 @@ impl<R: Lanes> Core for CoreOf<R> {
 
     fn put(&mut self, lane: usize, from: &LaneState) -> bool {
         let (group, slot) = (&mut self.groups[lane / R::LANES], lane % R::LANES);
-        if from.x.len() != group.x.len()
-            || from.drives.len() != group.drives.len()
-            || from.sums.len() != group.sums.len()
-        {
-            return false;
-        }
         put_slot(group, slot, from)
+    }
+
+    fn time_phases(&mut self) {
+        for scratch in &mut self.scratch {
+            scratch.clock = Some(Clock::new());
+        }
+    }
+
+    fn phase_seconds(&self) -> PhaseSeconds {
+        let mut sum = PhaseSeconds::default();
+        for clock in self.scratch.iter().filter_map(|s| s.clock.as_ref()) {
+            for (sum, seconds) in sum.iter_mut().zip(clock.seconds) {
+                *sum += seconds;
+            }
+        }
+        sum
     }
 
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State) {

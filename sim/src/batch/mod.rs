@@ -9,20 +9,10 @@
 //! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact of balls, capsules, boxes and cylinders with the ground as
 //! [`program`] describes, and of balls with balls of the robot itself ([`pairs`]); drive-lines as in [`crate::drive`], water as in [`crate::water`].
 //!
-//! Cost (`examples/batch_bench.rs`: an open-loop trot, 64 lanes, one thread, one busy 2.7 GHz Xeon with AVX-512; physics steps per second
-//! with everything that [`State`] reports, MuJoCo 3.17 with 4 Newton iterations at 29,000 to 31,000 beside it):
-//!
-//! | scene | 16 lanes | 8 lanes |
-//! |---|---|---|
-//! | flat | 3,350,000 | 2,470,000 |
-//! | rugged | 3,060,000 | 2,240,000 |
-//! | water | 2,300,000 | 1,610,000 |
-//!
-//! Accuracy: accelerations in the air agree with MuJoCo's to 2e-8 (f64) and 9e-5 (f32), worst of 500 states. A trot travels 2.14 m in 10 s at 2 ms, 2.17 m
-//! at 0.5 ms, MuJoCo 2.13 m. Gaits that turn are sensitive to how soft contacts and joint stops are, in MuJoCo as here: on ten such gaits of 20 s,
-//! distances differ by 8 % and headings by 24° on average; MuJoCo with stiffer joint stops differs from itself by 9 % and 30°.
+//! Cost: `caudata bench sim`, with the time split by phase; docs/status.md has figures. Accuracy: `caudata sim verify`; docs/simulation.md.
 
 mod aba;
+mod clock;
 mod contact;
 mod convex;
 mod core;
@@ -42,9 +32,10 @@ mod wet;
 
 use std::sync::Arc;
 
-use caudata_model::{BaseKind, RobotModel};
+use caudata_model::RobotModel;
 
-use self::core::{Core, CoreOf, LaneState, Start};
+pub use self::clock::{Phase, PhaseSeconds};
+use self::core::{Core, CoreOf, Start};
 use crate::config::Precision;
 use crate::observe::{self, Coordinates};
 use crate::simd::Width;
@@ -52,9 +43,6 @@ use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Ter
 
 /// Most lanes one engine takes; each needs about 20 kB of memory.
 pub const MAX_LANES: usize = 1 << 20;
-
-/// How high above touching height a held robot hangs unless told otherwise, m.
-const HELD_CLEARANCE_M: f64 = 0.2;
 
 /// Values per lane of a wrench: force, torque.
 const WRENCH: usize = 6;
@@ -123,6 +111,17 @@ impl BatchEngine {
             engine.reset(lane, &init)?;
         }
         Ok(engine)
+    }
+
+    /// Starts to time the phases of the steps that follow, from zero.
+    pub fn time_phases(&mut self) {
+        self.core.time_phases();
+    }
+
+    /// Seconds that the steps since [`time_phases`](Self::time_phases) spent in each phase, over all threads; zeros without it.
+    #[must_use]
+    pub fn phase_seconds(&self) -> PhaseSeconds {
+        self.core.phase_seconds()
     }
 
     fn check_lane(&self, lane: usize) -> Result<(), SimError> {
@@ -233,7 +232,9 @@ impl Engine for BatchEngine {
         self.check_lane(lane)?;
         init.validate(&self.model, lane)?;
         let mut at = Coordinates::start(&self.model, init)?;
-        at.world_from_base.pos_m[2] = self.start_height_m(init, &at)?;
+        let hung = self.config.fixed_base;
+        at.world_from_base.pos_m[2] =
+            observe::start_height_m(&self.model, &self.terrain, hung, init, &at)?;
         let ([x, y, z], [w, i, j, k]) = (at.world_from_base.pos_m, at.world_from_base.quat_wxyz);
         let ([vx, vy, vz], [wx, wy, wz]) = (at.base_vel_mps, at.base_angvel_radps);
         let start = Start {
@@ -276,8 +277,7 @@ impl Engine for BatchEngine {
         for (lane, p) in params.iter().enumerate() {
             p.validate(&self.model, lane)?;
         }
-        let fits = |l: &LaneState| l.x.len() == self.core.state_len();
-        if !lanes.iter().all(fits) {
+        if !lanes.iter().all(|lane| self.core.fits(lane)) {
             return Err(snapshot::refused("its lanes have another layout"));
         }
         for (lane, (p, from)) in params.iter().zip(&lanes).enumerate() {
@@ -289,25 +289,6 @@ impl Engine for BatchEngine {
         self.params = params;
         self.state = state;
         Ok(())
-    }
-}
-
-impl BatchEngine {
-    /// Height of the base link's origin that `init` asks for.
-    fn start_height_m(&self, init: &InitialState, at: &Coordinates) -> Result<f64, SimError> {
-        if let Some(z) = init.base_z_m {
-            return Ok(f64::from(z));
-        }
-        if self.model.base() == BaseKind::Fixed {
-            return Ok(0.0); // where the model puts it
-        }
-        let touching = observe::touching_height_m(&self.model, &self.terrain, at)?;
-        let held = if self.config.fixed_base {
-            HELD_CLEARANCE_M
-        } else {
-            0.0
-        };
-        Ok(touching + held)
     }
 }
 

@@ -31,6 +31,10 @@ pub struct DriveFeatures {
     pub stribeck: bool,
     /// Load-dependent friction.
     pub load_friction: bool,
+    /// Load-dependent friction that is greater at rest.
+    pub load_stribeck: bool,
+    /// Torque that falls behind the current.
+    pub saturation: bool,
     /// Friction that depends on the direction.
     pub asymmetry: bool,
     /// Torque ripple.
@@ -58,7 +62,10 @@ impl DriveFeatures {
             current_limit: servo.current_limit_nm < NO_LIMIT,
             stribeck: servo.stribeck_nm > 0.0,
             load_friction: servo.load_friction_mean > 0.0
-                || servo.load_friction_half_difference != 0.0,
+                || servo.load_friction_half_difference != 0.0
+                || servo.load_stribeck > 0.0,
+            load_stribeck: servo.load_stribeck > 0.0,
+            saturation: servo.torque_saturation_per_nm > 0.0,
             asymmetry: servo.friction_asymmetry_nm != 0.0,
             ripple: servo.ripple_nm > 0.0,
             gear: servo.gear_is_soft > 0.5,
@@ -81,6 +88,8 @@ impl DriveFeatures {
             current_limit: self.current_limit | other.current_limit,
             stribeck: self.stribeck | other.stribeck,
             load_friction: self.load_friction | other.load_friction,
+            load_stribeck: self.load_stribeck | other.load_stribeck,
+            saturation: self.saturation | other.saturation,
             asymmetry: self.asymmetry | other.asymmetry,
             ripple: self.ripple | other.ripple,
             gear: self.gear | other.gear,

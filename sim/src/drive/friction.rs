@@ -1,8 +1,8 @@
 //! Dry friction of a joint: Coulomb, Stribeck, load-dependent and direction-dependent, on a bristle.
 //!
-//! The bound is `f = f_c + f_s·exp(−(q̇/v_s)²) + k(P)·|τ_load| ± a`: Coulomb, the extra grip at rest (Stribeck, in the form of Armstrong-Hélouvry,
-//! Dupont, Canudas de Wit, Automatica 30, 1994), a share of the torque that the gear passes on (different when it drives the load and when the load
-//! drives it: a gear's two efficiencies), and a part that changes sign with the direction.
+//! The bound is `f = f_c + (f_s + k_s·|τ_load|)·exp(−(q̇/v_s)²) + k(P)·|τ_load| ± a`: Coulomb, the extra grip at rest (Stribeck, in the form of
+//! Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30, 1994; part of it may grow with the load), a share of the torque that the gear passes
+//! on (different when it drives the load and when the load drives it: a gear's two efficiencies), and a part that changes sign with the direction.
 //!
 //! Below the bound the joint hangs on a bristle (Dahl, "A solid friction model", 1968, with Coulomb's bound): a spring of
 //! stiffness `f / presliding` that is dragged along once the bound is reached. It holds a load without creep,
@@ -28,9 +28,22 @@ const MAX_EXPONENT: f64 = 40.0;
 #[must_use]
 #[inline(always)]
 pub fn stribeck_nm<R: Real>(p: &ServoDrive<R>, qd_radps: R) -> R {
+    p.stribeck_nm * at_rest_share(p, qd_radps)
+}
+
+/// What is left of the grip at rest at speed `qd_radps`: 1 at rest.
+#[inline(always)]
+fn at_rest_share<R: Real>(p: &ServoDrive<R>, qd_radps: R) -> R {
     let x = qd_radps * p.per_stribeck_speed_s_per_rad;
     let exponent = (x * x).min(R::splat(MAX_EXPONENT));
-    p.stribeck_nm * (-exponent).exp()
+    (-exponent).exp()
+}
+
+/// Extra friction at rest from the torque that passes through the joint to its load, N·m.
+#[must_use]
+#[inline(always)]
+pub fn load_stribeck_nm<R: Real>(p: &ServoDrive<R>, load_nm: R, qd_radps: R) -> R {
+    load_nm.abs() * p.load_stribeck * at_rest_share(p, qd_radps)
 }
 
 /// Friction from the torque that passes through the joint to its load, N·m.
@@ -120,6 +133,13 @@ mod tests {
         near(stribeck_nm(&p, 0.1), 0.05 * 0.367_879_441_171);
         near(stribeck_nm(&p, -0.1), stribeck_nm(&p, 0.1));
         assert!(stribeck_nm(&p, 50.0) < 1e-12);
+        // a fifth of 0.5 N·m at rest, either way; 1/e of it at the Stribeck speed
+        let p = ServoDrive {
+            load_stribeck: 0.2,
+            ..p
+        };
+        near(load_stribeck_nm(&p, -0.5, 0.0), 0.1);
+        near(load_stribeck_nm(&p, 0.5, 0.1), 0.1 * 0.367_879_441_171);
     }
 
     #[test]

@@ -88,6 +88,10 @@ per_lane! {
         pub load_friction_mean: R,
         /// Half of driving minus driven.
         pub load_friction_half_difference: R,
+        /// Friction per load torque at rest, on top.
+        pub load_stribeck: R,
+        /// A motor that would give τ gives τ/(1 + s·|τ|): s, 1/(N·m).
+        pub torque_saturation_per_nm: R,
         /// Friction more in the positive, less in the negative direction, N·m.
         pub friction_asymmetry_nm: R,
         /// Amplitude of torque ripple, N·m.
@@ -161,6 +165,8 @@ impl ServoDrive<f64> {
             per_stribeck_speed_s_per_rad: 1.0 / wide(e.stribeck_speed_radps),
             load_friction_mean: 0.5 * (driving + driven),
             load_friction_half_difference: 0.5 * (driving - driven),
+            load_stribeck: wide(e.load_stribeck),
+            torque_saturation_per_nm: wide(e.torque_saturation_per_nm),
             friction_asymmetry_nm: wide(e.friction_asymmetry_nm),
             ripple_nm: wide(e.ripple_nm),
             ripple_per_turn: wide(e.ripple_per_turn),

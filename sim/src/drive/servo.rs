@@ -81,6 +81,23 @@ pub fn clamp_nm<R: Real>(
     torque_nm.clamp(low, high)
 }
 
+/// What a motor gives that would give `torque_nm` if its torque were in proportion to its current, N·m.
+#[must_use]
+#[inline(always)]
+pub fn saturated_nm<R: Real>(p: &ServoDrive<R>, torque_nm: R) -> R {
+    torque_nm / (R::one() + p.torque_saturation_per_nm * torque_nm.abs())
+}
+
+/// The inverse of [`saturated_nm`], N·m.
+#[must_use]
+#[inline(always)]
+pub fn unsaturated_nm<R: Real>(p: &ServoDrive<R>, given_nm: R) -> R {
+    /// Part of the torque that is left at least: beyond it no finite current gives more.
+    const LEAST: f64 = 1e-3;
+    let left = R::one() - p.torque_saturation_per_nm * given_nm.abs();
+    given_nm / left.max(R::splat(LEAST))
+}
+
 /// Magnitude of the motor current behind a motor torque, A: beyond the dead band in proportion to the torque; no torque, no current.
 #[must_use]
 #[inline(always)]
@@ -143,6 +160,18 @@ pub(crate) mod tests {
 
     fn limit(volt: f64, speed: f64) -> f64 {
         driving_limit_nm(&envelope(1.0), &Bus::at(volt), 1.0, speed)
+    }
+
+    #[test]
+    fn torque_falls_behind_the_current_and_back() {
+        let p = ServoDrive {
+            torque_saturation_per_nm: 0.5,
+            ..envelope(1.0)
+        };
+        // 1/(1 + 0.5) and −2/(1 + 1)
+        check(saturated_nm(&p, 1.0), 2.0 / 3.0);
+        check(saturated_nm(&p, -2.0), -1.0);
+        check(unsaturated_nm(&p, saturated_nm(&p, 0.7)), 0.7);
     }
 
     #[test]

@@ -156,7 +156,14 @@ pub fn start<R: Real>(
         torque: on_joint.plus(passive::spring_and_stops(hinge, stop, q_rad, qd_radps)),
         motor_nm,
         motor_radps,
-        current_a: servo::current_a(p, motor_nm),
+        current_a: servo::current_a(
+            p,
+            if f.saturation {
+                servo::unsaturated_nm(p, motor_nm)
+            } else {
+                motor_nm
+            },
+        ),
         drag,
         gear,
     }
@@ -294,6 +301,9 @@ fn motor<R: Real>(
         let more = p.ki_nm_per_rad_s * error_rad * step.dt_s;
         m.integral_nm += R::select(winds_up, R::zero(), more);
     }
+    if f.saturation {
+        given_nm = servo::saturated_nm(p, given_nm);
+    }
     given_nm
 }
 
@@ -312,6 +322,9 @@ fn friction_bound<R: Real>(
     }
     if f.load_friction {
         bound_nm += friction::load_friction_nm(p, m.load_nm, speed_radps);
+    }
+    if f.load_stribeck {
+        bound_nm += friction::load_stribeck_nm(p, m.load_nm, speed_radps);
     }
     if f.asymmetry {
         bound_nm += friction::asymmetry_nm(p, m.bristle_rad, hinge.presliding_rad);

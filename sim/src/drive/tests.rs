@@ -445,6 +445,8 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         current_limit: true,
         stribeck: true,
         load_friction: true,
+        load_stribeck: true,
+        saturation: true,
         asymmetry: true,
         ripple: true,
         gear: true,

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use caudata_model::RobotModel;
 use caudata_model::pose::sub;
-use caudata_model::{BaseKind, RobotModel};
 use rapier3d::prelude::SharedShape;
 use serde::{Deserialize, Serialize};
 
@@ -15,9 +15,6 @@ use crate::drive::ServoDrive;
 use crate::observe::{self, Coordinates, LinkMass, Motion};
 use crate::stop::Stop;
 use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
-
-/// How high above touching height a held robot hangs unless told otherwise, m.
-const HELD_CLEARANCE_M: f64 = 0.2;
 
 /// What all lanes share.
 pub(super) struct Shared {
@@ -60,7 +57,13 @@ impl Lane {
     /// A lane in `init`.
     pub fn new(shared: &Shared, params: LaneParams, init: &InitialState) -> Result<Self, SimError> {
         let mut at = Coordinates::start(&shared.model, init)?;
-        at.world_from_base.pos_m[2] = start_height_m(shared, init, &at)?;
+        at.world_from_base.pos_m[2] = observe::start_height_m(
+            &shared.model,
+            &shared.terrain,
+            shared.config.fixed_base,
+            init,
+            &at,
+        )?;
         let memory = DriveMemory::new(shared, &params, init);
         Self::at(shared, params, at, memory)
     }
@@ -193,21 +196,4 @@ impl Lane {
         let (out, gravity) = (&mut self.memory.out, self.params.gravity_mps2);
         observe::write_specific_force(out, &shared.model, &self.motion, gravity, acceleration);
     }
-}
-
-/// Height of the base link's origin that `init` asks for.
-fn start_height_m(shared: &Shared, init: &InitialState, at: &Coordinates) -> Result<f64, SimError> {
-    if let Some(z) = init.base_z_m {
-        return Ok(f64::from(z));
-    }
-    if shared.model.base() == BaseKind::Fixed {
-        return Ok(0.0); // where the model puts it
-    }
-    let touching = observe::touching_height_m(&shared.model, &shared.terrain, at)?;
-    Ok(touching
-        + if shared.config.fixed_base {
-            HELD_CLEARANCE_M
-        } else {
-            0.0
-        })
 }

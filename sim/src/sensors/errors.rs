@@ -24,7 +24,12 @@ impl EncoderErrors {
     /// Reading for a true position, rad.
     #[must_use]
     pub fn read_rad(&self, servo: &ServoParams, true_rad: f32) -> f32 {
-        let swing = self.eccentricity_rad * (true_rad + self.eccentricity_phase_rad).sin();
+        // sixteen sines per reading would be a fiftieth of an environment's step
+        let swing = if self.eccentricity_rad == 0.0 {
+            0.0
+        } else {
+            self.eccentricity_rad * (true_rad + self.eccentricity_phase_rad).sin()
+        };
         let shown = (1.0 + self.gain) * true_rad + swing + self.offset_rad;
         quantise(shown, servo.encoder_lsb_rad())
     }

@@ -118,7 +118,10 @@ fn noisy(truth: [f32; 3], bias: [f32; 3], std: f32, stream: &mut Stream) -> [f32
 /// Nearest multiple of `lsb` (0: as it is).
 fn quantise(value: f32, lsb: f64) -> f32 {
     if lsb > 0.0 {
-        ((f64::from(value) / lsb).round() * lsb) as f32
+        // Adding this moves the fraction out of the mantissa: rounds to the nearest whole number, as long as that has less than 51 bits.
+        // (`round` is a call into the C library on processors without SSE 4.1.)
+        const SHIFT: f64 = 6_755_399_441_055_744.0; // 1.5·2⁵²
+        (((f64::from(value) / lsb + SHIFT) - SHIFT) * lsb) as f32
     } else {
         value
     }

@@ -8,7 +8,7 @@ use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::batch::smooth::{Motion, accelerations};
 use caudata_sim::{EngineConfig, LaneParams, Precision};
 
-use crate::{random_motion, robots};
+use crate::{largest, random_motion, robots};
 
 const STATES: usize = 500;
 
@@ -81,9 +81,9 @@ fn accelerates_as_mujoco_does() {
                     all.extend(got.base_radps2);
                 }
                 all.extend(got.joint_radps2);
-                let most = want.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
-                let off = (all.iter().zip(want)).fold(0.0_f64, |m, (g, w)| m.max((g - w).abs()));
-                worst = worst.max(off / most);
+                assert_eq!(all.len(), want.len());
+                let off = largest(all.iter().zip(want).map(|(g, w)| g - w));
+                worst = largest([worst, off / largest(want.iter().copied())]);
             }
             println!("held {held}, {precision:?}: {worst:.1e} relative, worst of {STATES} states");
             assert!(worst < limit, "held {held}, {precision:?}: {worst}");

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::{
-    Engine, EngineConfig, InitialState, LaneParams, State, TerrainConfig, TerrainKind, build,
+    Engine, EngineConfig, InitialState, LaneParams, SimError, State, TerrainConfig, TerrainKind,
+    build,
 };
 
 use crate::robots;
@@ -102,6 +103,22 @@ fn ten_thousand_steps_give_the_same_bits_for_any_thread_count_and_through_a_snap
     }
 }
 
+/// Says that a width is not tested here; anything but that missing width is a failure.
+fn lacks_width(error: &SimError, lane_width: u32) {
+    let missing = matches!(
+        error,
+        SimError::Config {
+            field: "lane_width",
+            ..
+        }
+    );
+    assert!(missing, "{error}");
+    let _ = writeln!(
+        std::io::stderr(),
+        "skipped: this processor has no {lane_width} lanes"
+    );
+}
+
 /// FNV-1a over the bits of everything reported.
 fn fingerprint(state: &State) -> u64 {
     bits(state)
@@ -118,20 +135,32 @@ const GOLDEN: u64 = 0x4ffc_769d_4b1a_4808;
 #[test]
 fn ten_thousand_steps_end_where_they_always_did() {
     let model = robots::polymander();
-    for (lane_width, threads) in [(8, 1), (8, 2), (16, 4)] {
+    for (lane_width, threads, restored) in [
+        (8, 1, false),
+        (8, 2, false),
+        (8, 4, false),
+        (8, 1, true),
+        (16, 1, false),
+        (16, 4, false),
+    ] {
         let config = EngineConfig {
             lane_width,
             ..EngineConfig::default()
         };
         let flat = TerrainConfig::default();
-        let Ok(mut e) = build(model.clone(), LANES, &config, &flat, 3, threads) else {
-            let _ = writeln!(
-                std::io::stderr(),
-                "skipped: this processor has no {lane_width} lanes"
-            );
-            continue;
+        let mut e = match build(model.clone(), LANES, &config, &flat, 3, threads) {
+            Ok(engine) => engine,
+            Err(error) => {
+                lacks_width(&error, lane_width);
+                continue;
+            }
         };
         for period in 0..1000 {
+            if restored && period == 500 {
+                let bytes = e.snapshot().unwrap();
+                e = build(model.clone(), LANES, &config, &flat, 3, threads).unwrap();
+                e.restore(&bytes).unwrap();
+            }
             let targets = command(&model, LANES, period, |l| l);
             e.step(&targets, &[0.0; 6 * LANES]).unwrap();
         }
@@ -184,11 +213,8 @@ fn per_width(held: bool, periods: usize) -> Vec<(u32, State)> {
             fixed_base: held,
             ..EngineConfig::default()
         };
-        if build(model.clone(), 3, &config, &rough(), 3, 1).is_err() {
-            let _ = writeln!(
-                std::io::stderr(),
-                "skipped: this processor has no {width} lanes"
-            );
+        if let Err(error) = build(model.clone(), 3, &config, &rough(), 3, 1) {
+            lacks_width(&error, width);
             continue;
         }
         let mut e = engine(&model, 3, &config, 1, |l| l);

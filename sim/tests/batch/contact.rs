@@ -19,7 +19,8 @@ fn slides_at_the_same_angle_with_convex_friction() {
     });
 }
 
-/// A table that starts to slide at 1 m/s lifts with MuJoCo's friction (v_n would follow μ·v_t), and does not with Coulomb's.
+/// A table that slides at 1 m/s lifts with MuJoCo's friction (v_n follows μ·v_t until the contact opens, a tenth of a millimetre higher), and
+/// does not with Coulomb's.
 #[test]
 fn a_sliding_foot_lifts_itself_with_convex_friction_only() {
     let model = robots::table();
@@ -44,10 +45,10 @@ fn a_sliding_foot_lifts_itself_with_convex_friction_only() {
     };
     let (coulomb, convex) = (highest(false), highest(true));
     assert!(
-        coulomb < 5e-4,
+        coulomb < 1e-5,
         "with Coulomb's friction it rose by {coulomb} m"
     );
-    assert!(convex > 2e-3, "with MuJoCo's it rose by {convex} m only");
+    assert!(convex > 5e-5, "with MuJoCo's it rose by {convex} m only");
 }
 
 fn slides_at_its_angle(config: &EngineConfig) {

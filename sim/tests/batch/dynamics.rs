@@ -6,7 +6,7 @@ use caudata_sim::batch::smooth::{Accelerations, Motion, accelerations};
 use caudata_sim::{EngineConfig, LaneParams, Precision};
 use proptest::prelude::*;
 
-use crate::{plain, random_motion, robots, trees};
+use crate::{largest, plain, random_motion, robots, trees};
 
 /// Largest difference over the largest acceleration.
 fn apart(got: &Accelerations, want: &Accelerations) -> f64 {
@@ -17,8 +17,9 @@ fn apart(got: &Accelerations, want: &Accelerations) -> f64 {
             .collect()
     };
     let (got, want) = (flat(got), flat(want));
-    let most = want.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
-    (got.iter().zip(&want)).fold(0.0_f64, |m, (g, w)| m.max((g - w).abs())) / most
+    assert_eq!(got.len(), want.len());
+    let off = largest(got.iter().zip(&want).map(|(g, w)| g - w));
+    off / largest(want)
 }
 
 fn check(model: &RobotModel, held: bool, at: &Motion, precision: Precision) -> f64 {
@@ -55,8 +56,8 @@ fn the_polymander_moves_as_the_plain_formulation_says() {
         let (mut double, mut single) = (0.0_f64, 0.0_f64);
         for _ in 0..500 {
             let at = random_motion(&model, 1.0, &mut stream);
-            double = double.max(check(&model, held, &at, Precision::Double));
-            single = single.max(check(&model, held, &at, Precision::Single));
+            double = largest([double, check(&model, held, &at, Precision::Double)]);
+            single = largest([single, check(&model, held, &at, Precision::Single)]);
         }
         println!("held {held}: f64 {double:.1e}, f32 {single:.1e} relative");
         assert!(double < 1e-10, "f64 is {double} off");

@@ -22,6 +22,19 @@ use caudata_model::{Pose, RobotModel};
 use caudata_random::Stream;
 use caudata_sim::batch::smooth::Motion;
 
+/// The largest magnitude; NaN where any is.
+pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+    // `f64::max` would forget a NaN
+    let fold = |most: f64, v: f64| {
+        if most.is_nan() || v.is_nan() {
+            f64::NAN
+        } else {
+            most.max(v.abs())
+        }
+    };
+    values.into_iter().fold(0.0, fold)
+}
+
 /// A random motion of a robot: joints within ±`reach`, everything moving at about 1 rad/s and 1 m/s, torques of about 1 N·m.
 fn random_motion(model: &RobotModel, reach: f64, stream: &mut Stream) -> Motion {
     let joints = model.joints().len();

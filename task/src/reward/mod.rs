@@ -117,7 +117,7 @@ reward_terms! {
     tracking_lin_vel: Reward, "1", 1.0;
     /// exp(−(ω_cmd − ω_z)²/`yaw_rate_sigma`): follow the commanded yaw rate. Default 0.5 (paper).
     tracking_yaw_rate: Reward, "1", 0.5;
-    /// On land, exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock; 0 in water. Default 1.0 (paper);
+    /// On land, exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock; 0 afloat. Default 1.0 (paper);
     /// too small: the policy shuffles or vibrates.
     phase: Reward, "1", 1.0;
     /// Σ|q̇τ|, mechanical power of all motors in either direction. Default −1e-3 (paper); −3e-3 curbs
@@ -135,7 +135,8 @@ reward_terms! {
     slip: Cost, "m/s", 0.0;
     /// g_x² + g_y² of the gravity direction in the body frame: lean and roll. Default 0.
     orientation: Cost, "1", 0.0;
-    /// Contact force on trunk and legs but not the feet (a trailing tail is free), as a share of `trunk_force_n`, at most 1. Default 0.
+    /// Contact force on trunk and legs but not the feet (a trailing tail is free), as a share of `trunk_force_n`, at most 1; free in water, where
+    /// a robot lands on its belly. Default 0.
     trunk_contact: Cost, "1", 0.0;
     /// v_z² of the whole body: hopping. Default 0.
     vertical_velocity: Cost, "m²/s²", 0.0;
@@ -143,12 +144,12 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
-    /// In water, exp(−Σ (q − q_swimming)²/`leg_fold_sigma`) over the leg joints: legs folded back as in the robot file's swimming pose;
-    /// 0 on land. It takes the place of `phase`, which pays nothing in water, so give it about that weight: too small, and staying on
+    /// Afloat, exp(−Σ (q − q_swimming)²/`leg_fold_sigma`) over the leg joints: legs folded back as in the robot file's swimming pose;
+    /// 0 on land and in shallow water. It takes the place of `phase`, which pays nothing afloat, so give it about that weight: too small, and staying on
     /// land pays. Default 0 (not in the paper).
     leg_fold: Reward, "1", 0.0;
-    /// In water, exp(−Σ (q − q_wave)²/`wave_sigma`) over the body joints: a wave that travels from head to tail with the gait clock, as high as
-    /// the commanded forward speed asks for; 0 on land. What `phase` is to walking. Default 0 (not in the paper); without it the policy does
+    /// Afloat, exp(−Σ (q − q_wave)²/`wave_sigma`) over the body joints: a wave that travels from head to tail with the gait clock, as high as
+    /// the commanded forward speed asks for; 0 on land and in shallow water. What `phase` is to walking. Default 0 (not in the paper); without it the policy does
     /// not find out how to swim: independent noise in eight joints makes no travelling wave.
     body_wave: Reward, "1", 0.0;
 }
@@ -193,6 +194,11 @@ pub struct RewardConfig {
     /// speed up to 1.5 times that. Default 0.14 and 0.22, with which the nominal robot swims at about 0.3 m/s open loop. Larger: faster and more
     /// power.
     pub wave_amplitude_rad: [f32; 2],
+    /// Height of the centre of mass above the highest ground under a foot from which on the robot swims, if it is in water, m. Default 0.09:
+    /// it stands at 0.073, and runs aground lower than that with its legs folded back. Below it the rewards are those of land, although
+    /// the medium bit says water. Too small: a robot that comes ashore keeps its legs folded and lies in the shallows for ever; too large:
+    /// it treads water for the pay of walking where its feet find no ground (0.16 did that).
+    pub afloat_above_m: f32,
     /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make nine tenths of a wave.
     pub wave_lag_rad: f32,
     /// σ of `body_wave`, rad². Default 0.1: a straight body earns about 30 % at 0.3 m/s.
@@ -218,6 +224,7 @@ impl Default for RewardConfig {
             trunk_force_n: 5.0,
             leg_fold_sigma: 3.0,
             wave_amplitude_rad: [0.14, 0.22],
+            afloat_above_m: 0.09,
             wave_lag_rad: 0.7,
             wave_sigma: 0.1,
             soft_limit_share: 0.95,
@@ -274,6 +281,7 @@ impl RewardConfig {
             (self.trunk_force_n, "reward.trunk_force_n"),
             (self.leg_fold_sigma, "reward.leg_fold_sigma"),
             (self.wave_sigma, "reward.wave_sigma"),
+            (self.afloat_above_m, "reward.afloat_above_m"),
         ];
         for (value, field) in positive {
             require(
@@ -356,6 +364,8 @@ pub struct RewardInput<'a> {
     pub trunk_force_n: f32,
     /// 0 on land, 1 in water.
     pub medium: f32,
+    /// Height of the whole body's centre of mass above the highest ground under a foot, m.
+    pub com_over_ground_m: f32,
     /// Joint positions of the swimming pose, rad.
     pub swimming_rad: &'a [f32; ACT_DIM],
     /// The action of this step, clipped.

@@ -34,6 +34,7 @@ fn rest() -> RewardInput<'static> {
         foot_force_n: &[[0.0, 0.0, 6.0]; FEET],
         trunk_force_n: 0.0,
         medium: 0.0,
+        com_over_ground_m: 1.0,
         swimming_rad: &ZEROS,
         action: &ZEROS,
         previous_action: &ZEROS,
@@ -307,6 +308,15 @@ fn in_water_legs_fold_instead_of_stepping() {
     };
     check(terms::leg_fold, &on_land, 0.0);
     check(terms::phase, &on_land, 1.0);
+    // With ground in reach the bit still says water, but the feet step and the belly may touch.
+    let wading = RewardInput {
+        com_over_ground_m: 0.07,
+        trunk_force_n: 100.0,
+        ..input
+    };
+    check(terms::leg_fold, &wading, 0.0);
+    check(terms::phase, &wading, 1.0);
+    check(terms::trunk_contact, &wading, 0.0);
 }
 
 #[test]

@@ -310,7 +310,7 @@ pub fn make(plan: &GroundPlan, parent: &Path) -> Result<Answer, GenerateError> {
                 episode: 0,
             };
             let mut stream = Stream::new(key, Purpose::Sensor);
-            let log = free::run(&model, &ground, rows, plan.channels, &mut stream)?;
+            let log = free::run(&model, &ground, rows, plan.channels, false, &mut stream)?;
             let mut meta = LogMeta::new("polymander", BaseHold::Free, RATE_HZ);
             meta.terrain = "flat".to_owned();
             meta.kp = Some(model.kp_nm_per_rad());

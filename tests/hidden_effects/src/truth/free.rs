@@ -114,7 +114,7 @@ pub fn signals(model: &RobotModel, channels: Channels) -> Vec<Signal> {
     all
 }
 
-/// Walks the robot through `rows_rad` (one command per row) and returns the log's rows.
+/// Walks the robot through `rows_rad` (one command per row), or moves it on a stand (`held`), and returns the log's rows.
 ///
 /// # Errors
 /// [`SimError`] where parameters are not physical.
@@ -123,12 +123,14 @@ pub fn run(
     ground: &Ground,
     rows_rad: &[Vec<f64>],
     channels: Channels,
+    held: bool,
     stream: &mut Stream,
 ) -> Result<Vec<Row>, SimError> {
     let config = EngineConfig {
         kind: EngineKind::Rapier,
         dt_s: STEP_S,
         substeps: STEPS_PER_ROW,
+        fixed_base: held,
         ..EngineConfig::rapier()
     };
     let mut engine = caudata_sim::build(

@@ -1,0 +1,549 @@
+//! Every door through which bytes come in from outside, with bytes that somebody has spoilt: no panic, no more memory than a limit, and
+//! nothing accepted that must not be. `make test` knocks for two seconds each, `make fuzz` for a minute.
+//!
+//! An input that breaks a rule is kept in `deploy/tests/fuzz_seeds/<target>/` and is the first to be tried ever after.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+// Only the allocator sees every allocation; an allocator cannot be written without `unsafe`.
+#![allow(unsafe_code)]
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::collections::BTreeSet;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use caudata_deploy::command_link::{Kind, LinkKey, Message, Receiver};
+use caudata_deploy::state::{PolicyRef, RobotState, Sha256Digest};
+use caudata_deploy::store::PolicyStore;
+use caudata_dynamixel::crc::crc16;
+use caudata_dynamixel::frame::{Framer, STATUS, encode, unstuff};
+use caudata_policy::PolicyFile;
+use caudata_policy_server::Record;
+use caudata_proto::registry::{
+    Freshness, LabelName, Manifest, SignedFreshness, StreamName, WatchEvent,
+};
+use caudata_proto::wire::registry as wire;
+use caudata_proto::{DecodeLimits, robot_link};
+use caudata_runlog::Table;
+use caudata_signing::{ReleaseKey, Trust};
+use common::policies::standing;
+use prost::Message as _;
+use sha2::{Digest, Sha256};
+
+thread_local! {
+    /// Bytes that this thread holds, and the most that it held.
+    static HELD: Cell<[usize; 2]> = const { Cell::new([0; 2]) };
+}
+
+struct Counting;
+
+// SAFETY: every call goes to the system's allocator unchanged; sizes are only counted beside it.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = HELD.try_with(|held| {
+            let [now, peak] = held.get();
+            let now = now.saturating_add(layout.size());
+            held.set([now, peak.max(now)]);
+        });
+        // SAFETY: the caller keeps `alloc`'s contract.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        let _ = HELD.try_with(|held| {
+            let [now, peak] = held.get();
+            held.set([now.saturating_sub(layout.size()), peak]);
+        });
+        // SAFETY: `memory` came from `System.alloc` with this layout.
+        unsafe { System.dealloc(memory, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Numbers that look random and are the same each time.
+struct Dice(u64);
+
+impl Dice {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    fn below(&mut self, end: usize) -> usize {
+        (self.next() % end.max(1) as u64) as usize
+    }
+}
+
+/// Bytes that parsers trip over: ends of number ranges, long varints, headers, brackets.
+const SPITE: [&[u8]; 14] = [
+    &[0],
+    &[0xFF],
+    &[0x7F, 0xFF, 0xFF, 0xFF],
+    &[0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01],
+    &[0x80, 0x80, 0x80, 0x80, 0x08],
+    &[0xFF, 0xFF, 0xFD, 0x00],
+    b"nan",
+    b"-1e999",
+    b"\"",
+    b"{{[[",
+    b"../../../etc/passwd",
+    b"\r\n",
+    &[0x00, 0x00, 0xC0, 0x7F],
+    "ä\u{202e}".as_bytes(),
+];
+
+fn spoil(dice: &mut Dice, pool: &[Vec<u8>]) -> Vec<u8> {
+    let mut bytes = pool[dice.below(pool.len())].clone();
+    for _ in 0..=dice.below(6) {
+        let (at, kind) = (dice.below(bytes.len() + 1), dice.below(8));
+        match kind {
+            0 if at < bytes.len() => bytes[at] ^= 1 << dice.below(8),
+            1 if at < bytes.len() => bytes[at] = dice.next() as u8,
+            2 => bytes.truncate(at),
+            3 => {
+                let piece = SPITE[dice.below(SPITE.len())];
+                bytes.splice(at..at, piece.iter().copied());
+            }
+            4 => {
+                let piece = SPITE[dice.below(SPITE.len())];
+                let end = (at + piece.len()).min(bytes.len());
+                bytes.splice(at..end, piece.iter().copied());
+            }
+            5 => {
+                let end = (at + 1 + dice.below(64)).min(bytes.len());
+                bytes.drain(at..end);
+            }
+            6 => {
+                let end = (at + 1 + dice.below(64)).min(bytes.len());
+                let piece = bytes[at..end].to_vec();
+                bytes.splice(at..at, piece);
+            }
+            _ => {
+                let other = &pool[dice.below(pool.len())];
+                let from = dice.below(other.len() + 1);
+                bytes.truncate(at);
+                bytes.extend_from_slice(&other[from..]);
+            }
+        }
+    }
+    bytes.truncate(4 << 20);
+    bytes
+}
+
+fn seconds() -> f64 {
+    let told = std::env::var("CAUDATA_FUZZ_S").ok();
+    told.map_or(2.0, |text| {
+        text.parse().expect("CAUDATA_FUZZ_S is a number of seconds")
+    })
+}
+
+fn kept(target: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/fuzz_seeds")
+        .join(target)
+}
+
+/// Knocks with spoilt `seeds`. `check` answers in words what came of it (new words make an input a seed) and panics where a rule is broken.
+/// At most `memory` bytes may be held at once.
+fn fuzz(target: &str, seeds: Vec<Vec<u8>>, memory: usize, mut check: impl FnMut(&[u8]) -> String) {
+    let mut dice = Dice(0x9E37_79B9_7F4A_7C15 ^ target.len() as u64);
+    let old = std::fs::read_dir(kept(target)).into_iter().flatten();
+    let old: Vec<Vec<u8>> = old
+        .map(|entry| std::fs::read(entry.unwrap().path()).unwrap())
+        .collect();
+    let mut one = |bytes: &[u8]| {
+        let held = HELD.get()[0];
+        HELD.set([held, held]);
+        let came = catch_unwind(AssertUnwindSafe(|| check(bytes)));
+        let took = HELD.get()[1] - held;
+        if came.is_err() || took > memory {
+            let name = format!("{}", Sha256Digest(Sha256::digest(bytes).into()));
+            std::fs::create_dir_all(kept(target)).unwrap();
+            let path = kept(target).join(&name[..16]);
+            std::fs::write(&path, bytes).unwrap();
+            panic!("{target}: {} (memory {took})", path.display());
+        }
+        came.unwrap()
+    };
+    let mut words = BTreeSet::new();
+    for bytes in seeds.iter().chain(&old) {
+        words.insert(one(bytes));
+    }
+    let mut pool = [seeds, old].concat();
+    let end = Instant::now() + Duration::from_secs_f64(seconds());
+    let mut tried = 0_u64;
+    while Instant::now() < end {
+        let bytes = spoil(&mut dice, &pool);
+        // Digits differ from place to place; what is wrong does not.
+        let said: String = one(&bytes)
+            .chars()
+            .filter(|c| !c.is_ascii_digit())
+            .collect();
+        if pool.len() < 2000 && words.insert(said) {
+            pool.push(bytes);
+        }
+        tried += 1;
+    }
+    println!("{target}: {tried} inputs, {} kinds of answer", words.len());
+    assert!(words.len() > 1, "{target}: every input is treated alike");
+}
+
+fn manifest() -> Manifest {
+    let file = PolicyFile::parse(Arc::from(standing(3))).unwrap();
+    let stream = StreamName::new("release/flat").unwrap();
+    let mut manifest = caudata_registry_client::manifest_of(stream, &file, 5).unwrap();
+    manifest.evaluation_json = Some("{\"a\":1}".into());
+    manifest
+}
+
+fn release() -> ReleaseKey {
+    ReleaseKey::from_seed("release", &[7; 32])
+}
+
+fn fresh() -> ReleaseKey {
+    ReleaseKey::from_seed("server", &[8; 32])
+}
+
+fn trust() -> String {
+    format!(
+        "{}\n{}",
+        release().trust_file(),
+        fresh().fresh_trust_lines()
+    )
+}
+
+#[test]
+fn trust_file() {
+    fuzz("trust_file", vec![trust().into_bytes()], 1 << 20, |bytes| {
+        let Ok(text) = std::str::from_utf8(bytes) else {
+            return "no text".into();
+        };
+        match Trust::parse(text) {
+            Ok(_) => "taken".into(),
+            Err(reason) => reason.chars().take(60).collect(),
+        }
+    });
+}
+
+#[test]
+fn manifest_and_signature() {
+    let trust = Trust::parse(&trust()).unwrap();
+    let mut signed = manifest();
+    release().sign(&mut signed);
+    let mut back = manifest();
+    back.reverts_to = Some(1);
+    release().sign(&mut back);
+    let genuine = [signed.clone(), back.clone()];
+    let seeds = genuine
+        .iter()
+        .map(|m| wire::Manifest::from(m.clone()).encode_to_vec())
+        .collect();
+    fuzz("manifest_and_signature", seeds, 1 << 20, |bytes| {
+        let Ok(message) = wire::Manifest::decode(bytes) else {
+            return "not protobuf".into();
+        };
+        match Manifest::try_from(message) {
+            Err(error) => error.to_string(),
+            Ok(found) => match trust.check(&found) {
+                Err(_) => "not trusted".into(),
+                Ok(()) => {
+                    let mut bare = found.clone();
+                    bare.signatures.clear();
+                    let same = |m: &Manifest| {
+                        Manifest {
+                            signatures: vec![],
+                            ..m.clone()
+                        } == bare
+                    };
+                    assert!(genuine.iter().any(same), "trusts what nobody signed");
+                    "trusted".into()
+                }
+            },
+        }
+    });
+}
+
+#[test]
+fn freshness() {
+    let trust = Trust::parse(&trust()).unwrap();
+    let (stream, label) = (manifest().stream, LabelName::latest());
+    let said = Freshness {
+        nonce: [5; 32],
+        stream: stream.clone(),
+        label: label.clone(),
+        version: 3,
+        sha256: [1; 32],
+    };
+    let genuine = fresh().vouch(said.clone());
+    let seeds = vec![wire::FreshnessResponse::from(genuine).encode_to_vec()];
+    fuzz("freshness", seeds, 1 << 20, |bytes| {
+        let Ok(message) = wire::FreshnessResponse::decode(bytes) else {
+            return "not protobuf".into();
+        };
+        match SignedFreshness::try_from(message) {
+            Err(error) => error.to_string(),
+            Ok(found) => match trust.check_fresh(&found, &[5; 32], &stream, &label) {
+                Err(why) => why.to_string(),
+                Ok(()) => {
+                    assert_eq!(found.said, said, "takes what nobody said");
+                    "fresh".into()
+                }
+            },
+        }
+    });
+}
+
+#[test]
+fn watch_event() {
+    let event = |event| {
+        wire::WatchEvent {
+            generation: 4,
+            event: Some(event),
+        }
+        .encode_to_vec()
+    };
+    let seeds = vec![
+        event(wire::watch_event::Event::Published(manifest().into())),
+        event(wire::watch_event::Event::Snapshot(wire::Snapshot {
+            manifests: vec![manifest().into(); 2],
+        })),
+        event(wire::watch_event::Event::Progress(wire::Progress {})),
+    ];
+    fuzz(
+        "watch_event",
+        seeds,
+        4 << 20,
+        |bytes| match wire::WatchEvent::decode(bytes) {
+            Err(_) => "not protobuf".into(),
+            Ok(message) => match WatchEvent::try_from(message) {
+                Err(error) => error.to_string(),
+                Ok(_) => "taken".into(),
+            },
+        },
+    );
+}
+
+#[test]
+fn policy_file() {
+    let seeds = vec![standing(1), standing(2)];
+    fuzz(
+        "policy_file",
+        seeds,
+        64 << 20,
+        |bytes| match PolicyFile::parse(Arc::from(bytes)) {
+            Err(error) => error.to_string().chars().take(40).collect(),
+            Ok(file) => {
+                let layers = &file.spec().layers;
+                let finite = layers
+                    .iter()
+                    .flat_map(|l| l.weight.iter().chain(&l.bias))
+                    .all(|w| w.is_finite());
+                assert!(finite, "a weight is not a number");
+                "taken".into()
+            }
+        },
+    );
+}
+
+#[test]
+fn rollout_frame() {
+    // An envelope of protocol 1 around the beginning of a chunk; whole ones are made by the actors' own tests.
+    let seeds = vec![
+        vec![8, 1, 26, 6, 10, 4, b'r', b'u', b'n', b'1'],
+        vec![8, 1, 26, 0],
+        vec![8, 2],
+    ];
+    fuzz(
+        "rollout_frame",
+        seeds,
+        32 << 20,
+        |bytes| match caudata_proto::decode(bytes, &DecodeLimits::default()) {
+            Err(error) => error.to_string().chars().take(40).collect(),
+            Ok(_) => "taken".into(),
+        },
+    );
+}
+
+#[test]
+fn robot_link_message() {
+    let hello = robot_link::RobotMessage::Hello(Box::new(robot_link::Hello {
+        robot_name: "polymander".into(),
+        robot_hash: [3; 32],
+        joint_names: std::array::from_fn(|i| format!("joint_{i}")),
+        control_period_s: 0.02,
+    }));
+    let seeds = vec![robot_link::encode(&hello)];
+    fuzz(
+        "robot_link_message",
+        seeds,
+        1 << 20,
+        |bytes| match robot_link::decode(bytes) {
+            Err(error) => error.to_string().chars().take(40).collect(),
+            Ok(_) => "taken".into(),
+        },
+    );
+}
+
+#[test]
+fn servo_frames() {
+    let frame = |parameters: &[u8]| {
+        let mut out = Vec::new();
+        encode(1, STATUS, parameters, &mut out);
+        out
+    };
+    let seeds = vec![
+        frame(&[0, 1, 2, 3, 4]),
+        frame(&[0xFF, 0xFF, 0xFD, 0x00]),
+        frame(&[0; 200]),
+    ];
+    let mut dice = Dice(7);
+    fuzz("servo_frames", seeds, 1 << 20, move |bytes| {
+        let mut framer = Framer::new();
+        let mut found = 0;
+        // In pieces of any length, down to single bytes.
+        let step = 1 + dice.below(40);
+        for piece in bytes.chunks(step) {
+            framer.push(piece);
+            while let Some(frame) = framer.next_frame() {
+                let (whole, crc) = frame.raw.split_at(frame.raw.len() - 2);
+                assert_eq!(crc16(whole).to_le_bytes(), crc);
+                let mut body = frame.body().to_vec();
+                assert!(unstuff(&mut body) <= body.len());
+                found += 1;
+            }
+        }
+        format!(
+            "{} frames",
+            if found > 1 {
+                "some"
+            } else if found == 1 {
+                "one"
+            } else {
+                "no"
+            }
+        )
+    });
+}
+
+#[test]
+fn command_datagram() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("key");
+    std::fs::write(&file, [9; 32]).unwrap();
+    let key = LinkKey::read(&file).unwrap();
+    let message = |kind, sequence| Message {
+        kind,
+        nonce: 77,
+        sequence,
+        command: [0.1, 0.0, 0.2],
+    };
+    let genuine: Vec<Vec<u8>> = [
+        message(Kind::Velocity, 1),
+        message(Kind::Kill, 2),
+        message(Kind::Ask, 3),
+    ]
+    .iter()
+    .map(|m| m.encode(&key).to_vec())
+    .collect();
+    fuzz("command_datagram", genuine.clone(), 1 << 16, |bytes| {
+        let mut receiver = Receiver::new(77);
+        let answer = receiver.take(bytes, &key, Duration::from_secs(1));
+        let view = receiver.view(Duration::from_secs(1));
+        let heard = answer.is_some() || view.killed || view.age < Duration::MAX;
+        assert!(
+            !heard || genuine.iter().any(|g| g == bytes),
+            "heeds what nobody sent"
+        );
+        format!("heard {heard}")
+    });
+}
+
+#[test]
+fn robot_state_pair() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = PolicyStore::open(folder.path()).unwrap();
+    let policy = |version| PolicyRef {
+        stream: "s".into(),
+        version,
+        sha256: Sha256Digest([version as u8; 32]),
+        reverts_to: None,
+    };
+    let mut states = vec![RobotState::default()];
+    let mut seeds = Vec::new();
+    for version in 1..4 {
+        store.update(|state| state.adopt(policy(version))).unwrap();
+        states.push(store.state().clone());
+        seeds.push(std::fs::read(folder.path().join("state.json")).unwrap());
+    }
+    let whole = seeds[0].clone();
+    fuzz("robot_state_pair", seeds, 1 << 20, |bytes| {
+        // One copy spoilt, the other an old one or spoilt as well.
+        let spoilt_twice = bytes.len().is_multiple_of(2);
+        std::fs::write(folder.path().join("state.json"), bytes).unwrap();
+        let copy = if spoilt_twice { bytes } else { &whole };
+        std::fs::write(folder.path().join("state.copy.json"), copy).unwrap();
+        match PolicyStore::peek(folder.path()) {
+            Err(error) => error.to_string().chars().take(80).collect(),
+            Ok(found) => {
+                let found = found.unwrap_or_default();
+                assert!(
+                    states.contains(&found),
+                    "believes what was never written: {found:?}"
+                );
+                assert!(spoilt_twice || found.generation >= 1, "forgets");
+                "read".into()
+            }
+        }
+    });
+}
+
+#[test]
+fn server_record() {
+    let record = Record {
+        generation: 3,
+        manifest: manifest(),
+    };
+    fuzz(
+        "server_record",
+        vec![record.to_json().unwrap()],
+        1 << 20,
+        |bytes| match Record::from_json(bytes) {
+            Err(error) => error.to_string().chars().take(40).collect(),
+            Ok(_) => "taken".into(),
+        },
+    );
+}
+
+#[test]
+fn wiring_file() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.wiring.toml");
+    let seeds = vec![std::fs::read(path).unwrap()];
+    fuzz("wiring_file", seeds, 4 << 20, |bytes| {
+        let Ok(text) = std::str::from_utf8(bytes) else {
+            return "no text".into();
+        };
+        match caudata_hardware::Wiring::parse(text) {
+            Ok(_) => "taken".into(),
+            Err(reason) => reason.chars().take(40).collect(),
+        }
+    });
+}
+
+#[test]
+fn log_table() {
+    let seeds = vec![b"t,cmd.FL_knee,pos.FL_knee,volt\n0.0,0.1,0.1,12\n0.02,0.1,,12\n".to_vec()];
+    fuzz("log_table", seeds, 4 << 20, |bytes| {
+        match Table::parse("log.csv", bytes) {
+            Ok(_) => "taken".into(),
+            Err(error) => error.to_string().chars().take(40).collect(),
+        }
+    });
+}

@@ -1,0 +1,298 @@
+//! A publisher that never pauses, a robot that follows `latest`, a server that is killed and a network that is cut, at random.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::io::{BufReader, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use caudata_policy::PolicyFile;
+use caudata_proto::registry::StreamName;
+use caudata_registry_client::{RegistryClient, manifest_of};
+use caudata_telemetry::read_announcement;
+use common::policies::standing;
+use common::{STREAM, perfect_robot, program_on, status_of};
+use serde_json::Value;
+
+/// Numbers that look random and are the same each time.
+struct Dice(u64);
+
+impl Dice {
+    fn below(&mut self, end: u64) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0 % end
+    }
+}
+
+/// A process that does not outlive the test, however that ends.
+struct Killed(Child);
+
+impl Killed {
+    /// SIGKILL, now.
+    fn kill(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+/// The server as a process of its own, on one port for good.
+fn server(data: &Path, address: Option<SocketAddr>) -> (Killed, SocketAddr) {
+    let program =
+        Path::new(env!("CARGO_BIN_EXE_caudata-robot")).with_file_name("caudata-policy-server");
+    let address = address.unwrap_or_else(|| "127.0.0.1:0".parse().unwrap());
+    let mut child = Command::new(program)
+        .arg("--data")
+        .arg(data)
+        .args(["--addr", &address.to_string(), "--keep", "16"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut out = BufReader::new(child.stdout.take().unwrap());
+    let bound = read_announcement("policy_server", &mut out).expect("it listens");
+    (Killed(child), bound)
+}
+
+/// Carries bytes to `to`, unless it is cut.
+struct Wire {
+    address: SocketAddr,
+    cut: Arc<AtomicBool>,
+    open: Arc<Mutex<Vec<TcpStream>>>,
+}
+
+impl Wire {
+    fn to(to: SocketAddr) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let (cut, open) = (
+            Arc::new(AtomicBool::new(false)),
+            Arc::<Mutex<Vec<TcpStream>>>::default(),
+        );
+        let (seen, held) = (cut.clone(), open.clone());
+        std::thread::spawn(move || {
+            for client in listener.incoming().map_while(Result::ok) {
+                if seen.load(Ordering::SeqCst) {
+                    continue;
+                }
+                let Ok(server) = TcpStream::connect(to) else {
+                    continue;
+                };
+                for (mut from, mut into) in [
+                    (client.try_clone().unwrap(), server.try_clone().unwrap()),
+                    (server.try_clone().unwrap(), client.try_clone().unwrap()),
+                ] {
+                    std::thread::spawn(move || {
+                        let mut bytes = [0; 4096];
+                        while let Ok(n @ 1..) = from.read(&mut bytes) {
+                            if into.write_all(&bytes[..n]).is_err() {
+                                break;
+                            }
+                        }
+                        let _ = into.shutdown(std::net::Shutdown::Both);
+                    });
+                }
+                let mut held = held.lock().unwrap();
+                held.push(client);
+                held.push(server);
+            }
+        });
+        Self { address, cut, open }
+    }
+
+    fn cut(&self) {
+        self.cut.store(true, Ordering::SeqCst);
+        for stream in self.open.lock().unwrap().drain(..) {
+            let _ = stream.shutdown(std::net::Shutdown::Both);
+        }
+    }
+
+    fn mend(&self) {
+        self.cut.store(false, Ordering::SeqCst);
+    }
+}
+
+/// Publishes version after version, each until it is taken; what was published, by version.
+fn publish_for(end: Instant, address: SocketAddr, published: &Mutex<BTreeMap<u64, String>>) {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
+    runtime.block_on(async {
+        let mut client = RegistryClient::new(&address.to_string()).unwrap();
+        let mut version = 1;
+        while Instant::now() < end {
+            let file = PolicyFile::parse(Arc::from(standing(version))).unwrap();
+            let manifest = manifest_of(StreamName::new(STREAM).unwrap(), &file, 5).unwrap();
+            // Before it is taken: a lost answer must not make it look unpublished.
+            published.lock().unwrap().insert(version, file.sha256_hex());
+            while let Err(error) = client.publish(manifest.clone(), file.bytes()).await {
+                assert!(error.is_transient(), "{error}");
+                assert!(Instant::now() < end + Duration::from_secs(30), "{error}");
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+            version += 1;
+            tokio::time::sleep(Duration::from_millis(300)).await;
+        }
+    });
+}
+
+fn soak(seconds: u64) {
+    let folder = tempfile::tempdir().unwrap();
+    let (data, state) = (folder.path().join("server"), folder.path().join("state"));
+    let (mut child, address) = server(&data, None);
+    let wire = Wire::to(address);
+    let published = Mutex::new(BTreeMap::new());
+    // Two seconds of walking, a second and a half of standing, and so on; twice it walks for longer than a policy may wait.
+    let mut table = String::from("t,vx,vy,yaw_rate\n");
+    let mut t = 0.0;
+    while t < seconds as f64 + 10.0 {
+        let walk = if table.lines().count() % 16 == 9 {
+            7.0
+        } else {
+            2.0
+        };
+        table += &format!("{t},0.2,0,0\n{},0,0,0\n", t + walk);
+        t += walk + 1.5;
+    }
+    let commands = folder.path().join("commands.csv");
+    std::fs::write(&commands, table).unwrap();
+    let end = Instant::now() + Duration::from_secs(seconds);
+    let (kills, cuts, output) = std::thread::scope(|scope| {
+        scope.spawn(|| publish_for(end, address, &published));
+        while published.lock().unwrap().len() < 2 {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let mut robot = program_on(STREAM, "run", wire.address, &state);
+        robot
+            .args(["--follow", "--bus", &format!("sim:{}", perfect_robot())])
+            .args([
+                "--seconds",
+                &seconds.to_string(),
+                "--swap-wait",
+                "4",
+                "--name",
+                "soak-robot",
+            ])
+            .arg("--commands")
+            .arg(&commands);
+        let robot = scope.spawn(move || robot.output().unwrap());
+        let (mut dice, mut kills, mut cuts) = (Dice(20_261_121), 0, 0);
+        while Instant::now() < end && !robot.is_finished() {
+            std::thread::sleep(Duration::from_millis(1500 + dice.below(3000)));
+            if dice.below(2) == 0 {
+                child.kill();
+                std::thread::sleep(Duration::from_millis(dice.below(1500)));
+                child = server(&data, Some(address)).0;
+                kills += 1;
+            } else {
+                wire.cut();
+                std::thread::sleep(Duration::from_millis(dice.below(2000)));
+                wire.mend();
+                cuts += 1;
+            }
+        }
+        (kills, cuts, robot.join().unwrap())
+    });
+    let errors = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{errors}");
+    let summary: Value = serde_json::from_str(
+        String::from_utf8(output.stdout)
+            .unwrap()
+            .lines()
+            .last()
+            .unwrap(),
+    )
+    .unwrap();
+    assert_eq!(summary["ended"], "time", "{summary}");
+
+    let published = published.into_inner().unwrap();
+    let lines = errors
+        .lines()
+        .filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let mut last = 0;
+    let mut swaps = 0;
+    for line in lines {
+        let fields = &line;
+        if fields["message"] != "policy swapped in" {
+            continue;
+        }
+        let version = fields["version"].as_u64().unwrap();
+        // Never older, never half: these bytes were published under this number.
+        assert!(version > last, "{version} after {last}");
+        assert_eq!(fields["sha256"], published[&version].as_str(), "{line}");
+        let stage = fields["stage"].as_str().unwrap();
+        let standing = fields["commanded"] == "[0.0, 0.0, 0.0]";
+        let safe = matches!(stage, "Rise" | "Settle" | "Stand") || (stage == "Walk" && standing);
+        assert!(safe, "{line}");
+        last = version;
+        swaps += 1;
+    }
+    assert_eq!(
+        summary["policy_swaps"].as_u64().unwrap(),
+        swaps,
+        "every swap was looked at"
+    );
+    assert!(swaps >= seconds / 12, "{swaps} swaps in {seconds} s");
+    assert_eq!(
+        summary["policy_version"].as_u64().unwrap(),
+        last.max(summary["policy_version"].as_u64().unwrap())
+    );
+    assert!(kills > 0 && cuts > 0);
+    assert!(
+        summary["held_actions"] == 0 && summary["stands_for_swap"].as_u64().unwrap() > 0,
+        "{summary}"
+    );
+
+    // The server's store is whole after all of it, and knows what the robot said.
+    child.kill();
+    let (mut child, _) = server(&data, Some(address));
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
+    runtime.block_on(async {
+        let mut client = RegistryClient::new(&address.to_string()).unwrap();
+        let stream = StreamName::new(STREAM).unwrap();
+        for manifest in client.list(Some(&stream), 0, None).await.unwrap().manifests {
+            client.fetch(&manifest).await.unwrap();
+        }
+        let overview = client.overview(Some(&stream)).await.unwrap();
+        assert!(
+            overview.reports.iter().any(|r| r.robot == "soak-robot"),
+            "{overview:?}"
+        );
+    });
+    child.kill();
+    let state = status_of(&state);
+    assert_eq!(state["quarantined"].as_array().unwrap().len(), 0, "{state}");
+    println!(
+        "{} versions published, {swaps} swapped in ({} after the robot was made to stand), {kills} kills, {cuts} cuts in {seconds} s",
+        published.len(),
+        summary["stands_for_swap"]
+    );
+}
+
+#[test]
+fn a_robot_follows_latest_for_a_minute_while_the_server_dies_and_the_network_breaks() {
+    soak(45);
+}
+
+#[test]
+#[ignore = "ten minutes: make test-faults"]
+fn a_robot_follows_latest_for_ten_minutes_while_the_server_dies_and_the_network_breaks() {
+    soak(600);
+}

@@ -1,0 +1,412 @@
+//! The page for people: versions, how they did, where labels lead, which robot runs what. Plain HTML, nothing from elsewhere, nothing
+//! that changes anything.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use axum::Router;
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
+use axum::response::IntoResponse;
+use axum::routing::get;
+use caudata_proto::registry::{Manifest, Overview, RobotReport, StreamName};
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+
+use crate::audit::Origin;
+use crate::service::{SharedStore, overview};
+use crate::store::{Store, hex};
+
+/// Versions of one stream that are shown, the newest first.
+const VERSIONS_MAX: usize = 30;
+/// Streams that are shown, those with the newest versions first.
+const STREAMS_MAX: usize = 20;
+
+const STYLE: &str = "\
+:root{color-scheme:light dark}
+body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:75rem;padding:0 1rem}
+h1{font-size:1.5rem;margin:0 0 .3rem}h2{font-size:1.15rem;margin:2rem 0 .4rem}h3{font-size:1rem;margin:1.2rem 0 .3rem}
+p{margin:.2rem 0}table{border-collapse:collapse;width:100%}.wide{overflow-x:auto}
+th,td{text-align:left;padding:.3rem .9rem .3rem 0;border-bottom:1px solid #8884;vertical-align:top}
+th{font-weight:600;white-space:nowrap}td.n{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+.tag{border:1px solid #07a;color:#07a;border-radius:.6rem;padding:0 .45rem;margin-right:.3rem;white-space:nowrap}
+.bad{color:#b22}.good{color:#182}.quiet{color:#777}code{font-size:.85em}
+@media (prefers-color-scheme:dark){.tag{border-color:#5bd;color:#5bd}.bad{color:#f77}.good{color:#6c7}.quiet{color:#999}}";
+
+/// Serves the page until `stop` turns true.
+///
+/// # Errors
+/// What the system says.
+pub async fn serve_page(
+    listener: TcpListener,
+    store: SharedStore,
+    mut stop: watch::Receiver<bool>,
+) -> std::io::Result<()> {
+    let page = move || {
+        let store = store.clone();
+        async move {
+            let text = render(&store.lock(), Origin::local().unix_ms);
+            let headers = [
+                (CONTENT_TYPE, "text/html; charset=utf-8"),
+                (CACHE_CONTROL, "no-store"),
+                (
+                    CONTENT_SECURITY_POLICY,
+                    "default-src 'none'; style-src 'unsafe-inline'",
+                ),
+            ];
+            (headers, text).into_response()
+        }
+    };
+    let served = axum::serve(listener, Router::new().route("/", get(page)));
+    served
+        .with_graceful_shutdown(async move {
+            let _ = stop.wait_for(|stop| *stop).await;
+        })
+        .await
+}
+
+/// The page, as of `now`.
+pub fn render(store: &Store, now_unix_ms: u64) -> String {
+    let all = overview(store, None);
+    let mut page = format!(
+        "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Policies</title>\
+         <meta name=\"viewport\" content=\"width=device-width\"><meta http-equiv=\"refresh\" content=\"10\"><style>{STYLE}</style></head>\
+         <body><h1>Policies</h1>"
+    );
+    let (versions, streams) = (store.records(None).count(), store.stream_names().count());
+    let _ = write!(
+        page,
+        "<p class=\"quiet\">{versions} versions in {streams} streams, {} changes so far</p>",
+        all.generation
+    );
+    if let Some(reason) = &all.read_only {
+        let _ = write!(page, "<p class=\"bad\">Read-only: {}</p>", escaped(reason));
+    }
+    robots(&mut page, &all, now_unix_ms);
+    let mut newest: Vec<(u64, &StreamName)> = store
+        .stream_names()
+        .map(|name| {
+            (
+                store.newest(name).map_or(0, |r| r.manifest.created_unix_ms),
+                name,
+            )
+        })
+        .collect();
+    newest.sort_by(|a, b| b.cmp(a));
+    for (_, name) in newest.iter().take(STREAMS_MAX) {
+        stream(&mut page, store, name, &all, now_unix_ms);
+    }
+    if streams == 0 {
+        page.push_str("<p>Nothing is published yet: <code>caudata train</code> does it, or <code>caudata policy release</code>.</p>");
+    }
+    if streams > STREAMS_MAX {
+        let _ = write!(
+            page,
+            "<p class=\"quiet\">and {} older streams</p>",
+            streams - STREAMS_MAX
+        );
+    }
+    page.push_str("</body></html>\n");
+    page
+}
+
+/// What each robot said last.
+fn robots(page: &mut String, all: &Overview, now: u64) {
+    let mut last: BTreeMap<&str, &RobotReport> = BTreeMap::new();
+    // Newest first: the first word of each robot is its last one.
+    for report in &all.reports {
+        last.entry(&report.robot).or_insert(report);
+    }
+    page.push_str("<h2>Robots</h2>");
+    if last.is_empty() {
+        page.push_str("<p class=\"quiet\">No robot has said anything yet.</p>");
+        return;
+    }
+    page.push_str("<div class=\"wide\"><table><tr><th>robot</th><th>stream</th><th>version</th><th>state</th><th>walked</th><th>said</th></tr>");
+    for report in last.values() {
+        let _ = write!(
+            page,
+            "<tr><td>{}</td><td>{}</td><td class=\"n\">{}</td><td>{}</td><td class=\"n\">{:.0} s</td><td>{}</td></tr>",
+            escaped(&report.robot),
+            escaped(report.stream.as_str()),
+            report.version,
+            state(report),
+            report.walked_s,
+            age(report.unix_ms, now),
+        );
+    }
+    page.push_str("</table></div>");
+}
+
+fn stream(page: &mut String, store: &Store, name: &StreamName, all: &Overview, now: u64) {
+    let _ = write!(page, "<h2>{}</h2>", escaped(name.as_str()));
+    page.push_str(
+        "<div class=\"wide\"><table><tr><th>version</th><th>labels</th><th>evaluation</th><th>robots</th><th>steps</th>\
+         <th>signed by</th><th>sha256</th><th>published</th></tr>",
+    );
+    let shown = store.records(Some(name)).take(VERSIONS_MAX);
+    for record in shown {
+        let manifest = &record.manifest;
+        let mut reports = all
+            .reports
+            .iter()
+            .filter(|r| r.stream == *name && r.version == manifest.version)
+            .map(|r| format!("{} {}", escaped(&r.robot), state(r)))
+            .collect::<Vec<_>>();
+        reports.sort();
+        let keys: Vec<String> = manifest
+            .signatures
+            .iter()
+            .map(|s| escaped(&s.key_id))
+            .collect();
+        let _ = write!(
+            page,
+            "<tr><td class=\"n\">{}</td><td>{}</td><td>{}</td><td>{}</td><td class=\"n\">{}</td><td>{}</td><td><code>{}</code></td><td>{}</td></tr>",
+            number(manifest),
+            tags(all, name, manifest.version),
+            evaluation(manifest),
+            reports.join("<br>"),
+            thousands(manifest.env_steps),
+            if keys.is_empty() {
+                "<span class=\"quiet\">nobody</span>".to_owned()
+            } else {
+                keys.join(", ")
+            },
+            &hex(&manifest.sha256)[..12],
+            age(manifest.created_unix_ms, now),
+        );
+    }
+    page.push_str("</table></div>");
+    let versions = store.records(Some(name)).count();
+    if versions > VERSIONS_MAX {
+        let _ = write!(
+            page,
+            "<p class=\"quiet\">and {} older versions</p>",
+            versions - VERSIONS_MAX
+        );
+    }
+}
+
+fn number(manifest: &Manifest) -> String {
+    match manifest.reverts_to {
+        None => manifest.version.to_string(),
+        Some(old) => format!(
+            "{}<br><span class=\"quiet\">= {old}</span>",
+            manifest.version
+        ),
+    }
+}
+
+fn tags(all: &Overview, name: &StreamName, version: u64) -> String {
+    let mut tags = String::new();
+    for label in &all.labels {
+        if label.stream == *name && label.version == version {
+            let title = match &label.override_reason {
+                Some(reason) => format!(" title=\"overridden: {}\"", escaped(reason)),
+                None => String::new(),
+            };
+            let mark = if label.override_reason.is_some() {
+                " !"
+            } else {
+                ""
+            };
+            let _ = write!(
+                tags,
+                "<span class=\"tag\"{title}>{}{mark}</span>",
+                label.label
+            );
+        }
+    }
+    let out =
+        |q: &&caudata_proto::registry::QuarantineState| q.stream == *name && q.version == version;
+    if let Some(state) = all.quarantined.iter().find(out) {
+        let _ = write!(
+            tags,
+            "<span class=\"bad\">quarantined: {}</span>",
+            escaped(&state.reason)
+        );
+    }
+    tags
+}
+
+/// One line per scenario of the summary that travels with the version.
+fn evaluation(manifest: &Manifest) -> String {
+    let none = || "<span class=\"quiet\">none</span>".to_owned();
+    let Some(text) = &manifest.evaluation_json else {
+        return none();
+    };
+    let Ok(value) = serde_json::from_str::<serde_json::Value>(text) else {
+        return none();
+    };
+    let Some(scenarios) = value.get("scenarios").and_then(|s| s.as_array()) else {
+        let short: String = text.chars().take(120).collect();
+        return format!("<code>{}</code>", escaped(&short));
+    };
+    let figure =
+        |value: &serde_json::Value, key: &str| value.get(key).and_then(serde_json::Value::as_f64);
+    let lines: Vec<String> = scenarios
+        .iter()
+        .map(|line| {
+            let name = line.get("name").and_then(|n| n.as_str()).unwrap_or("?");
+            let speed = line
+                .get("achieved")
+                .and_then(|a| a.get(0))
+                .and_then(serde_json::Value::as_f64);
+            let mut words = escaped(name);
+            if let Some(speed) = speed {
+                let _ = write!(words, ": {speed:.2} m/s");
+            }
+            if let Some(falls) = figure(line, "fall_share") {
+                let _ = write!(words, ", falls {:.0} %", 100.0 * falls);
+            }
+            if let Some(power) = figure(line, "power_w") {
+                let _ = write!(words, ", {power:.0} W");
+            }
+            match line.get("walks").and_then(serde_json::Value::as_bool) {
+                Some(true) => words.push_str(", <span class=\"good\">walks</span>"),
+                Some(false) => words.push_str(", <span class=\"bad\">does not walk</span>"),
+                None => {}
+            }
+            words
+        })
+        .collect();
+    lines.join("<br>")
+}
+
+fn state(report: &RobotReport) -> String {
+    let class = match report.state.went_well() {
+        true => "good",
+        false => "bad",
+    };
+    let reason = match report.reason.as_str() {
+        "" => String::new(),
+        reason => format!(": {}", escaped(reason)),
+    };
+    format!(
+        "<span class=\"{class}\">{}</span>{reason}",
+        report.state.word()
+    )
+}
+
+/// How long ago, in the largest fitting unit.
+fn age(then_ms: u64, now_ms: u64) -> String {
+    let s = now_ms.saturating_sub(then_ms) / 1000;
+    match s {
+        0..60 => format!("{s} s ago"),
+        60..3600 => format!("{} min ago", s / 60),
+        3600..172_800 => format!("{} h ago", s / 3600),
+        _ => format!("{} days ago", s / 86_400),
+    }
+}
+
+fn thousands(number: u64) -> String {
+    let digits = number.to_string();
+    let mut out = String::new();
+    for (at, digit) in digits.chars().enumerate() {
+        if at > 0 && (digits.len() - at) % 3 == 0 {
+            out.push('\u{202f}');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+/// Text that says nothing to a browser.
+fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            other => out.push(other),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::StoreLimits;
+    use crate::testing::manifest;
+    use caudata_proto::registry::{LabelName, QuarantineState, RobotState, SetLabel};
+
+    fn report(robot: &str, version: u64, bytes: &[u8], state: RobotState) -> RobotReport {
+        let manifest = manifest("polymander/flat", version, bytes);
+        RobotReport {
+            robot: robot.into(),
+            stream: manifest.stream,
+            version,
+            sha256: manifest.sha256,
+            state,
+            reason: if state.went_well() {
+                String::new()
+            } else {
+                "fell <twice>".into()
+            },
+            walked_s: 12.0,
+            falls: 0,
+            attempts: 1,
+            unix_ms: 0,
+        }
+    }
+
+    #[test]
+    fn versions_labels_evaluation_and_robots_are_on_the_page_and_nothing_runs_in_a_browser() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = Store::open(folder.path(), StoreLimits::default()).unwrap();
+        assert!(render(&store, 0).contains("Nothing is published yet"));
+        let origin = Origin {
+            by: "operator:ana".into(),
+            unix_ms: 1_700_000_100_000,
+        };
+        let mut first = manifest("polymander/flat", 1, b"one");
+        first.evaluation_json = Some(
+            r#"{"scenarios":[{"name":"flat<script>","achieved":[0.291,0,0],"fall_share":0.25,"power_w":7.7,"walks":true}]}"#.into(),
+        );
+        store.publish(first, b"one").unwrap();
+        store
+            .publish(manifest("polymander/flat", 2, b"two"), b"two")
+            .unwrap();
+        store
+            .report(&origin, report("robot-1", 1, b"one", RobotState::Good))
+            .unwrap();
+        store
+            .report(&origin, report("robot-2", 2, b"two", RobotState::Failed))
+            .unwrap();
+        let stream = StreamName::new("polymander/flat").unwrap();
+        let label = SetLabel {
+            stream: stream.clone(),
+            label: LabelName::new("stable").unwrap(),
+            version: 1,
+            expected_generation: 0,
+            override_reason: None,
+        };
+        store.set_label(&origin, label).unwrap();
+        let out = QuarantineState {
+            stream,
+            version: 2,
+            reason: "falls \"often\"".into(),
+            by: String::new(),
+            generation: 0,
+            unix_ms: 0,
+        };
+        store.quarantine(&origin, out).unwrap();
+        let page = render(&store, 1_700_000_160_000);
+        for part in [
+            "<h2>polymander/flat</h2>",
+            "<span class=\"tag\">latest</span><span class=\"tag\">stable</span>",
+            "flat&lt;script&gt;: 0.29 m/s, falls 25 %, 8 W, <span class=\"good\">walks</span>",
+            "quarantined: falls &quot;often&quot;",
+            "fell &lt;twice&gt;",
+            "robot-1",
+            "1 min ago",
+            "2 min ago",
+        ] {
+            assert!(page.contains(part), "{part}\n{page}");
+        }
+        assert!(!page.contains("<script"), "{page}");
+    }
+}

@@ -1,0 +1,390 @@
+//! `caudata policy label|revert|quarantine|audit`, and what `show` says about a version on a server.
+
+use std::path::PathBuf;
+
+use caudata_proto::registry::{LabelName, Manifest, Overview, SetLabel, reverting};
+use caudata_registry_client::ClientError;
+use caudata_signing::ReleaseKey;
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use serde_json::json;
+
+use crate::commands::policy::{ServerArgs, as_json, block_on, hex};
+use crate::say;
+
+/// Flags of `label`.
+#[derive(Debug, clap::Args)]
+pub struct LabelArgs {
+    #[command(flatten)]
+    server: ServerArgs,
+    /// Which label; all of them are shown when absent
+    #[arg(long, value_name = "LABEL")]
+    label: Option<LabelName>,
+    /// Where it shall lead; where it leads is shown when absent
+    #[arg(long, value_name = "N", requires = "label")]
+    version: Option<u64>,
+    /// Move it only if it leads here now
+    #[arg(long, value_name = "N", requires = "version")]
+    from: Option<u64>,
+    /// Why `stable` is moved without the robots' reports that it needs; written down
+    #[arg(long = "override", value_name = "REASON", requires = "version")]
+    override_reason: Option<String>,
+    /// One JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Flags of `revert`.
+#[derive(Debug, clap::Args)]
+pub struct RevertArgs {
+    #[command(flatten)]
+    server: ServerArgs,
+    /// The version to go back to
+    #[arg(long, value_name = "N")]
+    version: u64,
+    /// Why; written down
+    #[arg(long, value_name = "REASON")]
+    reason: String,
+    /// Secret key, for streams whose robots trust keys
+    #[arg(long, value_name = "FILE", requires = "key_id")]
+    key: Option<PathBuf>,
+    /// Name of the key
+    #[arg(long, value_name = "ID", requires = "key")]
+    key_id: Option<String>,
+    /// One JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Flags of `quarantine`.
+#[derive(Debug, clap::Args)]
+pub struct QuarantineArgs {
+    #[command(flatten)]
+    server: ServerArgs,
+    /// The version
+    #[arg(long, value_name = "N")]
+    version: u64,
+    /// Why; written down, and told to robots
+    #[arg(long, value_name = "REASON")]
+    reason: String,
+}
+
+/// Flags of `audit`.
+#[derive(Debug, clap::Args)]
+pub struct AuditArgs {
+    #[command(flatten)]
+    server: ServerArgs,
+    /// How many entries at most
+    #[arg(long, default_value_t = 50)]
+    limit: u32,
+    /// Only entries before this number; 0: from the newest on
+    #[arg(long, default_value_t = 0)]
+    before: u64,
+    /// One JSON object on the last line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Moves a label, or shows where labels lead.
+pub fn label(args: &LabelArgs) -> Result<(), Failure> {
+    let (Some(label), Some(version)) = (&args.label, args.version) else {
+        return show_labels(args);
+    };
+    let stream = args.server.one_stream()?;
+    let overview = block_on(async { args.server.client()?.overview(Some(&stream)).await })?;
+    let known = overview.labels.iter().find(|state| state.label == *label);
+    let leads = known.map(|state| state.version);
+    if args.from.is_some() && leads != args.from {
+        let now = leads.map_or("nowhere".to_owned(), |v| format!("to version {v}"));
+        let message = format!("{label} of {stream} leads {now}; it was left there");
+        return Err(Failure::message(ExitCode::TempFail, message));
+    }
+    let wanted = SetLabel {
+        stream: stream.clone(),
+        label: label.clone(),
+        version,
+        expected_generation: known.map_or(0, |state| state.generation),
+        override_reason: args.override_reason.clone(),
+    };
+    let state = block_on(async { args.server.client()?.set_label(wanted).await })?;
+    if args.json {
+        return say::json(&json!({
+            "stream": stream.as_str(), "label": label.as_str(), "version": state.version, "from": leads,
+        }));
+    }
+    let from = leads.map_or(String::new(), |v| format!(" (was {v})"));
+    say::line(format!(
+        "{label} of {stream} leads to version {version}{from}"
+    ));
+    Ok(())
+}
+
+fn show_labels(args: &LabelArgs) -> Result<(), Failure> {
+    let stream = args.server.stream()?;
+    let overview = block_on(async { args.server.client()?.overview(stream.as_ref()).await })?;
+    let wanted = |label: &LabelName| args.label.as_ref().is_none_or(|w| w == label);
+    let labels: Vec<_> = overview
+        .labels
+        .iter()
+        .filter(|s| wanted(&s.label))
+        .collect();
+    if args.json {
+        let labels: Vec<_> = labels
+            .iter()
+            .map(|s| {
+                json!({
+                    "stream": s.stream.as_str(), "label": s.label.as_str(), "version": s.version, "by": s.by,
+                    "override_reason": s.override_reason,
+                })
+            })
+            .collect();
+        return say::json(&json!({ "labels": labels }));
+    }
+    let mut rows = vec![
+        ["stream", "label", "version", "moved by", ""]
+            .map(String::from)
+            .to_vec(),
+    ];
+    rows.extend(labels.iter().map(|s| {
+        let out = overview
+            .quarantined
+            .iter()
+            .any(|q| q.stream == s.stream && q.version == s.version);
+        let note = match (&s.override_reason, out) {
+            (_, true) => "quarantined: leads nowhere".to_owned(),
+            (Some(reason), _) => format!("overridden: {reason}"),
+            (None, _) => String::new(),
+        };
+        vec![
+            s.stream.to_string(),
+            s.label.to_string(),
+            s.version.to_string(),
+            s.by.clone(),
+            note,
+        ]
+    }));
+    say::table(&rows);
+    Ok(())
+}
+
+/// Publishes an older version again under a higher number.
+pub fn revert(args: &RevertArgs) -> Result<(), Failure> {
+    let stream = args.server.one_stream()?;
+    let key = match (&args.key, &args.key_id) {
+        (Some(path), Some(id)) => Some(ReleaseKey::read(path, id).or_exit(ExitCode::NoInput)?),
+        _ => None,
+    };
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    let now_ms = now.map_or(0, |d| u64::try_from(d.as_millis()).unwrap_or(u64::MAX));
+    let published = block_on(async {
+        let mut client = args.server.client()?;
+        let old = client.manifest(&stream, Some(args.version)).await?;
+        let newest = client.list(Some(&stream), 1, None).await?.manifests;
+        let next = newest.first().map_or(args.version, |m| m.version) + 1;
+        let mut manifest = reverting(&old, next, now_ms);
+        if let Some(key) = &key {
+            key.sign(&mut manifest);
+        }
+        client.revert(manifest, &args.reason).await
+    })?;
+    let version = published.manifest.version;
+    if args.json {
+        return say::json(&json!({
+            "stream": stream.as_str(), "version": version, "reverts_to": args.version,
+        }));
+    }
+    say::line(format!(
+        "{stream} version {version} is version {} again",
+        args.version
+    ));
+    if published.manifest.signatures.is_empty() {
+        say::line("it is not signed: robots that trust keys will not take it (--key, --key-id)");
+    }
+    Ok(())
+}
+
+/// Takes a version out of use.
+pub fn quarantine(args: &QuarantineArgs) -> Result<(), Failure> {
+    let stream = args.server.one_stream()?;
+    let state = block_on(async {
+        let mut client = args.server.client()?;
+        client.quarantine(&stream, args.version, &args.reason).await
+    })?;
+    say::line(format!(
+        "{stream} version {} is out of use: {}",
+        state.version, state.reason
+    ));
+    Ok(())
+}
+
+/// Who changed what.
+pub fn audit(args: &AuditArgs) -> Result<(), Failure> {
+    let entries = block_on(async {
+        let mut client = args.server.client()?;
+        client.audit(args.limit, args.before).await
+    })?;
+    if args.json {
+        let entries: Vec<_> = entries
+            .iter()
+            .map(|e| {
+                json!({
+                    "number": e.number, "unix_ms": e.unix_ms, "by": e.by, "what": e.what, "stream": e.stream,
+                    "version": e.version, "detail": e.detail,
+                })
+            })
+            .collect();
+        return say::json(&json!({ "entries": entries }));
+    }
+    let mut rows = vec![
+        ["#", "when, UTC", "who", "what", "stream", "version", ""]
+            .map(String::from)
+            .to_vec(),
+    ];
+    rows.extend(entries.iter().map(|e| {
+        vec![
+            e.number.to_string(),
+            utc(e.unix_ms),
+            e.by.clone(),
+            e.what.clone(),
+            e.stream.clone(),
+            e.version.to_string(),
+            e.detail.clone(),
+        ]
+    }));
+    say::table(&rows);
+    Ok(())
+}
+
+/// What a server knows about one version.
+pub fn show_version(
+    server: &ServerArgs,
+    version: Option<u64>,
+    label: Option<&LabelName>,
+    json: bool,
+) -> Result<(), Failure> {
+    let stream = server.one_stream()?;
+    let (manifest, overview) = block_on(async {
+        let mut client = server.client()?;
+        let manifest = match label {
+            Some(label) => client.labelled(&stream, label).await?,
+            None => client.manifest(&stream, version).await?,
+        };
+        let overview = client.overview(Some(&stream)).await?;
+        Ok::<_, ClientError>((manifest, overview))
+    })?;
+    let of = |v: u64| v == manifest.version;
+    let labels: Vec<String> = overview
+        .labels
+        .iter()
+        .filter(|s| of(s.version))
+        .map(|s| s.label.to_string())
+        .collect();
+    let quarantined = overview.quarantined.iter().find(|q| of(q.version));
+    if json {
+        let mut object = as_json(&manifest);
+        object["labels"] = json!(labels);
+        object["quarantined"] = json!(quarantined.map(|q| &q.reason));
+        object["reverts_to"] = json!(manifest.reverts_to);
+        let signatures = manifest.signatures.iter().map(|s| s.key_id.clone());
+        object["signed_by"] = json!(signatures.collect::<Vec<_>>());
+        object["reports"] = reports_json(&overview, &manifest);
+        return say::json(&object);
+    }
+    say::line(format!(
+        "{stream} version {}, published {} by run {}, {} environment steps",
+        manifest.version,
+        utc(manifest.created_unix_ms),
+        manifest.run_id,
+        manifest.env_steps
+    ));
+    say::line(format!(
+        "sha256 {}, {} bytes",
+        hex(&manifest.sha256),
+        manifest.size
+    ));
+    if let Some(old) = manifest.reverts_to {
+        say::line(format!("the bytes of version {old}, published again"));
+    }
+    let keys: Vec<&str> = manifest
+        .signatures
+        .iter()
+        .map(|s| s.key_id.as_str())
+        .collect();
+    let keys = if keys.is_empty() {
+        "nobody".to_owned()
+    } else {
+        keys.join(", ")
+    };
+    say::line(format!("signed by {keys}"));
+    if !labels.is_empty() {
+        say::line(format!("labels {}", labels.join(", ")));
+    }
+    if let Some(state) = quarantined {
+        say::line(format!("out of use: {} ({})", state.reason, state.by));
+    }
+    for report in overview.reports.iter().filter(|r| of(r.version)) {
+        let reason = if report.reason.is_empty() { "" } else { ": " };
+        say::line(format!(
+            "robot {} {}{reason}{} (walked {:.0} s, {} attempts, {})",
+            report.robot,
+            report.state.word(),
+            report.reason,
+            report.walked_s,
+            report.attempts,
+            utc(report.unix_ms)
+        ));
+    }
+    Ok(())
+}
+
+fn reports_json(overview: &Overview, manifest: &Manifest) -> serde_json::Value {
+    let reports = overview
+        .reports
+        .iter()
+        .filter(|r| r.version == manifest.version);
+    let reports: Vec<_> = reports
+        .map(|r| {
+            json!({
+                "robot": r.robot, "state": r.state.word(), "reason": r.reason, "walked_s": r.walked_s,
+                "falls": r.falls, "attempts": r.attempts, "unix_ms": r.unix_ms,
+            })
+        })
+        .collect();
+    json!(reports)
+}
+
+/// Date and time of day, to the second.
+fn utc(unix_ms: u64) -> String {
+    let (days, second) = (unix_ms / 86_400_000, unix_ms / 1000 % 86_400);
+    // Days to a date of the Gregorian calendar, with years that begin in March.
+    let shifted = days + 719_468;
+    let (era, day) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
+    let day_of_year = day - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month + 2) / 5 + 1;
+    let (month, carry) = if month < 10 {
+        (month + 3, 0)
+    } else {
+        (month - 9, 1)
+    };
+    let year = year_of_era + era * 400 + carry;
+    format!(
+        "{year}-{month:02}-{day:02} {:02}:{:02}:{:02}",
+        second / 3600,
+        second / 60 % 60,
+        second % 60
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        assert_eq!(utc(0), "1970-01-01 00:00:00");
+        // `date -u -d @1709210096` and `date -u -d @4107542399`.
+        assert_eq!(utc(1_709_210_096_789), "2024-02-29 12:34:56");
+        assert_eq!(utc(4_107_542_399_000), "2100-02-28 23:59:59");
+    }
+}

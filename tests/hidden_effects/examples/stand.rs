@@ -1,0 +1,84 @@
+//! Writes logs of the salamander on a stand, one fault each: `stand OUT [REPEATS]`. Commands of the battery, the Rapier engine at 1 ms.
+#![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
+use std::path::Path;
+use std::sync::Arc;
+
+use caudata_gap::excite;
+use caudata_hidden_effects::battery::RATE_HZ;
+use caudata_hidden_effects::truth::free::{self, Channels, Ground};
+use caudata_model::RobotModel;
+use caudata_random::{Key, Purpose, Stream};
+use caudata_runlog::{BaseHold, LogMeta, LogWriter};
+use caudata_sim::LaneParams;
+
+const FIT: [&str; 4] = ["chirp_medium", "steps_medium", "triangle_medium", "holds"];
+const HOLDOUT: [&str; 2] = ["prbs_slow", "triangle_fast"];
+
+fn main() {
+    let out = std::path::PathBuf::from(std::env::args().nth(1).unwrap());
+    let repeats: u64 = std::env::args().nth(2).map_or(1, |s| s.parse().unwrap());
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots");
+    let model = Arc::new(RobotModel::load(&robots.join("polymander.robot.toml")).unwrap());
+    let knee = joint(&model, "FL_knee");
+    let tail = joint(&model, "spine_2");
+    type Fault<'a> = (&'a str, Box<dyn Fn(&mut LaneParams)>);
+    let faults: Vec<Fault<'_>> = vec![
+        ("healthy", Box::new(|_| ())),
+        ("soft_knee", Box::new(move |p| p.kp_nm_per_rad[knee] *= 0.7)),
+        (
+            "weak_servo",
+            Box::new(move |p| p.joints[knee].current_limit_a = 0.5),
+        ),
+        (
+            "rubbing_spine",
+            Box::new(move |p| p.joint_friction_nm[tail] += 0.08),
+        ),
+        (
+            "loose_gear",
+            Box::new(move |p| p.joints[knee].gear_half_gap_rad = 0.012),
+        ),
+    ];
+    let channels = Channels {
+        imu: false,
+        mocap: false,
+    };
+    for (n, (name, fault)) in faults.iter().enumerate() {
+        let mut lane = LaneParams::nominal(&model);
+        fault(&mut lane);
+        for (i, trial) in FIT.iter().chain(&HOLDOUT).enumerate() {
+            let role = if i < FIT.len() { "fit" } else { "holdout" };
+            let made = excite::trial(&model, trial, None, RATE_HZ).unwrap();
+            for r in 0..repeats {
+                let seed = 40 + n as u64;
+                let index = 10 * i as u64 + r;
+                let ground = Ground::of_the_day(&model, &lane, seed, index);
+                let key = Key {
+                    seed,
+                    actor: 13,
+                    env: index,
+                    episode: 0,
+                };
+                let mut stream = Stream::new(key, Purpose::Sensor);
+                let rows = &made.commands_rad;
+                let log = free::run(&model, &ground, rows, channels, true, &mut stream).unwrap();
+                let mut meta = LogMeta::new(model.name(), BaseHold::Fixed, RATE_HZ);
+                meta.kp = Some(model.kp_nm_per_rad());
+                meta.kd = Some(model.kd_nm_s_per_rad());
+                meta.supply_v = Some((f64::from(ground.lane.supply_v) * 10.0).round() / 10.0);
+                let dir = out.join(name).join(role).join(format!("{trial}_{}", r + 1));
+                let mut writer =
+                    LogWriter::create(&dir, &free::signals(&model, channels), &meta).unwrap();
+                for (t, row) in &log {
+                    writer.row(*t, row).unwrap();
+                }
+                writer.finish().unwrap();
+            }
+        }
+        println!("{name}");
+    }
+}
+
+fn joint(model: &RobotModel, name: &str) -> usize {
+    let names = model.actuated_names();
+    names.iter().position(|n| *n == name).unwrap()
+}
