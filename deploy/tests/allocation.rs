@@ -199,8 +199,15 @@ fn allocations_of_inference() -> usize {
 fn a_walking_tick_allocates_nothing_itself() {
     let inference = allocations_of_inference();
     let ticks = (TO - FROM) as usize;
-    println!("{} allocations in {ticks} runs of ONNX Runtime's binding", inference);
+    println!(
+        "{} allocations in {ticks} runs of ONNX Runtime's binding",
+        inference
+    );
     assert!(inference <= 2 * ticks, "{inference}");
-    assert_eq!(allocations(true), inference + 1, "the count sees one that is made on purpose");
+    assert_eq!(
+        allocations(true),
+        inference + 1,
+        "the count sees one that is made on purpose"
+    );
     assert_eq!(allocations(false), inference);
 }

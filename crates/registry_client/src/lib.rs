@@ -645,7 +645,12 @@ fn refusal(address: &str, status: &Status) -> ClientError {
     use std::error::Error;
     let from_network = status.source().is_some();
     // A connection that broke under a call is `Unknown`, or `Internal` where HTTP/2 noticed first.
-    let broken = [Code::Unavailable, Code::Unknown, Code::Internal, Code::Cancelled];
+    let broken = [
+        Code::Unavailable,
+        Code::Unknown,
+        Code::Internal,
+        Code::Cancelled,
+    ];
     if broken.contains(&status.code()) && from_network {
         return ClientError::Unreachable {
             address: address.to_owned(),
