@@ -229,13 +229,15 @@ fn fault_60_a_killed_learner_goes_on_from_its_checkpoint() {
     run.wait_for("checkpoint");
     let reached = run.iterations(5);
     kill(run.process(&["caudata-learner"]), Signal::SIGKILL).unwrap();
-    let (code, _) = run.end();
+    let (code, last) = run.end();
     assert_ne!(code, Some(0));
+    // It went on until the signal arrived, and may have saved one iteration more than it told of.
+    let told = last["iteration"].as_u64().unwrap_or(reached).max(reached);
     let goal = (reached + 20).to_string();
     let again = Run::start(&out, &["--resume", "--iterations", &goal]);
     let started = again.wait_for("started");
     let from = started["iteration"].as_u64().unwrap();
-    assert!(from >= 2 && from <= reached, "{started}");
+    assert!((2..=told + 1).contains(&from), "told of {told}: {started}");
     let (code, _) = again.end();
     assert_eq!(code, Some(0));
     books(&out);

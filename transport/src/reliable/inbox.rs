@@ -361,7 +361,7 @@ mod tests {
         inbox.pop();
         assert_eq!(granted(&mut inbox, 190), 3);
         // A long pause saves up no more than the window.
-        assert_eq!(granted(&mut inbox, 10_000), 5);
+        assert_eq!(granted(&mut inbox, 2_900), 5);
     }
 
     /// Two seats, windows of two: a killed actor's unread frames keep its seat, so no more than four are ever unread.
