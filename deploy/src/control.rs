@@ -149,6 +149,8 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     swap_ticks: u32,
     /// Ticks for which the robot has stood, or gone there, to let it in; `None`: it does not.
     stand_ticks: Option<u32>,
+    /// It stood for a swap, and is to walk on as soon as it stands where walking begins.
+    walk_on: bool,
     fallen_ticks: u32,
     late_in_a_row: u32,
     ended: Option<Ended>,
@@ -198,6 +200,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             still_ticks: 0,
             swap_ticks: 0,
             stand_ticks: None,
+            walk_on: false,
             fallen_ticks: 0,
             late_in_a_row: 0,
             ended: None,
@@ -448,6 +451,9 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     /// A newer policy gets in only at a safe moment: before walking has begun, or standing. While the robot walks it waits; where that
     /// takes too long, the robot is made to stand.
     fn look_for_swap(&mut self, sensed: &Sensed, wanted: &[f32; COMMAND_DIM]) {
+        if self.walk_on && self.motion.resume(self.gate.last_rad()) {
+            self.walk_on = false;
+        }
         let speed = mean_speed(&sensed.servos);
         let stage = self.motion.stage();
         // Held still by the loop, or commanded to stand and standing.
@@ -464,13 +470,15 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         }
         self.swap_ticks = self.swap_ticks.saturating_add(1);
         self.metrics.armed.set(1);
+        let at_rest = self.gate.last_rad() == self.runner.joints().nominal_rad;
         let stood_long = self
             .stand_ticks
             .is_some_and(|ticks| ticks >= STAND_TICKS_MAX);
         let safe = match stage {
             Stage::Rise => true,
             Stage::Settle => true,
-            Stage::Stand => self.still_ticks >= STILL_TICKS || stood_long,
+            // Slow on its way to the nominal pose is not there.
+            Stage::Stand => at_rest && (self.still_ticks >= STILL_TICKS || stood_long),
             Stage::Walk => self.still_ticks >= STILL_TICKS,
             // On its way to the end: the next run begins with it.
             Stage::Return | Stage::Rest | Stage::Damped | Stage::Off => false,
@@ -537,9 +545,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
 
     /// After standing for a swap. With a command link the link decides.
     fn walk_on(&mut self) {
-        if self.link.is_none() {
-            self.motion.resume(self.gate.last_rad());
-        }
+        self.walk_on = self.link.is_none() && !self.motion.resume(self.gate.last_rad());
     }
 
     /// The policy's targets; `None`: hold what was sent last.
