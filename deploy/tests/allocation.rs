@@ -1,5 +1,10 @@
 //! A tick of the loop asks the allocator for nothing, but for the two small pieces that the binding of ONNX Runtime makes for every run.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 // Only the allocator sees every allocation; an allocator cannot be written without `unsafe`.
 #![allow(unsafe_code)]
 

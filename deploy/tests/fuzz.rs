@@ -2,7 +2,12 @@
 //! nothing accepted that must not be. `make test` knocks for two seconds each, `make fuzz` for a minute.
 //!
 //! An input that breaks a rule is kept in `deploy/tests/fuzz_seeds/<target>/` and is the first to be tried ever after.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 // Only the allocator sees every allocation; an allocator cannot be written without `unsafe`.
 #![allow(unsafe_code)]
 

@@ -1,5 +1,10 @@
 //! A publisher that never pauses, a robot that follows `latest`, a server that is killed and a network that is cut, at random.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 mod common;
 

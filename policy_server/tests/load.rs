@@ -1,6 +1,11 @@
 //! Many watchers: how long until the last one hears of a version, what each costs, what slow ones do to the others, and how they come
 //! back after the server died.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout
+)]
 
 mod common;
 

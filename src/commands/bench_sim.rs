@@ -380,7 +380,7 @@ impl<E: Engine + ?Sized> Ours<E> {
         let began = Instant::now();
         let mut steps = 0.0;
         while steps == 0.0 || began.elapsed().as_secs_f64() < seconds {
-            if self.period % PERIODS == 0 {
+            if self.period.is_multiple_of(PERIODS) {
                 self.restart().or_exit(ExitCode::Internal)?;
             }
             let targets = &self.targets[self.period % PERIODS];

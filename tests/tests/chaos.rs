@@ -87,13 +87,16 @@ fn way(
     }
 }
 
+/// Hands a datagram of one client on.
+type Way = Box<dyn FnMut(&[u8])>;
+
 /// Starts the proxy; its threads end with the test process. Returns its port.
 fn proxy(target: SocketAddr, weather: &Arc<Weather>) -> u16 {
     let near = Arc::new(UdpSocket::bind(SocketAddr::new(target.ip(), 0)).unwrap());
     let port = near.local_addr().unwrap().port();
     let weather = Arc::clone(weather);
     std::thread::spawn(move || {
-        let mut ways: HashMap<SocketAddr, Box<dyn FnMut(&[u8])>> = HashMap::new();
+        let mut ways: HashMap<SocketAddr, Way> = HashMap::new();
         let mut datagram = vec![0; 1 << 16];
         loop {
             // A datagram for a socket that is gone makes the next call fail.
