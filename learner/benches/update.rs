@@ -41,6 +41,7 @@ fn main() {
     let settings = PpoSettings {
         ppo: PpoConfig::default(),
         staleness: StalenessConfig::default(),
+        mirror: None,
     };
     let epochs = settings.ppo.epochs;
     let net = ActorCritic::new(spec, 1, tch::Device::Cpu);

@@ -71,11 +71,12 @@ pub fn bench(config: &Config, seconds: f64) -> Result<LearnerBench, LearnerError
     let spec = NetworkSpec::new(network, contract.obs_dim(), contract.act_dim())?;
     tch::set_num_threads(1);
     let batch = noise(config, &spec);
+    let settings = PpoSettings::new(config, &model, &contract)?;
     let mut thread_counts = vec![1, config.learner.threads as usize];
     thread_counts.dedup();
     let speeds = thread_counts
         .into_iter()
-        .map(|threads| speed(config, &spec, &batch, threads, seconds))
+        .map(|threads| speed(&settings, &spec, &batch, threads, seconds))
         .collect::<Result<_, _>>()?;
     Ok(LearnerBench {
         benchmark: "learner",
@@ -124,18 +125,14 @@ fn noise(config: &Config, spec: &NetworkSpec) -> Batch {
 }
 
 fn speed(
-    config: &Config,
+    settings: &PpoSettings,
     spec: &NetworkSpec,
     batch: &Batch,
     threads: usize,
     seconds: f64,
 ) -> Result<LearnerSpeed, LearnerError> {
-    let settings = PpoSettings {
-        ppo: config.learner.ppo.clone(),
-        staleness: config.learner.staleness.clone(),
-    };
     let net = ActorCritic::new(spec.clone(), 1, Device::Cpu);
-    let mut ppo = Ppo::new(net, settings, threads)?;
+    let mut ppo = Ppo::new(net, settings.clone(), threads)?;
     let scaling = Scaling::identity(spec.obs_dim, 10.0);
     let mut order = stream(Purpose::Minibatch);
     let mut update = || ppo.update(batch, &scaling, 0, &mut order, false);
@@ -149,7 +146,7 @@ fn speed(
     }
     times.sort_unstable_by(f64::total_cmp);
     let median_s = times[times.len() / 2];
-    let flops = flops_per_update(spec, batch.rows, config.learner.ppo.epochs);
+    let flops = flops_per_update(spec, batch.rows, settings.ppo.epochs);
     let width = spec.policy_hidden.iter().copied().max().unwrap_or(1) as i64;
     let share = seconds / 4.0;
     Ok(LearnerSpeed {

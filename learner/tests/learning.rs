@@ -7,6 +7,8 @@ use caudata_learner::network::{ActorCritic, NetworkSpec};
 use caudata_learner::normaliser::{Moments, Scaling};
 use caudata_learner::ppo::{Ppo, PpoSettings};
 use caudata_random::{Key, Purpose, Stream};
+use caudata_task::Mirror;
+use caudata_task::mirror::SignedPermutation;
 use tch::{Device, Tensor};
 
 fn stream(seed: u64, purpose: Purpose) -> Stream {
@@ -22,6 +24,16 @@ fn stream(seed: u64, purpose: Purpose) -> Stream {
 }
 
 fn learner(seed: u64, obs_dim: usize, act_dim: usize, ppo: PpoConfig) -> Ppo {
+    learner_with(seed, obs_dim, act_dim, ppo, None)
+}
+
+fn learner_with(
+    seed: u64,
+    obs_dim: usize,
+    act_dim: usize,
+    ppo: PpoConfig,
+    mirror: Option<Mirror>,
+) -> Ppo {
     let network = NetworkConfig {
         policy_hidden: vec![32, 32],
         value_hidden: vec![32, 32],
@@ -33,6 +45,7 @@ fn learner(seed: u64, obs_dim: usize, act_dim: usize, ppo: PpoConfig) -> Ppo {
     let settings = PpoSettings {
         ppo,
         staleness: StalenessConfig::default(),
+        mirror,
     };
     Ppo::new(ActorCritic::new(spec, seed, Device::Cpu), settings, 1).unwrap()
 }
@@ -81,6 +94,82 @@ fn mean_bandit_reward(observations: &[f32], actions: &[f32]) -> f64 {
     rewards.iter().map(|&r| f64::from(r)).sum::<f64>() / rewards.len() as f64
 }
 
+/// Episodes of one step, two actions each.
+fn one_step_episodes(
+    obs_dim: usize,
+    observations: Vec<f32>,
+    actions: Vec<f32>,
+    behaviour_log_probs: Vec<f32>,
+    rewards: Vec<f32>,
+    policy_version: u64,
+) -> Batch {
+    let rows = rewards.len();
+    Batch {
+        obs_dim,
+        act_dim: 2,
+        rows,
+        // Every step ends its episode, so the observations after the last step (zeros) do not matter.
+        observations: [observations, vec![0.0; rows * obs_dim]].concat(),
+        actions,
+        behaviour_log_probs,
+        rewards,
+        terminated: vec![true; rows],
+        truncated: vec![false; rows],
+        segments: vec![Segment {
+            first_row: 0,
+            steps: 1,
+            lanes: rows,
+            bootstrap_row: rows,
+            finals: 0,
+            policy_version,
+        }],
+        moments: Vec::new(),
+    }
+}
+
+#[test]
+fn what_is_learnt_on_one_side_holds_on_the_other() {
+    // Contexts of the left side only, s ∈ [0, 1]: reward −(a₀ − s)² − (a₁ − 1 + s)². A world that is its own mirror image asks on the other side, −s,
+    // for actions exchanged and negated: a₀ = −(1 − s), a₁ = −s. At s = −¾ that is (−¼, −¾); a policy that only goes on in a straight
+    // line from what it saw says (−¾, 1¾).
+    let flip = |source: &[usize]| SignedPermutation {
+        source: source.to_vec(),
+        sign: vec![-1.0; source.len()],
+    };
+    let mirror = Mirror {
+        observation: flip(&[0]),
+        action: flip(&[1, 0]),
+    };
+    let found = [None, Some(mirror)].map(|mirror| {
+        let with_mirror = mirror.is_some();
+        let ppo_config = PpoConfig {
+            gamma: 0.0,
+            epochs: 2,
+            ..PpoConfig::default()
+        };
+        let mut ppo = learner_with(1, 1, 2, ppo_config, mirror);
+        let scaling = Scaling::identity(1, 10.0);
+        let (mut noise, mut order) = (stream(1, Purpose::Action), stream(1, Purpose::Minibatch));
+        for version in 0..100 {
+            let contexts: Vec<f32> = (0..512).map(|_| noise.uniform(0.0, 1.0)).collect();
+            let means = means(&ppo, &scaling, &contexts, 1);
+            let (actions, log_probs) = explore(&ppo, &means, &mut noise);
+            let pairs = contexts.iter().zip(actions.chunks_exact(2));
+            let rewards = pairs.map(|(s, a)| -(a[0] - s).powi(2) - (a[1] - 1.0 + s).powi(2));
+            let rewards = rewards.collect();
+            let batch = one_step_episodes(1, contexts, actions, log_probs, rewards, version);
+            ppo.update(&batch, &scaling, version, &mut order, false)
+                .unwrap();
+        }
+        let seen = means(&ppo, &scaling, &[0.75], 1);
+        let off = (seen[0] - 0.75).abs().max((seen[1] - 0.25).abs());
+        assert!(off < 0.1, "mirror {with_mirror}, seen side: {seen:?}");
+        let unseen = means(&ppo, &scaling, &[-0.75], 1);
+        (unseen[0] + 0.25).abs().max((unseen[1] + 0.75).abs())
+    });
+    assert!(found[0] > 0.5 && found[1] < 0.1, "{found:?}");
+}
+
 #[test]
 fn a_contextual_bandit_is_solved_in_fifty_updates() {
     for seed in [1, 2] {
@@ -105,27 +194,14 @@ fn a_contextual_bandit_is_solved_in_fifty_updates() {
             let means = means(&ppo, &scaling, &observations, 2);
             let (actions, behaviour_log_probs) = explore(&ppo, &means, &mut noise);
             let rewards = bandit_rewards(&observations, &actions);
-            let batch = Batch {
-                obs_dim: 2,
-                act_dim: 2,
-                rows,
-                // Every step ends its episode, so the observations after the last step (zeros) do not matter.
-                observations: [observations, vec![0.0; rows * 2]].concat(),
+            let batch = one_step_episodes(
+                2,
+                observations,
                 actions,
                 behaviour_log_probs,
                 rewards,
-                terminated: vec![true; rows],
-                truncated: vec![false; rows],
-                segments: vec![Segment {
-                    first_row: 0,
-                    steps: 1,
-                    lanes: rows,
-                    bootstrap_row: rows,
-                    finals: 0,
-                    policy_version: version,
-                }],
-                moments: Vec::new(),
-            };
+                version,
+            );
             ppo.update(&batch, &scaling, version, &mut order, false)
                 .unwrap();
         }

@@ -18,19 +18,7 @@ fn main() {
     let only: Vec<String> = args.collect();
     let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
     let model = Arc::new(RobotModel::load(&robot).expect("robot model"));
-    let kinds = [
-        TerrainKind::Flat,
-        TerrainKind::Hills,
-        TerrainKind::Rugged,
-        TerrainKind::RoughHard,
-        TerrainKind::Valley,
-        TerrainKind::Slope,
-        TerrainKind::Steps,
-        TerrainKind::Slippery,
-        TerrainKind::Shore,
-        TerrainKind::DeepWater,
-    ];
-    for kind in kinds {
+    for kind in TerrainKind::ALL {
         if !only.is_empty() && !only.contains(&format!("{kind:?}")) {
             continue;
         }

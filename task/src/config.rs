@@ -25,8 +25,12 @@ pub struct TaskConfig {
     /// Gives the first episode of each environment a random length, so that later they do not all end at the
     /// same step (which would make some batches all starts and others none). Default true.
     pub stagger_first_episode: bool,
-    /// Appends the medium bit (land or water) to the observation. Default false.
+    /// Appends the medium bit (1 afloat, 0 otherwise) to the observation. Default false.
     pub observe_medium: bool,
+    /// Height of the centre of mass above the highest ground under a foot from which on a robot in water counts as afloat, m: the medium bit and
+    /// the rewards of swimming begin there. Default 0.11, about what stretched legs reach (it stands at 0.073). Smaller (0.07 and below): a robot that swims
+    /// ashore bumps against the beach with its nose, legs folded, and never stands up; larger: it steps where its feet find no ground.
+    pub afloat_above_m: f32,
     /// What an action means.
     pub action: ActionConfig,
     /// The gait clock.
@@ -54,6 +58,7 @@ impl Default for TaskConfig {
             episode_steps: 1000,
             stagger_first_episode: true,
             observe_medium: false,
+            afloat_above_m: 0.11,
             action: ActionConfig::default(),
             phase: PhaseConfig::default(),
             command: CommandConfig::default(),
@@ -84,6 +89,12 @@ impl TaskConfig {
             "episode_steps",
             self.episode_steps,
             "must be 1 to 10000000",
+        )?;
+        require(
+            (0.0..=10.0).contains(&self.afloat_above_m),
+            "afloat_above_m",
+            self.afloat_above_m,
+            "must be 0 to 10 m",
         )?;
         self.action.validate()?;
         self.phase.validate()?;

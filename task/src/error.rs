@@ -27,6 +27,18 @@ pub enum TaskError {
         /// How many there must be.
         expected: usize,
     },
+    /// Left and right of the robot differ.
+    #[error(
+        "robot '{robot}' is not its own mirror image: joint '{joint}' {reason}; set learner.ppo.mirror = false"
+    )]
+    NotSymmetric {
+        /// Name of the robot.
+        robot: String,
+        /// Name of the joint.
+        joint: String,
+        /// What is missing.
+        reason: &'static str,
+    },
     /// An array has the wrong length.
     #[error("{what} has {found} values, expected {expected}")]
     Shape {

@@ -19,6 +19,7 @@ pub mod contract;
 mod error;
 mod joints;
 pub mod layout;
+pub mod mirror;
 pub mod noise;
 pub mod observation;
 pub mod phase;
@@ -33,6 +34,7 @@ pub use contract::{ContractDifference, PolicyContract};
 pub use error::TaskError;
 pub use joints::JointTable;
 pub use layout::ObservationLayout;
+pub use mirror::Mirror;
 
 /// Actions, and actuated joints: one joint offset each.
 pub const ACT_DIM: usize = 16;

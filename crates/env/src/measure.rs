@@ -23,8 +23,6 @@ pub struct Truth {
     pub yaw_rate_radps: f32,
     /// Above the ground under the feet.
     pub com_height_m: f32,
-    /// Centre of mass above the highest ground under a foot.
-    pub com_over_ground_m: f32,
     /// IMU frame.
     pub gyro_radps: [f32; 3],
     /// Unit vector of gravity, IMU frame.
@@ -38,7 +36,9 @@ pub struct Truth {
     /// Contact force on trunk and legs but not the feet, mean over the control period.
     pub trunk_force_n: f32,
     /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
-    pub medium: f32,
+    pub submerged: f32,
+    /// 1 while it is that and farther above the highest ground under a foot than `afloat_above_m`, 0 otherwise.
+    pub afloat: f32,
 }
 
 /// What reading a lane needs to know of the robot.
@@ -47,6 +47,8 @@ pub(crate) struct Reader {
     /// Model index of each actuated joint.
     pub actuated: [usize; ACT_DIM],
     pub foot_radius_m: [f32; FEET],
+    /// Of the task.
+    pub afloat_above_m: f32,
 }
 
 impl Reader {
@@ -70,6 +72,7 @@ impl Reader {
         }
         let mean_ground_m = ground_m.iter().sum::<f32>() / FEET as f32;
         let highest_ground_m = ground_m.into_iter().fold(f32::MIN, f32::max);
+        let submerged = surface_m.is_some_and(|z| com[2] < z);
         Truth {
             joint_pos_rad: pick(pos, &self.actuated),
             joint_vel_radps: pick(vel, &self.actuated),
@@ -78,14 +81,14 @@ impl Reader {
             com_vel_mps: into_heading(row(&state.com_vel_mps, lane), state.heading_rad[lane]),
             yaw_rate_radps: state.com_angvel_radps[3 * lane + 2],
             com_height_m: com[2] - mean_ground_m,
-            com_over_ground_m: com[2] - highest_ground_m,
             gyro_radps: row(&state.imu_gyro_radps, lane),
             gravity: row(&state.imu_gravity, lane),
             foot_height_m,
             foot_vel_mps: vectors(&state.foot_vel_mps, lane),
             foot_force_n: vectors(&state.foot_force_n, lane),
             trunk_force_n: state.trunk_force_n[lane],
-            medium: f32::from(surface_m.is_some_and(|z| com[2] < z)),
+            submerged: f32::from(submerged),
+            afloat: f32::from(submerged && com[2] - highest_ground_m > self.afloat_above_m),
         }
     }
 }
@@ -198,6 +201,7 @@ mod tests {
     const READER: Reader = Reader {
         actuated: [0, 1, 2, 3, 4, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17],
         foot_radius_m: [0.02; FEET],
+        afloat_above_m: 0.11,
     };
 
     fn state() -> State {
@@ -244,7 +248,6 @@ mod tests {
         state.com_pos_m[2] = 0.57;
         let truth = READER.read_state(&state, None, 0);
         assert!((truth.com_height_m - 0.12).abs() < 1e-6);
-        assert!((truth.com_over_ground_m - 0.07).abs() < 1e-6);
     }
 
     #[test]
@@ -275,14 +278,23 @@ mod tests {
     }
 
     #[test]
-    fn in_water_is_below_its_surface() {
-        let mut state = state();
-        state.com_pos_m[2] = 0.38;
-        state.com_pos_m[5] = 0.42;
-        let medium = |surface, lane| READER.read_state(&state, surface, lane).medium;
-        assert_eq!(
-            [medium(Some(0.4), 0), medium(Some(0.4), 1), medium(None, 0)],
-            [1.0, 0.0, 0.0]
-        );
+    fn afloat_is_below_the_surface_with_the_ground_out_of_reach() {
+        // Feet on ground at 0.3 but for one, under which it is `shallow`.
+        let read = |com_m: f32, shallow_m: f32, surface| {
+            let mut state = state();
+            state.com_pos_m[2] = com_m;
+            for foot in 0..FEET {
+                state.foot_pos_m[3 * foot + 2] = 0.38;
+                state.foot_height_m[foot] = 0.06;
+            }
+            state.foot_height_m[2] = 0.36 - shallow_m;
+            let truth = READER.read_state(&state, surface, 0);
+            (truth.submerged, truth.afloat)
+        };
+        assert_eq!(read(0.38, 0.2, Some(0.4)), (1.0, 0.0)); // 0.08 over the ground at 0.3
+        assert_eq!(read(0.42, 0.3, Some(0.5)), (1.0, 1.0)); // 0.12 over it
+        assert_eq!(read(0.42, 0.33, Some(0.5)), (1.0, 0.0)); // 0.09 over the ground of one foot
+        assert_eq!(read(0.42, 0.3, Some(0.4)), (0.0, 0.0)); // above the surface
+        assert_eq!(read(0.42, 0.3, None), (0.0, 0.0)); // dry
     }
 }

@@ -105,6 +105,7 @@ impl VecEnv {
             reader: Reader {
                 actuated: std::array::from_fn(|i| model.actuated()[i]),
                 foot_radius_m: std::array::from_fn(|i| model.feet()[i].radius_m as f32),
+                afloat_above_m: task.afloat_above_m,
             },
             sensors: (task.noise.enabled && task.noise.sensor_models)
                 .then(|| Sensors::new(&model, task.control_period_s)),
@@ -374,7 +375,7 @@ impl VecEnv {
             phase_rad: now.clock.phases_rad(),
             command: now.command.value,
             previous_actions: &now.actions,
-            medium: Some(truth.medium),
+            medium: Some(truth.afloat),
         }
         .write(
             &self.layout,
@@ -413,8 +414,8 @@ fn reward_input<'a>(
         foot_vel_mps: &truth.foot_vel_mps,
         foot_force_n: &truth.foot_force_n,
         trunk_force_n: truth.trunk_force_n,
-        medium: truth.medium,
-        com_over_ground_m: truth.com_over_ground_m,
+        submerged: truth.submerged,
+        afloat: truth.afloat,
         swimming_rad,
         action: &lane.actions[0],
         previous_action: &lane.actions[1],

@@ -1,7 +1,10 @@
 //! One update: values and log-probabilities of the batch, advantages, then epochs of minibatches.
 
-use caudata_config::{AdvantageScale, Correction, PpoConfig, StalenessConfig};
+use caudata_config::{AdvantageScale, Config, Correction, PpoConfig, StalenessConfig};
+use caudata_model::RobotModel;
 use caudata_random::Stream;
+use caudata_task::mirror::SignedPermutation;
+use caudata_task::{Mirror, PolicyContract};
 use tch::{Device, Tensor};
 
 use super::loss::{LossSettings, Outputs, Samples, entropy, log_prob, loss_and_gradient, sums};
@@ -25,6 +28,31 @@ pub struct PpoSettings {
     pub ppo: PpoConfig,
     /// `[learner.staleness]`.
     pub staleness: StalenessConfig,
+    /// Left and right exchanged, where `learner.ppo.mirror` asks for it.
+    pub mirror: Option<Mirror>,
+}
+
+impl PpoSettings {
+    /// What `config` asks for on this robot.
+    ///
+    /// # Errors
+    /// When it asks for mirror images and the robot is not its own.
+    pub fn new(
+        config: &Config,
+        model: &RobotModel,
+        contract: &PolicyContract,
+    ) -> Result<Self, LearnerError> {
+        let ppo = config.learner.ppo.clone();
+        let mirror = ppo
+            .mirror
+            .then(|| Mirror::new(model, &contract.observation))
+            .transpose()?;
+        Ok(Self {
+            ppo,
+            staleness: config.learner.staleness.clone(),
+            mirror,
+        })
+    }
 }
 
 /// What an update did.
@@ -67,11 +95,11 @@ pub struct Ppo {
     shard_rows: usize,
 }
 
-/// Everything about the batch that the epochs draw from, on the device.
+/// Everything about the batch that the epochs draw from, on the device. With a mirror, B mirror images follow the B samples.
 struct Prepared {
-    /// Normalised, `[B, D]`.
+    /// Normalised, `[B, D]` or `[2B, D]`.
     observations: Tensor,
-    /// Actions, means of π_prox, and the columns of [`Column`]: `[B, 2A + 4]`.
+    /// Actions, means of π_prox, and the columns of [`Column`]: `[B, 2A + 4]` or `[2B, 2A + 4]`.
     samples: Tensor,
     prox_log_std: Tensor,
     effective_share: f64,
@@ -195,9 +223,13 @@ impl Ppo {
         };
         let mut tally = Tally::default();
         let mut indices: Vec<i64> = (0..batch.rows as i64).collect();
-        for _ in 0..self.settings.ppo.epochs {
+        for epoch in 0..self.settings.ppo.epochs {
             order.shuffle(&mut indices);
-            let index = Tensor::from_slice(&indices).to_device(self.net.device());
+            let index = match self.settings.mirror {
+                None => Tensor::from_slice(&indices),
+                Some(_) => Tensor::from_slice(&half_mirrored(&indices, epoch)),
+            };
+            let index = index.to_device(self.net.device());
             let observations = prepared.observations.index_select(0, &index);
             let samples = prepared.samples.index_select(0, &index);
             for part in self.minibatches(batch.rows) {
@@ -214,6 +246,15 @@ impl Ppo {
 
     fn check(&self, batch: &Batch) -> Result<(), LearnerError> {
         let spec = self.net.spec();
+        if let Some(mirror) = &self.settings.mirror {
+            let found = (mirror.observation.source.len(), mirror.action.source.len());
+            if found != (spec.obs_dim, spec.act_dim) {
+                return Err(LearnerError::setting(format!(
+                    "mirror of {} observations and {} actions for a network with {} and {}",
+                    found.0, found.1, spec.obs_dim, spec.act_dim
+                )));
+            }
+        }
         if batch.rows == 0 || batch.obs_dim != spec.obs_dim || batch.act_dim != spec.act_dim {
             return Err(LearnerError::setting(format!(
                 "batch of {} samples with {} observations and {} actions for a network with {} and {}",
@@ -245,7 +286,7 @@ impl Ppo {
         );
         let raw = Tensor::from_slice(&batch.observations).view([rows_all as i64, obs_dim]);
         let all = scaling.apply(&raw.to_device(device));
-        let observations = rows(&all, (0, batch.rows));
+        let mut observations = rows(&all, (0, batch.rows));
         let actions = Tensor::from_slice(&batch.actions)
             .view([batch.rows as i64, batch.act_dim as i64])
             .to_device(device);
@@ -260,17 +301,39 @@ impl Ppo {
         };
 
         let targets = self.targets(batch, &values, &prox_log_probs, policy_version);
-        let columns = interleave(&prox_log_probs, &targets);
-        let columns = Tensor::from_slice(&columns)
-            .view([batch.rows as i64, COLUMNS as i64])
-            .to_device(device);
+        let mut samples = self.samples(&actions, &prox_means, &prox_log_probs, &targets);
+        if let Some(mirror) = self.settings.mirror.clone() {
+            // Values, advantages and weights of a mirror image are the sample's own; its probabilities are of the policy as it is.
+            let images = exchange(&rows(&raw, (0, batch.rows)), &mirror.observation);
+            let images = scaling.apply(&images.to_device(device));
+            let actions = exchange(&actions, &mirror.action);
+            let means = Tensor::cat(&self.pool.map(self.cut(&images), mean_of)?, 0);
+            let log_probs: Vec<f32> = host(&log_prob(&actions, &means, &prox_log_std))?;
+            let image_samples = self.samples(&actions, &means, &log_probs, &targets);
+            observations = Tensor::cat(&[observations, images], 0);
+            samples = Tensor::cat(&[samples, image_samples], 0);
+        }
         Ok(Prepared {
             observations,
-            samples: Tensor::cat(&[actions, prox_means, columns], 1),
+            samples,
             prox_log_std,
             effective_share: effective_share(&targets.weights),
             explained_variance: explained_variance(&values[..batch.rows], &targets.targets),
         })
+    }
+
+    /// The columns of [`Prepared::samples`].
+    fn samples(
+        &self,
+        actions: &Tensor,
+        prox_means: &Tensor,
+        prox_log_probs: &[f32],
+        targets: &Targets,
+    ) -> Tensor {
+        let columns = Tensor::from_slice(&interleave(prox_log_probs, targets))
+            .view([-1, COLUMNS as i64])
+            .to_device(self.net.device());
+        Tensor::cat(&[actions, prox_means, &columns], 1)
     }
 
     fn cut(&self, t: &Tensor) -> Vec<Tensor> {
@@ -522,6 +585,21 @@ fn adapted_rate(ppo: &PpoConfig, rate: f64, kl: f64) -> f64 {
     } else {
         rate
     }
+}
+
+/// In each pass every other sample as it is and the others as their mirror images, which follow B rows later; the other way round in the next pass.
+fn half_mirrored(indices: &[i64], epoch: u32) -> Vec<i64> {
+    let rows = indices.len() as i64;
+    let image = |&i: &i64| i + rows * ((i + i64::from(epoch)) & 1);
+    indices.iter().map(image).collect()
+}
+
+/// The mirror image of each row.
+fn exchange(values: &Tensor, by: &SignedPermutation) -> Tensor {
+    let source: Vec<i64> = by.source.iter().map(|&i| i as i64).collect();
+    let device = values.device();
+    let sign = Tensor::from_slice(&by.sign).to_device(device);
+    values.index_select(1, &Tensor::from_slice(&source).to_device(device)) * sign
 }
 
 /// (Σw)²/(N·Σw²): 1 when all weights are equal.

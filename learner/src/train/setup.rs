@@ -103,10 +103,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         }
         _ => None,
     };
-    let ppo = PpoSettings {
-        ppo: config.learner.ppo.clone(),
-        staleness: config.learner.staleness.clone(),
-    };
+    let ppo = PpoSettings::new(config, &model, &contract)?;
     let mut ppo = Ppo::new(net, ppo, threads(config, inproc))?;
     let (mut progress, snapshots) = restore(&mut ppo, state, config, contract.obs_dim())?;
     if let Some(moments) = moments {

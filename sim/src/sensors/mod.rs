@@ -2,7 +2,7 @@
 //!
 //! What is constant and wrong is in [`errors`], what comes late in [`lag`]: a reading is error, then noise, then lag.
 //!
-//! Draw a robot's own imperfections once per episode ([`ImuBias::draw`], [`encoder_offsets_rad`]), then measure every control period.
+//! Draw a robot's own imperfections once per episode ([`ImuBias::draw`]), then measure every control period.
 //! A white noise of density n (unit/√Hz, one-sided, as data sheets give it) sampled every `period_s` and band-limited to half the
 //! sampling rate has standard deviation n·√(1/(2·period_s)).
 
@@ -32,12 +32,6 @@ pub fn encoder_vel_radps(servo: &ServoParams, true_radps: f32) -> f32 {
     quantise(true_radps, servo.velocity_lsb_radps)
 }
 
-/// Mounting offsets of `joints` encoders, normal with standard deviation `std_rad`, rad.
-#[must_use]
-pub fn encoder_offsets_rad(joints: usize, std_rad: f32, stream: &mut Stream) -> Vec<f32> {
-    (0..joints).map(|_| std_rad * stream.normal()).collect()
-}
-
 /// Current as a servo reports it for a motor torque, A: beyond the dead band proportional to torque, rounded to its step.
 ///
 /// No torque reads as no current, although anything inside the dead band would give none.
@@ -49,14 +43,6 @@ pub fn current_a(servo: &ServoParams, torque_nm: f32) -> f32 {
     let torque = f64::from(torque_nm);
     let amps = torque.abs() / servo.torque_per_current_nm_per_a + servo.current_dead_band_a;
     quantise((amps * torque.signum()) as f32, servo.current_lsb_a)
-}
-
-/// The torque that a measured current stands for, N·m: the inverse of [`current_a`] but for rounding.
-#[must_use]
-pub fn torque_from_current_nm(servo: &ServoParams, current_a: f32) -> f32 {
-    let amps = f64::from(current_a);
-    let beyond = (amps.abs() - servo.current_dead_band_a).max(0.0);
-    (beyond * servo.torque_per_current_nm_per_a * amps.signum()) as f32
 }
 
 /// Offsets of an IMU that stay from power-up to power-down.
@@ -168,15 +154,6 @@ mod tests {
         assert!((current_a(&w210(), 1.11) - 1.145_94).abs() < 1e-5);
         assert!((current_a(&w210(), -1.11) + 1.145_94).abs() < 1e-5);
         assert_eq!(current_a(&w210(), 0.0), 0.0);
-        assert_eq!(torque_from_current_nm(&w210(), 0.1), 0.0);
-        // and back, within a step: 1.11·0.00269/2 = 0.0015 N·m
-        for torque in [-1.5, -0.2, 0.3, 1.9] {
-            let back = torque_from_current_nm(&w210(), current_a(&w210(), torque));
-            assert!(
-                (back - torque).abs() < 0.0016,
-                "{torque} came back as {back}"
-            );
-        }
     }
 
     #[test]
@@ -225,12 +202,5 @@ mod tests {
             .map(|b| f64::from(b * b))
             .sum();
         assert!(((sum / 6000.0).sqrt() / 0.01745 - 1.0).abs() < 0.04);
-    }
-
-    #[test]
-    fn offsets_differ_per_joint() {
-        let offsets = encoder_offsets_rad(16, 0.01, &mut stream(0));
-        assert_eq!(offsets.len(), 16);
-        assert!(offsets.windows(2).all(|w| w[0] != w[1]) && offsets.iter().all(|o| o.abs() < 0.06));
     }
 }

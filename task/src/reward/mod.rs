@@ -194,11 +194,6 @@ pub struct RewardConfig {
     /// speed up to 1.5 times that. Default 0.14 and 0.22, with which the nominal robot swims at about 0.3 m/s open loop. Larger: faster and more
     /// power.
     pub wave_amplitude_rad: [f32; 2],
-    /// Height of the centre of mass above the highest ground under a foot from which on the robot swims, if it is in water, m. Default 0.09:
-    /// it stands at 0.073, and runs aground lower than that with its legs folded back. Below it the rewards are those of land, although
-    /// the medium bit says water. Too small: a robot that comes ashore keeps its legs folded and lies in the shallows for ever; too large:
-    /// it treads water for the pay of walking where its feet find no ground (0.16 did that).
-    pub afloat_above_m: f32,
     /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make nine tenths of a wave.
     pub wave_lag_rad: f32,
     /// σ of `body_wave`, rad². Default 0.1: a straight body earns about 30 % at 0.3 m/s.
@@ -224,7 +219,6 @@ impl Default for RewardConfig {
             trunk_force_n: 5.0,
             leg_fold_sigma: 3.0,
             wave_amplitude_rad: [0.14, 0.22],
-            afloat_above_m: 0.09,
             wave_lag_rad: 0.7,
             wave_sigma: 0.1,
             soft_limit_share: 0.95,
@@ -281,7 +275,6 @@ impl RewardConfig {
             (self.trunk_force_n, "reward.trunk_force_n"),
             (self.leg_fold_sigma, "reward.leg_fold_sigma"),
             (self.wave_sigma, "reward.wave_sigma"),
-            (self.afloat_above_m, "reward.afloat_above_m"),
         ];
         for (value, field) in positive {
             require(
@@ -362,10 +355,10 @@ pub struct RewardInput<'a> {
     pub foot_force_n: &'a [[f32; 3]; FEET],
     /// Sum of contact forces on everything but the feet, N.
     pub trunk_force_n: f32,
-    /// 0 on land, 1 in water.
-    pub medium: f32,
-    /// Height of the whole body's centre of mass above the highest ground under a foot, m.
-    pub com_over_ground_m: f32,
+    /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
+    pub submerged: f32,
+    /// 1 while it is that and the ground is out of reach (`task.afloat_above_m`), 0 otherwise.
+    pub afloat: f32,
     /// Joint positions of the swimming pose, rad.
     pub swimming_rad: &'a [f32; ACT_DIM],
     /// The action of this step, clipped.

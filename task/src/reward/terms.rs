@@ -24,7 +24,7 @@ pub fn tracking_yaw_rate(config: &RewardConfig, input: &RewardInput<'_>) -> f32 
 }
 
 /// exp(−Σ (z_j − z_ref(φ_j))²/σ_phase), z the height of the foot's lowest point above the ground. Paper;
-/// z_ref of MuJoCo Playground. Nothing in water, where the ground is out of reach.
+/// z_ref of MuJoCo Playground. Nothing afloat, where the ground is out of reach.
 pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let error: f32 = input
         .foot_height_m
@@ -32,7 +32,7 @@ pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         .zip(input.phase_rad)
         .map(|(z, phase)| (z - reference_height_m(phase, input.swing_height_m)).powi(2))
         .sum();
-    (1.0 - afloat(config, input)) * (-error / config.phase_sigma).exp()
+    (1.0 - input.afloat) * (-error / config.phase_sigma).exp()
 }
 
 /// Σ|q̇τ|, W. Paper. Braking counts as much as driving: a servo cannot feed energy back.
@@ -84,9 +84,10 @@ pub fn orientation(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     input.gravity[0].powi(2) + input.gravity[1].powi(2)
 }
 
-/// Force on links that carry feet, the feet left out, as a share of `trunk_force_n`, at most 1; 0 in water.
+/// Force on links that carry feet, the feet left out, as a share of `trunk_force_n`, at most 1; 0 while the centre of mass
+/// is under water: ashore a swimmer lands on its belly.
 pub fn trunk_contact(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    (1.0 - input.medium) * (input.trunk_force_n / config.trunk_force_n).clamp(0.0, 1.0)
+    (1.0 - input.submerged) * (input.trunk_force_n / config.trunk_force_n).clamp(0.0, 1.0)
 }
 
 /// v_z² of the whole body's centre of mass, m²/s².
@@ -116,21 +117,12 @@ fn squared_distance(a: &[f32; ACT_DIM], b: &[f32; ACT_DIM]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
 }
 
-/// 1 in water that is too deep for the feet, 0 elsewhere.
-fn afloat(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    if input.com_over_ground_m > config.afloat_above_m {
-        input.medium
-    } else {
-        0.0
-    }
-}
-
 /// exp(−Σ (q − q_swimming)²/σ) over the leg joints, afloat only.
 pub fn leg_fold(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let error: f32 = (FIRST_LEG_JOINT..ACT_DIM)
         .map(|i| (input.joint_pos_rad[i] - input.swimming_rad[i]).powi(2))
         .sum();
-    afloat(config, input) * (-error / config.leg_fold_sigma).exp()
+    input.afloat * (-error / config.leg_fold_sigma).exp()
 }
 
 /// exp(−Σ (q_i − q_wave,i)²/σ) over the body joints, head to tail, afloat only.
@@ -138,7 +130,7 @@ pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let error: f32 = (0..FIRST_LEG_JOINT)
         .map(|i| (input.joint_pos_rad[i] - wave_rad(config, input, i)).powi(2))
         .sum();
-    afloat(config, input) * (-error / config.wave_sigma).exp()
+    input.afloat * (-error / config.wave_sigma).exp()
 }
 
 /// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear from head to tail, s the commanded forward speed

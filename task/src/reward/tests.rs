@@ -33,8 +33,8 @@ fn rest() -> RewardInput<'static> {
         foot_vel_mps: &[[0.0; 3]; FEET],
         foot_force_n: &[[0.0, 0.0, 6.0]; FEET],
         trunk_force_n: 0.0,
-        medium: 0.0,
-        com_over_ground_m: 1.0,
+        submerged: 0.0,
+        afloat: 0.0,
         swimming_rad: &ZEROS,
         action: &ZEROS,
         previous_action: &ZEROS,
@@ -296,21 +296,23 @@ fn in_water_legs_fold_instead_of_stepping() {
     // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 8·0.5² = 2; exp(−2/3) = 0.513417.
     let fold = [0.6; ACT_DIM];
     let input = RewardInput {
-        medium: 1.0,
+        submerged: 1.0,
+        afloat: 1.0,
         swimming_rad: &fold,
         ..rest()
     };
     check(terms::leg_fold, &input, 0.513_417);
     check(terms::phase, &input, 0.0);
     let on_land = RewardInput {
-        medium: 0.0,
+        submerged: 0.0,
+        afloat: 0.0,
         ..input
     };
     check(terms::leg_fold, &on_land, 0.0);
     check(terms::phase, &on_land, 1.0);
-    // With ground in reach the bit still says water, but the feet step and the belly may touch.
+    // With ground in reach the feet step, and the belly may touch as long as the robot is under water.
     let wading = RewardInput {
-        com_over_ground_m: 0.07,
+        afloat: 0.0,
         trunk_force_n: 100.0,
         ..input
     };
@@ -361,7 +363,8 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
         _ => 0.0,
     });
     let input = RewardInput {
-        medium: 1.0,
+        submerged: 1.0,
+        afloat: 1.0,
         command: [0.15, 0.0, 0.0],
         phase_rad: [PI / 2.0; FEET],
         joint_pos_rad: &wave,
@@ -381,7 +384,8 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
     };
     assert_eq!(terms::body_wave(&config, &standing), 1.0);
     let on_land = RewardInput {
-        medium: 0.0,
+        submerged: 0.0,
+        afloat: 0.0,
         ..input
     };
     assert_eq!(terms::body_wave(&config, &on_land), 0.0);
