@@ -34,8 +34,13 @@ impl Adam {
     }
 
     /// One step on `parameters` `[P]`, in place, with torch's order of operations:
-    /// m = β₁m + (1−β₁)g, v = β₂v + (1−β₂)g², p −= lr/(1−β₁ᵗ) · m / (√v/√(1−β₂ᵗ) + ε).
-    pub fn step(&mut self, parameters: &Tensor, gradient: &Tensor, learning_rate: f64) {
+    /// m = β₁m + (1−β₁)g, v = β₂v + (1−β₂)g², p −= lr/(1−β₁ᵗ) · m / (√v/√(1−β₂ᵗ) + ε). `rates`: number of parameters and their learning rate,
+    /// part after part, P in all.
+    pub fn step(&mut self, parameters: &Tensor, gradient: &Tensor, rates: &[(usize, f64)]) {
+        debug_assert_eq!(
+            rates.iter().map(|part| part.0).sum::<usize>(),
+            self.m.numel()
+        );
         self.steps += 1;
         let t = self.steps as f64;
         let _ = self.m.lerp_(gradient, 1.0 - BETA1);
@@ -48,8 +53,20 @@ impl Adam {
             .sqrt()
             .g_div_scalar_(bias2_root)
             .g_add_scalar_(EPSILON);
-        let change = (&self.m / denominator).g_mul_scalar_(learning_rate / bias1);
-        let _ = parameters.shallow_clone().g_sub_(&change);
+        let change = &self.m / denominator;
+        let mut first = 0;
+        for &(len, rate) in rates {
+            let part = |t: &Tensor| t.narrow(0, first, len as i64);
+            let change = part(&change).g_mul_scalar_(rate / bias1);
+            let _ = part(parameters).g_sub_(&change);
+            first += len as i64;
+        }
+    }
+
+    /// Forgets every step.
+    pub fn reset(&mut self) {
+        let _ = (self.m.zero_(), self.v.zero_());
+        self.steps = 0;
     }
 
     /// What a checkpoint keeps: first moment, second moment, steps.
@@ -94,9 +111,9 @@ mod tests {
         let p = Tensor::from_slice(&[1.0_f32]);
         let g = Tensor::from_slice(&[2.0_f32]);
         let mut adam = Adam::new(1, Device::Cpu);
-        adam.step(&p, &g, 0.1);
+        adam.step(&p, &g, &[(1, 0.1)]);
         assert!((p.double_value(&[0]) - 0.9).abs() < 1e-6);
-        adam.step(&p, &g, 0.1);
+        adam.step(&p, &g, &[(1, 0.1)]);
         assert!((p.double_value(&[0]) - 0.8).abs() < 1e-6);
     }
 
@@ -112,7 +129,7 @@ mod tests {
         let mut adam = Adam::new(3, Device::Cpu);
         for step in 0..200 {
             torch.backward_step(&((&theirs - &b).square() * &a).sum(Kind::Float));
-            adam.step(&own, &((&own - &b) * &a * 2.0), 0.05);
+            adam.step(&own, &((&own - &b) * &a * 2.0), &[(3, 0.05)]);
             let off = (&own - &theirs).abs().max().double_value(&[]);
             assert!(off < 2e-5, "step {step}: off by {off}");
         }
@@ -123,14 +140,33 @@ mod tests {
         let g = Tensor::from_slice(&[0.3_f32, -1.0]);
         let p = Tensor::from_slice(&[0.0_f32, 0.0]);
         let mut adam = Adam::new(2, Device::Cpu);
-        adam.step(&p, &g, 0.1);
+        adam.step(&p, &g, &[(2, 0.1)]);
         let (m, v, steps) = adam.state().unwrap();
         let q = p.copy();
         let mut other = Adam::new(2, Device::Cpu);
         other.restore(&m, &v, steps).unwrap();
-        adam.step(&p, &g, 0.1);
-        other.step(&q, &g, 0.1);
+        adam.step(&p, &g, &[(2, 0.1)]);
+        other.step(&q, &g, &[(2, 0.1)]);
         assert!(p.equal(&q));
         assert!(other.restore(&[0.0], &v, 1).is_err());
+    }
+
+    #[test]
+    fn parts_have_their_own_rates_and_a_reset_forgets() {
+        // As above, every first step has the size of its rate.
+        let p = Tensor::from_slice(&[0.0_f32, 0.0, 0.0]);
+        let g = Tensor::from_slice(&[3.0_f32, -2.0, 5.0]);
+        let mut adam = Adam::new(3, Device::Cpu);
+        let near = |p: &Tensor, expected: [f32; 3]| {
+            let found: Vec<f32> = Vec::try_from(p).unwrap();
+            let off = found.iter().zip(expected).map(|(f, e)| (f - e).abs());
+            assert!(off.fold(0.0, f32::max) < 1e-6, "{found:?}");
+        };
+        adam.step(&p, &g, &[(2, 0.1), (1, 0.01)]);
+        near(&p, [-0.1, 0.1, -0.01]);
+        adam.reset();
+        assert_eq!(adam.state().unwrap().2, 0);
+        adam.step(&p, &(&g * -7.0), &[(2, 0.1), (1, 0.01)]);
+        near(&p, [0.0; 3]);
     }
 }

@@ -28,8 +28,8 @@ pub struct TaskConfig {
     /// Appends the medium bit (1 afloat, 0 otherwise) to the observation. Default false.
     pub observe_medium: bool,
     /// Height of the centre of mass above the highest ground under a foot from which on a robot in water counts as afloat, m: the medium bit and
-    /// the rewards of swimming begin there. Default 0.11, about what stretched legs reach (it stands at 0.073). Smaller (0.07 and below): a robot that swims
-    /// ashore bumps against the beach with its nose, legs folded, and never stands up; larger: it steps where its feet find no ground.
+    /// the rewards of swimming begin there. Default 0.09 (it stands at 0.073). Smaller: a robot that swims ashore keeps its
+    /// legs folded and never stands up; larger: it treads water where its feet find no ground (0.11 kept it from ever swimming).
     pub afloat_above_m: f32,
     /// What an action means.
     pub action: ActionConfig,
@@ -58,7 +58,7 @@ impl Default for TaskConfig {
             episode_steps: 1000,
             stagger_first_episode: true,
             observe_medium: false,
-            afloat_above_m: 0.11,
+            afloat_above_m: 0.09,
             action: ActionConfig::default(),
             phase: PhaseConfig::default(),
             command: CommandConfig::default(),

@@ -81,7 +81,7 @@ impl ObservationLayout {
                 "1",
                 "policy order, newest first",
             ),
-            ("medium", MEDIUM, 1, "1", "1 afloat, 0 otherwise"),
+            ("medium", MEDIUM, 1, "1", "0 on land, 1 in water"),
         ];
         let parts = if medium { table.len() } else { table.len() - 1 };
         let slices = table[..parts]

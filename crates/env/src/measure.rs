@@ -201,7 +201,7 @@ mod tests {
     const READER: Reader = Reader {
         actuated: [0, 1, 2, 3, 4, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17],
         foot_radius_m: [0.02; FEET],
-        afloat_above_m: 0.11,
+        afloat_above_m: 0.09,
     };
 
     fn state() -> State {
@@ -293,7 +293,7 @@ mod tests {
         };
         assert_eq!(read(0.38, 0.2, Some(0.4)), (1.0, 0.0)); // 0.08 over the ground at 0.3
         assert_eq!(read(0.42, 0.3, Some(0.5)), (1.0, 1.0)); // 0.12 over it
-        assert_eq!(read(0.42, 0.33, Some(0.5)), (1.0, 0.0)); // 0.09 over the ground of one foot
+        assert_eq!(read(0.42, 0.34, Some(0.5)), (1.0, 0.0)); // 0.08 over the ground of one foot
         assert_eq!(read(0.42, 0.3, Some(0.4)), (0.0, 0.0)); // above the surface
         assert_eq!(read(0.42, 0.3, None), (0.0, 0.0)); // dry
     }

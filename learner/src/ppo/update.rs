@@ -92,6 +92,8 @@ pub struct Ppo {
     pool: Pool,
     settings: PpoSettings,
     learning_rate: f64,
+    /// Of the whole run so far.
+    env_steps: u64,
     shard_rows: usize,
 }
 
@@ -168,6 +170,7 @@ impl Ppo {
             pool: Pool::new(&net, if on_cpu { threads } else { 1 })?,
             shard_rows: if on_cpu { SHARD_ROWS } else { usize::MAX },
             learning_rate: settings.ppo.learning_rate,
+            env_steps: 0,
             net,
             settings,
         })
@@ -191,6 +194,17 @@ impl Ppo {
     /// Learning rate of the next update.
     pub fn learning_rate(&self) -> f64 {
         self.learning_rate
+    }
+
+    /// Environment steps of the whole run before the next update, on which the target of the KL divergence depends.
+    pub fn set_progress(&mut self, env_steps: u64) {
+        self.env_steps = env_steps;
+    }
+
+    /// After iterations with `value_only`: the optimiser forgets them. The policy had no gradient in them, and the second moments' correction for
+    /// the first steps would be long gone: its first real steps would be three times as long as they should.
+    pub fn begin_policy(&mut self) {
+        self.adam.reset();
     }
 
     /// Sets the learning rate, for restoring it.
@@ -300,15 +314,22 @@ impl Ppo {
             Correction::None => batch.behaviour_log_probs.clone(),
         };
 
-        let targets = self.targets(batch, &values, &prox_log_probs, policy_version);
+        let mut targets = self.targets(batch, &values, &prox_log_probs, policy_version);
+        let effective_share = effective_share(&targets.weights);
+        let explained_variance = explained_variance(&values[..batch.rows], &targets.targets);
         let mut samples = self.samples(&actions, &prox_means, &prox_log_probs, &targets);
         if let Some(mirror) = self.settings.mirror.clone() {
-            // Values, advantages and weights of a mirror image are the sample's own; its probabilities are of the policy as it is.
+            // Values and advantages of a mirror image are the sample's own. Its weight is how likely the policy is to act so: without it an action that
+            // a lopsided policy would not take pushes the mean about, and the robot ends up standing.
             let images = exchange(&rows(&raw, (0, batch.rows)), &mirror.observation);
             let images = scaling.apply(&images.to_device(device));
             let actions = exchange(&actions, &mirror.action);
             let means = Tensor::cat(&self.pool.map(self.cut(&images), mean_of)?, 0);
             let log_probs: Vec<f32> = host(&log_prob(&actions, &means, &prox_log_std))?;
+            let cap = self.settings.staleness.weight_max as f32;
+            let behaviour = batch.behaviour_log_probs.iter();
+            let weight = |(image, acted): (&f32, &f32)| (image - acted).exp().min(cap);
+            targets.weights = log_probs.iter().zip(behaviour).map(weight).collect();
             let image_samples = self.samples(&actions, &means, &log_probs, &targets);
             observations = Tensor::cat(&[observations, images], 0);
             samples = Tensor::cat(&[samples, image_samples], 0);
@@ -317,8 +338,8 @@ impl Ppo {
             observations,
             samples,
             prox_log_std,
-            effective_share: effective_share(&targets.weights),
-            explained_variance: explained_variance(&values[..batch.rows], &targets.targets),
+            effective_share,
+            explained_variance,
         })
     }
 
@@ -474,9 +495,11 @@ impl Ppo {
         }
         let kl = sums[sums::KL] / minibatch_rows as f64;
         if !step.value_only {
-            self.learning_rate = adapted_rate(&self.settings.ppo, self.learning_rate, kl);
+            let target_kl = self.settings.ppo.target_kl_after(self.env_steps);
+            self.learning_rate =
+                adapted_rate(&self.settings.ppo, target_kl, self.learning_rate, kl);
         }
-        self.step(gradient, norm, self.learning_rate * step.rate_guard);
+        self.step(gradient, norm, step.rate_guard);
         tally.add(&sums, minibatch_rows, norm);
         Ok(())
     }
@@ -493,12 +516,20 @@ impl Ppo {
         let _ = advantages.g_sub_(&mean).g_div_(&std);
     }
 
-    fn step(&mut self, mut gradient: Tensor, norm: f64, rate: f64) {
+    fn step(&mut self, mut gradient: Tensor, norm: f64, rate_guard: f64) {
+        let rate = self.learning_rate * rate_guard;
         let largest = self.settings.ppo.max_grad_norm;
         if norm > largest {
             gradient = gradient.g_mul_scalar_(largest / norm);
         }
-        self.adam.step(self.net.flat(), &gradient, rate);
+        let policy = self.net.policy_len();
+        let value = self.net.layout().len() - policy;
+        let value_rate = match self.settings.ppo.value_learning_rate {
+            0.0 => rate,
+            own => own * rate_guard,
+        };
+        let rates = [(policy, rate), (value, value_rate)];
+        self.adam.step(self.net.flat(), &gradient, &rates);
     }
 
     fn stats(&self, tally: &Tally, prepared: &Prepared) -> UpdateStats {
@@ -574,13 +605,13 @@ fn shard_gradient(worker: &mut Worker, job: GradientJob) -> (Tensor, Tensor) {
 }
 
 /// rsl_rl's rule; the rate stays when no target is set.
-fn adapted_rate(ppo: &PpoConfig, rate: f64, kl: f64) -> f64 {
-    if ppo.target_kl <= 0.0 {
+fn adapted_rate(ppo: &PpoConfig, target_kl: f64, rate: f64, kl: f64) -> f64 {
+    if target_kl <= 0.0 {
         return rate;
     }
-    if kl > 2.0 * ppo.target_kl {
+    if kl > 2.0 * target_kl {
         (rate / RATE_FACTOR).max(ppo.learning_rate_min)
-    } else if kl > 0.0 && kl < 0.5 * ppo.target_kl {
+    } else if kl > 0.0 && kl < 0.5 * target_kl {
         (rate * RATE_FACTOR).min(ppo.learning_rate_max)
     } else {
         rate

@@ -179,6 +179,10 @@ impl Run<'_> {
             false => chunks,
         });
         let value_only = self.value_only();
+        if self.policy_begins() {
+            self.ppo.begin_policy();
+        }
+        self.ppo.set_progress(self.progress.steps_total);
         let learning = Instant::now();
         let stats = {
             let _span = tracing::info_span!("learn", samples = batch.rows).entered();
@@ -241,6 +245,12 @@ impl Run<'_> {
     fn value_only(&self) -> bool {
         let warm = &self.config.learner.warm_start;
         !warm.policy.as_os_str().is_empty() && self.progress.iteration < warm.value_only_iterations
+    }
+
+    /// Whether the policy learns from this iteration on.
+    fn policy_begins(&self) -> bool {
+        let warm = &self.config.learner.warm_start;
+        !warm.policy.as_os_str().is_empty() && self.progress.iteration == warm.value_only_iterations
     }
 
     fn watch_finite(

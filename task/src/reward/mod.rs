@@ -144,11 +144,11 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
-    /// Afloat, exp(−Σ (q − q_swimming)²/`leg_fold_sigma`) over the leg joints: legs folded back as in the robot file's swimming pose;
+    /// Afloat, mean over the leg joints of exp(−(q − q_swimming)²/`leg_fold_sigma`): legs folded back as in the robot file's swimming pose;
     /// 0 on land and in shallow water. It takes the place of `phase`, which pays nothing afloat, so give it about that weight: too small, and staying on
     /// land pays. Default 0 (not in the paper).
     leg_fold: Reward, "1", 0.0;
-    /// Afloat, exp(−Σ (q − q_wave)²/`wave_sigma`) over the body joints: a wave that travels from head to tail with the gait clock, as high as
+    /// Afloat, mean over the body joints of exp(−(q − q_wave)²/`wave_sigma`): a wave that travels from head to tail with the gait clock, as high as
     /// the commanded forward speed asks for; 0 on land and in shallow water. What `phase` is to walking. Default 0 (not in the paper); without it the policy does
     /// not find out how to swim: independent noise in eight joints makes no travelling wave.
     body_wave: Reward, "1", 0.0;
@@ -188,7 +188,7 @@ pub struct RewardConfig {
     pub contact_force_n: f32,
     /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
     pub trunk_force_n: f32,
-    /// σ of `leg_fold`, rad². Default 3: legs that stand as for walking are 7 rad² from folded and earn 10 %. Smaller: no gradient from there.
+    /// σ of `leg_fold`, rad². Default 1: a hip that stands as for walking is 1.3 rad from folded and earns 20 %. Smaller: no gradient from there.
     pub leg_fold_sigma: f32,
     /// Height of the travelling wave of `body_wave` at 0.3 m/s, head and tail, rad; in between linear, and proportional to the commanded
     /// speed up to 1.5 times that. Default 0.14 and 0.22, with which the nominal robot swims at about 0.3 m/s open loop. Larger: faster and more
@@ -196,7 +196,8 @@ pub struct RewardConfig {
     pub wave_amplitude_rad: [f32; 2],
     /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make nine tenths of a wave.
     pub wave_lag_rad: f32,
-    /// σ of `body_wave`, rad². Default 0.1: a straight body earns about 30 % at 0.3 m/s.
+    /// σ of `body_wave`, rad². Default 0.05: a straight body earns three quarters at 0.3 m/s with the default height. Smaller: nothing pulls a joint that is
+    /// far from the wave; larger: a straight body earns nearly all.
     pub wave_sigma: f32,
     /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
     pub soft_limit_share: f32,
@@ -217,10 +218,10 @@ impl Default for RewardConfig {
             phase_sigma: 0.01,
             contact_force_n: 1.0,
             trunk_force_n: 5.0,
-            leg_fold_sigma: 3.0,
+            leg_fold_sigma: 1.0,
             wave_amplitude_rad: [0.14, 0.22],
             wave_lag_rad: 0.7,
-            wave_sigma: 0.1,
+            wave_sigma: 0.05,
             soft_limit_share: 0.95,
             costs_at_start: 1.0,
             costs_full_after_env_steps: 0,

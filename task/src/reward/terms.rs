@@ -1,5 +1,7 @@
 //! The value of each term: a pure function, ≥ 0, of one control step.
 
+use std::ops::Range;
+
 use super::{RewardConfig, RewardInput};
 use crate::ACT_DIM;
 use crate::phase::reference_height_m;
@@ -117,20 +119,28 @@ fn squared_distance(a: &[f32; ACT_DIM], b: &[f32; ACT_DIM]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
 }
 
-/// exp(−Σ (q − q_swimming)²/σ) over the leg joints, afloat only.
+/// Mean over the leg joints of exp(−(q − q_swimming)²/σ), afloat only.
 pub fn leg_fold(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let error: f32 = (FIRST_LEG_JOINT..ACT_DIM)
-        .map(|i| (input.joint_pos_rad[i] - input.swimming_rad[i]).powi(2))
-        .sum();
-    input.afloat * (-error / config.leg_fold_sigma).exp()
+    let folded = |i: usize| {
+        let error = input.joint_pos_rad[i] - input.swimming_rad[i];
+        (-error * error / config.leg_fold_sigma).exp()
+    };
+    input.afloat * mean(FIRST_LEG_JOINT..ACT_DIM, folded)
 }
 
-/// exp(−Σ (q_i − q_wave,i)²/σ) over the body joints, head to tail, afloat only.
+/// Mean over the body joints, head to tail, of exp(−(q_i − q_wave,i)²/σ), afloat only.
 pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let error: f32 = (0..FIRST_LEG_JOINT)
-        .map(|i| (input.joint_pos_rad[i] - wave_rad(config, input, i)).powi(2))
-        .sum();
-    input.afloat * (-error / config.wave_sigma).exp()
+    let follows = |i: usize| {
+        let error = input.joint_pos_rad[i] - wave_rad(config, input, i);
+        (-error * error / config.wave_sigma).exp()
+    };
+    input.afloat * mean(0..FIRST_LEG_JOINT, follows)
+}
+
+/// Of joints that each earn for themselves: with the exponential of a sum, one leg that is far off hides from the others that they get better.
+fn mean(joints: Range<usize>, value: impl Fn(usize) -> f32) -> f32 {
+    let count = joints.len() as f32;
+    joints.map(value).sum::<f32>() / count
 }
 
 /// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear from head to tail, s the commanded forward speed

@@ -293,7 +293,7 @@ fn a_wrong_sign_or_scale_is_refused_by_name() {
 
 #[test]
 fn in_water_legs_fold_instead_of_stepping() {
-    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 8·0.5² = 2; exp(−2/3) = 0.513417.
+    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: exp(−0.5²) = 0.778801 for each.
     let fold = [0.6; ACT_DIM];
     let input = RewardInput {
         submerged: 1.0,
@@ -301,7 +301,15 @@ fn in_water_legs_fold_instead_of_stepping() {
         swimming_rad: &fold,
         ..rest()
     };
-    check(terms::leg_fold, &input, 0.513_417);
+    check(terms::leg_fold, &input, 0.778_801);
+    // One leg that is 10 rad off earns nothing with its two joints and hides nothing from the other six: ¾ of it.
+    let mut one_off = *input.joint_pos_rad;
+    (one_off[8], one_off[9]) = (10.0, 10.0);
+    let one_leg = RewardInput {
+        joint_pos_rad: &one_off,
+        ..input
+    };
+    check(terms::leg_fold, &one_leg, 0.75 * 0.778_801);
     check(terms::phase, &input, 0.0);
     let on_land = RewardInput {
         submerged: 0.0,
@@ -371,18 +379,18 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
         ..rest()
     };
     assert!((terms::body_wave(&config, &input) - 1.0).abs() < 1e-5);
-    // A straight body: 4·0.1² = 0.04; exp(−0.04/0.3) = 0.875173.
+    // A straight body: four joints are off by 0.1, (4 + 4·exp(−0.1²/0.3))/8 = 0.983608.
     let straight = RewardInput {
         joint_pos_rad: &ZEROS,
         ..input
     };
-    assert!((terms::body_wave(&config, &straight) - 0.875_173).abs() < 1e-5);
+    assert!((terms::body_wave(&config, &straight) - 0.983_608).abs() < 1e-5);
     // Standing asks for a straight body; on land it pays nothing.
     let standing = RewardInput {
         standing: true,
         ..straight
     };
-    assert_eq!(terms::body_wave(&config, &standing), 1.0);
+    assert!((terms::body_wave(&config, &standing) - 1.0).abs() < 1e-6);
     let on_land = RewardInput {
         submerged: 0.0,
         afloat: 0.0,

@@ -188,10 +188,19 @@ pub struct PpoConfig {
     /// KL divergence per update that the learning rate is adapted to, nats (rsl_rl's rule: above twice it the rate
     /// falls by 1.5, below half of it it rises by 1.5). 0 keeps the rate. 0 to 1.
     pub target_kl: f64,
+    /// What the target falls to, evenly in its logarithm, over `target_kl_final_after_env_steps` of the whole run. 0 to 1. Default 0: it stays. As
+    /// large steps find a gait, and a batch of some thousand samples then shakes the policy about it by that much in every update; a tenth of
+    /// `target_kl` at the end lets it settle. Too small too early: it stops learning.
+    pub target_kl_final: f64,
+    /// Environment steps after which `target_kl_final` is reached. Default 0: from the start.
+    pub target_kl_final_after_env_steps: u64,
     /// Bounds of the adapted learning rate.
     pub learning_rate_min: f64,
     /// Bounds of the adapted learning rate.
     pub learning_rate_max: f64,
+    /// Learning rate of the value function, 0 to 1. Default 0: that of the policy (rsl_rl), adapted like it. Where small batches keep that
+    /// below 1e-4, a critic that falls behind misleads the policy; 1e-3 keeps it up.
+    pub value_learning_rate: f64,
     /// Over what advantages are shifted and scaled to mean 0 and variance 1.
     pub advantage_scale: AdvantageScale,
     /// Learns from every sample and from its mirror image, left and right exchanged, in turn from pass to pass: with two passes each is seen once.
@@ -212,11 +221,28 @@ impl Default for PpoConfig {
             max_grad_norm: 1.0,
             learning_rate: 1e-3,
             target_kl: 0.01,
+            target_kl_final: 0.0,
+            target_kl_final_after_env_steps: 0,
             learning_rate_min: 1e-5,
             learning_rate_max: 1e-2,
+            value_learning_rate: 0.0,
             advantage_scale: AdvantageScale::Batch,
             mirror: false,
         }
+    }
+}
+
+impl PpoConfig {
+    /// The target after `env_steps` of the whole run, nats.
+    pub fn target_kl_after(&self, env_steps: u64) -> f64 {
+        if self.target_kl_final <= 0.0 || self.target_kl <= 0.0 {
+            return self.target_kl;
+        }
+        let share = match self.target_kl_final_after_env_steps {
+            0 => 1.0,
+            all => (env_steps as f64 / all as f64).min(1.0),
+        };
+        self.target_kl * (self.target_kl_final / self.target_kl).powf(share)
     }
 }
 

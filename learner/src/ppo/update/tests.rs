@@ -160,21 +160,42 @@ fn the_rate_follows_the_divergence() {
         target_kl: 0.01,
         ..PpoConfig::default()
     };
-    assert_eq!(adapted_rate(&config, 3e-3, 0.021), 2e-3);
-    assert_eq!(adapted_rate(&config, 2e-3, 0.004), 3e-3);
-    assert_eq!(adapted_rate(&config, 2e-3, 0.01), 2e-3);
+    assert_eq!(adapted_rate(&config, config.target_kl, 3e-3, 0.021), 2e-3);
+    assert_eq!(adapted_rate(&config, config.target_kl, 2e-3, 0.004), 3e-3);
+    assert_eq!(adapted_rate(&config, config.target_kl, 2e-3, 0.01), 2e-3);
     assert_eq!(
-        adapted_rate(&config, 2e-3, 0.0),
+        adapted_rate(&config, config.target_kl, 2e-3, 0.0),
         2e-3,
         "nothing has changed yet"
     );
-    assert_eq!(adapted_rate(&config, 1.2e-5, 1.0), config.learning_rate_min);
-    assert_eq!(adapted_rate(&config, 9e-3, 0.001), config.learning_rate_max);
+    assert_eq!(
+        adapted_rate(&config, config.target_kl, 1.2e-5, 1.0),
+        config.learning_rate_min
+    );
+    assert_eq!(
+        adapted_rate(&config, config.target_kl, 9e-3, 0.001),
+        config.learning_rate_max
+    );
     let fixed = PpoConfig {
         target_kl: 0.0,
         ..config
     };
-    assert_eq!(adapted_rate(&fixed, 2e-3, 5.0), 2e-3);
+    assert_eq!(adapted_rate(&fixed, fixed.target_kl, 2e-3, 5.0), 2e-3);
+}
+
+#[test]
+fn the_target_falls_evenly_in_its_logarithm() {
+    let config = PpoConfig {
+        target_kl: 0.01,
+        target_kl_final: 0.0001,
+        target_kl_final_after_env_steps: 1000,
+        ..PpoConfig::default()
+    };
+    for (steps, target) in [(0, 0.01), (500, 0.001), (1000, 0.0001), (5000, 0.0001)] {
+        let found = config.target_kl_after(steps);
+        assert!((found / target - 1.0).abs() < 1e-9, "{found} after {steps}");
+    }
+    assert_eq!(PpoConfig::default().target_kl_after(1_000_000), 0.01);
 }
 
 #[test]
