@@ -7,9 +7,11 @@ use caudata_proto::{EpisodeSummary, FinalObservation, RolloutChunk};
 
 use crate::moments::moments_of;
 use crate::policy::LoadedPolicy;
+use crate::trace::ChunkTrace;
 use crate::{ActorError, ActorMetrics, ActorSettings, gaussian};
 
-/// Collects a chunk, or `None` when asked to stop in the middle of it (its steps are then lost, and were never sent).
+/// Collects a chunk, with its times where it is traced; or `None` when asked to stop in the middle of it (its steps are then lost, and
+/// were never sent).
 pub(crate) fn collect(
     settings: &ActorSettings,
     env: &mut VecEnv,
@@ -17,8 +19,9 @@ pub(crate) fn collect(
     sequence: u64,
     metrics: &ActorMetrics,
     should_stop: &dyn Fn() -> bool,
-) -> Result<Option<RolloutChunk>, ActorError> {
+) -> Result<Option<(RolloutChunk, Option<ChunkTrace>)>, ActorError> {
     let (lanes, act_dim) = (env.lanes(), env.act_dim());
+    let mut trace = ChunkTrace::begin(&settings.traces, policy);
     let mut chunk = empty_chunk(settings, env, policy, sequence);
     let mut means = vec![0.0; lanes * act_dim];
     let mut actions = vec![0.0; lanes * act_dim];
@@ -29,28 +32,40 @@ pub(crate) fn collect(
         chunk.observations.extend_from_slice(env.observations());
         let started = Instant::now();
         policy.run(env.observations(), lanes, &mut means)?;
-        metrics.inference.observe(started.elapsed().as_secs_f64());
+        let took = started.elapsed();
+        metrics.inference.observe(took.as_secs_f64());
+        if let Some(trace) = &mut trace {
+            trace.inferred(took);
+        }
         for lane in 0..lanes {
             let row = lane * act_dim..(lane + 1) * act_dim;
             let (mean, action) = (&means[row.clone()], &mut actions[row]);
             gaussian::sample(mean, &policy.std, env.action_stream(lane), action);
             chunk
                 .log_probs
-                .push(gaussian::log_prob(action, mean, &policy.log_std));
+                .push(policy.density.log_prob(action, mean));
         }
         chunk.actions.extend_from_slice(&actions);
         chunk.action_means.extend_from_slice(&means);
         let started = Instant::now();
         let output = env.step(&actions)?;
-        metrics.env_seconds.inc_by(started.elapsed().as_secs_f64());
+        let took = started.elapsed();
+        metrics.env_seconds.inc_by(took.as_secs_f64());
         metrics.steps.inc_by(lanes as u64);
         metrics.episodes.inc_by(output.episodes.len() as u64);
         record(&mut chunk, step, output);
+        if let Some(trace) = &mut trace {
+            trace.stepped(took);
+        }
     }
     let counted = chunk.observations.len();
     chunk.observations.extend_from_slice(env.observations());
     chunk.moments = moments_of(&chunk.observations[..counted], chunk.obs_dim);
-    Ok(Some(chunk))
+    if let Some(trace) = &mut trace {
+        trace.ended();
+        chunk.trace = Some(trace.collected);
+    }
+    Ok(Some((chunk, trace)))
 }
 
 /// What a step gave.
@@ -118,5 +133,6 @@ fn empty_chunk(
         final_observations: Vec::new(),
         episodes: Vec::new(),
         moments: moments_of(&[], obs_dim),
+        trace: None,
     }
 }

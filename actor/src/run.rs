@@ -9,6 +9,7 @@ use caudata_transport::{ActorLink, Control, SendError};
 
 use crate::policy::LoadedPolicy;
 use crate::quota::Quota;
+use crate::trace::SentChunk;
 use crate::{ActorError, ActorMetrics, ActorSettings, ActorSnapshot, Ledger, SnapshotPort, chunk};
 
 /// Longest single wait on the link. Between two waits the actor looks whether it shall stop or save itself.
@@ -139,9 +140,25 @@ impl Actor<'_> {
                 self.metrics,
                 &|| stop.is_set() || link.stop_requested(),
             )?;
-            let Some(chunk) = collected else { continue };
+            let Some((chunk, trace)) = collected else {
+                continue;
+            };
             self.quota.chunk_collected();
-            self.send_chunk(&encode(&Envelope::Chunk(Box::new(chunk))))?;
+            let (sequence, policy_version) = (chunk.sequence, chunk.policy_version);
+            let frame = encode(&Envelope::Chunk(Box::new(chunk)));
+            self.send_chunk(&frame)?;
+            if let Some(trace) = trace.filter(|_| self.sent > sequence) {
+                let chunk = SentChunk {
+                    actor_id: self.settings.actor_id,
+                    incarnation: self.settings.incarnation,
+                    sequence,
+                    policy_version,
+                    steps: self.settings.chunk_steps,
+                    lanes: self.env.lanes(),
+                    bytes: frame.len(),
+                };
+                trace.sent(&self.settings.traces, &chunk);
+            }
         }
     }
 

@@ -8,6 +8,7 @@ mod resume;
 mod run;
 mod seen;
 mod setup;
+mod traces;
 
 pub use resume::Resume;
 pub use setup::{TrainSettings, train};

@@ -10,6 +10,7 @@ use caudata_proto::RolloutChunk;
 use caudata_random::Stream;
 use caudata_telemetry::StopFlag;
 use caudata_telemetry::progress::{Checkpoint, Event, Finished, MeanSe};
+use caudata_traces::now_ns;
 use caudata_transport::{Control, LearnerLink, PolicyUpdate};
 
 use super::collect::{Collected, collect, drain};
@@ -17,6 +18,7 @@ use super::fleet::Fleet;
 use super::report::{IterationReport, Reporter};
 use super::seen::PoliciesSeen;
 use super::setup::ledger_folder;
+use super::traces::Traces;
 use crate::LearnerError;
 use crate::batch::{Batch, Collector, side_by_side};
 use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow, FORMAT, Saved};
@@ -71,6 +73,7 @@ pub(super) struct Run<'a> {
     pub publisher: Option<Publisher>,
     pub reporter: Reporter,
     pub progress: Progress,
+    pub traces: Traces,
     pub began: Instant,
 }
 
@@ -120,7 +123,7 @@ impl Run<'_> {
         let holds_back = self.config.actors.lockstep && self.config.actors.max_lead > 0;
         let mut held_back = false;
         while self.progress.iteration < self.config.run.iterations {
-            let started = Instant::now();
+            let (started, waiting_ns) = (Instant::now(), now_ns());
             let chunks = {
                 let _span = tracing::info_span!("collect").entered();
                 let (link, fleet) = (self.link.as_mut(), self.fleet.as_mut());
@@ -132,6 +135,7 @@ impl Run<'_> {
                     learner,
                     self.stop,
                     metrics,
+                    &self.traces,
                 )?
             };
             let Collected::Batch(chunks) = chunks else {
@@ -143,6 +147,7 @@ impl Run<'_> {
                 self.announce(&state.policy)?;
                 state.seen.made(&state.policy);
             }
+            self.traces.batch(&chunks, waiting_ns);
             self.learn(chunks, state, started, collection_s)?;
             self.tell_published(&mut state.seen);
             if self.stop.is_set() {
@@ -179,7 +184,7 @@ impl Run<'_> {
             false => chunks,
         });
         let value_only = self.value_only();
-        let learning = Instant::now();
+        let (learning, learning_ns) = (Instant::now(), now_ns());
         let stats = {
             let _span = tracing::info_span!("learn", samples = batch.rows).entered();
             self.ppo.update(
@@ -191,6 +196,8 @@ impl Run<'_> {
             )?
         };
         let learning_s = learning.elapsed().as_secs_f64();
+        let samples = vec![("caudata.samples", batch.rows.into())];
+        self.traces.done("update", learning_ns, samples);
         self.watch_finite(&stats, state)?;
         // The policy that acted saw the old normaliser; the next one sees this batch as well.
         batch
@@ -202,10 +209,12 @@ impl Run<'_> {
         self.progress.step_rewards.push(batch.mean_reward());
         self.progress.returns.push(returns);
         state.scaling = self.scaling();
+        let exporting_ns = now_ns();
         state.policy = {
             let _span = tracing::info_span!("export").entered();
             self.export(&state.scaling)?
         };
+        self.traces.done("export policy", exporting_ns, Vec::new());
         self.report(
             &batch,
             &stats,
@@ -358,15 +367,18 @@ impl Run<'_> {
 
     /// Makes `policy` the one that actors use.
     fn announce(&mut self, policy: &PolicyFile) -> Result<(), LearnerError> {
+        let began_ns = now_ns();
         let (version, sha256) = (policy.metadata().version, policy.sha256());
         self.collector.policy_published(version, sha256);
         let bytes = policy.bytes().clone();
-        Ok(self.link.publish_policy(PolicyUpdate {
+        self.link.publish_policy(PolicyUpdate {
             version,
             sha256,
             bytes,
             control: Control::Run,
-        })?)
+        })?;
+        self.traces.handed_out(version, sha256, began_ns);
+        Ok(())
     }
 
     /// To the run folder and, in the background, to the policy server.
@@ -498,6 +510,7 @@ impl Run<'_> {
                 .and_then(|checkpoint| self.save(&checkpoint));
             note(saved.map(|folder| state.saved = Some((iteration, folder))));
         }
+        self.traces.complete();
         note(self.publish(&state.policy));
         let stop = PolicyUpdate {
             version: state.policy.metadata().version,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use caudata_actor::{encode_transport, transport_of};
+use caudata_actor::{encode_transport, tracer_of, transport_of};
 use caudata_config::{Config, TransportKind};
 use caudata_model::RobotModel;
 use caudata_proto::DecodeLimits;
@@ -21,6 +21,7 @@ use super::metrics::LearnerMetrics;
 use super::report::Reporter;
 use super::resume::{self, Resume};
 use super::run::{Progress, Run};
+use super::traces::Traces;
 use crate::LearnerError;
 use crate::batch::{Accounting, Collector, CollectorSettings};
 use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow};
@@ -135,6 +136,14 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
             Publisher::start_with(address, stream, config.cluster.certificates())
         })
         .transpose()?;
+    let tracer = tracer_of(
+        config,
+        "caudata-learner",
+        "learner".to_owned(),
+        &settings.run_id,
+        &settings.metrics,
+    )
+    .map_err(|error| LearnerError::setting(error.to_string()))?;
     let hub = match &transport {
         TransportConfig::Inproc(inproc) => Some(InprocHub::new(inproc)?),
         _ => None,
@@ -147,7 +156,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         .as_ref()
         .map(|hub| {
             let accounting = collector.accounting();
-            Fleet::start(&settings, &model, hub, accounting, &snapshots)
+            Fleet::start(&settings, &model, hub, accounting, &snapshots, &tracer)
         })
         .transpose()?;
 
@@ -187,6 +196,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         publisher,
         reporter,
         progress: progress.0,
+        traces: Traces::new(tracer),
         began: Instant::now(),
     };
     run.train()
