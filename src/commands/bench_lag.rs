@@ -74,15 +74,7 @@ pub fn run(args: &LagBench) -> Result<(), Failure> {
     for lag in &args.lags {
         for loss in LOSSES {
             for seed in 1..=args.seeds {
-                // Of fresh data both losses are the same formula, bit for bit: one training stands for both.
-                let twin = runs.iter().find(|run| (run.lag, run.seed) == (0, seed));
-                let run = match twin.filter(|_| *lag == 0) {
-                    Some(twin) => Run {
-                        loss: loss.1,
-                        ..twin.clone()
-                    },
-                    None => train(args, *lag, loss, seed)?,
-                };
+                let run = train(args, *lag, loss, seed)?;
                 if !args.json {
                     say::line(format_args!(
                         "lag {} {} seed {}: return {:.2} ± {:.2}, least effective share {:.2}, {:.0} s",
