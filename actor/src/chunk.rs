@@ -10,6 +10,32 @@ use crate::policy::LoadedPolicy;
 use crate::trace::ChunkTrace;
 use crate::{ActorError, ActorMetrics, ActorSettings, gaussian};
 
+/// Memory of a chunk that has been sent, for the next one: fresh memory would be given back to the system and asked for again each time.
+#[derive(Default)]
+pub(crate) struct Spare {
+    observations: Vec<f32>,
+    actions: Vec<f32>,
+    action_means: Vec<f32>,
+    log_probs: Vec<f32>,
+    rewards: Vec<f32>,
+    terminated: Vec<bool>,
+    truncated: Vec<bool>,
+}
+
+impl From<RolloutChunk> for Spare {
+    fn from(chunk: RolloutChunk) -> Self {
+        Self {
+            observations: chunk.observations,
+            actions: chunk.actions,
+            action_means: chunk.action_means,
+            log_probs: chunk.log_probs,
+            rewards: chunk.rewards,
+            terminated: chunk.terminated,
+            truncated: chunk.truncated,
+        }
+    }
+}
+
 /// Collects a chunk, with its times where it is traced; or `None` when asked to stop in the middle of it (its steps are then lost, and
 /// were never sent).
 pub(crate) fn collect(
@@ -17,12 +43,13 @@ pub(crate) fn collect(
     env: &mut VecEnv,
     policy: &mut LoadedPolicy,
     sequence: u64,
+    spare: &mut Spare,
     metrics: &ActorMetrics,
     should_stop: &dyn Fn() -> bool,
 ) -> Result<Option<(RolloutChunk, Option<ChunkTrace>)>, ActorError> {
     let (lanes, act_dim) = (env.lanes(), env.act_dim());
     let mut trace = ChunkTrace::begin(&settings.traces, policy);
-    let mut chunk = empty_chunk(settings, env, policy, sequence);
+    let mut chunk = empty_chunk(settings, env, policy, sequence, spare);
     let mut means = vec![0.0; lanes * act_dim];
     let mut actions = vec![0.0; lanes * act_dim];
     for step in 0..settings.chunk_steps {
@@ -106,6 +133,7 @@ fn empty_chunk(
     env: &VecEnv,
     policy: &LoadedPolicy,
     sequence: u64,
+    spare: &mut Spare,
 ) -> RolloutChunk {
     let (steps, lanes) = (settings.chunk_steps, env.lanes());
     let (obs_dim, act_dim) = (env.obs_dim(), env.act_dim());
@@ -122,17 +150,25 @@ fn empty_chunk(
         lanes,
         obs_dim,
         act_dim,
-        observations: Vec::with_capacity((steps + 1) * lanes * obs_dim),
-        actions: Vec::with_capacity(cells * act_dim),
-        action_means: Vec::with_capacity(cells * act_dim),
+        observations: emptied(&mut spare.observations, (steps + 1) * lanes * obs_dim),
+        actions: emptied(&mut spare.actions, cells * act_dim),
+        action_means: emptied(&mut spare.action_means, cells * act_dim),
         log_std: policy.log_std.clone(),
-        log_probs: Vec::with_capacity(cells),
-        rewards: Vec::with_capacity(cells),
-        terminated: Vec::with_capacity(cells),
-        truncated: Vec::with_capacity(cells),
+        log_probs: emptied(&mut spare.log_probs, cells),
+        rewards: emptied(&mut spare.rewards, cells),
+        terminated: emptied(&mut spare.terminated, cells),
+        truncated: emptied(&mut spare.truncated, cells),
         final_observations: Vec::new(),
         episodes: Vec::new(),
         moments: moments_of(&[], obs_dim),
         trace: None,
     }
+}
+
+/// The memory of `values`, with room for `count` of them.
+fn emptied<T>(values: &mut Vec<T>, count: usize) -> Vec<T> {
+    let mut values = std::mem::take(values);
+    values.clear();
+    values.reserve(count);
+    values
 }

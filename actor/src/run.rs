@@ -7,6 +7,7 @@ use caudata_proto::{ActorBye, ActorHello, Envelope, encode};
 use caudata_telemetry::StopFlag;
 use caudata_transport::{ActorLink, Control, SendError};
 
+use crate::chunk::Spare;
 use crate::policy::LoadedPolicy;
 use crate::quota::Quota;
 use crate::trace::SentChunk;
@@ -63,6 +64,7 @@ pub fn run(
         quota,
         actor_key: crate::actor_key(settings.actor_id, settings.incarnation),
         policy: None,
+        spare: Spare::default(),
         sent: 0,
         greeted: false,
     };
@@ -99,6 +101,7 @@ struct Actor<'a> {
     quota: Quota,
     actor_key: u64,
     policy: Option<LoadedPolicy>,
+    spare: Spare,
     /// Chunks that the link took; also the sequence number of the next one.
     sent: u64,
     /// Whether the learner that is there now has had our hello.
@@ -137,6 +140,7 @@ impl Actor<'_> {
                 &mut self.env,
                 policy,
                 self.sent,
+                &mut self.spare,
                 self.metrics,
                 &|| stop.is_set() || link.stop_requested(),
             )?;
@@ -145,7 +149,11 @@ impl Actor<'_> {
             };
             self.quota.chunk_collected();
             let (sequence, policy_version) = (chunk.sequence, chunk.policy_version);
-            let frame = encode(&Envelope::Chunk(Box::new(chunk)));
+            let envelope = Envelope::Chunk(Box::new(chunk));
+            let frame = encode(&envelope);
+            if let Envelope::Chunk(chunk) = envelope {
+                self.spare = Spare::from(*chunk);
+            }
             self.send_chunk(&frame)?;
             if let Some(trace) = trace.filter(|_| self.sent > sequence) {
                 let chunk = SentChunk {
@@ -178,7 +186,11 @@ impl Actor<'_> {
             return Ok(true);
         }
         let threads = self.settings.inference_threads;
+        let started = Instant::now();
         let policy = LoadedPolicy::load(&update, self.env.contract(), threads)?;
+        self.metrics
+            .policy_seconds
+            .inc_by(started.elapsed().as_secs_f64());
         self.quota.policy_arrived(policy.version);
         // Whatever grows with training follows the policy, so that it depends on nothing else.
         self.env.set_progress(policy.env_steps);

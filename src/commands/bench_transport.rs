@@ -118,7 +118,25 @@ struct Finding {
     seconds: f64,
     links: Vec<Speed>,
     rollouts: Vec<Rollouts>,
+    /// What the actor of the in-process link spends its time on, as shares; empty where that link was not measured.
+    phases: Vec<Phase>,
 }
+
+/// A part of an actor's time.
+#[derive(Clone, Debug, Serialize)]
+struct Phase {
+    what: &'static str,
+    share: f64,
+}
+
+/// Parts of an actor's time, by the metric that counts its seconds. The rest is exploration, copies and writing the frame.
+const PHASES: [(&str, &str); 5] = [
+    ("simulator", "caudata_actor_env_seconds_total"),
+    ("inference", "caudata_inference_latency_seconds_sum"),
+    ("new policies", "caudata_actor_policy_seconds_total"),
+    ("handing over", "caudata_actor_send_seconds_total"),
+    ("waiting", "caudata_actor_wait_seconds_total"),
+];
 
 pub fn run(args: &TransportBench) -> Result<(), Failure> {
     if let Some(order) = peer::order()? {
@@ -135,6 +153,7 @@ pub fn run(args: &TransportBench) -> Result<(), Failure> {
         seconds: args.common.seconds,
         links: Vec::new(),
         rollouts: Vec::new(),
+        phases: Vec::new(),
     };
     if !args.rollouts_only {
         for kind in kinds {
@@ -144,7 +163,7 @@ pub fn run(args: &TransportBench) -> Result<(), Failure> {
         finding.links.push(copy(args)?);
     }
     if !args.no_rollouts {
-        finding.rollouts = rollouts(kinds, args)?;
+        (finding.rollouts, finding.phases) = rollouts(kinds, args)?;
     }
     if args.common.json {
         return say::json(&finding);
@@ -169,6 +188,14 @@ fn print(finding: &Finding) {
         ]);
     }
     say::table(&rows);
+    if !finding.phases.is_empty() {
+        let parts: Vec<String> = finding
+            .phases
+            .iter()
+            .map(|phase| format!("{} {:.1} %", phase.what, 100.0 * phase.share))
+            .collect();
+        say::line(format_args!("the in-process actor: {}", parts.join(", ")));
+    }
 }
 
 fn print_links(finding: &Finding) {
@@ -446,7 +473,10 @@ fn copy(args: &TransportBench) -> Result<Speed, Failure> {
 
 /// What one actor collects over each link when it never waits, and what it takes, beside simulator and policy alone. Each link is measured
 /// between two measurements of these, several times in turns, so that what else the machine does falls on both; medians.
-fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Failure> {
+fn rollouts(
+    kinds: &[Kind],
+    args: &TransportBench,
+) -> Result<(Vec<Rollouts>, Vec<Phase>), Failure> {
     let mut flags = or_quick(&args.config);
     flags.overrides.extend([
         "actors.count=1".to_owned(),
@@ -466,9 +496,10 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
     };
     let mut bares = vec![scene.bare()?];
     let mut of_kinds: Vec<Vec<Rollouts>> = kinds.iter().map(|_| Vec::new()).collect();
+    let mut phases = Vec::new();
     for _ in 0..args.rounds {
         for (kind, found) in kinds.iter().zip(&mut of_kinds) {
-            let mut rollouts = scene.collected(*kind)?;
+            let mut rollouts = scene.collected(*kind, &mut phases)?;
             let after = scene.bare()?;
             let before = bares.last().map_or(f64::NAN, |bare| bare.steps_per_cpu_s);
             rollouts.share_of_bare =
@@ -477,10 +508,40 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
             found.push(rollouts);
         }
     }
-    Ok(std::iter::once(bares)
+    let found = std::iter::once(bares)
         .chain(of_kinds)
         .filter_map(|found| medians(&found))
-        .collect())
+        .collect();
+    Ok((found, phases))
+}
+
+/// Seconds that the actor's metrics have counted so far, in the order of [`PHASES`].
+fn seconds_of_phases(metrics: &Metrics) -> [f64; PHASES.len()] {
+    let page = metrics.encode();
+    PHASES.map(|(_, metric)| {
+        let mut lines = page.lines();
+        let value = lines.find_map(|line| line.strip_prefix(metric)?.trim().parse().ok());
+        value.unwrap_or(0.0)
+    })
+}
+
+fn shares(
+    before: [f64; PHASES.len()],
+    after: [f64; PHASES.len()],
+    of_s: f64,
+) -> Vec<Phase> {
+    let mut rest = 1.0;
+    let mut phases: Vec<Phase> = Vec::new();
+    for (i, (what, _)) in PHASES.into_iter().enumerate() {
+        let share = (after[i] - before[i]) / of_s;
+        rest -= share;
+        phases.push(Phase { what, share });
+    }
+    phases.push(Phase {
+        what: "rest",
+        share: rest,
+    });
+    phases
 }
 
 /// The median of each figure.
@@ -519,8 +580,9 @@ impl Scene {
         bare(&self.config, Arc::clone(&self.model), &file, self.seconds)
     }
 
-    /// Over a link; the share is not known yet.
-    fn collected(&self, kind: Kind) -> Result<Rollouts, Failure> {
+    /// Over a link; the share is not known yet. `phases` are filled in for the in-process one.
+    fn collected(&self, kind: Kind, phases: &mut Vec<Phase>) -> Result<Rollouts, Failure> {
+        let registry = Metrics::new();
         let mut stage = Stage::new(kind, self.config.transport.clone())?;
         let stop = StopFlag::new();
         let mut peers = Vec::new();
@@ -532,8 +594,8 @@ impl Scene {
                     .map_err(|error| error.into_failure())?;
                 let settings = ActorSettings::from_config(&self.config, &stage.run_id, 0, 0);
                 let stop = stop.clone();
+                let metrics = ActorMetrics::register(&registry);
                 threads.push(std::thread::spawn(move || {
-                    let metrics = ActorMetrics::register(&Metrics::new());
                     caudata_actor::run(&settings, env, link, &stop, &metrics, None, None)
                 }));
             }
@@ -585,9 +647,13 @@ impl Scene {
             Ok(own_cpu_s()? + peers.iter().map(Peer::cpu_s).sum::<f64>())
         };
         let (began, before) = (Instant::now(), cpu_s()?);
+        let counted = seconds_of_phases(&registry);
         let (steps, made_s) = collect(&mut stage, self.seconds)?;
         let wall_s = began.elapsed().as_secs_f64();
         let cpu = cpu_s()? - before - made_s;
+        if kind == Kind::Inproc {
+            *phases = shares(counted, seconds_of_phases(&registry), wall_s);
+        }
         stage.publish(version, Arc::default(), Control::Stop)?;
         stage.let_go()?;
         for peer in peers {

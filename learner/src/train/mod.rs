@@ -9,6 +9,7 @@ mod run;
 mod seen;
 mod setup;
 mod traces;
+mod versions;
 
 pub use resume::Resume;
 pub use setup::{TrainSettings, train};

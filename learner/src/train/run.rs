@@ -19,6 +19,7 @@ use super::report::{IterationReport, Reporter};
 use super::seen::PoliciesSeen;
 use super::setup::ledger_folder;
 use super::traces::Traces;
+use super::versions::Versions;
 use crate::LearnerError;
 use crate::batch::{Batch, Collector, side_by_side};
 use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow, FORMAT, Saved};
@@ -74,6 +75,8 @@ pub(super) struct Run<'a> {
     pub reporter: Reporter,
     pub progress: Progress,
     pub traces: Traces,
+    /// Where actors outlive this process.
+    pub versions: Option<Versions>,
     pub began: Instant,
 }
 
@@ -347,13 +350,17 @@ impl Run<'_> {
     fn first_policy(&mut self, scaling: &Scaling) -> Result<PolicyFile, LearnerError> {
         let policy = self.export(scaling)?;
         let before = std::fs::read(self.policy_path()).ok();
-        let before = before.and_then(|bytes| PolicyFile::parse(Arc::from(bytes)).ok());
-        let Some(before) = before.filter(|before| before.metadata().run_id == self.identity.run_id)
-        else {
+        let before = before
+            .and_then(|bytes| PolicyFile::parse(Arc::from(bytes)).ok())
+            .filter(|before| before.metadata().run_id == self.identity.run_id);
+        let now = policy.metadata().version;
+        let in_folder = before.as_ref().map(|before| before.metadata().version);
+        let noted = self.versions.as_ref().and_then(Versions::highest);
+        let Some(then) = in_folder.max(noted).filter(|then| *then >= now) else {
             return Ok(policy);
         };
-        let (now, then) = (policy.metadata().version, before.metadata().version);
-        if then < now || before.sha256() == policy.sha256() {
+        let same = before.is_some_and(|before| before.sha256() == policy.sha256());
+        if then == now && same {
             return Ok(policy);
         }
         self.progress.version_offset += then + 1 - now;
@@ -369,6 +376,9 @@ impl Run<'_> {
     fn announce(&mut self, policy: &PolicyFile) -> Result<(), LearnerError> {
         let began_ns = now_ns();
         let (version, sha256) = (policy.metadata().version, policy.sha256());
+        if let Some(versions) = &mut self.versions {
+            versions.before(version)?;
+        }
         self.collector.policy_published(version, sha256);
         let bytes = policy.bytes().clone();
         self.link.publish_policy(PolicyUpdate {
@@ -522,6 +532,9 @@ impl Run<'_> {
         let (link, metrics) = (self.link.as_mut(), &self.reporter.metrics);
         drain(&mut self.collector, link, self.fleet.as_ref(), metrics);
         self.fleet = None;
+        if let Some(versions) = &mut self.versions {
+            note(versions.at_the_end(state.policy.metadata().version));
+        }
         for ledger in caudata_actor::ledgers_in(&ledger_folder(&self.run_dir)) {
             let actor = (ledger.actor_id, ledger.incarnation);
             self.collector.accounting_mut().ledger(actor, ledger.sent);

@@ -22,6 +22,7 @@ use super::report::Reporter;
 use super::resume::{self, Resume};
 use super::run::{Progress, Run};
 use super::traces::Traces;
+use super::versions::Versions;
 use crate::LearnerError;
 use crate::batch::{Accounting, Collector, CollectorSettings};
 use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow};
@@ -160,6 +161,11 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         })
         .transpose()?;
 
+    // The actors of this process end with it, and no version that only they have seen is seen again.
+    let versions = match &fleet {
+        Some(_) => None,
+        None => Some(Versions::open(&settings.run_dir, &settings.run_id)?),
+    };
     let metrics = LearnerMetrics::register(&settings.metrics);
     let mut reporter = Reporter::new(&settings.run_dir, settings.events, metrics);
     reporter.event(&Event::Started(Started {
@@ -197,6 +203,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         reporter,
         progress: progress.0,
         traces: Traces::new(tracer),
+        versions,
         began: Instant::now(),
     };
     run.train()

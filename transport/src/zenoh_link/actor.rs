@@ -148,9 +148,9 @@ impl Puller {
         None
     }
 
-    /// Another session beside the one that nobody answers on. zenoh reconnects by itself, but over QUIC it may not find a learner that
-    /// was killed and is back at once. The old session stays until this one is open: a learner that merely stands still
-    /// answers on it when it goes on.
+    /// Another session beside the one that nobody answers on. zenoh reconnects by itself, but over QUIC only after the lease, and it has
+    /// open faults there (eclipse-zenoh/zenoh#1876, #1886). The old session stays until this one is open: a learner that
+    /// merely stands still answers on it when it goes on.
     fn open_beside(&self, endpoints: &[String]) -> Option<Session> {
         match self.open(endpoints) {
             Ok(session) => {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::Limits;
 
 /// Pauses between attempts grow to so many times the first one.
-const PAUSE_GROWS: u32 = 2;
+const PAUSE_GROWS: u32 = 16;
 
 /// Whether nothing has been heard for so long that another connection is worth a try: half the peer time-out, so that a learner that is
 /// killed and back is found not long after its absence counts as one.
@@ -75,23 +75,25 @@ mod tests {
         Reconnect::new(&limits, link, now)
     }
 
-    /// Half of 2 s of silence, then after 1 s, 2 s, 2 s; a sign of life sets it back.
+    /// Half of 2 s of silence, then after 1, 2, 4, 8, 16 and 16 s; a sign of life sets it back.
     #[test]
     fn attempts_come_after_silence_and_then_more_rarely() {
         let start = Instant::now();
         let mut reconnect = reconnect(0, start);
         let at = |ms: u32| start + ms * MS;
         assert!(!reconnect.is_due(at(999)) && reconnect.is_due(at(1_000)));
-        for (tried, due) in [(1_000, 2_000), (2_000, 4_000), (4_000, 6_000)] {
+        let mut tried = 1_000;
+        for pause in [1_000, 2_000, 4_000, 8_000, 16_000, 16_000] {
             reconnect.tried(at(tried));
-            assert!(!reconnect.is_due(at(due - 1)) && reconnect.is_due(at(due)));
+            tried += pause;
+            assert!(!reconnect.is_due(at(tried - 1)) && reconnect.is_due(at(tried)));
         }
-        reconnect.heard(Some(at(7_000)));
-        assert!(!reconnect.is_due(at(7_999)) && reconnect.is_due(at(8_000)));
+        reconnect.heard(Some(at(70_000)));
+        assert!(!reconnect.is_due(at(70_999)) && reconnect.is_due(at(71_000)));
         // The same sign of life again is none.
-        reconnect.tried(at(8_000));
-        reconnect.heard(Some(at(7_000)));
-        assert!(!reconnect.is_due(at(8_999)) && reconnect.is_due(at(9_000)));
+        reconnect.tried(at(71_000));
+        reconnect.heard(Some(at(70_000)));
+        assert!(!reconnect.is_due(at(71_999)) && reconnect.is_due(at(72_000)));
     }
 
     #[test]
