@@ -68,9 +68,7 @@ pub(crate) fn collect(
             let row = lane * act_dim..(lane + 1) * act_dim;
             let (mean, action) = (&means[row.clone()], &mut actions[row]);
             gaussian::sample(mean, &policy.std, env.action_stream(lane), action);
-            chunk
-                .log_probs
-                .push(policy.density.log_prob(action, mean));
+            chunk.log_probs.push(policy.density.log_prob(action, mean));
         }
         chunk.actions.extend_from_slice(&actions);
         chunk.action_means.extend_from_slice(&means);

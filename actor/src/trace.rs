@@ -45,7 +45,8 @@ impl ChunkTrace {
     /// An inference for all lanes has just ended.
     pub fn inferred(&mut self, took: Duration) {
         self.inference += took;
-        self.first_inference_ns.get_or_insert_with(|| just_now(took));
+        self.first_inference_ns
+            .get_or_insert_with(|| just_now(took));
     }
 
     /// A simulator step of all lanes has just ended.

@@ -473,10 +473,7 @@ fn copy(args: &TransportBench) -> Result<Speed, Failure> {
 
 /// What one actor collects over each link when it never waits, and what it takes, beside simulator and policy alone. Each link is measured
 /// between two measurements of these, several times in turns, so that what else the machine does falls on both; medians.
-fn rollouts(
-    kinds: &[Kind],
-    args: &TransportBench,
-) -> Result<(Vec<Rollouts>, Vec<Phase>), Failure> {
+fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<(Vec<Rollouts>, Vec<Phase>), Failure> {
     let mut flags = or_quick(&args.config);
     flags.overrides.extend([
         "actors.count=1".to_owned(),
@@ -525,11 +522,7 @@ fn seconds_of_phases(metrics: &Metrics) -> [f64; PHASES.len()] {
     })
 }
 
-fn shares(
-    before: [f64; PHASES.len()],
-    after: [f64; PHASES.len()],
-    of_s: f64,
-) -> Vec<Phase> {
+fn shares(before: [f64; PHASES.len()], after: [f64; PHASES.len()], of_s: f64) -> Vec<Phase> {
     let mut rest = 1.0;
     let mut phases: Vec<Phase> = Vec::new();
     for (i, (what, _)) in PHASES.into_iter().enumerate() {

@@ -87,7 +87,10 @@ struct Trace(Vec<Seen>);
 
 impl Trace {
     fn all(&self, name: &str) -> Vec<&Seen> {
-        self.0.iter().filter(|(_, span)| span.name == name).collect()
+        self.0
+            .iter()
+            .filter(|(_, span)| span.name == name)
+            .collect()
     }
 
     fn one(&self, name: &str) -> &wire::Span {
@@ -131,7 +134,11 @@ fn one_trace_leads_from_a_simulator_step_to_the_next_policy_version() {
             (count(&root.attributes, "caudata.policy_version"), trace)
         })
         .collect();
-    assert!(by_version.len() as u64 >= ITERATIONS, "{}", by_version.len());
+    assert!(
+        by_version.len() as u64 >= ITERATIONS,
+        "{}",
+        by_version.len()
+    );
     // The last version is handed to nobody.
     for version in 0..ITERATIONS as i64 - 1 {
         let (trace, next) = (&by_version[&version], &by_version[&(version + 1)]);

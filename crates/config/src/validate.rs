@@ -317,7 +317,9 @@ impl Config {
         let rule = match endpoint.split_once("://") {
             _ if endpoint.is_empty() => return Ok(()),
             Some(("http", address)) if is_loopback(address) => return Ok(()),
-            Some(("http", _)) => "is plain and leaves this host: take a collector on this host, or https:// with cluster.tls_dir",
+            Some(("http", _)) => {
+                "is plain and leaves this host: take a collector on this host, or https:// with cluster.tls_dir"
+            }
             Some(("https", _)) if self.cluster.certificates().is_none() => {
                 "needs certificates: set cluster.tls_dir"
             }

@@ -175,7 +175,11 @@ fn values_out_of_range_name_key_value_and_rule() {
 
 #[test]
 fn traces_go_to_this_host_or_are_encrypted() {
-    for endpoint in ["http://127.0.0.1:4317", "http://localhost:4317", "http://[::1]:4317"] {
+    for endpoint in [
+        "http://127.0.0.1:4317",
+        "http://localhost:4317",
+        "http://[::1]:4317",
+    ] {
         let config = load_with(&format!("telemetry.otlp_endpoint={endpoint:?}")).unwrap();
         assert_eq!(config.telemetry.otlp_endpoint, endpoint);
     }

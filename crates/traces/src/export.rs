@@ -32,9 +32,7 @@ const PAUSE_MAX: Duration = Duration::from_secs(10);
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
     /// The address is not one.
-    #[error(
-        "telemetry.otlp_endpoint: `{endpoint}` is not an address like http://127.0.0.1:4317"
-    )]
+    #[error("telemetry.otlp_endpoint: `{endpoint}` is not an address like http://127.0.0.1:4317")]
     Endpoint {
         /// What was given.
         endpoint: String,
@@ -157,11 +155,7 @@ impl Worker {
     }
 
     /// False when the collector did not answer in time, or refused.
-    async fn export(
-        &mut self,
-        client: &mut TraceServiceClient<Channel>,
-        spans: Vec<Span>,
-    ) -> bool {
+    async fn export(&mut self, client: &mut TraceServiceClient<Channel>, spans: Vec<Span>) -> bool {
         let count = spans.len() as u64;
         let request = wire::ExportTraceServiceRequest {
             resource_spans: vec![wire::ResourceSpans {
@@ -179,7 +173,9 @@ impl Worker {
         let problem = match answer {
             Ok(Ok(answer)) => {
                 let partial = answer.into_inner().partial_success.unwrap_or_default();
-                let rejected = u64::try_from(partial.rejected_spans).unwrap_or(0).min(count);
+                let rejected = u64::try_from(partial.rejected_spans)
+                    .unwrap_or(0)
+                    .min(count);
                 self.counters.exported.inc_by(count - rejected);
                 self.counters.dropped.inc_by(rejected);
                 self.away = false;
@@ -191,7 +187,10 @@ impl Worker {
         self.counters.dropped.inc_by(count);
         // Once per absence: a collector that is away shall not fill the log.
         if !std::mem::replace(&mut self.away, true) {
-            tracing::warn!(problem, "the collector of traces does not take them; they are dropped");
+            tracing::warn!(
+                problem,
+                "the collector of traces does not take them; they are dropped"
+            );
         }
         false
     }

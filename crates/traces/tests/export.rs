@@ -176,13 +176,17 @@ fn a_collector_that_hangs_holds_nobody_up() {
 fn only_some_versions_are_traced_and_none_without_an_endpoint() {
     let metrics = Metrics::new();
     let tracer = Tracer::start(&settings("http://127.0.0.1:1".into()), &metrics).unwrap();
-    assert_eq!([0, 1, 2, 3].map(|v| tracer.is_traced(v)), [
-        true, false, true, false
-    ]);
+    assert_eq!(
+        [0, 1, 2, 3].map(|v| tracer.is_traced(v)),
+        [true, false, true, false]
+    );
     assert!(!Tracer::off().is_traced(0));
     for bad in ["127.0.0.1:4317", "ftp://127.0.0.1:1", "http://a b"] {
         let error = Tracer::start(&settings(bad.into()), &Metrics::new()).unwrap_err();
-        assert!(matches!(error, TraceError::Endpoint { .. }), "{bad}: {error}");
+        assert!(
+            matches!(error, TraceError::Endpoint { .. }),
+            "{bad}: {error}"
+        );
     }
     let error = Tracer::start(&settings("https://h:1".into()), &Metrics::new()).unwrap_err();
     assert!(error.to_string().contains("cluster.tls_dir"), "{error}");

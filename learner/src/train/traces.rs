@@ -140,7 +140,10 @@ impl Traces {
             time_ns: [current.began_ns, now_ns()],
             attributes: vec![
                 ("caudata.policy_version", current.version.into()),
-                ("caudata.policy_sha256", hex(&current.sha256).as_str().into()),
+                (
+                    "caudata.policy_sha256",
+                    hex(&current.sha256).as_str().into(),
+                ),
             ],
             links: current.origin.into_iter().collect(),
         });

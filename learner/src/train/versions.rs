@@ -27,12 +27,16 @@ impl Versions {
         let noted = match std::fs::read_to_string(&path) {
             Ok(text) => noted(&text, run_id).ok_or_else(|| {
                 let path = path.display();
-                LearnerError::setting(format!("{path} is not a note of versions; remove it if no actor of this run is left"))
+                LearnerError::setting(format!(
+                    "{path} is not a note of versions; remove it if no actor of this run is left"
+                ))
             })?,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
             Err(error) => {
                 let path = path.display();
-                return Err(LearnerError::setting(format!("cannot read {path}: {error}")));
+                return Err(LearnerError::setting(format!(
+                    "cannot read {path}: {error}"
+                )));
             }
         };
         Ok(Self {

@@ -35,6 +35,8 @@ const PACE_OVER: usize = 20;
 const LEARNER_KILLS_PER_MINUTE: usize = 3;
 /// Undisturbed runs that the disturbed one is held against.
 const SEEDS: u64 = 3;
+/// Iterations over which rewards are compared: two episodes of 1,000 steps, so that it does not matter when they began.
+const LATE: usize = 125;
 
 /// Each of them wants the machine for itself.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
@@ -111,6 +113,9 @@ const TASK: [&str; 9] = [
     "learner.checkpoint_every=25",
     "telemetry.metrics=false",
 ];
+
+/// Of a full batch of [`TASK`].
+const STEPS_PER_ITERATION: u64 = 4 * 8 * 16;
 
 /// The cluster's flags, for both commands.
 fn flags(folder: &Path, listen: u16) -> Vec<String> {
@@ -447,14 +452,12 @@ fn start(folder: &Path) -> Cluster {
     cluster
 }
 
-/// Mean reward per step over the last quarter of iterations, and over their first tenth.
+/// Mean reward per step over the last [`LATE`] iterations and over the first ones.
 fn late_and_early(rewards: &BTreeMap<u64, f64>) -> [f64; 2] {
     let all: Vec<f64> = rewards.values().copied().collect();
     let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
-    [
-        mean(&all[all.len() - all.len() / 4..]),
-        mean(&all[..all.len() / 10]),
-    ]
+    let late = LATE.min(all.len());
+    [mean(&all[all.len() - late..]), mean(&all[..late / 4])]
 }
 
 /// By iteration; one that was done again after a restart counts as it was done last.
@@ -522,9 +525,7 @@ fn end(mut cluster: Cluster, folder: &Path, memory_before: &[String]) {
 }
 
 fn chaos(seconds: u64) {
-    let _turn = ONE_AT_A_TIME
-        .lock()
-        .unwrap_or_else(PoisonError::into_inner);
+    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let seconds = variable("CAUDATA_CHAOS_SECONDS", seconds);
     let seed = variable("CAUDATA_CHAOS_SEED", 1);
     let dir = tempfile::tempdir().unwrap();
@@ -560,15 +561,22 @@ fn chaos(seconds: u64) {
         calm.elapsed().as_secs_f64()
     );
     cluster.wait_for_actors();
+    // Actors that were started again are past the beginning of their episodes.
+    cluster.wait(Instant::now(), "iteration", 2 * LATE);
     // Longer than `cluster.hang_timeout_s`: nobody stands still any more.
     std::thread::sleep(Duration::from_secs(6));
-    let disturbed = {
+    let (disturbed, steps) = {
         let events = cluster.events.lock().unwrap();
-        rewards(events.iter().map(|(_, event)| event))
+        let steps = events
+            .iter()
+            .filter_map(|(_, event)| event["steps_total"].as_u64())
+            .max();
+        (rewards(events.iter().map(|(_, event)| event)), steps)
     };
     end(cluster, folder, &memory_before);
 
-    let iterations = *disturbed.keys().last().unwrap();
+    // As much data; where actors were missing, batches were smaller.
+    let iterations = steps.unwrap() / STEPS_PER_ITERATION;
     let [late, _] = late_and_early(&disturbed);
     let calm: Vec<[f64; 2]> = (1..=SEEDS)
         .map(|seed| undisturbed(folder, iterations, seed))
@@ -578,7 +586,7 @@ fn chaos(seconds: u64) {
     let squares = calm.iter().map(|run| (run[0] - calm_late).powi(2));
     let deviation = (squares.sum::<f64>() / (SEEDS - 1) as f64).sqrt();
     println!(
-        "reward per step over the last quarter of {iterations} iterations: {late:.4}; of {SEEDS} undisturbed runs {calm_late:.4} ± {deviation:.4} (at their beginning {calm_early:.4})"
+        "reward per step after {iterations} iterations' worth of data: {late:.4}; of {SEEDS} undisturbed runs {calm_late:.4} ± {deviation:.4} (at their beginning {calm_early:.4})"
     );
     // Three deviations of a run, and a twentieth of what there is to learn, because three runs say little about a deviation.
     let noise = 3.0 * deviation + 0.05 * (calm_late - calm_early);
@@ -602,9 +610,7 @@ fn chaos_for_ten_minutes() {
 /// Prints how long a run stands still when one of four actors dies, and when its learner does.
 #[test]
 fn a_dead_actor_and_a_dead_learner_are_replaced() {
-    let _turn = ONE_AT_A_TIME
-        .lock()
-        .unwrap_or_else(PoisonError::into_inner);
+    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let dir = tempfile::tempdir().unwrap();
     let memory_before = shared_memory();
     let cluster = start(dir.path());

@@ -110,7 +110,10 @@ impl Ledger {
     pub fn follows(&mut self, label: Label) {
         let key = (label.sender, label.incarnation);
         let last = self.last.insert(key, label.number);
-        assert!(last.is_none_or(|last| label.number == last + 1), "{label:?}");
+        assert!(
+            last.is_none_or(|last| label.number == last + 1),
+            "{label:?}"
+        );
     }
 
     /// The number of the last frame, or how many came from this sender in this incarnation.
