@@ -54,10 +54,10 @@ doc: setup ## build the documentation, warnings are errors
 	@$(ENV) RUSTDOCFLAGS='-D warnings' cargo doc --release --locked --workspace --no-deps
 
 deny: tools ## licences, duplicate dependencies, sources (installs cargo-deny into the cache once, minutes)
-	@$(DENY) && cargo deny --locked check --hide-inclusion-graph bans licenses sources
+	@$(DENY) && cargo deny --locked --workspace check --hide-inclusion-graph bans licenses sources
 
 advisories: tools ## known security advisories of the dependencies (fetches the advisory database with git)
-	@$(DENY) && cargo deny --locked check advisories
+	@$(DENY) && cargo deny --locked --workspace check advisories
 
 clean: ## remove target/ (the provisioned libraries stay in ~/.cache/caudata)
 	@cargo clean

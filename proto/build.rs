@@ -5,6 +5,8 @@ use std::error::Error;
 use std::path::PathBuf;
 
 const FILES: [&str; 3] = ["rollout.proto", "registry.proto", "robot_link.proto"];
+/// Not ours, and served by nothing of ours: reflection does not speak of it.
+const FOREIGN: &str = "otlp.proto";
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo:rerun-if-changed=proto");
@@ -17,5 +19,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         compiler.encode_file_descriptor_set(),
     )?;
     tonic_prost_build::configure().compile_fds(compiler.file_descriptor_set())?;
+
+    let mut foreign = protox::Compiler::new(["proto"])?;
+    foreign.include_source_info(true).open_file(FOREIGN)?;
+    tonic_prost_build::configure().compile_fds(foreign.file_descriptor_set())?;
     Ok(())
 }

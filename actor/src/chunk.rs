@@ -7,19 +7,49 @@ use caudata_proto::{EpisodeSummary, FinalObservation, RolloutChunk};
 
 use crate::moments::moments_of;
 use crate::policy::LoadedPolicy;
+use crate::trace::ChunkTrace;
 use crate::{ActorError, ActorMetrics, ActorSettings, gaussian};
 
-/// Collects a chunk, or `None` when asked to stop in the middle of it (its steps are then lost, and were never sent).
+/// Memory of a chunk that has been sent, for the next one: fresh memory would be given back to the system and asked for again each time.
+#[derive(Default)]
+pub(crate) struct Spare {
+    observations: Vec<f32>,
+    actions: Vec<f32>,
+    action_means: Vec<f32>,
+    log_probs: Vec<f32>,
+    rewards: Vec<f32>,
+    terminated: Vec<bool>,
+    truncated: Vec<bool>,
+}
+
+impl From<RolloutChunk> for Spare {
+    fn from(chunk: RolloutChunk) -> Self {
+        Self {
+            observations: chunk.observations,
+            actions: chunk.actions,
+            action_means: chunk.action_means,
+            log_probs: chunk.log_probs,
+            rewards: chunk.rewards,
+            terminated: chunk.terminated,
+            truncated: chunk.truncated,
+        }
+    }
+}
+
+/// Collects a chunk, with its times where it is traced; or `None` when asked to stop in the middle of it (its steps are then lost, and
+/// were never sent).
 pub(crate) fn collect(
     settings: &ActorSettings,
     env: &mut VecEnv,
     policy: &mut LoadedPolicy,
     sequence: u64,
+    spare: &mut Spare,
     metrics: &ActorMetrics,
     should_stop: &dyn Fn() -> bool,
-) -> Result<Option<RolloutChunk>, ActorError> {
+) -> Result<Option<(RolloutChunk, Option<ChunkTrace>)>, ActorError> {
     let (lanes, act_dim) = (env.lanes(), env.act_dim());
-    let mut chunk = empty_chunk(settings, env, policy, sequence);
+    let mut trace = ChunkTrace::begin(&settings.traces, policy);
+    let mut chunk = empty_chunk(settings, env, policy, sequence, spare);
     let mut means = vec![0.0; lanes * act_dim];
     let mut actions = vec![0.0; lanes * act_dim];
     for step in 0..settings.chunk_steps {
@@ -29,28 +59,38 @@ pub(crate) fn collect(
         chunk.observations.extend_from_slice(env.observations());
         let started = Instant::now();
         policy.run(env.observations(), lanes, &mut means)?;
-        metrics.inference.observe(started.elapsed().as_secs_f64());
+        let took = started.elapsed();
+        metrics.inference.observe(took.as_secs_f64());
+        if let Some(trace) = &mut trace {
+            trace.inferred(took);
+        }
         for lane in 0..lanes {
             let row = lane * act_dim..(lane + 1) * act_dim;
             let (mean, action) = (&means[row.clone()], &mut actions[row]);
             gaussian::sample(mean, &policy.std, env.action_stream(lane), action);
-            chunk
-                .log_probs
-                .push(gaussian::log_prob(action, mean, &policy.log_std));
+            chunk.log_probs.push(policy.density.log_prob(action, mean));
         }
         chunk.actions.extend_from_slice(&actions);
         chunk.action_means.extend_from_slice(&means);
         let started = Instant::now();
         let output = env.step(&actions)?;
-        metrics.env_seconds.inc_by(started.elapsed().as_secs_f64());
+        let took = started.elapsed();
+        metrics.env_seconds.inc_by(took.as_secs_f64());
         metrics.steps.inc_by(lanes as u64);
         metrics.episodes.inc_by(output.episodes.len() as u64);
         record(&mut chunk, step, output);
+        if let Some(trace) = &mut trace {
+            trace.stepped(took);
+        }
     }
     let counted = chunk.observations.len();
     chunk.observations.extend_from_slice(env.observations());
     chunk.moments = moments_of(&chunk.observations[..counted], chunk.obs_dim);
-    Ok(Some(chunk))
+    if let Some(trace) = &mut trace {
+        trace.ended();
+        chunk.trace = Some(trace.collected);
+    }
+    Ok(Some((chunk, trace)))
 }
 
 /// What a step gave.
@@ -91,6 +131,7 @@ fn empty_chunk(
     env: &VecEnv,
     policy: &LoadedPolicy,
     sequence: u64,
+    spare: &mut Spare,
 ) -> RolloutChunk {
     let (steps, lanes) = (settings.chunk_steps, env.lanes());
     let (obs_dim, act_dim) = (env.obs_dim(), env.act_dim());
@@ -107,16 +148,25 @@ fn empty_chunk(
         lanes,
         obs_dim,
         act_dim,
-        observations: Vec::with_capacity((steps + 1) * lanes * obs_dim),
-        actions: Vec::with_capacity(cells * act_dim),
-        action_means: Vec::with_capacity(cells * act_dim),
+        observations: emptied(&mut spare.observations, (steps + 1) * lanes * obs_dim),
+        actions: emptied(&mut spare.actions, cells * act_dim),
+        action_means: emptied(&mut spare.action_means, cells * act_dim),
         log_std: policy.log_std.clone(),
-        log_probs: Vec::with_capacity(cells),
-        rewards: Vec::with_capacity(cells),
-        terminated: Vec::with_capacity(cells),
-        truncated: Vec::with_capacity(cells),
+        log_probs: emptied(&mut spare.log_probs, cells),
+        rewards: emptied(&mut spare.rewards, cells),
+        terminated: emptied(&mut spare.terminated, cells),
+        truncated: emptied(&mut spare.truncated, cells),
         final_observations: Vec::new(),
         episodes: Vec::new(),
         moments: moments_of(&[], obs_dim),
+        trace: None,
     }
+}
+
+/// The memory of `values`, with room for `count` of them.
+fn emptied<T>(values: &mut Vec<T>, count: usize) -> Vec<T> {
+    let mut values = std::mem::take(values);
+    values.clear();
+    values.reserve(count);
+    values
 }

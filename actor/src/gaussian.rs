@@ -15,21 +15,45 @@ pub fn sample(mean: &[f32], std: &[f32], noise: &mut Stream, action: &mut [f32])
 /// Log-probability density of `action`, natural logarithm:
 ///
 /// `Σ_i [ −½·((a_i − μ_i)/σ_i)² − ln σ_i − ½·ln 2π ]`, `σ_i = exp(log_std_i)`.
+pub fn log_prob(action: &[f32], mean: &[f32], log_std: &[f32]) -> f32 {
+    Density::new(log_std).log_prob(action, mean)
+}
+
+/// [`log_prob`] for many actions of one policy: what depends on the spread alone is worked out once.
 ///
 /// Computed in f64 from the f32 values that travel in the chunk, so that the learner, who has the same values,
 /// finds the same number to the last bits of f32.
-pub fn log_prob(action: &[f32], mean: &[f32], log_std: &[f32]) -> f32 {
-    let total: f64 = action
-        .iter()
-        .zip(mean)
-        .zip(log_std)
-        .map(|((&action, &mean), &log_std)| {
+#[derive(Clone, Debug)]
+pub struct Density {
+    /// `(1/σ_i, ln σ_i)`.
+    components: Vec<(f64, f64)>,
+}
+
+impl Density {
+    /// Of the distributions with these `ln σ_i`.
+    pub fn new(log_std: &[f32]) -> Self {
+        let component = |&log_std: &f32| {
             let log_std = f64::from(log_std);
-            let z = (f64::from(action) - f64::from(mean)) * (-log_std).exp();
-            -0.5 * z * z - log_std - HALF_LN_TAU
-        })
-        .sum();
-    total as f32
+            ((-log_std).exp(), log_std)
+        };
+        Self {
+            components: log_std.iter().map(component).collect(),
+        }
+    }
+
+    /// Log-probability density of `action` around `mean`.
+    pub fn log_prob(&self, action: &[f32], mean: &[f32]) -> f32 {
+        let total: f64 = action
+            .iter()
+            .zip(mean)
+            .zip(&self.components)
+            .map(|((&action, &mean), &(inverse_std, log_std))| {
+                let z = (f64::from(action) - f64::from(mean)) * inverse_std;
+                -0.5 * z * z - log_std - HALF_LN_TAU
+            })
+            .sum();
+        total as f32
+    }
 }
 
 #[cfg(test)]

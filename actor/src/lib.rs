@@ -24,6 +24,7 @@ pub mod quota;
 mod run;
 mod settings;
 mod snapshot;
+mod trace;
 
 pub use error::ActorError;
 pub use identity::{clock_incarnation, host_name, named_actor_id};
@@ -34,5 +35,5 @@ pub use link::{
 pub use metrics::ActorMetrics;
 pub use pulse::{BEAT_EVERY, PulsedLink, say_alive};
 pub use run::{ActorReport, run};
-pub use settings::{ActorSettings, actor_key, build_env};
+pub use settings::{ActorSettings, actor_key, build_env, tracer_of};
 pub use snapshot::{ActorSnapshot, SnapshotPort};

@@ -7,7 +7,8 @@ use std::time::{Duration, SystemTime};
 
 use caudata_actor::{
     ActorError, ActorMetrics, ActorSettings, PulsedLink, actor_key, build_env, clock_incarnation,
-    decode_transport, host_name, named_actor_id, run, say_alive, transport_of, with_certificates,
+    decode_transport, host_name, named_actor_id, run, say_alive, tracer_of, transport_of,
+    with_certificates,
 };
 use caudata_config::ConfigArgs;
 use caudata_model::RobotModel;
@@ -95,6 +96,9 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
 
     let registry = Metrics::new();
     let metrics = ActorMetrics::register(&registry);
+    let instance = format!("actor {actor_id}, incarnation {incarnation}");
+    let traces = tracer_of(&config, "caudata-actor", instance, &args.run_id, &registry)
+        .or_exit(ExitCode::BadConfig)?;
     let pulse = Pulse::new();
     let patience = Duration::from_secs_f64(config.cluster.hang_timeout_s);
     let stop = &process.stop;
@@ -112,6 +116,7 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
 
     let mut settings = ActorSettings::from_config(&config, &args.run_id, actor_id, incarnation);
     settings.ledger.clone_from(&args.ledger);
+    settings.traces = traces;
     let key = actor_key(actor_id, incarnation);
     let env = build_env(&config, Arc::new(model), key).map_err(ActorError::into_failure)?;
     let link = caudata_transport::actor_link(&transport, &args.run_id, actor_id)

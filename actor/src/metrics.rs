@@ -21,6 +21,8 @@ pub struct ActorMetrics {
     pub inference: Histogram,
     /// Seconds spent stepping environments.
     pub env_seconds: SecondsCounter,
+    /// Seconds spent checking new policies and handing them to ONNX Runtime.
+    pub policy_seconds: SecondsCounter,
     /// Seconds spent waiting for a policy.
     pub wait_seconds: SecondsCounter,
     /// Seconds spent handing chunks over.
@@ -53,6 +55,10 @@ impl ActorMetrics {
             env_seconds: metrics.seconds_counter(
                 "caudata_actor_env_seconds_total",
                 "Time stepping environments",
+            ),
+            policy_seconds: metrics.seconds_counter(
+                "caudata_actor_policy_seconds_total",
+                "Time checking new policies and handing them to ONNX Runtime",
             ),
             wait_seconds: metrics.seconds_counter(
                 "caudata_actor_wait_seconds_total",

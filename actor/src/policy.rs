@@ -6,6 +6,7 @@ use caudata_transport::PolicyUpdate;
 use sha2::{Digest, Sha256};
 
 use crate::ActorError;
+use crate::gaussian::Density;
 
 /// A checked policy, ready to run.
 pub(crate) struct LoadedPolicy {
@@ -19,6 +20,8 @@ pub(crate) struct LoadedPolicy {
     pub log_std: Vec<f32>,
     /// `exp(log_std)`.
     pub std: Vec<f32>,
+    /// Density of the actions around their means.
+    pub density: Density,
     inference: Inference,
 }
 
@@ -52,6 +55,7 @@ impl LoadedPolicy {
             version,
             env_steps,
             sha256,
+            density: Density::new(&log_std),
             log_std,
             std,
             inference,

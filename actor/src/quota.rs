@@ -31,11 +31,13 @@ impl Quota {
             .saturating_mul(self.max_lead.saturating_add(1))
     }
 
-    /// A policy arrived. The first one fills the account; later ones pay per version; old ones pay nothing.
+    /// A policy arrived. The first one fills the account; later ones pay per version, a repeated one nothing. A link never goes back to an
+    /// older policy of the same learner, so that an older one is the first of another learner: it fills the account again, or
+    /// this actor and that learner would wait for each other.
     pub fn policy_arrived(&mut self, version: u64) {
-        let versions = match self.newest {
+        let versions = match self.newest.and_then(|newest| version.checked_sub(newest)) {
             None => u64::from(self.max_lead) + 1,
-            Some(newest) => version.saturating_sub(newest),
+            Some(versions) => versions,
         };
         let paid = u64::from(self.per_version).saturating_mul(versions);
         let credits = u64::from(self.credits)
@@ -43,7 +45,7 @@ impl Quota {
             .min(u64::from(self.cap()));
         // At most the cap, which is a u32.
         self.credits = credits as u32;
-        self.newest = self.newest.max(Some(version));
+        self.newest = Some(version);
     }
 
     /// Whether another chunk may be collected now.
@@ -61,7 +63,7 @@ impl Quota {
         self.credits
     }
 
-    /// The newest version seen.
+    /// The version seen last.
     pub fn newest(&self) -> Option<u64> {
         self.newest
     }
@@ -119,7 +121,14 @@ mod tests {
     #[test]
     fn skipped_versions_pay_up_to_the_cap_and_repeated_ones_nothing() {
         assert_eq!(collected(2, 1, &[0, 9]), [4, 4]);
-        assert_eq!(collected(1, 0, &[5, 5, 3, 6]), [1, 0, 0, 1]);
+        assert_eq!(collected(1, 0, &[5, 5, 6]), [1, 0, 1]);
+    }
+
+    /// A learner that was killed goes on from an older checkpoint, and may count from there.
+    #[test]
+    fn an_older_version_is_a_new_beginning() {
+        assert_eq!(collected(1, 0, &[5, 3, 4]), [1, 1, 1]);
+        assert_eq!(collected(2, 1, &[5, 3, 4]), [4, 4, 2]);
     }
 
     #[test]

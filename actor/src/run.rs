@@ -7,8 +7,10 @@ use caudata_proto::{ActorBye, ActorHello, Envelope, encode};
 use caudata_telemetry::StopFlag;
 use caudata_transport::{ActorLink, Control, SendError};
 
+use crate::chunk::Spare;
 use crate::policy::LoadedPolicy;
 use crate::quota::Quota;
+use crate::trace::SentChunk;
 use crate::{ActorError, ActorMetrics, ActorSettings, ActorSnapshot, Ledger, SnapshotPort, chunk};
 
 /// Longest single wait on the link. Between two waits the actor looks whether it shall stop or save itself.
@@ -62,6 +64,7 @@ pub fn run(
         quota,
         actor_key: crate::actor_key(settings.actor_id, settings.incarnation),
         policy: None,
+        spare: Spare::default(),
         sent: 0,
         greeted: false,
     };
@@ -98,6 +101,7 @@ struct Actor<'a> {
     quota: Quota,
     actor_key: u64,
     policy: Option<LoadedPolicy>,
+    spare: Spare,
     /// Chunks that the link took; also the sequence number of the next one.
     sent: u64,
     /// Whether the learner that is there now has had our hello.
@@ -136,12 +140,33 @@ impl Actor<'_> {
                 &mut self.env,
                 policy,
                 self.sent,
+                &mut self.spare,
                 self.metrics,
                 &|| stop.is_set() || link.stop_requested(),
             )?;
-            let Some(chunk) = collected else { continue };
+            let Some((chunk, trace)) = collected else {
+                continue;
+            };
             self.quota.chunk_collected();
-            self.send_chunk(&encode(&Envelope::Chunk(Box::new(chunk))))?;
+            let (sequence, policy_version) = (chunk.sequence, chunk.policy_version);
+            let envelope = Envelope::Chunk(Box::new(chunk));
+            let frame = encode(&envelope);
+            if let Envelope::Chunk(chunk) = envelope {
+                self.spare = Spare::from(*chunk);
+            }
+            self.send_chunk(&frame)?;
+            if let Some(trace) = trace.filter(|_| self.sent > sequence) {
+                let chunk = SentChunk {
+                    actor_id: self.settings.actor_id,
+                    incarnation: self.settings.incarnation,
+                    sequence,
+                    policy_version,
+                    steps: self.settings.chunk_steps,
+                    lanes: self.env.lanes(),
+                    bytes: frame.len(),
+                };
+                trace.sent(&self.settings.traces, &chunk);
+            }
         }
     }
 
@@ -161,7 +186,11 @@ impl Actor<'_> {
             return Ok(true);
         }
         let threads = self.settings.inference_threads;
+        let started = Instant::now();
         let policy = LoadedPolicy::load(&update, self.env.contract(), threads)?;
+        self.metrics
+            .policy_seconds
+            .inc_by(started.elapsed().as_secs_f64());
         self.quota.policy_arrived(policy.version);
         // Whatever grows with training follows the policy, so that it depends on nothing else.
         self.env.set_progress(policy.env_steps);

@@ -7,7 +7,8 @@ use std::time::Duration;
 use caudata_config::Config;
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
-use caudata_telemetry::build_info;
+use caudata_telemetry::{Metrics, build_info};
+use caudata_traces::{TraceError, TraceSettings, Tracer};
 
 use crate::ActorError;
 
@@ -38,6 +39,8 @@ pub struct ActorSettings {
     pub ledger: Option<PathBuf>,
     /// Version and commit of this program, for the learner's log.
     pub build: String,
+    /// Where traces go.
+    pub traces: Tracer,
 }
 
 impl ActorSettings {
@@ -58,8 +61,35 @@ impl ActorSettings {
             flush_timeout: Duration::from_secs_f64(actors.flush_timeout_s),
             ledger: None,
             build: format!("{}, {}", build.version, build.code),
+            traces: Tracer::off(),
         }
     }
+}
+
+/// The tracer of a process as the configuration has it: off where it names no collector.
+///
+/// # Errors
+/// See [`TraceError`].
+pub fn tracer_of(
+    config: &Config,
+    service: &'static str,
+    instance: String,
+    run_id: &str,
+    metrics: &Metrics,
+) -> Result<Tracer, TraceError> {
+    let telemetry = &config.telemetry;
+    if telemetry.otlp_endpoint.is_empty() {
+        return Ok(Tracer::off());
+    }
+    let settings = TraceSettings {
+        endpoint: telemetry.otlp_endpoint.clone(),
+        every: telemetry.trace_every.into(),
+        tls_dir: config.cluster.certificates().map(PathBuf::from),
+        service,
+        instance,
+        run_id: run_id.to_owned(),
+    };
+    Tracer::start(&settings, metrics)
 }
 
 /// The actor number in the keys of the random streams: every incarnation draws its own episodes, so that a restarted

@@ -67,5 +67,6 @@ fn chunk(steps: usize, lanes: usize) -> RolloutChunk {
             mean: vec![0.5; obs_dim],
             m2: vec![0.0; obs_dim],
         },
+        trace: None,
     }
 }

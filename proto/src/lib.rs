@@ -12,5 +12,5 @@ pub mod wire;
 
 pub use rollout::{
     ActorBye, ActorHello, ChunkIdentity, DecodeError, DecodeLimits, Envelope, EpisodeSummary,
-    FinalObservation, Moments, RolloutChunk, chunk_identity, decode, encode,
+    FinalObservation, Moments, RolloutChunk, TraceContext, chunk_identity, decode, encode,
 };

@@ -18,5 +18,14 @@ pub mod robot_link {
     include!(concat!(env!("OUT_DIR"), "/caudata.robot_link.v1.rs"));
 }
 
-/// The encoded `FileDescriptorSet` of all packages, for gRPC reflection.
+/// Package `opentelemetry.proto.collector.trace.v1`: what traces are exported with.
+#[allow(missing_docs, clippy::all)]
+pub mod otlp {
+    include!(concat!(
+        env!("OUT_DIR"),
+        "/opentelemetry.proto.collector.trace.v1.rs"
+    ));
+}
+
+/// The encoded `FileDescriptorSet` of our own packages, for gRPC reflection.
 pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));

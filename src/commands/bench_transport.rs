@@ -52,6 +52,12 @@ pub struct TransportBench {
     /// Leave out what collecting rollouts costs
     #[arg(long)]
     no_rollouts: bool,
+    /// Only what collecting rollouts costs
+    #[arg(long, conflicts_with = "no_rollouts")]
+    rollouts_only: bool,
+    /// How often that is measured over each link, in turns with the bare simulator and policy; medians are printed
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
     /// Robot, task and network of the rollouts; the preset `quick` without these flags
     #[command(flatten)]
     config: ConfigArgs,
@@ -112,7 +118,25 @@ struct Finding {
     seconds: f64,
     links: Vec<Speed>,
     rollouts: Vec<Rollouts>,
+    /// What the actor of the in-process link spends its time on, as shares; empty where that link was not measured.
+    phases: Vec<Phase>,
 }
+
+/// A part of an actor's time.
+#[derive(Clone, Debug, Serialize)]
+struct Phase {
+    what: &'static str,
+    share: f64,
+}
+
+/// Parts of an actor's time, by the metric that counts its seconds. The rest is exploration, copies and writing the frame.
+const PHASES: [(&str, &str); 5] = [
+    ("simulator", "caudata_actor_env_seconds_total"),
+    ("inference", "caudata_inference_latency_seconds_sum"),
+    ("new policies", "caudata_actor_policy_seconds_total"),
+    ("handing over", "caudata_actor_send_seconds_total"),
+    ("waiting", "caudata_actor_wait_seconds_total"),
+];
 
 pub fn run(args: &TransportBench) -> Result<(), Failure> {
     if let Some(order) = peer::order()? {
@@ -129,14 +153,17 @@ pub fn run(args: &TransportBench) -> Result<(), Failure> {
         seconds: args.common.seconds,
         links: Vec::new(),
         rollouts: Vec::new(),
+        phases: Vec::new(),
     };
-    for kind in kinds {
-        finding.links.push(link(*kind, args)?);
+    if !args.rollouts_only {
+        for kind in kinds {
+            finding.links.push(link(*kind, args)?);
+        }
+        finding.links.push(socket(args)?);
+        finding.links.push(copy(args)?);
     }
-    finding.links.push(socket(args)?);
-    finding.links.push(copy(args)?);
     if !args.no_rollouts {
-        finding.rollouts = rollouts(kinds, args)?;
+        (finding.rollouts, finding.phases) = rollouts(kinds, args)?;
     }
     if args.common.json {
         return say::json(&finding);
@@ -146,6 +173,35 @@ pub fn run(args: &TransportBench) -> Result<(), Failure> {
 }
 
 fn print(finding: &Finding) {
+    print_links(finding);
+    if finding.rollouts.is_empty() {
+        return;
+    }
+    let header = ["rollouts", "steps/s", "steps per CPU s", "of bare"];
+    let mut rows = vec![header.map(str::to_owned).to_vec()];
+    for row in &finding.rollouts {
+        rows.push(vec![
+            row.what.to_owned(),
+            format!("{:.0}", row.steps_per_s),
+            format!("{:.0}", row.steps_per_cpu_s),
+            format!("{:.0} %", 100.0 * row.share_of_bare),
+        ]);
+    }
+    say::table(&rows);
+    if !finding.phases.is_empty() {
+        let parts: Vec<String> = finding
+            .phases
+            .iter()
+            .map(|phase| format!("{} {:.1} %", phase.what, 100.0 * phase.share))
+            .collect();
+        say::line(format_args!("the in-process actor: {}", parts.join(", ")));
+    }
+}
+
+fn print_links(finding: &Finding) {
+    if finding.links.is_empty() {
+        return;
+    }
     say::line(format_args!(
         "frames of {} KiB from {} actor(s), {} s each",
         finding.frame_bytes / 1024,
@@ -170,20 +226,6 @@ fn print(finding: &Finding) {
             micros(speed.latency_p50_us),
             micros(speed.latency_p99_us),
             format!("{:.2}", speed.cpu_s_per_gigabyte),
-        ]);
-    }
-    say::table(&rows);
-    if finding.rollouts.is_empty() {
-        return;
-    }
-    let header = ["rollouts", "steps/s", "steps per CPU s", "of bare"];
-    let mut rows = vec![header.map(str::to_owned).to_vec()];
-    for row in &finding.rollouts {
-        rows.push(vec![
-            row.what.to_owned(),
-            format!("{:.0}", row.steps_per_s),
-            format!("{:.0}", row.steps_per_cpu_s),
-            format!("{:.0} %", 100.0 * row.share_of_bare),
         ]);
     }
     say::table(&rows);
@@ -429,8 +471,9 @@ fn copy(args: &TransportBench) -> Result<Speed, Failure> {
     ))
 }
 
-/// What one actor collects over each link when it never waits, and what it takes, beside simulator and policy alone.
-fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Failure> {
+/// What one actor collects over each link when it never waits, and what it takes, beside simulator and policy alone. Each link is measured
+/// between two measurements of these, several times in turns, so that what else the machine does falls on both; medians.
+fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<(Vec<Rollouts>, Vec<Phase>), Failure> {
     let mut flags = or_quick(&args.config);
     flags.overrides.extend([
         "actors.count=1".to_owned(),
@@ -441,34 +484,111 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let model = Arc::new(robot_model::load(&config.robot_path())?);
     let contract = PolicyContract::new(&model, &config.task).or_exit(ExitCode::BadInput)?;
-    let make = |run_id: &str, version: u64| {
-        example_policy(
-            &contract,
-            &config.learner.network.policy_hidden,
-            run_id,
-            version,
-        )
+    let scene = Scene {
+        flags,
+        config,
+        model,
+        contract,
+        seconds: args.common.seconds,
     };
-    let seconds = args.common.seconds;
-    let bare = {
-        let file = PolicyFile::parse(make("bench", 0)?.into()).or_exit(ExitCode::Internal)?;
-        bare(&config, Arc::clone(&model), &file, seconds)?
+    let mut bares = vec![scene.bare()?];
+    let mut of_kinds: Vec<Vec<Rollouts>> = kinds.iter().map(|_| Vec::new()).collect();
+    let mut phases = Vec::new();
+    for _ in 0..args.rounds {
+        for (kind, found) in kinds.iter().zip(&mut of_kinds) {
+            let mut rollouts = scene.collected(*kind, &mut phases)?;
+            let after = scene.bare()?;
+            let before = bares.last().map_or(f64::NAN, |bare| bare.steps_per_cpu_s);
+            rollouts.share_of_bare =
+                2.0 * rollouts.steps_per_cpu_s / (before + after.steps_per_cpu_s);
+            bares.push(after);
+            found.push(rollouts);
+        }
+    }
+    let found = std::iter::once(bares)
+        .chain(of_kinds)
+        .filter_map(|found| medians(&found))
+        .collect();
+    Ok((found, phases))
+}
+
+/// Seconds that the actor's metrics have counted so far, in the order of [`PHASES`].
+fn seconds_of_phases(metrics: &Metrics) -> [f64; PHASES.len()] {
+    let page = metrics.encode();
+    PHASES.map(|(_, metric)| {
+        let mut lines = page.lines();
+        let value = lines.find_map(|line| line.strip_prefix(metric)?.trim().parse().ok());
+        value.unwrap_or(0.0)
+    })
+}
+
+fn shares(before: [f64; PHASES.len()], after: [f64; PHASES.len()], of_s: f64) -> Vec<Phase> {
+    let mut rest = 1.0;
+    let mut phases: Vec<Phase> = Vec::new();
+    for (i, (what, _)) in PHASES.into_iter().enumerate() {
+        let share = (after[i] - before[i]) / of_s;
+        rest -= share;
+        phases.push(Phase { what, share });
+    }
+    phases.push(Phase {
+        what: "rest",
+        share: rest,
+    });
+    phases
+}
+
+/// The median of each figure.
+fn medians(found: &[Rollouts]) -> Option<Rollouts> {
+    let median = |figure: fn(&Rollouts) -> f64| {
+        let mut figures: Vec<f64> = found.iter().map(figure).collect();
+        figures.sort_by(f64::total_cmp);
+        figures.get(figures.len() / 2).copied()
     };
-    let mut found = vec![bare];
-    for kind in kinds {
-        let mut stage = Stage::new(*kind, config.transport.clone())?;
+    Some(Rollouts {
+        what: found.first()?.what,
+        steps_per_s: median(|r| r.steps_per_s)?,
+        steps_per_cpu_s: median(|r| r.steps_per_cpu_s)?,
+        share_of_bare: median(|r| r.share_of_bare)?,
+    })
+}
+
+/// What rollouts are collected of.
+struct Scene {
+    flags: ConfigArgs,
+    config: Config,
+    model: Arc<caudata_model::RobotModel>,
+    contract: PolicyContract,
+    seconds: f64,
+}
+
+impl Scene {
+    fn policy(&self, run_id: &str, version: u64) -> Result<Vec<u8>, Failure> {
+        let hidden = &self.config.learner.network.policy_hidden;
+        example_policy(&self.contract, hidden, run_id, version)
+    }
+
+    fn bare(&self) -> Result<Rollouts, Failure> {
+        let policy = self.policy("bench", 0)?;
+        let file = PolicyFile::parse(policy.into()).or_exit(ExitCode::Internal)?;
+        bare(&self.config, Arc::clone(&self.model), &file, self.seconds)
+    }
+
+    /// Over a link; the share is not known yet. `phases` are filled in for the in-process one.
+    fn collected(&self, kind: Kind, phases: &mut Vec<Phase>) -> Result<Rollouts, Failure> {
+        let registry = Metrics::new();
+        let mut stage = Stage::new(kind, self.config.transport.clone())?;
         let stop = StopFlag::new();
         let mut peers = Vec::new();
         let mut threads = Vec::new();
         match &stage.hub {
             Some(hub) => {
                 let link = hub.actor().or_exit(ExitCode::Internal)?;
-                let env = build_env(&config, Arc::clone(&model), 0)
+                let env = build_env(&self.config, Arc::clone(&self.model), 0)
                     .map_err(|error| error.into_failure())?;
-                let settings = ActorSettings::from_config(&config, &stage.run_id, 0, 0);
+                let settings = ActorSettings::from_config(&self.config, &stage.run_id, 0, 0);
                 let stop = stop.clone();
+                let metrics = ActorMetrics::register(&registry);
                 threads.push(std::thread::spawn(move || {
-                    let metrics = ActorMetrics::register(&Metrics::new());
                     caudata_actor::run(&settings, env, link, &stop, &metrics, None, None)
                 }));
             }
@@ -476,14 +596,15 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
                 let program = Programs::beside_this_one()?.find("caudata-actor")?;
                 let mut command = Command::new(program);
                 command
-                    .args(as_flags(&flags))
+                    .args(as_flags(&self.flags))
                     .args(["--log-filter", "warn", "--run-id", &stage.run_id])
                     .args(["--transport", &encode_transport(&stage.actor)]);
                 peers.push(Peer::of(command)?);
             }
         }
         let mut version = 0;
-        stage.publish(version, make(&stage.run_id, version)?.into(), Control::Run)?;
+        let policy = self.policy(&stage.run_id, version)?;
+        stage.publish(version, policy.into(), Control::Run)?;
         let mut collect = |stage: &mut Stage, seconds: f64| -> Result<(f64, f64), Failure> {
             let began = Instant::now();
             let mut steps = 0;
@@ -499,7 +620,7 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
                     // As in training: a policy per quota, here of made-up weights.
                     version += 1;
                     let before = thread_cpu_s()?;
-                    let policy = make(&stage.run_id, version)?;
+                    let policy = self.policy(&stage.run_id, version)?;
                     making_s += thread_cpu_s()? - before;
                     stage.publish(version, policy.into(), Control::Run)?;
                 }
@@ -519,9 +640,13 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
             Ok(own_cpu_s()? + peers.iter().map(Peer::cpu_s).sum::<f64>())
         };
         let (began, before) = (Instant::now(), cpu_s()?);
-        let (steps, made_s) = collect(&mut stage, seconds)?;
+        let counted = seconds_of_phases(&registry);
+        let (steps, made_s) = collect(&mut stage, self.seconds)?;
         let wall_s = began.elapsed().as_secs_f64();
         let cpu = cpu_s()? - before - made_s;
+        if kind == Kind::Inproc {
+            *phases = shares(counted, seconds_of_phases(&registry), wall_s);
+        }
         stage.publish(version, Arc::default(), Control::Stop)?;
         stage.let_go()?;
         for peer in peers {
@@ -533,17 +658,13 @@ fn rollouts(kinds: &[Kind], args: &TransportBench) -> Result<Vec<Rollouts>, Fail
                 .map_err(|_| Failure::message(ExitCode::Internal, "an actor panicked"))?
                 .map_err(|error| error.into_failure())?;
         }
-        let per_cpu_s = steps / cpu;
-        found.push(Rollouts {
+        Ok(Rollouts {
             what: kind.name(),
             steps_per_s: steps / wall_s,
-            steps_per_cpu_s: per_cpu_s,
-            share_of_bare: found
-                .first()
-                .map_or(1.0, |bare| per_cpu_s / bare.steps_per_cpu_s),
-        });
+            steps_per_cpu_s: steps / cpu,
+            share_of_bare: f64::NAN,
+        })
     }
-    Ok(found)
 }
 
 /// Simulator, policy and exploration alone, on one thread.

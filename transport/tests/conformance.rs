@@ -57,6 +57,7 @@ macro_rules! between_processes {
             a_killed_actor_harms_nobody
             an_actor_that_stands_still_holds_up_nobody
             actors_find_a_restarted_learner
+            actors_find_a_learner_that_is_killed_under_load_and_back_at_once
             a_learner_that_stands_still_loses_nothing
             an_actor_may_come_before_its_learner
         }

@@ -306,9 +306,43 @@ impl Config {
             1,
             100_000,
         )?;
-        match self.policy_server.stream.as_str() {
-            "" => Ok(()),
-            stream => word("policy_server.stream", stream, 64, "-_."),
+        let stream = self.policy_server.stream.as_str();
+        if !stream.is_empty() {
+            word("policy_server.stream", stream, 64, "-_.")?;
         }
+        self.check_telemetry()
     }
+
+    fn check_telemetry(&self) -> Check {
+        let telemetry = &self.telemetry;
+        within("telemetry.trace_every", telemetry.trace_every, 1, 1_000_000)?;
+        let endpoint = telemetry.otlp_endpoint.as_str();
+        let rule = match endpoint.split_once("://") {
+            _ if endpoint.is_empty() => return Ok(()),
+            Some(("http", address)) if is_loopback(address) => return Ok(()),
+            Some(("http", _)) => {
+                "is plain and leaves this host: take a collector on this host, or https:// with cluster.tls_dir"
+            }
+            Some(("https", _)) if self.cluster.certificates().is_none() => {
+                "needs certificates: set cluster.tls_dir"
+            }
+            Some(("https", address)) if has_port(address) => return Ok(()),
+            _ => "must be http://HOST:PORT on this host, https://HOST:PORT, or empty",
+        };
+        broken("telemetry.otlp_endpoint", format!("{endpoint:?}"), rule)
+    }
+}
+
+/// Whether `host:port` is on this host. A name other than `localhost` may lead anywhere.
+fn is_loopback(address: &str) -> bool {
+    match address.parse::<std::net::SocketAddr>() {
+        Ok(address) => address.ip().is_loopback(),
+        Err(_) => has_port(address) && address.starts_with("localhost:"),
+    }
+}
+
+fn has_port(address: &str) -> bool {
+    address
+        .rsplit_once(':')
+        .is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok())
 }

@@ -143,6 +143,20 @@ fn values_out_of_range_name_key_value_and_rule() {
         ("transport.peer_timeout_ms=500", "transport.peer_timeout_ms"),
         ("engine.substeps=4", "task.control_period_s"),
         ("policy_server.stream=a/b", "policy_server.stream"),
+        ("telemetry.trace_every=0", "telemetry.trace_every"),
+        // Plain beyond this host, encrypted without certificates, and no address at all.
+        (
+            "telemetry.otlp_endpoint=\"http://collector:4317\"",
+            "telemetry.otlp_endpoint",
+        ),
+        (
+            "telemetry.otlp_endpoint=\"https://collector:4317\"",
+            "telemetry.otlp_endpoint",
+        ),
+        (
+            "telemetry.otlp_endpoint=\"127.0.0.1:4317\"",
+            "telemetry.otlp_endpoint",
+        ),
     ];
     for (assignment, key) in cases {
         // Few steps, so that 1,024 minibatches are too many.
@@ -157,6 +171,22 @@ fn values_out_of_range_name_key_value_and_rule() {
             other => panic!("{assignment}: {other:?}"),
         }
     }
+}
+
+#[test]
+fn traces_go_to_this_host_or_are_encrypted() {
+    for endpoint in [
+        "http://127.0.0.1:4317",
+        "http://localhost:4317",
+        "http://[::1]:4317",
+    ] {
+        let config = load_with(&format!("telemetry.otlp_endpoint={endpoint:?}")).unwrap();
+        assert_eq!(config.telemetry.otlp_endpoint, endpoint);
+    }
+    let encrypted = Source::default()
+        .set("telemetry.otlp_endpoint=\"https://collector:4317\"")
+        .set("cluster.tls_dir=/etc/caudata/tls");
+    Config::load(&encrypted).unwrap();
 }
 
 #[test]

@@ -5,10 +5,12 @@ use std::time::{Duration, Instant};
 use caudata_config::LearnerConfig;
 use caudata_proto::RolloutChunk;
 use caudata_telemetry::StopFlag;
+use caudata_traces::now_ns;
 use caudata_transport::LearnerLink;
 
 use super::fleet::Fleet;
 use super::metrics::LearnerMetrics;
+use super::traces::Traces;
 use crate::LearnerError;
 use crate::batch::{Collector, Outcome};
 
@@ -34,6 +36,7 @@ pub(super) fn collect(
     config: &LearnerConfig,
     stop: &StopFlag,
     metrics: &LearnerMetrics,
+    traces: &Traces,
 ) -> Result<Collected, LearnerError> {
     let started = Instant::now();
     let timeout = Duration::from_secs_f64(config.batch_timeout_s);
@@ -58,7 +61,9 @@ pub(super) fn collect(
             return Ok(Collected::Stopped);
         }
         if let Some(frame) = link.recv(SLICE)? {
+            let began_ns = now_ns();
             let outcome = collector.offer(&frame.bytes);
+            traces.received(&frame.bytes, began_ns, word(&outcome));
             tell(&outcome, metrics);
         } else if let Some(fleet) = fleet.as_deref_mut() {
             // Only when nothing is left to read: an actor's last frames come before its end.
@@ -99,21 +104,33 @@ pub(super) fn drain(
     );
 }
 
+/// What became of a frame, in one word.
+fn word(outcome: &Outcome) -> &'static str {
+    match outcome {
+        Outcome::Hello(_) => "hello",
+        Outcome::Bye(_) => "bye",
+        Outcome::Waiting(_) => "waiting",
+        Outcome::Duplicate(_) => "duplicate",
+        Outcome::Dropped(_, reason) => reason.id(),
+        Outcome::Rejected(_, reason, _) => reason,
+    }
+}
+
 fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
     match outcome {
         Outcome::Hello((actor, incarnation)) => {
             tracing::info!(actor, incarnation, "an actor is here");
-            metrics.frame("hello");
+            metrics.frame(word(outcome));
         }
         Outcome::Bye((actor, incarnation)) => {
             tracing::info!(actor, incarnation, "an actor left");
-            metrics.frame("bye");
+            metrics.frame(word(outcome));
         }
         Outcome::Waiting(_) => {
-            metrics.frame("waiting");
+            metrics.frame(word(outcome));
         }
         Outcome::Duplicate((actor, incarnation)) => {
-            let count = metrics.frame("duplicate");
+            let count = metrics.frame(word(outcome));
             if count.is_power_of_two() {
                 tracing::warn!(
                     actor,
@@ -130,7 +147,7 @@ fn tell(outcome: &Outcome, metrics: &LearnerMetrics) {
                 reason = reason.id(),
                 "a chunk is not used"
             );
-            metrics.frame(reason.id());
+            metrics.frame(word(outcome));
         }
         Outcome::Rejected(actor, reason, message) => {
             let count = metrics.frame(reason);

@@ -10,6 +10,7 @@ use caudata_actor::{
 };
 use caudata_model::RobotModel;
 use caudata_telemetry::StopFlag;
+use caudata_traces::Tracer;
 use caudata_transport::InprocHub;
 
 use super::setup::{TrainSettings, ledger_folder};
@@ -40,6 +41,7 @@ impl Fleet {
         hub: &InprocHub,
         accounting: &Accounting,
         snapshots: &[ActorSnapshot],
+        tracer: &Tracer,
     ) -> Result<Self, LearnerError> {
         let config = &settings.config;
         let metrics = ActorMetrics::register(&settings.metrics);
@@ -53,6 +55,7 @@ impl Fleet {
             let incarnation = accounting.next_incarnation(id);
             let mut actor = ActorSettings::from_config(config, &settings.run_id, id, incarnation);
             // Kept here too: a run that is killed and goes on knows what was sent after its last checkpoint.
+            actor.traces = tracer.clone();
             actor.ledger = Some(ledger_path(&ledgers, id, incarnation));
             let saved = snapshots.iter().find(|saved| saved.actor_id == id).cloned();
             let key = saved

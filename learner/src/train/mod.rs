@@ -8,6 +8,8 @@ mod resume;
 mod run;
 mod seen;
 mod setup;
+mod traces;
+mod versions;
 
 pub use resume::Resume;
 pub use setup::{TrainSettings, train};

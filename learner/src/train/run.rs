@@ -10,6 +10,7 @@ use caudata_proto::RolloutChunk;
 use caudata_random::Stream;
 use caudata_telemetry::StopFlag;
 use caudata_telemetry::progress::{Checkpoint, Event, Finished, MeanSe};
+use caudata_traces::now_ns;
 use caudata_transport::{Control, LearnerLink, PolicyUpdate};
 
 use super::collect::{Collected, collect, drain};
@@ -17,6 +18,8 @@ use super::fleet::Fleet;
 use super::report::{IterationReport, Reporter};
 use super::seen::PoliciesSeen;
 use super::setup::ledger_folder;
+use super::traces::Traces;
+use super::versions::Versions;
 use crate::LearnerError;
 use crate::batch::{Batch, Collector, side_by_side};
 use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow, FORMAT, Saved};
@@ -71,6 +74,9 @@ pub(super) struct Run<'a> {
     pub publisher: Option<Publisher>,
     pub reporter: Reporter,
     pub progress: Progress,
+    pub traces: Traces,
+    /// Where actors outlive this process.
+    pub versions: Option<Versions>,
     pub began: Instant,
 }
 
@@ -120,7 +126,7 @@ impl Run<'_> {
         let holds_back = self.config.actors.lockstep && self.config.actors.max_lead > 0;
         let mut held_back = false;
         while self.progress.iteration < self.config.run.iterations {
-            let started = Instant::now();
+            let (started, waiting_ns) = (Instant::now(), now_ns());
             let chunks = {
                 let _span = tracing::info_span!("collect").entered();
                 let (link, fleet) = (self.link.as_mut(), self.fleet.as_mut());
@@ -132,6 +138,7 @@ impl Run<'_> {
                     learner,
                     self.stop,
                     metrics,
+                    &self.traces,
                 )?
             };
             let Collected::Batch(chunks) = chunks else {
@@ -143,6 +150,7 @@ impl Run<'_> {
                 self.announce(&state.policy)?;
                 state.seen.made(&state.policy);
             }
+            self.traces.batch(&chunks, waiting_ns);
             self.learn(chunks, state, started, collection_s)?;
             self.tell_published(&mut state.seen);
             if self.stop.is_set() {
@@ -183,7 +191,7 @@ impl Run<'_> {
             self.ppo.begin_policy();
         }
         self.ppo.set_progress(self.progress.steps_total);
-        let learning = Instant::now();
+        let (learning, learning_ns) = (Instant::now(), now_ns());
         let stats = {
             let _span = tracing::info_span!("learn", samples = batch.rows).entered();
             self.ppo.update(
@@ -195,6 +203,8 @@ impl Run<'_> {
             )?
         };
         let learning_s = learning.elapsed().as_secs_f64();
+        let samples = vec![("caudata.samples", batch.rows.into())];
+        self.traces.done("update", learning_ns, samples);
         self.watch_finite(&stats, state)?;
         // The policy that acted saw the old normaliser; the next one sees this batch as well.
         batch
@@ -206,10 +216,12 @@ impl Run<'_> {
         self.progress.step_rewards.push(batch.mean_reward());
         self.progress.returns.push(returns);
         state.scaling = self.scaling();
+        let exporting_ns = now_ns();
         state.policy = {
             let _span = tracing::info_span!("export").entered();
             self.export(&state.scaling)?
         };
+        self.traces.done("export policy", exporting_ns, Vec::new());
         self.report(
             &batch,
             &stats,
@@ -267,7 +279,7 @@ impl Run<'_> {
         if stats.effective_share < self.config.learner.staleness.min_effective_share {
             let share = stats.effective_share;
             self.reporter.warn(format!(
-                "the data is stale: effective sample share {share:.2}; the learning rate was halved for this batch"
+                "the data is stale: effective sample share {share:.2}; the steps with this batch were shorter"
             ));
         }
         state.not_finite = if stats.updates == 0 {
@@ -348,13 +360,17 @@ impl Run<'_> {
     fn first_policy(&mut self, scaling: &Scaling) -> Result<PolicyFile, LearnerError> {
         let policy = self.export(scaling)?;
         let before = std::fs::read(self.policy_path()).ok();
-        let before = before.and_then(|bytes| PolicyFile::parse(Arc::from(bytes)).ok());
-        let Some(before) = before.filter(|before| before.metadata().run_id == self.identity.run_id)
-        else {
+        let before = before
+            .and_then(|bytes| PolicyFile::parse(Arc::from(bytes)).ok())
+            .filter(|before| before.metadata().run_id == self.identity.run_id);
+        let now = policy.metadata().version;
+        let in_folder = before.as_ref().map(|before| before.metadata().version);
+        let noted = self.versions.as_ref().and_then(Versions::highest);
+        let Some(then) = in_folder.max(noted).filter(|then| *then >= now) else {
             return Ok(policy);
         };
-        let (now, then) = (policy.metadata().version, before.metadata().version);
-        if then < now || before.sha256() == policy.sha256() {
+        let same = before.is_some_and(|before| before.sha256() == policy.sha256());
+        if then == now && same {
             return Ok(policy);
         }
         self.progress.version_offset += then + 1 - now;
@@ -368,15 +384,21 @@ impl Run<'_> {
 
     /// Makes `policy` the one that actors use.
     fn announce(&mut self, policy: &PolicyFile) -> Result<(), LearnerError> {
+        let began_ns = now_ns();
         let (version, sha256) = (policy.metadata().version, policy.sha256());
+        if let Some(versions) = &mut self.versions {
+            versions.before(version)?;
+        }
         self.collector.policy_published(version, sha256);
         let bytes = policy.bytes().clone();
-        Ok(self.link.publish_policy(PolicyUpdate {
+        self.link.publish_policy(PolicyUpdate {
             version,
             sha256,
             bytes,
             control: Control::Run,
-        })?)
+        })?;
+        self.traces.handed_out(version, sha256, began_ns);
+        Ok(())
     }
 
     /// To the run folder and, in the background, to the policy server.
@@ -508,6 +530,7 @@ impl Run<'_> {
                 .and_then(|checkpoint| self.save(&checkpoint));
             note(saved.map(|folder| state.saved = Some((iteration, folder))));
         }
+        self.traces.complete();
         note(self.publish(&state.policy));
         let stop = PolicyUpdate {
             version: state.policy.metadata().version,
@@ -519,6 +542,9 @@ impl Run<'_> {
         let (link, metrics) = (self.link.as_mut(), &self.reporter.metrics);
         drain(&mut self.collector, link, self.fleet.as_ref(), metrics);
         self.fleet = None;
+        if let Some(versions) = &mut self.versions {
+            note(versions.at_the_end(state.policy.metadata().version));
+        }
         for ledger in caudata_actor::ledgers_in(&ledger_folder(&self.run_dir)) {
             let actor = (ledger.actor_id, ledger.incarnation);
             self.collector.accounting_mut().ledger(actor, ledger.sent);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use caudata_actor::{encode_transport, transport_of};
+use caudata_actor::{encode_transport, tracer_of, transport_of};
 use caudata_config::{Config, TransportKind};
 use caudata_model::RobotModel;
 use caudata_proto::DecodeLimits;
@@ -21,6 +21,8 @@ use super::metrics::LearnerMetrics;
 use super::report::Reporter;
 use super::resume::{self, Resume};
 use super::run::{Progress, Run};
+use super::traces::Traces;
+use super::versions::Versions;
 use crate::LearnerError;
 use crate::batch::{Accounting, Collector, CollectorSettings};
 use crate::checkpoint::{CheckpointState, CheckpointStore, EpisodeWindow};
@@ -132,6 +134,14 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
             Publisher::start_with(address, stream, config.cluster.certificates())
         })
         .transpose()?;
+    let tracer = tracer_of(
+        config,
+        "caudata-learner",
+        "learner".to_owned(),
+        &settings.run_id,
+        &settings.metrics,
+    )
+    .map_err(|error| LearnerError::setting(error.to_string()))?;
     let hub = match &transport {
         TransportConfig::Inproc(inproc) => Some(InprocHub::new(inproc)?),
         _ => None,
@@ -144,10 +154,15 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         .as_ref()
         .map(|hub| {
             let accounting = collector.accounting();
-            Fleet::start(&settings, &model, hub, accounting, &snapshots)
+            Fleet::start(&settings, &model, hub, accounting, &snapshots, &tracer)
         })
         .transpose()?;
 
+    // The actors of this process end with it, and no version that only they have seen is seen again.
+    let versions = match &fleet {
+        Some(_) => None,
+        None => Some(Versions::open(&settings.run_dir, &settings.run_id)?),
+    };
     let metrics = LearnerMetrics::register(&settings.metrics);
     let mut reporter = Reporter::new(&settings.run_dir, settings.events, metrics);
     reporter.event(&Event::Started(Started {
@@ -184,6 +199,8 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         publisher,
         reporter,
         progress: progress.0,
+        traces: Traces::new(tracer),
+        versions,
         began: Instant::now(),
     };
     run.train()

@@ -6,7 +6,7 @@ use super::check::{self, dimension, length, product};
 use super::tensors::{self, Tensors};
 use super::{
     ActorBye, ActorHello, DecodeError, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
-    Moments, ROLLOUT_PROTOCOL, RolloutChunk,
+    Moments, ROLLOUT_PROTOCOL, RolloutChunk, TraceContext,
 };
 use crate::wire::rollout as pb;
 
@@ -167,6 +167,7 @@ fn head_to_wire(chunk: &RolloutChunk) -> pb::RolloutChunk {
             mean: from_f64(&chunk.moments.mean),
             m2: from_f64(&chunk.moments.m2),
         }),
+        trace: chunk.trace.map_or_else(Vec::new, TraceContext::to_wire),
         ..pb::RolloutChunk::default()
     }
 }
@@ -210,6 +211,7 @@ fn chunk_from_wire(
             mean: to_f64("moments.mean", &moments.mean)?,
             m2: to_f64("moments.m2", &moments.m2)?,
         },
+        trace: TraceContext::from_wire(&chunk.trace)?,
     })
 }
 

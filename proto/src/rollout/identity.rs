@@ -2,7 +2,7 @@
 
 use prost::Message;
 
-use super::check;
+use super::{TraceContext, check};
 
 /// Which chunk of which actor a frame says it is.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -15,6 +15,8 @@ pub struct ChunkIdentity {
     pub incarnation: u64,
     /// Which chunk of that incarnation.
     pub sequence: u64,
+    /// Where it belongs in a trace, if it is traced.
+    pub trace: Option<TraceContext>,
 }
 
 /// Says whose chunk a frame is without decoding the rest, for a frame that [`super::decode`]
@@ -28,6 +30,8 @@ pub fn chunk_identity(frame: &[u8]) -> Option<ChunkIdentity> {
         actor_id: head.actor_id,
         incarnation: head.incarnation,
         sequence: head.sequence,
+        // What is no trace is none: nothing depends on it.
+        trace: TraceContext::from_wire(&head.trace).ok().flatten(),
     })
 }
 
@@ -49,4 +53,6 @@ struct Head {
     incarnation: u64,
     #[prost(uint64, tag = "4")]
     sequence: u64,
+    #[prost(bytes = "vec", tag = "23")]
+    trace: Vec<u8>,
 }

@@ -11,10 +11,12 @@ mod identity;
 mod tensors;
 #[cfg(test)]
 mod tests;
+mod trace;
 
 pub use codec::{decode, encode, frame_bytes_bound};
 pub use error::{DecodeError, REASON_IDS};
 pub use identity::{ChunkIdentity, chunk_identity};
+pub use trace::TraceContext;
 
 /// Version of the meaning of the rollout frames; a frame of any other is refused.
 pub const ROLLOUT_PROTOCOL: u32 = 1;
@@ -110,6 +112,8 @@ pub struct RolloutChunk {
     pub episodes: Vec<EpisodeSummary>,
     /// Statistics of the first T rows of `observations`.
     pub moments: Moments,
+    /// Where the chunk belongs in a trace, if it is traced. Nothing that is learnt depends on it.
+    pub trace: Option<TraceContext>,
 }
 
 /// The last observation of an episode that its time limit cut off.

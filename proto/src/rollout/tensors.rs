@@ -73,6 +73,19 @@ fn fields<'a>(
     Ok(())
 }
 
+/// Appends numbers, little-endian. By blocks that stay in the cache: room that was filled with zeros first would be written twice.
+fn push_floats(frame: &mut Vec<u8>, values: &[f32]) {
+    const BLOCK: usize = 1024;
+    let mut block = [[0; 4]; BLOCK];
+    for values in values.chunks(BLOCK) {
+        let block = &mut block[..values.len()];
+        for (out, value) in block.iter_mut().zip(values) {
+            *out = value.to_le_bytes();
+        }
+        frame.extend_from_slice(block.as_flattened());
+    }
+}
+
 /// The frame of a chunk whose other fields are `head`.
 pub(super) fn join(head: &[u8], chunk: &RolloutChunk) -> Vec<u8> {
     let floats = [
@@ -103,11 +116,7 @@ pub(super) fn join(head: &[u8], chunk: &RolloutChunk) -> Vec<u8> {
     for (tag, values) in (FIRST..).zip(floats) {
         encode_key(tag, WireType::LengthDelimited, &mut frame);
         encode_varint(values.len() as u64 * 4, &mut frame);
-        let start = frame.len();
-        frame.resize(start + values.len() * 4, 0);
-        for (out, value) in frame[start..].chunks_exact_mut(4).zip(values) {
-            out.copy_from_slice(&value.to_le_bytes());
-        }
+        push_floats(&mut frame, values);
     }
     for (tag, values) in (FIRST + floats.len() as u32..).zip(flags) {
         encode_key(tag, WireType::LengthDelimited, &mut frame);

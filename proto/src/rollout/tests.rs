@@ -64,6 +64,10 @@ fn chunk() -> RolloutChunk {
             mean: vec![0.1, 0.2, 0.3, 0.4],
             m2: vec![1.0, 0.0, 2.5, 1e-3],
         },
+        trace: Some(TraceContext {
+            trace: [0xa5; 16],
+            span: [1, 2, 3, 4, 5, 6, 7, 8],
+        }),
     }
 }
 
@@ -126,6 +130,7 @@ fn a_refused_chunk_still_says_whose_it_is() {
     assert_eq!(identity.run_id, "2026-01-01_quick");
     let numbers = (identity.actor_id, identity.incarnation, identity.sequence);
     assert_eq!(numbers, (7, 3, u64::MAX));
+    assert_eq!(identity.trace, poisoned.trace);
     let cut = &frame(&chunk())[..300];
     assert_eq!(chunk_identity(cut), None);
     poisoned.run_id = "forged\nline".into();
@@ -348,6 +353,10 @@ fn what_is_not_a_chunk_of_this_protocol_is_refused() {
     assert_eq!(empty.reason_id(), "missing");
     assert_eq!(refused_on_wire(|c| c.moments = None).reason_id(), "missing");
     assert_eq!(
+        refused_on_wire(|c| c.trace.truncate(23)).reason_id(),
+        "length"
+    );
+    assert_eq!(
         refused_on_wire(|c| c.policy_sha256.truncate(31)).reason_id(),
         "hash_length"
     );
@@ -453,6 +462,7 @@ prop_compose! {
                 mean: vec![0.5; obs_dim],
                 m2: vec![0.25; obs_dim],
             },
+            trace: None,
             observations, actions, rewards,
         }
     }

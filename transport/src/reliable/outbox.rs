@@ -88,6 +88,11 @@ impl Outbox {
             .is_some_and(|heard| now.duration_since(heard) < self.peer_timeout)
     }
 
+    /// When a learner answered last.
+    pub(crate) fn last_heard(&self) -> Option<Instant> {
+        self.heard
+    }
+
     /// Frames taken and not acknowledged.
     pub(crate) fn depth(&self) -> usize {
         self.frames.len()

@@ -1,13 +1,14 @@
-//! The actor's end over zenoh: one thread opens the session, then pulls policies.
+//! The actor's end over zenoh: one thread opens the session, opens another beside it when nobody answers, and pulls policies.
 
-use std::sync::{Arc, OnceLock};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use zenoh::handlers::FifoChannel;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
+use super::reconnect::Reconnect;
 use super::{PieceRequest, access, down_key, policy_key, session, up_key};
 use crate::actor_core::{ActorCore, RemoteActor, Uplink};
 use crate::reliable::{PolicyHead, PolicyId, Status, UpHead};
@@ -15,6 +16,8 @@ use crate::{ActorLink, PolicyUpdate, TransportError, ZenohConfig, identity};
 
 /// Pause between attempts to open the session while nobody answers, and after a piece that did not come.
 const RETRY: Duration = Duration::from_millis(100);
+/// Sessions that may be closing at once. Each takes zenoh some seconds at most; more of them than this means that it does not let go.
+const CLOSING_MAX: usize = 16;
 
 /// An actor's end of `run_id`.
 pub(crate) fn actor(
@@ -28,7 +31,7 @@ pub(crate) fn actor(
     let core = ActorCore::new(link, &config.limits);
     let uplink = Arc::new(ZenohUplink {
         key: up_key(run_id, &format!("{link:x}")),
-        session: OnceLock::new(),
+        session: Mutex::default(),
     });
     let puller = Puller {
         core: Arc::clone(&core),
@@ -36,6 +39,7 @@ pub(crate) fn actor(
         down_key: down_key(run_id, link),
         policy_key: policy_key(run_id),
         config: config.clone(),
+        link,
     };
     let thread = core.spawn("caudata-pull", move || puller.run(&endpoints))?;
     Ok(Box::new(RemoteActor::start(core, uplink, vec![thread])?))
@@ -44,13 +48,26 @@ pub(crate) fn actor(
 struct ZenohUplink {
     key: String,
     /// Empty until somebody has answered for the first time.
-    session: OnceLock<Session>,
+    session: Mutex<Option<Session>>,
+}
+
+impl ZenohUplink {
+    fn session(&self) -> Option<Session> {
+        let place = self.session.lock().unwrap_or_else(PoisonError::into_inner);
+        place.clone()
+    }
+
+    /// Puts another session in place, and gives back the one before.
+    fn replace(&self, session: Option<Session>) -> Option<Session> {
+        let mut place = self.session.lock().unwrap_or_else(PoisonError::into_inner);
+        std::mem::replace(&mut place, session)
+    }
 }
 
 impl Uplink for ZenohUplink {
     /// Blocks while the connection is congested, which holds up this link's transmitting thread only.
     fn transmit(&self, head: &UpHead, frame: &Arc<[u8]>) -> bool {
-        let Some(session) = self.session.get() else {
+        let Some(session) = self.session() else {
             return false;
         };
         let put = session
@@ -64,7 +81,7 @@ impl Uplink for ZenohUplink {
 
 impl Drop for ZenohUplink {
     fn drop(&mut self) {
-        if let Some(session) = self.session.take() {
+        if let Some(session) = self.replace(None) {
             session::close(session);
         }
     }
@@ -77,21 +94,39 @@ struct Puller {
     down_key: String,
     policy_key: String,
     config: ZenohConfig,
+    /// Number of this link.
+    link: u64,
 }
 
 impl Puller {
     fn run(&self, endpoints: &[String]) {
-        let Some(session) = self.open_until_closed(endpoints) else {
+        let Some(mut session) = self.open_until_closed(endpoints) else {
             return;
         };
-        let session = self.uplink.session.get_or_init(|| session);
+        self.uplink.replace(Some(session.clone()));
+        let closing = Arc::new(());
+        let mut reconnect = Reconnect::new(&self.core.limits, self.link, Instant::now());
         let mut have = None;
         while !self.core.crew.is_closing() {
+            reconnect.heard(self.core.outbox().last_heard());
+            if reconnect.is_due(Instant::now()) {
+                if Arc::strong_count(&closing) > CLOSING_MAX {
+                    self.core
+                        .fail("zenoh does not let go of its connections".to_owned());
+                    return;
+                }
+                if let Some(anew) = self.open_beside(endpoints) {
+                    let before = std::mem::replace(&mut session, anew);
+                    self.uplink.replace(Some(session.clone()));
+                    session::close_in_background(before, Arc::clone(&closing));
+                }
+                reconnect.tried(Instant::now());
+            }
             let heartbeat = self.core.limits.heartbeat();
             let Some(news) = self.core.wait_for_policy_news(have, heartbeat) else {
                 continue;
             };
-            match self.pull(session, news) {
+            match self.pull(&session, news) {
                 Ok(Some((got, update))) => {
                     have = Some(got);
                     self.core.policy.replace(update);
@@ -111,6 +146,22 @@ impl Puller {
             std::thread::sleep(RETRY);
         }
         None
+    }
+
+    /// Another session beside the one that nobody answers on. zenoh reconnects by itself, but over QUIC only after the lease, and it has
+    /// open faults there (eclipse-zenoh/zenoh#1876, #1886). The old session stays until this one is open: a learner that
+    /// merely stands still answers on it when it goes on.
+    fn open_beside(&self, endpoints: &[String]) -> Option<Session> {
+        match self.open(endpoints) {
+            Ok(session) => {
+                tracing::info!("nobody answered; connected anew");
+                Some(session)
+            }
+            Err(error) => {
+                tracing::debug!(%error, "nobody answers, on a new connection neither");
+                None
+            }
+        }
     }
 
     fn open(&self, endpoints: &[String]) -> Result<Session, TransportError> {
@@ -171,15 +222,25 @@ impl Puller {
         Ok(None)
     }
 
+    /// A piece of the policy; `None` when it does not come within the peer time-out, or the learner has fallen silent.
     fn ask(&self, session: &Session, request: &PieceRequest) -> Option<(PolicyHead, Vec<u8>)> {
+        let limits = &self.core.limits;
         let replies = session
             .get(&self.policy_key)
             .payload(request.encode())
-            .timeout(self.core.limits.peer_timeout())
+            .timeout(limits.peer_timeout())
             .with(FifoChannel::new(1))
             .wait()
             .ok()?;
-        let reply = replies.recv().ok()?.into_result().ok()?;
+        let reply = loop {
+            match replies.recv_timeout(limits.heartbeat()).ok()? {
+                Some(reply) => break reply.into_result().ok()?,
+                None if super::reconnect::is_silent(limits, self.core.outbox().last_heard()) => {
+                    return None;
+                }
+                None => {}
+            }
+        };
         let message = reply.payload().to_bytes();
         let (head, piece) = PolicyHead::decode(&message)?;
         Some((head, piece.to_vec()))

@@ -12,6 +12,7 @@
 mod access;
 mod actor;
 mod learner;
+mod reconnect;
 mod session;
 
 pub(crate) use actor::actor;

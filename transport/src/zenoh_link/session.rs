@@ -1,7 +1,7 @@
 //! zenoh's settings, every one that matters written out: no scouting, no defaults without a bound.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, ToSocketAddrs, UdpSocket};
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use zenoh::{Config, Session, Wait};
@@ -38,14 +38,35 @@ pub(super) fn close(session: Session) {
         // Nobody listens any more when it took too long.
         let _ = done.send(result);
     };
-    let thread = std::thread::Builder::new().name("caudata-close".to_owned());
-    if let Err(error) = thread.spawn(body) {
-        tracing::debug!(%error, "no thread to close the zenoh session on");
+    if !spawn_closing(body) {
         return;
     }
     match closed.recv_timeout(CLOSE_WAIT) {
         Ok(Ok(())) => {}
         other => tracing::debug!(?other, "closing the zenoh session"),
+    }
+}
+
+/// Closes a session that another one has taken the place of, without waiting. `count` is held until it is closed.
+pub(super) fn close_in_background(session: Session, count: Arc<()>) {
+    let body = move || {
+        if let Err(error) = session.close().wait() {
+            tracing::debug!(%error, "closing a zenoh session that nobody answered on");
+        }
+        drop(session);
+        drop(count);
+    };
+    spawn_closing(body);
+}
+
+fn spawn_closing(body: impl FnOnce() + Send + 'static) -> bool {
+    let thread = std::thread::Builder::new().name("caudata-close".to_owned());
+    match thread.spawn(body) {
+        Ok(_) => true,
+        Err(error) => {
+            tracing::debug!(%error, "no thread to close the zenoh session on");
+            false
+        }
     }
 }
 

@@ -1,5 +1,7 @@
 //! What holds between processes: deaths, restarts, standstills. They happen to real processes.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use caudata_transport::{
     Control, Limits, SendError, TransportConfig, ZenohConfig, actor_link, clean_up, learner_link,
 };
@@ -162,6 +164,53 @@ pub fn actors_find_a_restarted_learner(kind: Kind) {
     if let Some(residue) = residue {
         residue.assert_none();
     }
+}
+
+/// The learner is killed while three actors send as fast as they can, and another is there at once, before anyone has missed it: three times
+/// over every actor finds the next one, and each frame that is read follows the one before.
+pub fn actors_find_a_learner_that_is_killed_under_load_and_back_at_once(kind: Kind) {
+    const ACTORS: u64 = 3;
+    let config = remote(kind, limits());
+    let run_id = fresh_run_id();
+    let (mut learner, actor_config) = start_learner(&run_id, &config);
+    let again = same_address(&config, &actor_config);
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for sender in 0..ACTORS {
+            let mut actor = actor_link(&actor_config, &run_id, sender as u32).unwrap();
+            let stop = &stop;
+            scope.spawn(move || {
+                let mut number = 1;
+                while !stop.load(Ordering::Relaxed) {
+                    match actor.send(&frame(label(sender, number), 60_000), ATTEMPT) {
+                        Ok(()) => number += 1,
+                        Err(SendError::Full { .. } | SendError::Disconnected { .. }) => {}
+                        Err(error) => panic!("send: {error}"),
+                    }
+                }
+            });
+        }
+        for _ in 0..3 {
+            // The helper prints numbers only; so many in a row are of more than one actor.
+            for _ in 0..100 {
+                learner.line("frame ");
+            }
+            learner.kill();
+            learner = start_learner(&run_id, &again).0;
+        }
+        learner.kill();
+        let mut last = learner_link(&again, &run_id).unwrap();
+        let mut ledger = Ledger::default();
+        wait_until("every actor", || {
+            let label = check(&recv(&mut *last).bytes);
+            ledger.follows(label);
+            (0..ACTORS).all(|sender| ledger.count(sender, 1) > 0)
+        });
+        stop.store(true, Ordering::Relaxed);
+        // Whoever waits for room may go on.
+        while last.recv(ATTEMPT).unwrap().is_some() {}
+    });
+    clean_up(&config, &run_id).unwrap();
 }
 
 pub fn same_address(config: &TransportConfig, actor_config: &TransportConfig) -> TransportConfig {

@@ -106,7 +106,17 @@ impl Ledger {
         label
     }
 
-    /// How many came from this sender in this incarnation.
+    /// As [`Self::take`], when what came before the first frame went to somebody else.
+    pub fn follows(&mut self, label: Label) {
+        let key = (label.sender, label.incarnation);
+        let last = self.last.insert(key, label.number);
+        assert!(
+            last.is_none_or(|last| label.number == last + 1),
+            "{label:?}"
+        );
+    }
+
+    /// The number of the last frame, or how many came from this sender in this incarnation.
     pub fn count(&self, sender: u64, incarnation: u64) -> u64 {
         let count = self.last.get(&(sender, incarnation));
         count.copied().unwrap_or_default()

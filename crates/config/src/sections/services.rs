@@ -128,6 +128,11 @@ pub struct TelemetryConfig {
     pub log_format: LogStyle,
     /// What they log, for instance `info` or `warn,caudata_learner=debug`.
     pub log: String,
+    /// Where traces go: an OpenTelemetry collector's OTLP/gRPC port, `http://HOST:PORT` on this host (usually 4317), or `https://HOST:PORT` with
+    /// the certificates of `cluster.tls_dir`. Empty: nothing is traced. A collector that is away costs spans, not time.
+    pub otlp_endpoint: String,
+    /// Every so many policy versions one is traced. 1 to 1,000,000. A traced version makes a handful of spans per chunk.
+    pub trace_every: u32,
 }
 
 impl Default for TelemetryConfig {
@@ -137,6 +142,8 @@ impl Default for TelemetryConfig {
             metrics_addr: any_local_port(),
             log_format: LogStyle::Auto,
             log: "info".into(),
+            otlp_endpoint: String::new(),
+            trace_every: 1,
         }
     }
 }

@@ -1,8 +1,9 @@
-//! Chaos: a cluster of real processes on this machine whose actors, learner, policy server and network fail at random, and whose
-//! books must add up to the last chunk when it ends. Prints how fast it recovers.
+//! Chaos: a cluster of real processes whose actors, learner and network fail at random; whose books must add up to the last chunk
+//! when it ends, and whose policy must be as good as that of undisturbed runs. Prints how fast it recovers.
 //!
 //! Two actors run beside the learner (`caudata up`), two come from elsewhere (`caudata actors`) over QUIC with certificates, through a
-//! proxy that cuts, delays and loses datagrams. `CAUDATA_CHAOS_SECONDS` (default 60) and `CAUDATA_CHAOS_SEED` (default 1) change it.
+//! proxy that cuts, delays and loses datagrams. As root the two sides are in network namespaces of their own, which nothing joins but
+//! that proxy. `CAUDATA_CHAOS_SECONDS` (default 15; the long one 600) and `CAUDATA_CHAOS_SEED` (default 1) change it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -10,126 +11,35 @@
     clippy::print_stdout
 )]
 
-use std::collections::HashMap;
+mod network;
+
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
-use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::sync_channel;
-use std::sync::{Arc, Mutex};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use caudata_tests::{command, json_file};
+use caudata_tests::{command, json_file, skipped};
+use network::{Weather, World, proxy};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 
 /// Longest wait for anything. Only a hang reaches it.
-const PATIENCE: Duration = Duration::from_secs(120);
+const PATIENCE: Duration = Duration::from_secs(300);
 /// Iterations that make a median pace.
 const PACE_OVER: usize = 20;
 /// Kills of the learner that its supervisor forgives in a minute, less one.
 const LEARNER_KILLS_PER_MINUTE: usize = 3;
-/// Datagrams that may be on their way through the proxy; more are lost, as in a full router.
-const ON_THE_WAY_MAX: usize = 4096;
+/// Undisturbed runs that the disturbed one is held against.
+const SEEDS: u64 = 3;
+/// Iterations over which rewards are compared: two episodes of 1,000 steps, so that it does not matter when they began.
+const LATE: usize = 125;
 
-// The network between the learner and the actors from elsewhere.
-
-/// What the proxy does to datagrams.
-#[derive(Default)]
-struct Weather {
-    cut: AtomicBool,
-    /// Of a hundred, so many are lost.
-    loss_percent: AtomicU64,
-    /// One way, ms.
-    delay_ms: AtomicU64,
-    passed: AtomicU64,
-    lost: AtomicU64,
-}
-
-impl Weather {
-    fn fair(&self) {
-        self.cut.store(false, Ordering::Relaxed);
-        self.loss_percent.store(0, Ordering::Relaxed);
-        self.delay_ms.store(0, Ordering::Relaxed);
-    }
-}
-
-/// A way for datagrams in one direction: those that survive the weather go out later, in order.
-fn way(
-    weather: Arc<Weather>,
-    seed: u64,
-    send: impl Fn(&[u8]) + Send + 'static,
-) -> impl FnMut(&[u8]) {
-    let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(ON_THE_WAY_MAX);
-    std::thread::spawn(move || {
-        for (at, datagram) in due {
-            std::thread::sleep(at.saturating_duration_since(Instant::now()));
-            send(&datagram);
-        }
-    });
-    let mut dice = Dice(seed);
-    move |datagram| {
-        let loss = weather.loss_percent.load(Ordering::Relaxed);
-        let lost = weather.cut.load(Ordering::Relaxed) || dice.below(100) < loss;
-        let delay = Duration::from_millis(weather.delay_ms.load(Ordering::Relaxed));
-        let taken = !lost
-            && sender
-                .try_send((Instant::now() + delay, datagram.to_vec()))
-                .is_ok();
-        let counter = if taken {
-            &weather.passed
-        } else {
-            &weather.lost
-        };
-        counter.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-/// Hands a datagram of one client on.
-type Way = Box<dyn FnMut(&[u8])>;
-
-/// Starts the proxy; its threads end with the test process. Returns its port.
-fn proxy(target: SocketAddr, weather: &Arc<Weather>) -> u16 {
-    let near = Arc::new(UdpSocket::bind(SocketAddr::new(target.ip(), 0)).unwrap());
-    let port = near.local_addr().unwrap().port();
-    let weather = Arc::clone(weather);
-    std::thread::spawn(move || {
-        let mut ways: HashMap<SocketAddr, Way> = HashMap::new();
-        let mut datagram = vec![0; 1 << 16];
-        loop {
-            // A datagram for a socket that is gone makes the next call fail.
-            let Ok((bytes, from)) = near.recv_from(&mut datagram) else {
-                continue;
-            };
-            let count = ways.len() as u64;
-            let way_in = ways.entry(from).or_insert_with(|| {
-                let far = Arc::new(UdpSocket::bind(SocketAddr::new(target.ip(), 0)).unwrap());
-                far.connect(target).unwrap();
-                let (back, forth, home) = (Arc::clone(&far), Arc::clone(&far), Arc::clone(&near));
-                let mut way_out = way(Arc::clone(&weather), 2 * count + 1, move |bytes| {
-                    let _ = home.send_to(bytes, from);
-                });
-                std::thread::spawn(move || {
-                    let mut datagram = vec![0; 1 << 16];
-                    loop {
-                        match back.recv(&mut datagram) {
-                            Ok(bytes) => way_out(&datagram[..bytes]),
-                            // Nobody listens there just now.
-                            Err(_) => std::thread::sleep(Duration::from_millis(1)),
-                        }
-                    }
-                });
-                Box::new(way(Arc::clone(&weather), 2 * count + 2, move |bytes| {
-                    let _ = forth.send(bytes);
-                }))
-            });
-            way_in(&datagram[..bytes]);
-        }
-    });
-    port
-}
+/// Each of them wants the machine for itself.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// xorshift64*: repeats with its seed.
 struct Dice(u64);
@@ -188,25 +98,36 @@ struct Cluster {
     far: Running,
     events: Events,
     weather: Arc<Weather>,
+    elsewhere: World,
 }
+
+/// What is trained: small enough for many iterations a second.
+const TASK: [&str; 9] = [
+    "actors.count=4",
+    "actors.lanes=8",
+    "actors.chunk_steps=16",
+    "actors.max_lead=1",
+    "learner.network.policy_hidden=[32]",
+    "learner.network.value_hidden=[32]",
+    "learner.ppo.minibatches=2",
+    "learner.checkpoint_every=25",
+    "telemetry.metrics=false",
+];
+
+/// Of a full batch of [`TASK`].
+const STEPS_PER_ITERATION: u64 = 4 * 8 * 16;
 
 /// The cluster's flags, for both commands.
 fn flags(folder: &Path, listen: u16) -> Vec<String> {
     let mut flags: Vec<String> = ["--preset", "quick"].map(str::to_owned).to_vec();
+    for set in TASK {
+        flags.extend(["--set".to_owned(), set.to_owned()]);
+    }
     let sets = [
         "run.iterations=10000000".to_owned(),
-        "actors.count=4".to_owned(),
-        "actors.lanes=8".to_owned(),
-        "actors.chunk_steps=16".to_owned(),
-        "actors.max_lead=1".to_owned(),
         "actors.restarts_per_minute=60".to_owned(),
         "actors.policy_timeout_s=120".to_owned(),
-        "learner.network.policy_hidden=[32]".to_owned(),
-        "learner.network.value_hidden=[32]".to_owned(),
-        "learner.ppo.minibatches=2".to_owned(),
-        "learner.checkpoint_every=25".to_owned(),
         "learner.batch_timeout_s=5".to_owned(),
-        "telemetry.metrics=false".to_owned(),
         "transport.kind=zenoh".to_owned(),
         format!("transport.zenoh_listen=[\"quic/localhost:{listen}\"]"),
         "cluster.run_id=chaos".to_owned(),
@@ -220,7 +141,7 @@ fn flags(folder: &Path, listen: u16) -> Vec<String> {
 }
 
 impl Cluster {
-    fn start(folder: &Path) -> Self {
+    fn start(folder: &Path, [here, elsewhere]: [World; 2]) -> Self {
         let pki = folder.join("pki").display().to_string();
         let run = |args: &[&str]| {
             let output = command("caudata", args).unwrap().output().unwrap();
@@ -241,19 +162,17 @@ impl Cluster {
                 "localhost",
             ]);
         }
-        let any: SocketAddr = "localhost:0".to_socket_addrs().unwrap().next().unwrap();
-        let target = UdpSocket::bind(any).unwrap().local_addr().unwrap();
+        let here = Arc::new(here);
+        let target = here.socket().local_addr().unwrap();
         let weather = Arc::<Weather>::default();
-        let port = proxy(target, &weather);
+        let port = proxy(&elsewhere, Arc::clone(&here), target, &weather);
 
         let mut up = command("caudata", &["up", "--json", "--actors", "2"]).unwrap();
-        let mut up = up
-            .args(flags(folder, target.port()))
+        up.args(flags(folder, target.port()))
             .args(["--set", &format!("cluster.tls_dir={pki}/learner")])
             .stdout(Stdio::piped())
-            .stderr(std::fs::File::create(folder.join("up.log")).unwrap())
-            .spawn()
-            .unwrap();
+            .stderr(std::fs::File::create(folder.join("up.log")).unwrap());
+        let mut up = here.run(move || up.spawn().unwrap());
         let events = Events::default();
         let (stdout, heard) = (up.stdout.take().unwrap(), Arc::clone(&events));
         std::thread::spawn(move || {
@@ -262,20 +181,19 @@ impl Cluster {
                 heard.lock().unwrap().push((Instant::now(), event));
             }
         });
-        let far = command("caudata", &["actors", "--count", "2", "--name", "far"])
-            .unwrap()
-            .args(["--connect", &format!("quic/localhost:{port}")])
+        let mut far = command("caudata", &["actors", "--count", "2", "--name", "far"]).unwrap();
+        far.args(["--connect", &format!("quic/localhost:{port}")])
             .args(["--logs", &folder.join("far").display().to_string()])
             .args(flags(folder, target.port()))
             .args(["--set", &format!("cluster.tls_dir={pki}/actor")])
-            .stdout(std::fs::File::create(folder.join("far.log")).unwrap())
-            .spawn()
-            .unwrap();
+            .stdout(std::fs::File::create(folder.join("far.log")).unwrap());
+        let far = elsewhere.run(move || far.spawn().unwrap());
         Self {
             up: Running { child: up },
             far: Running { child: far },
             events,
             weather,
+            elsewhere,
         }
     }
 
@@ -283,6 +201,14 @@ impl Cluster {
         let mut all = self.up.children("caudata-actor");
         all.extend(self.far.children("caudata-actor"));
         all
+    }
+
+    fn wait_for_actors(&self) {
+        let began = Instant::now();
+        while self.actors().len() < 4 {
+            assert!(began.elapsed() < PATIENCE, "four actors");
+            std::thread::sleep(Duration::from_millis(100));
+        }
     }
 
     fn learner(&self) -> Option<Pid> {
@@ -408,7 +334,7 @@ fn strike(cluster: &Cluster, dice: &mut Dice, learner_kills: &mut Vec<Instant>) 
         // It may have ended by itself in between.
         pid.is_some_and(|pid| kill(pid, signal).is_ok())
     };
-    match dice.below(9) {
+    match dice.below(if cluster.elsewhere.is_apart() { 10 } else { 9 }) {
         0 | 1 => {
             let victim = somebody(dice);
             format!(
@@ -463,11 +389,18 @@ fn strike(cluster: &Cluster, dice: &mut Dice, learner_kills: &mut Vec<Instant>) 
             cluster.weather.fair();
             "30 % of all datagrams were lost".to_owned()
         }
-        _ => {
+        8 => {
             cluster.weather.delay_ms.store(200, Ordering::Relaxed);
             std::thread::sleep(Duration::from_secs(4));
             cluster.weather.fair();
             "200 ms of delay".to_owned()
+        }
+        _ => {
+            cluster.elsewhere.set_link("down");
+            let pause = Duration::from_secs(1 + dice.below(5));
+            std::thread::sleep(pause);
+            cluster.elsewhere.set_link("up");
+            format!("the interface of the other host was down for {pause:?}")
         }
     }
 }
@@ -496,53 +429,74 @@ fn variable(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().expect(name))
 }
 
-#[test]
-#[ignore = "long: a minute and a half, more with CAUDATA_CHAOS_SECONDS"]
-fn chaos_ends_with_books_that_add_up_and_nothing_left_behind() {
-    let seconds = variable("CAUDATA_CHAOS_SECONDS", 60);
-    let seed = variable("CAUDATA_CHAOS_SEED", 1);
-    println!("{seconds} s of chaos, seed {seed}");
-    let dir = tempfile::tempdir().unwrap();
-    let folder = dir.path();
-    let memory_before = shared_memory();
+/// The learner's host and another one. Says why they are not apart where they cannot be.
+fn worlds() -> [World; 2] {
+    match World::apart().and_then(|here| Ok([here, World::apart()?])) {
+        Ok(apart) => apart,
+        Err(why) => {
+            skipped(&format!(
+                "network namespaces ({why}); both sides share this machine's network"
+            ));
+            [World::ours(), World::ours()]
+        }
+    }
+}
+
+/// Four actors, all of which have been heard.
+fn start(folder: &Path) -> Cluster {
     let began = Instant::now();
-    let mut cluster = Cluster::start(folder);
+    let cluster = Cluster::start(folder, worlds());
     cluster.wait(began, "iteration", 20);
-    while cluster.actors().len() < 4 {
-        assert!(began.elapsed() < PATIENCE, "four actors");
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    cluster.wait_for_actors();
     cluster.wait(Instant::now(), "iteration", 50);
-    measured_deaths(&cluster);
+    cluster
+}
 
-    let mut dice = Dice(seed);
-    let mut learner_kills = vec![Instant::now()];
-    let (chaos, mut strikes) = (Instant::now(), 0);
-    while chaos.elapsed() < Duration::from_secs(seconds) {
-        let what = strike(&cluster, &mut dice, &mut learner_kills);
-        println!("{:6.1} s  {what}", chaos.elapsed().as_secs_f64());
-        strikes += 1;
-        std::thread::sleep(Duration::from_millis(500 + 250 * dice.below(6)));
-        assert!(
-            cluster.up.child.try_wait().unwrap().is_none(),
-            "`caudata up` ended: {}",
-            std::fs::read_to_string(folder.join("up.log")).unwrap()
-        );
-    }
-    // It recovers: all four are there again and it learns on.
-    let calm = Instant::now();
-    cluster.wait(calm, "iteration", 100);
-    println!(
-        "{strikes} strikes; 100 iterations in calm weather took {:.1} s",
-        calm.elapsed().as_secs_f64()
-    );
-    while cluster.actors().len() < 4 {
-        assert!(calm.elapsed() < PATIENCE, "four actors");
-        std::thread::sleep(Duration::from_millis(100));
-    }
+/// Mean reward per step over the last [`LATE`] iterations and over the first ones.
+fn late_and_early(rewards: &BTreeMap<u64, f64>) -> [f64; 2] {
+    let all: Vec<f64> = rewards.values().copied().collect();
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    let late = LATE.min(all.len());
+    [mean(&all[all.len() - late..]), mean(&all[..late / 4])]
+}
 
-    // Longer than `cluster.hang_timeout_s`: nobody stands still any more.
-    std::thread::sleep(Duration::from_secs(6));
+/// By iteration; one that was done again after a restart counts as it was done last.
+fn rewards<'a>(events: impl IntoIterator<Item = &'a Value>) -> BTreeMap<u64, f64> {
+    events
+        .into_iter()
+        .filter(|event| event["event"] == "iteration")
+        .map(|event| {
+            let iteration = event["iteration"].as_u64().unwrap();
+            (iteration, number(event, "mean_step_reward"))
+        })
+        .collect()
+}
+
+/// The same training in one process that nobody disturbs.
+fn undisturbed(folder: &Path, iterations: u64, seed: u64) -> [f64; 2] {
+    let mut learner = command("caudata-learner", &["--inproc", "--preset", "quick"]).unwrap();
+    for set in TASK {
+        learner.args(["--set", set]);
+    }
+    let output = learner
+        .args(["--set", &format!("run.iterations={iterations}")])
+        .args(["--set", &format!("run.seed={seed}")])
+        .args(["--run-id", "calm", "--log-filter", "error"])
+        .arg("--run-dir")
+        .arg(folder.join(format!("calm-{seed}")))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    let events: Vec<Value> = text
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    late_and_early(&rewards(&events))
+}
+
+/// Ends it in order; its books, which must add up to the last chunk, with nothing left behind.
+fn end(mut cluster: Cluster, folder: &Path, memory_before: &[String]) {
     kill(cluster.up.pid(), Signal::SIGTERM).unwrap();
     let up = cluster.up.child.wait().unwrap();
     // The learner's stop reaches the actors elsewhere too.
@@ -568,4 +522,99 @@ fn chaos_ends_with_books_that_add_up_and_nothing_left_behind() {
     drop(cluster);
     assert_eq!(processes_of(folder), Vec::<String>::new());
     assert_eq!(shared_memory(), memory_before);
+}
+
+fn chaos(seconds: u64) {
+    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let seconds = variable("CAUDATA_CHAOS_SECONDS", seconds);
+    let seed = variable("CAUDATA_CHAOS_SEED", 1);
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    let memory_before = shared_memory();
+    let mut cluster = start(folder);
+    println!(
+        "{seconds} s of chaos, seed {seed}, {}",
+        match cluster.elsewhere.is_apart() {
+            true => "in two network namespaces",
+            false => "on this machine's network",
+        }
+    );
+    let mut dice = Dice(seed);
+    let mut learner_kills = Vec::new();
+    let (chaos, mut strikes) = (Instant::now(), 0);
+    while chaos.elapsed() < Duration::from_secs(seconds) {
+        let what = strike(&cluster, &mut dice, &mut learner_kills);
+        println!("{:6.1} s  {what}", chaos.elapsed().as_secs_f64());
+        strikes += 1;
+        std::thread::sleep(Duration::from_millis(500 + 250 * dice.below(6)));
+        assert!(
+            cluster.up.child.try_wait().unwrap().is_none(),
+            "`caudata up` ended: {}",
+            std::fs::read_to_string(folder.join("up.log")).unwrap()
+        );
+    }
+    // It recovers: all four are there again and it learns on.
+    let calm = Instant::now();
+    cluster.wait(calm, "iteration", 100);
+    println!(
+        "{strikes} strikes; 100 iterations in calm weather took {:.1} s",
+        calm.elapsed().as_secs_f64()
+    );
+    cluster.wait_for_actors();
+    // Actors that were started again are past the beginning of their episodes.
+    cluster.wait(Instant::now(), "iteration", 2 * LATE);
+    // Longer than `cluster.hang_timeout_s`: nobody stands still any more.
+    std::thread::sleep(Duration::from_secs(6));
+    let (disturbed, steps) = {
+        let events = cluster.events.lock().unwrap();
+        let steps = events
+            .iter()
+            .filter_map(|(_, event)| event["steps_total"].as_u64())
+            .max();
+        (rewards(events.iter().map(|(_, event)| event)), steps)
+    };
+    end(cluster, folder, &memory_before);
+
+    // As much data; where actors were missing, batches were smaller.
+    let iterations = steps.unwrap() / STEPS_PER_ITERATION;
+    let [late, _] = late_and_early(&disturbed);
+    let calm: Vec<[f64; 2]> = (1..=SEEDS)
+        .map(|seed| undisturbed(folder, iterations, seed))
+        .collect();
+    let mean = |of: usize| calm.iter().map(|run| run[of]).sum::<f64>() / SEEDS as f64;
+    let (calm_late, calm_early) = (mean(0), mean(1));
+    let squares = calm.iter().map(|run| (run[0] - calm_late).powi(2));
+    let deviation = (squares.sum::<f64>() / (SEEDS - 1) as f64).sqrt();
+    println!(
+        "reward per step after {iterations} iterations' worth of data: {late:.4}; of {SEEDS} undisturbed runs {calm_late:.4} ± {deviation:.4} (at their beginning {calm_early:.4})"
+    );
+    // Three deviations of a run, and a twentieth of what there is to learn, because three runs say little about a deviation.
+    let noise = 3.0 * deviation + 0.05 * (calm_late - calm_early);
+    assert!(
+        late >= calm_late - noise,
+        "{late} is below {calm_late} by more than {noise}"
+    );
+}
+
+#[test]
+fn chaos_ends_with_books_that_add_up_and_nothing_left_behind() {
+    chaos(15);
+}
+
+#[test]
+#[ignore = "long: ten minutes and more"]
+fn chaos_for_ten_minutes() {
+    chaos(600);
+}
+
+/// Prints how long a run stands still when one of four actors dies, and when its learner does.
+#[test]
+fn a_dead_actor_and_a_dead_learner_are_replaced() {
+    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let dir = tempfile::tempdir().unwrap();
+    let memory_before = shared_memory();
+    let cluster = start(dir.path());
+    measured_deaths(&cluster);
+    cluster.wait_for_actors();
+    end(cluster, dir.path(), &memory_before);
 }

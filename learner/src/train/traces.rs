@@ -1,0 +1,155 @@
+//! What the learner adds to the traces: chunks that arrive, the batch, the update, and the policy version that comes of it.
+
+use caudata_proto::{RolloutChunk, TraceContext, chunk_identity};
+use caudata_traces::{Kind, Span, Tracer, Value, now_ns};
+
+/// Chunks that a batch names as its origin.
+const LINKS_MAX: usize = 256;
+
+/// The trace of the version that is current, and where spans go.
+pub(super) struct Traces {
+    tracer: Tracer,
+    current: Option<Current>,
+}
+
+/// A policy version that actors have been given.
+struct Current {
+    version: u64,
+    sha256: [u8; 32],
+    root: TraceContext,
+    began_ns: u64,
+    /// The batch that it was learnt from.
+    origin: Option<TraceContext>,
+    /// The batch that is learnt from now.
+    batch: Option<TraceContext>,
+}
+
+impl Traces {
+    pub fn new(tracer: Tracer) -> Self {
+        Self {
+            tracer,
+            current: None,
+        }
+    }
+
+    /// A frame has been taken in since `began_ns`; `outcome` is what became of it.
+    pub fn received(&self, frame: &[u8], began_ns: u64, outcome: &str) {
+        if self.tracer.is_off() {
+            return;
+        }
+        let Some(chunk) = chunk_identity(frame) else {
+            return;
+        };
+        let Some(collected) = chunk.trace else {
+            return;
+        };
+        self.tracer.record(Span {
+            name: "receive chunk",
+            kind: Kind::Consumer,
+            context: self.tracer.child_of(collected),
+            parent: Some(collected.span),
+            time_ns: [began_ns, now_ns()],
+            attributes: vec![
+                ("caudata.actor", u64::from(chunk.actor_id).into()),
+                ("caudata.incarnation", chunk.incarnation.into()),
+                ("caudata.sequence", chunk.sequence.into()),
+                ("caudata.bytes", frame.len().into()),
+                ("caudata.outcome", outcome.into()),
+            ],
+            links: Vec::new(),
+        });
+    }
+
+    /// A batch is complete; it was waited for since `began_ns`.
+    pub fn batch(&mut self, chunks: &[RolloutChunk], began_ns: u64) {
+        let Some(current) = &mut self.current else {
+            return;
+        };
+        let context = self.tracer.child_of(current.root);
+        current.batch = Some(context);
+        let oldest = chunks.iter().map(|chunk| chunk.policy_version).min();
+        let lag = oldest.map_or(0, |oldest| current.version.saturating_sub(oldest));
+        self.tracer.record(Span {
+            name: "batch",
+            kind: Kind::Internal,
+            context,
+            parent: Some(current.root.span),
+            time_ns: [began_ns, now_ns()],
+            attributes: vec![
+                ("caudata.chunks", chunks.len().into()),
+                ("caudata.lag_max", lag.into()),
+            ],
+            links: chunks
+                .iter()
+                .filter_map(|chunk| chunk.trace)
+                .take(LINKS_MAX)
+                .collect(),
+        });
+    }
+
+    /// Something was done with the batch since `began_ns`.
+    pub fn done(&self, name: &'static str, began_ns: u64, attributes: Vec<(&'static str, Value)>) {
+        let batch = self.current.as_ref().and_then(|current| current.batch);
+        let Some(batch) = batch else { return };
+        self.tracer.record(Span {
+            name,
+            kind: Kind::Internal,
+            context: self.tracer.child_of(batch),
+            parent: Some(batch.span),
+            time_ns: [began_ns, now_ns()],
+            attributes,
+            links: Vec::new(),
+        });
+    }
+
+    /// Actors are given another version, since `began_ns`: the trace of the one before is complete.
+    pub fn handed_out(&mut self, version: u64, sha256: [u8; 32], began_ns: u64) {
+        let root = TraceContext::of_policy(&sha256);
+        self.done(
+            "hand out policy",
+            began_ns,
+            vec![
+                ("caudata.policy_version", version.into()),
+                ("caudata.policy_sha256", hex(&sha256).as_str().into()),
+            ],
+        );
+        let origin = self.current.as_ref().and_then(|current| current.batch);
+        self.complete();
+        if self.tracer.is_traced(version) {
+            self.current = Some(Current {
+                version,
+                sha256,
+                root,
+                began_ns,
+                origin,
+                batch: None,
+            });
+        }
+    }
+
+    /// Tells the root span of the version that was current.
+    pub fn complete(&mut self) {
+        let Some(current) = self.current.take() else {
+            return;
+        };
+        self.tracer.record(Span {
+            name: "policy version",
+            kind: Kind::Internal,
+            context: current.root,
+            parent: None,
+            time_ns: [current.began_ns, now_ns()],
+            attributes: vec![
+                ("caudata.policy_version", current.version.into()),
+                (
+                    "caudata.policy_sha256",
+                    hex(&current.sha256).as_str().into(),
+                ),
+            ],
+            links: current.origin.into_iter().collect(),
+        });
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
