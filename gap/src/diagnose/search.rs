@@ -1,11 +1,14 @@
-//! The search for causes: add the best, refit all, try to delete, try to swap; a beam of candidates side by side.
+//! The search for causes: add the best, refit all, try to delete, try look-alikes; a beam of candidates side by side.
+//!
+//! Alone, look-alikes explain about the same: which of them it is shows when the next cause stands beside it. So where much is left, the look-alikes
+//! of what was found go on beside it, each in its place, and whatever is added to any of them is judged against the best so far.
 
 use std::collections::BTreeSet;
 
 use super::gates::{self, Worth};
 use super::refine::{Race, refine};
 use super::screen::{Screened, screen};
-use super::state::{Context, State};
+use super::state::{Context, State, builds_up};
 use super::{Progress, Stage};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
@@ -14,6 +17,12 @@ use crate::replay::{Term, Variant};
 const MOST_TERMS: usize = 7;
 /// Candidates that are kept side by side.
 const BEAM: usize = 2;
+/// Models with a look-alike in the place of one effect that go on beside them where much is left.
+const LOOK_ALIKES: usize = 3;
+/// Candidates that were fitted to a scout and are fitted to everything as well.
+const POLISHED: usize = 4;
+/// Steps of that.
+const POLISHING: usize = 2;
 /// Screened candidates that are fitted in earnest, per state.
 const FITTED: usize = 12;
 /// The same once something was found.
@@ -56,6 +65,8 @@ pub fn search(
 ) -> Result<Found, GapError> {
     let mut base = single(context, Vec::new())?;
     let mut beam = vec![base.clone()];
+    // how many at the end of the beam are look-alikes of the best
+    let mut alike = 0;
     let mut best = base.clone();
     let mut first = Vec::new();
     let mut singles: Vec<(State, Worth)> = Vec::new();
@@ -73,6 +84,7 @@ pub fn search(
         }
         let mut children: Vec<(State, Worth, usize)> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
+        let firsts = beam.len() - alike;
         for (number, parent) in beam.iter().enumerate() {
             progress(Progress::new(Stage::Screening, depth, &parent.label()));
             let screened = screen(context, parent)?;
@@ -81,7 +93,11 @@ pub fn search(
             progress(Progress::new(Stage::Fitting, depth, &parent.label()));
             for child in expand(context, parent, &chosen, &mut seen)? {
                 let place = child.terms.last().map(|t| &t.place);
-                let worth = gates::worth(context, parent, &child, place);
+                let mut worth = gates::worth(context, parent, &child, place);
+                if worth.passed && number >= firsts {
+                    // its parent was not better than the best; it has to be
+                    worth = gates::worth(context, &best, &child, place);
+                }
                 children.push((child, worth, number));
             }
             if depth == 1 {
@@ -131,6 +147,27 @@ pub fn search(
             // what is still to be found is small: one way is enough
             next.truncate(1);
         }
+        alike = 0;
+        if gates::worst(context, &best) >= super::verdict::QUIET && depth < MOST_TERMS {
+            let others = look_alikes(context, &base, &first, &best)?;
+            if let Some(other) = others.first()
+                && penalised(context, other) < penalised(context, &best)
+                && gates::worth(context, &best, other, None).low > 0.0
+            {
+                // it is the better name: the one that was found first becomes the look-alike
+                let earlier = std::mem::replace(&mut best, other.clone());
+                next.retain(|s| s.key() != earlier.key());
+                next.insert(0, best.clone());
+                context.find_basis(&mut next[0])?;
+            }
+            for mut state in others {
+                if next.iter().all(|s| s.key() != state.key()) {
+                    context.find_basis(&mut state)?;
+                    next.push(state);
+                    alike += 1;
+                }
+            }
+        }
         beam = next;
         progress(Progress::new(Stage::Accepted, depth, &best.label()));
     }
@@ -141,7 +178,13 @@ pub fn search(
         best = delete(context, best)?;
     }
     if !best.terms.is_empty() {
-        let polished = refine(context, vec![best.terms.clone()], Some(12), None)?;
+        let polished = refine(
+            context,
+            &context.fit,
+            vec![best.terms.clone()],
+            Some(12),
+            None,
+        )?;
         let polished = single(context, polished[0].0.clone())?;
         if polished.fit.misfit <= best.fit.misfit {
             best = polished;
@@ -172,6 +215,9 @@ fn rebase(
 ) -> Result<(), GapError> {
     context.fit.set_base(&context.replayer, terms)?;
     context.holdout.set_base(&context.replayer, terms)?;
+    if let Some(scout) = &mut context.scout {
+        scout.judge.set_base(&context.replayer, terms)?;
+    }
     reread(context, states)
 }
 
@@ -184,6 +230,9 @@ fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> 
             &context.holdout,
             std::mem::take(&mut state.holdout.prediction),
         );
+        if let (Some(scout), Some(on)) = (&context.scout, &mut state.scout) {
+            *on = super::state::On::new(&scout.judge, std::mem::take(&mut on.prediction));
+        }
         if had_basis {
             context.find_basis(state)?;
         }
@@ -253,7 +302,25 @@ fn expand(
         }
         number += 1;
     }
-    best_fits(context, variants, &of, number, parent.fit.misfit)
+    best_fits(context, variants, &of, number, Before::of(parent))
+}
+
+/// Misfit that fits begin with.
+#[derive(Clone, Copy)]
+struct Before {
+    /// Where candidates are looked at first.
+    look: f64,
+    /// On all runs to fit to.
+    fit: f64,
+}
+
+impl Before {
+    fn of(state: &State) -> Self {
+        Self {
+            look: state.on_scout().misfit,
+            fit: state.fit.misfit,
+        }
+    }
 }
 
 /// Fits and keeps the best of each group.
@@ -262,17 +329,100 @@ fn best_fits(
     variants: Vec<Variant>,
     of: &[usize],
     groups: usize,
-    from: f64,
+    before: Before,
 ) -> Result<Vec<State>, GapError> {
-    let fitted = refine(context, variants, None, Some(&Race { of, from }))?;
     let mut best: Vec<Option<(Variant, f64)>> = vec![None; groups];
-    for ((terms, cost), &g) in fitted.into_iter().zip(of) {
-        if best[g].as_ref().is_none_or(|b| cost < b.1) {
-            best[g] = Some((terms, cost));
+    for (whole, judge, from) in [
+        (false, context.first_look(), before.look),
+        (true, &context.fit, before.fit),
+    ] {
+        let slow = |v: &Variant| context.scout.is_some() && v.iter().any(|t| builds_up(t.effect));
+        let own: Vec<usize> = (0..variants.len())
+            .filter(|&i| slow(&variants[i]) == whole)
+            .collect();
+        if own.is_empty() {
+            continue;
+        }
+        let of: Vec<usize> = own.iter().map(|&i| of[i]).collect();
+        let own = own.iter().map(|&i| variants[i].clone()).collect();
+        let fitted = refine(context, judge, own, None, Some(&Race { of: &of, from }))?;
+        for ((terms, cost), &g) in fitted.into_iter().zip(&of) {
+            if best[g].as_ref().is_none_or(|b| cost < b.1) {
+                best[g] = Some((terms, cost));
+            }
         }
     }
     let variants: Vec<Variant> = best.into_iter().flatten().map(|b| b.0).collect();
-    context.states(&variants)
+    let mut states = context.states(&variants)?;
+    if context.scout.is_some() {
+        polish(context, &mut states)?;
+    }
+    Ok(states)
+}
+
+/// Fits the best of those that were fitted to a scout to everything.
+fn polish(context: &Context, states: &mut [State]) -> Result<(), GapError> {
+    let mut order: Vec<usize> = (0..states.len()).collect();
+    order.sort_by(|&a, &b| {
+        let of = |i: usize| penalised(context, &states[i]);
+        of(a).total_cmp(&of(b))
+    });
+    order.truncate(POLISHED);
+    let variants: Vec<Variant> = order.iter().map(|&i| states[i].terms.clone()).collect();
+    let fitted = refine(context, &context.fit, variants, Some(POLISHING), None)?;
+    let variants: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
+    for (i, state) in order.into_iter().zip(context.states(&variants)?) {
+        if state.fit.misfit < states[i].fit.misfit {
+            states[i] = state;
+        }
+    }
+    Ok(())
+}
+
+/// `best` with a look-alike in the place of one of its effects, refitted: those that do about as well, best first.
+fn look_alikes(
+    context: &Context,
+    base: &State,
+    first: &[Screened],
+    best: &State,
+) -> Result<Vec<State>, GapError> {
+    let mut all: Vec<State> = Vec::new();
+    for (index, term) in best.terms.iter().enumerate() {
+        let mut terms = best.terms.clone();
+        terms.remove(index);
+        let screened;
+        let (screened, without) = if terms.is_empty() {
+            (first, base.clone())
+        } else {
+            let mut without = single(context, terms)?;
+            context.find_basis(&mut without)?;
+            screened = screen(context, &without)?;
+            (screened.as_slice(), without)
+        };
+        let alike = |s: &&Screened| {
+            let (own, other) = (term.effect, s.effect);
+            own.look_alikes.contains(&other.id) || other.look_alikes.contains(&own.id)
+        };
+        let mut rivals: Vec<&Screened> = Vec::new();
+        for s in screened.iter().filter(alike) {
+            // at the same place if it can be there, else where it does best
+            let here = |s: &Screened| {
+                s.place.domain == term.place.domain && s.place.items == term.place.items
+            };
+            match rivals.iter_mut().find(|r| r.effect == s.effect) {
+                Some(r) if here(s) && !here(r) => *r = s,
+                Some(_) => {}
+                None => rivals.push(s),
+            }
+        }
+        all.extend(swapped(context, best, index, &rivals, &without)?);
+    }
+    all.retain(|s| s.misfit() < BEHIND * best.misfit());
+    all.sort_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b)));
+    let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
+    all.retain(|s| seen.insert(s.key()));
+    all.truncate(LOOK_ALIKES);
+    Ok(all)
 }
 
 /// Deletes effects that the others make superfluous, one by one.
@@ -286,7 +436,11 @@ fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
             })
             .collect();
         let of: Vec<usize> = (0..variants.len()).collect();
-        let without = best_fits(context, variants, &of, of.len(), f64::INFINITY)?;
+        let before = Before {
+            look: f64::INFINITY,
+            fit: f64::INFINITY,
+        };
+        let without = best_fits(context, variants, &of, of.len(), before)?;
         // the one that is missed least
         let least = without
             .into_iter()
@@ -302,7 +456,7 @@ fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
     Ok(state)
 }
 
-/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `from`: misfit on the fit runs without the term.
+/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `without`: the model without the term.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
@@ -311,7 +465,7 @@ pub fn swapped(
     state: &State,
     index: usize,
     rivals: &[&Screened],
-    from: f64,
+    without: &State,
 ) -> Result<Vec<State>, GapError> {
     let mut variants = Vec::new();
     let mut of = Vec::new();
@@ -327,5 +481,5 @@ pub fn swapped(
             of.push(number);
         }
     }
-    best_fits(context, variants, &of, rivals.len(), from)
+    best_fits(context, variants, &of, rivals.len(), Before::of(without))
 }

@@ -16,10 +16,15 @@ const LAW: f64 = 0.1;
 /// … and more where the model fits worse than careful labs do (misfit of nulls of the benchmark).
 const GOOD_MISFIT: f64 = 0.2;
 
-/// Sandwich covariance of the fitted parameters, and their names.
+/// Fewest runs from which it is told how much parameters differ from run to run.
+const FEWEST_RUNS: usize = 3;
+
+/// Sandwich covariance of the fitted parameters.
 pub struct Spread {
     /// `[P, P]`, SI.
     pub covariance: Vec<Vec<f64>>,
+    /// Variances with residuals that hang together within a second, or within a whole run: the larger. `[P]`, SI².
+    variance: Vec<f64>,
 }
 
 /// The parameters of one term with their 95 % intervals.
@@ -38,10 +43,8 @@ pub fn parameters(
         let value = term.values[p];
         let (low, high) = term.effect.bounds(model, &term.place, p);
         let near = 1e-6 * (high - low);
-        let sd = spread
-            .covariance
-            .get(offset + p)
-            .map_or(0.0, |row| row[offset + p].max(0.0).sqrt());
+        let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
+        let sd = variance.max(0.0).sqrt();
         // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a part of what matters
         let poor = (best.fit.misfit / GOOD_MISFIT).max(1.0).sqrt();
         let half = (1.96 * sd * poor)
@@ -62,15 +65,17 @@ pub fn parameters(
     out
 }
 
-/// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block.
+/// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block. Friction and supply differ from run to run
+/// and hold for all of it, so that whole runs are taken for blocks too.
 pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
     let none = Spread {
         covariance: Vec::new(),
+        variance: Vec::new(),
     };
     if best.terms.is_empty() {
         return Ok(none);
     }
-    let (columns, steps) = context.jacobian(&best.terms, &best.fit.prediction)?;
+    let (columns, steps) = context.jacobian(&context.fit, &best.terms)?;
     let n = columns.len();
     let mut gram: Vec<Vec<f64>> = columns
         .iter()
@@ -84,14 +89,43 @@ pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
         return Ok(none);
     };
     let residual = &best.fit.residual;
-    let scores: Vec<Vec<f64>> = columns
+    let score = |c: &Vec<f32>, k: usize| f64::from(c[k]) * f64::from(residual[k]);
+    let by_block = columns
         .iter()
-        .map(|c| {
-            context
-                .fit
-                .by_block(|k| f64::from(c[k]) * f64::from(residual[k]))
-        })
-        .collect();
+        .map(|c| context.fit.by_block(|k| score(c, k)))
+        .collect::<Vec<_>>();
+    let by_run = columns
+        .iter()
+        .map(|c| context.fit.by_trial(|k| score(c, k)))
+        .collect::<Vec<_>>();
+    let scaled = |scores: &[Vec<f64>]| {
+        let mut covariance = sandwich(&bread, scores);
+        for (i, row) in covariance.iter_mut().enumerate() {
+            for (j, c) in row.iter_mut().enumerate() {
+                *c *= steps[i] * steps[j];
+            }
+        }
+        covariance
+    };
+    let covariance = scaled(&by_block);
+    let mut variance: Vec<f64> = (0..n).map(|i| covariance[i][i]).collect();
+    let runs = by_run.first().map_or(0, Vec::len);
+    if runs >= FEWEST_RUNS {
+        // scores sum to nothing at the best fit: one run of them is not free
+        let few = runs as f64 / (runs as f64 - 1.0);
+        for (i, (v, row)) in variance.iter_mut().zip(scaled(&by_run)).enumerate() {
+            *v = v.max(few * row[i]);
+        }
+    }
+    Ok(Spread {
+        covariance,
+        variance,
+    })
+}
+
+/// bread·(Σ score·scoreᵀ)·bread; `scores`: `[P][B]`.
+fn sandwich(bread: &[Vec<f64>], scores: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let n = scores.len();
     let meat: Vec<Vec<f64>> = (0..n)
         .map(|i| {
             (0..n)
@@ -108,13 +142,7 @@ pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
             })
             .collect()
     };
-    let mut covariance = product(&product(&bread, &meat), &bread);
-    for (i, row) in covariance.iter_mut().enumerate() {
-        for (j, c) in row.iter_mut().enumerate() {
-            *c *= steps[i] * steps[j];
-        }
-    }
-    Ok(Spread { covariance })
+    product(&product(bread, &meat), bread)
 }
 
 /// Correlation of all fitted parameters.
