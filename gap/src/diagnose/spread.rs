@@ -6,6 +6,7 @@ use super::algebra::{dot, inverse};
 use super::state::{Context, State};
 use crate::error::GapError;
 use crate::plots::Correlation;
+use crate::replay::Term;
 use crate::report::Parameter;
 
 /// Half an interval is at least this part of the smallest change that matters: labs differ by more than the noise of one session …
@@ -27,12 +28,13 @@ pub struct Spread {
     variance: Vec<f64>,
 }
 
-/// The parameters of one term with their 95 % intervals.
+/// The parameters of one term with their 95 % intervals. `wider`: variances of them that are larger than `spread` says, SI², if any (see [`beside`]).
 pub fn parameters(
     context: &Context,
     best: &State,
     index: usize,
     spread: &Spread,
+    wider: &[f64],
 ) -> BTreeMap<String, Parameter> {
     let model = context.replayer.model();
     let offset: usize = best.terms[..index].iter().map(|t| t.values.len()).sum();
@@ -44,7 +46,8 @@ pub fn parameters(
         let (low, high) = term.effect.bounds(model, &term.place, p);
         let near = 1e-6 * (high - low);
         let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
-        let sd = variance.max(0.0).sqrt();
+        let wider = wider.get(p).copied().unwrap_or(0.0);
+        let sd = variance.max(wider).max(0.0).sqrt();
         // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a part of what matters
         let poor = (best.fit.misfit / GOOD_MISFIT).max(1.0).sqrt();
         let half = (1.96 * sd * poor)
@@ -121,6 +124,66 @@ pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
         covariance,
         variance,
     })
+}
+
+/// Variances of the parameters of term `index`, SI², if `rivals`, which explain the runs about as well in its place, may be there beside it: each with
+/// the size that it would need alone as the standard deviation of what is known of it beforehand. Empty where that says nothing.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn beside(
+    context: &Context,
+    best: &State,
+    index: usize,
+    rivals: &[&Term],
+    spread: &Spread,
+) -> Result<Vec<f64>, GapError> {
+    let model = context.replayer.model();
+    let mut terms = best.terms.clone();
+    let own: usize = terms.iter().map(|t| t.values.len()).sum();
+    let mut sizes = Vec::new();
+    for rival in rivals {
+        let neutral = rival.effect.neutral(model, &rival.place);
+        sizes.extend(
+            rival
+                .values
+                .iter()
+                .zip(&neutral)
+                .map(|(v, z)| (v - z).abs()),
+        );
+        terms.push(Term {
+            values: neutral,
+            ..(*rival).clone()
+        });
+    }
+    let (columns, steps) = context.jacobian(&context.fit, &terms)?;
+    let mut gram: Vec<Vec<f64>> = columns
+        .iter()
+        .map(|a| columns.iter().map(|b| dot(a, b)).collect())
+        .collect();
+    let largest = (0..own).map(|i| gram[i][i]).fold(0.0, f64::max);
+    for (i, row) in gram.iter_mut().enumerate() {
+        row[i] += 1e-9 * largest.max(1e-12);
+        if i >= own {
+            // what leaves no trace, or was not needed, stays where it is
+            let size = (sizes[i - own] / steps[i]).max(1e-6);
+            row[i] += 1.0 / (size * size);
+        }
+    }
+    let alone: Vec<Vec<f64>> = gram[..own].iter().map(|r| r[..own].to_vec()).collect();
+    let (Some(together), Some(alone)) = (inverse(&gram), inverse(&alone)) else {
+        return Ok(Vec::new());
+    };
+    let offset: usize = best.terms[..index].iter().map(|t| t.values.len()).sum();
+    let count = best.terms[index].values.len();
+    Ok((offset..offset + count)
+        .map(|i| {
+            let known = spread.variance.get(i).copied().unwrap_or(0.0);
+            let grows = together[i][i] / alone[i][i].max(1e-300);
+            // either the noise as the sandwich has it, grown alike, or the model's own
+            (known * grows).max((together[i][i] - alone[i][i]) * steps[i] * steps[i])
+        })
+        .collect())
 }
 
 /// bread·(Σ score·scoreᵀ)·bread; `scores`: `[P][B]`.
