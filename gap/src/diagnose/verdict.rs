@@ -196,12 +196,16 @@ fn cause(
             });
         } else if rival.in_set {
             // two names for the very same motions are one hypothesis, as far as these runs go
-            if indistinguishable(best, &rival.state) {
+            let same = indistinguishable(best, &rival.state);
+            if same {
                 same_name += rival.probability;
             }
             if !alternatives.contains(&id) {
                 alternatives.push(id);
-                open.push(other);
+                if !same {
+                    // it may be there as well; of two names for the same motions one is enough
+                    open.push(other);
+                }
             }
         } else if !alternatives.contains(&id) && !rejected.iter().any(|r| r.effect == id) {
             rejected.push(Rejected {
