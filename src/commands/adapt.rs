@@ -103,10 +103,7 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
     std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
         format!("folder {}", args.out.display())
     })?;
-    let mut steps = Steps {
-        quiet: args.json,
-        seconds: Vec::new(),
-    };
+    let mut steps = Steps::new(args.json);
 
     let diagnosis = args.out.join("diagnosis");
     let mut command = own("gap")?;
@@ -227,20 +224,35 @@ fn training_flags(args: &AdaptArgs) -> ConfigArgs {
     flags
 }
 
-fn own(command: &str) -> Result<Command, Failure> {
+/// This program with `command`.
+pub(super) fn own(command: &str) -> Result<Command, Failure> {
     let mut own = Command::new(std::env::current_exe().or_exit(ExitCode::Internal)?);
     own.arg(command);
     Ok(own)
 }
 
-struct Steps {
+/// Commands run one after the other, and how long they took.
+pub(super) struct Steps {
     quiet: bool,
     seconds: Vec<(String, f64)>,
 }
 
 impl Steps {
+    /// None yet. `quiet`: only the last line of all is wanted.
+    pub(super) fn new(quiet: bool) -> Self {
+        Self {
+            quiet,
+            seconds: Vec::new(),
+        }
+    }
+
     /// Runs a step; its exit code, which must be one of `good`.
-    fn run(&mut self, name: &str, command: &mut Command, good: &[i32]) -> Result<i32, Failure> {
+    pub(super) fn run(
+        &mut self,
+        name: &str,
+        command: &mut Command,
+        good: &[i32],
+    ) -> Result<i32, Failure> {
         if self.quiet {
             if name == "diagnose" || name == "train" {
                 command.stdout(Stdio::null());
