@@ -1,7 +1,8 @@
 //! The search for causes: add the best, refit all, try to delete, try look-alikes; a beam of candidates side by side.
 //!
-//! Alone, look-alikes explain about the same: which of them it is shows when the next cause stands beside it. So where much is left, the look-alikes
-//! of what was found go on beside it, each in its place, and whatever is added to any of them is judged against the best so far.
+//! Which of several look-alikes it is may show only when the next cause, or the one after it, stands beside it. So where much is left, look-alikes of what
+//! was found go on beside it as lines of their own, each in the place of what it looks like; what a line adds must be worth it there, and a line takes
+//! over when it has become better than the best so far by the same gates.
 
 use std::collections::BTreeSet;
 
@@ -9,7 +10,9 @@ use super::gates::{self, Worth};
 use super::refine::{Race, refine};
 use super::screen::{Screened, screen};
 use super::state::{Context, State, builds_up};
+use super::verdict::wider;
 use super::{Progress, Stage};
+use crate::effects::Effect;
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
 
@@ -17,8 +20,10 @@ use crate::replay::{Term, Variant};
 const MOST_TERMS: usize = 7;
 /// Candidates that are kept side by side.
 const BEAM: usize = 2;
-/// Models with a look-alike in the place of one effect that go on beside them where much is left.
+/// Lines with a look-alike in the place of one effect that go on beside them where much is left.
 const LOOK_ALIKES: usize = 3;
+/// Most that a line's misfit may be, in that of the best.
+const LINE_BEHIND: f64 = 2.5;
 /// Candidates that were fitted to a scout and are fitted to everything as well.
 const POLISHED: usize = 4;
 /// Steps of that.
@@ -38,6 +43,15 @@ const OF_ALL: f64 = 0.035;
 const FLOOR: f64 = 0.4;
 /// What an additional parameter must earn: share of the misfit.
 pub const PER_PARAMETER: f64 = 0.015;
+
+/// A model that goes on beside the best.
+struct Line {
+    state: State,
+    /// What it does without: the effect that a look-alike stands for, and those that say the same and more.
+    without: Vec<&'static Effect>,
+    /// Whether the look-alike is one that says the same and more.
+    says_more: bool,
+}
 
 /// What the search found.
 pub struct Found {
@@ -65,8 +79,7 @@ pub fn search(
 ) -> Result<Found, GapError> {
     let mut base = single(context, Vec::new())?;
     let mut beam = vec![base.clone()];
-    // how many at the end of the beam are look-alikes of the best
-    let mut alike = 0;
+    let mut lines: Vec<Line> = Vec::new();
     let mut best = base.clone();
     let mut first = Vec::new();
     let mut singles: Vec<(State, Worth)> = Vec::new();
@@ -79,25 +92,26 @@ pub fn search(
             }
             // what runs differ by grows with what was found: more friction drifts by more
             rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
-            let mut all: Vec<&mut State> = beam.iter_mut().collect();
+            let of_lines = lines.iter_mut().map(|l| &mut l.state);
+            let mut all: Vec<&mut State> = beam.iter_mut().chain(of_lines).collect();
             reread(context, &mut all)?;
         }
         let mut children: Vec<(State, Worth, usize)> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
-        let firsts = beam.len() - alike;
-        for (number, parent) in beam.iter().enumerate() {
+        let firsts = beam.len();
+        let parents = beam.iter().chain(lines.iter().map(|l| &l.state));
+        for (number, parent) in parents.enumerate() {
             progress(Progress::new(Stage::Screening, depth, &parent.label()));
-            let screened = screen(context, parent)?;
+            let mut screened = screen(context, parent)?;
+            if number >= firsts {
+                screened.retain(|s| !lines[number - firsts].without.contains(&s.effect));
+            }
             tried += screened.len();
             let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
             progress(Progress::new(Stage::Fitting, depth, &parent.label()));
             for child in expand(context, parent, &chosen, &mut seen)? {
                 let place = child.terms.last().map(|t| &t.place);
-                let mut worth = gates::worth(context, parent, &child, place);
-                if worth.passed && number >= firsts {
-                    // its parent was not better than the best; it has to be
-                    worth = gates::worth(context, &best, &child, place);
-                }
+                let worth = gates::worth(context, parent, &child, place);
                 children.push((child, worth, number));
             }
             if depth == 1 {
@@ -108,25 +122,56 @@ pub fn search(
         if depth == 1 {
             singles = children.iter().map(|(s, w, _)| (s.clone(), *w)).collect();
         }
+        let good = |(s, w, _): &&(State, Worth, usize)| {
+            w.passed
+                && enough(context, w, &base, s)
+                && s.terms.last().is_some_and(|t| gates::matters(context, t))
+        };
+        // a line's parent was not better than the best: its child has to be
+        let leads = |(s, _, number): &&(State, Worth, usize)| {
+            *number < firsts
+                || (penalised(context, s) < penalised(context, &best)
+                    && gates::worth(context, &best, s, None).low > 0.0)
+        };
         let passed: Vec<State> = children
             .iter()
-            .filter(|(s, w, _)| {
-                w.passed
-                    && enough(context, w, &base, s)
-                    && s.terms.last().is_some_and(|t| gates::matters(context, t))
-            })
+            .filter(good)
+            .filter(leads)
             .map(|(s, _, _)| s.clone())
             .collect();
-        refused = children
-            .into_iter()
-            .filter(|(_, w, _)| !w.passed && w.fit > 0.0)
-            .map(|(s, w, _)| (s, w))
-            .take(8)
-            .collect();
-        let Some(leader) = passed.first() else { break };
-        if penalised(context, leader) >= penalised(context, &best) {
-            break;
+        let mut going_on: Vec<Line> = Vec::new();
+        for (k, line) in lines.drain(..).enumerate() {
+            let mut own = children.iter().filter(|c| c.2 == firsts + k);
+            if let Some((state, _, _)) = own.find(|c| good(c)) {
+                going_on.push(Line {
+                    state: state.clone(),
+                    ..line
+                });
+            }
         }
+        if firsts > 0 {
+            refused = children
+                .into_iter()
+                .filter(|(_, w, number)| *number < firsts && !w.passed && w.fit > 0.0)
+                .map(|(s, w, _)| (s, w))
+                .take(8)
+                .collect();
+        }
+        let leader = passed
+            .first()
+            .filter(|s| penalised(context, s) < penalised(context, &best));
+        let Some(leader) = leader else {
+            // the best stays; lines may still overtake it
+            beam.clear();
+            lines = going_on;
+            if lines.is_empty() {
+                break;
+            }
+            for line in &mut lines {
+                context.find_basis(&mut line.state)?;
+            }
+            continue;
+        };
         best = leader.clone();
         best = delete(context, best)?;
         let mut next = passed;
@@ -147,26 +192,21 @@ pub fn search(
             // what is still to be found is small: one way is enough
             next.truncate(1);
         }
-        alike = 0;
         if gates::worst(context, &best) >= super::verdict::QUIET && depth < MOST_TERMS {
             let others = look_alikes(context, &base, &first, &best)?;
             if let Some(other) = others.first()
-                && penalised(context, other) < penalised(context, &best)
-                && gates::worth(context, &best, other, None).low > 0.0
+                && !other.says_more
+                && penalised(context, &other.state) < penalised(context, &best)
+                && gates::worth(context, &best, &other.state, None).low > 0.0
             {
-                // it is the better name: the one that was found first becomes the look-alike
-                let earlier = std::mem::replace(&mut best, other.clone());
+                // it is the better name: the one that was found first is the look-alike
+                let earlier = std::mem::replace(&mut best, other.state.clone());
                 next.retain(|s| s.key() != earlier.key());
                 next.insert(0, best.clone());
                 context.find_basis(&mut next[0])?;
             }
-            for mut state in others {
-                if next.iter().all(|s| s.key() != state.key()) {
-                    context.find_basis(&mut state)?;
-                    next.push(state);
-                    alike += 1;
-                }
-            }
+            going_on.extend(others);
+            lines = chosen_lines(context, &best, &next, going_on)?;
         }
         beam = next;
         progress(Progress::new(Stage::Accepted, depth, &best.label()));
@@ -379,14 +419,14 @@ fn polish(context: &Context, states: &mut [State]) -> Result<(), GapError> {
     Ok(())
 }
 
-/// `best` with a look-alike in the place of one of its effects, refitted: those that do about as well, best first.
+/// `best` with a look-alike in the place of one of its effects, refitted, best first.
 fn look_alikes(
     context: &Context,
     base: &State,
     first: &[Screened],
     best: &State,
-) -> Result<Vec<State>, GapError> {
-    let mut all: Vec<State> = Vec::new();
+) -> Result<Vec<Line>, GapError> {
+    let mut all: Vec<Line> = Vec::new();
     for (index, term) in best.terms.iter().enumerate() {
         let mut terms = best.terms.clone();
         terms.remove(index);
@@ -403,26 +443,53 @@ fn look_alikes(
             let (own, other) = (term.effect, s.effect);
             own.look_alikes.contains(&other.id) || other.look_alikes.contains(&own.id)
         };
+        let here =
+            |s: &Screened| s.place.domain == term.place.domain && s.place.items == term.place.items;
         let mut rivals: Vec<&Screened> = Vec::new();
         for s in screened.iter().filter(alike) {
             // at the same place if it can be there, else where it does best
-            let here = |s: &Screened| {
-                s.place.domain == term.place.domain && s.place.items == term.place.items
-            };
-            match rivals.iter_mut().find(|r| r.effect == s.effect) {
-                Some(r) if here(s) && !here(r) => *r = s,
+            match rivals.iter().position(|r| r.effect == s.effect) {
+                Some(k) if here(s) && !here(rivals[k]) => rivals[k] = s,
                 Some(_) => {}
                 None => rivals.push(s),
             }
         }
-        all.extend(swapped(context, best, index, &rivals, &without)?);
+        let states = swapped(context, best, index, &rivals, &without)?;
+        for (state, rival) in states.into_iter().zip(&rivals) {
+            let mut without = vec![term.effect];
+            let others = rivals.iter().map(|r| r.effect);
+            without.extend(others.filter(|e| *e != rival.effect && wider(term.effect, e)));
+            all.push(Line {
+                state,
+                without,
+                says_more: wider(term.effect, rival.effect),
+            });
+        }
     }
-    all.retain(|s| s.misfit() < BEHIND * best.misfit());
-    all.sort_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b)));
-    let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
-    all.retain(|s| seen.insert(s.key()));
-    all.truncate(LOOK_ALIKES);
+    sort_lines(context, &mut all);
     Ok(all)
+}
+
+fn sort_lines(context: &Context, lines: &mut [Line]) {
+    let of = |l: &Line| penalised(context, &l.state);
+    lines.sort_by(|a, b| of(a).total_cmp(&of(b)));
+}
+
+/// The best of `lines` that are not too far behind `best` and not in the beam.
+fn chosen_lines(
+    context: &Context,
+    best: &State,
+    beam: &[State],
+    mut lines: Vec<Line>,
+) -> Result<Vec<Line>, GapError> {
+    sort_lines(context, &mut lines);
+    let mut seen: BTreeSet<Vec<String>> = beam.iter().map(State::key).collect();
+    lines.retain(|l| l.state.misfit() < LINE_BEHIND * best.misfit() && seen.insert(l.state.key()));
+    lines.truncate(LOOK_ALIKES);
+    for line in &mut lines {
+        context.find_basis(&mut line.state)?;
+    }
+    Ok(lines)
 }
 
 /// Deletes effects that the others make superfluous, one by one.

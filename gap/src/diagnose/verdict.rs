@@ -12,6 +12,7 @@ use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
 use super::{Diagnosis, Request, Split, gates, leftover, next, pictures};
+use crate::effects::Effect;
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
@@ -258,7 +259,12 @@ const WIDER: &[(&str, &str)] = &[
 
 /// Whether `other` can say what `term` says and more.
 fn more_general(term: &Term, other: &Term) -> bool {
-    WIDER.contains(&(term.effect.id, other.effect.id))
+    wider(term.effect, other.effect)
+}
+
+/// Whether the effect `one` is a special case of `other`.
+pub fn wider(one: &Effect, other: &Effect) -> bool {
+    WIDER.contains(&(one.id, other.id))
 }
 
 fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
