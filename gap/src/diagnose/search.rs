@@ -6,7 +6,7 @@
 
 use std::collections::BTreeSet;
 
-use super::gates::{self, Worth};
+use super::gates::{self, FLOOR, Worth};
 use super::refine::{Race, refine};
 use super::screen::{Screened, screen};
 use super::state::{Context, State, builds_up};
@@ -39,8 +39,6 @@ const BEHIND: f64 = 1.5;
 /// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has
 /// (unless the misfit is still far from the floor).
 const OF_ALL: f64 = 0.035;
-/// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the benchmark).
-const FLOOR: f64 = 0.4;
 /// What an additional parameter must earn: share of the misfit.
 pub const PER_PARAMETER: f64 = 0.015;
 
@@ -295,7 +293,8 @@ pub fn single(context: &Context, terms: Variant) -> Result<State, GapError> {
 pub fn penalised(context: &Context, state: &State) -> f64 {
     let model = context.replayer.model();
     let joints = model.actuated().len().max(1);
-    state.misfit() * (1.0 + PER_PARAMETER * state.parameters(model) as f64 / joints as f64)
+    gates::misfit(context, state)
+        * (1.0 + PER_PARAMETER * state.parameters(model) as f64 / joints as f64)
 }
 
 /// The most promising, not more than a few places of one effect.
