@@ -10,11 +10,13 @@ use crate::error::GapError;
 use crate::replay::{Data, Replayer, SegmentOptions};
 
 /// Simulated time per candidate of a scout, s: about what one joint's whole battery has.
-const LENGTH_S: f64 = 30.0;
+const LENGTH_S: f64 = 40.0;
 /// Recordings that are at most so many times longer are taken whole.
-const WORTH_IT: f64 = 1.5;
+const WORTH_IT: f64 = 1.2;
 /// Stretches of a held robot, s. Effects that take longer than this to build up are not left to a scout.
-pub const WINDOW_S: f64 = 5.0;
+pub const WINDOW_S: f64 = 6.0;
+/// Time that is simulated before each, s: a joint at rest is where friction left it.
+const LEAD_S: f64 = 2.5;
 /// What is left unexplained counts so many times what a nuisance would do.
 const RESIDUAL_WEIGHT: f64 = 3.0;
 /// Robots with fewer joints are quick enough.
@@ -47,6 +49,7 @@ impl Scout {
             whole.data.trials.clone(),
             SegmentOptions {
                 fixed_s: WINDOW_S,
+                lead_s: LEAD_S,
                 ..options
             },
         );
@@ -174,8 +177,8 @@ mod tests {
         let mut shown = vec![vec![1000.0, 0.0]; 9];
         shown[6] = vec![0.0, 20.0];
         let keep = chosen(&windows(9), &shown);
-        // 30 s are six windows of 5 s
-        assert_eq!(keep.len(), 6);
+        // 40 s are eight windows of 5 s
+        assert_eq!(keep.len(), 8);
         assert!(keep.contains(&6), "{keep:?}");
         assert!(keep.windows(2).all(|w| w[0] < w[1]), "{keep:?}");
     }

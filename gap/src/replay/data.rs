@@ -25,6 +25,8 @@ pub struct SegmentOptions {
     pub fixed_s: f64,
     /// Length of a stretch of a free or swimming robot, s.
     pub free_s: f64,
+    /// Time before a stretch of a held robot that is simulated and does not count, s: what a joint that rests remembers of how it came there.
+    pub lead_s: f64,
 }
 
 impl Default for SegmentOptions {
@@ -32,6 +34,7 @@ impl Default for SegmentOptions {
         Self {
             fixed_s: f64::INFINITY,
             free_s: FREE_SEGMENT_S,
+            lead_s: 0.0,
         }
     }
 }
@@ -128,8 +131,13 @@ impl Data {
             let count = ((last - first) / length_s).floor().max(1.0);
             let each = (last - first) / count;
             for k in 0..count as usize {
-                let start_s = first + k as f64 * each;
-                data.push(model, number, trial, (start_s, start_s + each), stride);
+                let from_s = first + k as f64 * each;
+                let lead_s = match trial.base {
+                    BaseHold::Fixed => options.lead_s.min(from_s - first),
+                    _ => 0.0,
+                };
+                let span_s = (from_s - lead_s, from_s, from_s + each);
+                data.push(model, number, trial, span_s, stride);
             }
         }
         data.trials = trials;
@@ -141,19 +149,20 @@ impl Data {
         model: &RobotModel,
         number: usize,
         trial: &Trial,
-        (start_s, end_s): (f64, f64),
+        (start_s, from_s, end_s): (f64, f64, f64),
         stride: usize,
     ) {
         let begin = self.value.len();
         let first_block = self.blocks;
-        let blocks = ((end_s - start_s) / BLOCK_S).floor().max(1.0);
-        let block_s = (end_s - start_s) / blocks;
+        let blocks = ((end_s - from_s) / BLOCK_S).floor().max(1.0);
+        let block_s = (end_s - from_s) / blocks;
         let free = trial.base != BaseHold::Fixed;
         let settle_s = if free { 0.04 } else { SETTLE_S };
+        let counts_s = from_s.max(start_s + settle_s);
         let mut pieces = Vec::new();
         for (index, channel) in trial.channels.iter().enumerate() {
             let from = self.value.len();
-            let low = channel.time_s.partition_point(|&t| t < start_s + settle_s);
+            let low = channel.time_s.partition_point(|&t| t < counts_s);
             let high = channel.time_s.partition_point(|&t| t < end_s);
             for k in (low..high).step_by(stride) {
                 let t = channel.time_s[k];
@@ -162,7 +171,7 @@ impl Data {
                 }
                 self.time_s.push(t);
                 self.value.push(channel.value[k]);
-                let block = ((t - start_s) / block_s).floor().clamp(0.0, blocks - 1.0);
+                let block = ((t - from_s) / block_s).floor().clamp(0.0, blocks - 1.0);
                 self.block.push((first_block + block as usize) as u32);
             }
             if self.value.len() > from {
