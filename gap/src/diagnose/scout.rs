@@ -172,11 +172,11 @@ mod tests {
 
     #[test]
     fn what_nobody_shows_yet_comes_before_more_of_the_same() {
-        // eight windows shake one joint, each as hard as can be; one moves the other joint a little: ln(1 + 20/1) = 3.0 for it against
+        // eleven windows shake one joint, each as hard as can be; one moves the other joint a little: ln(1 + 20/1) = 3.0 for it against
         // ln(1 + 1000/1001) = 0.7 for the second of the loud ones
-        let mut shown = vec![vec![1000.0, 0.0]; 9];
+        let mut shown = vec![vec![1000.0, 0.0]; 12];
         shown[6] = vec![0.0, 20.0];
-        let keep = chosen(&windows(9), &shown);
+        let keep = chosen(&windows(12), &shown);
         // 40 s are eight windows of 5 s
         assert_eq!(keep.len(), 8);
         assert!(keep.contains(&6), "{keep:?}");
