@@ -36,6 +36,15 @@ pub struct AdaptArgs {
     /// Folder for everything that is made: diagnosis, run, evaluations, adapt.json
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Effects that the diagnosis does not try, by id
+    #[arg(long, value_name = "ID")]
+    without: Vec<String>,
+    /// Only these effects are tried, by id
+    #[arg(long, value_name = "ID")]
+    only: Vec<String>,
+    /// Robot file of the robot that the logs come from, where it is known (a simulated robot): both policies are evaluated on it as well
+    #[arg(long, value_name = "R.robot.toml")]
+    truth: Option<PathBuf>,
     /// Iterations of training
     #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     iterations: u64,
@@ -74,6 +83,10 @@ struct Adapted {
     before_in_extended: Option<Value>,
     /// The new policy, in the extended model.
     after_in_extended: Option<Value>,
+    /// The policy as it was, on the robot that the logs come from, where that is known.
+    before_in_truth: Option<Value>,
+    /// The new policy there.
+    after_in_truth: Option<Value>,
     /// The new policy.
     policy: Option<PathBuf>,
     /// Version under which the server has it.
@@ -90,10 +103,7 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
     std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
         format!("folder {}", args.out.display())
     })?;
-    let mut steps = Steps {
-        quiet: args.json,
-        seconds: Vec::new(),
-    };
+    let mut steps = Steps::new(args.json);
 
     let diagnosis = args.out.join("diagnosis");
     let mut command = own("gap")?;
@@ -103,6 +113,11 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
     }
     for dir in &args.holdouts {
         command.arg("--holdout").arg(dir);
+    }
+    for (flag, ids) in [("--without", &args.without), ("--only", &args.only)] {
+        for id in ids {
+            command.args([flag, id]);
+        }
     }
     command.arg("--out").arg(&diagnosis);
     let code = steps.run("diagnose", &mut command, &[0, 80, 81, 82, 83, 84])?;
@@ -115,6 +130,8 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
         before_in_nominal: None,
         before_in_extended: None,
         after_in_extended: None,
+        before_in_truth: None,
+        after_in_truth: None,
         policy: None,
         published: None,
         seconds: Vec::new(),
@@ -178,6 +195,10 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
     adapted.before_in_nominal = evaluate("before_in_nominal", &args.policy, &robot)?;
     adapted.before_in_extended = evaluate("before_in_extended", &args.policy, &extended)?;
     adapted.after_in_extended = evaluate("after_in_extended", &new, &extended)?;
+    if let Some(truth) = &args.truth {
+        adapted.before_in_truth = evaluate("before_in_truth", &args.policy, truth)?;
+        adapted.after_in_truth = evaluate("after_in_truth", &new, truth)?;
+    }
     if let Some(server) = &args.publish {
         adapted.published = Some(publish(server, &args.stream, &new)?);
     }
@@ -203,20 +224,35 @@ fn training_flags(args: &AdaptArgs) -> ConfigArgs {
     flags
 }
 
-fn own(command: &str) -> Result<Command, Failure> {
+/// This program with `command`.
+pub(super) fn own(command: &str) -> Result<Command, Failure> {
     let mut own = Command::new(std::env::current_exe().or_exit(ExitCode::Internal)?);
     own.arg(command);
     Ok(own)
 }
 
-struct Steps {
+/// Commands run one after the other, and how long they took.
+pub(super) struct Steps {
     quiet: bool,
     seconds: Vec<(String, f64)>,
 }
 
 impl Steps {
+    /// None yet. `quiet`: only the last line of all is wanted.
+    pub(super) fn new(quiet: bool) -> Self {
+        Self {
+            quiet,
+            seconds: Vec::new(),
+        }
+    }
+
     /// Runs a step; its exit code, which must be one of `good`.
-    fn run(&mut self, name: &str, command: &mut Command, good: &[i32]) -> Result<i32, Failure> {
+    pub(super) fn run(
+        &mut self,
+        name: &str,
+        command: &mut Command,
+        good: &[i32],
+    ) -> Result<i32, Failure> {
         if self.quiet {
             if name == "diagnose" || name == "train" {
                 command.stdout(Stdio::null());
@@ -327,6 +363,7 @@ fn tell(adapted: &Adapted, version: u64) {
             "policy",
             "model",
             "forward m/s",
+            "rms off m/s",
             "falls",
             "power W",
         ]
@@ -345,6 +382,12 @@ fn tell(adapted: &Adapted, version: u64) {
             &adapted.before_in_extended,
         ),
         ("new".to_owned(), "extended", &adapted.after_in_extended),
+        (
+            format!("as it was ({version})"),
+            "true robot",
+            &adapted.before_in_truth,
+        ),
+        ("new".to_owned(), "true robot", &adapted.after_in_truth),
     ] {
         let scenarios = result.as_ref().and_then(|r| r["scenarios"].as_array());
         for scenario in scenarios.into_iter().flatten() {
@@ -354,6 +397,10 @@ fn tell(adapted: &Adapted, version: u64) {
                 policy.clone(),
                 model.to_owned(),
                 format!("{:.3}", number("vx_mps")),
+                format!(
+                    "{:.3}",
+                    scenario["rmse_of_strides"][0].as_f64().unwrap_or(f64::NAN)
+                ),
                 format!("{:.1} %", 100.0 * number("fall_share")),
                 format!("{:.1}", number("power_w")),
             ]);

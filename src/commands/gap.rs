@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
-use super::{gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_report};
+use super::{gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_paper, gap_report};
 
 #[derive(Debug, Subcommand)]
 pub enum GapCommand {
@@ -21,6 +21,8 @@ pub enum GapCommand {
     Report(gap_report::ReportArgs),
     /// Write the experiment battery as command files for the robot
     Excite(gap_excite::ExciteArgs),
+    /// The pipeline of the paper on logs of a simulated robot: play, low-pass and weaker servos are found, and drawn as the paper draws them
+    Paper(gap_paper::PaperArgs),
 }
 
 pub fn run(command: &GapCommand) -> Result<(), Failure> {
@@ -31,6 +33,7 @@ pub fn run(command: &GapCommand) -> Result<(), Failure> {
         GapCommand::Apply(args) => gap_apply::run(args),
         GapCommand::Report(args) => gap_report::run(args),
         GapCommand::Excite(args) => gap_excite::run(args),
+        GapCommand::Paper(args) => gap_paper::run(args),
     }
 }
 

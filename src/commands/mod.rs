@@ -19,6 +19,7 @@ mod gap_check;
 mod gap_diagnose;
 mod gap_excite;
 mod gap_import;
+mod gap_paper;
 mod gap_report;
 pub mod ground;
 pub mod lane_params;

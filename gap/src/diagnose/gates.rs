@@ -6,7 +6,7 @@ use super::algebra::dot;
 use super::judge::Judge;
 use super::state::{Context, On, State};
 use crate::effects::{Domain, Place};
-use crate::replay::Term;
+use crate::replay::{Piece, Term};
 
 /// Resamplings.
 const RESAMPLES: usize = 400;
@@ -20,6 +20,11 @@ const ONE_BLOCK: f64 = 0.8;
 pub const FAR: f64 = 6.0;
 /// See [`RELATIVE_GAIN`], far from the data.
 const FAR_GAIN: f64 = 0.03;
+
+/// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the benchmark).
+pub const FLOOR: f64 = 0.4;
+/// A robot with so many joints is judged joint by joint.
+const MANY_JOINTS: usize = 5;
 
 /// What a step is worth.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,11 +48,13 @@ pub struct Worth {
 /// What going from `from` to `to` is worth, on the channels that `place` concerns: an effect of one joint is judged by that joint.
 #[must_use]
 pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>) -> Worth {
-    let before = part(&context.fit, &from.fit, place);
-    let fit = before - part(&context.fit, &to.fit, place);
+    let joints = context.replayer.model().actuated().len();
+    let own = masked(joints, &context.fit, &from.fit, place);
+    let before = mean_of(&own, &from.fit);
+    let fit = before - mean_of(&own, &to.fit);
     let judge = &context.holdout;
-    let of = part(judge, &from.holdout, place);
-    let mask = mask(judge, place);
+    let mask = masked(joints, judge, &from.holdout, place);
+    let of = mean_of(&mask, &from.holdout);
     let samples = mask.iter().filter(|m| **m).count().max(1);
     let gains = judge.by_block(|k| {
         if mask[k] {
@@ -108,9 +115,13 @@ fn rare(gains: &[f64], holdout: f64, of: f64) -> bool {
 /// Mean square on the channels that `place` concerns.
 #[must_use]
 pub fn part(judge: &Judge, on: &On, place: Option<&Place>) -> f64 {
+    mean_of(&mask(judge, place), on)
+}
+
+fn mean_of(mask: &[bool], on: &On) -> f64 {
     let (mut sum, mut n) = (0.0, 0.0);
-    for (r, m) in on.residual.iter().zip(mask(judge, place)) {
-        if m {
+    for (r, m) in on.residual.iter().zip(mask) {
+        if *m {
             sum += f64::from(*r).powi(2);
             n += 1.0;
         }
@@ -118,28 +129,80 @@ pub fn part(judge: &Judge, on: &On, place: Option<&Place>) -> f64 {
     sum / f64::max(n, 1.0)
 }
 
-/// Misfit where it is greatest: of the channels of each joint by themselves, and of those of the body. A single bad joint of many hardly shows in
-/// the mean over all.
-#[must_use]
-pub fn worst(context: &Context, state: &State) -> f64 {
-    let joints = context.replayer.model().actuated().len();
+/// Samples by which an effect at `place` is judged: those that it concerns. Of a robot with many joints, an effect of all of it is judged where
+/// something is left to explain, if it is anywhere.
+fn masked(joints: usize, judge: &Judge, from: &On, place: Option<&Place>) -> Vec<bool> {
+    let mut mask = mask(judge, place);
+    if joints < MANY_JOINTS || mask.contains(&false) {
+        return mask;
+    }
+    let sums = groups(joints, &[(judge, from)]);
+    let quiet: Vec<bool> = sums
+        .iter()
+        .map(|(square, n)| *square <= FLOOR * n)
+        .collect();
+    if quiet.iter().all(|q| *q) {
+        return mask;
+    }
+    for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
+        if quiet[group(joints, piece)] {
+            mask[piece.range.clone()].fill(false);
+        }
+    }
+    mask
+}
+
+/// Sums of squares and samples of each joint's channels, and, in the last place, of those of the body.
+fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
     let mut sums = vec![(0.0, 0.0); joints + 1];
-    for (judge, on) in [
-        (&context.fit, &state.fit),
-        (&context.holdout, &state.holdout),
-    ] {
+    for (judge, on) in parts {
         for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
-            let group = if piece.kind.of_joint() {
-                piece.index
-            } else {
-                joints
-            };
+            let group = group(joints, piece);
             let part = &on.residual[piece.range.clone()];
             sums[group].0 += dot(part, part);
             sums[group].1 += part.len() as f64;
         }
     }
-    sums.iter()
+    sums
+}
+
+fn group(joints: usize, piece: &Piece) -> usize {
+    if piece.kind.of_joint() {
+        piece.index
+    } else {
+        joints
+    }
+}
+
+/// Mean of both misfits, by samples. Of a robot with many joints, each joint counts as [`FLOOR`] at least: with one joint far off, a little of
+/// what every careful lab has in all the others must not weigh more than that joint.
+#[must_use]
+pub fn misfit(context: &Context, state: &State) -> f64 {
+    let joints = context.replayer.model().actuated().len();
+    if joints < MANY_JOINTS {
+        return state.misfit();
+    }
+    let parts = [
+        (&context.fit, &state.fit),
+        (&context.holdout, &state.holdout),
+    ];
+    let sums = groups(joints, &parts);
+    let samples: f64 = sums.iter().map(|s| s.1).sum();
+    let clipped = sums.iter().map(|(square, n)| square.max(FLOOR * n));
+    clipped.sum::<f64>() / samples.max(1.0)
+}
+
+/// Misfit where it is greatest: of the channels of each joint by themselves, and of those of the body. A single bad joint of many hardly shows in
+/// the mean over all.
+#[must_use]
+pub fn worst(context: &Context, state: &State) -> f64 {
+    let joints = context.replayer.model().actuated().len();
+    let parts = [
+        (&context.fit, &state.fit),
+        (&context.holdout, &state.holdout),
+    ];
+    groups(joints, &parts)
+        .iter()
         .map(|(square, n)| square / f64::max(*n, 1.0))
         .fold(0.0, f64::max)
 }

@@ -5,6 +5,7 @@
 //! each, the residual r is whitened to (I + N·Nᵀ)^(−½)·r, run by run. What is left of a mismatch that a nuisance explains is small; what no nuisance
 //! explains stays. The misfit is the mean square of that: 1 is the floor.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::algebra::{dot, symmetric_eigen};
@@ -43,13 +44,18 @@ pub struct Judge {
     trials: Vec<TrialMetric>,
 }
 
-/// A nuisance's trace in a trial, where it is not zero: places from the trial's first sample, and values.
-struct Column(Vec<(usize, Vec<f32>)>);
+/// A nuisance's trace in a trial, where it is not zero.
+struct Column {
+    /// Places from the trial's first sample, and values.
+    parts: Vec<(usize, Vec<f32>)>,
+    /// Which nuisance, and of which joint where each has its own: the same in all trials.
+    of: (usize, usize),
+}
 
 impl Column {
     /// Σ over its places of its values times `x`.
     fn dot(&self, x: &[f32]) -> f64 {
-        self.0
+        self.parts
             .iter()
             .map(|(at, v)| dot(v, &x[*at..at + v.len()]))
             .sum()
@@ -58,8 +64,8 @@ impl Column {
     /// Σ of products with another.
     fn times(&self, other: &Self) -> f64 {
         let mut sum = 0.0;
-        for (a, x) in &self.0 {
-            for (b, y) in &other.0 {
+        for (a, x) in &self.parts {
+            for (b, y) in &other.parts {
                 let (low, high) = ((*a).max(*b), (a + x.len()).min(b + y.len()));
                 if low < high {
                     sum += dot(&x[low - a..high - a], &y[low - b..high - b]);
@@ -71,7 +77,7 @@ impl Column {
 
     /// Takes `c` times itself off `x`.
     fn take_off(&self, c: f32, x: &mut [f32]) {
-        for (at, v) in &self.0 {
+        for (at, v) in &self.parts {
             for (x, v) in x[*at..at + v.len()].iter_mut().zip(v) {
                 *x -= c * v;
             }
@@ -104,6 +110,69 @@ impl Judge {
         judge.cap(replayer)?;
         judge.set_base(replayer, &[])?;
         Ok(judge)
+    }
+
+    /// Only the stretches `keep` of `data`, which holds the same runs as `whole` cut otherwise, with the noise that they have there, around the robot
+    /// as given.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn part_of(
+        whole: &Self,
+        replayer: &Replayer,
+        data: &Data,
+        keep: &[usize],
+    ) -> Result<Self, GapError> {
+        let data = data.only(keep);
+        let mut noise = Noise {
+            sigma: vec![1.0; data.len()],
+            difference: vec![0.0; data.len()],
+            repeat: whole.noise.repeat.clone(),
+            repeated: false,
+        };
+        for segment in &data.segments {
+            let middle_s = 0.5 * (segment.start_s + segment.end_s);
+            let of =
+                whole.data.segments.iter().find(|s| {
+                    s.trial == segment.trial && (s.start_s..=s.end_s).contains(&middle_s)
+                });
+            for piece in &segment.pieces {
+                let same = of.and_then(|s| s.pieces.iter().find(|p| p.channel == piece.channel));
+                let Some(same) = same else { continue };
+                noise.sigma[piece.range.clone()].fill(whole.noise.sigma[same.range.start]);
+            }
+        }
+        let mut judge = Self {
+            data,
+            noise,
+            trials: Vec::new(),
+        };
+        judge.set_base(replayer, &[])?;
+        Ok(judge)
+    }
+
+    /// What each nuisance does in each of `count` windows, sums of squares by nuisance and joint. `window`: that of each sample, or anything from
+    /// `count` on. `[N]` to `[count]`
+    #[must_use]
+    pub fn sensitivities(
+        &self,
+        window: &[usize],
+        count: usize,
+    ) -> Vec<BTreeMap<(usize, usize), f64>> {
+        let mut sums = vec![BTreeMap::new(); count];
+        for trial in &self.trials {
+            for column in &trial.columns {
+                for (at, v) in &column.parts {
+                    let from = trial.range.start + at;
+                    for (w, x) in window[from..from + v.len()].iter().zip(v) {
+                        if let Some(of) = sums.get_mut(*w) {
+                            *of.entry(column.of).or_insert(0.0) += f64::from(*x).powi(2);
+                        }
+                    }
+                }
+            }
+        }
+        sums
     }
 
     /// Raises the noise of channels in which the robot as given is hopelessly far off, so that no single one of them rules the fit.
@@ -147,7 +216,7 @@ impl Judge {
             .into_iter()
             .map(|range| {
                 let mut columns: Vec<Column> = Vec::new();
-                for (n, trace) in joint_effects.iter().zip(&rest) {
+                for (number, (n, trace)) in joint_effects.iter().zip(&rest).enumerate() {
                     let delta = |k: usize| {
                         let d = (trace[k] - zero[k]) * n.share / self.noise.sigma[k];
                         if d.is_finite() { d } else { 0.0 }
@@ -162,10 +231,16 @@ impl Judge {
                                         p.range.clone().map(delta).collect(),
                                     )
                                 });
-                            columns.push(Column(of.collect()));
+                            columns.push(Column {
+                                parts: of.collect(),
+                                of: (number, joint),
+                            });
                         }
                     } else {
-                        columns.push(Column(vec![(0, range.clone().map(delta).collect())]));
+                        columns.push(Column {
+                            parts: vec![(0, range.clone().map(delta).collect())],
+                            of: (number, joints),
+                        });
                     }
                 }
                 columns.retain(|c| c.times(c) > 1e-3);
@@ -239,6 +314,15 @@ impl Judge {
             sums[*b as usize] += f(k);
         }
         sums
+    }
+
+    /// Per run: Σ of f over its samples. `[T]`
+    #[must_use]
+    pub fn by_trial(&self, f: impl Fn(usize) -> f64) -> Vec<f64> {
+        self.trials
+            .iter()
+            .map(|t| t.range.clone().map(&f).sum())
+            .collect()
     }
 
     /// Whether the candidate could be simulated at all.

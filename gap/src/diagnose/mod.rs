@@ -16,6 +16,7 @@ mod noise;
 mod pictures;
 mod pipeline;
 mod refine;
+mod scout;
 mod screen;
 mod search;
 mod signature;
@@ -310,9 +311,11 @@ fn context(
         !named(&request.options.without)
             && (request.options.only.is_empty() || named(&request.options.only))
     };
+    let scout = scout::Scout::new(&replayer, &fit, options)?;
     Ok(state::Context {
         replayer,
         fit,
+        scout,
         holdout,
         effects: effects::ALL.iter().copied().filter(wanted).collect(),
         excitation,

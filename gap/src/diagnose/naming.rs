@@ -125,7 +125,9 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
     let best = &found.best;
     let mut terms: Variant = best.terms.clone();
     let term = terms.remove(index);
-    let terms = refine(context, vec![terms], None, None)?.swap_remove(0).0;
+    let terms = refine(context, &context.fit, vec![terms], None, None)?
+        .swap_remove(0)
+        .0;
     let mut without = single(context, terms)?;
     context.find_basis(&mut without)?;
     let screened = if without.terms.is_empty() && !found.first.is_empty() {
@@ -134,7 +136,7 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
         screen(context, &without)?
     };
     let chosen = rivals(&term, &screened);
-    let states = swapped(context, best, index, &chosen, without.fit.misfit)?;
+    let states = swapped(context, best, index, &chosen, &without)?;
     let gain = penalised(context, &without) - penalised(context, best);
     let mut rivals: Vec<Rival> = states
         .into_iter()

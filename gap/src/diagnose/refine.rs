@@ -1,6 +1,7 @@
 //! Refinement: least squares (Levenberg–Marquardt with bounds) of many candidates in step with each other, so that their simulations share lanes.
 
 use super::algebra::{dot, solve};
+use super::judge::Judge;
 use super::state::{Context, differences};
 use crate::error::GapError;
 use crate::replay::Variant;
@@ -39,23 +40,23 @@ struct Fit {
     done: bool,
 }
 
-/// Fits every parameter of every candidate to the fit runs. Gives the fitted candidates with their misfits, in the same order.
+/// Fits every parameter of every candidate to the runs of `judge`. Gives the fitted candidates with their misfits, in the same order.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn refine(
     context: &Context,
+    judge: &Judge,
     variants: Vec<Variant>,
     iterations: Option<usize>,
     race: Option<&Race<'_>>,
 ) -> Result<Vec<(Variant, f64)>, GapError> {
-    let fit = &context.fit;
-    let first = context.replayer.predict(&fit.data, &variants)?;
+    let first = context.replayer.predict(&judge.data, &variants)?;
     let mut fits: Vec<Fit> = variants
         .into_iter()
         .zip(first)
         .map(|(terms, prediction)| {
-            let cost = fit.misfit(&fit.residual(&prediction));
+            let cost = judge.misfit(&judge.residual(&prediction));
             Fit {
                 done: terms.is_empty(),
                 terms,
@@ -70,7 +71,7 @@ pub fn refine(
         if fits.iter().all(|f| f.done) {
             break;
         }
-        round(context, &mut fits)?;
+        round(context, judge, &mut fits)?;
         if let Some(race) = race {
             weed(&mut fits, race, k + 1);
         }
@@ -91,8 +92,7 @@ fn weed(fits: &mut [Fit], race: &Race<'_>, rounds: usize) {
     }
 }
 
-fn round(context: &Context, fits: &mut [Fit]) -> Result<(), GapError> {
-    let judge = &context.fit;
+fn round(context: &Context, judge: &Judge, fits: &mut [Fit]) -> Result<(), GapError> {
     let active: Vec<usize> = (0..fits.len()).filter(|&i| !fits[i].done).collect();
     let mut variants = Vec::new();
     let mut spans = Vec::new();

@@ -5,7 +5,7 @@
 
 use super::algebra::dot;
 use super::judge::{Judge, concerns};
-use super::state::{Context, State};
+use super::state::{Context, On, State, builds_up};
 use crate::effects::{Domain, Effect, Place, places};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
@@ -36,7 +36,6 @@ pub struct Screened {
 /// As [`crate::replay::Replayer::predict`].
 pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapError> {
     let model = context.replayer.model();
-    let fit = &context.fit;
     let mut plan: Vec<(&'static Effect, Place, usize, Variant)> = Vec::new();
     for &effect in &context.effects {
         let all = places(model, effect);
@@ -68,17 +67,36 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
         }
     }
     let mut out: Vec<Screened> = Vec::new();
-    let at_once = (MEMORY_BYTES / (8 * fit.data.len().max(1))).max(16);
-    for batch in plan.chunks(at_once) {
-        let variants: Vec<Variant> = batch.iter().map(|p| p.3.clone()).collect();
-        let predictions = context.replayer.predict(&fit.data, &variants)?;
-        for ((effect, place, k, _), prediction) in batch.iter().zip(&predictions) {
-            if !Judge::sound(prediction) {
-                continue;
-            }
-            let change = fit.change(prediction, &state.fit.prediction);
-            for place in judged_places(context, effect, place) {
-                judge(context, state, effect, &place, *k, &change, &mut out);
+    let (slow, quick): (Vec<_>, Vec<_>) = plan
+        .into_iter()
+        .partition(|p| context.scout.is_some() && builds_up(p.0));
+    let scout = Look {
+        judge: context.first_look(),
+        on: state.on_scout(),
+        basis: &state.basis,
+        dilution: context.scout.as_ref().map_or(1.0, |s| s.dilution),
+    };
+    // what takes long to build up shows in whole runs only (what other parameters can do there is not known, and not asked)
+    let whole = Look {
+        judge: &context.fit,
+        on: &state.fit,
+        basis: &[],
+        dilution: 1.0,
+    };
+    for (look, plan) in [(&scout, quick), (&whole, slow)] {
+        let data = &look.judge.data;
+        let at_once = (MEMORY_BYTES / (8 * data.len().max(1))).max(16);
+        for batch in plan.chunks(at_once) {
+            let variants: Vec<Variant> = batch.iter().map(|p| p.3.clone()).collect();
+            let predictions = context.replayer.predict(data, &variants)?;
+            for ((effect, place, k, _), prediction) in batch.iter().zip(&predictions) {
+                if !Judge::sound(prediction) {
+                    continue;
+                }
+                let change = look.judge.change(prediction, &look.on.prediction);
+                for place in judged_places(context, effect, place) {
+                    judge(context, look, state, effect, &place, *k, &change, &mut out);
+                }
             }
         }
     }
@@ -98,8 +116,18 @@ fn judged_places(context: &Context, effect: &'static Effect, simulated: &Place) 
     }
 }
 
+/// Where candidates are looked at: runs, how the present model does on them, and what its parameters can do there.
+struct Look<'a> {
+    judge: &'a Judge,
+    on: &'a On,
+    basis: &'a [Vec<f32>],
+    /// What a sample of all runs shows over what one of these shows.
+    dilution: f64,
+}
+
 fn judge(
     context: &Context,
+    look: &Look<'_>,
     state: &State,
     effect: &'static Effect,
     place: &Place,
@@ -126,7 +154,7 @@ fn judge(
         change
     } else {
         trace = change.to_vec();
-        for segment in &context.fit.data.segments {
+        for segment in &look.judge.data.segments {
             for piece in &segment.pieces {
                 if !concerns(place, piece.kind, piece.index) || !piece.kind.of_joint() {
                     trace[piece.range.clone()].fill(0.0);
@@ -136,14 +164,14 @@ fn judge(
         restricted = trace;
         &restricted
     };
-    let residual = &state.fit.residual;
+    let residual = &look.on.residual;
     let (rd, dd) = (dot(residual, trace), dot(trace, trace));
     if dd < 1e-6 * n {
         return;
     }
     // less what parameters that are free already can do
     let (mut prd, mut pdd) = (rd, dd);
-    for q in &state.basis {
+    for q in look.basis {
         let (qd, qr) = (dot(q, trace), dot(q, residual));
         prd -= qd * qr;
         pdd -= qd * qd;
@@ -187,7 +215,7 @@ fn judge(
             &mut out[last]
         }
     };
-    entry.traces.push((sizes, dd / n));
+    entry.traces.push((sizes, look.dilution * dd / n));
     // starts in order of gain: the first is the best
     if gain > entry.gain {
         entry.gain = gain;

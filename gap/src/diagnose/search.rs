@@ -1,12 +1,18 @@
-//! The search for causes: add the best, refit all, try to delete, try to swap; a beam of candidates side by side.
+//! The search for causes: add the best, refit all, try to delete, try look-alikes; a beam of candidates side by side.
+//!
+//! Which of several look-alikes it is may show only when the next cause, or the one after it, stands beside it. So where much is left, look-alikes of what
+//! was found go on beside it as lines of their own, each in the place of what it looks like; what a line adds must be worth it there, and a line takes
+//! over when it has become better than the best so far by the same gates.
 
 use std::collections::BTreeSet;
 
-use super::gates::{self, Worth};
+use super::gates::{self, FLOOR, Worth};
 use super::refine::{Race, refine};
 use super::screen::{Screened, screen};
-use super::state::{Context, State};
+use super::state::{Context, State, builds_up};
+use super::verdict::wider;
 use super::{Progress, Stage};
+use crate::effects::Effect;
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
 
@@ -14,6 +20,14 @@ use crate::replay::{Term, Variant};
 const MOST_TERMS: usize = 7;
 /// Candidates that are kept side by side.
 const BEAM: usize = 2;
+/// Lines with a look-alike in the place of one effect that go on beside them where much is left.
+const LOOK_ALIKES: usize = 3;
+/// Most that a line's misfit may be, in that of the best.
+const LINE_BEHIND: f64 = 2.5;
+/// Candidates that were fitted to a scout and are fitted to everything as well.
+const POLISHED: usize = 4;
+/// Steps of that.
+const POLISHING: usize = 2;
 /// Screened candidates that are fitted in earnest, per state.
 const FITTED: usize = 12;
 /// The same once something was found.
@@ -25,10 +39,17 @@ const BEHIND: f64 = 1.5;
 /// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has
 /// (unless the misfit is still far from the floor).
 const OF_ALL: f64 = 0.035;
-/// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the benchmark).
-const FLOOR: f64 = 0.4;
 /// What an additional parameter must earn: share of the misfit.
 pub const PER_PARAMETER: f64 = 0.015;
+
+/// A model that goes on beside the best.
+struct Line {
+    state: State,
+    /// What it does without: the effect that a look-alike stands for, and those that say the same and more.
+    without: Vec<&'static Effect>,
+    /// Whether the look-alike is one that says the same and more.
+    says_more: bool,
+}
 
 /// What the search found.
 pub struct Found {
@@ -56,6 +77,7 @@ pub fn search(
 ) -> Result<Found, GapError> {
     let mut base = single(context, Vec::new())?;
     let mut beam = vec![base.clone()];
+    let mut lines: Vec<Line> = Vec::new();
     let mut best = base.clone();
     let mut first = Vec::new();
     let mut singles: Vec<(State, Worth)> = Vec::new();
@@ -68,14 +90,20 @@ pub fn search(
             }
             // what runs differ by grows with what was found: more friction drifts by more
             rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
-            let mut all: Vec<&mut State> = beam.iter_mut().collect();
+            let of_lines = lines.iter_mut().map(|l| &mut l.state);
+            let mut all: Vec<&mut State> = beam.iter_mut().chain(of_lines).collect();
             reread(context, &mut all)?;
         }
         let mut children: Vec<(State, Worth, usize)> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
-        for (number, parent) in beam.iter().enumerate() {
+        let firsts = beam.len();
+        let parents = beam.iter().chain(lines.iter().map(|l| &l.state));
+        for (number, parent) in parents.enumerate() {
             progress(Progress::new(Stage::Screening, depth, &parent.label()));
-            let screened = screen(context, parent)?;
+            let mut screened = screen(context, parent)?;
+            if number >= firsts {
+                screened.retain(|s| !lines[number - firsts].without.contains(&s.effect));
+            }
             tried += screened.len();
             let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
             progress(Progress::new(Stage::Fitting, depth, &parent.label()));
@@ -92,25 +120,56 @@ pub fn search(
         if depth == 1 {
             singles = children.iter().map(|(s, w, _)| (s.clone(), *w)).collect();
         }
+        let good = |(s, w, _): &&(State, Worth, usize)| {
+            w.passed
+                && enough(context, w, &base, s)
+                && s.terms.last().is_some_and(|t| gates::matters(context, t))
+        };
+        // a line's parent was not better than the best: its child has to be
+        let leads = |(s, _, number): &&(State, Worth, usize)| {
+            *number < firsts
+                || (penalised(context, s) < penalised(context, &best)
+                    && gates::worth(context, &best, s, None).low > 0.0)
+        };
         let passed: Vec<State> = children
             .iter()
-            .filter(|(s, w, _)| {
-                w.passed
-                    && enough(context, w, &base, s)
-                    && s.terms.last().is_some_and(|t| gates::matters(context, t))
-            })
+            .filter(good)
+            .filter(leads)
             .map(|(s, _, _)| s.clone())
             .collect();
-        refused = children
-            .into_iter()
-            .filter(|(_, w, _)| !w.passed && w.fit > 0.0)
-            .map(|(s, w, _)| (s, w))
-            .take(8)
-            .collect();
-        let Some(leader) = passed.first() else { break };
-        if penalised(context, leader) >= penalised(context, &best) {
-            break;
+        let mut going_on: Vec<Line> = Vec::new();
+        for (k, line) in lines.drain(..).enumerate() {
+            let mut own = children.iter().filter(|c| c.2 == firsts + k);
+            if let Some((state, _, _)) = own.find(|c| good(c)) {
+                going_on.push(Line {
+                    state: state.clone(),
+                    ..line
+                });
+            }
         }
+        if firsts > 0 {
+            refused = children
+                .into_iter()
+                .filter(|(_, w, number)| *number < firsts && !w.passed && w.fit > 0.0)
+                .map(|(s, w, _)| (s, w))
+                .take(8)
+                .collect();
+        }
+        let leader = passed
+            .first()
+            .filter(|s| penalised(context, s) < penalised(context, &best));
+        let Some(leader) = leader else {
+            // the best stays; lines may still overtake it
+            beam.clear();
+            lines = going_on;
+            if lines.is_empty() {
+                break;
+            }
+            for line in &mut lines {
+                context.find_basis(&mut line.state)?;
+            }
+            continue;
+        };
         best = leader.clone();
         best = delete(context, best)?;
         let mut next = passed;
@@ -131,6 +190,22 @@ pub fn search(
             // what is still to be found is small: one way is enough
             next.truncate(1);
         }
+        if gates::worst(context, &best) >= super::verdict::QUIET && depth < MOST_TERMS {
+            let others = look_alikes(context, &base, &first, &best)?;
+            if let Some(other) = others.first()
+                && !other.says_more
+                && penalised(context, &other.state) < penalised(context, &best)
+                && gates::worth(context, &best, &other.state, None).low > 0.0
+            {
+                // it is the better name: the one that was found first is the look-alike
+                let earlier = std::mem::replace(&mut best, other.state.clone());
+                next.retain(|s| s.key() != earlier.key());
+                next.insert(0, best.clone());
+                context.find_basis(&mut next[0])?;
+            }
+            going_on.extend(others);
+            lines = chosen_lines(context, &best, &next, going_on)?;
+        }
         beam = next;
         progress(Progress::new(Stage::Accepted, depth, &best.label()));
     }
@@ -141,7 +216,13 @@ pub fn search(
         best = delete(context, best)?;
     }
     if !best.terms.is_empty() {
-        let polished = refine(context, vec![best.terms.clone()], Some(12), None)?;
+        let polished = refine(
+            context,
+            &context.fit,
+            vec![best.terms.clone()],
+            Some(12),
+            None,
+        )?;
         let polished = single(context, polished[0].0.clone())?;
         if polished.fit.misfit <= best.fit.misfit {
             best = polished;
@@ -172,6 +253,9 @@ fn rebase(
 ) -> Result<(), GapError> {
     context.fit.set_base(&context.replayer, terms)?;
     context.holdout.set_base(&context.replayer, terms)?;
+    if let Some(scout) = &mut context.scout {
+        scout.judge.set_base(&context.replayer, terms)?;
+    }
     reread(context, states)
 }
 
@@ -184,6 +268,9 @@ fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> 
             &context.holdout,
             std::mem::take(&mut state.holdout.prediction),
         );
+        if let (Some(scout), Some(on)) = (&context.scout, &mut state.scout) {
+            *on = super::state::On::new(&scout.judge, std::mem::take(&mut on.prediction));
+        }
         if had_basis {
             context.find_basis(state)?;
         }
@@ -206,7 +293,8 @@ pub fn single(context: &Context, terms: Variant) -> Result<State, GapError> {
 pub fn penalised(context: &Context, state: &State) -> f64 {
     let model = context.replayer.model();
     let joints = model.actuated().len().max(1);
-    state.misfit() * (1.0 + PER_PARAMETER * state.parameters(model) as f64 / joints as f64)
+    gates::misfit(context, state)
+        * (1.0 + PER_PARAMETER * state.parameters(model) as f64 / joints as f64)
 }
 
 /// The most promising, not more than a few places of one effect.
@@ -253,7 +341,25 @@ fn expand(
         }
         number += 1;
     }
-    best_fits(context, variants, &of, number, parent.fit.misfit)
+    best_fits(context, variants, &of, number, Before::of(parent))
+}
+
+/// Misfit that fits begin with.
+#[derive(Clone, Copy)]
+struct Before {
+    /// Where candidates are looked at first.
+    look: f64,
+    /// On all runs to fit to.
+    fit: f64,
+}
+
+impl Before {
+    fn of(state: &State) -> Self {
+        Self {
+            look: state.on_scout().misfit,
+            fit: state.fit.misfit,
+        }
+    }
 }
 
 /// Fits and keeps the best of each group.
@@ -262,17 +368,127 @@ fn best_fits(
     variants: Vec<Variant>,
     of: &[usize],
     groups: usize,
-    from: f64,
+    before: Before,
 ) -> Result<Vec<State>, GapError> {
-    let fitted = refine(context, variants, None, Some(&Race { of, from }))?;
     let mut best: Vec<Option<(Variant, f64)>> = vec![None; groups];
-    for ((terms, cost), &g) in fitted.into_iter().zip(of) {
-        if best[g].as_ref().is_none_or(|b| cost < b.1) {
-            best[g] = Some((terms, cost));
+    for (whole, judge, from) in [
+        (false, context.first_look(), before.look),
+        (true, &context.fit, before.fit),
+    ] {
+        let slow = |v: &Variant| context.scout.is_some() && v.iter().any(|t| builds_up(t.effect));
+        let own: Vec<usize> = (0..variants.len())
+            .filter(|&i| slow(&variants[i]) == whole)
+            .collect();
+        if own.is_empty() {
+            continue;
+        }
+        let of: Vec<usize> = own.iter().map(|&i| of[i]).collect();
+        let own = own.iter().map(|&i| variants[i].clone()).collect();
+        let fitted = refine(context, judge, own, None, Some(&Race { of: &of, from }))?;
+        for ((terms, cost), &g) in fitted.into_iter().zip(&of) {
+            if best[g].as_ref().is_none_or(|b| cost < b.1) {
+                best[g] = Some((terms, cost));
+            }
         }
     }
     let variants: Vec<Variant> = best.into_iter().flatten().map(|b| b.0).collect();
-    context.states(&variants)
+    let mut states = context.states(&variants)?;
+    if context.scout.is_some() {
+        polish(context, &mut states)?;
+    }
+    Ok(states)
+}
+
+/// Fits the best of those that were fitted to a scout to everything.
+fn polish(context: &Context, states: &mut [State]) -> Result<(), GapError> {
+    let mut order: Vec<usize> = (0..states.len()).collect();
+    order.sort_by(|&a, &b| {
+        let of = |i: usize| penalised(context, &states[i]);
+        of(a).total_cmp(&of(b))
+    });
+    order.truncate(POLISHED);
+    let variants: Vec<Variant> = order.iter().map(|&i| states[i].terms.clone()).collect();
+    let fitted = refine(context, &context.fit, variants, Some(POLISHING), None)?;
+    let variants: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
+    for (i, state) in order.into_iter().zip(context.states(&variants)?) {
+        if state.fit.misfit < states[i].fit.misfit {
+            states[i] = state;
+        }
+    }
+    Ok(())
+}
+
+/// `best` with a look-alike in the place of one of its effects, refitted, best first.
+fn look_alikes(
+    context: &Context,
+    base: &State,
+    first: &[Screened],
+    best: &State,
+) -> Result<Vec<Line>, GapError> {
+    let mut all: Vec<Line> = Vec::new();
+    for (index, term) in best.terms.iter().enumerate() {
+        let mut terms = best.terms.clone();
+        terms.remove(index);
+        let screened;
+        let (screened, without) = if terms.is_empty() {
+            (first, base.clone())
+        } else {
+            let mut without = single(context, terms)?;
+            context.find_basis(&mut without)?;
+            screened = screen(context, &without)?;
+            (screened.as_slice(), without)
+        };
+        let alike = |s: &&Screened| {
+            let (own, other) = (term.effect, s.effect);
+            own.look_alikes.contains(&other.id) || other.look_alikes.contains(&own.id)
+        };
+        let here =
+            |s: &Screened| s.place.domain == term.place.domain && s.place.items == term.place.items;
+        let mut rivals: Vec<&Screened> = Vec::new();
+        for s in screened.iter().filter(alike) {
+            // at the same place if it can be there, else where it does best
+            match rivals.iter().position(|r| r.effect == s.effect) {
+                Some(k) if here(s) && !here(rivals[k]) => rivals[k] = s,
+                Some(_) => {}
+                None => rivals.push(s),
+            }
+        }
+        let states = swapped(context, best, index, &rivals, &without)?;
+        for (state, rival) in states.into_iter().zip(&rivals) {
+            let mut without = vec![term.effect];
+            let others = rivals.iter().map(|r| r.effect);
+            without.extend(others.filter(|e| *e != rival.effect && wider(term.effect, e)));
+            all.push(Line {
+                state,
+                without,
+                says_more: wider(term.effect, rival.effect),
+            });
+        }
+    }
+    sort_lines(context, &mut all);
+    Ok(all)
+}
+
+fn sort_lines(context: &Context, lines: &mut [Line]) {
+    let of = |l: &Line| penalised(context, &l.state);
+    lines.sort_by(|a, b| of(a).total_cmp(&of(b)));
+}
+
+/// The best of `lines` that are not too far behind `best` and not in the beam.
+fn chosen_lines(
+    context: &Context,
+    best: &State,
+    beam: &[State],
+    mut lines: Vec<Line>,
+) -> Result<Vec<Line>, GapError> {
+    sort_lines(context, &mut lines);
+    let mut seen: BTreeSet<Vec<String>> = beam.iter().map(State::key).collect();
+    lines.retain(|l| l.state.misfit() < LINE_BEHIND * best.misfit() && seen.insert(l.state.key()));
+    lines.truncate(LOOK_ALIKES);
+    for line in &mut lines {
+        context.find_basis(&mut line.state)?;
+    }
+    Ok(lines)
 }
 
 /// Deletes effects that the others make superfluous, one by one.
@@ -286,7 +502,11 @@ fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
             })
             .collect();
         let of: Vec<usize> = (0..variants.len()).collect();
-        let without = best_fits(context, variants, &of, of.len(), f64::INFINITY)?;
+        let before = Before {
+            look: f64::INFINITY,
+            fit: f64::INFINITY,
+        };
+        let without = best_fits(context, variants, &of, of.len(), before)?;
         // the one that is missed least
         let least = without
             .into_iter()
@@ -302,7 +522,7 @@ fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
     Ok(state)
 }
 
-/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `from`: misfit on the fit runs without the term.
+/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `without`: the model without the term.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
@@ -311,7 +531,7 @@ pub fn swapped(
     state: &State,
     index: usize,
     rivals: &[&Screened],
-    from: f64,
+    without: &State,
 ) -> Result<Vec<State>, GapError> {
     let mut variants = Vec::new();
     let mut of = Vec::new();
@@ -327,5 +547,5 @@ pub fn swapped(
             of.push(number);
         }
     }
-    best_fits(context, variants, &of, rivals.len(), from)
+    best_fits(context, variants, &of, rivals.len(), Before::of(without))
 }

@@ -6,6 +6,7 @@ use super::algebra::{dot, inverse};
 use super::state::{Context, State};
 use crate::error::GapError;
 use crate::plots::Correlation;
+use crate::replay::Term;
 use crate::report::Parameter;
 
 /// Half an interval is at least this part of the smallest change that matters: labs differ by more than the noise of one session …
@@ -16,18 +17,24 @@ const LAW: f64 = 0.1;
 /// … and more where the model fits worse than careful labs do (misfit of nulls of the benchmark).
 const GOOD_MISFIT: f64 = 0.2;
 
-/// Sandwich covariance of the fitted parameters, and their names.
+/// Fewest runs from which it is told how much parameters differ from run to run.
+const FEWEST_RUNS: usize = 3;
+
+/// Sandwich covariance of the fitted parameters.
 pub struct Spread {
     /// `[P, P]`, SI.
     pub covariance: Vec<Vec<f64>>,
+    /// Variances with residuals that hang together within a second, or within a whole run: the larger. `[P]`, SI².
+    variance: Vec<f64>,
 }
 
-/// The parameters of one term with their 95 % intervals.
+/// The parameters of one term with their 95 % intervals. `wider`: variances of them that are larger than `spread` says, SI², if any (see [`beside`]).
 pub fn parameters(
     context: &Context,
     best: &State,
     index: usize,
     spread: &Spread,
+    wider: &[f64],
 ) -> BTreeMap<String, Parameter> {
     let model = context.replayer.model();
     let offset: usize = best.terms[..index].iter().map(|t| t.values.len()).sum();
@@ -38,10 +45,9 @@ pub fn parameters(
         let value = term.values[p];
         let (low, high) = term.effect.bounds(model, &term.place, p);
         let near = 1e-6 * (high - low);
-        let sd = spread
-            .covariance
-            .get(offset + p)
-            .map_or(0.0, |row| row[offset + p].max(0.0).sqrt());
+        let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
+        let wider = wider.get(p).copied().unwrap_or(0.0);
+        let sd = variance.max(wider).max(0.0).sqrt();
         // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a part of what matters
         let poor = (best.fit.misfit / GOOD_MISFIT).max(1.0).sqrt();
         let half = (1.96 * sd * poor)
@@ -62,15 +68,17 @@ pub fn parameters(
     out
 }
 
-/// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block.
+/// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block. Friction and supply differ from run to run
+/// and hold for all of it, so that whole runs are taken for blocks too.
 pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
     let none = Spread {
         covariance: Vec::new(),
+        variance: Vec::new(),
     };
     if best.terms.is_empty() {
         return Ok(none);
     }
-    let (columns, steps) = context.jacobian(&best.terms, &best.fit.prediction)?;
+    let (columns, steps) = context.jacobian(&context.fit, &best.terms)?;
     let n = columns.len();
     let mut gram: Vec<Vec<f64>> = columns
         .iter()
@@ -84,14 +92,103 @@ pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
         return Ok(none);
     };
     let residual = &best.fit.residual;
-    let scores: Vec<Vec<f64>> = columns
+    let score = |c: &Vec<f32>, k: usize| f64::from(c[k]) * f64::from(residual[k]);
+    let by_block = columns
         .iter()
-        .map(|c| {
-            context
-                .fit
-                .by_block(|k| f64::from(c[k]) * f64::from(residual[k]))
-        })
+        .map(|c| context.fit.by_block(|k| score(c, k)))
+        .collect::<Vec<_>>();
+    let by_run = columns
+        .iter()
+        .map(|c| context.fit.by_trial(|k| score(c, k)))
+        .collect::<Vec<_>>();
+    let scaled = |scores: &[Vec<f64>]| {
+        let mut covariance = sandwich(&bread, scores);
+        for (i, row) in covariance.iter_mut().enumerate() {
+            for (j, c) in row.iter_mut().enumerate() {
+                *c *= steps[i] * steps[j];
+            }
+        }
+        covariance
+    };
+    let covariance = scaled(&by_block);
+    let mut variance: Vec<f64> = (0..n).map(|i| covariance[i][i]).collect();
+    let runs = by_run.first().map_or(0, Vec::len);
+    if runs >= FEWEST_RUNS {
+        // scores sum to nothing at the best fit: one run of them is not free
+        let few = runs as f64 / (runs as f64 - 1.0);
+        for (i, (v, row)) in variance.iter_mut().zip(scaled(&by_run)).enumerate() {
+            *v = v.max(few * row[i]);
+        }
+    }
+    Ok(Spread {
+        covariance,
+        variance,
+    })
+}
+
+/// Variances of the parameters of term `index`, SI², if `rivals`, which explain the runs about as well in its place, may be there beside it: each with
+/// the size that it would need alone as the standard deviation of what is known of it beforehand. Empty where that says nothing.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn beside(
+    context: &Context,
+    best: &State,
+    index: usize,
+    rivals: &[&Term],
+    spread: &Spread,
+) -> Result<Vec<f64>, GapError> {
+    let model = context.replayer.model();
+    let mut terms = best.terms.clone();
+    let own: usize = terms.iter().map(|t| t.values.len()).sum();
+    let mut sizes = Vec::new();
+    for rival in rivals {
+        let neutral = rival.effect.neutral(model, &rival.place);
+        sizes.extend(
+            rival
+                .values
+                .iter()
+                .zip(&neutral)
+                .map(|(v, z)| (v - z).abs()),
+        );
+        terms.push(Term {
+            values: neutral,
+            ..(*rival).clone()
+        });
+    }
+    let (columns, steps) = context.jacobian(&context.fit, &terms)?;
+    let mut gram: Vec<Vec<f64>> = columns
+        .iter()
+        .map(|a| columns.iter().map(|b| dot(a, b)).collect())
         .collect();
+    let largest = (0..own).map(|i| gram[i][i]).fold(0.0, f64::max);
+    for (i, row) in gram.iter_mut().enumerate() {
+        row[i] += 1e-9 * largest.max(1e-12);
+        if i >= own {
+            // what leaves no trace, or was not needed, stays where it is
+            let size = (sizes[i - own] / steps[i]).max(1e-6);
+            row[i] += 1.0 / (size * size);
+        }
+    }
+    let alone: Vec<Vec<f64>> = gram[..own].iter().map(|r| r[..own].to_vec()).collect();
+    let (Some(together), Some(alone)) = (inverse(&gram), inverse(&alone)) else {
+        return Ok(Vec::new());
+    };
+    let offset: usize = best.terms[..index].iter().map(|t| t.values.len()).sum();
+    let count = best.terms[index].values.len();
+    Ok((offset..offset + count)
+        .map(|i| {
+            let known = spread.variance.get(i).copied().unwrap_or(0.0);
+            let grows = together[i][i] / alone[i][i].max(1e-300);
+            // either the noise as the sandwich has it, grown alike, or the model's own
+            (known * grows).max((together[i][i] - alone[i][i]) * steps[i] * steps[i])
+        })
+        .collect())
+}
+
+/// bread·(Σ score·scoreᵀ)·bread; `scores`: `[P][B]`.
+fn sandwich(bread: &[Vec<f64>], scores: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let n = scores.len();
     let meat: Vec<Vec<f64>> = (0..n)
         .map(|i| {
             (0..n)
@@ -108,13 +205,7 @@ pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
             })
             .collect()
     };
-    let mut covariance = product(&product(&bread, &meat), &bread);
-    for (i, row) in covariance.iter_mut().enumerate() {
-        for (j, c) in row.iter_mut().enumerate() {
-            *c *= steps[i] * steps[j];
-        }
-    }
-    Ok(Spread { covariance })
+    product(&product(bread, &meat), bread)
 }
 
 /// Correlation of all fitted parameters.

@@ -4,6 +4,7 @@ use caudata_model::RobotModel;
 
 use super::algebra::dot;
 use super::judge::Judge;
+use super::scout::{Scout, WINDOW_S};
 use crate::effects::Effect;
 use crate::error::GapError;
 use crate::excitation::Excitation;
@@ -15,6 +16,8 @@ pub struct Context {
     pub replayer: Replayer,
     /// Runs to fit to.
     pub fit: Judge,
+    /// A few stretches of them that tell most, where all would take minutes.
+    pub scout: Option<Scout>,
     /// Runs held out.
     pub holdout: Judge,
     /// Effects that are tried.
@@ -56,9 +59,11 @@ pub struct State {
     pub terms: Variant,
     /// On the runs it is fitted to.
     pub fit: On,
+    /// On the scout, if there is one.
+    pub scout: Option<On>,
     /// On held-out runs.
     pub holdout: On,
-    /// Orthonormal basis of what its parameters can do on the runs it is fitted to, whitened. `[≤ P][N]`
+    /// Orthonormal basis of what its parameters can do on the scout (without one: on the runs it is fitted to), whitened. `[≤ P][N]`
     pub basis: Vec<Vec<f32>>,
 }
 
@@ -71,6 +76,12 @@ impl State {
             self.holdout.residual.len() as f64,
         );
         (a * self.fit.misfit + b * self.holdout.misfit) / (a + b).max(1.0)
+    }
+
+    /// How it does where candidates are looked at first.
+    #[must_use]
+    pub fn on_scout(&self) -> &On {
+        self.scout.as_ref().unwrap_or(&self.fit)
     }
 
     /// Number of parameters that are not where they are without the effect: one that leaves no trace stays there.
@@ -108,7 +119,20 @@ impl State {
     }
 }
 
+/// Whether an effect takes far longer to build up than a stretch of a scout lasts.
+#[must_use]
+pub fn builds_up(effect: &Effect) -> bool {
+    let slow = |p: &crate::effects::ParameterSpec| p.unit == "s" && p.high > 12.0 * WINDOW_S;
+    effect.parameters.iter().any(slow)
+}
+
 impl Context {
+    /// Where candidates are looked at first: the scout, or the runs to fit to.
+    #[must_use]
+    pub fn first_look(&self) -> &Judge {
+        self.scout.as_ref().map_or(&self.fit, |s| &s.judge)
+    }
+
     /// Candidates with these effects, simulated on all runs.
     ///
     /// # Errors
@@ -116,16 +140,24 @@ impl Context {
     pub fn states(&self, variants: &[Variant]) -> Result<Vec<State>, GapError> {
         let fit = self.replayer.predict(&self.fit.data, variants)?;
         let holdout = self.replayer.predict(&self.holdout.data, variants)?;
-        Ok(variants
+        let mut states: Vec<State> = variants
             .iter()
             .zip(fit.into_iter().zip(holdout))
             .map(|(terms, (f, h))| State {
                 terms: terms.clone(),
                 fit: On::new(&self.fit, f),
+                scout: None,
                 holdout: On::new(&self.holdout, h),
                 basis: Vec::new(),
             })
-            .collect())
+            .collect();
+        if let Some(scout) = &self.scout {
+            let predictions = self.replayer.predict(&scout.judge.data, variants)?;
+            for (state, prediction) in states.iter_mut().zip(predictions) {
+                state.scout = Some(On::new(&scout.judge, prediction));
+            }
+        }
+        Ok(states)
     }
 
     /// Fills in `state.basis` from derivatives by its parameters.
@@ -134,7 +166,7 @@ impl Context {
     /// As [`Replayer::predict`].
     pub fn find_basis(&self, state: &mut State) -> Result<(), GapError> {
         state.basis.clear();
-        for mut column in self.jacobian(&state.terms, &state.fit.prediction)?.0 {
+        for mut column in self.jacobian(self.first_look(), &state.terms)?.0 {
             for q in &state.basis {
                 let along = dot(q, &column) as f32;
                 for (c, q) in column.iter_mut().zip(q) {
@@ -152,21 +184,21 @@ impl Context {
         Ok(())
     }
 
-    /// Whitened derivatives by each parameter on the fit runs, per step; and the steps, SI. `([P][N], [P])`
+    /// Whitened derivatives by each parameter on the runs of `judge`, per step; and the steps, SI. `([P][N], [P])`
     ///
     /// # Errors
     /// As [`Replayer::predict`].
     pub fn jacobian(
         &self,
+        judge: &Judge,
         terms: &[Term],
-        _at: &[f32],
     ) -> Result<(Vec<Vec<f32>>, Vec<f64>), GapError> {
         let (variants, steps) = differences(&self.replayer, terms);
-        let predictions = self.replayer.predict(&self.fit.data, &variants)?;
+        let predictions = self.replayer.predict(&judge.data, &variants)?;
         let columns = predictions
             .chunks(2)
             .map(|pair| {
-                let mut d = self.fit.change(&pair[0], &pair[1]);
+                let mut d = judge.change(&pair[0], &pair[1]);
                 for d in &mut d {
                     *d *= 0.5;
                 }

@@ -9,9 +9,10 @@ use super::extend::extended;
 use super::floors::floors;
 use super::naming::Named;
 use super::search::Found;
-use super::spread::{Spread, correlation, parameters, spread};
+use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
 use super::{Diagnosis, Request, Split, gates, leftover, next, pictures};
+use crate::effects::Effect;
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
@@ -79,7 +80,7 @@ pub fn conclude(
     let mut order: Vec<&Named> = named.iter().collect();
     order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
     for n in &order {
-        causes.push(cause(context, best, n, &spread, trust));
+        causes.push(cause(context, best, n, &spread, trust)?);
     }
     let unexplained = leftover::leftover(context, found);
     let verdict = verdict(context, found, &causes, split);
@@ -170,11 +171,18 @@ pub fn left(context: &Context, base: &State, best: &State) -> f64 {
     }
 }
 
-fn cause(context: &Context, best: &State, named: &Named, spread: &Spread, trust: f64) -> Cause {
+fn cause(
+    context: &Context,
+    best: &State,
+    named: &Named,
+    spread: &Spread,
+    trust: f64,
+) -> Result<Cause, GapError> {
     let term = &best.terms[named.index];
     let mut alternatives: Vec<String> = Vec::new();
     let mut rejected: Vec<Rejected> = Vec::new();
     let mut same_name = named.probability;
+    let mut open: Vec<&Term> = Vec::new();
     for rival in &named.rivals {
         let other = &rival.state.terms[rival.index];
         if other.effect == term.effect {
@@ -189,11 +197,16 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread, trust:
             });
         } else if rival.in_set {
             // two names for the very same motions are one hypothesis, as far as these runs go
-            if indistinguishable(best, &rival.state) {
+            let same = indistinguishable(best, &rival.state);
+            if same {
                 same_name += rival.probability;
             }
             if !alternatives.contains(&id) {
                 alternatives.push(id);
+                if !same {
+                    // it may be there as well; of two names for the same motions one is enough
+                    open.push(other);
+                }
             }
         } else if !alternatives.contains(&id) && !rejected.iter().any(|r| r.effect == id) {
             rejected.push(Rejected {
@@ -208,16 +221,21 @@ fn cause(context: &Context, best: &State, named: &Named, spread: &Spread, trust:
             });
         }
     }
-    Cause {
+    let wider = if open.is_empty() {
+        Vec::new()
+    } else {
+        beside(context, best, named.index, &open, spread)?
+    };
+    Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
-        parameters: parameters(context, best, named.index, spread),
+        parameters: parameters(context, best, named.index, spread, &wider),
         confidence: (same_name * trust).clamp(0.03, 0.97),
         alternatives,
         evidence: evidence(context, term, named),
         rejected,
-    }
+    })
 }
 
 /// Whether two models predict the same, to a hundredth of what counts.
@@ -241,7 +259,12 @@ const WIDER: &[(&str, &str)] = &[
 
 /// Whether `other` can say what `term` says and more.
 fn more_general(term: &Term, other: &Term) -> bool {
-    WIDER.contains(&(term.effect.id, other.effect.id))
+    wider(term.effect, other.effect)
+}
+
+/// Whether the effect `one` is a special case of `other`.
+pub fn wider(one: &Effect, other: &Effect) -> bool {
+    WIDER.contains(&(one.id, other.id))
 }
 
 fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {

@@ -83,9 +83,22 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
         c.rollouts,
         svg::number(c.simulated_s)
     );
+    document(&format!("{word}: {}", escape(robot)), &body)
+}
+
+/// A page of curves alone: measured, and two models. `lead`: HTML below the title, made by the caller.
+#[must_use]
+pub fn curves(title: &str, lead: &str, overlays: &[crate::plots::Overlay]) -> String {
+    let title = escape(title);
+    let mut body = format!("<h1>{title}</h1>{lead}");
+    body.push_str(&figures::key(overlays.iter().any(|o| !o.after.is_empty())));
+    grid(&mut body, overlays.iter().map(figures::overlay));
+    document(&title, &body)
+}
+
+fn document(title: &str, body: &str) -> String {
     format!(
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><title>{word}: {}</title><style>{}</style></head><body><main>{body}</main></body></html>\n",
-        escape(robot),
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><title>{title}</title><style>{}</style></head><body><main>{body}</main></body></html>\n",
         style::CSS
     )
 }

@@ -25,6 +25,8 @@ pub struct SegmentOptions {
     pub fixed_s: f64,
     /// Length of a stretch of a free or swimming robot, s.
     pub free_s: f64,
+    /// Time before a stretch of a held robot that is simulated and does not count, s: what a joint that rests remembers of how it came there.
+    pub lead_s: f64,
 }
 
 impl Default for SegmentOptions {
@@ -32,6 +34,7 @@ impl Default for SegmentOptions {
         Self {
             fixed_s: f64::INFINITY,
             free_s: FREE_SEGMENT_S,
+            lead_s: 0.0,
         }
     }
 }
@@ -128,8 +131,13 @@ impl Data {
             let count = ((last - first) / length_s).floor().max(1.0);
             let each = (last - first) / count;
             for k in 0..count as usize {
-                let start_s = first + k as f64 * each;
-                data.push(model, number, trial, (start_s, start_s + each), stride);
+                let from_s = first + k as f64 * each;
+                let lead_s = match trial.base {
+                    BaseHold::Fixed => options.lead_s.min(from_s - first),
+                    _ => 0.0,
+                };
+                let span_s = (from_s - lead_s, from_s, from_s + each);
+                data.push(model, number, trial, span_s, stride);
             }
         }
         data.trials = trials;
@@ -141,19 +149,20 @@ impl Data {
         model: &RobotModel,
         number: usize,
         trial: &Trial,
-        (start_s, end_s): (f64, f64),
+        (start_s, from_s, end_s): (f64, f64, f64),
         stride: usize,
     ) {
         let begin = self.value.len();
         let first_block = self.blocks;
-        let blocks = ((end_s - start_s) / BLOCK_S).floor().max(1.0);
-        let block_s = (end_s - start_s) / blocks;
+        let blocks = ((end_s - from_s) / BLOCK_S).floor().max(1.0);
+        let block_s = (end_s - from_s) / blocks;
         let free = trial.base != BaseHold::Fixed;
         let settle_s = if free { 0.04 } else { SETTLE_S };
+        let counts_s = from_s.max(start_s + settle_s);
         let mut pieces = Vec::new();
         for (index, channel) in trial.channels.iter().enumerate() {
             let from = self.value.len();
-            let low = channel.time_s.partition_point(|&t| t < start_s + settle_s);
+            let low = channel.time_s.partition_point(|&t| t < counts_s);
             let high = channel.time_s.partition_point(|&t| t < end_s);
             for k in (low..high).step_by(stride) {
                 let t = channel.time_s[k];
@@ -162,7 +171,7 @@ impl Data {
                 }
                 self.time_s.push(t);
                 self.value.push(channel.value[k]);
-                let block = ((t - start_s) / block_s).floor().clamp(0.0, blocks - 1.0);
+                let block = ((t - from_s) / block_s).floor().clamp(0.0, blocks - 1.0);
                 self.block.push((first_block + block as usize) as u32);
             }
             if self.value.len() > from {
@@ -183,6 +192,46 @@ impl Data {
             pieces,
             start: start(model, trial, start_s),
         });
+    }
+
+    /// The same runs with these stretches alone, in this order.
+    #[must_use]
+    pub fn only(&self, keep: &[usize]) -> Self {
+        let mut out = Self {
+            trials: self.trials.clone(),
+            ..Self::default()
+        };
+        for &s in keep {
+            let segment = &self.segments[s];
+            let (from, to) = (segment.range.start, out.value.len());
+            let moved = |r: &Range<usize>| r.start - from + to..r.end - from + to;
+            let blocks = &self.block[segment.range.clone()];
+            let first = blocks.iter().min().copied().unwrap_or(0);
+            let last = blocks.iter().max().copied().unwrap_or(0);
+            out.block
+                .extend(blocks.iter().map(|b| b - first + out.blocks as u32));
+            out.blocks += (last - first) as usize + 1;
+            out.time_s
+                .extend_from_slice(&self.time_s[segment.range.clone()]);
+            out.value
+                .extend_from_slice(&self.value[segment.range.clone()]);
+            let pieces = segment.pieces.iter().map(|p| Piece {
+                range: moved(&p.range),
+                ..p.clone()
+            });
+            out.segments.push(Segment {
+                range: moved(&segment.range),
+                pieces: pieces.collect(),
+                ..segment.clone()
+            });
+        }
+        out
+    }
+
+    /// Simulated time of one candidate, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f64 {
+        self.segments.iter().map(Segment::duration_s).sum()
     }
 
     /// Number of samples.
@@ -303,4 +352,47 @@ fn line(c: &Channel, t_s: f64) -> (f64, f64) {
     }
     let slope = if sxx > 1e-9 { sxy / sxx } else { 0.0 };
     (mean_y + slope * (t_s - mean_t), slope)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_has_its_own_samples_and_blocks() {
+        // two stretches of two channels, two samples each; blocks 0 and 1, and 2
+        let piece = |channel: usize, from: usize| Piece {
+            kind: Kind::Position,
+            index: channel,
+            channel,
+            range: from..from + 2,
+        };
+        let segment = |k: usize| Segment {
+            trial: k,
+            start_s: 0.0,
+            end_s: 2.0,
+            range: 4 * k..4 * k + 4,
+            pieces: vec![piece(0, 4 * k), piece(1, 4 * k + 2)],
+            start: Start::default(),
+        };
+        let whole = Data {
+            trials: Vec::new(),
+            segments: vec![segment(0), segment(1)],
+            time_s: (0..8).map(f64::from).collect(),
+            value: (10..18).map(f64::from).collect(),
+            block: vec![0, 1, 0, 1, 2, 2, 2, 2],
+            blocks: 3,
+        };
+        let part = whole.only(&[1]);
+        assert_eq!(part.value, [14.0, 15.0, 16.0, 17.0]);
+        assert_eq!(part.time_s, [4.0, 5.0, 6.0, 7.0]);
+        assert_eq!((part.block.as_slice(), part.blocks), (&[0, 0, 0, 0][..], 1));
+        assert_eq!(part.segments[0].range, 0..4);
+        assert_eq!(part.segments[0].pieces[1].range, 2..4);
+        assert_eq!(part.segments[0].trial, 1);
+        let all = whole.only(&[0, 1]);
+        assert_eq!((all.value, all.block), (whole.value, whole.block));
+        assert_eq!(all.blocks, 3);
+        assert_eq!(part.duration_s(), 2.0);
+    }
 }

@@ -22,7 +22,7 @@ use crate::error::GapError;
 use crate::plant::Plant;
 use crate::trial::Trial;
 
-pub use data::{Data, Piece, Segment, SegmentOptions};
+pub use data::{Data, Piece, Segment, SegmentOptions, Start};
 
 /// Lanes of one engine: the widest vector register's.
 const LANES: usize = 16;

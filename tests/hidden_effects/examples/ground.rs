@@ -1,4 +1,4 @@
-//! Writes cases of the salamander on the ground: `ground OUT`.
+//! Writes cases of the salamander on the ground, `ground OUT [NAME…]`; the robot that each comes from goes to `OUT/truth/NAME.robot.toml`.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 use caudata_hidden_effects::ground::{self, GroundPlan, OnGround};
 use caudata_hidden_effects::truth::free::Channels;
@@ -31,8 +31,28 @@ fn main() {
         ),
         ("slippery", OnGround::Friction(0.5), all),
         ("payload_0.4kg", OnGround::Payload(0.4), all),
+        ("weak_leg", OnGround::WeakLeg(0.5), all),
+        (
+            "paper",
+            OnGround::Paper {
+                half_width_deg: 4.0,
+                low_pass_s: 0.03,
+                torque: 0.7,
+            },
+            all,
+        ),
     ];
+    let wanted: Vec<String> = std::env::args().skip(2).collect();
+    let truth = out.join("truth");
+    std::fs::create_dir_all(&truth).unwrap();
+    let mjcf = ground::stiff_salamander().unwrap().1;
+    std::fs::write(truth.join("polymander.xml"), mjcf).unwrap();
     for (i, (name, hidden, channels)) in plans.into_iter().enumerate() {
+        if !wanted.is_empty() && !wanted.iter().any(|w| w == name) {
+            continue;
+        }
+        let file = truth.join(format!("{name}.robot.toml"));
+        std::fs::write(file, ground::true_salamander(hidden).unwrap()).unwrap();
         let now = std::time::Instant::now();
         let plan = GroundPlan {
             name: name.to_owned(),

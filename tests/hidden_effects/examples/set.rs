@@ -1,4 +1,4 @@
-//! Runs a set without the command line: `set quick|pr|nightly SEED CASES JOBS ROOT [SKIP]`; the diagnosing program lies beside the examples' folder.
+//! Runs a set without the command line: `set quick|pr|nightly SEED CASES JOBS ROOT [SKIP [BLOCK,…]]`; the diagnosing program lies beside the examples' folder.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 use caudata_hidden_effects::run::{self, Diagnoser};
 use caudata_hidden_effects::score::Summary;
@@ -14,10 +14,15 @@ fn main() {
     let jobs: usize = args[3].parse().unwrap();
     let root = std::path::PathBuf::from(&args[4]);
     let skip: usize = args.get(5).map_or(0, |s| s.parse().unwrap());
+    // names as in `Block`'s debug form, for instance Single,Pair
+    let blocks: Vec<String> = args
+        .get(6)
+        .map_or_else(Vec::new, |s| s.split(',').map(str::to_owned).collect());
     let secret = b"development";
     if !root.join(run::SEALED_NAME).exists() {
         let plans: Vec<_> = sets::plan(set, args[1].parse().unwrap(), None)
             .into_iter()
+            .filter(|p| blocks.is_empty() || blocks.contains(&format!("{:?}", p.block)))
             .skip(skip)
             .take(most)
             .collect();
@@ -45,7 +50,7 @@ fn main() {
             .map(|e| format!("{}@{} d={:.1}", e.effect, e.joint, e.d))
             .collect();
         println!(
-            "{} {} {:?} {} truth {truth:?} {} | {} {:?} wrong {} err {:?} ci {:?} gain {:?} {:.0} s {}",
+            "{} {} {:?} {} truth {truth:?} {} | {} {:?} wrong {} err {:?} ci {:?} half {:?} gain {:?} {:.0} s {}",
             if o.right { "ok  " } else { "MISS" },
             o.case,
             o.block,
@@ -59,6 +64,10 @@ fn main() {
                 .map(|t| t.parameter_error.map(|e| (e * 1000.0).round() / 1000.0))
                 .collect::<Vec<_>>(),
             o.truth.iter().map(|t| t.interval_holds).collect::<Vec<_>>(),
+            o.truth
+                .iter()
+                .map(|t| t.interval_half.map(|h| (h * 1000.0).round() / 1000.0))
+                .collect::<Vec<_>>(),
             o.gain_ratio.map(|g| (g * 100.0).round() / 100.0),
             o.seconds,
             o.failure

@@ -36,6 +36,8 @@ pub enum OnGround {
     Payload(f64),
     /// The floor rises forward by so many degrees.
     Slope(f64),
+    /// The joints of the left front leg have so much of their gain.
+    WeakLeg(f64),
     /// The paper's robot: play of so many degrees at all girdle hinges, a command low-pass (s) and a weaker envelope (factor).
     Paper {
         /// Degrees, each side.
@@ -83,6 +85,31 @@ pub fn stiff_salamander() -> Result<(String, String, Arc<RobotModel>), GenerateE
     let model = RobotModel::from_bytes("polymander", toml.as_bytes(), mjcf.as_bytes())
         .map_err(|e| GenerateError::Rig("polymander".to_owned(), e))?;
     Ok((toml, mjcf, Arc::new(model)))
+}
+
+/// Joints of the weak leg.
+const WEAK_LEG: &str = "FL_";
+
+/// Text of a robot file whose robot is the true one of `hidden`, to evaluate policies on; it needs the salamander's MJCF beside it.
+///
+/// # Errors
+/// [`GenerateError::Rig`].
+pub fn true_salamander(hidden: OnGround) -> Result<String, GenerateError> {
+    let (toml, _, model) = stiff_salamander()?;
+    let mut nominal = std::collections::BTreeMap::new();
+    LaneParams::nominal(&model).visit(&model, &mut |path, x| {
+        nominal.insert(path.to_owned(), *x);
+    });
+    let mut changes = String::new();
+    lane_of(&model, hidden).visit(&model, &mut |path, x| {
+        if nominal.get(path) != Some(x) {
+            changes += &format!("{path:?} = {:?}\n", f64::from(*x));
+        }
+    });
+    Ok(format!(
+        "{toml}\n[extension]\nbase = \"{}\"\n\n[extension.lane]\n{changes}",
+        model.hash_hex()
+    ))
 }
 
 /// Commands: name and rows.
@@ -167,6 +194,13 @@ fn lane_of(model: &RobotModel, hidden: OnGround) -> LaneParams {
             lane.payload_m = model.links()[model.torso_link()].com_m.map(|x| x as f32);
         }
         OnGround::Slope(deg) => lane.tilt_floor(0.0, rad(deg)),
+        OnGround::WeakLeg(share) => {
+            for (kp, name) in lane.kp_nm_per_rad.iter_mut().zip(model.actuated_names()) {
+                if name.starts_with(WEAK_LEG) {
+                    *kp *= share as f32;
+                }
+            }
+        }
         OnGround::Paper {
             half_width_deg,
             low_pass_s,
@@ -248,6 +282,12 @@ fn truth(model: &RobotModel, hidden: OnGround) -> Vec<TrueEffect> {
             deg.to_radians(),
             0.0,
         )],
+        OnGround::WeakLeg(share) => model
+            .actuated_names()
+            .into_iter()
+            .filter(|name| name.starts_with(WEAK_LEG))
+            .map(|name| one("kp_error", "actuation", name, &["scale"], "", share, 1.0))
+            .collect(),
         OnGround::Paper {
             half_width_deg,
             low_pass_s,

@@ -14,6 +14,7 @@ pub mod examinee;
 pub mod generate;
 pub mod ground;
 pub mod hidden;
+pub mod paper;
 pub mod replay;
 pub mod run;
 pub mod score;

@@ -46,6 +46,8 @@ pub struct Judged {
     pub absolute_error: Option<f64>,
     /// Whether the 95 % interval holds the truth.
     pub interval_holds: Option<bool>,
+    /// Half of that interval over |truth − nominal|.
+    pub interval_half: Option<f64>,
 }
 
 /// One case, judged.
@@ -213,9 +215,10 @@ fn judged(t: &TrueEffect, causes: &[Cause], joint_links: &[(String, String)]) ->
         layer_right: causes.first().is_some_and(|c| c.layer == t.layer),
         joint_right: cause.map(|c| place_right(t, c, joint_links)),
         in_set,
-        parameter_error: value.map(|v| v.0),
-        absolute_error: value.map(|v| v.2),
-        interval_holds: value.map(|v| v.1),
+        parameter_error: value.map(|v| v.relative),
+        absolute_error: value.map(|v| v.absolute),
+        interval_holds: value.map(|v| v.holds),
+        interval_half: value.map(|v| v.half),
     }
 }
 
@@ -231,8 +234,21 @@ fn place_right(t: &TrueEffect, c: &Cause, joint_links: &[(String, String)]) -> b
     c.location.len() == 1 && (c.location[0] == t.joint || Some(&c.location[0]) == link)
 }
 
-/// Relative error, whether the interval holds the truth, and absolute error.
-fn compare(t: &TrueEffect, c: &Cause) -> Option<(f64, bool, f64)> {
+/// An estimate beside the truth.
+#[derive(Clone, Copy)]
+struct Compared {
+    /// |estimate − truth| / |truth − nominal|.
+    relative: f64,
+    /// |estimate − truth|.
+    absolute: f64,
+    /// Whether the interval holds the truth.
+    holds: bool,
+    /// Half of the interval over |truth − nominal|.
+    half: f64,
+}
+
+/// Estimate and interval of a cause beside the truth.
+fn compare(t: &TrueEffect, c: &Cause) -> Option<Compared> {
     if t.effect != c.effect {
         return None;
     }
@@ -256,7 +272,12 @@ fn compare(t: &TrueEffect, c: &Cause) -> Option<(f64, bool, f64)> {
     let slack = 1e-9 + 1e-6 * truth.abs();
     let off = (p.value - truth).abs();
     let holds = p.ci_low - slack <= truth && truth <= p.ci_high + slack;
-    Some((off / size.max(1e-12), holds, off))
+    Some(Compared {
+        relative: off / size.max(1e-12),
+        absolute: off,
+        holds,
+        half: 0.5 * (p.ci_high - p.ci_low) / size.max(1e-12),
+    })
 }
 
 /// Truth and nominal in the form that a parameter's name says: a scale, an extra on top, or the value itself.

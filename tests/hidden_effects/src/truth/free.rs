@@ -129,7 +129,8 @@ pub fn run(
     let config = EngineConfig {
         kind: EngineKind::Rapier,
         dt_s: STEP_S,
-        substeps: STEPS_PER_ROW,
+        // torque is reported as the mean over a period: a servo reads its current at an instant, not over a whole row
+        substeps: 1,
         fixed_base: held,
         ..EngineConfig::rapier()
     };
@@ -154,8 +155,8 @@ pub fn run(
             ..InitialState::nominal(model)
         },
     )?;
-    let period_s = config.control_period_s();
-    for _ in 0..(SETTLE_S / period_s) as usize {
+    let period_s = config.control_period_s() * f64::from(STEPS_PER_ROW);
+    for _ in 0..(SETTLE_S / STEP_S) as usize {
         engine.step(&narrow(&rows_rad[0]), &[0.0; 6])?;
     }
     let mut out = Vec::with_capacity(rows_rad.len());
@@ -170,7 +171,10 @@ pub fn run(
             stamp,
             read(model, engine.state(), ground, row, t, channels, stream),
         ));
-        engine.step(&narrow(row), &[0.0; 6])?;
+        let targets = narrow(row);
+        for _ in 0..STEPS_PER_ROW {
+            engine.step(&targets, &[0.0; 6])?;
+        }
     }
     Ok(out)
 }

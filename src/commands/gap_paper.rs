@@ -1,0 +1,240 @@
+//! `caudata gap paper`: the pipeline of the paper, from logs to pictures, on logs of a simulated robot.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use caudata_gap::{Role, Run, extension, page};
+use caudata_hidden_effects::ground::{self, GroundPlan};
+use caudata_hidden_effects::paper::{self, Pictures, Row};
+use caudata_hidden_effects::truth::free::Channels;
+use caudata_runlog::RunLog;
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use clap::Args;
+
+use super::adapt::{Steps, own};
+use crate::say;
+
+/// Folder of the logs and of the robot file as a lab has it.
+const LOGS: &str = "logs";
+/// Runs whose name begins so are held out, and drawn.
+const HELD_OUT_WALK: &str = "holdout_walk";
+
+#[derive(Debug, Args)]
+pub struct PaperArgs {
+    /// Folder for logs, diagnosis, extended robot file and pictures
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Seed of the lab's day: friction, noise, supply
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Threads; the result does not depend on it
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    threads: u32,
+}
+
+pub fn run(args: &PaperArgs) -> Result<(), Failure> {
+    let logs = args.out.join(LOGS);
+    if logs.exists() {
+        let message = format!("{} is there already; choose another folder", logs.display());
+        return Err(Failure::message(ExitCode::CannotCreate, message));
+    }
+    make(args)?;
+    let diagnosis = args.out.join("diagnosis");
+    let mut command = own("gap")?;
+    command.arg("diagnose").arg("--robot").arg(robot(&logs));
+    for folder in folders(&logs)? {
+        let held = name(&folder).starts_with("holdout");
+        command
+            .arg(if held { "--holdout" } else { "--log" })
+            .arg(folder);
+    }
+    command.args(["--threads", &args.threads.to_string(), "--out"]);
+    command.arg(&diagnosis);
+    // whatever the verdict is, there are pictures to look at
+    Steps::new(false).run("diagnose", &mut command, &[0, 80, 81, 82, 83])?;
+
+    let model = Arc::new(super::robot_model::load(&robot(&logs))?);
+    let text = std::fs::read_to_string(diagnosis.join("extended.robot.toml"))
+        .or_exit(ExitCode::NoInput)?;
+    let extended = match extension::read(&text).or_exit(ExitCode::BadInput)? {
+        Some(found) => extension::terms(&found, &model).or_exit(ExitCode::BadInput)?,
+        None => Vec::new(),
+    };
+    let runs = walks(&logs)?;
+    let pictures = paper::pictures(&model, extended, &runs, args.threads as usize)
+        .or_exit(ExitCode::BadInput)?;
+    let file = args.out.join("paper.html");
+    let html = page::curves(
+        "The paper's robot, measured and simulated",
+        &lead(&pictures),
+        &pictures.overlays,
+    );
+    write(&file, &html)?;
+    show(&pictures);
+    say::line(format!("pictures   {}", file.display()));
+    say::line(format!(
+        "report     {}",
+        diagnosis.join("report.html").display()
+    ));
+    Ok(())
+}
+
+/// Writes the logs and, beside them, the robot that they come from.
+fn make(args: &PaperArgs) -> Result<(), Failure> {
+    std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
+        format!("folder {}", args.out.display())
+    })?;
+    let plan = GroundPlan {
+        name: LOGS.to_owned(),
+        hidden: paper::HIDDEN,
+        channels: Channels {
+            imu: true,
+            mocap: true,
+        },
+        seed: args.seed,
+        repeats: 2,
+    };
+    ground::make(&plan, &args.out).or_exit(ExitCode::Internal)?;
+    let (_, mjcf, _) = ground::stiff_salamander().or_exit(ExitCode::Internal)?;
+    let truth = ground::true_salamander(paper::HIDDEN).or_exit(ExitCode::Internal)?;
+    write(&args.out.join("polymander.xml"), &mjcf)?;
+    write(&args.out.join("truth.robot.toml"), &truth)
+}
+
+fn robot(logs: &Path) -> PathBuf {
+    logs.join("polymander.robot.toml")
+}
+
+fn name(folder: &Path) -> String {
+    let name = folder.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
+}
+
+fn folders(logs: &Path) -> Result<Vec<PathBuf>, Failure> {
+    super::gap::log_folders(&[logs.to_owned()])
+}
+
+/// The held-out walks.
+fn walks(logs: &Path) -> Result<Vec<Run>, Failure> {
+    folders(logs)?
+        .into_iter()
+        .filter(|folder| name(folder).starts_with(HELD_OUT_WALK))
+        .map(|folder| {
+            Ok(Run {
+                log: RunLog::read(&folder).or_exit(ExitCode::BadInput)?,
+                name: name(&folder),
+                role: Role::Holdout,
+                sha256: String::new(),
+            })
+        })
+        .collect()
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(path, text).or_exit_with(ExitCode::CannotCreate, || {
+        format!("cannot write {}", path.display())
+    })
+}
+
+/// Rows of the three tables: what, unit, factor to that unit, rows.
+fn tables(pictures: &Pictures) -> Vec<(&'static str, &'static str, f64, Vec<Row>)> {
+    let mut worst = pictures.joints.clone();
+    worst.sort_by(|a, b| b.before.total_cmp(&a.before));
+    worst.truncate(6);
+    vec![
+        ("joint off its measured position, rms", "mrad", 1e3, worst),
+        (
+            "height that a foot reaches",
+            "mm",
+            1e3,
+            pictures.feet.clone(),
+        ),
+        (
+            "speed over ground",
+            "m/s",
+            1.0,
+            pictures.speed.iter().cloned().collect(),
+        ),
+    ]
+}
+
+fn cells(row: &Row, factor: f64) -> [String; 3] {
+    let text = |x: f64| format!("{:.3}", x * factor);
+    [
+        row.measured.map_or_else(String::new, text),
+        text(row.before),
+        text(row.after),
+    ]
+}
+
+fn show(pictures: &Pictures) {
+    for (what, unit, factor, rows) in tables(pictures) {
+        let head = [
+            format!("{what}, {unit}"),
+            "measured".into(),
+            "as given".into(),
+            "extended".into(),
+        ];
+        let mut table = vec![head.to_vec()];
+        for row in &rows {
+            let [measured, before, after] = cells(row, factor);
+            table.push(vec![row.of.clone(), measured, before, after]);
+        }
+        say::line("");
+        say::table(&table);
+    }
+}
+
+/// The tables as HTML. Names are those of the robot file that this program holds.
+fn lead(pictures: &Pictures) -> String {
+    let mut html = String::from(
+        "<p class=\"soft\">Held-out walks of a simulated robot (another engine) with play of 4° at the girdles, a command low-pass and a weaker servo; each stretch of two seconds begins as measured.</p>",
+    );
+    for (what, unit, factor, rows) in tables(pictures) {
+        let _ = write!(
+            html,
+            "<table><thead><tr><th>{what}, {unit}</th><th>measured</th><th>as given</th><th>extended</th></tr></thead><tbody>"
+        );
+        for row in &rows {
+            let [measured, before, after] = cells(row, factor);
+            let _ = write!(
+                html,
+                "<tr><td>{}</td><td>{measured}</td><td>{before}</td><td>{after}</td></tr>",
+                row.of
+            );
+        }
+        html.push_str("</tbody></table>");
+    }
+    html
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tables_say_what_was_measured() {
+        let row = |of: &str, measured| Row {
+            of: of.to_owned(),
+            measured,
+            before: 0.02,
+            after: 0.0125,
+        };
+        let pictures = Pictures {
+            joints: vec![row("FL_hip", None)],
+            feet: vec![row("FL", Some(0.031))],
+            speed: None,
+            overlays: Vec::new(),
+        };
+        let html = lead(&pictures);
+        assert!(
+            html.contains("<tr><td>FL_hip</td><td></td><td>20.000</td><td>12.500</td></tr>"),
+            "{html}"
+        );
+        assert!(
+            html.contains("<tr><td>FL</td><td>31.000</td><td>20.000</td><td>12.500</td></tr>"),
+            "{html}"
+        );
+    }
+}

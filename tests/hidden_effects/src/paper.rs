@@ -1,0 +1,218 @@
+//! The paper's pipeline on synthetic logs: play of 4° at the girdles, a low-pass on commands, a weaker servo and noise are hidden in logs of another
+//! engine; how joints track, how high feet go and how fast the robot is, measured, in the robot file's robot and in the extended one.
+
+use std::sync::Arc;
+
+use caudata_gap::plots::Overlay;
+use caudata_gap::replay::{Data, Replayer, Segment, SegmentOptions, Variant};
+use caudata_gap::trial::{Kind, Trial};
+use caudata_gap::{GapError, Run};
+use caudata_model::RobotModel;
+
+use crate::ground::OnGround;
+
+/// The paper's robot, as far as the paper says: play of 4° each side, and the middle of what a servo's filter and supply can do.
+pub const HIDDEN: OnGround = OnGround::Paper {
+    half_width_deg: 4.0,
+    low_pass_s: 0.03,
+    torque: 0.7,
+};
+/// Stretches that are simulated from what was measured at their start, s: two strides.
+const STRETCH_S: f64 = 2.0;
+/// Joints that are drawn: the paper draws two.
+const DRAWN: [&str; 2] = ["FL_hip", "FL_knee"];
+
+/// A figure of the runs, of the model as given, of the extended one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Row {
+    /// What it is of.
+    pub of: String,
+    /// Measured; `None` for errors, which measured runs do not have.
+    pub measured: Option<f64>,
+    /// As given.
+    pub before: f64,
+    /// Extended.
+    pub after: f64,
+}
+
+/// What the paper shows.
+#[derive(Clone, Debug, Default)]
+pub struct Pictures {
+    /// Per joint: root mean square of simulated less measured position, rad.
+    pub joints: Vec<Row>,
+    /// Per foot: height between the lowest and the highest point of two strides, m.
+    pub feet: Vec<Row>,
+    /// Mean speed over ground, m/s.
+    pub speed: Option<Row>,
+    /// Curves of the first stretch.
+    pub overlays: Vec<Overlay>,
+}
+
+/// Simulates `runs` of the robot `model` as it is and with `extended`, stretch by stretch.
+///
+/// # Errors
+/// [`GapError`] where a run cannot be used.
+pub fn pictures(
+    model: &Arc<RobotModel>,
+    extended: Variant,
+    runs: &[Run],
+    threads: usize,
+) -> Result<Pictures, GapError> {
+    let trials = runs
+        .iter()
+        .map(|run| Trial::new(model, run))
+        .collect::<Result<Vec<_>, _>>()?;
+    let options = SegmentOptions {
+        free_s: STRETCH_S,
+        ..SegmentOptions::default()
+    };
+    let data = Data::new(model, trials, options);
+    let replayer = Replayer::new(Arc::clone(model), threads)?;
+    let predictions = replayer.predict(&data, &[Vec::new(), extended])?;
+    let (before, after) = (&predictions[0], &predictions[1]);
+    let joints = model
+        .actuated_names()
+        .iter()
+        .enumerate()
+        .map(|(a, name)| {
+            let error = |p: &[f32]| {
+                let off = |k: usize| f64::from(p[k]) - data.value[k];
+                let all = samples(&data, Kind::Position, a);
+                let square: f64 = all.iter().map(|&k| off(k).powi(2)).sum();
+                (square / all.len().max(1) as f64).sqrt()
+            };
+            Row {
+                of: (*name).to_owned(),
+                measured: None,
+                before: error(before),
+                after: error(after),
+            }
+        })
+        .collect();
+    let feet = model
+        .feet()
+        .iter()
+        .enumerate()
+        .map(|(f, foot)| {
+            let height = |of: &dyn Fn(usize) -> f64| {
+                mean_over(&data, Kind::Foot, 3 * f + 2, &|range| {
+                    let all = range.map(of);
+                    let ends = all.fold((f64::INFINITY, f64::NEG_INFINITY), |e, z| {
+                        (e.0.min(z), e.1.max(z))
+                    });
+                    ends.1 - ends.0
+                })
+            };
+            row(&foot.name, &data, before, after, &height)
+        })
+        .collect();
+    let way = |of: &dyn Fn(usize) -> f64| {
+        let along = |axis: usize| {
+            mean_over(&data, Kind::BasePosition, axis, &|range| {
+                let seconds = data.time_s[range.end - 1] - data.time_s[range.start];
+                (of(range.end - 1) - of(range.start)) / seconds.max(1e-3)
+            })
+        };
+        along(0).hypot(along(1))
+    };
+    let overlays = data
+        .segments
+        .first()
+        .map_or_else(Vec::new, |s| drawn(model, &data, s, before, after));
+    Ok(Pictures {
+        joints,
+        feet,
+        speed: Some(row("trunk", &data, before, after, &way)),
+        overlays,
+    })
+}
+
+/// The same figure of what was measured and of two predictions.
+fn row(
+    of: &str,
+    data: &Data,
+    before: &[f32],
+    after: &[f32],
+    figure: &dyn Fn(&dyn Fn(usize) -> f64) -> f64,
+) -> Row {
+    Row {
+        of: of.to_owned(),
+        measured: Some(figure(&|k| data.value[k])),
+        before: figure(&|k| f64::from(before[k])),
+        after: figure(&|k| f64::from(after[k])),
+    }
+}
+
+/// Places of a channel's samples in the flat vector.
+fn samples(data: &Data, kind: Kind, index: usize) -> Vec<usize> {
+    let pieces = data.segments.iter().flat_map(|s| &s.pieces);
+    pieces
+        .filter(|p| p.kind == kind && p.index == index)
+        .flat_map(|p| p.range.clone())
+        .collect()
+}
+
+/// Mean over stretches of a figure of one channel.
+fn mean_over(
+    data: &Data,
+    kind: Kind,
+    index: usize,
+    figure: &dyn Fn(std::ops::Range<usize>) -> f64,
+) -> f64 {
+    let pieces = data.segments.iter().flat_map(|s| &s.pieces);
+    let all: Vec<f64> = pieces
+        .filter(|p| p.kind == kind && p.index == index && !p.range.is_empty())
+        .map(|p| figure(p.range.clone()))
+        .collect();
+    all.iter().sum::<f64>() / all.len().max(1) as f64
+}
+
+/// Curves of a stretch: two joints, the height of every foot, the way of the trunk.
+fn drawn(
+    model: &RobotModel,
+    data: &Data,
+    segment: &Segment,
+    before: &[f32],
+    after: &[f32],
+) -> Vec<Overlay> {
+    let trial = &data.trials[segment.trial];
+    let names = model.actuated_names();
+    let mut wanted: Vec<(Kind, usize)> = DRAWN
+        .iter()
+        .filter_map(|d| Some((Kind::Position, names.iter().position(|n| n == d)?)))
+        .collect();
+    wanted.extend((0..model.feet().len()).map(|f| (Kind::Foot, 3 * f + 2)));
+    wanted.push((Kind::BasePosition, 0));
+    let piece = |(kind, index): (Kind, usize)| {
+        let mut own = segment.pieces.iter();
+        own.find(|p| p.kind == kind && p.index == index)
+    };
+    wanted
+        .into_iter()
+        .filter_map(piece)
+        .map(|p| {
+            let at = |x: &[f32]| p.range.clone().map(|k| f64::from(x[k])).collect();
+            let measured: Vec<Option<f64>> = p.range.clone().map(|k| Some(data.value[k])).collect();
+            let time = &data.time_s[p.range.clone()];
+            Overlay {
+                run: trial.name.clone(),
+                signal: p.kind.name().to_owned(),
+                joint: trial.channels[p.channel].name.clone(),
+                unit: p.kind.unit().to_owned(),
+                time_s: time.to_vec(),
+                command: match p.kind {
+                    Kind::Position => time
+                        .iter()
+                        .map(|&t| trial.commands[p.index].at(t))
+                        .collect(),
+                    _ => Vec::new(),
+                },
+                measured_low: measured.clone(),
+                measured_high: measured.clone(),
+                measured,
+                before: at(before),
+                after: at(after),
+            }
+        })
+        .collect()
+}
