@@ -5,20 +5,23 @@ use std::time::Duration;
 use caudata_hardware::wiring::Limits;
 use caudata_task::{ACT_DIM, COMMAND_DIM};
 use caudata_telemetry::StopFlag;
+use crossbeam_channel::Sender;
 
 use crate::DeployError;
 use crate::bus::{BusError, GroundTruth, Health, ImuReading, Robot, ServoReadings};
 use crate::command_link::{CommandLink, LINK_STAND, LINK_STOP};
 use crate::flight_log::{FlightLog, LogRow};
-use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate};
+use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate, PINNED_TICKS_MAX, SATURATED_MAX};
 use crate::guard::{Fault, Guard, Verdict};
 use crate::metrics::RobotMetrics;
 use crate::motion::{Motion, Stage};
+use crate::notify::{ALIVE, BRAKES, Notifier, READY, STOPPING};
 use crate::orientation::GravityFilter;
 use crate::pacing::{Clock, Pacer};
 use crate::recorder::Recorder;
 use crate::report::{Ended, Latencies, Odometer, Velocity, rounded};
 use crate::runner::{PolicyRunner, View};
+use crate::tap::Tick;
 use crate::updates::{PolicyEvent, Updates};
 use crate::walk_command::CommandTable;
 
@@ -95,6 +98,8 @@ pub struct Counts {
     pub held: u64,
     /// Ticks with a slowed target.
     pub rate_limited: u64,
+    /// Joint-ticks that a policy wanted at a joint's limit.
+    pub saturated: u64,
     /// Time that a policy was in charge, s of the robot's time.
     pub walked_s: f64,
     /// Sum of the commands over walking ticks, and their number.
@@ -132,6 +137,8 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     log: Option<FlightLog>,
     recorder: Recorder,
     link: Option<Box<dyn CommandLink>>,
+    notifier: Notifier,
+    tap: Option<Sender<Tick>>,
     metrics: RobotMetrics,
     gravity: GravityFilter,
     gate: OutputGate,
@@ -142,6 +149,8 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     last_time_s: f64,
     walk_start_s: Option<f64>,
     trial_ticks: u32,
+    /// Joint-ticks at a limit before this policy took over.
+    saturated_before: u64,
     /// When this policy took over, s of the robot's time.
     begun_at_s: f64,
     still_ticks: u32,
@@ -192,10 +201,13 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             log: None,
             recorder,
             link: None,
+            notifier: Notifier::default(),
+            tap: None,
             metrics,
             gravity,
             walk_start_s: None,
             trial_ticks: 0,
+            saturated_before: 0,
             begun_at_s: 0.0,
             still_ticks: 0,
             swap_ticks: 0,
@@ -224,6 +236,16 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.link = Some(link);
     }
 
+    /// Shows every tick to other programs on this computer.
+    pub fn set_tap(&mut self, tap: Sender<Tick>) {
+        self.tap = Some(tap);
+    }
+
+    /// Gives signs of life to whoever watches this process.
+    pub fn set_notifier(&mut self, notifier: Notifier) {
+        self.notifier = notifier;
+    }
+
     /// The last 30 s, oldest first.
     pub fn recorder(&self) -> &Recorder {
         &self.recorder
@@ -246,6 +268,9 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     pub fn run(&mut self, stop: &StopFlag) -> Result<Ended, DeployError> {
         self.updates
             .tell(PolicyEvent::Begun(self.runner.policy().clone()));
+        self.notifier.say(READY);
+        let policy = self.runner.policy();
+        tracing::info!(stream = policy.stream, version = policy.version, "rising");
         let mut pacer = Pacer::new(self.clock.now(), self.plan.period);
         let result = loop {
             let due = pacer.next(self.clock.now());
@@ -258,10 +283,15 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                 Ok(()) => {}
             }
             self.note_latency(due.at, woke);
+            self.notifier.say(ALIVE);
+            if self.motion.stage() == Stage::Damped {
+                self.notifier.say(BRAKES);
+            }
         };
         self.counts.overruns = pacer.overruns();
         self.counts.held = self.gate.held();
         self.counts.rate_limited = self.gate.rate_limited();
+        self.counts.saturated = self.gate.saturated();
         if matches!(
             (&result, self.ended),
             (
@@ -273,6 +303,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             self.updates.tell(PolicyEvent::Ended(policy));
         }
         let limp = self.robot.torque_off();
+        self.notifier.say(BRAKES);
+        self.notifier.say(STOPPING);
         result?;
         limp?;
         Ok(self.ended.unwrap_or(Ended::Signal))
@@ -321,7 +353,31 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         if let Some(log) = &mut self.log {
             log.push(row);
         }
+        self.show(&row);
         Ok(())
+    }
+
+    fn show(&self, row: &LogRow) {
+        let Some(tap) = &self.tap else {
+            return;
+        };
+        let _ = tap.try_send(Tick {
+            time_s: row.servos.time_s,
+            pos_rad: row.servos.pos_rad,
+            vel_radps: row.servos.vel_radps,
+            current_a: row.servos.current_a,
+            target_rad: row.command_rad,
+            gyro_radps: row.imu.gyro_radps,
+            acc_mps2: row.imu.acc_mps2,
+            gravity: row.gravity,
+            supply_v: row.servos.supply_v,
+            stage: self.motion.stage(),
+            fault: self.fault.map(|(fault, _)| fault),
+            policy_version: self.runner.policy().version,
+            overruns: self.metrics.overruns.get(),
+            late_readings: self.counts.late_readings,
+            hottest_c: self.robot.health().hottest_c,
+        });
     }
 
     /// Everything sensed; `None` where it did not come in time.
@@ -532,6 +588,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                     self.counts.swap_speed_radps = self.counts.swap_speed_radps.max(speed);
                 }
                 self.trial_ticks = 0;
+                self.saturated_before = self.gate.saturated();
                 self.begun_at_s = sensed.servos.time_s;
                 self.motion.blend_again(self.gate.last_rad());
             }
@@ -587,12 +644,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             Some(targets) => {
                 self.gate.good();
                 self.trial_ticks += 1;
-                if self.trial_ticks == TRIAL_TICKS {
-                    self.updates.tell(PolicyEvent::Good {
-                        policy: self.runner.policy().clone(),
-                        walked_s: self.drove_s(sensed),
-                    });
-                }
+                self.judge_trial(sensed, &targets);
                 Some(targets)
             }
             None => {
@@ -600,6 +652,44 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                 None
             }
         }
+    }
+
+    /// A policy that holds a joint at its limit for a second, or the joints at their limits for too much of its trial, does not pass it.
+    /// One that passed before may be leaning on something.
+    fn judge_trial(&mut self, sensed: &Sensed, targets: &[f32; ACT_DIM]) {
+        let (joint, ticks) = self.gate.watch_limits(targets);
+        if self.trial_ticks > TRIAL_TICKS {
+            return;
+        }
+        let saturated = self.gate.saturated() - self.saturated_before;
+        let share = saturated as f64 / f64::from(TRIAL_TICKS * ACT_DIM as u32);
+        let fails =
+            !self.runner.is_proved() && (ticks >= PINNED_TICKS_MAX || share > SATURATED_MAX);
+        if !fails && self.trial_ticks < TRIAL_TICKS {
+            return;
+        }
+        let policy = self.runner.policy().clone();
+        let walked_s = self.drove_s(sensed);
+        if !fails {
+            self.updates.tell(PolicyEvent::Good { policy, walked_s });
+            return;
+        }
+        let reason = match ticks >= PINNED_TICKS_MAX {
+            true => format!("wanted joint {joint} at its limit for {ticks} ticks in its trial"),
+            false => format!(
+                "wanted joints at their limits for more than {} % of its trial",
+                100.0 * SATURATED_MAX
+            ),
+        };
+        tracing::error!(%policy, reason, "the policy does not pass its trial: stopping");
+        self.updates.tell(PolicyEvent::Bad {
+            policy,
+            reason,
+            walked_s,
+            fell: false,
+        });
+        self.ended.get_or_insert(Ended::Saturated);
+        self.motion.finish();
     }
 
     fn bad_action(&mut self, sensed: &Sensed) {

@@ -5,6 +5,13 @@ use caudata_task::{ACT_DIM, JointTable};
 /// Actions in a row that may be held because they were not finite; with this many the robot is stopped.
 pub const HELD_IN_A_ROW_MAX: u32 = 3;
 
+/// Ticks in a row that a joint may be sent to its limit while a policy is on trial (1 s).
+pub const PINNED_TICKS_MAX: u32 = 50;
+/// Share of a trial's joint-ticks that may lie at a limit.
+pub const SATURATED_MAX: f64 = 0.05;
+/// A target this near to a limit lies at it, rad.
+const AT_LIMIT_RAD: f32 = 1e-5;
+
 /// What became of an action that is not finite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Held {
@@ -24,6 +31,8 @@ pub struct OutputGate {
     in_a_row: u32,
     held: u64,
     rate_limited: u64,
+    pinned: [u32; ACT_DIM],
+    saturated: u64,
 }
 
 impl OutputGate {
@@ -37,6 +46,8 @@ impl OutputGate {
             in_a_row: 0,
             held: 0,
             rate_limited: 0,
+            pinned: [0; ACT_DIM],
+            saturated: 0,
         }
     }
 
@@ -56,6 +67,27 @@ impl OutputGate {
         }
         self.rate_limited += u64::from(limited);
         self.last_rad
+    }
+
+    /// Counts which joints a policy wants at a limit or beyond it; the joint that has been wanted there for the longest, and for how
+    /// many ticks in a row.
+    pub fn watch_limits(&mut self, policy_rad: &[f32; ACT_DIM]) -> (usize, u32) {
+        let mut longest = (0, 0);
+        for i in 0..ACT_DIM {
+            let inside = policy_rad[i] > self.lower_rad[i] + AT_LIMIT_RAD
+                && policy_rad[i] < self.upper_rad[i] - AT_LIMIT_RAD;
+            self.pinned[i] = if inside { 0 } else { self.pinned[i] + 1 };
+            self.saturated += u64::from(!inside);
+            if self.pinned[i] > longest.1 {
+                longest = (i, self.pinned[i]);
+            }
+        }
+        longest
+    }
+
+    /// Joint-ticks at a limit so far.
+    pub fn saturated(&self) -> u64 {
+        self.saturated
     }
 
     /// Counts an action that is not finite.
@@ -133,5 +165,20 @@ mod tests {
         assert_eq!([gate.hold(), gate.hold()], [Held::Hold; 2]);
         assert_eq!(gate.hold(), Held::Stop);
         assert_eq!(gate.held(), 5);
+    }
+
+    #[test]
+    fn joints_at_their_limits_are_counted() {
+        let mut gate = gate();
+        let mut wanted = [0.2; ACT_DIM];
+        wanted[3] = 1.0;
+        wanted[9] = f32::NAN;
+        assert_eq!(gate.watch_limits(&wanted).1, 1);
+        wanted[9] = -0.5;
+        assert_eq!(gate.watch_limits(&wanted), (3, 2));
+        wanted[3] = 0.999;
+        assert_eq!(gate.watch_limits(&wanted), (9, 3));
+        // Joint 3 twice, joint 9 three times.
+        assert_eq!(gate.saturated(), 5);
     }
 }

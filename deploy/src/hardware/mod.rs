@@ -8,7 +8,7 @@ pub mod inspect;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use caudata_dynamixel::setup::{SETUP_DEADLINE, persistently};
+use caudata_dynamixel::setup::{TRIES, persistently};
 use caudata_dynamixel::units::{
     BUS_WATCHDOG_LSB_MS, CURRENT_LSB_A, VELOCITY_LSB_RADPS, VOLTAGE_LSB_V,
 };
@@ -31,7 +31,7 @@ const WRITE_DEADLINE: Duration = Duration::from_millis(5);
 /// Ticks in a row without any servo after which the bus counts as gone.
 pub const ALL_SILENT_MAX: u32 = 10;
 /// Times that the order to let go is repeated: nobody answers it.
-const TORQUE_OFF_TIMES: u32 = 3;
+pub const TORQUE_OFF_TIMES: u32 = 3;
 /// Time for all servos to say that their torque is on.
 const ARM_DEADLINE: Duration = Duration::from_millis(200);
 
@@ -86,7 +86,9 @@ pub fn open_bus(wiring: &Wiring) -> Result<Bus<SerialPort>, BusError> {
         address: path.display().to_string(),
         reason: e.to_string(),
     })?;
-    Ok(Bus::new(port, baud))
+    let mut bus = Bus::new(port, baud);
+    bus.be_patient(Duration::from_millis(wiring.bus.read_deadline_ms));
+    Ok(bus)
 }
 
 /// Finds and sets up the IMU.
@@ -94,6 +96,16 @@ pub fn open_bus(wiring: &Wiring) -> Result<Bus<SerialPort>, BusError> {
 /// # Errors
 /// [`BusError::Connect`].
 pub fn open_imu(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusError> {
+    let mut tries = 1;
+    loop {
+        match open_imu_once(wiring) {
+            Err(_) if tries < TRIES => tries += 1,
+            other => return other,
+        }
+    }
+}
+
+fn open_imu_once(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusError> {
     let address = &wiring.imu.bus;
     let connect = |e: std::io::Error| BusError::Connect {
         address: address.clone(),
@@ -164,8 +176,9 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         let ids: Vec<u8> = joints.iter().map(|j| j.id).collect();
         // Known from the first tick on; then each servo tells in turn.
         let register = &xm430::PRESENT_INPUT_VOLTAGE;
+        let deadline = bus.setup_deadline();
         let (volts, _) =
-            persistently(|| bus.read(ids[0], register, SETUP_DEADLINE)).map_err(|e| lost(&e))?;
+            persistently(|| bus.read(ids[0], register, deadline)).map_err(|e| lost(&e))?;
         let group = |fast| GroupRead::new(&ids, xm430::TICK_ADDRESS, xm430::TICK_BYTES, fast);
         Ok(Self {
             fast: wiring.bus.fast_sync_read.then(|| group(true)),
