@@ -11,7 +11,7 @@ use crate::DeployError;
 use crate::bus::{BusError, GroundTruth, Health, ImuReading, Robot, ServoReadings};
 use crate::command_link::{CommandLink, LINK_STAND, LINK_STOP};
 use crate::flight_log::{FlightLog, LogRow};
-use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate, PINNED_TICKS_MAX, SATURATED_MAX};
+use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate, PINNED_TICKS_MAX};
 use crate::guard::{Fault, Guard, Verdict};
 use crate::metrics::RobotMetrics;
 use crate::motion::{Motion, Stage};
@@ -149,8 +149,6 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     last_time_s: f64,
     walk_start_s: Option<f64>,
     trial_ticks: u32,
-    /// Joint-ticks at a limit before this policy took over.
-    saturated_before: u64,
     /// When this policy took over, s of the robot's time.
     begun_at_s: f64,
     still_ticks: u32,
@@ -207,7 +205,6 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             gravity,
             walk_start_s: None,
             trial_ticks: 0,
-            saturated_before: 0,
             begun_at_s: 0.0,
             still_ticks: 0,
             swap_ticks: 0,
@@ -588,7 +585,6 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                     self.counts.swap_speed_radps = self.counts.swap_speed_radps.max(speed);
                 }
                 self.trial_ticks = 0;
-                self.saturated_before = self.gate.saturated();
                 self.begun_at_s = sensed.servos.time_s;
                 self.motion.blend_again(self.gate.last_rad());
             }
@@ -654,18 +650,13 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         }
     }
 
-    /// A policy that holds a joint at its limit for a second, or the joints at their limits for too much of its trial, does not pass it.
-    /// One that passed before may be leaning on something.
+    /// A policy that wants many joints at their limits for a second does not pass its trial. One that passed before may be leaning on
+    /// something.
     fn judge_trial(&mut self, sensed: &Sensed, targets: &[f32; ACT_DIM]) {
-        let (joint, ticks) = self.gate.watch_limits(targets);
-        if self.trial_ticks > TRIAL_TICKS {
-            return;
-        }
-        let saturated = self.gate.saturated() - self.saturated_before;
-        let share = saturated as f64 / f64::from(TRIAL_TICKS * ACT_DIM as u32);
-        let fails =
-            !self.runner.is_proved() && (ticks >= PINNED_TICKS_MAX || share > SATURATED_MAX);
-        if !fails && self.trial_ticks < TRIAL_TICKS {
+        let ticks = self.gate.watch_limits(targets);
+        let fails = !self.runner.is_proved() && ticks >= PINNED_TICKS_MAX;
+        let over = self.trial_ticks > TRIAL_TICKS;
+        if over || (!fails && self.trial_ticks < TRIAL_TICKS) {
             return;
         }
         let policy = self.runner.policy().clone();
@@ -674,13 +665,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             self.updates.tell(PolicyEvent::Good { policy, walked_s });
             return;
         }
-        let reason = match ticks >= PINNED_TICKS_MAX {
-            true => format!("wanted joint {joint} at its limit for {ticks} ticks in its trial"),
-            false => format!(
-                "wanted joints at their limits for more than {} % of its trial",
-                100.0 * SATURATED_MAX
-            ),
-        };
+        let reason = format!("wanted joints at their limits for {ticks} ticks in a row");
         tracing::error!(%policy, reason, "the policy does not pass its trial: stopping");
         self.updates.tell(PolicyEvent::Bad {
             policy,

@@ -5,10 +5,10 @@ use caudata_task::{ACT_DIM, JointTable};
 /// Actions in a row that may be held because they were not finite; with this many the robot is stopped.
 pub const HELD_IN_A_ROW_MAX: u32 = 3;
 
-/// Ticks in a row that a joint may be sent to its limit while a policy is on trial (1 s).
+/// Ticks in a row that a policy on trial may want [`PINNED_JOINTS`] joints or more at their limits (1 s).
 pub const PINNED_TICKS_MAX: u32 = 50;
-/// Share of a trial's joint-ticks that may lie at a limit.
-pub const SATURATED_MAX: f64 = 0.05;
+/// A quarter of the joints. Single joints lie at a limit in good gaits: of the joint-ticks of `policies/flat.onnx` 9 % do.
+pub const PINNED_JOINTS: usize = ACT_DIM / 4;
 /// A target this near to a limit lies at it, rad.
 const AT_LIMIT_RAD: f32 = 1e-5;
 
@@ -31,7 +31,7 @@ pub struct OutputGate {
     in_a_row: u32,
     held: u64,
     rate_limited: u64,
-    pinned: [u32; ACT_DIM],
+    pinned_ticks: u32,
     saturated: u64,
 }
 
@@ -46,7 +46,7 @@ impl OutputGate {
             in_a_row: 0,
             held: 0,
             rate_limited: 0,
-            pinned: [0; ACT_DIM],
+            pinned_ticks: 0,
             saturated: 0,
         }
     }
@@ -69,20 +69,19 @@ impl OutputGate {
         self.last_rad
     }
 
-    /// Counts which joints a policy wants at a limit or beyond it; the joint that has been wanted there for the longest, and for how
-    /// many ticks in a row.
-    pub fn watch_limits(&mut self, policy_rad: &[f32; ACT_DIM]) -> (usize, u32) {
-        let mut longest = (0, 0);
-        for i in 0..ACT_DIM {
-            let inside = policy_rad[i] > self.lower_rad[i] + AT_LIMIT_RAD
-                && policy_rad[i] < self.upper_rad[i] - AT_LIMIT_RAD;
-            self.pinned[i] = if inside { 0 } else { self.pinned[i] + 1 };
-            self.saturated += u64::from(!inside);
-            if self.pinned[i] > longest.1 {
-                longest = (i, self.pinned[i]);
-            }
-        }
-        longest
+    /// Counts the joints that a policy wants at a limit or beyond it; for how many ticks in a row these were [`PINNED_JOINTS`] or more.
+    pub fn watch_limits(&mut self, policy_rad: &[f32; ACT_DIM]) -> u32 {
+        let inside = |i: &usize| {
+            policy_rad[*i] > self.lower_rad[*i] + AT_LIMIT_RAD
+                && policy_rad[*i] < self.upper_rad[*i] - AT_LIMIT_RAD
+        };
+        let at_limits = ACT_DIM - (0..ACT_DIM).filter(inside).count();
+        self.saturated += at_limits as u64;
+        self.pinned_ticks = match at_limits >= PINNED_JOINTS {
+            true => self.pinned_ticks + 1,
+            false => 0,
+        };
+        self.pinned_ticks
     }
 
     /// Joint-ticks at a limit so far.
@@ -173,12 +172,13 @@ mod tests {
         let mut wanted = [0.2; ACT_DIM];
         wanted[3] = 1.0;
         wanted[9] = f32::NAN;
-        assert_eq!(gate.watch_limits(&wanted).1, 1);
-        wanted[9] = -0.5;
-        assert_eq!(gate.watch_limits(&wanted), (3, 2));
+        wanted[10] = -0.5;
+        assert_eq!(gate.watch_limits(&wanted), 0, "three joints of sixteen");
+        wanted[11] = 7.0;
+        assert_eq!([1, 2].map(|_| gate.watch_limits(&wanted)), [1, 2]);
         wanted[3] = 0.999;
-        assert_eq!(gate.watch_limits(&wanted), (9, 3));
-        // Joint 3 twice, joint 9 three times.
-        assert_eq!(gate.saturated(), 5);
+        assert_eq!(gate.watch_limits(&wanted), 0);
+        // 3 + 4 + 4 + 3
+        assert_eq!(gate.saturated(), 14);
     }
 }

@@ -87,7 +87,7 @@ fn choose(source: &Source) -> Result<PolicyRef, DeployError> {
     };
     match source.keeper.best()? {
         Some(policy) => {
-            tracing::warn!(%error, running = %policy, "running what is here");
+            tracing::warn!(%error, running = %policy, "running what is on disk");
             Ok(policy)
         }
         None if source.keeper.is_torn() => {

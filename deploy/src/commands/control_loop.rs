@@ -77,6 +77,9 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
             let overrides = args.ports.overrides();
             let (wiring, joints) = read_wiring(path, &setting.model, &overrides)?;
             let mut robot = open_robot(&wiring, joints, &setting.model)?;
+            if overrides.in_step {
+                robot = robot.in_step(setting.control_period_s);
+            }
             let deadline = Duration::from_millis(wiring.bus.read_deadline_ms);
             let result = walk(&setting, &mut robot, plan(deadline, Some(wiring.limits)));
             tracing::info!(counts = ?robot.bus_counts(), "servo bus");

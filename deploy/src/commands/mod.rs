@@ -113,6 +113,10 @@ pub struct PortArgs {
     /// IMU bus instead of the wiring file's: a Linux I²C bus, or `bridge:` and the serial port of a bridge
     #[arg(long, value_name = "BUS")]
     imu_bus: Option<String>,
+    /// The emulated robot runs in step with the goals (`caudata sim robot --bus pty --in-step`): time is counted in goals too, so that a
+    /// busy computer makes the robot slow, not wrong. Never with a real robot
+    #[arg(long)]
+    in_step: bool,
 }
 
 impl PortArgs {
@@ -120,6 +124,7 @@ impl PortArgs {
         PortOverrides {
             servo_port: self.servo_port.clone(),
             imu_bus: self.imu_bus.clone(),
+            in_step: self.in_step,
         }
     }
 }

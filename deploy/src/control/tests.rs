@@ -315,40 +315,13 @@ fn fault_37_a_policy_that_pins_joints_at_their_limits_does_not_pass_its_trial() 
         &StopFlag::new(),
     );
     assert_eq!(run.result.as_ref().unwrap(), &Ended::Saturated);
-    // Sixteen joints for a twentieth of 500 ticks: 25 ticks at the limits, and a few before.
-    assert!(
-        (25..=35).contains(&run.counts.walking_ticks),
-        "{}",
-        run.counts.walking_ticks
-    );
-    assert!(run.counts.saturated > 16 * 25, "{}", run.counts.saturated);
+    // The filter takes three ticks to the limits; fifty more are a second.
+    let ticks = run.counts.walking_ticks;
+    assert!((50..=60).contains(&ticks), "{ticks}");
+    assert!(run.counts.saturated >= 16 * 50, "{}", run.counts.saturated);
     assert_eq!(robot.torque_off, 1);
     let told = run.told();
-    let bad =
-        |e: &PolicyEvent| matches!(e, PolicyEvent::Bad { reason, .. } if reason.contains("5 %"));
-    assert!(told.iter().any(bad), "{told:?}");
-    // One joint alone is below that share, and held for a second.
-    let one = policy_file(1, |spec, _| {
-        spec.layers[0].weight.fill(0.0);
-        spec.layers[0].bias.fill(0.0);
-        spec.layers[0].bias[9] = 5.0;
-    });
-    let mut robot = FakeRobot::new();
-    let run = run_with(
-        &mut robot,
-        verified(1, one),
-        Slot::default(),
-        100.0,
-        &StopFlag::new(),
-    );
-    assert_eq!(run.result.as_ref().unwrap(), &Ended::Saturated);
-    assert!(
-        (50..=60).contains(&run.counts.walking_ticks),
-        "{}",
-        run.counts.walking_ticks
-    );
-    let told = run.told();
-    let bad = |e: &PolicyEvent| matches!(e, PolicyEvent::Bad { reason, .. } if reason.contains("joint 9"));
+    let bad = |e: &PolicyEvent| matches!(e, PolicyEvent::Bad { reason, fell: false, .. } if reason.contains("limits"));
     assert!(told.iter().any(bad), "{told:?}");
     // One that passed its trial before may be leaning on something.
     let proved = Verified {

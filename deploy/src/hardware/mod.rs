@@ -42,6 +42,8 @@ pub struct PortOverrides {
     pub servo_port: Option<std::path::PathBuf>,
     /// IMU bus, as in the wiring file.
     pub imu_bus: Option<String>,
+    /// Time is counted in goals.
+    pub in_step: bool,
 }
 
 /// Reads a wiring file and puts `overrides` in.
@@ -136,6 +138,9 @@ pub struct HardwareRobot<P, B> {
     water: Option<std::fs::File>,
     armed: bool,
     start: Instant,
+    /// Control period by which each goal moves the robot's time, s; `None`: the clock does.
+    goal_period_s: Option<f64>,
+    goals_sent: u64,
     newest: ServoReadings,
     silent: [u32; ACT_DIM],
     all_silent: u32,
@@ -189,6 +194,8 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             water,
             armed: false,
             start: Instant::now(),
+            goal_period_s: None,
+            goals_sent: 0,
             newest: ServoReadings {
                 time_s: 0.0,
                 pos_rad: [0.0; ACT_DIM],
@@ -207,6 +214,13 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             joints,
             ids,
         })
+    }
+
+    /// Counts time in goals, each of which moves it by `period_s`: for an emulated robot that does the same.
+    #[must_use]
+    pub fn in_step(mut self, period_s: f64) -> Self {
+        self.goal_period_s = Some(period_s);
+        self
     }
 
     /// What the bus counted.
@@ -387,7 +401,10 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         if missing == 0 && !left.is_zero() {
             self.care(alert, left)?;
         }
-        self.newest.time_s = self.start.elapsed().as_secs_f64();
+        self.newest.time_s = match self.goal_period_s {
+            Some(period_s) => period_s * self.goals_sent as f64,
+            None => self.start.elapsed().as_secs_f64(),
+        };
         Ok(self.newest)
     }
 
@@ -398,6 +415,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         self.bus
             .write_group(&mut self.goals, WRITE_DEADLINE)
             .map_err(|e| lost(&e))?;
+        self.goals_sent += 1;
         if !self.armed {
             self.arm()?;
         }
