@@ -12,7 +12,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test check lint doc deny advisories bench test-faults fuzz clean tools
+.PHONY: help setup build train test check lint doc deny advisories bench test-faults fuzz soak mutants clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -38,6 +38,12 @@ test-faults: build ## run the long suites that `make test` leaves out (faults, s
 
 fuzz: build ## knock at every door that bytes come in by, a minute each, CAUDATA_FUZZ_S=seconds
 	@$(ENV) CAUDATA_FUZZ_S=$(or $(CAUDATA_FUZZ_S),60) cargo test --release --locked --workspace --test fuzz $(ARGS) -- --nocapture --test-threads 1
+
+soak: build ## a publisher that never pauses, a server that dies, a network that breaks, a robot that follows: ten minutes, CAUDATA_SOAK_S=seconds
+	@$(ENV) CAUDATA_SOAK_S=$(or $(CAUDATA_SOAK_S),600) cargo test --release --locked --workspace --test soak $(ARGS) -- --nocapture
+
+mutants: build ## leave out one verification step of robot and server after the other, and show that its bad policy gets through
+	@$(ENV) cargo test --release --locked --workspace --lib $(ARGS) -- --nocapture each_step_and_no_other
 
 bench: build ## measure this machine: ARGS="sim", "policy" or "transport", with --json for figures
 	@$(ENV) target/release/caudata bench $(or $(ARGS),sim)

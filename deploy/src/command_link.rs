@@ -157,6 +157,54 @@ impl Message {
     }
 }
 
+/// The far end of a link: what it sends, and what it knows of the robot.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Commander {
+    /// vx, vy (m/s), yaw rate (rad/s).
+    pub command: [f32; COMMAND_DIM],
+    /// The kill button.
+    pub kill: bool,
+    nonce: u64,
+    sequence: u64,
+    /// Sequence number of the newest [`Kind::Ask`].
+    asked: u64,
+}
+
+/// Every so many messages the nonce is asked for again: a robot whose agent was restarted has another one.
+const ASK_EVERY: u64 = 10;
+
+impl Commander {
+    /// Takes what the robot answered. An answer to anything but the newest question does not count.
+    pub fn hear(&mut self, bytes: &[u8], key: &LinkKey) {
+        if let Some(message) = Message::decode(bytes, key)
+            && message.kind == Kind::Tell
+            && message.sequence == self.asked
+        {
+            self.nonce = message.nonce;
+        }
+    }
+
+    /// What to send next.
+    pub fn next_message(&mut self) -> Message {
+        self.sequence += 1;
+        let asks = self.nonce == 0 || self.sequence.is_multiple_of(ASK_EVERY);
+        let kind = match (asks, self.kill) {
+            (true, _) => Kind::Ask,
+            (false, true) => Kind::Kill,
+            (false, false) => Kind::Velocity,
+        };
+        if asks {
+            self.asked = self.sequence;
+        }
+        Message {
+            kind,
+            nonce: self.nonce,
+            sequence: self.sequence,
+            command: self.command,
+        }
+    }
+}
+
 /// The robot's end, without the network: what counts and what does not.
 #[derive(Clone, Debug)]
 pub struct Receiver {
@@ -310,7 +358,7 @@ impl Drop for UdpLink {
 }
 
 /// Eight bytes of the system's random source.
-fn random_nonce() -> io::Result<u64> {
+pub(crate) fn random_nonce() -> io::Result<u64> {
     use io::Read;
     let mut bytes = [0; 8];
     std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
@@ -397,6 +445,30 @@ mod tests {
             );
         }
         assert!((link.view(300 * MS).command[0] - 1.005).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_robot_with_a_new_nonce_is_found_again_and_old_answers_do_not_count() {
+        let mut commander = Commander {
+            command: [0.2, 0.0, 0.0],
+            ..Commander::default()
+        };
+        let mut robot = Receiver::new(5);
+        let mut round = |commander: &mut Commander, robot: &mut Receiver| {
+            let message = commander.next_message().encode(&key());
+            let answer = robot.take(&message, &key(), MS)?.encode(&key());
+            commander.hear(&answer, &key());
+            Some(answer)
+        };
+        let old = round(&mut commander, &mut robot).unwrap();
+        round(&mut commander, &mut robot);
+        assert_eq!(robot.view(MS).command[0], 0.2);
+        // Its agent was restarted: within ten messages it hears again.
+        let mut robot = Receiver::new(6);
+        (0..ASK_EVERY).for_each(|_| drop(round(&mut commander, &mut robot)));
+        commander.hear(&old, &key());
+        round(&mut commander, &mut robot);
+        assert_eq!(robot.view(MS).command[0], 0.2);
     }
 
     #[test]

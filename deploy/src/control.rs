@@ -5,20 +5,23 @@ use std::time::Duration;
 use caudata_hardware::wiring::Limits;
 use caudata_task::{ACT_DIM, COMMAND_DIM};
 use caudata_telemetry::StopFlag;
+use crossbeam_channel::Sender;
 
 use crate::DeployError;
 use crate::bus::{BusError, GroundTruth, Health, ImuReading, Robot, ServoReadings};
 use crate::command_link::{CommandLink, LINK_STAND, LINK_STOP};
 use crate::flight_log::{FlightLog, LogRow};
-use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate};
+use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate, PINNED_TICKS_MAX};
 use crate::guard::{Fault, Guard, Verdict};
 use crate::metrics::RobotMetrics;
 use crate::motion::{Motion, Stage};
+use crate::notify::{ALIVE, BRAKES, Notifier, READY, STOPPING};
 use crate::orientation::GravityFilter;
 use crate::pacing::{Clock, Pacer};
 use crate::recorder::Recorder;
 use crate::report::{Ended, Latencies, Odometer, Velocity, rounded};
 use crate::runner::{PolicyRunner, View};
+use crate::tap::Tick;
 use crate::updates::{PolicyEvent, Updates};
 use crate::walk_command::CommandTable;
 
@@ -95,6 +98,8 @@ pub struct Counts {
     pub held: u64,
     /// Ticks with a slowed target.
     pub rate_limited: u64,
+    /// Joint-ticks that a policy wanted at a joint's limit.
+    pub saturated: u64,
     /// Time that a policy was in charge, s of the robot's time.
     pub walked_s: f64,
     /// Sum of the commands over walking ticks, and their number.
@@ -132,6 +137,8 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     log: Option<FlightLog>,
     recorder: Recorder,
     link: Option<Box<dyn CommandLink>>,
+    notifier: Notifier,
+    tap: Option<Sender<Tick>>,
     metrics: RobotMetrics,
     gravity: GravityFilter,
     gate: OutputGate,
@@ -192,6 +199,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             log: None,
             recorder,
             link: None,
+            notifier: Notifier::default(),
+            tap: None,
             metrics,
             gravity,
             walk_start_s: None,
@@ -224,6 +233,16 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.link = Some(link);
     }
 
+    /// Shows every tick to other programs on this computer.
+    pub fn set_tap(&mut self, tap: Sender<Tick>) {
+        self.tap = Some(tap);
+    }
+
+    /// Gives signs of life to whoever watches this process.
+    pub fn set_notifier(&mut self, notifier: Notifier) {
+        self.notifier = notifier;
+    }
+
     /// The last 30 s, oldest first.
     pub fn recorder(&self) -> &Recorder {
         &self.recorder
@@ -246,6 +265,9 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     pub fn run(&mut self, stop: &StopFlag) -> Result<Ended, DeployError> {
         self.updates
             .tell(PolicyEvent::Begun(self.runner.policy().clone()));
+        self.notifier.say(READY);
+        let policy = self.runner.policy();
+        tracing::info!(stream = policy.stream, version = policy.version, "rising");
         let mut pacer = Pacer::new(self.clock.now(), self.plan.period);
         let result = loop {
             let due = pacer.next(self.clock.now());
@@ -258,10 +280,15 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                 Ok(()) => {}
             }
             self.note_latency(due.at, woke);
+            self.notifier.say(ALIVE);
+            if self.motion.stage() == Stage::Damped {
+                self.notifier.say(BRAKES);
+            }
         };
         self.counts.overruns = pacer.overruns();
         self.counts.held = self.gate.held();
         self.counts.rate_limited = self.gate.rate_limited();
+        self.counts.saturated = self.gate.saturated();
         if matches!(
             (&result, self.ended),
             (
@@ -273,6 +300,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             self.updates.tell(PolicyEvent::Ended(policy));
         }
         let limp = self.robot.torque_off();
+        self.notifier.say(BRAKES);
+        self.notifier.say(STOPPING);
         result?;
         limp?;
         Ok(self.ended.unwrap_or(Ended::Signal))
@@ -321,7 +350,31 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         if let Some(log) = &mut self.log {
             log.push(row);
         }
+        self.show(&row);
         Ok(())
+    }
+
+    fn show(&self, row: &LogRow) {
+        let Some(tap) = &self.tap else {
+            return;
+        };
+        let _ = tap.try_send(Tick {
+            time_s: row.servos.time_s,
+            pos_rad: row.servos.pos_rad,
+            vel_radps: row.servos.vel_radps,
+            current_a: row.servos.current_a,
+            target_rad: row.command_rad,
+            gyro_radps: row.imu.gyro_radps,
+            acc_mps2: row.imu.acc_mps2,
+            gravity: row.gravity,
+            supply_v: row.servos.supply_v,
+            stage: self.motion.stage(),
+            fault: self.fault.map(|(fault, _)| fault),
+            policy_version: self.runner.policy().version,
+            overruns: self.metrics.overruns.get(),
+            late_readings: self.counts.late_readings,
+            hottest_c: self.robot.health().hottest_c,
+        });
     }
 
     /// Everything sensed; `None` where it did not come in time.
@@ -587,12 +640,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             Some(targets) => {
                 self.gate.good();
                 self.trial_ticks += 1;
-                if self.trial_ticks == TRIAL_TICKS {
-                    self.updates.tell(PolicyEvent::Good {
-                        policy: self.runner.policy().clone(),
-                        walked_s: self.drove_s(sensed),
-                    });
-                }
+                self.judge_trial(sensed, &targets);
                 Some(targets)
             }
             None => {
@@ -600,6 +648,33 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                 None
             }
         }
+    }
+
+    /// A policy that wants many joints at their limits for a second does not pass its trial. One that passed before may be leaning on
+    /// something.
+    fn judge_trial(&mut self, sensed: &Sensed, targets: &[f32; ACT_DIM]) {
+        let ticks = self.gate.watch_limits(targets);
+        let fails = !self.runner.is_proved() && ticks >= PINNED_TICKS_MAX;
+        let over = self.trial_ticks > TRIAL_TICKS;
+        if over || (!fails && self.trial_ticks < TRIAL_TICKS) {
+            return;
+        }
+        let policy = self.runner.policy().clone();
+        let walked_s = self.drove_s(sensed);
+        if !fails {
+            self.updates.tell(PolicyEvent::Good { policy, walked_s });
+            return;
+        }
+        let reason = format!("wanted joints at their limits for {ticks} ticks in a row");
+        tracing::error!(%policy, reason, "the policy does not pass its trial: stopping");
+        self.updates.tell(PolicyEvent::Bad {
+            policy,
+            reason,
+            walked_s,
+            fell: false,
+        });
+        self.ended.get_or_insert(Ended::Saturated);
+        self.motion.finish();
     }
 
     fn bad_action(&mut self, sensed: &Sensed) {

@@ -72,6 +72,20 @@ pub enum DeployError {
         /// How many.
         in_a_row: u32,
     },
+    /// A policy held joints at their limits in its trial.
+    #[error(
+        "policy {policy} wanted joints at their limits in its trial; the robot was stood down and the policy is quarantined"
+    )]
+    Saturated {
+        /// Which one.
+        policy: PolicyRef,
+    },
+    /// Nobody says which policy runs.
+    #[error("the agent did not say within {waited_s} s which policy runs")]
+    NoAgent {
+        /// How long it was waited for, s.
+        waited_s: u64,
+    },
     /// The hardware stopped the run.
     #[error("the robot stopped by itself: {fault:?} ({detail})")]
     Stopped {
@@ -144,6 +158,12 @@ pub enum DeployError {
         /// Which file.
         path: PathBuf,
     },
+    /// Nobody trusted announced the policy on the disk as what it is taken for.
+    #[error("{} is not signed, as this policy, by enough trusted keys", path.display())]
+    NotSigned {
+        /// The announcement beside it.
+        path: PathBuf,
+    },
     /// The disk refuses.
     #[error(transparent)]
     Durable(#[from] DurableError),
@@ -205,6 +225,7 @@ impl DeployError {
             | Self::StateDamaged { .. }
             | Self::StateLost
             | Self::BlobDamaged { .. }
+            | Self::NotSigned { .. }
             | Self::LinkKey { .. }
             | Self::Commands { .. } => ExitCode::BadInput,
             Self::Stream { .. } | Self::Server(ClientError::Address { .. }) => ExitCode::BadConfig,
@@ -216,7 +237,10 @@ impl DeployError {
             Self::Server(_) | Self::NoPolicy { .. } | Self::Bus(_) | Self::Stopped { .. } => {
                 ExitCode::Unavailable
             }
-            Self::Refused { .. } | Self::BadActions { .. } => ExitCode::PolicyRefused,
+            Self::Refused { .. } | Self::BadActions { .. } | Self::Saturated { .. } => {
+                ExitCode::PolicyRefused
+            }
+            Self::NoAgent { .. } => ExitCode::TempFail,
             Self::Durable(e) if e.is_disk_full() => ExitCode::IoError,
             Self::Folder { .. } | Self::Durable(_) => ExitCode::CannotCreate,
             Self::Log(LogError::Io { source, .. }) => ExitCode::of_io(source, true),

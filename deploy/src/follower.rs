@@ -1,4 +1,4 @@
-//! Follows a stream while the robot walks: newer policies are fetched and verified here and wait in a slot for the loop.
+//! Follows a stream while the robot walks: newer policies are fetched and verified here, and staged for the loop.
 
 use std::path::PathBuf;
 use std::thread::JoinHandle;
@@ -10,10 +10,9 @@ use tokio::sync::watch;
 
 use crate::DeployError;
 use crate::keeper::{Keeper, reference};
-use crate::metrics::RobotMetrics;
+use crate::metrics::AgentMetrics;
+use crate::stage::Stage;
 use crate::state::PolicyRef;
-use crate::updates::Slot;
-use crate::verify::Verified;
 
 /// First pause before a server that went away is tried again; doubles up to [`RETRY_MAX`].
 pub const RETRY_FIRST: Duration = Duration::from_millis(500);
@@ -53,8 +52,8 @@ impl Follower {
         keeper: Keeper,
         follow: Follow,
         running: PolicyRef,
-        slot: Slot,
-        metrics: RobotMetrics,
+        stage: Stage,
+        metrics: AgentMetrics,
     ) -> Result<Self, DeployError> {
         let refused = |what| move |source| DeployError::System { what, source };
         let runtime = tokio::runtime::Builder::new_current_thread()
@@ -71,7 +70,7 @@ impl Follower {
             client,
             follow,
             offered: running,
-            slot,
+            stage,
             metrics,
             proved_at: Instant::now(),
         };
@@ -101,8 +100,8 @@ struct Following {
     follow: Follow,
     /// What was handed over, or refused, last.
     offered: PolicyRef,
-    slot: Slot,
-    metrics: RobotMetrics,
+    stage: Stage,
+    metrics: AgentMetrics,
     /// When the server last said where the label leads, and it counted.
     proved_at: Instant,
 }
@@ -190,8 +189,8 @@ impl Following {
             return;
         }
         self.keeper.withdraw(&policy, reason);
-        match self.keeper.from_disk() {
-            Ok(Some(verified)) => self.offer(verified),
+        match self.keeper.best() {
+            Ok(Some(policy)) => self.offer(policy),
             Ok(None) => {
                 tracing::error!(%policy, "nothing else is on this robot; it goes on until something comes")
             }
@@ -219,7 +218,7 @@ impl Following {
             return;
         }
         match self.keeper.take(&mut self.client, &manifest).await {
-            Ok(verified) => self.offer(verified),
+            Ok(verified) => self.offer(verified.policy),
             Err(error) => {
                 if matches!(error, DeployError::Refused { .. }) {
                     self.offered = policy;
@@ -229,11 +228,10 @@ impl Following {
         }
     }
 
-    fn offer(&mut self, mut verified: Verified) {
-        self.offered = verified.policy.clone();
-        match self.keeper.begin(&mut verified) {
-            Ok(()) => self.slot.put(verified),
-            Err(error) => tracing::error!(%error, "the policy at hand goes on"),
+    fn offer(&mut self, policy: PolicyRef) {
+        self.offered = policy.clone();
+        if let Err(error) = self.stage.offer(policy) {
+            tracing::error!(%error, "the policy at hand goes on");
         }
     }
 

@@ -5,6 +5,13 @@ use caudata_task::{ACT_DIM, JointTable};
 /// Actions in a row that may be held because they were not finite; with this many the robot is stopped.
 pub const HELD_IN_A_ROW_MAX: u32 = 3;
 
+/// Ticks in a row that a policy on trial may want [`PINNED_JOINTS`] joints or more at their limits (1 s).
+pub const PINNED_TICKS_MAX: u32 = 50;
+/// A quarter of the joints. Single joints lie at a limit in good gaits: of the joint-ticks of `policies/flat.onnx` 9 % do.
+pub const PINNED_JOINTS: usize = ACT_DIM / 4;
+/// A target this near to a limit lies at it, rad.
+const AT_LIMIT_RAD: f32 = 1e-5;
+
 /// What became of an action that is not finite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Held {
@@ -24,6 +31,8 @@ pub struct OutputGate {
     in_a_row: u32,
     held: u64,
     rate_limited: u64,
+    pinned_ticks: u32,
+    saturated: u64,
 }
 
 impl OutputGate {
@@ -37,6 +46,8 @@ impl OutputGate {
             in_a_row: 0,
             held: 0,
             rate_limited: 0,
+            pinned_ticks: 0,
+            saturated: 0,
         }
     }
 
@@ -56,6 +67,26 @@ impl OutputGate {
         }
         self.rate_limited += u64::from(limited);
         self.last_rad
+    }
+
+    /// Counts the joints that a policy wants at a limit or beyond it; for how many ticks in a row these were [`PINNED_JOINTS`] or more.
+    pub fn watch_limits(&mut self, policy_rad: &[f32; ACT_DIM]) -> u32 {
+        let inside = |i: &usize| {
+            policy_rad[*i] > self.lower_rad[*i] + AT_LIMIT_RAD
+                && policy_rad[*i] < self.upper_rad[*i] - AT_LIMIT_RAD
+        };
+        let at_limits = ACT_DIM - (0..ACT_DIM).filter(inside).count();
+        self.saturated += at_limits as u64;
+        self.pinned_ticks = match at_limits >= PINNED_JOINTS {
+            true => self.pinned_ticks + 1,
+            false => 0,
+        };
+        self.pinned_ticks
+    }
+
+    /// Joint-ticks at a limit so far.
+    pub fn saturated(&self) -> u64 {
+        self.saturated
     }
 
     /// Counts an action that is not finite.
@@ -133,5 +164,21 @@ mod tests {
         assert_eq!([gate.hold(), gate.hold()], [Held::Hold; 2]);
         assert_eq!(gate.hold(), Held::Stop);
         assert_eq!(gate.held(), 5);
+    }
+
+    #[test]
+    fn joints_at_their_limits_are_counted() {
+        let mut gate = gate();
+        let mut wanted = [0.2; ACT_DIM];
+        wanted[3] = 1.0;
+        wanted[9] = f32::NAN;
+        wanted[10] = -0.5;
+        assert_eq!(gate.watch_limits(&wanted), 0, "three joints of sixteen");
+        wanted[11] = 7.0;
+        assert_eq!([1, 2].map(|_| gate.watch_limits(&wanted)), [1, 2]);
+        wanted[3] = 0.999;
+        assert_eq!(gate.watch_limits(&wanted), 0);
+        // 3 + 4 + 4 + 3
+        assert_eq!(gate.saturated(), 14);
     }
 }

@@ -3,7 +3,7 @@
 //! Pure: one call per tick with what the hardware reports; the verdicts go down the ladder stand → damped.
 
 use caudata_hardware::wiring::Limits;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::bus::{Health, ServoReadings};
 
@@ -19,7 +19,7 @@ pub const IMU_FROZEN: u32 = 100;
 pub const DEBOUNCE: u32 = 25;
 
 /// Why the robot stopped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fault {
     /// A servo does not answer.

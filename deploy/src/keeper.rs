@@ -1,39 +1,46 @@
 //! Getting policies: from the server, checked and stored; from the disk when there is no server.
 
+use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use caudata_model::RobotModel;
+use caudata_policy::{MAX_FILE_BYTES, PolicyFile};
 use caudata_proto::registry::{LabelName, Manifest, NONCE_BYTES, RobotState as Word, StreamName};
 use caudata_registry_client::{ClientError, RegistryClient};
 use caudata_signing::Trust;
+use sha2::{Digest, Sha256};
 
 use crate::DeployError;
-use crate::metrics::RobotMetrics;
+use crate::boundary::FACTORY;
+use crate::metrics::AgentMetrics;
 use crate::probe::{ProbeProgram, Probed};
 use crate::reporter::{News, Reporter};
 use crate::state::{ATTEMPTS_MAX, Blame, Decision, PolicyRef, Sha256Digest};
+use crate::steps::Step;
 use crate::store::PolicyStore;
 use crate::updates::PolicyEvent;
-use crate::verify::{Refusal, Verified, VerifyError, check_manifest, verify};
+use crate::verify::{Refusal, Verified, VerifyError, check_manifest, check_signatures, verify};
 
-/// Decides which policy runs; shared by the start of a run, the follower and the housekeeping thread.
+/// Decides which policy runs; shared by the threads of the agent.
 #[derive(Clone, Debug)]
 pub struct Keeper {
     store: Arc<Mutex<PolicyStore>>,
     model: Arc<RobotModel>,
     trust: Option<Arc<Trust>>,
+    factory: Option<PolicyRef>,
     probe: Option<Arc<ProbeProgram>>,
     reporter: Option<Arc<Reporter>>,
-    metrics: RobotMetrics,
+    metrics: AgentMetrics,
 }
 
 impl Keeper {
     /// A keeper over an open store.
-    pub fn new(store: PolicyStore, model: Arc<RobotModel>, metrics: RobotMetrics) -> Self {
+    pub fn new(store: PolicyStore, model: Arc<RobotModel>, metrics: AgentMetrics) -> Self {
         Self {
             store: Arc::new(Mutex::new(store)),
             model,
             trust: None,
+            factory: None,
             probe: None,
             reporter: None,
             metrics,
@@ -45,6 +52,15 @@ impl Keeper {
     pub fn trusting(mut self, trust: Trust) -> Self {
         self.trust = Some(Arc::new(trust));
         self
+    }
+
+    /// Falls back on the policy that came with the program, where nothing else may run. It is checked here, long before it is needed.
+    ///
+    /// # Errors
+    /// [`DeployError::BlobMissing`], [`DeployError::Refused`], [`DeployError::Runtime`].
+    pub fn falling_back_on(mut self, file: &Path) -> Result<Self, DeployError> {
+        self.factory = Some(read_factory(file, &self.model)?.policy);
+        Ok(self)
     }
 
     /// Lets a child process try candidates first.
@@ -151,7 +167,9 @@ impl Keeper {
             Decision::Older { have } => return Err(self.refused(policy, Refusal::Older { have })),
             Decision::HaveIt => match self.read_back(&policy) {
                 Err(
-                    error @ (DeployError::BlobDamaged { .. } | DeployError::BlobMissing { .. }),
+                    error @ (DeployError::BlobDamaged { .. }
+                    | DeployError::BlobMissing { .. }
+                    | DeployError::NotSigned { .. }),
                 ) => {
                     tracing::warn!(%error, "fetching it again");
                 }
@@ -159,9 +177,9 @@ impl Keeper {
             },
             Decision::Fetch => {}
         }
-        if let Some(Err(refusal)) = self.trust.as_ref().map(|trust| trust.check(manifest)) {
+        if let Err(refusal) = check_signatures(manifest, self.trust.as_deref()) {
             // Not recorded: whoever can make up announcements must not be able to fill the records with them.
-            return Err(self.refused(policy, Refusal::Untrusted(refusal)));
+            return Err(self.refused(policy, refusal));
         }
         if let Err(refusal) = check_manifest(manifest, &self.model) {
             return Err(self.quarantine(policy, refusal));
@@ -170,21 +188,25 @@ impl Keeper {
         let verified = self.tried(bytes.into(), &policy)?;
         let mut store = self.store();
         store.put(&policy, verified.file.bytes())?;
+        store.put_manifest(manifest)?;
         store.update(|state| state.adopt(policy.clone()))?;
         drop(store);
         tracing::info!(%policy, sha256 = %policy.sha256, "policy verified and stored");
         Ok(verified)
     }
 
-    /// Counts, on the disk, that `verified` is made ready to drive the robot.
+    /// Counts, on the disk, that `policy` is made ready to drive the robot; whether it went through its trial here before.
     ///
     /// # Errors
     /// [`DeployError::Refused`] where that was too often already; what the disk says.
-    pub fn begin(&self, verified: &mut Verified) -> Result<(), DeployError> {
-        let policy = verified.policy.clone();
+    pub fn begin(&self, policy: &PolicyRef) -> Result<bool, DeployError> {
+        if policy.stream == FACTORY {
+            return Ok(true);
+        }
         let before = self.store().state().attempts(policy.sha256);
-        if before >= ATTEMPTS_MAX {
-            return Err(self.quarantine(policy, Refusal::TooManyAttempts { attempts: before }));
+        if Step::Attempts.on() && before >= ATTEMPTS_MAX {
+            let refusal = Refusal::TooManyAttempts { attempts: before };
+            return Err(self.quarantine(policy.clone(), refusal));
         }
         let mut attempts = 0;
         let counted = self
@@ -196,13 +218,12 @@ impl Keeper {
             Err(error) if attempts == 0 => tracing::error!(%error, "cannot write the state"),
             Err(error) => return Err(error),
         }
-        verified.proved = attempts == 0;
         let news = News {
             attempts,
             ..News::default()
         };
-        self.tell(&policy, Word::Armed, news);
-        Ok(())
+        self.tell(policy, Word::Armed, news);
+        Ok(attempts == 0)
     }
 
     /// Whether the state was lost and no server proved yet what is newest.
@@ -217,9 +238,24 @@ impl Keeper {
     }
 
     fn tell(&self, policy: &PolicyRef, word: Word, news: News) {
-        if let Some(reporter) = &self.reporter {
+        if let Some(reporter) = &self.reporter
+            && policy.stream != FACTORY
+        {
             reporter.tell(policy, word, news);
         }
+    }
+
+    /// The best policy that needs no server: on this robot's disk, else the one that came with the program.
+    ///
+    /// # Errors
+    /// As [`Keeper::from_disk`].
+    pub fn best(&self) -> Result<Option<PolicyRef>, DeployError> {
+        let on_disk = match self.is_torn() {
+            true => None,
+            false => self.from_disk()?,
+        };
+        let policy = on_disk.map(|verified| verified.policy);
+        Ok(policy.or_else(|| self.factory.clone()))
     }
 
     /// The best policy on this robot's disk; `None` where there is none that may run. Damaged files and policies that no
@@ -235,6 +271,7 @@ impl Keeper {
                 Err(
                     error @ (DeployError::BlobDamaged { .. }
                     | DeployError::BlobMissing { .. }
+                    | DeployError::NotSigned { .. }
                     | DeployError::Refused { .. }),
                 ) => tracing::error!(%policy, %error, "policy on disk cannot run"),
                 Err(error) => return Err(error),
@@ -243,13 +280,26 @@ impl Keeper {
         Ok(None)
     }
 
-    /// Writes down what the control loop learnt.
+    /// Writes down what the loop learnt. A policy that came with the program has no record.
     ///
     /// # Errors
     /// What the disk says.
     pub fn note(&self, event: PolicyEvent) -> Result<(), DeployError> {
         let attempts = |policy: &PolicyRef| self.store().state().attempts(policy.sha256);
+        let factory = |policy: &PolicyRef| policy.stream == FACTORY;
         match event {
+            PolicyEvent::Bad { policy, reason, .. } | PolicyEvent::Unfit { policy, reason }
+                if factory(&policy) =>
+            {
+                tracing::error!(reason, "the policy that came with the program does not do");
+                Ok(())
+            }
+            PolicyEvent::Begun(policy) | PolicyEvent::Ended(policy) if factory(&policy) => Ok(()),
+            PolicyEvent::Good { policy, .. } if factory(&policy) => Ok(()),
+            PolicyEvent::Unfit { policy, reason } => {
+                self.quarantine(policy, Refusal::ByTheLoop(reason));
+                Ok(())
+            }
             PolicyEvent::Begun(policy) => {
                 let news = News {
                     attempts: attempts(&policy),
@@ -285,15 +335,13 @@ impl Keeper {
                     .update(|state| state.quarantine(policy, reason, Blame::Policy))
             }
             PolicyEvent::Ended(policy) => self.store().update(|s| s.end_in_order(policy.sha256)),
-            PolicyEvent::Replaced(runner) => {
-                drop(runner);
-                Ok(())
-            }
+            // Neither is about what is kept.
+            PolicyEvent::Ready { .. } | PolicyEvent::Replaced(_) => Ok(()),
         }
     }
 
     fn read_back(&self, policy: &PolicyRef) -> Result<Verified, DeployError> {
-        let bytes = self.store().get(policy)?;
+        let bytes = self.store().get(policy, self.trust.as_deref())?;
         self.checked(bytes, policy)
     }
 
@@ -359,6 +407,40 @@ impl Keeper {
     fn store(&self) -> MutexGuard<'_, PolicyStore> {
         self.store.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The policy that came with the program, completely checked. Nobody announced it, so that its own bytes say which it is.
+///
+/// # Errors
+/// As [`Keeper::falling_back_on`].
+pub fn read_factory(path: &Path, model: &RobotModel) -> Result<Verified, DeployError> {
+    let missing = |source| DeployError::BlobMissing {
+        path: path.to_owned(),
+        source,
+    };
+    let too_large = std::fs::metadata(path).map_err(missing)?.len() > MAX_FILE_BYTES as u64;
+    if too_large {
+        return Err(DeployError::BlobDamaged {
+            path: path.to_owned(),
+        });
+    }
+    let bytes: Arc<[u8]> = std::fs::read(path).map_err(missing)?.into();
+    let mut policy = PolicyRef {
+        stream: FACTORY.to_owned(),
+        version: 0,
+        sha256: Sha256Digest(Sha256::digest(&bytes).into()),
+        reverts_to: None,
+    };
+    let refused = |policy: &PolicyRef, refusal: Refusal| DeployError::Refused {
+        policy: policy.clone(),
+        refusal: Box::new(refusal),
+    };
+    let file = PolicyFile::parse(bytes.clone()).map_err(|e| refused(&policy, e.into()))?;
+    policy.version = file.metadata().version;
+    verify(bytes, &policy, model).map_err(|error| match error {
+        VerifyError::Runtime(error) => DeployError::Runtime(error),
+        VerifyError::Refused(refusal) => refused(&policy, refusal),
+    })
 }
 
 /// Which policy a manifest announces.

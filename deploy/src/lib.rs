@@ -1,16 +1,20 @@
 //! The on-robot client: pulls, verifies and runs the policy at 50 Hz.
 //!
-//! A policy comes from the policy server ([`keeper`]), passes every check ([`verify`]), is stored ([`store`], [`state`]) and
-//! then drives the robot ([`control`]) through [`bus`] traits, which the robot's own servos and IMU ([`hardware`]) and a simulated
-//! robot in another process ([`sim_link`]) implement. `docs/robot-client.md` describes the whole from outside.
+//! Two processes and one that watches them ([`supervisor`]). The agent gets policies from the policy server ([`keeper`]), checks
+//! them ([`verify`]), stores them ([`store`], [`state`]) and stages them ([`stage`]); it never opens the bus. The loop loads what is
+//! staged ([`courier`]) and drives the robot ([`control`]) through [`bus`] traits, which the robot's own servos and IMU
+//! ([`hardware`]) and a simulated robot in another process ([`sim_link`]) implement; it knows no network. [`boundary`] is all that
+//! passes between the two. `docs/robot-client.md` describes the whole from outside.
 //!
 //! *Invariant:* nothing that was not verified here runs here, and neither libtorch nor a simulator is linked.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod boundary;
 pub mod bus;
 pub mod command_link;
 pub mod commands;
 pub mod control;
+pub mod courier;
 mod error;
 pub mod flight_log;
 pub mod follower;
@@ -20,6 +24,7 @@ pub mod hardware;
 pub mod keeper;
 pub mod metrics;
 pub mod motion;
+pub mod notify;
 pub mod orientation;
 pub mod pacing;
 pub mod probe;
@@ -28,8 +33,12 @@ pub mod report;
 pub mod reporter;
 pub mod runner;
 pub mod sim_link;
+pub mod stage;
 pub mod state;
+mod steps;
 pub mod store;
+pub mod supervisor;
+pub mod tap;
 #[cfg(test)]
 mod testing;
 pub mod updates;

@@ -1,8 +1,8 @@
-//! What the robot tells Prometheus.
+//! What the robot tells Prometheus, each half its own part; the agent shows both on one page.
 
 use caudata_telemetry::{Counter, Histogram, IntGauge, Metrics};
 
-/// Metrics of the control loop and of the policies.
+/// Metrics of the control loop.
 #[derive(Clone, Debug)]
 pub struct RobotMetrics {
     /// Control ticks.
@@ -17,10 +17,15 @@ pub struct RobotMetrics {
     pub tick_seconds: Histogram,
     /// Version that runs.
     pub policy_version: IntGauge,
-    /// Policies that were refused.
-    pub refused: Counter,
     /// 1 while a newer policy waits for a safe moment.
     pub armed: IntGauge,
+}
+
+/// Metrics of the agent.
+#[derive(Clone, Debug)]
+pub struct AgentMetrics {
+    /// Policies that were refused.
+    pub refused: Counter,
     /// 1 where no server proved for long that what runs is the newest.
     pub stale: IntGauge,
 }
@@ -54,6 +59,14 @@ impl RobotMetrics {
                 "caudata_robot_policy_waiting",
                 "1 while a newer policy waits for a safe moment",
             ),
+        }
+    }
+}
+
+impl AgentMetrics {
+    /// Registers everything.
+    pub fn register(metrics: &Metrics) -> Self {
+        Self {
             stale: metrics.int_gauge(
                 "caudata_robot_policy_stale",
                 "1 where no policy server proved for ten minutes that what runs is the newest",

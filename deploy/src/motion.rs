@@ -10,6 +10,7 @@
 //! Pure: one call per control tick, time counts in ticks.
 
 use caudata_task::ACT_DIM;
+use serde::{Deserialize, Serialize};
 
 /// How fast joints move towards the nominal pose, rad/s.
 pub const RAMP_RADPS: f32 = 0.5;
@@ -21,7 +22,8 @@ pub const BLEND_S: f32 = 0.5;
 pub const DAMPED_S: f32 = 1.0;
 
 /// What the robot is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Stage {
     /// From wherever it lies to the nominal pose.
     Rise,

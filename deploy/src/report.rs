@@ -177,6 +177,8 @@ pub enum Ended {
     Fallen,
     /// The policy gave actions that are not finite.
     BadActions,
+    /// The policy held joints at their limits in its trial.
+    Saturated,
     /// The kill button.
     Killed,
     /// The hardware.
@@ -227,6 +229,8 @@ pub struct RunSummary {
     pub held_actions: u64,
     /// Ticks in which the gate slowed a target down.
     pub rate_limited_ticks: u64,
+    /// Joint-ticks that a policy wanted at a joint's limit.
+    pub saturated_joint_ticks: u64,
     /// Rows in the log; 0 without one.
     pub log_rows: u64,
     /// Rows dropped because the disk was too slow.

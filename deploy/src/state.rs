@@ -11,6 +11,8 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
+use crate::steps::Step;
+
 /// `format` of the state file.
 pub const STATE_FORMAT: &str = "caudata.robot_state.v1";
 /// Quarantined policies that are remembered; older ones are forgotten.
@@ -202,30 +204,34 @@ impl RobotState {
     /// What to do about `offered` on the robot model with hash `robot`.
     pub fn decide(&self, offered: &PolicyRef, robot: Sha256Digest) -> Decision {
         let of_it = |e: &&Quarantined| e.policy.sha256 == offered.sha256 && e.holds_on(robot);
-        if let Some(entry) = self.quarantined.iter().find(of_it) {
+        let known = self.quarantined.iter().find(of_it);
+        if let Some(entry) = known.filter(|_| Step::Quarantine.on()) {
             return Decision::Refused {
                 reason: entry.reason.clone(),
             };
         }
+        let newer = |active: &PolicyRef| {
+            active.stream == offered.stream && active.version > offered.version && Step::Older.on()
+        };
         match &self.active {
             Some(active) if active == offered => Decision::HaveIt,
-            Some(active) if active.stream == offered.stream && active.version > offered.version => {
-                Decision::Older {
-                    have: active.version,
-                }
-            }
+            Some(active) if newer(active) => Decision::Older {
+                have: active.version,
+            },
             _ => self.decide_by_seen(offered),
         }
     }
 
     fn decide_by_seen(&self, offered: &PolicyRef) -> Decision {
         let seen = self.seen.get(&offered.stream).copied();
-        if seen.is_some_and(|seen| offered.version < seen) && !self.needs(offered.sha256) {
+        let older = seen.is_some_and(|seen| offered.version < seen);
+        if Step::Seen.on() && older && !self.needs(offered.sha256) {
             return Decision::Older {
                 have: seen.unwrap_or_default(),
             };
         }
-        if offered.version.saturating_sub(seen.unwrap_or_default()) > VERSION_JUMP_MAX {
+        let jump = offered.version.saturating_sub(seen.unwrap_or_default());
+        if Step::Jump.on() && jump > VERSION_JUMP_MAX {
             return Decision::Refused {
                 reason: format!("its version is more than {VERSION_JUMP_MAX} above any seen"),
             };

@@ -1,4 +1,5 @@
-//! The robot's folder: `state.json` with its copy `state.copy.json`, and `blobs/<sha256>.onnx`. What is read from it is checked as if it came from outside.
+//! The robot's folder: `state.json` with its copy `state.copy.json`, `blobs/<sha256>.onnx`, and beside each of these its signed
+//! announcement, `blobs/<sha256>.<version>.manifest`. What is read from it is checked as if it came from outside.
 
 use std::fs;
 use std::io;
@@ -7,10 +8,13 @@ use std::sync::Arc;
 
 use caudata_durable as durable;
 use caudata_policy::MAX_FILE_BYTES;
+use caudata_proto::registry::Manifest;
+use caudata_signing::Trust;
 use sha2::{Digest, Sha256};
 
 use crate::DeployError;
 use crate::state::{PolicyRef, RobotState, STATE_FORMAT, Sha256Digest};
+use crate::steps::Step;
 
 /// Largest state file that is read, bytes.
 const STATE_BYTES_MAX: u64 = 1 << 20;
@@ -126,38 +130,39 @@ impl PolicyStore {
         Ok(())
     }
 
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// Keeps the bytes of a policy. Call before the state names it.
     ///
     /// # Errors
     /// [`DeployError::Durable`].
     pub fn put(&self, policy: &PolicyRef, bytes: &[u8]) -> Result<(), DeployError> {
         // Replaces a file of this name, which could only be a damaged one.
-        Ok(durable::replace(&self.blob(policy.sha256), bytes)?)
+        Ok(durable::replace(&blob(&self.folder, policy.sha256), bytes)?)
     }
 
-    /// The bytes of a policy, as they were put there.
+    /// Keeps the announcement of a policy with its signatures. Call before the state names it.
     ///
     /// # Errors
-    /// [`DeployError::BlobMissing`]; [`DeployError::BlobDamaged`] where the bytes have another hash.
-    pub fn get(&self, policy: &PolicyRef) -> Result<Arc<[u8]>, DeployError> {
-        let path = self.blob(policy.sha256);
-        let damaged = || DeployError::BlobDamaged { path: path.clone() };
-        let missing = |source| DeployError::BlobMissing {
-            path: path.clone(),
-            source,
-        };
-        if fs::metadata(&path).map_err(missing)?.len() > MAX_FILE_BYTES as u64 {
-            return Err(damaged());
-        }
-        let bytes = fs::read(&path).map_err(missing)?;
-        if Sha256Digest(Sha256::digest(&bytes).into()) != policy.sha256 {
-            return Err(damaged());
-        }
-        Ok(bytes.into())
+    /// [`DeployError::Durable`].
+    pub fn put_manifest(&self, manifest: &Manifest) -> Result<(), DeployError> {
+        let path = manifest_file(
+            &self.folder,
+            Sha256Digest(manifest.sha256),
+            manifest.version,
+        );
+        Ok(durable::replace(&path, &manifest.to_bytes())?)
     }
 
-    fn blob(&self, sha256: Sha256Digest) -> PathBuf {
-        self.folder.join("blobs").join(format!("{sha256}.onnx"))
+    /// [`read_policy`] of this folder.
+    ///
+    /// # Errors
+    /// As [`read_policy`].
+    pub fn get(&self, policy: &PolicyRef, trust: Option<&Trust>) -> Result<Arc<[u8]>, DeployError> {
+        read_policy(&self.folder, policy, trust)
     }
 
     /// Failing here costs nothing but space.
@@ -167,13 +172,68 @@ impl PolicyStore {
         };
         for entry in entries.flatten() {
             let name = entry.file_name();
-            let digest = name.to_str().and_then(|n| n.strip_suffix(".onnx"));
+            let digest = name.to_str().and_then(|n| n.split('.').next());
             let digest = digest.and_then(|d| d.parse::<Sha256Digest>().ok());
             if digest.is_some_and(|d| !self.state.needs(d)) {
                 let _ = fs::remove_file(entry.path());
             }
         }
     }
+}
+
+/// Largest manifest file that is read, bytes: the evaluation summary is most of it.
+const MANIFEST_BYTES_MAX: u64 = 128 << 10;
+
+/// The bytes of a policy, as they were put into the robot's folder. With `trust`, keys of it must have signed the announcement that
+/// was kept beside them.
+///
+/// # Errors
+/// [`DeployError::BlobMissing`], also for a missing announcement; [`DeployError::BlobDamaged`] where the bytes have another hash,
+/// [`DeployError::NotSigned`] where nobody trusted announced them as this policy.
+pub fn read_policy(
+    folder: &Path,
+    policy: &PolicyRef,
+    trust: Option<&Trust>,
+) -> Result<Arc<[u8]>, DeployError> {
+    let path = blob(folder, policy.sha256);
+    let bytes = read_bounded(&path, MAX_FILE_BYTES as u64)?;
+    let found = Sha256Digest(Sha256::digest(&bytes).into());
+    if Step::StoredHash.on() && found != policy.sha256 {
+        return Err(DeployError::BlobDamaged { path });
+    }
+    if let Some(trust) = trust.filter(|_| Step::StoredSignature.on()) {
+        let path = manifest_file(folder, policy.sha256, policy.version);
+        let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
+        let signed = manifest.is_ok_and(|manifest| {
+            crate::keeper::reference(&manifest) == *policy && trust.check(&manifest).is_ok()
+        });
+        if !signed {
+            return Err(DeployError::NotSigned { path });
+        }
+    }
+    Ok(bytes.into())
+}
+
+fn read_bounded(path: &Path, bytes_max: u64) -> Result<Vec<u8>, DeployError> {
+    let missing = |source| DeployError::BlobMissing {
+        path: path.to_owned(),
+        source,
+    };
+    if fs::metadata(path).map_err(missing)?.len() > bytes_max {
+        return Err(DeployError::BlobDamaged {
+            path: path.to_owned(),
+        });
+    }
+    fs::read(path).map_err(missing)
+}
+
+fn blob(folder: &Path, sha256: Sha256Digest) -> PathBuf {
+    folder.join("blobs").join(format!("{sha256}.onnx"))
+}
+
+fn manifest_file(folder: &Path, sha256: Sha256Digest, version: u64) -> PathBuf {
+    let name = format!("{sha256}.{version}.manifest");
+    folder.join("blobs").join(name)
 }
 
 /// A state file: the state, and the SHA-256 of its compact JSON, so that a flipped bit is noticed.
@@ -276,7 +336,7 @@ mod tests {
         store.update(|s| s.adopt(one.clone())).unwrap();
         let store = PolicyStore::open(folder.path()).unwrap();
         assert_eq!(store.state().active, Some(one.clone()));
-        assert_eq!(*store.get(&one).unwrap(), *b"one");
+        assert_eq!(*store.get(&one, None).unwrap(), *b"one");
     }
 
     #[test]
@@ -284,15 +344,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let one = policy(b"one");
         let store = PolicyStore::open(folder.path()).unwrap();
-        let missing = store.get(&one).unwrap_err();
+        let missing = store.get(&one, None).unwrap_err();
         assert!(
             matches!(missing, DeployError::BlobMissing { .. }),
             "{missing}"
         );
         store.put(&one, b"one").unwrap();
-        let path = store.blob(one.sha256);
+        let path = blob(folder.path(), one.sha256);
         fs::write(&path, b"on").unwrap();
-        let damaged = store.get(&one).unwrap_err();
+        let damaged = store.get(&one, None).unwrap_err();
         assert!(
             matches!(damaged, DeployError::BlobDamaged { .. }),
             "{damaged}"
@@ -322,12 +382,12 @@ mod tests {
                 store.update(|s| s.confirm(policy.sha256)).unwrap();
             }
         }
-        assert!(store.get(&policy(b"one")).is_ok(), "last good");
+        assert!(store.get(&policy(b"one"), None).is_ok(), "last good");
         assert!(
-            store.get(&policy(b"two")).is_err(),
+            store.get(&policy(b"two"), None).is_err(),
             "neither active nor good"
         );
-        assert!(store.get(&policy(b"six")).is_ok(), "active");
+        assert!(store.get(&policy(b"six"), None).is_ok(), "active");
     }
 
     /// A folder that holds `one` (version 1), adopted, with both copies of the state.
@@ -397,5 +457,47 @@ mod tests {
         let older = crate::state::Decision::Older { have: 9 };
         assert_eq!(store.state().decide(&policy(b"one"), here), older);
         assert!(folder.path().join("state.json.damaged").exists());
+    }
+
+    #[test]
+    fn what_the_loop_loads_was_signed_as_this_very_policy() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = caudata_signing::ReleaseKey::from_seed("release", &[7; 32]);
+        let trust = Trust::parse(&key.trust_file()).unwrap();
+        let store = PolicyStore::open(folder.path()).unwrap();
+        let one = policy(b"one");
+        store.put(&one, b"one").unwrap();
+        let read = || read_policy(folder.path(), &one, Some(&trust));
+        assert!(matches!(read(), Err(DeployError::BlobMissing { .. })));
+        let mut manifest = Manifest {
+            stream: caudata_proto::registry::StreamName::new("s").unwrap(),
+            version: 1,
+            sha256: one.sha256.0,
+            size: 3,
+            created_unix_ms: 5,
+            run_id: "r".into(),
+            contract_hash: [2; 32],
+            robot_name: "polymander".into(),
+            robot_hash: [3; 32],
+            env_steps: 9,
+            training_commit: String::new(),
+            config_hash: String::new(),
+            evaluation_json: None,
+            reverts_to: None,
+            signatures: Vec::new(),
+        };
+        store.put_manifest(&manifest).unwrap();
+        assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
+        key.sign(&mut manifest);
+        store.put_manifest(&manifest).unwrap();
+        assert_eq!(*read().unwrap(), *b"one");
+        // Signed, but announced in another stream: under the name of this policy it does not count.
+        let path = manifest_file(folder.path(), one.sha256, 1);
+        manifest.stream = caudata_proto::registry::StreamName::new("other").unwrap();
+        key.sign(&mut manifest);
+        fs::write(&path, manifest.to_bytes()).unwrap();
+        assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
+        fs::write(&path, b"no manifest").unwrap();
+        assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
     }
 }

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 
 use crossbeam_channel::{Receiver, Sender, bounded};
+use serde::{Deserialize, Serialize};
 
 use crate::runner::PolicyRunner;
 use crate::state::PolicyRef;
@@ -11,9 +12,22 @@ use crate::verify::Verified;
 /// Events that wait to be dealt with.
 const EVENTS_MAX: usize = 16;
 
-/// What the loop has to say about a policy.
-#[derive(Debug)]
+/// What the loop's process has to say, mostly about policies.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum PolicyEvent {
+    /// The robot is there and in order; this start of the loop wants a policy.
+    Ready {
+        /// Drawn anew at each start.
+        run: u64,
+    },
+    /// It was staged, and the loop's process refuses it.
+    Unfit {
+        /// Which one.
+        policy: PolicyRef,
+        /// Why.
+        reason: String,
+    },
     /// It drives the robot from now on.
     Begun(PolicyRef),
     /// It ran well through its trial.
@@ -36,7 +50,8 @@ pub enum PolicyEvent {
     },
     /// The run ended in order; what it was on trial for is not held against it.
     Ended(PolicyRef),
-    /// It was replaced; taking it apart takes longer than the loop has.
+    /// It was replaced; taking it apart takes longer than the loop has. Stays within the process.
+    #[serde(skip)]
     Replaced(Box<PolicyRunner>),
 }
 

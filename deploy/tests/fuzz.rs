@@ -21,9 +21,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use caudata_deploy::boundary::{RunFolder, STAGED_FORMAT, Staged, Teller, take_told};
 use caudata_deploy::command_link::{Kind, LinkKey, Message, Receiver};
 use caudata_deploy::state::{PolicyRef, RobotState, Sha256Digest};
 use caudata_deploy::store::PolicyStore;
+use caudata_deploy::updates::PolicyEvent;
 use caudata_dynamixel::crc::crc16;
 use caudata_dynamixel::frame::{Framer, STATUS, encode, unstuff};
 use caudata_policy::PolicyFile;
@@ -34,6 +36,9 @@ use caudata_proto::registry::{
 use caudata_proto::wire::registry as wire;
 use caudata_proto::{DecodeLimits, robot_link};
 use caudata_runlog::Table;
+use caudata_runlog::ros::messages::{
+    DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, Twist,
+};
 use caudata_signing::{ReleaseKey, Trust};
 use common::policies::standing;
 use prost::Message as _;
@@ -550,5 +555,95 @@ fn log_table() {
             Ok(_) => "taken".into(),
             Err(error) => error.to_string().chars().take(40).collect(),
         }
+    });
+}
+
+/// Files between the two processes of a robot: what is staged, and what the loop told.
+#[test]
+fn boundary_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let run = RunFolder::open(&folder.path().join("run")).unwrap();
+    let policy = PolicyRef {
+        stream: "s".to_owned(),
+        version: 3,
+        sha256: Sha256Digest([7; 32]),
+        reverts_to: None,
+    };
+    let staged = Staged {
+        format: STAGED_FORMAT.to_owned(),
+        number: 4,
+        run: 77,
+        policy: policy.clone(),
+        proved: false,
+    };
+    staged.write(&run).unwrap();
+    let mut teller = Teller::open(&state).unwrap();
+    teller.tell(&PolicyEvent::Begun(policy.clone())).unwrap();
+    let bad = PolicyEvent::Bad {
+        policy,
+        reason: "falls".to_owned(),
+        walked_s: 1.5,
+        fell: true,
+    };
+    teller.tell(&bad).unwrap();
+    let told = |number: u32| state.join(format!("told/{number:020}.json"));
+    let seeds =
+        [run.file("staged.json"), told(1), told(2)].map(|path| std::fs::read(path).unwrap());
+    fuzz("boundary_files", seeds.to_vec(), 1 << 20, |bytes| {
+        std::fs::write(run.file("staged.json"), bytes).unwrap();
+        std::fs::write(told(1), bytes).unwrap();
+        let staged = Staged::read(&run);
+        let mut events = Vec::new();
+        take_told(&state, |event| events.push(event));
+        let kinds: Vec<_> = events.iter().map(std::mem::discriminant).collect();
+        for entry in std::fs::read_dir(state.join("told")).unwrap() {
+            std::fs::remove_file(entry.unwrap().path()).unwrap();
+        }
+        format!("{} {kinds:?}", staged.is_some())
+    });
+}
+
+/// What ROS nodes send, and what a recording holds.
+#[test]
+fn ros_messages() {
+    let header = Header {
+        stamp_ns: 1_500_000_002,
+        frame: "b".to_owned(),
+    };
+    let seeds = vec![
+        Twist {
+            linear_mps: [0.25, 0.0, 0.0],
+            angular_radps: [0.0, 0.0, -0.5],
+        }
+        .encode(),
+        JointState {
+            header: header.clone(),
+            name: vec!["hip".to_owned(), "knee".to_owned()],
+            position: vec![1.0, 2.0],
+            velocity: vec![0.5],
+            effort: vec![],
+        }
+        .encode(),
+        DiagnosticArray {
+            header,
+            status: vec![DiagnosticStatus {
+                level: 2,
+                name: "hip".to_owned(),
+                message: "hot".to_owned(),
+                hardware_id: String::new(),
+                values: vec![("T".to_owned(), "69".to_owned())],
+            }],
+        }
+        .encode(),
+    ];
+    fuzz("ros_messages", seeds, 16 << 20, |bytes| {
+        let said = [
+            Twist::decode(bytes).err(),
+            JointState::decode(bytes).err(),
+            DiagnosticArray::decode(bytes).err(),
+            Imu::decode(bytes).err(),
+        ];
+        format!("{said:?}")
     });
 }

@@ -28,11 +28,14 @@ fn run(
     command
 }
 
-/// The only file in the state's `blobs`.
+/// The only policy in the state's `blobs`.
 fn blob(state: &Path) -> std::path::PathBuf {
-    let mut files = std::fs::read_dir(state.join("blobs")).unwrap();
-    let file = files.next().unwrap().unwrap().path();
-    assert!(files.next().is_none());
+    let files = std::fs::read_dir(state.join("blobs")).unwrap();
+    let mut policies = files
+        .map(|file| file.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|e| e == "onnx"));
+    let file = policies.next().unwrap();
+    assert!(policies.next().is_none());
     file
 }
 

@@ -189,6 +189,8 @@ fn soak(seconds: u64) {
                 &seconds.to_string(),
                 "--swap-wait",
                 "4",
+                "--hang-ms",
+                "60000",
                 "--name",
                 "soak-robot",
             ])
@@ -291,13 +293,11 @@ fn soak(seconds: u64) {
     );
 }
 
+/// `make test` has three quarters of a minute for it, `make soak` ten minutes or as long as it is told.
 #[test]
-fn a_robot_follows_latest_for_a_minute_while_the_server_dies_and_the_network_breaks() {
-    soak(45);
-}
-
-#[test]
-#[ignore = "ten minutes: make test-faults"]
-fn a_robot_follows_latest_for_ten_minutes_while_the_server_dies_and_the_network_breaks() {
-    soak(600);
+fn a_robot_follows_latest_while_the_server_dies_and_the_network_breaks() {
+    let seconds = std::env::var("CAUDATA_SOAK_S").ok();
+    soak(seconds.map_or(45, |text| {
+        text.parse().expect("CAUDATA_SOAK_S: whole seconds")
+    }));
 }

@@ -15,7 +15,7 @@ use caudata_hardware::Wiring;
 use caudata_runlog::{RunLog, Signal};
 use caudata_sim::{EngineConfig, TerrainConfig};
 use common::policies::{ROBOT_FILE, model, standing};
-use common::{Server, outcome, program};
+use common::{Server, ended, outcome, program, start};
 
 const WIRING: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
@@ -37,12 +37,23 @@ struct Emulated {
     folder: PathBuf,
     stop: Arc<AtomicBool>,
     heights_m: Arc<Mutex<Vec<f64>>>,
+    /// Every change of the torque.
+    torque: Arc<Mutex<Vec<bool>>>,
     thread: JoinHandle<()>,
 }
 
 impl Emulated {
     /// `change` is made before the robot is served, `at_torque` when its torque has come on.
     fn start(
+        folder: &Path,
+        change: impl FnOnce(&mut EmulatedRobot),
+        alert_after_s: Option<f64>,
+    ) -> Self {
+        Self::start_at(Pace::Goals, folder, change, alert_after_s)
+    }
+
+    fn start_at(
+        pace: Pace,
         folder: &Path,
         change: impl FnOnce(&mut EmulatedRobot),
         alert_after_s: Option<f64>,
@@ -59,8 +70,21 @@ impl Emulated {
         let mut terminals = Terminals::open(folder).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
         let heights_m = Arc::new(Mutex::new(Vec::new()));
-        let (stopped, heights) = (stop.clone(), heights_m.clone());
+        let torque = Arc::new(Mutex::new(vec![false]));
+        let (stopped, heights, edges) = (stop.clone(), heights_m.clone(), torque.clone());
+        let change_of_torque = |edges: &Mutex<Vec<bool>>, on: bool| {
+            let mut edges = edges.lock().unwrap();
+            if edges.last() != Some(&on) {
+                edges.push(on);
+            }
+        };
         let thread = std::thread::spawn(move || {
+            if pace == Pace::RealTime {
+                let stop = || stopped.load(Ordering::Relaxed);
+                let mut event = |on: bool, _: &EmulatedRobot| change_of_torque(&edges, on);
+                serve(&mut robot, &mut terminals, pace, &stop, &mut event).unwrap();
+                return;
+            }
             // Serves in slices, so that a fault can come in between.
             let mut alert_after_s = alert_after_s;
             while !stopped.load(Ordering::Relaxed) {
@@ -76,12 +100,14 @@ impl Emulated {
                 let mut event = |_: bool, _: &EmulatedRobot| {};
                 serve(&mut robot, &mut terminals, Pace::Goals, &slice, &mut event).unwrap();
                 heights.lock().unwrap().push(robot.base_pos_m()[2]);
+                change_of_torque(&edges, robot.torque_on());
             }
         });
         Self {
             folder: folder.to_owned(),
             stop,
             heights_m,
+            torque,
             thread,
         }
     }
@@ -109,7 +135,12 @@ fn doctor(robot: &Emulated, flags: &[&str]) -> (i32, serde_json::Value, String) 
     let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
     command
         .args([
-            "doctor", "--json", "--robot", ROBOT_FILE, "--wiring", WIRING,
+            "doctor",
+            "--json",
+            "--robot",
+            ROBOT_FILE,
+            "--wiring",
+            &patient_wiring(&robot.folder),
         ])
         .args(robot.ports())
         .args(flags);
@@ -155,6 +186,9 @@ fn the_program_stands_up_over_the_wire_and_lets_go() {
         .args([
             "--bus",
             &format!("wiring:{}", patient_wiring(folder.path())),
+            "--in-step",
+            "--hang-ms",
+            "120000",
             "--seconds",
             "3",
             "--log-dir",
@@ -187,6 +221,9 @@ fn fault_41_an_overload_stands_the_robot_down_with_its_name() {
         .args([
             "--bus",
             &format!("wiring:{}", patient_wiring(folder.path())),
+            "--in-step",
+            "--hang-ms",
+            "120000",
             "--seconds",
             "60",
         ])
@@ -215,6 +252,9 @@ fn a_log_of_the_flight_recorder_goes_straight_through_the_check() {
         .args([
             "--bus",
             &format!("wiring:{}", patient_wiring(folder.path())),
+            "--in-step",
+            "--hang-ms",
+            "120000",
             "--seconds",
             "6",
             "--command",
@@ -250,4 +290,58 @@ fn a_log_of_the_flight_recorder_goes_straight_through_the_check() {
     let moved = |j: &&serde_json::Value| j["speed_max_radps"].as_f64().unwrap() > 0.3;
     assert!(joints.iter().filter(moved).count() >= 8, "{run}");
     server.stop();
+}
+
+#[test]
+fn fault_49_servos_are_let_go_where_the_loop_is_killed_and_it_stands_up_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    // By the clock: a robot that is let go comes to rest although nobody sends goals. Its servos' own watchdogs, which would hold
+    // it, leave a busy machine two and a half seconds.
+    let robot = Emulated::start_at(Pace::RealTime, &folder.path().join("robot"), |_| {}, None);
+    let wiring = patient_wiring(folder.path());
+    let text = std::fs::read_to_string(&wiring).unwrap();
+    let calm = text.replace("watchdog_ms = 100 ", "watchdog_ms = 2500 ");
+    assert_ne!(text, calm);
+    std::fs::write(&wiring, calm).unwrap();
+    let mut command = program("run", server.address, &folder.path().join("state"));
+    command
+        .args([
+            "--bus",
+            &format!("wiring:{wiring}"),
+            "--hang-ms",
+            "120000",
+            "--seconds",
+            "2",
+        ])
+        .args(robot.ports());
+    let running = start(command);
+    let changes = || robot.torque.lock().unwrap().clone();
+    // Nothing is asserted about time; whoever runs the tests has patience.
+    while changes() != [false, true] {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let looper = child_of(running.id(), "rt");
+    nix::sys::signal::kill(looper, nix::sys::signal::Signal::SIGKILL).unwrap();
+    let (code, summary, errors) = ended(running);
+    // On, off by the supervisor, on again, off in order.
+    let seen = changes();
+    robot.stop();
+    assert_eq!(seen, [false, true, false, true, false], "{errors}");
+    assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
+    assert!(errors.contains("the servos were let go"), "{errors}");
+    server.stop();
+}
+
+/// The child of `parent` that runs `command`.
+fn child_of(parent: u32, command: &str) -> nix::unistd::Pid {
+    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let numbers = processes.filter_map(|p| p.file_name().to_str()?.parse::<i32>().ok());
+    let is_it = |pid: &i32| {
+        let read = |name: &str| std::fs::read_to_string(format!("/proc/{pid}/{name}")).ok();
+        let ours = read("status").is_some_and(|s| s.contains(&format!("PPid:\t{parent}\n")));
+        ours && read("cmdline").is_some_and(|c| c.split('\0').nth(1) == Some(command))
+    };
+    nix::unistd::Pid::from_raw(numbers.into_iter().find(is_it).unwrap())
 }

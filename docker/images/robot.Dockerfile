@@ -2,7 +2,7 @@
 #
 #   docker build -f docker/images/robot.Dockerfile -t caudata/robot --output type=local,dest=robot .
 #
-# gives the folder `robot/` to copy to the board; there it runs under systemd (deploy/), not in a container, because it
+# gives the folder `robot/` to copy to the board; there it runs under systemd (docker/systemd/), not in a container, because it
 # needs the serial port, real-time priority and little memory.
 ARG RUST=docker.io/library/rust:1.95-bookworm
 FROM ${RUST} AS build
@@ -21,7 +21,7 @@ RUN pip download --no-deps --only-binary=:all: --platform manylinux_2_28_aarch64
         --python-version 3.11 --dest /tmp/wheel "onnxruntime==${ONNXRUNTIME}" \
     && python3 -m zipfile -e /tmp/wheel/*.whl /tmp/wheel/out \
     && cp /tmp/wheel/out/onnxruntime/capi/libonnxruntime.so.* /robot/lib/libonnxruntime.so
-RUN cp -r robots /robot/robots
+RUN cp -r robots /robot/robots && mkdir -p /robot/share && cp policies/flat.onnx /robot/share/factory.onnx
 
 FROM scratch
 COPY --from=build /robot/ /

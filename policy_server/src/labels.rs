@@ -13,6 +13,7 @@ use crate::audit::{Deed, Origin};
 use crate::error::StoreError;
 use crate::notes::{LabelFile, QuarantineFile, Reports, ReportsFile};
 use crate::record::{Record, RecordError};
+use crate::steps::Step;
 use crate::store::{LABELS_MAX, Published, Store, entries, stream_folder, unusable};
 
 /// One change that counts, of those that still show.
@@ -116,7 +117,7 @@ impl Store {
         let key = (wanted.stream.clone(), wanted.label.clone());
         let before = self.labels.get(&key);
         let found = before.map_or(0, |state| state.generation);
-        if found != wanted.expected_generation {
+        if Step::LabelMoved.on() && found != wanted.expected_generation {
             return Err(StoreError::LabelMoved {
                 stream: wanted.stream.to_string(),
                 label: wanted.label.to_string(),
@@ -164,15 +165,15 @@ impl Store {
                 "`latest` moves by itself; publish, or quarantine what is newest".into(),
             );
         }
-        if self.find(stream, version).is_none() {
+        if Step::LabelKnown.on() && self.find(stream, version).is_none() {
             return refused(format!(
                 "{stream} has no version {version} that a label could lead to"
             ));
         }
-        if self.is_quarantined(stream, version) {
+        if Step::LabelUsable.on() && self.is_quarantined(stream, version) {
             return refused(format!("{stream} version {version} is quarantined"));
         }
-        if let Some(from) = from.filter(|from| *from > version) {
+        if let Some(from) = from.filter(|from| Step::LabelUp.on() && *from > version) {
             return refused(format!(
                 "{label} leads to version {from}, and robots never go back to a lower one; `caudata policy revert` publishes \
                  version {version} again under a higher number"
@@ -180,7 +181,8 @@ impl Store {
         }
         let good = self.good_reports(stream, version);
         let needed = self.limits.stable_needs;
-        if label.needs_proof() && good < needed && wanted.override_reason.is_none() {
+        let unproved = label.needs_proof() && good < needed && wanted.override_reason.is_none();
+        if Step::LabelProof.on() && unproved {
             return refused(format!(
                 "{good} robots ran {stream} version {version} through its trial, {label} needs {needed}; let robots follow another \
                  label first, or give a reason to override"
@@ -243,7 +245,8 @@ impl Store {
             state.stream == manifest.stream
                 && record.is_some_and(|r| r.manifest.sha256 == manifest.sha256)
         };
-        match self.quarantined.values().find(same) {
+        let found = self.quarantined.values().find(same);
+        match found.filter(|_| Step::QuarantinedBytes.on()) {
             None => Ok(()),
             Some(state) => Err(StoreError::NotAllowed {
                 reason: format!(

@@ -14,6 +14,7 @@ mod page;
 mod record;
 mod server;
 mod service;
+mod steps;
 mod store;
 #[cfg(test)]
 mod testing;

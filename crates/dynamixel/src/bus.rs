@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use crate::frame::{BROADCAST_ID, FRAME_MAX, Framer, Instruction, STATUS, encode, unstuff};
 use crate::group::{Answer, GroupRead, GroupWrite};
 use crate::port::Port;
+use crate::setup::SETUP_DEADLINE;
 use crate::status::{ErrorNumber, StatusError};
 use crate::units::wire_us;
 use crate::xm430::Register;
@@ -82,6 +83,7 @@ pub struct Bus<P> {
     late_bytes: usize,
     unquiet: bool,
     fast_failures: u32,
+    setup_deadline: Duration,
     counts: BusCounts,
 }
 
@@ -97,8 +99,19 @@ impl<P: Port> Bus<P> {
             late_bytes: 0,
             unquiet: false,
             fast_failures: 0,
+            setup_deadline: SETUP_DEADLINE,
             counts: BusCounts::default(),
         }
+    }
+
+    /// Waits at least `deadline` for each answer during set-up, where nothing moves: for a far end that is slow.
+    pub fn be_patient(&mut self, deadline: Duration) {
+        self.setup_deadline = SETUP_DEADLINE.max(deadline);
+    }
+
+    /// Time for one answer during set-up.
+    pub fn setup_deadline(&self) -> Duration {
+        self.setup_deadline
     }
 
     /// What was counted so far.

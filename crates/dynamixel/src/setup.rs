@@ -78,18 +78,19 @@ pub fn compare<P: Port>(
     wants: &[Want],
     fix: bool,
 ) -> Result<Vec<Finding>, BusFault> {
+    let deadline = bus.setup_deadline();
     let mut findings = Vec::new();
     for want in wants {
         let register = want.register;
-        let (found, _) = persistently(|| bus.read(id, register, SETUP_DEADLINE))?;
+        let (found, _) = persistently(|| bus.read(id, register, deadline))?;
         if found == want.value {
             continue;
         }
         let mut right = false;
         if fix {
-            persistently(|| bus.write(id, register, want.value, SETUP_DEADLINE))?;
+            persistently(|| bus.write(id, register, want.value, deadline))?;
             // What counts is what the servo holds, not that it took the order.
-            let (now, _) = persistently(|| bus.read(id, register, SETUP_DEADLINE))?;
+            let (now, _) = persistently(|| bus.read(id, register, deadline))?;
             right = now == want.value;
         }
         findings.push(Finding {
@@ -108,8 +109,8 @@ pub fn compare<P: Port>(
 /// # Errors
 /// [`BusFault`] of the present speed where none works, so that it says what matters.
 pub fn find_baud<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<u32, BusFault> {
-    let present = bus.baud();
-    let first = match persistently(|| bus.ping(id, SETUP_DEADLINE)) {
+    let (present, deadline) = (bus.baud(), bus.setup_deadline());
+    let first = match persistently(|| bus.ping(id, deadline)) {
         Ok(_) => return Ok(present),
         Err(error) => error,
     };
@@ -118,7 +119,7 @@ pub fn find_baud<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<u32, BusFault> {
         if bus.set_baud(baud).is_err() {
             continue;
         }
-        if bus.ping(id, SETUP_DEADLINE).is_ok() {
+        if bus.ping(id, deadline).is_ok() {
             return Ok(baud);
         }
     }
@@ -135,15 +136,16 @@ pub fn move_to_baud<P: Port>(bus: &mut Bus<P>, id: u8, baud: u32) -> Result<(), 
         let what = format!("servos have no speed of {baud} baud");
         return Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, what).into());
     };
-    bus.write(id, &xm430::TORQUE_ENABLE, 0, SETUP_DEADLINE)?;
+    let deadline = bus.setup_deadline();
+    bus.write(id, &xm430::TORQUE_ENABLE, 0, deadline)?;
     // Its answer may come at either speed.
-    match bus.write(id, &xm430::BAUD_RATE, i32::from(code), SETUP_DEADLINE) {
+    match bus.write(id, &xm430::BAUD_RATE, i32::from(code), deadline) {
         Ok(_) | Err(BusFault::Silent { .. }) => {}
         Err(error) => return Err(error),
     }
     std::thread::sleep(BAUD_PAUSE);
     bus.set_baud(baud)?;
-    persistently(|| bus.ping(id, SETUP_DEADLINE)).map(|_| ())
+    persistently(|| bus.ping(id, deadline)).map(|_| ())
 }
 
 /// What a servo's latched hardware errors are.
@@ -151,7 +153,8 @@ pub fn move_to_baud<P: Port>(bus: &mut Bus<P>, id: u8, baud: u32) -> Result<(), 
 /// # Errors
 /// [`BusFault`].
 pub fn hardware_error<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<HardwareError, BusFault> {
-    let (bits, _) = persistently(|| bus.read(id, &xm430::HARDWARE_ERROR_STATUS, SETUP_DEADLINE))?;
+    let deadline = bus.setup_deadline();
+    let (bits, _) = persistently(|| bus.read(id, &xm430::HARDWARE_ERROR_STATUS, deadline))?;
     Ok(HardwareError(bits as u8))
 }
 

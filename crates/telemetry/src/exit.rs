@@ -149,6 +149,14 @@ impl Failure {
         }
     }
 
+    /// The failure of a child process that has said itself what went wrong: only the code is passed on, nothing is printed again.
+    pub fn said_already(code: ExitCode) -> Self {
+        Self {
+            label: "",
+            ..Self::message(code, "the child process has said why")
+        }
+    }
+
     /// A failure from a message: lower case, no full stop.
     pub fn message(code: ExitCode, message: impl fmt::Display) -> Self {
         Self::new(code, anyhow::anyhow!("{message}"))
@@ -180,6 +188,9 @@ impl Failure {
 
     /// Writes the one line `error: …` (or `result: …`) with all causes, and `hint: …` below it.
     pub fn write_to(&self, out: &mut dyn Write) -> io::Result<()> {
+        if self.label.is_empty() {
+            return Ok(());
+        }
         writeln!(out, "{}: {self}", self.label)?;
         if let Some(hint) = &self.hint {
             writeln!(out, "hint: {hint}")?;
@@ -302,5 +313,12 @@ mod tests {
         outcome.write_to(&mut out).unwrap();
         assert_eq!(out, b"result: delay or low-pass\n");
         assert_eq!(outcome.code(), ExitCode::Ambiguous);
+        let mut out = Vec::new();
+        let passed_on = Failure::said_already(ExitCode::Unavailable);
+        passed_on.write_to(&mut out).unwrap();
+        assert_eq!(
+            (out.as_slice(), passed_on.code()),
+            (&b""[..], ExitCode::Unavailable)
+        );
     }
 }

@@ -1,5 +1,6 @@
 //! The metrics of one process, in the Prometheus text format. Cheap to clone; updating one is an atomic add.
 
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use prometheus_client::registry::Registry;
@@ -21,12 +22,39 @@ pub type Histogram = prometheus_client::metrics::histogram::Histogram;
 #[derive(Clone, Debug, Default)]
 pub struct Metrics {
     registry: Arc<RwLock<Registry>>,
+    /// A page that another process writes, shown above this one's.
+    beside: Option<Arc<Path>>,
 }
+
+/// What ends a page.
+const END: &str = "# EOF\n";
+/// Largest page of another process that is shown, bytes.
+const BESIDE_MAX: u64 = 1 << 20;
 
 impl Metrics {
     /// An empty registry.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Shows the page that another process keeps in `file` ([`Metrics::write_page`]) together with this one; nothing while there is
+    /// none. For a process that must not open a socket itself.
+    #[must_use]
+    pub fn beside(self, file: PathBuf) -> Self {
+        Self {
+            beside: Some(file.into()),
+            ..self
+        }
+    }
+
+    /// Keeps the page in `file`, whole at any time.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn write_page(&self, file: &Path) -> std::io::Result<()> {
+        let new = file.with_extension("new");
+        std::fs::write(&new, self.encode())?;
+        std::fs::rename(new, file)
     }
 
     /// A counter. `name` ends in `_total`.
@@ -104,11 +132,21 @@ impl Metrics {
 
     /// The page as Prometheus reads it.
     pub fn encode(&self) -> String {
-        let mut page = String::new();
+        let mut page = self.page_beside();
         let registry = self.registry.read().unwrap_or_else(PoisonError::into_inner);
         // Writing to a String cannot fail.
         let _ = prometheus_client::encoding::text::encode(&mut page, &registry);
         page
+    }
+
+    fn page_beside(&self) -> String {
+        let file = self.beside.as_deref();
+        let small = |file: &&Path| std::fs::metadata(file).is_ok_and(|m| m.len() <= BESIDE_MAX);
+        let page = file
+            .filter(small)
+            .and_then(|file| std::fs::read_to_string(file).ok());
+        let page = page.unwrap_or_default();
+        page.strip_suffix(END).unwrap_or_default().to_owned()
     }
 }
 
@@ -138,5 +176,25 @@ mod tests {
             page.contains("caudata_test_wait_seconds_bucket{le=\"0.005\"} 1"),
             "{page}"
         );
+    }
+
+    #[test]
+    fn the_page_of_another_process_is_shown_above_and_a_torn_one_is_not() {
+        let folder = std::env::temp_dir().join(format!("caudata-metrics-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let file = folder.join("loop.prom");
+        let (here, there) = (Metrics::new(), Metrics::new());
+        here.counter("caudata_test_here_total", "Here").inc();
+        there.counter("caudata_test_there_total", "There").inc();
+        let here = here.beside(file.clone());
+        assert!(!here.encode().contains("there"));
+        there.write_page(&file).unwrap();
+        let page = here.encode();
+        assert!(page.contains("caudata_test_there_total 1\n"), "{page}");
+        assert!(page.contains("caudata_test_here_total 1\n"), "{page}");
+        assert_eq!((page.matches(END).count(), page.ends_with(END)), (1, true));
+        std::fs::write(&file, "caudata_test_th").unwrap();
+        assert!(!here.encode().contains("test_th\n"));
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::DeployError;
 use crate::bus::BusError;
-use crate::commands::run::fit;
+use crate::commands::control_loop::fit;
 use crate::commands::{PortArgs, load_model, say, say_json};
 use crate::hardware::inspect::{self, Check, Inspection, Mark};
 use crate::hardware::{open_bus, open_imu, read_wiring};

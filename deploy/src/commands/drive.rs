@@ -6,11 +6,10 @@ use std::path::PathBuf;
 use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
-use caudata_task::COMMAND_DIM;
 use caudata_telemetry::Process;
 
 use crate::DeployError;
-use crate::command_link::{DATAGRAM, Kind, LinkKey, Message};
+use crate::command_link::{Commander, DATAGRAM, LinkKey};
 use crate::walk_command::WalkCommand;
 
 /// How often the present command is sent: four times within the time after which the robot stops.
@@ -43,7 +42,8 @@ pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
     };
     let socket = UdpSocket::bind(any).map_err(refused)?;
     socket.connect(args.robot).map_err(refused)?;
-    socket.set_read_timeout(Some(SEND_EVERY)).map_err(refused)?;
+    // What the robot answers is looked at after every message.
+    socket.set_nonblocking(true).map_err(refused)?;
     let (lines, typed) = sync_channel::<String>(LINES_MAX);
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines().map_while(Result::ok) {
@@ -52,76 +52,41 @@ pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
             }
         }
     });
-    let mut sender = Sender::default();
+    let mut sender = Commander::default();
     while !process.stop.is_set() {
         match typed.recv_timeout(SEND_EVERY) {
-            Ok(line) => sender.obey(&line),
+            Ok(line) => obey(&mut sender, &line),
             Err(std::sync::mpsc::RecvTimeoutError::Timeout) => {}
             Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
         }
         // A robot that is not there yet, or restarts, refuses datagrams for a while.
-        let _ = socket.send(&sender.next().encode(&key));
-        if sender.nonce == 0 {
-            let mut buffer = [0; DATAGRAM];
-            if let Ok(DATAGRAM) = socket.recv(&mut buffer) {
-                sender.hear(&buffer, &key);
-            }
+        let _ = socket.send(&sender.next_message().encode(&key));
+        let mut buffer = [0; DATAGRAM];
+        while let Ok(DATAGRAM) = socket.recv(&mut buffer) {
+            sender.hear(&buffer, &key);
         }
     }
     Ok(())
 }
 
-/// What is sent, and what it is sent with.
-#[derive(Clone, Copy, Debug, Default)]
-struct Sender {
-    nonce: u64,
-    sequence: u64,
-    command: [f32; COMMAND_DIM],
-    kill: bool,
-}
-
-impl Sender {
-    fn obey(&mut self, line: &str) {
-        if let Ok(WalkCommand(command)) = line.parse() {
-            self.command = command;
-            return;
-        }
-        for letter in line.chars() {
-            let [vx, vy, yaw] = &mut self.command;
-            match letter {
-                'w' => *vx += STEP,
-                's' => *vx -= STEP,
-                'q' => *vy += STEP,
-                'e' => *vy -= STEP,
-                'a' => *yaw += STEP,
-                'd' => *yaw -= STEP,
-                ' ' => self.command = [0.0; COMMAND_DIM],
-                'k' => self.kill = true,
-                _ => {}
-            }
-        }
+/// A line of the person, or of another program.
+fn obey(to: &mut Commander, line: &str) {
+    if let Ok(WalkCommand(command)) = line.parse() {
+        to.command = command;
+        return;
     }
-
-    fn hear(&mut self, bytes: &[u8], key: &LinkKey) {
-        if let Some(message) = Message::decode(bytes, key)
-            && message.kind == Kind::Tell
-        {
-            self.nonce = message.nonce;
-        }
-    }
-
-    fn next(&mut self) -> Message {
-        self.sequence += 1;
-        let kind = match (self.nonce, self.kill) {
-            (0, _) => Kind::Ask,
-            (_, true) => Kind::Kill,
-            (_, false) => Kind::Velocity,
-        };
-        Message {
-            kind,
-            nonce: self.nonce,
-            sequence: self.sequence,
-            command: self.command,
+    for letter in line.chars() {
+        let [vx, vy, yaw] = &mut to.command;
+        match letter {
+            'w' => *vx += STEP,
+            's' => *vx -= STEP,
+            'q' => *vy += STEP,
+            'e' => *vy -= STEP,
+            'a' => *yaw += STEP,
+            'd' => *yaw -= STEP,
+            ' ' => to.command = [0.0; 3],
+            'k' => to.kill = true,
+            _ => {}
         }
     }
 }
@@ -129,23 +94,34 @@ impl Sender {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::command_link::{Kind, Message};
 
     #[test]
     fn keys_and_numbers() {
-        let mut sender = Sender::default();
-        sender.obey("www");
+        let mut sender = Commander::default();
+        obey(&mut sender, "www");
         assert!((sender.command[0] - 0.15).abs() < 1e-6);
-        sender.obey("0.2,0,-0.1");
+        obey(&mut sender, "0.2,0,-0.1");
         assert_eq!(sender.command, [0.2, 0.0, -0.1]);
+        let first = sender.next_message();
         assert_eq!(
-            sender.next().kind,
+            first.kind,
             Kind::Ask,
             "nothing moves before the nonce is known"
         );
-        sender.nonce = 5;
-        assert_eq!(sender.next().kind, Kind::Velocity);
-        sender.obey(" k");
-        let last = sender.next();
+        let told = Message {
+            kind: Kind::Tell,
+            nonce: 5,
+            ..first
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("key");
+        std::fs::write(&file, [7; 32]).unwrap();
+        let key = LinkKey::read(&file).unwrap();
+        sender.hear(&told.encode(&key), &key);
+        assert_eq!(sender.next_message().kind, Kind::Velocity);
+        obey(&mut sender, " k");
+        let last = sender.next_message();
         assert_eq!(
             (last.kind, last.command, last.sequence),
             (Kind::Kill, [0.0; 3], 3)

@@ -1,7 +1,10 @@
 //! The commands of `caudata-robot`.
 
+mod agent;
+mod control_loop;
 mod doctor;
 mod drive;
+mod limp;
 mod probe;
 mod pull;
 mod run;
@@ -15,7 +18,6 @@ use caudata_model::RobotModel;
 use caudata_proto::registry::{LabelName, StreamName};
 use caudata_registry_client::RegistryClient;
 use caudata_signing::Trust;
-use caudata_task::TaskConfig;
 use caudata_telemetry::{Failure, LogArgs, Metrics, Process};
 use clap::{Parser, Subcommand};
 use serde::Serialize;
@@ -23,7 +25,7 @@ use serde::Serialize;
 use crate::follower::Follow;
 use crate::hardware::PortOverrides;
 use crate::keeper::Keeper;
-use crate::metrics::RobotMetrics;
+use crate::metrics::AgentMetrics;
 use crate::probe::{CHILD_DEADLINE, ProbeProgram};
 use crate::reporter::{ReportTo, Reporter};
 use crate::store::PolicyStore;
@@ -49,8 +51,14 @@ Exit codes: 0 done · 64 flag · 65 bad input file or state · 66 input missing 
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Pull the newest policy and run it at 50 Hz
+    /// Pull the newest policy and run it at 50 Hz: starts `agent` and `rt`, watches both, and lets the robot go where one hangs
     Run(Box<RunArgs>),
+    /// One half of `run`: fetch, verify, try and stage policies, take commands; never opens the bus. Flags as of `run`
+    Agent(Box<RunArgs>),
+    /// The other half: the control loop on what is staged; no network. Flags as of `run`
+    Rt(Box<RunArgs>),
+    /// Let all servos go limp, whatever they do
+    Limp(limp::LimpArgs),
     /// Pull, verify and store the newest policy; run nothing
     Pull(pull::PullArgs),
     #[command(hide = true)]
@@ -105,6 +113,10 @@ pub struct PortArgs {
     /// IMU bus instead of the wiring file's: a Linux I²C bus, or `bridge:` and the serial port of a bridge
     #[arg(long, value_name = "BUS")]
     imu_bus: Option<String>,
+    /// The emulated robot runs in step with the goals (`caudata sim robot --bus pty --in-step`): time is counted in goals too, so that a
+    /// busy computer makes the robot slow, not wrong. Never with a real robot
+    #[arg(long)]
+    in_step: bool,
 }
 
 impl PortArgs {
@@ -112,6 +124,7 @@ impl PortArgs {
         PortOverrides {
             servo_port: self.servo_port.clone(),
             imu_bus: self.imu_bus.clone(),
+            in_step: self.in_step,
         }
     }
 }
@@ -122,7 +135,10 @@ impl PortArgs {
 /// The failure that ends the process.
 pub fn dispatch(args: &Args, process: &Process) -> Result<(), Failure> {
     match &args.command {
-        Command::Run(args) => run::run(args, process),
+        Command::Run(args) => return run::run(args, process),
+        Command::Agent(args) => agent::run(args, process),
+        Command::Rt(args) => control_loop::run(args, process),
+        Command::Limp(args) => limp::run(args),
         Command::Pull(args) => pull::run(args),
         Command::Status(args) => status::run(args),
         Command::Probe(args) => probe::run(args),
@@ -135,24 +151,28 @@ pub fn dispatch(args: &Args, process: &Process) -> Result<(), Failure> {
 /// What every command that gets policies begins with.
 struct Source {
     model: Arc<RobotModel>,
-    control_period_s: f64,
     follow: Follow,
     keeper: Keeper,
 }
 
 impl Source {
-    fn open(args: &SourceArgs, metrics: &Metrics) -> Result<(Self, RobotMetrics), DeployError> {
+    /// `factory`: the policy that came with the program.
+    fn open(
+        args: &SourceArgs,
+        factory: Option<&Path>,
+        metrics: &Metrics,
+    ) -> Result<(Self, AgentMetrics), DeployError> {
         let model = load_model(&args.robot)?;
         let stream = StreamName::new(&args.stream).map_err(|source| DeployError::Stream {
             name: args.stream.clone(),
             source,
         })?;
-        let metrics = RobotMetrics::register(metrics);
+        let metrics = AgentMetrics::register(metrics);
         let trust = args.trust.as_deref().map(Trust::read).transpose()?;
         let provable = trust.as_ref().is_some_and(Trust::knows_fresh_keys);
         let store = match PolicyStore::open(&args.state) {
-            Err(error @ DeployError::StateDamaged { .. }) if provable => {
-                tracing::error!(%error, "waiting for a policy server's proof of what is newest");
+            Err(error @ DeployError::StateDamaged { .. }) if provable || factory.is_some() => {
+                tracing::error!(%error, "nothing is taken until a policy server proves what is newest");
                 PolicyStore::open_torn(&args.state)?
             }
             other => other?,
@@ -166,6 +186,9 @@ impl Source {
         if let Some(trust) = trust {
             keeper = keeper.trusting(trust);
         }
+        if let Some(file) = factory {
+            keeper = keeper.falling_back_on(file)?;
+        }
         // Without a program of its own there is nobody to try candidates; the checks here stay.
         if let Ok(program) = std::env::current_exe() {
             keeper = keeper.probing(ProbeProgram {
@@ -177,7 +200,6 @@ impl Source {
         let source = Self {
             keeper,
             model,
-            control_period_s: TaskConfig::default().control_period_s,
             follow: Follow {
                 address: args.policy_server.clone(),
                 tls_dir: args.tls_dir.clone(),

@@ -25,7 +25,7 @@ struct Pulled<'a> {
 }
 
 pub fn run(args: &PullArgs) -> Result<(), DeployError> {
-    let (source, _) = Source::open(&args.source, &Metrics::new())?;
+    let (source, _) = Source::open(&args.source, None, &Metrics::new())?;
     let verified = source.pull()?;
     let policy = &verified.policy;
     if args.json {

@@ -296,6 +296,43 @@ fn ten_good_seconds_make_a_good_policy() {
     assert!((walked.unwrap() - 9.98).abs() < 0.03, "{walked:?}");
 }
 
+#[test]
+fn fault_37_a_policy_that_pins_joints_at_their_limits_does_not_pass_its_trial() {
+    // Every joint is wanted 2.5 rad from its nominal angle, which is beyond every limit; the filter takes three ticks to get there.
+    let pinned = || {
+        let bytes = policy_file(1, |spec, _| {
+            spec.layers[0].weight.fill(0.0);
+            spec.layers[0].bias.fill(5.0);
+        });
+        verified(1, bytes)
+    };
+    let mut robot = FakeRobot::new();
+    let run = run_with(
+        &mut robot,
+        pinned(),
+        Slot::default(),
+        100.0,
+        &StopFlag::new(),
+    );
+    assert_eq!(run.result.as_ref().unwrap(), &Ended::Saturated);
+    // The filter takes three ticks to the limits; fifty more are a second.
+    let ticks = run.counts.walking_ticks;
+    assert!((50..=60).contains(&ticks), "{ticks}");
+    assert!(run.counts.saturated >= 16 * 50, "{}", run.counts.saturated);
+    assert_eq!(robot.torque_off, 1);
+    let told = run.told();
+    let bad = |e: &PolicyEvent| matches!(e, PolicyEvent::Bad { reason, fell: false, .. } if reason.contains("limits"));
+    assert!(told.iter().any(bad), "{told:?}");
+    // One that passed its trial before may be leaning on something.
+    let proved = Verified {
+        proved: true,
+        ..pinned()
+    };
+    let mut robot = FakeRobot::new();
+    let run = run_with(&mut robot, proved, Slot::default(), 11.0, &StopFlag::new());
+    assert_eq!(run.result.as_ref().unwrap(), &Ended::Time);
+}
+
 /// A run of the policy that stands, with `change` made to the robot: why it ended, the number of targets sent, and its counts.
 fn stopped(change: impl FnOnce(&mut FakeRobot)) -> (Ended, usize, u32) {
     let mut robot = FakeRobot::new();

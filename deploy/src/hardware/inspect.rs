@@ -1,7 +1,7 @@
 //! What must be right before any torque goes on: every servo and what it holds, the supply, the pose, the IMU.
 
 use caudata_dynamixel::setup::{
-    SETUP_DEADLINE, Want, compare, find_baud, hardware_error, move_to_baud, persistently,
+    TRIES, Want, compare, find_baud, hardware_error, move_to_baud, persistently,
 };
 use caudata_dynamixel::units::{CURRENT_LSB_A, RETURN_DELAY_LSB_US, VOLTAGE_LSB_V};
 use caudata_dynamixel::{Bus, BusFault, Port, xm430};
@@ -110,7 +110,7 @@ fn servo<P: Port>(
     fix: bool,
     inspection: &mut Inspection,
 ) -> Result<(), BusFault> {
-    let (id, baud) = (joint.id, wiring.bus.baud);
+    let (id, baud, deadline) = (joint.id, wiring.bus.baud, bus.setup_deadline());
     let found = find_baud(bus, id)?;
     if found != baud {
         let text = format!("{found}, must be {baud}");
@@ -121,7 +121,7 @@ fn servo<P: Port>(
         move_to_baud(bus, id, baud)?;
         inspection.add(name, "baud", text, Mark::Fixed);
     }
-    let pong = persistently(|| bus.ping(id, SETUP_DEADLINE))?;
+    let pong = persistently(|| bus.ping(id, deadline))?;
     let expected = joint.model.number();
     let what = format!("id {id}: model {}, firmware {}", pong.model, pong.firmware);
     inspection.judge(name, "model", what, pong.model == expected);
@@ -133,7 +133,7 @@ fn servo<P: Port>(
         errors.is_none(),
     );
     // Settings kept without power are locked while the torque is on.
-    persistently(|| bus.write(id, &xm430::TORQUE_ENABLE, 0, SETUP_DEADLINE))?;
+    persistently(|| bus.write(id, &xm430::TORQUE_ENABLE, 0, deadline))?;
     for finding in compare(bus, id, &wants(wiring, joint, limits_rad), fix)? {
         let text = format!("{}, must be {}", finding.found, finding.want.value);
         let mark = if finding.right {
@@ -143,15 +143,15 @@ fn servo<P: Port>(
         };
         inspection.add(name, finding.want.register.name, text, mark);
     }
-    let (volts, _) = persistently(|| bus.read(id, &xm430::PRESENT_INPUT_VOLTAGE, SETUP_DEADLINE))?;
+    let (volts, _) = persistently(|| bus.read(id, &xm430::PRESENT_INPUT_VOLTAGE, deadline))?;
     let volts = (VOLTAGE_LSB_V * f64::from(volts)) as f32;
     let limits = &wiring.limits;
     let good = (limits.supply_min_v..=limits.supply_max_v).contains(&volts);
     inspection.judge(name, "supply", format!("{volts:.1} V"), good);
-    let (heat, _) = persistently(|| bus.read(id, &xm430::PRESENT_TEMPERATURE, SETUP_DEADLINE))?;
+    let (heat, _) = persistently(|| bus.read(id, &xm430::PRESENT_TEMPERATURE, deadline))?;
     let good = heat < i32::from(limits.temperature_max_c);
     inspection.judge(name, "temperature", format!("{heat} °C"), good);
-    let (counts, _) = persistently(|| bus.read(id, &xm430::PRESENT_POSITION, SETUP_DEADLINE))?;
+    let (counts, _) = persistently(|| bus.read(id, &xm430::PRESENT_POSITION, deadline))?;
     let at_rad = joint.joint_rad(counts);
     let [low, high] = limits_rad;
     let good = at_rad > low - LIMIT_MARGIN_RAD && at_rad < high + LIMIT_MARGIN_RAD;
@@ -204,7 +204,15 @@ pub fn imu<B: I2c>(chip: &mut ImuChip<B>) -> Inspection {
     let mut inspection = Inspection::default();
     let (mut acc, mut gyro) = ([0.0; 3], [0.0; 3]);
     for _ in 0..IMU_SAMPLES {
-        let sample = match chip.sample() {
+        // One question that nobody answered in time says nothing about a bus where nothing moves yet.
+        let mut asked = 1;
+        let sample = loop {
+            match chip.sample() {
+                Err(_) if asked < TRIES => asked += 1,
+                other => break other,
+            }
+        };
+        let sample = match sample {
             Ok(sample) => sample,
             Err(error) => {
                 inspection.add("imu", "answers", error.to_string(), Mark::Wrong);

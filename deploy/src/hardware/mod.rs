@@ -8,7 +8,7 @@ pub mod inspect;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use caudata_dynamixel::setup::{SETUP_DEADLINE, persistently};
+use caudata_dynamixel::setup::{TRIES, persistently};
 use caudata_dynamixel::units::{
     BUS_WATCHDOG_LSB_MS, CURRENT_LSB_A, VELOCITY_LSB_RADPS, VOLTAGE_LSB_V,
 };
@@ -31,7 +31,7 @@ const WRITE_DEADLINE: Duration = Duration::from_millis(5);
 /// Ticks in a row without any servo after which the bus counts as gone.
 pub const ALL_SILENT_MAX: u32 = 10;
 /// Times that the order to let go is repeated: nobody answers it.
-const TORQUE_OFF_TIMES: u32 = 3;
+pub const TORQUE_OFF_TIMES: u32 = 3;
 /// Time for all servos to say that their torque is on.
 const ARM_DEADLINE: Duration = Duration::from_millis(200);
 
@@ -42,6 +42,8 @@ pub struct PortOverrides {
     pub servo_port: Option<std::path::PathBuf>,
     /// IMU bus, as in the wiring file.
     pub imu_bus: Option<String>,
+    /// Time is counted in goals.
+    pub in_step: bool,
 }
 
 /// Reads a wiring file and puts `overrides` in.
@@ -86,7 +88,9 @@ pub fn open_bus(wiring: &Wiring) -> Result<Bus<SerialPort>, BusError> {
         address: path.display().to_string(),
         reason: e.to_string(),
     })?;
-    Ok(Bus::new(port, baud))
+    let mut bus = Bus::new(port, baud);
+    bus.be_patient(Duration::from_millis(wiring.bus.read_deadline_ms));
+    Ok(bus)
 }
 
 /// Finds and sets up the IMU.
@@ -94,6 +98,16 @@ pub fn open_bus(wiring: &Wiring) -> Result<Bus<SerialPort>, BusError> {
 /// # Errors
 /// [`BusError::Connect`].
 pub fn open_imu(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusError> {
+    let mut tries = 1;
+    loop {
+        match open_imu_once(wiring) {
+            Err(_) if tries < TRIES => tries += 1,
+            other => return other,
+        }
+    }
+}
+
+fn open_imu_once(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusError> {
     let address = &wiring.imu.bus;
     let connect = |e: std::io::Error| BusError::Connect {
         address: address.clone(),
@@ -124,6 +138,9 @@ pub struct HardwareRobot<P, B> {
     water: Option<std::fs::File>,
     armed: bool,
     start: Instant,
+    /// Control period by which each goal moves the robot's time, s; `None`: the clock does.
+    goal_period_s: Option<f64>,
+    goals_sent: u64,
     newest: ServoReadings,
     silent: [u32; ACT_DIM],
     all_silent: u32,
@@ -164,8 +181,9 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         let ids: Vec<u8> = joints.iter().map(|j| j.id).collect();
         // Known from the first tick on; then each servo tells in turn.
         let register = &xm430::PRESENT_INPUT_VOLTAGE;
+        let deadline = bus.setup_deadline();
         let (volts, _) =
-            persistently(|| bus.read(ids[0], register, SETUP_DEADLINE)).map_err(|e| lost(&e))?;
+            persistently(|| bus.read(ids[0], register, deadline)).map_err(|e| lost(&e))?;
         let group = |fast| GroupRead::new(&ids, xm430::TICK_ADDRESS, xm430::TICK_BYTES, fast);
         Ok(Self {
             fast: wiring.bus.fast_sync_read.then(|| group(true)),
@@ -176,6 +194,8 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             water,
             armed: false,
             start: Instant::now(),
+            goal_period_s: None,
+            goals_sent: 0,
             newest: ServoReadings {
                 time_s: 0.0,
                 pos_rad: [0.0; ACT_DIM],
@@ -194,6 +214,13 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             joints,
             ids,
         })
+    }
+
+    /// Counts time in goals, each of which moves it by `period_s`: for an emulated robot that does the same.
+    #[must_use]
+    pub fn in_step(mut self, period_s: f64) -> Self {
+        self.goal_period_s = Some(period_s);
+        self
     }
 
     /// What the bus counted.
@@ -374,7 +401,10 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         if missing == 0 && !left.is_zero() {
             self.care(alert, left)?;
         }
-        self.newest.time_s = self.start.elapsed().as_secs_f64();
+        self.newest.time_s = match self.goal_period_s {
+            Some(period_s) => period_s * self.goals_sent as f64,
+            None => self.start.elapsed().as_secs_f64(),
+        };
         Ok(self.newest)
     }
 
@@ -385,6 +415,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         self.bus
             .write_group(&mut self.goals, WRITE_DEADLINE)
             .map_err(|e| lost(&e))?;
+        self.goals_sent += 1;
         if !self.armed {
             self.arm()?;
         }

@@ -14,6 +14,7 @@ pub use people::{
     QuarantineState, RobotReport, RobotState, SetLabel, SignedFreshness, reverting,
 };
 
+use prost::Message;
 use thiserror::Error;
 
 /// Largest policy file that may be published, bytes.
@@ -74,6 +75,9 @@ pub enum RegistryError {
         /// Largest value allowed.
         max: u64,
     },
+    /// Bytes that are no message.
+    #[error("these bytes are no manifest")]
+    Encoding,
     /// A label that is not one.
     #[error("a label is 1 to 32 characters of a-z, 0-9 and `-`")]
     Label,
@@ -158,6 +162,22 @@ pub struct Manifest {
     pub reverts_to: Option<u64>,
     /// Detached signatures; empty until policies are signed.
     pub signatures: Vec<Signature>,
+}
+
+impl Manifest {
+    /// As it goes over the network, for a file.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        crate::wire::registry::Manifest::from(self.clone()).encode_to_vec()
+    }
+
+    /// Reads it back, with the same checks as one from the network.
+    ///
+    /// # Errors
+    /// [`RegistryError`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, RegistryError> {
+        let decoded = crate::wire::registry::Manifest::decode(bytes);
+        decoded.map_err(|_| RegistryError::Encoding)?.try_into()
+    }
 }
 
 /// A detached signature over a manifest.

@@ -438,6 +438,8 @@ fn units_run_our_programs_with_flags_that_they_have() {
         "caudata-learner",
         "caudata-policy-server",
         "caudata-actors@",
+        "caudata-robot-agent",
+        "caudata-robot-rt",
     ] {
         let text = read(&format!("docker/systemd/{unit}.service")).unwrap();
         for section in ["[Unit]", "[Service]", "[Install]"] {

@@ -261,6 +261,109 @@ impl TwistStamped {
     }
 }
 
+/// `geometry_msgs/msg/Twist`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Twist {
+    /// m/s.
+    pub linear_mps: [f64; 3],
+    /// rad/s.
+    pub angular_radps: [f64; 3],
+}
+
+impl Twist {
+    /// From CDR.
+    ///
+    /// # Errors
+    /// [`CdrError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+        let r = &mut Reader::new(bytes)?;
+        Ok(Self {
+            linear_mps: r.f64s()?,
+            angular_radps: r.f64s()?,
+        })
+    }
+
+    /// To CDR.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        let mut w = Writer::default();
+        w.f64s(&self.linear_mps);
+        w.f64s(&self.angular_radps);
+        w.finish()
+    }
+}
+
+/// `diagnostic_msgs/msg/DiagnosticStatus`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DiagnosticStatus {
+    /// [`DiagnosticStatus::OK`] and following.
+    pub level: u8,
+    /// What it is about.
+    pub name: String,
+    /// How it is, in words.
+    pub message: String,
+    /// Which robot.
+    pub hardware_id: String,
+    /// Figures, name and value.
+    pub values: Vec<(String, String)>,
+}
+
+impl DiagnosticStatus {
+    /// In order.
+    pub const OK: u8 = 0;
+    /// Not in order.
+    pub const ERROR: u8 = 2;
+}
+
+/// `diagnostic_msgs/msg/DiagnosticArray`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DiagnosticArray {
+    /// Stamp.
+    pub header: Header,
+    /// One for each part.
+    pub status: Vec<DiagnosticStatus>,
+}
+
+impl DiagnosticArray {
+    /// From CDR.
+    ///
+    /// # Errors
+    /// [`CdrError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+        let r = &mut Reader::new(bytes)?;
+        Ok(Self {
+            header: Header::read(r)?,
+            status: r.list(|r| {
+                Ok(DiagnosticStatus {
+                    level: r.u8()?,
+                    name: r.text()?,
+                    message: r.text()?,
+                    hardware_id: r.text()?,
+                    values: r.list(|r| Ok((r.text()?, r.text()?)))?,
+                })
+            })?,
+        })
+    }
+
+    /// To CDR.
+    #[must_use]
+    pub fn encode(&self) -> Vec<u8> {
+        let mut w = Writer::default();
+        self.header.write(&mut w);
+        w.list(&self.status, |w, status| {
+            w.u8(status.level);
+            for text in [&status.name, &status.message, &status.hardware_id] {
+                w.text(text);
+            }
+            w.list(&status.values, |w, (key, value)| {
+                w.text(key);
+                w.text(value);
+            });
+        });
+        w.finish()
+    }
+}
+
 const HEADER: &str = "
 ================================================================================
 MSG: std_msgs/Header
@@ -403,6 +506,51 @@ mod tests {
             ..twist
         };
         assert_eq!(TwistStamped::decode(&twist.encode()).unwrap().header, early);
+    }
+
+    /// 1.5 s and 2 ns, frame "b", one status: error, "hip", "hot", no hardware, one figure; laid out by hand.
+    #[test]
+    fn golden_bytes_of_diagnostics() {
+        let diagnostics = DiagnosticArray {
+            header: header(),
+            status: vec![DiagnosticStatus {
+                level: DiagnosticStatus::ERROR,
+                name: "hip".to_owned(),
+                message: "hot".to_owned(),
+                hardware_id: String::new(),
+                values: vec![("T".to_owned(), "69".to_owned())],
+            }],
+        };
+        #[rustfmt::skip]
+        let want: &[u8] = &[
+            0, 1, 0, 0,
+            1, 0, 0, 0,  0x02, 0x65, 0xcd, 0x1d,
+            2, 0, 0, 0,  b'b', 0, 0, 0,          // "b" and two of padding: 16 bytes
+            1, 0, 0, 0,                          // one status: 20
+            2, 0, 0, 0,                          // error, three of padding: 24
+            4, 0, 0, 0,  b'h', b'i', b'p', 0,    // 32
+            4, 0, 0, 0,  b'h', b'o', b't', 0,    // 40
+            1, 0, 0, 0,  0, 0, 0, 0,             // "" and three of padding: 48
+            1, 0, 0, 0,                          // one figure: 52
+            2, 0, 0, 0,  b'T', 0, 0, 0,          // 60
+            3, 0, 0, 0,  b'6', b'9', 0,
+        ];
+        assert_eq!(diagnostics.encode(), want);
+        assert_eq!(DiagnosticArray::decode(want).unwrap(), diagnostics);
+    }
+
+    /// 0.25 m/s forward, −0.5 rad/s about z; laid out by hand.
+    #[test]
+    fn golden_bytes_of_a_twist() {
+        let twist = Twist {
+            linear_mps: [0.25, 0.0, 0.0],
+            angular_radps: [0.0, 0.0, -0.5],
+        };
+        let mut want = vec![0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0xd0, 0x3f];
+        want.extend([0; 32]);
+        want.extend([0, 0, 0, 0, 0, 0, 0xe0, 0xbf]);
+        assert_eq!(twist.encode(), want);
+        assert_eq!(Twist::decode(&want).unwrap(), twist);
     }
 
     #[test]

@@ -1,0 +1,208 @@
+//! The loop's process beside the loop: a thread that loads what the agent stages, checks it again, and writes down what the loop
+//! tells. It may wait for the disk; the loop does not wait for it.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use caudata_model::RobotModel;
+use caudata_signing::Trust;
+use caudata_telemetry::{Metrics, StopFlag};
+use crossbeam_channel::{Receiver, RecvTimeoutError};
+
+use crate::DeployError;
+use crate::boundary::{FACTORY, RunFolder, Staged, Teller};
+use crate::keeper::read_factory;
+use crate::state::PolicyRef;
+use crate::store::read_policy;
+use crate::updates::{PolicyEvent, Slot};
+use crate::verify::{Refusal, Verified, VerifyError, verify};
+
+/// How often it looks whether something is staged.
+const LOOK: Duration = Duration::from_millis(100);
+/// How often the page of metrics is written.
+const METRICS_EVERY: Duration = Duration::from_secs(1);
+/// How long the first policy is waited for.
+pub const ANSWER_MAX: Duration = Duration::from_secs(60);
+
+/// Loads what is staged: every check that the agent made is made here again, on the bytes that will run.
+#[derive(Clone, Debug)]
+pub struct Loader {
+    /// The robot.
+    pub model: Arc<RobotModel>,
+    /// The state folder.
+    pub state: PathBuf,
+    /// Whose signatures count; `None`: nobody needs to have signed.
+    pub trust: Option<Arc<Trust>>,
+    /// The policy that came with the program.
+    pub factory: Option<PathBuf>,
+}
+
+impl Loader {
+    /// The policy of `staged`.
+    ///
+    /// # Errors
+    /// [`DeployError::Refused`] where it must not run, else what the disk says.
+    pub fn load(&self, staged: &Staged) -> Result<Verified, DeployError> {
+        let policy = &staged.policy;
+        let refused = |refusal: Refusal| DeployError::Refused {
+            policy: policy.clone(),
+            refusal: Box::new(refusal),
+        };
+        let mut verified = match &self.factory {
+            // The file that this process was started with, whatever the agent may say.
+            Some(file) if policy.stream == FACTORY => read_factory(file, &self.model)?,
+            _ => {
+                let bytes = read_policy(&self.state, policy, self.trust.as_deref())?;
+                verify(bytes, policy, &self.model).map_err(|error| match error {
+                    VerifyError::Runtime(error) => DeployError::Runtime(error),
+                    VerifyError::Refused(refusal) => refused(refusal),
+                })?
+            }
+        };
+        verified.proved = staged.proved;
+        Ok(verified)
+    }
+}
+
+/// What the courier carries.
+#[derive(Debug)]
+pub struct Courier {
+    folder: RunFolder,
+    teller: Teller,
+    loader: Loader,
+    /// This start of the loop.
+    run: u64,
+    /// Number of the newest staged policy that was looked at.
+    seen: u64,
+    /// Loaded last.
+    loaded: Option<PolicyRef>,
+    metrics: Option<(Metrics, PathBuf)>,
+}
+
+impl Courier {
+    /// `run` is a number that no start of the loop had before. `metrics`: a page that is kept in a file.
+    pub fn new(
+        folder: RunFolder,
+        teller: Teller,
+        loader: Loader,
+        run: u64,
+        metrics: Option<(Metrics, PathBuf)>,
+    ) -> Self {
+        Staged::clear(&folder);
+        Self {
+            folder,
+            teller,
+            loader,
+            run,
+            seen: 0,
+            loaded: None,
+            metrics,
+        }
+    }
+
+    /// Says that the robot is there, and waits for the first policy; `None` when asked to stop before.
+    ///
+    /// # Errors
+    /// [`DeployError::NoAgent`]; what the disk says.
+    pub fn first(&mut self, stop: &StopFlag) -> Result<Option<Verified>, DeployError> {
+        self.teller.tell(&PolicyEvent::Ready { run: self.run })?;
+        let end = Instant::now() + ANSWER_MAX;
+        while !stop.is_set() {
+            match self.look() {
+                Some(Ok(verified)) => return Ok(Some(verified)),
+                // The agent was told, and finds another one.
+                Some(Err(DeployError::Refused { .. })) => {}
+                Some(Err(error)) => return Err(error),
+                None if Instant::now() > end => {
+                    let waited_s = ANSWER_MAX.as_secs();
+                    return Err(DeployError::NoAgent { waited_s });
+                }
+                None => {
+                    stop.wait(LOOK / 4);
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// Carries until the loop is gone: `events` is closed then, and everything told is on the disk.
+    ///
+    /// # Errors
+    /// [`DeployError::System`].
+    pub fn start(
+        mut self,
+        events: Receiver<PolicyEvent>,
+        slot: Slot,
+    ) -> Result<JoinHandle<()>, DeployError> {
+        let work = move || {
+            let mut written = Instant::now();
+            let mut looked = Instant::now();
+            loop {
+                match events.recv_timeout(LOOK) {
+                    // Taking it apart takes longer than the loop has.
+                    Ok(PolicyEvent::Replaced(runner)) => drop(runner),
+                    Ok(event) => {
+                        if let Err(error) = self.teller.tell(&event) {
+                            tracing::error!(%error, ?event, "an event is lost");
+                        }
+                    }
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => return,
+                }
+                if looked.elapsed() >= LOOK {
+                    looked = Instant::now();
+                    match self.look() {
+                        Some(Ok(verified)) => slot.put(verified),
+                        Some(Err(error)) => tracing::error!(%error, "the policy at hand goes on"),
+                        None => {}
+                    }
+                }
+                if written.elapsed() >= METRICS_EVERY {
+                    written = Instant::now();
+                    self.write_metrics();
+                }
+            }
+        };
+        std::thread::Builder::new()
+            .name("courier".into())
+            .spawn(work)
+            .map_err(|source| DeployError::System {
+                what: "a thread",
+                source,
+            })
+    }
+
+    /// What is staged for this start and was not looked at yet.
+    fn look(&mut self) -> Option<Result<Verified, DeployError>> {
+        let staged = Staged::read(&self.folder)?;
+        if staged.run != self.run || staged.number <= self.seen {
+            return None;
+        }
+        self.seen = staged.number;
+        if self.loaded.as_ref() == Some(&staged.policy) {
+            return None;
+        }
+        let loaded = self.loader.load(&staged);
+        if let Err(DeployError::Refused { policy, refusal }) = &loaded {
+            let unfit = PolicyEvent::Unfit {
+                policy: policy.clone(),
+                reason: refusal.to_string(),
+            };
+            if let Err(error) = self.teller.tell(&unfit) {
+                tracing::error!(%error, "a refusal is lost");
+            }
+        }
+        self.loaded = loaded.is_ok().then_some(staged.policy);
+        Some(loaded)
+    }
+
+    fn write_metrics(&self) {
+        if let Some((metrics, file)) = &self.metrics
+            && let Err(error) = metrics.write_page(file)
+        {
+            tracing::debug!(%error, "the page of metrics is not written");
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! The verification steps by name, so that tests can show what each of them is there for: with one step left out, exactly the policy
+//! that it keeps out gets through.
+
+/// One check, somewhere in this crate, that stands between a bad policy and the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Step {
+    /// The announcement is for this robot.
+    RobotName,
+    /// And for this model of it.
+    RobotModel,
+    /// Trusted keys signed the announcement.
+    Signature,
+    /// The bytes are the announced ones.
+    Hash,
+    /// The file bears the announced version.
+    Version,
+    /// What the policy may choose itself is in range.
+    Choices,
+    /// Everything else is as on this robot.
+    Contract,
+    /// Its actions are numbers.
+    FiniteActions,
+    /// ONNX Runtime computes what the file says.
+    SameActions,
+    /// It was not refused before.
+    Quarantine,
+    /// It is not older than what this robot has.
+    Older,
+    /// It is not older than anything this robot has seen.
+    Seen,
+    /// Its version does not shut out all later ones.
+    Jump,
+    /// It was not begun with too often.
+    Attempts,
+    /// The bytes on the disk are those that were put there.
+    StoredHash,
+    /// The announcement on the disk is this policy's, and signed.
+    StoredSignature,
+}
+
+impl Step {
+    /// Whether the check is made; always, outside of tests.
+    #[cfg(not(test))]
+    pub(crate) const fn on(self) -> bool {
+        true
+    }
+
+    /// Whether the check is made: a test may leave one out.
+    #[cfg(test)]
+    pub(crate) fn on(self) -> bool {
+        tests::left_out() != Some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::path::Path;
+
+    use caudata_policy::{Dense, PolicyFile};
+    use caudata_proto::registry::{Manifest, StreamName};
+    use caudata_signing::{ReleaseKey, Trust};
+    use sha2::{Digest, Sha256};
+
+    use super::Step;
+    use crate::keeper::{Keeper, reference};
+    use crate::metrics::AgentMetrics;
+    use crate::state::{ATTEMPTS_MAX, Blame, Decision, PolicyRef, RobotState, Sha256Digest};
+    use crate::store::{PolicyStore, read_policy};
+    use crate::testing::{model, policy_file};
+    use crate::verify::{check_manifest, check_signatures, verify};
+
+    thread_local! {
+        static LEFT_OUT: Cell<Option<Step>> = const { Cell::new(None) };
+    }
+
+    pub(super) fn left_out() -> Option<Step> {
+        LEFT_OUT.get()
+    }
+
+    const HERE: Sha256Digest = Sha256Digest([7; 32]);
+
+    fn of(bytes: &[u8], version: u64) -> PolicyRef {
+        PolicyRef {
+            stream: "s".to_owned(),
+            version,
+            sha256: Sha256Digest(Sha256::digest(bytes).into()),
+            reverts_to: None,
+        }
+    }
+
+    fn announcement(bytes: &[u8], version: u64) -> Manifest {
+        let file = PolicyFile::parse(bytes.into()).unwrap();
+        let stream = StreamName::new("s").unwrap();
+        let mut manifest = caudata_registry_client::manifest_of(stream, &file, 5).unwrap();
+        manifest.version = version;
+        manifest
+    }
+
+    fn key() -> ReleaseKey {
+        ReleaseKey::from_seed("release", &[7; 32])
+    }
+
+    fn trust() -> Trust {
+        Trust::parse(&key().trust_file()).unwrap()
+    }
+
+    fn verified(bytes: Vec<u8>, policy: &PolicyRef) -> Result<(), String> {
+        let verified = verify(bytes.into(), policy, &model());
+        verified.map(drop).map_err(|e| e.to_string())
+    }
+
+    /// Its own file, whole and announced as it is.
+    fn own(bytes: Vec<u8>) -> Result<(), String> {
+        let policy = of(&bytes, 1);
+        verified(bytes, &policy)
+    }
+
+    fn decided(state: &RobotState, policy: &PolicyRef) -> Result<(), String> {
+        match state.decide(policy, HERE) {
+            Decision::Fetch | Decision::HaveIt => Ok(()),
+            other => Err(format!("{other:?}")),
+        }
+    }
+
+    /// Tries to get past `step` with what it alone keeps out.
+    fn attempt(step: Step) -> Result<(), String> {
+        let good = || policy_file(1, |_, _| {});
+        let mut manifest = announcement(&good(), 1);
+        let mut state = RobotState::default();
+        match step {
+            Step::RobotName => {
+                manifest.robot_name = "newt".to_owned();
+                check_manifest(&manifest, &model()).map_err(|e| e.to_string())
+            }
+            Step::RobotModel => {
+                manifest.robot_hash = [0; 32];
+                check_manifest(&manifest, &model()).map_err(|e| e.to_string())
+            }
+            Step::Signature => {
+                // Signed, and then one digit of its version was changed.
+                key().sign(&mut manifest);
+                manifest.version += 1;
+                check_signatures(&manifest, Some(&trust())).map_err(|e| e.to_string())
+            }
+            Step::Hash => verified(good(), &of(b"other bytes", 1)),
+            Step::Version => verified(good(), &of(&good(), 2)),
+            Step::Choices => own(policy_file(1, |_, m| m.contract.action.scale = 20.0)),
+            Step::Contract => own(policy_file(1, |_, m| m.contract.joint_names.swap(2, 3))),
+            Step::FiniteActions => own(policy_file(1, |spec, _| {
+                spec.layers[0].weight.fill(3e38);
+            })),
+            Step::SameActions => own(rounding_matters()),
+            Step::Quarantine => {
+                let policy = of(&good(), 1);
+                state.quarantine(policy.clone(), "falls".to_owned(), Blame::Policy);
+                decided(&state, &policy)
+            }
+            Step::Older => {
+                // Of a state written before versions were remembered by stream.
+                state.adopt(of(b"two", 2));
+                state.seen.clear();
+                decided(&state, &of(b"one", 1))
+            }
+            Step::Seen => {
+                state.adopt(of(b"one", 1));
+                state.adopt(of(b"three", 3));
+                state.quarantine(of(b"three", 3), "falls".to_owned(), Blame::Policy);
+                decided(&state, &of(b"two", 2))
+            }
+            Step::Jump => decided(&state, &of(b"last", u64::MAX)),
+            Step::Attempts => {
+                let folder = tempfile::tempdir().unwrap();
+                let metrics = AgentMetrics::register(&caudata_telemetry::Metrics::new());
+                let store = PolicyStore::open(folder.path()).unwrap();
+                let keeper = Keeper::new(store, model(), metrics);
+                let policy = of(b"one", 1);
+                (0..ATTEMPTS_MAX).for_each(|_| assert!(!keeper.begin(&policy).unwrap()));
+                keeper.begin(&policy).map(drop).map_err(|e| e.to_string())
+            }
+            Step::StoredHash => {
+                let (folder, policy) = stored(&good(), &mut manifest);
+                let path = folder.path().join(format!("blobs/{}.onnx", policy.sha256));
+                std::fs::write(path, b"other bytes").unwrap();
+                read(folder.path(), &policy)
+            }
+            Step::StoredSignature => {
+                let (folder, policy) = stored(&good(), &mut manifest);
+                let name = format!("blobs/{}.1.manifest", policy.sha256);
+                manifest.signatures.clear();
+                std::fs::write(folder.path().join(name), manifest.to_bytes()).unwrap();
+                read(folder.path(), &policy)
+            }
+        }
+    }
+
+    fn stored(bytes: &[u8], manifest: &mut Manifest) -> (tempfile::TempDir, PolicyRef) {
+        let folder = tempfile::tempdir().unwrap();
+        let store = PolicyStore::open(folder.path()).unwrap();
+        let policy = reference(manifest);
+        key().sign(manifest);
+        store.put(&policy, bytes).unwrap();
+        store.put_manifest(manifest).unwrap();
+        (folder, policy)
+    }
+
+    fn read(folder: &Path, policy: &PolicyRef) -> Result<(), String> {
+        let read = read_policy(folder, policy, Some(&trust()));
+        read.map(drop).map_err(|e| e.to_string())
+    }
+
+    /// A network of two layers in which sums of millions cancel: what is left depends on how each product is rounded, so that two
+    /// correct evaluations differ.
+    fn rounding_matters() -> Vec<u8> {
+        policy_file(1, |spec, _| {
+            let (input, out) = (spec.layers[0].input, spec.layers[0].out);
+            let hidden = 128;
+            let sign = |i: usize| if i % 2 == 0 { 1.0 } else { -1.0 };
+            let first = Dense {
+                out: hidden,
+                input,
+                weight: (0..hidden * input)
+                    .map(|i| (i as f32 * 0.7).sin())
+                    .collect(),
+                bias: vec![1.0e6; hidden],
+            };
+            let second = Dense {
+                out,
+                input: hidden,
+                weight: (0..out * hidden)
+                    .map(|i| sign(i) * (0.7 + 1e-3 * (i / hidden) as f32))
+                    .collect(),
+                bias: vec![0.0; out],
+            };
+            spec.layers = vec![first, second];
+        })
+    }
+
+    const ALL: [Step; 16] = [
+        Step::RobotName,
+        Step::RobotModel,
+        Step::Signature,
+        Step::Hash,
+        Step::Version,
+        Step::Choices,
+        Step::Contract,
+        Step::FiniteActions,
+        Step::SameActions,
+        Step::Quarantine,
+        Step::Older,
+        Step::Seen,
+        Step::Jump,
+        Step::Attempts,
+        Step::StoredHash,
+        Step::StoredSignature,
+    ];
+
+    #[test]
+    fn each_step_and_no_other_keeps_its_bad_policy_out() {
+        let mut table = String::new();
+        let mut wrong = 0;
+        for step in ALL {
+            LEFT_OUT.set(None);
+            let refused = attempt(step);
+            LEFT_OUT.set(Some(step));
+            let got_through = attempt(step);
+            LEFT_OUT.set(None);
+            wrong += u32::from(refused.is_ok()) + u32::from(got_through.is_err());
+            table += &format!("{step:?}: with it {refused:?}; without it {got_through:?}\n");
+        }
+        assert_eq!(wrong, 0, "\n{table}");
+        // Seen with --nocapture: `make mutants`.
+        eprintln!("{table}");
+    }
+
+    #[test]
+    fn the_table_holds_every_step() {
+        let text = include_str!("steps.rs");
+        let list = &text[text.find("enum Step {").unwrap()..text.find("impl Step {").unwrap()];
+        let names = list
+            .lines()
+            .filter(|l| l.starts_with("    ") && l.trim().ends_with(','));
+        assert_eq!(names.count(), ALL.len());
+    }
+}

@@ -1,0 +1,444 @@
+//! Faults 38, 48 and 49: the agent, the loop or their supervisor is killed or hangs while the robot walks.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod common;
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use caudata_deploy::command_link::LinkKey;
+use common::policies::{policy_file, standing};
+use common::{Server, perfect_robot, program, status_of};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::Value;
+
+/// How long anything is waited for before the test gives up; nothing is asserted about time.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// The program with its two children, and what all of them write.
+struct Robot {
+    supervisor: Child,
+    lines: Receiver<Value>,
+    said: Vec<Value>,
+}
+
+impl Robot {
+    fn start(mut command: Command) -> Self {
+        let mut supervisor = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (sender, lines) = channel();
+        let outputs: [Box<dyn std::io::Read + Send>; 2] = [
+            Box::new(supervisor.stdout.take().unwrap()),
+            Box::new(supervisor.stderr.take().unwrap()),
+        ];
+        for output in outputs {
+            let sender = sender.clone();
+            std::thread::spawn(move || {
+                for line in BufReader::new(output).lines().map_while(Result::ok) {
+                    let value = serde_json::from_str(&line).unwrap_or(Value::String(line));
+                    let _ = sender.send(value);
+                }
+            });
+        }
+        Self {
+            supervisor,
+            lines,
+            said: Vec::new(),
+        }
+    }
+
+    /// Waits until somebody says what `wanted` looks for.
+    #[track_caller]
+    fn hears(&mut self, wanted: impl Fn(&Value) -> bool) -> Value {
+        let end = Instant::now() + PATIENCE;
+        while let Ok(line) = self
+            .lines
+            .recv_timeout(end.saturating_duration_since(Instant::now()))
+        {
+            self.said.push(line.clone());
+            if wanted(&line) {
+                return line;
+            }
+        }
+        panic!("not said in time; said was {:#?}", self.said);
+    }
+
+    #[track_caller]
+    fn hears_message(&mut self, text: &str) -> Value {
+        self.hears(|line| line["message"].as_str().is_some_and(|m| m.contains(text)))
+    }
+
+    /// Process id of the child `part` that was started last.
+    #[track_caller]
+    fn started(&mut self, part: &str) -> Pid {
+        let line = self.hears(|line| line["message"] == "started" && line["part"] == part);
+        Pid::from_raw(line["pid"].as_i64().unwrap() as i32)
+    }
+
+    fn stop(&self) {
+        kill(Pid::from_raw(self.supervisor.id() as i32), Signal::SIGTERM).unwrap();
+    }
+
+    /// Exit code and summary (null without one).
+    fn ended(mut self) -> (Option<i32>, Value, Vec<Value>) {
+        let code = self.supervisor.wait().unwrap().code();
+        let rest: Vec<Value> = self.lines.iter().collect();
+        self.said.extend(rest);
+        let summary = self.said.iter().find(|line| !line["ended"].is_null());
+        let summary = summary.cloned().unwrap_or_default();
+        (code, summary, std::mem::take(&mut self.said))
+    }
+}
+
+impl Drop for Robot {
+    fn drop(&mut self) {
+        let _ = self.supervisor.kill();
+        let _ = self.supervisor.wait();
+    }
+}
+
+/// Number of control ticks so far, of the loop's page of metrics.
+fn ticks(state: &Path) -> u64 {
+    let page = std::fs::read_to_string(state.join("run/loop.prom")).unwrap_or_default();
+    let line = page
+        .lines()
+        .find_map(|l| l.strip_prefix("caudata_robot_ticks_total "));
+    line.map_or(0, |number| number.trim().parse().unwrap())
+}
+
+/// Waits until the loop has ticked `more` times from now on.
+#[track_caller]
+fn walks_on(state: &Path, more: u64) {
+    let (end, from) = (Instant::now() + PATIENCE, ticks(state));
+    // A loop that was started again counts from 0.
+    while ticks(state) < from + more {
+        assert!(Instant::now() < end, "stuck at {} ticks", ticks(state));
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+fn gone(pid: Pid) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
+    status.is_empty() || status.contains("State:\tZ")
+}
+
+/// `run` on a perfect robot, until stopped; `folder` holds everything. Silence of its loop for a minute is a hang: machines that run
+/// tests are busy.
+fn walking(folder: &Path, server: &Server) -> (Command, PathBuf) {
+    walking_with(folder, server, "60000")
+}
+
+fn walking_with(folder: &Path, server: &Server, hang_ms: &str) -> (Command, PathBuf) {
+    let state = folder.join("state");
+    let mut command = program("run", server.address, &state);
+    command
+        .args(["--bus", &format!("sim:{}", perfect_robot()), "--follow"])
+        .args(["--metrics-addr", "127.0.0.1:0", "--hang-ms", hang_ms]);
+    (command, state)
+}
+
+#[test]
+fn fault_49_an_agent_that_is_killed_comes_back_and_the_robot_never_stops() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let (command, state) = walking(folder.path(), &server);
+    let mut robot = Robot::start(command);
+    let agent = robot.started("agent");
+    robot.started("rt");
+    walks_on(&state, 50);
+    for version in 2..4 {
+        let agent = match version {
+            2 => agent,
+            _ => robot.started("agent"),
+        };
+        if version == 3 {
+            // The one before took the newer policy over; now it is the next one's turn.
+            robot.hears(|line| line["message"] == "policy swapped in" && line["version"] == 2);
+        }
+        kill(agent, Signal::SIGKILL).unwrap();
+        robot.hears_message("the agent ended; the loop goes on");
+        walks_on(&state, 50);
+        server.publish(standing(version));
+    }
+    robot.hears(|line| line["message"] == "policy swapped in" && line["version"] == 3);
+    robot.stop();
+    let (code, summary, said) = robot.ended();
+    assert_eq!(
+        (code, &summary["ended"]),
+        (Some(0), &"signal".into()),
+        "{said:#?}"
+    );
+    assert_eq!(
+        (&summary["policy_swaps"], &summary["policy_version"]),
+        (&2.into(), &3.into())
+    );
+    let starts = said
+        .iter()
+        .filter(|l| l["message"] == "started" && l["part"] == "rt");
+    assert_eq!(starts.count(), 1, "one loop from the beginning to the end");
+    // What the loop said while nobody listened was heard.
+    assert_eq!(status_of(&state)["active"]["version"], 3);
+    assert_eq!(std::fs::read_dir(state.join("told")).unwrap().count(), 0);
+    server.stop();
+}
+
+#[test]
+fn fault_49_a_loop_that_is_killed_is_started_again_and_its_third_death_in_a_trial_is_the_policys() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    // Version 1 is good; version 2 takes the loop down with it.
+    server.publish(standing(1));
+    let state = folder.path().join("state");
+    let mut first = program("run", server.address, &state);
+    first.args([
+        "--bus",
+        &format!("sim:{}", perfect_robot()),
+        "--seconds",
+        "10.5",
+    ]);
+    let (code, _, errors) = common::outcome(first);
+    assert_eq!(code, 0, "{errors}");
+    assert_eq!(status_of(&state)["last_good"]["version"], 1);
+    server.publish(standing(2));
+    let (command, state) = walking(folder.path(), &server);
+    let mut robot = Robot::start(command);
+    for _ in 0..3 {
+        let looper = robot.started("rt");
+        robot.hears_message("rising");
+        kill(looper, Signal::SIGKILL).unwrap();
+        robot.hears_message("the control loop died");
+    }
+    // The fourth start gets the last good one, within the number of starts that there are.
+    robot.started("rt");
+    let line = robot.hears_message("rising");
+    assert_eq!(line["version"], 1, "{line}");
+    robot.stop();
+    let (code, summary, said) = robot.ended();
+    assert_eq!(
+        (code, &summary["policy_version"]),
+        (Some(0), &1.into()),
+        "{said:#?}"
+    );
+    let status = status_of(&state);
+    assert_eq!(status["quarantined"][0]["policy"]["version"], 2, "{status}");
+    server.stop();
+}
+
+#[test]
+fn fault_49_a_loop_that_keeps_dying_is_given_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let (command, state) = walking(folder.path(), &server);
+    let mut robot = Robot::start(command);
+    for death in 1..=4 {
+        let looper = robot.started("rt");
+        if death < 4 {
+            robot.hears_message("rising");
+            kill(looper, Signal::SIGKILL).unwrap();
+            robot.hears_message("the control loop died");
+        } else {
+            kill(looper, Signal::SIGKILL).unwrap();
+        }
+    }
+    let (code, _, said) = robot.ended();
+    assert_eq!(code, Some(70), "{said:#?}");
+    let text = |line: &Value| {
+        line.as_str()
+            .is_some_and(|l| l.contains("died 4 times in a row"))
+    };
+    assert!(said.iter().any(text), "{said:#?}");
+    drop(state);
+    server.stop();
+}
+
+#[test]
+fn fault_38_a_loop_that_hangs_is_ended_and_started_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let state = folder.path().join("state");
+    let mut command = program("run", server.address, &state);
+    command
+        .args(["--bus", &format!("sim:{}", perfect_robot())])
+        .args(["--hang-ms", "3000", "--metrics-addr", "127.0.0.1:0"]);
+    let mut robot = Robot::start(command);
+    let looper = robot.started("rt");
+    robot.hears_message("rising");
+    // Neither dead nor alive: what a policy that never comes back, or a port that never returns, looks like from outside.
+    kill(looper, Signal::SIGSTOP).unwrap();
+    robot.hears_message("the loop hangs: ended");
+    robot.started("rt");
+    robot.hears_message("rising");
+    assert!(gone(looper));
+    robot.stop();
+    let (code, summary, said) = robot.ended();
+    assert_eq!(
+        (code, &summary["ended"]),
+        (Some(0), &"signal".into()),
+        "{said:#?}"
+    );
+    server.stop();
+}
+
+#[test]
+fn fault_48_the_kill_button_works_with_the_loop_alive_and_with_the_loop_hung() {
+    for hung in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let server = Server::start(&folder.path().join("server"));
+        server.publish(policy_file(1, |_, _| {}));
+        let key = folder.path().join("link.key");
+        std::fs::write(&key, [7; 32]).unwrap();
+        LinkKey::read(&key).unwrap();
+        // Silence alone is noticed after this; braking after a kill is owed within a fifth of it.
+        let (mut command, _) = walking_with(folder.path(), &server, "30000");
+        command
+            .args(["--link-addr", "127.0.0.1:0", "--link-key"])
+            .arg(&key);
+        let mut robot = Robot::start(command);
+        let address = robot.hears_message("listening for commands")["address"].clone();
+        let looper = robot.started("rt");
+        robot.hears_message("rising");
+        let mut drive = Command::new(env!("CARGO_BIN_EXE_caudata-robot"))
+            .args(["drive", address.as_str().unwrap(), "--link-key"])
+            .arg(&key)
+            .stdin(Stdio::piped())
+            .spawn()
+            .unwrap();
+        if hung {
+            kill(looper, Signal::SIGSTOP).unwrap();
+        }
+        let mut typed = drive.stdin.take().unwrap();
+        std::io::Write::write_all(&mut typed, b"k\n").unwrap();
+        if hung {
+            let line = robot.hears_message("the loop hangs: ended");
+            assert_eq!(line["deaf"], true, "{line}");
+        }
+        let (code, summary, said) = robot.ended();
+        match hung {
+            true => assert_eq!(code, Some(69), "{said:#?}"),
+            false => assert_eq!(
+                (code, &summary["ended"]),
+                (Some(0), &"killed".into()),
+                "{said:#?}"
+            ),
+        }
+        let starts = said
+            .iter()
+            .filter(|l| l["message"] == "started" && l["part"] == "rt");
+        assert!(starts.count() <= 1, "nothing starts again after a kill");
+        drop(typed);
+        let _ = drive.kill();
+        let _ = drive.wait();
+        server.stop();
+    }
+}
+
+#[test]
+fn fault_49_where_the_supervisor_is_killed_the_loop_stands_down_and_nothing_is_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let (command, _) = walking(folder.path(), &server);
+    let mut robot = Robot::start(command);
+    let (agent, looper) = (robot.started("agent"), robot.started("rt"));
+    robot.hears_message("rising");
+    robot.supervisor.kill().unwrap();
+    // In order: its summary says that a signal ended it, after standing.
+    let summary = robot.hears(|line| !line["ended"].is_null());
+    assert_eq!(summary["ended"], "signal");
+    let end = Instant::now() + PATIENCE;
+    while !(gone(agent) && gone(looper)) {
+        assert!(Instant::now() < end, "children are left");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    server.stop();
+}
+
+#[test]
+fn a_second_program_on_the_same_folder_is_kept_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let (command, state) = walking(folder.path(), &server);
+    let mut robot = Robot::start(command);
+    robot.hears_message("rising");
+    let mut second = program("agent", server.address, &state);
+    second.args(["--bus", "sim:127.0.0.1:1"]);
+    let (code, _, errors) = common::outcome(second);
+    assert_eq!(code, 73, "{errors}");
+    assert!(
+        errors.contains("another process of this robot is running"),
+        "{errors}"
+    );
+    robot.stop();
+    assert_eq!(robot.ended().0, Some(0));
+    server.stop();
+}
+
+#[test]
+fn fault_16_a_robot_without_state_or_with_a_lost_one_runs_the_factory_policy() {
+    let folder = tempfile::tempdir().unwrap();
+    let (state, factory) = (
+        folder.path().join("state"),
+        folder.path().join("factory.onnx"),
+    );
+    std::fs::write(&factory, standing(77)).unwrap();
+    let nobody = "127.0.0.1:1".parse().unwrap();
+    let run = |server, factory: Option<&Path>| {
+        let mut command = program("run", server, &state);
+        command.args([
+            "--bus",
+            &format!("sim:{}", perfect_robot()),
+            "--seconds",
+            "0.5",
+        ]);
+        if let Some(factory) = factory {
+            command.arg("--factory").arg(factory);
+        }
+        common::outcome(command)
+    };
+    // Empty, and no server: nothing without a factory policy, it with one.
+    assert_eq!(run(nobody, None).0, 69);
+    let (code, summary, errors) = run(nobody, Some(&factory));
+    assert_eq!(
+        (code, &summary["policy_stream"]),
+        (0, &"(factory)".into()),
+        "{errors}"
+    );
+    assert_eq!(summary["policy_version"], 77);
+    // With a server the server's newest runs; the factory policy left no trace.
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(3));
+    let (code, summary, errors) = run(server.address, Some(&factory));
+    assert_eq!(
+        (code, &summary["policy_version"]),
+        (0, &3.into()),
+        "{errors}"
+    );
+    // Both copies of the state lost: nothing that a server says counts without proof, the factory policy runs.
+    for copy in ["state.json", "state.copy.json"] {
+        std::fs::write(state.join(copy), "{").unwrap();
+    }
+    let (code, summary, errors) = run(server.address, Some(&factory));
+    assert_eq!(
+        (code, &summary["policy_stream"]),
+        (0, &"(factory)".into()),
+        "{errors}"
+    );
+    assert_eq!(run(server.address, None).0, 65);
+    // A factory file that is not for this robot is said so before it is needed.
+    let wrong = policy_file(1, |_, m| m.contract.robot = "newt".to_owned());
+    std::fs::write(&factory, wrong).unwrap();
+    let (code, _, errors) = run(server.address, Some(&factory));
+    assert_eq!(code, 77, "{errors}");
+    server.stop();
+}
