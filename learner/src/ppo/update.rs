@@ -18,8 +18,6 @@ use crate::returns::{Trajectories, VtraceSettings, mean_and_std, vtrace};
 
 /// Factor of rsl_rl's rule for the learning rate.
 const RATE_FACTOR: f64 = 1.5;
-/// The shortest step with stale data, of what it would be with fresh: learning slows down, it does not stand still.
-const TRUST_MIN: f64 = 0.1;
 /// Keeps divisions by a spread or a norm finite.
 const TINY: f64 = 1e-8;
 
@@ -139,8 +137,8 @@ struct GradientJob {
 /// How a minibatch's gradient is used.
 #[derive(Clone, Copy)]
 struct Step {
-    /// Factor on the learning rate, see [`trust`].
-    trust: f64,
+    /// Factor on the learning rate.
+    rate_guard: f64,
     /// Whether the policy stays as it is.
     value_only: bool,
 }
@@ -232,8 +230,11 @@ impl Ppo {
         let _no_grad = tch::no_grad_guard();
         self.check(batch)?;
         let prepared = self.prepare(batch, scaling, policy_version)?;
-        let least = self.settings.staleness.min_effective_share;
-        let trust = trust(prepared.effective_share, least);
+        let guard = if prepared.effective_share < self.settings.staleness.min_effective_share {
+            0.5
+        } else {
+            1.0
+        };
         let mut tally = Tally::default();
         let mut indices: Vec<i64> = (0..batch.rows as i64).collect();
         for epoch in 0..self.settings.ppo.epochs {
@@ -247,7 +248,10 @@ impl Ppo {
             let samples = prepared.samples.index_select(0, &index);
             for part in self.minibatches(batch.rows) {
                 let (observations, samples) = (rows(&observations, part), rows(&samples, part));
-                let step = Step { trust, value_only };
+                let step = Step {
+                    rate_guard: guard,
+                    value_only,
+                };
                 self.minibatch(&observations, &samples, &prepared, step, &mut tally)?;
             }
         }
@@ -491,14 +495,11 @@ impl Ppo {
         }
         let kl = sums[sums::KL] / minibatch_rows as f64;
         if !step.value_only {
-            // The divergence grows with the square of the step. Were it compared as it is, the rule would make up for a step
-            // that was shortened on purpose.
-            let kl = kl / step.trust.powi(2);
             let target_kl = self.settings.ppo.target_kl_after(self.env_steps);
             self.learning_rate =
                 adapted_rate(&self.settings.ppo, target_kl, self.learning_rate, kl);
         }
-        self.step(gradient, norm, step.trust);
+        self.step(gradient, norm, step.rate_guard);
         tally.add(&sums, minibatch_rows, norm);
         Ok(())
     }
@@ -515,8 +516,8 @@ impl Ppo {
         let _ = advantages.g_sub_(&mean).g_div_(&std);
     }
 
-    fn step(&mut self, mut gradient: Tensor, norm: f64, trust: f64) {
-        let rate = self.learning_rate * trust;
+    fn step(&mut self, mut gradient: Tensor, norm: f64, rate_guard: f64) {
+        let rate = self.learning_rate * rate_guard;
         let largest = self.settings.ppo.max_grad_norm;
         if norm > largest {
             gradient = gradient.g_mul_scalar_(largest / norm);
@@ -525,7 +526,7 @@ impl Ppo {
         let value = self.net.layout().len() - policy;
         let value_rate = match self.settings.ppo.value_learning_rate {
             0.0 => rate,
-            own => own * trust,
+            own => own * rate_guard,
         };
         let rates = [(policy, rate), (value, value_rate)];
         self.adam.step(self.net.flat(), &gradient, &rates);
@@ -630,15 +631,6 @@ fn exchange(values: &Tensor, by: &SignedPermutation) -> Tensor {
     let device = values.device();
     let sign = Tensor::from_slice(&by.sign).to_device(device);
     values.index_select(1, &Tensor::from_slice(&source).to_device(device)) * sign
-}
-
-/// How far to go with data whose effective share is `share`: all the way from `least` on, below it in proportion. The policy then moves
-/// away from the data that is still to come no faster than that data can follow.
-fn trust(share: f64, least: f64) -> f64 {
-    if share >= least {
-        return 1.0;
-    }
-    (share / least).max(TRUST_MIN)
 }
 
 /// (Σw)²/(N·Σw²): 1 when all weights are equal.

@@ -279,7 +279,7 @@ impl Run<'_> {
         if stats.effective_share < self.config.learner.staleness.min_effective_share {
             let share = stats.effective_share;
             self.reporter.warn(format!(
-                "the data is stale: effective sample share {share:.2}; the steps with this batch were shorter"
+                "the data is stale: effective sample share {share:.2}; the learning rate was halved for this batch"
             ));
         }
         state.not_finite = if stats.updates == 0 {

@@ -274,8 +274,8 @@ pub struct StalenessConfig {
     pub c_max: f64,
     /// Cap of the weight π_prox/μ in the loss. 1 to 100. Large: noisy; 1: biased towards the old policy.
     pub weight_max: f64,
-    /// Effective sample size, as a share of the batch, below which steps are shorter in proportion (down to a tenth) and a warning is
-    /// given. 0 to 1; 0 switches it off, and old data may then lead the policy astray.
+    /// Effective sample size, as a share of the batch, below which the learning rate is halved for this batch and
+    /// a warning is given. 0 to 1.
     pub min_effective_share: f64,
 }
 
