@@ -484,9 +484,6 @@ fn chosen_lines(
     sort_lines(context, &mut lines);
     let mut seen: BTreeSet<Vec<String>> = beam.iter().map(State::key).collect();
     lines.retain(|l| l.state.misfit() < LINE_BEHIND * best.misfit() && seen.insert(l.state.key()));
-    // one for each effect that may be another: three names for one of them say less
-    let mut stood_for: BTreeSet<&str> = BTreeSet::new();
-    lines.retain(|l| l.without.first().is_none_or(|e| stood_for.insert(e.id)));
     lines.truncate(LOOK_ALIKES);
     for line in &mut lines {
         context.find_basis(&mut line.state)?;
