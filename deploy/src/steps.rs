@@ -212,7 +212,7 @@ mod tests {
         policy_file(1, |spec, _| {
             let (input, out) = (spec.layers[0].input, spec.layers[0].out);
             let hidden = 128;
-            let sign = |i: usize| if i % 2 == 0 { 1.0 } else { -1.0 };
+            let sign = |i: usize| if i.is_multiple_of(2) { 1.0 } else { -1.0 };
             let first = Dense {
                 out: hidden,
                 input,
