@@ -454,7 +454,7 @@ mod tests {
             ..Commander::default()
         };
         let mut robot = Receiver::new(5);
-        let mut round = |commander: &mut Commander, robot: &mut Receiver| {
+        let round = |commander: &mut Commander, robot: &mut Receiver| {
             let message = commander.next_message().encode(&key());
             let answer = robot.take(&message, &key(), MS)?.encode(&key());
             commander.hear(&answer, &key());
@@ -465,7 +465,9 @@ mod tests {
         assert_eq!(robot.view(MS).command[0], 0.2);
         // Its agent was restarted: within ten messages it hears again.
         let mut robot = Receiver::new(6);
-        (0..ASK_EVERY).for_each(|_| drop(round(&mut commander, &mut robot)));
+        for _ in 0..ASK_EVERY {
+            round(&mut commander, &mut robot);
+        }
         commander.hear(&old, &key());
         round(&mut commander, &mut robot);
         assert_eq!(robot.view(MS).command[0], 0.2);

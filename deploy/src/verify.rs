@@ -216,12 +216,9 @@ pub fn verify(
         }
         .into());
     }
-    match expected_contract(model, &file.metadata().contract) {
-        Err(error) if Step::Choices.on() => return Err(Refusal::from(error).into()),
-        Ok(expected) if Step::Contract.on() => {
-            file.check_contract(&expected).map_err(Refusal::Contract)?;
-        }
-        _ => {}
+    let expected = expected_contract(model, &file.metadata().contract).map_err(Refusal::from)?;
+    if Step::Contract.on() {
+        file.check_contract(&expected).map_err(Refusal::Contract)?;
     }
     let mut inference = Inference::new(&file, 1).map_err(|error| match error {
         PolicyError::RuntimeNotFound { .. } | PolicyError::RuntimeLoad { .. } => {

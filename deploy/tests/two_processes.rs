@@ -6,12 +6,12 @@ mod common;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 use caudata_deploy::command_link::LinkKey;
 use common::policies::{policy_file, standing};
 use common::{Server, perfect_robot, program, status_of};
+use crossbeam_channel::{Receiver, bounded};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
@@ -33,7 +33,7 @@ impl Robot {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        let (sender, lines) = channel();
+        let (sender, lines) = bounded(100_000);
         let outputs: [Box<dyn std::io::Read + Send>; 2] = [
             Box::new(supervisor.stdout.take().unwrap()),
             Box::new(supervisor.stderr.take().unwrap()),

@@ -61,6 +61,9 @@ pub struct Appearance {
     pub torque_nm_per_a: Vec<f64>,
 }
 
+/// The velocity that came last, and when.
+type Newest = Option<([f32; 3], Instant)>;
+
 /// An open session with everything declared. Dropped, the node is gone from the graph.
 #[derive(Debug)]
 pub struct Door {
@@ -71,7 +74,7 @@ pub struct Door {
     imu: Out,
     diagnostics: Out,
     ticks: u64,
-    velocity: Arc<Mutex<Option<([f32; 3], Instant)>>>,
+    velocity: Arc<Mutex<Newest>>,
     _tokens: Vec<LivelinessToken>,
     _subscriber: Subscriber<()>,
 }
@@ -155,7 +158,7 @@ impl Door {
                 sequence: 0,
             })
         };
-        let velocity = Arc::<Mutex<Option<([f32; 3], Instant)>>>::default();
+        let velocity = Arc::<Mutex<Newest>>::default();
         let newest = velocity.clone();
         let subscriber = session
             .declare_subscriber(topics[3].0.key())

@@ -315,10 +315,10 @@ fn fault_37_a_policy_that_pins_joints_at_their_limits_does_not_pass_its_trial() 
         &StopFlag::new(),
     );
     assert_eq!(run.result.as_ref().unwrap(), &Ended::Saturated);
-    // The filter takes three ticks to the limits; fifty more are a second.
+    // The filter takes a few ticks to bring all joints to their limits; fifty with a quarter of them there are a second.
     let ticks = run.counts.walking_ticks;
     assert!((50..=60).contains(&ticks), "{ticks}");
-    assert!(run.counts.saturated >= 16 * 50, "{}", run.counts.saturated);
+    assert!(run.counts.saturated > 16 * 45, "{}", run.counts.saturated);
     assert_eq!(robot.torque_off, 1);
     let told = run.told();
     let bad = |e: &PolicyEvent| matches!(e, PolicyEvent::Bad { reason, fell: false, .. } if reason.contains("limits"));
