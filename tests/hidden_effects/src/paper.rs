@@ -127,13 +127,16 @@ pub fn pictures(
     })
 }
 
+/// The value of each sample of the flat vector.
+type Samples<'a> = &'a dyn Fn(usize) -> f64;
+
 /// The same figure of what was measured and of two predictions.
 fn row(
     of: &str,
     data: &Data,
     before: &[f32],
     after: &[f32],
-    figure: &dyn Fn(&dyn Fn(usize) -> f64) -> f64,
+    figure: &dyn Fn(Samples<'_>) -> f64,
 ) -> Row {
     Row {
         of: of.to_owned(),
