@@ -3,7 +3,8 @@
 //! UDP, one datagram per command: `CDL1 | kind | nonce (8) | sequence (8) | vx, vy, yaw rate (3 × f32) | tag (16)`, little endian.
 //! The tag is the first half of HMAC-SHA-256 over everything before it, with a key that both ends hold. The nonce is drawn by the
 //! robot when it starts and told to whoever asks (kind 0); with it in every command, and sequence numbers that only grow, nothing
-//! recorded earlier counts, not after a restart of the robot either.
+//! recorded earlier counts, not after a restart of the robot either. A kill needs the nonce only: whoever holds the key may stop the robot, whatever
+//! others have sent, and to repeat a kill does no harm.
 
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
@@ -174,6 +175,20 @@ pub struct Commander {
 const ASK_EVERY: u64 = 10;
 
 impl Commander {
+    /// A sender whose sequence numbers begin at the clock's milliseconds: above those of one that began earlier, which counts up more slowly.
+    pub fn begin() -> Self {
+        let since = std::time::UNIX_EPOCH.elapsed().unwrap_or_default();
+        Self {
+            sequence: u64::try_from(since.as_millis()).unwrap_or(0),
+            ..Self::default()
+        }
+    }
+
+    /// Whether the robot has answered.
+    pub fn is_heard(&self) -> bool {
+        self.nonce != 0
+    }
+
     /// Takes what the robot answered. An answer to anything but the newest question does not count.
     pub fn hear(&mut self, bytes: &[u8], key: &LinkKey) {
         if let Some(message) = Message::decode(bytes, key)
@@ -248,7 +263,10 @@ impl Receiver {
         let fresh = message.nonce == self.nonce && message.sequence > self.sequence;
         let sane = message.command.iter().all(|v| v.abs() <= COMMAND_MAX);
         match message.kind {
-            Kind::Kill if fresh => self.killed = true,
+            Kind::Kill if message.nonce == self.nonce => {
+                self.killed = true;
+                return None;
+            }
             Kind::Velocity if fresh && sane => {
                 self.command = message.command;
                 self.at = Some(now);
@@ -485,6 +503,40 @@ mod tests {
         link.take(&kill.encode(&key()), &key(), MS);
         link.take(&velocity(1, 2, 0.2), &key(), 2 * MS);
         assert!(link.view(2 * MS).killed);
+    }
+
+    #[test]
+    fn a_kill_counts_whatever_others_have_sent_but_not_from_before_a_restart() {
+        let kill = |nonce| Message {
+            kind: Kind::Kill,
+            nonce,
+            sequence: 1,
+            command: [0.0; 3],
+        };
+        let mut link = Receiver::new(7);
+        link.take(&velocity(7, 1000, 0.2), &key(), MS);
+        link.take(&kill(6).encode(&key()), &key(), 2 * MS);
+        assert!(!link.view(2 * MS).killed);
+        link.take(&kill(7).encode(&key()), &key(), 3 * MS);
+        assert!(link.view(3 * MS).killed);
+    }
+
+    #[test]
+    fn a_sender_that_begins_later_is_heard() {
+        let mut link = Receiver::new(7);
+        let mut speed = |vx: f32| {
+            let mut sender = Commander::begin();
+            sender.command[0] = vx;
+            for _ in 0..5 {
+                let sent = sender.next_message().encode(&key());
+                if let Some(told) = link.take(&sent, &key(), MS) {
+                    sender.hear(&told.encode(&key()), &key());
+                }
+            }
+            std::thread::sleep(10 * MS);
+            link.view(MS).command[0]
+        };
+        assert_eq!([speed(0.1), speed(0.2)], [0.1, 0.2]);
     }
 
     #[test]

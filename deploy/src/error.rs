@@ -29,6 +29,14 @@ pub enum DeployError {
         /// What is wrong.
         source: ModelError,
     },
+    /// Nothing that was sent can have counted.
+    #[error(
+        "{robot} never answered: nothing was sent that counts; is it the robot's --link-addr, and is the key the same?"
+    )]
+    NotHeard {
+        /// Where the robot was looked for.
+        robot: std::net::SocketAddr,
+    },
     /// The robot is not one that the task can drive.
     #[error("robot file {}: {source}", path.display())]
     Task {
@@ -233,7 +241,7 @@ impl DeployError {
                 ExitCode::Protocol
             }
             Self::Unfit { .. } => ExitCode::TargetMissed,
-            Self::Stale { .. } => ExitCode::Unavailable,
+            Self::Stale { .. } | Self::NotHeard { .. } => ExitCode::Unavailable,
             Self::Server(_) | Self::NoPolicy { .. } | Self::Bus(_) | Self::Stopped { .. } => {
                 ExitCode::Unavailable
             }

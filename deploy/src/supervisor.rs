@@ -231,8 +231,8 @@ pub fn supervise(plan: &Plan, stop: &StopFlag) -> Result<(), Failure> {
         }
 
         if agent.hangs(AGENT_START_MAX, AGENT_SILENT_MAX) {
-            tracing::error!("the agent hangs: ended");
             agent.signal(Signal::SIGKILL);
+            tracing::error!("the agent hangs: ended");
         }
         if let Some(status) = agent.ended() {
             if !agent_was_ready {
@@ -248,9 +248,23 @@ pub fn supervise(plan: &Plan, stop: &StopFlag) -> Result<(), Failure> {
             agent.deaths = 0;
         }
         if due(&agent) && stop_at.is_none() {
-            agent.start(plan, &[]).map_err(failure)?;
+            // The robot walks on without an agent: that one cannot be started now must not end it.
+            if let Err(error) = agent.start(plan, &[]) {
+                if !agent_was_ready {
+                    break Err(failure(error));
+                }
+                let [first, longest] = AGENT_PAUSE;
+                agent.again_at = Some(Instant::now() + pause(first, longest, agent.deaths));
+                agent.deaths += 1;
+                tracing::error!(%error, "the agent cannot be started; the loop goes on");
+            }
         }
 
+        if killed_at.is_some() && looper.child.is_none() && starts > 0 {
+            let line =
+                "the kill button was pressed while the loop was down; it is not started again";
+            break Err(Failure::message(ExitCode::Unavailable, line));
+        }
         if due(&looper) && agent_was_ready && stop_at.is_none() {
             starts += 1;
             let extra = ["--start".into(), starts.to_string().into()];
@@ -259,13 +273,14 @@ pub fn supervise(plan: &Plan, stop: &StopFlag) -> Result<(), Failure> {
         let late = |since: Option<Instant>, limit| since.is_some_and(|at| at.elapsed() > limit);
         let deaf = looper.ready && !looper.brakes && late(killed_at, plan.hang_after / BRAKE_SHARE);
         if looper.child.is_some() && (deaf || looper.hangs(LOOP_START_MAX, plan.hang_after)) {
-            tracing::error!(deaf, silent = ?looper.heard.elapsed(), "the loop hangs: ended");
-            hung_on_kill |= deaf;
+            // First the deed: who reads the log may be asleep.
             looper.signal(Signal::SIGKILL);
+            hung_on_kill |= deaf;
+            tracing::error!(deaf, silent = ?looper.heard.elapsed(), "the loop hangs: ended");
         }
         if looper.child.is_some() && late(stop_at, STAND_DOWN_MAX) {
-            tracing::error!("the loop does not stand down: ended");
             looper.signal(Signal::SIGKILL);
+            tracing::error!("the loop does not stand down: ended");
         }
         let Some(status) = looper.ended() else {
             continue;

@@ -106,7 +106,7 @@ pub enum LearnerError {
     },
     /// A checkpoint of another configuration.
     #[error(
-        "{path} was written under another configuration; resume with the run's own config.toml"
+        "{path} was written under another configuration, or by a version of this program with other keys; resume with the run's own config.toml and that version"
     )]
     CheckpointConfig {
         /// The checkpoint.

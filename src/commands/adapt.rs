@@ -19,6 +19,9 @@ use crate::commands::eval::read_policy;
 use crate::commands::policy::block_on;
 use crate::say;
 
+/// Share of the episodes that a new policy may fall in more often: less than that is chance.
+const FALLS_TOLERANCE: f64 = 0.01;
+
 /// Exit codes of a diagnosis whose extended model is worth training in: explained, ambiguous, partly explained.
 const WORTH_IT: [i32; 3] = [0, 80, 81];
 
@@ -54,7 +57,7 @@ pub struct AdaptArgs {
     /// Episodes of each scenario
     #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
-    /// Policy server to publish the new policy to; without it, it is not published
+    /// Policy server to publish the new policy to, if it is better in the extended model; without it, it is not published
     #[arg(long, value_name = "HOST:PORT")]
     publish: Option<String>,
     /// Stream to publish under
@@ -87,6 +90,8 @@ struct Adapted {
     before_in_truth: Option<Value>,
     /// The new policy there.
     after_in_truth: Option<Value>,
+    /// Whether the new policy is the better one in the extended model; otherwise it is not published.
+    better: Option<bool>,
     /// The new policy.
     policy: Option<PathBuf>,
     /// Version under which the server has it.
@@ -132,6 +137,7 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
         after_in_extended: None,
         before_in_truth: None,
         after_in_truth: None,
+        better: None,
         policy: None,
         published: None,
         seconds: Vec::new(),
@@ -162,8 +168,12 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
             "learner.warm_start.policy={}",
             quoted(absolute(&args.policy)?)
         ),
-        "learner.warm_start.least_std=0.2".to_owned(),
-        // It walks already: costs and pushes count from the start.
+        // It walks already: small steps from the first on, and a critic that keeps up (docs/learning.md).
+        "learner.ppo.learning_rate=5e-5".to_owned(),
+        "learner.ppo.value_learning_rate=1e-3".to_owned(),
+        "learner.ppo.target_kl=0.005".to_owned(),
+        "learner.ppo.target_kl_final=0".to_owned(),
+        // Costs and pushes count from the start.
         "task.reward.costs_full_after_env_steps=0".to_owned(),
         "task.push.full_after_env_steps=0".to_owned(),
         "evaluation.episodes=0".to_owned(),
@@ -199,7 +209,9 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
         adapted.before_in_truth = evaluate("before_in_truth", &args.policy, truth)?;
         adapted.after_in_truth = evaluate("after_in_truth", &new, truth)?;
     }
-    if let Some(server) = &args.publish {
+    let better = improves(&adapted.before_in_extended, &adapted.after_in_extended);
+    adapted.better = Some(better);
+    if let Some(server) = args.publish.as_ref().filter(|_| better) {
         adapted.published = Some(publish(server, &args.stream, &new)?);
     }
     adapted.seconds = steps.seconds;
@@ -207,7 +219,34 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
     if !args.json {
         tell(&adapted, policy.metadata().version);
     }
+    if args.publish.is_some() && !better {
+        return Err(Failure::message(
+            ExitCode::TargetMissed,
+            "the new policy is not better than the old one in the extended model: it was not published".to_owned(),
+        )
+        .hint("train longer (--iterations), or look at the evaluations in the output folder"));
+    }
     Ok(())
+}
+
+/// Whether the second of two evaluations of the same suite is the better one: no more falls (a hundredth of the episodes, all told), and less off the
+/// commanded velocity, over all scenarios.
+fn improves(before: &Option<Value>, after: &Option<Value>) -> bool {
+    let sums = |result: &Option<Value>| {
+        let scenarios = result.as_ref()?["scenarios"].as_array()?.clone();
+        let of = |value: &dyn Fn(&Value) -> Option<f64>| {
+            let values = scenarios.iter().map(value).collect::<Option<Vec<_>>>()?;
+            Some(values.iter().sum::<f64>() / values.len().max(1) as f64)
+        };
+        let falls = of(&|s| s["fall_share"]["mean"].as_f64())?;
+        Some((falls, of(&|s| s["rmse_of_strides"][0].as_f64())?))
+    };
+    match (sums(before), sums(after)) {
+        (Some((falls, off)), Some((new_falls, new_off))) => {
+            new_falls <= falls + FALLS_TOLERANCE && new_off < off
+        }
+        _ => false,
+    }
 }
 
 /// The flags as given; else the configuration that lies beside the policy, else the preset `flat`.
@@ -410,11 +449,37 @@ fn tell(adapted: &Adapted, version: u64) {
     if let Some(version) = adapted.published {
         say::line(format_args!("published as version {version}"));
     }
+    if adapted.better == Some(false) {
+        say::line("the new policy is not better than the old one in the extended model");
+    }
     let total_s: f64 = adapted.seconds.iter().map(|(_, s)| s).sum();
     if let Some(policy) = &adapted.policy {
         say::line(format_args!(
             "new policy {} after {total_s:.0} s",
             policy.display()
         ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn evaluation(scenarios: &[(f64, f64)]) -> Option<Value> {
+        let scenario = |&(falls, off): &(f64, f64)| serde_json::json!({ "fall_share": { "mean": falls }, "rmse_of_strides": [off, 0.0, 0.0] });
+        let scenarios: Vec<Value> = scenarios.iter().map(scenario).collect();
+        Some(serde_json::json!({ "scenarios": scenarios }))
+    }
+
+    #[test]
+    fn better_is_nearer_to_the_command_without_more_falls() {
+        let before = evaluation(&[(0.0, 0.08), (0.1, 0.04)]); // falls 5 %, 0.06 m/s off
+        let better = |scenarios: &[(f64, f64)]| improves(&before, &evaluation(scenarios));
+        assert!(better(&[(0.0, 0.03), (0.1, 0.05)])); // 5 %, 0.04
+        assert!(better(&[(0.02, 0.03), (0.1, 0.05)])); // 6 %: chance
+        assert!(!better(&[(0.05, 0.03), (0.1, 0.05)])); // 7.5 %
+        assert!(!better(&[(0.0, 0.1), (0.0, 0.04)])); // 0.07
+        assert!(!improves(&before, &before));
+        assert!(!improves(&before, &None) && !improves(&None, &before));
     }
 }

@@ -57,7 +57,8 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// The mirror of a robot in the plane y = 0 of its base, from where its joints are and how they turn.
+    /// The mirror of a robot in the plane y = 0 of its base, from where its joints are and how they turn. Masses, limits and gains are taken to be
+    /// alike on both sides.
     ///
     /// # Errors
     /// [`TaskError::NotSymmetric`] names a joint that has no counterpart, or one with another nominal angle.
@@ -93,11 +94,10 @@ fn joints(model: &RobotModel) -> Result<SignedPermutation, TaskError> {
         reason,
     };
     let zero = vec![0.0; model.joints().len()];
-    // The lengths agree, so this cannot fail; should it, no joint finds its counterpart below.
-    let frames = model
-        .kinematics(&Pose::from_pos([0.0; 3]), &zero)
-        .map(|k| k.joints)
-        .unwrap_or_default();
+    let place = Pose::from_pos([0.0; 3]);
+    let frames = model.kinematics(&place, &zero).map(|k| k.joints);
+    // The lengths agree; should they not, no joint finds its counterpart below.
+    let frames = frames.unwrap_or_default();
     let near = |a: [f64; 3], b: [f64; 3]| pose::norm(pose::sub(a, b)) < TOLERANCE;
     let actuated = model.actuated();
     let mut out = SignedPermutation::identity(actuated.len());
@@ -106,10 +106,9 @@ fn joints(model: &RobotModel) -> Result<SignedPermutation, TaskError> {
             let anchor = reflect(frame.anchor_m);
             // an axis is a rotation vector
             let axis = reflect(frame.axis).map(|a| -a);
-            let sign = |other: [f64; 3]| match () {
-                () if near(other, axis) => Some(1.0),
-                () if near(other, axis.map(|a| -a)) => Some(-1.0),
-                () => None,
+            let sign = |other: [f64; 3]| {
+                let opposite = near(other, axis.map(|a| -a)).then_some(-1.0);
+                near(other, axis).then_some(1.0).or(opposite)
             };
             actuated.iter().enumerate().find_map(|(j, &other)| {
                 let other = frames.get(other).filter(|o| near(o.anchor_m, anchor))?;

@@ -207,7 +207,12 @@ impl Config {
         within("learner.ppo.learning_rate_max", high, low, 1.0)?;
         within("learner.ppo.learning_rate", ppo.learning_rate, low, high)?;
         within("learner.ppo.target_kl", ppo.target_kl, 0.0, 1.0)?;
-        within("learner.ppo.target_kl_final", ppo.target_kl_final, 0.0, 1.0)?;
+        within(
+            "learner.ppo.target_kl_final",
+            ppo.target_kl_final,
+            0.0,
+            ppo.target_kl,
+        )?;
         let value_rate = ppo.value_learning_rate;
         within("learner.ppo.value_learning_rate", value_rate, 0.0, 1.0)?;
         let samples = self.actors.steps_per_iteration();

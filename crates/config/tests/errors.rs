@@ -133,6 +133,18 @@ fn values_out_of_range_name_key_value_and_rule() {
         ("learner.ppo.gamma=1", "learner.ppo.gamma"),
         ("learner.ppo.gamma=nan", "learner.ppo.gamma"),
         ("learner.ppo.minibatches=1024", "learner.ppo.minibatches"),
+        (
+            "learner.ppo.value_learning_rate=-1",
+            "learner.ppo.value_learning_rate",
+        ),
+        (
+            "learner.ppo.value_learning_rate=nan",
+            "learner.ppo.value_learning_rate",
+        ),
+        (
+            "learner.ppo.target_kl_final=0.02",
+            "learner.ppo.target_kl_final",
+        ),
         ("learner.network.init_std=9", "learner.network.init_std"),
         (
             "learner.network.policy_hidden=[]",

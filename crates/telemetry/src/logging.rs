@@ -95,6 +95,8 @@ pub fn init_logging(
     let builder = tracing_subscriber::fmt()
         .with_env_filter(env_filter)
         .with_writer(std::io::stderr)
+        // Where nobody reads standard error any more, saying so there would be a panic.
+        .log_internal_errors(false)
         .with_timer(SystemTime);
     let installed = if pretty {
         builder.with_ansi(terminal).try_init()

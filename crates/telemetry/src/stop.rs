@@ -80,7 +80,7 @@ impl StopFlag {
     }
 }
 
-/// From now on SIGINT and SIGTERM raise `stop`; a second signal ends the process at once with
+/// From now on SIGINT, SIGTERM and SIGHUP (a terminal that closes; not where it is ignored, as under `nohup`) raise `stop`; a second signal ends the process at once with
 /// [`ExitCode::Interrupted`], and draining longer than `drain_deadline` ends it with [`ExitCode::TempFail`].
 ///
 /// The handler runs on a thread of its own that lives as long as the process.
@@ -99,15 +99,32 @@ pub fn stop_on_signals(stop: &StopFlag, drain_deadline: Duration) -> std::io::Re
             signal(SignalKind::terminate())?,
         )
     };
+    let mut hangup = {
+        use tokio::signal::unix::{SignalKind, signal};
+        let _context = runtime.enter();
+        match hangup_is_ignored() {
+            true => None,
+            false => Some(signal(SignalKind::hangup())?),
+        }
+    };
     let stop = stop.clone();
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
             let name = tokio::select! {
                 _ = interrupt.recv() => "SIGINT",
                 _ = terminate.recv() => "SIGTERM",
+                () = async {
+                    match &mut hangup {
+                        Some(hangup) => {
+                            hangup.recv().await;
+                        }
+                        None => std::future::pending().await,
+                    }
+                } => "SIGHUP",
             };
-            tracing::info!(signal = name, "stopping; a second signal ends at once");
+            // Before the log: who reads it may be gone or asleep.
             stop.request(name);
+            tracing::info!(signal = name, "stopping; a second signal ends at once");
             tokio::select! {
                 _ = interrupt.recv() => end(ExitCode::Interrupted, "second signal: ended without draining"),
                 _ = terminate.recv() => end(ExitCode::Interrupted, "second signal: ended without draining"),
@@ -116,6 +133,14 @@ pub fn stop_on_signals(stop: &StopFlag, drain_deadline: Duration) -> std::io::Re
         });
     })?;
     Ok(())
+}
+
+/// Whether this process was started with SIGHUP ignored. Bit n − 1 of `SigIgn` is signal n.
+fn hangup_is_ignored() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok())
+        .is_some_and(|mask| mask & 1 == 1)
 }
 
 fn end(code: ExitCode, why: &str) {

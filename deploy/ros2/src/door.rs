@@ -248,7 +248,7 @@ impl Commands {
         Ok(Self {
             socket,
             key,
-            commander: Commander::default(),
+            commander: Commander::begin(),
             sent: Instant::now(),
         })
     }

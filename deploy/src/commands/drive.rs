@@ -14,6 +14,8 @@ use crate::walk_command::WalkCommand;
 
 /// How often the present command is sent: four times within the time after which the robot stops.
 const SEND_EVERY: Duration = Duration::from_millis(50);
+/// Messages after the end of the input: the last line, a kill most of all, arrives although some are lost.
+const LAST_MESSAGES: u32 = 20;
 /// Lines that wait.
 const LINES_MAX: usize = 64;
 /// One key press changes the speed by this, m/s and rad/s.
@@ -29,7 +31,10 @@ pub struct DriveArgs {
     link_key: PathBuf,
 }
 
-/// Each line of standard input: `vx,vy,yaw_rate`, or letters that change it. Ends with the input; the robot then stops by itself.
+/// Each line of standard input: `vx,vy,yaw_rate`, or letters that change it. Ends a second after the input; the robot then stops by itself.
+///
+/// # Errors
+/// [`DeployError::NotHeard`] where the robot never answered.
 pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
     let key = LinkKey::read(&args.link_key)?;
     let refused = |source| DeployError::System {
@@ -52,12 +57,16 @@ pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
             }
         }
     });
-    let mut sender = Commander::default();
-    while !process.stop.is_set() {
+    let mut sender = Commander::begin();
+    let mut left = None;
+    while !process.stop.is_set() && left != Some(0) {
         match typed.recv_timeout(SEND_EVERY) {
             Ok(line) => obey(&mut sender, &line),
             Err(std::sync::mpsc::RecvTimeoutError::Timeout) => {}
-            Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => return Ok(()),
+            Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => {
+                left = Some(left.map_or(LAST_MESSAGES, |n| n - 1));
+                std::thread::sleep(SEND_EVERY);
+            }
         }
         // A robot that is not there yet, or restarts, refuses datagrams for a while.
         let _ = socket.send(&sender.next_message().encode(&key));
@@ -66,7 +75,10 @@ pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
             sender.hear(&buffer, &key);
         }
     }
-    Ok(())
+    if sender.is_heard() {
+        return Ok(());
+    }
+    Err(DeployError::NotHeard { robot: args.robot })
 }
 
 /// A line of the person, or of another program.

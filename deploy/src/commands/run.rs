@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 
-use crate::boundary::{RunFolder, Staged};
+use crate::boundary::{RunFolder, Staged, alone};
 use crate::command_link::LinkKey;
 use crate::commands::{PortArgs, SourceArgs};
 use crate::supervisor::{Plan, supervise};
@@ -158,6 +158,8 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), Failure> {
         LinkKey::read(key).map_err(failure)?;
     }
     let folder = RunFolder::open(&args.run_folder()).map_err(failure)?;
+    // Before anything in the folder is touched: a second supervisor would take the first one's sockets away.
+    let _alone = alone(folder.file("run.lock")).map_err(failure)?;
     let hang = match &args.bus {
         BusAddress::Sim(_) => HANG_SIMULATED,
         BusAddress::Wiring(_) => HANG_WIRED,

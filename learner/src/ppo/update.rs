@@ -327,9 +327,7 @@ impl Ppo {
             let means = Tensor::cat(&self.pool.map(self.cut(&images), mean_of)?, 0);
             let log_probs: Vec<f32> = host(&log_prob(&actions, &means, &prox_log_std))?;
             let cap = self.settings.staleness.weight_max as f32;
-            let behaviour = batch.behaviour_log_probs.iter();
-            let weight = |(image, acted): (&f32, &f32)| (image - acted).exp().min(cap);
-            targets.weights = log_probs.iter().zip(behaviour).map(weight).collect();
+            targets.weights = image_weights(&log_probs, &batch.behaviour_log_probs, cap);
             let image_samples = self.samples(&actions, &means, &log_probs, &targets);
             observations = Tensor::cat(&[observations, images], 0);
             samples = Tensor::cat(&[samples, image_samples], 0);
@@ -623,6 +621,14 @@ fn half_mirrored(indices: &[i64], epoch: u32) -> Vec<i64> {
     let rows = indices.len() as i64;
     let image = |&i: &i64| i + rows * ((i + i64::from(epoch)) & 1);
     indices.iter().map(image).collect()
+}
+
+/// min(π_prox(image)/μ, `cap`) for each sample.
+fn image_weights(images: &[f32], acted: &[f32], cap: f32) -> Vec<f32> {
+    let pairs = images.iter().zip(acted);
+    pairs
+        .map(|(image, acted)| (image - acted).exp().min(cap))
+        .collect()
 }
 
 /// The mirror image of each row.

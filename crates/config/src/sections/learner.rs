@@ -188,9 +188,9 @@ pub struct PpoConfig {
     /// KL divergence per update that the learning rate is adapted to, nats (rsl_rl's rule: above twice it the rate
     /// falls by 1.5, below half of it it rises by 1.5). 0 keeps the rate. 0 to 1.
     pub target_kl: f64,
-    /// What the target falls to, evenly in its logarithm, over `target_kl_final_after_env_steps` of the whole run. 0 to 1. Default 0: it stays. As
-    /// large steps find a gait, and a batch of some thousand samples then shakes the policy about it by that much in every update; a tenth of
-    /// `target_kl` at the end lets it settle. Too small too early: it stops learning.
+    /// What the target falls to, evenly in its logarithm, over `target_kl_final_after_env_steps` of the whole run. 0 to `target_kl`. Default 0: it
+    /// stays. Large steps find a gait, and then shake the policy about it, for a batch of some thousand samples is noisy; a fifth of `target_kl` at
+    /// the end lets it settle. Too small too early: it stops learning.
     pub target_kl_final: f64,
     /// Environment steps after which `target_kl_final` is reached. Default 0: from the start.
     pub target_kl_final_after_env_steps: u64,
@@ -198,12 +198,12 @@ pub struct PpoConfig {
     pub learning_rate_min: f64,
     /// Bounds of the adapted learning rate.
     pub learning_rate_max: f64,
-    /// Learning rate of the value function, 0 to 1. Default 0: that of the policy (rsl_rl), adapted like it. Where small batches keep that
-    /// below 1e-4, a critic that falls behind misleads the policy; 1e-3 keeps it up.
+    /// Learning rate of the value function, 0 to 1. Default 0: that of the policy (rsl_rl), adapted like it; any other stays as it is. Where small
+    /// batches keep the policy's below 1e-4, a critic that falls behind misleads it; 1e-3 keeps it up.
     pub value_learning_rate: f64,
     /// Over what advantages are shifted and scaled to mean 0 and variance 1.
     pub advantage_scale: AdvantageScale,
-    /// Learns from every sample and from its mirror image, left and right exchanged, in turn from pass to pass: with two passes each is seen once.
+    /// Learns from every sample and from its mirror image, left and right exchanged, in turn from pass to pass: with two passes each is seen once, with one only half of either.
     /// Default false (paper). Costs one forward pass; needs a robot that is its own mirror image. A gait that is learnt so treats both sides alike.
     pub mirror: bool,
 }

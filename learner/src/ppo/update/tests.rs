@@ -273,3 +273,43 @@ fn passes_take_turns_with_mirror_images() {
     let images: Vec<f32> = Vec::try_from(exchange(&rows, &by).view([-1])).unwrap();
     assert_eq!(images, [2.0, 1.0, -3.0, 5.0, 4.0, -6.0]);
 }
+
+#[test]
+fn an_image_weighs_as_much_as_the_policy_would_act_so() {
+    // ln ½, ln 1, ln 3 against what acted with 1: ½, 1, and 3 capped at 2.
+    let images = [0.5_f32.ln(), 0.0, 3.0_f32.ln()];
+    let found = image_weights(&images, &[0.0; 3], 2.0);
+    for (found, expected) in found.iter().zip([0.5, 1.0, 2.0]) {
+        assert!((found - expected).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn the_critic_has_its_own_rate() {
+    // One epoch, one minibatch, from rest: Adam's first step has the size of the rate wherever there is a gradient.
+    let largest = |value_rate: f64| {
+        let mut ppo = ppo(
+            |s| {
+                (s.ppo.epochs, s.ppo.minibatches, s.ppo.target_kl) = (1, 1, 0.0);
+                (s.ppo.learning_rate, s.ppo.value_learning_rate) = (1e-4, value_rate);
+            },
+            1,
+        );
+        let before = ppo.net().to_vec().unwrap();
+        let _ = update(&mut ppo, &batch(8, 8), 0);
+        let after = ppo.net().to_vec().unwrap();
+        let policy = ppo.net().policy_len();
+        let change: Vec<f32> = before
+            .iter()
+            .zip(&after)
+            .map(|(b, a)| (a - b).abs())
+            .collect();
+        let max = |part: &[f32]| part.iter().copied().fold(0.0, f32::max);
+        (max(&change[..policy]), max(&change[policy..]))
+    };
+    let near = |found: f32, expected: f32| (found / expected - 1.0).abs() < 0.01;
+    let (policy, value) = largest(0.0);
+    assert!(near(policy, 1e-4) && near(value, 1e-4), "{policy} {value}");
+    let (policy, value) = largest(1e-2);
+    assert!(near(policy, 1e-4) && near(value, 1e-2), "{policy} {value}");
+}
