@@ -26,6 +26,7 @@ fn mirrored_actions_lead_to_mirrored_observations() {
     task.reset.base_vel_noise_mps = 0.0;
     task.reset.yaw_range_rad = 0.0;
     task.episode_steps = 1000;
+    task.termination.com_height_m = [-0.1, 10.0]; // deep water is 2 m deep
     let model = model();
     for kind in [TerrainKind::Flat, TerrainKind::DeepWater] {
         let terrain = TerrainConfig::of(kind);
