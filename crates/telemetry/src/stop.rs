@@ -80,6 +80,9 @@ impl StopFlag {
     }
 }
 
+/// Signals that come together are one.
+const ONE_SIGNAL: Duration = Duration::from_millis(100);
+
 /// From now on SIGINT, SIGTERM and SIGHUP (a terminal that closes; not where it is ignored, as under `nohup`) raise `stop`; a second signal ends the process at once with
 /// [`ExitCode::Interrupted`], and draining longer than `drain_deadline` ends it with [`ExitCode::TempFail`].
 ///
@@ -125,6 +128,16 @@ pub fn stop_on_signals(stop: &StopFlag, drain_deadline: Duration) -> std::io::Re
             // Before the log: who reads it may be gone or asleep.
             stop.request(name);
             tracing::info!(signal = name, "stopping; a second signal ends at once");
+            // A parent that dies signals its children once for each of its threads that they hung on.
+            let same = async {
+                loop {
+                    tokio::select! {
+                        _ = interrupt.recv() => {}
+                        _ = terminate.recv() => {}
+                    }
+                }
+            };
+            let _ = tokio::time::timeout(ONE_SIGNAL, same).await;
             tokio::select! {
                 _ = interrupt.recv() => end(ExitCode::Interrupted, "second signal: ended without draining"),
                 _ = terminate.recv() => end(ExitCode::Interrupted, "second signal: ended without draining"),
