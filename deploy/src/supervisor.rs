@@ -6,6 +6,7 @@
 //! | the loop dies | lets the servos go, starts it again, three times at most |
 //! | the loop gives no sign of life | kills it; then as above |
 //! | the kill button, and the loop does not brake | kills it, lets the servos go, ends |
+//! | the kill button while the loop is down | does not start it again, ends |
 //! | the loop ends by itself | ends the agent, then itself, with the loop's exit code |
 //! | the supervisor dies | both children are told to stop by the system: the loop stands down in order |
 //!
