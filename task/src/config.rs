@@ -27,8 +27,8 @@ pub struct TaskConfig {
     pub stagger_first_episode: bool,
     /// Appends the medium bit (1 afloat, 0 otherwise) to the observation. Default false.
     pub observe_medium: bool,
-    /// Height of the centre of mass above the highest ground under a foot from which on a robot in water counts as afloat, m: the medium bit and
-    /// the rewards of swimming begin there. Default 0.09 (it stands at 0.073). Smaller: a robot that swims ashore keeps its
+    /// Height of the centre of mass above the highest ground under a foot or a girdle from which on a robot in water counts as afloat, m: the
+    /// medium bit and the rewards of swimming begin there. Default 0.09 (it stands at 0.073). Smaller: a robot that swims ashore keeps its
     /// legs folded and never stands up; larger: it treads water where its feet find no ground (0.11 kept it from ever swimming).
     pub afloat_above_m: f32,
     /// What an action means.

@@ -1,4 +1,4 @@
-//! Where an episode starts: the nominal pose with some noise.
+//! Where an episode starts: the nominal or the swimming pose with some noise.
 
 use std::f32::consts::PI;
 
@@ -12,7 +12,7 @@ use crate::{ACT_DIM, JointTable, TaskError};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ResetConfig {
-    /// Joint positions start within ± this of nominal (kept within the limits), rad. Default 0.1.
+    /// Joint positions start within ± this of the pose (kept within the limits), rad. Default 0.1.
     /// Too large: episodes start with a fall.
     pub joint_pos_noise_rad: f32,
     /// Joint velocities start within ± this, rad/s. Default 0.
@@ -24,6 +24,9 @@ pub struct ResetConfig {
     /// The base starts within ± this along x and y, m. Default 0; on uneven ground choose it so that
     /// different episodes meet different ground.
     pub spawn_half_extent_m: f32,
+    /// Share of the episodes that start in the robot file's swimming pose, on land too, 0 to 1. Default 0. A policy that swims must learn to unfold its
+    /// legs where the ground comes up, and meets that too rarely when every episode begins on its feet; too large: little else is trained.
+    pub swimming_pose_share: f32,
 }
 
 impl Default for ResetConfig {
@@ -34,6 +37,7 @@ impl Default for ResetConfig {
             base_vel_noise_mps: 0.1,
             yaw_range_rad: PI,
             spawn_half_extent_m: 0.0,
+            swimming_pose_share: 0.0,
         }
     }
 }
@@ -76,6 +80,12 @@ impl ResetConfig {
             1e3,
             "reset.spawn_half_extent_m",
             "must be 0 to 1000",
+        )?;
+        up_to(
+            self.swimming_pose_share,
+            1.0,
+            "reset.swimming_pose_share",
+            "must be 0 to 1",
         )
     }
 }
@@ -95,15 +105,25 @@ pub struct ResetDraw {
     pub joint_vel_radps: [f32; ACT_DIM],
 }
 
-/// Draws a start.
-pub fn draw(config: &ResetConfig, joints: &JointTable, stream: &mut Stream) -> ResetDraw {
+/// Draws a start. `swimming_rad` is the pose of [`ResetConfig::swimming_pose_share`].
+pub fn draw(
+    config: &ResetConfig,
+    joints: &JointTable,
+    swimming_rad: &[f32; ACT_DIM],
+    stream: &mut Stream,
+) -> ResetDraw {
+    let folded = config.swimming_pose_share > 0.0 && stream.chance(config.swimming_pose_share);
+    let pose_rad = match folded {
+        true => swimming_rad,
+        false => &joints.nominal_rad,
+    };
     let mut around_zero = |half: f32| stream.uniform(-half, half);
     ResetDraw {
         base_xy_m: std::array::from_fn(|_| around_zero(config.spawn_half_extent_m)),
         yaw_rad: around_zero(config.yaw_range_rad),
         base_vel_mps: std::array::from_fn(|_| around_zero(config.base_vel_noise_mps)),
         joint_pos_rad: std::array::from_fn(|i| {
-            (joints.nominal_rad[i] + around_zero(config.joint_pos_noise_rad))
+            (pose_rad[i] + around_zero(config.joint_pos_noise_rad))
                 .max(joints.lower_rad[i])
                 .min(joints.upper_rad[i])
         }),
@@ -122,6 +142,27 @@ mod tests {
         upper_rad: [0.55; ACT_DIM],
     };
 
+    const SWIMMING_RAD: [f32; ACT_DIM] = [-0.5; ACT_DIM];
+
+    #[test]
+    fn the_asked_share_starts_in_the_swimming_pose() {
+        let config = ResetConfig {
+            joint_pos_noise_rad: 0.1,
+            swimming_pose_share: 0.25,
+            ..ResetConfig::default()
+        };
+        let mut stream = Stream::new(Key::for_run(4), Purpose::Reset);
+        let folded = (0..1000).filter(|_| {
+            let start = draw(&config, &JOINTS, &SWIMMING_RAD, &mut stream);
+            let near = |pose: f32| start.joint_pos_rad.iter().all(|q| (q - pose).abs() <= 0.1);
+            assert!(near(0.5) || near(-0.5));
+            near(-0.5)
+        });
+        // 250 of 1,000, standard deviation 14.
+        let folded = folded.count() as i32;
+        assert!((folded - 250).abs() < 70, "{folded}");
+    }
+
     #[test]
     fn draws_stay_within_noise_and_limits() {
         let config = ResetConfig {
@@ -132,7 +173,7 @@ mod tests {
         let mut stream = Stream::new(Key::for_run(1), Purpose::Reset);
         let mut at_limit = 0;
         for _ in 0..100 {
-            let start = draw(&config, &JOINTS, &mut stream);
+            let start = draw(&config, &JOINTS, &SWIMMING_RAD, &mut stream);
             for q in start.joint_pos_rad {
                 // 0.5 ± 0.1, cut at the limit 0.55.
                 assert!((0.4..=0.55).contains(&q));
@@ -155,10 +196,12 @@ mod tests {
             base_vel_noise_mps: 0.0,
             yaw_range_rad: 0.0,
             spawn_half_extent_m: 0.0,
+            swimming_pose_share: 0.0,
         };
         let start = draw(
             &config,
             &JOINTS,
+            &SWIMMING_RAD,
             &mut Stream::new(Key::for_run(1), Purpose::Reset),
         );
         assert_eq!(start.joint_pos_rad, JOINTS.nominal_rad);

@@ -1,5 +1,6 @@
 //! Why an environment refuses.
 
+use caudata_model::ModelError;
 use caudata_sim::SimError;
 use caudata_task::TaskError;
 
@@ -12,6 +13,9 @@ pub enum EnvError {
     /// The engine refused.
     #[error(transparent)]
     Sim(#[from] SimError),
+    /// The robot's geometry cannot be worked out.
+    #[error(transparent)]
+    Model(#[from] ModelError),
     /// The engine steps at another rate than the task.
     #[error(
         "task.control_period_s is {task_s} s but the engine's dt_s times substeps is {engine_s} s; make them equal"

@@ -1,6 +1,6 @@
 //! One lane out of the engine's state: the truth that rewards look at, and what sensors make of it.
 
-use caudata_model::{ImuParams, RobotModel, ServoParams};
+use caudata_model::{ImuParams, ModelError, Pose, RobotModel, ServoParams, Site};
 use caudata_random::Stream;
 use caudata_sim::{Engine, State, sensors};
 use caudata_task::noise::Readings;
@@ -37,7 +37,7 @@ pub struct Truth {
     pub trunk_force_n: f32,
     /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
     pub submerged: f32,
-    /// 1 while it is that and farther above the highest ground under a foot than `afloat_above_m`, 0 otherwise.
+    /// 1 while it is that and farther above the highest ground under a foot or a girdle than `afloat_above_m`, 0 otherwise.
     pub afloat: f32,
 }
 
@@ -47,19 +47,60 @@ pub(crate) struct Reader {
     /// Model index of each actuated joint.
     pub actuated: [usize; ACT_DIM],
     pub foot_radius_m: [f32; FEET],
+    /// How far ahead of the centre of mass the two girdles are, along the heading.
+    pub girdles_ahead_m: [f32; 2],
     /// Of the task.
     pub afloat_above_m: f32,
+}
+
+/// How far ahead of the centre of mass the front and the hind girdle are, along the line that they make, in the nominal pose, m. Both 0 for a robot
+/// whose file names no girdles.
+pub(crate) fn girdles_ahead_m(model: &RobotModel) -> Result<[f32; 2], ModelError> {
+    let Some((hind, front)) = model.heading_sites() else {
+        return Ok([0.0; 2]);
+    };
+    let pos = model.full_pos_rad(model.nominal_pos_rad())?;
+    let places = model.kinematics(&Pose::IDENTITY, &pos)?;
+    let com_m = model.centre_of_mass_m(&places);
+    let at = |site: &Site| places.links[site.link].point(site.link_from_site.pos_m);
+    let [hind, front] = [at(hind), at(front)];
+    let (along_x, along_y) = (front[0] - hind[0], front[1] - hind[1]);
+    let length = along_x.hypot(along_y);
+    Ok([front, hind].map(|site| {
+        (((site[0] - com_m[0]) * along_x + (site[1] - com_m[1]) * along_y) / length) as f32
+    }))
+}
+
+/// The water round a lane.
+#[derive(Clone, Copy)]
+struct Water {
+    surface_m: f32,
+    /// The higher ground of those under the girdles.
+    girdle_ground_m: f32,
 }
 
 impl Reader {
     /// Reads lane `lane`.
     pub fn read(&self, engine: &dyn Engine, lane: usize) -> Truth {
-        let surface = engine.terrain().water_level_m();
-        let surface_m = surface.map(|z| z + engine.params(lane).water_level_offset_m);
-        self.read_state(engine.state(), surface_m, lane)
+        let terrain = engine.terrain();
+        let state = engine.state();
+        let water = terrain.water_level_m().map(|level_m| {
+            let [x, y, _]: [f32; 3] = row(&state.com_pos_m, lane);
+            let (sin, cos) = state.heading_rad[lane].sin_cos();
+            let ground = |ahead| terrain.height_m(x + ahead * cos, y + ahead * sin);
+            Water {
+                surface_m: level_m + engine.params(lane).water_level_offset_m,
+                girdle_ground_m: self
+                    .girdles_ahead_m
+                    .map(ground)
+                    .into_iter()
+                    .fold(f32::MIN, f32::max),
+            }
+        });
+        self.read_state(state, water, lane)
     }
 
-    fn read_state(&self, state: &State, surface_m: Option<f32>, lane: usize) -> Truth {
+    fn read_state(&self, state: &State, water: Option<Water>, lane: usize) -> Truth {
         let joints = state.joints;
         let pos = &state.joint_pos_rad[lane * joints..][..joints];
         let vel = &state.joint_vel_radps[lane * joints..][..joints];
@@ -71,8 +112,13 @@ impl Reader {
             ground_m[j] = foot_pos[j][2] - self.foot_radius_m[j] - foot_height_m[j];
         }
         let mean_ground_m = ground_m.iter().sum::<f32>() / FEET as f32;
-        let highest_ground_m = ground_m.into_iter().fold(f32::MIN, f32::max);
-        let submerged = surface_m.is_some_and(|z| com[2] < z);
+        let submerged = water.is_some_and(|water| com[2] < water.surface_m);
+        // The girdles, too: legs that are folded back have their feet over deeper ground than they would stand on.
+        let highest_ground_m = water
+            .map(|water| water.girdle_ground_m)
+            .into_iter()
+            .chain(ground_m)
+            .fold(f32::MIN, f32::max);
         Truth {
             joint_pos_rad: pick(pos, &self.actuated),
             joint_vel_radps: pick(vel, &self.actuated),
@@ -201,6 +247,7 @@ mod tests {
     const READER: Reader = Reader {
         actuated: [0, 1, 2, 3, 4, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17],
         foot_radius_m: [0.02; FEET],
+        girdles_ahead_m: [0.0; 2],
         afloat_above_m: 0.09,
     };
 
@@ -278,9 +325,20 @@ mod tests {
     }
 
     #[test]
+    fn girdles_lie_before_and_behind_the_centre_of_mass() {
+        // Of polymander.xml, straight: sites at x = -0.204114 and -0.532614, so 0.3285 m apart.
+        let robot = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../robots/polymander.robot.toml");
+        let model = RobotModel::load(&robot).unwrap();
+        let [front, hind] = girdles_ahead_m(&model).unwrap();
+        assert!((front - hind - 0.3285).abs() < 1e-4, "{front} {hind}");
+        assert!(front > 0.1 && hind < -0.1, "{front} {hind}");
+    }
+
+    #[test]
     fn afloat_is_below_the_surface_with_the_ground_out_of_reach() {
         // Feet on ground at 0.3 but for one, under which it is `shallow`.
-        let read = |com_m: f32, shallow_m: f32, surface| {
+        let read_near = |girdle_ground_m, com_m: f32, shallow_m: f32, surface_m: Option<f32>| {
             let mut state = state();
             state.com_pos_m[2] = com_m;
             for foot in 0..FEET {
@@ -288,12 +346,18 @@ mod tests {
                 state.foot_height_m[foot] = 0.06;
             }
             state.foot_height_m[2] = 0.36 - shallow_m;
-            let truth = READER.read_state(&state, surface, 0);
+            let water = surface_m.map(|surface_m| Water {
+                surface_m,
+                girdle_ground_m,
+            });
+            let truth = READER.read_state(&state, water, 0);
             (truth.submerged, truth.afloat)
         };
+        let read = |com_m, shallow_m, surface_m| read_near(0.3, com_m, shallow_m, surface_m);
         assert_eq!(read(0.38, 0.2, Some(0.4)), (1.0, 0.0)); // 0.08 over the ground at 0.3
         assert_eq!(read(0.42, 0.3, Some(0.5)), (1.0, 1.0)); // 0.12 over it
         assert_eq!(read(0.42, 0.34, Some(0.5)), (1.0, 0.0)); // 0.08 over the ground of one foot
+        assert_eq!(read_near(0.34, 0.42, 0.3, Some(0.5)), (1.0, 0.0)); // 0.08 over the ground of a girdle: folded legs hide nothing
         assert_eq!(read(0.42, 0.3, Some(0.4)), (0.0, 0.0)); // above the surface
         assert_eq!(read(0.42, 0.3, None), (0.0, 0.0)); // dry
     }

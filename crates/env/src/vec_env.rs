@@ -12,7 +12,7 @@ use caudata_task::{ACT_DIM, FEET, JointTable, ObservationLayout, PolicyContract,
 
 use crate::EnvError;
 use crate::lane::Lane;
-use crate::measure::{Reader, Sensors, Truth};
+use crate::measure::{Reader, Sensors, Truth, girdles_ahead_m};
 use crate::output::{OutputBuffers, StepOutput};
 use crate::physics::PhysicsDraws;
 use crate::steer::StartShift;
@@ -105,6 +105,7 @@ impl VecEnv {
             reader: Reader {
                 actuated: std::array::from_fn(|i| model.actuated()[i]),
                 foot_radius_m: std::array::from_fn(|i| model.feet()[i].radius_m as f32),
+                girdles_ahead_m: girdles_ahead_m(&model)?,
                 afloat_above_m: task.afloat_above_m,
             },
             sensors: (task.noise.enabled && task.noise.sensor_models)
@@ -334,7 +335,12 @@ impl VecEnv {
             .redraw(&self.task.randomisation, &mut physics_stream);
         self.physics.apply_draw();
         let mut reset_stream = Stream::new(key, Purpose::Reset);
-        let start = caudata_task::reset::draw(&self.task.reset, &self.joints, &mut reset_stream);
+        let start = caudata_task::reset::draw(
+            &self.task.reset,
+            &self.joints,
+            &self.swimming_rad,
+            &mut reset_stream,
+        );
         self.physics.apply_start(&self.start_shift.apply(start));
         self.engine.set_params(lane, &self.physics.params)?;
         self.engine.reset(lane, &self.physics.init)?;

@@ -168,6 +168,7 @@ fn under(
     task.episode_steps = (episode_s / task.control_period_s).round() as u32;
     task.randomisation = scenario.corner.randomisation();
     task.reset.spawn_half_extent_m = scenario.spawn_half_extent_m;
+    task.reset.swimming_pose_share = 0.0;
     if let Some(range) = scenario.start.yaw_range_rad {
         task.reset.yaw_range_rad = range;
     }

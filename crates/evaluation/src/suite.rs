@@ -21,7 +21,9 @@ pub(crate) const PUSH: &str = "push 0.5 m/s";
 pub(crate) const NOMINAL: &str = "robust: nominal";
 pub(crate) const WORST_CORNER: &str = "robust: worst corner";
 pub(crate) const INTO_WATER: &str = "shore: into the water";
-pub(crate) const ONTO_LAND: &str = "shore: onto land";
+pub(crate) const ONTO_LAND: &str = "shore: onto land, 10°";
+/// From deep water onto a beach as steep as the paper's hills.
+const ONTO_STEEP_LAND: &str = "shore: onto land, 15°";
 pub(crate) const THERE_AND_BACK: &str = "shore: there and back";
 pub(crate) const SWIM: &str = "swim 0.3 m/s";
 
@@ -248,11 +250,19 @@ fn robust() -> Vec<Scenario> {
 /// Headings at the shore start within ± this, rad.
 const SHORE_YAW_RANGE_RAD: f32 = 0.1;
 
+/// Beach to go in by, and to come out by, degrees: the paper's steepest hills.
+const STEEP_BEACH_DEG: f64 = 15.0;
+/// Beach to come out by, degrees: on a steeper one than about 14° the nose, 20 cm ahead of the fore legs, touches before they can.
+const GENTLE_BEACH_DEG: f64 = 10.0;
+
 fn transition() -> Vec<Scenario> {
-    let terrain = TerrainConfig::of(TerrainKind::Shore);
+    let beach = |slope_deg| TerrainConfig {
+        slope_deg,
+        ..TerrainConfig::of(TerrainKind::Shore)
+    };
     let ahead = [PAPER_COMMAND_MPS, 0.0, 0.0];
     let shore = |name: &str, xy_m, yaw_rad, goal| Scenario {
-        terrain: terrain.clone(),
+        terrain: beach(GENTLE_BEACH_DEG),
         start: Start {
             xy_m,
             yaw_rad,
@@ -264,12 +274,23 @@ fn transition() -> Vec<Scenario> {
     };
     // the nose is where the start is; the rest of the robot lies behind it, in deep water
     let afloat = [2.6, 0.0];
+    let onto_land = |name: &str, slope_deg| Scenario {
+        terrain: beach(slope_deg),
+        episode_s: Some(30.0),
+        // as a pilot does who wants to get ashore: what drifts for half a minute does not arrive
+        course: vec![Leg {
+            from_s: 0.0,
+            order: Order::Heading(PI),
+        }],
+        ..shore(name, afloat, PI, Goal::OntoLand)
+    };
     vec![
-        shore(INTO_WATER, [0.0; 2], 0.0, Goal::IntoWater),
         Scenario {
-            episode_s: Some(30.0),
-            ..shore(ONTO_LAND, afloat, PI, Goal::OntoLand)
+            terrain: beach(STEEP_BEACH_DEG),
+            ..shore(INTO_WATER, [0.0; 2], 0.0, Goal::IntoWater)
         },
+        onto_land(ONTO_LAND, GENTLE_BEACH_DEG),
+        onto_land(ONTO_STEEP_LAND, STEEP_BEACH_DEG),
         Scenario {
             episode_s: Some(60.0),
             course: vec![
