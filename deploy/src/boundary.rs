@@ -1,7 +1,7 @@
 //! What passes between the two processes of a robot: the agent (network, keeping, trying) and the loop.
 //!
 //! ```text
-//! agent ── staged.json (which policy runs next) ──▶ loop     <run folder>, replaced as a whole
+//! agent ── staged.json (which policy runs next, or that none can) ──▶ loop     <run folder>, replaced as a whole
 //! agent ── loop.sock (velocity commands, kill) ───▶ loop     one datagram every 20 ms, newest wins
 //! agent ◀── told/<number>.json (what became of it) ─ loop    <state folder>, on the disk before it counts
 //! ```
@@ -9,15 +9,17 @@
 //! Files under names that stay, and one socket: either end may die and come back, and neither ever waits for the other while the
 //! robot moves. A policy's bytes are read by the loop's process itself from the store, and checked again there.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io;
-use std::os::unix::fs::DirBuilderExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use caudata_durable as durable;
 use caudata_task::COMMAND_DIM;
+use nix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 
 use crate::DeployError;
@@ -27,17 +29,22 @@ use crate::state::PolicyRef;
 use crate::updates::PolicyEvent;
 
 /// `format` of `staged.json`.
-pub const STAGED_FORMAT: &str = "caudata.staged.v1";
+pub const STAGED_FORMAT: &str = "caudata.staged.v2";
 /// Stream that the policy which came with the program counts as; no stream of a server can have this name.
 pub const FACTORY: &str = "(factory)";
 /// Events that wait for an agent; with more, the newest is lost with a line in the log.
 pub const TOLD_MAX: usize = 256;
+/// The loop's page of metrics, in the run folder, while there is a loop.
+pub const LOOP_PAGE: &str = "loop.prom";
 /// Largest file of the boundary, bytes.
 const FILE_MAX: u64 = 64 << 10;
-/// Length of a command datagram: kill, age (µs), three numbers.
+/// Length of a command datagram: kill and released, when it came (µs), three numbers.
 const COMMAND_BYTES: usize = 1 + 8 + 4 * COMMAND_DIM;
-/// Age of a command that never came, µs.
+/// Time of a command that never came, µs.
 const NEVER_US: u64 = u64::MAX;
+/// Bits of its first byte.
+const KILLED: u8 = 1;
+const RELEASED: u8 = 2;
 /// Datagrams looked at in one tick.
 const AT_ONCE: usize = 16;
 
@@ -46,19 +53,26 @@ const AT_ONCE: usize = 16;
 pub struct RunFolder(PathBuf);
 
 impl RunFolder {
-    /// Makes the folder where it is absent.
+    /// Makes the folder where it is absent. Whoever may write in it can command the robot, so that it must be this user's alone.
     ///
     /// # Errors
-    /// [`DeployError::Folder`].
+    /// [`DeployError::Folder`]; [`DeployError::Exposed`] where others may use it.
     pub fn open(path: &Path) -> Result<Self, DeployError> {
         let made = fs::DirBuilder::new()
             .recursive(true)
             .mode(0o700)
             .create(path);
-        made.map_err(|source| DeployError::Folder {
+        let found = made.and_then(|()| fs::metadata(path));
+        let found = found.map_err(|source| DeployError::Folder {
             path: path.to_owned(),
             source,
         })?;
+        let (mode, owner) = (found.mode() & 0o7777, found.uid());
+        let user = nix::unistd::geteuid().as_raw();
+        if mode & 0o077 != 0 || owner != user {
+            let path = path.to_owned();
+            return Err(DeployError::Exposed { path, mode, owner });
+        }
         Ok(Self(path.to_owned()))
     }
 
@@ -87,11 +101,24 @@ impl RunFolder {
 /// # Errors
 /// [`DeployError::Folder`], also where another one is there.
 pub fn alone(lock: PathBuf) -> Result<File, DeployError> {
-    let refused = |source| DeployError::Folder {
-        path: lock.clone(),
-        source,
+    let opened = File::create(&lock);
+    locked(opened, lock)
+}
+
+/// The same by a folder that is there: it takes no file, and so works on a disk that takes none.
+///
+/// # Errors
+/// As [`alone`].
+pub fn alone_in(folder: &Path) -> Result<File, DeployError> {
+    locked(File::open(folder), folder.to_owned())
+}
+
+fn locked(opened: io::Result<File>, path: PathBuf) -> Result<File, DeployError> {
+    let refused = |source| DeployError::Folder { path, source };
+    let file = match opened {
+        Ok(file) => file,
+        Err(source) => return Err(refused(source)),
     };
-    let file = File::create(&lock).map_err(refused)?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(fs::TryLockError::WouldBlock) => Err(refused(io::Error::new(
@@ -102,20 +129,36 @@ pub fn alone(lock: PathBuf) -> Result<File, DeployError> {
     }
 }
 
-/// What the loop is to run.
+/// What the loop is told to run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Staged {
     /// [`STAGED_FORMAT`].
     pub format: String,
-    /// Grows with every policy that is staged.
+    /// Grows with every answer.
     pub number: u64,
     /// Which start of the loop it is for ([`PolicyEvent::Ready`]).
     pub run: u64,
-    /// Which policy; of stream [`FACTORY`]: the file that both processes were started with.
-    pub policy: PolicyRef,
-    /// Whether it went through its trial on this robot before.
-    pub proved: bool,
+    /// The answer.
+    pub answer: Answer,
+}
+
+/// What the agent answers a loop that asks.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Answer {
+    /// Run this.
+    Policy {
+        /// Which; of stream [`FACTORY`]: the file that both processes were started with.
+        policy: PolicyRef,
+        /// Whether it went through its trial on this robot before.
+        proved: bool,
+    },
+    /// There is nothing that may run here. Asking again changes nothing.
+    Nothing {
+        /// Why, in one line.
+        reason: String,
+    },
 }
 
 impl Staged {
@@ -140,20 +183,23 @@ impl Staged {
     }
 }
 
-/// The loop's end of `told/`.
+/// The loop's end of `told/`: in the state folder, and in the run folder where the state's disk takes nothing.
 #[derive(Debug)]
 pub struct Teller {
+    places: Vec<Place>,
+    /// No second loop on one state.
+    _alone: File,
+}
+
+#[derive(Debug)]
+struct Place {
     folder: PathBuf,
     next: u64,
 }
 
-impl Teller {
+impl Place {
     /// Goes on after what waits there already.
-    ///
-    /// # Errors
-    /// [`DeployError::Folder`].
-    pub fn open(state: &Path) -> Result<Self, DeployError> {
-        let folder = told(state);
+    fn open(folder: PathBuf) -> Result<Self, DeployError> {
         fs::create_dir_all(&folder).map_err(|source| DeployError::Folder {
             path: folder.clone(),
             source,
@@ -166,45 +212,113 @@ impl Teller {
         })
     }
 
-    /// Writes an event down; it is on the disk when this returns.
-    ///
-    /// # Errors
-    /// [`DeployError::Durable`]; [`DeployError::Internal`] where [`TOLD_MAX`] wait already.
-    pub fn tell(&mut self, event: &PolicyEvent) -> Result<(), DeployError> {
+    fn tell(&mut self, text: &[u8]) -> Result<(), DeployError> {
         if waiting(&self.folder).len() >= TOLD_MAX {
             return Err(DeployError::Internal {
                 what: format!("{TOLD_MAX} events wait for an agent"),
             });
         }
         let path = self.folder.join(format!("{:020}.json", self.next));
-        durable::replace(&path, &json(event)?)?;
+        durable::replace(&path, text)?;
         self.next += 1;
         Ok(())
     }
 }
 
-/// Takes what the loop told, oldest first: each event goes to `note` and is then forgotten. What cannot be understood is put aside.
-/// Answers how many there were.
-pub fn take_told(state: &Path, mut note: impl FnMut(PolicyEvent)) -> usize {
-    let all = waiting(&told(state));
-    for (_, path) in &all {
-        let event = small_file(path).and_then(|text| serde_json::from_slice(&text).ok());
-        match event {
-            Some(event) => {
-                note(event);
-                let _ = fs::remove_file(path);
-            }
-            None => {
-                tracing::error!(path = %path.display(), "what the loop told cannot be understood");
-                let _ = fs::rename(path, path.with_extension("damaged"));
+impl Teller {
+    /// Goes on after what waits there already.
+    ///
+    /// # Errors
+    /// [`DeployError::Folder`], also where another loop tells in this state folder.
+    pub fn open(state: &Path, run: &RunFolder) -> Result<Self, DeployError> {
+        let [in_state, in_run] = told(state, run);
+        let mut places = Vec::with_capacity(2);
+        match Place::open(in_state.clone()) {
+            Ok(place) => places.push(place),
+            Err(error) => {
+                tracing::error!(%error, "the state's disk takes nothing: what is learnt about policies is lost with the power")
             }
         }
+        places.push(Place::open(in_run.clone())?);
+        let alone = match places.len() {
+            2 => alone_in(&in_state)?,
+            _ => alone_in(&in_run)?,
+        };
+        Ok(Self {
+            places,
+            _alone: alone,
+        })
     }
-    all.len()
+
+    /// Writes an event down; it is on the disk, or where there is none in the run folder, when this returns.
+    ///
+    /// # Errors
+    /// [`DeployError::Durable`]; [`DeployError::Internal`] where [`TOLD_MAX`] wait already.
+    pub fn tell(&mut self, event: &PolicyEvent) -> Result<(), DeployError> {
+        let text = json(event)?;
+        let mut refused = None;
+        for place in &mut self.places {
+            match place.tell(&text) {
+                Ok(()) => return Ok(()),
+                Err(error @ DeployError::Internal { .. }) => return Err(error),
+                Err(error) => {
+                    tracing::error!(%error, "cannot tell here");
+                    refused = Some(error);
+                }
+            }
+        }
+        refused.map_or(Ok(()), Err)
+    }
 }
 
-fn told(state: &Path) -> PathBuf {
-    state.join("told")
+/// The agent's end of `told/`.
+#[derive(Debug)]
+pub struct Told {
+    folders: [PathBuf; 2],
+    /// Heard, and not to be removed from a disk that takes nothing.
+    stuck: BTreeSet<PathBuf>,
+}
+
+impl Told {
+    /// Of these folders, whether or not they are there yet.
+    pub fn of(state: &Path, run: &RunFolder) -> Self {
+        Self {
+            folders: told(state, run),
+            stuck: BTreeSet::new(),
+        }
+    }
+
+    /// Takes what the loop told, oldest first: each event goes to `note` and is then forgotten. What cannot be understood is put aside.
+    /// Answers how many there were.
+    pub fn take(&mut self, mut note: impl FnMut(PolicyEvent)) -> usize {
+        let all = self.folders.iter().flat_map(|folder| waiting(folder));
+        let new: Vec<PathBuf> = all
+            .map(|(_, path)| path)
+            .filter(|path| !self.stuck.contains(path))
+            .collect();
+        for path in &new {
+            let event = small_file(path).and_then(|text| serde_json::from_slice(&text).ok());
+            let away = match event {
+                Some(event) => {
+                    note(event);
+                    fs::remove_file(path)
+                }
+                None => {
+                    tracing::error!(path = %path.display(), "what the loop told cannot be understood");
+                    fs::rename(path, path.with_extension("damaged"))
+                }
+            };
+            // Bounded by the number of files that wait there.
+            if away.is_err() && path.exists() {
+                self.stuck.insert(path.clone());
+            }
+        }
+        new.len()
+    }
+}
+
+fn told(state: &Path, run: &RunFolder) -> [PathBuf; 2] {
+    [state.join("told"), run.file("told")]
 }
 
 /// Number and path of what waits in `folder`, oldest first.
@@ -268,7 +382,8 @@ impl CommandSender {
 pub struct LocalLink {
     socket: UnixDatagram,
     newest: LinkView,
-    came: Instant,
+    /// When the newest command came to this computer, by [`now`]; `None`: none ever did.
+    came: Option<Duration>,
 }
 
 impl LocalLink {
@@ -285,8 +400,9 @@ impl LocalLink {
                 command: [0.0; COMMAND_DIM],
                 age: Duration::MAX,
                 killed: false,
+                released: false,
             },
-            came: Instant::now(),
+            came: None,
         })
     }
 }
@@ -298,48 +414,65 @@ impl CommandLink for LocalLink {
             let Ok(length) = self.socket.recv(&mut buffer) else {
                 break;
             };
-            if let Some(view) = decode(&buffer[..length]) {
+            if let Some((view, came)) = decode(&buffer[..length]) {
                 // A kill stays in force, also where the agent that heard it is gone.
                 let killed = view.killed || self.newest.killed;
                 self.newest = LinkView { killed, ..view };
-                self.came = Instant::now();
+                self.came = came;
             }
         }
+        // By when it came to this computer, not by when it is read: what has waited here since the loop was down is old.
+        let age = |came: Duration| now().saturating_sub(came);
         LinkView {
-            age: self.newest.age.saturating_add(self.came.elapsed()),
+            age: self.came.map_or(Duration::MAX, age),
             ..self.newest
         }
     }
 }
 
+/// Time since this computer was started: the same in all its processes. Looking at it takes no system call.
+fn now() -> Duration {
+    // This clock cannot be refused on Linux; a time of 0 would make every command look fresh, so that the end of time stands in.
+    clock_gettime(ClockId::CLOCK_BOOTTIME).map_or(Duration::MAX, Duration::from)
+}
+
 fn encode(view: &LinkView) -> [u8; COMMAND_BYTES] {
     let mut out = [0; COMMAND_BYTES];
-    let age_us = u64::try_from(view.age.as_micros()).unwrap_or(NEVER_US);
-    out[0] = u8::from(view.killed);
-    out[1..9].copy_from_slice(&age_us.to_le_bytes());
+    let came = now().checked_sub(view.age);
+    let came_us = came.map_or(NEVER_US, |came| {
+        u64::try_from(came.as_micros()).unwrap_or(NEVER_US)
+    });
+    out[0] = KILLED * u8::from(view.killed) + RELEASED * u8::from(view.released);
+    out[1..9].copy_from_slice(&came_us.to_le_bytes());
     for (place, value) in out[9..].chunks_exact_mut(4).zip(view.command) {
         place.copy_from_slice(&value.to_le_bytes());
     }
     out
 }
 
-fn decode(bytes: &[u8]) -> Option<LinkView> {
+/// What the agent saw, and when its command came.
+fn decode(bytes: &[u8]) -> Option<(LinkView, Option<Duration>)> {
     let bytes: &[u8; COMMAND_BYTES] = bytes.try_into().ok()?;
     let mut command = [0.0; COMMAND_DIM];
     for (value, place) in command.iter_mut().zip(bytes[9..].chunks_exact(4)) {
         *value = f32::from_le_bytes(place.try_into().ok()?);
     }
-    let age_us = u64::from_le_bytes(bytes[1..9].try_into().ok()?);
-    let sane = bytes[0] <= 1 && command.iter().all(|v| v.is_finite());
-    sane.then_some(LinkView {
+    let came_us = u64::from_le_bytes(bytes[1..9].try_into().ok()?);
+    let sane = bytes[0] <= (KILLED | RELEASED) && command.iter().all(|v| v.is_finite());
+    let view = LinkView {
         command,
-        age: Duration::from_micros(age_us),
-        killed: bytes[0] == 1,
-    })
+        age: Duration::MAX,
+        killed: bytes[0] & KILLED != 0,
+        released: bytes[0] & RELEASED != 0,
+    };
+    let came = (came_us != NEVER_US).then(|| Duration::from_micros(came_us));
+    sane.then_some((view, came))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::time::Instant;
+
     use super::*;
     use crate::state::Sha256Digest;
 
@@ -352,38 +485,81 @@ mod tests {
         }
     }
 
+    /// A state folder and a run folder.
+    fn folders() -> (tempfile::TempDir, PathBuf, RunFolder) {
+        let folder = tempfile::tempdir().unwrap();
+        let state = folder.path().join("state");
+        let run = RunFolder::open(&folder.path().join("run")).unwrap();
+        (folder, state, run)
+    }
+
     #[test]
     fn what_is_told_arrives_once_in_order_and_over_restarts_of_either_end() {
-        let folder = tempfile::tempdir().unwrap();
-        let state = folder.path();
-        let mut teller = Teller::open(state).unwrap();
+        let (_folder, state, run) = folders();
+        let mut teller = Teller::open(&state, &run).unwrap();
         teller.tell(&PolicyEvent::Begun(policy(1))).unwrap();
         let good = PolicyEvent::Good {
             policy: policy(1),
             walked_s: 10.0,
         };
         teller.tell(&good).unwrap();
+        drop(teller);
         // The loop died and came back; one event was torn on its way.
-        let mut teller = Teller::open(state).unwrap();
+        let mut teller = Teller::open(&state, &run).unwrap();
         teller.tell(&PolicyEvent::Ended(policy(1))).unwrap();
-        fs::write(told(state).join("00000000000000000009.json"), "{").unwrap();
+        fs::write(state.join("told/00000000000000000009.json"), "{").unwrap();
         let mut words = Vec::new();
-        let count = take_told(state, |event| words.push(event));
+        let count = Told::of(&state, &run).take(|event| words.push(event));
         assert_eq!((count, words.len()), (4, 3));
         assert!(matches!(&words[0], PolicyEvent::Begun(p) if p.version == 1));
         assert!(matches!(&words[1], PolicyEvent::Good { walked_s, .. } if *walked_s == 10.0));
         assert!(matches!(&words[2], PolicyEvent::Ended(_)));
-        assert_eq!(take_told(state, |_| panic!("told twice")), 0);
+        assert_eq!(Told::of(&state, &run).take(|_| panic!("told twice")), 0);
     }
 
     #[test]
     fn an_agent_that_never_comes_back_does_not_fill_the_disk() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut teller = Teller::open(folder.path()).unwrap();
+        let (_folder, state, run) = folders();
+        let mut teller = Teller::open(&state, &run).unwrap();
         for _ in 0..TOLD_MAX {
             teller.tell(&PolicyEvent::Begun(policy(1))).unwrap();
         }
         assert!(teller.tell(&PolicyEvent::Begun(policy(1))).is_err());
+    }
+
+    #[test]
+    fn fault_30_where_the_states_disk_takes_nothing_the_run_folder_does() {
+        let (_folder, state, run) = folders();
+        // A file where the folder should be: nothing can be made in it, whoever asks.
+        fs::create_dir_all(&state).unwrap();
+        fs::write(state.join("told"), "").unwrap();
+        let mut teller = Teller::open(&state, &run).unwrap();
+        teller.tell(&PolicyEvent::Ready { run: 7 }).unwrap();
+        let mut heard = Vec::new();
+        assert_eq!(Told::of(&state, &run).take(|event| heard.push(event)), 1);
+        assert!(matches!(heard[0], PolicyEvent::Ready { run: 7 }));
+    }
+
+    #[test]
+    fn what_cannot_be_removed_is_not_heard_again() {
+        let (_folder, state, run) = folders();
+        // A folder of that name is not removed as a file is: it stays, as on a disk that takes nothing.
+        fs::create_dir_all(state.join("told/00000000000000000001.json")).unwrap();
+        fs::create_dir_all(state.join("told/00000000000000000001.damaged/full")).unwrap();
+        let mut told = Told::of(&state, &run);
+        assert_eq!(told.take(|_| panic!("it says nothing")), 1);
+        assert_eq!(told.take(|_| panic!("it says nothing")), 0);
+    }
+
+    #[test]
+    fn a_second_loop_on_one_state_is_kept_out_whatever_its_run_folder() {
+        let (folder, state, run) = folders();
+        let other = RunFolder::open(&folder.path().join("other")).unwrap();
+        let first = Teller::open(&state, &run).unwrap();
+        let error = Teller::open(&state, &other).unwrap_err().to_string();
+        assert!(error.contains("another process"), "{error}");
+        drop(first);
+        assert!(Teller::open(&state, &other).is_ok());
     }
 
     #[test]
@@ -395,8 +571,10 @@ mod tests {
             format: STAGED_FORMAT.to_owned(),
             number: 3,
             run: 7,
-            policy: policy(2),
-            proved: true,
+            answer: Answer::Policy {
+                policy: policy(2),
+                proved: true,
+            },
         };
         staged.write(&run).unwrap();
         assert_eq!(Staged::read(&run), Some(staged.clone()));
@@ -411,12 +589,13 @@ mod tests {
     #[test]
     fn commands_arrive_age_when_the_agent_is_gone_and_a_kill_stays() {
         let folder = tempfile::tempdir().unwrap();
-        let run = RunFolder::open(folder.path()).unwrap();
+        let run = RunFolder::open(&folder.path().join("run")).unwrap();
         let sender = CommandSender::new(&run).unwrap();
         let view = |vx, age_ms, killed| LinkView {
             command: [vx, 0.0, -0.1],
             age: Duration::from_millis(age_ms),
             killed,
+            released: false,
         };
         // Nobody is there: nothing happens.
         sender.send(&view(0.9, 0, false));
@@ -442,6 +621,77 @@ mod tests {
         drop(link);
         sender.send(&view(0.3, 0, false));
         assert!(!run.has_loop());
+    }
+
+    #[test]
+    fn commands_that_waited_for_a_loop_are_as_old_as_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let run = RunFolder::open(&folder.path().join("run")).unwrap();
+        let sender = CommandSender::new(&run).unwrap();
+        let mut link = LocalLink::open(&run).unwrap();
+        // The loop is not reading: as much as the socket holds waits, and what comes then is refused.
+        let fresh = LinkView {
+            command: [0.3, 0.0, 0.0],
+            age: Duration::ZERO,
+            killed: false,
+            released: false,
+        };
+        let sent = Instant::now();
+        for _ in 0..1000 {
+            sender.send(&fresh);
+        }
+        let waited = Duration::from_millis(250);
+        std::thread::sleep(waited);
+        // However many of them are read: none counts as one that has just come.
+        for _ in 0..100 {
+            let seen = link.view();
+            assert!(seen.age >= waited, "{:?}", seen.age);
+            assert!(seen.age <= sent.elapsed());
+        }
+        let sent = Instant::now();
+        sender.send(&fresh);
+        assert!(link.view().age <= sent.elapsed(), "a new one is new");
+    }
+
+    #[test]
+    fn a_button_that_is_let_go_of_passes_the_boundary() {
+        let view = LinkView {
+            command: [0.1, 0.2, 0.3],
+            age: Duration::ZERO,
+            killed: false,
+            released: true,
+        };
+        let (seen, came) = decode(&encode(&view)).unwrap();
+        assert!(seen.released && !seen.killed && came.is_some());
+        assert_eq!(seen.command, view.command);
+        let never = LinkView {
+            age: Duration::MAX,
+            released: false,
+            killed: true,
+            ..view
+        };
+        let (seen, came) = decode(&encode(&never)).unwrap();
+        assert!(!seen.released && seen.killed && came.is_none());
+    }
+
+    #[test]
+    fn a_folder_that_others_may_use_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run");
+        RunFolder::open(&path).unwrap();
+        assert_eq!(fs::metadata(&path).unwrap().mode() & 0o777, 0o700);
+        for mode in [0o701, 0o750, 0o777, 0o1777] {
+            fs::set_permissions(&path, fs::Permissions::from_mode(mode)).unwrap();
+            let error = RunFolder::open(&path).unwrap_err();
+            let text = error.to_string();
+            assert!(matches!(error, DeployError::Exposed { .. }), "{text}");
+            assert!(text.contains(&format!("{mode:o}")), "{text}");
+            // It is said, and nothing is changed: it may be somebody's for something else.
+            assert_eq!(fs::metadata(&path).unwrap().mode() & 0o7777, mode);
+        }
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o700)).unwrap();
+        RunFolder::open(&path).unwrap();
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use caudata_dynamixel::LetGo;
 use caudata_task::{ACT_DIM, FEET};
 
 /// What the servos report, policy order.
@@ -77,6 +78,18 @@ pub enum BusError {
         /// Why not.
         reason: String,
     },
+    /// Another program has the port: two that speak on one bus take each other's answers, and one may let go of what the other moves.
+    #[error("another program has {address}: is a `run` or `doctor` on it?")]
+    Taken {
+        /// Which port.
+        address: String,
+    },
+    /// Servos were told to let go, and do not say that they did.
+    #[error("{found}: cut the supply, or hold the robot")]
+    Holds {
+        /// Which ones.
+        found: LetGo,
+    },
     /// It is another robot, or speaks otherwise.
     #[error("the robot at {address} is not the one expected: {reason}")]
     Protocol {
@@ -107,10 +120,10 @@ pub trait ServoBus {
     /// [`BusError::Lost`].
     fn write(&mut self, targets_rad: &[f32; ACT_DIM]) -> Result<(), BusError>;
 
-    /// Lets all servos go limp.
+    /// Lets all servos go limp, and asks whether they did.
     ///
     /// # Errors
-    /// [`BusError::Lost`].
+    /// [`BusError::Lost`]; [`BusError::Holds`] where the torque of one is still on.
     fn torque_off(&mut self) -> Result<(), BusError>;
 }
 

@@ -5,6 +5,9 @@
 //! robot when it starts and told to whoever asks (kind 0); with it in every command, and sequence numbers that only grow, nothing
 //! recorded earlier counts, not after a restart of the robot either. A kill needs the nonce only: whoever holds the key may stop the robot, whatever
 //! others have sent, and to repeat a kill does no harm.
+//!
+//! A velocity says whether a dead-man's button is held. One with the button let go makes the robot stand at once. One from a sender that has
+//! no such button (kind 2) moves the robot only where the robot does not ask for the button.
 
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
@@ -29,8 +32,10 @@ pub const KEY_MIN: usize = 16;
 
 const TAG: usize = 16;
 const MAGIC: &[u8; 4] = b"CDL1";
-/// How often the listener looks whether it is still wanted.
-const LOOK: Duration = Duration::from_millis(50);
+/// How often the listener looks whether it is still wanted; and how much older than it is a command may be taken for.
+const LOOK: Duration = Duration::from_millis(20);
+/// Datagrams taken before it is looked whether the listener is still wanted.
+const AT_ONCE: u32 = 1024;
 /// Largest command, m/s and rad/s.
 const COMMAND_MAX: f32 = 20.0;
 
@@ -43,6 +48,8 @@ pub struct LinkView {
     pub age: Duration,
     /// The kill button was pressed; it stays so.
     pub killed: bool,
+    /// The dead-man's button was let go of, or is asked for and not there: the robot stands.
+    pub released: bool,
 }
 
 /// Where commands come from while the robot walks. Never waits.
@@ -93,10 +100,14 @@ pub enum Kind {
     Ask = 0,
     /// This is my nonce.
     Tell = 1,
-    /// A velocity.
+    /// A velocity, of a sender without a dead-man's button.
     Velocity = 2,
     /// Stop at once.
     Kill = 3,
+    /// A velocity, and somebody holds the dead-man's button.
+    Held = 4,
+    /// Nobody holds the dead-man's button: stand.
+    Released = 5,
 }
 
 /// One datagram.
@@ -142,6 +153,8 @@ impl Message {
             (true, 1) => Kind::Tell,
             (true, 2) => Kind::Velocity,
             (true, 3) => Kind::Kill,
+            (true, 4) => Kind::Held,
+            (true, 5) => Kind::Released,
             _ => return None,
         };
         let eight = |at: usize| Some(u64::from_le_bytes(said[at..at + 8].try_into().ok()?));
@@ -165,6 +178,8 @@ pub struct Commander {
     pub command: [f32; COMMAND_DIM],
     /// The kill button.
     pub kill: bool,
+    /// Whether somebody holds the dead-man's button; `None`: there is none.
+    pub held: Option<bool>,
     nonce: u64,
     sequence: u64,
     /// Sequence number of the newest [`Kind::Ask`].
@@ -203,10 +218,12 @@ impl Commander {
     pub fn next_message(&mut self) -> Message {
         self.sequence += 1;
         let asks = self.nonce == 0 || self.sequence.is_multiple_of(ASK_EVERY);
-        let kind = match (asks, self.kill) {
-            (true, _) => Kind::Ask,
-            (false, true) => Kind::Kill,
-            (false, false) => Kind::Velocity,
+        let kind = match (asks, self.kill, self.held) {
+            (true, _, _) => Kind::Ask,
+            (false, true, _) => Kind::Kill,
+            (false, false, None) => Kind::Velocity,
+            (false, false, Some(true)) => Kind::Held,
+            (false, false, Some(false)) => Kind::Released,
         };
         if asks {
             self.asked = self.sequence;
@@ -229,6 +246,9 @@ pub struct Receiver {
     /// When the newest command came.
     at: Option<Duration>,
     killed: bool,
+    released: bool,
+    /// Only those with a dead-man's button may move the robot.
+    asks_for_button: bool,
     /// Datagrams that did not count.
     pub ignored: u64,
 }
@@ -242,11 +262,20 @@ impl Receiver {
             command: [0.0; COMMAND_DIM],
             at: None,
             killed: false,
+            released: false,
+            asks_for_button: false,
             ignored: 0,
         }
     }
 
-    /// Takes a datagram that came at `now`; what to answer, if anything.
+    /// From now on a velocity counts only while its sender says that a dead-man's button is held.
+    #[must_use]
+    pub fn asking_for_button(mut self, asks: bool) -> Self {
+        (self.asks_for_button, self.released) = (asks, asks);
+        self
+    }
+
+    /// Takes a datagram that came at `now`, or later; what to answer, if anything.
     pub fn take(&mut self, bytes: &[u8], key: &LinkKey, now: Duration) -> Option<Message> {
         let Some(message) = Message::decode(bytes, key) else {
             self.ignored += 1;
@@ -267,8 +296,13 @@ impl Receiver {
                 self.killed = true;
                 return None;
             }
-            Kind::Velocity if fresh && sane => {
+            Kind::Velocity | Kind::Held | Kind::Released if fresh && sane => {
                 self.command = message.command;
+                self.released = match message.kind {
+                    Kind::Held => false,
+                    Kind::Released => true,
+                    _ => self.asks_for_button,
+                };
                 self.at = Some(now);
             }
             _ => {
@@ -286,6 +320,7 @@ impl Receiver {
             command: self.command,
             age: self.at.map_or(Duration::MAX, |at| now.saturating_sub(at)),
             killed: self.killed,
+            released: self.released,
         }
     }
 }
@@ -301,38 +336,35 @@ pub struct UdpLink {
 }
 
 impl UdpLink {
-    /// Listens on `addr`.
+    /// Listens on `addr`. `asks_for_button`: only senders whose dead-man's button is held may move the robot.
     ///
     /// # Errors
     /// [`DeployError::System`].
-    pub fn listen(addr: SocketAddr, key: LinkKey) -> Result<Self, DeployError> {
+    pub fn listen(
+        addr: SocketAddr,
+        key: LinkKey,
+        asks_for_button: bool,
+    ) -> Result<Self, DeployError> {
         let refused = |source| DeployError::System {
             what: "the command link's address",
             source,
         };
         let socket = UdpSocket::bind(addr).map_err(refused)?;
-        socket.set_read_timeout(Some(LOOK)).map_err(refused)?;
         let address = socket.local_addr().map_err(refused)?;
-        let first = Receiver::new(random_nonce().map_err(refused)?);
+        let start = Instant::now();
+        let mut door = Door::open(socket, start).map_err(refused)?;
+        let nonce = random_nonce().map_err(refused)?;
+        let first = Receiver::new(nonce).asking_for_button(asks_for_button);
         let receiver = Arc::new(Mutex::new(first.clone()));
         let stop = Arc::new(std::sync::atomic::AtomicBool::new(false));
-        let start = Instant::now();
         let (shared, stopped) = (receiver.clone(), stop.clone());
         let listen = move || {
-            let mut buffer = [0; 2 * DATAGRAM];
             while !stopped.load(std::sync::atomic::Ordering::Relaxed) {
-                let Ok((length, from)) = socket.recv_from(&mut buffer) else {
-                    continue;
-                };
-                let answer = shared.lock().unwrap_or_else(PoisonError::into_inner).take(
-                    &buffer[..length],
-                    &key,
-                    start.elapsed(),
-                );
-                if let Some(answer) = answer {
-                    // Lost answers are asked for again.
-                    let _ = socket.send_to(&answer.encode(&key), from);
-                }
+                door.take_all(|bytes, came| {
+                    let mut receiver = shared.lock().unwrap_or_else(PoisonError::into_inner);
+                    let answer = receiver.take(bytes, &key, came);
+                    answer.map(|message| message.encode(&key))
+                });
             }
         };
         let thread = std::thread::Builder::new()
@@ -353,6 +385,52 @@ impl UdpLink {
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+}
+
+/// A socket, and since when what is in it can have been there.
+#[derive(Debug)]
+struct Door {
+    socket: UdpSocket,
+    start: Instant,
+    /// When nothing was left in the socket, last. What is found in it came after that: how long after nobody knows, where this process was
+    /// held up meanwhile.
+    empty_at: Duration,
+}
+
+impl Door {
+    fn open(socket: UdpSocket, start: Instant) -> io::Result<Self> {
+        socket.set_read_timeout(Some(LOOK))?;
+        Ok(Self {
+            socket,
+            start,
+            empty_at: start.elapsed(),
+        })
+    }
+
+    /// Waits for a datagram, for [`LOOK`] at most, and takes all that are there. `each` gets its bytes and the earliest time, since the
+    /// start, that it can have come; what it answers goes back to the sender.
+    fn take_all(&mut self, mut each: impl FnMut(&[u8], Duration) -> Option<[u8; DATAGRAM]>) {
+        let mut buffer = [0; 2 * DATAGRAM];
+        for look in 0..AT_ONCE {
+            // Before looking: what comes between the look and the clock is not taken for older than it is, but never for younger.
+            let looked_at = self.start.elapsed();
+            let _ = self.socket.set_nonblocking(look > 0);
+            match self.socket.recv_from(&mut buffer) {
+                Ok((length, from)) => {
+                    if let Some(answer) = each(&buffer[..length], self.empty_at) {
+                        // Lost answers are asked for again.
+                        let _ = self.socket.send_to(&answer, from);
+                    }
+                }
+                // An answer that could not be delivered is told with the next look; it says nothing about what waits here.
+                Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
+                Err(_) => {
+                    self.empty_at = looked_at;
+                    return;
+                }
+            }
+        }
     }
 }
 
@@ -492,6 +570,77 @@ mod tests {
     }
 
     #[test]
+    fn a_button_that_is_let_go_of_stands_the_robot_and_one_that_is_asked_for_must_be_held() {
+        let said = |sequence, kind| {
+            let message = Message {
+                kind,
+                nonce: 7,
+                sequence,
+                command: [0.2, 0.0, 0.0],
+            };
+            message.encode(&key())
+        };
+        let mut link = Receiver::new(7);
+        let hear = |link: &mut Receiver, sequence, kind| {
+            link.take(&said(sequence, kind), &key(), MS);
+            link.view(MS).released
+        };
+        let said_in_order = [
+            (Kind::Velocity, false),
+            (Kind::Held, false),
+            (Kind::Released, true),
+            (Kind::Held, false),
+        ];
+        for (sequence, (kind, released)) in (1..).zip(said_in_order) {
+            assert_eq!(hear(&mut link, sequence, kind), released, "{kind:?}");
+        }
+        // An old one cannot press the button again.
+        assert!(hear(&mut link, 9, Kind::Released));
+        assert!(hear(&mut link, 4, Kind::Held));
+        // Where the robot asks for a button, silence about it is no button.
+        let mut link = Receiver::new(7).asking_for_button(true);
+        assert!(link.view(MS).released, "before anybody spoke");
+        assert!(hear(&mut link, 1, Kind::Velocity));
+        assert!(!hear(&mut link, 2, Kind::Held));
+        assert!(hear(&mut link, 3, Kind::Velocity));
+    }
+
+    #[test]
+    fn what_waited_in_the_socket_while_nobody_listened_is_as_old_as_it_may_be() {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
+        sender.connect(socket.local_addr().unwrap()).unwrap();
+        let mut door = Door::open(socket, Instant::now()).unwrap();
+        let came = |door: &mut Door| {
+            let mut all = Vec::new();
+            while all.is_empty() {
+                door.take_all(|_, came| {
+                    all.push(came);
+                    None
+                });
+            }
+            all
+        };
+        // Looked at just now and found empty.
+        door.take_all(|_, _| unreachable!("nothing was sent"));
+        let empty_at = door.empty_at;
+        // The process is held up; meanwhile somebody drives on.
+        for _ in 0..5 {
+            sender.send(b"x").unwrap();
+        }
+        std::thread::sleep(60 * MS);
+        for taken in came(&mut door) {
+            assert_eq!(taken, empty_at, "none of them is taken for a new one");
+        }
+        assert!(door.empty_at >= empty_at + 60 * MS);
+        // The next one is new again.
+        let before = door.start.elapsed();
+        door.take_all(|_, _| None);
+        sender.send(b"x").unwrap();
+        assert!(came(&mut door).iter().all(|taken| *taken >= before));
+    }
+
+    #[test]
     fn a_kill_stays() {
         let mut link = Receiver::new(1);
         let kill = Message {
@@ -541,7 +690,7 @@ mod tests {
 
     #[test]
     fn over_a_socket_the_nonce_is_asked_for_and_then_commands_arrive() {
-        let mut link = UdpLink::listen("127.0.0.1:0".parse().unwrap(), key()).unwrap();
+        let mut link = UdpLink::listen("127.0.0.1:0".parse().unwrap(), key(), false).unwrap();
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         socket.connect(link.address()).unwrap();
         socket

@@ -138,6 +138,8 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     recorder: Recorder,
     link: Option<Box<dyn CommandLink>>,
     notifier: Notifier,
+    /// Raised by a second signal.
+    insisted: StopFlag,
     tap: Option<Sender<Tick>>,
     metrics: RobotMetrics,
     gravity: GravityFilter,
@@ -200,6 +202,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             recorder,
             link: None,
             notifier: Notifier::default(),
+            insisted: StopFlag::new(),
             tap: None,
             metrics,
             gravity,
@@ -243,6 +246,11 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.notifier = notifier;
     }
 
+    /// Lets the servos go at once, wherever the robot is, as soon as `insisted` is raised.
+    pub fn set_insisted(&mut self, insisted: StopFlag) {
+        self.insisted = insisted;
+    }
+
     /// The last 30 s, oldest first.
     pub fn recorder(&self) -> &Recorder {
         &self.recorder
@@ -274,6 +282,10 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             self.metrics.overruns.inc_by(due.skipped);
             self.clock.sleep_until(due.at);
             let woke = self.clock.now();
+            if self.insisted.is_set() {
+                self.ended = Some(Ended::Interrupted);
+                break Ok(());
+            }
             match self.tick(stop) {
                 Err(error) => break Err(error),
                 Ok(()) if self.motion.stage() == Stage::Off => break Ok(()),
@@ -293,7 +305,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             (&result, self.ended),
             (
                 Ok(()),
-                None | Some(Ended::Time | Ended::Signal | Ended::Killed)
+                None | Some(Ended::Time | Ended::Signal | Ended::Interrupted | Ended::Killed)
             )
         ) {
             let policy = self.runner.policy().clone();
@@ -434,8 +446,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         }
     }
 
-    /// The command of this tick. A link that is silent stops the robot: speed 0 after 200 ms, standing after 1 s; a kill brakes at
-    /// once, whatever the policy does.
+    /// The command of this tick. A link that is silent stops the robot: speed 0 after 200 ms, standing after 1 s. A dead-man's button that
+    /// is let go of stands it at once; a kill brakes at once, whatever the policy does.
     fn wanted_command(&mut self, sensed: &Sensed) -> [f32; COMMAND_DIM] {
         let Some(link) = &mut self.link else {
             let start_s = self.walk_start_s.unwrap_or(sensed.servos.time_s);
@@ -445,7 +457,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         if view.killed {
             self.ended.get_or_insert(Ended::Killed);
             self.motion.damp();
-        } else if view.age > LINK_STAND {
+        } else if view.age > LINK_STAND || view.released {
             self.motion.stand();
         } else if view.age <= LINK_STOP
             && self.stand_ticks.is_none()
@@ -453,7 +465,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         {
             self.runner.forget();
         }
-        match view.age <= LINK_STOP {
+        match view.age <= LINK_STOP && !view.released {
             true => view.command,
             false => [0.0; COMMAND_DIM],
         }

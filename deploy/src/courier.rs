@@ -12,7 +12,7 @@ use caudata_telemetry::{Metrics, StopFlag};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
 use crate::DeployError;
-use crate::boundary::{FACTORY, RunFolder, Staged, Teller};
+use crate::boundary::{Answer, FACTORY, RunFolder, Staged, Teller};
 use crate::keeper::read_factory;
 use crate::state::PolicyRef;
 use crate::store::read_policy;
@@ -40,12 +40,11 @@ pub struct Loader {
 }
 
 impl Loader {
-    /// The policy of `staged`.
+    /// `policy`; `proved`: it went through its trial on this robot before.
     ///
     /// # Errors
     /// [`DeployError::Refused`] where it must not run, else what the disk says.
-    pub fn load(&self, staged: &Staged) -> Result<Verified, DeployError> {
-        let policy = &staged.policy;
+    pub fn load(&self, policy: &PolicyRef, proved: bool) -> Result<Verified, DeployError> {
         let refused = |refusal: Refusal| DeployError::Refused {
             policy: policy.clone(),
             refusal: Box::new(refusal),
@@ -61,7 +60,7 @@ impl Loader {
                 })?
             }
         };
-        verified.proved = staged.proved;
+        verified.proved = proved;
         Ok(verified)
     }
 }
@@ -91,6 +90,10 @@ impl Courier {
         metrics: Option<(Metrics, PathBuf)>,
     ) -> Self {
         Staged::clear(&folder);
+        // Figures of a loop that is gone are no figures of this one.
+        if let Some((_, file)) = &metrics {
+            let _ = std::fs::remove_file(file);
+        }
         Self {
             folder,
             teller,
@@ -105,7 +108,7 @@ impl Courier {
     /// Says that the robot is there, and waits for the first policy; `None` when asked to stop before.
     ///
     /// # Errors
-    /// [`DeployError::NoAgent`]; what the disk says.
+    /// [`DeployError::NoAgent`]; [`DeployError::NothingFits`]; what the disk says.
     pub fn first(&mut self, stop: &StopFlag) -> Result<Option<Verified>, DeployError> {
         self.teller.tell(&PolicyEvent::Ready { run: self.run })?;
         let end = Instant::now() + ANSWER_MAX;
@@ -149,7 +152,12 @@ impl Courier {
                         }
                     }
                     Err(RecvTimeoutError::Timeout) => {}
-                    Err(RecvTimeoutError::Disconnected) => return,
+                    Err(RecvTimeoutError::Disconnected) => {
+                        if let Some((_, file)) = &self.metrics {
+                            let _ = std::fs::remove_file(file);
+                        }
+                        return;
+                    }
                 }
                 if looked.elapsed() >= LOOK {
                     looked = Instant::now();
@@ -181,11 +189,16 @@ impl Courier {
             return None;
         }
         self.seen = staged.number;
-        if self.loaded.as_ref() == Some(&staged.policy) {
+        let (policy, proved) = match staged.answer {
+            Answer::Policy { policy, proved } => (policy, proved),
+            Answer::Nothing { reason } => return Some(Err(DeployError::NothingFits { reason })),
+        };
+        if self.loaded.as_ref() == Some(&policy) {
             return None;
         }
-        let loaded = self.loader.load(&staged);
-        if let Err(DeployError::Refused { policy, refusal }) = &loaded {
+        let loaded = self.loader.load(&policy, proved);
+        if let Err(DeployError::Refused { refusal, .. }) = &loaded {
+            // As it was staged: what lies there now may be something else, which nobody staged.
             let unfit = PolicyEvent::Unfit {
                 policy: policy.clone(),
                 reason: refusal.to_string(),
@@ -194,7 +207,7 @@ impl Courier {
                 tracing::error!(%error, "a refusal is lost");
             }
         }
-        self.loaded = loaded.is_ok().then_some(staged.policy);
+        self.loaded = loaded.is_ok().then_some(policy);
         Some(loaded)
     }
 

@@ -94,6 +94,15 @@ pub enum DeployError {
         /// How long it was waited for, s.
         waited_s: u64,
     },
+    /// No policy that may run here is anywhere.
+    #[error("no policy may run on this robot: {reason}")]
+    NothingFits {
+        /// Why not, in one line.
+        reason: String,
+    },
+    /// A second signal: the servos were let go at once.
+    #[error("stopped at once by a second signal; the servos were let go where they stood")]
+    Interrupted,
     /// The hardware stopped the run.
     #[error("the robot stopped by itself: {fault:?} ({detail})")]
     Stopped {
@@ -151,6 +160,19 @@ pub enum DeployError {
         path: PathBuf,
         /// The system's words.
         source: io::Error,
+    },
+    /// A folder in which only this user may write is open to others, who could command the robot.
+    #[error(
+        "run folder {} may be used by others (mode {mode:o}, owner {owner}): whoever writes there commands the robot; `chmod 700` it, or name another with --run-dir",
+        path.display()
+    )]
+    Exposed {
+        /// Which folder.
+        path: PathBuf,
+        /// Its mode.
+        mode: u32,
+        /// Who owns it.
+        owner: u32,
     },
     /// A policy that the state names is not on the disk.
     #[error("policy file {} cannot be read: {source}", path.display())]
@@ -242,12 +264,16 @@ impl DeployError {
             }
             Self::Unfit { .. } => ExitCode::TargetMissed,
             Self::Stale { .. } | Self::NotHeard { .. } => ExitCode::Unavailable,
+            // As for a run folder that another one has: starting again changes nothing.
+            Self::Bus(BusError::Taken { .. }) | Self::Exposed { .. } => ExitCode::CannotCreate,
             Self::Server(_) | Self::NoPolicy { .. } | Self::Bus(_) | Self::Stopped { .. } => {
                 ExitCode::Unavailable
             }
-            Self::Refused { .. } | Self::BadActions { .. } | Self::Saturated { .. } => {
-                ExitCode::PolicyRefused
-            }
+            Self::Refused { .. }
+            | Self::BadActions { .. }
+            | Self::Saturated { .. }
+            | Self::NothingFits { .. } => ExitCode::PolicyRefused,
+            Self::Interrupted => ExitCode::Interrupted,
             Self::NoAgent { .. } => ExitCode::TempFail,
             Self::Durable(e) if e.is_disk_full() => ExitCode::IoError,
             Self::Folder { .. } | Self::Durable(_) => ExitCode::CannotCreate,
@@ -271,6 +297,12 @@ impl DeployError {
             Self::Bus(BusError::Connect { .. }) => {
                 Some("`caudata sim robot` starts a simulated robot and prints its address")
             }
+            Self::Bus(BusError::Taken { .. }) => {
+                Some("`caudata-robot limp` lets the servos go whoever has the port")
+            }
+            Self::NothingFits { .. } => Some(
+                "`caudata policy list` shows what the server has, `caudata-robot status` what this robot refused",
+            ),
             Self::Unfit { .. } => {
                 Some("`caudata-robot doctor` shows every check; `--fix` sets servos right")
             }

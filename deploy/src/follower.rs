@@ -13,6 +13,7 @@ use crate::keeper::{Keeper, reference};
 use crate::metrics::AgentMetrics;
 use crate::stage::Stage;
 use crate::state::PolicyRef;
+use crate::verify::Refusal;
 
 /// First pause before a server that went away is tried again; doubles up to [`RETRY_MAX`].
 pub const RETRY_FIRST: Duration = Duration::from_millis(500);
@@ -73,6 +74,7 @@ impl Follower {
             stage,
             metrics,
             proved_at: Instant::now(),
+            refused_for: None,
         };
         let thread = std::thread::Builder::new()
             .name("follower".into())
@@ -104,6 +106,8 @@ struct Following {
     metrics: AgentMetrics,
     /// When the server last said where the label leads, and it counted.
     proved_at: Instant,
+    /// Why the newest version was refused; `None`: it was not.
+    refused_for: Option<String>,
 }
 
 impl Following {
@@ -218,14 +222,37 @@ impl Following {
             return;
         }
         match self.keeper.take(&mut self.client, &manifest).await {
-            Ok(verified) => self.offer(verified.policy),
-            Err(error) => {
-                if matches!(error, DeployError::Refused { .. }) {
-                    self.offered = policy;
+            Ok(verified) => {
+                if self.refused_for.take().is_some() {
+                    tracing::info!(policy = %verified.policy, "a version that may run on this robot is there again");
                 }
-                tracing::error!(%error, "the policy at hand goes on");
+                self.offer(verified.policy);
             }
+            Err(DeployError::Refused { refusal, .. }) => {
+                self.offered = policy.clone();
+                self.refused(&policy, *refusal);
+            }
+            Err(error) => tracing::error!(%error, "the policy at hand goes on"),
         }
+    }
+
+    /// Tells of a refusal once, however many versions come that must be refused for the same: what follows would only hide it. Each of
+    /// them is reported to the server.
+    fn refused(&mut self, policy: &PolicyRef, refusal: Refusal) {
+        let reason = match refusal {
+            Refusal::Before(reason) => reason,
+            other => other.to_string(),
+        };
+        if self.refused_for.as_ref() == Some(&reason) {
+            tracing::debug!(%policy, reason, "refused for the same");
+            return;
+        }
+        tracing::error!(
+            %policy,
+            reason,
+            "the newest version may not run on this robot; the policy at hand goes on, and versions with the same fault are not told of again"
+        );
+        self.refused_for = Some(reason);
     }
 
     fn offer(&mut self, policy: PolicyRef) {

@@ -184,6 +184,8 @@ impl Keeper {
         if let Err(refusal) = check_manifest(manifest, &self.model) {
             return Err(self.quarantine(policy, refusal));
         }
+        // A disk that will not take it is asked before the network is: or it would be fetched again and again.
+        self.store().reserve(&policy, manifest.size)?;
         let bytes = client.fetch(manifest).await?;
         let verified = self.tried(bytes.into(), &policy)?;
         let mut store = self.store();
@@ -256,6 +258,22 @@ impl Keeper {
         };
         let policy = on_disk.map(|verified| verified.policy);
         Ok(policy.or_else(|| self.factory.clone()))
+    }
+
+    /// The best policy that went through its trial on this robot, else the one that came with the program: neither needs a count on the disk.
+    pub fn proved(&self) -> Option<PolicyRef> {
+        let last_good = match self.is_torn() {
+            true => None,
+            false => self.store().state().last_good.clone(),
+        };
+        let runs = |policy: &PolicyRef| match self.read_back(policy) {
+            Ok(_) => true,
+            Err(error) => {
+                tracing::error!(%policy, %error, "the last good policy cannot run");
+                false
+            }
+        };
+        last_good.filter(runs).or_else(|| self.factory.clone())
     }
 
     /// The best policy on this robot's disk; `None` where there is none that may run. Damaged files and policies that no

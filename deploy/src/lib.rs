@@ -18,6 +18,7 @@ pub mod courier;
 mod error;
 pub mod flight_log;
 pub mod follower;
+pub mod gamepad;
 pub mod gate;
 pub mod guard;
 pub mod hardware;

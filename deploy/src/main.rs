@@ -7,7 +7,8 @@ use caudata_telemetry::{Process, parse_args};
 
 fn main() -> ExitCode {
     let args: Args = parse_args();
-    Process::run("caudata-robot", &args.log, |process| {
+    // Neither loop nor supervisor stands still because a terminal does.
+    Process::run_without_waiting_for_readers("caudata-robot", &args.log, |process| {
         dispatch(&args, process)
     })
 }

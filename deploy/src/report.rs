@@ -173,6 +173,8 @@ pub enum Ended {
     Time,
     /// A signal.
     Signal,
+    /// A second one: the servos were let go where they stood.
+    Interrupted,
     /// The robot lay on its side or back.
     Fallen,
     /// The policy gave actions that are not finite.

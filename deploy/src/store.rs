@@ -6,7 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use caudata_durable as durable;
+use caudata_durable::{self as durable, Disk, OsDisk};
 use caudata_policy::MAX_FILE_BYTES;
 use caudata_proto::registry::Manifest;
 use caudata_signing::Trust;
@@ -24,6 +24,7 @@ const COPIES: [&str; 2] = ["state.json", "state.copy.json"];
 /// The state and the policies on disk. Every change is on the disk before it counts.
 #[derive(Debug)]
 pub struct PolicyStore {
+    disk: Arc<dyn Disk>,
     folder: PathBuf,
     state: RobotState,
     /// The state was lost.
@@ -37,6 +38,14 @@ impl PolicyStore {
     /// [`DeployError::StateDamaged`] where `state.json` cannot be understood (it then says nothing about what may run, so
     /// nothing does), [`DeployError::Folder`] and [`DeployError::Durable`] where the disk refuses.
     pub fn open(folder: &Path) -> Result<Self, DeployError> {
+        Self::open_on(Arc::new(OsDisk), folder)
+    }
+
+    /// [`PolicyStore::open`] on a disk that may be a rehearsed one.
+    ///
+    /// # Errors
+    /// As [`PolicyStore::open`].
+    pub fn open_on(disk: Arc<dyn Disk>, folder: &Path) -> Result<Self, DeployError> {
         let blobs = folder.join("blobs");
         fs::create_dir_all(&blobs).map_err(|source| DeployError::Folder {
             path: blobs.clone(),
@@ -45,6 +54,7 @@ impl PolicyStore {
         durable::remove_leftovers(folder)?;
         durable::remove_leftovers(&blobs)?;
         Ok(Self {
+            disk,
             folder: folder.to_owned(),
             state: read_state(folder)?.unwrap_or_default(),
             torn: false,
@@ -58,6 +68,7 @@ impl PolicyStore {
     /// As [`PolicyStore::open`], but not for damage.
     pub fn open_torn(folder: &Path) -> Result<Self, DeployError> {
         Ok(Self {
+            disk: Arc::new(OsDisk),
             folder: folder.to_owned(),
             state: RobotState::default(),
             torn: true,
@@ -86,7 +97,7 @@ impl PolicyStore {
         }
         let text = encode(&RobotState::recovered(stream, floor))?;
         for name in COPIES {
-            durable::replace(&self.folder.join(name), &text)?;
+            durable::replace_on(&*self.disk, &self.folder.join(name), &text)?;
         }
         self.state = RobotState::recovered(stream, floor);
         self.torn = false;
@@ -123,7 +134,7 @@ impl PolicyStore {
         let text = encode(&state)?;
         // Both hold the same: whichever survives says the newest that was promised.
         for name in COPIES {
-            durable::replace(&self.folder.join(name), &text)?;
+            durable::replace_on(&*self.disk, &self.folder.join(name), &text)?;
         }
         self.state = state;
         self.remove_unneeded();
@@ -141,7 +152,23 @@ impl PolicyStore {
     /// [`DeployError::Durable`].
     pub fn put(&self, policy: &PolicyRef, bytes: &[u8]) -> Result<(), DeployError> {
         // Replaces a file of this name, which could only be a damaged one.
-        Ok(durable::replace(&blob(&self.folder, policy.sha256), bytes)?)
+        let path = blob(&self.folder, policy.sha256);
+        Ok(durable::replace_on(&*self.disk, &path, bytes)?)
+    }
+
+    /// Whether the disk takes a file as large as the policy's, `size` bytes: tried and taken back.
+    ///
+    /// # Errors
+    /// [`DeployError::Durable`] where it does not.
+    pub fn reserve(&self, policy: &PolicyRef, size: u64) -> Result<(), DeployError> {
+        let bytes = vec![0; usize::try_from(size).unwrap_or(0).min(MAX_FILE_BYTES)];
+        let name = format!("{}.reserved{}", policy.sha256, durable::TEMPORARY_SUFFIX);
+        let path = self.folder.join("blobs").join(name);
+        let taken = self.disk.write_synced(&path, &bytes);
+        let _ = self.disk.remove(&path);
+        taken.map_err(|(action, source)| {
+            durable::DurableError::from_io(action, &path, source).into()
+        })
     }
 
     /// Keeps the announcement of a policy with its signatures. Call before the state names it.
@@ -154,7 +181,11 @@ impl PolicyStore {
             Sha256Digest(manifest.sha256),
             manifest.version,
         );
-        Ok(durable::replace(&path, &manifest.to_bytes())?)
+        Ok(durable::replace_on(
+            &*self.disk,
+            &path,
+            &manifest.to_bytes(),
+        )?)
     }
 
     /// [`read_policy`] of this folder.
@@ -175,7 +206,7 @@ impl PolicyStore {
             let digest = name.to_str().and_then(|n| n.split('.').next());
             let digest = digest.and_then(|d| d.parse::<Sha256Digest>().ok());
             if digest.is_some_and(|d| !self.state.needs(d)) {
-                let _ = fs::remove_file(entry.path());
+                let _ = self.disk.remove(&entry.path());
             }
         }
     }
@@ -316,6 +347,8 @@ fn read_copy(path: &Path) -> Result<Option<RobotState>, DeployError> {
 
 #[cfg(test)]
 mod tests {
+    use caudata_durable::rehearsal::Rehearsal;
+
     use super::*;
 
     fn policy(bytes: &[u8]) -> PolicyRef {
@@ -457,6 +490,137 @@ mod tests {
         let older = crate::state::Decision::Older { have: 9 };
         assert_eq!(store.state().decide(&policy(b"one"), here), older);
         assert!(folder.path().join("state.json.damaged").exists());
+    }
+
+    /// Version 1 ran well, version 2 is active.
+    fn walked(folder: &Path) -> PolicyStore {
+        let mut store = PolicyStore::open(folder).unwrap();
+        for (bytes, version) in [(&b"one"[..], 1), (&b"two"[..], 2)] {
+            let policy = PolicyRef {
+                version,
+                ..policy(bytes)
+            };
+            store.put(&policy, bytes).unwrap();
+            store.update(|s| s.adopt(policy.clone())).unwrap();
+            if version == 1 {
+                store.update(|s| s.confirm(policy.sha256)).unwrap();
+            }
+        }
+        store
+    }
+
+    type Change = fn(&mut PolicyStore) -> Result<(), DeployError>;
+
+    /// Each change that a robot's folder undergoes.
+    const CHANGES: [(&str, Change); 4] = [
+        ("a newer one is taken", |store| {
+            let six = PolicyRef {
+                version: 3,
+                ..policy(b"six")
+            };
+            store.put(&six, b"six")?;
+            store.update(|s| s.adopt(six))
+        }),
+        ("begun", |store| {
+            store.update(|s| {
+                s.begin(policy(b"two").sha256);
+            })
+        }),
+        ("confirmed", |store| {
+            store.update(|s| s.confirm(policy(b"two").sha256))
+        }),
+        ("quarantined", |store| {
+            let two = store.state().active.clone().unwrap();
+            store.update(|s| s.quarantine(two, "falls".into(), crate::state::Blame::Policy))
+        }),
+    ];
+
+    /// What a robot that starts with this folder finds: its state, with every policy that it names there and whole.
+    fn found(folder: &Path) -> RobotState {
+        let store = PolicyStore::open(folder).unwrap();
+        let state = store.state().clone();
+        assert!(!state.on_disk().is_empty(), "never to nothing");
+        for policy in state.on_disk() {
+            store.get(&policy, None).unwrap();
+        }
+        state
+    }
+
+    #[test]
+    fn fault_29_a_power_cut_at_any_write_leaves_the_old_or_the_new_state_with_its_policies() {
+        let mut states = 0;
+        for (name, change) in CHANGES {
+            let folder = tempfile::tempdir().unwrap();
+            let root = folder.path().join("state");
+            drop(walked(&root));
+            let old = found(&root);
+            let disk = Arc::new(Rehearsal::new(&root).unwrap());
+            let mut store = PolicyStore::open_on(disk.clone(), &root).unwrap();
+            let first = disk.steps();
+            change(&mut store).unwrap();
+            let last = disk.steps();
+            let new = store.state().clone();
+            assert_ne!(old, new, "{name}");
+            let (mut olds, mut news) = (0, 0);
+            for step in first..=last {
+                let below = folder.path().join(format!("cuts-{step}"));
+                for left in disk.cut(step, &below).unwrap() {
+                    let found = found(&left);
+                    assert!(found == old || found == new, "{name} cut after {step}");
+                    assert!(step < last || found == new, "{name}: promised");
+                    olds += u32::from(found == old);
+                    news += u32::from(found == new);
+                    // And it goes on from there.
+                    let mut store = PolicyStore::open(&left).unwrap();
+                    store.update(|s| s.adopt(policy(b"nix"))).unwrap();
+                    states += 1;
+                }
+                fs::remove_dir_all(&below).unwrap();
+            }
+            assert!(olds > 0 && news > 0, "{name}: both were seen");
+        }
+        assert!(states > 50, "{states}");
+    }
+
+    #[test]
+    fn fault_30_a_full_disk_at_any_write_refuses_the_change_and_harms_nothing() {
+        for (name, change) in CHANGES {
+            for step in 0.. {
+                let folder = tempfile::tempdir().unwrap();
+                drop(walked(folder.path()));
+                let old = found(folder.path());
+                let disk = Arc::new(Rehearsal::new(folder.path()).unwrap());
+                let mut store = PolicyStore::open_on(disk.clone(), folder.path()).unwrap();
+                disk.fail_writes_at(disk.steps() + step, 28);
+                let result = change(&mut store);
+                disk.heal();
+                let Err(error) = result else {
+                    assert!(step > 3, "{name} has few steps");
+                    break;
+                };
+                assert_eq!(error.exit_code(), caudata_telemetry::ExitCode::IoError);
+                assert_eq!(*store.state(), old, "{name} at {step}: as it was, here");
+                // One copy may be the new one already: then the change counts after a restart, whole.
+                found(folder.path());
+                change(&mut store).unwrap();
+                assert_eq!(found(folder.path()), *store.state());
+            }
+        }
+    }
+
+    #[test]
+    fn fault_30_a_disk_that_would_not_take_a_policy_says_so_before_it_is_fetched() {
+        let folder = tempfile::tempdir().unwrap();
+        drop(walked(folder.path()));
+        let disk = Arc::new(Rehearsal::new(folder.path()).unwrap());
+        let store = PolicyStore::open_on(disk.clone(), folder.path()).unwrap();
+        let before = fs::read_dir(folder.path().join("blobs")).unwrap().count();
+        store.reserve(&policy(b"six"), 100_000).unwrap();
+        disk.fail_writes_at(disk.steps(), 30);
+        let error = store.reserve(&policy(b"six"), 100_000).unwrap_err();
+        assert!(matches!(error, DeployError::Durable(_)), "{error}");
+        let after = fs::read_dir(folder.path().join("blobs")).unwrap().count();
+        assert_eq!(before, after, "nothing is left of it");
     }
 
     #[test]

@@ -132,7 +132,7 @@ mod tests {
     #[test]
     fn a_reader_sees_ticks_and_without_one_nothing_waits() {
         let folder = tempfile::tempdir().unwrap();
-        let folder = RunFolder::open(folder.path()).unwrap();
+        let folder = RunFolder::open(&folder.path().join("run")).unwrap();
         let tick = Tick {
             time_s: 1.5,
             pos_rad: [0.25; ACT_DIM],

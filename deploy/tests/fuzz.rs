@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use caudata_deploy::boundary::{RunFolder, STAGED_FORMAT, Staged, Teller, take_told};
+use caudata_deploy::boundary::{Answer, RunFolder, STAGED_FORMAT, Staged, Teller, Told};
 use caudata_deploy::command_link::{Kind, LinkKey, Message, Receiver};
 use caudata_deploy::state::{PolicyRef, RobotState, Sha256Digest};
 use caudata_deploy::store::PolicyStore;
@@ -459,6 +459,8 @@ fn command_datagram() {
         message(Kind::Velocity, 1),
         message(Kind::Kill, 2),
         message(Kind::Ask, 3),
+        message(Kind::Held, 4),
+        message(Kind::Released, 5),
     ]
     .iter()
     .map(|m| m.encode(&key).to_vec())
@@ -574,11 +576,13 @@ fn boundary_files() {
         format: STAGED_FORMAT.to_owned(),
         number: 4,
         run: 77,
-        policy: policy.clone(),
-        proved: false,
+        answer: Answer::Policy {
+            policy: policy.clone(),
+            proved: false,
+        },
     };
     staged.write(&run).unwrap();
-    let mut teller = Teller::open(&state).unwrap();
+    let mut teller = Teller::open(&state, &run).unwrap();
     teller.tell(&PolicyEvent::Begun(policy.clone())).unwrap();
     let bad = PolicyEvent::Bad {
         policy,
@@ -595,7 +599,7 @@ fn boundary_files() {
         std::fs::write(told(1), bytes).unwrap();
         let staged = Staged::read(&run);
         let mut events = Vec::new();
-        take_told(&state, |event| events.push(event));
+        Told::of(&state, &run).take(|event| events.push(event));
         let kinds: Vec<_> = events.iter().map(std::mem::discriminant).collect();
         for entry in std::fs::read_dir(state.join("told")).unwrap() {
             std::fs::remove_file(entry.unwrap().path()).unwrap();

@@ -354,3 +354,95 @@ fn faults_14_and_22_a_robot_that_trusts_a_key_takes_signed_policies_only() {
     assert_eq!(status_of(&state)["quarantined"], serde_json::json!([]));
     server.stop();
 }
+
+/// A command whose files, each, may hold `kib` KiB, as on a disk that is nearly full: writing on is refused with an error.
+fn on_a_small_disk(command: &std::process::Command, kib: u32) -> std::process::Command {
+    let mut small = std::process::Command::new("sh");
+    // POSIX counts in halves of a KiB. The signal that comes with the error is for programs that do not look at errors.
+    let blocks = 2 * kib;
+    small
+        .arg("-c")
+        .arg(format!(
+            "trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\""
+        ))
+        .arg(command.get_program())
+        .args(command.get_args());
+    small
+}
+
+#[test]
+fn fault_54_a_full_disk_for_the_log_does_not_touch_the_walk() {
+    let folder = tempfile::tempdir().unwrap();
+    let (state, log) = (folder.path().join("state"), folder.path().join("log"));
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let with_log = |seconds: &str| {
+        let mut command = program("run", server.address, &state);
+        command
+            .args(["--bus", &format!("sim:{}", perfect_robot())])
+            .args(["--seconds", seconds, "--log-dir"])
+            .arg(&log);
+        command
+    };
+    // A row is some hundreds of bytes: of five seconds' rows most do not fit.
+    let (code, summary, errors) = outcome(on_a_small_disk(&with_log("5"), 64));
+    // It walked as long as it was asked to, once, and the summary says so before the error.
+    assert_eq!((code, &summary["ended"]), (74, &"time".into()), "{errors}");
+    assert!((summary["walked_s"].as_f64().unwrap() - 5.0).abs() < 0.1);
+    assert_eq!(summary["held_actions"], 0);
+    assert_eq!(error_lines(&errors).len(), 1, "{errors}");
+    assert!(error_lines(&errors)[0].contains("flight log"), "{errors}");
+    assert!(!folder.path().join("log-2").exists(), "one walk");
+    server.stop();
+}
+
+#[test]
+fn fault_31_the_child_that_tries_a_candidate_is_held_in_memory_and_time() {
+    let bytes = standing(1);
+    let sha256 = caudata_policy::PolicyFile::parse(bytes.as_slice().into())
+        .unwrap()
+        .sha256_hex();
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"))
+        .args(["probe", "--robot", common::policies::ROBOT_FILE])
+        .args([
+            "--stream",
+            "s",
+            "--version-number",
+            "1",
+            "--file-version",
+            "1",
+        ])
+        .args(["--sha256", &sha256])
+        .stdin(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    // It limits itself before it looks at the first byte, and that one has not come yet.
+    let limits = format!("/proc/{}/limits", child.id());
+    let limit = |name: &str| {
+        let text = std::fs::read_to_string(&limits).unwrap();
+        let line = text.lines().find_map(|line| line.strip_prefix(name));
+        let words: Vec<String> = line.unwrap().split_whitespace().map(String::from).collect();
+        [words[0].clone(), words[1].clone()]
+    };
+    while limit("Max cpu time") != ["10", "10"] {
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "it does not limit itself"
+        );
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let gib_2 = (2_u64 << 30).to_string();
+    assert_eq!(limit("Max address space"), [gib_2.clone(), gib_2]);
+    while limit("Max core file size") != ["0", "0"] {
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "it does not limit itself"
+        );
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    // Within them a good candidate passes.
+    let mut input = child.stdin.take().unwrap();
+    std::io::Write::write_all(&mut input, &bytes).unwrap();
+    drop(input);
+    assert!(child.wait().unwrap().success());
+}

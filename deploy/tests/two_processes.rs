@@ -3,9 +3,9 @@
 
 mod common;
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use caudata_deploy::command_link::LinkKey;
@@ -129,28 +129,94 @@ fn gone(pid: Pid) -> bool {
     status.is_empty() || status.contains("State:\tZ")
 }
 
-/// `run` on a perfect robot, until stopped; `folder` holds everything. Silence of its loop for a minute is a hang: machines that run
-/// tests are busy.
-fn walking(folder: &Path, server: &Server) -> (Command, PathBuf) {
-    walking_with(folder, server, "60000")
+/// A policy server with what was published, and the folder that holds everything.
+struct Lab {
+    folder: tempfile::TempDir,
+    server: Server,
 }
 
-fn walking_with(folder: &Path, server: &Server, hang_ms: &str) -> (Command, PathBuf) {
-    let state = folder.join("state");
-    let mut command = program("run", server.address, &state);
-    command
-        .args(["--bus", &format!("sim:{}", perfect_robot()), "--follow"])
-        .args(["--metrics-addr", "127.0.0.1:0", "--hang-ms", hang_ms]);
-    (command, state)
+impl Lab {
+    fn with(policies: impl IntoIterator<Item = Vec<u8>>) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let server = Server::start(&folder.path().join("server"));
+        policies.into_iter().for_each(|bytes| server.publish(bytes));
+        Self { folder, server }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn state(&self) -> PathBuf {
+        self.path("state")
+    }
+
+    /// A file with the key of a command link.
+    fn link_key(&self) -> PathBuf {
+        let key = self.path("link.key");
+        std::fs::write(&key, [7; 32]).unwrap();
+        LinkKey::read(&key).unwrap();
+        key
+    }
+
+    /// `run` on a perfect robot, with `flags`, until stopped. Silence of its loop for `hang_ms` is a hang; where that is not what a test is
+    /// about, a minute: machines that run tests are busy.
+    fn command(&self, hang_ms: &str, flags: &[&str]) -> Command {
+        let mut command = program("run", self.server.address, &self.state());
+        command
+            .args(["--bus", &format!("sim:{}", perfect_robot())])
+            .args(["--metrics-addr", "127.0.0.1:0", "--hang-ms", hang_ms])
+            .args(flags);
+        command
+    }
+
+    /// It runs, and follows.
+    fn walking(&self) -> Robot {
+        Robot::start(self.command("60000", &["--follow"]))
+    }
+
+    fn stop(self) {
+        self.server.stop();
+    }
+}
+
+/// Velocities for the robot at `address`, line by line.
+struct Driver {
+    child: Child,
+    lines: Option<ChildStdin>,
+}
+
+impl Driver {
+    fn of(address: &Value, key: &Path) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_caudata-robot"))
+            .args(["drive", address.as_str().unwrap(), "--link-key"])
+            .arg(key)
+            .stdin(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = child.stdin.take();
+        Self { child, lines }
+    }
+
+    fn says(&mut self, line: &str) {
+        let lines = self.lines.as_mut().unwrap();
+        writeln!(lines, "{line}").unwrap();
+    }
+}
+
+impl Drop for Driver {
+    fn drop(&mut self) {
+        self.lines = None;
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
 }
 
 #[test]
 fn fault_49_an_agent_that_is_killed_comes_back_and_the_robot_never_stops() {
-    let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("server"));
-    server.publish(standing(1));
-    let (command, state) = walking(folder.path(), &server);
-    let mut robot = Robot::start(command);
+    let lab = Lab::with([standing(1)]);
+    let state = lab.state();
+    let mut robot = lab.walking();
     let agent = robot.started("agent");
     robot.started("rt");
     walks_on(&state, 50);
@@ -166,7 +232,7 @@ fn fault_49_an_agent_that_is_killed_comes_back_and_the_robot_never_stops() {
         kill(agent, Signal::SIGKILL).unwrap();
         robot.hears_message("the agent ended; the loop goes on");
         walks_on(&state, 50);
-        server.publish(standing(version));
+        lab.server.publish(standing(version));
     }
     robot.hears(|line| line["message"] == "policy swapped in" && line["version"] == 3);
     robot.stop();
@@ -187,29 +253,20 @@ fn fault_49_an_agent_that_is_killed_comes_back_and_the_robot_never_stops() {
     // What the loop said while nobody listened was heard.
     assert_eq!(status_of(&state)["active"]["version"], 3);
     assert_eq!(std::fs::read_dir(state.join("told")).unwrap().count(), 0);
-    server.stop();
+    lab.stop();
 }
 
 #[test]
 fn fault_49_a_loop_that_is_killed_is_started_again_and_its_third_death_in_a_trial_is_the_policys() {
-    let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("server"));
     // Version 1 is good; version 2 takes the loop down with it.
-    server.publish(standing(1));
-    let state = folder.path().join("state");
-    let mut first = program("run", server.address, &state);
-    first.args([
-        "--bus",
-        &format!("sim:{}", perfect_robot()),
-        "--seconds",
-        "10.5",
-    ]);
+    let lab = Lab::with([standing(1)]);
+    let state = lab.state();
+    let first = lab.command("60000", &["--seconds", "10.5"]);
     let (code, _, errors) = common::outcome(first);
     assert_eq!(code, 0, "{errors}");
     assert_eq!(status_of(&state)["last_good"]["version"], 1);
-    server.publish(standing(2));
-    let (command, state) = walking(folder.path(), &server);
-    let mut robot = Robot::start(command);
+    lab.server.publish(standing(2));
+    let mut robot = lab.walking();
     for _ in 0..3 {
         let looper = robot.started("rt");
         robot.hears_message("rising");
@@ -229,16 +286,13 @@ fn fault_49_a_loop_that_is_killed_is_started_again_and_its_third_death_in_a_tria
     );
     let status = status_of(&state);
     assert_eq!(status["quarantined"][0]["policy"]["version"], 2, "{status}");
-    server.stop();
+    lab.stop();
 }
 
 #[test]
 fn fault_49_a_loop_that_keeps_dying_is_given_up() {
-    let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("server"));
-    server.publish(standing(1));
-    let (command, state) = walking(folder.path(), &server);
-    let mut robot = Robot::start(command);
+    let lab = Lab::with([standing(1)]);
+    let mut robot = lab.walking();
     for death in 1..=4 {
         let looper = robot.started("rt");
         if death < 4 {
@@ -256,21 +310,13 @@ fn fault_49_a_loop_that_keeps_dying_is_given_up() {
             .is_some_and(|l| l.contains("died 4 times in a row"))
     };
     assert!(said.iter().any(text), "{said:#?}");
-    drop(state);
-    server.stop();
+    lab.stop();
 }
 
 #[test]
 fn fault_38_a_loop_that_hangs_is_ended_and_started_again() {
-    let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("server"));
-    server.publish(standing(1));
-    let state = folder.path().join("state");
-    let mut command = program("run", server.address, &state);
-    command
-        .args(["--bus", &format!("sim:{}", perfect_robot())])
-        .args(["--hang-ms", "3000", "--metrics-addr", "127.0.0.1:0"]);
-    let mut robot = Robot::start(command);
+    let lab = Lab::with([standing(1)]);
+    let mut robot = Robot::start(lab.command("3000", &[]));
     let looper = robot.started("rt");
     robot.hears_message("rising");
     // Neither dead nor alive: what a policy that never comes back, or a port that never returns, looks like from outside.
@@ -286,38 +332,30 @@ fn fault_38_a_loop_that_hangs_is_ended_and_started_again() {
         (Some(0), &"signal".into()),
         "{said:#?}"
     );
-    server.stop();
+    lab.stop();
 }
 
 #[test]
 fn fault_48_the_kill_button_works_with_the_loop_alive_and_with_the_loop_hung() {
     for hung in [false, true] {
-        let folder = tempfile::tempdir().unwrap();
-        let server = Server::start(&folder.path().join("server"));
-        server.publish(policy_file(1, |_, _| {}));
-        let key = folder.path().join("link.key");
-        std::fs::write(&key, [7; 32]).unwrap();
-        LinkKey::read(&key).unwrap();
+        let lab = Lab::with([policy_file(1, |_, _| {})]);
+        let key = lab.link_key();
+        let link = [
+            "--link-addr",
+            "127.0.0.1:0",
+            "--link-key",
+            key.to_str().unwrap(),
+        ];
         // Silence alone is noticed after this; braking after a kill is owed within a fifth of it.
-        let (mut command, _) = walking_with(folder.path(), &server, "30000");
-        command
-            .args(["--link-addr", "127.0.0.1:0", "--link-key"])
-            .arg(&key);
-        let mut robot = Robot::start(command);
+        let mut robot = Robot::start(lab.command("30000", &link));
         let address = robot.hears_message("listening for commands")["address"].clone();
         let looper = robot.started("rt");
         robot.hears_message("rising");
-        let mut drive = Command::new(env!("CARGO_BIN_EXE_caudata-robot"))
-            .args(["drive", address.as_str().unwrap(), "--link-key"])
-            .arg(&key)
-            .stdin(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut driver = Driver::of(&address, &key);
         if hung {
             kill(looper, Signal::SIGSTOP).unwrap();
         }
-        let mut typed = drive.stdin.take().unwrap();
-        std::io::Write::write_all(&mut typed, b"k\n").unwrap();
+        driver.says("k");
         if hung {
             let line = robot.hears_message("the loop hangs: ended");
             assert_eq!(line["deaf"], true, "{line}");
@@ -335,20 +373,59 @@ fn fault_48_the_kill_button_works_with_the_loop_alive_and_with_the_loop_hung() {
             .iter()
             .filter(|l| l["message"] == "started" && l["part"] == "rt");
         assert!(starts.count() <= 1, "nothing starts again after a kill");
-        drop(typed);
-        let _ = drive.kill();
-        let _ = drive.wait();
-        server.stop();
+        drop(driver);
+        lab.stop();
     }
 }
 
 #[test]
-fn fault_49_where_the_supervisor_is_killed_the_loop_stands_down_and_nothing_is_left() {
-    let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("server"));
-    server.publish(standing(1));
-    let (command, _) = walking(folder.path(), &server);
+fn fault_48_the_kill_button_pressed_while_the_loop_is_down_keeps_it_down() {
+    let lab = Lab::with([standing(1)]);
+    let key = lab.link_key();
+    let mut command = lab.command("60000", &["--link-addr", "127.0.0.1:0", "--link-key"]);
+    command.arg(&key);
     let mut robot = Robot::start(command);
+    let address = robot.hears_message("listening for commands")["address"].clone();
+    let mut driver = Driver::of(&address, &key);
+    driver.says("0,0,0");
+    // After the third death in a row it is down for four seconds.
+    for _ in 0..3 {
+        let looper = robot.started("rt");
+        kill(looper, Signal::SIGKILL).unwrap();
+        robot.hears_message("the control loop died");
+    }
+    driver.says("k");
+    let (code, _, said) = robot.ended();
+    assert_eq!(code, Some(69), "{said:#?}");
+    let told = |l: &&Value| {
+        l.as_str()
+            .is_some_and(|l| l.contains("pressed while the loop was down"))
+    };
+    assert_eq!(said.iter().filter(told).count(), 1, "{said:#?}");
+    let starts = |l: &&Value| l["message"] == "started" && l["part"] == "rt";
+    assert_eq!(said.iter().filter(starts).count(), 3, "{said:#?}");
+    lab.stop();
+}
+
+#[test]
+fn a_terminal_that_closes_stands_the_robot_down() {
+    let lab = Lab::with([standing(1)]);
+    let mut robot = lab.walking();
+    robot.hears_message("rising");
+    kill(Pid::from_raw(robot.supervisor.id() as i32), Signal::SIGHUP).unwrap();
+    let (code, summary, said) = robot.ended();
+    assert_eq!(
+        (code, &summary["ended"]),
+        (Some(0), &"signal".into()),
+        "{said:#?}"
+    );
+    lab.stop();
+}
+
+#[test]
+fn fault_49_where_the_supervisor_is_killed_the_loop_stands_down_and_nothing_is_left() {
+    let lab = Lab::with([standing(1)]);
+    let mut robot = lab.walking();
     let (agent, looper) = (robot.started("agent"), robot.started("rt"));
     robot.hears_message("rising");
     robot.supervisor.kill().unwrap();
@@ -360,18 +437,16 @@ fn fault_49_where_the_supervisor_is_killed_the_loop_stands_down_and_nothing_is_l
         assert!(Instant::now() < end, "children are left");
         std::thread::sleep(Duration::from_millis(20));
     }
-    server.stop();
+    lab.stop();
 }
 
 #[test]
 fn a_second_program_on_the_same_folder_is_kept_out() {
-    let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(&folder.path().join("server"));
-    server.publish(standing(1));
-    let (command, state) = walking(folder.path(), &server);
-    let mut robot = Robot::start(command);
+    let lab = Lab::with([standing(1)]);
+    let state = lab.state();
+    let mut robot = lab.walking();
     robot.hears_message("rising");
-    let mut second = program("agent", server.address, &state);
+    let mut second = program("agent", lab.server.address, &state);
     second.args(["--bus", "sim:127.0.0.1:1"]);
     let (code, _, errors) = common::outcome(second);
     assert_eq!(code, 73, "{errors}");
@@ -379,9 +454,23 @@ fn a_second_program_on_the_same_folder_is_kept_out() {
         errors.contains("another process of this robot is running"),
         "{errors}"
     );
+    // Another run folder makes it no other robot: two agents would write over each other's state.
+    for command in ["agent", "pull"] {
+        let mut other = program(command, lab.server.address, &state);
+        if command == "agent" {
+            other.args(["--bus", "sim:127.0.0.1:1", "--run-dir"]);
+            other.arg(lab.path("other"));
+        }
+        let (code, _, errors) = common::outcome(other);
+        assert_eq!(code, 73, "{command}: {errors}");
+        assert!(
+            errors.contains("another process of this robot is running"),
+            "{errors}"
+        );
+    }
     robot.stop();
     assert_eq!(robot.ended().0, Some(0));
-    server.stop();
+    lab.stop();
 }
 
 #[test]
@@ -441,4 +530,172 @@ fn fault_16_a_robot_without_state_or_with_a_lost_one_runs_the_factory_policy() {
     let (code, _, errors) = run(server.address, Some(&factory));
     assert_eq!(code, 77, "{errors}");
     server.stop();
+}
+
+#[test]
+fn a_log_that_nobody_reads_holds_neither_loop_nor_supervisor() {
+    let lab = Lab::with([standing(1)]);
+    // A pipe that is full to the brim, and nobody at its other end.
+    let (reader, mut writer) = std::io::pipe().unwrap();
+    let room = nix::fcntl::fcntl(&writer, nix::fcntl::FcntlArg::F_GETPIPE_SZ).unwrap();
+    writer.write_all(&vec![b' '; room as usize]).unwrap();
+    let mut command = lab.command("60000", &["--seconds", "1"]);
+    command.stdout(Stdio::piped()).stderr(writer);
+    let running = command.spawn().unwrap();
+    // The first line of the log would be the end of it.
+    let output = running.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    let summary: Value = serde_json::from_str(said.lines().last().unwrap()).unwrap();
+    assert_eq!(
+        (output.status.code(), &summary["ended"]),
+        (Some(0), &"time".into()),
+        "{summary}"
+    );
+    drop((command, reader));
+    lab.stop();
+}
+
+#[test]
+fn a_loop_for_which_there_is_nothing_to_run_is_told_so_once() {
+    let lab = Lab::with([]);
+    let factory = lab.path("factory.onnx");
+    std::fs::write(&factory, standing(77)).unwrap();
+    let flags = ["--factory", factory.to_str().unwrap()];
+    let mut robot = Robot::start(lab.command("60000", &flags));
+    let looper = robot.started("rt");
+    robot.hears_message("rising");
+    // The only policy is spoilt while the robot runs, and the loop dies.
+    let newt = policy_file(77, |_, m| m.contract.robot = "newt".to_owned());
+    std::fs::write(&factory, newt).unwrap();
+    kill(looper, Signal::SIGKILL).unwrap();
+    robot.hears_message("the control loop died");
+    let (code, _, said) = robot.ended();
+    // Neither waited for, nor tried again and again.
+    assert_eq!(code, Some(77), "{said:#?}");
+    let starts = |l: &&Value| l["message"] == "started" && l["part"] == "rt";
+    assert_eq!(
+        said.iter().filter(starts).count(),
+        2,
+        "the first, and one after its death: {said:#?}"
+    );
+    let told = |l: &&Value| {
+        l.as_str()
+            .is_some_and(|l| l.starts_with("error: no policy may run"))
+    };
+    assert_eq!(said.iter().filter(told).count(), 1, "{said:#?}");
+    lab.stop();
+}
+
+#[test]
+fn a_server_whose_versions_do_not_fit_this_robot_is_told_of_once() {
+    let order = |version| policy_file(version, |_, m| m.contract.joint_names.swap(2, 3));
+    let lab = Lab::with([order(1)]);
+    let factory = lab.path("factory.onnx");
+    std::fs::write(&factory, standing(77)).unwrap();
+    let flags = ["--follow", "--factory", factory.to_str().unwrap()];
+    let mut robot = Robot::start(lab.command("60000", &flags));
+    robot.hears_message("rising");
+    let refused = || {
+        let status = status_of(&lab.state());
+        status["quarantined"].as_array().map_or(0, Vec::len)
+    };
+    let end = Instant::now() + PATIENCE;
+    for version in 2..=4 {
+        lab.server.publish(order(version));
+        while refused() < version as usize {
+            assert!(
+                Instant::now() < end,
+                "version {version} was never looked at"
+            );
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+    robot.stop();
+    let (code, summary, said) = robot.ended();
+    // The robot walked on with what it had.
+    assert_eq!(
+        (code, &summary["policy_stream"]),
+        (Some(0), &"(factory)".into()),
+        "{said:#?}"
+    );
+    let text = "the newest version may not run on this robot";
+    let told = |l: &&Value| l["message"].as_str().is_some_and(|m| m.contains(text));
+    let lines: Vec<_> = said.iter().filter(told).collect();
+    assert_eq!(lines.len(), 1, "{lines:#?}");
+    let reason = lines[0]["reason"].as_str().unwrap();
+    assert_eq!(
+        reason,
+        "joint 2 is `spine_4` in the policy and `spine_3` here"
+    );
+    lab.stop();
+}
+
+#[test]
+fn fault_47_without_the_dead_mans_button_a_robot_that_asks_for_it_stands() {
+    for (line, moves) in [
+        ("0.2,0,0", false),
+        ("0.2,0,0,0", false),
+        ("0.2,0,0,1", true),
+    ] {
+        let lab = Lab::with([policy_file(1, |_, _| {})]);
+        let key = lab.link_key();
+        let link = ["--dead-man", "--link-addr", "127.0.0.1:0", "--link-key"];
+        let mut command = lab.command("60000", &link);
+        command.arg(&key);
+        let mut robot = Robot::start(command);
+        let address = robot.hears_message("listening for commands")["address"].clone();
+        let mut driver = Driver::of(&address, &key);
+        driver.says(line);
+        robot.hears_message("rising");
+        walks_on(&lab.state(), 250);
+        robot.stop();
+        let (code, summary, said) = robot.ended();
+        drop(driver);
+        assert_eq!(code, Some(0), "{said:#?}");
+        let commanded = summary["commanded"]["vx_mps"].as_f64().unwrap();
+        assert_eq!(commanded > 0.0, moves, "{line}: {summary}");
+        lab.stop();
+    }
+}
+
+#[test]
+fn fault_30_a_state_folder_that_takes_no_word_of_the_loop_does_not_stop_the_robot() {
+    let lab = Lab::with([standing(1)]);
+    // A file where the loop's words should go.
+    std::fs::create_dir_all(lab.state()).unwrap();
+    std::fs::write(lab.state().join("told"), "").unwrap();
+    let run_dir = lab.path("run");
+    let flags = ["--seconds", "0.5", "--run-dir", run_dir.to_str().unwrap()];
+    let (code, summary, errors) = common::outcome(lab.command("60000", &flags));
+    assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
+    assert!(
+        errors.contains("the state's disk takes nothing"),
+        "{errors}"
+    );
+    lab.stop();
+}
+
+#[test]
+fn a_run_folder_that_others_may_use_is_refused() {
+    use std::os::unix::fs::PermissionsExt;
+    let lab = Lab::with([standing(1)]);
+    let open = lab.path("open");
+    std::fs::create_dir(&open).unwrap();
+    std::fs::set_permissions(&open, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let flags = ["--run-dir", open.to_str().unwrap()];
+    let (code, _, errors) = common::outcome(lab.command("60000", &flags));
+    assert_eq!(code, 73, "{errors}");
+    assert!(
+        errors.contains("may be used by others (mode 755"),
+        "{errors}"
+    );
+    // Its own is nobody else's.
+    let flags = ["--seconds", "0.5"];
+    assert_eq!(common::outcome(lab.command("60000", &flags)).0, 0);
+    let mode = std::fs::metadata(lab.state().join("run"))
+        .unwrap()
+        .permissions()
+        .mode();
+    assert_eq!(mode & 0o777, 0o700);
+    lab.stop();
 }

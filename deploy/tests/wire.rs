@@ -4,9 +4,11 @@
 mod common;
 
 use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use caudata_dynamixel::HardwareError;
 use caudata_dynamixel::emulator::WireFaults;
@@ -32,6 +34,19 @@ fn patient_wiring(folder: &Path) -> String {
     path.display().to_string()
 }
 
+/// The same with a watchdog that leaves a busy machine two and a half seconds.
+fn calm_wiring(folder: &Path) -> String {
+    let wiring = patient_wiring(folder);
+    let text = std::fs::read_to_string(&wiring).unwrap();
+    let calm = text.replace("watchdog_ms = 100 ", "watchdog_ms = 2500 ");
+    assert_ne!(text, calm);
+    std::fs::write(&wiring, calm).unwrap();
+    wiring
+}
+
+/// Something that happens to a robot.
+type Change = fn(&mut EmulatedRobot);
+
 /// An emulated robot in a thread of its own, in step with the goals: a busy machine makes it slow, not wrong.
 struct Emulated {
     folder: PathBuf,
@@ -43,20 +58,20 @@ struct Emulated {
 }
 
 impl Emulated {
-    /// `change` is made before the robot is served, `at_torque` when its torque has come on.
+    /// `change` is made before the robot is served, `later` after so many seconds of its time (only in step with the goals).
     fn start(
         folder: &Path,
         change: impl FnOnce(&mut EmulatedRobot),
-        alert_after_s: Option<f64>,
+        later: Option<(f64, Change)>,
     ) -> Self {
-        Self::start_at(Pace::Goals, folder, change, alert_after_s)
+        Self::start_at(Pace::Goals, folder, change, later)
     }
 
     fn start_at(
         pace: Pace,
         folder: &Path,
         change: impl FnOnce(&mut EmulatedRobot),
-        alert_after_s: Option<f64>,
+        mut later: Option<(f64, Change)>,
     ) -> Self {
         let config = EngineConfig {
             substeps: SUBSTEPS,
@@ -86,14 +101,9 @@ impl Emulated {
                 return;
             }
             // Serves in slices, so that a fault can come in between.
-            let mut alert_after_s = alert_after_s;
             while !stopped.load(Ordering::Relaxed) {
-                let due =
-                    |robot: &EmulatedRobot| alert_after_s.is_some_and(|at| robot.time_s() > at);
-                if due(&robot) {
-                    let overload = HardwareError(HardwareError::OVERLOAD);
-                    robot.bus.servos_mut()[9].raise(overload);
-                    alert_after_s = None;
+                if let Some((_, change)) = later.take_if(|(at, _)| robot.time_s() > *at) {
+                    change(&mut robot);
                 }
                 let begun = std::time::Instant::now();
                 let slice = || begun.elapsed().as_millis() > 5 || stopped.load(Ordering::Relaxed);
@@ -123,6 +133,30 @@ impl Emulated {
         ]
     }
 
+    /// Every change of its torque so far, off at first.
+    fn torque(&self) -> Vec<bool> {
+        self.torque.lock().unwrap().clone()
+    }
+
+    /// Waits until its torque has changed like this. Nothing is asserted about time; whoever runs the tests has patience.
+    fn torque_comes_to(&self, changes: &[bool]) {
+        while self.torque() != changes {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// `run` on this robot, in step with the goals, or by the clock.
+    fn run(&self, server: &Server, folder: &Path, wiring: &str, in_step: bool) -> Command {
+        let mut command = program("run", server.address, &folder.join("state"));
+        command
+            .args(["--bus", &format!("wiring:{wiring}")])
+            .args(self.ports());
+        if in_step {
+            command.args(["--in-step", "--hang-ms", "120000"]);
+        }
+        command
+    }
+
     /// Ends it; the height of its base over time, m.
     fn stop(self) -> Vec<f64> {
         self.stop.store(true, Ordering::Relaxed);
@@ -132,7 +166,7 @@ impl Emulated {
 }
 
 fn doctor(robot: &Emulated, flags: &[&str]) -> (i32, serde_json::Value, String) {
-    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
     command
         .args([
             "doctor",
@@ -181,20 +215,9 @@ fn the_program_stands_up_over_the_wire_and_lets_go() {
     };
     let robot = Emulated::start(&folder.path().join("robot"), |r| r.set_faults(faults), None);
     let log = folder.path().join("log");
-    let mut command = program("run", server.address, &folder.path().join("state"));
-    command
-        .args([
-            "--bus",
-            &format!("wiring:{}", patient_wiring(folder.path())),
-            "--in-step",
-            "--hang-ms",
-            "120000",
-            "--seconds",
-            "3",
-            "--log-dir",
-        ])
-        .arg(&log)
-        .args(robot.ports());
+    let wiring = patient_wiring(folder.path());
+    let mut command = robot.run(&server, folder.path(), &wiring, true);
+    command.args(["--seconds", "3", "--log-dir"]).arg(&log);
     let (code, summary, errors) = outcome(command);
     let heights = robot.stop();
     assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
@@ -215,19 +238,15 @@ fn fault_41_an_overload_stands_the_robot_down_with_its_name() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::start(&folder.path().join("server"));
     server.publish(standing(1));
-    let robot = Emulated::start(&folder.path().join("robot"), |_| {}, Some(2.0));
-    let mut command = program("run", server.address, &folder.path().join("state"));
-    command
-        .args([
-            "--bus",
-            &format!("wiring:{}", patient_wiring(folder.path())),
-            "--in-step",
-            "--hang-ms",
-            "120000",
-            "--seconds",
-            "60",
-        ])
-        .args(robot.ports());
+    let overload = |robot: &mut EmulatedRobot| {
+        let error = HardwareError(HardwareError::OVERLOAD);
+        robot.bus.servos_mut()[9].raise(error);
+    };
+    let at = Some((2.0, overload as Change));
+    let robot = Emulated::start(&folder.path().join("robot"), |_| {}, at);
+    let wiring = patient_wiring(folder.path());
+    let mut command = robot.run(&server, folder.path(), &wiring, true);
+    command.args(["--seconds", "60"]);
     let (code, summary, errors) = outcome(command);
     robot.stop();
     assert_eq!(
@@ -236,25 +255,23 @@ fn fault_41_an_overload_stands_the_robot_down_with_its_name() {
         "{errors}"
     );
     assert!(errors.contains("ServoAlert"), "{errors}");
+    // The loop ended by itself, with an error: its supervisor makes sure.
+    assert!(errors.contains("the servos were let go"), "{errors}");
     server.stop();
 }
 
 #[test]
-fn a_log_of_the_flight_recorder_goes_straight_through_the_check() {
+fn a_log_of_the_flight_recorder_goes_straight_through_check_and_diagnosis() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::start(&folder.path().join("server"));
     let shipped = concat!(env!("CARGO_MANIFEST_DIR"), "/../policies/flat.onnx");
     server.publish(std::fs::read(shipped).unwrap());
     let robot = Emulated::start(&folder.path().join("robot"), |_| {}, None);
     let log = folder.path().join("log");
-    let mut command = program("run", server.address, &folder.path().join("state"));
+    let wiring = patient_wiring(folder.path());
+    let mut command = robot.run(&server, folder.path(), &wiring, true);
     command
         .args([
-            "--bus",
-            &format!("wiring:{}", patient_wiring(folder.path())),
-            "--in-step",
-            "--hang-ms",
-            "120000",
             "--seconds",
             "6",
             "--command",
@@ -263,13 +280,12 @@ fn a_log_of_the_flight_recorder_goes_straight_through_the_check() {
             "flat",
             "--log-dir",
         ])
-        .arg(&log)
-        .args(robot.ports());
+        .arg(&log);
     let (code, summary, errors) = outcome(command);
     robot.stop();
     assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
     let caudata = Path::new(env!("CARGO_BIN_EXE_caudata-robot")).with_file_name("caudata");
-    let mut check = std::process::Command::new(caudata);
+    let mut check = Command::new(&caudata);
     check
         .args(["gap", "check", "--robot", ROBOT_FILE, "--json", "--log"])
         .arg(&log);
@@ -289,6 +305,29 @@ fn a_log_of_the_flight_recorder_goes_straight_through_the_check() {
     assert_eq!(joints.len(), 16);
     let moved = |j: &&serde_json::Value| j["speed_max_radps"].as_f64().unwrap() > 0.3;
     assert!(joints.iter().filter(moved).count() >= 8, "{run}");
+    // And through the diagnosis: two effects that it may or may not find, but must be able to look for.
+    let mut diagnose = Command::new(&caudata);
+    diagnose
+        .args(["gap", "diagnose", "--robot", ROBOT_FILE, "--json"])
+        .args(["--only", "kp_error", "--only", "coulomb_friction", "--log"])
+        .arg(&log)
+        .arg("--out")
+        .arg(folder.path().join("diagnosis"));
+    let (code, found, errors) = outcome(diagnose);
+    let verdict = found["verdict"].as_str().unwrap_or_default();
+    // What a diagnosis that is complete can come to (docs/exit-codes.md); a data fault or a flag that is wrong is none of them.
+    let fits = match verdict {
+        "no_gap" | "explained" => code == 0,
+        "ambiguous" => code == 80,
+        "partly_explained" => code == 81,
+        "unexplained" => code == 82,
+        "insufficient_data" => code == 83,
+        _ => false,
+    };
+    assert!(fits, "{code} {verdict}: {errors}\n{found}");
+    let report = std::fs::read_to_string(folder.path().join("diagnosis/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert_eq!(report["verdict"], found["verdict"]);
     server.stop();
 }
 
@@ -300,33 +339,16 @@ fn fault_49_servos_are_let_go_where_the_loop_is_killed_and_it_stands_up_again() 
     // By the clock: a robot that is let go comes to rest although nobody sends goals. Its servos' own watchdogs, which would hold
     // it, leave a busy machine two and a half seconds.
     let robot = Emulated::start_at(Pace::RealTime, &folder.path().join("robot"), |_| {}, None);
-    let wiring = patient_wiring(folder.path());
-    let text = std::fs::read_to_string(&wiring).unwrap();
-    let calm = text.replace("watchdog_ms = 100 ", "watchdog_ms = 2500 ");
-    assert_ne!(text, calm);
-    std::fs::write(&wiring, calm).unwrap();
-    let mut command = program("run", server.address, &folder.path().join("state"));
-    command
-        .args([
-            "--bus",
-            &format!("wiring:{wiring}"),
-            "--hang-ms",
-            "120000",
-            "--seconds",
-            "2",
-        ])
-        .args(robot.ports());
+    let wiring = calm_wiring(folder.path());
+    let mut command = robot.run(&server, folder.path(), &wiring, false);
+    command.args(["--hang-ms", "120000", "--seconds", "2"]);
     let running = start(command);
-    let changes = || robot.torque.lock().unwrap().clone();
-    // Nothing is asserted about time; whoever runs the tests has patience.
-    while changes() != [false, true] {
-        std::thread::sleep(std::time::Duration::from_millis(5));
-    }
+    robot.torque_comes_to(&[false, true]);
     let looper = child_of(running.id(), "rt");
     nix::sys::signal::kill(looper, nix::sys::signal::Signal::SIGKILL).unwrap();
     let (code, summary, errors) = ended(running);
     // On, off by the supervisor, on again, off in order.
-    let seen = changes();
+    let seen = robot.torque();
     robot.stop();
     assert_eq!(seen, [false, true, false, true, false], "{errors}");
     assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
@@ -344,4 +366,215 @@ fn child_of(parent: u32, command: &str) -> nix::unistd::Pid {
         ours && read("cmdline").is_some_and(|c| c.split('\0').nth(1) == Some(command))
     };
     nix::unistd::Pid::from_raw(numbers.into_iter().find(is_it).unwrap())
+}
+
+fn signal(pid: u32, signal: nix::sys::signal::Signal) {
+    nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid as i32), signal).unwrap();
+}
+
+/// A loop that neither lives nor dies, on a robot whose torque is on: `run` by the clock, its loop stopped.
+fn hung(robot: &Emulated, mut command: Command) -> std::process::Child {
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let running = command.spawn().unwrap();
+    robot.torque_comes_to(&[false, true]);
+    let looper = child_of(running.id(), "rt");
+    nix::sys::signal::kill(looper, nix::sys::signal::Signal::SIGSTOP).unwrap();
+    running
+}
+
+#[test]
+fn fault_38_servos_are_let_go_where_the_loop_hangs_and_it_stands_up_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let robot = Emulated::start_at(Pace::RealTime, &folder.path().join("robot"), |_| {}, None);
+    let wiring = calm_wiring(folder.path());
+    let mut command = robot.run(&server, folder.path(), &wiring, false);
+    // Patience with a busy machine; a robot has 0.3 s.
+    command.args(["--hang-ms", "6000", "--seconds", "2"]);
+    let (code, summary, errors) = ended(hung(&robot, command));
+    let seen = robot.torque();
+    robot.stop();
+    assert_eq!(seen, [false, true, false, true, false], "{errors}");
+    assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
+    assert!(errors.contains("the loop hangs: ended"), "{errors}");
+    server.stop();
+}
+
+#[test]
+fn fault_48_the_kill_button_lets_go_of_servos_whose_loop_hangs() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let robot = Emulated::start_at(Pace::RealTime, &folder.path().join("robot"), |_| {}, None);
+    let wiring = calm_wiring(folder.path());
+    let key = folder.path().join("link.key");
+    std::fs::write(&key, [7; 32]).unwrap();
+    // Free a moment ago; a program that took it meanwhile shows as an error.
+    let free = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let address = free.local_addr().unwrap().to_string();
+    drop(free);
+    let mut command = robot.run(&server, folder.path(), &wiring, false);
+    // Silence alone would be noticed after two minutes.
+    command
+        .args(["--hang-ms", "120000", "--link-addr", &address, "--link-key"])
+        .arg(&key);
+    let running = hung(&robot, command);
+    let mut drive = Command::new(env!("CARGO_BIN_EXE_caudata-robot"))
+        .args(["drive", &address, "--link-key"])
+        .arg(&key)
+        .stdin(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut typed = drive.stdin.take().unwrap();
+    std::io::Write::write_all(&mut typed, b"k\n").unwrap();
+    let (code, _, errors) = ended(running);
+    let seen = robot.torque();
+    robot.stop();
+    drop(typed);
+    let _ = drive.kill();
+    let _ = drive.wait();
+    assert_eq!((code, seen), (69, vec![false, true, false]), "{errors}");
+    assert!(
+        errors.contains("hung when the kill button was pressed; it was ended; the torque is off"),
+        "{errors}"
+    );
+    server.stop();
+}
+
+#[test]
+fn a_second_signal_leaves_no_torque_on_a_robot_whose_loop_hangs() {
+    use nix::sys::signal::Signal::SIGINT;
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let robot = Emulated::start_at(Pace::RealTime, &folder.path().join("robot"), |_| {}, None);
+    let wiring = calm_wiring(folder.path());
+    let mut command = robot.run(&server, folder.path(), &wiring, false);
+    command.args(["--hang-ms", "120000"]);
+    let running = hung(&robot, command);
+    let (pid, looper) = (running.id(), child_of(running.id(), "rt"));
+    signal(pid, SIGINT);
+    // Signals that come together are one; whoever presses twice takes longer.
+    std::thread::sleep(Duration::from_millis(500));
+    signal(pid, SIGINT);
+    let (code, _, errors) = ended(running);
+    let seen = robot.torque();
+    robot.stop();
+    assert_eq!((code, seen), (130, vec![false, true, false]), "{errors}");
+    assert!(
+        errors.contains("stopped at once by a second signal; the torque is off"),
+        "{errors}"
+    );
+    assert!(!Path::new(&format!("/proc/{looper}/status")).exists());
+    server.stop();
+}
+
+/// Every servo's torque on, as a loop that died leaves it; servo 5 does not let go.
+fn left_standing(robot: &mut EmulatedRobot) {
+    for servo in robot.bus.servos_mut() {
+        servo.put(&caudata_dynamixel::xm430::TORQUE_ENABLE, 1);
+    }
+}
+
+fn limp(robot: &Emulated, flags: &[&str]) -> (Option<i32>, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    command
+        .args(["limp", "--wiring", &patient_wiring(&robot.folder)])
+        .args(robot.ports())
+        .args(flags);
+    let output = command.output().unwrap();
+    let said = [output.stdout, output.stderr].concat();
+    (output.status.code(), String::from_utf8(said).unwrap())
+}
+
+#[test]
+fn limp_asks_whether_the_servos_let_go_and_names_those_that_do_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let robot = Emulated::start(&folder.path().join("good"), left_standing, None);
+    robot.torque_comes_to(&[false, true]);
+    let (code, said) = limp(&robot, &[]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        said.contains("the torque is off: 16 servos say so"),
+        "{said}"
+    );
+    robot.torque_comes_to(&[false, true, false]);
+    robot.stop();
+
+    let jammed = |robot: &mut EmulatedRobot| {
+        left_standing(robot);
+        robot.bus.servos_mut()[4].jam(true);
+    };
+    let robot = Emulated::start(&folder.path().join("jammed"), jammed, None);
+    let (code, said) = limp(&robot, &[]);
+    assert_eq!(code, Some(69), "{said}");
+    assert!(
+        said.contains("error: the torque is still on of servos 5: cut the supply"),
+        "{said}"
+    );
+    assert_eq!(robot.torque(), [false, true]);
+    robot.stop();
+}
+
+#[test]
+fn a_run_whose_servo_does_not_let_go_says_so_and_fails() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let jam = |robot: &mut EmulatedRobot| robot.bus.servos_mut()[9].jam(true);
+    let at = Some((2.0, jam as Change));
+    let robot = Emulated::start(&folder.path().join("robot"), |_| {}, at);
+    let wiring = patient_wiring(folder.path());
+    let mut command = robot.run(&server, folder.path(), &wiring, true);
+    command.args(["--seconds", "3"]);
+    let (code, _, errors) = outcome(command);
+    robot.stop();
+    assert_eq!(code, 69, "{errors}");
+    assert!(
+        errors.contains("the torque is still on of servos 10"),
+        "{errors}"
+    );
+    // Its supervisor tried as well.
+    assert!(
+        errors.contains("nobody knows whether the servos were let go"),
+        "{errors}"
+    );
+    server.stop();
+}
+
+#[test]
+fn what_has_the_port_keeps_a_second_run_and_doctor_out_but_not_limp() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(&folder.path().join("server"));
+    server.publish(standing(1));
+    let robot = Emulated::start(&folder.path().join("robot"), |_| {}, None);
+    let wiring = patient_wiring(folder.path());
+    let command = robot.run(&server, folder.path(), &wiring, true);
+    let running = start(command);
+    robot.torque_comes_to(&[false, true]);
+    let (code, _, errors) = doctor(&robot, &["--fix"]);
+    assert_eq!(code, 73, "{errors}");
+    assert!(errors.contains("another program has"), "{errors}");
+    // Another state, another run folder, the same robot. What it leaves behind must not let the first one's servos go.
+    let other = folder.path().join("other");
+    let (code, _, errors) = outcome(robot.run(&server, &other, &wiring, true));
+    assert_eq!(code, 73, "{errors}");
+    assert!(errors.contains("another program has"), "{errors}");
+    let (code, said) = limp(&robot, &["--unless-taken"]);
+    assert_eq!(code, Some(73), "{said}");
+    assert_eq!(robot.torque(), [false, true], "nobody touched it");
+    // A person who types this means it, whoever has the port: the loop finds servos without torque, and ends.
+    limp(&robot, &[]);
+    let (code, summary, errors) = ended(running);
+    assert_eq!(code, 69, "{errors}");
+    assert!(
+        ["servo_restarted", "servo_silent"]
+            .map(Into::into)
+            .contains(&summary["ended"]),
+        "{summary}"
+    );
+    assert_eq!(robot.torque().last(), Some(&false));
+    robot.stop();
+    server.stop();
 }

@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use caudata_model::RobotModel;
 use caudata_pki::{Authority, Request, Role};
@@ -17,13 +17,18 @@ use tokio::sync::watch;
 use tonic::Code;
 
 fn certificate(authority: &Authority, role: Role, name: &str) -> PathBuf {
+    certificate_of(authority, role, name, SystemTime::now())
+}
+
+/// Valid for a day from `from` on.
+fn certificate_of(authority: &Authority, role: Role, name: &str, from: SystemTime) -> PathBuf {
     let request = Request {
         role,
         name: name.to_owned(),
         hosts: vec!["localhost".to_owned()],
         days: 1,
     };
-    authority.issue(&request, SystemTime::now(), false).unwrap()
+    authority.issue(&request, from, false).unwrap()
 }
 
 /// A policy of one layer.
@@ -134,6 +139,50 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     drop((learner, stranger, plain));
     stop.send(true).unwrap();
     server.await.unwrap();
+}
+
+/// A robot whose clock stands at another year sees certificates like these, and a server sees a robot's like these.
+#[tokio::test]
+async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reason_to_give_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let ours = Authority::create(&dir.path().join("ours"), "lab", SystemTime::now()).unwrap();
+    let year = Duration::from_secs(366 * 86_400);
+    let now = SystemTime::now();
+    let stream = StreamName::new("polymander/test").unwrap();
+    let times = [("past", now - year), ("future", now + year), ("now", now)];
+    for (server_time, from) in times {
+        let store = Store::open(&dir.path().join(server_time), StoreLimits::default()).unwrap();
+        let listener = listen("127.0.0.1:0".parse().unwrap()).await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let name = format!("server-{server_time}");
+        let tls = tls_config(&certificate_of(&ours, Role::Server, &name, from)).unwrap();
+        let (stop, stopped) = watch::channel(false);
+        let metrics = ServerMetrics::register(&Metrics::new());
+        let server = tokio::spawn(async move {
+            serve_tls(listener, store, metrics, stopped, tls)
+                .await
+                .unwrap();
+        });
+        for (robot_time, from) in times {
+            let name = format!("robot-{server_time}-{robot_time}");
+            let folder = certificate_of(&ours, Role::Robot, &name, from);
+            let address = format!("https://localhost:{port}");
+            let mut robot = RegistryClient::with_tls(&address, Some(&folder)).unwrap();
+            let listed = robot.list(Some(&stream), 10, None).await;
+            if [server_time, robot_time] == ["now", "now"] {
+                assert_eq!(listed.unwrap().manifests.len(), 0);
+                continue;
+            }
+            // Like a server that is away: a robot runs what is on its disk, and asks again later.
+            let error = listed.unwrap_err();
+            assert!(
+                error.is_transient(),
+                "{server_time} {robot_time}: {error:?}"
+            );
+        }
+        stop.send(true).unwrap();
+        server.await.unwrap();
+    }
 }
 
 #[test]

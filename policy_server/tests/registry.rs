@@ -43,6 +43,64 @@ async fn what_is_published_comes_back_byte_for_byte_also_after_a_restart() {
     server.stop().await;
 }
 
+/// All files below `folder`, with their sizes.
+fn files(folder: &std::path::Path) -> Vec<(std::path::PathBuf, u64)> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        match path.is_dir() {
+            true => found.extend(files(&path)),
+            false => found.push((path.clone(), std::fs::metadata(&path).unwrap().len())),
+        }
+    }
+    found.sort();
+    found
+}
+
+#[tokio::test]
+async fn fault_13_a_publisher_that_dies_in_the_middle_leaves_nothing() {
+    use caudata_proto::wire::registry as wire;
+    use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
+    use caudata_proto::wire::registry::publish_request::Part;
+
+    let data = tempfile::tempdir().unwrap();
+    let mut server = Server::start(data.path(), keep(8)).await;
+    publish(&mut server.client, &policy(1)).await.unwrap();
+    let before = files(data.path());
+    let file = policy(2);
+    let whole = file.bytes().len();
+    for got in [0, 1, whole / 2, whole - 1] {
+        let address = format!("http://{}", server.address);
+        let mut raw = PolicyRegistryClient::connect(address).await.unwrap();
+        let (to, messages) = tokio::sync::mpsc::channel(1);
+        let publishing = tokio::spawn(async move {
+            let messages = tokio_stream::wrappers::ReceiverStream::new(messages);
+            raw.publish(messages).await
+        });
+        let manifest = manifest_of(stream(), &file, 5).unwrap();
+        let header = Part::Header(manifest.into());
+        let bytes = Part::Data(file.bytes()[..got].to_vec());
+        // The last one leaves when there is room for it: the ones before are on their way then.
+        for part in [header, bytes, Part::Data(Vec::new())] {
+            let part = Some(part);
+            let _ = to.send(wire::PublishRequest { part }).await;
+        }
+        // Not an end in order: the connection goes with it.
+        publishing.abort();
+        let _ = publishing.await;
+        drop(to);
+        let page = server.client.list(Some(&stream()), 0, None).await.unwrap();
+        let versions: Vec<u64> = page.manifests.iter().map(|m| m.version).collect();
+        assert_eq!(versions, [1], "{got} bytes came");
+        assert_eq!(files(data.path()), before, "{got} bytes came");
+    }
+    // Its place is free for one that does not die.
+    assert!(!publish(&mut server.client, &file).await.unwrap());
+    let manifest = server.client.manifest(&stream(), None).await.unwrap();
+    assert_eq!(manifest.version, 2);
+    server.stop().await;
+}
+
 #[tokio::test]
 async fn refusals_have_their_own_codes() {
     let data = tempfile::tempdir().unwrap();

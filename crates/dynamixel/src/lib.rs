@@ -13,6 +13,7 @@ pub mod crc;
 pub mod emulator;
 pub mod frame;
 pub mod group;
+pub mod let_go;
 pub mod port;
 pub mod setup;
 pub mod status;
@@ -21,5 +22,6 @@ pub mod xm430;
 
 pub use bus::{Bus, BusCounts, BusFault};
 pub use group::{Answer, GroupRead, GroupWrite};
+pub use let_go::{LetGo, let_go};
 pub use port::{Port, SerialPort};
 pub use status::{ErrorNumber, HardwareError, StatusError};

@@ -1,6 +1,6 @@
 //! A port that bytes go through, and the serial port of a Linux machine.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -50,20 +50,48 @@ pub struct SerialPort {
 }
 
 impl SerialPort {
-    /// Opens the port at `path`.
+    /// Opens the port at `path` for this program alone: two that speak on one bus take each other's answers. Nothing about the port is
+    /// changed where another program has it. The system lets go of the lock however the program ends.
     ///
     /// # Errors
-    /// What the system says; a file that is no terminal cannot be set up.
+    /// `ResourceBusy` where another program has it; what the system says; a file that is no terminal cannot be set up.
     pub fn open(path: &Path, baud: u32) -> io::Result<Self> {
+        let (port, alone) = Self::open_whoever_has_it(path)?;
+        if !alone {
+            return Err(io::Error::new(
+                ErrorKind::ResourceBusy,
+                "another program has this port",
+            ));
+        }
+        port.at(baud)
+    }
+
+    /// Opens the port at `path` also where another program has it, for orders that count whatever others do; with `true` where this
+    /// program has it alone.
+    ///
+    /// # Errors
+    /// As [`SerialPort::open`], but for `ResourceBusy`.
+    pub fn open_anyway(path: &Path, baud: u32) -> io::Result<(Self, bool)> {
+        let (port, alone) = Self::open_whoever_has_it(path)?;
+        Ok((port.at(baud)?, alone))
+    }
+
+    fn at(mut self, baud: u32) -> io::Result<Self> {
+        self.set_baud(baud)?;
+        self.discard_input()?;
+        Ok(self)
+    }
+
+    fn open_whoever_has_it(path: &Path) -> io::Result<(Self, bool)> {
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let file = File::from(open(path, flags, Mode::empty())?);
-        let mut port = Self {
-            path: path.to_owned(),
-            file,
+        let alone = match file.try_lock() {
+            Ok(()) => true,
+            Err(TryLockError::WouldBlock) => false,
+            Err(TryLockError::Error(error)) => return Err(error),
         };
-        port.set_baud(baud)?;
-        port.discard_input()?;
-        Ok(port)
+        let path = path.to_owned();
+        Ok((Self { path, file }, alone))
     }
 
     /// Where it was opened.

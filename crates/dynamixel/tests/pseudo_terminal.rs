@@ -51,3 +51,21 @@ fn a_servo_behind_a_pseudo_terminal_answers_at_its_own_speed_only() {
     stop.store(true, Ordering::Relaxed);
     servos.join().unwrap();
 }
+
+#[test]
+fn a_port_is_one_programs_alone_and_left_as_it_is_by_others() {
+    let pty = Pty::open().unwrap();
+    let first = SerialPort::open(pty.path(), 1_000_000).unwrap();
+    let error = SerialPort::open(pty.path(), 57_600).unwrap_err();
+    assert_eq!(error.kind(), std::io::ErrorKind::ResourceBusy, "{error}");
+    assert_eq!(
+        pty.baud().unwrap(),
+        1_000_000,
+        "the first one's speed stays"
+    );
+    // Whoever must be obeyed comes in all the same, and is told.
+    let (order, alone) = SerialPort::open_anyway(pty.path(), 1_000_000).unwrap();
+    assert!(!alone);
+    drop((first, order));
+    assert!(SerialPort::open(pty.path(), 57_600).is_ok());
+}

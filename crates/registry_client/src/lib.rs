@@ -40,6 +40,30 @@ pub const FETCH_MAX: Duration = Duration::from_secs(600);
 /// A watch that is silent for this long is dead: the server sends progress every 10 s.
 pub const WATCH_IDLE_MAX: Duration = Duration::from_secs(35);
 
+/// How long a fetch bears with a server, and how fast that one must be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Patience {
+    /// See [`FETCH_IDLE_MAX`].
+    pub idle_max: Duration,
+    /// See [`FETCH_MAX`].
+    pub whole_max: Duration,
+    /// See [`RATE_WINDOW`].
+    pub rate_window: Duration,
+    /// See [`RETRY_PAUSE`].
+    pub retry_pause: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self {
+            idle_max: FETCH_IDLE_MAX,
+            whole_max: FETCH_MAX,
+            rate_window: RATE_WINDOW,
+            retry_pause: RETRY_PAUSE,
+        }
+    }
+}
+
 /// What a call to the policy server can end with.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
@@ -151,6 +175,7 @@ fn certificates(folder: &Path) -> Result<ClientTlsConfig, ClientError> {
 #[derive(Clone, Debug)]
 pub struct RegistryClient {
     address: String,
+    patience: Patience,
     inner: PolicyRegistryClient<Channel>,
 }
 
@@ -199,8 +224,16 @@ impl RegistryClient {
         }
         Ok(Self {
             address: host.to_owned(),
+            patience: Patience::default(),
             inner: PolicyRegistryClient::new(endpoint.connect_lazy()),
         })
+    }
+
+    /// Bears with the server for longer or shorter.
+    #[must_use]
+    pub fn with_patience(mut self, patience: Patience) -> Self {
+        self.patience = patience;
+        self
     }
 
     /// Where the server is expected.
@@ -303,8 +336,9 @@ impl RegistryClient {
     /// See [`ClientError`]; the last one after [`FETCH_RETRIES`] retries.
     pub async fn fetch(&mut self, manifest: &Manifest) -> Result<Vec<u8>, ClientError> {
         let mut bytes = Vec::with_capacity(usize::try_from(manifest.size).unwrap_or(0));
+        let limit = self.patience.whole_max;
         let whole = self.fetch_with_retries(manifest, &mut bytes);
-        tokio::time::timeout(FETCH_MAX, whole)
+        tokio::time::timeout(limit, whole)
             .await
             .map_err(|_| ClientError::TimedOut { what: "fetch" })??;
         let actual: [u8; 32] = Sha256::digest(&bytes).into();
@@ -325,7 +359,7 @@ impl RegistryClient {
         manifest: &Manifest,
         bytes: &mut Vec<u8>,
     ) -> Result<(), ClientError> {
-        let mut pause = RETRY_PAUSE;
+        let mut pause = self.patience.retry_pause;
         let mut attempt = 0;
         loop {
             let before = bytes.len();
@@ -362,9 +396,14 @@ impl RegistryClient {
         let mut answer = within("fetch", CALL_TIMEOUT, &self.address, call)
             .await?
             .into_inner();
-        let mut rate = Rate::new(Instant::now());
-        while let Some(message) =
-            within("fetch", FETCH_IDLE_MAX, &self.address, answer.message()).await?
+        let mut rate = Rate::new(self.patience.rate_window, Instant::now());
+        while let Some(message) = within(
+            "fetch",
+            self.patience.idle_max,
+            &self.address,
+            answer.message(),
+        )
+        .await?
         {
             match FetchPart::try_from(message)? {
                 FetchPart::Info(info)
@@ -532,13 +571,15 @@ pub fn jittered(pause: Duration) -> Duration {
 
 /// Whether a transfer is fast enough.
 struct Rate {
+    window: Duration,
     since: Instant,
     bytes: u64,
 }
 
 impl Rate {
-    fn new(now: Instant) -> Self {
+    fn new(window: Duration, now: Instant) -> Self {
         Self {
+            window,
             since: now,
             bytes: 0,
         }
@@ -548,13 +589,13 @@ impl Rate {
     /// [`ClientError::TooSlow`] where the window that ends now brought too little.
     fn add(&mut self, bytes: u64, now: Instant) -> Result<(), ClientError> {
         self.bytes += bytes;
-        if now.duration_since(self.since) < RATE_WINDOW {
+        if now.duration_since(self.since) < self.window {
             return Ok(());
         }
-        if self.bytes < RATE_MIN * RATE_WINDOW.as_secs() {
+        if (self.bytes as f64) < RATE_MIN as f64 * self.window.as_secs_f64() {
             return Err(ClientError::TooSlow);
         }
-        *self = Self::new(now);
+        *self = Self::new(self.window, now);
         Ok(())
     }
 }
@@ -691,13 +732,13 @@ mod tests {
     fn fault_27_one_byte_per_second_is_too_slow_and_a_poor_network_is_not() {
         let start = Instant::now();
         let at = |s| start + Duration::from_secs(s);
-        let mut drip = Rate::new(start);
+        let mut drip = Rate::new(RATE_WINDOW, start);
         assert!((0..30).all(|s| drip.add(1, at(s)).is_ok()));
         assert!(matches!(drip.add(1, at(30)), Err(ClientError::TooSlow)));
-        let mut poor = Rate::new(start);
+        let mut poor = Rate::new(RATE_WINDOW, start);
         assert!((0..600).all(|s| poor.add(4200, at(s)).is_ok()));
         // What came fast at first does not count later.
-        let mut stalls = Rate::new(start);
+        let mut stalls = Rate::new(RATE_WINDOW, start);
         assert!(stalls.add(1 << 20, at(1)).is_ok() && stalls.add(1, at(30)).is_ok());
         assert!(matches!(stalls.add(1, at(60)), Err(ClientError::TooSlow)));
     }

@@ -32,6 +32,7 @@ mod parent;
 mod process;
 pub mod progress;
 mod pulse;
+mod queue;
 mod serve;
 mod stop;
 
@@ -45,4 +46,4 @@ pub use parent::{PARENT_PID_VAR, die_with_parent};
 pub use process::{Process, parse_args};
 pub use pulse::Pulse;
 pub use serve::{MetricsServer, ServeError};
-pub use stop::{DRAIN_DEADLINE, StopFlag, stop_on_signals};
+pub use stop::{DRAIN_DEADLINE, INSIST_DEADLINE, Insistence, StopFlag, stop_on_signals};

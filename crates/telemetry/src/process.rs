@@ -2,7 +2,9 @@
 
 use std::process::ExitCode as OsExitCode;
 
-use crate::{DRAIN_DEADLINE, ExitCode, Failure, FailureExt, LogArgs, StopFlag, die_with_parent};
+use crate::{
+    DRAIN_DEADLINE, ExitCode, Failure, FailureExt, Insistence, LogArgs, StopFlag, die_with_parent,
+};
 
 /// What a running process has in its hands.
 #[derive(Clone, Debug)]
@@ -11,6 +13,8 @@ pub struct Process {
     pub name: &'static str,
     /// Raised by the first SIGINT or SIGTERM, or when the supervisor dies.
     pub stop: StopFlag,
+    /// What a second signal does.
+    pub insistence: Insistence,
 }
 
 impl Process {
@@ -21,25 +25,51 @@ impl Process {
         log: &LogArgs,
         work: impl FnOnce(&Process) -> Result<(), Failure>,
     ) -> OsExitCode {
+        Self::run_as(name, log, false, work)
+    }
+
+    /// As [`Process::run`], for a process that moves something: it never waits for whoever reads its log.
+    pub fn run_without_waiting_for_readers(
+        name: &'static str,
+        log: &LogArgs,
+        work: impl FnOnce(&Process) -> Result<(), Failure>,
+    ) -> OsExitCode {
+        Self::run_as(name, log, true, work)
+    }
+
+    fn run_as(
+        name: &'static str,
+        log: &LogArgs,
+        queued: bool,
+        work: impl FnOnce(&Process) -> Result<(), Failure>,
+    ) -> OsExitCode {
         let process = Process {
             name,
             stop: StopFlag::new(),
+            insistence: Insistence::default(),
         };
-        let result = process.set_up(log).and_then(|()| work(&process));
-        match result {
-            Ok(()) => ExitCode::Ok.into(),
+        let result = process.set_up(log, queued).and_then(|()| work(&process));
+        let mut words = Vec::new();
+        let code = match result {
+            Ok(()) => ExitCode::Ok,
             Err(failure) => {
                 tracing::debug!(code = failure.code().number(), "ends with an error");
-                // Nothing is left to do when standard error itself is gone.
-                let _ = failure.write_to(&mut std::io::stderr());
-                failure.code().into()
+                // Writing to a Vec cannot fail.
+                let _ = failure.write_to(&mut words);
+                failure.code()
             }
-        }
+        };
+        crate::logging::last_words(&words);
+        code.into()
     }
 
-    fn set_up(&self, log: &LogArgs) -> Result<(), Failure> {
-        crate::init_logging(self.name, log.log_format, &log.log).or_exit(ExitCode::BadConfig)?;
-        crate::stop_on_signals(&self.stop, DRAIN_DEADLINE)
+    fn set_up(&self, log: &LogArgs, queued: bool) -> Result<(), Failure> {
+        match queued {
+            true => crate::logging::init_queued_logging(self.name, log.log_format, &log.log),
+            false => crate::init_logging(self.name, log.log_format, &log.log),
+        }
+        .or_exit(ExitCode::BadConfig)?;
+        crate::stop_on_signals(&self.stop, &self.insistence, DRAIN_DEADLINE)
             .or_exit_with(ExitCode::OsResource, || "cannot install signal handlers")?;
         die_with_parent(&self.stop);
         Ok(())

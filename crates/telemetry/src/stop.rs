@@ -1,5 +1,6 @@
 //! Stopping: one flag that everything waits on, set by the first signal; the second one ends at once.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -8,6 +9,34 @@ use crate::ExitCode;
 /// How long a process may take to drain after the first signal before it is ended with
 /// [`ExitCode::TempFail`]. Larger than any single time limit inside (checkpoint, flush, upload).
 pub const DRAIN_DEADLINE: Duration = Duration::from_secs(60);
+
+/// How long a process that deals with a second signal itself may take before it is ended.
+pub const INSIST_DEADLINE: Duration = Duration::from_secs(20);
+
+/// What a second signal does: it ends the process at once, unless the process said that it deals with it itself, because something would
+/// be left in an unsafe state. Cloning shares it.
+#[derive(Clone, Debug, Default)]
+pub struct Insistence {
+    flag: StopFlag,
+    claimed: Arc<AtomicBool>,
+}
+
+impl Insistence {
+    /// From now on a second signal raises the flag that is answered, and the process has [`INSIST_DEADLINE`] to end by itself.
+    pub fn claim(&self) -> StopFlag {
+        self.claimed.store(true, Ordering::SeqCst);
+        self.flag.clone()
+    }
+
+    /// True where the process takes over.
+    fn passed_on(&self, reason: &str) -> bool {
+        let claimed = self.claimed.load(Ordering::SeqCst);
+        if claimed {
+            self.flag.request(reason);
+        }
+        claimed
+    }
+}
 
 /// A flag that is raised once and can be waited on. Cloning shares it.
 #[derive(Clone, Debug, Default)]
@@ -84,13 +113,18 @@ impl StopFlag {
 const ONE_SIGNAL: Duration = Duration::from_millis(100);
 
 /// From now on SIGINT, SIGTERM and SIGHUP (a terminal that closes; not where it is ignored, as under `nohup`) raise `stop`; a second signal ends the process at once with
-/// [`ExitCode::Interrupted`], and draining longer than `drain_deadline` ends it with [`ExitCode::TempFail`].
+/// [`ExitCode::Interrupted`], and draining longer than `drain_deadline` ends it with [`ExitCode::TempFail`]; where `insistence` was claimed, both
+/// wait [`INSIST_DEADLINE`] for the process to end by itself.
 ///
 /// The handler runs on a thread of its own that lives as long as the process.
 ///
 /// # Errors
 /// When the operating system refuses the thread or the handlers.
-pub fn stop_on_signals(stop: &StopFlag, drain_deadline: Duration) -> std::io::Result<()> {
+pub fn stop_on_signals(
+    stop: &StopFlag,
+    insistence: &Insistence,
+    drain_deadline: Duration,
+) -> std::io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
@@ -110,7 +144,7 @@ pub fn stop_on_signals(stop: &StopFlag, drain_deadline: Duration) -> std::io::Re
             false => Some(signal(SignalKind::hangup())?),
         }
     };
-    let stop = stop.clone();
+    let (stop, insistence) = (stop.clone(), insistence.clone());
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
             let name = tokio::select! {
@@ -138,11 +172,15 @@ pub fn stop_on_signals(stop: &StopFlag, drain_deadline: Duration) -> std::io::Re
                 }
             };
             let _ = tokio::time::timeout(ONE_SIGNAL, same).await;
-            tokio::select! {
-                _ = interrupt.recv() => end(ExitCode::Interrupted, "second signal: ended without draining"),
-                _ = terminate.recv() => end(ExitCode::Interrupted, "second signal: ended without draining"),
-                () = tokio::time::sleep(drain_deadline) => end(ExitCode::TempFail, "draining took too long: ended"),
+            let (code, why) = tokio::select! {
+                _ = interrupt.recv() => (ExitCode::Interrupted, "second signal: ended without draining"),
+                _ = terminate.recv() => (ExitCode::Interrupted, "second signal: ended without draining"),
+                () = tokio::time::sleep(drain_deadline) => (ExitCode::TempFail, "draining took too long: ended"),
+            };
+            if insistence.passed_on(why) {
+                tokio::time::sleep(INSIST_DEADLINE).await;
             }
+            end(code, why);
         });
     })?;
     Ok(())
@@ -158,12 +196,22 @@ fn hangup_is_ignored() -> bool {
 
 fn end(code: ExitCode, why: &str) {
     tracing::error!("{why}");
+    crate::logging::last_words(&[]);
     std::process::exit(i32::from(code.number()));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_second_signal_is_passed_on_to_whoever_claimed_it_only() {
+        let insistence = Insistence::default();
+        assert!(!insistence.passed_on("SIGINT"));
+        let flag = insistence.claim();
+        assert!(!flag.is_set());
+        assert!(insistence.passed_on("SIGINT") && flag.is_set());
+    }
 
     #[test]
     fn waiting_ends_when_another_thread_raises_the_flag() {

@@ -5,10 +5,10 @@ use std::time::Duration;
 use caudata_telemetry::{Metrics, MetricsServer, Process, StopFlag};
 
 use crate::DeployError;
-use crate::boundary::{CommandSender, RunFolder, alone, take_told};
+use crate::boundary::{CommandSender, LOOP_PAGE, RunFolder, Told, alone};
 use crate::command_link::{CommandLink, LinkKey, UdpLink};
 use crate::commands::Source;
-use crate::commands::run::{LOOP_PAGE, RunArgs};
+use crate::commands::run::RunArgs;
 use crate::follower::Follower;
 use crate::notify::{ALIVE, KILL, Notifier, READY};
 use crate::stage::Stage;
@@ -34,9 +34,9 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     };
     let stage = Stage::open(source.keeper.clone(), folder.clone());
     // What became of policies while nobody listened counts before the next one is chosen; who asks is answered after that.
-    let state = &args.source.state;
+    let mut told = Told::of(&args.source.state, &folder);
     let mut asks = None;
-    take_told(state, |event| match event {
+    told.take(|event| match event {
         PolicyEvent::Ready { .. } => asks = Some(event),
         event => stage.hear(event),
     });
@@ -59,16 +59,16 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         false => None,
     };
     if let (Some(addr), Some(key)) = (args.link_addr, &args.link_key) {
-        let link = UdpLink::listen(addr, LinkKey::read(key)?)?;
+        let link = UdpLink::listen(addr, LinkKey::read(key)?, args.dead_man)?;
         pass_on(link, CommandSender::new(&folder)?, process.stop.clone())?;
     }
     notifier.say(READY);
     while !process.stop.wait(LOOK) {
-        take_told(state, |event| stage.hear(event));
+        told.take(|event| stage.hear(event));
         notifier.say(ALIVE);
     }
     drop(follower);
-    take_told(state, |event| stage.hear(event));
+    told.take(|event| stage.hear(event));
     Ok(())
 }
 
@@ -81,6 +81,8 @@ fn choose(source: &Source) -> Result<PolicyRef, DeployError> {
             | DeployError::NoPolicy { .. }
             | DeployError::Stale { .. }
             | DeployError::StateLost
+            // A card that takes nothing more still holds what ran before.
+            | DeployError::Durable(_)
             | DeployError::Refused { .. }),
         ) => error,
         Err(error) => return Err(error),

@@ -11,10 +11,10 @@ use caudata_signing::Trust;
 use caudata_task::TaskConfig;
 use caudata_telemetry::{Metrics, Process};
 
-use crate::boundary::{LocalLink, RunFolder, Teller, alone};
+use crate::boundary::{LOOP_PAGE, LocalLink, RunFolder, Teller, alone};
 use crate::bus::{BusError, Health, Robot};
 use crate::command_link::random_nonce;
-use crate::commands::run::{BusAddress, LOOP_PAGE, RunArgs};
+use crate::commands::run::{BusAddress, RunArgs};
 use crate::commands::{load_model, say, say_json};
 use crate::control::{ControlLoop, READ_DEADLINE, RunPlan};
 use crate::courier::{Courier, Loader};
@@ -52,6 +52,8 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     let commands = args.command_table()?;
     let folder = RunFolder::open(&args.run_folder())?;
     let _alone = alone(folder.file("rt.lock"))?;
+    // And on the state, which another run folder may share: two loops would tell their agents under the same numbers.
+    let teller = Teller::open(&args.source.state, &folder)?;
     let setting = Setting {
         args,
         model: load_model(&args.source.robot)?,
@@ -71,7 +73,7 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     match &args.bus {
         BusAddress::Sim(address) => {
             let mut robot = SimLink::connect(address, &setting.model, setting.control_period_s)?;
-            walk(&setting, &mut robot, plan(READ_DEADLINE, None))
+            walk(&setting, &mut robot, plan(READ_DEADLINE, None), teller)
         }
         BusAddress::Wiring(path) => {
             let overrides = args.ports.overrides();
@@ -81,7 +83,8 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
                 robot = robot.in_step(setting.control_period_s);
             }
             let deadline = Duration::from_millis(wiring.bus.read_deadline_ms);
-            let result = walk(&setting, &mut robot, plan(deadline, Some(wiring.limits)));
+            let plan = plan(deadline, Some(wiring.limits));
+            let result = walk(&setting, &mut robot, plan, teller);
             tracing::info!(counts = ?robot.bus_counts(), "servo bus");
             result
         }
@@ -128,7 +131,12 @@ pub(super) fn fit(inspection: &Inspection) -> Result<(), DeployError> {
 }
 
 /// Asks for a policy and drives: only now, for a robot that is not there says nothing about the policy.
-fn walk<R: Robot>(setting: &Setting, robot: &mut R, plan: RunPlan) -> Result<(), DeployError> {
+fn walk<R: Robot>(
+    setting: &Setting,
+    robot: &mut R,
+    plan: RunPlan,
+    teller: Teller,
+) -> Result<(), DeployError> {
     let args = setting.args;
     let registry = Metrics::new();
     let metrics = RobotMetrics::register(&registry);
@@ -152,7 +160,6 @@ fn walk<R: Robot>(setting: &Setting, robot: &mut R, plan: RunPlan) -> Result<(),
     let page = args
         .metrics_addr
         .map(|_| (registry, setting.folder.file(LOOP_PAGE)));
-    let teller = Teller::open(&args.source.state)?;
     let mut courier = Courier::new(setting.folder.clone(), teller, loader, run, page);
     let Some(verified) = courier.first(&setting.process.stop)? else {
         return Ok(());
@@ -164,8 +171,17 @@ fn walk<R: Robot>(setting: &Setting, robot: &mut R, plan: RunPlan) -> Result<(),
     if courier.join().is_err() {
         tracing::error!("the courier panicked");
     }
-    let (summary, fault) = result?;
-    finish(args, summary, fault)
+    let over = result?;
+    finish(args, over)
+}
+
+/// What a run came to.
+struct Over {
+    summary: RunSummary,
+    /// What the hardware stopped it for.
+    fault: Option<(Fault, Health)>,
+    /// Why its log is not whole.
+    log: Option<DeployError>,
 }
 
 /// The run itself.
@@ -177,7 +193,7 @@ fn drive<R: Robot>(
     updates: Updates,
     metrics: RobotMetrics,
     link: LocalLink,
-) -> Result<(RunSummary, Option<(Fault, Health)>), DeployError> {
+) -> Result<Over, DeployError> {
     let args = setting.args;
     let clock = SystemClock::new();
     let runner = PolicyRunner::new(verified, None)?;
@@ -206,12 +222,14 @@ fn drive<R: Robot>(
         None => Some(link),
     };
     control.set_notifier(Notifier::from_environment());
+    // From here on there is torque, which a second signal must not leave on.
+    control.set_insisted(setting.process.insistence.claim());
     if args.tap {
         control.set_tap(tap::start(&setting.folder)?);
     }
     let result = control.run(&setting.process.stop);
     if let Some(folder) = &args.recorder_dir {
-        let calm = matches!(result, Ok(Ended::Time | Ended::Signal));
+        let calm = matches!(result, Ok(Ended::Time | Ended::Signal | Ended::Interrupted));
         // The run's own error comes first.
         if let Err(error) = record(&args.of_this_start(folder), setting, &control, calm) {
             tracing::error!(%error, "the last moments are lost");
@@ -223,7 +241,11 @@ fn drive<R: Robot>(
     // The log is closed whatever happened; the run's own error comes first.
     let rows = log.map(FlightLog::finish).transpose();
     let ended = result?;
-    let rows: LogCounts = rows?.unwrap_or_default();
+    // A log that could not be kept does not make the run untrue: it is told after the summary.
+    let (rows, log) = match rows {
+        Ok(rows) => (rows.unwrap_or_default(), None),
+        Err(error) => (LogCounts::default(), Some(error)),
+    };
     let commanded = counts.mean_command();
     let travel = counts.odometer.result();
     let summary = RunSummary {
@@ -254,7 +276,11 @@ fn drive<R: Robot>(
         achieved: travel.map(|(velocity, _)| velocity),
         distance_m: travel.map(|(_, distance)| distance),
     };
-    Ok((summary, fault))
+    Ok(Over {
+        summary,
+        fault,
+        log,
+    })
 }
 
 /// Writes the last 30 s of a run that ended badly.
@@ -293,11 +319,12 @@ fn warn_of_untrained(plan: &RunPlan, runner: &PolicyRunner) {
 }
 
 /// Prints the summary; a policy that had to be stopped is a failure.
-fn finish(
-    args: &RunArgs,
-    summary: RunSummary,
-    fault: Option<(Fault, Health)>,
-) -> Result<(), DeployError> {
+fn finish(args: &RunArgs, over: Over) -> Result<(), DeployError> {
+    let Over {
+        summary,
+        fault,
+        log,
+    } = over;
     if args.json {
         say_json(&summary)?;
     } else {
@@ -315,13 +342,14 @@ fn finish(
             return Err(DeployError::BadActions { policy, in_a_row });
         }
         Ended::Saturated => return Err(DeployError::Saturated { policy }),
+        Ended::Interrupted => return Err(DeployError::Interrupted),
         _ => {}
     }
     if let Some((fault, health)) = fault {
         let detail = format!("{health:?}");
         return Err(DeployError::Stopped { fault, detail });
     }
-    Ok(())
+    log.map_or(Ok(()), Err)
 }
 
 fn print(summary: &RunSummary, args: &RunArgs) {

@@ -1,14 +1,14 @@
-//! `caudata-robot limp`: lets all servos go, whatever they do. What a supervisor calls when the loop is gone.
+//! `caudata-robot limp`: lets all servos go, whatever they do, and asks whether they did. What a supervisor calls when the loop is gone.
 
 use std::path::PathBuf;
 
-use caudata_dynamixel::xm430;
+use caudata_dynamixel::let_go;
 use caudata_hardware::Wiring;
 
 use crate::DeployError;
 use crate::bus::BusError;
 use crate::commands::{PortArgs, say};
-use crate::hardware::{TORQUE_OFF_TIMES, open_bus};
+use crate::hardware::open_bus_anyway;
 
 #[derive(Debug, clap::Args)]
 pub struct LimpArgs {
@@ -21,21 +21,36 @@ pub struct LimpArgs {
     wiring: PathBuf,
     #[command(flatten)]
     ports: PortArgs,
+    /// Do nothing where another program has the servo port (exit code 73): for supervisors, whose own loop is gone by then. Without it
+    /// the servos of a robot that walks are let go too
+    #[arg(long)]
+    unless_taken: bool,
 }
 
 pub fn run(args: &LimpArgs) -> Result<(), DeployError> {
+    // Not checked against a robot file: what lets go shall not fail for what it does not need.
     let mut wiring = Wiring::read(&args.wiring)?;
-    if let Some(port) = args.ports.overrides().servo_port {
-        wiring.bus.port = port;
+    args.ports.overrides().put_into(&mut wiring);
+    let (mut bus, alone) = open_bus_anyway(&wiring)?;
+    if !alone {
+        let address = wiring.bus.port.display().to_string();
+        if args.unless_taken {
+            return Err(BusError::Taken { address }.into());
+        }
+        tracing::warn!(
+            port = address,
+            "another program has the port: it may take the servos' answers"
+        );
     }
-    let mut bus = open_bus(&wiring)?;
-    // Nobody answers an order to all: it is repeated.
-    for _ in 0..TORQUE_OFF_TIMES {
-        bus.broadcast(&xm430::TORQUE_ENABLE, 0)
-            .map_err(|fault| BusError::Lost {
-                reason: fault.to_string(),
-            })?;
+    let mut ids: Vec<u8> = wiring.joint.values().map(|joint| joint.id).collect();
+    ids.sort_unstable();
+    let patience = bus.setup_deadline();
+    let found = let_go(&mut bus, &ids, patience).map_err(|fault| BusError::Lost {
+        reason: fault.to_string(),
+    })?;
+    if !found.is_proved() {
+        return Err(BusError::Holds { found }.into());
     }
-    say("the torque is off");
+    say(&format!("the torque is off: {} servos say so", ids.len()));
     Ok(())
 }

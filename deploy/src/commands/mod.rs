@@ -22,6 +22,7 @@ use caudata_telemetry::{Failure, LogArgs, Metrics, Process};
 use clap::{Parser, Subcommand};
 use serde::Serialize;
 
+use crate::boundary::alone_in;
 use crate::follower::Follow;
 use crate::hardware::PortOverrides;
 use crate::keeper::Keeper;
@@ -153,6 +154,8 @@ struct Source {
     model: Arc<RobotModel>,
     follow: Follow,
     keeper: Keeper,
+    /// No second agent or `pull` on one state: each would write over what the other learnt.
+    _alone: std::fs::File,
 }
 
 impl Source {
@@ -170,6 +173,12 @@ impl Source {
         let metrics = AgentMetrics::register(metrics);
         let trust = args.trust.as_deref().map(Trust::read).transpose()?;
         let provable = trust.as_ref().is_some_and(Trust::knows_fresh_keys);
+        std::fs::create_dir_all(&args.state).map_err(|source| DeployError::Folder {
+            path: args.state.clone(),
+            source,
+        })?;
+        // Before anything in it is touched.
+        let alone = alone_in(&args.state)?;
         let store = match PolicyStore::open(&args.state) {
             Err(error @ DeployError::StateDamaged { .. }) if provable || factory.is_some() => {
                 tracing::error!(%error, "nothing is taken until a policy server proves what is newest");
@@ -200,6 +209,7 @@ impl Source {
         let source = Self {
             keeper,
             model,
+            _alone: alone,
             follow: Follow {
                 address: args.policy_server.clone(),
                 tls_dir: args.tls_dir.clone(),

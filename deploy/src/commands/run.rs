@@ -15,8 +15,6 @@ use crate::supervisor::{Plan, supervise};
 use crate::walk_command::{CommandTable, WalkCommand};
 use crate::{DeployError, failure};
 
-/// The loop's page of metrics, in the run folder.
-pub(super) const LOOP_PAGE: &str = "loop.prom";
 /// How long a loop may be silent, where the flag does not say.
 const HANG_WIRED: Duration = Duration::from_millis(300);
 const HANG_SIMULATED: Duration = Duration::from_secs(10);
@@ -59,6 +57,10 @@ pub struct RunArgs {
     /// File with the key that both ends of the command link share
     #[arg(long, value_name = "FILE")]
     pub(super) link_key: Option<PathBuf>,
+    /// Only velocities whose sender says that a dead-man's button is held move the robot (`drive --hold`, `drive --gamepad`); it stands when
+    /// the button is let go of. Without it a sender that has no such button moves it too
+    #[arg(long, requires = "link_addr")]
+    pub(super) dead_man: bool,
     /// What the robot stands on, for the log
     #[arg(long, value_name = "TEXT", default_value = "")]
     pub(super) terrain: String,
@@ -171,7 +173,9 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), Failure> {
         hang_after: args.hang_ms.map_or(hang, Duration::from_millis),
         folder: folder.clone(),
     };
-    let result = supervise(&plan, &process.stop);
+    // A second signal must not leave torque on: it is dealt with there.
+    let insisted = process.insistence.claim();
+    let result = supervise(&plan, &process.stop, &insisted);
     Staged::clear(&folder);
     result
 }
@@ -193,7 +197,8 @@ fn limp_arguments(args: &RunArgs) -> Option<Vec<OsString>> {
     let BusAddress::Wiring(wiring) = &args.bus else {
         return None;
     };
-    let mut arguments = vec!["--wiring".into(), wiring.into()];
+    // By then the port is free; where it is not, another program has the robot.
+    let mut arguments = vec!["--unless-taken".into(), "--wiring".into(), wiring.into()];
     if let Some(port) = args.ports.overrides().servo_port {
         arguments.extend(["--servo-port".into(), port.into()]);
     }

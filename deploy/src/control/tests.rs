@@ -30,6 +30,13 @@ impl Clock for FakeClock {
     }
 }
 
+/// What an IMU does not tell any more.
+#[derive(Clone, Copy, PartialEq)]
+enum Blind {
+    Rates,
+    Accelerations,
+}
+
 /// Servos that are where they were sent, and what happens to them.
 struct FakeRobot {
     pos_rad: [f32; ACT_DIM],
@@ -41,8 +48,8 @@ struct FakeRobot {
     falls_from: usize,
     /// From this command on the hardware says this about itself.
     ill: (usize, Health),
-    /// From this command on the IMU gives no number.
-    blind_from: usize,
+    /// From this command on the IMU gives no number for this.
+    blind_from: (usize, Blind),
     /// Reads that time out after each command number given here: (commands sent, reads left).
     silent: (usize, u32),
 }
@@ -56,7 +63,7 @@ impl FakeRobot {
             broken_from: usize::MAX,
             falls_from: usize::MAX,
             ill: (usize::MAX, Health::default()),
-            blind_from: usize::MAX,
+            blind_from: (usize::MAX, Blind::Rates),
             silent: (usize::MAX, 0),
         }
     }
@@ -93,10 +100,14 @@ impl ServoBus for FakeRobot {
 impl Imu for FakeRobot {
     fn reading(&mut self) -> Result<ImuReading, BusError> {
         let fallen = self.sent.len() >= self.falls_from;
-        let blind = self.sent.len() >= self.blind_from;
+        let (from, what) = self.blind_from;
+        let number = |of: Blind, value: f32| match self.sent.len() >= from && what == of {
+            true => f32::NAN,
+            false => value,
+        };
         Ok(ImuReading {
-            gyro_radps: [if blind { f32::NAN } else { 0.0 }; 3],
-            acc_mps2: [0.0, 0.0, 9.81],
+            gyro_radps: [number(Blind::Rates, 0.0); 3],
+            acc_mps2: [0.0, 0.0, number(Blind::Accelerations, 9.81)],
             gravity: Some([0.0, 0.0, if fallen { 1.0 } else { -1.0 }]),
         })
     }
@@ -382,10 +393,15 @@ fn fault_39_41_42_43_hardware_faults_stand_or_brake_and_let_go() {
 
 #[test]
 fn fault_45_an_imu_without_numbers_counts_as_fallen() {
-    // The policy stands whatever it sees; only the IMU speaks against going on. A NaN in the observation is held back as well.
-    let (why, _, off) = stopped(|robot| robot.blind_from = 150);
-    assert!(matches!(why, Ended::Fallen | Ended::BadActions), "{why:?}");
-    assert_eq!(off, 1);
+    // Accelerations that are no numbers: the policy does not see them, and its actions are good. Only that nobody knows which way is up
+    // speaks against going on: 25 ticks until that is believed, 50 of braking.
+    let (why, sent, off) = stopped(|robot| robot.blind_from = (150, Blind::Accelerations));
+    assert_eq!((why, off), (Ended::Fallen, 1));
+    assert!((220..=230).contains(&sent), "{sent}");
+    // Rates that are no numbers: the policy sees them, and its actions are none. Three of these stop it first, 50 ticks of braking.
+    let (why, sent, off) = stopped(|robot| robot.blind_from = (150, Blind::Rates));
+    assert_eq!((why, off), (Ended::BadActions, 1));
+    assert!((200..=205).contains(&sent), "{sent}");
 }
 
 /// A link whose newest command came at `heard`, by the number of views so far; a kill from view `kill_from` on.
@@ -393,6 +409,20 @@ struct FakeLink {
     views: u32,
     heard: fn(u32) -> Option<u32>,
     kill_from: u32,
+    /// Views in which the dead-man's button is let go of.
+    released: std::ops::Range<u32>,
+}
+
+impl Default for FakeLink {
+    /// Heard at every view.
+    fn default() -> Self {
+        Self {
+            views: 0,
+            heard: Some,
+            kill_from: u32::MAX,
+            released: 0..0,
+        }
+    }
 }
 
 impl CommandLink for FakeLink {
@@ -403,6 +433,7 @@ impl CommandLink for FakeLink {
             command: [0.2, 0.0, 0.0],
             age: age.unwrap_or(Duration::MAX),
             killed: self.views >= self.kill_from,
+            released: self.released.contains(&self.views),
         }
     }
 }
@@ -436,7 +467,6 @@ fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<[f32;
 fn fault_47_a_silent_link_stops_then_stands_and_walks_on_when_it_is_back() {
     // Heard at every tick until 200, then nothing until 400, then again.
     let link = FakeLink {
-        views: 0,
         heard: |view| {
             Some(if (200..400).contains(&view) {
                 200
@@ -444,7 +474,7 @@ fn fault_47_a_silent_link_stops_then_stands_and_walks_on_when_it_is_back() {
                 view
             })
         },
-        kill_from: u32::MAX,
+        ..FakeLink::default()
     };
     let (result, sent, vx) = linked(link, 10.0);
     assert_eq!(result.unwrap(), Ended::Time);
@@ -462,9 +492,9 @@ fn fault_47_a_silent_link_stops_then_stands_and_walks_on_when_it_is_back() {
 #[test]
 fn a_link_that_never_spoke_keeps_the_robot_standing() {
     let link = FakeLink {
-        views: 0,
         heard: |_| None,
         kill_from: 300,
+        ..FakeLink::default()
     };
     let (result, sent, _) = linked(link, 100.0);
     assert_eq!(result.unwrap(), Ended::Killed);
@@ -477,11 +507,105 @@ fn a_link_that_never_spoke_keeps_the_robot_standing() {
 }
 
 #[test]
+fn fault_47_a_dead_mans_button_that_is_let_go_of_stands_the_robot_at_once() {
+    let link = FakeLink {
+        released: 200..400,
+        ..FakeLink::default()
+    };
+    let (result, sent, _) = linked(link, 10.0);
+    assert_eq!(result.unwrap(), Ended::Time);
+    let model = model();
+    let nominal: Vec<f32> = model.nominal_pos_rad().iter().map(|q| *q as f32).collect();
+    let far = |tick: usize| {
+        let far = sent[tick].iter().zip(&nominal).map(|(a, b)| (a - b).abs());
+        far.fold(0.0, f32::max)
+    };
+    // From the very next target on the robot goes back, at 0.01 rad per tick; silence alone would take a second (50 ticks).
+    assert!(far(198) > 0.02, "walks: {}", far(198));
+    for tick in 200..240 {
+        let moved = far(tick) - far(tick - 1);
+        let on_its_way = (moved + 0.01).abs() < 1e-5 || far(tick) < 1e-5;
+        assert!(
+            on_its_way,
+            "tick {tick}: {} after {}",
+            far(tick),
+            far(tick - 1)
+        );
+    }
+    // It stays there although commands go on, and walks on when the button is held again.
+    assert!((300..395).all(|tick| far(tick) < 1e-5));
+    assert!(far(430) > 0.02, "{}", far(430));
+}
+
+#[test]
+fn a_second_signal_lets_go_within_a_tick_wherever_the_robot_is() {
+    /// Raises the flags as the robot gets its targets.
+    struct Impatient {
+        inner: FakeRobot,
+        stop: StopFlag,
+        insisted: StopFlag,
+        /// Targets after which each is raised.
+        at: [usize; 2],
+    }
+    impl ServoBus for Impatient {
+        fn read(&mut self, deadline: Duration) -> Result<ServoReadings, BusError> {
+            self.inner.read(deadline)
+        }
+        fn write(&mut self, targets: &[f32; ACT_DIM]) -> Result<(), BusError> {
+            self.inner.write(targets)?;
+            for (at, flag) in self.at.iter().zip([&self.stop, &self.insisted]) {
+                if self.inner.sent.len() == *at {
+                    flag.request("test");
+                }
+            }
+            Ok(())
+        }
+        fn torque_off(&mut self) -> Result<(), BusError> {
+            self.inner.torque_off()
+        }
+    }
+    impl Imu for Impatient {
+        fn reading(&mut self) -> Result<ImuReading, BusError> {
+            self.inner.reading()
+        }
+    }
+    impl Robot for Impatient {}
+    // While it rises, walks, and is on its way back after the first signal (which takes more than ten ticks).
+    for at in [[5, 6], [150, 151], [150, 160]] {
+        let mut robot = Impatient {
+            inner: FakeRobot::new(),
+            stop: StopFlag::new(),
+            insisted: StopFlag::new(),
+            at,
+        };
+        let (stop, insisted) = (robot.stop.clone(), robot.insisted.clone());
+        let clock = FakeClock::default();
+        let plan = RunPlan {
+            period: PERIOD,
+            walk_s: None,
+            commands: CommandTable::constant(WalkCommand([0.3, 0.0, 0.0])),
+            step_max_rad: 0.3,
+            read_deadline: READ_DEADLINE,
+            limits: None,
+            swap_wait: None,
+        };
+        let (updates, _events) = Updates::new(Slot::default());
+        let metrics = RobotMetrics::register(&caudata_telemetry::Metrics::new());
+        let policy = verified(1, policy_file(1, |_, _| {}));
+        let runner = PolicyRunner::new(policy, None).unwrap();
+        let mut control =
+            ControlLoop::start(&mut robot, &clock, plan, runner, updates, metrics).unwrap();
+        control.set_insisted(insisted);
+        assert_eq!(control.run(&stop).unwrap(), Ended::Interrupted);
+        assert_eq!((robot.inner.sent.len(), robot.inner.torque_off), (at[1], 1));
+    }
+}
+
+#[test]
 fn a_kill_brakes_at_the_next_tick() {
     let link = FakeLink {
-        views: 0,
-        heard: Some,
         kill_from: 200,
+        ..FakeLink::default()
     };
     let (result, sent, _) = linked(link, 100.0);
     assert_eq!(result.unwrap(), Ended::Killed);

@@ -171,6 +171,8 @@ fn wants(wiring: &Wiring, joint: &JointWiring, limits_rad: [f64; 2]) -> Vec<Want
     let servo = &wiring.servo;
     let want = |register, value| Want { register, value };
     vec![
+        // It was told to: one that does not let go is not set right by telling it again.
+        want(&xm430::TORQUE_ENABLE, 0),
         want(
             &xm430::RETURN_DELAY_TIME,
             (wiring.bus.return_delay_us / RETURN_DELAY_LSB_US) as i32,

@@ -14,7 +14,7 @@ use caudata_dynamixel::units::{
 };
 use caudata_dynamixel::xm430::{self, Register};
 use caudata_dynamixel::{
-    Answer, Bus, BusCounts, BusFault, GroupRead, GroupWrite, Port, SerialPort,
+    Answer, Bus, BusCounts, BusFault, GroupRead, GroupWrite, Port, SerialPort, let_go,
 };
 use caudata_hardware::i2c::BRIDGE_BAUD;
 use caudata_hardware::{BridgeI2c, I2c, ImuChip, ImuSample, JointWiring, LinuxI2c, Wiring};
@@ -30,8 +30,8 @@ const CARE_SHARE: f64 = 2.0 / 7.0;
 const WRITE_DEADLINE: Duration = Duration::from_millis(5);
 /// Ticks in a row without any servo after which the bus counts as gone.
 pub const ALL_SILENT_MAX: u32 = 10;
-/// Times that the order to let go is repeated: nobody answers it.
-pub const TORQUE_OFF_TIMES: u32 = 3;
+/// Times that the order to switch the torque on is repeated: nobody answers it.
+const TORQUE_ON_TIMES: u32 = 3;
 /// Time for all servos to say that their torque is on.
 const ARM_DEADLINE: Duration = Duration::from_millis(200);
 
@@ -44,6 +44,18 @@ pub struct PortOverrides {
     pub imu_bus: Option<String>,
     /// Time is counted in goals.
     pub in_step: bool,
+}
+
+impl PortOverrides {
+    /// Takes the place of `wiring`'s ports.
+    pub fn put_into(&self, wiring: &mut Wiring) {
+        if let Some(port) = &self.servo_port {
+            wiring.bus.port.clone_from(port);
+        }
+        if let Some(bus) = &self.imu_bus {
+            wiring.imu.bus.clone_from(bus);
+        }
+    }
 }
 
 /// Reads a wiring file and puts `overrides` in.
@@ -69,39 +81,57 @@ pub fn read_wiring(
         return Err(wrong(reason).into());
     }
     let joints = wiring.joints(&model.actuated_names()).map_err(wrong)?;
-    if let Some(port) = &overrides.servo_port {
-        wiring.bus.port.clone_from(port);
-    }
-    if let Some(bus) = &overrides.imu_bus {
-        wiring.imu.bus.clone_from(bus);
-    }
+    overrides.put_into(&mut wiring);
     Ok((wiring, joints))
 }
 
-/// Opens the serial port of the servos.
+/// Opens the serial port of the servos for this program alone.
+///
+/// # Errors
+/// [`BusError::Connect`], [`BusError::Taken`].
+pub fn open_bus(wiring: &Wiring) -> Result<Bus<SerialPort>, BusError> {
+    let (path, baud) = (&wiring.bus.port, wiring.bus.baud);
+    let port = SerialPort::open(path, baud).map_err(|e| refused(&path.display(), &e))?;
+    Ok(patient(wiring, port))
+}
+
+/// Opens it also where another program has it, for whoever must be obeyed; with `true` where this one has it alone.
 ///
 /// # Errors
 /// [`BusError::Connect`].
-pub fn open_bus(wiring: &Wiring) -> Result<Bus<SerialPort>, BusError> {
+pub fn open_bus_anyway(wiring: &Wiring) -> Result<(Bus<SerialPort>, bool), BusError> {
     let (path, baud) = (&wiring.bus.port, wiring.bus.baud);
-    let port = SerialPort::open(path, baud).map_err(|e| BusError::Connect {
-        address: path.display().to_string(),
-        reason: e.to_string(),
-    })?;
-    let mut bus = Bus::new(port, baud);
+    let opened = SerialPort::open_anyway(path, baud);
+    let (port, alone) = opened.map_err(|e| refused(&path.display(), &e))?;
+    Ok((patient(wiring, port), alone))
+}
+
+fn patient(wiring: &Wiring, port: SerialPort) -> Bus<SerialPort> {
+    let mut bus = Bus::new(port, wiring.bus.baud);
     bus.be_patient(Duration::from_millis(wiring.bus.read_deadline_ms));
-    Ok(bus)
+    bus
+}
+
+fn refused(address: &dyn std::fmt::Display, error: &std::io::Error) -> BusError {
+    let address = address.to_string();
+    match error.kind() {
+        std::io::ErrorKind::ResourceBusy => BusError::Taken { address },
+        _ => BusError::Connect {
+            address,
+            reason: error.to_string(),
+        },
+    }
 }
 
 /// Finds and sets up the IMU.
 ///
 /// # Errors
-/// [`BusError::Connect`].
+/// [`BusError::Connect`], [`BusError::Taken`].
 pub fn open_imu(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusError> {
     let mut tries = 1;
     loop {
         match open_imu_once(wiring) {
-            Err(_) if tries < TRIES => tries += 1,
+            Err(error) if tries < TRIES && !matches!(error, BusError::Taken { .. }) => tries += 1,
             other => return other,
         }
     }
@@ -109,10 +139,7 @@ pub fn open_imu(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusErro
 
 fn open_imu_once(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusError> {
     let address = &wiring.imu.bus;
-    let connect = |e: std::io::Error| BusError::Connect {
-        address: address.clone(),
-        reason: e.to_string(),
-    };
+    let connect = |e: std::io::Error| refused(address, &e);
     let bus: Box<dyn I2c + Send> = match address.strip_prefix("bridge:") {
         Some(port) => {
             let port = SerialPort::open(Path::new(port), BRIDGE_BAUD).map_err(connect)?;
@@ -336,7 +363,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             false,
         );
         // Written to all at once and answered by nobody: what counts is what the servos then say.
-        for _ in 0..TORQUE_OFF_TIMES {
+        for _ in 0..TORQUE_ON_TIMES {
             write(&mut self.bus, &self.ids, &xm430::TORQUE_ENABLE, 1).map_err(|e| lost(&e))?;
             self.bus
                 .read_group(&mut torque, ARM_DEADLINE)
@@ -423,15 +450,20 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
     }
 
     fn torque_off(&mut self) -> Result<(), BusError> {
-        let mut result = Ok(());
-        for _ in 0..TORQUE_OFF_TIMES {
-            let sent = self.bus.broadcast(&xm430::TORQUE_ENABLE, 0);
-            result = sent.map_err(|e| lost(&e));
-        }
+        let patience = self.bus.setup_deadline();
+        let found = let_go(&mut self.bus, &self.ids, patience);
         self.armed = false;
+        let found = found.map_err(|e| lost(&e))?;
+        if !found.hold.is_empty() {
+            return Err(BusError::Holds { found });
+        }
+        if !found.silent.is_empty() {
+            // One that is gone does not say anything ever; what stopped the run has named it.
+            tracing::warn!(%found, "the torque is off as far as servos say");
+        }
         // The torque is off; the watchdog has nothing to watch any more.
         let _ = self.bus.broadcast(&xm430::BUS_WATCHDOG, 0);
-        result
+        Ok(())
     }
 }
 

@@ -71,6 +71,76 @@ fn bytes_with_another_hash_are_refused_but_may_come_again() {
     assert_eq!(refusal.blame(HERE), Blame::Transfer);
 }
 
+/// The same file in other bytes: a field of protobuf that comes twice counts by its last value. `ir_version` (field 1) once more at the
+/// end, with the value that it has.
+fn same_meaning(bytes: &[u8]) -> Vec<u8> {
+    assert_eq!(bytes[0], 0x08, "ir_version comes first");
+    assert!(bytes[1] < 0x80, "in one byte");
+    [bytes, &bytes[..2]].concat()
+}
+
+#[test]
+fn fault_24_the_same_meaning_in_other_bytes_was_not_signed() {
+    let bytes = policy_file(1, |_, _| {});
+    let other = same_meaning(&bytes);
+    // To ONNX Runtime it is the very same policy.
+    let read = |bytes: &[u8]| PolicyFile::parse(bytes.into());
+    if let Ok(other) = read(&other) {
+        let one = read(&bytes).unwrap();
+        assert_eq!(one.metadata().contract, other.metadata().contract);
+    }
+    // Under the signed announcement its bytes are others.
+    let policy = reference(1, &bytes);
+    let refusal = refusal(other.clone(), &policy);
+    assert!(matches!(refusal, Refusal::WrongHash { .. }), "{refusal}");
+    // Announced as what it is, nobody signed it: the signature is over the hash.
+    let key = caudata_signing::ReleaseKey::from_seed("release", &[7; 32]);
+    let trust = Trust::parse(&key.trust_file()).unwrap();
+    let stream = caudata_proto::registry::StreamName::new("s").unwrap();
+    let file = read(&bytes).unwrap();
+    let mut manifest = caudata_registry_client::manifest_of(stream, &file, 5).unwrap();
+    key.sign(&mut manifest);
+    assert!(check_signatures(&manifest, Some(&trust)).is_ok());
+    manifest.sha256 = Sha256::digest(&other).into();
+    let refusal = check_signatures(&manifest, Some(&trust)).unwrap_err();
+    assert!(matches!(refusal, Refusal::Untrusted(_)), "{refusal}");
+    // As large as it is, too.
+    manifest.sha256 = file.sha256();
+    assert!(check_signatures(&manifest, Some(&trust)).is_ok());
+    manifest.size = other.len() as u64;
+    assert!(check_signatures(&manifest, Some(&trust)).is_err());
+}
+
+#[test]
+fn fault_18_nothing_that_decides_looks_at_the_date() {
+    // The only place that may: where a sender of commands begins to count.
+    let allowed = ["command_link.rs"];
+    let root = std::path::Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/src"));
+    let mut folders = vec![root.to_owned()];
+    let mut looked = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            let name = path.file_name().unwrap().to_str().unwrap();
+            let text = std::fs::read_to_string(&path).unwrap();
+            // Split, so that this file does not find itself.
+            let clocks = [concat!("System", "Time"), concat!("UNIX_", "EPOCH")];
+            let looks = clocks.iter().any(|clock| text.contains(clock));
+            assert!(
+                !looks || allowed.contains(&name),
+                "{} looks at the date",
+                path.display()
+            );
+            looked += 1;
+        }
+    }
+    assert!(looked > 30, "{looked}");
+}
+
 #[test]
 fn a_truncated_file_is_refused() {
     let mut bytes = policy_file(1, |_, _| {});

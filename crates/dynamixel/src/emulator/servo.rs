@@ -33,6 +33,7 @@ pub struct EmulatedServo {
     boots_until_us: u64,
     booted_us: u64,
     unplugged: bool,
+    jammed: bool,
 }
 
 impl EmulatedServo {
@@ -44,6 +45,7 @@ impl EmulatedServo {
             boots_until_us: 0,
             booted_us: 0,
             unplugged: false,
+            jammed: false,
         };
         for register in REGISTERS {
             servo.put(register, register.initial);
@@ -107,6 +109,11 @@ impl EmulatedServo {
     /// Cuts the cable, or mends it.
     pub fn unplug(&mut self, unplugged: bool) {
         self.unplugged = unplugged;
+    }
+
+    /// Keeps its torque as it is, whatever it is told, or obeys again: a servo that does not let go.
+    pub fn jam(&mut self, jammed: bool) {
+        self.jammed = jammed;
     }
 
     /// Restarts: what is not kept without power is as new.
@@ -235,6 +242,9 @@ impl EmulatedServo {
         let latched = self.get(&xm430::HARDWARE_ERROR_STATUS) & self.get(&xm430::SHUTDOWN) != 0;
         if at(&xm430::TORQUE_ENABLE) && value == 1 && latched {
             return Err(ErrorNumber::Access);
+        }
+        if at(&xm430::TORQUE_ENABLE) && self.jammed {
+            return Ok(());
         }
         self.put(register, value);
         Ok(())
