@@ -182,7 +182,8 @@ impl Others {
             children: Vec::new(),
             config: file,
         };
-        let program = std::env::current_exe().map_err(LearnerError::Thread)?;
+        let cannot_start = |error| LearnerError::setting(format!("cannot start a rank: {error}"));
+        let program = std::env::current_exe().map_err(cannot_start)?;
         for rank in 1..config.cluster.learner_ranks {
             let mut command = Command::new(&program);
             command.arg("--config").arg(&others.config);
@@ -190,9 +191,7 @@ impl Others {
             command.args(["--rank", &rank.to_string()]);
             command.env(PARENT_PID_VAR, std::process::id().to_string());
             command.stdin(Stdio::null()).stdout(Stdio::null());
-            others
-                .children
-                .push(command.spawn().map_err(LearnerError::Thread)?);
+            others.children.push(command.spawn().map_err(cannot_start)?);
         }
         let settings = RankSettings::new(&config, "bench", contract_hash);
         let stop = StopFlag::new();

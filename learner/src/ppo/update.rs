@@ -5,7 +5,7 @@ use caudata_model::RobotModel;
 use caudata_random::Stream;
 use caudata_task::mirror::SignedPermutation;
 use caudata_task::{Mirror, PolicyContract};
-use tch::{Device, Tensor};
+use tch::Tensor;
 
 use super::loss::{LossSettings, entropy, log_prob, sums};
 use super::pool::rows;

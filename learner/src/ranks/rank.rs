@@ -166,11 +166,12 @@ fn introduce(
     });
     link.send(Kind::Hello, &words, CONNECT_MAX)?;
     // Rank 0 may be busy with another one that connected first.
-    match link.receive(settings.join_timeout, || Ok(()))? {
-        (Kind::Welcome, _) => Ok(Ok(link)),
-        (Kind::Refused, payload) => Ok(Err(Reader(payload).text()?)),
-        (other, _) => Err(format!("it sent {other:?} instead of a welcome")),
-    }
+    let refused = match link.receive(settings.join_timeout, || Ok(()))? {
+        (Kind::Welcome, _) => None,
+        (Kind::Refused, payload) => Some(Reader(payload).text()?),
+        (other, _) => return Err(format!("it sent {other:?} instead of a welcome")),
+    };
+    Ok(refused.map_or(Ok(link), Err))
 }
 
 fn work(

@@ -8,7 +8,7 @@ use caudata_telemetry::StopFlag;
 use tch::Tensor;
 
 use super::link::{Certificates, Link};
-use super::wire::{Forward, Kind, Reader, Writer};
+use super::wire::{Forward, Hello, Kind, Reader, Writer};
 use super::{RankSettings, share};
 use crate::LearnerError;
 use crate::network::ActorCritic;
@@ -141,33 +141,14 @@ fn greet(
 ) -> Result<u32, String> {
     let mut link = Link::accepted(stream, certificates, HELLO_MAX)?;
     let hello = Reader(link.expect(Kind::Hello, HELLO_MAX)?).hello();
-    let seat = hello.and_then(|hello| {
-        let (own, theirs) = (&settings.identity, &hello.identity);
-        let parameters = net.layout().len() as u64;
-        if theirs.run_id != own.run_id {
-            return Err(format!("it is of run {}, not {}", theirs.run_id, own.run_id));
-        }
-        if (hello.ranks, &theirs.config_hash, hello.parameters)
-            != (settings.count, &own.config_hash, parameters)
-        {
-            return Err("its configuration is another: start all ranks with the same".to_owned());
-        }
-        if theirs.contract_hash != own.contract_hash {
-            return Err("its robot or task is another: start all ranks with the same".to_owned());
-        }
-        let index = hello.rank.checked_sub(1).map(|rank| rank as usize);
-        match index.and_then(|index| seats.get_mut(index)) {
-            // One that comes twice has lost its first connection; a process of another host with the same number is found out when it is missed.
-            Some(seat) => Ok((hello.rank, seat)),
-            None => Err(format!("{} is no rank of {}", hello.rank, settings.count)),
-        }
-    });
+    let seat = hello.and_then(|hello| seat_of(&hello, settings, net));
     let mut words = Writer::default();
     match seat {
-        Ok((rank, seat)) => {
+        Ok(index) => {
             link.send(Kind::Welcome, &words, HELLO_MAX)?;
-            *seat = Some(link);
-            Ok(rank)
+            // One that comes twice has lost its first connection; two processes with one number are found out when the first is missed.
+            seats[index] = Some(link);
+            Ok(index as u32 + 1)
         }
         Err(reason) => {
             words.text(&reason);
@@ -175,6 +156,26 @@ fn greet(
             Err(reason)
         }
     }
+}
+
+/// The place of the rank that says `hello`, from 0, or why it has none.
+fn seat_of(hello: &Hello, settings: &RankSettings, net: &ActorCritic) -> Result<usize, String> {
+    let (own, theirs) = (&settings.identity, &hello.identity);
+    if theirs.run_id != own.run_id {
+        return Err(format!("it is of run {}, not {}", theirs.run_id, own.run_id));
+    }
+    let parameters = net.layout().len() as u64;
+    let same = hello.ranks == settings.count && hello.parameters == parameters;
+    if !same || theirs.config_hash != own.config_hash {
+        return Err("its configuration is another: start all ranks with the same".to_owned());
+    }
+    if theirs.contract_hash != own.contract_hash {
+        return Err("its robot or task is another: start all ranks with the same".to_owned());
+    }
+    if !(1..settings.count).contains(&hello.rank) {
+        return Err(format!("{} is no rank of {}", hello.rank, settings.count));
+    }
+    Ok(hello.rank as usize - 1)
 }
 
 fn lost(rank: u32, link: &Link, reason: String) -> LearnerError {

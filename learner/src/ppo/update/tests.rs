@@ -4,6 +4,7 @@ use super::*;
 use crate::network::NetworkSpec;
 use caudata_config::NetworkConfig;
 use caudata_random::{Key, Purpose};
+use tch::Device;
 
 fn stream(purpose: Purpose) -> Stream {
     Stream::new(
