@@ -71,9 +71,12 @@ fn start_root(folder: &Path, ranks: u32, port: u16, iterations: u64, more: &[&st
         .unwrap()
 }
 
-/// The code that it ended with, and its error line.
+/// The code that it ended with, and its error line; nothing where it ended well, all that it said where it has none.
 fn ended(child: Child) -> (Option<i32>, String) {
     let output: Output = child.wait_with_output().unwrap();
+    if output.status.success() {
+        return (Some(0), String::new());
+    }
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     let error = text.lines().find(|line| line.starts_with("error: "));
     (output.status.code(), error.unwrap_or(&text).to_owned())

@@ -17,9 +17,7 @@ use crate::adam::Adam;
 use crate::batch::{Batch, Segment};
 use crate::network::ActorCritic;
 use crate::normaliser::Scaling;
-use crate::returns::{
-    Trajectories, VtraceSettings, mean_and_std, vtrace, weighted_mean_and_std,
-};
+use crate::returns::{Trajectories, VtraceSettings, mean_and_std, vtrace, weighted_mean_and_std};
 
 /// Factor of rsl_rl's rule for the learning rate.
 const RATE_FACTOR: f64 = 1.5;

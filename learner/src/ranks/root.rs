@@ -162,7 +162,10 @@ fn greet(
 fn seat_of(hello: &Hello, settings: &RankSettings, net: &ActorCritic) -> Result<usize, String> {
     let (own, theirs) = (&settings.identity, &hello.identity);
     if theirs.run_id != own.run_id {
-        return Err(format!("it is of run {}, not {}", theirs.run_id, own.run_id));
+        return Err(format!(
+            "it is of run {}, not {}",
+            theirs.run_id, own.run_id
+        ));
     }
     let parameters = net.layout().len() as u64;
     let same = hello.ranks == settings.count && hello.parameters == parameters;

@@ -7,7 +7,6 @@
 //! Both sides check that they speak the same version before anything else; after that each knows what must come next, and anything else ends
 //! the connection.
 
-
 use super::RankIdentity;
 use crate::ppo::{Head, LossSettings, Minibatch, sums};
 

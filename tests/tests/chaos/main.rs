@@ -624,7 +624,9 @@ fn chaos(seconds: u64) {
         });
     }
     let yardstick = Yardstick::of(&calm);
-    println!("reward per step after {iterations} iterations' worth of data: {late:.4}; {yardstick:?}");
+    println!(
+        "reward per step after {iterations} iterations' worth of data: {late:.4}; {yardstick:?}"
+    );
     if let Err(why) = yardstick.judge(late) {
         panic!("{why}");
     }
@@ -674,6 +676,25 @@ impl Yardstick {
         }
         Ok(())
     }
+}
+
+#[test]
+fn a_run_that_learnt_half_is_told_from_noise() {
+    // Late ±0.002 about −0.014: s² = 8·0.002²/7, s = 0.00214; 4.785·s·√(9/8) = 0.0109; a twentieth of 0.076 is 0.0038.
+    let calm: Vec<[f64; 2]> = (0..SEEDS)
+        .map(|seed| [if seed % 2 == 0 { -0.012 } else { -0.016 }, -0.09])
+        .collect();
+    let yardstick = Yardstick::of(&calm);
+    assert!((yardstick.least + 0.0287).abs() < 1e-4, "{yardstick:?}");
+    // The worst of four undisturbed runs; one that goes back to what it knew after 250 of 1,250 iterations; one whose weights never change.
+    assert!(yardstick.judge(-0.018).is_ok());
+    assert!(yardstick.judge(-0.042).is_err());
+    assert!(yardstick.judge(-0.09).is_err());
+    // Runs that lie so far apart that half of the learning would pass are no yardstick, for whatever run.
+    let wild: Vec<[f64; 2]> = (0..SEEDS)
+        .map(|seed| [if seed % 2 == 0 { 0.0 } else { -0.03 }, -0.09])
+        .collect();
+    assert!(Yardstick::of(&wild).judge(0.0).is_err());
 }
 
 #[test]

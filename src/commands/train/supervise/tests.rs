@@ -260,10 +260,7 @@ fn a_rank_that_cannot_work_ends_the_run_with_its_exit_code() {
     let stage = with_ranks(learner, "echo 'error: no such robot' >&2; exit 66");
     let failure = stage.run().err().unwrap();
     assert_eq!(failure.code(), ExitCode::NoInput);
-    assert_eq!(
-        failure.to_string(),
-        "rank 1 of the learner: no such robot"
-    );
+    assert_eq!(failure.to_string(), "rank 1 of the learner: no such robot");
 }
 
 /// Whether there is a process with this number that still runs.
