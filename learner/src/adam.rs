@@ -63,6 +63,15 @@ impl Adam {
         }
     }
 
+    /// The same state in memory of its own.
+    pub fn copy(&self) -> Self {
+        Self {
+            m: self.m.copy(),
+            v: self.v.copy(),
+            steps: self.steps,
+        }
+    }
+
     /// Forgets every step.
     pub fn reset(&mut self) {
         let _ = (self.m.zero_(), self.v.zero_());

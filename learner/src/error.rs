@@ -26,6 +26,42 @@ pub enum LearnerError {
     /// The operating system refuses a thread.
     #[error("cannot start a thread: {0}")]
     Thread(std::io::Error),
+    /// The address of the ranks cannot be had or found.
+    #[error("cluster.rank_address {address}: {source}")]
+    RankAddress {
+        /// As configured.
+        address: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Ranks that did not come.
+    #[error("rank {missing} of the learner did not join at {address} {why}")]
+    RanksMissing {
+        /// Their numbers.
+        missing: String,
+        /// Where they were waited for.
+        address: String,
+        /// How long they were.
+        why: String,
+    },
+    /// A rank that was there is not any more.
+    #[error("rank {rank} of the learner ({peer}) is lost: {reason}")]
+    RankLost {
+        /// Which.
+        rank: u32,
+        /// Its address.
+        peer: String,
+        /// What was seen of it.
+        reason: String,
+    },
+    /// Rank 0 does not want this rank.
+    #[error("the learner does not take rank {rank}: {reason}")]
+    RankRefused {
+        /// Which.
+        rank: u32,
+        /// Why.
+        reason: String,
+    },
     /// A file or folder cannot be written.
     #[error("cannot write {path}: {source}")]
     Write {
@@ -176,7 +212,9 @@ impl LearnerError {
             Self::Torch(_) | Self::Worker | Self::Picture(_) | Self::Policy(_) => {
                 ExitCode::Internal
             }
-            Self::Thread(_) => ExitCode::OsResource,
+            Self::Thread(_) | Self::RankAddress { .. } => ExitCode::OsResource,
+            Self::RanksMissing { .. } | Self::RankLost { .. } => ExitCode::RankLost,
+            Self::RankRefused { .. } => ExitCode::BadConfig,
             Self::Transport(TransportError::Config(_) | TransportError::PolicyTooLarge { .. }) => {
                 ExitCode::BadConfig
             }
@@ -206,6 +244,18 @@ impl LearnerError {
             }
             Self::Durable(error) if error.is_disk_full() => Some(
                 "free some space and resume; the checkpoints saved before are whole".to_owned(),
+            ),
+            Self::RanksMissing { .. } => Some(
+                "start `caudata-learner --rank R` with the same configuration, where this address leads here; its log says why it did not come".to_owned(),
+            ),
+            Self::RankLost { rank: 0, .. } => Some(
+                "the log of rank 0, the learner itself, says why; start both again".to_owned(),
+            ),
+            Self::RankLost { .. } => Some(
+                "its log says why; the run goes on with --resume once all ranks are there".to_owned(),
+            ),
+            Self::RankRefused { .. } => Some(
+                "give every rank the learner's configuration and run id".to_owned(),
             ),
             Self::Starved { .. } => {
                 Some("the logs of the actors say what they were doing".to_owned())

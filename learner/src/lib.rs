@@ -11,6 +11,7 @@ pub mod network;
 pub mod normaliser;
 pub mod ppo;
 pub mod publish;
+pub mod ranks;
 pub mod report;
 pub mod returns;
 pub mod train;

@@ -8,7 +8,7 @@ use caudata_actor::decode_transport;
 use caudata_config::{ConfigArgs, TransportKind};
 use caudata_learner::LearnerError;
 use caudata_learner::bench::bench;
-use caudata_learner::train::{Resume, TrainSettings, train};
+use caudata_learner::train::{Resume, TrainSettings, train, train_as_rank};
 use caudata_telemetry::{
     ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, parse_args,
 };
@@ -28,7 +28,7 @@ struct Args {
     #[command(flatten)]
     config: ConfigArgs,
     /// Folder of the run: checkpoints, policy, curves, TensorBoard files
-    #[arg(long, value_name = "DIR", required = true)]
+    #[arg(long, value_name = "DIR", required_unless_present = "rank")]
     run_dir: Option<PathBuf>,
     /// Identifier of the run, the same for learner and actors
     #[arg(long, value_name = "ID", required = true)]
@@ -48,6 +48,9 @@ struct Args {
     /// Run the actors as threads of this process
     #[arg(long)]
     inproc: bool,
+    /// Work on shards for the learner of this run as rank R, 1 to cluster.learner_ranks − 1, until it ends; it listens at cluster.rank_address
+    #[arg(long, value_name = "R", conflicts_with_all = ["run_dir", "resume", "resume_from", "policy_server", "transport", "inproc", "metrics_addr"])]
+    rank: Option<u32>,
     /// Serve /metrics and /healthz here (port 0: any free port), instead of where [telemetry] says
     #[arg(long, value_name = "ADDR")]
     metrics_addr: Option<SocketAddr>,
@@ -86,9 +89,13 @@ fn measure(config: &ConfigArgs, seconds: f64) -> Result<(), Failure> {
 
 fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
     let missing = |flag| Failure::message(ExitCode::BadConfig, format!("{flag} is missing"));
-    let run_dir = args.run_dir.clone().ok_or_else(|| missing("--run-dir"))?;
     let run_id = args.run_id.clone().ok_or_else(|| missing("--run-id"))?;
     let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
+    if let Some(rank) = args.rank {
+        return train_as_rank(&config, &run_id, rank, &process.stop)
+            .map_err(LearnerError::into_failure);
+    }
+    let run_dir = args.run_dir.clone().ok_or_else(|| missing("--run-dir"))?;
     if args.inproc {
         config.transport.kind = TransportKind::Inproc;
     }

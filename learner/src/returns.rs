@@ -1,10 +1,13 @@
 //! Value targets and advantages: V-trace (Espeholt et al. 2018, "IMPALA", section 4.1) with time limits told apart
 //! from failures.
 //!
-//! With δ_t = ρ_t·(r_t + γ·V'_t − V_t), where V'_t is 0 after a termination, the value of the final observation after
-//! a truncation and V_{t+1} otherwise, the advantage is A_t = δ_t + γ·c_t·A_{t+1} (no A_{t+1} across the end of an
-//! episode) and the target is V_t + A_t. ρ_t = min(ρ̄, π/μ), c_t = λ·min(c̄, π/μ). Where the behaviour is the current
-//! policy, π/μ = 1 and A_t is GAE(λ) (Schulman et al. 2016) exactly.
+//! With δ_t = r_t + γ·V'_t − V_t, where V'_t is 0 after a termination, the value of the final observation after
+//! a truncation and V_{t+1} otherwise, the correction of a value is D_t = ρ_t·δ_t + γ·c_t·D_{t+1} (no D_{t+1} across the end of an
+//! episode), and the target is V_t + D_t. ρ_t = min(ρ̄, π/μ), c_t = λ·min(c̄, π/μ).
+//!
+//! The advantage is that of the action that was taken, A_t = δ_t + γ·λ·D_{t+1}: what followed is corrected for the policy's age, the action itself is not,
+//! since the loss weighs it by π/μ. (With D_t in its place that ratio would count twice.) Where the behaviour is the current
+//! policy, π/μ = 1 and A_t = D_t is GAE(λ) (Schulman et al. 2016) exactly.
 
 /// Discounts and caps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,6 +60,8 @@ pub fn vtrace(
         chunk.truncated.iter().filter(|&&t| t).count()
     );
     let mut finals = chunk.final_values.iter().rev();
+    // D of the step after, by lane.
+    let mut corrections = vec![0.0_f32; lanes];
     for t in (0..steps).rev() {
         // From the last lane to the first, so that the final values come in their reversed order.
         for n in (0..lanes).rev() {
@@ -64,20 +69,35 @@ pub fn vtrace(
             let ratio = chunk.ratios.map_or(1.0, |ratios| ratios[i]);
             let rho = ratio.min(settings.rho_max);
             let trace = settings.lambda * ratio.min(settings.c_max);
-            let (next_value, next_advantage) = if chunk.truncated[i] {
+            let (next_value, next_correction) = if chunk.truncated[i] {
                 (finals.next().copied().unwrap_or(0.0), 0.0)
             } else if chunk.terminated[i] {
                 (0.0, 0.0)
             } else if t + 1 == steps {
                 (chunk.bootstrap_values[n], 0.0)
             } else {
-                (chunk.values[i + lanes], advantages[i + lanes])
+                (chunk.values[i + lanes], corrections[n])
             };
-            let delta = rho * (chunk.rewards[i] + settings.gamma * next_value - chunk.values[i]);
-            advantages[i] = delta + settings.gamma * trace * next_advantage;
-            targets[i] = chunk.values[i] + advantages[i];
+            let delta = chunk.rewards[i] + settings.gamma * next_value - chunk.values[i];
+            advantages[i] = delta + settings.gamma * settings.lambda * next_correction;
+            corrections[n] = rho * delta + settings.gamma * trace * next_correction;
+            targets[i] = chunk.values[i] + corrections[n];
         }
     }
+}
+
+/// Mean and standard deviation of `xs`, each of which counts `weights` times, in f64.
+pub fn weighted_mean_and_std(xs: &[f32], weights: &[f32]) -> (f64, f64) {
+    let pairs = || {
+        xs.iter()
+            .zip(weights)
+            .map(|(&x, &w)| (f64::from(x), f64::from(w)))
+    };
+    let n = pairs().map(|(_, w)| w).sum::<f64>();
+    let n = if n > 0.0 { n } else { 1.0 };
+    let mean = pairs().map(|(x, w)| x * w).sum::<f64>() / n;
+    let variance = pairs().map(|(x, w)| (x - mean).powi(2) * w).sum::<f64>() / n;
+    (mean, variance.sqrt())
 }
 
 /// Mean and standard deviation (population) of `xs`, in f64.

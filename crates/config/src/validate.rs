@@ -67,7 +67,16 @@ impl Config {
             cluster.hang_timeout_s,
             1.0,
             3_600.0,
-        )
+        )?;
+        within("cluster.learner_ranks", cluster.learner_ranks, 1, 64)?;
+        let address = cluster.rank_address.rsplit_once(':');
+        if !address.is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok()) {
+            let value = format!("{:?}", cluster.rank_address);
+            return broken("cluster.rank_address", value, "must be host:port");
+        }
+        let (join, answer) = (cluster.rank_join_timeout_s, cluster.rank_timeout_s);
+        positive("cluster.rank_join_timeout_s", join, 86_400.0)?;
+        positive("cluster.rank_timeout_s", answer, 3_600.0)
     }
 
     fn check_run(&self) -> Check {

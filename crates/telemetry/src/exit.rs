@@ -48,13 +48,15 @@ pub enum ExitCode {
     InsufficientData = 83,
     /// Diagnosis: the logs contradict themselves.
     DataFault = 84,
+    /// One of several processes that learn together is gone, or never came.
+    RankLost = 85,
     /// Interrupted by a second Ctrl-C: nothing was drained.
     Interrupted = 130,
 }
 
 impl ExitCode {
     /// All codes, for tables and tests.
-    pub const ALL: [ExitCode; 20] = [
+    pub const ALL: [ExitCode; 21] = [
         ExitCode::Ok,
         ExitCode::BadConfig,
         ExitCode::BadInput,
@@ -74,6 +76,7 @@ impl ExitCode {
         ExitCode::Unexplained,
         ExitCode::InsufficientData,
         ExitCode::DataFault,
+        ExitCode::RankLost,
         ExitCode::Interrupted,
     ];
 

@@ -5,16 +5,19 @@ use caudata_model::RobotModel;
 use caudata_random::Stream;
 use caudata_task::mirror::SignedPermutation;
 use caudata_task::{Mirror, PolicyContract};
-use tch::{Device, Tensor};
+use tch::Tensor;
 
-use super::loss::{LossSettings, Outputs, Samples, entropy, log_prob, loss_and_gradient, sums};
-use super::pool::{Pool, SHARD_ROWS, Worker, rows, shards};
+use super::loss::{LossSettings, entropy, log_prob, sums};
+use super::pool::rows;
+use super::reduction::{
+    COLUMNS, Column, Drawn, Head, InProcess, Minibatch, Reduction, host, scales_minibatch,
+};
 use crate::LearnerError;
 use crate::adam::Adam;
 use crate::batch::{Batch, Segment};
 use crate::network::ActorCritic;
 use crate::normaliser::Scaling;
-use crate::returns::{Trajectories, VtraceSettings, mean_and_std, vtrace};
+use crate::returns::{Trajectories, VtraceSettings, mean_and_std, vtrace, weighted_mean_and_std};
 
 /// Factor of rsl_rl's rule for the learning rate.
 const RATE_FACTOR: f64 = 1.5;
@@ -84,54 +87,29 @@ pub struct UpdateStats {
     pub skipped: u64,
 }
 
-/// Network, optimiser and learning rate, and the threads that work on them.
+/// Network, optimiser and learning rate, and what works on them.
 #[derive(Debug)]
 pub struct Ppo {
     net: ActorCritic,
     adam: Adam,
-    pool: Pool,
+    reduction: Box<dyn Reduction>,
     settings: PpoSettings,
     learning_rate: f64,
     /// Of the whole run so far.
     env_steps: u64,
-    shard_rows: usize,
 }
 
-/// Everything about the batch that the epochs draw from, on the device. With a mirror, B mirror images follow the B samples.
+/// What is known of the batch before the epochs.
 struct Prepared {
-    /// Normalised, `[B, D]` or `[2B, D]`.
-    observations: Tensor,
-    /// Actions, means of π_prox, and the columns of [`Column`]: `[B, 2A + 4]` or `[2B, 2A + 4]`.
-    samples: Tensor,
-    prox_log_std: Tensor,
     effective_share: f64,
     explained_variance: f64,
 }
-
-/// Columns of [`Prepared::samples`] behind actions and means.
-#[repr(usize)]
-enum Column {
-    ProxLogProb = 0,
-    Advantage = 1,
-    Target = 2,
-    Weight = 3,
-}
-const COLUMNS: usize = 4;
 
 /// Host-side results of the pass before the update.
 struct Targets {
     advantages: Vec<f32>,
     targets: Vec<f32>,
     weights: Vec<f32>,
-}
-
-struct GradientJob {
-    observations: Tensor,
-    /// As [`Prepared::samples`].
-    samples: Tensor,
-    prox_log_std: Tensor,
-    minibatch_rows: usize,
-    settings: LossSettings,
 }
 
 /// How a minibatch's gradient is used.
@@ -163,17 +141,39 @@ impl Ppo {
         settings: PpoSettings,
         threads: usize,
     ) -> Result<Self, LearnerError> {
-        let on_cpu = net.device() == Device::Cpu;
-        Ok(Self {
+        let reduction = Box::new(InProcess::new(&net, threads)?);
+        Ok(Self::with_reduction(net, settings, reduction))
+    }
+
+    /// The start, with somebody else to work on the shards of `net`.
+    pub fn with_reduction(
+        net: ActorCritic,
+        settings: PpoSettings,
+        reduction: Box<dyn Reduction>,
+    ) -> Self {
+        Self {
             adam: Adam::new(net.layout().len(), net.device()),
-            // One GPU works on whole minibatches; a second thread could only queue behind the first.
-            pool: Pool::new(&net, if on_cpu { threads } else { 1 })?,
-            shard_rows: if on_cpu { SHARD_ROWS } else { usize::MAX },
+            reduction,
             learning_rate: settings.ppo.learning_rate,
             env_steps: 0,
             net,
             settings,
-        })
+        }
+    }
+
+    /// The run ends in good order: other ranks may go.
+    pub fn finish(&mut self) {
+        self.reduction.finish();
+    }
+
+    /// A rank of this learner that was asked to stop, if there is one.
+    pub fn leaving_rank(&self) -> Option<u32> {
+        self.reduction.leaving()
+    }
+
+    /// The hyper-parameters.
+    pub fn settings(&self) -> &PpoSettings {
+        &self.settings
     }
 
     /// The network.
@@ -215,10 +215,10 @@ impl Ppo {
     /// Learns from `batch`, whose observations the current policy (version `policy_version`) sees through `scaling`.
     /// `order` decides which samples meet in a minibatch. With `value_only` the policy stays as it is.
     ///
-    /// A minibatch whose loss or gradient is not finite changes nothing and is counted.
+    /// A minibatch whose loss or gradient is not finite changes nothing and is counted. An update that fails changes nothing at all.
     ///
     /// # Errors
-    /// [`LearnerError::Setting`] for a batch of other dimensions, or an error of libtorch.
+    /// [`LearnerError::Setting`] for a batch of other dimensions, an error of libtorch, or that a thread or a rank is lost.
     pub fn update(
         &mut self,
         batch: &Batch,
@@ -229,6 +229,25 @@ impl Ppo {
     ) -> Result<UpdateStats, LearnerError> {
         let _no_grad = tch::no_grad_guard();
         self.check(batch)?;
+        // What is saved after a failure must be what an update ended with, not half of the next one.
+        let parameters = self.net.flat().copy();
+        let (adam, rate, shuffles) = (self.adam.copy(), self.learning_rate, order.clone());
+        let updated = self.try_update(batch, scaling, policy_version, order, value_only);
+        if updated.is_err() {
+            self.net.flat().shallow_clone().copy_(&parameters);
+            (self.adam, self.learning_rate, *order) = (adam, rate, shuffles);
+        }
+        updated
+    }
+
+    fn try_update(
+        &mut self,
+        batch: &Batch,
+        scaling: &Scaling,
+        policy_version: u64,
+        order: &mut Stream,
+        value_only: bool,
+    ) -> Result<UpdateStats, LearnerError> {
         let prepared = self.prepare(batch, scaling, policy_version)?;
         let guard = if prepared.effective_share < self.settings.staleness.min_effective_share {
             0.5
@@ -239,20 +258,16 @@ impl Ppo {
         let mut indices: Vec<i64> = (0..batch.rows as i64).collect();
         for epoch in 0..self.settings.ppo.epochs {
             order.shuffle(&mut indices);
-            let index = match self.settings.mirror {
-                None => Tensor::from_slice(&indices),
-                Some(_) => Tensor::from_slice(&half_mirrored(&indices, epoch)),
-            };
-            let index = index.to_device(self.net.device());
-            let observations = prepared.observations.index_select(0, &index);
-            let samples = prepared.samples.index_select(0, &index);
+            match self.settings.mirror {
+                None => self.reduction.shuffle(&indices)?,
+                Some(_) => self.reduction.shuffle(&half_mirrored(&indices, epoch))?,
+            }
             for part in self.minibatches(batch.rows) {
-                let (observations, samples) = (rows(&observations, part), rows(&samples, part));
                 let step = Step {
                     rate_guard: guard,
                     value_only,
                 };
-                self.minibatch(&observations, &samples, &prepared, step, &mut tally)?;
+                self.minibatch(part, step, &mut tally)?;
             }
         }
         Ok(self.stats(&tally, &prepared))
@@ -300,13 +315,19 @@ impl Ppo {
         );
         let raw = Tensor::from_slice(&batch.observations).view([rows_all as i64, obs_dim]);
         let all = scaling.apply(&raw.to_device(device));
-        let mut observations = rows(&all, (0, batch.rows));
+        let mut tables = vec![all];
+        let mirror = self.settings.mirror.clone();
+        if let Some(mirror) = &mirror {
+            let images = exchange(&rows(&raw, (0, batch.rows)), &mirror.observation);
+            tables.push(scaling.apply(&images.to_device(device)));
+        }
+        self.reduction.begin(tables)?;
         let actions = Tensor::from_slice(&batch.actions)
             .view([batch.rows as i64, batch.act_dim as i64])
             .to_device(device);
 
-        let values: Vec<f32> = host(&Tensor::cat(&self.pool.map(self.cut(&all), value_of)?, 0))?;
-        let prox_means = Tensor::cat(&self.pool.map(self.cut(&observations), mean_of)?, 0);
+        let values = host(&self.reduction.forward(Head::Value, 0, rows_all)?)?;
+        let prox_means = self.reduction.forward(Head::Policy, 0, batch.rows)?;
         let prox_log_std = self.net.log_std();
         // Plain PPO clips against the policy that acted, whatever its age: then every ratio below is 1.
         let prox_log_probs: Vec<f32> = match self.settings.staleness.correction {
@@ -318,30 +339,29 @@ impl Ppo {
         let effective_share = effective_share(&targets.weights);
         let explained_variance = explained_variance(&values[..batch.rows], &targets.targets);
         let mut samples = self.samples(&actions, &prox_means, &prox_log_probs, &targets);
-        if let Some(mirror) = self.settings.mirror.clone() {
+        if let Some(mirror) = mirror {
             // Values and advantages of a mirror image are the sample's own. Its weight is how likely the policy is to act so: without it an action that
             // a lopsided policy would not take pushes the mean about, and the robot ends up standing.
-            let images = exchange(&rows(&raw, (0, batch.rows)), &mirror.observation);
-            let images = scaling.apply(&images.to_device(device));
             let actions = exchange(&actions, &mirror.action);
-            let means = Tensor::cat(&self.pool.map(self.cut(&images), mean_of)?, 0);
+            let means = self.reduction.forward(Head::Policy, 1, batch.rows)?;
             let log_probs: Vec<f32> = host(&log_prob(&actions, &means, &prox_log_std))?;
             let cap = self.settings.staleness.weight_max as f32;
             targets.weights = image_weights(&log_probs, &batch.behaviour_log_probs, cap);
             let image_samples = self.samples(&actions, &means, &log_probs, &targets);
-            observations = Tensor::cat(&[observations, images], 0);
             samples = Tensor::cat(&[samples, image_samples], 0);
         }
-        Ok(Prepared {
-            observations,
+        self.reduction.load(Drawn {
             samples,
             prox_log_std,
+            rows: batch.rows,
+        })?;
+        Ok(Prepared {
             effective_share,
             explained_variance,
         })
     }
 
-    /// The columns of [`Prepared::samples`].
+    /// The columns of [`Drawn::samples`].
     fn samples(
         &self,
         actions: &Tensor,
@@ -353,14 +373,6 @@ impl Ppo {
             .view([-1, COLUMNS as i64])
             .to_device(self.net.device());
         Tensor::cat(&[actions, prox_means, &columns], 1)
-    }
-
-    fn cut(&self, t: &Tensor) -> Vec<Tensor> {
-        let all = t.size()[0] as usize;
-        shards(all, self.shard_rows)
-            .into_iter()
-            .map(|part| rows(t, part))
-            .collect()
     }
 
     /// Advantages (scaled over the batch if so configured), value targets and importance weights.
@@ -387,7 +399,8 @@ impl Ppo {
             );
         }
         if self.settings.ppo.advantage_scale == AdvantageScale::Batch {
-            let (mean, std) = mean_and_std(&out.advantages);
+            // Of the policy before the update: by the weights that samples have in the loss, which are 1 where they are its own.
+            let (mean, std) = weighted_mean_and_std(&out.advantages, &out.weights);
             let scaled = |a: f32| ((f64::from(a) - mean) / (std + TINY)) as f32;
             out.advantages.iter_mut().for_each(|a| *a = scaled(*a));
         }
@@ -445,43 +458,25 @@ impl Ppo {
     /// Gradient of one minibatch, and the step that it gives.
     fn minibatch(
         &mut self,
-        observations: &Tensor,
-        samples: &Tensor,
-        prepared: &Prepared,
+        part: (usize, usize),
         step: Step,
         tally: &mut Tally,
     ) -> Result<(), LearnerError> {
-        let minibatch_rows = observations.size()[0] as usize;
-        self.scale_advantages(samples);
+        let minibatch_rows = part.1;
         let ppo = &self.settings.ppo;
-        let settings = LossSettings {
-            clip: ppo.clip,
-            value_weight: ppo.value_loss_weight,
-            entropy_weight: ppo.entropy_weight,
+        let total = self.reduction.gradient(&Minibatch {
+            part,
+            loss: LossSettings {
+                clip: ppo.clip,
+                value_weight: ppo.value_loss_weight,
+                entropy_weight: ppo.entropy_weight,
+            },
+            scale_advantages: scales_minibatch(ppo.advantage_scale),
+        })?;
+        let sums = total.sums;
+        let Some(gradient) = total.gradient else {
+            return Ok(());
         };
-        let jobs = shards(minibatch_rows, self.shard_rows)
-            .into_iter()
-            .map(|part| GradientJob {
-                observations: rows(observations, part),
-                samples: rows(samples, part),
-                prox_log_std: prepared.prox_log_std.shallow_clone(),
-                minibatch_rows,
-                settings,
-            });
-        let answers = self.pool.map(jobs.collect(), shard_gradient)?;
-        let mut sums = [0.0; sums::COUNT];
-        let mut total: Option<Tensor> = None;
-        for (shard_sums, gradient) in answers {
-            let shard_sums: Vec<f32> = host(&shard_sums)?;
-            sums.iter_mut()
-                .zip(shard_sums)
-                .for_each(|(sum, s)| *sum += f64::from(s));
-            total = Some(match total {
-                Some(mut total) => total.g_add_(&gradient),
-                None => gradient,
-            });
-        }
-        let Some(gradient) = total else { return Ok(()) };
         if step.value_only {
             let policy = self.net.policy_len() as i64;
             let _ = gradient.narrow(0, 0, policy).zero_();
@@ -500,18 +495,6 @@ impl Ppo {
         self.step(gradient, norm, step.rate_guard);
         tally.add(&sums, minibatch_rows, norm);
         Ok(())
-    }
-
-    /// Per minibatch, where so configured: in place, in the minibatch's own copy of the samples.
-    fn scale_advantages(&self, samples: &Tensor) {
-        if self.settings.ppo.advantage_scale != AdvantageScale::Minibatch {
-            return;
-        }
-        let column = 2 * self.net.spec().act_dim + Column::Advantage as usize;
-        let mut advantages = samples.narrow(1, column as i64, 1);
-        let mean = advantages.mean(tch::Kind::Float);
-        let std = advantages.std(false).g_add_scalar_(TINY);
-        let _ = advantages.g_sub_(&mean).g_div_(&std);
     }
 
     fn step(&mut self, mut gradient: Tensor, norm: f64, rate_guard: f64) {
@@ -560,46 +543,6 @@ impl Tally {
         self.gradient_norm += norm;
         self.updates += 1;
     }
-}
-
-fn value_of(worker: &mut Worker, observations: Tensor) -> Tensor {
-    worker.net.value().forward(&observations)
-}
-
-fn mean_of(worker: &mut Worker, observations: Tensor) -> Tensor {
-    worker.net.policy().forward(&observations)
-}
-
-/// Forward and backward of one shard; answers the sums of the loss and the gradient `[P]`.
-fn shard_gradient(worker: &mut Worker, job: GradientJob) -> (Tensor, Tensor) {
-    let (net, gradient) = worker.next_gradient();
-    let actions = net.spec().act_dim as i64;
-    let column = |c: Column| job.samples.narrow(1, 2 * actions + c as i64, 1);
-    let samples = Samples {
-        actions: job.samples.narrow(1, 0, actions),
-        prox_means: job.samples.narrow(1, actions, actions),
-        prox_log_probs: column(Column::ProxLogProb),
-        advantages: column(Column::Advantage),
-        targets: column(Column::Target),
-        weights: column(Column::Weight),
-    };
-    let (means, policy_tape) = net.policy().forward_with_tape(&job.observations);
-    let (values, value_tape) = net.value().forward_with_tape(&job.observations);
-    let outputs = Outputs { means, values };
-    let (sums, output_gradient) = loss_and_gradient(
-        &job.settings,
-        job.minibatch_rows,
-        &outputs,
-        &net.log_std(),
-        &job.prox_log_std,
-        &samples,
-    );
-    net.policy()
-        .backward(&policy_tape, output_gradient.means, gradient.policy());
-    net.value()
-        .backward(&value_tape, output_gradient.values, gradient.value());
-    net.log_std_backward(&output_gradient.log_std, gradient);
-    (sums, gradient.flat().shallow_clone())
 }
 
 /// rsl_rl's rule; the rate stays when no target is set.
@@ -673,13 +616,6 @@ fn interleave(prox_log_probs: &[f32], targets: &Targets) -> Vec<f32> {
         row[Column::Weight as usize] = targets.weights[i];
     }
     columns
-}
-
-/// All numbers of a tensor, on the host.
-fn host(t: &Tensor) -> Result<Vec<f32>, LearnerError> {
-    Ok(Vec::try_from(
-        &t.to_device(Device::Cpu).contiguous().view([-1]),
-    )?)
 }
 
 #[cfg(test)]

@@ -83,14 +83,50 @@ fn old_data_is_capped_by_hand() {
         final_values: &[],
         ratios: Some(&[0.5, 4.0]),
     };
-    // Step 1: ρ = min(1, 4) = 1, A = 1. Step 0: ρ = 0.5, δ = 0.5; trace λ·0.5 = 0.25; A = 0.5 + 0.5·0.25·1 = 0.625.
-    assert_eq!(run(&SETTINGS, &chunk).0, [0.625, 1.0]);
-    // With ρ̄ = 2: step 1 gives 2, step 0 gives 0.5 + 0.125·2 = 0.75.
+    // Both δ are 1. Step 1: A = 1, ρ = min(1, 4) = 1, D = 1. Step 0: A = 1 + 0.5·0.5·1 = 1.25; ρ = 0.5, trace λ·0.5 = 0.25, D = 0.5 + 0.5·0.25·1 = 0.625.
+    let (advantages, targets) = run(&SETTINGS, &chunk);
+    assert_eq!(advantages, [1.25, 1.0]);
+    assert_eq!(targets, [0.625, 1.0]);
+    // With ρ̄ = 2: step 1 gives D = 2, step 0 A = 1 + 0.25·2 = 1.5 and D = 0.5 + 0.125·2 = 0.75.
     let wide = VtraceSettings {
         rho_max: 2.0,
         ..SETTINGS
     };
-    assert_eq!(run(&wide, &chunk).0, [0.75, 2.0]);
+    let (advantages, targets) = run(&wide, &chunk);
+    assert_eq!(advantages, [1.5, 1.0]);
+    assert_eq!(targets, [0.75, 2.0]);
+}
+
+#[test]
+fn the_policys_step_is_that_of_fresh_data_in_the_mean() {
+    // One state, two actions with rewards 1 and 0, V = 0. μ takes them 3 : 1, π half and half: π/μ is 2/3 and 2. Weighted by π/μ, μ's advantages must
+    // have the mean that π's own have: 3/4·2/3·A(1) + 1/4·2·A(0) = 1/2·1 + 1/2·0.
+    let advantage = |reward: f32, ratio: f32| {
+        let chunk = Trajectories {
+            lanes: 1,
+            rewards: &[reward],
+            terminated: &[true],
+            truncated: &[false],
+            values: &[0.0],
+            bootstrap_values: &[0.0],
+            final_values: &[],
+            ratios: Some(&[ratio]),
+        };
+        run(&SETTINGS, &chunk).0[0]
+    };
+    let (first, second) = (2.0 / 3.0, 2.0);
+    let mean = 0.75 * first * advantage(1.0, first) + 0.25 * second * advantage(0.0, second);
+    assert!((mean - 0.5).abs() < 1e-6, "{mean}");
+}
+
+#[test]
+fn weights_count_samples_several_times() {
+    // {1, 4, 4}: mean 3, variance (4 + 1 + 1)/3 = 2.
+    let (mean, std) = weighted_mean_and_std(&[1.0, 4.0], &[1.0, 2.0]);
+    assert_eq!((mean, std), (3.0, 2.0_f64.sqrt()));
+    let xs = [0.1, -3.0, 7.5];
+    assert_eq!(weighted_mean_and_std(&xs, &[1.0; 3]), mean_and_std(&xs));
+    assert_eq!(weighted_mean_and_std(&xs, &[0.0; 3]), (0.0, 0.0));
 }
 
 /// GAE as a double sum, straight from the definition: A_t = Σ_k (γλ)^k δ_{t+k}, stopping at an episode's end.

@@ -12,4 +12,4 @@ mod traces;
 mod versions;
 
 pub use resume::Resume;
-pub use setup::{TrainSettings, train};
+pub use setup::{TrainSettings, train, train_as_rank};

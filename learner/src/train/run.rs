@@ -205,6 +205,10 @@ impl Run<'_> {
         let learning_s = learning.elapsed().as_secs_f64();
         let samples = vec![("caudata.samples", batch.rows.into())];
         self.traces.done("update", learning_ns, samples);
+        if let Some(rank) = self.ppo.leaving_rank() {
+            // Its host wants it to go: the whole run ends in good order, instead of losing it in the middle of an update.
+            self.stop.request(&format!("rank {rank} was asked to stop"));
+        }
         self.watch_finite(&stats, state)?;
         // The policy that acted saw the old normaliser; the next one sees this batch as well.
         batch
@@ -564,6 +568,9 @@ impl Run<'_> {
                 .warn("the policy server did not take the last policy in time".into());
         }
         self.tell_published(&mut state.seen);
+        if healthy {
+            self.ppo.finish();
+        }
         first_failure
     }
 

@@ -31,6 +31,7 @@ use crate::network::{ActorCritic, NetworkSpec};
 use crate::normaliser::Moments;
 use crate::ppo::{Ppo, PpoSettings};
 use crate::publish::Publisher;
+use crate::ranks::{RankSettings, Ranks, serve};
 use crate::report::History;
 use crate::warm_start::warm_start;
 
@@ -77,7 +78,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         .unwrap_or_else(|| transport_of(config));
     let inproc = matches!(transport, TransportConfig::Inproc(_));
 
-    let device = device(config.learner.device)?;
+    let device = device(config.learner.device, 0)?;
     let net = ActorCritic::new(spec, config.run.seed, device);
     let store = CheckpointStore::new(
         settings.run_dir.join("checkpoints"),
@@ -106,7 +107,15 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         _ => None,
     };
     let ppo = PpoSettings::new(config, &model, &contract)?;
-    let mut ppo = Ppo::new(net, ppo, threads(config, inproc))?;
+    let ranks = RankSettings::new(config, &settings.run_id, contract_hash);
+    let threads = threads(config, inproc);
+    let mut ppo = match ranks.count {
+        0 | 1 => Ppo::new(net, ppo, threads)?,
+        _ => {
+            let ranks = Ranks::gather(&ranks, &net, threads, stop)?;
+            Ppo::with_reduction(net, ppo, Box::new(ranks))
+        }
+    };
     let (mut progress, snapshots) = restore(&mut ppo, state, config, contract.obs_dim())?;
     if let Some(moments) = moments {
         progress.0.moments = moments;
@@ -206,19 +215,50 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     run.train()
 }
 
+/// Learns as another rank than 0: works on shards for the learner of run `run_id` until that ends, or `stop` is raised.
+///
+/// # Errors
+/// See [`LearnerError`]: the configuration does not fit the robot or the learner's, or rank 0 is lost.
+pub fn train_as_rank(
+    config: &Config,
+    run_id: &str,
+    rank: u32,
+    stop: &StopFlag,
+) -> Result<(), LearnerError> {
+    let robot = config.robot_path();
+    let model = RobotModel::load(&robot).map_err(|source| LearnerError::Robot {
+        path: robot.clone(),
+        source,
+    })?;
+    let contract = PolicyContract::new(&model, &config.task)?;
+    let spec = NetworkSpec::new(
+        &config.learner.network,
+        contract.obs_dim(),
+        contract.act_dim(),
+    )?;
+    let device = device(config.learner.device, rank)?;
+    let net = ActorCritic::new(spec, config.run.seed, device);
+    let settings = RankSettings::new(config, run_id, contract.hash_hex());
+    let threads = config.learner.threads as usize;
+    serve(rank, &settings, &net, threads, stop)
+}
+
 /// Where the actors of a run keep their ledgers.
 pub(super) fn ledger_folder(run_dir: &Path) -> PathBuf {
     run_dir.join("ledgers")
 }
 
-fn device(wanted: caudata_config::Device) -> Result<Device, LearnerError> {
+/// Ranks of one host take its GPUs in turn.
+fn device(wanted: caudata_config::Device, rank: u32) -> Result<Device, LearnerError> {
     use caudata_config::Device as Wanted;
     let there = tch::Cuda::is_available();
+    let gpus = usize::try_from(tch::Cuda::device_count()).unwrap_or(0);
+    let gpu = Device::Cuda(rank as usize % gpus.max(1));
     match wanted {
         Wanted::Cpu => Ok(Device::Cpu),
         Wanted::Auto if !there => Ok(Device::Cpu),
         Wanted::Cuda if !there => Err(LearnerError::NoCuda),
-        Wanted::Auto | Wanted::Cuda => Ok(Device::Cuda(0)),
+        Wanted::Auto | Wanted::Cuda => Ok(gpu),
     }
 }
 

@@ -5,6 +5,7 @@ pub mod backoff;
 pub mod children;
 mod finish;
 pub mod folder;
+mod ranks;
 mod robot;
 pub mod supervise;
 pub mod view;

@@ -15,6 +15,7 @@ use super::Resume;
 use super::backoff::{Backoff, Verdict};
 use super::children::{self, LineSink, Process, Programs};
 use super::folder::RunFolder;
+use super::ranks::Ranks;
 use super::view::View;
 
 /// Lines of the learner that may wait to be shown; then the learner waits.
@@ -58,6 +59,7 @@ pub struct Supervisor<'a> {
     plan: Plan,
     learner: Process,
     learner_backoff: Backoff,
+    ranks: Ranks<'a>,
     lines: Receiver<String>,
     progress: std::fs::File,
     actors: Vec<ActorSlot>,
@@ -122,6 +124,7 @@ impl<'a> Supervisor<'a> {
             start_server(programs, config, folder, config.policy_server.addr)?;
         let (sender, lines) = bounded(LINES_WAITING_MAX);
         let learner = start_learner(programs, config, folder, server_addr, &plan.resume, sender)?;
+        let ranks = Ranks::start(programs, config, folder)?;
         let actors = (0..plan.actors)
             .map(|id| ActorSlot {
                 id,
@@ -145,6 +148,7 @@ impl<'a> Supervisor<'a> {
             plan,
             learner,
             learner_backoff: Backoff::new(LEARNER_RESTARTS_PER_MINUTE),
+            ranks,
             lines,
             progress,
             actors,
@@ -163,6 +167,7 @@ impl<'a> Supervisor<'a> {
             // Whatever fails here ends the run in good order: the learner saves, the transport is cleaned up.
             self.take_lines(LOOK_EVERY);
             let watched = self.watch_actors().and_then(|()| self.watch_server());
+            let watched = watched.and_then(|()| self.watch_ranks());
             if let Err(failure) = watched {
                 self.end_early(failure);
             }
@@ -171,6 +176,7 @@ impl<'a> Supervisor<'a> {
         self.take_lines(Duration::ZERO);
         self.view.done();
         self.stop_actors();
+        self.ranks.finish(CHILD_STOP_MAX);
         let status = self.learner.ended();
         if !status.is_some_and(|status| status.success()) {
             self.clean_up_transport();
@@ -251,6 +257,7 @@ impl<'a> Supervisor<'a> {
             &Resume::Latest,
             sender,
         );
+        let started = started.and_then(|learner| self.ranks.start_anew().map(|()| learner));
         match started {
             Ok(learner) => {
                 (self.learner, self.lines) = (learner, lines);
@@ -426,6 +433,15 @@ impl<'a> Supervisor<'a> {
             Some(sink),
         )?);
         Ok(())
+    }
+
+    /// Ranks that died are started again, unless the learner that they worked for ends, which its own end decides about.
+    fn watch_ranks(&mut self) -> Result<(), Failure> {
+        let ending = self.stopping_since.is_some() || self.fatal.is_some();
+        if ending || self.finished.is_some() || self.learner.ended().is_some() {
+            return Ok(());
+        }
+        self.ranks.watch(&self.view, self.began.elapsed())
     }
 
     /// A policy server that died is started again at its old address; training goes on meanwhile.
@@ -634,7 +650,7 @@ fn start_learner(
 }
 
 /// Log flags, and with `own_metrics` a metrics endpoint on any free port of the configured address.
-fn add_telemetry(command: &mut Command, config: &Config, own_metrics: bool) {
+pub fn add_telemetry(command: &mut Command, config: &Config, own_metrics: bool) {
     let telemetry = &config.telemetry;
     command.args([
         "--log-format",

@@ -4,6 +4,7 @@ use super::*;
 use crate::network::NetworkSpec;
 use caudata_config::NetworkConfig;
 use caudata_random::{Key, Purpose};
+use tch::Device;
 
 fn stream(purpose: Purpose) -> Stream {
     Stream::new(
@@ -209,25 +210,6 @@ fn shares_and_parts_by_hand() {
     let ppo = ppo(|s| s.ppo.minibatches = 4, 1);
     assert_eq!(ppo.minibatches(10), [(0, 2), (2, 3), (5, 2), (7, 3)]);
     assert_eq!(ppo.minibatches(2), [(0, 1), (1, 1)]);
-}
-
-#[test]
-fn advantages_of_a_minibatch_are_shifted_and_scaled() {
-    let ppo = ppo(|s| s.ppo.advantage_scale = AdvantageScale::Minibatch, 1);
-    let samples = Tensor::zeros(
-        [3, 2 * ACT as i64 + COLUMNS as i64],
-        (tch::Kind::Float, Device::Cpu),
-    );
-    let advantages = samples.narrow(1, 2 * ACT as i64 + 1, 1);
-    advantages
-        .shallow_clone()
-        .copy_(&Tensor::from_slice(&[1.0_f32, 2.0, 6.0]).view([3, 1]));
-    ppo.scale_advantages(&samples);
-    // Mean 3, variance (4 + 1 + 9)/3.
-    let expected = [-2.0, -1.0, 3.0].map(|x| x / (14.0_f64 / 3.0).sqrt());
-    for (i, expected) in expected.iter().enumerate() {
-        assert!((advantages.double_value(&[i as i64, 0]) - expected).abs() < 1e-6);
-    }
 }
 
 #[test]

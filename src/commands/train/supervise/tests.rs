@@ -208,6 +208,67 @@ fn a_killed_learner_of_a_cluster_goes_on_from_its_checkpoint() {
     assert_eq!((outcome.restarts, starts.lines().count()), (0, 1));
 }
 
+/// The learner's program, which is that of its ranks, too: `rank` is what these do after they have noted that they are here.
+fn with_ranks(learner: &str, rank: &str) -> Stage {
+    let learner = format!(
+        "case \"$*\" in *'--rank 1'*) echo $$ >> $RUN/ranks; {rank}; exit;; esac; {STARTED}; {learner}"
+    );
+    let mut stage = Stage::new(&learner, "exec sleep 600");
+    stage.config.cluster.learner_ranks = 2;
+    stage
+}
+
+/// Waits until ranks were started `count` times.
+fn wait_for_ranks(count: u32) -> String {
+    format!("while [ \"$(wc -l < $RUN/ranks)\" != {count} ]; do sleep 0.02; done")
+}
+
+#[test]
+fn a_rank_that_dies_is_started_again() {
+    let learner = format!(
+        "{}; {}; {}",
+        wait_for("$RUN/ranks"),
+        wait_for_ranks(2),
+        finished("completed")
+    );
+    let first = "[ \"$(wc -l < $RUN/ranks)\" = 1 ] && kill -9 $$";
+    let stage = with_ranks(&learner, &format!("{first}; exec sleep 600"));
+    assert_eq!(stage.run().unwrap().finished.reason, "completed");
+    let starts = fs::read_to_string(stage.folder.root().join("ranks")).unwrap();
+    for pid in starts.lines().map(|pid| pid.parse::<u32>().unwrap()) {
+        assert!(!still_runs(pid), "rank {pid} was left behind");
+    }
+}
+
+#[test]
+fn a_new_learner_gets_new_ranks() {
+    // The rank stays, as one that hangs would: the learner that has lost it goes, and both are there anew.
+    let learner = format!(
+        "{}; case \"$*\" in *--resume*) {}; {};; *) exit 85;; esac",
+        wait_for("$RUN/ranks"),
+        wait_for_ranks(2),
+        finished("completed")
+    );
+    let mut stage = with_ranks(&learner, "exec sleep 600");
+    stage.restart_learner = true;
+    assert_eq!(stage.run().unwrap().finished.reason, "completed");
+}
+
+#[test]
+fn a_rank_that_cannot_work_ends_the_run_with_its_exit_code() {
+    let learner = "trap 'exit 0' TERM; while :; do sleep 0.02; done";
+    let stage = with_ranks(learner, "echo 'error: no such robot' >&2; exit 66");
+    let failure = stage.run().err().unwrap();
+    assert_eq!(failure.code(), ExitCode::NoInput);
+    assert_eq!(failure.to_string(), "rank 1 of the learner: no such robot");
+}
+
+/// Whether there is a process with this number that still runs.
+fn still_runs(pid: u32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{pid}/stat"));
+    status.is_ok_and(|line| !line.contains(") Z "))
+}
+
 #[test]
 fn an_actor_that_cannot_work_ends_the_run_with_its_exit_code() {
     let learner = format!(
