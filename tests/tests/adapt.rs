@@ -150,7 +150,8 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
     ] {
         args.extend(["--only", id]);
     }
-    args.extend(["--iterations", "2", "--episodes", "2", "--preset", "flat"]);
+    args.extend(["--iterations", "2", "--suite", "flat", "--episodes", "2"]);
+    args.extend(["--preset", "flat"]);
     for set in [
         "actors.lanes=3",
         "actors.chunk_steps=8",
@@ -228,8 +229,8 @@ fn nothing_is_trained_for_a_robot_that_is_as_its_file_says() {
     let kp = about["kp_nm_per_rad"].as_f64().unwrap();
     let logs = folder.join("logs");
     for trial in ["chirp_medium", "steps_medium", "triangle_fast"] {
-        // by the engine that diagnoses: what another engine does otherwise is a gap, and no concern of this test
-        let log = record(&robot, folder, trial, "batch", kp);
+        // by another engine than the one that diagnoses
+        let log = record(&robot, folder, trial, "rapier", kp);
         std::fs::create_dir_all(&logs).unwrap();
         std::fs::rename(log, logs.join(trial)).unwrap();
     }

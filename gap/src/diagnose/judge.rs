@@ -8,6 +8,8 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+use caudata_runlog::BaseHold;
+
 use super::algebra::{dot, symmetric_eigen};
 use super::noise::Noise;
 use super::pipeline::add_own_misses;
@@ -32,6 +34,8 @@ const TIME_TOLERANCE_S: f64 = 0.0007;
 const GAIN_TOLERANCE: f64 = 0.01;
 /// Supply by this share.
 const SUPPLY_TOLERANCE: f64 = 0.015;
+/// The answer of a first-order integrator is so many times farther from its limit of small steps than from that with half the step.
+const TO_THE_LIMIT: f32 = 2.0;
 /// Ground friction by this share.
 const GROUND_TOLERANCE: f64 = 0.1;
 
@@ -109,7 +113,36 @@ impl Judge {
         };
         judge.cap(replayer)?;
         judge.set_base(replayer, &[])?;
+        if judge.add_numerics(replayer)? {
+            judge.set_base(replayer, &[])?;
+        }
         Ok(judge)
+    }
+
+    /// Adds what the simulator's own step does to held runs, beyond what nuisances explain, to their noise. Whether that is anything.
+    fn add_numerics(&mut self, replayer: &Replayer) -> Result<bool, GapError> {
+        if self.data.trials.iter().all(|t| t.base != BaseHold::Fixed) {
+            return Ok(false);
+        }
+        let coarse = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
+        let fine = (replayer.finer())
+            .predict(&self.data, &[Vec::new()])?
+            .swap_remove(0);
+        let off = self.change(&fine, &coarse);
+        for segment in &self.data.segments {
+            if self.data.trials[segment.trial].base != BaseHold::Fixed {
+                continue;
+            }
+            for piece in &segment.pieces {
+                let of = &off[piece.range.clone()];
+                let square = dot(of, of) / of.len().max(1) as f64;
+                let grows = 1.0_f32.hypot(TO_THE_LIMIT * square.sqrt() as f32);
+                for k in piece.range.clone() {
+                    self.noise.grow(k, grows);
+                }
+            }
+        }
+        Ok(true)
     }
 
     /// Only the stretches `keep` of `data`, which holds the same runs as `whole` cut otherwise, with the noise that they have there, around the robot
@@ -192,7 +225,7 @@ impl Judge {
             if misfit > MOST_MISFIT {
                 let factor = (misfit / MOST_MISFIT).sqrt() as f32;
                 for k in piece.range.clone() {
-                    self.noise.sigma[k] *= factor;
+                    self.noise.grow(k, factor);
                 }
             }
         }

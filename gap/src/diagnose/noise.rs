@@ -52,6 +52,12 @@ impl Noise {
         noise
     }
 
+    /// Makes the noise of sample `k` `factor` times what it was.
+    pub fn grow(&mut self, k: usize, factor: f32) {
+        self.sigma[k] *= factor;
+        self.difference[k] /= factor;
+    }
+
     fn piece(&mut self, model: &RobotModel, data: &Data, trial: usize, piece: &Piece) {
         let own = &data.trials[trial];
         let channel = &own.channels[piece.channel];

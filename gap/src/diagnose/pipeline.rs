@@ -78,7 +78,7 @@ pub fn add_own_misses(
             };
             let miss = (sum / n.max(1.0)).sqrt() as f32;
             for k in piece.range.clone() {
-                noise.sigma[k] = noise.sigma[k].hypot(miss);
+                noise.grow(k, 1.0_f32.hypot(miss / noise.sigma[k]));
             }
         }
     }
