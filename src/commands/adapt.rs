@@ -238,9 +238,8 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
 fn improves(before: &Option<Value>, after: &Option<Value>) -> bool {
     match (measures(before), measures(after)) {
         (Some((falls, off)), Some((new_falls, new_off))) => {
-            let left = |axis: usize| {
-                (new_off[axis] + UNNOTICED[axis]) / (off[axis] + UNNOTICED[axis])
-            };
+            let left =
+                |axis: usize| (new_off[axis] + UNNOTICED[axis]) / (off[axis] + UNNOTICED[axis]);
             let mean = (0..3).map(left).sum::<f64>() / 3.0;
             new_falls <= falls + FALLS_TOLERANCE && mean < 1.0
         }

@@ -98,7 +98,8 @@ fn make(args: &PaperArgs) -> Result<(), Failure> {
     };
     ground::make(&plan, &args.out).or_exit(ExitCode::Internal)?;
     let (_, mjcf, _) = ground::salamander(LabFile::Stiff).or_exit(ExitCode::Internal)?;
-    let truth = ground::true_salamander(LabFile::Stiff, paper::HIDDEN).or_exit(ExitCode::Internal)?;
+    let truth =
+        ground::true_salamander(LabFile::Stiff, paper::HIDDEN).or_exit(ExitCode::Internal)?;
     write(&args.out.join("polymander.xml"), &mjcf)?;
     write(&args.out.join("truth.robot.toml"), &truth)
 }

@@ -34,6 +34,9 @@ const TIME_TOLERANCE_S: f64 = 0.0007;
 const GAIN_TOLERANCE: f64 = 0.01;
 /// Supply by this share.
 const SUPPLY_TOLERANCE: f64 = 0.015;
+/// When within its loop a servo reads its current, and over how long: s. Between two commands the torque falls as the joint follows, so that this is a current
+/// in proportion to the speed.
+const READING_TOLERANCE_S: f64 = 0.002;
 /// The answer of a first-order integrator is so many times farther from its limit of small steps than from that with half the step.
 const TO_THE_LIMIT: f32 = 2.0;
 /// Ground friction by this share.
@@ -479,6 +482,7 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
         1.0,
         true,
     );
+    add("current_lag", READING_TOLERANCE_S, 1.0, true);
     add("command_delay", 3.0 * TIME_TOLERANCE_S, 1.0 / 3.0, false);
     add(
         "supply_level",

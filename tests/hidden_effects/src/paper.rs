@@ -175,7 +175,10 @@ fn mean_over(
     index: usize,
     figure: &dyn Fn(std::ops::Range<usize>) -> f64,
 ) -> f64 {
-    let all: Vec<f64> = stretches(data, kind, index).into_iter().map(figure).collect();
+    let all: Vec<f64> = stretches(data, kind, index)
+        .into_iter()
+        .map(figure)
+        .collect();
     all.iter().sum::<f64>() / all.len().max(1) as f64
 }
 
