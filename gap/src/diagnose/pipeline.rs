@@ -85,12 +85,15 @@ pub fn add_own_misses(
     Ok(())
 }
 
-/// Noise of a channel in a run, from its first sample that counts.
+/// Noise of a channel in a run, from the quietest of its samples in its first stretch that counts.
 fn sigma_of(noise: &Noise, data: &Data, trial: usize, channel: usize) -> f64 {
     data.segments
         .iter()
         .filter(|s| s.trial == trial)
         .flat_map(|s| &s.pieces)
         .find(|p| p.channel == channel)
-        .map_or(0.0, |p| f64::from(noise.sigma[p.range.start]))
+        .map_or(0.0, |p| {
+            let least = noise.sigma[p.range.clone()].iter().copied();
+            f64::from(least.fold(f32::INFINITY, f32::min))
+        })
 }
