@@ -109,6 +109,12 @@ fn main() {
             u.location, u.depends_on, u.description, u.nearest
         );
     }
+    for cell in r.divergence.iter().take(10) {
+        println!(
+            "  apart: {} {} {}: {:.5}, floor {:.5}",
+            cell.signal, cell.joint, cell.regime, cell.rmse, cell.noise_floor
+        );
+    }
     println!("  next: {:?}", r.next_experiment);
     println!("  compute: {:?}", r.compute);
     errors(&request, &d);

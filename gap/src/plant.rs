@@ -20,6 +20,8 @@ pub struct Sensing {
     pub currents: Vec<CurrentErrors>,
     /// Time constant of each servo's velocity estimate, s. `[A]`
     pub velocity_lag_s: Vec<f32>,
+    /// Time constant of each servo's reading of its current, s. `[A]`
+    pub current_lag_s: Vec<f32>,
     /// How the IMU sits and scales.
     pub mounting: ImuMounting,
     /// Its offsets.
@@ -76,6 +78,7 @@ impl Plant {
                 encoders: vec![EncoderErrors::default(); joints],
                 currents: vec![CurrentErrors::default(); joints],
                 velocity_lag_s: vec![0.0; joints],
+                current_lag_s: vec![0.0; joints],
                 ..Sensing::default()
             },
             session: 0.0,

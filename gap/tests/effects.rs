@@ -157,6 +157,7 @@ fn effects_of_a_joint_show_on_a_bench_rig() {
             "encoder_gain",
             "velocity_lag",
             "current_bias",
+            "current_lag",
             "parallel_spring",
             "hard_stop",
         ]

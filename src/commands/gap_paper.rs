@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_gap::{Role, Run, extension, page};
-use caudata_hidden_effects::ground::{self, GroundPlan};
+use caudata_hidden_effects::ground::{self, GroundPlan, LabFile};
 use caudata_hidden_effects::paper::{self, Pictures, Row};
 use caudata_hidden_effects::truth::free::Channels;
 use caudata_runlog::RunLog;
@@ -87,6 +87,7 @@ fn make(args: &PaperArgs) -> Result<(), Failure> {
     })?;
     let plan = GroundPlan {
         name: LOGS.to_owned(),
+        file: LabFile::Stiff,
         hidden: paper::HIDDEN,
         channels: Channels {
             imu: true,
@@ -96,8 +97,9 @@ fn make(args: &PaperArgs) -> Result<(), Failure> {
         repeats: 2,
     };
     ground::make(&plan, &args.out).or_exit(ExitCode::Internal)?;
-    let (_, mjcf, _) = ground::stiff_salamander().or_exit(ExitCode::Internal)?;
-    let truth = ground::true_salamander(paper::HIDDEN).or_exit(ExitCode::Internal)?;
+    let (_, mjcf, _) = ground::salamander(LabFile::Stiff).or_exit(ExitCode::Internal)?;
+    let truth =
+        ground::true_salamander(LabFile::Stiff, paper::HIDDEN).or_exit(ExitCode::Internal)?;
     write(&args.out.join("polymander.xml"), &mjcf)?;
     write(&args.out.join("truth.robot.toml"), &truth)
 }

@@ -150,7 +150,8 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
     ] {
         args.extend(["--only", id]);
     }
-    args.extend(["--iterations", "2", "--episodes", "2", "--preset", "flat"]);
+    args.extend(["--iterations", "2", "--suite", "flat", "--episodes", "2"]);
+    args.extend(["--preset", "flat"]);
     for set in [
         "actors.lanes=3",
         "actors.chunk_steps=8",

@@ -88,6 +88,7 @@ const NEEDS: &[Need] = &[
     (&["encoder_gain", "link_geometry"], |e| unless(e.has("mocap") || e.has("foot"), "motion capture or foot positions: joint logs alone cannot show it"), "sweep_full"),
     (&["velocity_lag"], |e| unless(e.has("vel") && e.joint(|j| j.band_hz[1] > 1.0), "speeds logged, above 1 Hz"), "chirp_medium"),
     (&["current_bias"], |e| unless(e.has("cur"), "motor current"), "holds"),
+    (&["current_lag"], |e| unless(e.has("cur") && e.joint(|j| j.band_hz[1] > 1.0), "motor current, above 1 Hz"), "chirp_medium"),
     (&["imu_tilt"], |e| unless(e.has("imu.acc") || e.has("imu.grav"), "accelerometer or gravity direction"), "rest"),
     (&["gyro_bias"], |e| unless(e.has("imu.gyro"), "gyroscope"), "rest"),
     (&["imu_delay"], |e| unless(e.has("imu.gyro") && e.moving_joints() > 0, "gyroscope while the trunk moves"), "rock_x"),

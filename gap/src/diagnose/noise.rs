@@ -17,6 +17,8 @@ fn relative(kind: Kind) -> f64 {
     }
 }
 
+/// A servo that gives next to no torque reads its idle current, one way or the other: up to so many times that, a reading tells no more than that.
+const IDLE: f64 = 1.3;
 /// Repeats that differ this many times more than usual in a block have been disturbed.
 const DISTURBED: f64 = 10.0;
 /// Repeats are not expected to agree better than this, rad.
@@ -50,6 +52,12 @@ impl Noise {
             }
         }
         noise
+    }
+
+    /// Makes the noise of sample `k` `factor` times what it was.
+    pub fn grow(&mut self, k: usize, factor: f32) {
+        self.sigma[k] *= factor;
+        self.difference[k] /= factor;
     }
 
     fn piece(&mut self, model: &RobotModel, data: &Data, trial: usize, piece: &Piece) {
@@ -92,7 +100,12 @@ impl Noise {
         let size = spread(values);
         let sigma = (floor.max(repeat).powi(2) + (relative(piece.kind) * size).powi(2)).sqrt();
         let sigma = sigma.max(smallest(piece.kind));
+        let idle_a = match piece.kind {
+            Kind::Current => model.servo(piece.index).current_dead_band_a,
+            _ => 0.0,
+        };
         for k in 0..values.len() {
+            let sigma = or_idle(sigma, values[k], idle_a);
             self.sigma[range.start + k] = sigma as f32;
             self.difference[range.start + k] = (differences[k] / sigma) as f32;
         }
@@ -154,6 +167,15 @@ pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
         .filter(|l| l.0 > DISTURBED * usual)
         .map(|(_, trial, from, to)| (trial, from, to))
         .collect()
+}
+
+/// Noise of a reading, SI: where it may be idle current (A; 0: the servo shows none), all of that.
+fn or_idle(sigma: f64, read: f64, idle_a: f64) -> f64 {
+    if read.abs() < IDLE * idle_a {
+        sigma.max(idle_a)
+    } else {
+        sigma
+    }
 }
 
 /// Step of a channel's numbers, SI.
@@ -218,6 +240,15 @@ fn spread(y: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_idle_current_has_no_sign() {
+        // 1.3·0.15 = 0.195
+        assert_eq!(or_idle(0.01, -0.19, 0.15), 0.15);
+        assert_eq!(or_idle(0.01, 0.2, 0.15), 0.01);
+        assert_eq!(or_idle(0.2, 0.0, 0.15), 0.2);
+        assert_eq!(or_idle(0.01, 0.0, 0.0), 0.01);
+    }
 
     #[test]
     fn jitter_sees_noise_and_not_motion() {

@@ -78,19 +78,22 @@ pub fn add_own_misses(
             };
             let miss = (sum / n.max(1.0)).sqrt() as f32;
             for k in piece.range.clone() {
-                noise.sigma[k] = noise.sigma[k].hypot(miss);
+                noise.grow(k, 1.0_f32.hypot(miss / noise.sigma[k]));
             }
         }
     }
     Ok(())
 }
 
-/// Noise of a channel in a run, from its first sample that counts.
+/// Noise of a channel in a run, from the quietest of its samples in its first stretch that counts.
 fn sigma_of(noise: &Noise, data: &Data, trial: usize, channel: usize) -> f64 {
     data.segments
         .iter()
         .filter(|s| s.trial == trial)
         .flat_map(|s| &s.pieces)
         .find(|p| p.channel == channel)
-        .map_or(0.0, |p| f64::from(noise.sigma[p.range.start]))
+        .map_or(0.0, |p| {
+            let least = noise.sigma[p.range.clone()].iter().copied();
+            f64::from(least.fold(f32::INFINITY, f32::min))
+        })
 }

@@ -229,6 +229,7 @@ pub static ALL: &[&Effect] = &[
     &sensing::ENCODER_GAIN,
     &sensing::VELOCITY_LAG,
     &sensing::CURRENT_BIAS,
+    &sensing::CURRENT_LAG,
     &imu::IMU_TILT,
     &imu::GYRO_BIAS,
     &imu::IMU_DELAY,

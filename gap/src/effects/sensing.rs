@@ -1,4 +1,4 @@
-//! Encoders, velocity estimates, current sensing (S1, S2, S4, S5).
+//! Encoders, velocity estimates, current sensing (S1, S2, S4, S5; and a current that is read behind a filter).
 //!
 //! The encoder is inside the position loop: an offset moves the joint, not the reading.
 
@@ -100,4 +100,29 @@ pub static CURRENT_BIAS: Effect = Effect {
     unseen: |e, _| (!e.has(Kind::Current)).then_some("no currents were recorded"),
     trial: "hold_poses",
     signature: "only the current reading is off; the motion is as simulated",
+};
+
+pub static CURRENT_LAG: Effect = Effect {
+    id: "current_lag",
+    layer: Layer::Sensing,
+    domain: Domain::Joints,
+    parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.2), 0.005, One)],
+    grid: &[&[0.005], &[0.01], &[0.02], &[0.04], &[0.08]],
+    hinge: false,
+    apply: |plant, place, v| {
+        for &a in &place.items {
+            plant.sensing.current_lag_s[a] += v[0] as f32;
+        }
+    },
+    shows_in: &[Kind::Current],
+    look_alikes: &["torque_constant", "current_bias", "measurement_delay"],
+    unseen: |e, place| {
+        if e.has(Kind::Current) {
+            needs_motion(e, place)
+        } else {
+            Some("no currents were recorded")
+        }
+    },
+    trial: "chirp",
+    signature: "the current lags behind what the motion needs, and its peaks are rounded; positions are untouched",
 };

@@ -28,9 +28,6 @@ pub use data::{Data, Piece, Segment, SegmentOptions, Start};
 const LANES: usize = 16;
 /// Depth of the water unless a run says otherwise, m: deeper than any robot is long.
 const DEPTH_M: f64 = 2.0;
-/// Robots with more joints than this are recorded every other step.
-const FEW_JOINTS: usize = 4;
-
 /// A hypothesis with its numbers: an effect at a place.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Term {
@@ -53,8 +50,9 @@ pub struct Replayer {
     /// What the robot file's own extension has.
     given: Variant,
     threads: usize,
+    /// Time between recorded states, s: every step is recorded. A command jumps between steps and the torque jumps with it, so that a servo that reads its
+    /// current just before the next command must not be told a mean that reaches beyond it.
     step_s: f64,
-    substeps: u32,
     engines: [Mutex<Vec<BatchEngine>>; 3],
     rollouts: AtomicUsize,
     simulated_ms: AtomicUsize,
@@ -66,11 +64,6 @@ impl Replayer {
     /// # Errors
     /// [`GapError::Extension`] where the extension does not fit the catalogue.
     pub fn new(model: Arc<RobotModel>, threads: usize) -> Result<Self, GapError> {
-        let substeps = if model.actuated().len() <= FEW_JOINTS {
-            1
-        } else {
-            2
-        };
         let given = match model.extension() {
             Some(extension) => crate::extension::terms(extension, &model)?,
             None => Variant::new(),
@@ -81,7 +74,6 @@ impl Replayer {
             model,
             threads: threads.max(1),
             step_s: EngineConfig::default().dt_s,
-            substeps,
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
@@ -93,6 +85,21 @@ impl Replayer {
     pub fn with_water_level(mut self, level_m: f64) -> Self {
         self.water_level_m = level_m;
         self
+    }
+
+    /// The same with half the step.
+    #[must_use]
+    pub fn finer(&self) -> Self {
+        Self {
+            model: Arc::clone(&self.model),
+            water_level_m: self.water_level_m,
+            given: self.given.clone(),
+            threads: self.threads,
+            step_s: 0.5 * self.step_s,
+            engines: [(); 3].map(|()| Mutex::new(Vec::new())),
+            rollouts: AtomicUsize::new(0),
+            simulated_ms: AtomicUsize::new(0),
+        }
     }
 
     /// The robot.
@@ -110,7 +117,7 @@ impl Replayer {
     /// Time between recorded states, s.
     #[must_use]
     pub fn period_s(&self) -> f64 {
-        self.step_s * f64::from(self.substeps)
+        self.step_s
     }
 
     /// Simulated stretches so far, and simulated time, s.
@@ -220,7 +227,7 @@ impl Replayer {
     fn build(&self, hold: usize) -> Result<BatchEngine, GapError> {
         let config = EngineConfig {
             dt_s: self.step_s,
-            substeps: self.substeps,
+            substeps: 1,
             fixed_base: hold == 0,
             ..EngineConfig::default()
         };

@@ -188,8 +188,13 @@ fn channel(
             let joint = &plant.lane.joints[i];
             let errors = &sensing.currents[i];
             let servo = plant.model.servo(i);
+            let lag_s = f64::from(sensing.current_lag_s[i]);
+            let column = (lag_s > 0.0).then(|| trace.lagged(2 * n + i, lag_s));
             out.extend(times.iter().map(|&t| {
-                let given = trace.at(2 * n + i, seen(t));
+                let given = match &column {
+                    Some(column) => trace.at_in(column, seen(t)),
+                    None => trace.at(2 * n + i, seen(t)),
+                };
                 // the current is that of a motor that does not saturate
                 let left = 1.0 - f64::from(joint.torque_saturation_per_nm) * given.abs();
                 let true_a = shown_current(

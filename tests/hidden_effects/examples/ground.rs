@@ -1,6 +1,9 @@
 //! Writes cases of the salamander on the ground, `ground OUT [NAME…]`; the robot that each comes from goes to `OUT/truth/NAME.robot.toml`.
+//!
+//! Those whose names begin with `shipped_` come with the robot file of this repository, in which policies are trained, and are for `caudata adapt`; the
+//! others with one of stiff girdles.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
-use caudata_hidden_effects::ground::{self, GroundPlan, OnGround};
+use caudata_hidden_effects::ground::{self, GroundPlan, LabFile, OnGround};
 use caudata_hidden_effects::truth::free::Channels;
 fn main() {
     let out = std::path::PathBuf::from(std::env::args().nth(1).unwrap());
@@ -42,20 +45,35 @@ fn main() {
             all,
         ),
     ];
+    let worn = OnGround::Play {
+        hinge: 2,
+        half_width_deg: 10.0,
+    };
+    let shipped = [
+        ("shipped_null", OnGround::Nothing, all),
+        ("shipped_weak_leg", OnGround::WeakLeg(0.4), all),
+        ("shipped_slippery", OnGround::Friction(0.4), all),
+        ("shipped_worn_girdle", worn, all),
+    ];
+    let plans = plans
+        .map(|p| (LabFile::Stiff, p))
+        .into_iter()
+        .chain(shipped.map(|p| (LabFile::AsShipped, p)));
     let wanted: Vec<String> = std::env::args().skip(2).collect();
     let truth = out.join("truth");
     std::fs::create_dir_all(&truth).unwrap();
-    let mjcf = ground::stiff_salamander().unwrap().1;
+    let mjcf = ground::salamander(LabFile::Stiff).unwrap().1;
     std::fs::write(truth.join("polymander.xml"), mjcf).unwrap();
-    for (i, (name, hidden, channels)) in plans.into_iter().enumerate() {
+    for (i, (lab, (name, hidden, channels))) in plans.enumerate() {
         if !wanted.is_empty() && !wanted.iter().any(|w| w == name) {
             continue;
         }
         let file = truth.join(format!("{name}.robot.toml"));
-        std::fs::write(file, ground::true_salamander(hidden).unwrap()).unwrap();
+        std::fs::write(file, ground::true_salamander(lab, hidden).unwrap()).unwrap();
         let now = std::time::Instant::now();
         let plan = GroundPlan {
             name: name.to_owned(),
+            file: lab,
             hidden,
             channels,
             seed: 300 + i as u64,

@@ -3,12 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use caudata_gap::excite;
-use caudata_hidden_effects::battery::RATE_HZ;
-use caudata_hidden_effects::truth::free::{self, Channels, Ground};
+use caudata_hidden_effects::stand;
 use caudata_model::RobotModel;
-use caudata_random::{Key, Purpose, Stream};
-use caudata_runlog::{BaseHold, LogMeta, LogWriter};
 use caudata_sim::LaneParams;
 
 const FIT: [&str; 4] = ["chirp_medium", "steps_medium", "triangle_medium", "holds"];
@@ -38,40 +34,15 @@ fn main() {
             Box::new(move |p| p.joints[knee].gear_half_gap_rad = 0.012),
         ),
     ];
-    let channels = Channels {
-        imu: false,
-        mocap: false,
-    };
     for (n, (name, fault)) in faults.iter().enumerate() {
         let mut lane = LaneParams::nominal(&model);
         fault(&mut lane);
         for (i, trial) in FIT.iter().chain(&HOLDOUT).enumerate() {
             let role = if i < FIT.len() { "fit" } else { "holdout" };
-            let made = excite::trial(&model, trial, None, RATE_HZ).unwrap();
             for r in 0..repeats {
-                let seed = 40 + n as u64;
-                let index = 10 * i as u64 + r;
-                let ground = Ground::of_the_day(&model, &lane, seed, index);
-                let key = Key {
-                    seed,
-                    actor: 13,
-                    env: index,
-                    episode: 0,
-                };
-                let mut stream = Stream::new(key, Purpose::Sensor);
-                let rows = &made.commands_rad;
-                let log = free::run(&model, &ground, rows, channels, true, &mut stream).unwrap();
-                let mut meta = LogMeta::new(model.name(), BaseHold::Fixed, RATE_HZ);
-                meta.kp = Some(model.kp_nm_per_rad());
-                meta.kd = Some(model.kd_nm_s_per_rad());
-                meta.supply_v = Some((f64::from(ground.lane.supply_v) * 10.0).round() / 10.0);
                 let dir = out.join(name).join(role).join(format!("{trial}_{}", r + 1));
-                let mut writer =
-                    LogWriter::create(&dir, &free::signals(&model, channels), &meta).unwrap();
-                for (t, row) in &log {
-                    writer.row(*t, row).unwrap();
-                }
-                writer.finish().unwrap();
+                let run = 10 * i as u64 + r;
+                stand::record(&model, &lane, trial, 40 + n as u64, run, &dir).unwrap();
             }
         }
         println!("{name}");

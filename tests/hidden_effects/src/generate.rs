@@ -25,6 +25,9 @@ pub enum GenerateError {
     /// The diagnosing engine refused the nominal robot.
     #[error("nominal robot: {0}")]
     Engine(#[from] caudata_sim::SimError),
+    /// The battery has no such trial.
+    #[error("{0}")]
+    Trial(#[from] caudata_gap::excite::ExciteError),
     /// The log could not be written.
     #[error("{0}")]
     Log(#[from] LogError),

@@ -49,11 +49,22 @@ pub enum OnGround {
     },
 }
 
+/// Which robot file the lab has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LabFile {
+    /// Stiff girdles: what a lab's model is before anybody thought of play.
+    Stiff,
+    /// The one of this repository, which policies are trained in.
+    AsShipped,
+}
+
 /// A case on the ground.
 #[derive(Clone, Debug)]
 pub struct GroundPlan {
     /// Folder name.
     pub name: String,
+    /// The robot file that goes with the logs; what is hidden is hidden on top of it.
+    pub file: LabFile,
     /// What is hidden.
     pub hidden: OnGround,
     /// What is recorded.
@@ -64,17 +75,17 @@ pub struct GroundPlan {
     pub repeats: u64,
 }
 
-/// The salamander with stiff girdles: what a lab's model is before anybody thought of play. Text of the robot file and of the MJCF.
+/// The salamander as the lab's file has it. Text of the robot file and of the MJCF.
 ///
 /// # Errors
 /// [`GenerateError::Rig`].
-pub fn stiff_salamander() -> Result<(String, String, Arc<RobotModel>), GenerateError> {
+pub fn salamander(file: LabFile) -> Result<(String, String, Arc<RobotModel>), GenerateError> {
     let nominal = include_str!("../../../robots/polymander.robot.toml");
     let mjcf = include_str!("../../../robots/polymander.xml").to_owned();
     let toml: String = nominal
         .lines()
         .map(|line| {
-            if line.starts_with("half_width_rad") {
+            if file == LabFile::Stiff && line.starts_with("half_width_rad") {
                 "half_width_rad = 0.0"
             } else {
                 line
@@ -90,12 +101,12 @@ pub fn stiff_salamander() -> Result<(String, String, Arc<RobotModel>), GenerateE
 /// Joints of the weak leg.
 const WEAK_LEG: &str = "FL_";
 
-/// Text of a robot file whose robot is the true one of `hidden`, to evaluate policies on; it needs the salamander's MJCF beside it.
+/// Text of a robot file whose robot is the true one of `hidden` on top of `file`, to evaluate policies on; it needs the salamander's MJCF beside it.
 ///
 /// # Errors
 /// [`GenerateError::Rig`].
-pub fn true_salamander(hidden: OnGround) -> Result<String, GenerateError> {
-    let (toml, _, model) = stiff_salamander()?;
+pub fn true_salamander(file: LabFile, hidden: OnGround) -> Result<String, GenerateError> {
+    let (toml, _, model) = salamander(file)?;
     let mut nominal = std::collections::BTreeMap::new();
     LaneParams::nominal(&model).visit(&model, &mut |path, x| {
         nominal.insert(path.to_owned(), *x);
@@ -321,7 +332,7 @@ fn truth(model: &RobotModel, hidden: OnGround) -> Vec<TrueEffect> {
 /// # Errors
 /// [`GenerateError`].
 pub fn make(plan: &GroundPlan, parent: &Path) -> Result<Answer, GenerateError> {
-    let (toml, mjcf, model) = stiff_salamander()?;
+    let (toml, mjcf, model) = salamander(plan.file)?;
     let folder = parent.join(&plan.name);
     let io = |path: &Path| {
         let path = path.to_owned();

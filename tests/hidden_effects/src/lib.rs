@@ -20,4 +20,5 @@ pub mod run;
 pub mod score;
 pub mod seal;
 pub mod sets;
+pub mod stand;
 pub mod truth;

@@ -19,6 +19,10 @@ pub const HIDDEN: OnGround = OnGround::Paper {
 };
 /// Stretches that are simulated from what was measured at their start, s: two strides.
 const STRETCH_S: f64 = 2.0;
+/// What does not count at the beginning of a stretch, s: nobody measures where play hangs, so that a simulated robot falls into it first.
+const SETTLE_S: f64 = 0.3;
+/// Which stretch is drawn: the first one begins at rest.
+const DRAWN_STRETCH: usize = 1;
 /// Joints that are drawn: the paper draws two.
 const DRAWN: [&str; 2] = ["FL_hip", "FL_knee"];
 
@@ -44,7 +48,7 @@ pub struct Pictures {
     pub feet: Vec<Row>,
     /// Mean speed over ground, m/s.
     pub speed: Option<Row>,
-    /// Curves of the first stretch.
+    /// Curves of one stretch.
     pub overlays: Vec<Overlay>,
 }
 
@@ -115,9 +119,8 @@ pub fn pictures(
         };
         along(0).hypot(along(1))
     };
-    let overlays = data
-        .segments
-        .first()
+    let stretches = &data.segments;
+    let overlays = (stretches.get(DRAWN_STRETCH).or(stretches.first()))
         .map_or_else(Vec::new, |s| drawn(model, &data, s, before, after));
     Ok(Pictures {
         joints,
@@ -146,13 +149,23 @@ fn row(
     }
 }
 
-/// Places of a channel's samples in the flat vector.
+/// Places of a channel's samples in the flat vector, stretch by stretch, without the beginnings that do not count.
+fn stretches(data: &Data, kind: Kind, index: usize) -> Vec<std::ops::Range<usize>> {
+    let own = data.segments.iter().flat_map(|s| {
+        let pieces = s.pieces.iter().map(move |p| (s.start_s + SETTLE_S, p));
+        pieces.filter(|(_, p)| p.kind == kind && p.index == index)
+    });
+    own.map(|(from_s, p)| {
+        let early = data.time_s[p.range.clone()].partition_point(|&t| t < from_s);
+        p.range.start + early..p.range.end
+    })
+    .filter(|range| !range.is_empty())
+    .collect()
+}
+
+/// The same as one list.
 fn samples(data: &Data, kind: Kind, index: usize) -> Vec<usize> {
-    let pieces = data.segments.iter().flat_map(|s| &s.pieces);
-    pieces
-        .filter(|p| p.kind == kind && p.index == index)
-        .flat_map(|p| p.range.clone())
-        .collect()
+    stretches(data, kind, index).into_iter().flatten().collect()
 }
 
 /// Mean over stretches of a figure of one channel.
@@ -162,10 +175,9 @@ fn mean_over(
     index: usize,
     figure: &dyn Fn(std::ops::Range<usize>) -> f64,
 ) -> f64 {
-    let pieces = data.segments.iter().flat_map(|s| &s.pieces);
-    let all: Vec<f64> = pieces
-        .filter(|p| p.kind == kind && p.index == index && !p.range.is_empty())
-        .map(|p| figure(p.range.clone()))
+    let all: Vec<f64> = stretches(data, kind, index)
+        .into_iter()
+        .map(figure)
         .collect();
     all.iter().sum::<f64>() / all.len().max(1) as f64
 }

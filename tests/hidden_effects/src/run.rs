@@ -9,7 +9,7 @@ use caudata_gap::report::Report;
 
 use crate::case::{Answer, Answers};
 use crate::generate::{self, GenerateError, Request, Rig};
-use crate::ground::{self, GroundPlan};
+use crate::ground::{self, GroundPlan, LabFile};
 use crate::score::{Given, Outcome, judge};
 use crate::seal;
 use crate::sets::Plan;
@@ -94,6 +94,7 @@ fn make(index: usize, plan: &Plan, cases: &Path) -> Result<Answer, GenerateError
     if let Some((hidden, channels)) = plan.ground {
         let plan = GroundPlan {
             name: format!("c{index:04}"),
+            file: LabFile::Stiff,
             hidden,
             channels,
             seed: plan.seed,
@@ -153,7 +154,7 @@ pub fn diagnose(
     let mut outcomes = Vec::new();
     for (answer, given) in known.answers.iter().zip(&given) {
         let model = if answer.rig == ground::RIG {
-            ground::stiff_salamander()?.2
+            ground::salamander(LabFile::Stiff)?.2
         } else {
             Rig::bench(&answer.rig)?.model
         };

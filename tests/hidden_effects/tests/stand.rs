@@ -1,0 +1,82 @@
+//! A robot on a stand: another engine, currents, a day's friction, noise. Where nothing is hidden nothing may be found; what is hidden must be.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::Path;
+use std::sync::Arc;
+
+use caudata_gap::report::{Report, Verdict};
+use caudata_gap::{Options, Request, Role, Run, diagnose};
+use caudata_hidden_effects::stand;
+use caudata_model::RobotModel;
+use caudata_runlog::RunLog;
+use caudata_sim::LaneParams;
+
+/// Diagnosis of a robot to which `fault` was done.
+fn report_of(fault: fn(&RobotModel, &mut LaneParams)) -> Report {
+    let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots");
+    let file = robots.join("polymander.robot.toml");
+    let model = Arc::new(RobotModel::load(&file).unwrap());
+    let mut lane = LaneParams::nominal(&model);
+    fault(&model, &mut lane);
+    let folder = tempfile::tempdir().unwrap();
+    let trials = [
+        ("chirp_medium", Role::Fit),
+        ("steps_medium", Role::Fit),
+        ("triangle_fast", Role::Holdout),
+    ];
+    let runs = trials.iter().enumerate().map(|(i, &(trial, role))| {
+        let dir = folder.path().join(trial);
+        stand::record(&model, &lane, trial, 7, i as u64, &dir).unwrap();
+        Run {
+            log: RunLog::read(&dir).unwrap(),
+            name: trial.to_owned(),
+            role,
+            sha256: String::new(),
+        }
+    });
+    let request = Request {
+        robot_toml: std::fs::read(&file).unwrap(),
+        mjcf: std::fs::read(robots.join("polymander.xml")).unwrap(),
+        label: "polymander".to_owned(),
+        runs: runs.collect(),
+        data_faults: Vec::new(),
+        options: Options {
+            only: ["kp_error", "command_delay", "torque_constant"]
+                .map(str::to_owned)
+                .to_vec(),
+            ..Options::default()
+        },
+    };
+    diagnose(&request, &mut |_| ()).unwrap().report
+}
+
+#[test]
+fn a_healthy_salamander_has_no_gap() {
+    let report = report_of(|_, _| ());
+    let worst: Vec<_> = report.divergence.iter().take(8).collect();
+    assert_eq!(
+        report.verdict,
+        Verdict::NoGap,
+        "{}\n{worst:?}",
+        report.summary
+    );
+}
+
+#[test]
+fn a_soft_knee_is_found() {
+    const SOFT: f64 = 0.7;
+    let report = report_of(|model, lane| {
+        let names = model.actuated_names();
+        let knee = names.iter().position(|n| *n == "FL_knee").unwrap();
+        lane.kp_nm_per_rad[knee] *= SOFT as f32;
+    });
+    let causes = &report.causes;
+    assert_eq!(causes.len(), 1, "{}", report.summary);
+    assert_eq!(causes[0].effect, "kp_error");
+    assert_eq!(causes[0].location, ["FL_knee"]);
+    let scale = &causes[0].parameters["scale"];
+    assert!(
+        scale.ci_low <= SOFT && SOFT <= scale.ci_high && (scale.value - SOFT).abs() < 0.1,
+        "{scale:?}"
+    );
+}
