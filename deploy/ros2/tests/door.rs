@@ -126,7 +126,7 @@ fn a_node_sees_the_robot_and_drives_it() {
     std::fs::write(&file, [7; 32]).unwrap();
     let key = || LinkKey::read(&file).unwrap();
     let mut robot = UdpLink::listen("127.0.0.1:0".parse().unwrap(), key(), false).unwrap();
-    let mut commands = Commands::to(robot.address(), key(), false).unwrap();
+    let mut commands = Commands::to(robot.address(), key()).unwrap();
     assert_eq!(door.velocity(), None);
     let twist = Twist {
         linear_mps: [0.25, -0.125, 0.0],
