@@ -164,6 +164,8 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     late_in_a_row: u32,
     ended: Option<Ended>,
     fault: Option<(Fault, Health)>,
+    /// Whether a target was ever sent: before that the robot is as it was found, without torque.
+    written: bool,
     counts: Counts,
 }
 
@@ -217,6 +219,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             late_in_a_row: 0,
             ended: None,
             fault: None,
+            written: false,
             counts: Counts::default(),
         })
     }
@@ -311,7 +314,14 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             let policy = self.runner.policy().clone();
             self.updates.tell(PolicyEvent::Ended(policy));
         }
-        let limp = self.robot.torque_off();
+        let limp = match self.robot.torque_off() {
+            // What stopped the run has named it: a servo that is gone says nothing, ever.
+            Err(BusError::Holds { found }) if self.fault.is_some() && found.hold.is_empty() => {
+                tracing::warn!(%found, "the torque is off as far as servos say");
+                Ok(())
+            }
+            other => other,
+        };
         self.notifier.say(BRAKES);
         self.notifier.say(STOPPING);
         result?;
@@ -349,6 +359,11 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             None => sent,
         };
         let targets = self.gate.pass(targets);
+        // A robot that is not held yet is not taken hold of in order to let it go: a kill or a stop that came while the loop started leaves it alone.
+        if self.ended.is_some() && !self.written {
+            return Ok(());
+        }
+        self.written = true;
         self.robot.write(&targets)?;
         let row = LogRow {
             command_rad: targets,

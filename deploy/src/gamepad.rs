@@ -13,7 +13,7 @@ const DEAD_ZONE: f32 = 0.1;
 const FULL: f32 = 32_767.0;
 const BUTTON: u8 = 1;
 const AXIS: u8 = 2;
-/// Set in events that tell how things stand when the device is opened.
+/// Set in events that tell how things stand when the device is opened, and after the kernel's queue ran over.
 const INITIAL: u8 = 0x80;
 
 /// How far sticks lie and which buttons are down.
@@ -53,6 +53,8 @@ impl Gamepad {
             AXIS => self.axes[number] = deflection(value),
             _ if kind == AXIS | INITIAL => self.axes[number] = deflection(value),
             BUTTON => self.buttons[number] = value != 0,
+            // The kernel tells how things stand anew after its queue ran over: a button that is up was let go of.
+            _ if kind == BUTTON | INITIAL && value == 0 => self.buttons[number] = false,
             _ => {}
         }
     }
@@ -122,6 +124,11 @@ mod tests {
     fn a_button_that_was_down_before_the_device_was_opened_is_not_held() {
         let mut pad = Gamepad::default();
         pad.take(event(BUTTON | INITIAL, 4, 1));
+        assert!(!pad.is_down(4));
+        // Let go of while the kernel's queue ran over: only how things stand afterwards says so.
+        pad.take(event(BUTTON, 4, 1));
+        assert!(pad.is_down(4));
+        pad.take(event(BUTTON | INITIAL, 4, 0));
         assert!(!pad.is_down(4));
         // Sticks that lie somewhere do lie there.
         pad.take(event(AXIS | INITIAL, 1, 32_767));

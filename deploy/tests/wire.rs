@@ -507,6 +507,7 @@ fn limp_asks_whether_the_servos_let_go_and_names_those_that_do_not() {
         robot.bus.servos_mut()[4].jam(true);
     };
     let robot = Emulated::start(&folder.path().join("jammed"), jammed, None);
+    robot.torque_comes_to(&[false, true]);
     let (code, said) = limp(&robot, &[]);
     assert_eq!(code, Some(69), "{said}");
     assert!(

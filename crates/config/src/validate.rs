@@ -70,7 +70,9 @@ impl Config {
         )?;
         within("cluster.learner_ranks", cluster.learner_ranks, 1, 64)?;
         let address = cluster.rank_address.rsplit_once(':');
-        if !address.is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok()) {
+        if !address.is_some_and(|(host, port)| {
+            !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port > 0)
+        }) {
             let value = format!("{:?}", cluster.rank_address);
             return broken("cluster.rank_address", value, "must be host:port");
         }

@@ -54,7 +54,7 @@ pub(crate) struct Reader {
 }
 
 /// How far ahead of the centre of mass the front and the hind girdle are, along the line that they make, in the nominal pose, m. Both 0 for a robot
-/// whose file names no girdles.
+/// whose file names no girdles, or both in one place.
 pub(crate) fn girdles_ahead_m(model: &RobotModel) -> Result<[f32; 2], ModelError> {
     let Some((hind, front)) = model.heading_sites() else {
         return Ok([0.0; 2]);
@@ -66,6 +66,9 @@ pub(crate) fn girdles_ahead_m(model: &RobotModel) -> Result<[f32; 2], ModelError
     let [hind, front] = [at(hind), at(front)];
     let (along_x, along_y) = (front[0] - hind[0], front[1] - hind[1]);
     let length = along_x.hypot(along_y);
+    if length < 1e-6 {
+        return Ok([0.0; 2]);
+    }
     Ok([front, hind].map(|site| {
         (((site[0] - com_m[0]) * along_x + (site[1] - com_m[1]) * along_y) / length) as f32
     }))

@@ -33,7 +33,7 @@ fn page() -> (String, Film) {
         both_engines: false,
     };
     let (result, outcomes) = evaluation.run(&|| true, &mut |_, _| {}).unwrap();
-    assert_eq!(result.scenarios.len(), 4);
+    assert_eq!(result.scenarios.len(), 5);
     let page = report::page(&result, &outcomes, &model, &policy, &evaluation.settings).unwrap();
     (page, outcomes[0].film.clone().unwrap())
 }

@@ -602,6 +602,18 @@ fn a_second_signal_lets_go_within_a_tick_wherever_the_robot_is() {
 }
 
 #[test]
+fn a_kill_before_the_first_tick_takes_hold_of_nothing() {
+    let link = FakeLink {
+        kill_from: 0,
+        ..FakeLink::default()
+    };
+    let (result, sent, _) = linked(link, 100.0);
+    assert_eq!(result.unwrap(), Ended::Killed);
+    // The first target switches the torque on: none may be sent.
+    assert_eq!(sent.len(), 0);
+}
+
+#[test]
 fn a_kill_brakes_at_the_next_tick() {
     let link = FakeLink {
         kill_from: 200,

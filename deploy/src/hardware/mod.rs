@@ -454,12 +454,8 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         let found = let_go(&mut self.bus, &self.ids, patience);
         self.armed = false;
         let found = found.map_err(|e| lost(&e))?;
-        if !found.hold.is_empty() {
+        if !found.hold.is_empty() || !found.silent.is_empty() {
             return Err(BusError::Holds { found });
-        }
-        if !found.silent.is_empty() {
-            // One that is gone does not say anything ever; what stopped the run has named it.
-            tracing::warn!(%found, "the torque is off as far as servos say");
         }
         // The torque is off; the watchdog has nothing to watch any more.
         let _ = self.bus.broadcast(&xm430::BUS_WATCHDOG, 0);

@@ -104,6 +104,8 @@ struct Watched {
     began: Instant,
     heard: Instant,
     ready: bool,
+    /// When it was ready.
+    ready_at: Option<Instant>,
     stopping: bool,
     brakes: bool,
     /// Whether it was sent SIGKILL.
@@ -129,6 +131,7 @@ impl Watched {
             began: now,
             heard: now,
             ready: false,
+            ready_at: None,
             stopping: false,
             brakes: false,
             killed: false,
@@ -161,7 +164,7 @@ impl Watched {
         self.child = Some(child);
         (self.began, self.heard) = (now, now);
         (self.ready, self.stopping, self.brakes, self.killed) = (false, false, false, false);
-        self.again_at = None;
+        (self.again_at, self.ready_at) = (None, None);
         Ok(())
     }
 
@@ -172,6 +175,9 @@ impl Watched {
             self.heard = Instant::now();
         }
         self.ready |= heard.ready;
+        if self.ready {
+            self.ready_at.get_or_insert_with(Instant::now);
+        }
         self.stopping |= heard.stopping;
         self.brakes |= heard.brakes;
         heard.kill
@@ -369,8 +375,10 @@ impl<'a> Supervisor<'a> {
             self.touched |= self.looper.ready;
             let _ = std::fs::remove_file(self.plan.folder.file(LOOP_PAGE));
             let end = match end_of(status) {
-                // It had come to its end, and let go: what went wrong after that (a full disk for its log) is no reason to walk again.
-                End::Died(Some(code)) if self.looper.stopping => End::Wrong(code),
+                // It had come to its end, and let go: what went wrong after that (a full disk for its log, a signal) is no reason to walk again.
+                End::Died(code) if self.looper.stopping => {
+                    End::Wrong(code.unwrap_or(ExitCode::Internal))
+                }
                 end => end,
             };
             return self.handle(Event::LoopEnded {
@@ -390,7 +398,10 @@ impl<'a> Supervisor<'a> {
         }
         let late = |since: Option<Instant>, limit| since.is_some_and(|at| at.elapsed() > limit);
         let deaf_after = self.plan.hang_after / BRAKE_SHARE;
-        if self.looper.ready && !self.looper.brakes && late(self.killed_at, deaf_after) {
+        // A loop that was not there yet when the button was pressed needs as long from its first tick on.
+        let could_brake = self.killed_at.max(self.looper.ready_at);
+        let pressed = self.killed_at.is_some() && self.looper.ready;
+        if pressed && !self.looper.brakes && late(could_brake, deaf_after) {
             return self.handle(Event::Deaf);
         }
         if self.looper.hangs(LOOP_START_MAX, self.plan.hang_after) {
