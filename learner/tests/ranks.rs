@@ -5,9 +5,10 @@
 mod tiny;
 
 use std::io::{BufRead, BufReader};
-use std::net::TcpListener;
+use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
 
 use caudata_telemetry::progress::{Event, Finished};
 use nix::sys::signal::{Signal, kill};
@@ -296,4 +297,30 @@ fn ranks_that_do_not_fit_are_refused_and_missing_ones_are_named() {
         assert_eq!(code, Some(64), "{error}");
         assert!(error.contains("1 to 1"), "{error}");
     }
+}
+
+#[test]
+fn who_connects_and_says_nothing_does_not_keep_the_learner_waiting() {
+    let dir = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let mut root = start_root(dir.path(), 2, port, 3, &["cluster.rank_join_timeout_s=1"]);
+    // There is always one more that waits to be accepted.
+    let mut silent = Vec::new();
+    while root.try_wait().unwrap().is_none() {
+        silent.extend(TcpStream::connect(("127.0.0.1", port)));
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let (code, error) = ended(root);
+    assert_eq!(code, Some(85), "{error}");
+    assert!(error.contains("did not join"), "{error}");
+}
+
+#[test]
+fn a_rank_that_waits_for_its_welcome_can_be_asked_to_stop() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let rank = start_rank(1, 2, port, &["cluster.rank_join_timeout_s=86400"]);
+    let _silent = listener.accept().unwrap();
+    kill(pid(&rank), Signal::SIGTERM).unwrap();
+    assert_eq!(ended(rank), (Some(0), String::new()));
 }

@@ -11,10 +11,10 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName};
 use rustls::server::WebPkiClientVerifier;
 use rustls::{
-    ClientConfig, ClientConnection, RootCertStore, ServerConfig, ServerConnection, StreamOwned,
+    ClientConfig, ClientConnection, Connection, RootCertStore, ServerConfig, ServerConnection,
 };
 
-use super::wire::{HEAD_BYTES, Kind, Writer, head, parse_head};
+use super::wire::{GREETING_MAX, HEAD_BYTES, Kind, PAYLOAD_MAX, Writer, head, parse_head};
 
 /// Longest single wait on the socket; between two the clock and the flag are looked at.
 const SLICE: Duration = Duration::from_millis(100);
@@ -24,6 +24,7 @@ const READ_STEP: usize = 4 << 20;
 /// Why a connection cannot be used any more, in words.
 pub type Broken = String;
 
+/// What a link runs over. A call touches the socket once or twice and never loops, so that it returns within two slices, come what may.
 trait Duplex: Read + Write + Send + std::fmt::Debug {}
 impl<T: Read + Write + Send + std::fmt::Debug> Duplex for T {}
 
@@ -34,6 +35,85 @@ pub struct Link {
     /// Of the other side.
     pub peer: SocketAddr,
     payload: Vec<u8>,
+    /// Longest payload that is received.
+    payload_max: u64,
+}
+
+/// TLS over a socket, a step at a time: the streams of rustls go on as long as single bytes come.
+#[derive(Debug)]
+struct Tls {
+    session: Connection,
+    socket: TcpStream,
+}
+
+impl Tls {
+    /// After the handshake, with another learner.
+    fn over(
+        session: Connection,
+        socket: TcpStream,
+        patience: Duration,
+        mut look: impl FnMut() -> Result<(), Broken>,
+    ) -> Result<Self, Broken> {
+        let mut tls = Self { session, socket };
+        let until = Instant::now() + patience;
+        while tls.session.is_handshaking() || tls.session.wants_write() {
+            look()?;
+            in_time(until, "did not finish the handshake")?;
+            moved(tls.step())?;
+        }
+        check_role(tls.session.peer_certificates())?;
+        Ok(tls)
+    }
+
+    /// One write on the socket where there is something to write, else one read.
+    fn step(&mut self) -> io::Result<usize> {
+        if self.session.wants_write() {
+            return self.session.write_tls(&mut self.socket);
+        }
+        let come = self.session.read_tls(&mut self.socket)?;
+        if let Err(error) = self.session.process_new_packets() {
+            // Tells the other side why.
+            let _ = self.session.write_tls(&mut self.socket);
+            return Err(io::Error::new(ErrorKind::InvalidData, error));
+        }
+        Ok(come)
+    }
+}
+
+impl Read for Tls {
+    fn read(&mut self, room: &mut [u8]) -> io::Result<usize> {
+        let held = self.session.reader().read(room);
+        match held {
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                self.step()?;
+                self.session.reader().read(room)
+            }
+            done => done,
+        }
+    }
+}
+
+impl Write for Tls {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.session.wants_write() {
+            self.session.write_tls(&mut self.socket)?;
+        }
+        match self.session.writer().write(bytes)? {
+            // What the session holds has not gone out yet.
+            0 => Err(ErrorKind::WouldBlock.into()),
+            taken => Ok(taken),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        if self.session.wants_write() {
+            self.session.write_tls(&mut self.socket)?;
+        }
+        match self.session.wants_write() {
+            true => Err(ErrorKind::WouldBlock.into()),
+            false => Ok(()),
+        }
+    }
 }
 
 /// Certificates of a process, for both sides of a connection.
@@ -109,7 +189,7 @@ fn prepared(stream: &TcpStream) -> io::Result<SocketAddr> {
 }
 
 impl Link {
-    /// The side that accepted.
+    /// The side that accepted. The handshake must end within `patience`; `look` is called between its steps and may give up.
     ///
     /// # Errors
     /// In words.
@@ -117,25 +197,21 @@ impl Link {
         stream: TcpStream,
         certificates: Option<&Certificates>,
         patience: Duration,
+        look: impl FnMut() -> Result<(), Broken>,
     ) -> Result<Self, Broken> {
         let peer = prepared(&stream).map_err(|e| e.to_string())?;
         let stream: Box<dyn Duplex> = match certificates {
             None => Box::new(stream),
             Some(certificates) => {
                 let session = ServerConnection::new(Arc::clone(&certificates.server));
-                let mut tls = StreamOwned::new(session.map_err(|e| e.to_string())?, stream);
-                let until = Instant::now() + patience;
-                while tls.conn.is_handshaking() {
-                    shake(tls.conn.complete_io(&mut tls.sock), until)?;
-                }
-                check_role(tls.conn.peer_certificates())?;
-                Box::new(tls)
+                let session = session.map_err(|e| e.to_string())?;
+                Box::new(Tls::over(session.into(), stream, patience, look)?)
             }
         };
         Ok(Self::over(stream, peer))
     }
 
-    /// The side that connected, to a host of this name.
+    /// The side that connected, to a host of this name; as [`accepted`](Self::accepted).
     ///
     /// # Errors
     /// In words.
@@ -144,6 +220,7 @@ impl Link {
         certificates: Option<&Certificates>,
         host: &str,
         patience: Duration,
+        look: impl FnMut() -> Result<(), Broken>,
     ) -> Result<Self, Broken> {
         let peer = prepared(&stream).map_err(|e| e.to_string())?;
         let stream: Box<dyn Duplex> = match certificates {
@@ -151,13 +228,8 @@ impl Link {
             Some(certificates) => {
                 let name = ServerName::try_from(host.to_owned()).map_err(|e| e.to_string())?;
                 let session = ClientConnection::new(Arc::clone(&certificates.client), name);
-                let mut tls = StreamOwned::new(session.map_err(|e| e.to_string())?, stream);
-                let until = Instant::now() + patience;
-                while tls.conn.is_handshaking() {
-                    shake(tls.conn.complete_io(&mut tls.sock), until)?;
-                }
-                check_role(tls.conn.peer_certificates())?;
-                Box::new(tls)
+                let session = session.map_err(|e| e.to_string())?;
+                Box::new(Tls::over(session.into(), stream, patience, look)?)
             }
         };
         Ok(Self::over(stream, peer))
@@ -168,7 +240,13 @@ impl Link {
             stream,
             peer,
             payload: Vec::new(),
+            payload_max: GREETING_MAX,
         }
+    }
+
+    /// The other side is known now: its frames may be long.
+    pub fn admit(&mut self) {
+        self.payload_max = PAYLOAD_MAX;
     }
 
     /// Sends one frame within `patience`.
@@ -177,25 +255,22 @@ impl Link {
     /// In words; the connection is of no use then.
     pub fn send(&mut self, kind: Kind, payload: &Writer, patience: Duration) -> Result<(), Broken> {
         let until = Instant::now() + patience;
-        let head = head(kind, payload.0.len());
+        let head = head(kind, payload.0.len())?;
         for mut bytes in [head.as_slice(), payload.0.as_slice()] {
             while !bytes.is_empty() {
-                match self.stream.write(bytes) {
-                    Ok(0) => return Err("it closed the connection".to_owned()),
-                    Ok(taken) => bytes = &bytes[taken..],
-                    Err(error) => again(&error, until, "took nothing")?,
-                }
+                in_time(until, "did not take a frame")?;
+                let taken = moved(self.stream.write(bytes))?;
+                bytes = &bytes[taken..];
             }
         }
-        loop {
-            match self.stream.flush() {
-                Ok(()) => return Ok(()),
-                Err(error) => again(&error, until, "took nothing")?,
-            }
+        while let Err(error) = self.stream.flush() {
+            again(&error)?;
+            in_time(until, "did not take a frame")?;
         }
+        Ok(())
     }
 
-    /// The next frame, which must come within `patience`; `look` is called about ten times a second and may give up.
+    /// The next frame, which must come within `patience`; `look` is called ten times a second or more and may give up.
     ///
     /// # Errors
     /// In words; the connection is of no use then.
@@ -207,7 +282,7 @@ impl Link {
         let until = Instant::now() + patience;
         let mut head = [0; HEAD_BYTES];
         self.fill(&mut head, until, &mut look)?;
-        let (kind, length) = parse_head(&head)?;
+        let (kind, length) = parse_head(&head, self.payload_max)?;
         let length = usize::try_from(length).map_err(|e| e.to_string())?;
         let mut payload = std::mem::take(&mut self.payload);
         payload.clear();
@@ -239,35 +314,36 @@ impl Link {
         look: &mut impl FnMut() -> Result<(), Broken>,
     ) -> Result<(), Broken> {
         while !room.is_empty() {
-            match self.stream.read(room) {
-                Ok(0) => return Err("it closed the connection".to_owned()),
-                Ok(come) => room = &mut room[come..],
-                Err(error) => {
-                    again(&error, until, "sent nothing")?;
-                    look()?;
-                }
-            }
+            look()?;
+            in_time(until, "did not send a frame")?;
+            let come = moved(self.stream.read(room))?;
+            room = &mut room[come..];
         }
         Ok(())
     }
 }
 
-fn shake<T>(step: io::Result<T>, until: Instant) -> Result<(), Broken> {
+/// Looked at before every step, whatever the last one has moved.
+fn in_time(until: Instant, what: &str) -> Result<(), Broken> {
+    match Instant::now() < until {
+        true => Ok(()),
+        false => Err(format!("it {what} in time")),
+    }
+}
+
+/// The bytes that a step has moved: none where it is to be tried once more.
+fn moved(step: io::Result<usize>) -> Result<usize, Broken> {
     match step {
-        Ok(_) => Ok(()),
-        Err(error) => again(&error, until, "did not finish the handshake"),
+        Ok(0) => Err("it closed the connection".to_owned()),
+        Ok(count) => Ok(count),
+        Err(error) => again(&error).map(|()| 0),
     }
 }
 
 /// Whether to try once more after `error`.
-fn again(error: &io::Error, until: Instant, what: &str) -> Result<(), Broken> {
+fn again(error: &io::Error) -> Result<(), Broken> {
     match error.kind() {
-        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => {
-            if Instant::now() < until {
-                return Ok(());
-            }
-            Err(format!("it {what} in time"))
-        }
+        ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => Ok(()),
         ErrorKind::ConnectionReset | ErrorKind::BrokenPipe | ErrorKind::UnexpectedEof => {
             Err("it closed the connection".to_owned())
         }
@@ -294,13 +370,15 @@ mod tests {
         let client = client.cloned();
         let connecting = std::thread::spawn(move || {
             let stream = TcpStream::connect(address).unwrap();
-            let mut link = Link::connected(stream, client.as_ref(), "localhost", PATIENCE)?;
+            let client = client.as_ref();
+            let mut link = Link::connected(stream, client, "localhost", PATIENCE, || Ok(()))?;
             // TLS 1.3: the one who connects hears of a refusal with the first answer.
             link.expect(Kind::Welcome, PATIENCE)?;
+            link.admit();
             Ok(link)
         });
         let (stream, _) = listener.accept().unwrap();
-        let mut accepted = Link::accepted(stream, server, PATIENCE);
+        let mut accepted = Link::accepted(stream, server, PATIENCE, || Ok(()));
         if let Ok(link) = &mut accepted {
             link.send(Kind::Welcome, &Writer::default(), PATIENCE)
                 .unwrap();
@@ -366,5 +444,78 @@ mod tests {
         drop(there);
         let closed = here.expect(Kind::Total, PATIENCE);
         assert!(closed.unwrap_err().contains("closed"));
+    }
+
+    /// The accepted side of a connection to a peer that sends `at_once`, and then `drops` byte by byte, faster than a slice, for 20 s or
+    /// until nobody listens.
+    fn dripping(at_once: Vec<u8>, drops: Vec<u8>) -> TcpStream {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let mut peer = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        peer.set_nodelay(true).unwrap();
+        std::thread::spawn(move || {
+            peer.write_all(&at_once).unwrap();
+            for drop in drops {
+                std::thread::sleep(Duration::from_millis(20));
+                if peer.write_all(&[drop]).is_err() {
+                    return;
+                }
+            }
+        });
+        listener.accept().unwrap().0
+    }
+
+    fn frame(kind: Kind, length: usize) -> Vec<u8> {
+        let mut frame = head(kind, length).unwrap().to_vec();
+        frame.resize(HEAD_BYTES + length, 0);
+        frame
+    }
+
+    #[test]
+    fn a_peer_that_drips_bytes_is_waited_for_no_longer_than_a_silent_one() {
+        let short = Duration::from_millis(300);
+        let plain = |stream| Link::accepted(stream, None, PATIENCE, || Ok(())).unwrap();
+
+        let mut link = plain(dripping(Vec::new(), frame(Kind::Hello, 1000)));
+        let late = link.expect(Kind::Hello, short).unwrap_err();
+        assert!(late.contains("in time"), "{late}");
+
+        let stream = dripping(frame(Kind::Hello, 9), frame(Kind::Total, 1000));
+        let mut link = plain(stream);
+        link.expect(Kind::Hello, PATIENCE).unwrap();
+        let late = link.expect(Kind::Total, short).unwrap_err();
+        assert!(late.contains("in time"), "{late}");
+
+        // A handshake that begins with a record of 16 KiB.
+        let dir = tempfile::tempdir().unwrap();
+        let learner = certificates(dir.path(), Role::Learner);
+        let mut record = vec![22, 3, 1, 0x40, 0];
+        record.resize(1000, 0);
+        let stream = dripping(Vec::new(), record);
+        let late = Link::accepted(stream, Some(&learner), short, || Ok(())).unwrap_err();
+        assert!(late.contains("in time"), "{late}");
+    }
+
+    #[test]
+    fn a_wait_is_given_up_while_bytes_drip() {
+        let stream = dripping(Vec::new(), frame(Kind::Hello, 1000));
+        let mut link = Link::accepted(stream, None, PATIENCE, || Ok(())).unwrap();
+        let mut looks = 0;
+        let given_up = link.receive(PATIENCE * 10, || {
+            looks += 1;
+            match looks > 5 {
+                true => Err("asked".to_owned()),
+                false => Ok(()),
+            }
+        });
+        assert_eq!(given_up.unwrap_err(), "asked");
+    }
+
+    #[test]
+    fn who_is_not_known_yet_sends_no_long_frames() {
+        let announced = head(Kind::Hello, 1 << 20).unwrap().to_vec();
+        let stream = dripping(announced, Vec::new());
+        let mut link = Link::accepted(stream, None, PATIENCE, || Ok(())).unwrap();
+        let refused = link.expect(Kind::Hello, PATIENCE).unwrap_err();
+        assert!(refused.contains("more than"), "{refused}");
     }
 }

@@ -18,6 +18,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use caudata_config::Config;
+use caudata_telemetry::StopFlag;
 
 pub use rank::serve;
 pub use root::Ranks;
@@ -41,6 +42,8 @@ pub struct RankSettings {
     pub tls_dir: Option<PathBuf>,
     /// Who they are.
     pub identity: RankIdentity,
+    /// Whether the address is this host's own by its very words, whatever names lead to.
+    here: bool,
 }
 
 /// What the ranks of a run must have in common.
@@ -71,10 +74,12 @@ impl RankSettings {
                 config_hash: config.hash_hex(),
                 contract_hash,
             },
+            here: cluster.ranks_are_here(),
         }
     }
 
-    /// The addresses behind [`address`](Self::address), and the certificates to use: none on loopback.
+    /// The addresses behind [`address`](Self::address), and the certificates to use: none where it is written as this host's own. A name that
+    /// only leads to loopback, as a host's own does on some, is that of a network.
     fn resolve(&self) -> Result<(Vec<SocketAddr>, Option<&PathBuf>), LearnerError> {
         let address = &self.address;
         let found = address
@@ -84,7 +89,8 @@ impl RankSettings {
                 source: error,
             })?;
         let found: Vec<SocketAddr> = found.collect();
-        if found.iter().all(|addr| addr.ip().is_loopback()) {
+        // Plain bytes stay here even where `localhost` leads elsewhere.
+        if self.here && found.iter().all(|addr| addr.ip().is_loopback()) {
             return Ok((found, None));
         }
         match &self.tls_dir {
@@ -99,6 +105,14 @@ impl RankSettings {
     fn host(&self) -> &str {
         let host = self.address.rsplit_once(':').map_or("", |(host, _)| host);
         host.trim_start_matches('[').trim_end_matches(']')
+    }
+}
+
+/// Gives up a wait once `stop` is raised.
+fn unless_asked(stop: &StopFlag) -> Result<(), String> {
+    match stop.is_set() {
+        true => Err("this one was asked to stop".to_owned()),
+        false => Ok(()),
     }
 }
 
@@ -127,17 +141,27 @@ mod tests {
 
     #[test]
     fn a_plain_connection_is_for_this_host_only() {
-        let config = Config::default();
-        let mut settings = RankSettings::new(&config, "run", String::new());
-        assert!(settings.resolve().unwrap().1.is_none());
-        settings.address = "192.0.2.1:7450".into();
-        let error = settings.resolve().unwrap_err();
-        assert_eq!(error.exit_code(), caudata_telemetry::ExitCode::BadConfig);
-        assert!(error.to_string().contains("cluster.tls_dir"), "{error}");
-        settings.tls_dir = Some("certificates".into());
-        assert!(settings.resolve().unwrap().1.is_some());
-        assert_eq!(settings.host(), "192.0.2.1");
-        settings.address = "[::1]:7450".into();
-        assert_eq!(settings.host(), "::1");
+        let settings = |address: &str, tls_dir: &str| {
+            let mut config = Config::default();
+            config.cluster.rank_address = address.into();
+            config.cluster.tls_dir = tls_dir.into();
+            RankSettings::new(&config, "run", String::new())
+        };
+        for here in ["127.0.0.1:7450", "127.0.1.1:7450", "[::1]:7450"] {
+            for tls_dir in ["", "certificates"] {
+                let settings = settings(here, tls_dir);
+                assert!(settings.resolve().unwrap().1.is_none(), "{here}");
+            }
+        }
+        // The second leads to 127.0.0.1, as a name may.
+        for elsewhere in ["192.0.2.1:7450", "127.1:7450"] {
+            let error = settings(elsewhere, "").resolve().unwrap_err();
+            assert_eq!(error.exit_code(), caudata_telemetry::ExitCode::BadConfig);
+            assert!(error.to_string().contains("cluster.tls_dir"), "{error}");
+            let secured = settings(elsewhere, "certificates");
+            assert!(secured.resolve().unwrap().1.is_some(), "{elsewhere}");
+        }
+        assert_eq!(settings("192.0.2.1:7450", "").host(), "192.0.2.1");
+        assert_eq!(settings("[::1]:7450", "").host(), "::1");
     }
 }

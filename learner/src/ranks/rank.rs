@@ -8,7 +8,7 @@ use tch::Tensor;
 
 use super::link::{Certificates, Link};
 use super::wire::{Hello, Kind, Reader, VERSION, Writer};
-use super::{RankSettings, share};
+use super::{RankSettings, share, unless_asked};
 use crate::LearnerError;
 use crate::network::ActorCritic;
 use crate::ppo::{Drawn, Local, Minibatch, Total, host};
@@ -108,8 +108,8 @@ fn join(
                     .map(|folder| Certificates::read(folder))
                     .transpose()
                     .map_err(LearnerError::setting)?;
-                let link = connect(&addresses, certificates.as_ref(), settings.host());
-                match link.and_then(|link| introduce(link, rank, settings, net)) {
+                let link = connect(&addresses, certificates.as_ref(), settings.host(), stop);
+                match link.and_then(|link| introduce(link, rank, settings, net, stop)) {
                     Ok(Ok(link)) => return Ok(Some(link)),
                     Ok(Err(reason)) => return Err(LearnerError::RankRefused { rank, reason }),
                     Err(reason) => reason,
@@ -138,11 +138,16 @@ fn connect(
     addresses: &[SocketAddr],
     certificates: Option<&Certificates>,
     host: &str,
+    stop: &StopFlag,
 ) -> Result<Link, String> {
     let mut why = "no address".to_owned();
     for address in addresses {
         match TcpStream::connect_timeout(address, CONNECT_MAX) {
-            Ok(stream) => return Link::connected(stream, certificates, host, CONNECT_MAX),
+            Ok(stream) => {
+                return Link::connected(stream, certificates, host, CONNECT_MAX, || {
+                    unless_asked(stop)
+                });
+            }
             Err(error) => why = error.to_string(),
         }
     }
@@ -155,6 +160,7 @@ fn introduce(
     rank: u32,
     settings: &RankSettings,
     net: &ActorCritic,
+    stop: &StopFlag,
 ) -> Result<Result<Link, String>, String> {
     let mut words = Writer::default();
     words.hello(&Hello {
@@ -166,11 +172,12 @@ fn introduce(
     });
     link.send(Kind::Hello, &words, CONNECT_MAX)?;
     // Rank 0 may be busy with another one that connected first.
-    let refused = match link.receive(settings.join_timeout, || Ok(()))? {
+    let refused = match link.receive(settings.join_timeout, || unless_asked(stop))? {
         (Kind::Welcome, _) => None,
         (Kind::Refused, payload) => Some(Reader(payload).text()?),
         (other, _) => return Err(format!("it sent {other:?} instead of a welcome")),
     };
+    link.admit();
     Ok(refused.map_or(Ok(link), Err))
 }
 

@@ -8,8 +8,8 @@ use caudata_telemetry::StopFlag;
 use tch::Tensor;
 
 use super::link::{Certificates, Link};
-use super::wire::{Forward, Hello, Kind, Reader, Writer};
-use super::{RankSettings, share};
+use super::wire::{Forward, Hello, Kind, PAYLOAD_MAX, Reader, Writer, check_length};
+use super::{RankSettings, share, unless_asked};
 use crate::LearnerError;
 use crate::network::ActorCritic;
 use crate::ppo::{Drawn, Head, Local, Minibatch, Reduction, Total, host};
@@ -73,19 +73,9 @@ impl Ranks {
         let mut seats: Vec<Option<Link>> = (1..settings.count).map(|_| None).collect();
         let until = Instant::now() + settings.join_timeout;
         while seats.iter().any(Option::is_none) {
-            match listener.accept() {
-                Ok((stream, peer)) => {
-                    match greet(stream, certificates.as_ref(), settings, net, &mut seats) {
-                        Ok(rank) => tracing::info!(rank, %peer, "a rank is here"),
-                        Err(reason) => tracing::warn!(%peer, reason, "a rank is refused"),
-                    }
-                    continue;
-                }
-                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
-                Err(error) => tracing::warn!(%error, "a rank could not connect"),
-            }
             let asked = stop.is_set();
-            if Instant::now() >= until || asked {
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() || asked {
                 let missing = (1..settings.count)
                     .zip(&seats)
                     .filter(|(_, seat)| seat.is_none());
@@ -99,7 +89,30 @@ impl Ranks {
                     },
                 });
             }
-            stop.wait(LOOK_EVERY);
+            match listener.accept() {
+                Ok((stream, peer)) => {
+                    let patience = HELLO_MAX.min(left);
+                    let certificates = certificates.as_ref();
+                    match greet(
+                        stream,
+                        certificates,
+                        settings,
+                        net,
+                        &mut seats,
+                        patience,
+                        stop,
+                    ) {
+                        Ok(rank) => tracing::info!(rank, %peer, "a rank is here"),
+                        Err(reason) => tracing::warn!(%peer, reason, "a rank is refused"),
+                    }
+                }
+                Err(error) => {
+                    if error.kind() != ErrorKind::WouldBlock {
+                        tracing::warn!(%error, "a rank could not connect");
+                    }
+                    stop.wait(LOOK_EVERY);
+                }
+            }
         }
         Ok(Self {
             local: Local::new(net, threads, settings.count as usize)?,
@@ -116,6 +129,11 @@ impl Ranks {
 
     /// Sends what `self.out` holds to all others.
     fn tell_all(&mut self, kind: Kind) -> Result<(), LearnerError> {
+        check_length(self.out.0.len() as u64, PAYLOAD_MAX).map_err(|reason| {
+            LearnerError::setting(format!(
+                "a batch is too large for several ranks: {kind:?} is {reason}"
+            ))
+        })?;
         let patience = self.answer_timeout;
         for (rank, link) in (1..).zip(&mut self.others) {
             link.send(kind, &self.out, patience)
@@ -131,21 +149,27 @@ impl Ranks {
     }
 }
 
-/// A rank that connected: its number when it has a seat now, else why not.
+/// A rank that connected: its number when it has a seat now, else why not. `patience` is for each of its steps.
 fn greet(
     stream: TcpStream,
     certificates: Option<&Certificates>,
     settings: &RankSettings,
     net: &ActorCritic,
     seats: &mut [Option<Link>],
+    patience: Duration,
+    stop: &StopFlag,
 ) -> Result<u32, String> {
-    let mut link = Link::accepted(stream, certificates, HELLO_MAX)?;
-    let hello = Reader(link.expect(Kind::Hello, HELLO_MAX)?).hello();
+    let mut link = Link::accepted(stream, certificates, patience, || unless_asked(stop))?;
+    let hello = match link.receive(patience, || unless_asked(stop))? {
+        (Kind::Hello, payload) => Reader(payload).hello(),
+        (other, _) => return Err(format!("it sent {other:?} instead of a hello")),
+    };
     let seat = hello.and_then(|hello| seat_of(&hello, settings, net));
     let mut words = Writer::default();
     match seat {
         Ok(index) => {
             link.send(Kind::Welcome, &words, HELLO_MAX)?;
+            link.admit();
             // One that comes twice has lost its first connection; two processes with one number are found out when the first is missed.
             seats[index] = Some(link);
             Ok(index as u32 + 1)

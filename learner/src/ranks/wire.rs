@@ -18,6 +18,8 @@ pub const MAGIC: [u8; 4] = *b"CRNK";
 pub const HEAD_BYTES: usize = 16;
 /// Longest payload: a batch of two million samples of a hundred numbers.
 pub const PAYLOAD_MAX: u64 = 1 << 30;
+/// Longest payload between two who have not introduced themselves yet.
+pub const GREETING_MAX: u64 = 64 << 10;
 /// Longest word in a greeting or refusal.
 const TEXT_MAX: usize = 1024;
 
@@ -303,29 +305,43 @@ impl Reader<'_> {
     }
 }
 
+/// Refuses payloads that the other side would not take.
+///
+/// # Errors
+/// In words.
+pub fn check_length(length: u64, max: u64) -> Result<(), String> {
+    match length <= max {
+        true => Ok(()),
+        false => Err(format!("a frame of {length} bytes, more than {max}")),
+    }
+}
+
 /// The head of a frame.
-pub fn head(kind: Kind, payload: usize) -> [u8; HEAD_BYTES] {
+///
+/// # Errors
+/// In words, when the payload is too long.
+pub fn head(kind: Kind, payload: usize) -> Result<[u8; HEAD_BYTES], String> {
+    let length = payload as u64;
+    check_length(length, PAYLOAD_MAX)?;
     let mut head = [0; HEAD_BYTES];
     head[..4].copy_from_slice(&MAGIC);
     head[4] = kind as u8;
-    head[8..].copy_from_slice(&(payload as u64).to_le_bytes());
-    head
+    head[8..].copy_from_slice(&length.to_le_bytes());
+    Ok(head)
 }
 
-/// Kind and length of the payload behind a head.
+/// Kind and length of the payload behind a head, which is `max` at most.
 ///
 /// # Errors
 /// In words, when these are no bytes of a rank.
-pub fn parse_head(head: &[u8; HEAD_BYTES]) -> Read<(Kind, u64)> {
+pub fn parse_head(head: &[u8; HEAD_BYTES], max: u64) -> Read<(Kind, u64)> {
     let [m0, m1, m2, m3, kind, _, _, _, length @ ..] = *head;
     if [m0, m1, m2, m3] != MAGIC {
         return Err("the other side is no rank of a learner".to_owned());
     }
     let length = u64::from_le_bytes(length);
     let kind = Kind::from_number(kind).ok_or_else(|| format!("a frame of kind {kind}"))?;
-    if length > PAYLOAD_MAX {
-        return Err(format!("a frame of {length} bytes"));
-    }
+    check_length(length, max)?;
     Ok((kind, length))
 }
 
@@ -377,17 +393,22 @@ mod tests {
         assert_eq!(reader.sums().unwrap()[1], f64::INFINITY);
         assert_eq!(reader.f32s().unwrap(), [0.5, -3.0]);
         assert!(reader.0.is_empty());
-        let head = head(Kind::Total, 77);
-        assert_eq!(parse_head(&head), Ok((Kind::Total, 77)));
+        let head = head(Kind::Total, 77).unwrap();
+        assert_eq!(parse_head(&head, 77), Ok((Kind::Total, 77)));
     }
 
     #[test]
     fn foreign_bytes_and_other_versions_are_named() {
         let mut web = [0; HEAD_BYTES];
         web[..14].copy_from_slice(b"GET / HTTP/1.1");
-        assert!(parse_head(&web).unwrap_err().contains("no rank"));
-        let huge = head(Kind::Table, usize::MAX);
-        assert!(parse_head(&huge).unwrap_err().contains("bytes"));
+        let refused = parse_head(&web, PAYLOAD_MAX).unwrap_err();
+        assert!(refused.contains("no rank"), "{refused}");
+        let long = head(Kind::Table, PAYLOAD_MAX as usize).unwrap();
+        assert!(parse_head(&long, PAYLOAD_MAX).is_ok());
+        let refused = parse_head(&long, GREETING_MAX).unwrap_err();
+        assert!(refused.contains("more than 65536"), "{refused}");
+        let refused = head(Kind::Table, PAYLOAD_MAX as usize + 1).unwrap_err();
+        assert!(refused.contains("more than 1073741824"), "{refused}");
         let mut writer = Writer::default();
         writer.hello(&Hello {
             version: 9,
@@ -406,7 +427,7 @@ mod tests {
             let _ = Reader(&bytes).f32s();
             let _ = Reader(&bytes).u32s();
             if let Some(head) = bytes.first_chunk() {
-                let _ = parse_head(head);
+                let _ = parse_head(head, PAYLOAD_MAX);
             }
         }
     }
