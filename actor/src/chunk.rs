@@ -3,7 +3,9 @@
 use std::time::Instant;
 
 use caudata_env::{EpisodeStats, StepOutput, VecEnv};
-use caudata_proto::{EpisodeSummary, FinalObservation, RolloutChunk};
+use caudata_proto::{ActionHistory, EpisodeSummary, FinalObservation, RolloutChunk};
+use caudata_task::ACTION_HISTORY;
+use caudata_task::layout::ACTIONS;
 
 use crate::moments::moments_of;
 use crate::policy::LoadedPolicy;
@@ -159,6 +161,11 @@ fn empty_chunk(
         final_observations: Vec::new(),
         episodes: Vec::new(),
         moments: moments_of(&[], obs_dim),
+        action_history: Some(ActionHistory {
+            first: ACTIONS,
+            steps: ACTION_HISTORY,
+            clip: env.task().action.clip,
+        }),
         trace: None,
     }
 }

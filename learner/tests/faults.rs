@@ -118,6 +118,7 @@ fn sound(
         final_observations: Vec::new(),
         episodes: Vec::new(),
         moments: moments_of(&observations[..cells * obs_dim], obs_dim),
+        action_history: None,
         trace: None,
         observations,
     }

@@ -67,6 +67,7 @@ fn chunk(steps: usize, lanes: usize) -> RolloutChunk {
             mean: vec![0.5; obs_dim],
             m2: vec![0.0; obs_dim],
         },
+        action_history: None,
         trace: None,
     }
 }

@@ -11,6 +11,7 @@ pub mod rollout;
 pub mod wire;
 
 pub use rollout::{
-    ActorBye, ActorHello, ChunkIdentity, DecodeError, DecodeLimits, Envelope, EpisodeSummary,
-    FinalObservation, Moments, RolloutChunk, TraceContext, chunk_identity, decode, encode,
+    ActionHistory, ActorBye, ActorHello, ChunkIdentity, DecodeError, DecodeLimits, Envelope,
+    EpisodeSummary, FinalObservation, Moments, RolloutChunk, TraceContext, chunk_identity, decode,
+    encode,
 };

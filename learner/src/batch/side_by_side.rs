@@ -152,6 +152,7 @@ mod tests {
                 mean: vec![0.0],
                 m2: vec![0.0],
             },
+            action_history: None,
             trace: None,
         }
     }

@@ -3,10 +3,11 @@
 use prost::Message;
 
 use super::check::{self, dimension, length, product};
+use super::history;
 use super::tensors::{self, Tensors};
 use super::{
-    ActorBye, ActorHello, DecodeError, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
-    Moments, ROLLOUT_PROTOCOL, RolloutChunk, TraceContext,
+    ActionHistory, ActorBye, ActorHello, DecodeError, DecodeLimits, Envelope, EpisodeSummary,
+    FinalObservation, Moments, ROLLOUT_PROTOCOL, RolloutChunk, TraceContext,
 };
 use crate::wire::rollout as pb;
 
@@ -18,7 +19,11 @@ const FRAME_OVERHEAD: usize = 1024;
 pub fn encode(envelope: &Envelope) -> Vec<u8> {
     let body = match envelope {
         Envelope::Chunk(chunk) => {
-            return tensors::join(&head_to_wire(chunk).encode_to_vec(), chunk);
+            let sent = history::leave_out(chunk);
+            let left_out = chunk.action_history.filter(|_| sent.is_some());
+            let head = head_to_wire(chunk, left_out).encode_to_vec();
+            let observations = sent.as_deref().unwrap_or(&chunk.observations);
+            return tensors::join(&head, chunk, observations);
         }
         Envelope::Hello(hello) => pb::envelope::Body::Hello(hello_to_wire(hello)),
         Envelope::Bye(bye) => pb::envelope::Body::Bye(bye_to_wire(bye)),
@@ -147,7 +152,7 @@ fn bye_from_wire(bye: pb::ActorBye) -> Result<ActorBye, DecodeError> {
 }
 
 /// All of a chunk but its tensors.
-fn head_to_wire(chunk: &RolloutChunk) -> pb::RolloutChunk {
+fn head_to_wire(chunk: &RolloutChunk, left_out: Option<ActionHistory>) -> pb::RolloutChunk {
     pb::RolloutChunk {
         run_id: chunk.run_id.clone(),
         actor_id: chunk.actor_id,
@@ -168,6 +173,11 @@ fn head_to_wire(chunk: &RolloutChunk) -> pb::RolloutChunk {
             m2: from_f64(&chunk.moments.m2),
         }),
         trace: chunk.trace.map_or_else(Vec::new, TraceContext::to_wire),
+        action_history: left_out.map(|history| pb::ActionHistory {
+            first: to_u32(history.first),
+            steps: to_u32(history.steps),
+            clip: history.clip,
+        }),
         ..pb::RolloutChunk::default()
     }
 }
@@ -184,7 +194,12 @@ fn chunk_from_wire(
         .ok_or(DecodeError::Missing { field: "moments" })?;
     let obs_dim = chunk.obs_dim as usize;
     dimension("obs_dim", obs_dim, limits.max_obs_dim)?;
-    Ok(RolloutChunk {
+    let action_history = chunk.action_history.map(|history| ActionHistory {
+        first: history.first as usize,
+        steps: history.steps as usize,
+        clip: history.clip,
+    });
+    let mut read = RolloutChunk {
         run_id: chunk.run_id,
         actor_id: chunk.actor_id,
         incarnation: chunk.incarnation,
@@ -211,8 +226,20 @@ fn chunk_from_wire(
             mean: to_f64("moments.mean", &moments.mean)?,
             m2: to_f64("moments.m2", &moments.m2)?,
         },
+        action_history,
         trace: TraceContext::from_wire(&chunk.trace)?,
-    })
+    };
+    if let Some(history) = action_history {
+        for (field, found, limit) in [
+            ("steps", read.steps, limits.max_steps),
+            ("lanes", read.lanes, limits.max_lanes),
+            ("act_dim", read.act_dim, limits.max_act_dim),
+        ] {
+            dimension(field, found, limit)?;
+        }
+        read.observations = history::put_back(&history, &read, &read.observations)?;
+    }
+    Ok(read)
 }
 
 fn finals_to_wire(finals: &[FinalObservation]) -> pb::FinalObservations {

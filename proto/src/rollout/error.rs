@@ -137,6 +137,12 @@ pub enum DecodeError {
         /// What is wrong.
         problem: &'static str,
     },
+    /// Past actions that no observation can have.
+    #[error("action_history: {problem}")]
+    ActionHistory {
+        /// What is wrong.
+        problem: &'static str,
+    },
     /// Statistics that cannot be those of this chunk.
     #[error("moments: {problem}")]
     Moments {
@@ -146,7 +152,7 @@ pub enum DecodeError {
 }
 
 /// Every value of [`DecodeError::reason_id`], for registering counters beforehand.
-pub const REASON_IDS: [&str; 16] = [
+pub const REASON_IDS: [&str; 17] = [
     "frame_too_large",
     "malformed",
     "protocol",
@@ -163,6 +169,7 @@ pub const REASON_IDS: [&str; 16] = [
     "final_observations",
     "episode",
     "moments",
+    "action_history",
 ];
 
 impl DecodeError {
@@ -185,6 +192,7 @@ impl DecodeError {
             Self::FinalObservations { .. } => 13,
             Self::Episode { .. } => 14,
             Self::Moments { .. } => 15,
+            Self::ActionHistory { .. } => 16,
         };
         REASON_IDS[row]
     }

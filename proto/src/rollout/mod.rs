@@ -7,6 +7,7 @@
 mod check;
 mod codec;
 mod error;
+mod history;
 mod identity;
 mod tensors;
 #[cfg(test)]
@@ -19,7 +20,7 @@ pub use identity::{ChunkIdentity, chunk_identity};
 pub use trace::TraceContext;
 
 /// Version of the meaning of the rollout frames; a frame of any other is refused.
-pub const ROLLOUT_PROTOCOL: u32 = 1;
+pub const ROLLOUT_PROTOCOL: u32 = 2;
 
 /// One frame of the rollout transport.
 #[derive(Debug, Clone, PartialEq)]
@@ -112,8 +113,22 @@ pub struct RolloutChunk {
     pub episodes: Vec<EpisodeSummary>,
     /// Statistics of the first T rows of `observations`.
     pub moments: Moments,
+    /// Where observations repeat past actions, if they do. Those are then not sent; nothing that is learnt depends on it.
+    pub action_history: Option<ActionHistory>,
     /// Where the chunk belongs in a trace, if it is traced. Nothing that is learnt depends on it.
     pub trace: Option<TraceContext>,
+}
+
+/// Columns of an observation that repeat the actions of the steps before: `steps` times A values from `first` on, newest action first, each within ± `clip`; zeros after
+/// an episode's end. At most half of an observation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActionHistory {
+    /// First column.
+    pub first: usize,
+    /// S, past actions.
+    pub steps: usize,
+    /// Largest magnitude of a past action; the chunk's `actions` are as sampled.
+    pub clip: f32,
 }
 
 /// The last observation of an episode that its time limit cut off.

@@ -86,10 +86,10 @@ fn push_floats(frame: &mut Vec<u8>, values: &[f32]) {
     }
 }
 
-/// The frame of a chunk whose other fields are `head`.
-pub(super) fn join(head: &[u8], chunk: &RolloutChunk) -> Vec<u8> {
-    let floats = [
-        &chunk.observations,
+/// The frame of a chunk whose other fields are `head`, with these observations.
+pub(super) fn join(head: &[u8], chunk: &RolloutChunk, observations: &[f32]) -> Vec<u8> {
+    let floats: [&[f32]; 6] = [
+        observations,
         &chunk.actions,
         &chunk.action_means,
         &chunk.log_std,

@@ -64,6 +64,7 @@ fn chunk() -> RolloutChunk {
             mean: vec![0.1, 0.2, 0.3, 0.4],
             m2: vec![1.0, 0.0, 2.5, 1e-3],
         },
+        action_history: None,
         trace: Some(TraceContext {
             trace: [0xa5; 16],
             span: [1, 2, 3, 4, 5, 6, 7, 8],
@@ -336,17 +337,17 @@ fn episodes_that_cannot_be_are_refused() {
 #[test]
 fn what_is_not_a_chunk_of_this_protocol_is_refused() {
     let mut envelope = pb::Envelope::decode(frame(&chunk()).as_slice()).unwrap();
-    envelope.protocol = 2;
+    envelope.protocol = ROLLOUT_PROTOCOL + 1;
     let other = decode(&envelope.encode_to_vec(), &limits()).unwrap_err();
     assert_eq!(
         other,
         DecodeError::Protocol {
-            found: 2,
-            expected: 1
+            found: ROLLOUT_PROTOCOL + 1,
+            expected: ROLLOUT_PROTOCOL
         }
     );
     let empty = pb::Envelope {
-        protocol: 1,
+        protocol: ROLLOUT_PROTOCOL,
         body: None,
     };
     let empty = decode(&empty.encode_to_vec(), &limits()).unwrap_err();
@@ -462,6 +463,7 @@ prop_compose! {
                 mean: vec![0.5; obs_dim],
                 m2: vec![0.25; obs_dim],
             },
+            action_history: None,
             trace: None,
             observations, actions, rewards,
         }
@@ -497,4 +499,105 @@ proptest! {
             prop_assert!(chunk.check(&limits()).is_ok());
         }
     }
+}
+
+/// [`chunk`] with the last action in columns 1 and 2 of every observation, within ± 1: 1.375 and 1.25 are cut off.
+fn with_history() -> RolloutChunk {
+    let mut chunk = chunk();
+    chunk.action_history = Some(ActionHistory {
+        first: 1,
+        steps: 1,
+        clip: 1.0,
+    });
+    for cell in 0..6 {
+        let ended = chunk.terminated[cell] || chunk.truncated[cell];
+        for i in 0..2 {
+            let action = if ended {
+                0.0
+            } else {
+                chunk.actions[2 * cell + i].min(1.0)
+            };
+            chunk.observations[4 * (cell + 2) + 1 + i] = action;
+        }
+    }
+    chunk
+}
+
+#[test]
+fn past_actions_are_left_out_and_put_back() {
+    let chunk = with_history();
+    let envelope = Envelope::Chunk(Box::new(chunk.clone()));
+    let frame = encode(&envelope);
+    assert_eq!(decode(&frame, &DecodeLimits::default()).unwrap(), envelope);
+    // Six observations without two floats each, and 9 bytes (two headers, 1, 1, 1.0) that say so: the lengths of the tensor, the chunk have one byte or two either way.
+    let plain = RolloutChunk {
+        action_history: None,
+        ..chunk
+    };
+    let plain = encode(&Envelope::Chunk(Box::new(plain))).len();
+    assert!(
+        (plain - 48 + 9..=plain - 48 + 13).contains(&frame.len()),
+        "{} of {plain}",
+        frame.len()
+    );
+}
+
+#[test]
+fn observations_that_do_not_follow_from_the_actions_are_sent_whole() {
+    let right = with_history();
+    let whole = RolloutChunk {
+        action_history: None,
+        ..right.clone()
+    };
+    let whole_len = encode(&Envelope::Chunk(Box::new(whole))).len();
+    // One bit of one past action, the sign of a zero after an end, another limit, another column.
+    let mut wrong = [right.clone(), right.clone(), right.clone(), right];
+    wrong[0].observations[4 * 2 + 1] =
+        f32::from_bits(wrong[0].observations[4 * 2 + 1].to_bits() ^ 1);
+    wrong[1].observations[4 * 3 + 1] = -0.0;
+    wrong[2].action_history.as_mut().unwrap().clip = 0.5;
+    wrong[3].action_history.as_mut().unwrap().first = 2;
+    for (i, chunk) in wrong.into_iter().enumerate() {
+        let frame = encode(&Envelope::Chunk(Box::new(chunk.clone())));
+        assert_eq!(frame.len(), whole_len, "{i}");
+        let Envelope::Chunk(read) = decode(&frame, &DecodeLimits::default()).unwrap() else {
+            unreachable!()
+        };
+        let bits = |xs: &[f32]| xs.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(&read.observations), bits(&chunk.observations), "{i}");
+    }
+}
+
+#[test]
+fn past_actions_that_no_observation_can_have_are_refused() {
+    let frame = encode(&Envelope::Chunk(Box::new(with_history())));
+    let with = |change: fn(&mut pb::ActionHistory)| {
+        let mut message = pb::Envelope::decode(frame.as_slice()).unwrap();
+        let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else {
+            unreachable!()
+        };
+        change(chunk.action_history.as_mut().unwrap());
+        decode(&message.encode_to_vec(), &DecodeLimits::default()).unwrap_err()
+    };
+    let changes: [fn(&mut pb::ActionHistory); 8] = [
+        |h| h.steps = 0,
+        |h| h.steps = 2,
+        |h| h.steps = u32::MAX,
+        |h| h.first = 3,
+        |h| h.first = u32::MAX,
+        |h| h.clip = 0.0,
+        |h| h.clip = f32::NAN,
+        |h| h.clip = f32::INFINITY,
+    ];
+    for (i, change) in changes.into_iter().enumerate() {
+        assert_eq!(with(change).reason_id(), "action_history", "{i}");
+    }
+    // Without the word for it the tensor is too short.
+    let mut message = pb::Envelope::decode(frame.as_slice()).unwrap();
+    let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else {
+        unreachable!()
+    };
+    chunk.action_history = None;
+    let error = decode(&message.encode_to_vec(), &DecodeLimits::default()).unwrap_err();
+    assert_eq!(error.reason_id(), "length");
 }

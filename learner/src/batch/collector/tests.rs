@@ -65,6 +65,7 @@ fn chunk(actor_id: u32, sequence: u64, policy_version: u64) -> RolloutChunk {
             mean: vec![1.0],
             m2: vec![2.0],
         },
+        action_history: None,
         trace: None,
     }
 }
