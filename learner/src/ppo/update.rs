@@ -1,6 +1,6 @@
 //! One update: values and log-probabilities of the batch, advantages, then epochs of minibatches.
 
-use caudata_config::{AdvantageScale, Config, Correction, PpoConfig, StalenessConfig};
+use caudata_config::{AdvantageScale, Config, Correction, PpoConfig, Returns, StalenessConfig};
 use caudata_model::RobotModel;
 use caudata_random::Stream;
 use caudata_task::mirror::SignedPermutation;
@@ -439,7 +439,10 @@ impl Ppo {
             values: &values[cells.clone()],
             bootstrap_values: &values[segment.bootstrap_row..finals_row],
             final_values: &values[finals_row..finals_row + segment.finals],
-            ratios: ratios.as_deref(),
+            ratios: match self.settings.staleness.returns {
+                Returns::Gae => None,
+                Returns::Vtrace => ratios.as_deref(),
+            },
         };
         let settings = VtraceSettings {
             gamma: self.settings.ppo.gamma as f32,

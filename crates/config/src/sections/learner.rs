@@ -259,18 +259,33 @@ pub enum AdvantageScale {
     None,
 }
 
+/// Value targets and advantages of data from older policies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Returns {
+    /// GAE, as of fresh data.
+    #[default]
+    Gae,
+    /// V-trace.
+    Vtrace,
+}
+
 /// `[learner.staleness]`: what happens to data from older policies.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StalenessConfig {
     /// Policy versions after which a chunk is dropped and counted. 0 to 1,000. 0 uses only the newest policy's.
     pub max_lag: u64,
-    /// `decoupled`: data of older policies counts with the weight π_prox/μ (Hilton et al. 2022), and values are corrected by V-trace.
+    /// `decoupled`: data of older policies counts with the weight π_prox/μ (Hilton et al. 2022).
     /// `none`: plain PPO, whose ratio is π_θ/μ and whose targets take all data for the newest policy's; for comparison.
     pub correction: Correction,
-    /// ρ̄ of V-trace (Espeholt et al. 2018): cap of the ratio in the correction of values. 0.1 to 10; 1 is the paper's.
+    /// What older data says of values, with `decoupled`. `gae`: what newer data would; its mistake is what the policies differ by in the steps that λ looks ahead. `vtrace`:
+    /// each step corrected by its ratio (Espeholt et al. 2018), which is exact in the mean, and in sixteen dimensions cuts traces short: four iterations of lag make λ = 0.95 look
+    /// ahead as far as 0.79 does (docs/learning.md).
+    pub returns: Returns,
+    /// ρ̄ of V-trace (Espeholt et al. 2018): cap of the ratio in the correction of values. 0.1 to 10; 1 is the paper's. Only with `returns = "vtrace"`.
     pub rho_max: f64,
-    /// c̄ of V-trace: cap of the trace, multiplied by λ. 0.1 to 10; 1 makes it GAE at lag 0.
+    /// c̄ of V-trace: cap of the trace, multiplied by λ. 0.1 to 10; 1 makes it GAE at lag 0. Only with `returns = "vtrace"`.
     pub c_max: f64,
     /// Cap of the weight π_prox/μ in the loss. 1 to 100. Large: noisy; 1: biased towards the old policy.
     pub weight_max: f64,
@@ -284,6 +299,7 @@ impl Default for StalenessConfig {
         Self {
             max_lag: 4,
             correction: Correction::Decoupled,
+            returns: Returns::Gae,
             rho_max: 1.0,
             c_max: 1.0,
             weight_max: 2.0,

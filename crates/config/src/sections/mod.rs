@@ -11,7 +11,7 @@ pub use actors::ActorsConfig;
 pub use cluster::ClusterConfig;
 pub use learner::{
     Activation, AdvantageScale, Correction, Device, LearnerConfig, NetworkConfig, PpoConfig,
-    StalenessConfig, WarmStartConfig,
+    Returns, StalenessConfig, WarmStartConfig,
 };
 pub use run::{EvaluationConfig, RunConfig};
 pub use services::{

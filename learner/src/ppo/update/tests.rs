@@ -156,6 +156,37 @@ fn stale_data_with_wild_weights_halves_the_step() {
 }
 
 #[test]
+fn older_data_has_the_returns_of_fresh_data_unless_v_trace_is_asked_for() {
+    let batch = batch(8, 8);
+    let values = vec![0.5; batch.observations.len() / OBS];
+    let prox_log_probs = vec![-2.5; batch.rows];
+    let targets = |returns: Returns, version: u64| {
+        let ppo = ppo(
+            |s| {
+                s.ppo.advantage_scale = AdvantageScale::None;
+                s.staleness.returns = returns;
+            },
+            1,
+        );
+        ppo.targets(&batch, &values, &prox_log_probs, version)
+    };
+    let fresh = targets(Returns::Gae, 0);
+    assert!(fresh.weights.iter().all(|&w| w == 1.0));
+    let stale = targets(Returns::Gae, 1);
+    assert_eq!(
+        (&stale.advantages, &stale.targets),
+        (&fresh.advantages, &fresh.targets)
+    );
+    assert!(
+        stale.weights.iter().any(|&w| w < 0.5),
+        "the loss weighs it by its age all the same"
+    );
+    // Fresh data has ratios of 1, with which V-trace is GAE; older data has not.
+    assert_eq!(targets(Returns::Vtrace, 0).targets, fresh.targets);
+    assert_ne!(targets(Returns::Vtrace, 1).targets, fresh.targets);
+}
+
+#[test]
 fn the_rate_follows_the_divergence() {
     let config = PpoConfig {
         target_kl: 0.01,
