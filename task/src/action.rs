@@ -88,6 +88,11 @@ impl ActionFilter {
         &self.smoothed
     }
 
+    /// Where the smoothed action would have the joints, rad, whatever their limits.
+    pub fn unlimited_rad(&self, config: &ActionConfig, joints: &JointTable) -> [f32; ACT_DIM] {
+        std::array::from_fn(|i| joints.nominal_rad[i] + config.scale * self.smoothed[i])
+    }
+
     /// Takes one action and gives the position targets, rad, within the joint limits.
     pub fn apply(
         &mut self,
@@ -96,12 +101,13 @@ impl ActionFilter {
         joints: &JointTable,
     ) -> [f32; ACT_DIM] {
         let action = config.clipped(action);
-        let mut targets = [0.0; ACT_DIM];
+        for (smoothed, action) in self.smoothed.iter_mut().zip(action) {
+            *smoothed += config.filter_alpha * (action - *smoothed);
+        }
+        let mut targets = self.unlimited_rad(config, joints);
         for i in 0..ACT_DIM {
-            self.smoothed[i] += config.filter_alpha * (action[i] - self.smoothed[i]);
-            let target = joints.nominal_rad[i] + config.scale * self.smoothed[i];
             // Not `clamp`: that panics on reversed limits; here the upper limit would win.
-            targets[i] = target.max(joints.lower_rad[i]).min(joints.upper_rad[i]);
+            targets[i] = targets[i].max(joints.lower_rad[i]).min(joints.upper_rad[i]);
         }
         targets
     }

@@ -4,7 +4,11 @@ use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{require, require_range};
+use crate::phase::wrap_angle;
 use crate::{COMMAND_DIM, TaskError};
+
+/// Yaw rate that is asked for per radian off the course, 1/s: slow against a stride, in which the trunk sways.
+pub const COURSE_GAIN_PER_S: f32 = 1.0;
 
 /// Table `[task.command]`: what the robot is asked to do, in the heading frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,6 +26,12 @@ pub struct CommandConfig {
     pub resample_s: [f32; 2],
     /// Probability that a command is zero (stand), 0 to 1. Default 0.1 (MuJoCo Playground).
     pub zero_share: f32,
+    /// Probability that a command other than zero holds a course, as a person with a joystick would, 0 to 1: a heading is drawn, the yaw rate is
+    /// [`COURSE_GAIN_PER_S`] times the missing angle within `yaw_rate_radps`, and `tracking_lin_vel` looks at the velocity along that course. Default 0. Without it a
+    /// robot that a beach has turned aside follows its command perfectly, in its own frame; too large: free turns are trained too little.
+    pub course_share: f32,
+    /// Courses are drawn within ± this of the present heading, rad, 0 to π. Default π/3.
+    pub course_within_rad: f32,
 }
 
 impl Default for CommandConfig {
@@ -32,6 +42,8 @@ impl Default for CommandConfig {
             yaw_rate_radps: [-0.5, 0.5],
             resample_s: [4.0, 8.0],
             zero_share: 0.1,
+            course_share: 0.0,
+            course_within_rad: std::f32::consts::FRAC_PI_3,
         }
     }
 }
@@ -64,6 +76,18 @@ impl CommandConfig {
             "command.zero_share",
             self.zero_share,
             "must be 0 to 1",
+        )?;
+        require(
+            (0.0..=1.0).contains(&self.course_share),
+            "command.course_share",
+            self.course_share,
+            "must be 0 to 1",
+        )?;
+        require(
+            (0.0..=std::f32::consts::PI).contains(&self.course_within_rad),
+            "command.course_within_rad",
+            self.course_within_rad,
+            "must be 0 to π",
         )
     }
 }
@@ -75,20 +99,59 @@ pub struct CommandState {
     pub value: [f32; COMMAND_DIM],
     /// Control steps until the next draw.
     pub steps_left: u32,
+    /// The heading that is to be held, world, rad, if there is one.
+    pub course_rad: Option<f32>,
+}
+
+/// Yaw rate that a person with a joystick would ask for to come from `heading_rad` to `course_rad`, within `range_radps`.
+#[must_use]
+pub fn yaw_rate_towards(course_rad: f32, heading_rad: f32, [least, most]: [f32; 2]) -> f32 {
+    (COURSE_GAIN_PER_S * wrap_angle(course_rad - heading_rad))
+        .max(least)
+        .min(most)
 }
 
 impl CommandState {
-    /// Draws a command and how long it holds (at least one control step).
-    pub fn draw(config: &CommandConfig, control_period_s: f32, stream: &mut Stream) -> Self {
+    /// Draws a command and how long it holds (at least one control step), for a robot that heads `heading_rad`.
+    pub fn draw(
+        config: &CommandConfig,
+        control_period_s: f32,
+        heading_rad: f32,
+        stream: &mut Stream,
+    ) -> Self {
         let [vx, vy, yaw] = [config.vx_mps, config.vy_mps, config.yaw_rate_radps];
         // Always the same number of draws, so that `zero_share` does not shift later commands.
         let drawn = [vx, vy, yaw].map(|[lo, hi]| stream.uniform(lo, hi));
         let zero = stream.chance(config.zero_share);
         let hold_s = stream.uniform(config.resample_s[0], config.resample_s[1]);
-        Self {
+        let mut course_rad = None;
+        if config.course_share > 0.0 {
+            let within = config.course_within_rad;
+            let held = stream.chance(config.course_share);
+            let turn_rad = stream.uniform(-within, within);
+            course_rad = (held && !zero).then(|| wrap_angle(heading_rad + turn_rad));
+        }
+        let mut command = Self {
             value: if zero { [0.0; COMMAND_DIM] } else { drawn },
             steps_left: ((hold_s / control_period_s).round() as u32).max(1),
+            course_rad,
+        };
+        command.steer(config, heading_rad);
+        command
+    }
+
+    /// Sets the yaw rate of a command that holds a course.
+    fn steer(&mut self, config: &CommandConfig, heading_rad: f32) {
+        if let Some(course_rad) = self.course_rad {
+            self.value[2] = yaw_rate_towards(course_rad, heading_rad, config.yaw_rate_radps);
         }
+    }
+
+    /// How far `heading_rad` is to the left of the course, rad; 0 where none is held.
+    #[must_use]
+    pub fn off_course_rad(&self, heading_rad: f32) -> f32 {
+        self.course_rad
+            .map_or(0.0, |course_rad| wrap_angle(heading_rad - course_rad))
     }
 
     /// One control step has passed; draws the next command when this one has run out. True on a change.
@@ -96,13 +159,15 @@ impl CommandState {
         &mut self,
         config: &CommandConfig,
         control_period_s: f32,
+        heading_rad: f32,
         stream: &mut Stream,
     ) -> bool {
         self.steps_left = self.steps_left.saturating_sub(1);
         if self.steps_left > 0 {
-            return false;
+            self.steer(config, heading_rad);
+            return self.course_rad.is_some();
         }
-        *self = Self::draw(config, control_period_s, stream);
+        *self = Self::draw(config, control_period_s, heading_rad, stream);
         true
     }
 }
@@ -123,7 +188,7 @@ mod tests {
         let n = 10_000;
         let (mut zeros, mut sum) = (0, 0.0);
         for _ in 0..n {
-            let [vx, vy, yaw] = CommandState::draw(&config, 0.02, &mut stream).value;
+            let [vx, vy, yaw] = CommandState::draw(&config, 0.02, 0.0, &mut stream).value;
             assert!((-0.2..=0.5).contains(&vx));
             assert!((-0.1..=0.1).contains(&vy));
             assert!((-0.5..=0.5).contains(&yaw));
@@ -145,10 +210,10 @@ mod tests {
             ..CommandConfig::default()
         };
         let mut stream = stream();
-        let mut command = CommandState::draw(&config, 0.02, &mut stream);
+        let mut command = CommandState::draw(&config, 0.02, 0.0, &mut stream);
         let first = command.value;
         let changes: Vec<_> = (1..=10)
-            .filter(|_| command.tick(&config, 0.02, &mut stream))
+            .filter(|_| command.tick(&config, 0.02, 0.0, &mut stream))
             .collect();
         assert_eq!(changes, [5, 10]);
         assert_ne!(command.value, first);
@@ -162,14 +227,49 @@ mod tests {
         };
         let (mut a, mut b) = (stream(), stream());
         let walking: Vec<_> = (0..50)
-            .map(|_| CommandState::draw(&all, 0.02, &mut a))
+            .map(|_| CommandState::draw(&all, 0.02, 0.0, &mut a))
             .collect();
         all.zero_share = 0.5;
         for expected in walking {
-            let found = CommandState::draw(&all, 0.02, &mut b);
+            let found = CommandState::draw(&all, 0.02, 0.0, &mut b);
             assert!(found.value == expected.value || found.value == [0.0; 3]);
             assert_eq!(found.steps_left, expected.steps_left);
         }
+    }
+
+    #[test]
+    fn a_course_is_held_with_the_yaw_rate_of_the_missing_angle() {
+        let config = CommandConfig {
+            yaw_rate_radps: [-0.6, 0.4],
+            zero_share: 0.0,
+            course_share: 1.0,
+            course_within_rad: 0.5,
+            ..CommandConfig::default()
+        };
+        let mut stream = stream();
+        for _ in 0..200 {
+            // Headings beyond π are those from −π on.
+            let mut command = CommandState::draw(&config, 0.02, 3.0, &mut stream);
+            let course_rad = command.course_rad.unwrap();
+            assert!(wrap_angle(course_rad - 3.0).abs() <= 0.5);
+            assert!(course_rad.abs() <= std::f32::consts::PI + 1e-6);
+            // 0.1 to the right of the course: 0.1 rad/s to the left, and −0.1 rad off it.
+            let heading_rad = course_rad - 0.1;
+            assert!(command.tick(&config, 0.02, heading_rad, &mut stream));
+            assert!((command.value[2] - 0.1).abs() < 1e-5);
+            assert!((command.off_course_rad(heading_rad) + 0.1).abs() < 1e-5);
+        }
+        // Two radians off: as fast as commands may be, either way.
+        assert_eq!(yaw_rate_towards(2.0, 0.0, config.yaw_rate_radps), 0.4);
+        assert_eq!(yaw_rate_towards(-2.0, 0.0, config.yaw_rate_radps), -0.6);
+        // A command to stand holds nothing.
+        let standing = CommandConfig {
+            zero_share: 1.0,
+            ..config
+        };
+        let command = CommandState::draw(&standing, 0.02, 3.0, &mut stream);
+        assert_eq!((command.value, command.course_rad), ([0.0; 3], None));
+        assert_eq!(command.off_course_rad(1.0), 0.0);
     }
 
     #[test]
@@ -211,6 +311,20 @@ mod tests {
                     ..good
                 },
                 "command.zero_share",
+            ),
+            (
+                CommandConfig {
+                    course_share: f32::NAN,
+                    ..good
+                },
+                "command.course_share",
+            ),
+            (
+                CommandConfig {
+                    course_within_rad: 3.2,
+                    ..good
+                },
+                "command.course_within_rad",
             ),
         ];
         for (config, name) in bad {

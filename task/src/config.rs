@@ -29,8 +29,11 @@ pub struct TaskConfig {
     pub observe_medium: bool,
     /// Height of the centre of mass above the highest ground under a foot or a girdle from which on a robot in water counts as afloat, m: the
     /// medium bit and the rewards of swimming begin there. Default 0.09 (it stands at 0.073). Smaller: a robot that swims ashore keeps its
-    /// legs folded and never stands up; larger: it treads water where its feet find no ground (0.11 kept it from ever swimming).
+    /// legs folded and never stands up; larger: it must get along without swimming where its feet find no ground.
     pub afloat_above_m: f32,
+    /// Height of a girdle above the ground up to which, in water, its feet are asked to step (the reward `phase`), m. Default 0.09. Between this and
+    /// `afloat_above_m` neither walking nor swimming is asked for, only the way that is commanded. Larger: feet are judged that reach no ground.
+    pub feet_reach_m: f32,
     /// What an action means.
     pub action: ActionConfig,
     /// The gait clock.
@@ -59,6 +62,7 @@ impl Default for TaskConfig {
             stagger_first_episode: true,
             observe_medium: false,
             afloat_above_m: 0.09,
+            feet_reach_m: 0.09,
             action: ActionConfig::default(),
             phase: PhaseConfig::default(),
             command: CommandConfig::default(),
@@ -94,6 +98,12 @@ impl TaskConfig {
             (0.0..=10.0).contains(&self.afloat_above_m),
             "afloat_above_m",
             self.afloat_above_m,
+            "must be 0 to 10 m",
+        )?;
+        require(
+            (0.0..=10.0).contains(&self.feet_reach_m),
+            "feet_reach_m",
+            self.feet_reach_m,
             "must be 0 to 10 m",
         )?;
         self.action.validate()?;

@@ -50,13 +50,19 @@ impl Lane {
         sensors: Option<&Sensors>,
         key: Key,
         stagger: bool,
+        heading_rad: f32,
         reset_stream: &mut Stream,
     ) -> Self {
         let control_period_s = task.control_period_s as f32;
         let mut command_stream = Stream::new(key, Purpose::Command);
         let mut push_stream = Stream::new(key, Purpose::Push);
         let mut sensor_stream = Stream::new(key, Purpose::Sensor);
-        let command = CommandState::draw(&task.command, control_period_s, &mut command_stream);
+        let command = CommandState::draw(
+            &task.command,
+            control_period_s,
+            heading_rad,
+            &mut command_stream,
+        );
         let mut clock = PhaseClock::draw(&task.phase, reset_stream);
         clock.set_command(&task.phase, &command.value);
         let joint_offset_rad = task.noise.draw_joint_offsets(&mut sensor_stream);
@@ -94,6 +100,7 @@ impl Lane {
             self.command = CommandState {
                 value,
                 steps_left: u32::MAX,
+                course_rad: None,
             };
             self.clock.set_command(phase, &value);
         }

@@ -17,6 +17,8 @@ pub struct Truth {
     pub motor_torque_nm: [f32; ACT_DIM],
     /// Mean over the control period, signed.
     pub mech_power_w: [f32; ACT_DIM],
+    /// Of the whole body.
+    pub heading_rad: f32,
     /// Whole body, heading frame.
     pub com_vel_mps: [f32; 3],
     /// Whole body.
@@ -39,6 +41,8 @@ pub struct Truth {
     pub submerged: f32,
     /// 1 while it is that and farther above the highest ground under a foot or a girdle than `afloat_above_m`, 0 otherwise.
     pub afloat: f32,
+    /// Which feet can be asked to walk, 1 or 0: all of them out of the water, and in it those whose girdle has the ground within `feet_reach_m`.
+    pub on_ground: [f32; FEET],
 }
 
 /// What reading a lane needs to know of the robot.
@@ -51,6 +55,8 @@ pub(crate) struct Reader {
     pub girdles_ahead_m: [f32; 2],
     /// Of the task.
     pub afloat_above_m: f32,
+    /// Of the task.
+    pub feet_reach_m: f32,
 }
 
 /// How far ahead of the centre of mass the front and the hind girdle are, along the line that they make, in the nominal pose, m. Both 0 for a robot
@@ -78,8 +84,8 @@ pub(crate) fn girdles_ahead_m(model: &RobotModel) -> Result<[f32; 2], ModelError
 #[derive(Clone, Copy)]
 struct Water {
     surface_m: f32,
-    /// The higher ground of those under the girdles.
-    girdle_ground_m: f32,
+    /// Under the front and under the hind girdle.
+    girdle_ground_m: [f32; 2],
 }
 
 impl Reader {
@@ -93,11 +99,7 @@ impl Reader {
             let ground = |ahead| terrain.height_m(x + ahead * cos, y + ahead * sin);
             Water {
                 surface_m: level_m + engine.params(lane).water_level_offset_m,
-                girdle_ground_m: self
-                    .girdles_ahead_m
-                    .map(ground)
-                    .into_iter()
-                    .fold(f32::MIN, f32::max),
+                girdle_ground_m: self.girdles_ahead_m.map(ground),
             }
         });
         self.read_state(state, water, lane)
@@ -118,26 +120,42 @@ impl Reader {
         let submerged = water.is_some_and(|water| com[2] < water.surface_m);
         // The girdles, too: legs that are folded back have their feet over deeper ground than they would stand on.
         let highest_ground_m = water
-            .map(|water| water.girdle_ground_m)
             .into_iter()
+            .flat_map(|water| water.girdle_ground_m)
             .chain(ground_m)
             .fold(f32::MIN, f32::max);
+        let gravity: [f32; 3] = row(&state.imu_gravity, lane);
+        let afloat = submerged && com[2] - highest_ground_m > self.afloat_above_m;
+        let on_ground = |foot: usize| {
+            let Some(water) = water.filter(|_| submerged) else {
+                return 1.0;
+            };
+            if afloat {
+                return 0.0;
+            }
+            // Feet come as front, front, hind, hind. Gravity leans back in the body where the nose is up.
+            let girdle = foot / 2;
+            let girdle_m = com[2] - self.girdles_ahead_m[girdle] * gravity[0];
+            f32::from(girdle_m - water.girdle_ground_m[girdle] <= self.feet_reach_m)
+        };
         Truth {
             joint_pos_rad: pick(pos, &self.actuated),
             joint_vel_radps: pick(vel, &self.actuated),
             motor_torque_nm: row(&state.motor_torque_nm, lane),
             mech_power_w: row(&state.mech_power_w, lane),
+            heading_rad: state.heading_rad[lane],
             com_vel_mps: into_heading(row(&state.com_vel_mps, lane), state.heading_rad[lane]),
             yaw_rate_radps: state.com_angvel_radps[3 * lane + 2],
             com_height_m: com[2] - mean_ground_m,
             gyro_radps: row(&state.imu_gyro_radps, lane),
-            gravity: row(&state.imu_gravity, lane),
+            gravity,
             foot_height_m,
             foot_vel_mps: vectors(&state.foot_vel_mps, lane),
             foot_force_n: vectors(&state.foot_force_n, lane),
             trunk_force_n: state.trunk_force_n[lane],
             submerged: f32::from(submerged),
-            afloat: f32::from(submerged && com[2] - highest_ground_m > self.afloat_above_m),
+            afloat: f32::from(afloat),
+            on_ground: std::array::from_fn(on_ground),
         }
     }
 }
@@ -252,6 +270,7 @@ mod tests {
         foot_radius_m: [0.02; FEET],
         girdles_ahead_m: [0.0; 2],
         afloat_above_m: 0.09,
+        feet_reach_m: 0.09,
     };
 
     fn state() -> State {
@@ -351,7 +370,7 @@ mod tests {
             state.foot_height_m[2] = 0.36 - shallow_m;
             let water = surface_m.map(|surface_m| Water {
                 surface_m,
-                girdle_ground_m,
+                girdle_ground_m: [girdle_ground_m, 0.0],
             });
             let truth = READER.read_state(&state, water, 0);
             (truth.submerged, truth.afloat)
@@ -363,5 +382,31 @@ mod tests {
         assert_eq!(read_near(0.34, 0.42, 0.3, Some(0.5)), (1.0, 0.0)); // 0.08 over the ground of a girdle: folded legs hide nothing
         assert_eq!(read(0.42, 0.3, Some(0.4)), (0.0, 0.0)); // above the surface
         assert_eq!(read(0.42, 0.3, None), (0.0, 0.0)); // dry
+    }
+
+    #[test]
+    fn feet_walk_in_water_where_their_girdle_has_the_ground_in_reach() {
+        let reader = Reader {
+            girdles_ahead_m: [0.16, -0.16],
+            ..READER
+        };
+        let read = |front_ground_m, nose_up_rad: f32, surface_m| {
+            let mut state = state();
+            state.com_pos_m[2] = 0.4;
+            state.foot_height_m.fill(0.3);
+            state.imu_gravity[..3].copy_from_slice(&[-nose_up_rad.sin(), 0.0, -nose_up_rad.cos()]);
+            let water = Water {
+                surface_m,
+                girdle_ground_m: [front_ground_m, 0.2],
+            };
+            reader.read_state(&state, Some(water), 0).on_ground
+        };
+        // The ground 0.08 under the fore girdle and 0.2 under the hind one.
+        assert_eq!(read(0.32, 0.0, 0.45), [1.0, 1.0, 0.0, 0.0]);
+        // The same with the nose up by 0.1 rad: 0.4 + 0.16·sin(0.1) − 0.32 = 0.096, out of reach.
+        assert_eq!(read(0.32, 0.1, 0.45), [0.0; FEET]);
+        // 0.2 under both: afloat. Above the surface all feet walk.
+        assert_eq!(read(0.2, 0.0, 0.45), [0.0; FEET]);
+        assert_eq!(read(0.2, 0.0, 0.35), [1.0; FEET]);
     }
 }

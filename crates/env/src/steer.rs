@@ -56,6 +56,7 @@ impl VecEnv {
         let dim = self.layout.dim();
         let now = &mut self.lanes[lane];
         now.command.value = command;
+        now.command.course_rad = None;
         now.clock.set_command(&self.task.phase, &command);
         let observation = &mut self.observations[lane * dim..][..dim];
         observation[COMMAND..ACTIONS].copy_from_slice(&command);

@@ -107,6 +107,7 @@ impl VecEnv {
                 foot_radius_m: std::array::from_fn(|i| model.feet()[i].radius_m as f32),
                 girdles_ahead_m: girdles_ahead_m(&model)?,
                 afloat_above_m: task.afloat_above_m,
+                feet_reach_m: task.feet_reach_m,
             },
             sensors: (task.noise.enabled && task.noise.sensor_models)
                 .then(|| Sensors::new(&model, task.control_period_s)),
@@ -267,7 +268,15 @@ impl VecEnv {
         let mut terms = [0.0; TERM_COUNT];
         let mut reward = 0.0;
         if !diverged {
-            let input = reward_input(&self.task, &self.joints, &self.swimming_rad, now, &truth);
+            let target_rad = now.filter.unlimited_rad(&self.task.action, &self.joints);
+            let input = reward_input(
+                &self.task,
+                &self.joints,
+                &self.swimming_rad,
+                &target_rad,
+                now,
+                &truth,
+            );
             let cost_scale = self.task.reward.cost_scale(self.progress);
             let config = &self.task.reward;
             reward = reward::evaluate(config, &input, control_period_s, cost_scale, &mut terms);
@@ -290,6 +299,7 @@ impl VecEnv {
             && now.command.tick(
                 &self.task.command,
                 control_period_s,
+                truth.heading_rad,
                 &mut now.command_stream,
             )
         {
@@ -341,7 +351,8 @@ impl VecEnv {
             &self.swimming_rad,
             &mut reset_stream,
         );
-        self.physics.apply_start(&self.start_shift.apply(start));
+        let start = self.start_shift.apply(start);
+        self.physics.apply_start(&start);
         self.engine.set_params(lane, &self.physics.params)?;
         self.engine.reset(lane, &self.physics.init)?;
         let mut started = Lane::start(
@@ -349,6 +360,7 @@ impl VecEnv {
             self.sensors.as_ref(),
             key,
             stagger,
+            start.yaw_rad,
             &mut reset_stream,
         );
         started.joint_vel_radps = start.joint_vel_radps;
@@ -397,6 +409,7 @@ fn reward_input<'a>(
     task: &TaskConfig,
     joints: &'a JointTable,
     swimming_rad: &'a [f32; ACT_DIM],
+    target_rad: &'a [f32; ACT_DIM],
     lane: &'a Lane,
     truth: &'a Truth,
 ) -> RewardInput<'a> {
@@ -407,6 +420,7 @@ fn reward_input<'a>(
         command: lane.command.value,
         standing: lane.clock.standing(),
         phase_rad: lane.clock.phases_rad(),
+        off_course_rad: lane.command.off_course_rad(truth.heading_rad),
         com_vel_mps: truth.com_vel_mps,
         yaw_rate_radps: truth.yaw_rate_radps,
         gyro_radps: truth.gyro_radps,
@@ -422,7 +436,9 @@ fn reward_input<'a>(
         trunk_force_n: truth.trunk_force_n,
         submerged: truth.submerged,
         afloat: truth.afloat,
+        on_ground: truth.on_ground,
         swimming_rad,
+        target_rad,
         action: &lane.actions[0],
         previous_action: &lane.actions[1],
     }

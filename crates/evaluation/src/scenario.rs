@@ -1,6 +1,7 @@
 //! One kind of episode: ground, command, disturbances, and what it is for.
 
 use caudata_sim::{TerrainConfig, TerrainKind};
+use caudata_task::command::yaw_rate_towards;
 use caudata_task::push::PushConfig;
 use caudata_task::randomise::RandomisationConfig;
 use serde::Serialize;
@@ -86,14 +87,12 @@ pub struct Leg {
 pub enum Order {
     /// This command: vx, vy (m/s), yaw rate (rad/s).
     Command([f32; 3]),
-    /// To keep a heading (world, rad), as a person with a joystick would: the episode's vx and vy, and [`Leg::GAIN`] times the missing angle
-    /// as yaw rate, within [`Leg::MOST_RADPS`].
+    /// To keep a heading (world, rad), as a person with a joystick would ([`yaw_rate_towards`]): the episode's vx and vy, and a yaw rate
+    /// within [`Leg::MOST_RADPS`].
     Heading(f32),
 }
 
 impl Leg {
-    /// Yaw rate per missing angle, 1/s: slow against a stride, in which the trunk sways.
-    pub const GAIN: f32 = 1.0;
     /// Largest yaw rate that is asked for to keep a heading, rad/s: the omni grid's.
     pub const MOST_RADPS: f32 = 0.6;
 
@@ -109,13 +108,9 @@ impl Leg {
         Some(match leg.order {
             Order::Command(command) => command,
             Order::Heading(wanted_rad) => {
-                let missing = caudata_task::phase::wrap_angle(wanted_rad - heading_rad);
                 let most = Self::MOST_RADPS;
-                [
-                    first[0],
-                    first[1],
-                    (Self::GAIN * missing).clamp(-most, most),
-                ]
+                let yaw_radps = yaw_rate_towards(wanted_rad, heading_rad, [-most, most]);
+                [first[0], first[1], yaw_radps]
             }
         })
     }

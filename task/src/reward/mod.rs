@@ -113,11 +113,11 @@ macro_rules! reward_terms {
 }
 
 reward_terms! {
-    /// exp(−‖v_cmd − v_xy‖²/`lin_vel_sigma`): follow the commanded velocity. Default 1.0 (paper).
+    /// exp(−‖v_cmd − v_xy‖²/`lin_vel_sigma`): follow the commanded velocity, along the course where one is held. Default 1.0 (paper).
     tracking_lin_vel: Reward, "1", 1.0;
     /// exp(−(ω_cmd − ω_z)²/`yaw_rate_sigma`): follow the commanded yaw rate. Default 0.5 (paper).
     tracking_yaw_rate: Reward, "1", 0.5;
-    /// On land, exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock; 0 afloat. Default 1.0 (paper);
+    /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock, those that can reach the ground; 1 afloat. Default 1.0 (paper);
     /// too small: the policy shuffles or vibrates.
     phase: Reward, "1", 1.0;
     /// Σ|q̇τ|, mechanical power of all motors in either direction. Default −1e-3 (paper); −3e-3 curbs
@@ -131,6 +131,9 @@ reward_terms! {
     joint_acceleration: Cost, "rad²/s⁴", 0.0;
     /// Σ over joints of how far they are beyond `soft_limit_share` of their range, rad. Default 0.
     joint_limits: Cost, "rad", 0.0;
+    /// Σ over joints of how far the smoothed target lies outside the joint's range before it is cut off there, rad. Default 0. A policy whose target is a radian beyond a limit
+    /// feels nothing of what it does with that joint any more, and learns nothing: -0.1 brings it back.
+    target_limits: Cost, "rad", 0.0;
     /// Sum of the horizontal speeds of the feet that are in contact. Default 0 (not in the paper).
     slip: Cost, "m/s", 0.0;
     /// g_x² + g_y² of the gravity direction in the body frame: lean and roll. Default 0.
@@ -144,12 +147,11 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
-    /// Afloat, mean over the leg joints of exp(−(q − q_swimming)²/`leg_fold_sigma`): legs folded back as in the robot file's swimming pose;
-    /// 0 on land and in shallow water. It takes the place of `phase`, which pays nothing afloat, so give it about that weight: too small, and staying on
-    /// land pays. Default 0 (not in the paper).
+    /// Afloat, mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`): legs folded back as in the robot file's swimming pose;
+    /// 1 on land and in shallow water, so that nothing is won or lost by going there. Too small: a leg hangs, and stops the robot where it meets the ground. Default 0 (not in the paper).
     leg_fold: Reward, "1", 0.0;
     /// Afloat, mean over the body joints of exp(−(q − q_wave)²/`wave_sigma`): a wave that travels from head to tail with the gait clock, as high as
-    /// the commanded forward speed asks for; 0 on land and in shallow water. What `phase` is to walking. Default 0 (not in the paper); without it the policy does
+    /// the commanded forward speed asks for; 1 on land and in shallow water. What `phase` is to walking. Default 0 (not in the paper); without it the policy does
     /// not find out how to swim: independent noise in eight joints makes no travelling wave.
     body_wave: Reward, "1", 0.0;
 }
@@ -188,8 +190,9 @@ pub struct RewardConfig {
     pub contact_force_n: f32,
     /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
     pub trunk_force_n: f32,
-    /// σ of `leg_fold`, rad². Default 1: a hip that stands as for walking is 1.3 rad from folded and earns 20 %. Smaller: no gradient from there.
-    pub leg_fold_sigma: f32,
+    /// How far from folded a leg joint earns nothing of `leg_fold`, rad. Default π: a hip that stands as for walking is 1.3 rad from folded and earns 59 %. Smaller: a leg that
+    /// hangs, 2.5 rad off, is not pulled.
+    pub leg_fold_within_rad: f32,
     /// Height of the travelling wave of `body_wave` at 0.3 m/s, head and tail, rad; in between linear, and proportional to the commanded
     /// speed up to 1.5 times that. Default 0.14 and 0.22, with which the nominal robot swims at about 0.3 m/s open loop. Larger: faster and more
     /// power.
@@ -218,7 +221,7 @@ impl Default for RewardConfig {
             phase_sigma: 0.01,
             contact_force_n: 1.0,
             trunk_force_n: 5.0,
-            leg_fold_sigma: 1.0,
+            leg_fold_within_rad: PI,
             wave_amplitude_rad: [0.14, 0.22],
             wave_lag_rad: 0.7,
             wave_sigma: 0.05,
@@ -274,7 +277,7 @@ impl RewardConfig {
             (self.phase_sigma, "reward.phase_sigma"),
             (self.contact_force_n, "reward.contact_force_n"),
             (self.trunk_force_n, "reward.trunk_force_n"),
-            (self.leg_fold_sigma, "reward.leg_fold_sigma"),
+            (self.leg_fold_within_rad, "reward.leg_fold_within_rad"),
             (self.wave_sigma, "reward.wave_sigma"),
         ];
         for (value, field) in positive {
@@ -330,6 +333,8 @@ pub struct RewardInput<'a> {
     pub standing: bool,
     /// Phase of each foot after the step, rad, (−π, π].
     pub phase_rad: [f32; FEET],
+    /// How far the heading is to the left of the course that the command holds, rad; 0 where it holds none.
+    pub off_course_rad: f32,
     /// Velocity of the whole body's centre of mass, m/s, heading frame.
     pub com_vel_mps: [f32; 3],
     /// Yaw rate of the whole body's equivalent rotation, rad/s.
@@ -360,8 +365,12 @@ pub struct RewardInput<'a> {
     pub submerged: f32,
     /// 1 while it is that and the ground is out of reach (`task.afloat_above_m`), 0 otherwise.
     pub afloat: f32,
+    /// Which feet can be asked to walk, 1 or 0: all of them on land, and in water those with the ground in reach.
+    pub on_ground: [f32; FEET],
     /// Joint positions of the swimming pose, rad.
     pub swimming_rad: &'a [f32; ACT_DIM],
+    /// Position targets of this step before they are cut off at the limits, rad.
+    pub target_rad: &'a [f32; ACT_DIM],
     /// The action of this step, clipped.
     pub action: &'a [f32; ACT_DIM],
     /// The action of the step before, clipped.

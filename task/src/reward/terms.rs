@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use super::{RewardConfig, RewardInput};
-use crate::ACT_DIM;
 use crate::phase::reference_height_m;
+use crate::{ACT_DIM, FEET};
 
 /// Forward speed at which the wave has the amplitude that is configured, m/s.
 const WAVE_SPEED_MPS: f32 = 0.3;
@@ -12,10 +12,12 @@ const WAVE_SPEED_MPS: f32 = 0.3;
 /// In policy order the legs come last, two joints each.
 const FIRST_LEG_JOINT: usize = ACT_DIM - 2 * crate::FEET;
 
-/// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame. Paper.
+/// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame (paper), or along the course where one is held.
 pub fn tracking_lin_vel(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let dx = input.command[0] - input.com_vel_mps[0];
-    let dy = input.command[1] - input.com_vel_mps[1];
+    let (sin, cos) = input.off_course_rad.sin_cos();
+    let [x, y, _] = input.com_vel_mps;
+    let dx = input.command[0] - (cos * x - sin * y);
+    let dy = input.command[1] - (sin * x + cos * y);
     (-(dx * dx + dy * dy) / config.lin_vel_sigma).exp()
 }
 
@@ -26,15 +28,15 @@ pub fn tracking_yaw_rate(config: &RewardConfig, input: &RewardInput<'_>) -> f32 
 }
 
 /// exp(−Σ (z_j − z_ref(φ_j))²/σ_phase), z the height of the foot's lowest point above the ground. Paper;
-/// z_ref of MuJoCo Playground. Nothing afloat, where the ground is out of reach.
+/// z_ref of MuJoCo Playground. Feet that cannot reach the ground are left out, so it is 1 afloat.
 pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let error: f32 = input
-        .foot_height_m
-        .iter()
-        .zip(input.phase_rad)
-        .map(|(z, phase)| (z - reference_height_m(phase, input.swing_height_m)).powi(2))
+    let error: f32 = (0..FEET)
+        .map(|j| {
+            let reference_m = reference_height_m(input.phase_rad[j], input.swing_height_m);
+            input.on_ground[j] * (input.foot_height_m[j] - reference_m).powi(2)
+        })
         .sum();
-    (1.0 - input.afloat) * (-error / config.phase_sigma).exp()
+    (-error / config.phase_sigma).exp()
 }
 
 /// Σ|q̇τ|, W. Paper. Braking counts as much as driving: a servo cannot feed energy back.
@@ -66,6 +68,19 @@ pub fn joint_limits(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
             let middle = 0.5 * (joints.lower_rad[i] + joints.upper_rad[i]);
             let half = 0.5 * config.soft_limit_share * (joints.upper_rad[i] - joints.lower_rad[i]);
             ((input.joint_pos_rad[i] - middle).abs() - half).max(0.0)
+        })
+        .sum()
+}
+
+/// Σ of how far targets are beyond the joints' limits, rad.
+pub fn target_limits(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let joints = input.joints;
+    (0..ACT_DIM)
+        .map(|i| {
+            let target = input.target_rad[i];
+            (target - joints.upper_rad[i])
+                .max(joints.lower_rad[i] - target)
+                .max(0.0)
         })
         .sum()
 }
@@ -119,22 +134,30 @@ fn squared_distance(a: &[f32; ACT_DIM], b: &[f32; ACT_DIM]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
 }
 
-/// Mean over the leg joints of exp(−(q − q_swimming)²/σ), afloat only.
+/// Mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`) afloat, 1 elsewhere. Not an exponential: that does not pull a leg that hangs, 2.5 rad off.
 pub fn leg_fold(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let folded = |i: usize| {
-        let error = input.joint_pos_rad[i] - input.swimming_rad[i];
-        (-error * error / config.leg_fold_sigma).exp()
+        let error = (input.joint_pos_rad[i] - input.swimming_rad[i]).abs();
+        (1.0 - error / config.leg_fold_within_rad).max(0.0)
     };
-    input.afloat * mean(FIRST_LEG_JOINT..ACT_DIM, folded)
+    judged_afloat(input, || mean(FIRST_LEG_JOINT..ACT_DIM, folded))
 }
 
-/// Mean over the body joints, head to tail, of exp(−(q_i − q_wave,i)²/σ), afloat only.
+/// Mean over the body joints, head to tail, of exp(−(q_i − q_wave,i)²/σ) afloat, 1 elsewhere.
 pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let follows = |i: usize| {
         let error = input.joint_pos_rad[i] - wave_rad(config, input, i);
         (-error * error / config.wave_sigma).exp()
     };
-    input.afloat * mean(0..FIRST_LEG_JOINT, follows)
+    judged_afloat(input, || mean(0..FIRST_LEG_JOINT, follows))
+}
+
+/// What asks for swimming pays in full where nobody swims: a robot must not lose by leaving the water, nor by entering it.
+fn judged_afloat(input: &RewardInput<'_>, value: impl FnOnce() -> f32) -> f32 {
+    match input.afloat > 0.0 {
+        true => value(),
+        false => 1.0,
+    }
 }
 
 /// Of joints that each earn for themselves: with the exponential of a sum, one leg that is far off hides from the others that they get better.

@@ -20,6 +20,7 @@ fn rest() -> RewardInput<'static> {
         command: [0.0; COMMAND_DIM],
         standing: false,
         phase_rad: [PI; FEET],
+        off_course_rad: 0.0,
         com_vel_mps: [0.0; 3],
         yaw_rate_radps: 0.0,
         gyro_radps: [0.0; 3],
@@ -35,7 +36,9 @@ fn rest() -> RewardInput<'static> {
         trunk_force_n: 0.0,
         submerged: 0.0,
         afloat: 0.0,
+        on_ground: [1.0; FEET],
         swimming_rad: &ZEROS,
+        target_rad: &JOINTS.nominal_rad,
         action: &ZEROS,
         previous_action: &ZEROS,
     }
@@ -70,6 +73,15 @@ fn tracking_of_velocity() {
         ..rest()
     };
     check(terms::tracking_lin_vel, &input, 0.697_676);
+    // Told to hold a course and turned a quarter to the left of it, 0.3 m/s forward are 0 along the course and 0.3 across:
+    // 0.3² + 0.3² = 0.18; exp(−0.18/0.25) = 0.486752
+    let input = RewardInput {
+        command: [0.3, 0.0, 0.0],
+        com_vel_mps: [0.3, 0.0, 0.0],
+        off_course_rad: PI / 2.0,
+        ..rest()
+    };
+    check(terms::tracking_lin_vel, &input, 0.486_752);
 }
 
 #[test]
@@ -292,8 +304,21 @@ fn a_wrong_sign_or_scale_is_refused_by_name() {
 }
 
 #[test]
+fn targets_beyond_the_limits_cost_what_they_are_beyond_them() {
+    check(terms::target_limits, &rest(), 0.0);
+    // Limits ±1: 1.5 is half a radian beyond the upper one, −3 two beyond the lower one, 0.99 within.
+    let mut target = ZEROS;
+    (target[0], target[5], target[9]) = (1.5, -3.0, 0.99);
+    let input = RewardInput {
+        target_rad: &target,
+        ..rest()
+    };
+    check(terms::target_limits, &input, 2.5);
+}
+
+#[test]
 fn in_water_legs_fold_instead_of_stepping() {
-    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: exp(−0.5²) = 0.778801 for each.
+    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 1 − 0.5/π = 0.840845 for each.
     let fold = [0.6; ACT_DIM];
     let input = RewardInput {
         submerged: 1.0,
@@ -301,31 +326,41 @@ fn in_water_legs_fold_instead_of_stepping() {
         swimming_rad: &fold,
         ..rest()
     };
-    check(terms::leg_fold, &input, 0.778_801);
-    // One leg that is 10 rad off earns nothing with its two joints and hides nothing from the other six: ¾ of it.
+    check(terms::leg_fold, &input, 0.840_845);
+    // One leg that is 2.4 rad off in one joint and 4.4 in the other, (6·0.840845 + 0.236056 + 0)/8 = 0.660141: it hides nothing from the other six.
     let mut one_off = *input.joint_pos_rad;
-    (one_off[8], one_off[9]) = (10.0, 10.0);
+    (one_off[8], one_off[9]) = (3.0, 5.0);
     let one_leg = RewardInput {
         joint_pos_rad: &one_off,
         ..input
     };
-    check(terms::leg_fold, &one_leg, 0.75 * 0.778_801);
-    check(terms::phase, &input, 0.0);
+    check(terms::leg_fold, &one_leg, 0.660_141);
+    // Each of the styles pays in full where it is not asked for, so that nothing is lost or won by going from one to the other.
+    let input = RewardInput {
+        on_ground: [0.0; FEET],
+        foot_height_m: &[0.3; FEET],
+        ..input
+    };
+    check(terms::phase, &input, 1.0);
     let on_land = RewardInput {
         submerged: 0.0,
         afloat: 0.0,
+        on_ground: [1.0; FEET],
+        foot_height_m: &[0.0; FEET],
         ..input
     };
-    check(terms::leg_fold, &on_land, 0.0);
+    check(terms::leg_fold, &on_land, 1.0);
     check(terms::phase, &on_land, 1.0);
-    // With ground in reach the feet step, and the belly may touch as long as the robot is under water.
+    // Wading, the hind feet over deep water: the fore feet step (2 cm off, exp(−2·0.02²/0.01) = 0.923116), and the belly may touch.
     let wading = RewardInput {
         afloat: 0.0,
+        on_ground: [1.0, 1.0, 0.0, 0.0],
+        foot_height_m: &[0.02, 0.02, 0.3, 0.3],
         trunk_force_n: 100.0,
         ..input
     };
-    check(terms::leg_fold, &wading, 0.0);
-    check(terms::phase, &wading, 1.0);
+    check(terms::leg_fold, &wading, 1.0);
+    check(terms::phase, &wading, 0.923_116);
     check(terms::trunk_contact, &wading, 0.0);
 }
 
@@ -385,7 +420,7 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
         ..input
     };
     assert!((terms::body_wave(&config, &straight) - 0.983_608).abs() < 1e-5);
-    // Standing asks for a straight body; on land it pays nothing.
+    // Standing asks for a straight body; on land none is asked for, and it pays in full.
     let standing = RewardInput {
         standing: true,
         ..straight
@@ -396,5 +431,5 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
         afloat: 0.0,
         ..input
     };
-    assert_eq!(terms::body_wave(&config, &on_land), 0.0);
+    assert_eq!(terms::body_wave(&config, &on_land), 1.0);
 }
