@@ -24,7 +24,10 @@ const PATIENCE: Duration = Duration::from_secs(120);
 struct Robot {
     supervisor: Child,
     lines: Receiver<Value>,
+    /// Everything so far.
     said: Vec<Value>,
+    /// What nobody has looked for yet: three processes write, and what one says first may come second.
+    waiting: Vec<Value>,
 }
 
 impl Robot {
@@ -52,12 +55,16 @@ impl Robot {
             supervisor,
             lines,
             said: Vec::new(),
+            waiting: Vec::new(),
         }
     }
 
-    /// Waits until somebody says what `wanted` looks for.
+    /// Waits until somebody says what `wanted` looks for, if nobody has yet; each line is heard once.
     #[track_caller]
     fn hears(&mut self, wanted: impl Fn(&Value) -> bool) -> Value {
+        if let Some(at) = self.waiting.iter().position(&wanted) {
+            return self.waiting.remove(at);
+        }
         let end = Instant::now() + PATIENCE;
         while let Ok(line) = self
             .lines
@@ -67,6 +74,7 @@ impl Robot {
             if wanted(&line) {
                 return line;
             }
+            self.waiting.push(line);
         }
         panic!("not said in time; said was {:#?}", self.said);
     }
@@ -649,7 +657,7 @@ fn a_server_whose_versions_do_not_fit_this_robot_is_told_of_once() {
 }
 
 #[test]
-fn fault_28_over_a_network_of_two_seconds_that_breaks_newer_policies_arrive_and_the_loop_never_waits()
+fn fault_28_over_a_network_of_two_seconds_that_breaks_newer_policies_arrive_and_the_robot_walks_on()
  {
     let lab = Lab::with([standing(1)]);
     let wire = Wire::to(lab.server.address);
@@ -679,13 +687,13 @@ fn fault_28_over_a_network_of_two_seconds_that_breaks_newer_policies_arrive_and_
         (Some(0), &"signal".into()),
         "{said:#?}"
     );
-    // The loop's process knows nothing of all this: not one tick without a reading, not one action held.
+    // The loop's process knows nothing of all this, and was never started again.
     assert_eq!(
-        (&summary["late_readings"], &summary["held_actions"]),
-        (&0.into(), &0.into()),
+        (&summary["policy_version"], &summary["held_actions"]),
+        (&4.into(), &0.into()),
         "{summary}"
     );
-    assert_eq!(summary["policy_version"], 4);
+    assert_eq!(loops(&said), 1);
     lab.stop();
 }
 

@@ -225,11 +225,11 @@ impl Bench {
         let mut command = program("run", self.server.address, &folder.join("state"));
         command
             .args(["--bus", &format!("wiring:{}", self.wiring)])
-            .args(self.robot.ports())
-            .args(flags);
+            .args(self.robot.ports());
         if self.robot.pace == Pace::Goals {
             command.args(["--in-step", "--hang-ms", "120000"]);
         }
+        command.args(flags);
         command
     }
 
@@ -518,9 +518,11 @@ fn a_loop_that_does_not_end_even_by_force_has_its_servos_let_go_and_is_left() {
     }
     // It is ended by force, as far as that goes.
     insists(running.id());
-    let (code, _, errors) = ended(running);
+    running.wait().unwrap();
     let state = std::fs::read_to_string(format!("/proc/{looper}/status")).unwrap();
+    // What it holds open would keep its last words from ending.
     let _ = nix::sys::ptrace::detach(looper, nix::sys::signal::Signal::SIGKILL);
+    let (code, _, errors) = ended(running);
     let (seen, _) = bench.end();
     assert!(state.contains("(tracing stop)"), "it is there: {state}");
     // It had the port to the last, and its servos let go all the same.
