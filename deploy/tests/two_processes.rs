@@ -658,7 +658,7 @@ fn a_server_whose_versions_do_not_fit_this_robot_is_told_of_once() {
 
 #[test]
 fn fault_28_over_a_network_of_two_seconds_that_breaks_newer_policies_arrive_and_the_robot_walks_on()
- {
+{
     let lab = Lab::with([standing(1)]);
     let wire = Wire::to(lab.server.address);
     // There and back.

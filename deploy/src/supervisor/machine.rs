@@ -358,7 +358,7 @@ mod tests {
             calm: false,
             stopping: true,
         };
-        let [undying, untouched] = [true, false].map(|touched| Undying { touched });
+        let [undying, untouched] = [true, false].map(|touched| Event::Undying { touched });
         let table: &[(State, Event, State, &[Do])] = &[
             // Before the first loop.
             (Waiting, AgentReady, UP, &[Do::StartLoop]),

@@ -219,7 +219,13 @@ impl Drop for Watched {
 /// The failure that ends the process; a child that failed has said why itself.
 pub fn supervise(plan: &Plan, stop: &StopFlag, insisted: &StopFlag) -> Result<(), Failure> {
     let mut supervisor = Supervisor::new(plan)?;
-    let verdict = supervisor.until_over(stop, insisted)?;
+    let verdict = match supervisor.until_over(stop, insisted) {
+        Err(failure) if supervisor.torque == Torque::Unproved => {
+            let line = format!("{failure}; {}", Torque::Unproved.words());
+            return Err(Failure::message(ExitCode::TorqueOn, line));
+        }
+        other => other?,
+    };
     // Last words of the loop are on the disk; the agent takes them and reports.
     let patience = match verdict {
         Verdict::Interrupted => AGENT_END_INSISTED,
