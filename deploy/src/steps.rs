@@ -226,7 +226,9 @@ mod tests {
                 for copy in ["state.json", "state.copy.json"] {
                     std::fs::write(folder.path().join(copy), "{").unwrap();
                 }
-                fetched(&keeper(folder.path()), &manifest)
+                std::fs::create_dir(folder.path().join("blobs")).unwrap();
+                let store = PolicyStore::open_torn(folder.path()).unwrap();
+                fetched(&keeper_over(store), &manifest)
             }
             Step::ChildLived => tried("kill -SEGV $$"),
             Step::ChildContent => tried("cat > /dev/null; echo 'error: bad' >&2; exit 77"),
@@ -235,8 +237,11 @@ mod tests {
     }
 
     fn keeper(folder: &Path) -> Keeper {
+        keeper_over(PolicyStore::open(folder).unwrap())
+    }
+
+    fn keeper_over(store: PolicyStore) -> Keeper {
         let metrics = AgentMetrics::register(&caudata_telemetry::Metrics::new());
-        let store = PolicyStore::open(folder).unwrap();
         Keeper::new(store, model(), metrics)
     }
 
