@@ -20,6 +20,7 @@ use caudata_task::COMMAND_DIM;
 use sha2::{Digest, Sha256};
 
 use crate::DeployError;
+use crate::steps::Step;
 
 /// Age of the newest command beyond which the robot is told to stand still.
 pub const LINK_STOP: Duration = Duration::from_millis(200);
@@ -145,7 +146,8 @@ impl Message {
         let (said, tag) = bytes.split_at(DATAGRAM - TAG);
         // All of it is compared, so that the time taken tells nothing.
         let differs = |sum, (a, b): (&u8, &u8)| sum | (a ^ b);
-        if tag.iter().zip(&key.hmac(said)[..TAG]).fold(0, differs) != 0 {
+        let sum = tag.iter().zip(&key.hmac(said)[..TAG]).fold(0, differs);
+        if Step::CommandTag.on() && sum != 0 {
             return None;
         }
         let kind = match (said.starts_with(MAGIC), said[4]) {
@@ -182,12 +184,15 @@ pub struct Commander {
     pub held: Option<bool>,
     nonce: u64,
     sequence: u64,
-    /// Sequence number of the newest [`Kind::Ask`].
-    asked: u64,
+    /// Sequence number of the newest [`Kind::Ask`] that was answered.
+    answered: u64,
 }
 
 /// Every so many messages the nonce is asked for again: a robot whose agent was restarted has another one.
 const ASK_EVERY: u64 = 10;
+/// An answer to a question that was asked more messages ago does not count: five seconds of `drive`, longer than a network takes for it. (Counting
+/// the newest question only, none would ever be answered over a network that takes longer than a sender pauses.)
+const ANSWER_WITHIN: u64 = 100;
 
 impl Commander {
     /// A sender whose sequence numbers begin at the clock's milliseconds: above those of one that began earlier, which counts up more slowly.
@@ -204,13 +209,15 @@ impl Commander {
         self.nonce != 0
     }
 
-    /// Takes what the robot answered. An answer to anything but the newest question does not count.
+    /// Takes what the robot answered. Answers to questions of long ago do not count, nor do those that came late, behind one to a newer question.
     pub fn hear(&mut self, bytes: &[u8], key: &LinkKey) {
         if let Some(message) = Message::decode(bytes, key)
             && message.kind == Kind::Tell
-            && message.sequence == self.asked
+            && message.sequence > self.answered
+            && message.sequence <= self.sequence
+            && self.sequence - message.sequence < ANSWER_WITHIN
         {
-            self.nonce = message.nonce;
+            (self.nonce, self.answered) = (message.nonce, message.sequence);
         }
     }
 
@@ -225,9 +232,6 @@ impl Commander {
             (false, false, Some(true)) => Kind::Held,
             (false, false, Some(false)) => Kind::Released,
         };
-        if asks {
-            self.asked = self.sequence;
-        }
         Message {
             kind,
             nonce: self.nonce,
@@ -289,7 +293,9 @@ impl Receiver {
                 command: [0.0; COMMAND_DIM],
             });
         }
-        let fresh = message.nonce == self.nonce && message.sequence > self.sequence;
+        let of_this_start = message.nonce == self.nonce || !Step::CommandNonce.on();
+        let newer = message.sequence > self.sequence || !Step::CommandSequence.on();
+        let fresh = of_this_start && newer;
         let sane = message.command.iter().all(|v| v.abs() <= COMMAND_MAX);
         match message.kind {
             Kind::Kill if message.nonce == self.nonce => {
@@ -567,6 +573,45 @@ mod tests {
         commander.hear(&old, &key());
         round(&mut commander, &mut robot);
         assert_eq!(robot.view(MS).command[0], 0.2);
+    }
+
+    #[test]
+    fn answers_may_take_longer_than_the_sender_pauses_but_not_for_ever() {
+        // Each answer comes so many messages after its question.
+        let heard_after = |late: usize| {
+            let (mut commander, mut robot) = (Commander::begin(), Receiver::new(5));
+            let mut on_the_way = std::collections::VecDeque::new();
+            for _ in 0..3 * late + 10 {
+                let message = commander.next_message().encode(&key());
+                on_the_way.push_back(robot.take(&message, &key(), MS));
+                if on_the_way.len() > late
+                    && let Some(answer) = on_the_way.pop_front().flatten()
+                {
+                    commander.hear(&answer.encode(&key()), &key());
+                }
+            }
+            commander.is_heard()
+        };
+        assert!(heard_after(0) && heard_after(1) && heard_after(40));
+        assert!(heard_after(ANSWER_WITHIN as usize - 1));
+        assert!(!heard_after(ANSWER_WITHIN as usize));
+        // One that overtook it makes an older one late; one that nobody asked for yet is none.
+        let mut commander = Commander::begin();
+        let asked: Vec<Message> = (0..3).map(|_| commander.next_message()).collect();
+        let tell = |sequence, nonce| {
+            let message = Message {
+                kind: Kind::Tell,
+                nonce,
+                sequence,
+                command: [0.0; COMMAND_DIM],
+            };
+            message.encode(&key())
+        };
+        commander.hear(&tell(asked[2].sequence + 1, 9), &key());
+        assert!(!commander.is_heard());
+        commander.hear(&tell(asked[1].sequence, 6), &key());
+        commander.hear(&tell(asked[0].sequence, 5), &key());
+        assert_eq!(commander.nonce, 6);
     }
 
     #[test]

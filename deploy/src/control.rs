@@ -15,7 +15,7 @@ use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate, PINNED_TICKS_MAX};
 use crate::guard::{Fault, Guard, Verdict};
 use crate::metrics::RobotMetrics;
 use crate::motion::{Motion, Stage};
-use crate::notify::{ALIVE, BRAKES, Notifier, READY, STOPPING};
+use crate::notify::{Notifier, Word};
 use crate::orientation::GravityFilter;
 use crate::pacing::{Clock, Pacer};
 use crate::recorder::Recorder;
@@ -276,7 +276,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     pub fn run(&mut self, stop: &StopFlag) -> Result<Ended, DeployError> {
         self.updates
             .tell(PolicyEvent::Begun(self.runner.policy().clone()));
-        self.notifier.say(READY);
+        self.notifier.say(Word::Ready);
         let policy = self.runner.policy();
         tracing::info!(stream = policy.stream, version = policy.version, "rising");
         let mut pacer = Pacer::new(self.clock.now(), self.plan.period);
@@ -295,9 +295,9 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
                 Ok(()) => {}
             }
             self.note_latency(due.at, woke);
-            self.notifier.say(ALIVE);
+            self.notifier.say(Word::Alive);
             if self.motion.stage() == Stage::Damped {
-                self.notifier.say(BRAKES);
+                self.notifier.say(Word::Brakes);
             }
         };
         self.counts.overruns = pacer.overruns();
@@ -322,8 +322,11 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             }
             other => other,
         };
-        self.notifier.say(BRAKES);
-        self.notifier.say(STOPPING);
+        self.notifier.say(Word::Brakes);
+        // The supervisor must know this before the process ends: what dies after it is not started again.
+        if !self.notifier.say_last(Word::Stopping) {
+            tracing::warn!("the supervisor does not listen");
+        }
         result?;
         limp?;
         Ok(self.ended.unwrap_or(Ended::Signal))

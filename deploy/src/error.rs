@@ -266,6 +266,7 @@ impl DeployError {
             Self::Stale { .. } | Self::NotHeard { .. } => ExitCode::Unavailable,
             // As for a run folder that another one has: starting again changes nothing.
             Self::Bus(BusError::Taken { .. }) | Self::Exposed { .. } => ExitCode::CannotCreate,
+            Self::Bus(BusError::Holds { .. }) => ExitCode::TorqueOn,
             Self::Server(_) | Self::NoPolicy { .. } | Self::Bus(_) | Self::Stopped { .. } => {
                 ExitCode::Unavailable
             }

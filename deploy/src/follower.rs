@@ -127,7 +127,7 @@ impl Following {
                     tracing::warn!(%error, ?pause, "cannot follow; the policy at hand goes on");
                 }
             }
-            self.raise_alarm();
+            self.raise_alarm(Instant::now());
             tokio::time::sleep(jittered(pause)).await;
             pause = (pause * 2).min(RETRY_MAX);
         }
@@ -141,7 +141,7 @@ impl Following {
         while self.next_change(&mut events).await? {
             *pause = RETRY_FIRST;
             self.consider().await;
-            self.raise_alarm();
+            self.raise_alarm(Instant::now());
         }
         Ok(())
     }
@@ -262,15 +262,148 @@ impl Following {
         }
     }
 
-    fn raise_alarm(&self) {
-        let stale = self.proved_at.elapsed() > STALE_AFTER;
+    /// Says so, once, where no answer has counted for too long at `now`; and takes it back where one has.
+    fn raise_alarm(&self, now: Instant) {
+        let since = now.saturating_duration_since(self.proved_at);
+        let stale = since > STALE_AFTER;
         if stale && self.metrics.stale.get() == 0 {
-            let since_s = self.proved_at.elapsed().as_secs();
+            let since_s = since.as_secs();
             tracing::error!(
                 since_s,
                 "no policy server says what is newest; what runs goes on"
             );
         }
         self.metrics.stale.set(i64::from(stale));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::SocketAddr;
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use caudata_policy::PolicyFile;
+    use caudata_policy_server::{
+        ServeOptions, ServerMetrics, SharedStore, Store, StoreLimits, listen, serve_with,
+    };
+    use caudata_registry_client::manifest_of;
+    use caudata_signing::{ReleaseKey, Trust};
+
+    use super::*;
+    use crate::boundary::RunFolder;
+    use crate::store::PolicyStore;
+    use crate::testing::{model, standing};
+
+    fn stream() -> StreamName {
+        StreamName::new("s").unwrap()
+    }
+
+    fn release() -> ReleaseKey {
+        ReleaseKey::from_seed("release", &[7; 32])
+    }
+
+    fn server_key() -> ReleaseKey {
+        ReleaseKey::from_seed("server", &[9; 32])
+    }
+
+    /// A server with version 1 that proves freshness with `key`.
+    async fn server(folder: &Path, key: ReleaseKey) -> (SocketAddr, watch::Sender<bool>) {
+        let store = Store::open(folder, StoreLimits::default()).unwrap();
+        let listener = listen("127.0.0.1:0".parse().unwrap()).await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let metrics = ServerMetrics::register(&caudata_telemetry::Metrics::new());
+        let (stop, stopped) = watch::channel(false);
+        let options = ServeOptions {
+            fresh_key: Some(Arc::new(key)),
+            ..ServeOptions::default()
+        };
+        tokio::spawn(serve_with(
+            listener,
+            SharedStore::new(store),
+            metrics,
+            stopped,
+            options,
+        ));
+        let mut client = RegistryClient::new(&address.to_string()).unwrap();
+        let file = PolicyFile::parse(standing(1).into()).unwrap();
+        let mut manifest = manifest_of(stream(), &file, 5).unwrap();
+        release().sign(&mut manifest);
+        client.publish(manifest, file.bytes()).await.unwrap();
+        (address, stop)
+    }
+
+    /// Somebody who follows the server at `address`, since `proved_at`.
+    fn following(folder: &Path, address: &str, proved_at: Instant) -> Following {
+        let text = release().trust_file() + &server_key().fresh_trust_lines();
+        let metrics = AgentMetrics::register(&caudata_telemetry::Metrics::new());
+        let store = PolicyStore::open(&folder.join("state")).unwrap();
+        let keeper =
+            Keeper::new(store, model(), metrics.clone()).trusting(Trust::parse(&text).unwrap());
+        let run = RunFolder::open(&folder.join("run")).unwrap();
+        Following {
+            stage: Stage::open(keeper.clone(), run),
+            keeper,
+            client: RegistryClient::new(address).unwrap(),
+            follow: Follow {
+                address: address.to_owned(),
+                tls_dir: None,
+                stream: stream(),
+                label: LabelName::latest(),
+            },
+            offered: PolicyRef {
+                stream: "s".to_owned(),
+                version: 0,
+                sha256: crate::state::Sha256Digest([0; 32]),
+                reverts_to: None,
+            },
+            metrics,
+            proved_at,
+            refused_for: None,
+        }
+    }
+
+    #[test]
+    fn fault_17_ten_minutes_without_an_answer_that_counts_raise_an_alarm() {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .unwrap();
+        runtime.block_on(async {
+            let folder = tempfile::tempdir().unwrap();
+            let begun = Instant::now();
+            // One that is nobody's, one that signs with a key which this robot does not know, one that signs as it should.
+            let stranger = ReleaseKey::from_seed("server", &[8; 32]);
+            let (forged, stop) = server(&folder.path().join("forged"), stranger).await;
+            let (good, stop_good) = server(&folder.path().join("good"), server_key()).await;
+            let nobody = "127.0.0.1:1".parse().unwrap();
+            let robots = [nobody, forged, good].map(|address: SocketAddr| {
+                let folder = folder.path().join(address.port().to_string());
+                std::fs::create_dir(&folder).unwrap();
+                following(&folder, &address.to_string(), begun)
+            });
+            for (mut robot, counts) in robots.into_iter().zip([false, false, true]) {
+                let alarm = robot.metrics.stale.clone();
+                robot.consider().await;
+                // The ten minutes begin anew with an answer that counts, and with no other.
+                let asked = robot.follow.address.clone();
+                assert_eq!(robot.proved_at > begun, counts, "{asked}");
+                let proved_at = robot.proved_at;
+                let at = |s| proved_at + Duration::from_secs(s);
+                robot.raise_alarm(at(600));
+                assert_eq!(alarm.get(), 0, "ten minutes are not more than ten minutes");
+                robot.raise_alarm(at(601));
+                assert_eq!(alarm.get(), 1, "{asked}");
+                // What runs goes on: nothing was withdrawn, nothing refused for good.
+                assert!(robot.refused_for.is_none());
+                // An answer that counts ends it.
+                let later = at(700);
+                robot.proved_at = later;
+                robot.raise_alarm(later);
+                assert_eq!(alarm.get(), 0, "{asked}");
+            }
+            stop.send(true).unwrap();
+            stop_good.send(true).unwrap();
+        });
     }
 }

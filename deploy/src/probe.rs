@@ -7,7 +7,9 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use caudata_telemetry::ExitCode;
+use nix::sys::resource::{Resource, setrlimit};
 
+use crate::DeployError;
 use crate::state::PolicyRef;
 
 /// How long a child may take, its start included.
@@ -20,6 +22,29 @@ pub const CHILD_SPACE_BYTES: u64 = 2 << 30;
 const LOOK: Duration = Duration::from_millis(10);
 /// Most of what a child says that is kept, bytes.
 const WORDS_MAX: u64 = 16 << 10;
+
+/// Holds this process to the memory and the processor time of a child that tries a candidate, for good; what goes beyond ends it.
+///
+/// # Errors
+/// [`DeployError::System`].
+pub fn limit_this_process() -> Result<(), DeployError> {
+    let limits = [
+        (Resource::RLIMIT_AS, CHILD_SPACE_BYTES, "a limit of memory"),
+        (
+            Resource::RLIMIT_CPU,
+            CHILD_CPU_S,
+            "a limit of processor time",
+        ),
+        (Resource::RLIMIT_CORE, 0, "a limit of core files"),
+    ];
+    for (resource, limit, what) in limits {
+        setrlimit(resource, limit, limit).map_err(|source| DeployError::System {
+            what,
+            source: source.into(),
+        })?;
+    }
+    Ok(())
+}
 
 /// The program that probes: this one, with the command `probe`.
 #[derive(Clone, Debug)]
@@ -146,6 +171,50 @@ mod tests {
     }
 
     const LONG: Duration = Duration::from_secs(60);
+
+    /// Not a test: what a child does that wants more than it may have, where the variable says what. Run as one it has nothing to do.
+    #[test]
+    fn greedy_child() {
+        let Ok(wants) = std::env::var(GREEDY) else {
+            return;
+        };
+        limit_this_process().unwrap();
+        let mut kept: Vec<Vec<u8>> = Vec::new();
+        loop {
+            match wants.as_str() {
+                "memory" => kept.push(Vec::with_capacity(64 << 20)),
+                // Work that no compiler leaves out.
+                _ => kept.push(vec![kept.len() as u8; 16]),
+            }
+            std::hint::black_box(&mut kept);
+            if wants == "time" && kept.len() > 1000 {
+                kept.clear();
+            }
+        }
+    }
+
+    const GREEDY: &str = "CAUDATA_TEST_GREEDY_CHILD";
+
+    #[test]
+    fn fault_31_a_child_that_reaches_its_limit_of_memory_or_time_is_ended_by_it() {
+        let this = std::env::current_exe().unwrap();
+        let greedy = |wants: &str| {
+            let this = this.display();
+            let text = format!(
+                "export {GREEDY}={wants}; exec '{this}' --exact probe::tests::greedy_child --nocapture"
+            );
+            // Far beyond what it may use of a processor, so that it is not this that ends it.
+            script(&text, Duration::from_secs(600))
+        };
+        // SIGABRT: no memory is left. SIGKILL: no processor time is.
+        for (wants, signal) in [("memory", "signal: 6"), ("time", "signal: 9")] {
+            let probed = greedy(wants);
+            assert!(
+                matches!(&probed, Probed::Died(how) if how.contains(signal)),
+                "{wants}: {probed:?}"
+            );
+        }
+    }
 
     #[test]
     fn fault_31_a_candidate_that_crashes_or_hangs_the_child_is_found_out() {

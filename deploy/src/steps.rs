@@ -34,6 +34,22 @@ pub(crate) enum Step {
     StoredHash,
     /// The announcement on the disk is this policy's, and signed.
     StoredSignature,
+    /// The server's proof of what is newest answers this robot's own question of just now.
+    Fresh,
+    /// The server shows what it proved.
+    Proved,
+    /// A robot whose state is lost takes nothing before a server proved what is newest.
+    Torn,
+    /// The child process that tried it came back.
+    ChildLived,
+    /// And found nothing wrong.
+    ChildContent,
+    /// A command over the network was made with the link's key.
+    CommandTag,
+    /// For this start of the robot.
+    CommandNonce,
+    /// And after the newest that counted.
+    CommandSequence,
 }
 
 impl Step {
@@ -56,17 +72,21 @@ mod tests {
     use std::path::Path;
 
     use caudata_policy::{Dense, PolicyFile};
-    use caudata_proto::registry::{Manifest, StreamName};
+    use caudata_proto::registry::{Freshness, LabelName, Manifest, StreamName};
+    use caudata_registry_client::RegistryClient;
     use caudata_signing::{ReleaseKey, Trust};
     use sha2::{Digest, Sha256};
 
     use super::Step;
+    use crate::DeployError;
+    use crate::command_link::{Kind, LinkKey, Message, Receiver};
     use crate::keeper::{Keeper, reference};
     use crate::metrics::AgentMetrics;
+    use crate::probe::ProbeProgram;
     use crate::state::{ATTEMPTS_MAX, Blame, Decision, PolicyRef, RobotState, Sha256Digest};
     use crate::store::{PolicyStore, read_policy};
     use crate::testing::{model, policy_file};
-    use crate::verify::{check_manifest, check_signatures, verify};
+    use crate::verify::{check_fresh, check_manifest, check_proved, check_signatures, verify};
 
     thread_local! {
         static LEFT_OUT: Cell<Option<Step>> = const { Cell::new(None) };
@@ -168,9 +188,7 @@ mod tests {
             Step::Jump => decided(&state, &of(b"last", u64::MAX)),
             Step::Attempts => {
                 let folder = tempfile::tempdir().unwrap();
-                let metrics = AgentMetrics::register(&caudata_telemetry::Metrics::new());
-                let store = PolicyStore::open(folder.path()).unwrap();
-                let keeper = Keeper::new(store, model(), metrics);
+                let keeper = keeper(folder.path());
                 let policy = of(b"one", 1);
                 (0..ATTEMPTS_MAX).for_each(|_| assert!(!keeper.begin(&policy).unwrap()));
                 keeper.begin(&policy).map(drop).map_err(|e| e.to_string())
@@ -188,6 +206,118 @@ mod tests {
                 std::fs::write(folder.path().join(name), manifest.to_bytes()).unwrap();
                 read(folder.path(), &policy)
             }
+            Step::Fresh => {
+                let server = ReleaseKey::from_seed("server", &[9; 32]);
+                let text = key().trust_file() + &server.fresh_trust_lines();
+                let trust = Trust::parse(&text).unwrap();
+                let label = LabelName::new("latest").unwrap();
+                // Signed by the right key, for a question of yesterday.
+                let answer = server.vouch(proof(&manifest, 1));
+                check_fresh(&trust, &answer, &[2; 32], &manifest.stream, &label)
+                    .map_err(|e| e.to_string())
+            }
+            Step::Proved => {
+                let proof = proof(&manifest, 1);
+                manifest.version -= 1;
+                check_proved(&manifest, &proof).map_err(str::to_owned)
+            }
+            Step::Torn => {
+                let folder = tempfile::tempdir().unwrap();
+                for copy in ["state.json", "state.copy.json"] {
+                    std::fs::write(folder.path().join(copy), "{").unwrap();
+                }
+                std::fs::create_dir(folder.path().join("blobs")).unwrap();
+                let store = PolicyStore::open_torn(folder.path()).unwrap();
+                fetched(&keeper_over(store), &manifest)
+            }
+            Step::ChildLived => tried("kill -SEGV $$"),
+            Step::ChildContent => tried("cat > /dev/null; echo 'error: bad' >&2; exit 77"),
+            Step::CommandTag | Step::CommandNonce | Step::CommandSequence => commanded(step),
+        }
+    }
+
+    fn keeper(folder: &Path) -> Keeper {
+        keeper_over(PolicyStore::open(folder).unwrap())
+    }
+
+    fn keeper_over(store: PolicyStore) -> Keeper {
+        let metrics = AgentMetrics::register(&caudata_telemetry::Metrics::new());
+        Keeper::new(store, model(), metrics)
+    }
+
+    /// What a server says about where `latest` leads, asked with a nonce of these bytes.
+    fn proof(manifest: &Manifest, nonce: u8) -> Freshness {
+        Freshness {
+            nonce: [nonce; 32],
+            stream: manifest.stream.clone(),
+            label: LabelName::new("latest").unwrap(),
+            version: manifest.version,
+            sha256: manifest.sha256,
+        }
+    }
+
+    /// Whether `keeper` would fetch what is announced. Nobody is there: whoever asks the network finds that out.
+    fn fetched(keeper: &Keeper, manifest: &Manifest) -> Result<(), String> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .unwrap();
+        runtime.block_on(async {
+            let mut client = RegistryClient::new("127.0.0.1:1").unwrap();
+            match keeper.take(&mut client, manifest).await {
+                Ok(_) | Err(DeployError::Server(_)) => Ok(()),
+                Err(error) => Err(error.to_string()),
+            }
+        })
+    }
+
+    /// A good policy, and a child that does as `script` says.
+    fn tried(script: &str) -> Result<(), String> {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let program = folder.path().join("child.sh");
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o700)).unwrap();
+        let keeper = keeper(&folder.path().join("state")).probing(ProbeProgram {
+            program,
+            robot: "r.toml".into(),
+            deadline: std::time::Duration::from_secs(60),
+        });
+        let bytes = policy_file(1, |_, _| {});
+        let policy = of(&bytes, 1);
+        let tried = keeper.tried(bytes.into(), &policy);
+        tried.map(drop).map_err(|e| e.to_string())
+    }
+
+    /// One command counted; whether the next one moves the robot, which somebody without the key, of another start of the robot or of a moment
+    /// ago sends.
+    fn commanded(step: Step) -> Result<(), String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("link.key");
+        std::fs::write(&path, [7; 32]).unwrap();
+        let key = LinkKey::read(&path).unwrap();
+        let message = |nonce, sequence, vx| Message {
+            kind: Kind::Velocity,
+            nonce,
+            sequence,
+            command: [vx, 0.0, 0.0],
+        };
+        let mut receiver = Receiver::new(3);
+        let now = std::time::Duration::from_secs(1);
+        receiver.take(&message(3, 5, 0.1).encode(&key), &key, now);
+        let datagram = match step {
+            Step::CommandTag => {
+                let mut bytes = message(3, 6, 0.1).encode(&key);
+                bytes[21..25].copy_from_slice(&0.2_f32.to_le_bytes());
+                bytes
+            }
+            Step::CommandNonce => message(2, 6, 0.2).encode(&key),
+            _ => message(3, 5, 0.2).encode(&key),
+        };
+        receiver.take(&datagram, &key, now);
+        match receiver.view(now).command[0] {
+            0.2 => Ok(()),
+            vx => Err(format!("{} ignored, vx stays {vx}", receiver.ignored)),
         }
     }
 
@@ -233,7 +363,7 @@ mod tests {
         })
     }
 
-    const ALL: [Step; 15] = [
+    const ALL: [Step; 23] = [
         Step::RobotName,
         Step::RobotModel,
         Step::Signature,
@@ -249,6 +379,14 @@ mod tests {
         Step::Attempts,
         Step::StoredHash,
         Step::StoredSignature,
+        Step::Fresh,
+        Step::Proved,
+        Step::Torn,
+        Step::ChildLived,
+        Step::ChildContent,
+        Step::CommandTag,
+        Step::CommandNonce,
+        Step::CommandSequence,
     ];
 
     #[test]

@@ -4,8 +4,10 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 use caudata_policy::{Inference, MlpSpec, PolicyError, PolicyFile, evaluate_mlp};
-use caudata_proto::registry::Manifest;
-use caudata_signing::{Trust, Untrusted};
+use caudata_proto::registry::{
+    Freshness, LabelName, Manifest, NONCE_BYTES, SignedFreshness, StreamName,
+};
+use caudata_signing::{Stale, Trust, Untrusted};
 use caudata_task::command::CommandConfig;
 use caudata_task::{ACT_DIM, ObservationLayout, PolicyContract, TaskConfig, TaskError};
 use sha2::{Digest, Sha256};
@@ -191,6 +193,35 @@ pub fn check_signatures(manifest: &Manifest, trust: Option<&Trust>) -> Result<()
     match trust {
         Some(trust) if Step::Signature.on() => Ok(trust.check(manifest)?),
         _ => Ok(()),
+    }
+}
+
+/// Refuses an answer about where a label leads that a key of `trust` did not sign for exactly this question.
+///
+/// # Errors
+/// [`Stale`].
+pub fn check_fresh(
+    trust: &Trust,
+    answer: &SignedFreshness,
+    nonce: &[u8; NONCE_BYTES],
+    stream: &StreamName,
+    label: &LabelName,
+) -> Result<(), Stale> {
+    match Step::Fresh.on() {
+        true => trust.check_fresh(answer, nonce, stream, label),
+        false => Ok(()),
+    }
+}
+
+/// Refuses an announcement of something else than what the server proved.
+///
+/// # Errors
+/// What is wrong.
+pub fn check_proved(manifest: &Manifest, proved: &Freshness) -> Result<(), &'static str> {
+    let same = manifest.sha256 == proved.sha256 && manifest.version == proved.version;
+    match same || !Step::Proved.on() {
+        true => Ok(()),
+        false => Err("the server shows another version than it proved"),
     }
 }
 

@@ -355,6 +355,129 @@ fn faults_14_and_22_a_robot_that_trusts_a_key_takes_signed_policies_only() {
     server.stop();
 }
 
+#[test]
+fn fault_23_a_robot_whose_trust_file_was_followed_by_another_takes_what_the_new_keys_sign_only() {
+    use caudata_signing::{ReleaseKey, add_signature, successor_path};
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let server = Server::start(&folder.path().join("server"));
+    let key = |name: &str, seed: u8| ReleaseKey::from_seed(name, &[seed; 32]);
+    let (old, new) = (key("release-1", 1), key("release-2", 2));
+    let (old_root, new_root) = (key("root-1", 3), key("root-2", 4));
+    let trust = folder.path().join("trust.toml");
+    let first = old.trust_file() + &old_root.root_trust_lines();
+    std::fs::write(&trust, first).unwrap();
+    let pull = || {
+        let mut command = program("pull", server.address, &state);
+        command.arg("--trust").arg(&trust);
+        outcome(command)
+    };
+    server.publish_signed(standing(1), &old);
+    assert_eq!(pull().0, 0);
+    let second = new
+        .trust_file()
+        .replacen("threshold = 1\n", "threshold = 1\nversion = 2\n", 1)
+        + &new_root.root_trust_lines();
+    let file = successor_path(&trust, 2);
+    std::fs::write(&file, &second).unwrap();
+    add_signature(&file, &new_root.sign_trust(&second)).unwrap();
+    // Signed by its own keys alone: somebody else's. What is not in force is not passed over.
+    let (code, _, errors) = pull();
+    assert_eq!(code, 65, "{errors}");
+    assert!(
+        errors.contains("the old root keys signed it 0 times"),
+        "{errors}"
+    );
+    add_signature(&file, &old_root.sign_trust(&second)).unwrap();
+    server.publish_signed(standing(2), &old);
+    let (code, _, errors) = pull();
+    assert_eq!(code, 77, "{errors}");
+    assert!(errors.contains("0 valid signatures"), "{errors}");
+    server.publish_signed(standing(3), &new);
+    let (code, pulled, errors) = pull();
+    assert_eq!(
+        (code, &pulled["policy"]["version"]),
+        (0, &3.into()),
+        "{errors}"
+    );
+    server.stop();
+}
+
+/// A library that, preloaded, gives a program a wrong wall clock. The C compiler is the one that this repository needs anyway.
+fn moved_clock(folder: &Path) -> std::path::PathBuf {
+    let library = folder.join("moved_clock.so");
+    let compiler = std::env::var("CXX").unwrap_or_else(|_| "c++".to_owned());
+    let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/moved_clock.c");
+    let compiled = std::process::Command::new(compiler)
+        .args(["-x", "c", "-shared", "-fPIC", "-o"])
+        .arg(&library)
+        .args([source, "-ldl"])
+        .status();
+    assert!(compiled.unwrap().success());
+    library
+}
+
+#[test]
+fn fault_18_in_1970_in_2100_and_a_day_back_the_same_is_taken_and_the_same_refused() {
+    use caudata_signing::ReleaseKey;
+    let folder = tempfile::tempdir().unwrap();
+    let library = moved_clock(folder.path());
+    let now = i64::try_from(std::time::UNIX_EPOCH.elapsed().unwrap().as_secs()).unwrap();
+    let (release, fresh) = (
+        ReleaseKey::from_seed("release", &[7; 32]),
+        ReleaseKey::from_seed("server", &[9; 32]),
+    );
+    let trust = folder.path().join("trust.toml");
+    std::fs::write(&trust, release.trust_file() + &fresh.fresh_trust_lines()).unwrap();
+    let servers = ["old", "new"].map(|name| {
+        let key = ReleaseKey::from_seed("server", &[9; 32]);
+        Server::proving(&folder.path().join(name), key)
+    });
+    servers[0].publish_signed(standing(1), &release);
+    servers[1].publish_signed(standing(2), &release);
+    // By how much, when it is put back by a day, and how its log is dated then.
+    let clocks = [
+        (0, 0, ""),
+        (1_000_000 - now, 0, "1970-01-1"),
+        (4_102_444_800 - now, 0, "2100-01-01"),
+        (86_400 - now, 1, "1970-01-01"),
+    ];
+    for (number, (off, step, dated)) in clocks.into_iter().enumerate() {
+        let state = folder.path().join(format!("state-{number}"));
+        let under = |command: &str, server: &Server| {
+            let mut command = program(command, server.address, &state);
+            command
+                .arg("--trust")
+                .arg(&trust)
+                .env("LD_PRELOAD", &library)
+                .env("CAUDATA_TEST_CLOCK", off.to_string())
+                .env("CAUDATA_TEST_CLOCK_STEP", step.to_string());
+            command
+        };
+        let (code, pulled, errors) = outcome(under("pull", &servers[1]));
+        assert_eq!(
+            (code, &pulled["policy"]["version"]),
+            (0, &2.into()),
+            "{dated}: {errors}"
+        );
+        // It walks as long as it was asked to, whatever the date does meanwhile.
+        let mut run = under("run", &servers[1]);
+        run.args(["--bus", &format!("sim:{}", perfect_robot())])
+            .args(["--hang-ms", "60000", "--follow", "--seconds", "3"]);
+        let (code, summary, errors) = outcome(run);
+        assert_eq!((code, &summary["ended"]), (0, &"time".into()), "{errors}");
+        assert!((summary["walked_s"].as_f64().unwrap() - 3.0).abs() < 0.1);
+        let dates = format!("\"timestamp\":\"{dated}");
+        assert!(errors.contains(&dates), "{dated}: {errors}");
+        // Older, proved and signed: refused, and for that.
+        let (code, _, errors) = outcome(under("pull", &servers[0]));
+        assert_eq!(code, 77, "{dated}: {errors}");
+        assert!(errors.contains("offers an older version"), "{errors}");
+        assert_eq!(status_of(&state)["active"]["version"], 2);
+    }
+    servers.into_iter().for_each(Server::stop);
+}
+
 /// A command whose files, each, may hold `kib` KiB, as on a disk that is nearly full: writing on is refused with an error.
 fn on_a_small_disk(command: &std::process::Command, kib: u32) -> std::process::Command {
     let mut small = std::process::Command::new("sh");

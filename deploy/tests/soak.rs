@@ -9,11 +9,10 @@
 mod common;
 
 use std::collections::BTreeMap;
-use std::io::{BufReader, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::io::BufReader;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -21,6 +20,7 @@ use caudata_policy::PolicyFile;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{RegistryClient, manifest_of};
 use caudata_telemetry::read_announcement;
+use common::network::Wire;
 use common::policies::standing;
 use common::{STREAM, perfect_robot, program_on, status_of};
 use serde_json::Value;
@@ -70,64 +70,6 @@ fn server(data: &Path, address: Option<SocketAddr>) -> (Killed, SocketAddr) {
     let mut out = BufReader::new(child.stdout.take().unwrap());
     let bound = read_announcement("policy_server", &mut out).expect("it listens");
     (Killed(child), bound)
-}
-
-/// Carries bytes to `to`, unless it is cut.
-struct Wire {
-    address: SocketAddr,
-    cut: Arc<AtomicBool>,
-    open: Arc<Mutex<Vec<TcpStream>>>,
-}
-
-impl Wire {
-    fn to(to: SocketAddr) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = listener.local_addr().unwrap();
-        let (cut, open) = (
-            Arc::new(AtomicBool::new(false)),
-            Arc::<Mutex<Vec<TcpStream>>>::default(),
-        );
-        let (seen, held) = (cut.clone(), open.clone());
-        std::thread::spawn(move || {
-            for client in listener.incoming().map_while(Result::ok) {
-                if seen.load(Ordering::SeqCst) {
-                    continue;
-                }
-                let Ok(server) = TcpStream::connect(to) else {
-                    continue;
-                };
-                for (mut from, mut into) in [
-                    (client.try_clone().unwrap(), server.try_clone().unwrap()),
-                    (server.try_clone().unwrap(), client.try_clone().unwrap()),
-                ] {
-                    std::thread::spawn(move || {
-                        let mut bytes = [0; 4096];
-                        while let Ok(n @ 1..) = from.read(&mut bytes) {
-                            if into.write_all(&bytes[..n]).is_err() {
-                                break;
-                            }
-                        }
-                        let _ = into.shutdown(std::net::Shutdown::Both);
-                    });
-                }
-                let mut held = held.lock().unwrap();
-                held.push(client);
-                held.push(server);
-            }
-        });
-        Self { address, cut, open }
-    }
-
-    fn cut(&self) {
-        self.cut.store(true, Ordering::SeqCst);
-        for stream in self.open.lock().unwrap().drain(..) {
-            let _ = stream.shutdown(std::net::Shutdown::Both);
-        }
-    }
-
-    fn mend(&self) {
-        self.cut.store(false, Ordering::SeqCst);
-    }
 }
 
 /// Publishes version after version, each until it is taken; what was published, by version.

@@ -9,6 +9,7 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use caudata_deploy::command_link::LinkKey;
+use common::network::Wire;
 use common::policies::{policy_file, standing};
 use common::{Server, perfect_robot, program, status_of};
 use crossbeam_channel::{Receiver, bounded};
@@ -23,7 +24,10 @@ const PATIENCE: Duration = Duration::from_secs(120);
 struct Robot {
     supervisor: Child,
     lines: Receiver<Value>,
+    /// Everything so far.
     said: Vec<Value>,
+    /// What nobody has looked for yet: three processes write, and what one says first may come second.
+    waiting: Vec<Value>,
 }
 
 impl Robot {
@@ -51,12 +55,16 @@ impl Robot {
             supervisor,
             lines,
             said: Vec::new(),
+            waiting: Vec::new(),
         }
     }
 
-    /// Waits until somebody says what `wanted` looks for.
+    /// Waits until somebody says what `wanted` looks for, if nobody has yet; each line is heard once.
     #[track_caller]
     fn hears(&mut self, wanted: impl Fn(&Value) -> bool) -> Value {
+        if let Some(at) = self.waiting.iter().position(&wanted) {
+            return self.waiting.remove(at);
+        }
         let end = Instant::now() + PATIENCE;
         while let Ok(line) = self
             .lines
@@ -66,6 +74,7 @@ impl Robot {
             if wanted(&line) {
                 return line;
             }
+            self.waiting.push(line);
         }
         panic!("not said in time; said was {:#?}", self.said);
     }
@@ -122,6 +131,20 @@ fn walks_on(state: &Path, more: u64) {
         assert!(Instant::now() < end, "stuck at {} ticks", ticks(state));
         std::thread::sleep(Duration::from_millis(50));
     }
+}
+
+/// How often a loop was started.
+fn loops(said: &[Value]) -> usize {
+    let starts = said.iter();
+    starts
+        .filter(|line| line["message"] == "started" && line["part"] == "rt")
+        .count()
+}
+
+/// How many lines that are not of the log hold `text`.
+fn told(said: &[Value], text: &str) -> usize {
+    let lines = said.iter().filter_map(Value::as_str);
+    lines.filter(|line| line.contains(text)).count()
 }
 
 fn gone(pid: Pid) -> bool {
@@ -246,10 +269,7 @@ fn fault_49_an_agent_that_is_killed_comes_back_and_the_robot_never_stops() {
         (&summary["policy_swaps"], &summary["policy_version"]),
         (&2.into(), &3.into())
     );
-    let starts = said
-        .iter()
-        .filter(|l| l["message"] == "started" && l["part"] == "rt");
-    assert_eq!(starts.count(), 1, "one loop from the beginning to the end");
+    assert_eq!(loops(&said), 1, "one loop from the beginning to the end");
     // What the loop said while nobody listened was heard.
     assert_eq!(status_of(&state)["active"]["version"], 3);
     assert_eq!(std::fs::read_dir(state.join("told")).unwrap().count(), 0);
@@ -305,11 +325,7 @@ fn fault_49_a_loop_that_keeps_dying_is_given_up() {
     }
     let (code, _, said) = robot.ended();
     assert_eq!(code, Some(70), "{said:#?}");
-    let text = |line: &Value| {
-        line.as_str()
-            .is_some_and(|l| l.contains("died 4 times in a row"))
-    };
-    assert!(said.iter().any(text), "{said:#?}");
+    assert_eq!(told(&said, "died 4 times in a row"), 1, "{said:#?}");
     lab.stop();
 }
 
@@ -369,10 +385,7 @@ fn fault_48_the_kill_button_works_with_the_loop_alive_and_with_the_loop_hung() {
                 "{said:#?}"
             ),
         }
-        let starts = said
-            .iter()
-            .filter(|l| l["message"] == "started" && l["part"] == "rt");
-        assert!(starts.count() <= 1, "nothing starts again after a kill");
+        assert!(loops(&said) <= 1, "nothing starts again after a kill");
         drop(driver);
         lab.stop();
     }
@@ -397,13 +410,9 @@ fn fault_48_the_kill_button_pressed_while_the_loop_is_down_keeps_it_down() {
     driver.says("k");
     let (code, _, said) = robot.ended();
     assert_eq!(code, Some(69), "{said:#?}");
-    let told = |l: &&Value| {
-        l.as_str()
-            .is_some_and(|l| l.contains("pressed while the loop was down"))
-    };
-    assert_eq!(said.iter().filter(told).count(), 1, "{said:#?}");
-    let starts = |l: &&Value| l["message"] == "started" && l["part"] == "rt";
-    assert_eq!(said.iter().filter(starts).count(), 3, "{said:#?}");
+    let line = "pressed while the loop was down";
+    assert_eq!(told(&said, line), 1, "{said:#?}");
+    assert_eq!(loops(&said), 3, "{said:#?}");
     lab.stop();
 }
 
@@ -532,13 +541,18 @@ fn fault_16_a_robot_without_state_or_with_a_lost_one_runs_the_factory_policy() {
     server.stop();
 }
 
-#[test]
-fn a_log_that_nobody_reads_holds_neither_loop_nor_supervisor() {
-    let lab = Lab::with([standing(1)]);
-    // A pipe that is full to the brim, and nobody at its other end.
+/// A pipe that is full to the brim, and nobody at its other end.
+fn full_pipe() -> (std::io::PipeReader, std::io::PipeWriter) {
     let (reader, mut writer) = std::io::pipe().unwrap();
     let room = nix::fcntl::fcntl(&writer, nix::fcntl::FcntlArg::F_GETPIPE_SZ).unwrap();
     writer.write_all(&vec![b' '; room as usize]).unwrap();
+    (reader, writer)
+}
+
+#[test]
+fn a_log_that_nobody_reads_holds_neither_loop_nor_supervisor() {
+    let lab = Lab::with([standing(1)]);
+    let (reader, writer) = full_pipe();
     let mut command = lab.command("60000", &["--seconds", "1"]);
     command.stdout(Stdio::piped()).stderr(writer);
     let running = command.spawn().unwrap();
@@ -551,6 +565,22 @@ fn a_log_that_nobody_reads_holds_neither_loop_nor_supervisor() {
         (Some(0), &"time".into()),
         "{summary}"
     );
+    drop((command, reader));
+    lab.stop();
+}
+
+#[test]
+fn a_reader_of_the_summary_that_sleeps_holds_up_no_end() {
+    let lab = Lab::with([standing(1)]);
+    let (reader, writer) = full_pipe();
+    let mut command = lab.command("60000", &["--seconds", "1"]);
+    command.stdout(writer).stderr(Stdio::piped());
+    let output = command.spawn().unwrap().wait_with_output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    // In order, with what it came to said where it can be, and not because somebody lost patience.
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("nobody reads standard output"), "{said}");
+    assert!(!said.contains("the loop hangs: ended"), "{said}");
     drop((command, reader));
     lab.stop();
 }
@@ -572,17 +602,13 @@ fn a_loop_for_which_there_is_nothing_to_run_is_told_so_once() {
     let (code, _, said) = robot.ended();
     // Neither waited for, nor tried again and again.
     assert_eq!(code, Some(77), "{said:#?}");
-    let starts = |l: &&Value| l["message"] == "started" && l["part"] == "rt";
     assert_eq!(
-        said.iter().filter(starts).count(),
+        loops(&said),
         2,
         "the first, and one after its death: {said:#?}"
     );
-    let told = |l: &&Value| {
-        l.as_str()
-            .is_some_and(|l| l.starts_with("error: no policy may run"))
-    };
-    assert_eq!(said.iter().filter(told).count(), 1, "{said:#?}");
+    let line = "error: no policy may run";
+    assert_eq!(told(&said, line), 1, "{said:#?}");
     lab.stop();
 }
 
@@ -627,6 +653,47 @@ fn a_server_whose_versions_do_not_fit_this_robot_is_told_of_once() {
         reason,
         "joint 2 is `spine_4` in the policy and `spine_3` here"
     );
+    lab.stop();
+}
+
+#[test]
+fn fault_28_over_a_network_of_two_seconds_that_breaks_newer_policies_arrive_and_the_robot_walks_on()
+{
+    let lab = Lab::with([standing(1)]);
+    let wire = Wire::to(lab.server.address);
+    // There and back.
+    wire.set_delay_ms(1000);
+    let mut command = program("run", wire.address, &lab.state());
+    command
+        .args(["--bus", &format!("sim:{}", perfect_robot()), "--follow"])
+        .args(["--metrics-addr", "127.0.0.1:0", "--hang-ms", "60000"]);
+    let mut robot = Robot::start(command);
+    robot.hears_message("rising");
+    for version in 2..=4 {
+        lab.server.publish(standing(version));
+        // In the middle of finding out, or of fetching.
+        walks_on(&lab.state(), 40 * version);
+        if version < 4 {
+            wire.cut();
+            walks_on(&lab.state(), 25);
+            wire.mend();
+        }
+        robot.hears(|line| line["message"] == "policy swapped in" && line["version"] == version);
+    }
+    robot.stop();
+    let (code, summary, said) = robot.ended();
+    assert_eq!(
+        (code, &summary["ended"]),
+        (Some(0), &"signal".into()),
+        "{said:#?}"
+    );
+    // The loop's process knows nothing of all this, and was never started again.
+    assert_eq!(
+        (&summary["policy_version"], &summary["held_actions"]),
+        (&4.into(), &0.into()),
+        "{summary}"
+    );
+    assert_eq!(loops(&said), 1);
     lab.stop();
 }
 

@@ -14,7 +14,7 @@ use tonic::transport::{Server, ServerTlsConfig};
 use crate::access::GuardLayer;
 use crate::limits::{ConnectionLimits, Incoming};
 use crate::metrics::ServerMetrics;
-use crate::service::{RegistryService, SharedStore};
+use crate::service::{RegistryService, SharedStore, UPLOAD_IDLE_MAX};
 use crate::store::Store;
 
 /// Requests served at once on one connection; further ones wait.
@@ -93,7 +93,7 @@ pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
 }
 
 /// How to serve.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 pub struct ServeOptions {
     /// When a silent connection is given up.
     pub keepalive: Keepalive,
@@ -103,6 +103,21 @@ pub struct ServeOptions {
     pub fresh_key: Option<Arc<ReleaseKey>>,
     /// How many connections.
     pub connections: ConnectionLimits,
+    /// A publisher must send its next piece within this time, [`UPLOAD_IDLE_MAX`] unless told otherwise. Too short: publishers behind a poor network are
+    /// cut off; too long: one that died holds its place and the bytes that came.
+    pub upload_idle: Duration,
+}
+
+impl Default for ServeOptions {
+    fn default() -> Self {
+        Self {
+            keepalive: Keepalive::default(),
+            tls: None,
+            fresh_key: None,
+            connections: ConnectionLimits::default(),
+            upload_idle: UPLOAD_IDLE_MAX,
+        }
+    }
 }
 
 /// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish for
@@ -149,7 +164,8 @@ pub async fn serve_with(
     stop: watch::Receiver<bool>,
     options: ServeOptions,
 ) -> Result<(), ServeError> {
-    let registry = RegistryService::new(store, stop.clone(), metrics, options.fresh_key);
+    let registry = RegistryService::new(store, stop.clone(), metrics, options.fresh_key)
+        .with_upload_idle(options.upload_idle);
     let (health, health_service) = tonic_health::server::health_reporter();
     health
         .set_serving::<PolicyRegistryServer<RegistryService>>()

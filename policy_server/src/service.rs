@@ -82,6 +82,7 @@ pub struct RegistryService {
     draining: watch::Receiver<bool>,
     metrics: ServerMetrics,
     fresh_key: Option<Arc<ReleaseKey>>,
+    upload_idle: Duration,
     /// Turns true for good when the store can no longer be changed.
     read_only: Arc<watch::Sender<bool>>,
 }
@@ -103,10 +104,18 @@ impl RegistryService {
             draining,
             metrics,
             fresh_key,
+            upload_idle: UPLOAD_IDLE_MAX,
             read_only: Arc::new(watch::Sender::new(false)),
         };
         service.update_gauges();
         service
+    }
+
+    /// A publisher must send its next piece within `limit`.
+    #[must_use]
+    pub fn with_upload_idle(mut self, limit: Duration) -> Self {
+        self.upload_idle = limit;
+        self
     }
 
     /// Turns true for good when the store can no longer be changed.
@@ -263,7 +272,7 @@ impl PolicyRegistry for RegistryService {
     ) -> Result<Response<wire::PublishResponse>, Status> {
         self.refuse_when_draining()?;
         let origin = origin_of(&request);
-        let (manifest, bytes) = receive_upload(request.into_inner())
+        let (manifest, bytes) = receive_upload(request.into_inner(), self.upload_idle)
             .await
             .inspect_err(|_| {
                 self.metrics.refused.inc();
@@ -607,7 +616,8 @@ impl Watcher {
                 Ok(Some(event)) => event,
                 Ok(None) => continue,
                 Err(status) => {
-                    let _ = self.reply.try_send(Err(status));
+                    // A watcher that lags has its few places full: it is told when it reads on, or never.
+                    let _ = self.reply.send(Err(status)).await;
                     return;
                 }
             };
@@ -683,8 +693,9 @@ fn change_event(change: &Change) -> wire::WatchEvent {
 /// Reads a whole upload: a checked header, then exactly the announced number of bytes.
 async fn receive_upload(
     mut upload: Streaming<wire::PublishRequest>,
+    idle: Duration,
 ) -> Result<(Manifest, Vec<u8>), Status> {
-    let header = match next_part(&mut upload).await? {
+    let header = match next_part(&mut upload, idle).await? {
         Some(wire::publish_request::Part::Header(header)) => header,
         _ => {
             return Err(Status::invalid_argument(
@@ -694,7 +705,7 @@ async fn receive_upload(
     };
     let manifest = Manifest::try_from(header).map_err(|error| refusal(&error))?;
     let mut bytes = Vec::with_capacity(usize::try_from(manifest.size).unwrap_or(0));
-    while let Some(part) = next_part(&mut upload).await? {
+    while let Some(part) = next_part(&mut upload, idle).await? {
         let wire::publish_request::Part::Data(piece) = part else {
             return Err(Status::invalid_argument(
                 "a second header came in the middle of the file",
@@ -720,8 +731,9 @@ async fn receive_upload(
 
 async fn next_part(
     upload: &mut Streaming<wire::PublishRequest>,
+    idle: Duration,
 ) -> Result<Option<wire::publish_request::Part>, Status> {
-    let message = tokio::time::timeout(UPLOAD_IDLE_MAX, upload.message())
+    let message = tokio::time::timeout(idle, upload.message())
         .await
         .map_err(|_| Status::deadline_exceeded("the upload stalled; send the file again"))??;
     match message {

@@ -6,7 +6,7 @@ mod common;
 use std::sync::Arc;
 
 use caudata_policy::{PolicyFile, build_onnx};
-use caudata_policy_server::{StoreLimits, listen};
+use caudata_policy_server::{ServeOptions, StoreLimits, listen};
 use caudata_proto::registry::WatchChange;
 use caudata_registry_client::manifest_of;
 use common::{Server, code, policy, publish, stream};
@@ -102,6 +102,51 @@ async fn fault_13_a_publisher_that_dies_in_the_middle_leaves_nothing() {
 }
 
 #[tokio::test]
+async fn fault_13_an_upload_that_goes_silent_is_ended_and_leaves_nothing() {
+    use caudata_proto::wire::registry as wire;
+    use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
+    use caudata_proto::wire::registry::publish_request::Part;
+
+    // What it is unless told otherwise is what the page says.
+    let unless_told = ServeOptions::default().upload_idle;
+    assert_eq!(unless_told, std::time::Duration::from_secs(30));
+    let data = tempfile::tempdir().unwrap();
+    let options = ServeOptions {
+        upload_idle: std::time::Duration::from_millis(300),
+        ..ServeOptions::default()
+    };
+    let mut server = Server::start_with(data.path(), keep(8), options).await;
+    publish(&mut server.client, &policy(1)).await.unwrap();
+    let before = files(data.path());
+    let file = policy(2);
+    // Silent from the beginning, after the header, and in the middle of the file; the connection stays.
+    for parts in 0..3 {
+        let address = format!("http://{}", server.address);
+        let mut raw = PolicyRegistryClient::connect(address).await.unwrap();
+        let (to, messages) = tokio::sync::mpsc::channel(4);
+        let manifest = manifest_of(stream(), &file, 5).unwrap();
+        let all = [
+            Part::Header(manifest.into()),
+            Part::Data(file.bytes()[..file.bytes().len() / 2].to_vec()),
+        ];
+        for part in all.into_iter().take(parts) {
+            let part = Some(part);
+            to.send(wire::PublishRequest { part }).await.unwrap();
+        }
+        let messages = tokio_stream::wrappers::ReceiverStream::new(messages);
+        let answer = raw.publish(messages).await.unwrap_err();
+        // The publisher's end is still open here.
+        drop(to);
+        assert_eq!(answer.code(), Code::DeadlineExceeded, "{parts}: {answer}");
+        assert!(answer.message().contains("stalled"), "{answer}");
+        assert_eq!(files(data.path()), before, "{parts} parts came");
+    }
+    // One that is slow, but never silent for so long, is not cut off; and its number was not taken.
+    assert!(!publish(&mut server.client, &file).await.unwrap());
+    server.stop().await;
+}
+
+#[tokio::test]
 async fn refusals_have_their_own_codes() {
     let data = tempfile::tempdir().unwrap();
     let mut server = Server::start(data.path(), keep(8)).await;
@@ -163,6 +208,64 @@ async fn lists_come_in_pages_newest_first() {
     let page = server.client.list(Some(&name), 0, Some(4)).await.unwrap();
     let versions: Vec<u64> = page.manifests.iter().map(|m| m.version).collect();
     assert_eq!((versions, page.more), (vec![3, 2, 1], false));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn fault_10_a_watcher_that_stops_reading_is_told_that_it_lags_and_others_miss_nothing() {
+    /// Far more than wait for one watcher: two megabytes that its connection takes unread, eight in its queue, 64 changes behind that.
+    const VERSIONS: u64 = 240;
+    let data = tempfile::tempdir().unwrap();
+    let mut server = Server::start(data.path(), keep(VERSIONS as usize)).await;
+    let client = |address: std::net::SocketAddr| {
+        caudata_registry_client::RegistryClient::new(&address.to_string()).unwrap()
+    };
+    // Connections of their own, as robots have.
+    let (mut one, mut other) = (client(server.address), client(server.address));
+    let mut silent = one.watch(Some(&stream()), 0).await.unwrap();
+    let mut reads = other.watch(Some(&stream()), 0).await.unwrap();
+    for version in 1..=VERSIONS {
+        let file = policy(version);
+        let mut manifest = manifest_of(stream(), &file, 5).unwrap();
+        // Large announcements: a connection takes few of them unread.
+        manifest.evaluation_json = Some(format!("{{\"note\":\"{}\"}}", "x".repeat(60_000)));
+        server.client.publish(manifest, file.bytes()).await.unwrap();
+        // Who reads hears of each version as it comes.
+        let heard = loop {
+            let event = reads.next().await.unwrap().unwrap();
+            match event.change {
+                WatchChange::Published(manifest) => break manifest.version,
+                _ => continue,
+            }
+        };
+        assert_eq!(heard, version);
+    }
+    // The other one wakes up: what waited for it, without a gap, and then that it missed the rest.
+    let mut last = 0;
+    let error = loop {
+        match silent.next().await {
+            Ok(Some(event)) => match event.change {
+                WatchChange::Published(manifest) => {
+                    assert_eq!(manifest.version, last + 1);
+                    last = manifest.version;
+                }
+                WatchChange::Snapshot(_) => {}
+                other => panic!("after version {last}: {other:?}"),
+            },
+            Ok(None) => panic!("it is not told why, after version {last}"),
+            Err(error) => break error,
+        }
+    };
+    assert_eq!(code(&error), Code::ResourceExhausted, "{error}");
+    assert!(last < VERSIONS - 64, "{last} versions waited for it");
+    // It watches again, and is where the others are.
+    let mut again = one.watch(Some(&stream()), 0).await.unwrap();
+    let event = again.next().await.unwrap().unwrap();
+    assert!(
+        matches!(&event.change, WatchChange::Snapshot(all) if all[0].version == VERSIONS),
+        "{event:?}"
+    );
+    drop((silent, reads, again));
     server.stop().await;
 }
 

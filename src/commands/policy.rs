@@ -46,6 +46,8 @@ pub enum PolicyCommand {
     },
     /// Make a key that signs policies, and a trust file for robots
     Keygen(policy_sign::KeygenArgs),
+    /// Sign the trust file that follows the one robots have: other keys, by root keys
+    TrustNext(policy_sign::TrustNextArgs),
     /// Publish a policy of one stream into another, signed
     Release(policy_sign::ReleaseArgs),
     /// Move a label such as `canary` or `stable` to a version, or show where labels lead
@@ -93,6 +95,7 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
             json,
         } => list(server, *limit, *json),
         PolicyCommand::Keygen(args) => policy_sign::keygen(args),
+        PolicyCommand::TrustNext(args) => policy_sign::trust_next(args),
         PolicyCommand::Release(args) => policy_sign::release(args),
         PolicyCommand::Label(args) => policy_people::label(args),
         PolicyCommand::Revert(args) => policy_people::revert(args),

@@ -1,10 +1,10 @@
-//! `caudata policy keygen` and `caudata policy release`: signed policies for robots that trust keys.
+//! `caudata policy keygen`, `caudata policy trust-next` and `caudata policy release`: signed policies for robots that trust keys.
 
 use std::path::{Path, PathBuf};
 
 use caudata_evaluation::Summary;
 use caudata_proto::registry::{Manifest, StreamName};
-use caudata_signing::{ReleaseKey, Trust};
+use caudata_signing::{ReleaseKey, Trust, add_signature, read_signatures, successor_path};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use serde_json::json;
 
@@ -24,8 +24,28 @@ pub struct KeygenArgs {
     #[arg(long, value_name = "FILE.toml")]
     trust: PathBuf,
     /// A key by which a policy server says where labels lead; it releases nothing. Added to the trust file, which must be there
-    #[arg(long)]
+    #[arg(long, conflicts_with = "root")]
     fresh: bool,
+    /// A key that may name the next trust file (`trust-next`); it releases nothing. Added to the trust file, which must be there
+    #[arg(long)]
+    root: bool,
+}
+
+/// Flags of `trust-next`.
+#[derive(Debug, clap::Args)]
+pub struct TrustNextArgs {
+    /// The first trust file of the robots; its successors lie beside it
+    #[arg(long, value_name = "FILE.toml")]
+    trust: PathBuf,
+    /// What is to be trusted from now on, with the next `version`
+    #[arg(long, value_name = "FILE.toml")]
+    next: PathBuf,
+    /// Secret root key
+    #[arg(long, value_name = "FILE")]
+    key: PathBuf,
+    /// Name of the key
+    #[arg(long, value_name = "ID")]
+    key_id: String,
 }
 
 /// Flags of `release`.
@@ -57,9 +77,14 @@ pub struct ReleaseArgs {
 /// Makes a key.
 pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
     let key = ReleaseKey::generate(&args.key_id).or_exit(ExitCode::OsResource)?;
-    let trust = match args.fresh {
-        false => key.trust_file(),
-        true => {
+    let lines = match (args.fresh, args.root) {
+        (true, _) => Some(key.fresh_trust_lines()),
+        (_, true) => Some(key.root_trust_lines()),
+        _ => None,
+    };
+    let trust = match lines {
+        None => key.trust_file(),
+        Some(lines) => {
             let before =
                 std::fs::read_to_string(&args.trust).or_exit_with(ExitCode::NoInput, || {
                     format!(
@@ -67,7 +92,7 @@ pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
                         args.trust.display()
                     )
                 })?;
-            format!("{}\n\n{}", before.trim_end(), key.fresh_trust_lines())
+            format!("{}\n\n{lines}", before.trim_end())
         }
     };
     // A trust file that would not be taken must not come to be.
@@ -79,6 +104,51 @@ pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
         args.out.display(),
         args.trust.display()
     ));
+    Ok(())
+}
+
+/// Puts the next trust file beside the first one, and adds one signature to it. It is in force once enough root keys of the file before it, and of
+/// its own, have signed.
+pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
+    let key = ReleaseKey::read(&args.key, &args.key_id).or_exit(ExitCode::NoInput)?;
+    let text = std::fs::read_to_string(&args.next).or_exit_with(ExitCode::NoInput, || {
+        format!("cannot read {}", args.next.display())
+    })?;
+    let bad = |reason| Failure::message(ExitCode::BadInput, reason);
+    let version = Trust::parse(&text).map_err(bad)?.version();
+    if version < 2 {
+        return Err(bad(format!(
+            "{}: `version` is {version}; a trust file that follows another has 2 or more",
+            args.next.display()
+        )));
+    }
+    let file = successor_path(&args.trust, version);
+    match std::fs::read_to_string(&file) {
+        // Signatures that are there are over other bytes.
+        Ok(there) if there != text => {
+            let message = format!("{} is there with another content", file.display());
+            return Err(Failure::message(ExitCode::CannotCreate, message));
+        }
+        Ok(_) => {}
+        Err(_) => {
+            caudata_durable::replace(&file, text.as_bytes()).or_exit(ExitCode::CannotCreate)?;
+        }
+    }
+    let signature = key.sign_trust(&text);
+    if !read_signatures(&file)
+        .or_exit(ExitCode::BadInput)?
+        .contains(&signature)
+    {
+        add_signature(&file, &signature).or_exit(ExitCode::CannotCreate)?;
+    }
+    say::line(match Trust::read(&args.trust) {
+        Ok(trust) => format!(
+            "{} signed; version {} is in force",
+            file.display(),
+            trust.version()
+        ),
+        Err(error) => format!("{} signed; not yet in force: {error}", file.display()),
+    });
     Ok(())
 }
 
@@ -135,4 +205,57 @@ fn evaluation(path: &Path, manifest: &Manifest) -> Result<String, Failure> {
             .hint("evaluate the policy that is released: `caudata policy pull`, `caudata eval`"));
     }
     serde_json::to_string(&summary).or_exit(ExitCode::Internal)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn root_keys_sign_the_trust_file_that_follows_and_nothing_else_does() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let make = |name: &str, trust: &str, root: bool| {
+            let args = KeygenArgs {
+                key_id: name.to_owned(),
+                out: path(&format!("{name}.key")),
+                trust: path(trust),
+                fresh: false,
+                root,
+            };
+            keygen(&args).unwrap();
+        };
+        make("release-1", "trust.toml", false);
+        make("root-1", "trust.toml", true);
+        make("release-2", "next.toml", false);
+        make("root-2", "next.toml", true);
+        let trust = path("trust.toml");
+        let next = path("next.toml");
+        let sign = |key: &str| {
+            trust_next(&TrustNextArgs {
+                trust: trust.clone(),
+                next: next.clone(),
+                key: path(&format!("{key}.key")),
+                key_id: key.to_owned(),
+            })
+        };
+        // It does not say that it follows.
+        assert_eq!(sign("root-1").unwrap_err().code(), ExitCode::BadInput);
+        let text = std::fs::read_to_string(&next).unwrap();
+        let text = text.replacen("threshold = 1\n", "threshold = 1\nversion = 2\n", 1);
+        std::fs::write(&next, &text).unwrap();
+        let in_force = || Trust::read(&trust).map(|t| t.version()).ok();
+        assert_eq!(in_force(), Some(1));
+        sign("release-1").unwrap();
+        sign("root-1").unwrap();
+        sign("root-1").unwrap();
+        assert_eq!(in_force(), None, "its own root key is missing");
+        sign("root-2").unwrap();
+        assert_eq!(in_force(), Some(2));
+        let signatures = read_signatures(&successor_path(&trust, 2)).unwrap();
+        assert_eq!(signatures.len(), 3, "each key once");
+        // What robots may have already is not changed under its number.
+        std::fs::write(&next, format!("{text}\n")).unwrap();
+        assert_eq!(sign("root-1").unwrap_err().code(), ExitCode::CannotCreate);
+    }
 }

@@ -4,18 +4,19 @@
 //! goes on where it stopped. The bytes that [`RegistryClient::fetch`] returns hash to what was asked for.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod steps;
+
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use caudata_policy::PolicyFile;
 use caudata_proto::registry::{
-    AuditPage, FetchPart, LabelName, LabelState, ListPage, MAX_PUBLISH_CHUNK_BYTES, Manifest,
-    ManifestRequest, NONCE_BYTES, Overview, Published, QuarantineState, RegistryError, RobotReport,
-    SetLabel, SignedFreshness, StreamName, WatchEvent,
+    AuditPage, LabelName, LabelState, ListPage, MAX_PUBLISH_CHUNK_BYTES, Manifest, ManifestRequest,
+    NONCE_BYTES, Overview, Published, QuarantineState, RegistryError, RobotReport, SetLabel,
+    SignedFreshness, StreamName, WatchEvent,
 };
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
-use sha2::{Digest, Sha256};
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 use tonic::{Code, Status};
 
@@ -341,16 +342,7 @@ impl RegistryClient {
         tokio::time::timeout(limit, whole)
             .await
             .map_err(|_| ClientError::TimedOut { what: "fetch" })??;
-        let actual: [u8; 32] = Sha256::digest(&bytes).into();
-        if bytes.len() as u64 != manifest.size || actual != manifest.sha256 {
-            return Err(ClientError::WrongBytes {
-                reason: format!(
-                    "{} of {} bytes came, or their hash differs",
-                    bytes.len(),
-                    manifest.size
-                ),
-            });
-        }
+        steps::check_whole(manifest, &bytes)?;
         Ok(bytes)
     }
 
@@ -405,25 +397,10 @@ impl RegistryClient {
         )
         .await?
         {
-            match FetchPart::try_from(message)? {
-                FetchPart::Info(info)
-                    if info.offset == offset
-                        && info.size == manifest.size
-                        && info.sha256 == manifest.sha256 => {}
-                FetchPart::Data(piece)
-                    if bytes.len() as u64 + piece.len() as u64 <= manifest.size =>
-                {
-                    bytes.extend_from_slice(&piece);
-                    rate.add(piece.len() as u64, Instant::now())?;
-                }
-                _ => {
-                    return Err(ClientError::WrongBytes {
-                        reason: format!(
-                            "the server left the {} bytes of the manifest",
-                            manifest.size
-                        ),
-                    });
-                }
+            let piece = steps::piece(manifest, offset, bytes.len(), message.try_into()?)?;
+            bytes.extend_from_slice(&piece);
+            if !piece.is_empty() {
+                rate.add(piece.len() as u64, Instant::now())?;
             }
         }
         if (bytes.len() as u64) < manifest.size {

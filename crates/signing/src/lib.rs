@@ -7,6 +7,8 @@
 //! *Invariant:* whatever a manifest or a file says, checking never panics, and a key counts once.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod rotation;
+
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -17,6 +19,8 @@ use caudata_proto::registry::{
 };
 use ed25519_dalek::{Signer, SigningKey, VerifyingKey};
 use serde::Deserialize;
+
+pub use rotation::{NoSuccessor, TrustSignature, add_signature, read_signatures, successor_path};
 
 /// `format` of a trust file.
 pub const TRUST_FORMAT: &str = "caudata.trust.v1";
@@ -222,6 +226,9 @@ pub struct Trust {
     threshold: usize,
     keys: Vec<(String, VerifyingKey)>,
     fresh_keys: Vec<(String, VerifyingKey)>,
+    version: u64,
+    root_threshold: usize,
+    root_keys: Vec<(String, VerifyingKey)>,
 }
 
 #[derive(Deserialize)]
@@ -238,6 +245,19 @@ struct TrustFile {
     /// Keys of servers, which say where labels lead; they release nothing.
     #[serde(default)]
     fresh_key: Vec<TrustedKey>,
+    /// Each successor's is one higher.
+    #[serde(default = "one")]
+    version: u64,
+    /// Signatures of root keys that a successor needs.
+    #[serde(default = "one")]
+    root_threshold: u64,
+    /// Keys that may name the next trust file; without any there is none. They release nothing.
+    #[serde(default)]
+    root_key: Vec<TrustedKey>,
+}
+
+const fn one() -> u64 {
+    1
 }
 
 #[derive(Deserialize)]
@@ -249,16 +269,22 @@ struct TrustedKey {
 }
 
 impl Trust {
-    /// Reads a trust file.
+    /// Reads a trust file, and the successors beside it as far as they go: the last one is in force.
     ///
     /// # Errors
-    /// [`SigningError`].
+    /// [`SigningError`], also where a successor is there that does not follow.
     pub fn read(path: &Path) -> Result<Self, SigningError> {
-        let text = std::fs::read_to_string(path).map_err(file_error(path))?;
-        Self::parse(&text).map_err(|reason| SigningError::Content {
+        let text = rotation::read_small(path)?;
+        let first = Self::parse(&text).map_err(|reason| SigningError::Content {
             path: path.to_owned(),
             reason,
-        })
+        })?;
+        first.newest(path)
+    }
+
+    /// Which of its successors it is.
+    pub fn version(&self) -> u64 {
+        self.version
     }
 
     /// Parses and checks a trust file.
@@ -271,14 +297,16 @@ impl Trust {
         if file.format != TRUST_FORMAT {
             return Err(format!("format is `{}`, not `{TRUST_FORMAT}`", file.format));
         }
-        if file.key.len() + file.fresh_key.len() > KEYS_MAX {
+        if file.key.len() + file.fresh_key.len() + file.root_key.len() > KEYS_MAX {
             return Err(format!("more than {KEYS_MAX} keys"));
         }
         let (mut ids, mut publics) = (BTreeSet::new(), BTreeSet::new());
-        let (mut keys, mut fresh_keys) = (Vec::new(), Vec::new());
-        let release = file.key.into_iter().map(|key| (key, true));
-        let fresh = file.fresh_key.into_iter().map(|key| (key, false));
-        for (TrustedKey { id, public }, releases) in release.chain(fresh) {
+        let mut lists = [Vec::new(), Vec::new(), Vec::new()];
+        let all = [file.key, file.fresh_key, file.root_key];
+        let all = all.into_iter().enumerate();
+        for (kind, TrustedKey { id, public }) in
+            all.flat_map(|(kind, keys)| keys.into_iter().map(move |key| (kind, key)))
+        {
             let key = from_hex(&public).and_then(|bytes| VerifyingKey::from_bytes(&bytes).ok());
             let key = key.ok_or_else(|| format!("key `{id}`: `public` is not an Ed25519 key"))?;
             // One key under two names would count twice.
@@ -286,18 +314,31 @@ impl Trust {
                 return Err(format!("key `{id}` is listed twice"));
             }
             if !file.revoked.contains(&id) {
-                let list = if releases { &mut keys } else { &mut fresh_keys };
-                list.push((id, key));
+                lists[kind].push((id, key));
             }
         }
+        let [keys, fresh_keys, root_keys] = lists;
         let threshold = file.threshold;
         if threshold == 0 || threshold > keys.len() {
             return Err(format!("threshold {threshold} with {} keys", keys.len()));
+        }
+        if file.version == 0 {
+            return Err("version 0: the first is 1".to_owned());
+        }
+        let root_threshold = usize::try_from(file.root_threshold).unwrap_or(usize::MAX);
+        if root_threshold == 0 || (!root_keys.is_empty() && root_threshold > root_keys.len()) {
+            let roots = root_keys.len();
+            return Err(format!(
+                "root_threshold {root_threshold} with {roots} root keys"
+            ));
         }
         Ok(Self {
             threshold,
             keys,
             fresh_keys,
+            version: file.version,
+            root_threshold,
+            root_keys,
         })
     }
 
@@ -373,7 +414,7 @@ fn from_hex(text: &str) -> Option<[u8; 32]> {
 mod tests {
     use super::*;
 
-    fn manifest() -> Manifest {
+    pub(crate) fn manifest() -> Manifest {
         Manifest {
             stream: StreamName::new("release/flat").unwrap(),
             version: 7,
@@ -393,7 +434,7 @@ mod tests {
         }
     }
 
-    fn key(number: u8) -> ReleaseKey {
+    pub(crate) fn key(number: u8) -> ReleaseKey {
         ReleaseKey::from_seed(&format!("k{number}"), &[number; 32])
     }
 
@@ -493,6 +534,18 @@ mod tests {
         assert!(trust(&[1], 2, "").is_err(), "can never be met");
         assert!(trust(&[1, 1], 2, "").is_err(), "one key twice");
         assert!(trust(&[1], 1, "\"k1\"").is_err(), "only revoked keys");
+        let roots = |number: usize| {
+            let own = key(1).trust_file();
+            let root = key(2).root_trust_lines();
+            Trust::parse(&own.replacen(
+                "\n\n",
+                &format!("\nroot_threshold = {number}\n\n{root}\n"),
+                1,
+            ))
+        };
+        assert!(roots(1).is_ok());
+        assert!(roots(0).is_err(), "anybody may name the next file");
+        assert!(roots(2).is_err(), "nobody ever could");
         assert!(Trust::parse("format = \"caudata.trust.v2\"\nthreshold = 1\n").is_err());
     }
 

@@ -50,13 +50,15 @@ pub enum ExitCode {
     DataFault = 84,
     /// One of several processes that learn together is gone, or never came.
     RankLost = 85,
+    /// Servos do not say that they let go: their torque may still be on.
+    TorqueOn = 86,
     /// Interrupted by a second Ctrl-C: nothing was drained.
     Interrupted = 130,
 }
 
 impl ExitCode {
     /// All codes, for tables and tests.
-    pub const ALL: [ExitCode; 21] = [
+    pub const ALL: [ExitCode; 22] = [
         ExitCode::Ok,
         ExitCode::BadConfig,
         ExitCode::BadInput,
@@ -77,6 +79,7 @@ impl ExitCode {
         ExitCode::InsufficientData,
         ExitCode::DataFault,
         ExitCode::RankLost,
+        ExitCode::TorqueOn,
         ExitCode::Interrupted,
     ];
 

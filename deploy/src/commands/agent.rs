@@ -10,7 +10,7 @@ use crate::command_link::{CommandLink, LinkKey, UdpLink};
 use crate::commands::Source;
 use crate::commands::run::RunArgs;
 use crate::follower::Follower;
-use crate::notify::{ALIVE, KILL, Notifier, READY};
+use crate::notify::{Notifier, Word};
 use crate::stage::Stage;
 use crate::state::PolicyRef;
 use crate::updates::PolicyEvent;
@@ -62,10 +62,10 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         let link = UdpLink::listen(addr, LinkKey::read(key)?, args.dead_man)?;
         pass_on(link, CommandSender::new(&folder)?, process.stop.clone())?;
     }
-    notifier.say(READY);
+    notifier.say(Word::Ready);
     while !process.stop.wait(LOOK) {
         told.take(|event| stage.hear(event));
-        notifier.say(ALIVE);
+        notifier.say(Word::Alive);
     }
     drop(follower);
     told.take(|event| stage.hear(event));
@@ -109,7 +109,7 @@ fn pass_on(mut link: UdpLink, sender: CommandSender, stop: StopFlag) -> Result<(
             let view = link.view();
             sender.send(&view);
             if view.killed {
-                notifier.say(KILL);
+                notifier.say(Word::Kill);
             }
         }
     };

@@ -15,7 +15,7 @@ use crate::boundary::{LOOP_PAGE, LocalLink, RunFolder, Teller, alone};
 use crate::bus::{BusError, Health, Robot};
 use crate::command_link::random_nonce;
 use crate::commands::run::{BusAddress, RunArgs};
-use crate::commands::{load_model, say, say_json};
+use crate::commands::{json_line, load_model, say_within};
 use crate::control::{ControlLoop, READ_DEADLINE, RunPlan};
 use crate::courier::{Courier, Loader};
 use crate::flight_log::{FlightLog, LogCounts, meta, write_rows};
@@ -33,6 +33,9 @@ use crate::state::PolicyRef;
 use crate::updates::{Slot, Updates};
 use crate::verify::Verified;
 use crate::{DeployError, tap};
+
+/// How long the end of a run waits for whoever reads what it prints. Its supervisor would end it after thirty seconds.
+const SAY_MAX: Duration = Duration::from_secs(5);
 
 /// Targets may move this many times as fast as the fastest servo turns without load: what a policy of training asks for
 /// passes, a jump does not.
@@ -325,10 +328,12 @@ fn finish(args: &RunArgs, over: Over) -> Result<(), DeployError> {
         fault,
         log,
     } = over;
-    if args.json {
-        say_json(&summary)?;
-    } else {
-        print(&summary, args);
+    let text = match args.json {
+        true => json_line(&summary)?,
+        false => in_words(&summary, args),
+    };
+    if !say_within(text, SAY_MAX) {
+        tracing::warn!("nobody reads standard output: the summary is lost");
     }
     let policy = PolicyRef {
         stream: summary.policy_stream,
@@ -352,8 +357,8 @@ fn finish(args: &RunArgs, over: Over) -> Result<(), DeployError> {
     log.map_or(Ok(()), Err)
 }
 
-fn print(summary: &RunSummary, args: &RunArgs) {
-    say(&format!(
+fn in_words(summary: &RunSummary, args: &RunArgs) -> String {
+    let mut lines = vec![format!(
         "{} version {} walked {:.1} s ({:?}): {} ticks, {} skipped, tick p50 {} µs, p99 {} µs",
         summary.policy_stream,
         summary.policy_version,
@@ -363,10 +368,10 @@ fn print(summary: &RunSummary, args: &RunArgs) {
         summary.overruns,
         summary.tick_p50_us,
         summary.tick_p99_us,
-    ));
+    )];
     if let (Some(achieved), Some(distance)) = (summary.achieved, summary.distance_m) {
         let commanded = summary.commanded;
-        say(&format!(
+        lines.push(format!(
             "commanded {:.3} {:.3} m/s {:.3} rad/s, achieved {:.3} {:.3} m/s {:.3} rad/s, {distance:.2} m from the start",
             commanded.vx_mps,
             commanded.vy_mps,
@@ -377,12 +382,13 @@ fn print(summary: &RunSummary, args: &RunArgs) {
         ));
     }
     if let Some(folder) = &args.log_dir {
-        say(&format!(
+        lines.push(format!(
             "log: {} ({} rows)",
             folder.display(),
             summary.log_rows
         ));
     }
+    lines.join("\n")
 }
 
 /// Memory of this process that is in use now, bytes; 0 where the system does not tell.

@@ -13,6 +13,7 @@ mod status;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use caudata_model::RobotModel;
 use caudata_proto::registry::{LabelName, StreamName};
@@ -276,9 +277,23 @@ fn say(line: &str) {
 }
 
 fn say_json(value: &impl Serialize) -> Result<(), DeployError> {
-    let line = serde_json::to_string(value).map_err(|e| DeployError::Internal {
-        what: e.to_string(),
-    })?;
-    say(&line);
+    say(&json_line(value)?);
     Ok(())
+}
+
+fn json_line(value: &impl Serialize) -> Result<String, DeployError> {
+    serde_json::to_string(value).map_err(|e| DeployError::Internal {
+        what: e.to_string(),
+    })
+}
+
+/// As [`say`], but waits at most for `limit` for whoever reads; whether it was taken.
+fn say_within(text: String, limit: Duration) -> bool {
+    let (taken, waits) = crossbeam_channel::bounded(1);
+    let thread = std::thread::Builder::new().name("last-words".into());
+    let spawned = thread.spawn(move || {
+        say(&text);
+        let _ = taken.send(());
+    });
+    spawned.is_ok() && waits.recv_timeout(limit).is_ok()
 }

@@ -5,11 +5,10 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use caudata_policy::MAX_FILE_BYTES;
-use nix::sys::resource::{Resource, setrlimit};
 
 use crate::DeployError;
 use crate::commands::load_model;
-use crate::probe::{CHILD_CPU_S, CHILD_SPACE_BYTES};
+use crate::probe::limit_this_process;
 use crate::state::{PolicyRef, Sha256Digest};
 use crate::verify::{Refusal, VerifyError, verify};
 
@@ -33,18 +32,8 @@ pub struct ProbeArgs {
 }
 
 pub fn run(args: &ProbeArgs) -> Result<(), DeployError> {
-    let refused = |what| {
-        move |e: nix::Error| DeployError::System {
-            what,
-            source: e.into(),
-        }
-    };
     let model = load_model(&args.robot)?;
-    setrlimit(Resource::RLIMIT_AS, CHILD_SPACE_BYTES, CHILD_SPACE_BYTES)
-        .map_err(refused("a limit of memory"))?;
-    setrlimit(Resource::RLIMIT_CPU, CHILD_CPU_S, CHILD_CPU_S)
-        .map_err(refused("a limit of processor time"))?;
-    setrlimit(Resource::RLIMIT_CORE, 0, 0).map_err(refused("a limit of core files"))?;
+    limit_this_process()?;
     let mut bytes = Vec::new();
     std::io::stdin()
         .lock()

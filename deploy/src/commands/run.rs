@@ -197,8 +197,7 @@ fn limp_arguments(args: &RunArgs) -> Option<Vec<OsString>> {
     let BusAddress::Wiring(wiring) = &args.bus else {
         return None;
     };
-    // By then the port is free; where it is not, another program has the robot.
-    let mut arguments = vec!["--unless-taken".into(), "--wiring".into(), wiring.into()];
+    let mut arguments = vec!["--wiring".into(), wiring.into()];
     if let Some(port) = args.ports.overrides().servo_port {
         arguments.extend(["--servo-port".into(), port.into()]);
     }

@@ -7,6 +7,7 @@
 //! | the loop gives no sign of life | kills it; then as above |
 //! | the kill button, and the loop does not brake | kills it, lets the servos go, ends |
 //! | the kill button while the loop is down | does not start it again, ends |
+//! | a child does not end, not even by force | waits three seconds; lets the servos go whoever has their port, starts nothing, ends |
 //! | the loop ends by itself | ends the agent, then itself, with the loop's exit code; the servos are let go where that is an error |
 //! | a second signal | the loop lets go at once, or is ended; the servos are let go once more |
 //! | the supervisor dies | both children are told to stop by the system: the loop stands down in order |
@@ -23,12 +24,12 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use caudata_telemetry::{ExitCode, Failure, PARENT_PID_VAR, StopFlag};
-use machine::{Do, End, Event, State, Verdict, Why, next};
+use machine::{Do, End, Event, Limits, Signs, State, Verdict, Why, judge, next};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
 use crate::boundary::{LOOP_PAGE, RunFolder};
-use crate::notify::{ALIVE, Ear, Notifier, READY, SOCKET_VAR};
+use crate::notify::{Ear, Notifier, SOCKET_VAR, Word};
 use crate::{DeployError, failure};
 
 /// How often everything is looked at.
@@ -45,10 +46,12 @@ const STOPPING_MAX: Duration = Duration::from_secs(30);
 const STAND_DOWN_MAX: Duration = Duration::from_secs(50);
 /// How long an agent may take to end when asked: its last reports take two seconds.
 const AGENT_END_MAX: Duration = Duration::from_secs(10);
+/// How long a process may take to be gone after SIGKILL: one that is still there is held by a driver, and may be so for ever.
+const UNDYING_MAX: Duration = Duration::from_secs(3);
 /// How long letting go may take, asking the servos included.
 const LIMP_MAX: Duration = Duration::from_secs(5);
-/// How long a loop that was asked twice may take to let go by itself. With [`LIMP_MAX`] and the agent's end it must stay below
-/// [`caudata_telemetry::INSIST_DEADLINE`].
+/// How long a loop that was asked twice may take to let go by itself. With [`LIMP_MAX`], the agent's end and three times [`UNDYING_MAX`] (loop, the
+/// one that lets go, agent) it must stay below [`caudata_telemetry::INSIST_DEADLINE`].
 const INSIST_MAX: Duration = Duration::from_secs(2);
 /// How long an agent may take to end where a person has no patience.
 const AGENT_END_INSISTED: Duration = Duration::from_secs(1);
@@ -67,7 +70,7 @@ pub struct Plan {
     pub program: PathBuf,
     /// Arguments before and after the name of the command.
     pub arguments: [Vec<OsString>; 2],
-    /// Arguments of the command that lets the servos go; `None`: this robot needs none.
+    /// Arguments of the command that lets the servos go, whoever has their port; `None`: this robot needs none.
     pub limp: Option<Vec<OsString>>,
     /// A loop without a sign of life for this long hangs.
     pub hang_after: Duration,
@@ -108,8 +111,8 @@ struct Watched {
     ready_at: Option<Instant>,
     stopping: bool,
     brakes: bool,
-    /// Whether it was sent SIGKILL.
-    killed: bool,
+    /// When it was sent SIGKILL.
+    killed_at: Option<Instant>,
     /// Starts that ended by themselves, in a row.
     deaths: u32,
     again_at: Option<Instant>,
@@ -134,7 +137,7 @@ impl Watched {
             ready_at: None,
             stopping: false,
             brakes: false,
-            killed: false,
+            killed_at: None,
             deaths: 0,
             again_at: Some(now),
         })
@@ -163,8 +166,8 @@ impl Watched {
         let now = Instant::now();
         self.child = Some(child);
         (self.began, self.heard) = (now, now);
-        (self.ready, self.stopping, self.brakes, self.killed) = (false, false, false, false);
-        (self.again_at, self.ready_at) = (None, None);
+        (self.ready, self.stopping, self.brakes) = (false, false, false);
+        (self.again_at, self.ready_at, self.killed_at) = (None, None, None);
         Ok(())
     }
 
@@ -183,16 +186,6 @@ impl Watched {
         heard.kill
     }
 
-    /// Whether it hangs: silent for longer than it may be in its present state.
-    fn hangs(&self, start_max: Duration, silent_max: Duration) -> bool {
-        let limit = match (self.ready, self.stopping) {
-            (_, true) => STOPPING_MAX,
-            (true, false) => silent_max,
-            (false, false) => start_max,
-        };
-        self.child.is_some() && self.heard.elapsed() > limit
-    }
-
     /// How it ended, if it just has.
     fn ended(&mut self) -> Option<ExitStatus> {
         let status = self.child.as_mut()?.try_wait().ok().flatten()?;
@@ -201,7 +194,9 @@ impl Watched {
     }
 
     fn signal(&mut self, signal: Signal) {
-        self.killed |= signal == Signal::SIGKILL;
+        if signal == Signal::SIGKILL {
+            self.killed_at.get_or_insert_with(Instant::now);
+        }
         if let Some(child) = &self.child {
             let _ = kill(Pid::from_raw(child.id() as i32), signal);
         }
@@ -210,10 +205,9 @@ impl Watched {
 
 impl Drop for Watched {
     fn drop(&mut self) {
-        // No child outlives an error here.
-        if let Some(mut child) = self.child.take() {
-            let _ = child.kill();
-            let _ = child.wait();
+        // No child outlives an error here, as far as it can be ended at all.
+        if self.child.is_some() {
+            wait_for(self, Duration::ZERO);
         }
         let _ = std::fs::remove_file(&self.socket);
     }
@@ -225,7 +219,13 @@ impl Drop for Watched {
 /// The failure that ends the process; a child that failed has said why itself.
 pub fn supervise(plan: &Plan, stop: &StopFlag, insisted: &StopFlag) -> Result<(), Failure> {
     let mut supervisor = Supervisor::new(plan)?;
-    let verdict = supervisor.until_over(stop, insisted)?;
+    let verdict = match supervisor.until_over(stop, insisted) {
+        Err(failure) if supervisor.torque == Torque::Unproved => {
+            let line = format!("{failure}; {}", Torque::Unproved.words());
+            return Err(Failure::message(ExitCode::TorqueOn, line));
+        }
+        other => other?,
+    };
     // Last words of the loop are on the disk; the agent takes them and reports.
     let patience = match verdict {
         Verdict::Interrupted => AGENT_END_INSISTED,
@@ -237,6 +237,7 @@ pub fn supervise(plan: &Plan, stop: &StopFlag, insisted: &StopFlag) -> Result<()
 }
 
 /// What became of letting the servos go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Torque {
     /// Nobody had to.
     Untouched,
@@ -247,13 +248,11 @@ enum Torque {
 }
 
 impl Torque {
-    fn words(&self) -> &'static str {
+    fn words(self) -> &'static str {
         match self {
-            Self::Untouched => "nothing is left to let go",
+            Self::Untouched => "no servo had been taken hold of",
             Self::Off => "the torque is off",
-            Self::Unproved => {
-                "THE TORQUE MAY STILL BE ON (see above): cut the supply, or `caudata-robot limp`"
-            }
+            Self::Unproved => "THE TORQUE MAY STILL BE ON: cut the supply, or `caudata-robot limp`",
         }
     }
 }
@@ -272,7 +271,8 @@ struct Supervisor<'a> {
     touched: bool,
     stop_seen: bool,
     insist_seen: bool,
-    killed_at: Option<Instant>,
+    /// When the kill button was pressed.
+    pressed_at: Option<Instant>,
     /// When the loop was asked to end, last.
     asked_at: Option<Instant>,
     torque: Torque,
@@ -293,7 +293,7 @@ impl<'a> Supervisor<'a> {
             touched: false,
             stop_seen: false,
             insist_seen: false,
-            killed_at: None,
+            pressed_at: None,
             asked_at: None,
             torque: Torque::Untouched,
             status: None,
@@ -303,7 +303,7 @@ impl<'a> Supervisor<'a> {
     fn until_over(&mut self, stop: &StopFlag, insisted: &StopFlag) -> Result<Verdict, Failure> {
         loop {
             std::thread::sleep(LOOK);
-            self.above.say(ALIVE);
+            self.above.say(Word::Alive);
             self.look_at_agent()?;
             self.looper.listen();
             self.touched |= self.looper.ready;
@@ -322,15 +322,20 @@ impl<'a> Supervisor<'a> {
 
     /// The robot walks on without an agent, so that it is only ever started again; but for one that never was ready.
     fn look_at_agent(&mut self) -> Result<(), Failure> {
-        if self.agent.listen() && self.killed_at.is_none() {
-            self.killed_at = Some(Instant::now());
+        if self.agent.listen() && self.pressed_at.is_none() {
+            self.pressed_at = Some(Instant::now());
             self.handle(Event::Kill)?;
         }
         if self.agent.ready && !std::mem::replace(&mut self.agent_was_ready, true) {
-            self.above.say(READY);
+            self.above.say(Word::Ready);
             self.handle(Event::AgentReady)?;
         }
-        if self.agent.hangs(AGENT_START_MAX, AGENT_SILENT_MAX) && !self.agent.killed {
+        let silent_max = match self.agent.ready {
+            true => AGENT_SILENT_MAX,
+            false => AGENT_START_MAX,
+        };
+        let hangs = self.agent.child.is_some() && self.agent.heard.elapsed() > silent_max;
+        if hangs && self.agent.killed_at.is_none() {
             self.agent.signal(Signal::SIGKILL);
             tracing::error!("the agent hangs: ended");
         }
@@ -374,17 +379,11 @@ impl<'a> Supervisor<'a> {
             self.looper.listen();
             self.touched |= self.looper.ready;
             let _ = std::fs::remove_file(self.plan.folder.file(LOOP_PAGE));
-            let end = match end_of(status) {
-                // It had come to its end, and let go: what went wrong after that (a full disk for its log, a signal) is no reason to walk again.
-                End::Died(code) if self.looper.stopping => {
-                    End::Wrong(code.unwrap_or(ExitCode::Internal))
-                }
-                end => end,
-            };
             return self.handle(Event::LoopEnded {
-                end,
+                end: end_of(status),
                 touched: self.touched,
                 calm: self.looper.ready && self.looper.began.elapsed() > CALM,
+                stopping: self.looper.stopping,
             });
         }
         if self.looper.child.is_none() {
@@ -393,34 +392,44 @@ impl<'a> Supervisor<'a> {
                 false => Ok(()),
             };
         }
-        if self.looper.killed {
-            return Ok(());
-        }
-        let late = |since: Option<Instant>, limit| since.is_some_and(|at| at.elapsed() > limit);
-        let deaf_after = self.plan.hang_after / BRAKE_SHARE;
-        // A loop that was not there yet when the button was pressed needs as long from its first tick on.
-        let could_brake = self.killed_at.max(self.looper.ready_at);
-        let pressed = self.killed_at.is_some() && self.looper.ready;
-        if pressed && !self.looper.brakes && late(could_brake, deaf_after) {
-            return self.handle(Event::Deaf);
-        }
-        if self.looper.hangs(LOOP_START_MAX, self.plan.hang_after) {
-            return self.handle(Event::LoopSilent);
-        }
-        let limit = match self.state {
-            State::Ending(Why::Insist) => INSIST_MAX,
-            _ => STAND_DOWN_MAX,
+        let since = |at: Option<Instant>| at.map(|at| at.elapsed());
+        let signs = Signs {
+            heard: self.looper.heard.elapsed(),
+            ready: since(self.looper.ready_at),
+            stopping: self.looper.stopping,
+            brakes: self.looper.brakes,
+            pressed: since(self.pressed_at),
+            asked: since(self.asked_at),
+            killed: since(self.looper.killed_at),
         };
-        if late(self.asked_at, limit) {
-            tracing::error!("the loop does not stand down: ended");
-            return self.handle(Event::TooLong);
+        let limits = Limits {
+            start: LOOP_START_MAX,
+            silent: self.plan.hang_after,
+            brake: self.plan.hang_after / BRAKE_SHARE,
+            stopping: STOPPING_MAX,
+            stand_down: STAND_DOWN_MAX,
+            insisted: INSIST_MAX,
+            undying: UNDYING_MAX,
+        };
+        match judge(&signs, &limits, self.state, self.touched) {
+            Some(event) => self.handle(event),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     fn handle(&mut self, event: Event) -> Result<(), Failure> {
-        let before = self.state;
-        let (state, todo) = next(before, event);
+        let (state, todo) = next(self.state, event);
+        if let Event::LoopEnded {
+            end: End::InOrder, ..
+        } = event
+        {
+            // It has let go itself, and asked whether the servos did: what was not proved of an earlier loop is now.
+            self.torque = Torque::Untouched;
+        }
+        // Also after the kill button the end is not waited for without limit.
+        if state == State::Ending(Why::Kill) {
+            self.asked_at.get_or_insert_with(Instant::now);
+        }
         self.state = state;
         for todo in todo {
             match todo {
@@ -436,10 +445,17 @@ impl<'a> Supervisor<'a> {
                 Do::KillLoop => {
                     // First the deed: who reads the log may be asleep.
                     self.looper.signal(Signal::SIGKILL);
-                    let deaf = state == State::Ending(Why::Deaf);
-                    tracing::error!(deaf, silent = ?self.looper.heard.elapsed(), "the loop hangs: ended");
+                    let silent = self.looper.heard.elapsed();
+                    match event {
+                        Event::TooLong => tracing::error!("the loop does not stand down: ended"),
+                        _ => {
+                            let deaf = state == State::Ending(Why::Deaf);
+                            tracing::error!(deaf, ?silent, "the loop hangs: ended");
+                        }
+                    }
                 }
-                Do::LetGo => self.torque = let_go(self.plan),
+                Do::LetGo => self.torque = let_go(self.plan, false),
+                Do::LetGoAnyway => self.torque = let_go(self.plan, true),
             }
         }
         if let (State::Down { deaths }, Event::LoopEnded { .. }) = (state, event) {
@@ -462,31 +478,55 @@ impl<'a> Supervisor<'a> {
         let torque = self.torque.words();
         let status = self.status.map_or_else(String::new, |s| s.to_string());
         let (code, line) = match verdict {
-            Verdict::Done => return Ok(()),
-            Verdict::Agent(end) => return passed_on(end, "the agent", &status),
-            Verdict::Loop(end) => return passed_on(end, "the loop", &status),
+            Verdict::Done => (ExitCode::Ok, "stopped while the loop was down".to_owned()),
+            Verdict::Agent(end) => passed_on(end, "the agent", &status),
+            Verdict::Loop(end) => passed_on(end, "the loop", &status),
+            Verdict::Undying => (
+                ExitCode::OsResource,
+                format!(
+                    "the loop (process {}) does not end, not even by force: a driver holds it",
+                    self.looper.child.as_ref().map_or(0, Child::id)
+                ),
+            ),
             Verdict::GivenUp { deaths } => (
                 ExitCode::Internal,
-                format!(
-                    "the control loop died {deaths} times in a row, last by {status}; {torque}"
-                ),
+                format!("the control loop died {deaths} times in a row, last by {status}"),
             ),
             Verdict::Interrupted => (
                 ExitCode::Interrupted,
-                format!("stopped at once by a second signal; {torque}"),
+                "stopped at once by a second signal".to_owned(),
+            ),
+            Verdict::KilledBefore => (
+                ExitCode::Unavailable,
+                "the kill button was pressed before the loop was started; it is not started"
+                    .to_owned(),
             ),
             Verdict::KilledWhileDown => (
                 ExitCode::Unavailable,
-                format!(
-                    "the kill button was pressed while the loop was down; it is not started again; {torque}"
-                ),
+                "the kill button was pressed while the loop was down; it is not started again"
+                    .to_owned(),
             ),
             Verdict::KilledWhileHung => (
                 ExitCode::Unavailable,
-                format!("the loop hung when the kill button was pressed; it was ended; {torque}"),
+                "the loop hung when the kill button was pressed; it was ended".to_owned(),
             ),
         };
-        Err(Failure::message(code, line))
+        match (code, self.torque) {
+            // Whatever else it came to: nobody may take a robot that holds on for one that let go.
+            (_, Torque::Unproved) => {
+                let before = match line.is_empty() {
+                    true => String::new(),
+                    false => format!("{line}; "),
+                };
+                Err(Failure::message(
+                    ExitCode::TorqueOn,
+                    format!("{before}{torque}"),
+                ))
+            }
+            (ExitCode::Ok, _) => Ok(()),
+            (code, _) if line.is_empty() => Err(Failure::said_already(code)),
+            (code, _) => Err(Failure::message(code, format!("{line}; {torque}"))),
+        }
     }
 }
 
@@ -505,30 +545,41 @@ fn end_of(status: ExitStatus) -> End {
     }
 }
 
-fn passed_on(end: End, who: &str, status: &str) -> Result<(), Failure> {
+/// Its exit code, and what is still to be said: nothing where it said so itself.
+fn passed_on(end: End, who: &str, status: &str) -> (ExitCode, String) {
     match end {
-        End::InOrder => Ok(()),
-        End::Wrong(code) | End::Died(Some(code)) => Err(Failure::said_already(code)),
-        End::Died(None) => {
-            let line = format!("{who} was ended by {status}");
-            Err(Failure::message(ExitCode::Internal, line))
-        }
+        End::InOrder => (ExitCode::Ok, String::new()),
+        End::Wrong(code) | End::Died(Some(code)) => (code, String::new()),
+        End::Died(None) => (ExitCode::Internal, format!("{who} was ended by {status}")),
     }
 }
 
+/// Waits for a child that was asked to end, ends it by force after `limit`, and leaves it where it is still there then.
 fn wait_for(watched: &mut Watched, limit: Duration) {
     let end = Instant::now() + limit;
     while watched.child.is_some() && watched.ended().is_none() {
-        if Instant::now() > end && !watched.killed {
-            tracing::error!(part = watched.command, "does not end: killed");
-            watched.signal(Signal::SIGKILL);
+        match watched.killed_at {
+            Some(at) if at.elapsed() > UNDYING_MAX => {
+                tracing::error!(
+                    part = watched.command,
+                    "does not end, not even by force: left behind"
+                );
+                return;
+            }
+            None if Instant::now() >= end => {
+                watched.signal(Signal::SIGKILL);
+                if !limit.is_zero() {
+                    tracing::error!(part = watched.command, "does not end: killed");
+                }
+            }
+            _ => std::thread::sleep(LOOK),
         }
-        std::thread::sleep(LOOK);
     }
 }
 
-/// Lets the servos go, in a process of its own: a port that hangs does not hold this one. It asks them whether they did.
-fn let_go(plan: &Plan) -> Torque {
+/// Lets the servos go, in a process of its own: a port that hangs does not hold this one. It asks them whether they did. `anyway`: also where
+/// another program has the port.
+fn let_go(plan: &Plan, anyway: bool) -> Torque {
     let Some(arguments) = &plan.limp else {
         return Torque::Untouched;
     };
@@ -536,6 +587,7 @@ fn let_go(plan: &Plan) -> Torque {
     let child = Command::new(&plan.program)
         .args(&plan.arguments[0])
         .arg("limp")
+        .args((!anyway).then_some("--unless-taken"))
         .args(arguments)
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -556,7 +608,7 @@ fn let_go(plan: &Plan) -> Torque {
             Ok(None) if begun.elapsed() < LIMP_MAX => std::thread::sleep(LOOK),
             other => {
                 let _ = child.kill();
-                let _ = child.wait();
+                reap(&mut child);
                 tracing::error!(
                     ?other,
                     "nobody knows whether the servos were let go; their own watchdogs hold them"
@@ -564,6 +616,14 @@ fn let_go(plan: &Plan) -> Torque {
                 return Torque::Unproved;
             }
         }
+    }
+}
+
+/// Takes note of a child's end that must come now; one that does not end is left behind.
+fn reap(child: &mut Child) {
+    let begun = Instant::now();
+    while matches!(child.try_wait(), Ok(None)) && begun.elapsed() < UNDYING_MAX {
+        std::thread::sleep(LOOK);
     }
 }
 
@@ -576,7 +636,7 @@ mod tests {
     #[test]
     fn what_a_person_must_set_right_is_not_tried_again() {
         let by_code = |code: i32| died(ExitStatus::from_raw(code << 8));
-        for code in [0, 64, 65, 66, 69, 73, 76, 77, 79] {
+        for code in [0, 64, 65, 66, 69, 73, 76, 77, 79, 86] {
             assert!(!by_code(code), "{code}");
         }
         for code in [1, 70, 71, 74, 75, 101, 130] {

@@ -2,6 +2,7 @@
 // Each test file uses a part of it.
 #![allow(dead_code)]
 
+pub mod network;
 #[path = "../../src/testing.rs"]
 pub mod policies;
 
@@ -12,7 +13,9 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
 
 use caudata_policy::PolicyFile;
-use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve};
+use caudata_policy_server::{
+    ServeOptions, ServerMetrics, SharedStore, Store, StoreLimits, listen, serve_with,
+};
 use caudata_proto::framing::{FrameReader, write_frame};
 use caudata_proto::registry::StreamName;
 use caudata_proto::robot_link::{
@@ -38,6 +41,19 @@ pub struct Server {
 
 impl Server {
     pub fn start(data: &Path) -> Self {
+        Self::start_with(data, ServeOptions::default())
+    }
+
+    /// One that proves where labels lead.
+    pub fn proving(data: &Path, key: caudata_signing::ReleaseKey) -> Self {
+        let options = ServeOptions {
+            fresh_key: Some(Arc::new(key)),
+            ..ServeOptions::default()
+        };
+        Self::start_with(data, options)
+    }
+
+    fn start_with(data: &Path, options: ServeOptions) -> Self {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
@@ -49,7 +65,12 @@ impl Server {
             let listener = listen("127.0.0.1:0".parse().unwrap()).await.unwrap();
             let address = listener.local_addr().unwrap();
             let metrics = ServerMetrics::register(&Metrics::new());
-            let serving = async move { serve(listener, store, metrics, stopped).await.unwrap() };
+            let store = SharedStore::new(store);
+            let serving = async move {
+                serve_with(listener, store, metrics, stopped, options)
+                    .await
+                    .unwrap();
+            };
             (address, tokio::spawn(serving))
         });
         Self {

@@ -1,4 +1,5 @@
-//! The network between the learner's host and the actors from elsewhere: two worlds, and a proxy with weather between them.
+//! The network between the learner's host and the actors from elsewhere: two worlds, and a proxy with weather between them. Also the weather of the
+//! robot's command link (`deploy/tests/link_weather.rs`).
 
 use std::collections::HashMap;
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
@@ -100,8 +101,11 @@ pub struct Weather {
     pub loss_percent: AtomicU64,
     /// One way, ms.
     pub delay_ms: AtomicU64,
+    /// Of a hundred, so many are overtaken by the next one.
+    pub reorder_percent: AtomicU64,
     pub passed: AtomicU64,
     pub lost: AtomicU64,
+    pub overtaken: AtomicU64,
 }
 
 impl Weather {
@@ -109,23 +113,36 @@ impl Weather {
         self.cut.store(false, Ordering::Relaxed);
         self.loss_percent.store(0, Ordering::Relaxed);
         self.delay_ms.store(0, Ordering::Relaxed);
+        self.reorder_percent.store(0, Ordering::Relaxed);
     }
 }
 
-/// A way for datagrams in one direction: those that survive the weather go out later, in order.
+/// A way for datagrams in one direction: those that survive the weather go out later, in order but for those that the next one overtakes.
 fn way(
     weather: Arc<Weather>,
     seed: u64,
     send: impl Fn(&[u8]) + Send + 'static,
 ) -> impl FnMut(&[u8]) {
     let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(ON_THE_WAY_MAX);
+    let mut dice = Dice(seed);
+    let mut order = Dice(!seed);
+    let sky = Arc::clone(&weather);
     std::thread::spawn(move || {
+        let mut held: Option<Vec<u8>> = None;
         for (at, datagram) in due {
             std::thread::sleep(at.saturating_duration_since(Instant::now()));
+            let reorder = sky.reorder_percent.load(Ordering::Relaxed);
+            if held.is_none() && reorder > 0 && order.below(100) < reorder {
+                held = Some(datagram);
+                continue;
+            }
             send(&datagram);
+            if let Some(late) = held.take() {
+                sky.overtaken.fetch_add(1, Ordering::Relaxed);
+                send(&late);
+            }
         }
     });
-    let mut dice = Dice(seed);
     move |datagram| {
         let loss = weather.loss_percent.load(Ordering::Relaxed);
         let lost = weather.cut.load(Ordering::Relaxed) || dice.below(100) < loss;

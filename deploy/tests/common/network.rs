@@ -1,0 +1,89 @@
+//! A connection between a robot and its server that can be cut, and that takes its time.
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// Pieces on their way in one direction; a sender that is faster waits.
+const ON_THE_WAY_MAX: usize = 64;
+
+/// Carries bytes to a server, late, unless it is cut.
+pub struct Wire {
+    pub address: SocketAddr,
+    cut: Arc<AtomicBool>,
+    delay_ms: Arc<AtomicU64>,
+    open: Arc<Mutex<Vec<TcpStream>>>,
+}
+
+impl Wire {
+    pub fn to(to: SocketAddr) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let wire = Self {
+            address: listener.local_addr().unwrap(),
+            cut: Arc::default(),
+            delay_ms: Arc::default(),
+            open: Arc::default(),
+        };
+        let (cut, delay_ms, open) = (wire.cut.clone(), wire.delay_ms.clone(), wire.open.clone());
+        std::thread::spawn(move || {
+            for client in listener.incoming().map_while(Result::ok) {
+                if cut.load(Ordering::SeqCst) {
+                    continue;
+                }
+                let Ok(server) = TcpStream::connect(to) else {
+                    continue;
+                };
+                let twin = |stream: &TcpStream| stream.try_clone().unwrap();
+                carry(twin(&client), twin(&server), delay_ms.clone());
+                carry(twin(&server), twin(&client), delay_ms.clone());
+                open.lock().unwrap().extend([client, server]);
+            }
+        });
+        wire
+    }
+
+    pub fn cut(&self) {
+        self.cut.store(true, Ordering::SeqCst);
+        for stream in self.open.lock().unwrap().drain(..) {
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+    }
+
+    pub fn mend(&self) {
+        self.cut.store(false, Ordering::SeqCst);
+    }
+
+    /// From now on bytes take so long, each way.
+    pub fn set_delay_ms(&self, delay_ms: u64) {
+        self.delay_ms.store(delay_ms, Ordering::SeqCst);
+    }
+}
+
+/// Carries what comes from `from` to `into` until either hangs up.
+fn carry(mut from: TcpStream, mut into: TcpStream, delay_ms: Arc<AtomicU64>) {
+    let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(ON_THE_WAY_MAX);
+    std::thread::spawn(move || {
+        for (at, bytes) in due {
+            std::thread::sleep(at.saturating_duration_since(Instant::now()));
+            if into.write_all(&bytes).is_err() {
+                break;
+            }
+        }
+        let _ = into.shutdown(Shutdown::Both);
+    });
+    std::thread::spawn(move || {
+        let mut bytes = [0; 4096];
+        while let Ok(n @ 1..) = from.read(&mut bytes) {
+            let delay = Duration::from_millis(delay_ms.load(Ordering::SeqCst));
+            if sender
+                .send((Instant::now() + delay, bytes[..n].to_vec()))
+                .is_err()
+            {
+                break;
+            }
+        }
+    });
+}
