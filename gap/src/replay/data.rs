@@ -140,7 +140,11 @@ impl Data {
                 let (from_s, end_s, lead_s) = match trial.base {
                     BaseHold::Fixed => {
                         let from_s = cut(k as f64);
-                        (from_s, cut(k as f64 + 1.0), options.lead_s.min(from_s - first))
+                        (
+                            from_s,
+                            cut(k as f64 + 1.0),
+                            options.lead_s.min(from_s - first),
+                        )
                     }
                     // at a stamp: between two of them a step of the simulation would straddle a command
                     _ => (
