@@ -93,16 +93,3 @@ fn nor_has_it_on_another_day() {
 fn a_soft_knee_is_found() {
     soft_joint_is_found(7, "FL_knee", 0.7, 0.1);
 }
-
-// What is forgiven on the stand (idle currents, the distance of two engines) must not swallow a small fault.
-#[test]
-fn a_small_delay_is_found() {
-    const DELAY_S: f64 = 0.004;
-    let report = report_of(8, |_, lane| lane.command_delay_s = DELAY_S as f32);
-    let causes = &report.causes;
-    assert_eq!(causes.len(), 1, "{}", report.summary);
-    assert_eq!(causes[0].effect, "command_delay");
-    let found = causes[0].parameters.values().next().unwrap();
-    // the engine that recorded hears a command at once, a servo half a tick later
-    assert!((found.value - DELAY_S).abs() < 0.001, "{found:?}");
-}
