@@ -27,8 +27,6 @@ const BETTER: f64 = 0.5;
 const MUCH_BETTER: f64 = 0.2;
 /// … or, where commands are alike, this.
 const FAR_BETTER: f64 = 0.1;
-/// … as late as servos are in the same run, within so much: two of the steps in which a lag is looked for, s; …
-const AS_LATE_S: f64 = 0.05;
 /// … which must follow as well as this …
 const FOLLOWS_WELL: f64 = 0.06;
 /// … and as far as this share of the command.
@@ -303,14 +301,6 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
     let n = joints.len();
     let mut named = vec![false; n];
     let own: Vec<Option<Missed>> = joints.iter().map(|j| missed(run, j, j)).collect();
-    let mut lags: Vec<f64> = own
-        .iter()
-        .flatten()
-        .filter(|m| m.left < FOLLOWS)
-        .map(|m| m.lag_s)
-        .collect();
-    lags.sort_by(f64::total_cmp);
-    let own_lag_s = lags.get(lags.len() / 2).copied();
     let better = |other: Missed, own: Option<Missed>, share: f64| {
         own.is_none_or(|own| other.left < share * own.left)
     };
@@ -333,11 +323,7 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
         let ahead = |share: f64| better(ab, own[a], share) && better(ab, own[b], share);
         let not_alike =
             ab.left < FOLLOWS_WELL && ahead(MUCH_BETTER) && !alike(run, &joints[a], &joints[b]);
-        // along a wave every reading goes with its neighbour's command, later or earlier by the wave: one of another column is as late as any servo
-        let as_late = own_lag_s.is_none_or(|own_s| {
-            (ab.lag_s - own_s).abs() < AS_LATE_S || !alike(run, &joints[a], &joints[b])
-        });
-        let as_its_own = ab.left < FOLLOWS && ahead(FAR_BETTER) && as_late;
+        let as_its_own = ab.left < FOLLOWS && ahead(FAR_BETTER);
         let alone = ab.slope > FOLLOWS_FAR && (not_alike || as_its_own);
         if !exchanged && !alone {
             continue;
@@ -370,8 +356,6 @@ struct Missed {
     left: f64,
     /// Size of the reading's motion over the command's.
     slope: f64,
-    /// How late the reading is, s.
-    lag_s: f64,
 }
 
 /// How a reading follows a command that acts late by what a servo needs at most, and at any size of the same sign. `None` where the command
@@ -382,7 +366,7 @@ fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Missed> {
     let stride = run.grid.points(LAG_STEP_S);
     let thinned = |x: &[f64]| -> Vec<f64> { x.iter().step_by(stride).copied().collect() };
     let most = (LONGEST_LAG_S / (stride as f64 * run.grid.step_s)).round() as isize;
-    let (late, t) = best_lag(&thinned(u), &thinned(q), 0..=most);
+    let (_, t) = best_lag(&thinned(u), &thinned(q), 0..=most);
     let resolved = t.second_sd > 0.2 * t.first_sd && (0.1..3.0).contains(&t.slope);
     let left = if resolved && t.r > 0.0 {
         1.0 - t.r * t.r
@@ -394,7 +378,6 @@ fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Missed> {
     Some(Missed {
         left: left.max(noise),
         slope: t.slope,
-        lag_s: late as f64 * stride as f64 * run.grid.step_s,
     })
 }
 
