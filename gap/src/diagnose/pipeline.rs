@@ -14,6 +14,10 @@ use crate::error::GapError;
 use crate::replay::{Data, Replayer, SegmentOptions};
 use crate::trial::Kind;
 
+/// So many times its own miss is what a model of a free robot may be off: its misfit is then that of a careful lab on a stand (0.2 to 0.3), so that the same
+/// thresholds hold for both.
+const MISSES_ALLOWED: f32 = 2.0;
+
 /// Adds the misses of the robot as given against itself to the noise of free and swimming runs.
 ///
 /// # Errors
@@ -76,7 +80,7 @@ pub fn add_own_misses(
             let Some((sum, n)) = sums.get(&(piece.kind, piece.index)) else {
                 continue;
             };
-            let miss = (sum / n.max(1.0)).sqrt() as f32;
+            let miss = MISSES_ALLOWED * (sum / n.max(1.0)).sqrt() as f32;
             for k in piece.range.clone() {
                 noise.grow(k, 1.0_f32.hypot(miss / noise.sigma[k]));
             }

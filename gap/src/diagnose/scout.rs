@@ -163,6 +163,7 @@ mod tests {
             range: 10 * k..10 * (k + 1),
             pieces: Vec::new(),
             start: Start::default(),
+            again: None,
         });
         Data {
             segments: segments.collect(),

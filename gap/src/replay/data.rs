@@ -15,6 +15,9 @@ const MOST_SAMPLES: usize = 400_000;
 pub const BLOCK_S: f64 = 1.0;
 /// Stretches of a free robot, s: it diverges from its simulation, so it is put back to what was measured.
 const FREE_SEGMENT_S: f64 = 0.8;
+/// Time before each that is simulated and does not count, s: where play hangs, how friction is wound up and how hard each foot presses is not measured, and
+/// comes about in it. At its end the robot is put to what was measured once more.
+const FREE_LEAD_S: f64 = 0.3;
 /// Time over which speeds at a start are taken, s, to each side.
 const SPEED_WINDOW_S: f64 = 0.03;
 
@@ -54,6 +57,8 @@ pub struct Segment {
     pub pieces: Vec<Piece>,
     /// Measured start.
     pub start: Start,
+    /// When what can be measured is put to what was measured once more, s, and that.
+    pub again: Option<(f64, Start)>,
 }
 
 impl Segment {
@@ -76,9 +81,9 @@ pub struct Start {
     /// Roll, pitch, yaw of the base, rad.
     pub base_rpy_rad: Option<[f64; 3]>,
     /// Velocity of the base, world, m/s.
-    pub base_vel_mps: [f64; 3],
+    pub base_vel_mps: Option<[f64; 3]>,
     /// Angular velocity of the base, body, rad/s.
-    pub base_angvel_radps: [f64; 3],
+    pub base_angvel_radps: Option<[f64; 3]>,
 }
 
 /// One channel's samples in one stretch.
@@ -131,12 +136,24 @@ impl Data {
             let count = ((last - first) / length_s).floor().max(1.0);
             let each = (last - first) / count;
             for k in 0..count as usize {
-                let from_s = first + k as f64 * each;
-                let lead_s = match trial.base {
-                    BaseHold::Fixed => options.lead_s.min(from_s - first),
-                    _ => 0.0,
+                let cut = |k: f64| first + k * each;
+                let (from_s, end_s, lead_s) = match trial.base {
+                    BaseHold::Fixed => {
+                        let from_s = cut(k as f64);
+                        (
+                            from_s,
+                            cut(k as f64 + 1.0),
+                            options.lead_s.min(from_s - first),
+                        )
+                    }
+                    // at a stamp: between two of them a step of the simulation would straddle a command
+                    _ => (
+                        stamp_near(trial, cut(k as f64)),
+                        stamp_near(trial, cut(k as f64 + 1.0)).min(last),
+                        FREE_LEAD_S,
+                    ),
                 };
-                let span_s = (from_s - lead_s, from_s, from_s + each);
+                let span_s = (from_s - lead_s, from_s, end_s);
                 data.push(model, number, trial, span_s, stride);
             }
         }
@@ -158,7 +175,11 @@ impl Data {
         let block_s = (end_s - from_s) / blocks;
         let free = trial.base != BaseHold::Fixed;
         let settle_s = if free { 0.04 } else { SETTLE_S };
-        let counts_s = from_s.max(start_s + settle_s);
+        let counts_s = if free {
+            from_s + settle_s
+        } else {
+            from_s.max(start_s + settle_s)
+        };
         let mut pieces = Vec::new();
         for (index, channel) in trial.channels.iter().enumerate() {
             let from = self.value.len();
@@ -190,7 +211,9 @@ impl Data {
             end_s,
             range: begin..self.value.len(),
             pieces,
-            start: start(model, trial, start_s),
+            // a robot that is recorded from its first row on stood there before
+            start: start(model, trial, start_s.max(replay_span(trial).0)),
+            again: free.then(|| (from_s, start(model, trial, from_s))),
         });
     }
 
@@ -267,6 +290,26 @@ fn replay_span(trial: &Trial) -> (f64, f64) {
     (first, last.max(first + 1e-3))
 }
 
+/// Roll and pitch of a body in which gravity points along (`gx`, `gy`, ·), rad: gravity in the body is (sin p, −cos p·sin r, −cos p·cos r).
+pub(super) fn roll_pitch(gx: f64, gy: f64) -> [f64; 2] {
+    let pitch = gx.clamp(-1.0, 1.0).asin();
+    let roll = (-gy / pitch.cos().max(1e-3)).clamp(-1.0, 1.0).asin();
+    [roll, pitch]
+}
+
+/// The stamp of a position that is nearest to `t_s`.
+fn stamp_near(trial: &Trial, t_s: f64) -> f64 {
+    let Some(c) = trial.channels.iter().find(|c| c.kind == Kind::Position) else {
+        return t_s;
+    };
+    let after = c.time_s.partition_point(|&t| t < t_s);
+    let near = [after.saturating_sub(1), after]
+        .into_iter()
+        .filter_map(|k| c.time_s.get(k).copied())
+        .min_by(|a, b| (a - t_s).abs().total_cmp(&(b - t_s).abs()));
+    near.unwrap_or(t_s)
+}
+
 fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
     let joints = model.actuated().len();
     let mut start = Start {
@@ -306,10 +349,10 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
     };
     if let Some(p) = three(Kind::BasePosition) {
         start.base_pos_m = Some(p.map(|x| x.0));
-        start.base_vel_mps = p.map(|x| x.1);
+        start.base_vel_mps = Some(p.map(|x| x.1));
     }
     if let Some(v) = three(Kind::BaseVelocity) {
-        start.base_vel_mps = v.map(|x| x.0);
+        start.base_vel_mps = Some(v.map(|x| x.0));
     }
     let attitude = three(Kind::BaseAttitude);
     let gravity = three(Kind::Gravity);
@@ -319,13 +362,11 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
         _ => None,
     };
     if let Some((gx, gy, yaw)) = down {
-        // gravity in the body is (sin p, −cos p·sin r, −cos p·cos r)
-        let pitch = gx.clamp(-1.0, 1.0).asin();
-        let roll = (-gy / pitch.cos().max(1e-3)).clamp(-1.0, 1.0).asin();
+        let [roll, pitch] = roll_pitch(gx, gy);
         start.base_rpy_rad = Some([roll, pitch, yaw]);
     }
     if let Some(w) = three(Kind::Gyro) {
-        start.base_angvel_radps = w.map(|x| x.0);
+        start.base_angvel_radps = Some(w.map(|x| x.0));
     }
     start
 }
@@ -374,6 +415,7 @@ mod tests {
             range: 4 * k..4 * k + 4,
             pieces: vec![piece(0, 4 * k), piece(1, 4 * k + 2)],
             start: Start::default(),
+            again: None,
         };
         let whole = Data {
             trials: Vec::new(),

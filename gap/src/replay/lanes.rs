@@ -4,12 +4,12 @@ use caudata_sim::batch::BatchEngine;
 use caudata_sim::{Engine, InitialState, State};
 
 use super::commands::{Reader, true_angle};
-use super::data::Data;
+use super::data::{Data, Start, roll_pitch};
 use super::observe::{self, Trace};
 use super::{Replayer, Variant};
 use crate::error::GapError;
 use crate::plant::Plant;
-use crate::trial::Trial;
+use crate::trial::{Trial, attitude_of};
 
 /// How long a command waits in any servo, s: half a period of a firmware loop of about 1 kHz and its bridge. The simulated loop acts at once; without this
 /// every faultless servo shows 0.5 to 0.8 ms of delay.
@@ -31,6 +31,7 @@ pub(super) fn run(
     let mut readers = Vec::with_capacity(jobs.len());
     let mut switches = Vec::with_capacity(jobs.len());
     let mut traces = Vec::with_capacity(jobs.len());
+    let mut corrections = Vec::with_capacity(jobs.len());
     let mut most = 0;
     for (lane, &(v, s)) in jobs.iter().enumerate() {
         let segment = &data.segments[s];
@@ -47,6 +48,9 @@ pub(super) fn run(
             period_s,
             periods,
         ));
+        corrections.push(segment.again.as_ref().map_or(usize::MAX, |(at_s, _)| {
+            ((at_s - segment.start_s) / period_s).round() as usize
+        }));
         sound[lane] = start(engine, lane, &plant, &switches[lane], data, s);
         plants.push(plant);
     }
@@ -58,6 +62,9 @@ pub(super) fn run(
                 traces[lane].record(engine.state(), lane, &model);
             }
             let from = data.segments[s].start_s + k as f64 * period_s;
+            if k == corrections[lane] && sound[lane] {
+                sound[lane] &= correct(engine, lane, &plants[lane], data, s);
+            }
             for (a, reader) in readers[lane].iter_mut().enumerate() {
                 targets[lane * joints + a] = reader.mean(from, from + period_s) as f32;
             }
@@ -93,8 +100,19 @@ fn start(
     data: &Data,
     segment: usize,
 ) -> bool {
-    let measured = &data.segments[segment].start;
-    let mut init = InitialState::nominal(&plant.model);
+    let init = placed(
+        plant,
+        &data.segments[segment].start,
+        data.hold(segment) != 0,
+        InitialState::nominal(&plant.model),
+    );
+    let params = switches.apply(plant, data.segments[segment].start_s);
+    let good = engine.set_params(lane, &params).is_ok();
+    good && engine.reset(lane, &init).is_ok()
+}
+
+/// `init` with what was measured in the place of what it has.
+fn placed(plant: &Plant, measured: &Start, moves: bool, mut init: InitialState) -> InitialState {
     for (a, q) in init.joint_pos_rad.iter_mut().enumerate() {
         *q = true_angle(&plant.sensing.encoders[a], measured.pos_rad[a]) as f32;
     }
@@ -108,13 +126,42 @@ fn start(
     if let Some(rpy) = measured.base_rpy_rad {
         init.base_rpy_rad = rpy.map(|x| x as f32);
     }
-    if data.hold(segment) != 0 {
-        init.base_vel_mps = measured.base_vel_mps.map(|x| x as f32);
-        init.base_angvel_radps = measured.base_angvel_radps.map(|x| x as f32);
+    if let Some(v) = measured.base_vel_mps.filter(|_| moves) {
+        init.base_vel_mps = v.map(|x| x as f32);
     }
-    let params = switches.apply(plant, data.segments[segment].start_s);
-    let good = engine.set_params(lane, &params).is_ok();
-    good && engine.reset(lane, &init).is_ok()
+    if let Some(w) = measured.base_angvel_radps.filter(|_| moves) {
+        init.base_angvel_radps = w.map(|x| x as f32);
+    }
+    init
+}
+
+/// Puts a lane to what was measured once more; what was not measured stays where the simulation has brought it. Whether that went well.
+fn correct(
+    engine: &mut BatchEngine,
+    lane: usize,
+    plant: &Plant,
+    data: &Data,
+    segment: usize,
+) -> bool {
+    let Some((_, measured)) = &data.segments[segment].again else {
+        return true;
+    };
+    let state = engine.state();
+    let three = |x: &[f32]| [x[3 * lane], x[3 * lane + 1], x[3 * lane + 2]];
+    let pos_m = three(&state.base_pos_m);
+    let quat = [0, 1, 2, 3].map(|i| f64::from(state.base_quat_wxyz[4 * lane + i]));
+    let [gx, gy, yaw] = attitude_of(quat);
+    let [roll, pitch] = roll_pitch(gx, gy);
+    let own = InitialState {
+        base_xy_m: [pos_m[0], pos_m[1]],
+        base_z_m: Some(pos_m[2]),
+        base_rpy_rad: [roll as f32, pitch as f32, yaw as f32],
+        base_vel_mps: three(&state.base_vel_mps),
+        base_angvel_radps: three(&state.base_angvel_radps),
+        ..InitialState::nominal(&plant.model)
+    };
+    let init = placed(plant, measured, true, own);
+    engine.correct(lane, &init).is_ok()
 }
 
 fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Vec<Reader<'a>> {

@@ -48,6 +48,8 @@ pub(super) trait Core: Send {
     /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity (world), joints in model order,
     /// servos holding `rest`. Then reports it in `row` of `state`.
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State);
+    /// Puts base and the hinges of `driven` (model order) where `start` says; what else the lane has stays as it is.
+    fn correct(&mut self, lane: usize, start: &Start<'_>, driven: &[usize], state: &mut State);
     fn get(&self, lane: usize) -> LaneState;
     fn put(&mut self, lane: usize, from: &LaneState) -> bool;
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State);
@@ -99,6 +101,47 @@ impl<R: Lanes> CoreOf<R> {
             shared,
             lanes,
         })
+    }
+
+    /// Puts a lane into a state and reports it in `row` of `state`, with no acceleration.
+    fn place(&mut self, lane: usize, from: &LaneState, state: &mut State) {
+        self.put(lane, from);
+        let (g, slot) = (lane / R::LANES, lane % R::LANES);
+        if lane + 1 == self.lanes {
+            for spare in slot + 1..R::LANES {
+                put_slot(&mut self.groups[g], spare, from);
+            }
+        }
+        // The report moves the IMU's velocity on: once to learn it, once to report no acceleration.
+        let group = &mut self.groups[g];
+        let scratch = &mut self.scratch[0];
+        for _ in 0..2 {
+            let imu: Vec<R> = group.x[13..16].to_vec();
+            R::run(Report {
+                shared: &self.shared,
+                group,
+                scratch,
+            });
+            for (now, before) in group.x[13..16].iter_mut().zip(imu) {
+                let new = Real::lane(*now, slot);
+                *now = before.with_lane(slot, new);
+                for spare in slot + 1..R::LANES {
+                    if lane + 1 == self.lanes {
+                        *now = now.with_lane(spare, new);
+                    }
+                }
+            }
+        }
+        let first = g * R::LANES;
+        let widths = report::widths(&self.shared.program);
+        let mut at = 0;
+        state.diverged[lane] = from.diverged;
+        for (field, k) in state.fields_mut().into_iter().zip(widths) {
+            for c in 0..k {
+                field[(first + slot) * k + c] = Real::lane(scratch.out[at + c], slot) as f32;
+            }
+            at += k;
+        }
     }
 }
 
@@ -158,43 +201,24 @@ impl<R: Lanes> Core for CoreOf<R> {
             sums: vec![0.0; super::lanes::sums_len(program)],
             diverged: false,
         };
-        self.put(lane, &from);
-        let (g, slot) = (lane / R::LANES, lane % R::LANES);
-        if lane + 1 == self.lanes {
-            for spare in slot + 1..R::LANES {
-                put_slot(&mut self.groups[g], spare, &from);
+        self.place(lane, &from, state);
+    }
+
+    fn correct(&mut self, lane: usize, start: &Start<'_>, driven: &[usize], state: &mut State) {
+        let mut from = self.get(lane);
+        let program = &self.shared.program;
+        let lay = super::lanes::layout(program);
+        from.x[..7].copy_from_slice(&start.pose);
+        if program.free {
+            from.x[7..13].copy_from_slice(&start.motion);
+        }
+        for (i, node) in program.nodes.iter().enumerate() {
+            if driven.contains(&node.joint) {
+                from.x[lay.q() + i] = start.joint_pos[node.joint];
+                from.x[lay.qd() + i] = start.joint_vel[node.joint];
             }
         }
-        // The report moves the IMU's velocity on: once to learn it, once to report no acceleration.
-        let group = &mut self.groups[g];
-        let scratch = &mut self.scratch[0];
-        for _ in 0..2 {
-            let imu: Vec<R> = group.x[13..16].to_vec();
-            R::run(Report {
-                shared: &self.shared,
-                group,
-                scratch,
-            });
-            for (now, before) in group.x[13..16].iter_mut().zip(imu) {
-                let new = Real::lane(*now, slot);
-                *now = before.with_lane(slot, new);
-                for spare in slot + 1..R::LANES {
-                    if lane + 1 == self.lanes {
-                        *now = now.with_lane(spare, new);
-                    }
-                }
-            }
-        }
-        let first = g * R::LANES;
-        let widths = report::widths(&self.shared.program);
-        let mut at = 0;
-        state.diverged[lane] = false;
-        for (field, k) in state.fields_mut().into_iter().zip(widths) {
-            for c in 0..k {
-                field[(first + slot) * k + c] = Real::lane(scratch.out[at + c], slot) as f32;
-            }
-            at += k;
-        }
+        self.place(lane, &from, state);
     }
 
     fn get(&self, lane: usize) -> LaneState {
@@ -213,7 +237,6 @@ impl<R: Lanes> Core for CoreOf<R> {
         let (group, slot) = (&mut self.groups[lane / R::LANES], lane % R::LANES);
         put_slot(group, slot, from)
     }
-
     fn time_phases(&mut self) {
         for scratch in &mut self.scratch {
             scratch.clock = Some(Clock::new());

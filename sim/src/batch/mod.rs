@@ -124,6 +124,30 @@ impl BatchEngine {
         self.core.phase_seconds()
     }
 
+    /// Puts a lane's base and actuated joints where `init` says, in the middle of its motion. What nobody can measure stays as it is: hinges without a
+    /// servo, what friction, loops, filters and contacts remember.
+    ///
+    /// # Errors
+    /// As [`Engine::reset`].
+    pub fn correct(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
+        self.check_lane(lane)?;
+        let at = self.coordinates(lane, init)?;
+        let start = start_of(&self.params[lane], init, &at);
+        let driven = self.model.actuated();
+        self.core.correct(lane, &start, driven, &mut self.state);
+        Ok(())
+    }
+
+    /// Where `init` puts a lane.
+    fn coordinates(&self, lane: usize, init: &InitialState) -> Result<Coordinates, SimError> {
+        init.validate(&self.model, lane)?;
+        let mut at = Coordinates::start(&self.model, init)?;
+        let hung = self.config.fixed_base;
+        at.world_from_base.pos_m[2] =
+            observe::start_height_m(&self.model, &self.terrain, hung, init, &at)?;
+        Ok(at)
+    }
+
     fn check_lane(&self, lane: usize) -> Result<(), SimError> {
         if lane < self.params.len() {
             return Ok(());
@@ -167,6 +191,20 @@ fn width(config: &EngineConfig) -> Result<Width, SimError> {
         ));
     }
     Ok(width)
+}
+
+fn start_of<'a>(params: &LaneParams, init: &'a InitialState, at: &'a Coordinates) -> Start<'a> {
+    let ([x, y, z], [w, i, j, k]) = (at.world_from_base.pos_m, at.world_from_base.quat_wxyz);
+    let ([vx, vy, vz], [wx, wy, wz]) = (at.base_vel_mps, at.base_angvel_radps);
+    Start {
+        pose: [x, y, z, w, i, j, k],
+        motion: [vx, vy, vz, wx, wy, wz],
+        joint_pos: &at.joint_pos_rad,
+        bus_v: f64::from(params.supply_v),
+        servo_vel: &init.joint_vel_radps,
+        joint_vel: &at.joint_vel_radps,
+        rest: &init.joint_pos_rad,
+    }
 }
 
 fn build_core(
@@ -230,22 +268,8 @@ impl Engine for BatchEngine {
 
     fn reset(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
         self.check_lane(lane)?;
-        init.validate(&self.model, lane)?;
-        let mut at = Coordinates::start(&self.model, init)?;
-        let hung = self.config.fixed_base;
-        at.world_from_base.pos_m[2] =
-            observe::start_height_m(&self.model, &self.terrain, hung, init, &at)?;
-        let ([x, y, z], [w, i, j, k]) = (at.world_from_base.pos_m, at.world_from_base.quat_wxyz);
-        let ([vx, vy, vz], [wx, wy, wz]) = (at.base_vel_mps, at.base_angvel_radps);
-        let start = Start {
-            pose: [x, y, z, w, i, j, k],
-            motion: [vx, vy, vz, wx, wy, wz],
-            joint_pos: &at.joint_pos_rad,
-            bus_v: f64::from(self.params[lane].supply_v),
-            servo_vel: &init.joint_vel_radps,
-            joint_vel: &at.joint_vel_radps,
-            rest: &init.joint_pos_rad,
-        };
+        let at = self.coordinates(lane, init)?;
+        let start = start_of(&self.params[lane], init, &at);
         self.core.reset(lane, &start, &mut self.state);
         Ok(())
     }

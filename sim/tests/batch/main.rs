@@ -10,6 +10,7 @@
 mod against_mujoco;
 mod bits;
 mod contact;
+mod correct;
 mod drift;
 mod dynamics;
 mod plain;

@@ -1,4 +1,4 @@
-//! Writes logs of the salamander on a stand, one fault each: `stand OUT [REPEATS]`. Commands of the battery, the Rapier engine at 1 ms.
+//! Writes logs of the salamander on a stand, one fault each: `stand OUT [REPEATS [SEED [NAME…]]]`. Commands of the battery, the Rapier engine at 1 ms.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 use std::path::Path;
 use std::sync::Arc;
@@ -13,6 +13,8 @@ const HOLDOUT: [&str; 2] = ["prbs_slow", "triangle_fast"];
 fn main() {
     let out = std::path::PathBuf::from(std::env::args().nth(1).unwrap());
     let repeats: u64 = std::env::args().nth(2).map_or(1, |s| s.parse().unwrap());
+    let seed: u64 = std::env::args().nth(3).map_or(40, |s| s.parse().unwrap());
+    let wanted: Vec<String> = std::env::args().skip(4).collect();
     let robots = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots");
     let model = Arc::new(RobotModel::load(&robots.join("polymander.robot.toml")).unwrap());
     let knee = joint(&model, "FL_knee");
@@ -21,6 +23,14 @@ fn main() {
     let faults: Vec<Fault<'_>> = vec![
         ("healthy", Box::new(|_| ())),
         ("soft_knee", Box::new(move |p| p.kp_nm_per_rad[knee] *= 0.7)),
+        (
+            "slightly_soft_knee",
+            Box::new(move |p| p.kp_nm_per_rad[knee] *= 0.9),
+        ),
+        (
+            "slightly_soft_spine",
+            Box::new(move |p| p.kp_nm_per_rad[tail] *= 0.9),
+        ),
         (
             "weak_servo",
             Box::new(move |p| p.joints[knee].current_limit_a = 0.5),
@@ -35,6 +45,9 @@ fn main() {
         ),
     ];
     for (n, (name, fault)) in faults.iter().enumerate() {
+        if !wanted.is_empty() && !wanted.iter().any(|w| w == name) {
+            continue;
+        }
         let mut lane = LaneParams::nominal(&model);
         fault(&mut lane);
         for (i, trial) in FIT.iter().chain(&HOLDOUT).enumerate() {
@@ -42,7 +55,7 @@ fn main() {
             for r in 0..repeats {
                 let dir = out.join(name).join(role).join(format!("{trial}_{}", r + 1));
                 let run = 10 * i as u64 + r;
-                stand::record(&model, &lane, trial, 40 + n as u64, run, &dir).unwrap();
+                stand::record(&model, &lane, trial, seed + n as u64, run, &dir).unwrap();
             }
         }
         println!("{name}");

@@ -151,8 +151,38 @@ pub fn diagnose(
         |_, (case, without)| one(root, case, without, diagnoser),
         &mut each,
     );
+    let outcomes = judged(&known, &given)?;
+    Ok((outcomes, known))
+}
+
+/// Judges the reports that lie in `root` already.
+///
+/// # Errors
+/// [`BenchError`]; a case without a report that can be read is one whose diagnosis failed.
+pub fn judge_kept(root: &Path, known: &Answers) -> Result<Vec<Outcome>, BenchError> {
+    let read = |answer: &Answer| {
+        let path = root.join("out").join(&answer.case).join("report.json");
+        let text = std::fs::read_to_string(&path).unwrap_or_default();
+        match serde_json::from_str::<Report>(&text) {
+            Ok(report) => Given {
+                seconds: report.compute.seconds,
+                report: Some(report),
+                failure: String::new(),
+            },
+            Err(e) => Given {
+                report: None,
+                failure: format!("{}: {e}", path.display()),
+                seconds: 0.0,
+            },
+        }
+    };
+    let given: Vec<Given> = known.answers.iter().map(read).collect();
+    judged(known, &given)
+}
+
+fn judged(known: &Answers, given: &[Given]) -> Result<Vec<Outcome>, BenchError> {
     let mut outcomes = Vec::new();
-    for (answer, given) in known.answers.iter().zip(&given) {
+    for (answer, given) in known.answers.iter().zip(given) {
         let model = if answer.rig == ground::RIG {
             ground::salamander(LabFile::Stiff)?.2
         } else {
@@ -171,7 +201,7 @@ pub fn diagnose(
             .collect();
         outcomes.push(judge(answer, given, &links));
     }
-    Ok((outcomes, known))
+    Ok(outcomes)
 }
 
 /// Runs one diagnosis in a process with its case folder and an empty output folder, and nothing else.
