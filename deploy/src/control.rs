@@ -456,9 +456,14 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let sane = finite(&sensed.imu.gyro_radps) && finite(&sensed.imu.acc_mps2);
         let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z || !sane || !finite(&sensed.gravity);
         self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
-        if self.fallen_ticks == FALLEN_TICKS && self.motion.stage() == Stage::Walk {
-            tracing::error!(gravity = ?sensed.gravity, "the robot fell: stopping");
-            self.blame_a_fall(sensed);
+        // Whatever it does: one that tips over while it stands must not walk on its back when the link returns.
+        let stage = self.motion.stage();
+        let braking = matches!(stage, Stage::Damped | Stage::Off);
+        if self.fallen_ticks >= FALLEN_TICKS && !braking {
+            tracing::error!(gravity = ?sensed.gravity, ?stage, "the robot fell: stopping");
+            if stage == Stage::Walk {
+                self.blame_a_fall(sensed);
+            }
             self.ended = Some(Ended::Fallen);
             self.motion.damp();
         }

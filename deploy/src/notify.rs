@@ -13,6 +13,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::DeployError;
+
 /// Environment variable with the socket of whoever watches.
 pub const SOCKET_VAR: &str = "NOTIFY_SOCKET";
 /// How long the last word of a process waits for room: a watcher that gets no processor for seconds has a queue of ten datagrams, all full.
@@ -68,14 +70,18 @@ pub struct Notifier {
 }
 
 impl Notifier {
-    /// By [`SOCKET_VAR`].
-    pub fn from_environment() -> Self {
+    /// By [`SOCKET_VAR`]; mute where nobody asked to be told.
+    ///
+    /// # Errors
+    /// Where the socket cannot be reached: a loop that cannot say that it has taken hold of the servos would be taken for one that has not.
+    pub fn from_environment() -> Result<Self, DeployError> {
         let Some(name) = std::env::var_os(SOCKET_VAR) else {
-            return Self::default();
+            return Ok(Self::default());
         };
-        Self::to(&name.to_string_lossy()).unwrap_or_else(|error| {
-            tracing::warn!(%error, "cannot speak to the supervisor");
-            Self::default()
+        let name = name.to_string_lossy();
+        Self::to(&name).map_err(|source| DeployError::System {
+            what: "a word to the supervisor (NOTIFY_SOCKET)",
+            source,
         })
     }
 

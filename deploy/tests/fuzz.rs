@@ -33,8 +33,9 @@ use caudata_policy_server::Record;
 use caudata_proto::registry::{
     Freshness, LabelName, Manifest, SignedFreshness, StreamName, WatchEvent,
 };
+use caudata_proto::rollout::ROLLOUT_PROTOCOL;
 use caudata_proto::wire::registry as wire;
-use caudata_proto::{DecodeLimits, robot_link};
+use caudata_proto::{ActionHistory, DecodeLimits, Envelope, Moments, RolloutChunk, robot_link};
 use caudata_runlog::Table;
 use caudata_runlog::ros::messages::{
     DiagnosticArray, DiagnosticStatus, Header, Imu, JointState, Twist,
@@ -363,13 +364,61 @@ fn policy_file() {
     );
 }
 
+/// Two steps of one lane, observations of three values: a number and the last action.
+fn rollout_chunk(action_history: Option<ActionHistory>) -> RolloutChunk {
+    RolloutChunk {
+        run_id: "run1".into(),
+        actor_id: 0,
+        incarnation: 1,
+        sequence: 0,
+        policy_version: 0,
+        policy_sha256: [1; 32],
+        contract_hash: [2; 32],
+        steps: 4,
+        lanes: 1,
+        obs_dim: 3,
+        act_dim: 1,
+        observations: vec![
+            0.1, 0.0, 0.2, 0.3, 0.5, 0.4, 0.5, -1.0, 0.6, 0.7, 0.0, 0.8, 0.9, 0.25, 1.0,
+        ],
+        actions: vec![0.5, -2.0, 0.75, 0.25],
+        action_means: vec![0.0; 4],
+        log_std: vec![-1.0],
+        log_probs: vec![-1.0; 4],
+        rewards: vec![0.5; 4],
+        terminated: vec![false, false, true, false],
+        truncated: vec![false; 4],
+        final_observations: vec![],
+        episodes: vec![],
+        moments: Moments {
+            count: 4,
+            mean: vec![0.0; 3],
+            m2: vec![0.0; 3],
+        },
+        action_history,
+        trace: None,
+    }
+}
+
 #[test]
 fn rollout_frame() {
-    // An envelope of protocol 1 around the beginning of a chunk; whole ones are made by the actors' own tests.
+    let this = ROLLOUT_PROTOCOL as u8;
+    let whole = |action_history| {
+        caudata_proto::encode(&Envelope::Chunk(Box::new(rollout_chunk(action_history))))
+    };
+    let history = ActionHistory {
+        first: 1,
+        steps: 1,
+        clip: 1.0,
+    };
+    // With past actions left out a frame is shorter: both ways are knocked at.
+    assert!(whole(Some(history)).len() < whole(None).len());
     let seeds = vec![
-        vec![8, 1, 26, 6, 10, 4, b'r', b'u', b'n', b'1'],
-        vec![8, 1, 26, 0],
-        vec![8, 2],
+        whole(None),
+        whole(Some(history)),
+        vec![8, this, 26, 6, 10, 4, b'r', b'u', b'n', b'1'],
+        vec![8, this, 26, 0],
+        vec![8, this + 1],
     ];
     fuzz(
         "rollout_frame",

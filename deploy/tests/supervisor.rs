@@ -107,7 +107,7 @@ fn child() {
         .open(folder.join(part))
         .unwrap();
     writeln!(log, "{}", words[2..].join(" ")).unwrap();
-    let says = Notifier::from_environment();
+    let says = Notifier::from_environment().unwrap();
     let code = match part.as_str() {
         "agent" => agent(scenario, folder, start, &says),
         "rt" => looper(scenario, folder, start, &says),

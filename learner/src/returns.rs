@@ -67,9 +67,15 @@ pub fn vtrace(
         // From the last lane to the first, so that the final values come in their reversed order.
         for n in (0..lanes).rev() {
             let i = t * lanes + n;
-            let ratio = chunk.ratios.map_or(1.0, |ratios| ratios[i]);
-            let rho = ratio.min(settings.rho_max);
-            let trace = settings.lambda * ratio.min(settings.c_max);
+            // Without ratios there is nothing to cap: a cap below 1 would cut fresh data short.
+            let (rho, trace) = match chunk.ratios {
+                Some(ratios) => (
+                    ratios[i].min(settings.rho_max),
+                    ratios[i].min(settings.c_max),
+                ),
+                None => (1.0, 1.0),
+            };
+            let trace = settings.lambda * trace;
             let (next_value, next_correction) = if chunk.truncated[i] {
                 (finals.next().copied().unwrap_or(0.0), 0.0)
             } else if chunk.terminated[i] {

@@ -112,7 +112,7 @@ async fn fault_13_an_upload_that_goes_silent_is_ended_and_leaves_nothing() {
     assert_eq!(unless_told, std::time::Duration::from_secs(30));
     let data = tempfile::tempdir().unwrap();
     let options = ServeOptions {
-        upload_idle: std::time::Duration::from_millis(300),
+        upload_idle: std::time::Duration::from_secs(2),
         ..ServeOptions::default()
     };
     let mut server = Server::start_with(data.path(), keep(8), options).await;
@@ -141,7 +141,7 @@ async fn fault_13_an_upload_that_goes_silent_is_ended_and_leaves_nothing() {
         assert!(answer.message().contains("stalled"), "{answer}");
         assert_eq!(files(data.path()), before, "{parts} parts came");
     }
-    // One that is slow, but never silent for so long, is not cut off; and its number was not taken.
+    // Its number was not taken.
     assert!(!publish(&mut server.client, &file).await.unwrap());
     server.stop().await;
 }

@@ -6,6 +6,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
+use caudata_proto::rollout::ROLLOUT_PROTOCOL;
 use caudata_proto::{DecodeLimits, decode};
 
 static NOW: AtomicUsize = AtomicUsize::new(0);
@@ -36,7 +37,12 @@ static ALLOCATOR: Counting = Counting;
 fn peak_of(frame: &[u8]) -> usize {
     let before = NOW.load(Relaxed);
     PEAK.store(before, Relaxed);
-    let _ = decode(frame, &DecodeLimits::default());
+    let refused = decode(frame, &DecodeLimits::default()).unwrap_err();
+    assert_ne!(
+        refused.reason_id(),
+        "protocol",
+        "the frame is not read at all"
+    );
     PEAK.load(Relaxed) - before
 }
 
@@ -58,9 +64,10 @@ fn varint(mut value: u64) -> Vec<u8> {
     bytes
 }
 
-/// An envelope of protocol 1 around the fields of a chunk.
+/// An envelope around the fields of a chunk.
 fn envelope(chunk: &[u8]) -> Vec<u8> {
-    [vec![8, 1], field(3, chunk)].concat()
+    let protocol = [varint(1 << 3), varint(ROLLOUT_PROTOCOL.into())].concat();
+    [protocol, field(3, chunk)].concat()
 }
 
 #[test]
@@ -97,12 +104,33 @@ fn hostile_frames_cannot_ask_for_much_more_than_their_own_size() {
         field(21, &episodes.concat()),
         moments,
     ];
+    // Observations of two values, one of them left out: a chunk that grows as much as one can.
+    let history = [
+        vec![8, 0],
+        vec![16, 1],
+        [vec![29], 1.0_f32.to_le_bytes().to_vec()].concat(),
+    ];
+    let narrow = [
+        field(6, &hash),
+        field(7, &hash),
+        [varint(8 << 3), varint(1)].concat(),
+        [varint(9 << 3), varint(50_000)].concat(),
+        vec![10 << 3, 2],
+        vec![11 << 3, 1],
+        field(12, &vec![0; (2 + 1) * 50_000 * 4]),
+        field(13, &vec![0; 50_000 * 4]),
+        field(18, &vec![0; 50_000]),
+        field(19, &vec![0; 50_000]),
+        field(22, &field(2, &[0; 8])),
+        [varint(24 << 3 | 2), varint(9), history.concat()].concat(),
+    ];
     for (name, chunk) in [
         ("announced", announced),
         ("empty episodes", empty_episodes),
         ("empty tensors", empty_tensors),
         ("unknown", unknown),
         ("smallest records", whole.concat()),
+        ("past actions", narrow.concat()),
     ] {
         let frame = envelope(&chunk);
         let peak = peak_of(&frame);

@@ -221,7 +221,7 @@ pub fn as_flags(flags: &ConfigArgs) -> Vec<OsString> {
     out
 }
 
-fn load(flags: &ConfigArgs) -> Result<caudata_config::Config, Failure> {
+pub fn load(flags: &ConfigArgs) -> Result<caudata_config::Config, Failure> {
     or_quick(flags).load().or_exit(ExitCode::BadConfig)
 }
 

@@ -4,13 +4,13 @@
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
-use caudata_config::ConfigArgs;
+use caudata_config::{ConfigArgs, Returns};
 use caudata_telemetry::progress::{Event, MeanSe};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, PARENT_PID_VAR};
 use clap::Args;
 use serde::Serialize;
 
-use super::bench::{as_flags, or_quick};
+use super::bench::{as_flags, load, or_quick};
 use crate::commands::train::Programs;
 use crate::say;
 
@@ -65,11 +65,14 @@ struct Row {
 #[derive(Debug, Serialize)]
 struct Finding {
     benchmark: &'static str,
+    /// `learner.staleness.returns` of every training.
+    returns: Returns,
     rows: Vec<Row>,
     runs: Vec<Run>,
 }
 
 pub fn run(args: &LagBench) -> Result<(), Failure> {
+    let returns = load(&or_quick(&args.config))?.learner.staleness.returns;
     let mut runs: Vec<Run> = Vec::new();
     for lag in &args.lags {
         for loss in LOSSES {
@@ -93,6 +96,7 @@ pub fn run(args: &LagBench) -> Result<(), Failure> {
     }
     let finding = Finding {
         benchmark: "lag",
+        returns,
         rows: rows(&runs),
         runs,
     };
@@ -110,6 +114,7 @@ pub fn run(args: &LagBench) -> Result<(), Failure> {
             share.map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share)),
         ]);
     }
+    say::line(format_args!("returns of older data: {returns:?}"));
     say::table(&table);
     Ok(())
 }

@@ -122,6 +122,17 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
             args.next.display()
         )));
     }
+    // A chain with a signature owed cannot be read; then this is the file that owes it, or it is refused on the robot.
+    if let Ok(in_force) = Trust::read(&args.trust)
+        && version > in_force.version() + 1
+    {
+        return Err(bad(format!(
+            "{}: `version` is {version}, and {} is in force: {} comes first",
+            args.next.display(),
+            in_force.version(),
+            in_force.version() + 1
+        )));
+    }
     let file = successor_path(&args.trust, version);
     match std::fs::read_to_string(&file) {
         // Signatures that are there are over other bytes.
@@ -130,6 +141,11 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
             return Err(Failure::message(ExitCode::CannotCreate, message));
         }
         Ok(_) => {}
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            return Err(error).or_exit_with(ExitCode::NoInput, || {
+                format!("cannot read {}", file.display())
+            });
+        }
         Err(_) => {
             caudata_durable::replace(&file, text.as_bytes()).or_exit(ExitCode::CannotCreate)?;
         }

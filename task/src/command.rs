@@ -27,7 +27,7 @@ pub struct CommandConfig {
     /// Probability that a command is zero (stand), 0 to 1. Default 0.1 (MuJoCo Playground).
     pub zero_share: f32,
     /// Probability that a command other than zero holds a course, as a person with a joystick would, 0 to 1: a heading is drawn, the yaw rate is
-    /// [`COURSE_GAIN_PER_S`] times the missing angle within `yaw_rate_radps`, and `tracking_lin_vel` looks at the velocity along that course. Default 0. Without it a
+    /// 1 s⁻¹ times the missing angle within `yaw_rate_radps` (which must hold 0 then), and `tracking_lin_vel` looks at the velocity along that course and across it, whatever the robot's heading. Default 0. Without it a
     /// robot that a beach has turned aside follows its command perfectly, in its own frame; too large: free turns are trained too little.
     pub course_share: f32,
     /// Courses are drawn within ± this of the present heading, rad, 0 to π. Default π/3.
@@ -88,6 +88,13 @@ impl CommandConfig {
             "command.course_within_rad",
             self.course_within_rad,
             "must be 0 to π",
+        )?;
+        let [least, most] = self.yaw_rate_radps;
+        require(
+            self.course_share == 0.0 || (least <= 0.0 && most >= 0.0),
+            "command.course_share",
+            self.course_share,
+            "needs a yaw_rate_radps that holds 0: a course is held with none",
         )
     }
 }
@@ -101,6 +108,13 @@ pub struct CommandState {
     pub steps_left: u32,
     /// The heading that is to be held, world, rad, if there is one.
     pub course_rad: Option<f32>,
+}
+
+/// A velocity in the heading frame as it is along the course and to the left of it, `off_course_rad` being how far the heading is to the left of the course.
+#[must_use]
+pub fn along_course([x, y, _]: [f32; 3], off_course_rad: f32) -> [f32; 2] {
+    let (sin, cos) = off_course_rad.sin_cos();
+    [cos * x - sin * y, sin * x + cos * y]
 }
 
 /// Yaw rate that a person with a joystick would ask for to come from `heading_rad` to `course_rad`, within `range_radps`.
@@ -120,7 +134,7 @@ impl CommandState {
         stream: &mut Stream,
     ) -> Self {
         let [vx, vy, yaw] = [config.vx_mps, config.vy_mps, config.yaw_rate_radps];
-        // Always the same number of draws, so that `zero_share` does not shift later commands.
+        // Always the same number of draws, so that `zero_share` does not shift later commands. (A `course_share` above 0 does: at 0 tasks without courses keep their bits.)
         let drawn = [vx, vy, yaw].map(|[lo, hi]| stream.uniform(lo, hi));
         let zero = stream.chance(config.zero_share);
         let hold_s = stream.uniform(config.resample_s[0], config.resample_s[1]);
@@ -315,6 +329,14 @@ mod tests {
             (
                 CommandConfig {
                     course_share: f32::NAN,
+                    ..good
+                },
+                "command.course_share",
+            ),
+            (
+                CommandConfig {
+                    course_share: 0.5,
+                    yaw_rate_radps: [0.2, 0.5],
                     ..good
                 },
                 "command.course_share",

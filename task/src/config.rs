@@ -31,8 +31,9 @@ pub struct TaskConfig {
     /// medium bit and the rewards of swimming begin there. Default 0.09 (it stands at 0.073). Smaller: a robot that swims ashore keeps its
     /// legs folded and never stands up; larger: it must get along without swimming where its feet find no ground.
     pub afloat_above_m: f32,
-    /// Height of a girdle above the ground up to which, in water, its feet are asked to step (the reward `phase`), m. Default 0.09. Between this and
-    /// `afloat_above_m` neither walking nor swimming is asked for, only the way that is commanded. Larger: feet are judged that reach no ground.
+    /// Height of a girdle above the ground under it up to which, in water, its feet are asked to step (the reward `phase`), m. Default 0.09. Not afloat (the centre of mass is near the
+    /// highest ground) and with a girdle higher than this (the other one is over deep water) its feet are asked for nothing. Larger: feet are judged that reach no ground; smaller: a robot
+    /// that wades need not step.
     pub feet_reach_m: f32,
     /// What an action means.
     pub action: ActionConfig,

@@ -30,7 +30,7 @@ pub const PRESETS: [Preset; 5] = [
     },
     Preset {
         name: "amphibious",
-        about: "minutes on two cores, from the policy of flat: from land into water and back with one policy",
+        about: "a quarter of an hour on two cores, from the policy of flat: from land into water and back with one policy",
         text: include_str!("../presets/amphibious.toml"),
     },
     Preset {

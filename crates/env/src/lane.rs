@@ -3,7 +3,7 @@
 use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::sensors::ImuBias;
 use caudata_task::action::ActionFilter;
-use caudata_task::command::CommandState;
+use caudata_task::command::{CommandState, along_course};
 use caudata_task::phase::{PhaseClock, PhaseConfig};
 use caudata_task::push::PushSchedule;
 use caudata_task::reward::TERM_COUNT;
@@ -155,17 +155,18 @@ impl Tally {
         reward: f32,
         terms: &[f32; TERM_COUNT],
         truth: &Truth,
-        command: &[f32; 3],
+        command: &CommandState,
         contact_force_n: f32,
     ) {
         self.return_sum += f64::from(reward);
         for (sum, term) in self.terms.iter_mut().zip(terms) {
             *sum += f64::from(*term);
         }
-        let [vx, vy, _] = truth.com_vel_mps;
+        let off_course_rad = command.off_course_rad(truth.heading_rad);
+        let [vx, vy] = along_course(truth.com_vel_mps, off_course_rad);
         let speed_of = |x: f32, y: f32| f64::from((x * x + y * y).sqrt());
         self.speed_mps += speed_of(vx, vy);
-        self.velocity_error_mps += speed_of(command[0] - vx, command[1] - vy);
+        self.velocity_error_mps += speed_of(command.value[0] - vx, command.value[1] - vy);
         self.power_w += f64::from(truth.mech_power_w.iter().map(|p| p.abs()).sum::<f32>());
         self.trunk_contacts += u32::from(truth.trunk_force_n > contact_force_n);
         for (v, force) in truth.foot_vel_mps.iter().zip(&truth.foot_force_n) {

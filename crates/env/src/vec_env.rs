@@ -281,7 +281,7 @@ impl VecEnv {
             let config = &self.task.reward;
             reward = reward::evaluate(config, &input, control_period_s, cost_scale, &mut terms);
             let contact_force_n = self.task.reward.contact_force_n;
-            let command = now.command.value;
+            let command = now.command;
             now.tally
                 .add(reward, &terms, &truth, &command, contact_force_n);
         }

@@ -16,6 +16,7 @@ fn busy_task() -> TaskConfig {
         ..TaskConfig::default()
     };
     task.command.resample_s = [0.1, 0.3];
+    task.command.course_share = 0.5;
     task.push.interval_s = [0.1, 0.2];
     task.push.full_after_env_steps = 1000;
     task

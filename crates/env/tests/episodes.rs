@@ -6,7 +6,7 @@ mod support;
 use std::sync::Arc;
 
 use caudata_env::{EnvError, VecEnv};
-use caudata_task::reward::TERM_COUNT;
+use caudata_task::reward::{RewardWeights, TERM_COUNT};
 use caudata_task::termination::TerminationReason;
 use caudata_task::{ACT_DIM, ContractDifference};
 use support::{Breakdown, FakeEngine, calm_task, env, model, wiggle};
@@ -251,4 +251,71 @@ fn the_contract_is_the_robots_and_the_tasks() {
         contract.differences(other.contract()),
         [ContractDifference::Action]
     );
+}
+
+/// Weights of which those that are not 0 by default are 0.
+fn no_weights() -> RewardWeights {
+    RewardWeights {
+        tracking_lin_vel: 0.0,
+        tracking_yaw_rate: 0.0,
+        phase: 0.0,
+        power: 0.0,
+        ..RewardWeights::default()
+    }
+}
+
+#[test]
+fn a_course_is_steered_for_observed_and_judged_along() {
+    let mut task = calm_task();
+    task.command.zero_share = 0.0;
+    task.command.course_share = 1.0;
+    task.command.course_within_rad = 0.8;
+    task.command.yaw_rate_radps = [-5.0, 5.0];
+    task.reset.base_vel_noise_mps = 0.3;
+    task.reward.weights = no_weights();
+    task.reward.weights.tracking_lin_vel = 1.0;
+    let lanes = 8;
+    let mut env = env(&task, lanes, 11);
+    let commands: Vec<[f32; 3]> = (0..lanes).map(|lane| env.command(lane)).collect();
+    assert!(commands.iter().any(|c| c[2] > 0.1) && commands.iter().any(|c| c[2] < -0.1));
+    let heading_rad = env.state().heading_rad.clone();
+    let output = env.step(&vec![0.0; lanes * 16]).unwrap().clone();
+    for (lane, command) in commands.iter().enumerate() {
+        // This engine keeps headings: what is asked for stays, 1/s times the missing angle.
+        assert_eq!(env.state().heading_rad[lane], heading_rad[lane]);
+        assert!((env.command(lane)[2] - command[2]).abs() < 1e-5);
+        let seen = env.observations()[lane * 97 + caudata_task::layout::COMMAND + 2];
+        assert!((seen - command[2]).abs() < 1e-5);
+        let course_rad = heading_rad[lane] + command[2];
+        let (sin, cos) = course_rad.sin_cos();
+        let [x, y] = [0, 1].map(|i| env.state().com_vel_mps[3 * lane + i]);
+        let along = [cos * x + sin * y, cos * y - sin * x];
+        let error = (command[0] - along[0]).powi(2) + (command[1] - along[1]).powi(2);
+        let expected = 0.02 * (-error / task.reward.lin_vel_sigma).exp();
+        assert!(
+            (output.rewards[lane] - expected).abs() < 1e-6,
+            "{} {expected}",
+            output.rewards[lane]
+        );
+    }
+    // A command that is set takes the place of the course.
+    env.set_command(0, [0.1, 0.0, 0.3]);
+    env.step(&vec![0.0; lanes * 16]).unwrap();
+    assert_eq!(env.command(0), [0.1, 0.0, 0.3]);
+}
+
+#[test]
+fn targets_beyond_the_limits_are_counted_before_they_are_cut_off() {
+    let mut task = calm_task();
+    task.action.scale = 1.0;
+    task.action.filter_alpha = 1.0;
+    task.action.clip = 4.0;
+    task.reward.weights = no_weights();
+    task.reward.weights.target_limits = -1.0;
+    let mut env = env(&task, 1, 3);
+    // The first knee (joint 9): 4 beyond its nominal 0.628319 is 2.795719 beyond its limit of 1.8326; all others rest.
+    let mut action = [0.0; 16];
+    action[9] = 9.0;
+    let reward = env.step(&action).unwrap().rewards[0];
+    assert!((reward + 0.02 * 2.795_719).abs() < 1e-4, "{reward}");
 }

@@ -122,7 +122,8 @@ impl Trust {
                 return Ok(self);
             };
             let file = successor_path(path, next);
-            if !file.exists() {
+            if !is_there(&file)? {
+                self.nothing_beyond(path, next)?;
                 return Ok(self);
             }
             let text = read_small(&file)?;
@@ -140,6 +141,43 @@ impl Trust {
                 "more than {CHAIN_MAX} trust files follow it: give robots a newer one to begin with"
             ),
         })
+    }
+}
+
+impl Trust {
+    /// Refuses a successor beyond the missing `next`: a file that was lost must not bring back the keys that it gave up.
+    fn nothing_beyond(&self, path: &Path, next: u64) -> Result<(), SigningError> {
+        let folder = match path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        let first = path.file_name().unwrap_or_default().to_string_lossy();
+        for entry in std::fs::read_dir(folder).map_err(file_error(folder))? {
+            let name = entry.map_err(file_error(folder))?.file_name();
+            let name = name.to_string_lossy();
+            let version = name
+                .strip_prefix(first.as_ref())
+                .and_then(|rest| rest.strip_prefix('.'))
+                .and_then(|digits| digits.parse::<u64>().ok());
+            if version.is_some_and(|version| version > next) {
+                return Err(SigningError::Content {
+                    path: path.to_owned(),
+                    reason: format!(
+                        "{name} lies beside it and version {next} does not: put it back"
+                    ),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Whether there is anything at `path`. A card that fails and a link that leads nowhere are not "nothing".
+fn is_there(path: &Path) -> Result<bool, SigningError> {
+    match std::fs::symlink_metadata(path) {
+        Ok(_) => Ok(true),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(file_error(path)(error)),
     }
 }
 
@@ -176,7 +214,7 @@ pub(crate) fn read_small(path: &Path) -> Result<String, SigningError> {
 /// [`SigningError`].
 pub fn read_signatures(file: &Path) -> Result<Vec<TrustSignature>, SigningError> {
     let path = signatures_path(file);
-    if !path.exists() {
+    if !is_there(&path)? {
         return Ok(Vec::new());
     }
     let text = read_small(&path)?;
@@ -339,6 +377,38 @@ mod tests {
                 .trust_file()
                 .replacen("threshold = 1\n", "threshold = 1\nversion = 2\n", 1);
         assert_eq!(why(&last, &by(&last, &[1, 2])), unsigned("its own", 0, 1));
+    }
+
+    #[test]
+    fn fault_23_a_successor_that_was_lost_or_cannot_be_read_does_not_bring_back_the_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = folder.path().join("trust.toml");
+        std::fs::write(&first, file(1, 101, &[1], 1)).unwrap();
+        for version in [2, 3] {
+            let path = successor_path(&first, version);
+            let text = file(version, 101, &[1], 1);
+            std::fs::write(&path, &text).unwrap();
+            add_signature(&path, &key(1).sign_trust(&text)).unwrap();
+        }
+        assert_eq!(Trust::read(&first).unwrap().version(), 3);
+        std::fs::remove_file(successor_path(&first, 2)).unwrap();
+        let error = Trust::read(&first).unwrap_err().to_string();
+        assert!(
+            error.contains("trust.toml.3 lies beside it and version 2 does not"),
+            "{error}"
+        );
+        // A link that leads nowhere is not "no file".
+        std::os::unix::fs::symlink("nowhere", successor_path(&first, 2)).unwrap();
+        let error = Trust::read(&first).unwrap_err().to_string();
+        assert!(error.contains("trust.toml.2"), "{error}");
+        // Other files that begin like it are none of its successors.
+        for version in [2, 3] {
+            std::fs::remove_file(successor_path(&first, version)).unwrap();
+        }
+        for other in ["trust.toml.bak", "trust.toml.3.sig", "trust.toml3"] {
+            std::fs::write(folder.path().join(other), "").unwrap();
+        }
+        assert_eq!(Trust::read(&first).unwrap().version(), 1);
     }
 
     #[test]

@@ -22,7 +22,7 @@ const COMMANDS_EVERY: Duration = Duration::from_millis(20);
 
 /// Until asked to stop.
 pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
-    let notifier = Notifier::from_environment();
+    let notifier = Notifier::from_environment()?;
     let folder = RunFolder::open(&args.run_folder())?;
     let _alone = alone(folder.file("agent.lock"))?;
     let metrics = Metrics::new().beside(folder.file(LOOP_PAGE));
@@ -103,7 +103,7 @@ fn choose(source: &Source) -> Result<PolicyRef, DeployError> {
 /// Commands from the network to the loop, from a thread of its own. A kill is also told to the supervisor, which does not depend on
 /// the loop's heeding it.
 fn pass_on(mut link: UdpLink, sender: CommandSender, stop: StopFlag) -> Result<(), DeployError> {
-    let notifier = Notifier::from_environment();
+    let notifier = Notifier::from_environment()?;
     let work = move || {
         while !stop.wait(COMMANDS_EVERY) {
             let view = link.view();

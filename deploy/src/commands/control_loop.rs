@@ -224,7 +224,7 @@ fn drive<R: Robot>(
         }
         None => Some(link),
     };
-    control.set_notifier(Notifier::from_environment());
+    control.set_notifier(Notifier::from_environment()?);
     // From here on there is torque, which a second signal must not leave on.
     control.set_insisted(setting.process.insistence.claim());
     if args.tap {

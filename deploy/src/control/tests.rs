@@ -261,6 +261,21 @@ fn a_robot_on_its_back_is_stopped() {
 }
 
 #[test]
+fn one_that_falls_before_it_walks_never_walks() {
+    // Lying from the start, fallen while it rises, fallen while it stands before its first step.
+    for falls_from in [0, 40, 80] {
+        let mut robot = FakeRobot::new();
+        robot.falls_from = falls_from;
+        let run = run(&mut robot, 100.0);
+        assert_eq!(run.result.unwrap(), Ended::Fallen, "{falls_from}");
+        assert_eq!((run.counts.walked_s, robot.torque_off), (0.0, 1));
+        // 25 ticks until it is believed, 50 of braking.
+        let ticks = robot.sent.len() - falls_from;
+        assert!((70..=80).contains(&ticks), "{falls_from}: {ticks}");
+    }
+}
+
+#[test]
 fn asked_to_stop_it_never_walks() {
     let stop = StopFlag::new();
     stop.request("test");

@@ -287,7 +287,7 @@ impl<'a> Supervisor<'a> {
             state: State::Waiting,
             agent: Watched::new("agent", &plan.folder).map_err(failure)?,
             looper: Watched::new("rt", &plan.folder).map_err(failure)?,
-            above: Notifier::from_environment(),
+            above: Notifier::from_environment().map_err(failure)?,
             agent_was_ready: false,
             starts: 0,
             touched: false,

@@ -409,19 +409,21 @@ fn a_frame_cut_anywhere_is_refused() {
 
 #[test]
 fn no_flipped_bit_does_harm() {
-    let good = frame(&chunk());
-    let mut accepted = 0;
-    for bit in 0..good.len() * 8 {
-        let mut bad = good.clone();
-        bad[bit / 8] ^= 1 << (bit % 8);
-        // Where a flipped bit still gives a chunk, it is a right one.
-        if let Ok(Envelope::Chunk(chunk)) = decode(&bad, &limits()) {
-            chunk.check(&limits()).unwrap();
-            accepted += 1;
+    for chunk in [chunk(), with_history()] {
+        let good = frame(&chunk);
+        let mut accepted = 0;
+        for bit in 0..good.len() * 8 {
+            let mut bad = good.clone();
+            bad[bit / 8] ^= 1 << (bit % 8);
+            // Where a flipped bit still gives a chunk, it is a right one.
+            if let Ok(Envelope::Chunk(chunk)) = decode(&bad, &limits()) {
+                chunk.check(&limits()).unwrap();
+                accepted += 1;
+            }
         }
+        // The low bits of numbers cannot be told from data; lengths, flags and structure can.
+        assert!(accepted > 0 && accepted < good.len() * 8, "{accepted}");
     }
-    // The low bits of numbers cannot be told from data; lengths, flags and structure can.
-    assert!(accepted > 0 && accepted < good.len() * 8, "{accepted}");
 }
 
 prop_compose! {
@@ -600,4 +602,68 @@ fn past_actions_that_no_observation_can_have_are_refused() {
     chunk.action_history = None;
     let error = decode(&message.encode_to_vec(), &DecodeLimits::default()).unwrap_err();
     assert_eq!(error.reason_id(), "length");
+}
+
+/// The observations of `chunk` with its past actions where `history` says, straight from the definition: value `a` of the action `k` steps before, unless an
+/// episode ended since; before the chunk, whatever is there in its first observation.
+fn remember(chunk: &mut RolloutChunk, history: ActionHistory) {
+    let (n, d, act) = (chunk.lanes, chunk.obs_dim, chunk.act_dim);
+    let ended =
+        |t: usize, lane: usize| chunk.terminated[t * n + lane] || chunk.truncated[t * n + lane];
+    let first = chunk.observations.clone();
+    let mut observations = first.clone();
+    for t in 1..=chunk.steps {
+        for lane in 0..n {
+            for k in 0..history.steps {
+                for a in 0..act {
+                    // Taken at t − 1 − k; lost where an episode ended at or after it.
+                    let at = t as isize - 1 - k as isize;
+                    let value = if (at.max(0) as usize..t).any(|s| ended(s, lane)) {
+                        0.0
+                    } else if at >= 0 {
+                        chunk.actions[(at as usize * n + lane) * act + a]
+                            .clamp(-history.clip, history.clip)
+                    } else {
+                        first[lane * d + history.first + (-at - 1) as usize * act + a]
+                    };
+                    observations[(t * n + lane) * d + history.first + k * act + a] = value;
+                }
+            }
+        }
+    }
+    chunk.observations = observations;
+    chunk.action_history = Some(history);
+}
+
+proptest! {
+    #[test]
+    fn whatever_is_left_out_comes_back_bit_for_bit(
+        chunk in any_chunk(),
+        steps in 1_usize..4,
+        room in 0_usize..4,
+        place in 0_usize..100,
+        clip in 0.1_f32..3.0,
+        noise in values(4 * 3 * 24),
+    ) {
+        let mut chunk = chunk;
+        let len = steps * chunk.act_dim;
+        chunk.obs_dim = 2 * len + room;
+        chunk.observations = (0..(chunk.steps + 1) * chunk.lanes * chunk.obs_dim).map(|i| noise[i % noise.len()]).collect();
+        chunk.moments = Moments {
+            mean: vec![0.0; chunk.obs_dim],
+            m2: vec![0.0; chunk.obs_dim],
+            ..chunk.moments
+        };
+        for end in &mut chunk.final_observations {
+            end.observation = vec![0.5; chunk.obs_dim];
+        }
+        let plain = frame(&chunk).len();
+        let first = place % (chunk.obs_dim - len + 1);
+        remember(&mut chunk, ActionHistory { first, steps, clip });
+        let sent = frame(&chunk);
+        // Up to 16 bytes say what is left out.
+        prop_assert!(sent.len() + 4 * chunk.steps * chunk.lanes * len <= plain + 16);
+        let Envelope::Chunk(read) = decode(&sent, &limits()).unwrap() else { unreachable!() };
+        prop_assert_eq!(*read, chunk);
+    }
 }

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use super::{RewardConfig, RewardInput};
+use crate::command::along_course;
 use crate::phase::reference_height_m;
 use crate::{ACT_DIM, FEET};
 
@@ -14,10 +15,8 @@ const FIRST_LEG_JOINT: usize = ACT_DIM - 2 * crate::FEET;
 
 /// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame (paper), or along the course where one is held.
 pub fn tracking_lin_vel(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let (sin, cos) = input.off_course_rad.sin_cos();
-    let [x, y, _] = input.com_vel_mps;
-    let dx = input.command[0] - (cos * x - sin * y);
-    let dy = input.command[1] - (sin * x + cos * y);
+    let [x, y] = along_course(input.com_vel_mps, input.off_course_rad);
+    let (dx, dy) = (input.command[0] - x, input.command[1] - y);
     (-(dx * dx + dy * dy) / config.lin_vel_sigma).exp()
 }
 
@@ -152,7 +151,7 @@ pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     judged_afloat(input, || mean(0..FIRST_LEG_JOINT, follows))
 }
 
-/// What asks for swimming pays in full where nobody swims: a robot must not lose by leaving the water, nor by entering it.
+/// What asks for swimming pays in full where nobody swims: a robot must not lose by leaving the water. (By entering it, it loses what its style lacks.)
 fn judged_afloat(input: &RewardInput<'_>, value: impl FnOnce() -> f32) -> f32 {
     match input.afloat > 0.0 {
         true => value(),

@@ -85,11 +85,6 @@ fn a_healthy_salamander_has_no_gap() {
 }
 
 #[test]
-fn nor_has_it_on_another_day() {
-    no_gap(8);
-}
-
-#[test]
 fn a_soft_knee_is_found() {
     soft_joint_is_found(7, "FL_knee", 0.7, 0.1);
 }

@@ -100,7 +100,7 @@ pub enum Device {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Correction {
-    /// Decoupled loss with truncated importance weights, V-trace targets.
+    /// Decoupled loss with truncated importance weights.
     #[default]
     Decoupled,
     /// Nothing: the clipped loss of plain PPO against the policy that acted.

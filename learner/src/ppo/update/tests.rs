@@ -181,6 +181,17 @@ fn older_data_has_the_returns_of_fresh_data_unless_v_trace_is_asked_for() {
         stale.weights.iter().any(|&w| w < 0.5),
         "the loss weighs it by its age all the same"
     );
+    let capped = {
+        let ppo = ppo(
+            |s| {
+                s.ppo.advantage_scale = AdvantageScale::None;
+                (s.staleness.rho_max, s.staleness.c_max) = (0.1, 0.1);
+            },
+            1,
+        );
+        ppo.targets(&batch, &values, &prox_log_probs, 1)
+    };
+    assert_eq!(capped.targets, fresh.targets, "caps are V-trace's");
     // Fresh data has ratios of 1, with which V-trace is GAE; older data has not.
     assert_eq!(targets(Returns::Vtrace, 0).targets, fresh.targets);
     assert_ne!(targets(Returns::Vtrace, 1).targets, fresh.targets);
