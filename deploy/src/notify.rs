@@ -6,6 +6,7 @@
 //! loop brakes, or has let go). All but the sign of life are states, not events: each datagram repeats those that were ever said, so that one
 //! that found no room is made good by the next.
 
+use std::ffi::OsString;
 use std::io;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
@@ -75,11 +76,14 @@ impl Notifier {
     /// # Errors
     /// Where the socket cannot be reached: a loop that cannot say that it has taken hold of the servos would be taken for one that has not.
     pub fn from_environment() -> Result<Self, DeployError> {
-        let Some(name) = std::env::var_os(SOCKET_VAR) else {
+        Self::named(std::env::var_os(SOCKET_VAR))
+    }
+
+    fn named(name: Option<OsString>) -> Result<Self, DeployError> {
+        let Some(name) = name else {
             return Ok(Self::default());
         };
-        let name = name.to_string_lossy();
-        Self::to(&name).map_err(|source| DeployError::System {
+        Self::to(&name.to_string_lossy()).map_err(|source| DeployError::System {
             what: "a word to the supervisor (NOTIFY_SOCKET)",
             source,
         })
@@ -212,6 +216,16 @@ mod tests {
         let ear = Ear::open(&path).unwrap();
         let notifier = Notifier::to(&path.display().to_string()).unwrap();
         (folder, ear, notifier)
+    }
+
+    #[test]
+    fn a_supervisor_that_cannot_be_reached_is_an_error_and_none_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let nobody = folder.path().join("nobody");
+        let error = Notifier::named(Some(nobody.into_os_string())).unwrap_err();
+        assert_eq!(error.exit_code(), caudata_telemetry::ExitCode::OsResource);
+        assert!(error.to_string().contains("NOTIFY_SOCKET"), "{error}");
+        Notifier::named(None).unwrap().say(Word::Ready);
     }
 
     #[test]
