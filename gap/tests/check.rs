@@ -183,6 +183,36 @@ fn exchanged_joints_are_found() {
 }
 
 #[test]
+fn three_joints_in_each_others_place_are_found_and_one_worn_pair_is_not() {
+    let robot = robot("polymander");
+    let log = &logs(&robot, "steps_large", &[6])[0];
+    let position = |joint: &str| Signal::Position(joint.to_owned());
+    let read = |joint: &str, k: usize| log.table.column(&position(joint)).unwrap()[k];
+    let names = ["FL_hip", "FL_knee", "FR_hip"];
+    let round = changed(log, |s, k, _, v| {
+        let at = names.iter().position(|j| *s == position(j));
+        at.map_or(v, |i| read(names[(i + 1) % 3], k))
+    });
+    let checked = one(&robot, &round);
+    for name in names {
+        found(&checked, "order", &format!("pos.{name}"));
+    }
+    // a joint that is dragged along by its neighbour, which itself gives way: what the neighbour leaves is nobody's
+    let worn = changed(log, |s, k, _, v| {
+        let hip = read("FL_hip", k);
+        if *s == position("FL_knee") {
+            hip.map(|x| 0.9 * x)
+        } else if *s == position("FL_hip") {
+            Some(0.5 * (hip? - read("FR_hip", k)?))
+        } else {
+            v
+        }
+    });
+    let faults = one(&robot, &worn).faults;
+    assert!(faults.iter().all(|f| f.kind != "order"), "{faults:?}");
+}
+
+#[test]
 fn stuck_channels_are_found() {
     let robot = robot("polymander");
     let log = &logs(&robot, "steps_large", &[7])[0];

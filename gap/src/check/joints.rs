@@ -300,31 +300,35 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool> {
     let n = joints.len();
     let mut named = vec![false; n];
-    let own: Vec<Option<Missed>> = joints.iter().map(|j| missed(run, j, j)).collect();
-    let better = |other: Missed, own: Option<Missed>, share: f64| {
-        own.is_none_or(|own| other.left < share * own.left)
+    // what each command leaves of each reading: [command][reading]
+    let left: Vec<Vec<Option<Missed>>> = (joints.iter())
+        .map(|a| joints.iter().map(|b| missed(run, a, b)).collect())
+        .collect();
+    let own = |j: usize| left[j][j];
+    let ahead = |a: usize, b: usize, share: f64| {
+        let than = |own: Option<Missed>| {
+            left[a][b].is_some_and(|ab| own.is_none_or(|own| ab.left < share * own.left))
+        };
+        than(own(a)) && than(own(b))
     };
     for a in 0..n {
-        if named[a] || own[a].is_none_or(|m| m.left < FOLLOWS) {
+        if named[a] || own(a).is_none_or(|m| m.left < FOLLOWS) {
             continue;
         }
-        // whose reading goes best with this command
-        let best = (0..n)
-            .filter(|&b| b != a && !named[b])
-            .filter_map(|b| Some((b, missed(run, &joints[a], &joints[b])?)))
-            .filter(|&(b, ab)| better(ab, own[a], BETTER) && better(ab, own[b], BETTER))
-            .min_by(|x, y| x.1.left.total_cmp(&y.1.left));
+        let best = follower(&left, a, |b| !named[b] && ahead(a, b, BETTER));
         let Some((b, ab)) = best else { continue };
-        let back = missed(run, &joints[b], &joints[a]);
-        let exchanged =
-            back.is_some_and(|ba| better(ba, own[a], BETTER) && better(ba, own[b], BETTER));
+        let exchanged = ahead(b, a, BETTER);
         // without a way back (the other command hardly moves, or three are in each other's place) only a good fit to a command that is not alike
         // proves anything, or one as good as a servo's own: a limp tail follows a trunk that bends
-        let ahead = |share: f64| better(ab, own[a], share) && better(ab, own[b], share);
-        let not_alike =
-            ab.left < FOLLOWS_WELL && ahead(MUCH_BETTER) && !alike(run, &joints[a], &joints[b]);
-        let as_its_own = ab.left < FOLLOWS && ahead(FAR_BETTER);
-        let alone = ab.slope > FOLLOWS_FAR && (not_alike || as_its_own);
+        let not_alike = ab.left < FOLLOWS_WELL
+            && ahead(a, b, MUCH_BETTER)
+            && !alike(run, &joints[a], &joints[b]);
+        let as_its_own = ab.left < FOLLOWS && ahead(a, b, FAR_BETTER);
+        // and then, what that reading leaves must be another's as well, round to the first: in a trunk with worn joints two servos follow neither
+        // their own command nor anybody's
+        let alone = ab.slope > FOLLOWS_FAR
+            && (not_alike || as_its_own)
+            && comes_round(&left, a, b, |a, b| ahead(a, b, BETTER));
         if !exchanged && !alone {
             continue;
         }
@@ -342,11 +346,46 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
             format!(
                 "pos.{b_name} follows cmd.{a_name} ({:.1} % of its motion is left; of pos.{a_name} {:.0} %){more}",
                 100.0 * ab.left,
-                100.0 * own[a].map_or(1.0, |m| m.left)
+                100.0 * own(a).map_or(1.0, |m| m.left)
             ),
         ));
     }
     named
+}
+
+/// The reading that goes best with the command of `a`, of those that `may`.
+fn follower(
+    left: &[Vec<Option<Missed>>],
+    a: usize,
+    may: impl Fn(usize) -> bool,
+) -> Option<(usize, Missed)> {
+    (0..left.len())
+        .filter(|&b| b != a && may(b))
+        .filter_map(|b| Some((b, left[a][b]?)))
+        .min_by(|x, y| x.1.left.total_cmp(&y.1.left))
+}
+
+/// Whether the readings of `a`, whose place `b` is in, `b`, and those after it are in each other's places: the command of `b` is followed by a third
+/// reading, and so on, until one is followed by that of `a`, or hardly moves, so that nobody can tell.
+fn comes_round(
+    left: &[Vec<Option<Missed>>],
+    a: usize,
+    b: usize,
+    ahead: impl Fn(usize, usize) -> bool,
+) -> bool {
+    let mut at = b;
+    for _ in 0..left.len() {
+        if left[at][at].is_none() {
+            return true;
+        }
+        let next = follower(left, at, |next| ahead(at, next));
+        match next.filter(|(_, missed)| missed.left < FOLLOWS_WELL) {
+            Some((next, _)) if next == a => return true,
+            Some((next, _)) => at = next,
+            None => return false,
+        }
+    }
+    false
 }
 
 /// What a command does not account for in a reading.
