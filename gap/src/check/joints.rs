@@ -299,7 +299,8 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 /// reading go well with a neighbour's command too, but only one way: readings that were exchanged each go better with the other's command.
 fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool> {
     let n = joints.len();
-    let mut named = vec![false; n];
+    // joints that another's reading is in the place of, and readings that are in another's place
+    let (mut named, mut taken) = (vec![false; n], vec![false; n]);
     // what each command leaves of each reading: [command][reading]
     let left: Vec<Vec<Option<Missed>>> = (joints.iter())
         .map(|a| joints.iter().map(|b| missed(run, a, b)).collect())
@@ -315,7 +316,7 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
         if named[a] || own(a).is_none_or(|m| m.left < FOLLOWS) {
             continue;
         }
-        let best = follower(&left, a, |b| !named[b] && ahead(a, b, BETTER));
+        let best = follower(&left, a, |b| !taken[b] && ahead(a, b, BETTER));
         let Some((b, ab)) = best else { continue };
         let exchanged = ahead(b, a, BETTER);
         // without a way back (the other command hardly moves, or three are in each other's place) only a good fit to a command that is not alike
@@ -333,7 +334,11 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
             continue;
         }
         named[a] = true;
-        named[b] = exchanged;
+        taken[b] = true;
+        if exchanged {
+            named[b] = true;
+            taken[a] = true;
+        }
         let (a_name, b_name) = (&joints[a].name, &joints[b].name);
         let more = if exchanged {
             format!(" and pos.{a_name} cmd.{b_name}: exchange them")

@@ -2,8 +2,9 @@
 //!
 //! A residual is divided by its noise ([`super::noise`]), and directions in which careful labs differ from run to run (a little more friction, a
 //! little less voltage, half a step of time) are taken as random with their tolerances: with N the traces of these nuisances at one tolerance
-//! each, the residual r is whitened to (I + N·Nᵀ)^(−½)·r, run by run. What is left of a mismatch that a nuisance explains is small; what no nuisance
-//! explains stays. The misfit is the mean square of that: 1 is the floor.
+//! each, the residual r is whitened to (I + κ²·N·n⁻¹·Nᵀ)^(−½)·r, run by run, n the number of samples that a nuisance acts on. The misfit is the mean
+//! square of that: 1 is the floor. What no nuisance explains stays. k tolerances of one come to at most (k/κ)²: one tolerance is little, many are a gap
+//! although a nuisance explains them. (With I + N·Nᵀ, which is what independent Gaussian noise would ask for, they come to k²/n: nothing, whatever k.)
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -38,10 +39,15 @@ const SUPPLY_TOLERANCE: f64 = 0.015;
 /// in proportion to the speed.
 const READING_TOLERANCE_S: f64 = 0.002;
 /// Engines part by so many times what halving the step changes: Rapier at 1 ms from the batch engine at 2 ms by 1.2 to 4.5 times on one day and 5.2 on another, in
-/// the spine of a salamander on a stand in which nothing is hidden. With 7 the second day is healthy too, and half the gain of a knee is called more damping.
-const ENGINES_APART: f32 = 5.0;
+/// the spine of a salamander on a stand in which nothing is hidden. With 5 the second day is a gap.
+const ENGINES_APART: f32 = 7.0;
+/// κ: a nuisance of so many tolerances is as large as the floor. Of a careful lab's, one in ten is beyond two tolerances (salamander on a stand).
+const TOLERANCES: f64 = 4.0;
 /// Ground friction by this share.
 const GROUND_TOLERANCE: f64 = 0.1;
+
+/// A nuisance that does less than this (its share of the floor at κ tolerances) does nothing.
+const LEAST_TRACE: f64 = 1e-5;
 
 /// Runs of one role with their metric.
 pub struct Judge {
@@ -54,13 +60,25 @@ pub struct Judge {
 
 /// A nuisance's trace in a trial, where it is not zero.
 struct Column {
-    /// Places from the trial's first sample, and values.
+    /// Places from the trial's first sample, and values: those of one tolerance times `unit`.
     parts: Vec<(usize, Vec<f32>)>,
+    /// κ/√n.
+    unit: f32,
     /// Which nuisance, and of which joint where each has its own: the same in all trials.
     of: (usize, usize),
 }
 
 impl Column {
+    /// From the trace of one tolerance.
+    fn new(mut parts: Vec<(usize, Vec<f32>)>, of: (usize, usize)) -> Self {
+        let n: usize = parts.iter().map(|(_, v)| v.len()).sum();
+        let unit = (TOLERANCES / (n.max(1) as f64).sqrt()) as f32;
+        for x in parts.iter_mut().flat_map(|(_, v)| v) {
+            *x *= unit;
+        }
+        Self { parts, unit, of }
+    }
+
     /// Σ over its places of its values times `x`.
     fn dot(&self, x: &[f32]) -> f64 {
         self.parts
@@ -196,7 +214,7 @@ impl Judge {
         Ok(judge)
     }
 
-    /// What each nuisance does in each of `count` windows, sums of squares by nuisance and joint. `window`: that of each sample, or anything from
+    /// What one tolerance of each nuisance does in each of `count` windows, sums of squares by nuisance and joint. `window`: that of each sample, or anything from
     /// `count` on. `[N]` to `[count]`
     #[must_use]
     pub fn sensitivities(
@@ -211,7 +229,8 @@ impl Judge {
                     let from = trial.range.start + at;
                     for (w, x) in window[from..from + v.len()].iter().zip(v) {
                         if let Some(of) = sums.get_mut(*w) {
-                            *of.entry(column.of).or_insert(0.0) += f64::from(*x).powi(2);
+                            *of.entry(column.of).or_insert(0.0) +=
+                                f64::from(*x / column.unit).powi(2);
                         }
                     }
                 }
@@ -276,19 +295,14 @@ impl Judge {
                                         p.range.clone().map(delta).collect(),
                                     )
                                 });
-                            columns.push(Column {
-                                parts: of.collect(),
-                                of: (number, joint),
-                            });
+                            columns.push(Column::new(of.collect(), (number, joint)));
                         }
                     } else {
-                        columns.push(Column {
-                            parts: vec![(0, range.clone().map(delta).collect())],
-                            of: (number, joints),
-                        });
+                        let whole = vec![(0, range.clone().map(delta).collect())];
+                        columns.push(Column::new(whole, (number, joints)));
                     }
                 }
-                columns.retain(|c| c.times(c) > 1e-3);
+                columns.retain(|c| c.times(c) > LEAST_TRACE);
                 TrialMetric::new(range, columns)
             })
             .collect();

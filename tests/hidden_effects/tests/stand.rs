@@ -85,6 +85,29 @@ fn a_healthy_salamander_has_no_gap() {
 }
 
 #[test]
+fn a_second_healthy_day_has_no_gap() {
+    no_gap(8);
+}
+
+#[test]
 fn a_soft_knee_is_found() {
     soft_joint_is_found(7, "FL_knee", 0.7, 0.1);
+}
+
+#[test]
+fn a_slightly_soft_knee_is_found() {
+    soft_joint_is_found(8, "FL_knee", 0.8, 0.1);
+}
+
+#[test]
+fn commands_that_are_late_by_four_milliseconds_are_found() {
+    let report = report_of(7, |_, lane| lane.command_delay_s = 0.004);
+    let causes = &report.causes;
+    assert_eq!(causes.len(), 1, "{}", report.summary);
+    assert_eq!(causes[0].effect, "command_delay");
+    let delay = &causes[0].parameters["delay_s"];
+    assert!(
+        delay.ci_low <= 0.004 && 0.004 <= delay.ci_high && (delay.value - 0.004).abs() < 0.001,
+        "{delay:?}"
+    );
 }
