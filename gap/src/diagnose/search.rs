@@ -12,7 +12,7 @@ use super::screen::{Screened, screen};
 use super::state::{Context, State, builds_up};
 use super::verdict::wider;
 use super::{Progress, Stage};
-use crate::effects::Effect;
+use crate::effects::{Effect, Place};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
 
@@ -122,7 +122,7 @@ pub fn search(
         }
         let good = |(s, w, _): &&(State, Worth, usize)| {
             w.passed
-                && enough(context, w, &base, s)
+                && enough(context, w, &base, s.terms.last().map(|t| &t.place))
                 && s.terms.last().is_some_and(|t| gates::matters(context, t))
         };
         // a line's parent was not better than the best: its child has to be
@@ -171,7 +171,7 @@ pub fn search(
             continue;
         };
         best = leader.clone();
-        best = delete(context, best)?;
+        best = delete(context, &base, best)?;
         let mut next = passed;
         next.truncate(BEAM);
         if best.key() != next[0].key() {
@@ -213,7 +213,7 @@ pub fn search(
         rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
     }
     if best.terms.len() > 1 {
-        best = delete(context, best)?;
+        best = delete(context, &base, best)?;
     }
     if !best.terms.is_empty() {
         let polished = refine(
@@ -238,9 +238,13 @@ pub fn search(
     })
 }
 
-/// Whether a further effect explains enough to be one.
-fn enough(context: &Context, worth: &Worth, base: &State, child: &State) -> bool {
-    let place = child.terms.last().map(|t| &t.place);
+/// Whether either is declared to look like the other.
+fn look_alike(one: &Effect, other: &Effect) -> bool {
+    one.look_alikes.contains(&other.id) || other.look_alikes.contains(&one.id)
+}
+
+/// Whether a further effect at `place` explains enough to be one.
+fn enough(context: &Context, worth: &Worth, base: &State, place: Option<&Place>) -> bool {
     let all = gates::part(&context.holdout, &base.holdout, place);
     worth.holdout > OF_ALL * all || worth.of > gates::FAR
 }
@@ -438,10 +442,7 @@ fn look_alikes(
             screened = screen(context, &without)?;
             (screened.as_slice(), without)
         };
-        let alike = |s: &&Screened| {
-            let (own, other) = (term.effect, s.effect);
-            own.look_alikes.contains(&other.id) || other.look_alikes.contains(&own.id)
-        };
+        let alike = |s: &&Screened| look_alike(term.effect, s.effect);
         let here =
             |s: &Screened| s.place.domain == term.place.domain && s.place.items == term.place.items;
         let mut rivals: Vec<&Screened> = Vec::new();
@@ -491,8 +492,8 @@ fn chosen_lines(
     Ok(lines)
 }
 
-/// Deletes effects that the others make superfluous, one by one.
-fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
+/// Deletes effects that the others make superfluous, one by one: those that would not be added now.
+fn delete(context: &Context, base: &State, mut state: State) -> Result<State, GapError> {
     while state.terms.len() > 1 {
         let variants: Vec<Variant> = (0..state.terms.len())
             .map(|i| {
@@ -513,8 +514,10 @@ fn delete(context: &Context, mut state: State) -> Result<State, GapError> {
             .enumerate()
             .min_by(|a, b| penalised(context, &a.1).total_cmp(&penalised(context, &b.1)));
         let Some((index, shorter)) = least else { break };
-        let worth = gates::worth(context, &shorter, &state, Some(&state.terms[index].place));
-        if worth.passed && penalised(context, &shorter) > penalised(context, &state) {
+        let place = Some(&state.terms[index].place);
+        let worth = gates::worth(context, &shorter, &state, place);
+        let kept = worth.passed && enough(context, &worth, base, place);
+        if kept && penalised(context, &shorter) > penalised(context, &state) {
             break;
         }
         state = shorter;

@@ -23,10 +23,14 @@ use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Unexplained,
 pub const QUIET: f64 = 0.8;
 /// Nobody is surer than the benchmark's own error rate …
 const TRUST: f64 = 0.97;
-/// … and where much is left unexplained, that is this high.
+/// … and where much is left unexplained, or a parameter is at its bound, that is this high.
 const TRUST_IN_PART: f64 = 0.6;
-/// Share of the misfit that may be left in an explained gap.
+/// Share of the misfit that may be left in an explained gap, …
 const LEFT: f64 = 0.15;
+/// … and where that is more than so many floors, which laws of nature that are not quite those of the catalogue do not leave …
+const POOR: f64 = 1.5;
+/// … this share.
+const LEFT_POOR: f64 = 0.07;
 /// Cells of the divergence map that are reported.
 const MOST_CELLS: usize = 400;
 
@@ -164,7 +168,8 @@ fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> 
 pub fn left(context: &Context, base: &State, best: &State) -> f64 {
     let (before, after) = (gates::worst(context, base), gates::worst(context, best));
     let share = after / before.max(1e-9);
-    if after > QUIET && share > LEFT {
+    let most = if after > POOR { LEFT_POOR } else { LEFT };
+    if after > QUIET && share > most {
         share.min(1.0)
     } else {
         0.0
@@ -226,11 +231,18 @@ fn cause(
     } else {
         beside(context, best, named.index, &open, spread)?
     };
+    let parameters = parameters(context, best, named.index, spread, &wider);
+    // what wants to be larger than it can plausibly be stands in for something else
+    let trust = if parameters.values().any(|p| p.at_bound) {
+        trust.min(TRUST_IN_PART)
+    } else {
+        trust
+    };
     Ok(Cause {
         effect: term.effect.id.to_owned(),
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
-        parameters: parameters(context, best, named.index, spread, &wider),
+        parameters,
         confidence: (same_name * trust).clamp(0.03, 0.97),
         alternatives,
         evidence: evidence(context, term, named),

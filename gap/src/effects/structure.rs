@@ -25,6 +25,8 @@ pub static GIRDLE_PLAY: Effect = Effect {
         &[0.07],
         &[0.09],
         &[0.12],
+        &[0.16],
+        &[0.2],
     ],
     hinge: true,
     apply: |plant, place, v| {
