@@ -196,12 +196,22 @@ pub fn misfit(context: &Context, state: &State) -> f64 {
 /// the mean over all.
 #[must_use]
 pub fn worst(context: &Context, state: &State) -> f64 {
-    let joints = context.replayer.model().actuated().len();
-    let parts = [
+    let both = [
         (&context.fit, &state.fit),
         (&context.holdout, &state.holdout),
     ];
-    groups(joints, &parts)
+    worst_of(context, &both)
+}
+
+/// The same on held-out runs alone.
+#[must_use]
+pub fn worst_of_holdout(context: &Context, state: &State) -> f64 {
+    worst_of(context, &[(&context.holdout, &state.holdout)])
+}
+
+fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
+    let joints = context.replayer.model().actuated().len();
+    groups(joints, parts)
         .iter()
         .map(|(square, n)| square / f64::max(*n, 1.0))
         .fold(0.0, f64::max)
