@@ -127,7 +127,11 @@ fn errors(request: &Request, d: &Diagnosis) {
     let trials: Vec<Trial> = (request.runs.iter())
         .map(|r| Trial::new(&model, r).unwrap())
         .collect();
-    let data = Data::new(&model, trials, SegmentOptions::default());
+    let whole = SegmentOptions {
+        loose_s: f64::INFINITY,
+        ..SegmentOptions::default()
+    };
+    let data = Data::new(&model, trials, whole);
     let terms = extension::terms(&d.extension, &model).unwrap();
     let replayer = Replayer::new(model, request.options.threads).unwrap();
     let p = replayer.predict(&data, &[Vec::new(), terms]).unwrap();

@@ -51,6 +51,14 @@ fn runs(folder: &Path, model: &RobotModel) -> Vec<Run> {
         .collect()
 }
 
+/// Every run in one piece, from its first row to its last, however long nothing holds the joint.
+fn whole_runs() -> SegmentOptions {
+    SegmentOptions {
+        loose_s: f64::INFINITY,
+        ..SegmentOptions::default()
+    }
+}
+
 /// The runs, replayed in one go, and the places of position samples per run.
 struct Bench {
     replayer: Replayer,
@@ -162,7 +170,7 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
         .collect();
     let bench = Bench {
         replayer: Replayer::new(Arc::clone(&model), 2).unwrap(),
-        data: Data::new(&model, trials, SegmentOptions::default()),
+        data: Data::new(&model, trials, whole_runs()),
     };
     let found = diagnose(
         &Request {

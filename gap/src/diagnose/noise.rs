@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use caudata_model::RobotModel;
+use caudata_runlog::BaseHold;
 
 use crate::replay::{Data, Piece};
 use crate::trial::{Channel, Kind, Trial};
@@ -97,7 +98,11 @@ impl Noise {
         if members.len() > 1 {
             self.repeat.insert((trial, piece.kind, piece.index), repeat);
         }
-        let size = spread(values);
+        // stretches of a swing that dies away are measured by the whole of it, as a run in one piece is
+        let size = match own.base {
+            BaseHold::Fixed => spread(&in_all_stretches(data, trial, piece)),
+            _ => spread(values),
+        };
         let sigma = (floor.max(repeat).powi(2) + (relative(piece.kind) * size).powi(2)).sqrt();
         let sigma = sigma.max(smallest(piece.kind));
         let idle_a = match piece.kind {
@@ -110,6 +115,17 @@ impl Noise {
             self.difference[range.start + k] = (differences[k] / sigma) as f32;
         }
     }
+}
+
+/// All samples of the channel of `piece` in `trial`.
+fn in_all_stretches(data: &Data, trial: usize, piece: &Piece) -> Vec<f64> {
+    let stretches = data.segments.iter().filter(|s| s.trial == trial);
+    let same = stretches
+        .flat_map(|s| &s.pieces)
+        .filter(|p| p.channel == piece.channel);
+    same.flat_map(|p| &data.value[p.range.clone()])
+        .copied()
+        .collect()
 }
 
 /// Stretches in which one of at least three repeats departs from the others far more than usual: (trial, from, to), s.

@@ -3,6 +3,9 @@
 //! Which of several look-alikes it is may show only when the next cause, or the one after it, stands beside it. So where much is left, look-alikes of what
 //! was found go on beside it as lines of their own, each in the place of what it looks like; what a line adds must be worth it there, and a line takes
 //! over when it has become better than the best so far by the same gates.
+//!
+//! Two causes that make up for each other (a motor that is stronger than its manual says, and saturates) each do little alone. So where much is left, the
+//! candidate that explains most of those whose gain on held-out runs is not certain yet goes on as a line too.
 
 use std::collections::BTreeSet;
 
@@ -17,7 +20,7 @@ use crate::error::GapError;
 use crate::replay::{Term, Variant};
 
 /// Most effects at once.
-const MOST_TERMS: usize = 7;
+const MOST_TERMS: usize = 8;
 /// Candidates that are kept side by side.
 const BEAM: usize = 2;
 /// Lines with a look-alike in the place of one effect that go on beside them where much is left.
@@ -39,6 +42,10 @@ const BEHIND: f64 = 1.5;
 /// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has
 /// (unless the misfit is still far from the floor).
 const OF_ALL: f64 = 0.035;
+/// … and where the misfit is above this many floors, which no detail of a law comes to, …
+const MUCH: f64 = 2.5;
+/// … this share of what is left.
+const OF_REST: f64 = 0.12;
 /// What an additional parameter must earn: share of the misfit.
 pub const PER_PARAMETER: f64 = 0.015;
 
@@ -108,7 +115,7 @@ pub fn search(
             let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
             progress(Progress::new(Stage::Fitting, depth, &parent.label()));
             for child in expand(context, parent, &chosen, &mut seen)? {
-                let place = child.terms.last().map(|t| &t.place);
+                let place = last_place(&child);
                 let worth = gates::worth(context, parent, &child, place);
                 children.push((child, worth, number));
             }
@@ -122,19 +129,15 @@ pub fn search(
         }
         let good = |(s, w, _): &&(State, Worth, usize)| {
             w.passed
-                && enough(context, w, &base, s.terms.last().map(|t| &t.place))
+                && enough(context, w, &base, last_place(s))
                 && s.terms.last().is_some_and(|t| gates::matters(context, t))
-        };
-        // a line's parent was not better than the best: its child has to be
-        let leads = |(s, _, number): &&(State, Worth, usize)| {
-            *number < firsts
-                || (penalised(context, s) < penalised(context, &best)
-                    && gates::worth(context, &best, s, None).low > 0.0)
         };
         let passed: Vec<State> = children
             .iter()
-            .filter(good)
-            .filter(leads)
+            .filter(|c| match c.2 < firsts {
+                true => good(c),
+                false => overtakes(context, &base, &best, c, good(c)),
+            })
             .map(|(s, _, _)| s.clone())
             .collect();
         let mut going_on: Vec<Line> = Vec::new();
@@ -146,6 +149,9 @@ pub fn search(
                     ..line
                 });
             }
+        }
+        if gates::worst(context, &best) >= MUCH {
+            going_on.extend(promising(&children, firsts));
         }
         if firsts > 0 {
             refused = children
@@ -161,12 +167,9 @@ pub fn search(
         let Some(leader) = leader else {
             // the best stays; lines may still overtake it
             beam.clear();
-            lines = going_on;
+            lines = chosen_lines(context, &best, &[], going_on)?;
             if lines.is_empty() {
                 break;
-            }
-            for line in &mut lines {
-                context.find_basis(&mut line.state)?;
             }
             continue;
         };
@@ -243,10 +246,47 @@ fn look_alike(one: &Effect, other: &Effect) -> bool {
     one.look_alikes.contains(&other.id) || other.look_alikes.contains(&one.id)
 }
 
+/// Where the effect that was added last is.
+fn last_place(state: &State) -> Option<&Place> {
+    state.terms.last().map(|t| &t.place)
+}
+
+/// Whether the child of a line, whose parent was not better than `best`, is: by what it adds to its parent (`good`) and certainly ahead of the best, or by
+/// all gates between the best and itself, whatever its steps were worth one by one.
+fn overtakes(
+    context: &Context,
+    base: &State,
+    best: &State,
+    child: &(State, Worth, usize),
+    good: bool,
+) -> bool {
+    let state = &child.0;
+    if penalised(context, state) >= penalised(context, best) {
+        return false;
+    }
+    let ahead = gates::worth(context, best, state, None);
+    ahead.low > 0.0 && (good || (ahead.passed && enough(context, &ahead, base, last_place(state))))
+}
+
 /// Whether a further effect at `place` explains enough to be one.
 fn enough(context: &Context, worth: &Worth, base: &State, place: Option<&Place>) -> bool {
     let all = gates::part(&context.holdout, &base.holdout, place);
-    worth.holdout > OF_ALL * all || worth.of > gates::FAR
+    worth.holdout > OF_ALL * all
+        || worth.of > gates::FAR
+        || (worth.of > MUCH && worth.holdout > OF_REST * worth.of)
+}
+
+/// The first of `children`, which come best first with their worth and the number of their parent, that gains on all runs and is not sure to on held-out
+/// ones, if it is ahead of every child of the first `firsts` parents that is sure to.
+fn promising(children: &[(State, Worth, usize)], firsts: usize) -> Option<Line> {
+    let (state, _, _) = (children.iter())
+        .take_while(|(_, w, number)| *number >= firsts || !w.passed)
+        .find(|(_, w, _)| !w.passed && w.fit > 0.0 && w.holdout > 0.0)?;
+    Some(Line {
+        state: state.clone(),
+        without: Vec::new(),
+        says_more: false,
+    })
 }
 
 /// Takes the tolerances around `terms`, and judges `states` by them.

@@ -153,13 +153,14 @@ pub static LOAD_STICTION: Effect = Effect {
     domain: Domain::Joints,
     parameters: &[
         parameter("share", "", 0.0, (0.0, 0.9), 0.03, One),
-        parameter("speed_radps", "rad/s", 0.02, (0.001, 0.2), 0.004, Speed),
+        parameter("speed_radps", "rad/s", 0.02, (0.001, 0.4), 0.004, Speed),
     ],
     grid: &[
         &[0.1, 0.005],
         &[0.1, 0.03],
         &[0.25, 0.005],
         &[0.25, 0.03],
+        &[0.3, 0.2],
         &[0.5, 0.01],
         &[0.5, 0.05],
     ],

@@ -18,6 +18,8 @@ const FREE_SEGMENT_S: f64 = 0.8;
 /// Time before each that is simulated and does not count, s: where play hangs, how friction is wound up and how hard each foot presses is not measured, and
 /// comes about in it. At its end the robot is put to what was measured once more.
 const FREE_LEAD_S: f64 = 0.3;
+/// Stretches in which a servo of a held robot is let go, s: nothing brings such a joint back to its command, so that errors of its swing add up.
+const LOOSE_SEGMENT_S: f64 = 0.8;
 /// Time over which speeds at a start are taken, s, to each side.
 const SPEED_WINDOW_S: f64 = 0.03;
 
@@ -28,6 +30,8 @@ pub struct SegmentOptions {
     pub fixed_s: f64,
     /// Length of a stretch of a free or swimming robot, s.
     pub free_s: f64,
+    /// Length of a stretch in which a servo of a held robot is let go, s; infinite: no such stretches, what was let go swings on to the end of the run.
+    pub loose_s: f64,
     /// Time before a stretch of a held robot that is simulated and does not count, s: what a joint that rests remembers of how it came there.
     pub lead_s: f64,
 }
@@ -37,6 +41,7 @@ impl Default for SegmentOptions {
         Self {
             fixed_s: f64::INFINITY,
             free_s: FREE_SEGMENT_S,
+            loose_s: LOOSE_SEGMENT_S,
             lead_s: 0.0,
         }
     }
@@ -128,47 +133,25 @@ impl Data {
         let stride = total.div_ceil(MOST_SAMPLES).max(1);
         let mut data = Self::default();
         for (number, trial) in trials.iter().enumerate() {
-            let length_s = match trial.base {
-                BaseHold::Fixed => options.fixed_s,
-                _ => options.free_s,
+            let cuts = match trial.base {
+                BaseHold::Fixed => held_cuts(trial, options),
+                _ => free_cuts(trial, options.free_s),
             };
-            let (first, last) = replay_span(trial);
-            let count = ((last - first) / length_s).floor().max(1.0);
-            let each = (last - first) / count;
-            for k in 0..count as usize {
-                let cut = |k: f64| first + k * each;
-                let (from_s, end_s, lead_s) = match trial.base {
-                    BaseHold::Fixed => {
-                        let from_s = cut(k as f64);
-                        (
-                            from_s,
-                            cut(k as f64 + 1.0),
-                            options.lead_s.min(from_s - first),
-                        )
-                    }
-                    // at a stamp: between two of them a step of the simulation would straddle a command
-                    _ => (
-                        stamp_near(trial, cut(k as f64)),
-                        stamp_near(trial, cut(k as f64 + 1.0)).min(last),
-                        FREE_LEAD_S,
-                    ),
-                };
-                let span_s = (from_s - lead_s, from_s, end_s);
-                data.push(model, number, trial, span_s, stride);
+            for cut in cuts {
+                data.push(model, number, trial, cut, stride);
             }
         }
         data.trials = trials;
         data
     }
 
-    fn push(
-        &mut self,
-        model: &RobotModel,
-        number: usize,
-        trial: &Trial,
-        (start_s, from_s, end_s): (f64, f64, f64),
-        stride: usize,
-    ) {
+    fn push(&mut self, model: &RobotModel, number: usize, trial: &Trial, cut: Cut, stride: usize) {
+        let Cut {
+            start_s,
+            from_s,
+            end_s,
+            ..
+        } = cut;
         let begin = self.value.len();
         let first_block = self.blocks;
         let blocks = ((end_s - from_s) / BLOCK_S).floor().max(1.0);
@@ -212,7 +195,10 @@ impl Data {
             range: begin..self.value.len(),
             pieces,
             // a robot that is recorded from its first row on stood there before
-            start: start(model, trial, start_s.max(replay_span(trial).0)),
+            start: match cut.loose {
+                Some(began_s) => swinging(model, trial, start_s, began_s),
+                None => start(model, trial, start_s.max(replay_span(trial).0)),
+            },
             again: free.then(|| (from_s, start(model, trial, from_s))),
         });
     }
@@ -278,6 +264,104 @@ impl Data {
             BaseHold::Water => 2,
         }
     }
+}
+
+/// Where a run is cut, s.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Cut {
+    /// From when on it is simulated.
+    start_s: f64,
+    /// From when on it counts.
+    from_s: f64,
+    /// Until when.
+    end_s: f64,
+    /// When a servo was let go, in a stretch in which one is.
+    loose: Option<f64>,
+}
+
+/// Parts of `length_s` or a little more, s.
+fn parts((first, last): (f64, f64), length_s: f64) -> impl Iterator<Item = (f64, f64)> {
+    let count = ((last - first) / length_s).floor().max(1.0);
+    let each = (last - first) / count;
+    let at = move |k: usize| first + k as f64 * each;
+    (0..count as usize).map(move |k| (at(k), at(k + 1)))
+}
+
+/// A run on a stand: whole, or in parts of `fixed_s`; while a servo is let go, in parts of `loose_s`.
+fn held_cuts(trial: &Trial, options: SegmentOptions) -> Vec<Cut> {
+    let mut cuts = Vec::new();
+    for (span, loose) in held_spans(trial, options.loose_s) {
+        let length_s = if loose {
+            options.loose_s
+        } else {
+            options.fixed_s
+        };
+        cuts.extend(parts(span, length_s).map(|(from_s, end_s)| {
+            // what was let go remembers nothing that matters
+            let lead_s = if loose { 0.0 } else { options.lead_s };
+            Cut {
+                start_s: from_s - lead_s.min(from_s - span.0),
+                from_s,
+                end_s,
+                loose: loose.then_some(span.0),
+            }
+        }));
+    }
+    cuts
+}
+
+/// Spans in which every servo is on, and those of at least `least_s` in which one is let go: from, to (s), whether one is let go.
+fn held_spans(trial: &Trial, least_s: f64) -> Vec<((f64, f64), bool)> {
+    let (first, last) = replay_span(trial);
+    let switches = || trial.enabled.iter().flatten();
+    let mut times: Vec<f64> = (switches().flat_map(|s| &s.time_s).copied())
+        .filter(|t| (first..last).contains(t))
+        .collect();
+    times.push(first);
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    let mut loose: Vec<(f64, f64)> = Vec::new();
+    for (k, &from) in times.iter().enumerate() {
+        if switches().all(|s| s.at(from) > 0.5) {
+            continue;
+        }
+        let to = times.get(k + 1).copied().unwrap_or(last);
+        match loose.last_mut() {
+            Some(before) if before.1 == from => before.1 = to,
+            _ => loose.push((from, to)),
+        }
+    }
+    loose.retain(|(from, to)| to - from >= least_s);
+    let mut spans = Vec::new();
+    let mut at = first;
+    for (from, to) in loose {
+        if from > at {
+            spans.push(((at, from), false));
+        }
+        spans.push(((from, to), true));
+        at = to;
+    }
+    if last > at {
+        spans.push(((at, last), false));
+    }
+    spans
+}
+
+/// A run of a free robot, in stretches of `length_s`.
+fn free_cuts(trial: &Trial, length_s: f64) -> Vec<Cut> {
+    let span = replay_span(trial);
+    parts(span, length_s)
+        .map(|(from_s, end_s)| {
+            // at a stamp: between two of them a step of the simulation would straddle a command
+            let from_s = stamp_near(trial, from_s);
+            Cut {
+                start_s: from_s - FREE_LEAD_S,
+                from_s,
+                end_s: stamp_near(trial, end_s).min(span.1),
+                loose: None,
+            }
+        })
+        .collect()
 }
 
 /// From when every joint's position and a command are known.
@@ -371,6 +455,21 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
     start
 }
 
+/// Joints that swing at `t_s`, after a servo was let go at `began_s`: position as it was read, speed from positions alone, since a servo's own reading of it
+/// lags behind a swing, and from those before only where letting go has just changed it.
+fn swinging(model: &RobotModel, trial: &Trial, t_s: f64, began_s: f64) -> Start {
+    let mut swinging = start(model, trial, t_s);
+    let before_s = t_s - began_s < SPEED_WINDOW_S;
+    for a in 0..swinging.pos_rad.len() {
+        if let Some(c) = trial.channel(Kind::Position, a) {
+            let at_s = if before_s { t_s - SPEED_WINDOW_S } else { t_s };
+            swinging.pos_rad[a] = c.at(t_s);
+            swinging.vel_radps[a] = line(c, at_s).1;
+        }
+    }
+    swinging
+}
+
 /// Value and slope of a channel at `t_s` by a straight line through its samples nearby.
 fn line(c: &Channel, t_s: f64) -> (f64, f64) {
     let low = c.time_s.partition_point(|&t| t < t_s - SPEED_WINDOW_S);
@@ -398,6 +497,84 @@ fn line(c: &Channel, t_s: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn run_of(enabled: Steps) -> Trial {
+        // 0 to 10 s at 100 Hz, at 0.5 rad until 4 s, then at 3 rad/s
+        let time_s: Vec<f64> = (0..=1000).map(|k| f64::from(k) * 0.01).collect();
+        let value = time_s.iter().map(|t| 0.5 + 3.0 * (t - 4.0).max(0.0));
+        let value: Vec<f64> = value.collect();
+        Trial {
+            name: "drop".into(),
+            role: crate::trial::Role::Fit,
+            base: BaseHold::Fixed,
+            span_s: (0.0, 10.0),
+            commands: vec![Steps::default()],
+            enabled: vec![Some(enabled)],
+            channels: vec![crate::trial::Channel {
+                kind: Kind::Position,
+                index: 0,
+                name: "a".into(),
+                time_s,
+                value,
+            }],
+            kp_nm_per_rad: None,
+            kd_nms_per_rad: None,
+            supply_v: None,
+            group: 0,
+            masked_s: Vec::new(),
+            members: Vec::new(),
+            session: 0.0,
+        }
+    }
+
+    #[test]
+    fn what_is_let_go_is_cut_into_short_stretches() {
+        // off for 0.5 s, which is too short to be one, and from 4 to 6.4 s: two stretches of 1.2 s where 1 s is asked for
+        let run = run_of(Steps {
+            time_s: vec![0.0, 1.0, 1.5, 4.0, 6.4],
+            value: vec![1.0, 0.0, 1.0, 0.0, 1.0],
+        });
+        let options = SegmentOptions {
+            loose_s: 1.0,
+            ..SegmentOptions::default()
+        };
+        let cuts = |options| -> Vec<(f64, f64, bool)> {
+            let round = |x: f64| (x * 1e6).round() * 1e-6;
+            (held_cuts(&run, options).into_iter())
+                .map(|c| (round(c.from_s), round(c.end_s), c.loose == Some(4.0)))
+                .collect()
+        };
+        assert_eq!(
+            cuts(options),
+            [
+                (0.0, 4.0, false),
+                (4.0, 5.2, true),
+                (5.2, 6.4, true),
+                (6.4, 10.000001, false)
+            ]
+        );
+        let whole = SegmentOptions {
+            loose_s: f64::INFINITY,
+            ..options
+        };
+        assert_eq!(cuts(whole), [(0.0, 10.000001, false)]);
+    }
+
+    #[test]
+    fn a_swing_begins_with_the_speed_of_its_positions() {
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../robots/xl330_pendulum.robot.toml"
+        );
+        let model = RobotModel::load(path.as_ref()).unwrap();
+        let run = run_of(Steps::default());
+        // at the very moment of letting go nothing moves yet, though the line through both sides has a slope
+        let begin = swinging(&model, &run, 4.0, 4.0);
+        assert!(begin.vel_radps[0].abs() < 1e-9, "{begin:?}");
+        let later = swinging(&model, &run, 5.0, 4.0);
+        assert!((later.vel_radps[0] - 3.0).abs() < 1e-9, "{later:?}");
+        assert!((later.pos_rad[0] - 3.5).abs() < 1e-9, "{later:?}");
+    }
 
     #[test]
     fn a_part_has_its_own_samples_and_blocks() {
