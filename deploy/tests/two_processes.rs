@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use caudata_chaos_proxy::Wire;
 use caudata_deploy::command_link::LinkKey;
-use common::network::Wire;
 use common::policies::{policy_file, standing};
 use common::{Server, perfect_robot, program, status_of};
 use crossbeam_channel::{Receiver, bounded};

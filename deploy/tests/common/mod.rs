@@ -2,7 +2,6 @@
 // Each test file uses a part of it.
 #![allow(dead_code)]
 
-pub mod network;
 #[path = "../../src/testing.rs"]
 pub mod policies;
 
