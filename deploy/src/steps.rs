@@ -10,6 +10,8 @@ pub(crate) enum Step {
     RobotModel,
     /// Trusted keys signed the announcement.
     Signature,
+    /// These keys are not older than any that this robot trusted.
+    TrustVersion,
     /// The bytes are the announced ones.
     Hash,
     /// The file bears the announced version.
@@ -85,7 +87,7 @@ mod tests {
     use crate::metrics::AgentMetrics;
     use crate::probe::ProbeProgram;
     use crate::state::{ATTEMPTS_MAX, Blame, Decision, PolicyRef, RobotState, Sha256Digest};
-    use crate::store::{PolicyStore, read_policy};
+    use crate::store::{PolicyStore, manifest_file, read_policy};
     use crate::testing::{model, policy_file};
     use crate::verify::{check_fresh, check_manifest, check_proved, check_signatures, verify};
 
@@ -158,6 +160,13 @@ mod tests {
                 manifest.version += 1;
                 check_signatures(&manifest, Some(&trust())).map_err(|e| e.to_string())
             }
+            Step::TrustVersion => {
+                let folder = tempfile::tempdir().unwrap();
+                let mut store = PolicyStore::open(folder.path()).unwrap();
+                let path = Path::new("trust.toml");
+                store.trust(path, 2).unwrap();
+                store.trust(path, 1).map_err(|e| e.to_string())
+            }
             Step::Hash => verified(good(), &of(b"other bytes", 1)),
             Step::Version => verified(good(), &of(&good(), 2)),
             Step::Contract => own(policy_file(1, |_, m| m.contract.joint_names.swap(2, 3))),
@@ -198,9 +207,9 @@ mod tests {
             }
             Step::StoredSignature => {
                 let (folder, policy) = stored(&good(), &mut manifest);
-                let name = format!("blobs/{}.1.manifest", policy.sha256);
+                let path = manifest_file(folder.path(), &policy);
                 manifest.signatures.clear();
-                std::fs::write(folder.path().join(name), manifest.to_bytes()).unwrap();
+                std::fs::write(path, manifest.to_bytes()).unwrap();
                 read(folder.path(), &policy)
             }
             Step::Fresh => {
@@ -360,10 +369,11 @@ mod tests {
         })
     }
 
-    const ALL: [Step; 23] = [
+    const ALL: [Step; 24] = [
         Step::RobotName,
         Step::RobotModel,
         Step::Signature,
+        Step::TrustVersion,
         Step::Hash,
         Step::Version,
         Step::Contract,
