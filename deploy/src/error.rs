@@ -114,6 +114,19 @@ pub enum DeployError {
     /// The trust file.
     #[error("trust file {0}")]
     Trust(#[from] SigningError),
+    /// The keys of a trust file were given up on this robot.
+    #[error(
+        "trust file {}: version {found} is in force, and on this robot version {seen} was: put the newer files back",
+        path.display()
+    )]
+    OlderTrust {
+        /// The first trust file.
+        path: PathBuf,
+        /// Version in force.
+        found: u64,
+        /// Highest version that was.
+        seen: u64,
+    },
     /// The wiring file.
     #[error(transparent)]
     Wiring(#[from] WiringError),
@@ -251,6 +264,7 @@ impl DeployError {
             Self::Robot { .. }
             | Self::Wiring(_)
             | Self::Trust(_)
+            | Self::OlderTrust { .. }
             | Self::Task { .. }
             | Self::StateDamaged { .. }
             | Self::StateLost
@@ -290,6 +304,9 @@ impl DeployError {
         match self {
             Self::StateDamaged { .. } => Some(
                 "give --trust with a [[fresh_key]] of the server, or move the state folder away and give up what it knew",
+            ),
+            Self::OlderTrust { .. } => Some(
+                "keys that were given up stay given up; a robot that is to begin anew with other trust files needs another state folder",
             ),
             Self::NoPolicy { .. } => {
                 Some("`caudata policy list` shows the streams; training publishes under its run id")

@@ -135,7 +135,7 @@ impl Keeper {
         check_proved(&manifest, &proved).map_err(|why| stale(why.to_owned()))?;
         let mut store = self.store();
         if store.is_torn() {
-            store.recover(stream.as_str(), proved.version)?;
+            store.recover(stream.as_str(), proved.version, trust.version())?;
             tracing::warn!(%stream, floor = proved.version, "the lost state is begun anew: nothing older is taken");
         }
         drop(store);

@@ -184,6 +184,13 @@ pub struct RobotState {
     /// The policy on trial, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trial: Option<Trial>,
+    /// Highest version of a trust file that was in force here; 0 before the first one. A lower one would bring back keys that were given up.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub trust_version: u64,
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 impl Default for RobotState {
@@ -196,6 +203,7 @@ impl Default for RobotState {
             quarantined: Vec::new(),
             seen: BTreeMap::new(),
             trial: None,
+            trust_version: 0,
         }
     }
 }
@@ -288,11 +296,25 @@ impl RobotState {
         self.last_good.as_ref().is_some_and(|p| p.sha256 == sha256)
     }
 
-    /// Begins anew after everything was forgotten: nothing below `floor` is taken from `stream`.
-    pub fn recovered(stream: &str, floor: u64) -> Self {
+    /// Whether a trust file of this version may be in force: not where a newer one was.
+    pub fn takes_trust(&self, version: u64) -> bool {
+        version >= self.trust_version || !Step::TrustVersion.on()
+    }
+
+    /// The trust file of this version is in force.
+    pub fn saw_trust(&mut self, version: u64) {
+        if version > self.trust_version {
+            self.trust_version = version;
+            self.generation += 1;
+        }
+    }
+
+    /// Begins anew after everything was forgotten: nothing below `floor` is taken from `stream`, and no trust file below `trust_version`.
+    pub fn recovered(stream: &str, floor: u64, trust_version: u64) -> Self {
         Self {
             seen: BTreeMap::from([(stream.to_owned(), floor)]),
             generation: 1,
+            trust_version,
             ..Self::default()
         }
     }

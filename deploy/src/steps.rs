@@ -10,6 +10,8 @@ pub(crate) enum Step {
     RobotModel,
     /// Trusted keys signed the announcement.
     Signature,
+    /// These keys are not older than any that this robot trusted.
+    TrustVersion,
     /// The bytes are the announced ones.
     Hash,
     /// The file bears the announced version.
@@ -62,7 +64,7 @@ impl Step {
     /// Whether the check is made: a test may leave one out.
     #[cfg(test)]
     pub(crate) fn on(self) -> bool {
-        tests::left_out() != Some(self)
+        tests::LEFT_OUT.get() != Some(self)
     }
 }
 
@@ -71,6 +73,7 @@ mod tests {
     use std::cell::Cell;
     use std::path::Path;
 
+    use caudata_left_out::{each_left_out, steps_in};
     use caudata_policy::{Dense, PolicyFile};
     use caudata_proto::registry::{Freshness, LabelName, Manifest, StreamName};
     use caudata_registry_client::RegistryClient;
@@ -84,16 +87,12 @@ mod tests {
     use crate::metrics::AgentMetrics;
     use crate::probe::ProbeProgram;
     use crate::state::{ATTEMPTS_MAX, Blame, Decision, PolicyRef, RobotState, Sha256Digest};
-    use crate::store::{PolicyStore, read_policy};
+    use crate::store::{PolicyStore, manifest_file, read_policy};
     use crate::testing::{model, policy_file};
     use crate::verify::{check_fresh, check_manifest, check_proved, check_signatures, verify};
 
     thread_local! {
-        static LEFT_OUT: Cell<Option<Step>> = const { Cell::new(None) };
-    }
-
-    pub(super) fn left_out() -> Option<Step> {
-        LEFT_OUT.get()
+        pub(super) static LEFT_OUT: Cell<Option<Step>> = const { Cell::new(None) };
     }
 
     const HERE: Sha256Digest = Sha256Digest([7; 32]);
@@ -161,6 +160,13 @@ mod tests {
                 manifest.version += 1;
                 check_signatures(&manifest, Some(&trust())).map_err(|e| e.to_string())
             }
+            Step::TrustVersion => {
+                let folder = tempfile::tempdir().unwrap();
+                let mut store = PolicyStore::open(folder.path()).unwrap();
+                let path = Path::new("trust.toml");
+                store.trust(path, 2).unwrap();
+                store.trust(path, 1).map_err(|e| e.to_string())
+            }
             Step::Hash => verified(good(), &of(b"other bytes", 1)),
             Step::Version => verified(good(), &of(&good(), 2)),
             Step::Contract => own(policy_file(1, |_, m| m.contract.joint_names.swap(2, 3))),
@@ -201,9 +207,9 @@ mod tests {
             }
             Step::StoredSignature => {
                 let (folder, policy) = stored(&good(), &mut manifest);
-                let name = format!("blobs/{}.1.manifest", policy.sha256);
+                let path = manifest_file(folder.path(), &policy);
                 manifest.signatures.clear();
-                std::fs::write(folder.path().join(name), manifest.to_bytes()).unwrap();
+                std::fs::write(path, manifest.to_bytes()).unwrap();
                 read(folder.path(), &policy)
             }
             Step::Fresh => {
@@ -363,10 +369,11 @@ mod tests {
         })
     }
 
-    const ALL: [Step; 23] = [
+    const ALL: [Step; 24] = [
         Step::RobotName,
         Step::RobotModel,
         Step::Signature,
+        Step::TrustVersion,
         Step::Hash,
         Step::Version,
         Step::Contract,
@@ -391,29 +398,14 @@ mod tests {
 
     #[test]
     fn each_step_and_no_other_keeps_its_bad_policy_out() {
-        let mut table = String::new();
-        let mut wrong = 0;
-        for step in ALL {
-            LEFT_OUT.set(None);
-            let refused = attempt(step);
-            LEFT_OUT.set(Some(step));
-            let got_through = attempt(step);
-            LEFT_OUT.set(None);
-            wrong += u32::from(refused.is_ok()) + u32::from(got_through.is_err());
-            table += &format!("{step:?}: with it {refused:?}; without it {got_through:?}\n");
-        }
-        assert_eq!(wrong, 0, "\n{table}");
+        let table = each_left_out(&LEFT_OUT, &ALL, attempt);
         // Seen with --nocapture: `make mutants`.
-        eprintln!("{table}");
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
     }
 
     #[test]
     fn the_table_holds_every_step() {
-        let text = include_str!("steps.rs");
-        let list = &text[text.find("enum Step {").unwrap()..text.find("impl Step {").unwrap()];
-        let names = list
-            .lines()
-            .filter(|l| l.starts_with("    ") && l.trim().ends_with(','));
-        assert_eq!(names.count(), ALL.len());
+        let table = ALL.map(|step| format!("{step:?}"));
+        assert_eq!(steps_in(include_str!("steps.rs")), table);
     }
 }

@@ -1,5 +1,5 @@
 //! The robot's folder: `state.json` with its copy `state.copy.json`, `blobs/<sha256>.onnx`, and beside each of these its signed
-//! announcement, `blobs/<sha256>.<version>.manifest`. What is read from it is checked as if it came from outside.
+//! announcement, `blobs/<sha256>.<version>.<stream>.manifest`, where the stream is the first half of its name's SHA-256. What is read from it is checked as if it came from outside.
 
 use std::fs;
 use std::io;
@@ -80,11 +80,17 @@ impl PolicyStore {
         self.torn
     }
 
-    /// Begins a new state after a server proved, freshly, that `stream` is at `floor`: nothing older is taken.
+    /// Begins a new state after a server proved, freshly, that `stream` is at `floor`: nothing older is taken, and no trust file older than the one of
+    /// `trust_version`, by which it was proved.
     ///
     /// # Errors
     /// [`DeployError::Durable`], [`DeployError::Folder`]; it is then as torn as before.
-    pub fn recover(&mut self, stream: &str, floor: u64) -> Result<(), DeployError> {
+    pub fn recover(
+        &mut self,
+        stream: &str,
+        floor: u64,
+        trust_version: u64,
+    ) -> Result<(), DeployError> {
         for name in COPIES {
             let path = self.folder.join(name);
             let aside = self.folder.join(format!("{name}.damaged"));
@@ -95,12 +101,30 @@ impl PolicyStore {
                 _ => {}
             }
         }
-        let text = encode(&RobotState::recovered(stream, floor))?;
+        let state = RobotState::recovered(stream, floor, trust_version);
+        let text = encode(&state)?;
         for name in COPIES {
             durable::replace_on(&*self.disk, &self.folder.join(name), &text)?;
         }
-        self.state = RobotState::recovered(stream, floor);
+        self.state = state;
         self.torn = false;
+        Ok(())
+    }
+
+    /// The trust file at `path`, of which `version` is in force, is what this robot goes by: from now on no older one is.
+    ///
+    /// # Errors
+    /// [`DeployError::OlderTrust`] where a newer one was in force here before.
+    pub fn trust(&mut self, path: &Path, version: u64) -> Result<(), DeployError> {
+        check_trust(&self.state, path, version)?;
+        // A lost state says nothing about trust files; [`PolicyStore::recover`] writes it down.
+        if self.torn {
+            return Ok(());
+        }
+        if let Err(error) = self.update(|state| state.saw_trust(version)) {
+            // A card that takes nothing more must not keep a robot from running what is on it.
+            tracing::error!(%error, version, "cannot write down which trust file is in force");
+        }
         Ok(())
     }
 
@@ -176,11 +200,7 @@ impl PolicyStore {
     /// # Errors
     /// [`DeployError::Durable`].
     pub fn put_manifest(&self, manifest: &Manifest) -> Result<(), DeployError> {
-        let path = manifest_file(
-            &self.folder,
-            Sha256Digest(manifest.sha256),
-            manifest.version,
-        );
+        let path = manifest_file(&self.folder, &crate::keeper::reference(manifest));
         Ok(durable::replace_on(
             &*self.disk,
             &path,
@@ -233,8 +253,14 @@ pub fn read_policy(
         return Err(DeployError::BlobDamaged { path });
     }
     if let Some(trust) = trust.filter(|_| Step::StoredSignature.on()) {
-        let path = manifest_file(folder, policy.sha256, policy.version);
-        let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
+        let path = manifest_file(folder, policy);
+        let read = match read_bounded(&path, MANIFEST_BYTES_MAX) {
+            Err(DeployError::BlobMissing { .. }) => {
+                read_bounded(&older_manifest_file(folder, policy), MANIFEST_BYTES_MAX)
+            }
+            read => read,
+        };
+        let manifest = Manifest::from_bytes(&read?);
         let signed = manifest.is_ok_and(|manifest| {
             crate::keeper::reference(&manifest) == *policy && trust.check(&manifest).is_ok()
         });
@@ -262,9 +288,34 @@ fn blob(folder: &Path, sha256: Sha256Digest) -> PathBuf {
     folder.join("blobs").join(format!("{sha256}.onnx"))
 }
 
-fn manifest_file(folder: &Path, sha256: Sha256Digest, version: u64) -> PathBuf {
-    let name = format!("{sha256}.{version}.manifest");
+/// Where the announcement of `policy` lies. By its stream too: the same bytes may bear the same version in two streams, and neither announcement
+/// may take the place of the other, whenever the power goes.
+pub(crate) fn manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
+    let stream = Sha256Digest(Sha256::digest(&policy.stream).into()).to_string();
+    let (sha256, version) = (policy.sha256, policy.version);
+    let name = format!("{sha256}.{version}.{}.manifest", &stream[..32]);
     folder.join("blobs").join(name)
+}
+
+/// Where it lies in folders of before, which did not tell streams apart.
+fn older_manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
+    let name = format!("{}.{}.manifest", policy.sha256, policy.version);
+    folder.join("blobs").join(name)
+}
+
+/// Refuses the trust file at `path`, of which `version` is in force, where a newer one was in force on the robot of `state`.
+///
+/// # Errors
+/// [`DeployError::OlderTrust`].
+pub fn check_trust(state: &RobotState, path: &Path, version: u64) -> Result<(), DeployError> {
+    if state.takes_trust(version) {
+        return Ok(());
+    }
+    Err(DeployError::OlderTrust {
+        path: path.to_owned(),
+        found: version,
+        seen: state.trust_version,
+    })
 }
 
 /// A state file: the state, and the SHA-256 of its compact JSON, so that a flipped bit is noticed.
@@ -484,12 +535,15 @@ mod tests {
         assert!(matches!(error, DeployError::StateLost), "{error}");
         // Power gone between the two: still torn, not new.
         assert!(PolicyStore::open(folder.path()).is_err());
-        store.recover("s", 9).unwrap();
+        store.recover("s", 9, 2).unwrap();
         let store = PolicyStore::open(folder.path()).unwrap();
         let here = Sha256Digest([7; 32]);
         let older = crate::state::Decision::Older { have: 9 };
         assert_eq!(store.state().decide(&policy(b"one"), here), older);
         assert!(folder.path().join("state.json.damaged").exists());
+        // Nor do the keys come back that were given up before it was proved.
+        let error = check_trust(store.state(), Path::new("t"), 1).unwrap_err();
+        assert!(matches!(error, DeployError::OlderTrust { .. }), "{error}");
     }
 
     /// Version 1 ran well, version 2 is active.
@@ -656,12 +710,123 @@ mod tests {
         store.put_manifest(&manifest).unwrap();
         assert_eq!(*read().unwrap(), *b"one");
         // Signed, but announced in another stream: under the name of this policy it does not count.
-        let path = manifest_file(folder.path(), one.sha256, 1);
+        let path = manifest_file(folder.path(), &one);
         manifest.stream = caudata_proto::registry::StreamName::new("other").unwrap();
         key.sign(&mut manifest);
         fs::write(&path, manifest.to_bytes()).unwrap();
         assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
         fs::write(&path, b"no manifest").unwrap();
         assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
+        // A folder that was written before streams were told apart.
+        manifest.stream = caudata_proto::registry::StreamName::new("s").unwrap();
+        key.sign(&mut manifest);
+        fs::remove_file(&path).unwrap();
+        fs::write(
+            older_manifest_file(folder.path(), &one),
+            manifest.to_bytes(),
+        )
+        .unwrap();
+        assert_eq!(*read().unwrap(), *b"one");
+    }
+
+    /// The announcement of `policy`, signed by `key`.
+    fn announced(policy: &PolicyRef, key: &caudata_signing::ReleaseKey) -> Manifest {
+        let mut manifest = Manifest {
+            stream: caudata_proto::registry::StreamName::new(&policy.stream).unwrap(),
+            version: policy.version,
+            sha256: policy.sha256.0,
+            size: 3,
+            created_unix_ms: 5,
+            run_id: "r".into(),
+            contract_hash: [2; 32],
+            robot_name: "polymander".into(),
+            robot_hash: [3; 32],
+            env_steps: 9,
+            training_commit: String::new(),
+            config_hash: String::new(),
+            evaluation_json: None,
+            reverts_to: None,
+            signatures: Vec::new(),
+        };
+        key.sign(&mut manifest);
+        manifest
+    }
+
+    #[test]
+    fn fault_29_a_power_cut_at_any_write_leaves_every_policy_with_its_own_signature() {
+        let key = caudata_signing::ReleaseKey::from_seed("release", &[7; 32]);
+        let trust = Trust::parse(&key.trust_file()).unwrap();
+        let take = |store: &mut PolicyStore, policy: &PolicyRef| {
+            store.put(policy, b"one").unwrap();
+            store.put_manifest(&announced(policy, &key)).unwrap();
+            store.update(|s| s.adopt(policy.clone())).unwrap();
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().join("state");
+        let one = policy(b"one");
+        let mut store = PolicyStore::open(&root).unwrap();
+        take(&mut store, &one);
+        store.update(|s| s.confirm(one.sha256)).unwrap();
+        drop(store);
+        // The same bytes under the same number, released into another stream.
+        let same = PolicyRef {
+            stream: "release/s".to_owned(),
+            ..one.clone()
+        };
+        let disk = Arc::new(Rehearsal::new(&root).unwrap());
+        let mut store = PolicyStore::open_on(disk.clone(), &root).unwrap();
+        let first = disk.steps();
+        take(&mut store, &same);
+        let mut found = Vec::new();
+        for step in first..=disk.steps() {
+            let below = folder.path().join(format!("cuts-{step}"));
+            for left in disk.cut(step, &below).unwrap() {
+                let state = PolicyStore::open(&left).unwrap().state().clone();
+                for policy in state.on_disk() {
+                    let read = read_policy(&left, &policy, Some(&trust));
+                    assert_eq!(*read.unwrap(), *b"one", "{policy} cut after {step}");
+                }
+                found.push(state.active);
+            }
+            fs::remove_dir_all(&below).unwrap();
+        }
+        assert!(found.contains(&Some(one)) && found.contains(&Some(same)));
+    }
+
+    #[test]
+    fn fault_23_a_trust_file_that_is_older_than_one_of_before_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = Path::new("trust.toml");
+        let mut store = PolicyStore::open(folder.path()).unwrap();
+        store.trust(path, 1).unwrap();
+        store.trust(path, 3).unwrap();
+        store.trust(path, 3).unwrap();
+        // Also after a restart, whichever copy of the state survives.
+        for name in COPIES {
+            let other = tempfile::tempdir().unwrap();
+            fs::copy(folder.path().join(name), other.path().join(name)).unwrap();
+            let mut store = PolicyStore::open(other.path()).unwrap();
+            let error = store.trust(path, 2).unwrap_err();
+            assert_eq!(
+                error.to_string(),
+                "trust file trust.toml: version 2 is in force, and on this robot version 3 was: put the newer files back"
+            );
+            assert_eq!(error.exit_code(), caudata_telemetry::ExitCode::BadInput);
+            store.trust(path, 4).unwrap();
+        }
+    }
+
+    #[test]
+    fn fault_30_a_disk_that_takes_nothing_does_not_keep_a_robot_from_its_trust_file() {
+        let folder = tempfile::tempdir().unwrap();
+        drop(walked(folder.path()));
+        let disk = Arc::new(Rehearsal::new(folder.path()).unwrap());
+        let mut store = PolicyStore::open_on(disk.clone(), folder.path()).unwrap();
+        disk.fail_writes_at(disk.steps(), 28);
+        store.trust(Path::new("t"), 2).unwrap();
+        assert_eq!(store.state().trust_version, 0, "it is not promised");
+        disk.heal();
+        store.trust(Path::new("t"), 2).unwrap();
+        assert_eq!(found(folder.path()).trust_version, 2);
     }
 }

@@ -16,26 +16,14 @@ use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use caudata_chaos_proxy::{Dice, Wire};
 use caudata_policy::PolicyFile;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{RegistryClient, manifest_of};
 use caudata_telemetry::read_announcement;
-use common::network::Wire;
 use common::policies::standing;
 use common::{STREAM, perfect_robot, program_on, status_of};
 use serde_json::Value;
-
-/// Numbers that look random and are the same each time.
-struct Dice(u64);
-
-impl Dice {
-    fn below(&mut self, end: u64) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0 % end
-    }
-}
 
 /// A process that does not outlive the test, however that ends.
 struct Killed(Child);
@@ -139,7 +127,7 @@ fn soak(seconds: u64) {
             .arg("--commands")
             .arg(&commands);
         let robot = scope.spawn(move || robot.output().unwrap());
-        let (mut dice, mut kills, mut cuts) = (Dice(20_261_121), 0, 0);
+        let (mut dice, mut kills, mut cuts) = (Dice::new(20_261_121), 0, 0);
         while Instant::now() < end && !robot.is_finished() {
             std::thread::sleep(Duration::from_millis(1500 + dice.below(3000)));
             if dice.below(2) == 0 {

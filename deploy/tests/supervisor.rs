@@ -3,8 +3,11 @@
 //! This test program is its own child: `child` plays the agent, the loop and the one that lets go, as the scenario says.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::fmt::Debug;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use caudata_deploy::boundary::RunFolder;
@@ -13,6 +16,8 @@ use caudata_deploy::supervisor::{Plan, supervise};
 use caudata_telemetry::{ExitCode, Failure, StopFlag};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
+use tracing::field::Field;
+use tracing::{Event, Metadata, span};
 
 /// How long anything is waited for before the test gives up; nothing is asserted about time.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -22,12 +27,45 @@ const LOOK: Duration = Duration::from_millis(5);
 /// How long braking may take where it is timed.
 const BRAKE_MAX: Duration = Duration::from_secs(4);
 
+/// What the supervisor says in its log.
+#[derive(Clone, Default)]
+struct Heard(Arc<Mutex<Vec<String>>>);
+
+impl tracing::Subscriber for Heard {
+    fn enabled(&self, _: &Metadata<'_>) -> bool {
+        true
+    }
+
+    fn new_span(&self, _: &span::Attributes<'_>) -> span::Id {
+        span::Id::from_u64(1)
+    }
+
+    fn record(&self, _: &span::Id, _: &span::Record<'_>) {}
+
+    fn record_follows_from(&self, _: &span::Id, _: &span::Id) {}
+
+    fn event(&self, event: &Event<'_>) {
+        let mut line = String::new();
+        event.record(&mut |field: &Field, value: &dyn Debug| {
+            if field.name() == "message" {
+                line = format!("{value:?}");
+            }
+        });
+        self.0.lock().unwrap().push(line);
+    }
+
+    fn enter(&self, _: &span::Id) {}
+
+    fn exit(&self, _: &span::Id) {}
+}
+
 /// A scene: the folder in which children leave a line each time they are started, and what they are told.
 struct Scene {
     folder: tempfile::TempDir,
     plan: Plan,
     stop: StopFlag,
     insisted: StopFlag,
+    heard: Heard,
 }
 
 impl Scene {
@@ -51,6 +89,7 @@ impl Scene {
             plan,
             stop: StopFlag::new(),
             insisted: StopFlag::new(),
+            heard: Heard::default(),
         }
     }
 
@@ -73,9 +112,35 @@ impl Scene {
         }
     }
 
-    /// To its end.
+    /// Waits until the supervisor has said `line`.
+    #[track_caller]
+    fn hears(&self, line: &str) {
+        let end = Instant::now() + PATIENCE;
+        let said = || self.heard.0.lock().unwrap().clone();
+        while !said().iter().any(|said| said == line) {
+            assert!(Instant::now() < end, "{line}: {:?}", said());
+            std::thread::sleep(LOOK);
+        }
+    }
+
+    /// To its end, which must come.
+    #[track_caller]
     fn run(&self) -> Result<(), Failure> {
-        supervise(&self.plan, &self.stop, &self.insisted)
+        let (plan, heard) = (self.plan.clone(), self.heard.clone());
+        let (stop, insisted) = (self.stop.clone(), self.insisted.clone());
+        let (tell, told) = sync_channel(1);
+        // A supervisor that does not end must not keep its test from failing.
+        let running = std::thread::spawn(move || {
+            let _listening = tracing::subscriber::set_default(heard);
+            tell.send(supervise(&plan, &stop, &insisted)).unwrap();
+        });
+        match told.recv_timeout(PATIENCE) {
+            Ok(result) => result,
+            Err(RecvTimeoutError::Timeout) => panic!("it does not end: {:?}", self.heard.0),
+            Err(RecvTimeoutError::Disconnected) => {
+                std::panic::resume_unwind(running.join().unwrap_err())
+            }
+        }
     }
 }
 
@@ -117,13 +182,20 @@ fn child() {
     std::process::exit(code);
 }
 
-/// Lives until it is told to end, or until `done` says so.
-fn lives(says: &Notifier, done: impl Fn() -> bool) {
+/// Waits until `done` says so, or until nobody is above it any more.
+fn waits(done: impl Fn() -> bool) {
     let parent = nix::unistd::getppid();
     while !done() && nix::unistd::getppid() == parent {
-        says.say(Word::Alive);
         std::thread::sleep(LOOK);
     }
+}
+
+/// Lives until it is told to end, or until `done` says so.
+fn lives(says: &Notifier, done: impl Fn() -> bool) {
+    waits(|| {
+        says.say(Word::Alive);
+        done()
+    });
 }
 
 fn dies() -> i32 {
@@ -159,9 +231,7 @@ fn looper(scenario: &str, folder: &Path, start: usize, says: &Notifier) -> i32 {
             i32::from(ExitCode::IoError.number())
         }
         ("pressed_early", _) => {
-            while !folder.join("pressed").exists() {
-                std::thread::sleep(LOOK);
-            }
+            waits(|| folder.join("pressed").exists());
             // Longer than braking may take. Then its first tick, and a few ticks later it brakes.
             std::thread::sleep(BRAKE_MAX + Duration::from_secs(1));
             says.say(Word::Ready);
@@ -191,9 +261,10 @@ fn looper(scenario: &str, folder: &Path, start: usize, says: &Notifier) -> i32 {
 fn limp(scenario: &str, start: usize) -> i32 {
     match (scenario, start) {
         ("unanswered", _) | ("crash_then_order", 1) => i32::from(ExitCode::TorqueOn.number()),
-        ("let_go_hangs", _) => loop {
-            std::thread::sleep(PATIENCE);
-        },
+        ("let_go_hangs", _) => {
+            waits(|| false);
+            0
+        }
         _ => 0,
     }
 }
@@ -258,8 +329,7 @@ fn an_agent_that_cannot_be_started_again_does_not_end_the_walk() {
         scene.comes_to("rt", 1);
         std::fs::rename(&program, &away).unwrap();
         std::fs::write(scene.path("agent-ends"), "").unwrap();
-        // Its first try is after half a second, the second a second later.
-        std::thread::sleep(Duration::from_secs(1));
+        scene.hears("the agent cannot be started; the loop goes on");
         assert!(!running.is_finished(), "the walk goes on");
         std::fs::rename(&away, &program).unwrap();
         scene.comes_to("agent", 2);

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use caudata_chaos_proxy::Wire;
 use caudata_deploy::command_link::LinkKey;
-use common::network::Wire;
 use common::policies::{policy_file, standing};
-use common::{Server, perfect_robot, program, status_of};
+use common::{Server, end_of, output_of, perfect_robot, program, status_of};
 use crossbeam_channel::{Receiver, bounded};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -97,7 +97,7 @@ impl Robot {
 
     /// Exit code and summary (null without one).
     fn ended(mut self) -> (Option<i32>, Value, Vec<Value>) {
-        let code = self.supervisor.wait().unwrap().code();
+        let code = end_of(&mut self.supervisor).code();
         let rest: Vec<Value> = self.lines.iter().collect();
         self.said.extend(rest);
         let summary = self.said.iter().find(|line| !line["ended"].is_null());
@@ -557,7 +557,7 @@ fn a_log_that_nobody_reads_holds_neither_loop_nor_supervisor() {
     command.stdout(Stdio::piped()).stderr(writer);
     let running = command.spawn().unwrap();
     // The first line of the log would be the end of it.
-    let output = running.wait_with_output().unwrap();
+    let output = output_of(running);
     let said = String::from_utf8(output.stdout).unwrap();
     let summary: Value = serde_json::from_str(said.lines().last().unwrap()).unwrap();
     assert_eq!(
@@ -575,7 +575,7 @@ fn a_reader_of_the_summary_that_sleeps_holds_up_no_end() {
     let (reader, writer) = full_pipe();
     let mut command = lab.command("60000", &["--seconds", "1"]);
     command.stdout(writer).stderr(Stdio::piped());
-    let output = command.spawn().unwrap().wait_with_output().unwrap();
+    let output = output_of(command.spawn().unwrap());
     let said = String::from_utf8(output.stderr).unwrap();
     // In order, with what it came to said where it can be, and not because somebody lost patience.
     assert_eq!(output.status.code(), Some(0), "{said}");

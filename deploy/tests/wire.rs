@@ -17,7 +17,7 @@ use caudata_hardware::Wiring;
 use caudata_runlog::{RunLog, Signal};
 use caudata_sim::{EngineConfig, TerrainConfig};
 use common::policies::{ROBOT_FILE, model, standing};
-use common::{Server, ended, outcome, program, start};
+use common::{Server, end_of, ended, outcome, output_of, program, start};
 
 const WIRING: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
@@ -518,7 +518,7 @@ fn a_loop_that_does_not_end_even_by_force_has_its_servos_let_go_and_is_left() {
     }
     // It is ended by force, as far as that goes.
     insists(running.id());
-    running.wait().unwrap();
+    end_of(&mut running);
     let state = std::fs::read_to_string(format!("/proc/{looper}/status")).unwrap();
     // What it holds open would keep its last words from ending.
     let _ = nix::sys::ptrace::detach(looper, nix::sys::signal::Signal::SIGKILL);
@@ -544,7 +544,7 @@ fn limp(robot: &Emulated, flags: &[&str]) -> (Option<i32>, String) {
         .args(["limp", "--wiring", &patient_wiring(&robot.folder)])
         .args(robot.ports())
         .args(flags);
-    let output = command.output().unwrap();
+    let output = output_of(start(command));
     let said = [output.stdout, output.stderr].concat();
     (output.status.code(), String::from_utf8(said).unwrap())
 }

@@ -12,6 +12,7 @@ mod metrics;
 mod notes;
 mod page;
 mod record;
+mod replies;
 mod server;
 mod service;
 mod steps;
@@ -30,5 +31,7 @@ pub use record::{RECORD_FORMAT, Record, RecordError};
 pub use server::{
     DRAIN_MAX, Keepalive, ServeError, ServeOptions, listen, serve, serve_tls, serve_with,
 };
-pub use service::{LIST_MAX, RegistryService, SharedStore, UPLOAD_IDLE_MAX, WATCH_PROGRESS};
+pub use service::{
+    LIST_MAX, REPLY_IDLE_MAX, RegistryService, SharedStore, UPLOAD_IDLE_MAX, WATCH_PROGRESS,
+};
 pub use store::{LABELS_MAX, Published, Store, StoreLimits, hex};

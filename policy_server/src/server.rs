@@ -14,7 +14,7 @@ use tonic::transport::{Server, ServerTlsConfig};
 use crate::access::GuardLayer;
 use crate::limits::{ConnectionLimits, Incoming};
 use crate::metrics::ServerMetrics;
-use crate::service::{RegistryService, SharedStore, UPLOAD_IDLE_MAX};
+use crate::service::{REPLY_IDLE_MAX, RegistryService, SharedStore, UPLOAD_IDLE_MAX};
 use crate::store::Store;
 
 /// Requests served at once on one connection; further ones wait.
@@ -106,6 +106,9 @@ pub struct ServeOptions {
     /// A publisher must send its next piece within this time, [`UPLOAD_IDLE_MAX`] unless told otherwise. Too short: publishers behind a poor network are
     /// cut off; too long: one that died holds its place and the bytes that came.
     pub upload_idle: Duration,
+    /// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time, [`REPLY_IDLE_MAX`] unless told otherwise. Too short:
+    /// robots behind a poor network are cut off and have to ask again; too long: one that hangs holds its place and what waits for it.
+    pub reply_idle: Duration,
 }
 
 impl Default for ServeOptions {
@@ -116,6 +119,7 @@ impl Default for ServeOptions {
             fresh_key: None,
             connections: ConnectionLimits::default(),
             upload_idle: UPLOAD_IDLE_MAX,
+            reply_idle: REPLY_IDLE_MAX,
         }
     }
 }
@@ -165,7 +169,8 @@ pub async fn serve_with(
     options: ServeOptions,
 ) -> Result<(), ServeError> {
     let registry = RegistryService::new(store, stop.clone(), metrics, options.fresh_key)
-        .with_upload_idle(options.upload_idle);
+        .with_upload_idle(options.upload_idle)
+        .with_reply_idle(options.reply_idle);
     let (health, health_service) = tonic_health::server::health_reporter();
     health
         .set_serving::<PolicyRegistryServer<RegistryService>>()

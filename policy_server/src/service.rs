@@ -27,10 +27,9 @@ use caudata_proto::registry::{
 };
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistry;
-use tokio::sync::{broadcast, mpsc, watch};
+use tokio::sync::{broadcast, watch};
 use tokio_stream::Stream;
-use tokio_stream::wrappers::ReceiverStream;
-use tonic::{Request, Response, Status, Streaming};
+use tonic::{Code, Request, Response, Status, Streaming};
 
 use crate::access::Caller;
 use crate::audit::{ENTRIES_KEPT, Origin};
@@ -38,6 +37,7 @@ use crate::error::StoreError;
 use crate::labels::Change;
 use crate::metrics::ServerMetrics;
 use crate::record::Record;
+use crate::replies::{Replies, replies};
 use crate::store::{Published, Store, hex};
 use caudata_signing::ReleaseKey;
 
@@ -49,8 +49,8 @@ pub const LIST_MAX: usize = 500;
 pub const WATCH_PROGRESS: Duration = Duration::from_secs(10);
 /// Changes that a slow watcher may lag behind before it is cut off.
 const WATCH_BACKLOG: usize = 64;
-/// Messages queued towards one client before the server waits for it.
-const REPLY_QUEUE: usize = 8;
+/// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time.
+pub const REPLY_IDLE_MAX: Duration = Duration::from_secs(60);
 
 /// Reports in one answer at most, the newest first.
 const REPORTS_MAX: usize = 1000;
@@ -83,6 +83,7 @@ pub struct RegistryService {
     metrics: ServerMetrics,
     fresh_key: Option<Arc<ReleaseKey>>,
     upload_idle: Duration,
+    reply_idle: Duration,
     /// Turns true for good when the store can no longer be changed.
     read_only: Arc<watch::Sender<bool>>,
 }
@@ -105,6 +106,7 @@ impl RegistryService {
             metrics,
             fresh_key,
             upload_idle: UPLOAD_IDLE_MAX,
+            reply_idle: REPLY_IDLE_MAX,
             read_only: Arc::new(watch::Sender::new(false)),
         };
         service.update_gauges();
@@ -115,6 +117,13 @@ impl RegistryService {
     #[must_use]
     pub fn with_upload_idle(mut self, limit: Duration) -> Self {
         self.upload_idle = limit;
+        self
+    }
+
+    /// A client must take a piece of an answer that waits for it within `limit`.
+    #[must_use]
+    pub fn with_reply_idle(mut self, limit: Duration) -> Self {
+        self.reply_idle = limit;
         self
     }
 
@@ -377,7 +386,7 @@ impl PolicyRegistry for RegistryService {
             .get(usize::try_from(from).unwrap_or(usize::MAX)..)
             .unwrap_or_default()
             .to_vec();
-        Ok(Response::new(send_file(info, rest)))
+        Ok(Response::new(send_file(info, rest, self.reply_idle)))
     }
 
     type WatchStream = ReplyStream<wire::WatchEvent>;
@@ -391,13 +400,13 @@ impl PolicyRegistry for RegistryService {
         // Subscribe before reading the store, so that no change falls between the two.
         let changes = self.changes.subscribe();
         let (first, seen) = self.first_events(&request)?;
-        let (reply, queue) = mpsc::channel(REPLY_QUEUE);
+        let (replies, answer) = replies(self.reply_idle, Code::ResourceExhausted);
         let watcher = Watcher {
             stream: request.stream,
             seen,
             changes,
             draining: self.draining.clone(),
-            reply,
+            replies,
         };
         self.metrics.watchers.inc();
         let gauge = self.metrics.watchers.clone();
@@ -405,7 +414,7 @@ impl PolicyRegistry for RegistryService {
             watcher.run(first).await;
             gauge.dec();
         });
-        Ok(Response::new(Box::pin(ReceiverStream::new(queue))))
+        Ok(Response::new(Box::pin(answer)))
     }
 
     async fn set_label(
@@ -585,14 +594,14 @@ struct Watcher {
     seen: u64,
     changes: broadcast::Receiver<Arc<Change>>,
     draining: watch::Receiver<bool>,
-    reply: mpsc::Sender<Result<wire::WatchEvent, Status>>,
+    replies: Replies<wire::WatchEvent>,
 }
 
 impl Watcher {
-    /// Ends when the client goes, when it falls too far behind, or when the server drains.
+    /// Ends when the client goes, when it reads nothing for too long, when it falls too far behind, or when the server drains.
     async fn run(mut self, first: Vec<wire::WatchEvent>) {
         for event in first {
-            if self.reply.send(Ok(event)).await.is_err() {
+            if !self.replies.send(event).await {
                 return;
             }
         }
@@ -600,7 +609,7 @@ impl Watcher {
         progress.tick().await;
         loop {
             let change = tokio::select! {
-                () = self.reply.closed() => return,
+                () = self.replies.gone() => return,
                 _ = self.draining.wait_for(|draining| *draining) => None,
                 change = self.changes.recv() => Some(Some(change)),
                 _ = progress.tick() => Some(None),
@@ -615,13 +624,10 @@ impl Watcher {
             let event = match event {
                 Ok(Some(event)) => event,
                 Ok(None) => continue,
-                Err(status) => {
-                    // A watcher that lags has its few places full: it is told when it reads on, or never.
-                    let _ = self.reply.send(Err(status)).await;
-                    return;
-                }
+                // A watcher that lags is told when it reads on.
+                Err(status) => return self.replies.end(status),
             };
-            if self.reply.send(Ok(event)).await.is_err() {
+            if !self.replies.send(event).await {
                 return;
             }
         }
@@ -779,25 +785,30 @@ fn check_against_file(manifest: &Manifest, bytes: &[u8]) -> Result<(), Status> {
     Ok(())
 }
 
-fn send_file(info: wire::FetchInfo, bytes: Vec<u8>) -> ReplyStream<wire::FetchResponse> {
-    let (reply, queue) = mpsc::channel(REPLY_QUEUE);
+fn send_file(
+    info: wire::FetchInfo,
+    bytes: Vec<u8>,
+    idle: Duration,
+) -> ReplyStream<wire::FetchResponse> {
+    // As for an upload that stalls: it may go on where it stopped.
+    let (replies, answer) = replies(idle, Code::DeadlineExceeded);
     tokio::spawn(async move {
         let first = wire::FetchResponse {
             part: Some(wire::fetch_response::Part::Info(info)),
         };
-        if reply.send(Ok(first)).await.is_err() {
+        if !replies.send(first).await {
             return;
         }
         for piece in bytes.chunks(FETCH_CHUNK_BYTES) {
             let data = wire::FetchResponse {
                 part: Some(wire::fetch_response::Part::Data(piece.to_vec())),
             };
-            if reply.send(Ok(data)).await.is_err() {
+            if !replies.send(data).await {
                 return;
             }
         }
     });
-    Box::pin(ReceiverStream::new(queue))
+    Box::pin(answer)
 }
 
 /// The checked form of a request.

@@ -34,7 +34,7 @@ impl Step {
     /// Whether the check is made: a test may leave one out.
     #[cfg(test)]
     pub(crate) fn on(self) -> bool {
-        tests::left_out() != Some(self)
+        tests::LEFT_OUT.get() != Some(self)
     }
 }
 
@@ -42,6 +42,7 @@ impl Step {
 mod tests {
     use std::cell::Cell;
 
+    use caudata_left_out::{each_left_out, steps_in};
     use caudata_proto::registry::{LabelName, QuarantineState, SetLabel, StreamName};
     use sha2::{Digest, Sha256};
 
@@ -51,11 +52,7 @@ mod tests {
     use crate::testing::manifest;
 
     thread_local! {
-        static LEFT_OUT: Cell<Option<Step>> = const { Cell::new(None) };
-    }
-
-    pub(super) fn left_out() -> Option<Step> {
-        LEFT_OUT.get()
+        pub(super) static LEFT_OUT: Cell<Option<Step>> = const { Cell::new(None) };
     }
 
     fn label(name: &str, version: u64, expected_generation: u64) -> SetLabel {
@@ -132,29 +129,14 @@ mod tests {
 
     #[test]
     fn each_step_and_no_other_keeps_its_request_out() {
-        let mut table = String::new();
-        let mut wrong = 0;
-        for step in ALL {
-            LEFT_OUT.set(None);
-            let refused = attempt(step);
-            LEFT_OUT.set(Some(step));
-            let got_through = attempt(step);
-            LEFT_OUT.set(None);
-            wrong += u32::from(refused.is_ok()) + u32::from(got_through.is_err());
-            table += &format!("{step:?}: with it {refused:?}; without it {got_through:?}\n");
-        }
-        assert_eq!(wrong, 0, "\n{table}");
+        let table = each_left_out(&LEFT_OUT, &ALL, attempt);
         // Seen with --nocapture: `make mutants`.
-        eprintln!("{table}");
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
     }
 
     #[test]
     fn the_table_holds_every_step() {
-        let text = include_str!("steps.rs");
-        let list = &text[text.find("enum Step {").unwrap()..text.find("impl Step {").unwrap()];
-        let names = list
-            .lines()
-            .filter(|l| l.starts_with("    ") && l.trim().ends_with(','));
-        assert_eq!(names.count(), ALL.len());
+        let table = ALL.map(|step| format!("{step:?}"));
+        assert_eq!(steps_in(include_str!("steps.rs")), table);
     }
 }

@@ -270,6 +270,65 @@ async fn fault_10_a_watcher_that_stops_reading_is_told_that_it_lags_and_others_m
 }
 
 #[tokio::test]
+async fn fault_10_a_watcher_that_never_reads_loses_its_place_and_what_waits_for_it() {
+    /// More than its connection takes unread and its queue holds, and fewer than it may lag behind that.
+    const VERSIONS: u64 = 80;
+    let unless_told = ServeOptions::default().reply_idle;
+    assert_eq!(unless_told, std::time::Duration::from_secs(60));
+    let data = tempfile::tempdir().unwrap();
+    let options = ServeOptions {
+        reply_idle: std::time::Duration::from_millis(300),
+        ..ServeOptions::default()
+    };
+    let mut server = Server::start_with(data.path(), keep(VERSIONS as usize), options).await;
+    let mut one =
+        caudata_registry_client::RegistryClient::new(&server.address.to_string()).unwrap();
+    let mut silent = one.watch(Some(&stream()), 0).await.unwrap();
+    let watchers = server.metrics.watchers.clone();
+    assert_eq!(watchers.get(), 1);
+    for version in 1..=VERSIONS {
+        let file = policy(version);
+        let mut manifest = manifest_of(stream(), &file, 5).unwrap();
+        manifest.evaluation_json = Some(format!("{{\"note\":\"{}\"}}", "x".repeat(60_000)));
+        server.client.publish(manifest, file.bytes()).await.unwrap();
+    }
+    let end = std::time::Instant::now() + std::time::Duration::from_secs(120);
+    while watchers.get() > 0 {
+        assert!(std::time::Instant::now() < end, "it keeps its place");
+        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+    }
+    // It wakes up after all: what its connection had taken, without a gap, and then what became of it.
+    let mut last = 0;
+    let error = loop {
+        match silent.next().await {
+            Ok(Some(event)) => {
+                if let WatchChange::Published(manifest) = event.change {
+                    assert_eq!(manifest.version, last + 1);
+                    last = manifest.version;
+                }
+            }
+            Ok(None) => panic!("it is not told why, after version {last}"),
+            Err(error) => break error,
+        }
+    };
+    assert_eq!(code(&error), Code::ResourceExhausted, "{error}");
+    assert!(
+        error.to_string().contains("nothing of the answer was read"),
+        "{error}"
+    );
+    assert!(last < VERSIONS - 8, "{last} versions waited for it");
+    // It is welcome again.
+    let mut again = one.watch(Some(&stream()), 0).await.unwrap();
+    let event = again.next().await.unwrap().unwrap();
+    assert!(
+        matches!(&event.change, WatchChange::Snapshot(all) if all[0].version == VERSIONS),
+        "{event:?}"
+    );
+    drop((silent, again));
+    server.stop().await;
+}
+
+#[tokio::test]
 async fn a_watch_begins_with_a_snapshot_and_resumes_without_gaps() {
     let data = tempfile::tempdir().unwrap();
     let mut server = Server::start(data.path(), keep(2)).await;

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use caudata_evaluation::Summary;
 use caudata_proto::registry::{Manifest, StreamName};
-use caudata_signing::{ReleaseKey, Trust, add_signature, read_signatures, successor_path};
+use caudata_signing::{
+    ReleaseKey, SigningError, Trust, add_signature, read_signatures, successor_path,
+};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use serde_json::json;
 
@@ -115,23 +117,32 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
         format!("cannot read {}", args.next.display())
     })?;
     let bad = |reason| Failure::message(ExitCode::BadInput, reason);
-    let version = Trust::parse(&text).map_err(bad)?.version();
+    let next = Trust::parse(&text).map_err(bad)?;
+    let version = next.version();
     if version < 2 {
         return Err(bad(format!(
             "{}: `version` is {version}; a trust file that follows another has 2 or more",
             args.next.display()
         )));
     }
-    // A chain with a signature owed cannot be read; then this is the file that owes it, or it is refused on the robot.
-    if let Ok(in_force) = Trust::read(&args.trust)
-        && version > in_force.version() + 1
-    {
-        return Err(bad(format!(
-            "{}: `version` is {version}, and {} is in force: {} comes first",
-            args.next.display(),
-            in_force.version(),
-            in_force.version() + 1
-        )));
+    let before = Trust::before(&args.trust, version).map_err(|error| {
+        let code = match error {
+            SigningError::File { .. } => ExitCode::NoInput,
+            SigningError::Content { .. } => ExitCode::BadInput,
+        };
+        Failure::new(code, error)
+    })?;
+    // A signature that counts nowhere would look as if it did.
+    if !before.has_root(&key) && !next.has_root(&key) {
+        let message = format!(
+            "key `{}` is a root key neither of version {} nor of {}: its signature would not count",
+            args.key_id,
+            before.version(),
+            args.next.display()
+        );
+        return Err(bad(message).hint(
+            "--key-id is the name under [[root_key]], --key the secret key that belongs to it",
+        ));
     }
     let file = successor_path(&args.trust, version);
     match std::fs::read_to_string(&file) {
@@ -262,14 +273,35 @@ mod tests {
         std::fs::write(&next, &text).unwrap();
         let in_force = || Trust::read(&trust).map(|t| t.version()).ok();
         assert_eq!(in_force(), Some(1));
-        sign("release-1").unwrap();
+        // A release key may not say so, nor may another key under the name of one that may; neither leaves a trace.
+        for stranger in ["release-1", "release-2"] {
+            let refused = sign(stranger).unwrap_err();
+            assert_eq!(refused.code(), ExitCode::BadInput);
+            let line = refused.to_string();
+            assert!(
+                line.contains(&format!(
+                    "key `{stranger}` is a root key neither of version 1 nor of"
+                )),
+                "{line}"
+            );
+        }
+        std::fs::rename(path("root-2.key"), path("kept.key")).unwrap();
+        std::fs::copy(path("release-2.key"), path("root-2.key")).unwrap();
+        assert_eq!(sign("root-2").unwrap_err().code(), ExitCode::BadInput);
+        std::fs::rename(path("kept.key"), path("root-2.key")).unwrap();
+        assert!(!successor_path(&trust, 2).exists());
         sign("root-1").unwrap();
         sign("root-1").unwrap();
         assert_eq!(in_force(), None, "its own root key is missing");
         sign("root-2").unwrap();
         assert_eq!(in_force(), Some(2));
         let signatures = read_signatures(&successor_path(&trust, 2)).unwrap();
-        assert_eq!(signatures.len(), 3, "each key once");
+        assert_eq!(signatures.len(), 2, "each key once");
+        // One number was left out.
+        let fourth = text.replacen("version = 2", "version = 4", 1);
+        std::fs::write(&next, fourth).unwrap();
+        let line = sign("root-2").unwrap_err().to_string();
+        assert!(line.contains("4 is not the next of any"), "{line}");
         // What robots may have already is not changed under its number.
         std::fs::write(&next, format!("{text}\n")).unwrap();
         assert_eq!(sign("root-1").unwrap_err().code(), ExitCode::CannotCreate);

@@ -205,6 +205,17 @@ fn what_may_depend_on_what() {
 }
 
 #[test]
+fn what_only_tests_need_is_linked_by_no_program() {
+    let metadata = metadata();
+    for package in metadata.workspace_packages() {
+        let linked = linked_by(&metadata, package.name.as_str());
+        for name in ["caudata-chaos-proxy", "caudata-left-out"] {
+            assert!(!linked.contains(name), "{} links {name}", package.name);
+        }
+    }
+}
+
+#[test]
 fn generated_code_stays_in_proto() {
     let metadata = metadata();
     // tonic services are implemented and called with generated types: only the server and the gRPC clients see them.

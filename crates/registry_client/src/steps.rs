@@ -29,7 +29,7 @@ impl Step {
     /// Whether the check is made: a test may leave one out.
     #[cfg(test)]
     pub(crate) fn on(self) -> bool {
-        tests::left_out() != Some(self)
+        tests::LEFT_OUT.get() != Some(self)
     }
 }
 
@@ -89,16 +89,13 @@ pub(crate) fn check_whole(manifest: &Manifest, bytes: &[u8]) -> Result<(), Clien
 mod tests {
     use std::cell::Cell;
 
+    use caudata_left_out::{each_left_out, steps_in};
     use caudata_proto::registry::{FetchInfo, StreamName};
 
     use super::*;
 
     thread_local! {
-        static LEFT_OUT: Cell<Option<Step>> = const { Cell::new(None) };
-    }
-
-    pub(super) fn left_out() -> Option<Step> {
-        LEFT_OUT.get()
+        pub(super) static LEFT_OUT: Cell<Option<Step>> = const { Cell::new(None) };
     }
 
     fn manifest(bytes: &[u8]) -> Manifest {
@@ -148,29 +145,14 @@ mod tests {
 
     #[test]
     fn each_step_and_no_other_keeps_its_bytes_out() {
-        let mut table = String::new();
-        let mut wrong = 0;
-        for step in ALL {
-            LEFT_OUT.set(None);
-            let refused = attempt(step);
-            LEFT_OUT.set(Some(step));
-            let got_through = attempt(step);
-            LEFT_OUT.set(None);
-            wrong += u32::from(refused.is_ok()) + u32::from(got_through.is_err());
-            table += &format!("{step:?}: with it {refused:?}; without it {got_through:?}\n");
-        }
-        assert_eq!(wrong, 0, "\n{table}");
+        let table = each_left_out(&LEFT_OUT, &ALL, attempt);
         // Seen with --nocapture: `make mutants`.
-        eprintln!("{table}");
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
     }
 
     #[test]
     fn the_table_holds_every_step() {
-        let text = include_str!("steps.rs");
-        let list = &text[text.find("enum Step {").unwrap()..text.find("impl Step {").unwrap()];
-        let names = list
-            .lines()
-            .filter(|l| l.starts_with("    ") && l.trim().ends_with(','));
-        assert_eq!(names.count(), ALL.len());
+        let table = ALL.map(|step| format!("{step:?}"));
+        assert_eq!(steps_in(include_str!("steps.rs")), table);
     }
 }

@@ -274,12 +274,16 @@ impl Trust {
     /// # Errors
     /// [`SigningError`], also where a successor is there that does not follow.
     pub fn read(path: &Path) -> Result<Self, SigningError> {
+        Self::first(path)?.newest(path)
+    }
+
+    /// The trust file at `path` alone.
+    fn first(path: &Path) -> Result<Self, SigningError> {
         let text = rotation::read_small(path)?;
-        let first = Self::parse(&text).map_err(|reason| SigningError::Content {
+        Self::parse(&text).map_err(|reason| SigningError::Content {
             path: path.to_owned(),
             reason,
-        })?;
-        first.newest(path)
+        })
     }
 
     /// Which of its successors it is.

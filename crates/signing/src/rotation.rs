@@ -114,26 +114,70 @@ impl Trust {
         Ok(next)
     }
 
-    /// Follows the successors beside `path`, as far as they go. One that is there and does not follow is an error: a robot that passed over it would
+    /// The trust file after which `version` is the next one: the first one at `path`, or one of its successors. Whoever signs `version` must be one of
+    /// its root keys.
+    ///
+    /// # Errors
+    /// [`SigningError`], also where the chain does not reach that far.
+    pub fn before(path: &Path, version: u64) -> Result<Self, SigningError> {
+        let mut trust = Self::first(path)?;
+        let from = trust.version;
+        for _ in 0..CHAIN_MAX {
+            if trust.version.checked_add(1) == Some(version) {
+                return Ok(trust);
+            }
+            match trust.next(path)? {
+                Some(next) => trust = next,
+                None => break,
+            }
+        }
+        Err(SigningError::Content {
+            path: path.to_owned(),
+            reason: format!(
+                "it and its successors go from version {from} to {}: {version} is not the next of any",
+                trust.version
+            ),
+        })
+    }
+
+    /// Whether `key` is, under its name, one of the root keys.
+    #[must_use]
+    pub fn has_root(&self, key: &ReleaseKey) -> bool {
+        let public = key.key.verifying_key();
+        self.root_keys
+            .iter()
+            .any(|(id, known)| *id == key.id && *known == public)
+    }
+
+    /// The successor beside `path`; `None` where no file is there. One that is there and does not follow is an error: a robot that passed over it would
     /// go on trusting what was given up.
+    fn next(&self, path: &Path) -> Result<Option<Self>, SigningError> {
+        let Some(next) = self.version.checked_add(1) else {
+            return Ok(None);
+        };
+        let file = successor_path(path, next);
+        if !is_there(&file)? {
+            self.nothing_beyond(path, next)?;
+            return Ok(None);
+        }
+        let text = read_small(&file)?;
+        let signatures = read_signatures(&file)?;
+        let next = self
+            .successor(&text, &signatures)
+            .map_err(|why| SigningError::Content {
+                path: file,
+                reason: why.to_string(),
+            })?;
+        Ok(Some(next))
+    }
+
+    /// Follows the successors beside `path`, as far as they go.
     pub(crate) fn newest(mut self, path: &Path) -> Result<Self, SigningError> {
         for _ in 0..CHAIN_MAX {
-            let Some(next) = self.version.checked_add(1) else {
-                return Ok(self);
-            };
-            let file = successor_path(path, next);
-            if !is_there(&file)? {
-                self.nothing_beyond(path, next)?;
-                return Ok(self);
+            match self.next(path)? {
+                Some(next) => self = next,
+                None => return Ok(self),
             }
-            let text = read_small(&file)?;
-            let signatures = read_signatures(&file)?;
-            self = self
-                .successor(&text, &signatures)
-                .map_err(|why| SigningError::Content {
-                    path: file,
-                    reason: why.to_string(),
-                })?;
         }
         Err(SigningError::Content {
             path: path.to_owned(),
@@ -409,6 +453,37 @@ mod tests {
             std::fs::write(folder.path().join(other), "").unwrap();
         }
         assert_eq!(Trust::read(&first).unwrap().version(), 1);
+    }
+
+    #[test]
+    fn the_file_that_another_follows_is_found_and_knows_its_root_keys() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = folder.path().join("trust.toml");
+        std::fs::write(&first, file(1, 101, &[1], 1)).unwrap();
+        let path = successor_path(&first, 2);
+        let text = file(2, 102, &[2], 1);
+        std::fs::write(&path, &text).unwrap();
+        let before = |version| Trust::before(&first, version).map(|trust| trust.version());
+        // Nobody signed version 2 yet: it has a file before it, and none after it.
+        assert_eq!(before(2).unwrap(), 1);
+        let error = before(3).unwrap_err().to_string();
+        assert!(error.contains("signed it 0 times"), "{error}");
+        for root in [1, 2] {
+            add_signature(&path, &key(root).sign_trust(&text)).unwrap();
+        }
+        assert_eq!((before(2).unwrap(), before(3).unwrap()), (1, 2));
+        for version in [0, 1, 4, u64::MAX] {
+            let error = before(version).unwrap_err().to_string();
+            let line = format!("from version 1 to 2: {version} is not the next of any");
+            assert!(error.contains(&line), "{error}");
+        }
+        let trust = Trust::before(&first, 3).unwrap();
+        assert!(trust.has_root(&key(2)));
+        // The one before, a release key, and another key under a root key's name.
+        let renamed = ReleaseKey::from_seed(&key(2).id, &[77; 32]);
+        for other in [key(1), key(102), renamed] {
+            assert!(!trust.has_root(&other), "{}", other.id);
+        }
     }
 
     #[test]

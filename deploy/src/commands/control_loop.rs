@@ -15,7 +15,7 @@ use crate::boundary::{LOOP_PAGE, LocalLink, RunFolder, Teller, alone};
 use crate::bus::{BusError, Health, Robot};
 use crate::command_link::random_nonce;
 use crate::commands::run::{BusAddress, RunArgs};
-use crate::commands::{json_line, load_model, say_within};
+use crate::commands::{SourceArgs, json_line, load_model, say_within};
 use crate::control::{ControlLoop, READ_DEADLINE, RunPlan};
 use crate::courier::{Courier, Loader};
 use crate::flight_log::{FlightLog, LogCounts, meta, write_rows};
@@ -30,6 +30,7 @@ use crate::report::{Ended, RunSummary, rounded};
 use crate::runner::PolicyRunner;
 use crate::sim_link::SimLink;
 use crate::state::PolicyRef;
+use crate::store::{PolicyStore, check_trust};
 use crate::updates::{Slot, Updates};
 use crate::verify::Verified;
 use crate::{DeployError, tap};
@@ -146,13 +147,7 @@ fn walk<R: Robot>(
     let loader = Loader {
         model: setting.model.clone(),
         state: args.source.state.clone(),
-        trust: args
-            .source
-            .trust
-            .as_deref()
-            .map(Trust::read)
-            .transpose()?
-            .map(Arc::new),
+        trust: trust_of(&args.source)?.map(Arc::new),
         factory: args.factory.clone(),
     };
     let link = LocalLink::open(&setting.folder)?;
@@ -176,6 +171,20 @@ fn walk<R: Robot>(
     }
     let over = result?;
     finish(args, over)
+}
+
+/// The trust file, where one is given: not one that is older than another that was in force on this robot. A state that was lost says nothing about that.
+fn trust_of(args: &SourceArgs) -> Result<Option<Trust>, DeployError> {
+    let Some(path) = &args.trust else {
+        return Ok(None);
+    };
+    let trust = Trust::read(path)?;
+    match PolicyStore::peek(&args.state) {
+        Ok(Some(state)) => check_trust(&state, path, trust.version())?,
+        Ok(None) | Err(DeployError::StateDamaged { .. }) => {}
+        Err(error) => return Err(error),
+    }
+    Ok(Some(trust))
 }
 
 /// What a run came to.

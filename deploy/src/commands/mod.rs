@@ -180,13 +180,16 @@ impl Source {
         })?;
         // Before anything in it is touched.
         let alone = alone_in(&args.state)?;
-        let store = match PolicyStore::open(&args.state) {
+        let mut store = match PolicyStore::open(&args.state) {
             Err(error @ DeployError::StateDamaged { .. }) if provable || factory.is_some() => {
                 tracing::error!(%error, "nothing is taken until a policy server proves what is newest");
                 PolicyStore::open_torn(&args.state)?
             }
             other => other?,
         };
+        if let (Some(path), Some(trust)) = (&args.trust, &trust) {
+            store.trust(path, trust.version())?;
+        }
         let reporter = Reporter::start(&ReportTo {
             address: args.policy_server.clone(),
             tls_dir: args.tls_dir.clone(),

@@ -2,14 +2,14 @@
 // Each test file uses a part of it.
 #![allow(dead_code)]
 
-pub mod network;
 #[path = "../../src/testing.rs"]
 pub mod policies;
+pub mod watchdog;
 
 use std::io::Read;
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::Path;
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::Arc;
 
 use caudata_policy::PolicyFile;
@@ -27,6 +27,7 @@ use serde_json::Value;
 use tokio::runtime::Runtime;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
+use watchdog::Watchdog;
 
 /// Stream that tests use where it does not matter.
 pub const STREAM: &str = "test";
@@ -198,7 +199,8 @@ pub fn program_on(stream: &str, command: &str, server: SocketAddr, state: &Path)
 
 /// Exit code, last line of standard output as JSON (null without one), and standard error.
 pub fn outcome(mut command: Command) -> (i32, Value, String) {
-    sorted(command.output().unwrap())
+    command.stdin(Stdio::null());
+    ended(start(command))
 }
 
 /// Starts the program and leaves it running.
@@ -212,17 +214,29 @@ pub fn start(mut command: Command) -> Child {
 
 /// As [`outcome`], of a program that is running.
 pub fn ended(child: Child) -> (i32, Value, String) {
-    sorted(child.wait_with_output().unwrap())
-}
-
-fn sorted(output: Output) -> (i32, Value, String) {
+    let output = output_of(child);
     let text = String::from_utf8(output.stdout).unwrap();
+    let errors = String::from_utf8(output.stderr).unwrap();
+    let Some(code) = output.status.code() else {
+        panic!("ended by {}: {errors}", output.status);
+    };
     let json = text
         .lines()
         .last()
         .map_or(Value::Null, |line| serde_json::from_str(line).unwrap());
-    let errors = String::from_utf8(output.stderr).unwrap();
-    (output.status.code().unwrap(), json, errors)
+    (code, json, errors)
+}
+
+/// What a program says until it ends, which it must.
+pub fn output_of(child: Child) -> Output {
+    let _dog = Watchdog::over(child.id());
+    child.wait_with_output().unwrap()
+}
+
+/// How a program ends, which it must.
+pub fn end_of(child: &mut Child) -> ExitStatus {
+    let _dog = Watchdog::over(child.id());
+    child.wait().unwrap()
 }
 
 /// The `error: …` lines of a program.

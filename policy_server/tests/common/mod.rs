@@ -21,6 +21,7 @@ use tonic::Code;
 pub struct Server {
     pub address: std::net::SocketAddr,
     pub client: RegistryClient,
+    pub metrics: ServerMetrics,
     pub stop: watch::Sender<bool>,
     pub ended: JoinHandle<()>,
 }
@@ -45,15 +46,17 @@ impl Server {
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = watch::channel(false);
         let metrics = ServerMetrics::register(&Metrics::new());
+        let counted = metrics.clone();
         let store = SharedStore::new(store);
         let ended = tokio::spawn(async move {
-            serve_with(listener, store, metrics, stopped, options)
+            serve_with(listener, store, counted, stopped, options)
                 .await
                 .unwrap();
         });
         Self {
             address,
             client: RegistryClient::new(&address.to_string()).unwrap(),
+            metrics,
             stop,
             ended,
         }

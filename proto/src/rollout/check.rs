@@ -13,37 +13,52 @@ impl RolloutChunk {
     /// # Errors
     /// The first thing that is not right.
     pub fn check(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
-        run_id(&self.run_id)?;
-        dimension("steps", self.steps, limits.max_steps)?;
-        dimension("lanes", self.lanes, limits.max_lanes)?;
-        dimension("obs_dim", self.obs_dim, limits.max_obs_dim)?;
-        dimension("act_dim", self.act_dim, limits.max_act_dim)?;
+        dimensions([self.steps, self.lanes, self.obs_dim, self.act_dim], limits)?;
+        self.check_lengths(self.observations_len())?;
+        self.check_values(limits)
+    }
+
+    /// Numbers in the observations of a chunk of these dimensions, (T+1)·N·D.
+    pub(super) fn observations_len(&self) -> usize {
+        product(&[self.steps.saturating_add(1), self.lanes, self.obs_dim])
+    }
+
+    /// Every tensor is as long as the dimensions call for; `observations` numbers of observations, which may be less than all where some
+    /// were left out.
+    pub(super) fn check_lengths(&self, observations: usize) -> Result<(), DecodeError> {
         let cells = product(&[self.steps, self.lanes]);
-        let rows = product(&[self.steps.saturating_add(1), self.lanes]);
+        let actions = product(&[cells, self.act_dim]);
+        let lengths = [
+            ("observations", self.observations.len(), observations),
+            ("actions", self.actions.len(), actions),
+            ("action_means", self.action_means.len(), actions),
+            ("log_std", self.log_std.len(), self.act_dim),
+            ("log_probs", self.log_probs.len(), cells),
+            ("rewards", self.rewards.len(), cells),
+            ("terminated", self.terminated.len(), cells),
+            ("truncated", self.truncated.len(), cells),
+        ];
+        lengths
+            .into_iter()
+            .try_for_each(|(field, found, expected)| length(field, found, expected))
+    }
+
+    /// What is in a chunk whose dimensions and lengths are right.
+    pub(super) fn check_values(&self, limits: &DecodeLimits) -> Result<(), DecodeError> {
+        run_id(&self.run_id)?;
         let max = limits.max_magnitude;
-        tensor(
-            "observations",
-            &self.observations,
-            product(&[rows, self.obs_dim]),
-            max,
-        )?;
-        tensor(
-            "actions",
-            &self.actions,
-            product(&[cells, self.act_dim]),
-            max,
-        )?;
-        tensor(
-            "action_means",
-            &self.action_means,
-            product(&[cells, self.act_dim]),
-            max,
-        )?;
-        tensor("log_std", &self.log_std, self.act_dim, max)?;
-        tensor("log_probs", &self.log_probs, cells, max)?;
-        tensor("rewards", &self.rewards, cells, max)?;
-        length("terminated", self.terminated.len(), cells)?;
-        length("truncated", self.truncated.len(), cells)?;
+        let tensors: [(_, &[f32]); 6] = [
+            ("observations", &self.observations),
+            ("actions", &self.actions),
+            ("action_means", &self.action_means),
+            ("log_std", &self.log_std),
+            ("log_probs", &self.log_probs),
+            ("rewards", &self.rewards),
+        ];
+        for (field, values) in tensors {
+            magnitudes(field, values, max)?;
+        }
+        let cells = product(&[self.steps, self.lanes]);
         self.check_ends(max)?;
         check_episodes(&self.episodes, self.lanes, cells, limits)?;
         check_moments(&self.moments, self.obs_dim, cells, max)
@@ -64,7 +79,8 @@ impl RolloutChunk {
             let expected = (cell / self.lanes, cell % self.lanes);
             match finals.next() {
                 Some((_, f)) if (f.step, f.lane) == expected => {
-                    tensor("final_observations", &f.observation, self.obs_dim, max)?;
+                    length("final_observations", f.observation.len(), self.obs_dim)?;
+                    magnitudes("final_observations", &f.observation, max)?;
                 }
                 other => {
                     return Err(DecodeError::FinalObservations {
@@ -161,6 +177,17 @@ pub(super) fn line(field: &'static str, text: &str) -> Result<(), DecodeError> {
     })
 }
 
+/// T, N, D and A of a chunk. Before anything is made as large as they say.
+pub(super) fn dimensions(
+    [steps, lanes, obs_dim, act_dim]: [usize; 4],
+    limits: &DecodeLimits,
+) -> Result<(), DecodeError> {
+    dimension("steps", steps, limits.max_steps)?;
+    dimension("lanes", lanes, limits.max_lanes)?;
+    dimension("obs_dim", obs_dim, limits.max_obs_dim)?;
+    dimension("act_dim", act_dim, limits.max_act_dim)
+}
+
 pub(super) fn dimension(
     field: &'static str,
     found: usize,
@@ -196,13 +223,8 @@ pub(super) fn product(factors: &[usize]) -> usize {
     factors.iter().fold(1, |a, &b| a.saturating_mul(b))
 }
 
-fn tensor(
-    field: &'static str,
-    values: &[f32],
-    expected: usize,
-    limit: f32,
-) -> Result<(), DecodeError> {
-    length(field, values.len(), expected)?;
+/// Every number is finite and at most `limit` in magnitude.
+fn magnitudes(field: &'static str, values: &[f32], limit: f32) -> Result<(), DecodeError> {
     // Branch-free over the whole tensor; NaN fails the comparison. The index is found afterwards.
     if values
         .iter()

@@ -59,7 +59,7 @@ pub fn decode(frame: &[u8], limits: &DecodeLimits) -> Result<Envelope, DecodeErr
         pb::envelope::Body::Hello(hello) => hello_from_wire(hello, limits).map(Envelope::Hello),
         pb::envelope::Body::Chunk(chunk) => {
             let chunk = chunk_from_wire(chunk, &tensors, limits)?;
-            chunk.check(limits)?;
+            chunk.check_values(limits)?;
             Ok(Envelope::Chunk(Box::new(chunk)))
         }
         pb::envelope::Body::Bye(bye) => bye_from_wire(bye).map(Envelope::Bye),
@@ -182,6 +182,7 @@ fn head_to_wire(chunk: &RolloutChunk, left_out: Option<ActionHistory>) -> pb::Ro
     }
 }
 
+/// A chunk whose dimensions and lengths are right, with its past actions in their places.
 fn chunk_from_wire(
     chunk: pb::RolloutChunk,
     tensors: &Tensors<'_>,
@@ -192,8 +193,9 @@ fn chunk_from_wire(
     let moments = chunk
         .moments
         .ok_or(DecodeError::Missing { field: "moments" })?;
-    let obs_dim = chunk.obs_dim as usize;
-    dimension("obs_dim", obs_dim, limits.max_obs_dim)?;
+    let [steps, lanes, obs_dim, act_dim] =
+        [chunk.steps, chunk.lanes, chunk.obs_dim, chunk.act_dim].map(|n| n as usize);
+    check::dimensions([steps, lanes, obs_dim, act_dim], limits)?;
     let action_history = chunk.action_history.map(|history| ActionHistory {
         first: history.first as usize,
         steps: history.steps as usize,
@@ -207,10 +209,10 @@ fn chunk_from_wire(
         policy_version: chunk.policy_version,
         policy_sha256: hash("policy_sha256", &chunk.policy_sha256)?,
         contract_hash: hash("contract_hash", &chunk.contract_hash)?,
-        steps: chunk.steps as usize,
-        lanes: chunk.lanes as usize,
+        steps,
+        lanes,
         obs_dim,
-        act_dim: chunk.act_dim as usize,
+        act_dim,
         observations: to_f32("observations", tensors[0])?,
         actions: to_f32("actions", tensors[1])?,
         action_means: to_f32("action_means", tensors[2])?,
@@ -229,15 +231,13 @@ fn chunk_from_wire(
         action_history,
         trace: TraceContext::from_wire(&chunk.trace)?,
     };
-    if let Some(history) = action_history {
-        for (field, found, limit) in [
-            ("steps", read.steps, limits.max_steps),
-            ("lanes", read.lanes, limits.max_lanes),
-            ("act_dim", read.act_dim, limits.max_act_dim),
-        ] {
-            dimension(field, found, limit)?;
+    // Before it grows: a frame cannot ask for more than twice the observations that it has.
+    match action_history {
+        None => read.check_lengths(read.observations_len())?,
+        Some(history) => {
+            read.check_lengths(history.sent_len(&read)?)?;
+            read.observations = history::put_back(&history, &read);
         }
-        read.observations = history::put_back(&history, &read, &read.observations)?;
     }
     Ok(read)
 }

@@ -18,7 +18,7 @@ impl ActionHistory {
         if len == 0 {
             return Some("no past actions");
         }
-        // So that a small frame cannot ask for a large allocation.
+        // So that a frame cannot ask for more than twice what it has.
         if len > obs_dim / 2 {
             return Some("more than half of an observation");
         }
@@ -27,6 +27,19 @@ impl ActionHistory {
         }
         let positive = self.clip.is_finite() && self.clip > 0.0;
         (!positive).then_some("the limit of actions is not a positive number")
+    }
+
+    /// Numbers of observations that [`leave_out`] sends of a chunk of these dimensions.
+    ///
+    /// # Errors
+    /// Where the history does not fit the dimensions.
+    pub(super) fn sent_len(&self, chunk: &RolloutChunk) -> Result<usize, DecodeError> {
+        if let Some(problem) = self.problem(chunk.obs_dim, chunk.act_dim) {
+            return Err(DecodeError::ActionHistory { problem });
+        }
+        let narrow = chunk.obs_dim - self.len(chunk.act_dim);
+        let others = product(&[chunk.steps, chunk.lanes, narrow]);
+        Ok(others.saturating_add(product(&[chunk.lanes, chunk.obs_dim])))
     }
 
     /// Past actions after one more step: `before` moved back by one, `action` in front; zeros where an episode ended. `[S·A]`
@@ -81,41 +94,16 @@ pub(super) fn leave_out(chunk: &RolloutChunk) -> Option<Vec<f32>> {
     Some(sent)
 }
 
-/// The observations of `chunk`, which has everything but these, from what [`leave_out`] sent. `[T+1, N, D]`
-///
-/// # Errors
-/// Where the history does not fit the dimensions, or a tensor has another length than they call for.
-pub(super) fn put_back(
-    history: &ActionHistory,
-    chunk: &RolloutChunk,
-    sent: &[f32],
-) -> Result<Vec<f32>, DecodeError> {
-    let (lanes, obs_dim, act_dim) = (chunk.lanes, chunk.obs_dim, chunk.act_dim);
-    if let Some(problem) = history.problem(obs_dim, act_dim) {
-        return Err(DecodeError::ActionHistory { problem });
-    }
+/// The observations of `chunk`, which has what [`leave_out`] sent of them, [`ActionHistory::sent_len`] numbers, and all else that its dimensions
+/// call for. `[T+1, N, D]`
+pub(super) fn put_back(history: &ActionHistory, chunk: &RolloutChunk) -> Vec<f32> {
+    let (obs_dim, act_dim) = (chunk.obs_dim, chunk.act_dim);
     let place = history.first..history.first + history.len(act_dim);
-    let cells = product(&[chunk.steps, lanes]);
-    let narrow = obs_dim - place.len();
-    let whole = product(&[lanes, obs_dim]);
-    let lengths = [
-        (
-            "observations",
-            sent.len(),
-            whole.saturating_add(product(&[cells, narrow])),
-        ),
-        ("actions", chunk.actions.len(), product(&[cells, act_dim])),
-        ("terminated", chunk.terminated.len(), cells),
-        ("truncated", chunk.truncated.len(), cells),
-    ];
-    for (field, found, expected) in lengths {
-        super::check::length(field, found, expected)?;
-    }
-    let (first, others) = sent.split_at(whole);
-    let mut out = Vec::with_capacity(whole + cells * obs_dim);
+    let (first, others) = chunk.observations.split_at(chunk.lanes * obs_dim);
+    let mut out = Vec::with_capacity(chunk.observations_len());
     out.extend_from_slice(first);
     let mut past = vec![0.0; place.len()];
-    for (cell, row) in others.chunks_exact(narrow).enumerate() {
+    for (cell, row) in others.chunks_exact(obs_dim - place.len()).enumerate() {
         let action = &chunk.actions[cell * act_dim..][..act_dim];
         let ended = chunk.terminated[cell] || chunk.truncated[cell];
         let before = &out[cell * obs_dim..][place.clone()];
@@ -125,5 +113,5 @@ pub(super) fn put_back(
         out.extend_from_slice(&past);
         out.extend_from_slice(right);
     }
-    Ok(out)
+    out
 }

@@ -604,6 +604,72 @@ fn past_actions_that_no_observation_can_have_are_refused() {
     assert_eq!(error.reason_id(), "length");
 }
 
+#[test]
+fn a_small_frame_with_past_actions_cannot_ask_for_a_large_chunk() {
+    let frame = encode(&Envelope::Chunk(Box::new(with_history())));
+    let with = |change: fn(&mut pb::RolloutChunk), limits: &DecodeLimits| {
+        let mut message = pb::Envelope::decode(frame.as_slice()).unwrap();
+        let Some(pb::envelope::Body::Chunk(chunk)) = &mut message.body else {
+            unreachable!()
+        };
+        change(chunk);
+        decode(&message.encode_to_vec(), limits).unwrap_err()
+    };
+    // Final observations follow from the dimensions, too: without them it is the tensors that are looked at.
+    let largest = |c: &mut pb::RolloutChunk| {
+        (c.steps, c.lanes, c.obs_dim, c.act_dim) = (4096, 65_536, 4096, 256);
+        c.final_observations = None;
+    };
+    let error = with(largest, &limits());
+    let expected = 65_536 * (4096 + 4096 * (4096 - 256));
+    assert_eq!(
+        error,
+        DecodeError::Length {
+            field: "observations",
+            found: 8 + 6 * 2,
+            expected
+        }
+    );
+    for change in [
+        (|c| c.steps = 4097) as fn(&mut pb::RolloutChunk),
+        |c| c.lanes = 65_537,
+        |c| c.obs_dim = 4097,
+        |c| c.act_dim = 257,
+        |c| c.obs_dim = 0,
+        |c| c.act_dim = 0,
+    ] {
+        assert_eq!(with(change, &limits()).reason_id(), "dimension");
+    }
+    // Nor does a product wrap into something small.
+    let open = DecodeLimits {
+        max_steps: usize::MAX,
+        max_lanes: usize::MAX,
+        max_obs_dim: usize::MAX,
+        ..limits()
+    };
+    let endless = |c: &mut pb::RolloutChunk| {
+        (c.steps, c.lanes, c.obs_dim) = (u32::MAX, u32::MAX, u32::MAX);
+        c.final_observations = None;
+    };
+    assert_eq!(with(endless, &open).reason_id(), "length");
+    // What is right in itself, but not as long as the others.
+    for (field, change) in [
+        (
+            "actions",
+            (|c| c.actions.truncate(44)) as fn(&mut pb::RolloutChunk),
+        ),
+        ("terminated", |c| c.terminated.truncate(5)),
+        ("truncated", |c| c.truncated.truncate(5)),
+        ("observations", |c| c.observations.truncate(28)),
+    ] {
+        let error = with(change, &limits());
+        assert!(
+            matches!(error, DecodeError::Length { field: named, .. } if named == field),
+            "{field}: {error}"
+        );
+    }
+}
+
 /// The observations of `chunk` with its past actions where `history` says, straight from the definition: value `a` of the action `k` steps before, unless an
 /// episode ended since; before the chunk, whatever is there in its first observation.
 fn remember(chunk: &mut RolloutChunk, history: ActionHistory) {

@@ -11,8 +11,6 @@
     clippy::print_stdout
 )]
 
-mod network;
-
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -21,8 +19,8 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use caudata_chaos_proxy::{Dice, Weather, World, proxy};
 use caudata_tests::{command, json_file, skipped};
-use network::{Weather, World, proxy};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
@@ -48,20 +46,6 @@ const LATE: usize = 125;
 
 /// Each of them wants the machine for itself.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-
-/// xorshift64*: repeats with its seed.
-struct Dice(u64);
-
-impl Dice {
-    fn below(&mut self, n: u64) -> u64 {
-        // A state of 0 would stay 0.
-        self.0 = self.0.max(1);
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        (self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 33) % n
-    }
-}
 
 // The processes.
 
@@ -572,7 +556,7 @@ fn chaos(seconds: u64) {
             false => "on this machine's network",
         }
     );
-    let mut dice = Dice(seed);
+    let mut dice = Dice::new(seed);
     let mut learner_kills = Vec::new();
     let (chaos, mut strikes) = (Instant::now(), 0);
     while chaos.elapsed() < Duration::from_secs(seconds) {

@@ -12,6 +12,7 @@ const ON_THE_WAY_MAX: usize = 64;
 
 /// Carries bytes to a server, late, unless it is cut.
 pub struct Wire {
+    /// Where to connect to instead of to the server.
     pub address: SocketAddr,
     cut: Arc<AtomicBool>,
     delay_ms: Arc<AtomicU64>,
@@ -19,6 +20,8 @@ pub struct Wire {
 }
 
 impl Wire {
+    /// A wire to the server at `to`; its threads end with the test process.
+    #[must_use]
     pub fn to(to: SocketAddr) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let wire = Self {
@@ -45,6 +48,7 @@ impl Wire {
         wire
     }
 
+    /// Ends every connection, and takes no other until it is mended.
     pub fn cut(&self) {
         self.cut.store(true, Ordering::SeqCst);
         for stream in self.open.lock().unwrap().drain(..) {
@@ -52,6 +56,7 @@ impl Wire {
         }
     }
 
+    /// Takes connections again.
     pub fn mend(&self) {
         self.cut.store(false, Ordering::SeqCst);
     }

@@ -1,5 +1,4 @@
-//! The network between the learner's host and the actors from elsewhere: two worlds, and a proxy with weather between them. Also the weather of the
-//! robot's command link (`deploy/tests/link_weather.rs`).
+//! Hosts, and a proxy for datagrams with weather between them.
 
 use std::collections::HashMap;
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
@@ -27,6 +26,7 @@ pub struct World {
 
 impl World {
     /// This machine's own network.
+    #[must_use]
     pub fn ours() -> Self {
         Self { jobs: None }
     }
@@ -64,6 +64,8 @@ impl World {
         told.recv().unwrap()
     }
 
+    /// Whether it is a namespace of its own.
+    #[must_use]
     pub fn is_apart(&self) -> bool {
         self.jobs.is_some()
     }
@@ -74,6 +76,7 @@ impl World {
     }
 
     /// A socket on a free port of `localhost`.
+    #[must_use]
     pub fn socket(&self) -> UdpSocket {
         self.run(|| {
             let any = "localhost:0".to_socket_addrs().unwrap().next().unwrap();
@@ -96,6 +99,7 @@ fn link(state: &str) -> Result<(), String> {
 /// What the proxy does to datagrams.
 #[derive(Default)]
 pub struct Weather {
+    /// Nothing passes.
     pub cut: AtomicBool,
     /// Of a hundred, so many are lost.
     pub loss_percent: AtomicU64,
@@ -103,12 +107,16 @@ pub struct Weather {
     pub delay_ms: AtomicU64,
     /// Of a hundred, so many are overtaken by the next one.
     pub reorder_percent: AtomicU64,
+    /// Datagrams that were taken.
     pub passed: AtomicU64,
+    /// Datagrams that were not.
     pub lost: AtomicU64,
+    /// Datagrams that came after the one that was sent after them.
     pub overtaken: AtomicU64,
 }
 
 impl Weather {
+    /// From now on nothing is done to datagrams.
     pub fn fair(&self) {
         self.cut.store(false, Ordering::Relaxed);
         self.loss_percent.store(0, Ordering::Relaxed);
@@ -124,8 +132,8 @@ fn way(
     send: impl Fn(&[u8]) + Send + 'static,
 ) -> impl FnMut(&[u8]) {
     let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(ON_THE_WAY_MAX);
-    let mut dice = Dice(seed);
-    let mut order = Dice(!seed);
+    let mut dice = Dice::new(seed);
+    let mut order = Dice::new(!seed);
     let sky = Arc::clone(&weather);
     std::thread::spawn(move || {
         let mut held: Option<Vec<u8>> = None;
