@@ -5,6 +5,7 @@ use caudata_random::{Key, Purpose, Stream};
 use super::algebra::dot;
 use super::judge::Judge;
 use super::state::{Context, On, State};
+use super::verdict::QUIET;
 use crate::effects::{Domain, Place};
 use crate::replay::{Piece, Term};
 
@@ -77,6 +78,8 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         "no gain on the runs it was fitted to"
     } else if holdout <= 0.0 {
         "makes held-out runs worse"
+    } else if joints >= MANY_JOINTS && of < QUIET {
+        "what it explains is within what careful labs differ by at one joint of so many"
     } else if low <= 0.0 && !rare(&gains, holdout, of) {
         "its gain on held-out runs is within what resampling gives by chance"
     } else if holdout < relative * of || holdout < ABSOLUTE_GAIN {
