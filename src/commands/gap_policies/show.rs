@@ -49,37 +49,43 @@ const HEAD: [&str; 5] = [
     "power W",
 ];
 
+/// In decimals, and zero without a sign.
+fn number(x: f64, digits: usize) -> String {
+    let text = format!("{x:.digits$}");
+    match text.parse::<f64>() {
+        Ok(0.0) => format!("{:.digits$}", 0.0),
+        _ => text,
+    }
+}
+
 /// `mean ± half`, without the interval where there is none.
-fn cell(x: &Interval, factor: f64, digits: usize) -> String {
-    let mean = factor * x.mean;
+fn cell(x: &Interval, digits: usize) -> String {
+    let mean = number(x.mean, digits);
     match (x.ci_low, x.ci_high) {
         (Some(low), Some(high)) => {
-            let half = 0.5 * factor * (high - low);
-            format!("{mean:.digits$} ± {half:.digits$}")
+            format!("{mean} ± {}", number(0.5 * (high - low), digits))
         }
-        _ => format!("{mean:.digits$}"),
+        _ => mean,
     }
 }
 
 /// `mean (low to high)`: Wilson's interval is not symmetric.
 fn share(x: &Interval) -> String {
-    let mean = 100.0 * x.mean;
+    let percent = |x: f64| number(100.0 * x, 1);
+    let mean = percent(x.mean);
     match (x.ci_low, x.ci_high) {
-        (Some(low), Some(high)) => {
-            let (low, high) = (100.0 * low, 100.0 * high);
-            format!("{mean:.1} % ({low:.1} to {high:.1})")
-        }
-        _ => format!("{mean:.1} %"),
+        (Some(low), Some(high)) => format!("{mean} % ({} to {})", percent(low), percent(high)),
+        _ => format!("{mean} %"),
     }
 }
 
 fn cells(figures: &Figures) -> [String; 5] {
     [
-        cell(&figures.forward_mps, 1.0, 3),
-        cell(&figures.sideways_mps, 1.0, 3),
-        cell(&figures.turning_radps, 1.0, 3),
+        cell(&figures.forward_mps, 3),
+        cell(&figures.sideways_mps, 3),
+        cell(&figures.turning_radps, 3),
         share(&figures.falls),
-        cell(&figures.power_w, 1.0, 1),
+        cell(&figures.power_w, 1),
     ]
 }
 
@@ -254,14 +260,15 @@ mod tests {
     fn figures_read_with_their_intervals() {
         let x = Interval::of(&[0.010, 0.012, 0.014]);
         // s = 0.002, over √3 times 4.303: 0.004969
-        assert_eq!(cell(&x, 1.0, 3), "0.012 ± 0.005");
-        assert_eq!(cell(&Interval::of(&[0.01]), 1.0, 3), "0.010");
+        assert_eq!(cell(&x, 3), "0.012 ± 0.005");
+        assert_eq!(cell(&Interval::of(&[0.01]), 3), "0.010");
         let falls = Interval {
             mean: 0.1,
             ci_low: Some(0.05),
             ci_high: Some(0.2),
         };
         assert_eq!(share(&falls), "10.0 % (5.0 to 20.0)");
+        assert_eq!(number(-1e-9, 3), "0.000");
     }
 
     #[test]
