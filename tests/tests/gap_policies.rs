@@ -66,7 +66,7 @@ fn three_ways_to_train_are_compared_on_the_robot() {
         args.extend([flag, text(path)]);
     }
     args.extend(["--seeds", "2", "--iterations", "1", "--suite", "flat"]);
-    args.extend(["--episodes", "2", "--referee-episodes", "2"]);
+    args.extend(["--episodes", "2", "--referee-episodes", "1"]);
     for set in [
         "actors.lanes=3",
         "actors.chunk_steps=8",
@@ -99,7 +99,7 @@ fn three_ways_to_train_are_compared_on_the_robot() {
             assert_eq!(wide, way["way"] == "wide", "{config}");
             // Servos of a tenth of their torque show.
             assert_ne!(power(&policy["at_home"]), power(&policy["in_truth"]));
-            assert_eq!(policy["in_rapier"]["episodes"], 2);
+            assert_eq!(policy["in_rapier"]["episodes"], 1);
         }
         powers.push([0, 1].map(|k| power(&policies[k]["in_truth"])));
     }
