@@ -4,8 +4,7 @@
 //! that the robot has, evaluate before and after, publish. What was done so far stays in the output folder when a later step fails.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use caudata_config::ConfigArgs;
 use caudata_proto::registry::StreamName;
@@ -17,6 +16,7 @@ use serde_json::Value;
 
 use crate::commands::eval::read_policy;
 use crate::commands::policy::block_on;
+use crate::commands::steps::{Steps, Test, Training, measures, own};
 use crate::say;
 
 /// Share of the episodes that a new policy may fall in more often: less than that is chance.
@@ -151,7 +151,7 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
         seconds: Vec::new(),
     };
     if !WORTH_IT.contains(&code) || causes.is_empty() {
-        adapted.seconds = steps.seconds;
+        adapted.seconds = steps.seconds();
         finish(args, &adapted)?;
         if !args.json {
             say::line(format_args!(
@@ -163,52 +163,31 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
     }
 
     let extended = diagnosis.join("extended.robot.toml");
-    let new = args.out.join("run").join("policy.onnx");
-    let mut command = own("train")?;
-    command.args(super::bench::as_flags(&flags));
-    command.args(["--iterations", &args.iterations.to_string(), "--out"]);
-    command.arg(args.out.join("run"));
-    let absolute = |path: &Path| std::path::absolute(path).or_exit(ExitCode::NoInput);
-    let quoted = |path: PathBuf| Value::from(path.display().to_string()).to_string();
-    for set in [
-        format!("robot={}", quoted(absolute(&extended)?)),
-        format!(
-            "learner.warm_start.policy={}",
-            quoted(absolute(&args.policy)?)
-        ),
-        // It walks already: small steps from the first on, and a critic that keeps up (docs/learning.md).
-        "learner.ppo.learning_rate=5e-5".to_owned(),
-        "learner.ppo.value_learning_rate=1e-3".to_owned(),
-        "learner.ppo.target_kl=0.005".to_owned(),
-        "learner.ppo.target_kl_final=0".to_owned(),
-        // Costs and pushes count from the start.
-        "task.reward.costs_full_after_env_steps=0".to_owned(),
-        "task.push.full_after_env_steps=0".to_owned(),
-        "evaluation.episodes=0".to_owned(),
-        "evaluation.robot_run_s=0".to_owned(),
-    ] {
-        command.args(["--set", &set]);
-    }
-    steps.run("train", &mut command, &[0])?;
+    let training = Training {
+        flags: &flags,
+        robot: &extended,
+        start: Some(&args.policy),
+        iterations: args.iterations,
+        seed: None,
+        set: &[],
+        out: args.out.join("run"),
+        progress: None,
+    };
+    let new = steps.train("train", &training)?;
     adapted.trained = true;
     adapted.policy = Some(new.clone());
 
     let mut evaluate =
         |name: &str, policy: &Path, robot: &Path| -> Result<Option<Value>, Failure> {
+            let test = Test {
+                flags: &flags,
+                policy,
+                robot,
+                suite: &args.suite,
+                episodes: args.episodes,
+            };
             let file = args.out.join(format!("{name}.json"));
-            let mut command = own("eval")?;
-            command
-                .arg("--policy")
-                .arg(policy)
-                .arg("--robot")
-                .arg(robot);
-            command.args(super::bench::as_flags(&flags));
-            command.args(["--suite", &args.suite, "--json", "--episodes"]);
-            command.arg(args.episodes.to_string());
-            let out = std::fs::File::create(&file).or_exit(ExitCode::CannotCreate)?;
-            command.stdout(out);
-            steps.run(name, &mut command, &[0, 79])?;
-            last_json(&file).map(Some)
+            steps.evaluate(name, &test, &file).map(Some)
         };
     adapted.before_in_nominal = evaluate("before_in_nominal", &args.policy, &robot)?;
     adapted.before_in_extended = evaluate("before_in_extended", &args.policy, &extended)?;
@@ -222,7 +201,7 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
     if let Some(server) = args.publish.as_ref().filter(|_| better) {
         adapted.published = Some(publish(server, &args.stream, &new)?);
     }
-    adapted.seconds = steps.seconds;
+    adapted.seconds = steps.seconds();
     finish(args, &adapted)?;
     if !args.json {
         tell(&adapted, policy.metadata().version);
@@ -241,33 +220,22 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
 /// commanded velocity: the errors forward, sideways and in turning, root mean square over all scenarios, as shares of those before, come to at most
 /// [`LEFT_AT_MOST`] in the mean, none to more than [`WORSE_AT_MOST`].
 fn improves(before: &Option<Value>, after: &Option<Value>) -> bool {
-    match (measures(before), measures(after)) {
-        (Some((falls, off)), Some((new_falls, new_off))) => {
+    let both = (
+        before.as_ref().and_then(measures),
+        after.as_ref().and_then(measures),
+    );
+    match both {
+        (Some(old), Some(new)) => {
             let left =
-                |axis: usize| (new_off[axis] + UNNOTICED[axis]) / (off[axis] + UNNOTICED[axis]);
+                |axis: usize| (new.off[axis] + UNNOTICED[axis]) / (old.off[axis] + UNNOTICED[axis]);
             let left = [0, 1, 2].map(left);
             let mean = left.iter().sum::<f64>() / 3.0;
-            new_falls <= falls + FALLS_TOLERANCE
+            new.falls <= old.falls + FALLS_TOLERANCE
                 && mean <= LEFT_AT_MOST
                 && left.iter().all(|share| *share <= WORSE_AT_MOST)
         }
         _ => false,
     }
-}
-
-/// Share of falls, and how far off the command (m/s, m/s, rad/s), over all scenarios of an evaluation.
-fn measures(result: &Option<Value>) -> Option<(f64, [f64; 3])> {
-    let scenarios = result.as_ref()?["scenarios"].as_array()?;
-    let mean = |value: &dyn Fn(&Value) -> Option<f64>| {
-        let values = scenarios.iter().map(value).collect::<Option<Vec<_>>>()?;
-        Some(values.iter().sum::<f64>() / values.len().max(1) as f64)
-    };
-    let falls = mean(&|s| s["fall_share"]["mean"].as_f64())?;
-    let off = |axis: usize| {
-        let square = mean(&|s| Some(s["rmse_of_strides"][axis].as_f64()?.powi(2)))?;
-        Some(square.sqrt())
-    };
-    Some((falls, [off(0)?, off(1)?, off(2)?]))
 }
 
 /// The flags as given; else the configuration that lies beside the policy, else the preset `flat`.
@@ -284,80 +252,11 @@ fn training_flags(args: &AdaptArgs) -> ConfigArgs {
     flags
 }
 
-/// This program with `command`.
-pub(super) fn own(command: &str) -> Result<Command, Failure> {
-    let mut own = Command::new(std::env::current_exe().or_exit(ExitCode::Internal)?);
-    own.arg(command);
-    Ok(own)
-}
-
-/// Commands run one after the other, and how long they took.
-pub(super) struct Steps {
-    quiet: bool,
-    seconds: Vec<(String, f64)>,
-}
-
-impl Steps {
-    /// None yet. `quiet`: only the last line of all is wanted.
-    pub(super) fn new(quiet: bool) -> Self {
-        Self {
-            quiet,
-            seconds: Vec::new(),
-        }
-    }
-
-    /// Runs a step; its exit code, which must be one of `good`.
-    pub(super) fn run(
-        &mut self,
-        name: &str,
-        command: &mut Command,
-        good: &[i32],
-    ) -> Result<i32, Failure> {
-        if self.quiet {
-            if name == "diagnose" || name == "train" {
-                command.stdout(Stdio::null());
-            }
-        } else {
-            say::line(format_args!("── {name}: {}", spelled(command)));
-        }
-        let began = Instant::now();
-        let status = command.status().or_exit(ExitCode::OsResource)?;
-        let took_s = began.elapsed().as_secs_f64();
-        self.seconds.push((name.to_owned(), took_s));
-        match status.code() {
-            Some(code) if good.contains(&code) => Ok(code),
-            _ => Err(Failure::message(
-                ExitCode::Internal,
-                format!("{name} ended with {status}; its message is above"),
-            )
-            .hint("what was made so far is in the output folder; the command that failed can be run by hand")),
-        }
-    }
-}
-
-/// The command as one would type it.
-fn spelled(command: &Command) -> String {
-    let words = command.get_args().map(|word| word.to_string_lossy());
-    std::iter::once("caudata".into())
-        .chain(words)
-        .collect::<Vec<_>>()
-        .join(" ")
-}
-
 fn read_json(path: &Path) -> Result<Value, Failure> {
     let bytes = std::fs::read(path).or_exit_with(ExitCode::NoInput, || {
         format!("cannot read {}", path.display())
     })?;
     serde_json::from_slice(&bytes).or_exit_with(ExitCode::BadInput, || path.display().to_string())
-}
-
-/// The last line of a command's output.
-fn last_json(path: &Path) -> Result<Value, Failure> {
-    let text = std::fs::read_to_string(path).or_exit_with(ExitCode::NoInput, || {
-        format!("cannot read {}", path.display())
-    })?;
-    let last = text.lines().last().unwrap_or_default();
-    serde_json::from_str(last).or_exit_with(ExitCode::BadInput, || path.display().to_string())
 }
 
 /// Name, place and values of a cause.

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
-use super::{gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_paper, gap_report};
+use super::{
+    gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_paper, gap_policies, gap_report,
+};
 
 #[derive(Debug, Subcommand)]
 pub enum GapCommand {
@@ -21,7 +23,10 @@ pub enum GapCommand {
     Report(gap_report::ReportArgs),
     /// Write the experiment battery as command files for the robot
     Excite(gap_excite::ExciteArgs),
-    /// The pipeline of the paper on logs of a simulated robot: play, low-pass and weaker servos are found, and drawn as the paper draws them
+    /// What an extended model is worth to a policy: trains in it, in the model as given, and in that with wide randomisation, and runs all on the robot
+    Policies(gap_policies::PoliciesArgs),
+    /// The pipeline of the paper on logs of a simulated robot: play, low-pass and weaker servos are found and drawn as the paper draws them, and policies
+    /// trained without and with them are run on that robot
     Paper(gap_paper::PaperArgs),
 }
 
@@ -33,6 +38,7 @@ pub fn run(command: &GapCommand) -> Result<(), Failure> {
         GapCommand::Apply(args) => gap_apply::run(args),
         GapCommand::Report(args) => gap_report::run(args),
         GapCommand::Excite(args) => gap_excite::run(args),
+        GapCommand::Policies(args) => gap_policies::run(args),
         GapCommand::Paper(args) => gap_paper::run(args),
     }
 }

@@ -4,6 +4,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use caudata_config::ConfigArgs;
 use caudata_gap::{Role, Run, extension, page};
 use caudata_hidden_effects::ground::{self, GroundPlan, LabFile};
 use caudata_hidden_effects::paper::{self, Pictures, Row};
@@ -12,11 +13,14 @@ use caudata_runlog::RunLog;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
 
-use super::adapt::{Steps, own};
+use super::gap_policies::{self, Effort, Robots};
+use super::steps::{Steps, own};
 use crate::say;
 
 /// Folder of the logs and of the robot file as a lab has it.
 const LOGS: &str = "logs";
+/// The robot that was recorded, beside them.
+const TRUTH: &str = "truth.robot.toml";
 /// Runs whose name begins so are held out, and drawn.
 const HELD_OUT_WALK: &str = "holdout_walk";
 
@@ -31,6 +35,14 @@ pub struct PaperArgs {
     /// Threads; the result does not depend on it
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=1024))]
     threads: u32,
+    /// Ends with the pictures: no policies are trained
+    #[arg(long)]
+    no_policies: bool,
+    #[command(flatten)]
+    effort: Effort,
+    /// How policies are trained; without these flags the preset flat
+    #[command(flatten)]
+    config: ConfigArgs,
 }
 
 pub fn run(args: &PaperArgs) -> Result<(), Failure> {
@@ -55,8 +67,8 @@ pub fn run(args: &PaperArgs) -> Result<(), Failure> {
     Steps::new(false).run("diagnose", &mut command, &[0, 80, 81, 82, 83])?;
 
     let model = Arc::new(super::robot_model::load(&robot(&logs))?);
-    let text = std::fs::read_to_string(diagnosis.join("extended.robot.toml"))
-        .or_exit(ExitCode::NoInput)?;
+    let extended_file = diagnosis.join("extended.robot.toml");
+    let text = std::fs::read_to_string(&extended_file).or_exit(ExitCode::NoInput)?;
     let extended = match extension::read(&text).or_exit(ExitCode::BadInput)? {
         Some(found) => extension::terms(&found, &model).or_exit(ExitCode::BadInput)?,
         None => Vec::new(),
@@ -65,13 +77,25 @@ pub fn run(args: &PaperArgs) -> Result<(), Failure> {
     let pictures = paper::pictures(&model, extended, &runs, args.threads as usize)
         .or_exit(ExitCode::BadInput)?;
     let file = args.out.join("paper.html");
-    let html = page::curves(
-        "The paper's robot, measured and simulated",
-        &lead(&pictures),
-        &pictures.overlays,
-    );
-    write(&file, &html)?;
+    let draw = |chapters: &[page::Chapter]| {
+        let title = "The paper's robot, measured and simulated";
+        let html = page::curves(title, &lead(&pictures), &pictures.overlays, chapters);
+        write(&file, &html)
+    };
+    // Pictures first: trainings take longer, and may be stopped.
+    draw(&[])?;
     show(&pictures);
+    if !args.no_policies {
+        let robots = Robots {
+            given: &robot(&logs),
+            extended: &extended_file,
+            truth: &args.out.join(TRUTH),
+        };
+        let folder = args.out.join("policies");
+        let compared = gap_policies::compare(&robots, &folder, &args.effort, &args.config, false)?;
+        gap_policies::tables(&compared);
+        draw(&[gap_policies::chapter(&compared)])?;
+    }
     say::line(format!("pictures   {}", file.display()));
     say::line(format!(
         "report     {}",
@@ -97,11 +121,12 @@ fn make(args: &PaperArgs) -> Result<(), Failure> {
         repeats: 2,
     };
     ground::make(&plan, &args.out).or_exit(ExitCode::Internal)?;
+    paper::on_stand(plan.file, plan.seed, &args.out.join(LOGS)).or_exit(ExitCode::Internal)?;
     let (_, mjcf, _) = ground::salamander(LabFile::Stiff).or_exit(ExitCode::Internal)?;
     let truth =
         ground::true_salamander(LabFile::Stiff, paper::HIDDEN).or_exit(ExitCode::Internal)?;
     write(&args.out.join("polymander.xml"), &mjcf)?;
-    write(&args.out.join("truth.robot.toml"), &truth)
+    write(&args.out.join(TRUTH), &truth)
 }
 
 fn robot(logs: &Path) -> PathBuf {

@@ -100,7 +100,7 @@ pub fn signature(s: &Signature) -> String {
     let mut c = Chart::new(WIDE, x, Axis::over(ys()), &s.title, &about);
     for r in &s.series {
         let class = match r.label.as_str() {
-            "measured" | "before" | "after" => r.label.as_str(),
+            "measured" | "before" | "after" | "command" => r.label.as_str(),
             _ => "other",
         };
         if !r.spread.is_empty() {
@@ -122,7 +122,7 @@ pub fn signature(s: &Signature) -> String {
     let others: Vec<String> = s
         .series
         .iter()
-        .filter(|r| !["measured", "before", "after"].contains(&r.label.as_str()))
+        .filter(|r| !["measured", "before", "after", "command"].contains(&r.label.as_str()))
         .map(|r| escape(&r.label))
         .collect();
     let more = if others.is_empty() {

@@ -8,7 +8,7 @@ mod svg;
 
 use std::fmt::Write;
 
-use crate::plots::Plots;
+use crate::plots::{Overlay, Plots, Signature};
 use crate::report::{Report, Verdict};
 use svg::escape;
 
@@ -86,13 +86,36 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
     document(&format!("{word}: {}", escape(robot)), &body)
 }
 
-/// A page of curves alone: measured, and two models. `lead`: HTML below the title, made by the caller.
+/// A part of a page with pictures that are not of measured runs.
+#[derive(Debug, Clone, Default)]
+pub struct Chapter {
+    /// Heading.
+    pub title: String,
+    /// HTML below it, made by the caller.
+    pub lead: String,
+    /// Pictures.
+    pub figures: Vec<Signature>,
+}
+
+/// A page of curves alone: measured, and two models; then chapters. `lead`: HTML below the title, made by the caller.
 #[must_use]
-pub fn curves(title: &str, lead: &str, overlays: &[crate::plots::Overlay]) -> String {
+pub fn curves(title: &str, lead: &str, overlays: &[Overlay], chapters: &[Chapter]) -> String {
     let title = escape(title);
     let mut body = format!("<h1>{title}</h1>{lead}");
-    body.push_str(&figures::key(overlays.iter().any(|o| !o.after.is_empty())));
-    grid(&mut body, overlays.iter().map(figures::overlay));
+    if !overlays.is_empty() {
+        body.push_str(&figures::key(overlays.iter().any(|o| !o.after.is_empty())));
+        grid(&mut body, overlays.iter().map(figures::overlay));
+    }
+    for (i, chapter) in chapters.iter().enumerate() {
+        section(
+            &mut body,
+            &format!("chapter{}", i + 1),
+            &escape(&chapter.title),
+            "",
+        );
+        body.push_str(&chapter.lead);
+        grid(&mut body, chapter.figures.iter().map(figures::signature));
+    }
     document(&title, &body)
 }
 

@@ -190,7 +190,8 @@ fn scripts(model: &RobotModel, seconds: f64, tempo: f64) -> Vec<Script> {
     vec![("walk", walk), ("rock", rock), ("lift", lift)]
 }
 
-fn lane_of(model: &RobotModel, hidden: OnGround) -> LaneParams {
+/// The robot with what is hidden.
+pub(crate) fn lane_of(model: &RobotModel, hidden: OnGround) -> LaneParams {
     let mut lane = LaneParams::nominal(model);
     let rad = |deg: f64| deg.to_radians() as f32;
     match hidden {

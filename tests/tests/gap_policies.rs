@@ -1,0 +1,156 @@
+//! `caudata gap policies` from end to end: policies are trained in a model as given, in an extended one and with wide randomisation, and run on a third robot; what
+//! the report adds up is added up here once more.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+
+use caudata_tests::{Finished, command, finish, json_file, repository_root};
+use serde_json::Value;
+
+fn run(args: &[&str]) -> Finished {
+    finish(command("caudata", args).unwrap()).unwrap()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A robot file of stiff girdles whose servos have `torque` of their torque.
+fn robot(folder: &Path, name: &str, torque: f64) -> PathBuf {
+    let robots = repository_root().join("robots");
+    std::fs::copy(robots.join("polymander.xml"), folder.join("polymander.xml")).unwrap();
+    let nominal = std::fs::read_to_string(robots.join("polymander.robot.toml")).unwrap();
+    let stiff = |line: &str| match line.starts_with("half_width_rad") {
+        true => "half_width_rad = 0.0\n".to_owned(),
+        false => format!("{line}\n"),
+    };
+    let mut file: String = nominal.lines().map(stiff).collect();
+    if torque < 1.0 {
+        file += "\n[extension]\nbase = \"\"\n\n[extension.lane]\n";
+        for leg in ["FL", "FR", "HL", "HR"] {
+            file += &format!(
+                "\"torque_scale.{leg}_hip\" = {torque}\n\"torque_scale.{leg}_knee\" = {torque}\n"
+            );
+        }
+    }
+    let path = folder.join(name);
+    std::fs::write(&path, file).unwrap();
+    path
+}
+
+/// Mean over scenarios of one figure of an evaluation.
+fn power(evaluation: &Value) -> f64 {
+    let scenarios = evaluation["scenarios"].as_array().unwrap();
+    let sum: f64 = scenarios
+        .iter()
+        .map(|s| s["power_w"]["mean"].as_f64().unwrap())
+        .sum();
+    sum / scenarios.len() as f64
+}
+
+#[test]
+fn three_ways_to_train_are_compared_on_the_robot() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let given = robot(folder, "given.robot.toml", 1.0);
+    let extended = robot(folder, "extended.robot.toml", 0.12);
+    let truth = robot(folder, "truth.robot.toml", 0.1);
+    let out = folder.join("out");
+    let mut args = vec!["gap", "policies", "--json", "--preset", "quick"];
+    for (flag, path) in [
+        ("--robot", &given),
+        ("--extended", &extended),
+        ("--truth", &truth),
+        ("--out", &out),
+    ] {
+        args.extend([flag, text(path)]);
+    }
+    args.extend(["--seeds", "2", "--iterations", "1", "--suite", "flat"]);
+    args.extend(["--episodes", "2", "--referee-episodes", "1"]);
+    for set in [
+        "actors.lanes=3",
+        "actors.chunk_steps=8",
+        "learner.ppo.minibatches=2",
+        "telemetry.metrics=false",
+    ] {
+        args.extend(["--set", set]);
+    }
+    let done = run(&args);
+    assert_eq!(done.code, Some(0), "{}\n{}", done.stdout, done.stderr);
+    let report = done.last_json().unwrap();
+    assert_eq!(json_file(&out.join("policies.json")).unwrap(), report);
+
+    let ways = report["ways"].as_array().unwrap();
+    let names: Vec<&str> = ways.iter().map(|w| w["way"].as_str().unwrap()).collect();
+    assert_eq!(names, ["as_given", "extended", "wide"]);
+    let mut seen = Vec::new();
+    let mut powers = Vec::new();
+    for (way, robot) in ways.iter().zip([&given, &extended, &given]) {
+        let policies = way["policies"].as_array().unwrap();
+        assert_eq!(policies.len(), 2);
+        for (policy, seed) in policies.iter().zip([1, 2]) {
+            assert_eq!(policy["seed"], seed);
+            let path = PathBuf::from(policy["policy"].as_str().unwrap());
+            seen.push(std::fs::read(&path).unwrap());
+            let config = std::fs::read_to_string(path.with_file_name("config.toml")).unwrap();
+            assert!(config.contains(text(robot)), "{config}");
+            // A wide range is there where it was asked for, and the preset's elsewhere.
+            let wide = config.contains("command_delay_s = [0.0, 0.05]");
+            assert_eq!(wide, way["way"] == "wide", "{config}");
+            // Servos of a tenth of their torque show.
+            assert_ne!(power(&policy["at_home"]), power(&policy["in_truth"]));
+            assert_eq!(policy["in_rapier"]["episodes"], 1);
+        }
+        powers.push([0, 1].map(|k| power(&policies[k]["in_truth"])));
+    }
+    // Every training is another: by seed, by model, by randomisation.
+    for (i, policy) in seen.iter().enumerate() {
+        assert!(!seen[..i].contains(policy), "policy {i} is there twice");
+    }
+    // Means and gains once more, by hand: two trainings, t = 12.706.
+    let mean = |x: [f64; 2]| 0.5 * (x[0] + x[1]);
+    let near = |got: &Value, want: f64| {
+        let got = got.as_f64().unwrap();
+        assert!((got - want).abs() < 1e-9, "{got} is not {want}");
+    };
+    for (way, own) in ways.iter().zip(&powers) {
+        near(&way["in_truth"]["power_w"]["mean"], mean(*own));
+        let gain = &way["gain"];
+        if way["way"] == "as_given" {
+            assert!(gain.is_null());
+            continue;
+        }
+        let less = [0, 1].map(|k| powers[0][k] - own[k]);
+        near(&gain["power_w"]["mean"], mean(less));
+        let half = 12.706 * 0.5 * (less[0] - less[1]).abs();
+        near(&gain["power_w"]["ci_high"], mean(less) + half);
+    }
+    let speed = &ways[0]["speed"];
+    let count = |key: &str| speed[key].as_array().unwrap().len();
+    assert!(count("time_s") > 100 && count("mean_mps") == count("time_s"));
+    let page = std::fs::read_to_string(out.join("policies.html")).unwrap();
+    assert!(page.contains("as given, wide randomisation"), "{page}");
+}
+
+#[test]
+fn what_cannot_be_read_is_said_before_anything_is_trained() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let given = robot(folder, "given.robot.toml", 1.0);
+    let missing = folder.join("missing.robot.toml");
+    let out = folder.join("out");
+    let mut args = vec!["gap", "policies"];
+    for (flag, path) in [
+        ("--robot", &given),
+        ("--extended", &missing),
+        ("--truth", &given),
+        ("--out", &out),
+    ] {
+        args.extend([flag, text(path)]);
+    }
+    let done = run(&args);
+    assert_eq!(done.code, Some(66), "{}", done.stderr);
+    assert_eq!(done.errors().len(), 1, "{}", done.stderr);
+    assert!(done.errors()[0].contains("missing.robot.toml"));
+    assert!(!out.exists());
+}
