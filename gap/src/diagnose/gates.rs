@@ -78,7 +78,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         "no gain on the runs it was fitted to"
     } else if holdout <= 0.0 {
         "makes held-out runs worse"
-    } else if joints >= MANY_JOINTS && of < QUIET {
+    } else if joints >= MANY_JOINTS && worst_within(joints, judge, &from.holdout, &mask) < QUIET {
         "what it explains is within what careful labs differ by at one joint of so many"
     } else if low <= 0.0 && !rare(&gains, holdout, of) {
         "its gain on held-out runs is within what resampling gives by chance"
@@ -113,6 +113,29 @@ fn rare(gains: &[f64], holdout: f64, of: f64) -> bool {
     let lost: f64 = gains.iter().filter(|g| **g < 0.0).map(|g| -g).sum();
     let many = gains.iter().filter(|g| **g > 0.1 * total).count();
     holdout > 0.2 * of && many >= 2 && lost < 0.15 * total
+}
+
+/// Misfit from which on there is something to explain. Of many joints one is always a little off.
+#[must_use]
+pub fn quiet(context: &Context) -> f64 {
+    if context.replayer.model().actuated().len() < MANY_JOINTS {
+        FLOOR
+    } else {
+        QUIET
+    }
+}
+
+/// The greatest misfit of the joints, and of the body, that have a sample in `mask`.
+fn worst_within(joints: usize, judge: &Judge, on: &On, mask: &[bool]) -> f64 {
+    let mut within = vec![false; joints + 1];
+    for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
+        within[group(joints, piece)] |= mask[piece.range.clone()].contains(&true);
+    }
+    let sums = groups(joints, &[(judge, on)]);
+    let named = sums.iter().zip(within).filter(|(_, w)| *w);
+    named
+        .map(|((square, n), _)| square / f64::max(*n, 1.0))
+        .fold(0.0, f64::max)
 }
 
 /// Mean square on the channels that `place` concerns.

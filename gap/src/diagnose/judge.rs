@@ -2,8 +2,8 @@
 //!
 //! A residual is divided by its noise ([`super::noise`]), and directions in which careful labs differ from run to run (a little more friction, a
 //! little less voltage, half a step of time) are taken as random with their tolerances: with N the traces of these nuisances at one tolerance
-//! each, the residual r is whitened to (I + κ²·N·n⁻¹·Nᵀ)^(−½)·r, run by run, n the number of samples that a nuisance acts on. The misfit is the mean
-//! square of that: 1 is the floor. What no nuisance explains stays. k tolerances of one come to at most (k/κ)²: one tolerance is little, many are a gap
+//! each, the residual r is whitened to (I + κ²·N·n⁻¹·Nᵀ)^(−½)·r, run by run, n the number of samples of those joints that a nuisance shows at. The misfit
+//! is the mean square of that: 1 is the floor. What no nuisance explains stays. k tolerances of one come to at most (k/κ)²: one tolerance is little, many are a gap
 //! although a nuisance explains them. (With I + N·Nᵀ, which is what independent Gaussian noise would ask for, they come to k²/n: nothing, whatever k.)
 
 use std::collections::BTreeMap;
@@ -46,6 +46,8 @@ const TOLERANCES: f64 = 4.0;
 /// Ground friction by this share.
 const GROUND_TOLERANCE: f64 = 0.1;
 
+/// See [`shown_in`].
+const SHOWS: f64 = 0.01;
 /// A nuisance that does less than this (its share of the floor at κ tolerances) does nothing.
 const LEAST_TRACE: f64 = 1e-5;
 
@@ -69,9 +71,8 @@ struct Column {
 }
 
 impl Column {
-    /// From the trace of one tolerance.
-    fn new(mut parts: Vec<(usize, Vec<f32>)>, of: (usize, usize)) -> Self {
-        let n: usize = parts.iter().map(|(_, v)| v.len()).sum();
+    /// From the trace of one tolerance, which shows in `n` samples.
+    fn new(mut parts: Vec<(usize, Vec<f32>)>, n: usize, of: (usize, usize)) -> Self {
         let unit = (TOLERANCES / (n.max(1) as f64).sqrt()) as f32;
         for x in parts.iter_mut().flat_map(|(_, v)| v) {
             *x *= unit;
@@ -298,11 +299,14 @@ impl Judge {
                                         p.range.clone().map(delta).collect(),
                                     )
                                 });
-                            columns.push(Column::new(of.collect(), (number, joint)));
+                            let of: Vec<(usize, Vec<f32>)> = of.collect();
+                            let n = of.iter().map(|(_, v)| v.len()).sum();
+                            columns.push(Column::new(of, n, (number, joint)));
                         }
                     } else {
+                        let n = shown_in(&self.data, &range, joints, delta);
                         let whole = vec![(0, range.clone().map(delta).collect())];
-                        columns.push(Column::new(whole, (number, joints)));
+                        columns.push(Column::new(whole, n, (number, joints)));
                     }
                 }
                 columns.retain(|c| c.times(c) > LEAST_TRACE);
@@ -546,6 +550,32 @@ fn pieces<'a>(
         .iter()
         .filter(move |s| s.range.start >= range.start && s.range.end <= range.end)
         .flat_map(|s| &s.pieces)
+}
+
+/// Samples of those joints, and of the body, at which `trace` shows: whose mean square of it is at least [`SHOWS`] times the greatest. Misfits are judged
+/// joint by joint, and a delay of all commands must not count the more the fewer joints move.
+fn shown_in(
+    data: &Data,
+    range: &Range<usize>,
+    joints: usize,
+    trace: impl Fn(usize) -> f32,
+) -> usize {
+    let mut sums = vec![(0.0, 0_usize); joints + 1];
+    for piece in pieces(data, range) {
+        let group = if piece.kind.of_joint() {
+            piece.index
+        } else {
+            joints
+        };
+        for k in piece.range.clone() {
+            sums[group].0 += f64::from(trace(k)).powi(2);
+        }
+        sums[group].1 += piece.range.len();
+    }
+    let mean = |&(sum, n): &(f64, usize)| sum / n.max(1) as f64;
+    let most = sums.iter().map(mean).fold(0.0, f64::max);
+    let shown = sums.iter().filter(|s| mean(s) >= SHOWS * most);
+    shown.map(|s| s.1).sum()
 }
 
 /// Whether a sample's channel belongs to a place: its joints' channels for joints, everything else otherwise.

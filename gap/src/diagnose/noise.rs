@@ -47,11 +47,16 @@ impl Noise {
             difference: vec![0.0; data.len()],
             ..Self::default()
         };
+        // a run in stretches has one noise of repeats: sum of squares and samples of each channel
+        let mut repeats = BTreeMap::new();
         for segment in &data.segments {
             for piece in &segment.pieces {
-                noise.piece(model, data, segment.trial, piece);
+                noise.piece(model, data, segment.trial, piece, &mut repeats);
             }
         }
+        noise.repeat = (repeats.into_iter())
+            .map(|(channel, (square, n))| (channel, (square / n).sqrt()))
+            .collect();
         noise
     }
 
@@ -61,7 +66,14 @@ impl Noise {
         self.difference[k] /= factor;
     }
 
-    fn piece(&mut self, model: &RobotModel, data: &Data, trial: usize, piece: &Piece) {
+    fn piece(
+        &mut self,
+        model: &RobotModel,
+        data: &Data,
+        trial: usize,
+        piece: &Piece,
+        repeats: &mut BTreeMap<(usize, Kind, usize), (f64, f64)>,
+    ) {
         let own = &data.trials[trial];
         let channel = &own.channels[piece.channel];
         let range = piece.range.clone();
@@ -95,8 +107,10 @@ impl Noise {
             self.repeated = true;
         }
         let repeat = (sum / values.len().max(1) as f64).sqrt();
-        if members.len() > 1 {
-            self.repeat.insert((trial, piece.kind, piece.index), repeat);
+        if members.len() > 1 && !values.is_empty() {
+            let all = repeats.entry((trial, piece.kind, piece.index)).or_default();
+            all.0 += sum;
+            all.1 += values.len() as f64;
         }
         // stretches of a swing that dies away are measured by the whole of it, as a run in one piece is
         let size = match own.base {

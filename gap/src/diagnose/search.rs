@@ -9,7 +9,7 @@
 
 use std::collections::BTreeSet;
 
-use super::gates::{self, FLOOR, Worth};
+use super::gates::{self, Worth};
 use super::refine::{Race, refine};
 use super::screen::{Screened, screen};
 use super::state::{Context, State, builds_up};
@@ -92,7 +92,7 @@ pub fn search(
     let mut tried = 0;
     for depth in 1..=MOST_TERMS {
         if depth > 1 {
-            if gates::worst(context, &best) < FLOOR {
+            if gates::worst(context, &best) < gates::quiet(context) {
                 break;
             }
             // what runs differ by grows with what was found: more friction drifts by more
@@ -265,7 +265,19 @@ fn overtakes(
         return false;
     }
     let ahead = gates::worth(context, best, state, None);
-    ahead.low > 0.0 && (good || (ahead.passed && enough(context, &ahead, base, last_place(state))))
+    let new = |t: &&Term| {
+        !best
+            .terms
+            .iter()
+            .any(|b| b.effect == t.effect && b.place == t.place)
+    };
+    let mut added = state.terms.iter().filter(new);
+    let mut whole = || {
+        ahead.passed
+            && enough(context, &ahead, base, None)
+            && added.all(|t| gates::matters(context, t))
+    };
+    ahead.low > 0.0 && (good || whole())
 }
 
 /// Whether a further effect at `place` explains enough to be one.

@@ -25,7 +25,7 @@ pub const QUIET: f64 = 0.8;
 const TRUST: f64 = 0.97;
 /// … and where something is left unexplained, or a parameter is at its bound, that is this high: on the benchmark five of fourteen such names are right.
 const TRUST_IN_PART: f64 = 0.4;
-/// Misfit of held-out runs that an explained gap may leave in any case, …
+/// Misfit of held-out runs that an explained gap may leave in any case (of many joints: [`QUIET`]), …
 const LEFT: f64 = 0.5;
 /// … and, where it is more, its product with its share of the misfit before: 1.2 floors of ten, half a floor of 1.7. Of the benchmark's causes the right ones
 /// leave less (their laws are not quite nature's), wrong ones more.
@@ -168,7 +168,7 @@ pub fn left(context: &Context, base: &State, best: &State) -> f64 {
     let of = |state: &State| gates::worst_of_holdout(context, state);
     let (before, after) = (of(base), of(best));
     let share = after / before.max(1e-9);
-    if after > LEFT && after * share > LEFT_OF_SHARE {
+    if after > LEFT.max(gates::quiet(context)) && after * share > LEFT_OF_SHARE {
         share.min(1.0)
     } else {
         0.0

@@ -195,8 +195,8 @@ impl Data {
             range: begin..self.value.len(),
             pieces,
             // a robot that is recorded from its first row on stood there before
-            start: match cut.loose {
-                Some(began_s) => swinging(model, trial, start_s, began_s),
+            start: match cut.swings {
+                Some(switched) => swinging(model, trial, start_s, switched),
                 None => start(model, trial, start_s.max(replay_span(trial).0)),
             },
             again: free.then(|| (from_s, start(model, trial, from_s))),
@@ -275,9 +275,12 @@ struct Cut {
     from_s: f64,
     /// Until when.
     end_s: f64,
-    /// When a servo was let go, in a stretch in which one is.
-    loose: Option<f64>,
+    /// Where a servo is let go, and at the beginning of what follows: when it was let go, or held again.
+    swings: Option<Switch>,
 }
+
+/// When servos were last switched, s; `None`: before the run began.
+type Switch = Option<f64>;
 
 /// Parts of `length_s` or a little more, s.
 fn parts((first, last): (f64, f64), length_s: f64) -> impl Iterator<Item = (f64, f64)> {
@@ -290,7 +293,11 @@ fn parts((first, last): (f64, f64), length_s: f64) -> impl Iterator<Item = (f64,
 /// A run on a stand: whole, or in parts of `fixed_s`; while a servo is let go, in parts of `loose_s`.
 fn held_cuts(trial: &Trial, options: SegmentOptions) -> Vec<Cut> {
     let mut cuts = Vec::new();
+    let first_s = replay_span(trial).0;
+    let mut before = false;
     for (span, loose) in held_spans(trial, options.loose_s) {
+        let caught = std::mem::replace(&mut before, loose);
+        let switched = (span.0 > first_s).then_some(span.0);
         let length_s = if loose {
             options.loose_s
         } else {
@@ -299,11 +306,14 @@ fn held_cuts(trial: &Trial, options: SegmentOptions) -> Vec<Cut> {
         cuts.extend(parts(span, length_s).map(|(from_s, end_s)| {
             // what was let go remembers nothing that matters
             let lead_s = if loose { 0.0 } else { options.lead_s };
+            let start_s = from_s - lead_s.min(from_s - span.0);
+            // caught in its swing
+            let swings = loose || (caught && start_s == span.0);
             Cut {
-                start_s: from_s - lead_s.min(from_s - span.0),
+                start_s,
                 from_s,
                 end_s,
-                loose: loose.then_some(span.0),
+                swings: swings.then_some(switched),
             }
         }));
     }
@@ -358,7 +368,7 @@ fn free_cuts(trial: &Trial, length_s: f64) -> Vec<Cut> {
                 start_s: from_s - FREE_LEAD_S,
                 from_s,
                 end_s: stamp_near(trial, end_s).min(span.1),
-                loose: None,
+                swings: None,
             }
         })
         .collect()
@@ -455,11 +465,11 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
     start
 }
 
-/// Joints that swing at `t_s`, after a servo was let go at `began_s`: position as it was read, speed from positions alone, since a servo's own reading of it
-/// lags behind a swing, and from those before only where letting go has just changed it.
-fn swinging(model: &RobotModel, trial: &Trial, t_s: f64, began_s: f64) -> Start {
+/// Joints that swing at `t_s`: position as it was read, speed from positions alone, since a servo's own reading of it lags behind a swing, and from those
+/// before only where a servo that was let go or held again has just changed it.
+fn swinging(model: &RobotModel, trial: &Trial, t_s: f64, switched: Switch) -> Start {
     let mut swinging = start(model, trial, t_s);
-    let before_s = t_s - began_s < SPEED_WINDOW_S;
+    let before_s = switched.is_some_and(|s| t_s - s < SPEED_WINDOW_S);
     for a in 0..swinging.pos_rad.len() {
         if let Some(c) = trial.channel(Kind::Position, a) {
             let at_s = if before_s { t_s - SPEED_WINDOW_S } else { t_s };
@@ -539,26 +549,27 @@ mod tests {
             loose_s: 1.0,
             ..SegmentOptions::default()
         };
-        let cuts = |options| -> Vec<(f64, f64, bool)> {
+        let cuts = |options| -> Vec<(f64, f64, Switch)> {
             let round = |x: f64| (x * 1e3).round() / 1e3;
             (held_cuts(&run, options).into_iter())
-                .map(|c| (round(c.from_s), round(c.end_s), c.loose == Some(4.0)))
+                .map(|c| (round(c.from_s), round(c.end_s), c.swings.flatten()))
                 .collect()
         };
         assert_eq!(
             cuts(options),
             [
-                (0.0, 4.0, false),
-                (4.0, 5.2, true),
-                (5.2, 6.4, true),
-                (6.4, 10.0, false)
+                (0.0, 4.0, None),
+                (4.0, 5.2, Some(4.0)),
+                (5.2, 6.4, Some(4.0)),
+                // caught in its swing
+                (6.4, 10.0, Some(6.4))
             ]
         );
         let whole = SegmentOptions {
             loose_s: f64::INFINITY,
             ..options
         };
-        assert_eq!(cuts(whole), [(0.0, 10.0, false)]);
+        assert_eq!(cuts(whole), [(0.0, 10.0, None)]);
     }
 
     #[test]
@@ -570,11 +581,16 @@ mod tests {
         let model = RobotModel::load(path.as_ref()).unwrap();
         let run = run_of(Steps::default());
         // at the very moment of letting go nothing moves yet, though the line through both sides has a slope
-        let begin = swinging(&model, &run, 4.0, 4.0);
+        let begin = swinging(&model, &run, 4.0, Some(4.0));
         assert!(begin.vel_radps[0].abs() < 1e-9, "{begin:?}");
-        let later = swinging(&model, &run, 5.0, 4.0);
+        let later = swinging(&model, &run, 5.0, Some(4.0));
         assert!((later.vel_radps[0] - 3.0).abs() < 1e-9, "{later:?}");
         assert!((later.pos_rad[0] - 3.5).abs() < 1e-9, "{later:?}");
+        // let go before the run began, so that it swings already at its first row
+        let mut early = run_of(Steps::default());
+        early.channels[0].value = early.channels[0].time_s.iter().map(|t| 2.0 * t).collect();
+        let first = swinging(&model, &early, 0.0, None);
+        assert!((first.vel_radps[0] - 2.0).abs() < 1e-9, "{first:?}");
     }
 
     #[test]

@@ -1,6 +1,10 @@
-//! Scores the reports that a set has so far, for a `caudata bench gap --keep ROOT` that was stopped: `score quick|pr|nightly SEED ROOT`. Makes the same
-//! cases again (in `ROOT/again`) for their answers, and takes no report whose logs are not the same to the byte.
+//! Scores the reports that a set has so far, for a `caudata bench gap --keep ROOT` or an example `set` that was stopped: `score quick|pr|nightly SEED ROOT`.
+//! Answers that `set` wrote are read; for those of the command, which nobody can read, the same cases are made again (in `ROOT/again`), and no report is
+//! taken whose logs are not the same to the byte.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
+use std::path::Path;
+
+use caudata_hidden_effects::case::Answers;
 use caudata_hidden_effects::run;
 use caudata_hidden_effects::score::Summary;
 use caudata_hidden_effects::sets::{self, SetName};
@@ -12,7 +16,6 @@ fn main() {
         _ => SetName::Nightly,
     };
     let root = std::path::PathBuf::from(&args[2]);
-    let again = root.join("again");
     let mut done: Vec<String> = std::fs::read_dir(root.join("out"))
         .unwrap()
         .map(|e| e.unwrap())
@@ -20,28 +23,13 @@ fn main() {
         .map(|e| e.file_name().into_string().unwrap())
         .collect();
     done.sort();
-    let last: usize = done.last().unwrap()[1..].parse().unwrap();
-    let secret = b"scoring";
-    if !again.join(run::SEALED_NAME).exists() {
-        let plans = sets::plan(set, args[1].parse().unwrap(), Some(last + 1));
-        run::generate(&plans, &again, secret, 1, |_, _| ()).unwrap();
-    }
-    let mut answers = run::answers(&again, secret).unwrap();
+    let mut answers = match run::answers(&root, b"development") {
+        Ok(answers) => answers,
+        Err(_) => made_again(set, args[1].parse().unwrap(), &root, &done),
+    };
+    let all = answers.answers.len();
     answers.answers.retain(|a| done.contains(&a.case));
-    for a in &answers.answers {
-        let logs = |root: &std::path::Path| {
-            let mut all: Vec<_> = std::fs::read_dir(root.join(run::CASES_NAME).join(&a.case))
-                .unwrap()
-                .map(|e| e.unwrap().path().join("log.csv"))
-                .filter(|p| p.exists())
-                .collect();
-            all.sort();
-            all.into_iter()
-                .map(|p| std::fs::read(p).unwrap())
-                .collect::<Vec<_>>()
-        };
-        assert!(logs(&root) == logs(&again), "{} is another case", a.case);
-    }
+    println!("{} of {all} cases have a report", answers.answers.len());
     let outcomes = run::judge_kept(&root, &answers).unwrap();
     for (o, a) in outcomes.iter().zip(&answers.answers) {
         let truth: Vec<String> = (a.effects.iter())
@@ -71,4 +59,31 @@ fn main() {
     for (what, value, owed) in Summary::of(&outcomes).rows() {
         println!("{what:50} {value:32} {owed}");
     }
+}
+
+/// The answers of the cases up to the last one that is `done`.
+fn made_again(set: SetName, seed: u64, root: &Path, done: &[String]) -> Answers {
+    let again = root.join("again");
+    let last: usize = done.last().unwrap()[1..].parse().unwrap();
+    let secret = b"scoring";
+    if !again.join(run::SEALED_NAME).exists() {
+        let plans = sets::plan(set, seed, Some(last + 1));
+        run::generate(&plans, &again, secret, 1, |_, _| ()).unwrap();
+    }
+    let answers = run::answers(&again, secret).unwrap();
+    for a in answers.answers.iter().filter(|a| done.contains(&a.case)) {
+        let logs = |root: &Path| {
+            let mut all: Vec<_> = std::fs::read_dir(root.join(run::CASES_NAME).join(&a.case))
+                .unwrap()
+                .map(|e| e.unwrap().path().join("log.csv"))
+                .filter(|p| p.exists())
+                .collect();
+            all.sort();
+            all.into_iter()
+                .map(|p| std::fs::read(p).unwrap())
+                .collect::<Vec<_>>()
+        };
+        assert!(logs(root) == logs(&again), "{} is another case", a.case);
+    }
+    answers
 }
