@@ -127,6 +127,17 @@ pub enum DeployError {
         /// Highest version that was.
         seen: u64,
     },
+    /// No trust file is given where one was in force.
+    #[error(
+        "robot state {}: trust file version {seen} was in force on this robot and none is given: give it with --trust",
+        folder.display()
+    )]
+    TrustLeftOut {
+        /// The state folder.
+        folder: PathBuf,
+        /// Highest version that was in force.
+        seen: u64,
+    },
     /// The wiring file.
     #[error(transparent)]
     Wiring(#[from] WiringError),
@@ -265,6 +276,7 @@ impl DeployError {
             | Self::Wiring(_)
             | Self::Trust(_)
             | Self::OlderTrust { .. }
+            | Self::TrustLeftOut { .. }
             | Self::Task { .. }
             | Self::StateDamaged { .. }
             | Self::StateLost
@@ -305,6 +317,9 @@ impl DeployError {
             Self::StateDamaged { .. } => Some(
                 "give --trust with a [[fresh_key]] of the server, or move the state folder away and give up what it knew",
             ),
+            Self::TrustLeftOut { .. } => {
+                Some("a robot that is to take what nobody signed needs another state folder")
+            }
             Self::OlderTrust { .. } => Some(
                 "keys that were given up stay given up; a robot that is to begin anew with other trust files needs another state folder",
             ),

@@ -184,7 +184,8 @@ pub struct RobotState {
     /// The policy on trial, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trial: Option<Trial>,
-    /// Highest version of a trust file that was in force here; 0 before the first one. A lower one would bring back keys that were given up.
+    /// Highest version of a trust file that was in force here; 0 where none above version 1 was, see [`RobotState::saw_trust`]. A lower one would bring
+    /// back keys that were given up.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub trust_version: u64,
 }
@@ -301,9 +302,10 @@ impl RobotState {
         version >= self.trust_version || !Step::TrustVersion.on()
     }
 
-    /// The trust file of this version is in force.
+    /// The trust file of this version is in force. Version 1 is not written down: there is none below it, and programs that do not know
+    /// `trust_version` take no state that has one.
     pub fn saw_trust(&mut self, version: u64) {
-        if version > self.trust_version {
+        if version > self.trust_version.max(1) {
             self.trust_version = version;
             self.generation += 1;
         }
@@ -311,12 +313,13 @@ impl RobotState {
 
     /// Begins anew after everything was forgotten: nothing below `floor` is taken from `stream`, and no trust file below `trust_version`.
     pub fn recovered(stream: &str, floor: u64, trust_version: u64) -> Self {
-        Self {
+        let mut state = Self {
             seen: BTreeMap::from([(stream.to_owned(), floor)]),
             generation: 1,
-            trust_version,
             ..Self::default()
-        }
+        };
+        state.saw_trust(trust_version);
+        state
     }
 
     /// The policy with these bytes ran well.

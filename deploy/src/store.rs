@@ -2,7 +2,7 @@
 //! announcement, `blobs/<sha256>.<version>.<stream>.manifest`, where the stream is the first half of its name's SHA-256. What is read from it is checked as if it came from outside.
 
 use std::fs;
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -29,6 +29,9 @@ pub struct PolicyStore {
     state: RobotState,
     /// The state was lost.
     torn: bool,
+    /// Version of the trust file that this process goes by, 0 without one. Every state that is written says it: one that could not be written down at
+    /// once is then not forgotten, nor written over where one of the two copies has it already.
+    trust_version: u64,
 }
 
 impl PolicyStore {
@@ -58,6 +61,7 @@ impl PolicyStore {
             folder: folder.to_owned(),
             state: read_state(folder)?.unwrap_or_default(),
             torn: false,
+            trust_version: 0,
         })
     }
 
@@ -67,12 +71,18 @@ impl PolicyStore {
     /// # Errors
     /// As [`PolicyStore::open`], but not for damage.
     pub fn open_torn(folder: &Path) -> Result<Self, DeployError> {
-        Ok(Self {
-            disk: Arc::new(OsDisk),
+        Ok(Self::open_torn_on(Arc::new(OsDisk), folder))
+    }
+
+    /// [`PolicyStore::open_torn`] on a disk that may be a rehearsed one.
+    fn open_torn_on(disk: Arc<dyn Disk>, folder: &Path) -> Self {
+        Self {
+            disk,
             folder: folder.to_owned(),
             state: RobotState::default(),
             torn: true,
-        })
+            trust_version: 0,
+        }
     }
 
     /// Whether the state was lost and nothing took its place yet.
@@ -81,34 +91,47 @@ impl PolicyStore {
     }
 
     /// Begins a new state after a server proved, freshly, that `stream` is at `floor`: nothing older is taken, and no trust file older than the one of
-    /// `trust_version`, by which it was proved.
+    /// `trust_version`, by which it was proved. Each damaged copy is kept aside and then replaced: at no time is there a folder without any, which would
+    /// look like that of a robot that never had a state.
     ///
     /// # Errors
-    /// [`DeployError::Durable`], [`DeployError::Folder`]; it is then as torn as before.
+    /// [`DeployError::Durable`], [`DeployError::Folder`]; it is then as torn as before, here. On the disk one copy may be the new one already: the next
+    /// start goes on from it.
     pub fn recover(
         &mut self,
         stream: &str,
         floor: u64,
         trust_version: u64,
     ) -> Result<(), DeployError> {
-        for name in COPIES {
-            let path = self.folder.join(name);
-            let aside = self.folder.join(format!("{name}.damaged"));
-            match fs::rename(&path, &aside) {
-                Err(source) if source.kind() != io::ErrorKind::NotFound => {
-                    return Err(DeployError::Folder { path, source });
-                }
-                _ => {}
+        let copies = COPIES.map(|name| self.folder.join(name));
+        for path in &copies {
+            // One that reads is what an attempt of before could still write.
+            if matches!(read_copy(path), Err(DeployError::StateDamaged { .. })) {
+                self.keep_aside(path)?;
             }
         }
         let state = RobotState::recovered(stream, floor, trust_version);
         let text = encode(&state)?;
-        for name in COPIES {
-            durable::replace_on(&*self.disk, &self.folder.join(name), &text)?;
+        for path in &copies {
+            durable::replace_on(&*self.disk, path, &text)?;
         }
         self.state = state;
         self.torn = false;
         Ok(())
+    }
+
+    /// Copies the damaged file at `path`, of one that is too large the beginning, to where a person finds it.
+    fn keep_aside(&self, path: &Path) -> Result<(), DeployError> {
+        let mut bytes = Vec::new();
+        fs::File::open(path)
+            .and_then(|file| file.take(STATE_BYTES_MAX).read_to_end(&mut bytes))
+            .map_err(|source| DeployError::Folder {
+                path: path.to_owned(),
+                source,
+            })?;
+        let mut aside = path.as_os_str().to_owned();
+        aside.push(".damaged");
+        Ok(durable::replace_on(&*self.disk, Path::new(&aside), &bytes)?)
     }
 
     /// The trust file at `path`, of which `version` is in force, is what this robot goes by: from now on no older one is.
@@ -117,12 +140,13 @@ impl PolicyStore {
     /// [`DeployError::OlderTrust`] where a newer one was in force here before.
     pub fn trust(&mut self, path: &Path, version: u64) -> Result<(), DeployError> {
         check_trust(&self.state, path, version)?;
+        self.trust_version = version;
         // A lost state says nothing about trust files; [`PolicyStore::recover`] writes it down.
         if self.torn {
             return Ok(());
         }
         if let Err(error) = self.update(|state| state.saw_trust(version)) {
-            // A card that takes nothing more must not keep a robot from running what is on it.
+            // A card that takes nothing more must not keep a robot from running what is on it. The next change says it again.
             tracing::error!(%error, version, "cannot write down which trust file is in force");
         }
         Ok(())
@@ -155,6 +179,7 @@ impl PolicyStore {
         if self.torn {
             return Err(DeployError::StateLost);
         }
+        state.saw_trust(self.trust_version);
         let text = encode(&state)?;
         // Both hold the same: whichever survives says the newest that was promised.
         for name in COPIES {
@@ -216,8 +241,14 @@ impl PolicyStore {
         read_policy(&self.folder, policy, trust)
     }
 
-    /// Failing here costs nothing but space.
+    /// Failing here costs nothing but space. Of announcements only those of what is on the disk stay: the same bytes can be announced in many streams
+    /// and under many numbers.
     fn remove_unneeded(&self) {
+        let on_disk = self.state.on_disk();
+        let announced = on_disk.iter().flat_map(|policy| {
+            [manifest_file, older_manifest_file].map(|file| file(&self.folder, policy))
+        });
+        let announced: Vec<PathBuf> = announced.collect();
         let Ok(entries) = fs::read_dir(self.folder.join("blobs")) else {
             return;
         };
@@ -225,13 +256,17 @@ impl PolicyStore {
             let name = entry.file_name();
             let digest = name.to_str().and_then(|n| n.split('.').next());
             let digest = digest.and_then(|d| d.parse::<Sha256Digest>().ok());
-            if digest.is_some_and(|d| !self.state.needs(d)) {
-                let _ = self.disk.remove(&entry.path());
+            let path = entry.path();
+            let stale = path.extension() == Some(MANIFEST.as_ref()) && !announced.contains(&path);
+            if digest.is_some_and(|d| stale || !self.state.needs(d)) {
+                let _ = self.disk.remove(&path);
             }
         }
     }
 }
 
+/// What the names of announcements end with.
+const MANIFEST: &str = "manifest";
 /// Largest manifest file that is read, bytes: the evaluation summary is most of it.
 const MANIFEST_BYTES_MAX: u64 = 128 << 10;
 
@@ -253,14 +288,8 @@ pub fn read_policy(
         return Err(DeployError::BlobDamaged { path });
     }
     if let Some(trust) = trust.filter(|_| Step::StoredSignature.on()) {
-        let path = manifest_file(folder, policy);
-        let read = match read_bounded(&path, MANIFEST_BYTES_MAX) {
-            Err(DeployError::BlobMissing { .. }) => {
-                read_bounded(&older_manifest_file(folder, policy), MANIFEST_BYTES_MAX)
-            }
-            read => read,
-        };
-        let manifest = Manifest::from_bytes(&read?);
+        let path = kept_manifest_file(folder, policy);
+        let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
         let signed = manifest.is_ok_and(|manifest| {
             crate::keeper::reference(&manifest) == *policy && trust.check(&manifest).is_ok()
         });
@@ -293,14 +322,26 @@ fn blob(folder: &Path, sha256: Sha256Digest) -> PathBuf {
 pub(crate) fn manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
     let stream = Sha256Digest(Sha256::digest(&policy.stream).into()).to_string();
     let (sha256, version) = (policy.sha256, policy.version);
-    let name = format!("{sha256}.{version}.{}.manifest", &stream[..32]);
+    let name = format!("{sha256}.{version}.{}.{MANIFEST}", &stream[..32]);
     folder.join("blobs").join(name)
 }
 
 /// Where it lies in folders of before, which did not tell streams apart.
 fn older_manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
-    let name = format!("{}.{}.manifest", policy.sha256, policy.version);
+    let name = format!("{}.{}.{MANIFEST}", policy.sha256, policy.version);
     folder.join("blobs").join(name)
+}
+
+/// The older one where there is only that, so that what is said about the announcement names the file that was looked at, or should be there.
+fn kept_manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
+    let (file, older) = (
+        manifest_file(folder, policy),
+        older_manifest_file(folder, policy),
+    );
+    match (fs::exists(&file), fs::exists(&older)) {
+        (Ok(false), Ok(true)) => older,
+        _ => file,
+    }
 }
 
 /// Refuses the trust file at `path`, of which `version` is in force, where a newer one was in force on the robot of `state`.
@@ -314,6 +355,21 @@ pub fn check_trust(state: &RobotState, path: &Path, version: u64) -> Result<(), 
     Err(DeployError::OlderTrust {
         path: path.to_owned(),
         found: version,
+        seen: state.trust_version,
+    })
+}
+
+/// Refuses to go without any trust file where one was in force on the robot of `state`, which is kept in `folder`: whoever left it out would take what
+/// nobody signed.
+///
+/// # Errors
+/// [`DeployError::TrustLeftOut`].
+pub fn check_without_trust(state: &RobotState, folder: &Path) -> Result<(), DeployError> {
+    if state.takes_trust(0) {
+        return Ok(());
+    }
+    Err(DeployError::TrustLeftOut {
+        folder: folder.to_owned(),
         seen: state.trust_version,
     })
 }
@@ -533,17 +589,108 @@ mod tests {
         assert!(store.is_torn());
         let error = store.update(|s| s.adopt(policy(b"one"))).unwrap_err();
         assert!(matches!(error, DeployError::StateLost), "{error}");
-        // Power gone between the two: still torn, not new.
+        // As torn as before, not new.
         assert!(PolicyStore::open(folder.path()).is_err());
         store.recover("s", 9, 2).unwrap();
         let store = PolicyStore::open(folder.path()).unwrap();
         let here = Sha256Digest([7; 32]);
         let older = crate::state::Decision::Older { have: 9 };
         assert_eq!(store.state().decide(&policy(b"one"), here), older);
-        assert!(folder.path().join("state.json.damaged").exists());
+        for name in COPIES {
+            let aside = folder.path().join(format!("{name}.damaged"));
+            assert_eq!(fs::read(aside).unwrap(), b"{", "{name}");
+        }
         // Nor do the keys come back that were given up before it was proved.
         let error = check_trust(store.state(), Path::new("t"), 1).unwrap_err();
         assert!(matches!(error, DeployError::OlderTrust { .. }), "{error}");
+    }
+
+    /// A folder whose state is lost: both copies are damaged, or the only one that is there.
+    fn lost(root: &Path, damaged: &[&str]) {
+        drop(walked(root));
+        for name in COPIES {
+            match damaged.contains(&name) {
+                true => fs::write(root.join(name), b"{").unwrap(),
+                false => fs::remove_file(root.join(name)).unwrap(),
+            }
+        }
+    }
+
+    /// Whether a robot that starts with this folder is still torn; else it goes by the new state. It never takes itself for a new one.
+    fn torn_or_recovered(folder: &Path) -> bool {
+        match PolicyStore::open(folder) {
+            Err(DeployError::StateDamaged { .. }) => true,
+            Err(error) => panic!("{error}"),
+            Ok(store) => {
+                assert_eq!(store.state().seen.get("s"), Some(&9));
+                assert_eq!(store.state().trust_version, 2);
+                false
+            }
+        }
+    }
+
+    const LOSSES: [&[&str]; 3] = [&COPIES, &[COPIES[0]], &[COPIES[1]]];
+
+    #[test]
+    fn fault_16_a_power_cut_while_a_lost_state_is_begun_anew_leaves_no_robot_that_never_had_one() {
+        for damaged in LOSSES {
+            let folder = tempfile::tempdir().unwrap();
+            let root = folder.path().join("state");
+            lost(&root, damaged);
+            let disk = Arc::new(Rehearsal::new(&root).unwrap());
+            let mut store = PolicyStore::open_torn_on(disk.clone(), &root);
+            let first = disk.steps();
+            store.recover("s", 9, 2).unwrap();
+            let last = disk.steps();
+            let (mut torn, mut recovered) = (0, 0);
+            for step in first..=last {
+                let below = folder.path().join(format!("cuts-{step}"));
+                for left in disk.cut(step, &below).unwrap() {
+                    let still = torn_or_recovered(&left);
+                    assert!(!still || step < last, "promised");
+                    torn += u32::from(still);
+                    recovered += u32::from(!still);
+                    if still {
+                        PolicyStore::open_torn(&left)
+                            .unwrap()
+                            .recover("s", 9, 2)
+                            .unwrap();
+                        assert!(!torn_or_recovered(&left));
+                    }
+                }
+                fs::remove_dir_all(&below).unwrap();
+            }
+            assert!(torn > 0 && recovered > 0, "both were seen");
+        }
+    }
+
+    #[test]
+    fn fault_16_a_full_disk_while_a_lost_state_is_begun_anew_leaves_no_robot_that_never_had_one() {
+        for damaged in LOSSES {
+            for step in 0.. {
+                let folder = tempfile::tempdir().unwrap();
+                lost(folder.path(), damaged);
+                let disk = Arc::new(Rehearsal::new(folder.path()).unwrap());
+                let mut store = PolicyStore::open_torn_on(disk.clone(), folder.path());
+                disk.fail_writes_at(disk.steps() + step, 28);
+                let result = store.recover("s", 9, 2);
+                disk.heal();
+                let Err(error) = result else {
+                    assert!(step > 5, "it has few steps");
+                    break;
+                };
+                assert_eq!(error.exit_code(), caudata_telemetry::ExitCode::IoError);
+                assert!(store.is_torn());
+                torn_or_recovered(folder.path());
+                // The next answer of the server does it, and what was damaged is still there for a person.
+                store.recover("s", 9, 2).unwrap();
+                assert!(!torn_or_recovered(folder.path()));
+                for name in damaged {
+                    let aside = folder.path().join(format!("{name}.damaged"));
+                    assert_eq!(fs::read(aside).unwrap(), b"{", "{name}");
+                }
+            }
+        }
     }
 
     /// Version 1 ran well, version 2 is active.
@@ -686,25 +833,26 @@ mod tests {
         let one = policy(b"one");
         store.put(&one, b"one").unwrap();
         let read = || read_policy(folder.path(), &one, Some(&trust));
-        assert!(matches!(read(), Err(DeployError::BlobMissing { .. })));
-        let mut manifest = Manifest {
-            stream: caudata_proto::registry::StreamName::new("s").unwrap(),
-            version: 1,
-            sha256: one.sha256.0,
-            size: 3,
-            created_unix_ms: 5,
-            run_id: "r".into(),
-            contract_hash: [2; 32],
-            robot_name: "polymander".into(),
-            robot_hash: [3; 32],
-            env_steps: 9,
-            training_commit: String::new(),
-            config_hash: String::new(),
-            evaluation_json: None,
-            reverts_to: None,
-            signatures: Vec::new(),
+        // Each error names the file that it is about.
+        let named = |wanted: PathBuf| match read() {
+            Err(DeployError::BlobMissing { path, .. } | DeployError::NotSigned { path }) => {
+                assert_eq!(path, wanted);
+            }
+            other => panic!("{other:?}"),
         };
+        let (newer, older) = (
+            manifest_file(folder.path(), &one),
+            older_manifest_file(folder.path(), &one),
+        );
+        assert!(matches!(read(), Err(DeployError::BlobMissing { .. })));
+        named(newer.clone());
+        let mut manifest = announced(&one, &key);
+        manifest.signatures.clear();
+        fs::write(&older, manifest.to_bytes()).unwrap();
+        assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
+        named(older.clone());
         store.put_manifest(&manifest).unwrap();
+        named(newer);
         assert!(matches!(read(), Err(DeployError::NotSigned { .. })));
         key.sign(&mut manifest);
         store.put_manifest(&manifest).unwrap();
@@ -721,12 +869,50 @@ mod tests {
         manifest.stream = caudata_proto::registry::StreamName::new("s").unwrap();
         key.sign(&mut manifest);
         fs::remove_file(&path).unwrap();
-        fs::write(
-            older_manifest_file(folder.path(), &one),
-            manifest.to_bytes(),
-        )
-        .unwrap();
+        fs::write(older, manifest.to_bytes()).unwrap();
         assert_eq!(*read().unwrap(), *b"one");
+    }
+
+    #[test]
+    fn announcements_that_no_policy_needs_are_removed_although_its_bytes_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = caudata_signing::ReleaseKey::from_seed("release", &[7; 32]);
+        let mut store = PolicyStore::open(folder.path()).unwrap();
+        store.put(&policy(b"one"), b"one").unwrap();
+        let announcements = || -> Vec<PathBuf> {
+            let entries = fs::read_dir(folder.path().join("blobs")).unwrap();
+            let paths = entries.map(|entry| entry.unwrap().path());
+            let mut paths: Vec<_> = paths.filter(|p| p.extension().unwrap() != "onnx").collect();
+            paths.sort();
+            paths
+        };
+        // The same bytes under one number after the other, as a robot gets them whose operators go back again and again.
+        for version in 1..10 {
+            let of = |version| PolicyRef {
+                version,
+                ..policy(b"one")
+            };
+            let manifest = announced(&of(version), &key);
+            fs::write(
+                older_manifest_file(folder.path(), &of(version)),
+                manifest.to_bytes(),
+            )
+            .unwrap();
+            store.put_manifest(&manifest).unwrap();
+            store.update(|s| s.adopt(of(version))).unwrap();
+            if version == 1 {
+                store.update(|s| s.confirm(of(1).sha256)).unwrap();
+            }
+            let mut needed: Vec<PathBuf> = [1, version]
+                .into_iter()
+                .flat_map(|v| {
+                    [manifest_file, older_manifest_file].map(|f| f(folder.path(), &of(v)))
+                })
+                .collect();
+            needed.sort();
+            needed.dedup();
+            assert_eq!(announcements(), needed, "{version}");
+        }
     }
 
     /// The announcement of `policy`, signed by `key`.
@@ -828,5 +1014,49 @@ mod tests {
         disk.heal();
         store.trust(Path::new("t"), 2).unwrap();
         assert_eq!(found(folder.path()).trust_version, 2);
+    }
+
+    #[test]
+    fn fault_30_a_trust_version_that_could_not_be_written_comes_with_the_next_change() {
+        for step in 0.. {
+            let folder = tempfile::tempdir().unwrap();
+            drop(walked(folder.path()));
+            let disk = Arc::new(Rehearsal::new(folder.path()).unwrap());
+            let mut store = PolicyStore::open_on(disk.clone(), folder.path()).unwrap();
+            disk.fail_writes_at(disk.steps() + step, 28);
+            store.trust(Path::new("t"), 2).unwrap();
+            disk.heal();
+            if store.state().trust_version == 2 {
+                assert!(step > 3, "it has few steps");
+                break;
+            }
+            store.update(|s| s.confirm(policy(b"two").sha256)).unwrap();
+            // In each copy: also where the first one had it and the second one had not.
+            for name in COPIES {
+                let state = read_copy(&folder.path().join(name)).unwrap().unwrap();
+                assert_eq!(state.trust_version, 2, "{name} at {step}");
+            }
+        }
+    }
+
+    #[test]
+    fn fault_23_the_first_trust_file_is_not_written_down_and_a_later_one_cannot_be_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = walked(folder.path());
+        store.trust(Path::new("t"), 1).unwrap();
+        store.update(|s| s.confirm(policy(b"two").sha256)).unwrap();
+        let text = fs::read_to_string(folder.path().join(COPIES[0])).unwrap();
+        assert!(
+            !text.contains("trust_version"),
+            "the program before reads it: {text}"
+        );
+        check_without_trust(store.state(), folder.path()).unwrap();
+        store.trust(Path::new("t"), 2).unwrap();
+        let error = check_without_trust(&found(folder.path()), Path::new("state")).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "robot state state: trust file version 2 was in force on this robot and none is given: give it with --trust"
+        );
+        assert_eq!(error.exit_code(), caudata_telemetry::ExitCode::BadInput);
     }
 }

@@ -412,13 +412,26 @@ fn fault_23_a_robot_whose_trust_file_was_followed_by_another_takes_what_the_new_
         "{errors}"
     );
     // The loop's process looks for itself, whatever became of the agent.
-    let mut looper = program("rt", server.address, &state);
-    looper.arg("--trust").arg(&trust);
-    looper.args(["--bus", &format!("sim:{}", perfect_robot())]);
-    looper.args(["--seconds", "1"]);
-    let (code, _, errors) = outcome(looper);
+    let looper = || {
+        let mut looper = program("rt", server.address, &state);
+        looper.args(["--bus", &format!("sim:{}", perfect_robot())]);
+        looper.args(["--seconds", "1"]);
+        looper
+    };
+    let mut trusting = looper();
+    trusting.arg("--trust").arg(&trust);
+    let (code, _, errors) = outcome(trusting);
     assert_eq!(code, 65, "{errors}");
     assert!(errors.contains("on this robot version 2 was"), "{errors}");
+    // Nor may the flag be left out, in either process.
+    for command in [program("pull", server.address, &state), looper()] {
+        let (code, _, errors) = outcome(command);
+        assert_eq!(code, 65, "{errors}");
+        assert!(
+            errors.contains("trust file version 2 was in force on this robot and none is given"),
+            "{errors}"
+        );
+    }
     server.stop();
 }
 

@@ -22,7 +22,8 @@ use caudata_proto::registry::StreamName;
 use caudata_registry_client::{RegistryClient, manifest_of};
 use caudata_telemetry::read_announcement;
 use common::policies::standing;
-use common::{STREAM, perfect_robot, program_on, status_of};
+use common::watchdog::{PATIENCE, output_within};
+use common::{STREAM, perfect_robot, program_on, start, status_of};
 use serde_json::Value;
 
 /// A process that does not outlive the test, however that ends.
@@ -126,7 +127,10 @@ fn soak(seconds: u64) {
             ])
             .arg("--commands")
             .arg(&commands);
-        let robot = scope.spawn(move || robot.output().unwrap());
+        robot.stdin(Stdio::null());
+        // It walks for so long, and then has as long as any other.
+        let patience = Duration::from_secs(seconds) + PATIENCE;
+        let robot = scope.spawn(move || output_within(start(robot), patience));
         let (mut dice, mut kills, mut cuts) = (Dice::new(20_261_121), 0, 0);
         while Instant::now() < end && !robot.is_finished() {
             std::thread::sleep(Duration::from_millis(1500 + dice.below(3000)));

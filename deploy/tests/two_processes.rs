@@ -11,8 +11,9 @@ use std::time::{Duration, Instant};
 use caudata_chaos_proxy::Wire;
 use caudata_deploy::command_link::LinkKey;
 use common::policies::{policy_file, standing};
+use common::watchdog::output_within;
 use common::{Server, end_of, output_of, perfect_robot, program, status_of};
-use crossbeam_channel::{Receiver, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
@@ -98,8 +99,20 @@ impl Robot {
     /// Exit code and summary (null without one).
     fn ended(mut self) -> (Option<i32>, Value, Vec<Value>) {
         let code = end_of(&mut self.supervisor).code();
-        let rest: Vec<Value> = self.lines.iter().collect();
-        self.said.extend(rest);
+        let end = Instant::now() + PATIENCE;
+        loop {
+            match self
+                .lines
+                .recv_timeout(end.saturating_duration_since(Instant::now()))
+            {
+                Ok(line) => self.said.push(line),
+                Err(RecvTimeoutError::Disconnected) => break,
+                Err(RecvTimeoutError::Timeout) => panic!(
+                    "it ended, and something that it left holds its output open; said was {:#?}",
+                    self.said
+                ),
+            }
+        }
         let summary = self.said.iter().find(|line| !line["ended"].is_null());
         let summary = summary.cloned().unwrap_or_default();
         (code, summary, std::mem::take(&mut self.said))
@@ -110,6 +123,24 @@ impl Drop for Robot {
     fn drop(&mut self) {
         let _ = self.supervisor.kill();
         let _ = self.supervisor.wait();
+    }
+}
+
+#[test]
+fn a_test_that_waits_for_output_does_not_wait_for_what_a_program_left_behind() {
+    let left = "sleep 1000 & kill -STOP $!; echo $!";
+    let child = Command::new("sh")
+        .args(["-c", left])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let output = output_within(child, Duration::from_secs(2));
+    let pid = String::from_utf8(output.stdout).unwrap();
+    let pid = Pid::from_raw(pid.trim().parse().expect("the shell got that far"));
+    let end = Instant::now() + PATIENCE;
+    while !gone(pid) {
+        assert!(Instant::now() < end, "it is still there");
+        std::thread::sleep(Duration::from_millis(20));
     }
 }
 

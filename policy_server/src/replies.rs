@@ -77,9 +77,30 @@ impl<T> Replies<T> {
         self.pieces.closed().await;
     }
 
-    /// Ends the answer with `status`, which the client finds behind what waits for it. Waits for nobody.
-    pub fn end(self, status: Status) {
+    /// Ends the answer with `status`, which the client finds behind what waits for it; waits as [`Replies::finish`] does.
+    pub async fn end(self, status: Status) {
         lock(&self.ends).end = Some(status);
+        self.finish().await;
+    }
+
+    /// Ends an answer that is whole. Waits until the client took all of it: an answer that fits into what may wait would otherwise be kept for a client
+    /// that reads nothing for as long as its connection stays. False where it went, or took no piece for too long and is cut off.
+    pub async fn finish(self) -> bool {
+        loop {
+            let free = self.pieces.capacity();
+            if free >= self.pieces.max_capacity() {
+                return !self.pieces.is_closed();
+            }
+            // There is room for one more than now once the client took a piece.
+            match tokio::time::timeout(self.idle, self.pieces.reserve_many(free + 1)).await {
+                Ok(Ok(_)) => {}
+                Ok(Err(_)) => return false,
+                Err(_) => {
+                    self.cut_off();
+                    return false;
+                }
+            }
+        }
     }
 
     fn cut_off(&self) {
@@ -154,7 +175,7 @@ mod tests {
             assert!(replies.send(n).await);
         }
         // Although there is no room.
-        replies.end(Status::unavailable("over"));
+        tokio::spawn(replies.end(Status::unavailable("over")));
         for n in 0..WAITING_MAX {
             assert_eq!(stream.next().await.unwrap().unwrap(), n);
         }
@@ -168,10 +189,40 @@ mod tests {
     #[tokio::test]
     async fn an_answer_that_went_well_has_no_last_word() {
         let (replies, mut stream) = replies(NEVER, LATE);
-        assert!(replies.send(1).await);
-        drop(replies);
-        assert_eq!(stream.next().await.unwrap().unwrap(), 1);
-        assert!(stream.next().await.is_none());
+        for n in 0..3 {
+            assert!(replies.send(n).await);
+        }
+        let end = tokio::spawn(replies.finish());
+        for n in 0..3 {
+            assert_eq!(patient(stream.next()).await.unwrap().unwrap(), n);
+        }
+        assert!(patient(stream.next()).await.is_none());
+        assert!(patient(end).await.unwrap(), "all of it was taken");
+    }
+
+    #[tokio::test]
+    async fn a_whole_answer_is_given_up_too_where_nobody_reads_it() {
+        let piece = Arc::new(());
+        for ends in [false, true] {
+            let (replies, mut stream) = replies(SOON, LATE);
+            for _ in 0..3 {
+                assert!(replies.send(Arc::clone(&piece)).await);
+            }
+            assert_eq!(Arc::strong_count(&piece), 1 + 3);
+            match ends {
+                true => patient(replies.end(Status::unavailable("over"))).await,
+                false => assert!(!patient(replies.finish()).await),
+            }
+            assert_eq!(Arc::strong_count(&piece), 1, "nothing is kept for it");
+            let told = patient(stream.next()).await.unwrap().unwrap_err();
+            assert_eq!(told.code(), LATE);
+            assert!(patient(stream.next()).await.is_none());
+        }
+        // Nor is a client waited for that went.
+        let (replies, stream) = replies(NEVER, LATE);
+        assert!(replies.send(piece).await);
+        drop(stream);
+        assert!(!patient(replies.finish()).await);
     }
 
     #[tokio::test]

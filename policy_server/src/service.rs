@@ -625,7 +625,7 @@ impl Watcher {
                 Ok(Some(event)) => event,
                 Ok(None) => continue,
                 // A watcher that lags is told when it reads on.
-                Err(status) => return self.replies.end(status),
+                Err(status) => return self.replies.end(status).await,
             };
             if !self.replies.send(event).await {
                 return;
@@ -807,6 +807,8 @@ fn send_file(
                 return;
             }
         }
+        drop(bytes);
+        replies.finish().await;
     });
     Box::pin(answer)
 }

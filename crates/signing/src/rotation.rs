@@ -173,7 +173,8 @@ impl Trust {
 
     /// Follows the successors beside `path`, as far as they go.
     pub(crate) fn newest(mut self, path: &Path) -> Result<Self, SigningError> {
-        for _ in 0..CHAIN_MAX {
+        // Once more than there may be successors: only where nothing is behind the last one was it the last.
+        for _ in 0..=CHAIN_MAX {
             match self.next(path)? {
                 Some(next) => self = next,
                 None => return Ok(self),
@@ -499,10 +500,12 @@ mod tests {
         }
         let error = Trust::read(&first).unwrap_err().to_string();
         assert!(error.contains("more than 1024"), "{error}");
-        for version in [CHAIN_MAX as u64 + 1, CHAIN_MAX as u64 + 2] {
-            std::fs::remove_file(successor_path(&first, version)).unwrap();
-        }
-        assert_eq!(Trust::read(&first).unwrap().version(), CHAIN_MAX as u64);
+        // As many as are followed, of which the last one is also the last that can be put there.
+        let last = CHAIN_MAX as u64 + 1;
+        std::fs::remove_file(successor_path(&first, last + 1)).unwrap();
+        assert_eq!(Trust::read(&first).unwrap().version(), last);
+        assert_eq!(Trust::before(&first, last).unwrap().version(), last - 1);
+        assert!(Trust::before(&first, last + 1).is_err());
         // Spoilt signatures are said so.
         std::fs::write(folder.path().join("trust.toml.2.sig"), "k1 00\n").unwrap();
         let error = Trust::read(&first).unwrap_err().to_string();

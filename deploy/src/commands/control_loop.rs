@@ -30,7 +30,7 @@ use crate::report::{Ended, RunSummary, rounded};
 use crate::runner::PolicyRunner;
 use crate::sim_link::SimLink;
 use crate::state::PolicyRef;
-use crate::store::{PolicyStore, check_trust};
+use crate::store::{PolicyStore, check_trust, check_without_trust};
 use crate::updates::{Slot, Updates};
 use crate::verify::Verified;
 use crate::{DeployError, tap};
@@ -173,18 +173,20 @@ fn walk<R: Robot>(
     finish(args, over)
 }
 
-/// The trust file, where one is given: not one that is older than another that was in force on this robot. A state that was lost says nothing about that.
+/// The trust file, where one is given: not one that is older than another that was in force on this robot, and not none where one was. A state that was
+/// lost says nothing about that.
 fn trust_of(args: &SourceArgs) -> Result<Option<Trust>, DeployError> {
-    let Some(path) = &args.trust else {
-        return Ok(None);
-    };
-    let trust = Trust::read(path)?;
-    match PolicyStore::peek(&args.state) {
-        Ok(Some(state)) => check_trust(&state, path, trust.version())?,
-        Ok(None) | Err(DeployError::StateDamaged { .. }) => {}
+    let trust = args.trust.as_deref().map(Trust::read).transpose()?;
+    let state = match PolicyStore::peek(&args.state) {
+        Ok(Some(state)) => state,
+        Ok(None) | Err(DeployError::StateDamaged { .. }) => return Ok(trust),
         Err(error) => return Err(error),
+    };
+    match (&args.trust, &trust) {
+        (Some(path), Some(trust)) => check_trust(&state, path, trust.version())?,
+        _ => check_without_trust(&state, &args.state)?,
     }
-    Ok(Some(trust))
+    Ok(trust)
 }
 
 /// What a run came to.

@@ -30,7 +30,7 @@ use crate::keeper::Keeper;
 use crate::metrics::AgentMetrics;
 use crate::probe::{CHILD_DEADLINE, ProbeProgram};
 use crate::reporter::{ReportTo, Reporter};
-use crate::store::PolicyStore;
+use crate::store::{PolicyStore, check_without_trust};
 use crate::{DeployError, failure};
 
 pub use run::{BusAddress, RunArgs};
@@ -187,8 +187,9 @@ impl Source {
             }
             other => other?,
         };
-        if let (Some(path), Some(trust)) = (&args.trust, &trust) {
-            store.trust(path, trust.version())?;
+        match (&args.trust, &trust) {
+            (Some(path), Some(trust)) => store.trust(path, trust.version())?,
+            _ => check_without_trust(store.state(), &args.state)?,
         }
         let reporter = Reporter::start(&ReportTo {
             address: args.policy_server.clone(),

@@ -27,7 +27,7 @@ use serde_json::Value;
 use tokio::runtime::Runtime;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-use watchdog::Watchdog;
+use watchdog::{PATIENCE, Watchdog, output_within};
 
 /// Stream that tests use where it does not matter.
 pub const STREAM: &str = "test";
@@ -229,13 +229,12 @@ pub fn ended(child: Child) -> (i32, Value, String) {
 
 /// What a program says until it ends, which it must.
 pub fn output_of(child: Child) -> Output {
-    let _dog = Watchdog::over(child.id());
-    child.wait_with_output().unwrap()
+    output_within(child, PATIENCE)
 }
 
 /// How a program ends, which it must.
 pub fn end_of(child: &mut Child) -> ExitStatus {
-    let _dog = Watchdog::over(child.id());
+    let _dog = Watchdog::over(child);
     child.wait().unwrap()
 }
 
