@@ -274,7 +274,7 @@ fn no_training_outlives_the_command() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let args = tiny(folder.path(), &["--iterations", "1000000"]);
-    let mut child = started(&args, &out.join("as_given_1/progress.jsonl"));
+    let mut child = started(&args, &out.join("as_given_1/policy.onnx"));
     assert!(at_work(&out).len() > 1);
     signal(&child, Signal::SIGKILL);
     child.wait().unwrap();
