@@ -92,8 +92,8 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Sim(command) => commands::sim::run(command, process),
         Command::Policy(command) => commands::policy::run(command),
         Command::RobotModel(command) => commands::robot_model::run(command),
-        Command::Gap(command) => commands::gap::run(command),
-        Command::Adapt(args) => commands::adapt::run(args),
+        Command::Gap(command) => commands::gap::run(command, process),
+        Command::Adapt(args) => commands::adapt::run(args, process),
         Command::Bench(command) => commands::bench::run(command),
     }
 }

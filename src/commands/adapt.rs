@@ -7,15 +7,17 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use caudata_config::ConfigArgs;
+use caudata_evaluation::Suite;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{RegistryClient, manifest_of};
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::commands::eval::read_policy;
+use crate::commands::eval::{read_policy, suite_parser};
 use crate::commands::policy::block_on;
+use crate::commands::robot_model;
 use crate::commands::steps::{Steps, Test, Training, measures, own};
 use crate::say;
 
@@ -60,8 +62,8 @@ pub struct AdaptArgs {
     #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
     iterations: u64,
     /// Suite of the evaluations: omni has commands in all directions
-    #[arg(long, default_value = "omni")]
-    suite: String,
+    #[arg(long, default_value = "omni", value_parser = suite_parser())]
+    suite: Suite,
     /// Episodes of each scenario
     #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
@@ -108,15 +110,24 @@ struct Adapted {
     seconds: Vec<(String, f64)>,
 }
 
-pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
+pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
     let policy = read_policy(&args.policy)?;
     let flags = training_flags(args);
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let robot = config.robot_path();
+    let run = args.out.join("run");
+    // Said before the diagnosis, which takes long and would overwrite what this run was trained in.
+    if run.join("config.toml").exists() {
+        let message = format!("{} holds a run already", run.display());
+        return Err(Failure::message(ExitCode::CannotCreate, message).hint("choose another --out"));
+    }
+    if let Some(truth) = &args.truth {
+        robot_model::load(truth)?;
+    }
     std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
         format!("folder {}", args.out.display())
     })?;
-    let mut steps = Steps::new(args.json);
+    let mut steps = Steps::new(args.json, &process.stop);
 
     let diagnosis = args.out.join("diagnosis");
     let mut command = own("gap")?;
@@ -170,7 +181,7 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
         iterations: args.iterations,
         seed: None,
         set: &[],
-        out: args.out.join("run"),
+        out: run,
         progress: None,
     };
     let new = steps.train("train", &training)?;
@@ -183,7 +194,7 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
                 flags: &flags,
                 policy,
                 robot,
-                suite: &args.suite,
+                suite: args.suite,
                 episodes: args.episodes,
             };
             let file = args.out.join(format!("{name}.json"));
@@ -198,6 +209,7 @@ pub fn run(args: &AdaptArgs) -> Result<(), Failure> {
     }
     let better = improves(&adapted.before_in_extended, &adapted.after_in_extended);
     adapted.better = Some(better);
+    steps.go_on()?;
     if let Some(server) = args.publish.as_ref().filter(|_| better) {
         adapted.published = Some(publish(server, &args.stream, &new)?);
     }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Subcommand;
 
 use super::{
@@ -30,7 +30,7 @@ pub enum GapCommand {
     Paper(gap_paper::PaperArgs),
 }
 
-pub fn run(command: &GapCommand) -> Result<(), Failure> {
+pub fn run(command: &GapCommand, process: &Process) -> Result<(), Failure> {
     match command {
         GapCommand::Check(args) => gap_check::run(args),
         GapCommand::Import(args) => gap_import::run(args),
@@ -38,8 +38,8 @@ pub fn run(command: &GapCommand) -> Result<(), Failure> {
         GapCommand::Apply(args) => gap_apply::run(args),
         GapCommand::Report(args) => gap_report::run(args),
         GapCommand::Excite(args) => gap_excite::run(args),
-        GapCommand::Policies(args) => gap_policies::run(args),
-        GapCommand::Paper(args) => gap_paper::run(args),
+        GapCommand::Policies(args) => gap_policies::run(args, process),
+        GapCommand::Paper(args) => gap_paper::run(args, process),
     }
 }
 

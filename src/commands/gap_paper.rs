@@ -10,10 +10,10 @@ use caudata_hidden_effects::ground::{self, GroundPlan, LabFile};
 use caudata_hidden_effects::paper::{self, Pictures, Row};
 use caudata_hidden_effects::truth::free::Channels;
 use caudata_runlog::RunLog;
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 
-use super::gap_policies::{self, Effort, Robots};
+use super::gap_policies::{self, Effort, Given, Robots};
 use super::steps::{Steps, own};
 use crate::say;
 
@@ -45,13 +45,18 @@ pub struct PaperArgs {
     config: ConfigArgs,
 }
 
-pub fn run(args: &PaperArgs) -> Result<(), Failure> {
+pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
     let logs = args.out.join(LOGS);
     if logs.exists() {
         let message = format!("{} is there already; choose another folder", logs.display());
-        return Err(Failure::message(ExitCode::CannotCreate, message));
+        return Err(Failure::message(ExitCode::CannotCreate, message)
+            .hint("trainings that were stopped go on with `caudata gap policies`"));
     }
-    make(args)?;
+    // Hours before the trainings that need it.
+    let given = Given::read(&args.effort, &args.config)?;
+    let mut steps = Steps::new(false, &process.stop);
+    let what = format!("logs of a simulated robot into {}", logs.display());
+    steps.inside("record", &what, |_| make(args))?;
     let diagnosis = args.out.join("diagnosis");
     let mut command = own("gap")?;
     command.arg("diagnose").arg("--robot").arg(robot(&logs));
@@ -64,7 +69,7 @@ pub fn run(args: &PaperArgs) -> Result<(), Failure> {
     command.args(["--threads", &args.threads.to_string(), "--out"]);
     command.arg(&diagnosis);
     // whatever the verdict is, there are pictures to look at
-    Steps::new(false).run("diagnose", &mut command, &[0, 80, 81, 82, 83])?;
+    steps.run("diagnose", &mut command, &[0, 80, 81, 82, 83])?;
 
     let model = Arc::new(super::robot_model::load(&robot(&logs))?);
     let extended_file = diagnosis.join("extended.robot.toml");
@@ -74,8 +79,9 @@ pub fn run(args: &PaperArgs) -> Result<(), Failure> {
         None => Vec::new(),
     };
     let runs = walks(&logs)?;
-    let pictures = paper::pictures(&model, extended, &runs, args.threads as usize)
-        .or_exit(ExitCode::BadInput)?;
+    let pictures = steps.inside("draw", "held-out walks in both models", |_| {
+        paper::pictures(&model, extended, &runs, args.threads as usize).or_exit(ExitCode::BadInput)
+    })?;
     let file = args.out.join("paper.html");
     let draw = |chapters: &[page::Chapter]| {
         let title = "The paper's robot, measured and simulated";
@@ -92,7 +98,14 @@ pub fn run(args: &PaperArgs) -> Result<(), Failure> {
             truth: &args.out.join(TRUTH),
         };
         let folder = args.out.join("policies");
-        let compared = gap_policies::compare(&robots, &folder, &args.effort, &args.config, false)?;
+        steps.after_stop(&format!(
+            "go on with the same flags and: caudata gap policies --robot {} --extended {} --truth {} --out {}",
+            robots.given.display(),
+            robots.extended.display(),
+            robots.truth.display(),
+            folder.display()
+        ));
+        let compared = gap_policies::compare(&robots, &folder, &args.effort, &given, steps)?;
         gap_policies::tables(&compared);
         draw(&[gap_policies::chapter(&compared)])?;
     }

@@ -1,27 +1,44 @@
 //! Commands of this program as steps of a longer one: each is printed as one would type it, timed, and may be run again by hand. Training and evaluation of a
 //! policy are two of them, which `caudata adapt` and `caudata gap policies` share.
+//!
+//! A signal to stop is passed on to the step that runs, and no other is begun. Steps are started from the main thread: on Linux the death of the thread that
+//! started a child is what the child is told of.
 
-use std::fs::File;
+use std::fs::{File, OpenOptions};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use std::time::Instant;
+use std::process::{Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
 
 use caudata_config::ConfigArgs;
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_evaluation::Suite;
+use caudata_telemetry::{ExitCode, Failure, FailureExt, PARENT_PID_VAR, StopFlag};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::Value;
 
+use super::train::children::describe;
 use crate::say;
 
-/// This program with `command`.
+/// How often a step that runs is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// This program with `command`, which ends when this process does, however that ends.
 pub fn own(command: &str) -> Result<Command, Failure> {
     let mut own = Command::new(std::env::current_exe().or_exit(ExitCode::Internal)?);
-    own.arg(command);
+    own.arg(command)
+        .stdin(Stdio::null())
+        .env(PARENT_PID_VAR, std::process::id().to_string())
+        // Ctrl-C reaches this process alone, which passes it on: two signals would be "at once".
+        .process_group(0);
     Ok(own)
 }
 
 /// Commands run one after the other, and how long they took.
 pub struct Steps {
     quiet: bool,
+    stop: StopFlag,
+    after_stop: String,
     seconds: Vec<(String, f64)>,
 }
 
@@ -29,27 +46,96 @@ pub struct Steps {
 enum Output<'a> {
     /// Where that of this program goes; nowhere where only one line is wanted.
     Shown,
-    /// Into a file.
+    /// Into a new file.
     File(&'a Path),
+    /// Behind what is in a file.
+    Behind(&'a Path),
+}
+
+/// What a step does that is asked to stop.
+#[derive(Clone, Copy)]
+enum Ending {
+    /// It looks at the signal, saves what it has and ends by itself.
+    Drains,
+    /// It does not look at it, and has nothing to save.
+    Killed,
 }
 
 impl Steps {
-    /// None yet. `quiet`: only the last line of all is wanted.
-    pub fn new(quiet: bool) -> Self {
+    /// None yet. `quiet`: only the last line of all is wanted. No step begins once `stop` is raised.
+    pub fn new(quiet: bool, stop: &StopFlag) -> Self {
         Self {
             quiet,
+            stop: stop.clone(),
+            after_stop: "what was made so far is in the output folder".to_owned(),
             seconds: Vec::new(),
         }
     }
 
-    /// Wall time of each step so far, s.
-    pub fn seconds(self) -> Vec<(String, f64)> {
-        self.seconds
+    /// What can be done after a stop, in place of "what was made so far is in the output folder".
+    pub fn after_stop(&mut self, hint: &str) {
+        hint.clone_into(&mut self.after_stop);
     }
 
-    /// Runs a step; its exit code, which must be one of `good`.
+    /// Wall time of each step so far, s.
+    pub fn seconds(&self) -> Vec<(String, f64)> {
+        self.seconds.clone()
+    }
+
+    /// Nothing, unless somebody asked to stop.
+    ///
+    /// # Errors
+    /// Exit code 75 then.
+    pub fn go_on(&self) -> Result<(), Failure> {
+        match self.stop.is_set() {
+            true => Err(self.stopped()),
+            false => Ok(()),
+        }
+    }
+
+    fn stopped(&self) -> Failure {
+        let by = self.stop.reason().map(|reason| format!(" by {reason}"));
+        let message = format!("stopped{}", by.unwrap_or_default());
+        Failure::message(ExitCode::TempFail, message).hint(self.after_stop.clone())
+    }
+
+    /// Runs a step that saves nothing when it is stopped; its exit code, which must be one of `good`.
     pub fn run(&mut self, name: &str, command: &mut Command, good: &[i32]) -> Result<i32, Failure> {
-        self.with_output(name, command, good, &Output::Shown)
+        self.with_output(name, command, good, &Output::Shown, Ending::Killed)
+    }
+
+    /// Does a step in this process; `what` it does, in words. `work` looks at the flag.
+    pub fn inside<T>(
+        &mut self,
+        name: &str,
+        what: &str,
+        work: impl FnOnce(&StopFlag) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        self.go_on()?;
+        self.announce(name, what);
+        let began = Instant::now();
+        let done = work(&self.stop);
+        self.took(name, began);
+        match done {
+            Err(_) if self.stop.is_set() => Err(self.stopped()),
+            done => done,
+        }
+    }
+
+    /// Says that a step need not be done again.
+    pub fn is_there(&self, name: &str, path: &Path) {
+        self.announce(name, &format!("{} is there already", path.display()));
+    }
+
+    fn announce(&self, name: &str, what: &str) {
+        if !self.quiet {
+            say::line(format_args!("── {name}: {what}"));
+        }
+    }
+
+    fn took(&mut self, name: &str, began: Instant) {
+        let took_s = began.elapsed().as_secs_f64();
+        self.seconds.push((name.to_owned(), took_s));
     }
 
     fn with_output(
@@ -58,7 +144,9 @@ impl Steps {
         command: &mut Command,
         good: &[i32],
         output: &Output<'_>,
+        ending: Ending,
     ) -> Result<i32, Failure> {
+        self.go_on()?;
         match output {
             Output::Shown if self.quiet => {
                 command.stdout(Stdio::null());
@@ -69,40 +157,82 @@ impl Steps {
                 let file = File::create(path).or_exit_with(ExitCode::CannotCreate, create)?;
                 command.stdout(file);
             }
+            Output::Behind(path) => {
+                let open = || format!("cannot write {}", path.display());
+                let file = OpenOptions::new().create(true).append(true).open(path);
+                command.stdout(file.or_exit_with(ExitCode::CannotCreate, open)?);
+            }
         }
-        if !self.quiet {
-            say::line(format_args!("── {name}: {}", spelled(command)));
-        }
+        self.announce(name, &spelled(command));
         let began = Instant::now();
-        let status = command.status().or_exit(ExitCode::OsResource)?;
-        let took_s = began.elapsed().as_secs_f64();
-        self.seconds.push((name.to_owned(), took_s));
-        match status.code() {
-            Some(code) if good.contains(&code) => Ok(code),
+        let status = attended(command, &self.stop, ending)?;
+        self.took(name, began);
+        match (status.code(), status.code().and_then(ExitCode::from_number)) {
+            (Some(code), _) if good.contains(&code) => Ok(code),
+            _ if self.stop.is_set() => Err(self.stopped()),
+            (_, Some(code)) => Err(Failure::said_already(code)),
             _ => Err(Failure::message(
                 ExitCode::Internal,
-                format!("{name} ended with {status}; its message is above"),
+                format!("{name} {}", describe(status)),
             )
             .hint("what was made so far is in the output folder; the command that failed can be run by hand")),
         }
     }
 
-    /// Trains a policy as `training` says; the policy's file.
+    /// Trains a policy as `training` says, to its end; the policy's file.
     pub fn train(&mut self, name: &str, training: &Training<'_>) -> Result<PathBuf, Failure> {
         let mut command = training.command()?;
         let output = match &training.progress {
-            Some(path) => Output::File(path),
+            Some(path) => Output::Behind(path),
             None => Output::Shown,
         };
-        self.with_output(name, &mut command, &[0], &output)?;
-        Ok(training.out.join("policy.onnx"))
+        self.with_output(name, &mut command, &[0], &output, Ending::Drains)?;
+        // A training that was stopped ends well, and leaves a policy too.
+        match training.finished() {
+            Some(policy) => Ok(policy),
+            None if self.stop.is_set() => Err(self.stopped()),
+            None => {
+                let message = format!("{name} was stopped before its end");
+                Err(Failure::message(ExitCode::TempFail, message).hint(self.after_stop.clone()))
+            }
+        }
     }
 
-    /// Evaluates a policy as `test` says; what `caudata eval --json` says, which `file` keeps.
+    /// Evaluates a policy as `test` says; what `caudata eval --json` says, which `file` keeps. The file is there when it is complete.
     pub fn evaluate(&mut self, name: &str, test: &Test<'_>, file: &Path) -> Result<Value, Failure> {
         let mut command = test.command()?;
-        self.with_output(name, &mut command, &[0, 79], &Output::File(file))?;
-        last_json(file)
+        let part = file.with_extension("part");
+        let output = Output::File(&part);
+        self.with_output(name, &mut command, &[0, 79], &output, Ending::Drains)?;
+        let said = last_json(&part)?;
+        let cannot = || format!("cannot write {}", file.display());
+        std::fs::rename(&part, file).or_exit_with(ExitCode::CannotCreate, cannot)?;
+        Ok(said)
+    }
+}
+
+/// Runs a command to its end; a request to stop is passed on to it.
+fn attended(command: &mut Command, stop: &StopFlag, ending: Ending) -> Result<ExitStatus, Failure> {
+    let cannot = || "cannot start a step".to_owned();
+    let mut child = command.spawn().or_exit_with(ExitCode::OsResource, cannot)?;
+    let mut asked = false;
+    loop {
+        if let Some(status) = child.try_wait().or_exit(ExitCode::Internal)? {
+            return Ok(status);
+        }
+        if asked {
+            // How long it may drain is limited by this process's own drain deadline.
+            std::thread::sleep(LOOK_EVERY);
+        } else if stop.wait(LOOK_EVERY) {
+            asked = true;
+            let signal = match ending {
+                Ending::Drains => Signal::SIGTERM,
+                Ending::Killed => Signal::SIGKILL,
+            };
+            // It has not been waited for, so that its number is still its own.
+            let pid = i32::try_from(child.id()).or_exit(ExitCode::Internal)?;
+            let _ = kill(Pid::from_raw(pid), signal);
+        }
     }
 }
 
@@ -119,10 +249,10 @@ pub struct Training<'a> {
     /// Seed, where it is not the configuration's.
     pub seed: Option<u64>,
     /// More keys, `KEY=VALUE`.
-    pub set: &'a [&'a str],
-    /// Run folder.
+    pub set: &'a [String],
+    /// Run folder. A run that is in it goes on.
     pub out: PathBuf,
-    /// File for what it says as it goes; shown without one.
+    /// File for what it says as it goes, behind what is in it; shown without one.
     pub progress: Option<PathBuf>,
 }
 
@@ -139,6 +269,12 @@ const GOES_ON: [&str; 6] = [
 const NO_EVALUATION: [&str; 2] = ["evaluation.episodes=0", "evaluation.robot_run_s=0"];
 
 impl Training<'_> {
+    /// The policy, where the run folder holds a training that has come to its end: one that was stopped has no report.
+    pub fn finished(&self) -> Option<PathBuf> {
+        let policy = self.out.join("policy.onnx");
+        (policy.is_file() && self.out.join("report.json").is_file()).then_some(policy)
+    }
+
     fn command(&self) -> Result<Command, Failure> {
         let mut command = own("train")?;
         command.args(super::bench::as_flags(self.flags));
@@ -147,13 +283,16 @@ impl Training<'_> {
             command.args(["--seed", &seed.to_string()]);
         }
         command.arg("--out").arg(&self.out);
+        if self.out.join("config.toml").is_file() {
+            command.arg("--resume");
+        }
         let mut set = vec![format!("robot={}", quoted(self.robot)?)];
         if let Some(start) = self.start {
             set.push(format!("learner.warm_start.policy={}", quoted(start)?));
             set.extend(GOES_ON.map(str::to_owned));
         }
         set.extend(NO_EVALUATION.map(str::to_owned));
-        set.extend(self.set.iter().map(|s| (*s).to_owned()));
+        set.extend_from_slice(self.set);
         for set in set {
             command.args(["--set", &set]);
         }
@@ -170,7 +309,7 @@ pub struct Test<'a> {
     /// The robot.
     pub robot: &'a Path,
     /// Suite.
-    pub suite: &'a str,
+    pub suite: Suite,
     /// Episodes of each scenario.
     pub episodes: u32,
 }
@@ -181,7 +320,7 @@ impl Test<'_> {
         command.arg("--policy").arg(self.policy);
         command.arg("--robot").arg(self.robot);
         command.args(super::bench::as_flags(self.flags));
-        command.args(["--suite", self.suite, "--json", "--episodes"]);
+        command.args(["--suite", self.suite.name(), "--json", "--episodes"]);
         command.arg(self.episodes.to_string());
         Ok(command)
     }
@@ -203,7 +342,10 @@ fn spelled(command: &Command) -> String {
 }
 
 /// The last line of a command's output.
-fn last_json(path: &Path) -> Result<Value, Failure> {
+///
+/// # Errors
+/// When the file cannot be read, or its last line is something else.
+pub fn last_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
     let text = std::fs::read_to_string(path).or_exit_with(ExitCode::NoInput, || {
         format!("cannot read {}", path.display())
     })?;
@@ -260,7 +402,7 @@ mod tests {
             start: None,
             iterations: 7,
             seed: Some(2),
-            set: &["task.randomisation.kp_scale=[0.5,1.3]"],
+            set: &["task.randomisation.kp_scale=[0.5,1.3]".to_owned()],
             out: "/out".into(),
             progress: None,
         };
@@ -284,6 +426,93 @@ mod tests {
         let warm = words(&training);
         assert!(has(&warm, "learner.warm_start.policy=\"/p.onnx\""));
         assert!(has(&warm, GOES_ON[0]), "{warm:?}");
+    }
+
+    #[test]
+    fn a_run_that_is_there_goes_on_and_is_finished_with_its_report() {
+        let folder = tempfile::tempdir().unwrap();
+        let training = Training {
+            flags: &ConfigArgs::default(),
+            robot: Path::new("/r.robot.toml"),
+            start: None,
+            iterations: 1,
+            seed: None,
+            set: &[],
+            out: folder.path().to_owned(),
+            progress: None,
+        };
+        let resumes = || words(&training).iter().any(|word| word == "--resume");
+        let make = |name: &str| std::fs::write(folder.path().join(name), "").unwrap();
+        assert!(!resumes());
+        make("config.toml");
+        make("policy.onnx");
+        assert!(resumes());
+        assert_eq!(training.finished(), None);
+        make("report.json");
+        assert_eq!(training.finished(), Some(folder.path().join("policy.onnx")));
+    }
+
+    fn shell(script: &str) -> Command {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        command
+    }
+
+    #[test]
+    fn the_exit_code_of_a_step_is_passed_on() {
+        let mut steps = Steps::new(true, &StopFlag::new());
+        let mut code = |script: &str| {
+            let ended = steps.run("step", &mut shell(script), &[0, 80]);
+            ended.map_err(|failure| failure.code())
+        };
+        assert_eq!(code("exit 80"), Ok(80));
+        assert_eq!(code("exit 64"), Err(ExitCode::BadConfig));
+        assert_eq!(code("exit 73"), Err(ExitCode::CannotCreate));
+        // None of ours
+        assert_eq!(code("exit 3"), Err(ExitCode::Internal));
+        assert_eq!(code("kill -9 $$"), Err(ExitCode::Internal));
+        assert_eq!(steps.seconds().len(), 5);
+    }
+
+    #[test]
+    fn a_stop_ends_the_step_that_runs_and_keeps_the_next_from_beginning() {
+        let folder = tempfile::tempdir().unwrap();
+        let (first, second) = (folder.path().join("first"), folder.path().join("second"));
+        for ending in [Ending::Drains, Ending::Killed] {
+            let _ = std::fs::remove_file(&first);
+            let stop = StopFlag::new();
+            let mut steps = Steps::new(true, &stop);
+            let began = first.clone();
+            let other = std::thread::spawn(move || {
+                while !began.exists() {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                stop.request("test");
+            });
+            let mut long = shell(&format!("touch '{}'; exec sleep 100000", first.display()));
+            let ended = steps.with_output("long", &mut long, &[0], &Output::Shown, ending);
+            assert_eq!(ended.unwrap_err().code(), ExitCode::TempFail);
+            other.join().unwrap();
+            let mut next = shell(&format!("touch '{}'", second.display()));
+            let ended = steps.run("next", &mut next, &[0]);
+            assert_eq!(ended.unwrap_err().code(), ExitCode::TempFail);
+            assert!(steps.inside("inside", "nothing", |_| Ok(())).is_err());
+            assert!(!second.exists());
+        }
+    }
+
+    #[test]
+    fn an_existing_log_is_written_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        let log = folder.path().join("log");
+        std::fs::write(&log, "before\n").unwrap();
+        let mut steps = Steps::new(true, &StopFlag::new());
+        let output = Output::Behind(&log);
+        let mut echo = shell("echo after");
+        steps
+            .with_output("echo", &mut echo, &[0], &output, Ending::Drains)
+            .unwrap();
+        assert_eq!(std::fs::read_to_string(&log).unwrap(), "before\nafter\n");
     }
 
     #[test]

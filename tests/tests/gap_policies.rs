@@ -3,8 +3,12 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+use std::time::Duration;
 
 use caudata_tests::{Finished, command, finish, json_file, repository_root};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::Value;
 
 fn run(args: &[&str]) -> Finished {
@@ -153,4 +157,163 @@ fn what_cannot_be_read_is_said_before_anything_is_trained() {
     assert_eq!(done.errors().len(), 1, "{}", done.stderr);
     assert!(done.errors()[0].contains("missing.robot.toml"));
     assert!(!out.exists());
+}
+
+/// Flags of a comparison of trainings that take seconds.
+fn tiny(folder: &Path, extra: &[&str]) -> Vec<String> {
+    let given = robot(folder, "given.robot.toml", 1.0);
+    let truth = robot(folder, "truth.robot.toml", 0.5);
+    let mut args = vec!["gap", "policies", "--preset", "quick"];
+    let out = folder.join("out");
+    for (flag, path) in [
+        ("--robot", &given),
+        ("--extended", &given),
+        ("--truth", &truth),
+        ("--out", &out),
+    ] {
+        args.extend([flag, text(path)]);
+    }
+    args.extend(["--seeds", "1", "--suite", "flat", "--referee-episodes", "1"]);
+    for set in [
+        "actors.lanes=3",
+        "actors.chunk_steps=8",
+        "learner.ppo.minibatches=2",
+        "telemetry.metrics=false",
+    ] {
+        args.extend(["--set", set]);
+    }
+    args.extend(extra);
+    args.into_iter().map(str::to_owned).collect()
+}
+
+/// Starts it, and waits until `file` is there.
+fn started(args: &[String], file: &Path) -> Child {
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let mut command = command("caudata", &args).unwrap();
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    while !file.exists() {
+        assert_eq!(child.try_wait().unwrap(), None, "no {}", file.display());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    child
+}
+
+fn signal(child: &Child, signal: Signal) {
+    kill(Pid::from_raw(child.id().cast_signed()), signal).unwrap();
+}
+
+/// Processes whose command line names `path`.
+fn at_work(path: &Path) -> Vec<Pid> {
+    let processes = std::fs::read_dir("/proc").unwrap().filter_map(Result::ok);
+    let pids = processes.filter_map(|p| p.file_name().to_str()?.parse::<i32>().ok());
+    pids.filter(|pid| {
+        let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        String::from_utf8_lossy(&line).contains(text(path))
+    })
+    .map(Pid::from_raw)
+    .collect()
+}
+
+#[test]
+fn what_was_stopped_goes_on_and_nothing_is_done_twice() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let out = folder.join("out");
+    let effort = ["--iterations", "1", "--episodes", "2"];
+    let args = tiny(folder, &effort);
+    let first = out.join("as_given_1");
+    let child = started(&args, &first.join("report.json"));
+    signal(&child, Signal::SIGTERM);
+    let stopped = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&stopped.stderr);
+    assert_eq!(stopped.status.code(), Some(75), "{said}");
+    assert!(said.contains("error: stopped by SIGTERM"), "{said}");
+    assert_eq!(at_work(&out), []);
+    assert!(!out.join("policies.json").exists());
+
+    let kept: Vec<PathBuf> = ["policy.onnx", "report.json", "run_id.txt", "../as_given_1.log"]
+        .map(|name| first.join(name))
+        .to_vec();
+    let read = || -> Vec<Vec<u8>> { kept.iter().map(|p| std::fs::read(p).unwrap()).collect() };
+    let before = read();
+    assert!(!before[3].is_empty());
+    let again = |args: &[String]| run(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    // With other flags it would be another experiment.
+    let refused = again(&tiny(folder, &["--iterations", "1", "--episodes", "3"]));
+    assert_eq!(refused.code, Some(73), "{}", refused.stderr);
+    assert_eq!(refused.errors().len(), 1, "{}", refused.stderr);
+    assert!(refused.errors()[0].contains("--episodes was 2 and is 3"));
+    assert_eq!(read(), before);
+
+    let done = again(&args);
+    assert_eq!(done.code, Some(0), "{}\n{}", done.stdout, done.stderr);
+    assert_eq!(read(), before);
+    let report = json_file(&out.join("policies.json")).unwrap();
+    let steps = |report: &Value| -> Vec<String> {
+        let steps = report["seconds"].as_array().unwrap().iter();
+        steps.map(|s| s[0].as_str().unwrap().to_owned()).collect()
+    };
+    let took = steps(&report);
+    assert!(!took.iter().any(|s| s == "train as_given_1"), "{took:?}");
+    for step in ["train wide_1", "evaluate wide_1_in_rapier"] {
+        assert!(took.iter().any(|s| s == step), "{took:?}");
+    }
+    assert!(out.join("policies.html").is_file());
+
+    // Everything is there: the same comes out, and nothing is done.
+    let done = again(&args);
+    assert_eq!(done.code, Some(0), "{}\n{}", done.stdout, done.stderr);
+    let same = json_file(&out.join("policies.json")).unwrap();
+    assert_eq!(same["ways"], report["ways"]);
+    assert_eq!(steps(&same), [""; 0]);
+}
+
+#[test]
+fn no_training_outlives_the_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let args = tiny(folder.path(), &["--iterations", "1000000"]);
+    let mut child = started(&args, &out.join("as_given_1/policy.onnx"));
+    assert!(at_work(&out).len() > 1);
+    signal(&child, Signal::SIGKILL);
+    child.wait().unwrap();
+    // A million iterations would keep it for days; ending takes as long as saving.
+    while !at_work(&out).is_empty() {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let first = out.join("as_given_1");
+    assert!(!first.join("report.json").exists());
+    assert!(first.join("checkpoints/latest").exists());
+}
+
+#[test]
+fn what_cannot_be_used_is_said_before_anything_is_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let out = folder.join("out");
+    let refused = |args: &[String], code: i32, about: &str| {
+        let done = run(&args.iter().map(String::as_str).collect::<Vec<_>>());
+        assert_eq!(done.code, Some(code), "{}", done.stderr);
+        assert!(done.stderr.contains(about), "{}", done.stderr);
+        assert!(!out.exists(), "{args:?}");
+    };
+    let with = |extra: &[&str]| tiny(folder, extra);
+    let paper = |extra: &[&str]| {
+        let mut args = vec!["gap", "paper", "--out", text(&out)];
+        args.extend(extra);
+        args.into_iter().map(str::to_owned).collect::<Vec<_>>()
+    };
+    refused(&with(&["--set", "task.nothing=1"]), 64, "task.nothing");
+    refused(&paper(&["--suite", "omnibus"]), 64, "omnibus");
+    refused(&paper(&["--preset", "flatter"]), 64, "flatter");
+    refused(&paper(&["--policy", "no/policy.onnx"]), 66, "no/policy.onnx");
+
+    // Another robot.
+    let args = with(&[]);
+    let truth = folder.join("truth.robot.toml");
+    let file = std::fs::read_to_string(&truth).unwrap();
+    let name = file.lines().find(|l| l.starts_with("name = ")).unwrap();
+    std::fs::write(&truth, file.replace(name, "name = \"newt\"")).unwrap();
+    refused(&args, 77, "truth.robot.toml: another robot");
 }

@@ -38,7 +38,7 @@ impl Estimate {
         }
     }
 
-    /// A share of `count` out of `total`, with Wilson's interval, which also holds near 0 and 1.
+    /// A share of `count` out of `total`, with Wilson's interval, which also holds near 0 and 1; it lies within them.
     #[must_use]
     pub fn share(count: usize, total: usize) -> Self {
         if total == 0 {
@@ -50,8 +50,9 @@ impl Estimate {
         let half = Z_95 / (1.0 + z2 / n) * (p * (1.0 - p) / n + z2 / (4.0 * n * n)).sqrt();
         Self {
             mean: p,
-            ci_low: centre - half,
-            ci_high: centre + half,
+            // At 0 and 1 the ends meet them but for rounding.
+            ci_low: (centre - half).max(0.0),
+            ci_high: (centre + half).min(1.0),
         }
     }
 
@@ -85,6 +86,10 @@ mod tests {
         let none = Estimate::share(0, 10);
         assert_eq!(none.mean, 0.0);
         assert!(none.ci_low.abs() < 1e-12);
+        for total in 1..=600 {
+            let (none, all) = (Estimate::share(0, total), Estimate::share(total, total));
+            assert!(none.ci_low >= 0.0 && all.ci_high <= 1.0, "{total}");
+        }
         assert!((none.ci_high - 3.8416 / 13.8416).abs() < 1e-12);
         // 5 of 10 is symmetric about one half
         let half = Estimate::share(5, 10);

@@ -64,7 +64,8 @@ pub struct EvalArgs {
     config: ConfigArgs,
 }
 
-fn suite_parser() -> impl TypedValueParser<Value = Suite> {
+/// The suites, as words on the command line.
+pub fn suite_parser() -> impl TypedValueParser<Value = Suite> {
     PossibleValuesParser::new(Suite::ALL.map(Suite::name)).map(|name| {
         let named = |suite: &Suite| suite.name() == name;
         Suite::ALL.into_iter().find(named).unwrap_or(Suite::Flat)
@@ -224,7 +225,8 @@ fn warn_of_differences(
     Ok(())
 }
 
-fn failure(error: EvaluationError, stop: &StopFlag) -> Failure {
+/// What an evaluation that cannot go on ends with.
+pub fn failure(error: EvaluationError, stop: &StopFlag) -> Failure {
     match error {
         EvaluationError::Build(error) => error.into_failure(),
         EvaluationError::Refused(error) => Failure::new(ExitCode::PolicyRefused, error).hint(

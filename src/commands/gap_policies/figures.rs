@@ -1,6 +1,6 @@
 //! What policies do on a robot, over several trainings: means with intervals, and what one way of training gains over another.
 
-use caudata_evaluation::{Estimate, ScenarioResult};
+use caudata_evaluation::Estimate;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -84,16 +84,6 @@ impl Run {
             }
         }
         Some(run)
-    }
-
-    /// Of one scenario.
-    pub fn of_scenario(result: &ScenarioResult) -> Self {
-        Self {
-            off: result.rmse_of_strides,
-            power_w: result.power_w.mean,
-            falls: result.falls.values().sum(),
-            episodes: result.episodes,
-        }
     }
 }
 

@@ -3,6 +3,7 @@
 //! The same training, with the same seeds and the same number of samples, in the model as given, in the extended one, and in the model as given with wide
 //! randomisation; all policies are run on the robot that the extended model was made for, which is known where it is simulated.
 
+mod asked;
 mod figures;
 mod show;
 
@@ -10,39 +11,42 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
-use caudata_evaluation::{Leg, Order, Outcome, Scenario, ScenarioResult, Settings, run_scenario};
+use caudata_evaluation::{Leg, Order, Outcome, Scenario, Settings, Suite, run_scenario};
 use caudata_gap::page;
+use caudata_model::RobotModel;
 use caudata_sim::EngineKind;
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_task::PolicyContract;
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::eval::read_policy;
+use super::eval::{self, read_policy, suite_parser};
 use super::robot_model;
-use super::steps::{Steps, Test, Training};
+use super::steps::{Steps, Test, Training, last_json};
+use super::train;
 use crate::say;
 use figures::{Figures, Run};
 pub use show::{chapter, tables};
 
 /// Plain wide randomisation: what one does who knows that the robot differs and not how. The ranges hold a robot with servos of half their torque, a lag of
 /// 50 ms, half or twice as much of what is hardest to measure; what the model has no parameter for (play that the file does not have) they cannot hold.
-const WIDE: [&str; 15] = [
-    "task.randomisation.foot_friction_scale=[0.4,1.5]",
-    "task.randomisation.body_friction_scale=[0.4,1.6]",
-    "task.randomisation.total_mass_scale=[0.8,1.3]",
-    "task.randomisation.link_mass_scale=[0.8,1.2]",
-    "task.randomisation.com_offset_m=[-0.01,0.01]",
-    "task.randomisation.joint_friction_scale=[0.0,4.0]",
-    "task.randomisation.armature_scale=[0.5,2.0]",
-    "task.randomisation.damping_scale=[0.3,3.0]",
-    "task.randomisation.kp_scale=[0.5,1.3]",
-    "task.randomisation.kd_scale=[0.5,2.0]",
-    "task.randomisation.torque_scale=[0.5,1.0]",
-    "task.randomisation.supply_scale=[0.75,1.05]",
-    "task.randomisation.command_delay_s=[0.0,0.05]",
-    "task.randomisation.backlash_scale=[0.0,2.0]",
-    "task.randomisation.enabled=true",
+/// Keys of `task.randomisation`, and their ranges at least: where the configuration's own reach further, they stay.
+const WIDE: [(&str, f64, f64); 14] = [
+    ("foot_friction_scale", 0.4, 1.5),
+    ("body_friction_scale", 0.4, 1.6),
+    ("total_mass_scale", 0.8, 1.3),
+    ("link_mass_scale", 0.8, 1.2),
+    ("com_offset_m", -0.01, 0.01), // m
+    ("joint_friction_scale", 0.0, 4.0),
+    ("armature_scale", 0.5, 2.0),
+    ("damping_scale", 0.3, 3.0),
+    ("kp_scale", 0.5, 1.3),
+    ("kd_scale", 0.5, 2.0),
+    ("torque_scale", 0.5, 1.0),
+    ("supply_scale", 0.75, 1.05),
+    ("command_delay_s", 0.0, 0.05), // s
+    ("backlash_scale", 0.0, 2.0),
 ];
 /// Forward velocities that are asked for in turn, m/s, each for [`LEG_S`]: what the picture of velocity tracking shows.
 const FORWARD_MPS: [f32; 5] = [0.1, 0.2, 0.3, 0.4, 0.2];
@@ -59,7 +63,8 @@ pub struct PoliciesArgs {
     /// Robot file of the robot that the policies are for, known because it is simulated
     #[arg(long, value_name = "R.robot.toml")]
     truth: PathBuf,
-    /// Folder for runs, evaluations, policies.json and policies.html
+    /// Folder for runs, evaluations, policies.json and policies.html. What is finished in it is not done again: the same command goes on where it was stopped,
+    /// and takes more seeds
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]
@@ -85,8 +90,8 @@ pub struct Effort {
     #[arg(long, value_name = "P.onnx")]
     policy: Option<PathBuf>,
     /// Suite of the evaluations: omni has commands in all directions
-    #[arg(long, default_value = "omni")]
-    suite: String,
+    #[arg(long, default_value = "omni", value_parser = suite_parser())]
+    suite: Suite,
     /// Episodes of each scenario; omni has one for each of its 75 commands at least
     #[arg(long, default_value_t = 75, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     episodes: u32,
@@ -141,25 +146,42 @@ impl Way {
         }
     }
 
-    fn set(self) -> &'static [&'static str] {
+    /// Keys that are set for it, on top of `config`.
+    fn set(self, config: &Config) -> Result<Vec<String>, Failure> {
         match self {
-            Self::Wide => &WIDE,
-            _ => &[],
+            Self::Wide => wide(config),
+            _ => Ok(Vec::new()),
         }
     }
+}
+
+/// [`WIDE`] as keys, each as far as `config` reaches, if that is further.
+fn wide(config: &Config) -> Result<Vec<String>, Failure> {
+    let entries = config.entries();
+    let mut set = vec!["task.randomisation.enabled=true".to_owned()];
+    for (key, low, high) in WIDE {
+        let key = format!("task.randomisation.{key}");
+        let found = entries.iter().find(|(name, _)| *name == key);
+        let range = found.and_then(|(_, range)| serde_json::from_str::<[f64; 2]>(range).ok());
+        let [own_low, own_high] = range
+            .ok_or_else(|| Failure::message(ExitCode::Internal, format!("{key} is not a range")))?;
+        let (low, high) = (low.min(own_low), high.max(own_high));
+        set.push(format!("{key}=[{low:?},{high:?}]"));
+    }
+    Ok(set)
 }
 
 /// `policies.json`.
 #[derive(Debug, Serialize)]
 pub struct Compared {
-    /// Trainings of each kind, and iterations of each.
+    /// Trainings of each kind that are there, and iterations of each.
     seeds: u64,
     iterations: u64,
     /// Suite of the evaluations.
     suite: String,
     /// One entry per way to train; the first is the model as given.
     ways: Vec<Trained>,
-    /// Wall time of each step, s.
+    /// Wall time of each step of this call, s.
     seconds: Vec<(String, f64)>,
 }
 
@@ -170,7 +192,7 @@ struct Trained {
     /// Robot file that it was trained in.
     robot: PathBuf,
     /// Keys that were set for it.
-    set: Vec<&'static str>,
+    set: Vec<String>,
     /// One per seed.
     policies: Vec<Policy>,
     /// In the model that it was trained in (of wide randomisation: in the middle of it).
@@ -188,7 +210,7 @@ struct Trained {
 }
 
 /// One training.
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 struct Policy {
     seed: u64,
     /// Its file.
@@ -197,11 +219,36 @@ struct Policy {
     at_home: Value,
     in_truth: Value,
     /// A scenario of `caudata eval --json` on the true robot in Rapier.
-    in_rapier: ScenarioResult,
+    in_rapier: Value,
     #[serde(skip)]
     runs: Runs,
     #[serde(skip)]
-    outcome: Option<Outcome>,
+    walks: Walks,
+}
+
+/// `NAME_in_rapier.json`: a policy with forward velocities that change.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+struct Walks {
+    /// A scenario of `caudata eval --json`.
+    result: Value,
+    /// Time between two values, s.
+    period_s: f64,
+    /// Commanded and achieved forward velocity of each episode, m/s.
+    episodes: Vec<Vec<[f32; 2]>>,
+}
+
+impl Walks {
+    fn of(outcome: &Outcome) -> Result<Self, Failure> {
+        let forward = |row: &[f32; 6]| [row[0], row[3]];
+        let tracks = outcome.tracks.iter();
+        Ok(Self {
+            result: serde_json::to_value(&outcome.result).or_exit(ExitCode::Internal)?,
+            period_s: outcome.period_s,
+            episodes: tracks
+                .map(|track| track.rows.iter().map(forward).collect())
+                .collect(),
+        })
+    }
 }
 
 /// What one policy did.
@@ -225,110 +272,143 @@ pub struct Speed {
     sd_mps: Vec<f64>,
 }
 
-pub fn run(args: &PoliciesArgs) -> Result<(), Failure> {
+pub fn run(args: &PoliciesArgs, process: &Process) -> Result<(), Failure> {
     let robots = Robots {
         given: &args.robot,
         extended: &args.extended,
         truth: &args.truth,
     };
-    let compared = compare(&robots, &args.out, &args.effort, &args.config, args.json)?;
-    let html = page::curves(
-        "Policies trained in two models, run on the robot",
-        "",
-        &[],
-        &[chapter(&compared)],
-    );
-    let file = args.out.join("policies.html");
-    write(&file, html.as_bytes())?;
+    let mut steps = Steps::new(args.json, &process.stop);
+    steps.after_stop("the same command goes on from here");
+    let given = Given::read(&args.effort, &args.config)?;
+    let compared = compare(&robots, &args.out, &args.effort, &given, steps)?;
     if args.json {
         return say::json(&compared);
     }
     tables(&compared);
+    let file = args.out.join(PAGE);
     say::line(format_args!("pictures   {}", file.display()));
     Ok(())
 }
 
-/// Trains and tests, and leaves everything in `out`, `policies.json` among it. `quiet`: nothing is said on the way.
+/// The page of a comparison.
+const PAGE: &str = "policies.html";
+
+/// What is trained with, read and checked.
+pub struct Given {
+    flags: ConfigArgs,
+    config: Config,
+    /// SHA-256 of the policy that every training begins with.
+    start: Option<String>,
+}
+
+impl Given {
+    /// Reads what the flags name. The preset is flat without them.
+    ///
+    /// # Errors
+    /// Where something is missing or wrong: before anything is made.
+    pub fn read(effort: &Effort, config: &ConfigArgs) -> Result<Self, Failure> {
+        let mut flags = config.clone();
+        if flags.preset.is_none() && flags.config.is_none() {
+            flags.preset = Some("flat".into());
+        }
+        let config = flags.load().or_exit(ExitCode::BadConfig)?;
+        train::programs()?;
+        let start = match &effort.policy {
+            Some(policy) => Some(read_policy(policy)?.sha256_hex()),
+            None => None,
+        };
+        Ok(Self {
+            flags,
+            config,
+            start,
+        })
+    }
+}
+
+/// Trains and tests, and leaves everything in `out`, `policies.json` and `policies.html` among it, which hold the seeds that are complete. What is finished in
+/// `out` is taken up.
 ///
 /// # Errors
-/// Where a file cannot be read or written, or a step fails.
+/// Where a file cannot be read or written, the robots have not the same joints, `out` was made with other flags, or a step fails or is stopped.
 pub fn compare(
     robots: &Robots<'_>,
     out: &Path,
     effort: &Effort,
-    config: &ConfigArgs,
-    quiet: bool,
+    given: &Given,
+    steps: Steps,
 ) -> Result<Compared, Failure> {
-    let mut flags = config.clone();
-    if flags.preset.is_none() && flags.config.is_none() {
-        flags.preset = Some("flat".into());
-    }
-    flags.load().or_exit(ExitCode::BadConfig)?;
-    for robot in [robots.given, robots.extended, robots.truth] {
-        robot_model::load(robot)?;
-    }
-    if let Some(policy) = &effort.policy {
-        read_policy(policy)?;
-    }
+    let models = same_joints(robots, &given.config)?;
+    let kinds: &[Way] = match effort.oracle {
+        true => &[Way::AsGiven, Way::Extended, Way::Wide, Way::Truth],
+        false => &[Way::AsGiven, Way::Extended, Way::Wide],
+    };
+    let sets = kinds.iter().map(|way| way.set(&given.config));
+    let sets = sets.collect::<Result<Vec<_>, _>>()?;
     std::fs::create_dir_all(out).or_exit_with(ExitCode::CannotCreate, || {
         format!("folder {}", out.display())
     })?;
+    asked::same_as_before(out, &asked::all(effort, given, &models))?;
     let mut work = Work {
         robots,
         out,
         effort,
-        flags: &flags,
-        steps: Steps::new(quiet),
+        given,
+        truth: &models[2],
+        steps,
     };
-    let mut kinds = vec![Way::AsGiven, Way::Extended, Way::Wide];
-    if effort.oracle {
-        kinds.push(Way::Truth);
-    }
     let mut made: Vec<Vec<Policy>> = kinds.iter().map(|_| Vec::new()).collect();
+    let mut last = None;
     // Seed by seed, so that what is there when somebody stops it can be compared.
     for seed in 1..=effort.seeds {
-        for (way, policies) in kinds.iter().zip(&mut made) {
-            policies.push(work.policy(*way, seed)?);
+        for ((way, set), policies) in kinds.iter().zip(&sets).zip(&mut made) {
+            policies.push(work.policy(*way, set, seed)?);
         }
+        let compared = work.compared(kinds, &sets, &made, seed);
+        let bytes = serde_json::to_vec_pretty(&compared).or_exit(ExitCode::Internal)?;
+        write(&out.join("policies.json"), &bytes)?;
+        let title = "Policies trained in two models, run on the robot";
+        let html = page::curves(title, "", &[], &[chapter(&compared)]);
+        write(&out.join(PAGE), html.as_bytes())?;
+        last = Some(compared);
     }
-    let runs: Vec<Vec<Runs>> = made
-        .iter()
-        .map(|policies| policies.iter().map(|p| p.runs).collect())
-        .collect();
-    let ways = kinds.iter().zip(made).enumerate().map(|(k, (way, made))| {
-        let of = |pick: &dyn Fn(&Runs) -> Run| runs[k].iter().map(pick).collect::<Vec<_>>();
-        let given = |pick: &dyn Fn(&Runs) -> Run| runs[0].iter().map(pick).collect::<Vec<_>>();
-        let less =
-            |pick: &dyn Fn(&Runs) -> Run| (k > 0).then(|| Figures::less(&of(pick), &given(pick)));
-        Trained {
-            way: *way,
-            robot: way.robot(robots).to_owned(),
-            set: way.set().to_vec(),
-            at_home: Figures::of(&of(&|r| r.at_home)),
-            in_truth: Figures::of(&of(&|r| r.in_truth)),
-            in_rapier: Figures::of(&of(&|r| r.in_rapier)),
-            gain: less(&|r| r.in_truth),
-            gain_in_rapier: less(&|r| r.in_rapier),
-            speed: Speed::of(made.iter().filter_map(|p| p.outcome.as_ref())),
-            policies: made,
-        }
-    });
-    let compared = Compared {
-        seeds: effort.seeds,
-        iterations: effort.iterations,
-        suite: effort.suite.clone(),
-        ways: ways.collect(),
-        seconds: work.steps.seconds(),
-    };
-    let bytes = serde_json::to_vec_pretty(&compared).or_exit(ExitCode::Internal)?;
-    write(&out.join("policies.json"), &bytes)?;
-    Ok(compared)
+    last.ok_or_else(|| Failure::message(ExitCode::BadConfig, "no seed is asked for"))
 }
 
+/// The models of the three robots, which the same policies must run on.
+fn same_joints(robots: &Robots<'_>, config: &Config) -> Result<[Arc<RobotModel>; 3], Failure> {
+    let of = |file: &Path| -> Result<(Arc<RobotModel>, PolicyContract), Failure> {
+        let model = robot_model::load(file)?;
+        let unfit = || format!("robot {}", file.display());
+        let contract =
+            PolicyContract::new(&model, &config.task).or_exit_with(ExitCode::BadInput, unfit)?;
+        Ok((Arc::new(model), contract))
+    };
+    let (given, wanted) = of(robots.given)?;
+    let same = |file: &Path| -> Result<Arc<RobotModel>, Failure> {
+        let (model, contract) = of(file)?;
+        let differences = wanted.differences(&contract);
+        match differences.iter().find(|d| d.is_breaking()) {
+            None => Ok(model),
+            Some(difference) => {
+                let message = format!(
+                    "a policy trained in {} cannot run on {}: another {}",
+                    robots.given.display(),
+                    file.display(),
+                    difference.name()
+                );
+                Err(Failure::message(ExitCode::PolicyRefused, message)
+                    .hint("the three robot files must be of one robot"))
+            }
+        }
+    };
+    Ok([given, same(robots.extended)?, same(robots.truth)?])
+}
+
+/// Writes a file whole: one that is there is complete.
 fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    std::fs::write(path, bytes).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot write {}", path.display())
-    })
+    let cannot = || format!("cannot write {}", path.display());
+    caudata_durable::replace(path, bytes).or_exit_with(ExitCode::CannotCreate, cannot)
 }
 
 /// What all trainings share.
@@ -336,29 +416,80 @@ struct Work<'a> {
     robots: &'a Robots<'a>,
     out: &'a Path,
     effort: &'a Effort,
-    flags: &'a ConfigArgs,
+    given: &'a Given,
+    truth: &'a Arc<RobotModel>,
     steps: Steps,
 }
 
 impl Work<'_> {
-    /// Trains one policy and tests it.
-    fn policy(&mut self, way: Way, seed: u64) -> Result<Policy, Failure> {
+    /// What the policies of the first `seeds` seeds amount to.
+    fn compared(
+        &self,
+        kinds: &[Way],
+        sets: &[Vec<String>],
+        made: &[Vec<Policy>],
+        seeds: u64,
+    ) -> Compared {
+        let runs: Vec<Vec<Runs>> = made
+            .iter()
+            .map(|policies| policies.iter().map(|p| p.runs).collect())
+            .collect();
+        let each = kinds.iter().zip(sets).zip(made).enumerate();
+        let ways = each.map(|(k, ((way, set), made))| {
+            let of = |pick: &dyn Fn(&Runs) -> Run| runs[k].iter().map(pick).collect::<Vec<_>>();
+            let given = |pick: &dyn Fn(&Runs) -> Run| runs[0].iter().map(pick).collect::<Vec<_>>();
+            let less = |pick: &dyn Fn(&Runs) -> Run| {
+                (k > 0).then(|| Figures::less(&of(pick), &given(pick)))
+            };
+            Trained {
+                way: *way,
+                robot: way.robot(self.robots).to_owned(),
+                set: set.clone(),
+                at_home: Figures::of(&of(&|r| r.at_home)),
+                in_truth: Figures::of(&of(&|r| r.in_truth)),
+                in_rapier: Figures::of(&of(&|r| r.in_rapier)),
+                gain: less(&|r| r.in_truth),
+                gain_in_rapier: less(&|r| r.in_rapier),
+                speed: Speed::of(made.iter().map(|p| &p.walks)),
+                policies: made.clone(),
+            }
+        });
+        Compared {
+            seeds,
+            iterations: self.effort.iterations,
+            suite: self.effort.suite.name().to_owned(),
+            ways: ways.collect(),
+            seconds: self.steps.seconds(),
+        }
+    }
+
+    /// Trains one policy and tests it, as far as that has not been done.
+    fn policy(&mut self, way: Way, set: &[String], seed: u64) -> Result<Policy, Failure> {
+        self.steps.go_on()?;
         let name = format!("{}_{seed}", way.name());
         let home = way.robot(self.robots);
         let training = Training {
-            flags: self.flags,
+            flags: &self.given.flags,
             robot: home,
             start: self.effort.policy.as_deref(),
             iterations: self.effort.iterations,
             seed: Some(seed),
-            set: way.set(),
+            set,
             out: self.out.join(&name),
             progress: Some(self.out.join(format!("{name}.log"))),
         };
-        let policy = self.steps.train(&format!("train {name}"), &training)?;
+        let step = format!("train {name}");
+        let policy = match training.finished() {
+            Some(policy) => {
+                self.steps.is_there(&step, &policy);
+                policy
+            }
+            None => self.steps.train(&step, &training)?,
+        };
         let at_home = self.evaluate(&format!("{name}_at_home"), &policy, home)?;
         let in_truth = self.evaluate(&format!("{name}_in_truth"), &policy, self.robots.truth)?;
-        let outcome = self.forward(&name, &policy)?;
+        let walks = self.forward(&name, &policy)?;
+        let in_rapier = serde_json::json!({ "scenarios": [&walks.result] });
         let read = |evaluation: &Value| {
             let lacks = || {
                 Failure::message(
@@ -373,35 +504,44 @@ impl Work<'_> {
             runs: Runs {
                 at_home: read(&at_home)?,
                 in_truth: read(&in_truth)?,
-                in_rapier: Run::of_scenario(&outcome.result),
+                in_rapier: read(&in_rapier)?,
             },
             policy,
             at_home,
             in_truth,
-            in_rapier: outcome.result.clone(),
-            outcome: Some(outcome),
+            in_rapier: walks.result.clone(),
+            walks,
         })
     }
 
     fn evaluate(&mut self, name: &str, policy: &Path, robot: &Path) -> Result<Value, Failure> {
         let test = Test {
-            flags: self.flags,
+            flags: &self.given.flags,
             policy,
             robot,
-            suite: &self.effort.suite,
+            suite: self.effort.suite,
             episodes: self.effort.episodes,
         };
         let file = self.out.join(format!("{name}.json"));
-        self.steps
-            .evaluate(&format!("evaluate {name}"), &test, &file)
+        let step = format!("evaluate {name}");
+        if file.is_file() {
+            self.steps.is_there(&step, &file);
+            return last_json(&file);
+        }
+        self.steps.evaluate(&step, &test, &file)
     }
 
     /// Forward velocities that change, on the true robot, in the engine that policies are not trained in.
-    fn forward(&self, name: &str, policy: &Path) -> Result<Outcome, Failure> {
-        let mut config: Config = self.flags.load().or_exit(ExitCode::BadConfig)?;
+    fn forward(&mut self, name: &str, policy: &Path) -> Result<Walks, Failure> {
+        let file = self.out.join(format!("{name}_in_rapier.json"));
+        let step = format!("evaluate {name}_in_rapier");
+        if file.is_file() {
+            self.steps.is_there(&step, &file);
+            return last_json(&file);
+        }
+        let mut config = self.given.config.clone();
         config.robot = std::path::absolute(self.robots.truth).or_exit(ExitCode::NoInput)?;
         config.engine.kind = EngineKind::Rapier;
-        let model = Arc::new(robot_model::load(self.robots.truth)?);
         let policy = read_policy(policy)?;
         let settings = Settings {
             episodes: self.effort.referee_episodes,
@@ -409,11 +549,22 @@ impl Work<'_> {
             film: true, // keeps velocities
             ..Settings::default()
         };
-        let outcome = run_scenario(&config, &model, &policy, &forward(), &settings, &|| true)
-            .or_exit(ExitCode::PolicyRefused)?;
-        let text = serde_json::to_vec_pretty(&outcome.result).or_exit(ExitCode::Internal)?;
-        write(&self.out.join(format!("{name}_in_rapier.json")), &text)?;
-        Ok(outcome)
+        let what = format!(
+            "{} episodes of {} s in Rapier, forward velocities that change",
+            settings.episodes, settings.episode_s
+        );
+        let truth = self.truth;
+        let outcome = self.steps.inside(&step, &what, |stop| {
+            let go_on = || !stop.is_set();
+            run_scenario(&config, truth, &policy, &forward(), &settings, &go_on)
+                .map_err(|error| eval::failure(error, stop))
+        })?;
+        let walks = Walks::of(&outcome)?;
+        write(
+            &file,
+            &serde_json::to_vec(&walks).or_exit(ExitCode::Internal)?,
+        )?;
+        Ok(walks)
     }
 }
 
@@ -431,21 +582,20 @@ fn forward() -> Scenario {
 }
 
 impl Speed {
-    /// Of the episodes of `outcomes`; where some have ended, of those that go on.
-    fn of<'a>(outcomes: impl Iterator<Item = &'a Outcome>) -> Self {
+    /// Of the episodes of all of them; where some have ended, of those that go on.
+    fn of<'a>(all: impl Iterator<Item = &'a Walks>) -> Self {
         const STRIDE_S: f64 = 0.7;
         let mut speed = Self::default();
         let mut tracks: Vec<Vec<f64>> = Vec::new();
         let mut period_s = 0.0;
-        for outcome in outcomes {
-            period_s = outcome.period_s;
+        for walks in all {
+            period_s = walks.period_s;
             let half = (0.5 * STRIDE_S / period_s) as usize;
-            for track in &outcome.tracks {
-                if track.rows.len() > speed.command_mps.len() {
-                    let commands = track.rows.iter().map(|row| f64::from(row[0]));
-                    speed.command_mps = commands.collect();
+            for rows in &walks.episodes {
+                if rows.len() > speed.command_mps.len() {
+                    speed.command_mps = rows.iter().map(|row| f64::from(row[0])).collect();
                 }
-                let forward: Vec<f64> = track.rows.iter().map(|row| f64::from(row[3])).collect();
+                let forward: Vec<f64> = rows.iter().map(|row| f64::from(row[1])).collect();
                 tracks.push(smooth(&forward, half));
             }
         }
@@ -515,26 +665,54 @@ mod tests {
         assert_eq!(speed.held(), (vec![0.1, 0.2], vec![0.11, 0.18]));
     }
 
+    fn loaded(preset: &str, overrides: &[String]) -> Config {
+        let flags = ConfigArgs {
+            preset: Some(preset.into()),
+            config: None,
+            overrides: overrides.to_vec(),
+        };
+        flags.load().unwrap()
+    }
+
     #[test]
     fn wide_ranges_are_keys_and_hold_those_of_the_presets() {
-        let load = |overrides: &[&str]| {
-            let flags = ConfigArgs {
-                preset: Some("flat".into()),
-                config: None,
-                overrides: overrides.iter().map(|s| (*s).to_owned()).collect(),
-            };
-            let loaded = flags.load().unwrap().task.randomisation;
-            serde_json::to_value(loaded).unwrap()
-        };
-        let (narrow, wide) = (load(&[]), load(&WIDE));
-        for (key, range) in narrow.as_object().unwrap() {
-            let Some(range) = range.as_array() else {
-                continue;
-            };
-            let end = |of: &serde_json::Value, i: usize| of[key][i].as_f64().unwrap();
-            assert!(end(&wide, 0) <= range[0].as_f64().unwrap(), "{key}");
-            assert!(end(&wide, 1) >= range[1].as_f64().unwrap(), "{key}");
-            assert!(wide[key] != narrow[key], "{key}");
+        for preset in caudata_config::PRESETS {
+            let preset = preset.name;
+            let narrow = loaded(preset, &[]);
+            let wide = loaded(preset, &wide(&narrow).unwrap());
+            let table = |config: &Config| serde_json::to_value(config.task.randomisation).unwrap();
+            let (narrow, wide) = (table(&narrow), table(&wide));
+            let mut ranges = 0;
+            for (key, range) in narrow.as_object().unwrap() {
+                let Some(range) = range.as_array() else {
+                    continue;
+                };
+                ranges += 1;
+                let end = |of: &serde_json::Value, i: usize| of[key][i].as_f64().unwrap();
+                let held = end(&wide, 0) <= range[0].as_f64().unwrap()
+                    && end(&wide, 1) >= range[1].as_f64().unwrap();
+                assert!(held && wide[key] != narrow[key], "{preset} {key}");
+                // A preset never reaches further than the ranges that are documented.
+                let (_, low, high) = WIDE.iter().find(|(name, ..)| name == key).unwrap();
+                let near = |i: usize, x: f64| (end(&wide, i) - x).abs() < 1e-6;
+                assert!(near(0, *low) && near(1, *high), "{preset} {key}");
+            }
+            assert_eq!(ranges, WIDE.len());
         }
+    }
+
+    #[test]
+    fn a_range_that_is_wider_already_stays() {
+        let own = [
+            "task.randomisation.kp_scale=[0.3,1.1]".to_owned(),
+            "task.randomisation.enabled=false".to_owned(),
+        ];
+        let narrow = loaded("flat", &own);
+        let mut all = own.to_vec();
+        all.extend(wide(&narrow).unwrap());
+        let wide = loaded("flat", &all).task.randomisation;
+        assert_eq!(wide.kp_scale, [0.3, 1.3]);
+        assert_eq!(wide.kd_scale, [0.5, 2.0]);
+        assert!(wide.enabled);
     }
 }

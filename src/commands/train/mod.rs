@@ -100,15 +100,7 @@ impl From<Transport> for TransportKind {
 pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let (config, folder) = prepare(args)?;
     let model = Arc::new(robot_model::load(&config.robot_path())?);
-    let programs = Programs::beside_this_one()?;
-    for name in [
-        "caudata-policy-server",
-        "caudata-learner",
-        "caudata-actor",
-        "caudata-robot",
-    ] {
-        programs.find(name)?;
-    }
+    let programs = programs()?;
     let view = View::new(args.json);
     view.note(&format!("run folder {}", folder.root().display()));
     let resume = args.resume();
@@ -141,6 +133,23 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
         finish::print(&report);
     }
     report.verdict()
+}
+
+/// The programs that a training needs.
+///
+/// # Errors
+/// Where one is missing.
+pub fn programs() -> Result<Programs, Failure> {
+    let programs = Programs::beside_this_one()?;
+    for name in [
+        "caudata-policy-server",
+        "caudata-learner",
+        "caudata-actor",
+        "caudata-robot",
+    ] {
+        programs.find(name)?;
+    }
+    Ok(programs)
 }
 
 /// The configuration in effect and the run folder that it lies in.
