@@ -232,9 +232,14 @@ fn what_was_stopped_goes_on_and_nothing_is_done_twice() {
     assert_eq!(at_work(&out), []);
     assert!(!out.join("policies.json").exists());
 
-    let kept: Vec<PathBuf> = ["policy.onnx", "report.json", "run_id.txt", "../as_given_1.log"]
-        .map(|name| first.join(name))
-        .to_vec();
+    let kept: Vec<PathBuf> = [
+        "policy.onnx",
+        "report.json",
+        "run_id.txt",
+        "../as_given_1.log",
+    ]
+    .map(|name| first.join(name))
+    .to_vec();
     let read = || -> Vec<Vec<u8>> { kept.iter().map(|p| std::fs::read(p).unwrap()).collect() };
     let before = read();
     assert!(!before[3].is_empty());
@@ -307,7 +312,11 @@ fn what_cannot_be_used_is_said_before_anything_is_made() {
     refused(&with(&["--set", "task.nothing=1"]), 64, "task.nothing");
     refused(&paper(&["--suite", "omnibus"]), 64, "omnibus");
     refused(&paper(&["--preset", "flatter"]), 64, "flatter");
-    refused(&paper(&["--policy", "no/policy.onnx"]), 66, "no/policy.onnx");
+    refused(
+        &paper(&["--policy", "no/policy.onnx"]),
+        66,
+        "no/policy.onnx",
+    );
 
     // Another robot.
     let args = with(&[]);
