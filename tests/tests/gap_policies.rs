@@ -60,25 +60,10 @@ fn three_ways_to_train_are_compared_on_the_robot() {
     let extended = robot(folder, "extended.robot.toml", 0.12);
     let truth = robot(folder, "truth.robot.toml", 0.1);
     let out = folder.join("out");
-    let mut args = vec!["gap", "policies", "--json", "--preset", "quick"];
-    for (flag, path) in [
-        ("--robot", &given),
-        ("--extended", &extended),
-        ("--truth", &truth),
-        ("--out", &out),
-    ] {
-        args.extend([flag, text(path)]);
-    }
-    args.extend(["--seeds", "2", "--iterations", "1", "--suite", "flat"]);
-    args.extend(["--episodes", "2", "--referee-episodes", "1"]);
-    for set in [
-        "actors.lanes=3",
-        "actors.chunk_steps=8",
-        "learner.ppo.minibatches=2",
-        "telemetry.metrics=false",
-    ] {
-        args.extend(["--set", set]);
-    }
+    let effort = ["--iterations", "1", "--episodes", "2"];
+    let mut args = flags([&given, &extended, &truth], &out, &effort);
+    args.extend(["--json", "--seeds", "2"].map(str::to_owned));
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let done = run(&args);
     assert_eq!(done.code, Some(0), "{}\n{}", done.stdout, done.stderr);
     let report = done.last_json().unwrap();
@@ -159,21 +144,18 @@ fn what_cannot_be_read_is_said_before_anything_is_trained() {
     assert!(!out.exists());
 }
 
-/// Flags of a comparison of trainings that take seconds.
-fn tiny(folder: &Path, extra: &[&str]) -> Vec<String> {
-    let given = robot(folder, "given.robot.toml", 1.0);
-    let truth = robot(folder, "truth.robot.toml", 0.5);
+/// Flags of a comparison of trainings that take seconds: in a robot as given and in an extended one, run on a true one.
+fn flags([given, extended, truth]: [&PathBuf; 3], out: &PathBuf, extra: &[&str]) -> Vec<String> {
     let mut args = vec!["gap", "policies", "--preset", "quick"];
-    let out = folder.join("out");
     for (flag, path) in [
-        ("--robot", &given),
-        ("--extended", &given),
-        ("--truth", &truth),
-        ("--out", &out),
+        ("--robot", given),
+        ("--extended", extended),
+        ("--truth", truth),
+        ("--out", out),
     ] {
         args.extend([flag, text(path)]);
     }
-    args.extend(["--seeds", "1", "--suite", "flat", "--referee-episodes", "1"]);
+    args.extend(["--suite", "flat", "--referee-episodes", "1"]);
     for set in [
         "actors.lanes=3",
         "actors.chunk_steps=8",
@@ -184,6 +166,16 @@ fn tiny(folder: &Path, extra: &[&str]) -> Vec<String> {
     }
     args.extend(extra);
     args.into_iter().map(str::to_owned).collect()
+}
+
+/// The same of one seed and without an extension.
+fn tiny(folder: &Path, extra: &[&str]) -> Vec<String> {
+    let given = robot(folder, "given.robot.toml", 1.0);
+    let truth = robot(folder, "truth.robot.toml", 0.5);
+    let out = folder.join("out");
+    let mut args = flags([&given, &given, &truth], &out, extra);
+    args.extend(["--seeds", "1"].map(str::to_owned));
+    args
 }
 
 /// Starts it, and waits until `file` is there.

@@ -3,11 +3,11 @@
 use caudata_random::{Key, Purpose, Stream};
 
 use super::algebra::dot;
-use super::judge::Judge;
+use super::judge::{Judge, group};
 use super::state::{Context, On, State};
 use super::verdict::QUIET;
 use crate::effects::{Domain, Place};
-use crate::replay::{Piece, Term};
+use crate::replay::Term;
 
 /// Resamplings.
 const RESAMPLES: usize = 400;
@@ -190,14 +190,6 @@ fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
         }
     }
     sums
-}
-
-fn group(joints: usize, piece: &Piece) -> usize {
-    if piece.kind.of_joint() {
-        piece.index
-    } else {
-        joints
-    }
 }
 
 /// Mean of both misfits, by samples. Of a robot with many joints, each joint counts as [`FLOOR`] at least: with one joint far off, a little of

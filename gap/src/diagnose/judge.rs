@@ -3,8 +3,9 @@
 //! A residual is divided by its noise ([`super::noise`]), and directions in which careful labs differ from run to run (a little more friction, a
 //! little less voltage, half a step of time) are taken as random with their tolerances: with N the traces of these nuisances at one tolerance
 //! each, the residual r is whitened to (I + κ²·N·n⁻¹·Nᵀ)^(−½)·r, run by run, n the number of samples of those joints that a nuisance shows at. The misfit
-//! is the mean square of that: 1 is the floor. What no nuisance explains stays. k tolerances of one come to at most (k/κ)²: one tolerance is little, many are a gap
-//! although a nuisance explains them. (With I + N·Nᵀ, which is what independent Gaussian noise would ask for, they come to k²/n: nothing, whatever k.)
+//! is the mean square of that: 1 is the floor. What no nuisance explains stays. k tolerances of one come to at most (k/κ)²: one tolerance is little, many
+//! are a gap although a nuisance explains them. (With I + N·Nᵀ, which is what independent Gaussian noise would ask for, they come to k²/n: nothing,
+//! whatever k.)
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -16,7 +17,7 @@ use super::noise::Noise;
 use super::pipeline::add_own_misses;
 use crate::effects::{self, Domain, Place, places};
 use crate::error::GapError;
-use crate::replay::{Data, Replayer, SegmentOptions, Term, Variant};
+use crate::replay::{Data, Piece, Replayer, SegmentOptions, Term, Variant};
 use crate::trial::Kind;
 
 /// Mean square error of one channel in one run, in squared noises, that counts at most.
@@ -38,10 +39,12 @@ const SUPPLY_TOLERANCE: f64 = 0.015;
 /// When within its loop a servo reads its current, and over how long: s. Between two commands the torque falls as the joint follows, so that this is a current
 /// in proportion to the speed.
 const READING_TOLERANCE_S: f64 = 0.002;
-/// With hinges that nobody drives, engines part by so many times (and not once) what halving the step changes: Rapier at 1 ms from the batch engine at 2 ms by 1.2 to
-/// 4.5 times on one day and 5.2 on another, in the spine of a salamander on a stand in which nothing is hidden. With 5 the second day is a gap.
+/// With hinges that nobody drives, engines part by so many times (and not once) what halving the step changes: Rapier at 1 ms from the batch engine at
+/// 2 ms by 1.2 to 4.5 times on one day and 5.2 on another, in the spine of a salamander on a stand in which nothing is hidden. With 5 the second day is a
+/// gap.
 const ENGINES_APART: f32 = 7.0;
-/// κ: a nuisance of so many tolerances is as large as the floor. Of a careful lab's, one in ten is beyond two tolerances (salamander on a stand).
+/// κ: a nuisance of so many tolerances is as large as the floor. Of a healthy salamander's on a stand one in ten is beyond 0.7
+/// (current) to 3.9 (loop).
 const TOLERANCES: f64 = 4.0;
 /// Ground friction by this share.
 const GROUND_TOLERANCE: f64 = 0.1;
@@ -218,8 +221,8 @@ impl Judge {
         Ok(judge)
     }
 
-    /// What one tolerance of each nuisance does in each of `count` windows, sums of squares by nuisance and joint. `window`: that of each sample, or anything from
-    /// `count` on. `[N]` to `[count]`
+    /// What one tolerance of each nuisance does in each of `count` windows, sums of squares by nuisance and joint. `window`: that of each sample, or
+    /// anything from `count` on. `[N]` to `[count]`
     #[must_use]
     pub fn sensitivities(
         &self,
@@ -542,10 +545,7 @@ fn trial_ranges(data: &Data) -> Vec<Range<usize>> {
     ranges.into_iter().map(|(_, r)| r).collect()
 }
 
-fn pieces<'a>(
-    data: &'a Data,
-    range: &'a Range<usize>,
-) -> impl Iterator<Item = &'a crate::replay::Piece> {
+fn pieces<'a>(data: &'a Data, range: &'a Range<usize>) -> impl Iterator<Item = &'a Piece> {
     data.segments
         .iter()
         .filter(move |s| s.range.start >= range.start && s.range.end <= range.end)
@@ -562,11 +562,7 @@ fn shown_in(
 ) -> usize {
     let mut sums = vec![(0.0, 0_usize); joints + 1];
     for piece in pieces(data, range) {
-        let group = if piece.kind.of_joint() {
-            piece.index
-        } else {
-            joints
-        };
+        let group = group(joints, piece);
         for k in piece.range.clone() {
             sums[group].0 += f64::from(trace(k)).powi(2);
         }
@@ -576,6 +572,16 @@ fn shown_in(
     let most = sums.iter().map(mean).fold(0.0, f64::max);
     let shown = sums.iter().filter(|s| mean(s) >= SHOWS * most);
     shown.map(|s| s.1).sum()
+}
+
+/// Whose misfit a piece belongs to: that of its joint, or, in the place after the last joint, that of the body.
+#[must_use]
+pub fn group(joints: usize, piece: &Piece) -> usize {
+    if piece.kind.of_joint() {
+        piece.index
+    } else {
+        joints
+    }
 }
 
 /// Whether a sample's channel belongs to a place: its joints' channels for joints, everything else otherwise.

@@ -5,7 +5,7 @@
 //! fails to explain: each adds the logarithm of what it shows to what the others show already, so that ten stretches of the same motion are not
 //! worth ten times one.
 
-use super::judge::Judge;
+use super::judge::{Judge, group};
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, SegmentOptions};
 
@@ -83,11 +83,7 @@ fn shown(replayer: &Replayer, whole: &Judge, windows: &Data) -> Result<Vec<Vec<f
     let residual = whole.residual(&prediction);
     for segment in &whole.data.segments {
         for piece in &segment.pieces {
-            let group = if piece.kind.of_joint() {
-                piece.index
-            } else {
-                joints
-            };
+            let group = group(joints, piece);
             for k in piece.range.clone() {
                 let t = whole.data.time_s[k];
                 let of = windows

@@ -21,8 +21,8 @@ pub const HIDDEN: OnGround = OnGround::Paper {
     torque: 0.7,
 };
 /// Trials of the battery that the lab records on a stand as well, and what they are for. Walking, rocking and lifting hardly ever ask a servo for the
-/// 1.36 N·m that it has left, and at one tempo a filter is as good as a delay: neither could be named from them. Weaker servos are 10 to 20 mrad in these fit
-/// trials and 80 in the one that is held out; in `steps_medium` they are nothing, so that it could not speak for them.
+/// 1.36 N·m that it has left, and at one tempo a filter is as good as a delay: neither could be named from them. Weaker servos are 23 and 17 mrad in these fit
+/// trials and 81 in the one that is held out; in `steps_medium` they are nothing, so that it could not speak for them.
 const ON_STAND: [(&str, &str); 3] = [
     ("fit", "chirp_medium"),
     ("fit", "steps_large"),
