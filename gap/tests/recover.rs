@@ -231,6 +231,22 @@ fn a_late_command_is_named() {
 }
 
 #[test]
+fn what_would_have_to_be_larger_than_plausible_is_no_explanation() {
+    // 120 ms late, and no delay beyond 100 ms is plausible; what else is tried can only make up for a part of the rest
+    let mut request = request(12, &|_| {});
+    request.options.only = vec!["command_delay".to_owned(), "viscous_friction".to_owned()];
+    let d = diagnose(&request, &mut |_| {}).unwrap();
+    let delay = d.report.causes.iter().find(|c| c.effect == "command_delay");
+    let delay = delay.expect("a delay is tried");
+    assert!(delay.parameters["delay_s"].at_bound, "{delay:?}");
+    assert_eq!(d.report.verdict, Verdict::PartlyExplained);
+    assert!(d.report.summary.contains("command_delay is not plausible"));
+    for cause in &d.report.causes {
+        assert!(cause.confidence <= 0.4, "{cause:?}");
+    }
+}
+
+#[test]
 fn friction_is_named() {
     let (_, d) = run(0, &|p| p.joint_friction_nm[0] += 0.05);
     assert_eq!(

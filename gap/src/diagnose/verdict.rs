@@ -12,7 +12,7 @@ use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
 use super::{Diagnosis, Request, Split, gates, leftover, next, pictures};
-use crate::effects::Effect;
+use crate::effects::{Domain, Effect, Place};
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
@@ -73,22 +73,34 @@ pub fn conclude(
 ) -> Result<Diagnosis, GapError> {
     let (base, best) = (&found.base, &found.best);
     let spread = spread(context, best)?;
+    let outgrown: Vec<&Term> = best.terms.iter().filter(|t| outgrown(context, t)).collect();
     // a model that leaves much unexplained lacks something, and what it has may stand in for that
-    let trust = if left(context, base, best) > 0.0 {
-        TRUST_IN_PART
-    } else {
-        TRUST
-    };
+    let in_part = left(context, base, best) > 0.0;
     let mut causes: Vec<Cause> = Vec::new();
     let mut order: Vec<&Named> = named.iter().collect();
     order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
     for n in &order {
+        let place = &best.terms[n.index].place;
+        let trust = if in_part || outgrown.iter().any(|t| meet(&t.place, place)) {
+            TRUST_IN_PART
+        } else {
+            TRUST
+        };
         causes.push(cause(context, best, n, &spread, trust)?);
     }
     let unexplained = leftover::leftover(context, found);
-    let verdict = verdict(context, found, &causes, split);
+    let verdict = verdict(context, found, &causes, &outgrown, split);
     let next_experiment = next::next(context, verdict, &causes, found);
-    let summary = summary(verdict, base, best, &causes, &unexplained, split, found);
+    let summary = summary(
+        verdict,
+        base,
+        best,
+        &causes,
+        &outgrown,
+        &unexplained,
+        split,
+        found,
+    );
     let judge = &context.holdout;
     let mut before = divergence(judge, &base.holdout, context.seed);
     let mut after = if best.terms.is_empty() {
@@ -126,7 +138,13 @@ pub fn conclude(
     })
 }
 
-fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> Verdict {
+fn verdict(
+    context: &Context,
+    found: &Found,
+    causes: &[Cause],
+    outgrown: &[&Term],
+    split: Split,
+) -> Verdict {
     let (base, best) = (&found.base, &found.best);
     if causes.is_empty() {
         if gates::worst(context, base) < QUIET {
@@ -153,7 +171,7 @@ fn verdict(context: &Context, found: &Found, causes: &[Cause], split: Split) -> 
             Verdict::Unexplained
         };
     }
-    if left(context, base, best) > 0.0 {
+    if left(context, base, best) > 0.0 || !outgrown.is_empty() {
         return Verdict::PartlyExplained;
     }
     if causes.iter().any(|c| !c.alternatives.is_empty()) {
@@ -173,6 +191,23 @@ pub fn left(context: &Context, base: &State, best: &State) -> f64 {
     } else {
         0.0
     }
+}
+
+/// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place makes up for where it
+/// differs. None at all is always plausible.
+fn outgrown(context: &Context, term: &Term) -> bool {
+    let model = context.replayer.model();
+    let (low, high) = term.effect.bounds(model, &term.place, 0);
+    let near = 1e-6 * (high - low);
+    let (value, neutral) = (term.values[0], term.effect.neutral(model, &term.place)[0]);
+    let moved = (value - neutral).abs() >= near && value.abs() >= near;
+    moved && (value <= low + near || value >= high - near)
+}
+
+/// Whether two effects act at one joint, or either on more than joints.
+fn meet(one: &Place, other: &Place) -> bool {
+    let of_joints = |p: &Place| p.domain == Domain::Joints;
+    !of_joints(one) || !of_joints(other) || one.items.iter().any(|i| other.items.contains(i))
 }
 
 fn cause(
@@ -377,6 +412,7 @@ fn summary(
     base: &State,
     best: &State,
     causes: &[Cause],
+    outgrown: &[&Term],
     unexplained: &[Unexplained],
     split: Split,
     found: &Found,
@@ -417,8 +453,16 @@ fn summary(
             let left = unexplained
                 .first()
                 .map_or(String::new(), |u| format!(", most of it at {}", u.location));
+            let beyond: Vec<&str> = outgrown.iter().map(|t| t.effect.id).collect();
+            let beyond = match beyond.as_slice() {
+                [] => String::new(),
+                _ => format!(
+                    " As large as it would have to be, {} is not plausible: something that is not in the catalogue may be behind it.",
+                    beyond.join(" and ")
+                ),
+            };
             format!(
-                "{} explain a part: {fall}; {:.0} % of it is left{left}.",
+                "{} explain a part: {fall}; {:.0} % of it is left{left}.{beyond}",
                 names.join(" and "),
                 100.0 * best.misfit() / base.misfit().max(1e-9)
             )
