@@ -24,6 +24,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::eval::{read_policy, suite_parser};
+use super::out_folder::{OutFolder, write_whole};
 use super::robot_model;
 use super::steps::Steps;
 use super::train;
@@ -294,7 +295,7 @@ impl Given {
 /// `out` is taken up.
 ///
 /// # Errors
-/// Where a file cannot be read or written, the robots have not the same joints, `out` was made with other flags, or a step fails or is stopped.
+/// Where a file cannot be read or written, the robots have not the same joints, `out` was made with other flags or another process is at work in it, or a step fails or is stopped.
 pub fn compare(
     robots: &Robots<'_>,
     out: &Path,
@@ -309,10 +310,9 @@ pub fn compare(
     };
     let sets = kinds.iter().map(|way| way.set(&given.config));
     let sets = sets.collect::<Result<Vec<_>, _>>()?;
-    std::fs::create_dir_all(out).or_exit_with(ExitCode::CannotCreate, || {
-        format!("folder {}", out.display())
-    })?;
-    asked::same_as_before(out, &asked::all(effort, given, &models))?;
+    let first = format!("{}_1", Way::AsGiven.name());
+    let asked = asked::all(effort, given, &models);
+    let _taken = OutFolder::take(out, &[&first], &asked)?;
     let mut work = Work {
         robots,
         out,
@@ -330,10 +330,10 @@ pub fn compare(
         }
         let compared = Compared::of(&work, kinds, &sets, &made);
         let bytes = serde_json::to_vec_pretty(&compared).or_exit(ExitCode::Internal)?;
-        write(&out.join("policies.json"), &bytes)?;
+        write_whole(&out.join("policies.json"), &bytes)?;
         let title = "Policies trained in two models, run on the robot";
         let html = page::curves(title, "", &[], &[chapter(&compared)]);
-        write(&out.join(PAGE), html.as_bytes())?;
+        write_whole(&out.join(PAGE), html.as_bytes())?;
         last = Some(compared);
     }
     last.ok_or_else(|| Failure::message(ExitCode::BadConfig, "no seed is asked for"))
@@ -367,10 +367,4 @@ fn same_joints(robots: &Robots<'_>, config: &Config) -> Result<[Arc<RobotModel>;
         }
     };
     Ok([given, same(robots.extended)?, same(robots.truth)?])
-}
-
-/// Writes a file whole: one that is there is complete.
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let cannot = || format!("cannot write {}", path.display());
-    caudata_durable::replace(path, bytes).or_exit_with(ExitCode::CannotCreate, cannot)
 }

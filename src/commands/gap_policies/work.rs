@@ -11,8 +11,9 @@ use serde_json::Value;
 
 use super::figures::Run;
 use super::speed::{self, Walks};
-use super::{Effort, Given, Policy, Robots, Runs, Way, write};
+use super::{Effort, Given, Policy, Robots, Runs, Way};
 use crate::commands::eval::{self, read_policy};
+use crate::commands::out_folder::write_whole;
 use crate::commands::steps::{Steps, Test, Training, last_json};
 
 /// What all trainings share.
@@ -46,14 +47,7 @@ impl Work<'_> {
             out: self.out.join(&name),
             progress: Some(self.out.join(format!("{name}.log"))),
         };
-        let step = format!("train {name}");
-        let policy = match training.finished() {
-            Some(policy) => {
-                self.steps.is_there(&step, &policy);
-                policy
-            }
-            None => self.steps.train(&step, &training)?,
-        };
+        let policy = self.steps.train(&format!("train {name}"), &training)?;
         let at_home = self.evaluate(&format!("{name}_at_home"), &policy, home)?;
         let in_truth = self.evaluate(&format!("{name}_in_truth"), &policy, self.robots.truth)?;
         let walks = self.forward(&name, &policy)?;
@@ -91,12 +85,8 @@ impl Work<'_> {
             episodes: self.effort.episodes,
         };
         let file = self.out.join(format!("{name}.json"));
-        let step = format!("evaluate {name}");
-        if file.is_file() {
-            self.steps.is_there(&step, &file);
-            return last_json(&file);
-        }
-        self.steps.evaluate(&step, &test, &file)
+        self.steps
+            .evaluate(&format!("evaluate {name}"), &test, &file)
     }
 
     /// Forward velocities that change, on the true robot, in the engine that policies are not trained in.
@@ -135,7 +125,7 @@ impl Work<'_> {
             .map_err(|error| eval::failure(error, stop))
         })?;
         let walks = Walks::of(&outcome)?;
-        write(
+        write_whole(
             &file,
             &serde_json::to_vec(&walks).or_exit(ExitCode::Internal)?,
         )?;
