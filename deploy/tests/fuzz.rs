@@ -21,6 +21,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use caudata_chaos_proxy::Dice;
 use caudata_deploy::boundary::{Answer, RunFolder, STAGED_FORMAT, Staged, Teller, Told};
 use caudata_deploy::command_link::{Kind, LinkKey, Message, Receiver};
 use caudata_deploy::state::{PolicyRef, RobotState, Sha256Digest};
@@ -77,22 +78,6 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Numbers that look random and are the same each time.
-struct Dice(u64);
-
-impl Dice {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        self.0
-    }
-
-    fn below(&mut self, end: usize) -> usize {
-        (self.next() % end.max(1) as u64) as usize
-    }
-}
-
 /// Bytes that parsers trip over: ends of number ranges, long varints, headers, brackets.
 const SPITE: [&[u8]; 14] = [
     &[0],
@@ -112,34 +97,35 @@ const SPITE: [&[u8]; 14] = [
 ];
 
 fn spoil(dice: &mut Dice, pool: &[Vec<u8>]) -> Vec<u8> {
-    let mut bytes = pool[dice.below(pool.len())].clone();
-    for _ in 0..=dice.below(6) {
-        let (at, kind) = (dice.below(bytes.len() + 1), dice.below(8));
+    let mut below = |end: usize| dice.below(end.max(1) as u64) as usize;
+    let mut bytes = pool[below(pool.len())].clone();
+    for _ in 0..=below(6) {
+        let (at, kind) = (below(bytes.len() + 1), below(8));
         match kind {
-            0 if at < bytes.len() => bytes[at] ^= 1 << dice.below(8),
-            1 if at < bytes.len() => bytes[at] = dice.next() as u8,
+            0 if at < bytes.len() => bytes[at] ^= 1 << below(8),
+            1 if at < bytes.len() => bytes[at] = below(256) as u8,
             2 => bytes.truncate(at),
             3 => {
-                let piece = SPITE[dice.below(SPITE.len())];
+                let piece = SPITE[below(SPITE.len())];
                 bytes.splice(at..at, piece.iter().copied());
             }
             4 => {
-                let piece = SPITE[dice.below(SPITE.len())];
+                let piece = SPITE[below(SPITE.len())];
                 let end = (at + piece.len()).min(bytes.len());
                 bytes.splice(at..end, piece.iter().copied());
             }
             5 => {
-                let end = (at + 1 + dice.below(64)).min(bytes.len());
+                let end = (at + 1 + below(64)).min(bytes.len());
                 bytes.drain(at..end);
             }
             6 => {
-                let end = (at + 1 + dice.below(64)).min(bytes.len());
+                let end = (at + 1 + below(64)).min(bytes.len());
                 let piece = bytes[at..end].to_vec();
                 bytes.splice(at..at, piece);
             }
             _ => {
-                let other = &pool[dice.below(pool.len())];
-                let from = dice.below(other.len() + 1);
+                let other = &pool[below(pool.len())];
+                let from = below(other.len() + 1);
                 bytes.truncate(at);
                 bytes.extend_from_slice(&other[from..]);
             }
@@ -165,7 +151,7 @@ fn kept(target: &str) -> PathBuf {
 /// Knocks with spoilt `seeds`. `check` answers in words what came of it (new words make an input a seed) and panics where a rule is broken.
 /// At most `memory` bytes may be held at once.
 fn fuzz(target: &str, seeds: Vec<Vec<u8>>, memory: usize, mut check: impl FnMut(&[u8]) -> String) {
-    let mut dice = Dice(0x9E37_79B9_7F4A_7C15 ^ target.len() as u64);
+    let mut dice = Dice::new(0x9E37_79B9_7F4A_7C15 ^ target.len() as u64);
     let old = std::fs::read_dir(kept(target)).into_iter().flatten();
     let old: Vec<Vec<u8>> = old
         .map(|entry| std::fs::read(entry.unwrap().path()).unwrap())
@@ -463,12 +449,12 @@ fn servo_frames() {
         frame(&[0xFF, 0xFF, 0xFD, 0x00]),
         frame(&[0; 200]),
     ];
-    let mut dice = Dice(7);
+    let mut dice = Dice::new(7);
     fuzz("servo_frames", seeds, 1 << 20, move |bytes| {
         let mut framer = Framer::new();
         let mut found = 0;
         // In pieces of any length, down to single bytes.
-        let step = 1 + dice.below(40);
+        let step = 1 + dice.below(40) as usize;
         for piece in bytes.chunks(step) {
             framer.push(piece);
             while let Some(frame) = framer.next_frame() {

@@ -25,6 +25,9 @@ pub enum GapError {
     /// The extension of a robot file.
     #[error("extension: {0}")]
     Extension(String),
+    /// Whoever started it asked it to end.
+    #[error("stopped")]
+    Stopped,
     /// A worker thread died.
     #[error("a worker thread of the replay died; this is a fault of the program")]
     Worker,

@@ -3,12 +3,13 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use caudata_gap::repeats;
 use caudata_gap::replay::{Data, Replayer, SegmentOptions};
 use caudata_gap::report::Verdict;
 use caudata_gap::trial::Trial;
-use caudata_gap::{Diagnosis, GapError, Options, Request, Role, Run, diagnose, extension};
+use caudata_gap::{Diagnosis, GapError, GoOn, Options, Request, Role, Run, diagnose, extension};
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_runlog::{BaseHold, LogMeta, RunLog, Table};
@@ -257,6 +258,34 @@ fn friction_is_named() {
     );
     let p = &d.report.causes[0].parameters["extra_nm"];
     assert!((p.value - 0.05).abs() < 0.008, "{p:?}");
+}
+
+#[test]
+fn a_diagnosis_that_is_asked_to_stop_ends_there() {
+    let mut request = request(0, &|p| p.joint_friction_nm[0] += 0.05);
+    request.options.only = ["coulomb_friction", "kp_error"].map(str::to_owned).to_vec();
+    // what it answers once it was asked so often, and how often that was in all
+    let mut asked_until = |last: usize| {
+        let asked = Arc::new(AtomicUsize::new(0));
+        let counter = Arc::clone(&asked);
+        let go_on = move || counter.fetch_add(1, Ordering::Relaxed) < last;
+        request.options.go_on = GoOn::as_long_as(go_on);
+        let ended = diagnose(&request, &mut |_| {}).map(|d| d.report.verdict);
+        (ended, asked.load(Ordering::Relaxed))
+    };
+    let (whole, asked) = asked_until(usize::MAX);
+    assert!(whole.is_ok(), "{whole:?}");
+    // before the first simulation, while it reads, searches and names, and before the last one
+    for last in [0, 1, asked / 4, asked / 2, 3 * asked / 4, asked - 1] {
+        let (ended, more) = asked_until(last);
+        assert!(matches!(ended, Err(GapError::Stopped)), "{last}: {ended:?}");
+        // each thread may have asked once more
+        let threads = Options::default().threads;
+        assert!(
+            (last + 1..=last + threads).contains(&more),
+            "{last}: {more}"
+        );
+    }
 }
 
 #[test]

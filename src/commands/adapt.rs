@@ -1,21 +1,27 @@
 //! `caudata adapt`: from measured logs to a policy for the robot as it is.
 //!
 //! Each step is a command of its own, run as one and printed before it runs: diagnose, train in the extended model starting from the policy
-//! that the robot has, evaluate before and after, publish. What was done so far stays in the output folder when a later step fails.
+//! that the robot has, evaluate before and after, publish. What was done so far stays in the output folder when a later step fails or is stopped, and the same command
+//! goes on from there.
 
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use caudata_config::ConfigArgs;
+use caudata_config::{Config, ConfigArgs};
 use caudata_evaluation::Suite;
+use caudata_gap::check::run_name;
+use caudata_gap::report::Verdict;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{RegistryClient, manifest_of};
+use caudata_runlog::{CSV_NAME, META_NAME};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::commands::eval::{read_policy, suite_parser};
+use crate::commands::gap::{log_folders, log_sha256};
+use crate::commands::out_folder::{Asked, OutFolder, write_whole};
 use crate::commands::policy::block_on;
 use crate::commands::robot_model;
 use crate::commands::steps::{Steps, Test, Training, measures, own};
@@ -32,8 +38,21 @@ const LEFT_AT_MOST: f64 = 0.95;
 /// No axis may get worse than this many times.
 const WORSE_AT_MOST: f64 = 1.25;
 
-/// Exit codes of a diagnosis whose extended model is worth training in: explained, ambiguous, partly explained.
-const WORTH_IT: [i32; 3] = [0, 80, 81];
+/// Exit codes of a diagnosis that has come to a verdict.
+const VERDICTS: [i32; 6] = [0, 80, 81, 82, 83, 84];
+/// Verdicts of a diagnosis whose extended model is worth training in.
+const WORTH_IT: [Verdict; 3] = [
+    Verdict::Explained,
+    Verdict::Ambiguous,
+    Verdict::PartlyExplained,
+];
+/// Folders of the two steps that take longest, in that of the output.
+const DIAGNOSIS: &str = "diagnosis";
+const RUN: &str = "run";
+/// What a diagnosis leaves last.
+const REPORT: &str = "report.json";
+/// Keys that flags and the diagnosis set.
+const OWN: [&str; 2] = ["robot", "run.iterations"];
 
 #[derive(Debug, Args)]
 pub struct AdaptArgs {
@@ -46,7 +65,8 @@ pub struct AdaptArgs {
     /// The policy that the robot has
     #[arg(long, value_name = "P.onnx")]
     policy: PathBuf,
-    /// Folder for everything that is made: diagnosis, run, evaluations, adapt.json
+    /// Folder for everything that is made: diagnosis, run, evaluations, adapt.json. What is finished in it is not done again: the same command goes on where it was
+    /// stopped
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Effects that the diagnosis does not try, by id
@@ -106,7 +126,7 @@ struct Adapted {
     policy: Option<PathBuf>,
     /// Version under which the server has it.
     published: Option<u64>,
-    /// Wall time of each step, s.
+    /// Wall time of each step of this call, s.
     seconds: Vec<(String, f64)>,
 }
 
@@ -115,37 +135,15 @@ pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
     let flags = training_flags(args);
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let robot = config.robot_path();
-    let run = args.out.join("run");
-    // Said before the diagnosis, which takes long and would overwrite what this run was trained in.
-    if run.join("config.toml").exists() {
-        let message = format!("{} holds a run already", run.display());
-        return Err(Failure::message(ExitCode::CannotCreate, message).hint("choose another --out"));
-    }
-    if let Some(truth) = &args.truth {
-        robot_model::load(truth)?;
-    }
-    std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
-        format!("folder {}", args.out.display())
-    })?;
+    let asked = asked(args, &config, &policy.sha256_hex())?;
+    let _taken = OutFolder::take(&args.out, &[&format!("{DIAGNOSIS}/{REPORT}"), RUN], &asked)?;
     let mut steps = Steps::new(args.json, &process.stop);
+    steps.after_stop("the same command goes on from here");
 
-    let diagnosis = args.out.join("diagnosis");
-    let mut command = own("gap")?;
-    command.arg("diagnose").arg("--robot").arg(&robot);
-    for dir in &args.logs {
-        command.arg("--log").arg(dir);
-    }
-    for dir in &args.holdouts {
-        command.arg("--holdout").arg(dir);
-    }
-    for (flag, ids) in [("--without", &args.without), ("--only", &args.only)] {
-        for id in ids {
-            command.args([flag, id]);
-        }
-    }
-    command.arg("--out").arg(&diagnosis);
-    let code = steps.run("diagnose", &mut command, &[0, 80, 81, 82, 83, 84])?;
-    let report = read_json(&diagnosis.join("report.json"))?;
+    let diagnosis = args.out.join(DIAGNOSIS);
+    let report = diagnosed(&mut steps, args, &robot, &diagnosis)?;
+    let verdict: Verdict =
+        serde_json::from_value(report["verdict"].clone()).or_exit(ExitCode::BadInput)?;
     let causes: Vec<Value> = report["causes"].as_array().cloned().unwrap_or_default();
     let mut adapted = Adapted {
         verdict: report["verdict"].clone(),
@@ -161,7 +159,7 @@ pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
         published: None,
         seconds: Vec::new(),
     };
-    if !WORTH_IT.contains(&code) || causes.is_empty() {
+    if !WORTH_IT.contains(&verdict) || causes.is_empty() {
         adapted.seconds = steps.seconds();
         finish(args, &adapted)?;
         if !args.json {
@@ -181,7 +179,7 @@ pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
         iterations: args.iterations,
         seed: None,
         set: &[],
-        out: run,
+        out: args.out.join(RUN),
         progress: None,
     };
     let new = steps.train("train", &training)?;
@@ -250,6 +248,80 @@ fn improves(before: &Option<Value>, after: &Option<Value>) -> bool {
     }
 }
 
+/// The report of the diagnosis, which is not made again where it is complete.
+fn diagnosed(
+    steps: &mut Steps,
+    args: &AdaptArgs,
+    robot: &Path,
+    diagnosis: &Path,
+) -> Result<Value, Failure> {
+    let report = diagnosis.join(REPORT);
+    if report.is_file() {
+        steps.is_there("diagnose", &report);
+        return read_json(&report);
+    }
+    let mut command = own("gap")?;
+    command.arg("diagnose").arg("--robot").arg(robot);
+    for dir in &args.logs {
+        command.arg("--log").arg(dir);
+    }
+    for dir in &args.holdouts {
+        command.arg("--holdout").arg(dir);
+    }
+    for (flag, ids) in [("--without", &args.without), ("--only", &args.only)] {
+        for id in ids {
+            command.args([flag, id]);
+        }
+    }
+    command.arg("--out").arg(diagnosis);
+    steps.run("diagnose", &mut command, &VERDICTS)?;
+    read_json(&report)
+}
+
+/// All that decides what is made.
+///
+/// # Errors
+/// Where a robot or a log cannot be read.
+fn asked(args: &AdaptArgs, config: &Config, policy: &str) -> Result<Asked, Failure> {
+    let keys = config.entries().into_iter();
+    let mut asked: Asked = keys
+        .filter(|(key, _)| !OWN.contains(&key.as_str()))
+        .collect();
+    let ids = |all: &[String]| match all.is_empty() {
+        true => "none".to_owned(),
+        false => all.join(" "),
+    };
+    let truth = match &args.truth {
+        Some(truth) => robot_model::load(truth)?.hash_hex(),
+        None => "none".to_owned(),
+    };
+    for (flag, value) in [
+        ("--policy", policy.to_owned()),
+        (
+            "--robot",
+            robot_model::load(&config.robot_path())?.hash_hex(),
+        ),
+        ("--truth", truth),
+        ("--without", ids(&args.without)),
+        ("--only", ids(&args.only)),
+        ("--iterations", args.iterations.to_string()),
+        ("--suite", args.suite.name().to_owned()),
+        ("--episodes", args.episodes.to_string()),
+    ] {
+        asked.insert(flag.to_owned(), value);
+    }
+    for (flag, dirs) in [("--log", &args.logs), ("--holdout", &args.holdouts)] {
+        for (number, dir) in (1..).zip(log_folders(dirs)?) {
+            let hash = log_sha256(&dir, &[META_NAME, CSV_NAME]);
+            asked.insert(
+                format!("{flag} {number}"),
+                format!("{} {hash}", run_name(&dir)),
+            );
+        }
+    }
+    Ok(asked)
+}
+
 /// The flags as given; else the configuration that lies beside the policy, else the preset `flat`.
 fn training_flags(args: &AdaptArgs) -> ConfigArgs {
     let mut flags = args.config.clone();
@@ -293,9 +365,8 @@ fn publish(server: &str, stream: &str, path: &Path) -> Result<u64, Failure> {
 }
 
 fn finish(args: &AdaptArgs, adapted: &Adapted) -> Result<(), Failure> {
-    let path = args.out.join("adapt.json");
     let bytes = serde_json::to_vec_pretty(adapted).or_exit(ExitCode::Internal)?;
-    caudata_durable::replace(&path, &bytes).or_exit(ExitCode::IoError)?;
+    write_whole(&args.out.join("adapt.json"), &bytes)?;
     if args.json {
         say::json(adapted)?;
     }

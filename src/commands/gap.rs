@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Subcommand;
+use sha2::{Digest, Sha256};
 
 use super::{
     gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_paper, gap_policies, gap_report,
@@ -34,7 +35,7 @@ pub fn run(command: &GapCommand, process: &Process) -> Result<(), Failure> {
     match command {
         GapCommand::Check(args) => gap_check::run(args),
         GapCommand::Import(args) => gap_import::run(args),
-        GapCommand::Diagnose(args) => gap_diagnose::run(args),
+        GapCommand::Diagnose(args) => gap_diagnose::run(args, process),
         GapCommand::Apply(args) => gap_apply::run(args),
         GapCommand::Report(args) => gap_report::run(args),
         GapCommand::Excite(args) => gap_excite::run(args),
@@ -75,6 +76,16 @@ pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         out.extend(inside);
     }
     Ok(out)
+}
+
+/// Of the files `names` of a log folder, in hexadecimal; one that cannot be read is empty.
+pub fn log_sha256(dir: &Path, names: &[&str]) -> String {
+    let mut sha256 = Sha256::new();
+    for name in names {
+        sha256.update(std::fs::read(dir.join(name)).unwrap_or_default());
+    }
+    let bytes = sha256.finalize();
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
 /// The bytes of a robot file, and name and bytes of the MJCF beside it.

@@ -7,16 +7,18 @@ use std::time::{Duration, Instant};
 use caudata_gap::check::{check_dirs, run_name};
 use caudata_gap::report::{DataFault, Report, Verdict};
 use caudata_gap::{
-    Diagnosis, GapError, Options, Progress, Request, Role, Run, diagnose, excite, extension, page,
+    Diagnosis, GapError, GoOn, Options, Progress, Request, Role, Run, diagnose, excite, extension,
+    page,
 };
 use caudata_model::RobotModel;
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use sha2::{Digest, Sha256};
 
-use super::gap::{log_folders, robot_files};
+use super::gap::{log_folders, log_sha256, robot_files};
+use super::out_folder::write_whole;
+use super::steps::stopped;
 use super::{gap_report, robot_model};
 use crate::say;
 
@@ -51,13 +53,14 @@ pub struct DiagnoseArgs {
     json: bool,
 }
 
-pub fn run(args: &DiagnoseArgs) -> Result<(), Failure> {
+pub fn run(args: &DiagnoseArgs, process: &Process) -> Result<(), Failure> {
     let robot = robot_model::load(&args.robot)?;
     let (robot_toml, mjcf_name, mjcf) = robot_files(&args.robot)?;
     let (runs, data_faults) = runs(args, &robot)?;
     std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
         format!("folder {}", args.out.display())
     })?;
+    let stop = process.stop.clone();
     let request = Request {
         robot_toml: robot_toml.clone(),
         mjcf: mjcf.clone(),
@@ -72,12 +75,15 @@ pub fn run(args: &DiagnoseArgs) -> Result<(), Failure> {
             seed: args.seed,
             without: args.without.clone(),
             only: args.only.clone(),
+            go_on: GoOn::as_long_as(move || !stop.is_set()),
         },
     };
     let started = Instant::now();
     let mut view = View::new(args.json, started);
-    let mut found = diagnose(&request, &mut |p| view.show(&p)).map_err(refused)?;
+    let found = diagnose(&request, &mut |p| view.show(&p));
     view.end();
+    let refused = |error| refused(error, &process.stop);
+    let mut found = found.map_err(refused)?;
     found.report.compute.seconds = started.elapsed().as_secs_f64();
     name_the_trial(&robot, &mut found.report);
     let extended = extension::append(&found.extension, &String::from_utf8_lossy(&robot_toml))
@@ -119,21 +125,11 @@ fn runs(args: &DiagnoseArgs, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFa
                 name,
                 log,
                 role,
-                sha256: sha256(&dir),
+                sha256: log_sha256(&dir, &[caudata_runlog::CSV_NAME]),
             });
         }
     }
     Ok((runs, checked.faults))
-}
-
-/// Of the file with the rows, in hexadecimal; empty where it cannot be read again.
-fn sha256(dir: &Path) -> String {
-    let csv = dir.join(caudata_runlog::CSV_NAME);
-    let bytes = std::fs::read(csv).unwrap_or_default();
-    Sha256::digest(&bytes)
-        .iter()
-        .map(|b| format!("{b:02x}"))
-        .collect()
 }
 
 /// The catalogue names kinds of trials; the report names one of the battery.
@@ -148,6 +144,7 @@ fn name_the_trial(robot: &RobotModel, report: &mut Report) {
     }
 }
 
+/// Each file whole, the report last: in a new folder the others are there where it is.
 fn write(
     out: &Path,
     robot: &RobotModel,
@@ -156,18 +153,8 @@ fn write(
     mjcf_name: &str,
     mjcf: &[u8],
 ) -> Result<(), Failure> {
-    let put = |name: &str, bytes: &[u8]| {
-        let path = out.join(name);
-        std::fs::write(&path, bytes).map_err(|e| {
-            Failure::new(ExitCode::of_io(&e, true), e)
-                .context(format!("cannot write {}", path.display()))
-        })
-    };
+    let put = |name: &str, bytes: &[u8]| write_whole(&out.join(name), bytes);
     let json = |value: serde_json::Result<Vec<u8>>| value.or_exit(ExitCode::Internal);
-    put(
-        "report.json",
-        &json(serde_json::to_vec_pretty(&found.report))?,
-    )?;
     put("plots.json", &json(serde_json::to_vec(&found.plots))?)?;
     put(
         "report.html",
@@ -175,7 +162,11 @@ fn write(
     )?;
     put("extended.robot.toml", extended.as_bytes())?;
     // the extended file names its MJCF, which must lie beside it
-    put(mjcf_name, mjcf)
+    put(mjcf_name, mjcf)?;
+    put(
+        "report.json",
+        &json(serde_json::to_vec_pretty(&found.report))?,
+    )
 }
 
 /// A complete answer ends with 0; every other verdict has its own code.
@@ -198,12 +189,13 @@ pub fn verdict(report: &Report) -> Result<(), Failure> {
     })
 }
 
-fn refused(error: GapError) -> Failure {
+fn refused(error: GapError, stop: &StopFlag) -> Failure {
     let code = match &error {
         GapError::NoRuns | GapError::Run { .. } | GapError::Model(_) | GapError::Extension(_) => {
             ExitCode::BadInput
         }
         GapError::Sim(_) | GapError::Worker => ExitCode::Internal,
+        GapError::Stopped => return stopped(stop).hint("nothing was written"),
     };
     Failure::new(code, error)
 }

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::ConfigArgs;
-use caudata_gap::{Role, Run, extension, page};
+use caudata_gap::{GoOn, Role, Run, extension, page};
 use caudata_hidden_effects::ground::{self, GroundPlan, LabFile};
 use caudata_hidden_effects::paper::{self, Pictures, Row};
 use caudata_hidden_effects::truth::free::Channels;
 use caudata_runlog::RunLog;
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
 use clap::Args;
 
 use super::gap_policies::{self, Effort, Given, Robots};
@@ -19,6 +19,8 @@ use crate::say;
 
 /// Folder of the logs and of the robot file as a lab has it.
 const LOGS: &str = "logs";
+/// The same while they are made.
+const PART: &str = "logs.part";
 /// The robot that was recorded, beside them.
 const TRUTH: &str = "truth.robot.toml";
 /// Runs whose name begins so are held out, and drawn.
@@ -56,7 +58,7 @@ pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
     let given = Given::read(&args.effort, &args.config)?;
     let mut steps = Steps::new(false, &process.stop);
     let what = format!("logs of a simulated robot into {}", logs.display());
-    steps.inside("record", &what, |_| make(args))?;
+    steps.inside("record", &what, |stop| make(args, stop))?;
     let diagnosis = args.out.join("diagnosis");
     let mut command = own("gap")?;
     command.arg("diagnose").arg("--robot").arg(robot(&logs));
@@ -79,8 +81,11 @@ pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
         None => Vec::new(),
     };
     let runs = walks(&logs)?;
-    let pictures = steps.inside("draw", "held-out walks in both models", |_| {
-        paper::pictures(&model, extended, &runs, args.threads as usize).or_exit(ExitCode::BadInput)
+    let pictures = steps.inside("draw", "held-out walks in both models", |stop| {
+        let stop = stop.clone();
+        let go_on = GoOn::as_long_as(move || !stop.is_set());
+        let threads = args.threads as usize;
+        paper::pictures(&model, extended, &runs, threads, go_on).or_exit(ExitCode::BadInput)
     })?;
     let file = args.out.join("paper.html");
     let draw = |chapters: &[page::Chapter]| {
@@ -117,13 +122,13 @@ pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Writes the logs and, beside them, the robot that they come from.
-fn make(args: &PaperArgs) -> Result<(), Failure> {
+/// Writes the logs, whole or not at all, and, beside them, the robot that they come from.
+fn make(args: &PaperArgs, stop: &StopFlag) -> Result<(), Failure> {
     std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
         format!("folder {}", args.out.display())
     })?;
     let plan = GroundPlan {
-        name: LOGS.to_owned(),
+        name: PART.to_owned(),
         file: LabFile::Stiff,
         hidden: paper::HIDDEN,
         channels: Channels {
@@ -133,13 +138,21 @@ fn make(args: &PaperArgs) -> Result<(), Failure> {
         seed: args.seed,
         repeats: 2,
     };
-    ground::make(&plan, &args.out).or_exit(ExitCode::Internal)?;
-    paper::on_stand(plan.file, plan.seed, &args.out.join(LOGS)).or_exit(ExitCode::Internal)?;
+    let part = args.out.join(PART);
+    let cannot = || format!("cannot write {}", part.display());
+    if part.exists() {
+        // of a call that was stopped
+        std::fs::remove_dir_all(&part).or_exit_with(ExitCode::CannotCreate, cannot)?;
+    }
+    let go_on = || !stop.is_set();
+    ground::make(&plan, &args.out, &go_on).or_exit(ExitCode::Internal)?;
+    paper::on_stand(plan.file, plan.seed, &part, &go_on).or_exit(ExitCode::Internal)?;
     let (_, mjcf, _) = ground::salamander(LabFile::Stiff).or_exit(ExitCode::Internal)?;
     let truth =
         ground::true_salamander(LabFile::Stiff, paper::HIDDEN).or_exit(ExitCode::Internal)?;
     write(&args.out.join("polymander.xml"), &mjcf)?;
-    write(&args.out.join(TRUTH), &truth)
+    write(&args.out.join(TRUTH), &truth)?;
+    std::fs::rename(&part, args.out.join(LOGS)).or_exit_with(ExitCode::CannotCreate, cannot)
 }
 
 fn robot(logs: &Path) -> PathBuf {

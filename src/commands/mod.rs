@@ -24,6 +24,7 @@ mod gap_policies;
 mod gap_report;
 pub mod ground;
 pub mod lane_params;
+mod out_folder;
 pub mod policy;
 pub mod policy_people;
 pub mod policy_sign;

@@ -52,15 +52,6 @@ enum Output<'a> {
     Behind(&'a Path),
 }
 
-/// What a step does that is asked to stop.
-#[derive(Clone, Copy)]
-enum Ending {
-    /// It looks at the signal, saves what it has and ends by itself.
-    Drains,
-    /// It does not look at it, and has nothing to save.
-    Killed,
-}
-
 impl Steps {
     /// None yet. `quiet`: only the last line of all is wanted. No step begins once `stop` is raised.
     pub fn new(quiet: bool, stop: &StopFlag) -> Self {
@@ -94,14 +85,12 @@ impl Steps {
     }
 
     fn stopped(&self) -> Failure {
-        let by = self.stop.reason().map(|reason| format!(" by {reason}"));
-        let message = format!("stopped{}", by.unwrap_or_default());
-        Failure::message(ExitCode::TempFail, message).hint(self.after_stop.clone())
+        stopped(&self.stop).hint(self.after_stop.clone())
     }
 
-    /// Runs a step that saves nothing when it is stopped; its exit code, which must be one of `good`.
+    /// Runs a step; its exit code, which must be one of `good`.
     pub fn run(&mut self, name: &str, command: &mut Command, good: &[i32]) -> Result<i32, Failure> {
-        self.with_output(name, command, good, &Output::Shown, Ending::Killed)
+        self.with_output(name, command, good, &Output::Shown)
     }
 
     /// Does a step in this process; `what` it does, in words. `work` looks at the flag.
@@ -144,7 +133,6 @@ impl Steps {
         command: &mut Command,
         good: &[i32],
         output: &Output<'_>,
-        ending: Ending,
     ) -> Result<i32, Failure> {
         self.go_on()?;
         match output {
@@ -165,7 +153,7 @@ impl Steps {
         }
         self.announce(name, &spelled(command));
         let began = Instant::now();
-        let status = attended(command, &self.stop, ending)?;
+        let status = attended(command, &self.stop)?;
         self.took(name, began);
         match (status.code(), status.code().and_then(ExitCode::from_number)) {
             (Some(code), _) if good.contains(&code) => Ok(code),
@@ -179,14 +167,18 @@ impl Steps {
         }
     }
 
-    /// Trains a policy as `training` says, to its end; the policy's file.
+    /// Trains a policy as `training` says, to its end, unless that has been done; the policy's file.
     pub fn train(&mut self, name: &str, training: &Training<'_>) -> Result<PathBuf, Failure> {
+        if let Some(policy) = training.finished() {
+            self.is_there(name, &policy);
+            return Ok(policy);
+        }
         let mut command = training.command()?;
         let output = match &training.progress {
             Some(path) => Output::Behind(path),
             None => Output::Shown,
         };
-        self.with_output(name, &mut command, &[0], &output, Ending::Drains)?;
+        self.with_output(name, &mut command, &[0], &output)?;
         // A training that was stopped ends well, and leaves a policy too.
         match training.finished() {
             Some(policy) => Ok(policy),
@@ -198,12 +190,17 @@ impl Steps {
         }
     }
 
-    /// Evaluates a policy as `test` says; what `caudata eval --json` says, which `file` keeps. The file is there when it is complete.
+    /// Evaluates a policy as `test` says; what `caudata eval --json` says, which `file` keeps. The file is there when it is complete, and what it says then is not
+    /// asked again.
     pub fn evaluate(&mut self, name: &str, test: &Test<'_>, file: &Path) -> Result<Value, Failure> {
+        if file.is_file() {
+            self.is_there(name, file);
+            return last_json(file);
+        }
         let mut command = test.command()?;
         let part = file.with_extension("part");
         let output = Output::File(&part);
-        self.with_output(name, &mut command, &[0, 79], &output, Ending::Drains)?;
+        self.with_output(name, &mut command, &[0, 79], &output)?;
         let said = last_json(&part)?;
         let cannot = || format!("cannot write {}", file.display());
         std::fs::rename(&part, file).or_exit_with(ExitCode::CannotCreate, cannot)?;
@@ -211,8 +208,15 @@ impl Steps {
     }
 }
 
-/// Runs a command to its end; a request to stop is passed on to it.
-fn attended(command: &mut Command, stop: &StopFlag, ending: Ending) -> Result<ExitStatus, Failure> {
+/// What a command ends with that was asked to stop.
+pub fn stopped(stop: &StopFlag) -> Failure {
+    let by = stop.reason().map(|reason| format!(" by {reason}"));
+    let message = format!("stopped{}", by.unwrap_or_default());
+    Failure::message(ExitCode::TempFail, message)
+}
+
+/// Runs a command to its end; a request to stop is passed on to it, and it ends by itself.
+fn attended(command: &mut Command, stop: &StopFlag) -> Result<ExitStatus, Failure> {
     let cannot = || "cannot start a step".to_owned();
     let mut child = command.spawn().or_exit_with(ExitCode::OsResource, cannot)?;
     let mut asked = false;
@@ -225,13 +229,9 @@ fn attended(command: &mut Command, stop: &StopFlag, ending: Ending) -> Result<Ex
             std::thread::sleep(LOOK_EVERY);
         } else if stop.wait(LOOK_EVERY) {
             asked = true;
-            let signal = match ending {
-                Ending::Drains => Signal::SIGTERM,
-                Ending::Killed => Signal::SIGKILL,
-            };
             // It has not been waited for, so that its number is still its own.
             let pid = i32::try_from(child.id()).or_exit(ExitCode::Internal)?;
-            let _ = kill(Pid::from_raw(pid), signal);
+            let _ = kill(Pid::from_raw(pid), Signal::SIGTERM);
         }
     }
 }
@@ -478,27 +478,61 @@ mod tests {
     fn a_stop_ends_the_step_that_runs_and_keeps_the_next_from_beginning() {
         let folder = tempfile::tempdir().unwrap();
         let (first, second) = (folder.path().join("first"), folder.path().join("second"));
-        for ending in [Ending::Drains, Ending::Killed] {
-            let _ = std::fs::remove_file(&first);
-            let stop = StopFlag::new();
-            let mut steps = Steps::new(true, &stop);
-            let began = first.clone();
-            let other = std::thread::spawn(move || {
-                while !began.exists() {
-                    std::thread::sleep(Duration::from_millis(5));
-                }
-                stop.request("test");
-            });
-            let mut long = shell(&format!("touch '{}'; exec sleep 100000", first.display()));
-            let ended = steps.with_output("long", &mut long, &[0], &Output::Shown, ending);
-            assert_eq!(ended.unwrap_err().code(), ExitCode::TempFail);
-            other.join().unwrap();
-            let mut next = shell(&format!("touch '{}'", second.display()));
-            let ended = steps.run("next", &mut next, &[0]);
-            assert_eq!(ended.unwrap_err().code(), ExitCode::TempFail);
-            assert!(steps.inside("inside", "nothing", |_| Ok(())).is_err());
-            assert!(!second.exists());
+        let stop = StopFlag::new();
+        let mut steps = Steps::new(true, &stop);
+        let began = first.clone();
+        let other = std::thread::spawn(move || {
+            while !began.exists() {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            stop.request("test");
+        });
+        let mut long = shell(&format!("touch '{}'; exec sleep 100000", first.display()));
+        let ended = steps.run("long", &mut long, &[0]);
+        assert_eq!(ended.unwrap_err().code(), ExitCode::TempFail);
+        other.join().unwrap();
+        let mut next = shell(&format!("touch '{}'", second.display()));
+        let ended = steps.run("next", &mut next, &[0]);
+        assert_eq!(ended.unwrap_err().code(), ExitCode::TempFail);
+        assert!(steps.inside("inside", "nothing", |_| Ok(())).is_err());
+        assert!(!second.exists());
+    }
+
+    #[test]
+    fn what_is_finished_is_not_done_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut steps = Steps::new(true, &StopFlag::new());
+        // No such policy, no such robot: nothing could be made of them.
+        let nothing = Path::new("/no/such/file");
+        let test = Test {
+            flags: &ConfigArgs::default(),
+            policy: nothing,
+            robot: nothing,
+            suite: Suite::Flat,
+            episodes: 1,
+        };
+        let file = folder.path().join("evaluation.json");
+        std::fs::write(&file, "{\"before\":1}\n").unwrap();
+        assert_eq!(
+            steps.evaluate("evaluate", &test, &file).unwrap(),
+            serde_json::json!({ "before": 1 })
+        );
+        for name in ["config.toml", "policy.onnx", "report.json"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
         }
+        let training = Training {
+            flags: &ConfigArgs::default(),
+            robot: nothing,
+            start: None,
+            iterations: 1,
+            seed: None,
+            set: &[],
+            out: folder.path().to_owned(),
+            progress: None,
+        };
+        let policy = folder.path().join("policy.onnx");
+        assert_eq!(steps.train("train", &training).unwrap(), policy);
+        assert!(steps.seconds().is_empty());
     }
 
     #[test]
@@ -509,9 +543,7 @@ mod tests {
         let mut steps = Steps::new(true, &StopFlag::new());
         let output = Output::Behind(&log);
         let mut echo = shell("echo after");
-        steps
-            .with_output("echo", &mut echo, &[0], &output, Ending::Drains)
-            .unwrap();
+        steps.with_output("echo", &mut echo, &[0], &output).unwrap();
         assert_eq!(std::fs::read_to_string(&log).unwrap(), "before\nafter\n");
     }
 

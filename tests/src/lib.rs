@@ -3,9 +3,11 @@
 //! The binaries are those of this build, beside the test executable (`make test` builds them first).
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 
 use anyhow::{Context, Result, ensure};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::Value;
 
 /// The repository.
@@ -47,38 +49,44 @@ pub fn command(name: &str, args: &[&str]) -> Result<Command> {
     Ok(command)
 }
 
-/// Flags for `caudata train` that make a run of seconds: few lanes, a small network, no long evaluation.
+/// Flags for `caudata train` that make a run of seconds: a small network, no long evaluation.
 pub const TINY: &[&str] = &[
     "--preset",
     "quick",
     "--actors",
     "2",
     "--set",
-    "actors.lanes=3",
-    "--set",
-    "actors.chunk_steps=8",
-    "--set",
     "learner.network.policy_hidden=[16]",
     "--set",
     "learner.network.value_hidden=[16]",
     "--set",
-    "learner.ppo.minibatches=2",
-    "--set",
     "evaluation.episodes=0",
     "--set",
     "evaluation.robot_run_s=0",
-    "--set",
-    "telemetry.metrics=false",
     "--json",
 ];
 
-/// `caudata train` with [`TINY`], `extra` flags, into `out`.
+/// Flags of whatever trains, for iterations of milliseconds: few samples each. The network is as it is elsewhere, since a training may begin with a policy that is
+/// there.
+pub const FEW_SAMPLES: [&str; 8] = [
+    "--set",
+    "actors.lanes=3",
+    "--set",
+    "actors.chunk_steps=8",
+    "--set",
+    "learner.ppo.minibatches=2",
+    "--set",
+    "telemetry.metrics=false",
+];
+
+/// `caudata train` with [`TINY`] and [`FEW_SAMPLES`], `extra` flags, into `out`.
 ///
 /// # Errors
 /// When the binary is not built.
 pub fn train(out: &Path, extra: &[&str]) -> Result<Command> {
     let mut command = command("caudata", &["train"])?;
-    command.args(TINY).arg("--out").arg(out).args(extra);
+    command.args(TINY).args(FEW_SAMPLES);
+    command.arg("--out").arg(out).args(extra);
     Ok(command)
 }
 
@@ -137,6 +145,31 @@ pub fn skipped(why: &str) {
     let name = test.name().unwrap_or("a test");
     // Nobody can be told if even this fails.
     let _ = writeln!(std::io::stderr(), "skipped: {name}: {why}");
+}
+
+/// Sends a signal to a process that this one started and has not waited for.
+///
+/// # Errors
+/// When the system refuses.
+pub fn signal(child: &Child, signal: Signal) -> Result<()> {
+    // Not waited for: its number is still its own.
+    let pid = i32::try_from(child.id())?;
+    Ok(kill(Pid::from_raw(pid), signal)?)
+}
+
+/// Processes whose command line names `path`.
+///
+/// # Errors
+/// When the system does not list its processes.
+pub fn at_work(path: &Path) -> Result<Vec<i32>> {
+    let processes = std::fs::read_dir("/proc")?.filter_map(Result::ok);
+    let pids = processes.filter_map(|p| p.file_name().to_str()?.parse::<i32>().ok());
+    let path = path.display().to_string();
+    let names = |pid: &i32| {
+        let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        String::from_utf8_lossy(&line).contains(&path)
+    };
+    Ok(pids.filter(names).collect())
 }
 
 /// A JSON file.

@@ -1,10 +1,15 @@
 //! `caudata adapt` from end to end: a simulated robot with a soft knee is recorded, the knee is named, a policy is trained in the extended model, and
-//! both policies are evaluated, on the robot that was recorded as well.
+//! both policies are evaluated, on the robot that was recorded as well. Stopped, it goes on.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
-use caudata_tests::{Finished, command, finish, json_file, repository_root};
+use caudata_tests::{
+    FEW_SAMPLES, Finished, at_work, command, finish, json_file, repository_root, signal,
+};
+use nix::sys::signal::Signal;
 use serde_json::Value;
 
 /// Factor on the position gain of the knee.
@@ -152,14 +157,7 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
     }
     args.extend(["--iterations", "2", "--suite", "flat", "--episodes", "2"]);
     args.extend(["--preset", "flat"]);
-    for set in [
-        "actors.lanes=3",
-        "actors.chunk_steps=8",
-        "learner.ppo.minibatches=2",
-        "telemetry.metrics=false",
-    ] {
-        args.extend(["--set", set]);
-    }
+    args.extend(FEW_SAMPLES);
     let report = succeeds(&args).last_json().unwrap();
 
     let causes = report["causes"].as_array().unwrap();
@@ -207,14 +205,37 @@ fn a_soft_knee_is_found_trained_for_and_evaluated() {
         speed("before_in_extended"),
         "{report}"
     );
-    let steps: Vec<&str> = report["seconds"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|s| s[0].as_str().unwrap())
-        .collect();
-    assert_eq!(steps.len(), 7, "{steps:?}");
+    assert_eq!(steps(&report).len(), 7, "{report}");
     assert_eq!(json_file(&out.join("adapt.json")).unwrap(), report);
+
+    // What is there is not done again, what is not is, and the same comes out.
+    let bare = |report: &Value| {
+        let mut bare = report.clone();
+        bare.as_object_mut().unwrap().remove("seconds").unwrap();
+        bare
+    };
+    let again = succeeds(&args).last_json().unwrap();
+    assert_eq!((bare(&again), steps(&again)), (bare(&report), vec![]));
+    std::fs::remove_file(out.join("after_in_truth.json")).unwrap();
+    let again = succeeds(&args).last_json().unwrap();
+    assert_eq!(
+        (bare(&again), steps(&again)),
+        (bare(&report), vec!["after_in_truth"])
+    );
+    // With something else it would be another diagnosis.
+    let elsewhere = args.iter().copied();
+    let elsewhere: Vec<&str> = elsewhere.chain(["--without", "link_mass"]).collect();
+    let refused = finish(command("caudata", &elsewhere).unwrap()).unwrap();
+    assert_eq!(refused.code, Some(73), "{}", refused.stderr);
+    let about = "--without was none and is link_mass";
+    assert!(refused.errors()[0].contains(about), "{}", refused.stderr);
+    assert_eq!(json_file(&out.join("adapt.json")).unwrap(), again);
+}
+
+/// Names of the steps that were done.
+fn steps(report: &Value) -> Vec<&str> {
+    let steps = report["seconds"].as_array().unwrap().iter();
+    steps.map(|s| s[0].as_str().unwrap()).collect()
 }
 
 #[test]
@@ -254,4 +275,77 @@ fn nothing_is_trained_for_a_robot_that_is_as_its_file_says() {
     assert_eq!(report["verdict"], "no_gap", "{report}");
     assert_eq!(report["trained"], false, "{report}");
     assert!(!out.join("run").exists());
+}
+
+/// Starts a command, asks it to stop as soon as it says `word`, and waits for its end: exit code and standard error.
+fn stopped_at(word: &str, args: &[&str]) -> (Option<i32>, String) {
+    let mut command = command("caudata", args).unwrap();
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let says = lines.any(|line| line.unwrap().contains(word));
+    assert!(says, "{args:?} never says {word}");
+    signal(&child, Signal::SIGTERM).unwrap();
+    // Read on, so that it never waits for a reader.
+    lines.for_each(drop);
+    let ended = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr).into_owned();
+    (ended.status.code(), said)
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<String> = entries
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn a_diagnosis_that_is_stopped_leaves_nothing_half() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let root = repository_root();
+    let robot = root.join("robots/polymander.robot.toml");
+    let about = succeeds(&["robot-model", "check", text(&robot), "--json"])
+        .last_json()
+        .unwrap();
+    let kp = SOFT * about["kp_nm_per_rad"].as_f64().unwrap();
+    let log = record(&robot, folder, "chirp_medium", "batch", kp);
+
+    let alone = folder.join("alone");
+    let diagnose = [
+        "gap",
+        "diagnose",
+        "--robot",
+        text(&robot),
+        "--log",
+        text(&log),
+        "--out",
+        text(&alone),
+    ];
+    let (code, said) = stopped_at("screening", &diagnose);
+    assert_eq!(code, Some(75), "{said}");
+    assert!(said.contains("error: stopped by SIGTERM"), "{said}");
+    assert_eq!(names(&alone), [""; 0]);
+
+    let policy = root.join("policies/flat.onnx");
+    let out = folder.join("adapted");
+    let adapt = [
+        "adapt",
+        "--policy",
+        text(&policy),
+        "--log",
+        text(&log),
+        "--out",
+        text(&out),
+    ];
+    let (code, said) = stopped_at("screening", &adapt);
+    assert_eq!(code, Some(75), "{said}");
+    assert!(said.contains("error: stopped by SIGTERM"), "{said}");
+    assert!(said.contains("the same command goes on"), "{said}");
+    assert_eq!(at_work(&out).unwrap(), [0; 0]);
+    assert_eq!(names(&out), ["asked.json", "diagnosis", "lock"]);
+    assert_eq!(names(&out.join("diagnosis")), [""; 0]);
 }

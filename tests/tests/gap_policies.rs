@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
-use caudata_tests::{Finished, command, finish, json_file, repository_root};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use caudata_tests::{
+    FEW_SAMPLES, Finished, at_work, command, finish, json_file, repository_root, signal,
+};
+use nix::sys::signal::Signal;
 use serde_json::Value;
 
 fn run(args: &[&str]) -> Finished {
@@ -156,14 +157,7 @@ fn flags([given, extended, truth]: [&PathBuf; 3], out: &PathBuf, extra: &[&str])
         args.extend([flag, text(path)]);
     }
     args.extend(["--suite", "flat", "--referee-episodes", "1"]);
-    for set in [
-        "actors.lanes=3",
-        "actors.chunk_steps=8",
-        "learner.ppo.minibatches=2",
-        "telemetry.metrics=false",
-    ] {
-        args.extend(["--set", set]);
-    }
+    args.extend(FEW_SAMPLES);
     args.extend(extra);
     args.into_iter().map(str::to_owned).collect()
 }
@@ -191,22 +185,6 @@ fn started(args: &[String], file: &Path) -> Child {
     child
 }
 
-fn signal(child: &Child, signal: Signal) {
-    kill(Pid::from_raw(child.id().cast_signed()), signal).unwrap();
-}
-
-/// Processes whose command line names `path`.
-fn at_work(path: &Path) -> Vec<Pid> {
-    let processes = std::fs::read_dir("/proc").unwrap().filter_map(Result::ok);
-    let pids = processes.filter_map(|p| p.file_name().to_str()?.parse::<i32>().ok());
-    pids.filter(|pid| {
-        let line = std::fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-        String::from_utf8_lossy(&line).contains(text(path))
-    })
-    .map(Pid::from_raw)
-    .collect()
-}
-
 #[test]
 fn what_was_stopped_goes_on_and_nothing_is_done_twice() {
     let folder = tempfile::tempdir().unwrap();
@@ -216,12 +194,12 @@ fn what_was_stopped_goes_on_and_nothing_is_done_twice() {
     let args = tiny(folder, &effort);
     let first = out.join("as_given_1");
     let child = started(&args, &first.join("report.json"));
-    signal(&child, Signal::SIGTERM);
+    signal(&child, Signal::SIGTERM).unwrap();
     let stopped = child.wait_with_output().unwrap();
     let said = String::from_utf8_lossy(&stopped.stderr);
     assert_eq!(stopped.status.code(), Some(75), "{said}");
     assert!(said.contains("error: stopped by SIGTERM"), "{said}");
-    assert_eq!(at_work(&out), []);
+    assert_eq!(at_work(&out).unwrap(), [0; 0]);
     assert!(!out.join("policies.json").exists());
 
     let kept: Vec<PathBuf> = [
@@ -272,11 +250,17 @@ fn no_training_outlives_the_command() {
     let out = folder.path().join("out");
     let args = tiny(folder.path(), &["--iterations", "1000000"]);
     let mut child = started(&args, &out.join("as_given_1/policy.onnx"));
-    assert!(at_work(&out).len() > 1);
-    signal(&child, Signal::SIGKILL);
+    assert!(at_work(&out).unwrap().len() > 1);
+    // Two at once would write over each other's runs.
+    let second = run(&args.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(second.code, Some(73), "{}", second.stderr);
+    assert_eq!(second.errors().len(), 1, "{}", second.stderr);
+    assert!(second.errors()[0].contains("another process is at work"));
+    assert_eq!(child.try_wait().unwrap(), None);
+    signal(&child, Signal::SIGKILL).unwrap();
     child.wait().unwrap();
     // A million iterations would keep it for days; ending takes as long as saving.
-    while !at_work(&out).is_empty() {
+    while !at_work(&out).unwrap().is_empty() {
         std::thread::sleep(Duration::from_millis(50));
     }
     let first = out.join("as_given_1");

@@ -32,6 +32,7 @@ use crate::effects::{self, Effect};
 use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::extension::Extension;
+use crate::go_on::GoOn;
 use crate::plots::Plots;
 use crate::repeats;
 use crate::replay::{Data, Replayer, SegmentOptions};
@@ -66,6 +67,8 @@ pub struct Options {
     pub without: Vec<String>,
     /// Only these are tried, by id; empty: all.
     pub only: Vec<String>,
+    /// Whether to go on.
+    pub go_on: GoOn,
 }
 
 impl Default for Options {
@@ -75,6 +78,7 @@ impl Default for Options {
             seed: 1,
             without: Vec::new(),
             only: Vec::new(),
+            go_on: GoOn::default(),
         }
     }
 }
@@ -136,7 +140,8 @@ impl Progress {
 /// Diagnoses.
 ///
 /// # Errors
-/// [`GapError`] where the robot or a run cannot be used at all. Whatever the data say about themselves is a verdict, not an error.
+/// [`GapError`] where the robot or a run cannot be used at all; [`GapError::Stopped`] soon after [`Options::go_on`] says so. Whatever the data say about
+/// themselves is a verdict, not an error.
 pub fn diagnose(
     request: &Request,
     progress: &mut dyn FnMut(Progress),
@@ -292,7 +297,8 @@ fn context(
         }
         repeats::collapse(&of)
     };
-    let replayer = Replayer::new(Arc::clone(model), request.options.threads)?;
+    let replayer = Replayer::new(Arc::clone(model), request.options.threads)?
+        .with_go_on(request.options.go_on.clone());
     let replayer = match request.runs.iter().find_map(water_level) {
         Some(level_m) => replayer.with_water_level(level_m),
         None => replayer,

@@ -195,9 +195,11 @@ impl Data {
             range: begin..self.value.len(),
             pieces,
             // a robot that is recorded from its first row on stood there before
-            start: match cut.swings {
-                Some(switched) => swinging(model, trial, start_s, switched),
-                None => start(model, trial, start_s.max(replay_span(trial).0)),
+            start: match cut.servos {
+                Servos::Hold => start(model, trial, start_s.max(replay_span(trial).0)),
+                Servos::Switched { .. } | Servos::WereLoose => {
+                    swinging(model, trial, start_s, cut.servos)
+                }
             },
             again: free.then(|| (from_s, start(model, trial, from_s))),
         });
@@ -275,12 +277,33 @@ struct Cut {
     from_s: f64,
     /// Until when.
     end_s: f64,
-    /// Where a servo is let go, and at the beginning of what follows: when it was let go, or held again.
-    swings: Option<Switch>,
+    /// What servos do there.
+    servos: Servos,
 }
 
-/// When servos were last switched, s; `None`: before the run began.
-type Switch = Option<f64>;
+/// What servos do where a stretch begins: it decides how much of what was measured nearby tells how fast joints are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Servos {
+    /// Every one holds its joint, as it did before.
+    Hold,
+    /// One was let go, or caught its joint in a swing, at this time of the run.
+    Switched {
+        /// s.
+        at_s: f64,
+    },
+    /// One was let go before the run began.
+    WereLoose,
+}
+
+impl Servos {
+    /// Whether one was switched so shortly before `t_s` that a line through samples around `t_s` has something else on its two sides.
+    fn just_switched(self, t_s: f64) -> bool {
+        match self {
+            Self::Switched { at_s } => t_s - at_s < SPEED_WINDOW_S,
+            Self::Hold | Self::WereLoose => false,
+        }
+    }
+}
 
 /// Parts of `length_s` or a little more, s.
 fn parts((first, last): (f64, f64), length_s: f64) -> impl Iterator<Item = (f64, f64)> {
@@ -297,7 +320,10 @@ fn held_cuts(trial: &Trial, options: SegmentOptions) -> Vec<Cut> {
     let mut before = false;
     for (span, loose) in held_spans(trial, options.loose_s) {
         let caught = std::mem::replace(&mut before, loose);
-        let switched = (span.0 > first_s).then_some(span.0);
+        let swings = match span.0 > first_s {
+            true => Servos::Switched { at_s: span.0 },
+            false => Servos::WereLoose,
+        };
         let length_s = if loose {
             options.loose_s
         } else {
@@ -307,13 +333,15 @@ fn held_cuts(trial: &Trial, options: SegmentOptions) -> Vec<Cut> {
             // what was let go remembers nothing that matters
             let lead_s = if loose { 0.0 } else { options.lead_s };
             let start_s = from_s - lead_s.min(from_s - span.0);
-            // caught in its swing
-            let swings = loose || (caught && start_s == span.0);
+            let just_caught = caught && start_s == span.0;
             Cut {
                 start_s,
                 from_s,
                 end_s,
-                swings: swings.then_some(switched),
+                servos: match loose || just_caught {
+                    true => swings,
+                    false => Servos::Hold,
+                },
             }
         }));
     }
@@ -368,7 +396,7 @@ fn free_cuts(trial: &Trial, length_s: f64) -> Vec<Cut> {
                 start_s: from_s - FREE_LEAD_S,
                 from_s,
                 end_s: stamp_near(trial, end_s).min(span.1),
-                swings: None,
+                servos: Servos::Hold,
             }
         })
         .collect()
@@ -467,12 +495,16 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
 
 /// Joints that swing at `t_s`: position as it was read, speed from positions alone, since a servo's own reading of it lags behind a swing, and from those
 /// before only where a servo that was let go or held again has just changed it.
-fn swinging(model: &RobotModel, trial: &Trial, t_s: f64, switched: Switch) -> Start {
+fn swinging(model: &RobotModel, trial: &Trial, t_s: f64, servos: Servos) -> Start {
     let mut swinging = start(model, trial, t_s);
-    let before_s = switched.is_some_and(|s| t_s - s < SPEED_WINDOW_S);
+    let from_before = servos.just_switched(t_s);
     for a in 0..swinging.pos_rad.len() {
         if let Some(c) = trial.channel(Kind::Position, a) {
-            let at_s = if before_s { t_s - SPEED_WINDOW_S } else { t_s };
+            let at_s = if from_before {
+                t_s - SPEED_WINDOW_S
+            } else {
+                t_s
+            };
             swinging.pos_rad[a] = c.at(t_s);
             swinging.vel_radps[a] = line(c, at_s).1;
         }
@@ -549,27 +581,36 @@ mod tests {
             loose_s: 1.0,
             ..SegmentOptions::default()
         };
-        let cuts = |options| -> Vec<(f64, f64, Switch)> {
+        let cuts = |run, options| -> Vec<(f64, f64, Servos)> {
             let round = |x: f64| (x * 1e3).round() / 1e3;
-            (held_cuts(&run, options).into_iter())
-                .map(|c| (round(c.from_s), round(c.end_s), c.swings.flatten()))
+            (held_cuts(run, options).into_iter())
+                .map(|c| (round(c.from_s), round(c.end_s), c.servos))
                 .collect()
         };
+        let switched = |at_s| Servos::Switched { at_s };
         assert_eq!(
-            cuts(options),
+            cuts(&run, options),
             [
-                (0.0, 4.0, None),
-                (4.0, 5.2, Some(4.0)),
-                (5.2, 6.4, Some(4.0)),
+                (0.0, 4.0, Servos::Hold),
+                (4.0, 5.2, switched(4.0)),
+                (5.2, 6.4, switched(4.0)),
                 // caught in its swing
-                (6.4, 10.0, Some(6.4))
+                (6.4, 10.0, switched(6.4))
             ]
         );
         let whole = SegmentOptions {
             loose_s: f64::INFINITY,
             ..options
         };
-        assert_eq!(cuts(whole), [(0.0, 10.0, None)]);
+        assert_eq!(cuts(&run, whole), [(0.0, 10.0, Servos::Hold)]);
+        let loose = run_of(Steps {
+            time_s: vec![0.0, 1.0],
+            value: vec![0.0, 1.0],
+        });
+        assert_eq!(
+            cuts(&loose, options),
+            [(0.0, 1.0, Servos::WereLoose), (1.0, 10.0, switched(1.0))]
+        );
     }
 
     #[test]
@@ -581,15 +622,16 @@ mod tests {
         let model = RobotModel::load(path.as_ref()).unwrap();
         let run = run_of(Steps::default());
         // at the very moment of letting go nothing moves yet, though the line through both sides has a slope
-        let begin = swinging(&model, &run, 4.0, Some(4.0));
+        let dropped = Servos::Switched { at_s: 4.0 };
+        let begin = swinging(&model, &run, 4.0, dropped);
         assert!(begin.vel_radps[0].abs() < 1e-9, "{begin:?}");
-        let later = swinging(&model, &run, 5.0, Some(4.0));
+        let later = swinging(&model, &run, 5.0, dropped);
         assert!((later.vel_radps[0] - 3.0).abs() < 1e-9, "{later:?}");
         assert!((later.pos_rad[0] - 3.5).abs() < 1e-9, "{later:?}");
         // let go before the run began, so that it swings already at its first row
         let mut early = run_of(Steps::default());
         early.channels[0].value = early.channels[0].time_s.iter().map(|t| 2.0 * t).collect();
-        let first = swinging(&model, &early, 0.0, None);
+        let first = swinging(&model, &early, 0.0, Servos::WereLoose);
         assert!((first.vel_radps[0] - 2.0).abs() < 1e-9, "{first:?}");
     }
 

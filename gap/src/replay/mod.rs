@@ -19,6 +19,7 @@ use caudata_sim::{EngineConfig, Terrain, TerrainConfig};
 
 use crate::effects::{Effect, Place};
 use crate::error::GapError;
+use crate::go_on::GoOn;
 use crate::plant::Plant;
 use crate::trial::Trial;
 
@@ -50,6 +51,7 @@ pub struct Replayer {
     /// What the robot file's own extension has.
     given: Variant,
     threads: usize,
+    go_on: GoOn,
     /// Time between recorded states, s: every step is recorded. A command jumps between steps and the torque jumps with it, so that a servo that reads its
     /// current just before the next command must not be told a mean that reaches beyond it.
     step_s: f64,
@@ -73,6 +75,7 @@ impl Replayer {
             given,
             model,
             threads: threads.max(1),
+            go_on: GoOn::default(),
             step_s: EngineConfig::default().dt_s,
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
@@ -87,6 +90,13 @@ impl Replayer {
         self
     }
 
+    /// Asks `go_on` before each engine full of stretches.
+    #[must_use]
+    pub fn with_go_on(mut self, go_on: GoOn) -> Self {
+        self.go_on = go_on;
+        self
+    }
+
     /// The same with half the step.
     #[must_use]
     pub fn finer(&self) -> Self {
@@ -95,6 +105,7 @@ impl Replayer {
             water_level_m: self.water_level_m,
             given: self.given.clone(),
             threads: self.threads,
+            go_on: self.go_on.clone(),
             step_s: 0.5 * self.step_s,
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
@@ -144,7 +155,7 @@ impl Replayer {
     /// candidate is not physical. `[V][N]`
     ///
     /// # Errors
-    /// [`GapError::Sim`] where the robot cannot be simulated at all.
+    /// [`GapError::Sim`] where the robot cannot be simulated at all, [`GapError::Stopped`].
     pub fn predict(&self, data: &Data, variants: &[Variant]) -> Result<Vec<Vec<f32>>, GapError> {
         let mut jobs: Vec<(usize, usize)> = (0..variants.len())
             .flat_map(|v| (0..data.segments.len()).map(move |s| (v, s)))
@@ -170,7 +181,8 @@ impl Replayer {
             loop {
                 let k = next.fetch_add(1, Ordering::Relaxed);
                 let Some(chunk) = chunks.get(k) else { return };
-                match self.chunk(data, variants, chunk) {
+                let go_on = self.go_on.check();
+                match go_on.and_then(|()| self.chunk(data, variants, chunk)) {
                     Ok(out) => lock(&done).push((k, out)),
                     Err(e) => {
                         *lock(&failed) = Some(e);

@@ -18,6 +18,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 
 use crate::commands::robot_model;
+use crate::commands::steps::stopped;
 use crate::say;
 
 pub use show::print;
@@ -234,12 +235,7 @@ pub fn failure(error: EvaluationError, stop: &StopFlag) -> Failure {
         ),
         EvaluationError::Inference(error) => Failure::new(ExitCode::BadInput, error),
         EvaluationError::Env(error) => Failure::new(ExitCode::Internal, error),
-        EvaluationError::Stopped => {
-            let reason = stop
-                .reason()
-                .map_or_else(String::new, |r| format!(" by {r}"));
-            Failure::message(ExitCode::TempFail, format!("stopped{reason}"))
-        }
+        EvaluationError::Stopped => stopped(stop),
     }
 }
 

@@ -254,7 +254,7 @@ fn line(label: &str, x: &[f64], y: &[f64]) -> Series {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::gap_policies::Speed;
+    use crate::commands::gap_policies::speed::Speed;
 
     #[test]
     fn figures_read_with_their_intervals() {

@@ -79,7 +79,7 @@ fn main() {
             seed: 300 + i as u64,
             repeats: 2,
         };
-        let answer = ground::make(&plan, &out).unwrap();
+        let answer = ground::make(&plan, &out, &|| true).unwrap();
         println!(
             "{name} {:?} {:.1} s",
             answer

@@ -42,6 +42,9 @@ pub enum GenerateError {
     /// The truth broke down.
     #[error("the truth simulator broke down on {0}; this size is too large for its step")]
     Diverged(String),
+    /// Whoever started it asked it to end.
+    #[error("stopped")]
+    Stopped,
     /// The effect cannot be made as large as asked for.
     #[error("{effect} reaches only d = {reached:.2} on this rig, {asked} was asked for")]
     TooSmall {

@@ -328,11 +328,15 @@ fn truth(model: &RobotModel, hidden: OnGround) -> Vec<TrueEffect> {
     }
 }
 
-/// Makes a case under `parent/<name>` and returns its answer.
+/// Makes a case under `parent/<name>` and returns its answer, as long as `go_on` says so, which is asked before each run.
 ///
 /// # Errors
 /// [`GenerateError`].
-pub fn make(plan: &GroundPlan, parent: &Path) -> Result<Answer, GenerateError> {
+pub fn make(
+    plan: &GroundPlan,
+    parent: &Path,
+    go_on: &dyn Fn() -> bool,
+) -> Result<Answer, GenerateError> {
     let (toml, mjcf, model) = salamander(plan.file)?;
     let folder = parent.join(&plan.name);
     let io = |path: &Path| {
@@ -353,6 +357,9 @@ pub fn make(plan: &GroundPlan, parent: &Path) -> Result<Answer, GenerateError> {
         .chain(held_out.iter().map(|s| ("holdout", s, 2)));
     for (i, (role, (name, rows), repeats)) in all.enumerate() {
         for r in 0..repeats {
+            if !go_on() {
+                return Err(GenerateError::Stopped);
+            }
             let index = 10 * i as u64 + r;
             let ground = Ground::of_the_day(&model, &lane, plan.seed, index);
             let key = Key {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use caudata_gap::plots::Overlay;
 use caudata_gap::replay::{Data, Replayer, Segment, SegmentOptions, Variant};
 use caudata_gap::trial::{Kind, Trial};
-use caudata_gap::{GapError, Run};
+use caudata_gap::{GapError, GoOn, Run};
 use caudata_model::RobotModel;
 
 use crate::generate::GenerateError;
@@ -67,15 +67,24 @@ pub struct Pictures {
     pub overlays: Vec<Overlay>,
 }
 
-/// Records the trials on a stand beside the logs of the ground in `folder`, of the same robot on the same day.
+/// Records the trials on a stand beside the logs of the ground in `folder`, of the same robot on the same day, as long as `go_on` says so, which is asked before
+/// each run.
 ///
 /// # Errors
 /// [`GenerateError`].
-pub fn on_stand(file: LabFile, seed: u64, folder: &Path) -> Result<(), GenerateError> {
+pub fn on_stand(
+    file: LabFile,
+    seed: u64,
+    folder: &Path,
+    go_on: &dyn Fn() -> bool,
+) -> Result<(), GenerateError> {
     let (_, _, model) = ground::salamander(file)?;
     let lane = ground::lane_of(&model, HIDDEN);
     for (i, (role, trial)) in ON_STAND.iter().enumerate() {
         for r in 0..STAND_REPEATS {
+            if !go_on() {
+                return Err(GenerateError::Stopped);
+            }
             let dir = folder.join(format!("{role}_{trial}_{}", r + 1));
             let run = STAND_RUNS + 10 * i as u64 + r;
             stand::record(&model, &lane, trial, seed, run, &dir)?;
@@ -87,12 +96,13 @@ pub fn on_stand(file: LabFile, seed: u64, folder: &Path) -> Result<(), GenerateE
 /// Simulates `runs` of the robot `model` as it is and with `extended`, stretch by stretch.
 ///
 /// # Errors
-/// [`GapError`] where a run cannot be used.
+/// [`GapError`] where a run cannot be used, or `go_on` ends it.
 pub fn pictures(
     model: &Arc<RobotModel>,
     extended: Variant,
     runs: &[Run],
     threads: usize,
+    go_on: GoOn,
 ) -> Result<Pictures, GapError> {
     let trials = runs
         .iter()
@@ -103,7 +113,7 @@ pub fn pictures(
         ..SegmentOptions::default()
     };
     let data = Data::new(model, trials, options);
-    let replayer = Replayer::new(Arc::clone(model), threads)?;
+    let replayer = Replayer::new(Arc::clone(model), threads)?.with_go_on(go_on);
     let predictions = replayer.predict(&data, &[Vec::new(), extended])?;
     let (before, after) = (&predictions[0], &predictions[1]);
     let joints = model

@@ -1,0 +1,187 @@
+//! The output folder of a command that takes hours and goes on where it was stopped: it is one process's at a time, and a call goes on in it only if it asks for
+//! what the folder was made with.
+
+use std::collections::BTreeMap;
+use std::fs::{File, TryLockError};
+use std::path::Path;
+
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+
+/// What a folder was made with, beside what was made.
+const ASKED: &str = "asked.json";
+/// Locked by the process that works in the folder.
+const LOCK: &str = "lock";
+/// So many differences are named.
+const NAMED: usize = 3;
+
+/// Keys and flags that decide what is made, with their values; of files their SHA-256: one that has changed is another.
+pub type Asked = BTreeMap<String, String>;
+
+/// A folder that no other process takes as long as this lives.
+#[derive(Debug)]
+pub struct OutFolder {
+    /// The system lets go of it however the process ends.
+    _lock: File,
+}
+
+impl OutFolder {
+    /// Takes the folder `out`, which is made where it is absent. Where one of `made` is in it, something was made by an earlier call, which must have asked for the
+    /// same.
+    ///
+    /// # Errors
+    /// Exit code 73 where another process has it, it was made with something else, or it does not say with what; then nothing is changed in it.
+    pub fn take(out: &Path, made: &[&str], asked: &Asked) -> Result<Self, Failure> {
+        std::fs::create_dir_all(out).or_exit_with(ExitCode::CannotCreate, || {
+            format!("folder {}", out.display())
+        })?;
+        let taken = Self {
+            _lock: locked(out)?,
+        };
+        match made
+            .iter()
+            .map(|name| out.join(name))
+            .find(|path| path.exists())
+        {
+            Some(path) => same_as_before(out, &path, asked)?,
+            None => {
+                let text = serde_json::to_vec_pretty(asked).or_exit(ExitCode::Internal)?;
+                write_whole(&out.join(ASKED), &text)?;
+            }
+        }
+        Ok(taken)
+    }
+}
+
+/// Writes a file whole: one that is there is complete.
+///
+/// # Errors
+/// Exit code 74 where the disk is full, else 73.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    caudata_durable::replace(path, bytes).map_err(|error| {
+        let code = match error.is_disk_full() {
+            true => ExitCode::IoError,
+            false => ExitCode::CannotCreate,
+        };
+        Failure::new(code, error).context(format!("cannot write {}", path.display()))
+    })
+}
+
+fn refused(message: String) -> Failure {
+    Failure::message(ExitCode::CannotCreate, message).hint("choose another --out")
+}
+
+fn locked(out: &Path) -> Result<File, Failure> {
+    let path = out.join(LOCK);
+    let cannot = || format!("cannot write {}", path.display());
+    let file = File::create(&path).or_exit_with(ExitCode::CannotCreate, cannot)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => {
+            let message = format!("another process is at work in {}", out.display());
+            Err(Failure::message(ExitCode::CannotCreate, message)
+                .hint("wait until it ends, stop it, or choose another --out"))
+        }
+        Err(TryLockError::Error(error)) => Err(Failure::new(ExitCode::of_io(&error, true), error)
+            .context(format!("cannot lock {}", path.display()))),
+    }
+}
+
+/// Compares what is asked for with what `out`, in which `made` is, was made with.
+fn same_as_before(out: &Path, made: &Path, asked: &Asked) -> Result<(), Failure> {
+    let path = out.join(ASKED);
+    if !path.exists() {
+        let message = format!("{} is there, and {} is not", made.display(), path.display());
+        return Err(refused(message));
+    }
+    let text = std::fs::read(&path).or_exit_with(ExitCode::NoInput, || {
+        format!("cannot read {}", path.display())
+    })?;
+    let before: Asked = serde_json::from_slice(&text)
+        .or_exit_with(ExitCode::BadInput, || path.display().to_string())?;
+    let differences = differences(&before, asked);
+    if differences.is_empty() {
+        return Ok(());
+    }
+    let more = differences.len().saturating_sub(NAMED);
+    let mut named = differences;
+    named.truncate(NAMED);
+    if more > 0 {
+        named.push(format!("{more} more"));
+    }
+    let (out, named) = (out.display(), named.join(", "));
+    Err(refused(format!(
+        "{out} was made with something else: {named}"
+    )))
+}
+
+/// In words.
+fn differences(before: &Asked, now: &Asked) -> Vec<String> {
+    let mut keys: Vec<&String> = before.keys().chain(now.keys()).collect();
+    keys.sort_unstable();
+    keys.dedup();
+    let value = |of: &Asked, key: &str| of.get(key).map_or("absent".to_owned(), Clone::clone);
+    keys.into_iter()
+        .filter_map(|key| {
+            let (was, is) = (value(before, key), value(now, key));
+            (was != is).then(|| format!("{key} was {was} and is {is}"))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked(pairs: &[(&str, &str)]) -> Asked {
+        let owned = |(key, value): &(&str, &str)| ((*key).to_owned(), (*value).to_owned());
+        pairs.iter().map(owned).collect()
+    }
+
+    fn said(failure: &Failure) -> String {
+        let mut said = Vec::new();
+        failure.write_to(&mut said).unwrap();
+        String::from_utf8(said).unwrap()
+    }
+
+    #[test]
+    fn a_folder_goes_on_with_what_it_was_made_with_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let take = |asked: &Asked| OutFolder::take(folder.path(), &["run"], asked).map(drop);
+        let first = asked(&[("a", "1"), ("b", "2")]);
+        // Nothing was made with these.
+        take(&asked(&[("a", "0")])).unwrap();
+        take(&first).unwrap();
+        std::fs::create_dir(folder.path().join("run")).unwrap();
+        take(&first).unwrap();
+        let other = asked(&[("a", "1"), ("b", "3"), ("c", "4")]);
+        let refused = take(&other).unwrap_err();
+        assert_eq!(refused.code(), ExitCode::CannotCreate);
+        let wanted = "b was 2 and is 3, c was absent and is 4";
+        assert!(said(&refused).contains(wanted), "{refused:?}");
+        take(&first).unwrap();
+    }
+
+    #[test]
+    fn what_was_made_with_nobody_knows_what_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("run")).unwrap();
+        let refused = OutFolder::take(folder.path(), &["runs", "run"], &Asked::new()).unwrap_err();
+        assert_eq!(refused.code(), ExitCode::CannotCreate);
+        assert!(!folder.path().join(ASKED).exists());
+    }
+
+    #[test]
+    fn a_folder_is_one_process_at_a_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let take = |asked: &Asked| OutFolder::take(folder.path(), &["run"], asked);
+        let first = asked(&[("a", "1")]);
+        let taken = take(&first).unwrap();
+        let refused = take(&asked(&[("a", "2")])).unwrap_err();
+        assert_eq!(refused.code(), ExitCode::CannotCreate);
+        assert!(said(&refused).contains("another process is at work"));
+        let kept = std::fs::read_to_string(folder.path().join(ASKED)).unwrap();
+        assert!(kept.contains("\"1\""), "{kept}");
+        drop(taken);
+        take(&first).unwrap();
+    }
+}
