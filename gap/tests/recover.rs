@@ -241,7 +241,11 @@ fn what_would_have_to_be_larger_than_plausible_is_no_explanation() {
     let delay = delay.expect("a delay is tried");
     assert!(delay.parameters["delay_s"].at_bound, "{delay:?}");
     assert_eq!(d.report.verdict, Verdict::PartlyExplained);
-    assert!(d.report.summary.contains("command_delay is not plausible"));
+    assert!(
+        d.report.summary.contains("command_delay is not plausible"),
+        "{}",
+        d.report.summary
+    );
     for cause in &d.report.causes {
         assert!(cause.confidence <= 0.4, "{cause:?}");
     }

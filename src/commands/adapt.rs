@@ -13,15 +13,15 @@ use caudata_gap::check::run_name;
 use caudata_gap::report::Verdict;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{RegistryClient, manifest_of};
-use caudata_runlog::{CSV_NAME, META_NAME};
+use caudata_runlog::{META_NAME, rows_file};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 use serde::Serialize;
 use serde_json::Value;
 
 use crate::commands::eval::{read_policy, suite_parser};
-use crate::commands::gap::{log_folders, log_sha256};
-use crate::commands::out_folder::{Asked, OutFolder, write_whole};
+use crate::commands::gap::{file_sha256, log_folders};
+use crate::commands::out_folder::{self, Asked, OutFolder, write_whole};
 use crate::commands::policy::block_on;
 use crate::commands::robot_model;
 use crate::commands::steps::{Steps, Test, Training, measures, own};
@@ -136,14 +136,16 @@ pub fn run(args: &AdaptArgs, process: &Process) -> Result<(), Failure> {
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let robot = config.robot_path();
     let asked = asked(args, &config, &policy.sha256_hex())?;
-    let _taken = OutFolder::take(&args.out, &[&format!("{DIAGNOSIS}/{REPORT}"), RUN], &asked)?;
+    let _taken = OutFolder::take(&args.out, &asked)?;
     let mut steps = Steps::new(args.json, &process.stop);
     steps.after_stop("the same command goes on from here");
 
     let diagnosis = args.out.join(DIAGNOSIS);
     let report = diagnosed(&mut steps, args, &robot, &diagnosis)?;
-    let verdict: Verdict =
-        serde_json::from_value(report["verdict"].clone()).or_exit(ExitCode::BadInput)?;
+    let verdict: Verdict = serde_json::from_value(report["verdict"].clone())
+        .or_exit_with(ExitCode::BadInput, || {
+            format!("{}: its verdict", diagnosis.join(REPORT).display())
+        })?;
     let causes: Vec<Value> = report["causes"].as_array().cloned().unwrap_or_default();
     let mut adapted = Adapted {
         verdict: report["verdict"].clone(),
@@ -283,10 +285,6 @@ fn diagnosed(
 /// # Errors
 /// Where a robot or a log cannot be read.
 fn asked(args: &AdaptArgs, config: &Config, policy: &str) -> Result<Asked, Failure> {
-    let keys = config.entries().into_iter();
-    let mut asked: Asked = keys
-        .filter(|(key, _)| !OWN.contains(&key.as_str()))
-        .collect();
     let ids = |all: &[String]| match all.is_empty() {
         true => "none".to_owned(),
         false => all.join(" "),
@@ -295,7 +293,7 @@ fn asked(args: &AdaptArgs, config: &Config, policy: &str) -> Result<Asked, Failu
         Some(truth) => robot_model::load(truth)?.hash_hex(),
         None => "none".to_owned(),
     };
-    for (flag, value) in [
+    let flags = [
         ("--policy", policy.to_owned()),
         (
             "--robot",
@@ -307,15 +305,15 @@ fn asked(args: &AdaptArgs, config: &Config, policy: &str) -> Result<Asked, Failu
         ("--iterations", args.iterations.to_string()),
         ("--suite", args.suite.name().to_owned()),
         ("--episodes", args.episodes.to_string()),
-    ] {
-        asked.insert(flag.to_owned(), value);
-    }
+    ];
+    let mut asked = out_folder::asked(config, &OWN, flags);
     for (flag, dirs) in [("--log", &args.logs), ("--holdout", &args.holdouts)] {
         for (number, dir) in (1..).zip(log_folders(dirs)?) {
-            let hash = log_sha256(&dir, &[META_NAME, CSV_NAME]);
+            let rows = file_sha256(&rows_file(&dir))?;
+            let about = file_sha256(&dir.join(META_NAME))?;
             asked.insert(
                 format!("{flag} {number}"),
-                format!("{} {hash}", run_name(&dir)),
+                format!("{} {rows} {about}", run_name(&dir)),
             );
         }
     }

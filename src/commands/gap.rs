@@ -78,14 +78,17 @@ pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(out)
 }
 
-/// Of the files `names` of a log folder, in hexadecimal; one that cannot be read is empty.
-pub fn log_sha256(dir: &Path, names: &[&str]) -> String {
-    let mut sha256 = Sha256::new();
-    for name in names {
-        sha256.update(std::fs::read(dir.join(name)).unwrap_or_default());
-    }
-    let bytes = sha256.finalize();
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
+/// Of a file, in hexadecimal.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn file_sha256(path: &Path) -> Result<String, Failure> {
+    let bytes = std::fs::read(path).map_err(|e| {
+        Failure::new(ExitCode::of_io(&e, false), e)
+            .context(format!("cannot read {}", path.display()))
+    })?;
+    let hash = Sha256::digest(bytes);
+    Ok(hash.iter().map(|b| format!("{b:02x}")).collect())
 }
 
 /// The bytes of a robot file, and name and bytes of the MJCF beside it.

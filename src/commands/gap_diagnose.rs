@@ -16,7 +16,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
-use super::gap::{log_folders, log_sha256, robot_files};
+use super::gap::{file_sha256, log_folders, robot_files};
 use super::out_folder::write_whole;
 use super::steps::stopped;
 use super::{gap_report, robot_model};
@@ -125,7 +125,7 @@ fn runs(args: &DiagnoseArgs, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFa
                 name,
                 log,
                 role,
-                sha256: log_sha256(&dir, &[caudata_runlog::CSV_NAME]),
+                sha256: file_sha256(&caudata_runlog::rows_file(&dir))?,
             });
         }
     }

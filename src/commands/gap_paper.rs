@@ -14,6 +14,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
 use clap::Args;
 
 use super::gap_policies::{self, Effort, Given, Robots};
+use super::out_folder::{OutFolder, write_whole};
 use super::steps::{Steps, own};
 use crate::say;
 
@@ -54,6 +55,7 @@ pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
         return Err(Failure::message(ExitCode::CannotCreate, message)
             .hint("trainings that were stopped go on with `caudata gap policies`"));
     }
+    let _taken = OutFolder::lock(&args.out)?;
     // Hours before the trainings that need it.
     let given = Given::read(&args.effort, &args.config)?;
     let mut steps = Steps::new(false, &process.stop);
@@ -91,7 +93,7 @@ pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
     let draw = |chapters: &[page::Chapter]| {
         let title = "The paper's robot, measured and simulated";
         let html = page::curves(title, &lead(&pictures), &pictures.overlays, chapters);
-        write(&file, &html)
+        write_whole(&file, html.as_bytes())
     };
     // Pictures first: trainings take longer, and may be stopped.
     draw(&[])?;
@@ -124,9 +126,6 @@ pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
 
 /// Writes the logs, whole or not at all, and, beside them, the robot that they come from.
 fn make(args: &PaperArgs, stop: &StopFlag) -> Result<(), Failure> {
-    std::fs::create_dir_all(&args.out).or_exit_with(ExitCode::CannotCreate, || {
-        format!("folder {}", args.out.display())
-    })?;
     let plan = GroundPlan {
         name: PART.to_owned(),
         file: LabFile::Stiff,
@@ -150,8 +149,8 @@ fn make(args: &PaperArgs, stop: &StopFlag) -> Result<(), Failure> {
     let (_, mjcf, _) = ground::salamander(LabFile::Stiff).or_exit(ExitCode::Internal)?;
     let truth =
         ground::true_salamander(LabFile::Stiff, paper::HIDDEN).or_exit(ExitCode::Internal)?;
-    write(&args.out.join("polymander.xml"), &mjcf)?;
-    write(&args.out.join(TRUTH), &truth)?;
+    write_whole(&args.out.join("polymander.xml"), mjcf.as_bytes())?;
+    write_whole(&args.out.join(TRUTH), truth.as_bytes())?;
     std::fs::rename(&part, args.out.join(LOGS)).or_exit_with(ExitCode::CannotCreate, cannot)
 }
 
@@ -182,12 +181,6 @@ fn walks(logs: &Path) -> Result<Vec<Run>, Failure> {
             })
         })
         .collect()
-}
-
-fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    std::fs::write(path, text).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot write {}", path.display())
-    })
 }
 
 /// Rows of the three tables: what, unit, factor to that unit, rows.

@@ -3,9 +3,12 @@
 
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use caudata_config::Config;
+use caudata_durable::DurableError;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use nix::fcntl::{FcntlArg, FdFlag, fcntl};
 
 /// What a folder was made with, beside what was made.
 const ASKED: &str = "asked.json";
@@ -17,6 +20,24 @@ const NAMED: usize = 3;
 /// Keys and flags that decide what is made, with their values; of files their SHA-256: one that has changed is another.
 pub type Asked = BTreeMap<String, String>;
 
+/// The keys of `config` but for `own`, which the command sets itself, and `flags`; a program of another version makes something else too.
+pub fn asked<'a>(
+    config: &Config,
+    own: &[&str],
+    flags: impl IntoIterator<Item = (&'a str, String)>,
+) -> Asked {
+    let keys = config.entries().into_iter();
+    let mut asked: Asked = keys
+        .filter(|(key, _)| !own.contains(&key.as_str()))
+        .collect();
+    let flags = flags
+        .into_iter()
+        .map(|(flag, value)| (flag.to_owned(), value));
+    asked.extend(flags);
+    asked.insert("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned());
+    asked
+}
+
 /// A folder that no other process takes as long as this lives.
 #[derive(Debug)]
 pub struct OutFolder {
@@ -25,42 +46,58 @@ pub struct OutFolder {
 }
 
 impl OutFolder {
-    /// Takes the folder `out`, which is made where it is absent. Where one of `made` is in it, something was made by an earlier call, which must have asked for the
-    /// same.
+    /// Takes the folder `out`, which is made where it is absent. Whatever is in it was made by an earlier call, which must have asked for the same.
     ///
     /// # Errors
     /// Exit code 73 where another process has it, it was made with something else, or it does not say with what; then nothing is changed in it.
-    pub fn take(out: &Path, made: &[&str], asked: &Asked) -> Result<Self, Failure> {
-        std::fs::create_dir_all(out).or_exit_with(ExitCode::CannotCreate, || {
-            format!("folder {}", out.display())
-        })?;
-        let taken = Self {
-            _lock: locked(out)?,
-        };
-        match made
-            .iter()
-            .map(|name| out.join(name))
-            .find(|path| path.exists())
-        {
-            Some(path) => same_as_before(out, &path, asked)?,
-            None => {
-                let text = serde_json::to_vec_pretty(asked).or_exit(ExitCode::Internal)?;
-                write_whole(&out.join(ASKED), &text)?;
+    pub fn take(out: &Path, asked: &Asked) -> Result<Self, Failure> {
+        let taken = Self::lock(out)?;
+        let path = out.join(ASKED);
+        if path.exists() {
+            same_as_before(out, &path, asked)?;
+        } else {
+            if let Some(other) = other_than_lock(out)? {
+                let (other, path) = (other.display(), path.display());
+                return Err(refused(format!("{other} is there, and {path} is not")));
             }
+            let text = serde_json::to_vec_pretty(asked).or_exit(ExitCode::Internal)?;
+            write_whole(&path, &text)?;
         }
         Ok(taken)
     }
+
+    /// The same whatever is in it.
+    ///
+    /// # Errors
+    /// Exit code 73 where another process has it.
+    pub fn lock(out: &Path) -> Result<Self, Failure> {
+        std::fs::create_dir_all(out).or_exit_with(ExitCode::CannotCreate, || {
+            format!("folder {}", out.display())
+        })?;
+        Ok(Self {
+            _lock: locked(out)?,
+        })
+    }
+}
+
+/// Something in the folder.
+fn other_than_lock(out: &Path) -> Result<Option<PathBuf>, Failure> {
+    let cannot = || format!("cannot read {}", out.display());
+    let entries = std::fs::read_dir(out).or_exit_with(ExitCode::NoInput, cannot)?;
+    let mut paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    Ok(paths.find(|path| path.file_name().is_some_and(|name| name != LOCK)))
 }
 
 /// Writes a file whole: one that is there is complete.
 ///
 /// # Errors
-/// Exit code 74 where the disk is full, else 73.
+/// As [`ExitCode::of_io`] has it.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     caudata_durable::replace(path, bytes).map_err(|error| {
-        let code = match error.is_disk_full() {
-            true => ExitCode::IoError,
-            false => ExitCode::CannotCreate,
+        let code = match &error {
+            DurableError::Io { source, .. } => ExitCode::of_io(source, true),
+            DurableError::DiskFull { .. } => ExitCode::IoError,
+            DurableError::Exists { .. } => ExitCode::CannotCreate,
         };
         Failure::new(code, error).context(format!("cannot write {}", path.display()))
     })
@@ -75,7 +112,11 @@ fn locked(out: &Path) -> Result<File, Failure> {
     let cannot = || format!("cannot write {}", path.display());
     let file = File::create(&path).or_exit_with(ExitCode::CannotCreate, cannot)?;
     match file.try_lock() {
-        Ok(()) => Ok(file),
+        Ok(()) => {
+            // Inherited by the steps: a step that outlives this process by a moment still has the folder.
+            fcntl(&file, FcntlArg::F_SETFD(FdFlag::empty())).or_exit(ExitCode::OsResource)?;
+            Ok(file)
+        }
         Err(TryLockError::WouldBlock) => {
             let message = format!("another process is at work in {}", out.display());
             Err(Failure::message(ExitCode::CannotCreate, message)
@@ -86,14 +127,9 @@ fn locked(out: &Path) -> Result<File, Failure> {
     }
 }
 
-/// Compares what is asked for with what `out`, in which `made` is, was made with.
-fn same_as_before(out: &Path, made: &Path, asked: &Asked) -> Result<(), Failure> {
-    let path = out.join(ASKED);
-    if !path.exists() {
-        let message = format!("{} is there, and {} is not", made.display(), path.display());
-        return Err(refused(message));
-    }
-    let text = std::fs::read(&path).or_exit_with(ExitCode::NoInput, || {
+/// Compares what is asked for with what `out` was made with, as the file `path` says.
+fn same_as_before(out: &Path, path: &Path, asked: &Asked) -> Result<(), Failure> {
+    let text = std::fs::read(path).or_exit_with(ExitCode::NoInput, || {
         format!("cannot read {}", path.display())
     })?;
     let before: Asked = serde_json::from_slice(&text)
@@ -132,7 +168,7 @@ fn differences(before: &Asked, now: &Asked) -> Vec<String> {
 mod tests {
     use super::*;
 
-    fn asked(pairs: &[(&str, &str)]) -> Asked {
+    fn asked_of(pairs: &[(&str, &str)]) -> Asked {
         let owned = |(key, value): &(&str, &str)| ((*key).to_owned(), (*value).to_owned());
         pairs.iter().map(owned).collect()
     }
@@ -146,14 +182,11 @@ mod tests {
     #[test]
     fn a_folder_goes_on_with_what_it_was_made_with_only() {
         let folder = tempfile::tempdir().unwrap();
-        let take = |asked: &Asked| OutFolder::take(folder.path(), &["run"], asked).map(drop);
-        let first = asked(&[("a", "1"), ("b", "2")]);
-        // Nothing was made with these.
-        take(&asked(&[("a", "0")])).unwrap();
+        let take = |asked: &Asked| OutFolder::take(folder.path(), asked).map(drop);
+        let first = asked_of(&[("a", "1"), ("b", "2")]);
         take(&first).unwrap();
-        std::fs::create_dir(folder.path().join("run")).unwrap();
         take(&first).unwrap();
-        let other = asked(&[("a", "1"), ("b", "3"), ("c", "4")]);
+        let other = asked_of(&[("a", "1"), ("b", "3"), ("c", "4")]);
         let refused = take(&other).unwrap_err();
         assert_eq!(refused.code(), ExitCode::CannotCreate);
         let wanted = "b was 2 and is 3, c was absent and is 4";
@@ -165,7 +198,7 @@ mod tests {
     fn what_was_made_with_nobody_knows_what_is_left_alone() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("run")).unwrap();
-        let refused = OutFolder::take(folder.path(), &["runs", "run"], &Asked::new()).unwrap_err();
+        let refused = OutFolder::take(folder.path(), &Asked::new()).unwrap_err();
         assert_eq!(refused.code(), ExitCode::CannotCreate);
         assert!(!folder.path().join(ASKED).exists());
     }
@@ -173,10 +206,10 @@ mod tests {
     #[test]
     fn a_folder_is_one_process_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
-        let take = |asked: &Asked| OutFolder::take(folder.path(), &["run"], asked);
-        let first = asked(&[("a", "1")]);
+        let take = |asked: &Asked| OutFolder::take(folder.path(), asked);
+        let first = asked_of(&[("a", "1")]);
         let taken = take(&first).unwrap();
-        let refused = take(&asked(&[("a", "2")])).unwrap_err();
+        let refused = take(&asked_of(&[("a", "2")])).unwrap_err();
         assert_eq!(refused.code(), ExitCode::CannotCreate);
         assert!(said(&refused).contains("another process is at work"));
         let kept = std::fs::read_to_string(folder.path().join(ASKED)).unwrap();

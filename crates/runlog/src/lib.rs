@@ -23,7 +23,7 @@ mod table;
 mod writer;
 
 pub use error::LogError;
-pub use log::{CSV_NAME, META_NAME, RunLog};
+pub use log::{CSV_NAME, META_NAME, RunLog, rows_file};
 pub use meta::{BaseHold, LogMeta, Setting};
 pub use signal::{Axis, QuatPart, Signal, SignalError};
 pub use table::{MAX_COLUMNS, MAX_LINE_BYTES, MAX_ROWS, Table};

@@ -37,12 +37,22 @@ impl RunLog {
             source,
         })?;
         let meta = LogMeta::parse(&path.display().to_string(), &text)?;
-        let csv = dir.join(CSV_NAME);
-        let table = match mcap_in(dir) {
-            Some(mcap) if !csv.is_file() => read_mcap(&mcap)?,
-            _ => Table::read(&csv)?,
+        let rows = rows_file(dir);
+        let table = match rows.extension().is_some_and(|x| x == MCAP) {
+            true => read_mcap(&rows)?,
+            false => Table::read(&rows)?,
         };
         Ok(Self { meta, table })
+    }
+}
+
+/// The file of a log folder that its rows are read from: `log.csv`, else the first MCAP by name.
+#[must_use]
+pub fn rows_file(dir: &Path) -> PathBuf {
+    let csv = dir.join(CSV_NAME);
+    match mcap_in(dir) {
+        Some(mcap) if !csv.is_file() => mcap,
+        _ => csv,
     }
 }
 
@@ -51,7 +61,7 @@ fn mcap_in(dir: &Path) -> Option<PathBuf> {
     let entries = fs::read_dir(dir).ok()?;
     let mut found: Vec<PathBuf> = entries
         .filter_map(|e| Some(e.ok()?.path()))
-        .filter(|p| p.extension().is_some_and(|x| x == "mcap"))
+        .filter(|p| p.extension().is_some_and(|x| x == MCAP))
         .collect();
     found.sort();
     found.into_iter().next()

@@ -44,7 +44,6 @@ pub fn parameters(
     for (p, spec) in term.effect.parameters.iter().enumerate() {
         let value = term.values[p];
         let (low, high) = term.effect.bounds(model, &term.place, p);
-        let near = 1e-6 * (high - low);
         let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
         let wider = wider.get(p).copied().unwrap_or(0.0);
         let sd = variance.max(wider).max(0.0).sqrt();
@@ -53,7 +52,6 @@ pub fn parameters(
         let half = (1.96 * sd * poor)
             .hypot(FINEST * term.effect.scale(model, &term.place, p).abs())
             .hypot(LAW * poor * (value - neutral[p]).abs());
-        let still = (value - neutral[p]).abs() < near;
         out.insert(
             spec.name.to_owned(),
             Parameter {
@@ -61,7 +59,7 @@ pub fn parameters(
                 unit: spec.unit.to_owned(),
                 ci_low: (value - half).max(low),
                 ci_high: (value + half).min(high),
-                at_bound: !still && (value <= low + near || value >= high - near),
+                at_bound: term.effect.at_bound(model, &term.place, p, value),
             },
         );
     }

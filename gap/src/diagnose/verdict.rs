@@ -12,7 +12,7 @@ use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
 use super::{Diagnosis, Request, Split, gates, leftover, next, pictures};
-use crate::effects::{Domain, Effect, Place};
+use crate::effects::{Effect, Place};
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
@@ -193,21 +193,20 @@ pub fn left(context: &Context, base: &State, best: &State) -> f64 {
     }
 }
 
-/// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place makes up for where it
-/// differs. None at all is always plausible.
+/// Whether a term's size (its first parameter) wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place
+/// makes up for where it differs.
 fn outgrown(context: &Context, term: &Term) -> bool {
     let model = context.replayer.model();
-    let (low, high) = term.effect.bounds(model, &term.place, 0);
-    let near = 1e-6 * (high - low);
-    let (value, neutral) = (term.values[0], term.effect.neutral(model, &term.place)[0]);
-    let moved = (value - neutral).abs() >= near && value.abs() >= near;
-    moved && (value <= low + near || value >= high - near)
+    (term.effect).at_bound(model, &term.place, 0, term.values[0])
 }
 
-/// Whether two effects act at one joint, or either on more than joints.
+/// Whether two effects act at one joint (link, foot, hinge), or on what cannot be told apart so: a link and a joint, the whole robot and a part of it.
 fn meet(one: &Place, other: &Place) -> bool {
-    let of_joints = |p: &Place| p.domain == Domain::Joints;
-    !of_joints(one) || !of_joints(other) || one.items.iter().any(|i| other.items.contains(i))
+    let whole = |p: &Place| p.items.is_empty();
+    one.domain != other.domain
+        || whole(one)
+        || whole(other)
+        || one.items.iter().any(|i| other.items.contains(i))
 }
 
 fn cause(
@@ -453,12 +452,17 @@ fn summary(
             let left = unexplained
                 .first()
                 .map_or(String::new(), |u| format!(", most of it at {}", u.location));
-            let beyond: Vec<&str> = outgrown.iter().map(|t| t.effect.id).collect();
+            let beyond: Vec<String> = (outgrown.iter())
+                .map(|t| t.place.label(t.effect.id))
+                .collect();
             let beyond = match beyond.as_slice() {
                 [] => String::new(),
-                _ => format!(
-                    " As large as it would have to be, {} is not plausible: something that is not in the catalogue may be behind it.",
-                    beyond.join(" and ")
+                [one] => format!(
+                    " As large as it would have to be, {one} is not plausible: something that is not in the catalogue may be behind it."
+                ),
+                more => format!(
+                    " As large as they would have to be, {} are not plausible: something that is not in the catalogue may be behind them.",
+                    more.join(" and ")
                 ),
             };
             format!(

@@ -196,6 +196,17 @@ impl Effect {
         )
     }
 
+    /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without the effect, and where there is none at all of what it
+    /// counts, nothing does.
+    #[must_use]
+    pub fn at_bound(&self, model: &RobotModel, place: &Place, index: usize, value: f64) -> bool {
+        let (low, high) = self.bounds(model, place, index);
+        let near = 1e-6 * (high - low);
+        let neutral = self.neutral(model, place)[index];
+        let moved = (value - neutral).abs() >= near && value.abs() >= near;
+        moved && (value <= low + near || value >= high - near)
+    }
+
     /// Smallest change of parameter `index` that matters, SI.
     #[must_use]
     pub fn scale(&self, model: &RobotModel, place: &Place, index: usize) -> f64 {

@@ -185,7 +185,7 @@ impl Replayer {
                 match go_on.and_then(|()| self.chunk(data, variants, chunk)) {
                     Ok(out) => lock(&done).push((k, out)),
                     Err(e) => {
-                        *lock(&failed) = Some(e);
+                        lock(&failed).get_or_insert(e);
                         next.store(chunks.len(), Ordering::Relaxed);
                         return;
                     }

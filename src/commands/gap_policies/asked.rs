@@ -5,19 +5,15 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 
 use super::{Effort, Given};
-use crate::commands::out_folder::Asked;
+use crate::commands::out_folder::{self, Asked};
 
 /// Keys that every training sets for itself.
 const OWN: [&str; 3] = ["robot", "run.seed", "run.iterations"];
 
 /// All that decides what one training and its evaluations come to; not how many there are.
 pub fn all(effort: &Effort, given: &Given, models: &[Arc<RobotModel>; 3]) -> Asked {
-    let keys = given.config.entries().into_iter();
-    let mut asked: Asked = keys
-        .filter(|(key, _)| !OWN.contains(&key.as_str()))
-        .collect();
     let [robot, extended, truth] = models.each_ref().map(|model| model.hash_hex());
-    for (flag, value) in [
+    let flags = [
         ("--robot", robot),
         ("--extended", extended),
         ("--truth", truth),
@@ -26,8 +22,6 @@ pub fn all(effort: &Effort, given: &Given, models: &[Arc<RobotModel>; 3]) -> Ask
         ("--suite", effort.suite.name().to_owned()),
         ("--episodes", effort.episodes.to_string()),
         ("--referee-episodes", effort.referee_episodes.to_string()),
-    ] {
-        asked.insert(flag.to_owned(), value);
-    }
-    asked
+    ];
+    out_folder::asked(&given.config, &OWN, flags)
 }

@@ -279,8 +279,9 @@ impl Given {
         }
         let config = flags.load().or_exit(ExitCode::BadConfig)?;
         train::programs()?;
-        let start = match &effort.policy {
-            Some(policy) => Some(read_policy(policy)?.sha256_hex()),
+        let start = effort.policy.clone().or_else(|| config.warm_start_path());
+        let start = match start {
+            Some(policy) => Some(read_policy(&policy)?.sha256_hex()),
             None => None,
         };
         Ok(Self {
@@ -295,7 +296,8 @@ impl Given {
 /// `out` is taken up.
 ///
 /// # Errors
-/// Where a file cannot be read or written, the robots have not the same joints, `out` was made with other flags or another process is at work in it, or a step fails or is stopped.
+/// Where a file cannot be read or written, the robots have not the same joints, `out` was made with something else or another process is at work in it, or a step
+/// fails or is stopped.
 pub fn compare(
     robots: &Robots<'_>,
     out: &Path,
@@ -310,9 +312,8 @@ pub fn compare(
     };
     let sets = kinds.iter().map(|way| way.set(&given.config));
     let sets = sets.collect::<Result<Vec<_>, _>>()?;
-    let first = format!("{}_1", Way::AsGiven.name());
     let asked = asked::all(effort, given, &models);
-    let _taken = OutFolder::take(out, &[&first], &asked)?;
+    let _taken = OutFolder::take(out, &asked)?;
     let mut work = Work {
         robots,
         out,

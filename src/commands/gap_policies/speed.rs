@@ -1,6 +1,7 @@
 //! Forward velocities that change: what a policy is asked for, what it did, and its velocity over time.
 
 use caudata_evaluation::{Leg, Order, Outcome, Scenario};
+use caudata_policy::PolicyFile;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -29,6 +30,8 @@ pub fn scenario() -> Scenario {
 /// `NAME_in_rapier.json`: a policy with forward velocities that change.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Walks {
+    /// Of the policy.
+    pub policy_sha256: String,
     /// A scenario of `caudata eval --json`.
     pub result: Value,
     /// Time between two values, s.
@@ -38,14 +41,15 @@ pub struct Walks {
 }
 
 impl Walks {
-    /// Of an evaluation that kept velocities.
+    /// Of an evaluation of a policy that kept velocities.
     ///
     /// # Errors
     /// Where its result cannot be written down.
-    pub fn of(outcome: &Outcome) -> Result<Self, Failure> {
+    pub fn of(policy: &PolicyFile, outcome: &Outcome) -> Result<Self, Failure> {
         let forward = |row: &[f32; 6]| [row[0], row[3]];
         let tracks = outcome.tracks.iter();
         Ok(Self {
+            policy_sha256: policy.sha256_hex(),
             result: serde_json::to_value(&outcome.result).or_exit(ExitCode::Internal)?,
             period_s: outcome.period_s,
             episodes: tracks
