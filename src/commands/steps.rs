@@ -195,7 +195,7 @@ impl Steps {
     /// very policy is not asked again.
     pub fn evaluate(&mut self, name: &str, test: &Test<'_>, file: &Path) -> Result<Value, Failure> {
         if file.is_file() {
-            let said = last_json(file)?;
+            let said: Value = last_json(file)?;
             if said["policy_sha256"] == read_policy(test.policy)?.sha256_hex() {
                 self.is_there(name, file);
                 return Ok(said);

@@ -12,6 +12,8 @@ use crate::table::Table;
 pub const CSV_NAME: &str = "log.csv";
 /// Name of the circumstances' file in a log folder.
 pub const META_NAME: &str = "log.toml";
+/// Extension of a recording of ROS 2.
+const MCAP: &str = "mcap";
 
 /// Largest MCAP file that is read, bytes.
 pub const MAX_MCAP_BYTES: u64 = 1024 * 1024 * 1024;
