@@ -505,22 +505,28 @@ mod tests {
     #[test]
     fn what_is_finished_is_not_done_again() {
         let folder = tempfile::tempdir().unwrap();
-        let mut steps = Steps::new(true, &StopFlag::new());
-        // No such policy, no such robot: nothing could be made of them.
+        // Nothing is begun any more: what comes out was there.
+        let stop = StopFlag::new();
+        stop.request("test");
+        let mut steps = Steps::new(true, &stop);
         let nothing = Path::new("/no/such/file");
+        let policy = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies/flat.onnx");
         let test = Test {
             flags: &ConfigArgs::default(),
-            policy: nothing,
+            policy: &policy,
             robot: nothing,
             suite: Suite::Flat,
             episodes: 1,
         };
         let file = folder.path().join("evaluation.json");
-        std::fs::write(&file, "{\"before\":1}\n").unwrap();
-        assert_eq!(
-            steps.evaluate("evaluate", &test, &file).unwrap(),
-            serde_json::json!({ "before": 1 })
-        );
+        let said = |sha256: &str| serde_json::json!({ "policy_sha256": sha256 });
+        let own = said(&read_policy(&policy).unwrap().sha256_hex());
+        std::fs::write(&file, format!("{own}\n")).unwrap();
+        assert_eq!(steps.evaluate("evaluate", &test, &file).unwrap(), own);
+        // of another policy, it would be made again
+        std::fs::write(&file, format!("{}\n", said("0"))).unwrap();
+        let again = steps.evaluate("evaluate", &test, &file).unwrap_err();
+        assert_eq!(again.code(), ExitCode::TempFail);
         for name in ["config.toml", "policy.onnx", "report.json"] {
             std::fs::write(folder.path().join(name), "").unwrap();
         }
