@@ -41,8 +41,15 @@ pub fn asked<'a>(
 /// A folder that no other process takes as long as this lives.
 #[derive(Debug)]
 pub struct OutFolder {
-    /// The system lets go of it however the process ends.
-    _lock: File,
+    /// The system lets go of it when this process and its steps have ended, however they do.
+    lock: File,
+}
+
+impl Drop for OutFolder {
+    fn drop(&mut self) {
+        // A child that was started for something else may have inherited it.
+        let _ = self.lock.unlock();
+    }
 }
 
 impl OutFolder {
@@ -74,9 +81,7 @@ impl OutFolder {
         std::fs::create_dir_all(out).or_exit_with(ExitCode::CannotCreate, || {
             format!("folder {}", out.display())
         })?;
-        Ok(Self {
-            _lock: locked(out)?,
-        })
+        Ok(Self { lock: locked(out)? })
     }
 }
 
