@@ -55,9 +55,9 @@ pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
         return Err(Failure::message(ExitCode::CannotCreate, message)
             .hint("trainings that were stopped go on with `caudata gap policies`"));
     }
-    let _taken = OutFolder::lock(&args.out)?;
     // Hours before the trainings that need it.
     let given = Given::read(&args.effort, &args.config)?;
+    let _taken = OutFolder::lock(&args.out)?;
     let mut steps = Steps::new(false, &process.stop);
     let what = format!("logs of a simulated robot into {}", logs.display());
     steps.inside("record", &what, |stop| make(args, stop))?;
