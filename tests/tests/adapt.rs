@@ -114,16 +114,21 @@ fn scenarios(evaluation: &Value) -> Vec<&str> {
     all.iter().map(|s| s["name"].as_str().unwrap()).collect()
 }
 
+/// The knee's position gain, N·m/rad, where `robot` has its own everywhere.
+fn soft_kp(robot: &Path) -> f64 {
+    let about = succeeds(&["robot-model", "check", text(robot), "--json"])
+        .last_json()
+        .unwrap();
+    SOFT * about["kp_nm_per_rad"].as_f64().unwrap()
+}
+
 #[test]
 fn a_soft_knee_is_found_trained_for_and_evaluated() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let root = repository_root();
     let robot = root.join("robots/polymander.robot.toml");
-    let about = succeeds(&["robot-model", "check", text(&robot), "--json"])
-        .last_json()
-        .unwrap();
-    let kp = SOFT * about["kp_nm_per_rad"].as_f64().unwrap();
+    let kp = soft_kp(&robot);
     let fit: Vec<PathBuf> = ["chirp_medium", "steps_medium", "holds"]
         .map(|t| record(&robot, folder, t, "rapier", kp))
         .to_vec();
@@ -308,10 +313,7 @@ fn a_diagnosis_that_is_stopped_leaves_nothing_half() {
     let folder = folder.path();
     let root = repository_root();
     let robot = root.join("robots/polymander.robot.toml");
-    let about = succeeds(&["robot-model", "check", text(&robot), "--json"])
-        .last_json()
-        .unwrap();
-    let kp = SOFT * about["kp_nm_per_rad"].as_f64().unwrap();
+    let kp = soft_kp(&robot);
     let log = record(&robot, folder, "chirp_medium", "batch", kp);
 
     let alone = folder.join("alone");
