@@ -3,6 +3,8 @@
 //! The delay counts to the fraction of a physics step. A servo that is served later on the bus than another (sampling skew) has a longer delay.
 //! A command frame that is lost leaves every servo with the one before it (one synchronous write carries all joints).
 
+use std::collections::VecDeque;
+
 use crate::real::Real;
 use serde::{Deserialize, Serialize};
 
@@ -16,8 +18,8 @@ const SCAN: usize = 16;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CommandHistory<R> {
     width: usize,
-    /// `[depth, width]`
-    values: Vec<R>,
+    /// `[depth, width]`. A ring: with short periods it is deep, and a new command must not move all the others.
+    values: VecDeque<R>,
 }
 
 /// What one joint is told during a control period: one command until a switch-over, then another.
@@ -66,16 +68,14 @@ impl<R: Real> CommandHistory<R> {
         let depth = (f64::from(MAX_COMMAND_DELAY_S) / period_s).floor() as usize + 2;
         Self {
             width: rest_rad.len(),
-            values: rest_rad.repeat(depth),
+            values: rest_rad.repeat(depth).into(),
         }
     }
 
     /// Fills lane `lane` with `rest_rad`, as if it were new.
     pub fn reset_lane(&mut self, lane: usize, rest_rad: &[f64]) {
-        for row in self.values.chunks_mut(self.width.max(1)) {
-            for (all, rest) in row.iter_mut().zip(rest_rad) {
-                *all = all.with_lane(lane, *rest);
-            }
+        for (all, rest) in self.values.iter_mut().zip(rest_rad.iter().cycle()) {
+            *all = all.with_lane(lane, *rest);
         }
     }
 
@@ -101,8 +101,8 @@ impl<R: Real> CommandHistory<R> {
     #[inline(always)]
     pub fn push(&mut self, targets_rad: &[R], lost: R::Mask) {
         let w = self.width;
-        let kept = self.values.len() - w;
-        self.values.copy_within(..kept, w);
+        // the oldest row's place becomes the newest's
+        self.values.rotate_right(w);
         for joint in 0..w {
             self.values[joint] = R::select(lost, self.values[w + joint], targets_rad[joint]);
         }
