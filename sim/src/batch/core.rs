@@ -12,6 +12,7 @@ use super::period::{Period, Scratch, Shared};
 use super::pool::Pool;
 use super::program::Program;
 use super::report;
+use super::wanted::Wanted;
 use crate::drive::JointMemory;
 use crate::drive::loss::LossMemory;
 use crate::lanes::Lanes as _;
@@ -53,6 +54,8 @@ pub(super) trait Core: Send {
     fn get(&self, lane: usize) -> LaneState;
     fn put(&mut self, lane: usize, from: &LaneState) -> bool;
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State);
+    /// What the steps that follow report.
+    fn report_only(&mut self, wanted: Wanted);
     /// Starts to time the phases of the steps that follow.
     fn time_phases(&mut self);
     /// All threads together.
@@ -237,6 +240,11 @@ impl<R: Lanes> Core for CoreOf<R> {
         let (group, slot) = (&mut self.groups[lane / R::LANES], lane % R::LANES);
         put_slot(group, slot, from)
     }
+
+    fn report_only(&mut self, wanted: Wanted) {
+        self.shared.wanted = wanted;
+    }
+
     fn time_phases(&mut self) {
         for scratch in &mut self.scratch {
             scratch.clock = Some(Clock::new());
@@ -262,6 +270,20 @@ impl<R: Lanes> Core for CoreOf<R> {
         let widths = report::widths(&shared.program);
         let actuated = shared.program.actuated;
         let mut rest = Rows::of(state);
+        if threads == 1 {
+            // nobody to share with
+            let mut all = Part {
+                shared,
+                groups: &mut self.groups,
+                rows: rest,
+                targets,
+                wrenches,
+                lanes: self.lanes,
+                widths,
+            };
+            all.run(&mut self.scratch[0]);
+            return;
+        }
         let mut first = 0;
         let mut work = Vec::with_capacity(PARTS_PER_THREAD * threads);
         for groups in self.groups.chunks_mut(share) {
@@ -326,7 +348,7 @@ impl<R: Lanes> Kernel for Report<'_, R> {
     type Output = ();
     #[inline(always)]
     fn run(self) {
-        report::report(self.shared, self.group, self.scratch);
+        report::report(self.shared, Wanted::ALL, self.group, self.scratch);
     }
 }
 
@@ -410,6 +432,7 @@ impl<R: Lanes> Part<'_, R> {
             turned: &mut scratch.turned,
             rows: &mut self.rows.fields,
             widths: &self.widths,
+            wanted: self.shared.wanted.fields(),
             first,
             diverged,
         });
@@ -423,6 +446,8 @@ struct Publish<'a, 'b, R> {
     turned: &'a mut [f32],
     rows: &'a mut [&'b mut [f32]; FIELDS],
     widths: &'a [usize; FIELDS],
+    /// Which fields.
+    wanted: [bool; FIELDS],
     first: usize,
     diverged: &'a [bool],
 }
@@ -432,24 +457,27 @@ impl<R: Lanes> Kernel for Publish<'_, '_, R> {
 
     #[inline(always)]
     fn run(self) {
-        for v in 0..self.out.len() {
-            self.out[v].write(&mut self.turned[16 * v..16 * v + 16]);
-        }
-        let mut at = 0;
+        let mut next = 0;
         for f in 0..FIELDS {
-            let k = self.widths[f];
+            let (at, k) = (next, self.widths[f]);
+            next += k;
+            if !self.wanted[f] {
+                continue;
+            }
+            for v in at..next {
+                self.out[v].write(&mut self.turned[16 * v..16 * v + 16]);
+            }
             for lane in 0..self.diverged.len() {
                 if self.diverged[lane] {
                     continue;
                 }
                 let from = (self.first + lane) * k;
                 let row = &mut self.rows[f][from..from + k];
-                let columns = &self.turned[16 * at..16 * (at + k)];
-                for c in 0..k {
-                    row[c] = columns[16 * c + lane];
+                let columns = self.turned[16 * at..16 * next].as_chunks::<16>().0;
+                for (to, column) in row.iter_mut().zip(columns) {
+                    *to = column[lane];
                 }
             }
-            at += k;
         }
     }
 }

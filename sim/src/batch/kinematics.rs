@@ -278,14 +278,18 @@ pub(super) struct World<'a, R: Lanes> {
     pub half_dt: R::Elem,
 }
 
-/// Frames only.
+/// The first frames only, as many as there is room for.
 #[inline(always)]
 pub(super) fn frames<R: Lanes>(program: &Program<R>, x: &[R], frames: &mut [Frame<R>]) {
+    if frames.is_empty() {
+        return;
+    }
     frames[0] = base_frame(program, x, R::zero());
     let n = program.nodes.len();
     let lay = layout(program);
     let (q, qd) = (&x[lay.q()..lay.q() + n], &x[lay.qd()..lay.qd() + n]);
-    for (i, node) in program.nodes.iter().enumerate() {
+    let rest = frames.len() - 1;
+    for (i, node) in program.nodes[..rest].iter().enumerate() {
         let parent = frames[node.parent];
         frames[i + 1] = next_frame(node, &parent, q[i], qd[i], qd[i]);
     }

@@ -28,6 +28,7 @@ mod report;
 pub mod smooth;
 mod snapshot;
 mod vec3;
+mod wanted;
 mod wet;
 
 use std::sync::Arc;
@@ -36,6 +37,7 @@ use caudata_model::RobotModel;
 
 pub use self::clock::{Phase, PhaseSeconds};
 use self::core::{Core, CoreOf, Start};
+pub use self::wanted::Wanted;
 use crate::config::Precision;
 use crate::observe::{self, Coordinates};
 use crate::simd::Width;
@@ -122,6 +124,11 @@ impl BatchEngine {
     #[must_use]
     pub fn phase_seconds(&self) -> PhaseSeconds {
         self.core.phase_seconds()
+    }
+
+    /// From the next step on, works out and reports only what is `wanted`. A new engine reports everything.
+    pub fn report_only(&mut self, wanted: Wanted) {
+        self.core.report_only(wanted);
     }
 
     /// Puts a lane's base and actuated joints where `init` says, in the middle of its motion. What nobody can measure stays as it is: hinges without a

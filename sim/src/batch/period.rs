@@ -14,6 +14,7 @@ use super::lanes::{Group, Layout, layout, sums_len};
 use super::pairs;
 use super::program::{Part, Program};
 use super::vec3::{Inertia, V3, dot, zero3};
+use super::wanted::Wanted;
 use super::wet;
 use crate::drive::command::Scheduled;
 use crate::drive::loss::LossMemory;
@@ -38,6 +39,8 @@ pub(super) struct Shared<R: Lanes> {
     pub water_level_m: f64,
     pub max_joint_speed: f64,
     pub max_base_speed: f64,
+    /// What each period reports.
+    pub wanted: Wanted,
 }
 
 impl<R: Lanes> Shared<R> {
@@ -57,6 +60,7 @@ impl<R: Lanes> Shared<R> {
             water_level_m,
             max_joint_speed: config.max_joint_speed_radps,
             max_base_speed: config.max_base_speed_mps,
+            wanted: Wanted::ALL,
         }
     }
 
@@ -194,7 +198,7 @@ impl<R: Lanes, const FLAT: bool> Kernel for Period<'_, R, FLAT> {
             group.diverged[lane] |= !sound.lane(lane);
         }
         integrate::freeze(group, scratch);
-        super::report::report(shared, group, scratch);
+        super::report::report(shared, shared.wanted, group, scratch);
         scratch.mark(Phase::Report);
     }
 }

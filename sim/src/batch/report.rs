@@ -7,8 +7,14 @@ use super::program::{Place, Program};
 use super::vec3::{
     V3, add, add_scaled, cross, scale, sub, sym_times, turn, turn_back, turn_sym, zero3,
 };
+use super::wanted::Wanted;
 use crate::simd::Lanes;
 use crate::state::FIELDS;
+
+/// Numbers per lane of what [`Wanted::base`] stands for.
+const BASE: usize = 3 + 4 + 3 + 3;
+/// Numbers per lane of centre of mass, its velocity, angular velocity and heading.
+const WHOLE: usize = 3 + 3 + 3 + 1;
 
 /// Numbers per lane of each field of [`crate::State`], in its order.
 pub(super) fn widths<R: Lanes>(program: &Program<R>) -> [usize; FIELDS] {
@@ -58,26 +64,62 @@ impl<R: Lanes> Writer<'_, R> {
     }
 }
 
-/// Fills `scratch.out` from the group's state and sums, and moves the IMU's velocity on.
+/// Fills the fields of `scratch.out` that are `wanted` from the group's state and sums, and moves the IMU's velocity on if that is one of them.
 #[inline(always)]
-pub(super) fn report<R: Lanes>(shared: &Shared<R>, group: &mut Group<R>, scratch: &mut Scratch<R>) {
+pub(super) fn report<R: Lanes>(
+    shared: &Shared<R>,
+    wanted: Wanted,
+    group: &mut Group<R>,
+    scratch: &mut Scratch<R>,
+) {
     let program = &shared.program;
-    kinematics::frames(program, &group.x, &mut scratch.frames);
+    let needed = frames_needed(program, wanted);
+    kinematics::frames(program, &group.x, &mut scratch.frames[..needed]);
     let frames = &scratch.frames;
-    let base = kinematics::centre(&group.x, &frames[0]);
     let mut w = Writer {
         out: &mut scratch.out,
         at: 0,
     };
-    put_base(program, group, frames, base, &mut w);
+    let base = if needed > 0 {
+        kinematics::centre(&group.x, &frames[0])
+    } else {
+        zero3()
+    };
+    if wanted.base {
+        put_base(program, group, frames, base, &mut w);
+    } else {
+        w.at += BASE;
+    }
     put_joints(program, group, &mut w);
     let a = program.actuated;
     w.put(&group.sums[..2 * a]);
-    put_whole(program, group, frames, base, &mut scratch.coms, &mut w);
-    w.put(&[heading(program, frames)]);
-    put_feet(shared, frames, base, &mut w);
+    if wanted.rest {
+        put_whole(program, group, frames, base, &mut scratch.coms, &mut w);
+        w.put(&[heading(program, frames)]);
+    } else {
+        w.at += WHOLE;
+    }
+    put_feet(shared, wanted, frames, base, &mut w);
     w.put(&group.sums[2 * a..]);
-    put_imu(shared, group, frames, &mut w);
+    if wanted.imu {
+        put_imu(shared, group, frames, &mut w);
+    }
+}
+
+/// Number of the frames, from the base on, that what is wanted is worked out from.
+#[inline(always)]
+fn frames_needed<R: Lanes>(program: &Program<R>, wanted: Wanted) -> usize {
+    if wanted.rest || wanted.feet {
+        return program.frames();
+    }
+    let mut frames = 0;
+    if wanted.base {
+        frames = program.base_place.node + 1;
+    }
+    if wanted.imu {
+        frames = frames.max(program.imu.node + 1);
+    }
+    frames
 }
 
 #[inline(always)]
@@ -254,25 +296,36 @@ fn heading<R: Lanes>(program: &Program<R>, frames: &[Frame<R>]) -> R {
 }
 
 #[inline(always)]
-fn put_feet<R: Lanes>(shared: &Shared<R>, frames: &[Frame<R>], base: V3<R>, w: &mut Writer<'_, R>) {
+fn put_feet<R: Lanes>(
+    shared: &Shared<R>,
+    wanted: Wanted,
+    frames: &[Frame<R>],
+    base: V3<R>,
+    w: &mut Writer<'_, R>,
+) {
     let program = &shared.program;
     let feet = program.feet.len();
     let (pos, vel, height) = (w.at, w.at + 3 * feet, w.at + 6 * feet);
+    w.at += 7 * feet;
+    if !wanted.feet && !wanted.rest {
+        return;
+    }
     for (f, foot) in program.feet.iter().enumerate() {
         let frame = &frames[foot.node];
         let arm = frame.point(foot.at);
-        let (at, moving) = (add(base, arm), frame.velocity(arm));
-        for c in 0..3 {
-            w.out[pos + 3 * f + c] = at[c];
-            w.out[vel + 3 * f + c] = moving[c];
+        let at = add(base, arm);
+        w.out[pos + 3 * f..pos + 3 * f + 3].copy_from_slice(&at);
+        if !wanted.rest {
+            continue;
         }
+        let moving = frame.velocity(arm);
+        w.out[vel + 3 * f..vel + 3 * f + 3].copy_from_slice(&moving);
         let mut gap = at[2] - R::uniform(program.foot_radius[f]);
         if !shared.ground.is_flat() {
             gap -= shared.ground.sample(at[0], at[1]).height;
         }
         w.out[height + f] = gap;
     }
-    w.at += 7 * feet;
 }
 
 #[inline(always)]

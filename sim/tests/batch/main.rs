@@ -18,6 +18,7 @@ mod plain;
 #[allow(dead_code)]
 mod robots;
 mod trees;
+mod wanted;
 
 use caudata_model::{Pose, RobotModel};
 use caudata_random::Stream;
