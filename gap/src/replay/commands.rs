@@ -7,6 +7,56 @@ use caudata_sim::sensors::EncoderErrors;
 
 use crate::trial::Steps;
 
+/// The commands of all joints of a robot, read in order of time.
+pub(super) struct Readers<'a> {
+    joints: Vec<Reader<'a>>,
+    /// What each servo has heard last, rad. Beside the readers, so that steps in which no frame arrives are one short loop. `[A]`
+    heard_rad: Vec<f64>,
+    /// When the first frame arrives that has not been taken in, s.
+    next_s: f64,
+    /// Whether every encoder is faultless.
+    faultless: bool,
+}
+
+impl<'a> Readers<'a> {
+    /// One per joint, policy order.
+    pub fn new(joints: Vec<Reader<'a>>) -> Self {
+        let mut readers = Self {
+            faultless: joints.iter().all(|j| j.encoder == EncoderErrors::default()),
+            heard_rad: Vec::new(),
+            next_s: f64::INFINITY,
+            joints,
+        };
+        readers.look_ahead();
+        readers
+    }
+
+    /// Takes over what the readers have heard.
+    fn look_ahead(&mut self) {
+        self.heard_rad.clear();
+        self.heard_rad
+            .extend(self.joints.iter().map(|j| j.heard_rad));
+        let next = self.joints.iter().map(Reader::next_s);
+        self.next_s = next.fold(f64::INFINITY, f64::min);
+    }
+
+    /// As [`Reader::mean`], of each joint. `[A]`
+    pub fn means(&mut self, from_s: f64, to_s: f64, means_rad: &mut [f32]) {
+        let length_s = to_s - from_s;
+        if self.faultless && self.next_s >= to_s && length_s > 0.0 {
+            for (mean, heard) in means_rad.iter_mut().zip(&self.heard_rad) {
+                // as in `Reader::mean`, to the bit: a product and a quotient are not the number itself
+                *mean = ((0.0 + heard * length_s) / length_s) as f32;
+            }
+            return;
+        }
+        for (mean, joint) in means_rad.iter_mut().zip(&mut self.joints) {
+            *mean = joint.mean(from_s, to_s) as f32;
+        }
+        self.look_ahead();
+    }
+}
+
 /// A stepwise command read in order of time.
 pub(super) struct Reader<'a> {
     steps: &'a Steps,
@@ -97,8 +147,12 @@ pub(super) fn true_angle(encoder: &EncoderErrors, shown_rad: f64) -> f64 {
 
 /// What an encoder with these errors shows, before counting, rad.
 pub(super) fn shown_angle(encoder: &EncoderErrors, q_rad: f64) -> f64 {
-    let swing = f64::from(encoder.eccentricity_rad)
-        * (q_rad + f64::from(encoder.eccentricity_phase_rad)).sin();
+    let swing = if encoder.eccentricity_rad == 0.0 {
+        0.0
+    } else {
+        f64::from(encoder.eccentricity_rad)
+            * (q_rad + f64::from(encoder.eccentricity_phase_rad)).sin()
+    };
     f64::from(1.0 + encoder.gain) * q_rad + swing + f64::from(encoder.offset_rad)
 }
 
@@ -154,6 +208,32 @@ mod tests {
         assert_eq!(r.mean(0.0, 1.0), 0.0);
         assert_eq!(r.mean(1.0, 1.5), 2.0);
         assert_eq!(r.mean(1.5, 2.0), 4.0);
+    }
+
+    #[test]
+    fn joints_read_together_read_as_they_do_alone() {
+        let steps = [0.3, 0.7].map(|shift| Steps {
+            time_s: vec![0.0, 0.011 + shift, 0.9],
+            value: vec![0.1, shift, -0.3],
+        });
+        let reader = |joint: usize| {
+            Reader::new(
+                &steps[joint],
+                0.0006,
+                EncoderErrors::default(),
+                &CommandLoss::default(),
+                0.0,
+            )
+        };
+        let mut together = Readers::new(vec![reader(0), reader(1)]);
+        let mut alone = [reader(0), reader(1)];
+        for k in 0..600 {
+            let from_s = 0.002 * f64::from(k);
+            let mut means = [0.0; 2];
+            together.means(from_s, from_s + 0.002, &mut means);
+            let expected = (alone.each_mut()).map(|r| r.mean(from_s, from_s + 0.002) as f32);
+            assert_eq!(means, expected, "step {k}");
+        }
     }
 
     #[test]

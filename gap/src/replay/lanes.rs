@@ -1,11 +1,11 @@
 //! One engine full of jobs: reset, step, record.
 
-use caudata_sim::batch::BatchEngine;
+use caudata_sim::batch::{BatchEngine, Wanted};
 use caudata_sim::{Engine, InitialState, State};
 
-use super::commands::{Reader, true_angle};
+use super::commands::{Reader, Readers, true_angle};
 use super::data::{Data, Start, roll_pitch};
-use super::observe::{self, Trace};
+use super::observe::{self, Trace, wanted};
 use super::{Replayer, Variant};
 use crate::error::GapError;
 use crate::plant::Plant;
@@ -32,6 +32,7 @@ pub(super) fn run(
     let mut switches = Vec::with_capacity(jobs.len());
     let mut traces = Vec::with_capacity(jobs.len());
     let mut corrections = Vec::with_capacity(jobs.len());
+    let mut read = Wanted::JOINTS;
     let mut most = 0;
     for (lane, &(v, s)) in jobs.iter().enumerate() {
         let segment = &data.segments[s];
@@ -41,19 +42,24 @@ pub(super) fn run(
         most = most.max(periods);
         readers.push(readers_of(trial, &plant, segment.start_s));
         switches.push(Switches::new(trial, &plant, segment.start_s));
+        let signals = wanted(trial);
         traces.push(Trace::new(
-            trial,
+            signals,
             &plant,
             segment.start_s,
             period_s,
             periods,
         ));
+        read.base |= signals.base || segment.again.is_some();
+        read.imu |= signals.imu;
+        read.feet |= signals.feet;
         corrections.push(segment.again.as_ref().map_or(usize::MAX, |(at_s, _)| {
             ((at_s - segment.start_s) / period_s).round() as usize
         }));
         sound[lane] = start(engine, lane, &plant, &switches[lane], data, s);
         plants.push(plant);
     }
+    engine.report_only(read);
     let mut targets = vec![0.0_f32; lanes * joints];
     let wrenches = vec![0.0_f32; lanes * 6];
     for k in 0..=most {
@@ -65,9 +71,8 @@ pub(super) fn run(
             if k == corrections[lane] && sound[lane] {
                 sound[lane] &= correct(engine, lane, &plants[lane], data, s);
             }
-            for (a, reader) in readers[lane].iter_mut().enumerate() {
-                targets[lane * joints + a] = reader.mean(from, from + period_s) as f32;
-            }
+            let own = &mut targets[lane * joints..(lane + 1) * joints];
+            readers[lane].means(from, from + period_s, own);
             if switches[lane].due(from) && sound[lane] {
                 let params = switches[lane].apply(&plants[lane], from);
                 sound[lane] &= engine.set_params(lane, &params).is_ok();
@@ -164,8 +169,8 @@ fn correct(
     engine.correct(lane, &init).is_ok()
 }
 
-fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Vec<Reader<'a>> {
-    trial
+fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Readers<'a> {
+    let joints = trial
         .commands
         .iter()
         .enumerate()
@@ -179,7 +184,8 @@ fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Vec<Reader<'a
                 from_s,
             )
         })
-        .collect()
+        .collect();
+    Readers::new(joints)
 }
 
 /// Time after which friction that changes within a run is set anew, s.

@@ -1,12 +1,30 @@
 //! From simulated states to what the robot's sensors would have said, at the log's own stamps.
 
+use std::cell::OnceCell;
+use std::ops::Range;
+
 use caudata_model::RobotModel;
 use caudata_sim::State;
+use caudata_sim::batch::Wanted;
 
 use super::commands::{shown_angle, shown_current};
 use super::data::{Data, Piece};
 use crate::plant::Plant;
 use crate::trial::{Kind, Trial, attitude_of};
+
+/// What the channels of a log are made of beside joints.
+pub(super) fn wanted(trial: &Trial) -> Wanted {
+    let mut wanted = Wanted::JOINTS;
+    for channel in &trial.channels {
+        match channel.kind {
+            Kind::Gyro | Kind::Acceleration | Kind::Gravity => wanted.imu = true,
+            Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => wanted.base = true,
+            Kind::Foot => wanted.feet = true,
+            Kind::Position | Kind::Velocity | Kind::Current | Kind::Torque | Kind::Voltage => {}
+        }
+    }
+    wanted
+}
 
 /// Recorded states of one lane.
 pub(super) struct Trace {
@@ -15,115 +33,166 @@ pub(super) struct Trace {
     rows: usize,
     width: usize,
     joints: usize,
-    /// Whether body signals are recorded.
-    body: bool,
+    /// Which body signals are recorded.
+    wanted: Wanted,
     feet: usize,
-    /// `[rows, width]`: positions, velocities, torques, and then body signals.
+    /// `[rows, width]`: positions, velocities, torques, and then body signals: IMU, base, feet, as far as wanted.
     values: Vec<f32>,
 }
 
-/// Places of body signals after those of the joints.
+/// Places of the IMU's signals, and how many numbers they are.
 const GYRO: usize = 0;
 const ACC: usize = 3;
 const GRAV: usize = 6;
-const POS: usize = 9;
-const VEL: usize = 12;
-const ATT: usize = 15;
-const FOOT: usize = 18;
+const IMU: usize = 9;
+/// Places of the base's signals, and how many numbers they are.
+const POS: usize = 0;
+const VEL: usize = 3;
+const QUAT: usize = 6;
+const BASE: usize = 10;
 
 impl Trace {
-    pub fn new(trial: &Trial, plant: &Plant, start_s: f64, period_s: f64, periods: usize) -> Self {
+    pub fn new(wanted: Wanted, plant: &Plant, start_s: f64, period_s: f64, periods: usize) -> Self {
         let joints = plant.model.actuated().len();
-        let feet = plant.model.feet().len();
-        let body = trial
-            .channels
-            .iter()
-            .any(|c| !c.kind.of_joint() && c.kind != Kind::Voltage);
-        let width = 3 * joints + if body { FOOT + 3 * feet } else { 0 };
-        Self {
+        let feet = if wanted.feet {
+            plant.model.feet().len()
+        } else {
+            0
+        };
+        let mut trace = Self {
             start_s,
             period_s,
             rows: periods + 1,
-            width,
+            width: 0,
             joints,
-            body,
+            wanted,
             feet,
-            values: Vec::with_capacity((periods + 1) * width),
-        }
+            values: Vec::new(),
+        };
+        trace.width = trace.foot_column() + 3 * feet;
+        trace.values.reserve_exact(trace.rows * trace.width);
+        trace
     }
 
     pub fn rows(&self) -> usize {
         self.rows
     }
 
+    /// First column of the IMU's signals.
+    fn imu_column(&self) -> usize {
+        3 * self.joints
+    }
+
+    /// First column of the base's signals.
+    fn base_column(&self) -> usize {
+        self.imu_column() + if self.wanted.imu { IMU } else { 0 }
+    }
+
+    /// First column of the feet's positions.
+    fn foot_column(&self) -> usize {
+        self.base_column() + if self.wanted.base { BASE } else { 0 }
+    }
+
     pub fn record(&mut self, state: &State, lane: usize, model: &RobotModel) {
-        let hinges = state.joints;
-        for &j in model.actuated() {
-            self.values.push(state.joint_pos_rad[lane * hinges + j]);
+        let row = |k: usize| k * lane..k * (lane + 1);
+        let values = &mut self.values;
+        for joints in [&state.joint_pos_rad, &state.joint_vel_radps] {
+            let own = &joints[row(state.joints)];
+            values.extend(model.actuated().iter().map(|&j| own[j]));
         }
-        for &j in model.actuated() {
-            self.values.push(state.joint_vel_radps[lane * hinges + j]);
+        values.extend_from_slice(&state.motor_torque_nm[row(self.joints)]);
+        if self.wanted.imu {
+            values.extend_from_slice(&state.imu_gyro_radps[row(3)]);
+            values.extend_from_slice(&state.imu_acc_mps2[row(3)]);
+            values.extend_from_slice(&state.imu_gravity[row(3)]);
         }
-        let a = lane * self.joints..(lane + 1) * self.joints;
-        self.values.extend_from_slice(&state.motor_torque_nm[a]);
-        if !self.body {
-            return;
+        if self.wanted.base {
+            values.extend_from_slice(&state.base_pos_m[row(3)]);
+            values.extend_from_slice(&state.base_vel_mps[row(3)]);
+            values.extend_from_slice(&state.base_quat_wxyz[row(4)]);
         }
-        let three = 3 * lane..3 * lane + 3;
-        self.values
-            .extend_from_slice(&state.imu_gyro_radps[three.clone()]);
-        self.values
-            .extend_from_slice(&state.imu_acc_mps2[three.clone()]);
-        self.values
-            .extend_from_slice(&state.imu_gravity[three.clone()]);
-        self.values
-            .extend_from_slice(&state.base_pos_m[three.clone()]);
-        self.values.extend_from_slice(&state.base_vel_mps[three]);
-        let q = [0, 1, 2, 3].map(|i| f64::from(state.base_quat_wxyz[4 * lane + i]));
-        self.values.extend(attitude_of(q).map(|x| x as f32));
-        let feet = 3 * self.feet * lane..3 * self.feet * (lane + 1);
-        self.values.extend_from_slice(&state.foot_pos_m[feet]);
+        values.extend_from_slice(&state.foot_pos_m[row(3 * state.feet)][..3 * self.feet]);
     }
 
     fn last_row(&self) -> usize {
         (self.values.len() / self.width.max(1)).saturating_sub(1)
     }
 
-    /// Column `c` at time `t_s`, on the line between recorded states.
-    fn at(&self, c: usize, t_s: f64) -> f64 {
+    /// Between which recorded states `t_s` lies.
+    fn place(&self, t_s: f64) -> Place {
         let x = ((t_s - self.start_s) / self.period_s).max(0.0);
-        let k = (x as usize).min(self.last_row());
-        let next = (k + 1).min(self.last_row());
-        let share = (x - k as f64).clamp(0.0, 1.0);
-        let (a, b) = (
-            self.values[k * self.width + c],
-            self.values[next * self.width + c],
-        );
-        f64::from(a) + share * f64::from(b - a)
+        let row = (x as usize).min(self.last_row());
+        Place {
+            row: row as u32,
+            next: (row + 1).min(self.last_row()) as u32,
+            share: (x - row as f64).clamp(0.0, 1.0),
+        }
     }
 
-    /// Column `c` behind a low-pass of `time_s`, as a column of its own.
-    fn lagged(&self, c: usize, time_s: f64) -> Vec<f32> {
+    /// `columns` at `places`, each on the line between recorded states: one after the other. Row by row: a trace is larger than caches are.
+    fn at(&self, columns: Range<usize>, places: &[Place]) -> Vec<f64> {
+        let row = |row: u32| {
+            let from = row as usize * self.width;
+            &self.values[from..from + self.width][columns.clone()]
+        };
+        let mut out = vec![0.0; columns.len() * places.len()];
+        for (n, place) in places.iter().enumerate() {
+            let both = row(place.row).iter().zip(row(place.next));
+            for (c, (&a, &b)) in both.enumerate() {
+                out[c * places.len() + n] = place.between(a, b);
+            }
+        }
+        out
+    }
+
+    /// Gravity's x and y in the base and the base's yaw, each on the line between its values at recorded states.
+    fn attitude(&self, place: &Place) -> [f64; 3] {
+        let [a, b] = [place.row, place.next].map(|row| {
+            let q = row as usize * self.width + self.base_column() + QUAT;
+            let wxyz = [0, 1, 2, 3].map(|i| f64::from(self.values[q + i]));
+            attitude_of(wxyz).map(|x| x as f32)
+        });
+        [0, 1, 2].map(|i| place.between(a[i], b[i]))
+    }
+
+    /// `N` columns from `c` on, each behind a low-pass of `time_s`, as columns of their own.
+    fn lagged<const N: usize>(&self, c: usize, time_s: f64) -> Vec<[f32; N]> {
         let share = if time_s > 0.0 {
             -(-self.period_s / time_s).exp_m1()
         } else {
             1.0
         };
-        let mut y = f64::from(self.values[c]);
+        let mut y = std::array::from_fn::<f64, N, _>(|i| f64::from(self.values[c + i]));
         (0..=self.last_row())
             .map(|k| {
-                y += share * (f64::from(self.values[k * self.width + c]) - y);
-                y as f32
+                std::array::from_fn(|i| {
+                    y[i] += share * (f64::from(self.values[k * self.width + c + i]) - y[i]);
+                    y[i] as f32
+                })
             })
             .collect()
     }
+}
 
-    fn at_in(&self, column: &[f32], t_s: f64) -> f64 {
-        let x = ((t_s - self.start_s) / self.period_s).max(0.0);
-        let k = (x as usize).min(column.len() - 1);
-        let next = (k + 1).min(column.len() - 1);
-        let share = (x - k as f64).clamp(0.0, 1.0);
-        f64::from(column[k]) + share * f64::from(column[next] - column[k])
+/// Where a stamp falls between two recorded states.
+#[derive(Clone, Copy)]
+struct Place {
+    row: u32,
+    next: u32,
+    /// Of the way from one to the other.
+    share: f64,
+}
+
+impl Place {
+    /// On the line from `a` in one to `b` in the other.
+    #[inline]
+    fn between(&self, a: f32, b: f32) -> f64 {
+        f64::from(a) + self.share * f64::from(b - a)
+    }
+
+    /// The same in a column of its own.
+    fn of(&self, column: &[f32]) -> f64 {
+        self.between(column[self.row as usize], column[self.next as usize])
     }
 }
 
@@ -132,69 +201,157 @@ pub(super) fn predict(plant: &Plant, trace: &Trace, data: &Data, segment: usize)
     let s = &data.segments[segment];
     let trial = &data.trials[s.trial];
     let mut out = Vec::with_capacity(s.range.len());
+    let mut seen = Seen {
+        plant,
+        trace,
+        origin_s: trial.span_s.0,
+        stamps: Vec::new(),
+        triples: Vec::new(),
+    };
     for piece in &s.pieces {
-        let times = &data.time_s[piece.range.clone()];
-        let sensing = &plant.sensing;
-        let late_s = f64::from(sensing.measurement_delay_s);
-        let origin_s = trial.span_s.0;
-        // the log's own clock: what is stamped t was measured at …
-        let seen = |t: f64| t - late_s - f64::from(sensing.clock_drift) * (t - origin_s);
-        channel(plant, trace, piece, times, &seen, &mut out);
+        channel(
+            &mut seen,
+            piece,
+            &data.time_s[piece.range.clone()],
+            &mut out,
+        );
     }
     out
 }
 
-fn channel(
-    plant: &Plant,
-    trace: &Trace,
-    piece: &Piece,
-    times: &[f64],
-    seen: &dyn Fn(f64) -> f64,
-    out: &mut Vec<f32>,
-) {
+/// What channels have in common in a stretch: most have the same stamps, and three go together.
+struct Seen<'a> {
+    plant: &'a Plant,
+    trace: &'a Trace,
+    /// When the run began, s.
+    origin_s: f64,
+    stamps: Vec<Stamps<'a>>,
+    /// All three components of a kind at some stamps (their number in `stamps`), SI.
+    triples: Vec<(Kind, usize, Vec<[f32; 3]>)>,
+}
+
+/// Stamps of a channel, and where they fall.
+struct Stamps<'a> {
+    /// s.
+    times_s: &'a [f64],
+    /// How much later than joints this was measured, s.
+    late_s: f64,
+    places: Vec<Place>,
+    /// Signals of joints, the base and the feet at them, each once asked for, as [`Trace::at`] gives them.
+    joints: OnceCell<Vec<f64>>,
+    base: OnceCell<Vec<f64>>,
+    feet: OnceCell<Vec<f64>>,
+}
+
+impl Stamps<'_> {
+    /// Position (0), velocity (1) or torque (2) of a joint.
+    fn joint(&self, trace: &Trace, signal: usize, joint: usize) -> &[f64] {
+        let all = || trace.at(0..3 * trace.joints, &self.places);
+        self.column(self.joints.get_or_init(all), signal * trace.joints + joint)
+    }
+
+    /// A component of the base's position or velocity, SI.
+    fn base(&self, trace: &Trace, component: usize) -> &[f64] {
+        let first = trace.base_column();
+        let all = || trace.at(first..first + QUAT, &self.places);
+        self.column(self.base.get_or_init(all), component)
+    }
+
+    /// A component of the feet's positions, m.
+    fn foot(&self, trace: &Trace, component: usize) -> &[f64] {
+        let first = trace.foot_column();
+        let all = || trace.at(first..first + 3 * trace.feet, &self.places);
+        self.column(self.feet.get_or_init(all), component)
+    }
+
+    fn column<'b>(&self, columns: &'b [f64], c: usize) -> &'b [f64] {
+        let n = self.places.len();
+        &columns[c * n..(c + 1) * n]
+    }
+}
+
+impl<'a> Seen<'a> {
+    /// The number in `stamps` of `times_s` of a sensor that is `late_s` late.
+    fn stamps(&mut self, times_s: &'a [f64], late_s: f64) -> usize {
+        let same = |s: &Stamps<'_>| s.late_s == late_s && s.times_s == times_s;
+        if let Some(known) = self.stamps.iter().position(same) {
+            return known;
+        }
+        let sensing = &self.plant.sensing;
+        let measured_late_s = f64::from(sensing.measurement_delay_s);
+        // the log's own clock: what is stamped t was measured at …
+        let seen_s =
+            |t: f64| t - measured_late_s - f64::from(sensing.clock_drift) * (t - self.origin_s);
+        let place = |&t: &f64| self.trace.place(seen_s(t) - late_s);
+        self.stamps.push(Stamps {
+            times_s,
+            late_s,
+            places: times_s.iter().map(place).collect(),
+            joints: OnceCell::new(),
+            base: OnceCell::new(),
+            feet: OnceCell::new(),
+        });
+        self.stamps.len() - 1
+    }
+
+    /// Component `index` of `kind` at stamps `number`; `all` gives all three.
+    fn component(
+        &mut self,
+        kind: Kind,
+        number: usize,
+        index: usize,
+        all: impl Fn(&Plant, &Trace, &[Place]) -> Vec<[f32; 3]>,
+        out: &mut Vec<f32>,
+    ) {
+        let same = |t: &(Kind, usize, Vec<[f32; 3]>)| (t.0, t.1) == (kind, number);
+        let known = self.triples.iter().position(same).unwrap_or_else(|| {
+            let places = &self.stamps[number].places;
+            let values = all(self.plant, self.trace, places);
+            self.triples.push((kind, number, values));
+            self.triples.len() - 1
+        });
+        out.extend(self.triples[known].2.iter().map(|v| v[index]));
+    }
+}
+
+fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut Vec<f32>) {
+    let (plant, trace) = (seen.plant, seen.trace);
     let n = trace.joints;
     let i = piece.index;
     let sensing = &plant.sensing;
-    let body = 3 * n;
+    let late_s = match piece.kind {
+        Kind::Gyro | Kind::Acceleration | Kind::Gravity => f64::from(sensing.imu_delay_s),
+        Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => {
+            f64::from(sensing.mocap_delay_s)
+        }
+        _ => 0.0,
+    };
+    let number = seen.stamps(times_s, late_s);
+    let stamps = &seen.stamps[number];
     match piece.kind {
         Kind::Position => {
             let e = &sensing.encoders[i];
-            out.extend(
-                times
-                    .iter()
-                    .map(|&t| shown_angle(e, trace.at(i, seen(t))) as f32),
-            );
+            let true_rad = stamps.joint(trace, 0, i);
+            out.extend(true_rad.iter().map(|&q| shown_angle(e, q) as f32));
         }
         Kind::Velocity => {
             let gain = f64::from(1.0 + sensing.encoders[i].gain);
             let lag_s = f64::from(sensing.velocity_lag_s[i]);
             if lag_s > 0.0 {
-                let column = trace.lagged(n + i, lag_s);
-                out.extend(
-                    times
-                        .iter()
-                        .map(|&t| (gain * trace.at_in(&column, seen(t))) as f32),
-                );
+                let column = trace.lagged::<1>(n + i, lag_s);
+                let of = |place: &Place| (gain * place.of(column.as_flattened())) as f32;
+                out.extend(stamps.places.iter().map(of));
             } else {
-                out.extend(
-                    times
-                        .iter()
-                        .map(|&t| (gain * trace.at(n + i, seen(t))) as f32),
-                );
+                let true_radps = stamps.joint(trace, 1, i);
+                out.extend(true_radps.iter().map(|qd| (gain * qd) as f32));
             }
         }
-        Kind::Torque => out.extend(times.iter().map(|&t| trace.at(2 * n + i, seen(t)) as f32)),
+        Kind::Torque => out.extend(stamps.joint(trace, 2, i).iter().map(|&x| x as f32)),
         Kind::Current => {
             let joint = &plant.lane.joints[i];
             let errors = &sensing.currents[i];
             let servo = plant.model.servo(i);
-            let lag_s = f64::from(sensing.current_lag_s[i]);
-            let column = (lag_s > 0.0).then(|| trace.lagged(2 * n + i, lag_s));
-            out.extend(times.iter().map(|&t| {
-                let given = match &column {
-                    Some(column) => trace.at_in(column, seen(t)),
-                    None => trace.at(2 * n + i, seen(t)),
-                };
+            let current = |given: f64| {
                 // the current is that of a motor that does not saturate
                 let left = 1.0 - f64::from(joint.torque_saturation_per_nm) * given.abs();
                 let true_a = shown_current(
@@ -204,86 +361,77 @@ fn channel(
                     f64::from(joint.current_dead_band_a),
                 );
                 (f64::from(1.0 + errors.gain) * true_a + f64::from(errors.bias_a)) as f32
-            }));
+            };
+            let lag_s = f64::from(sensing.current_lag_s[i]);
+            if lag_s > 0.0 {
+                let column = trace.lagged::<1>(2 * n + i, lag_s);
+                let of = |place: &Place| current(place.of(column.as_flattened()));
+                out.extend(stamps.places.iter().map(of));
+            } else {
+                out.extend(stamps.joint(trace, 2, i).iter().map(|&nm| current(nm)));
+            }
         }
         Kind::Voltage => {
             let column = voltage(plant, trace);
-            out.extend(times.iter().map(|&t| trace.at_in(&column, seen(t)) as f32));
+            out.extend(stamps.places.iter().map(|place| place.of(&column) as f32));
         }
         Kind::Gyro | Kind::Acceleration | Kind::Gravity => {
-            imu(plant, trace, piece, times, seen, out)
+            let kind = piece.kind;
+            seen.component(kind, number, i, |p, t, at| imu(p, t, kind, at), out);
         }
-        Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => {
-            let late = f64::from(sensing.mocap_delay_s);
+        Kind::BasePosition | Kind::BaseVelocity => {
             let (sin, cos) = f64::from(sensing.mocap_yaw_rad).sin_cos();
-            let offset = sensing.mocap_offset_m.map(f64::from);
-            let base = match piece.kind {
-                Kind::BasePosition => body + POS,
-                Kind::BaseVelocity => body + VEL,
-                _ => body + ATT,
+            let (first, offset_m) = if piece.kind == Kind::BasePosition {
+                (POS, sensing.mocap_offset_m.map(f64::from))
+            } else {
+                (VEL, [0.0; 3])
             };
-            out.extend(times.iter().map(|&t| {
-                let t = seen(t) - late;
-                let own = trace.at(base + i, t);
-                let value = match (piece.kind, i) {
-                    (Kind::BaseAttitude, 2) => own + f64::from(sensing.mocap_yaw_rad),
-                    (Kind::BaseAttitude, _) => own,
-                    (kind, axis) => {
-                        let (x, y) = (trace.at(base, t), trace.at(base + 1, t));
-                        let turned = match axis {
-                            0 => cos * x - sin * y,
-                            1 => sin * x + cos * y,
-                            _ => own,
-                        };
-                        let shift = if kind == Kind::BasePosition {
-                            offset[axis]
-                        } else {
-                            0.0
-                        };
-                        turned + shift
-                    }
+            let [x, y, own] = [0, 1, i].map(|axis| stamps.base(trace, first + axis));
+            out.extend((0..own.len()).map(|k| {
+                let turned = match i {
+                    0 => cos * x[k] - sin * y[k],
+                    1 => sin * x[k] + cos * y[k],
+                    _ => own[k],
                 };
-                value as f32
+                (turned + offset_m[i]) as f32
             }));
         }
-        Kind::Foot => out.extend(
-            times
-                .iter()
-                .map(|&t| trace.at(body + FOOT + i, seen(t)) as f32),
-        ),
+        Kind::BaseAttitude => seen.component(piece.kind, number, i, attitudes, out),
+        Kind::Foot => out.extend(stamps.foot(trace, i).iter().map(|&x| x as f32)),
     }
 }
 
-fn imu(
-    plant: &Plant,
-    trace: &Trace,
-    piece: &Piece,
-    times: &[f64],
-    seen: &dyn Fn(f64) -> f64,
-    out: &mut Vec<f32>,
-) {
+/// Gravity's x and y in the base, and the base's yaw as motion capture has it, rad.
+fn attitudes(plant: &Plant, trace: &Trace, places: &[Place]) -> Vec<[f32; 3]> {
+    let yaw_rad = f64::from(plant.sensing.mocap_yaw_rad);
+    let of = |place: &Place| {
+        let [x, y, yaw] = trace.attitude(place);
+        [x as f32, y as f32, (yaw + yaw_rad) as f32]
+    };
+    places.iter().map(of).collect()
+}
+
+/// All three axes of an IMU's signal.
+fn imu(plant: &Plant, trace: &Trace, kind: Kind, places: &[Place]) -> Vec<[f32; 3]> {
     let sensing = &plant.sensing;
-    let base = 3 * trace.joints
-        + match piece.kind {
+    let base = trace.imu_column()
+        + match kind {
             Kind::Gyro => GYRO,
             Kind::Acceleration => ACC,
             _ => GRAV,
         };
-    let late = f64::from(sensing.imu_delay_s);
-    let columns = [0, 1, 2].map(|axis| trace.lagged(base + axis, f64::from(sensing.imu_lag_s)));
-    out.extend(times.iter().map(|&t| {
-        let t = seen(t) - late;
-        let v = [0, 1, 2].map(|axis| trace.at_in(&columns[axis], t) as f32);
-        match piece.kind {
-            Kind::Gyro => {
-                sensing.mounting.gyro_radps(v)[piece.index] + sensing.bias.gyro_radps[piece.index]
-            }
-            Kind::Acceleration => {
-                sensing.mounting.acc_mps2(v)[piece.index] + sensing.bias.acc_mps2[piece.index]
-            }
-            _ => sensing.mounting.turned(v)[piece.index],
-        }
-    }));
+    let columns = trace.lagged::<3>(base, f64::from(sensing.imu_lag_s));
+    let of = |place: &Place| {
+        let (a, b) = (columns[place.row as usize], columns[place.next as usize]);
+        let v = [0, 1, 2].map(|axis| place.between(a[axis], b[axis]) as f32);
+        let (seen, bias) = match kind {
+            Kind::Gyro => (sensing.mounting.gyro_radps(v), sensing.bias.gyro_radps),
+            Kind::Acceleration => (sensing.mounting.acc_mps2(v), sensing.bias.acc_mps2),
+            _ => return sensing.mounting.turned(v),
+        };
+        [0, 1, 2].map(|axis| seen[axis] + bias[axis])
+    };
+    places.iter().map(of).collect()
 }
 
 /// Bus voltage at every recorded state: V₀ − R·Σ|i| behind its lag.
@@ -291,6 +439,9 @@ fn voltage(plant: &Plant, trace: &Trace) -> Vec<f32> {
     let lane = &plant.lane;
     let open_v = f64::from(lane.supply_v);
     let ohm = f64::from(lane.supply_resistance_ohm);
+    if ohm == 0.0 {
+        return vec![open_v as f32; trace.last_row() + 1];
+    }
     let lag_s = f64::from(lane.supply_lag_s);
     let share = if lag_s > 0.0 {
         -(-trace.period_s / lag_s).exp_m1()
