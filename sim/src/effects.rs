@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::drive::command::MAX_COMMAND_DELAY_S;
 use crate::drive::friction::PRESLIDING_RAD;
 use crate::drive::gear::TOOTH_DAMPING_RATIO;
+use crate::drive::loop_delay::MAX_LOOP_DELAY_S;
 
 /// Farthest an end stop can be, rad: stands for none.
 pub const ENDLESS_RAD: f32 = 1e6;
@@ -87,8 +88,8 @@ effects! {
         dead_band_rad: 0.0, 1.0;
         /// Integral gain, N·m/(rad·s); stands still while the motor saturates. Nominal 0.
         ki_nm_per_rad_s: 0.0, 1000.0;
-        /// Lag between what the loop wants and what the motor gives, s (computing time and current loop). Nominal 0.
-        loop_lag_s: 0.0, 1.0;
+        /// Delay between what the loop wants and what the motor gives, s (computing time). At most [`MAX_LOOP_DELAY_S`]. Nominal 0.
+        loop_delay_s: 0.0, MAX_LOOP_DELAY_S;
         /// Factor on both speeds of the envelope (a lower back-EMF constant is a faster motor). Nominal 1.
         speed_scale: 0.05, 20.0;
         /// Factor on the limit of torque against the motion, on top of `torque_scale`. Nominal 1.
@@ -164,7 +165,7 @@ impl JointEffects {
             profile_acceleration_radps2: 0.0,
             dead_band_rad: 0.0,
             ki_nm_per_rad_s: 0.0,
-            loop_lag_s: 0.0,
+            loop_delay_s: 0.0,
             speed_scale: 1.0,
             brake_scale: 1.0,
             winding_scale: 1.0,

@@ -41,7 +41,7 @@ pub use extension::check_extension;
 pub use momenta::Momenta;
 pub use params::{
     CommandLoss, HingeEffects, InitialState, JointEffects, LaneParams, LinkWater,
-    MAX_COMMAND_DELAY_S,
+    MAX_COMMAND_DELAY_S, MAX_LOOP_DELAY_S,
 };
 pub use state::State;
 pub use terrain::{HeightGrid, Terrain, TerrainConfig, TerrainKind};

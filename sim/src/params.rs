@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::SimError;
 pub use crate::drive::command::MAX_COMMAND_DELAY_S;
+pub use crate::drive::loop_delay::MAX_LOOP_DELAY_S;
 pub use crate::drive::loss::CommandLoss;
 pub use crate::effects::{EffectField, HingeEffects, JointEffects, LinkWater};
 

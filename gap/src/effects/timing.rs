@@ -1,6 +1,6 @@
 //! When commands arrive and readings were taken (T1 to T8).
 
-use caudata_sim::MAX_COMMAND_DELAY_S;
+use caudata_sim::{MAX_COMMAND_DELAY_S, MAX_LOOP_DELAY_S};
 
 use super::Reference::{One, Speed};
 use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
@@ -237,12 +237,13 @@ pub static SERVO_LOOP_DELAY: Effect = Effect {
     id: "servo_loop_delay",
     layer: Layer::Timing,
     domain: Domain::Joints,
-    parameters: &[parameter("lag_s", "s", 0.0, (0.0, 0.1), 0.001, One)],
+    parameters: &[parameter("delay_s", "s", 0.0, (0.0, 0.05), 0.001, One)],
     grid: &[&[0.001], &[0.002], &[0.004], &[0.008], &[0.015], &[0.03]],
     hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
-            plant.lane.joints[a].loop_lag_s += v[0] as f32;
+            let joint = &mut plant.lane.joints[a];
+            joint.loop_delay_s = (joint.loop_delay_s + v[0] as f32).clamp(0.0, MAX_LOOP_DELAY_S);
         }
     },
     shows_in: JOINT_SIGNALS,

@@ -13,8 +13,8 @@ use super::pool::Pool;
 use super::program::Program;
 use super::report;
 use super::wanted::Wanted;
-use crate::drive::JointMemory;
 use crate::drive::loss::LossMemory;
+use crate::drive::{JointMemory, loop_delay};
 use crate::lanes::Lanes as _;
 use crate::real::Real;
 use crate::simd::{Kernel, Lanes};
@@ -29,6 +29,8 @@ const PARTS_PER_THREAD: usize = 8;
 pub(super) struct LaneState {
     pub x: Vec<f64>,
     pub drives: Vec<JointMemory<f64>>,
+    /// What the loops asked for in the last steps, see [`lane`](crate::drive::WantedTorques::lane).
+    pub wanted_nm: Vec<f64>,
     pub history: Vec<f64>,
     pub loss: LossMemory,
     pub sums: Vec<f64>,
@@ -44,8 +46,8 @@ pub(super) trait Core: Send {
         config: &EngineConfig,
         params: &LaneParams,
     );
-    /// Whether a lane's state has the lengths that these lanes have.
-    fn fits(&self, lane: &LaneState) -> bool;
+    /// Whether a lane's state has the lengths that these lanes have with a loop memory of `steps` steps.
+    fn fits(&self, lane: &LaneState, steps: usize) -> bool;
     /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity (world), joints in model order,
     /// servos holding `rest`. Then reports it in `row` of `state`.
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State);
@@ -168,10 +170,11 @@ impl<R: Lanes> Core for CoreOf<R> {
         }
     }
 
-    fn fits(&self, lane: &LaneState) -> bool {
+    fn fits(&self, lane: &LaneState, steps: usize) -> bool {
         let group = &self.groups[0];
         lane.x.len() == group.x.len()
             && lane.drives.len() == group.drives.len()
+            && loop_delay::fits(lane.wanted_nm.len(), group.drives.len(), steps)
             && lane.sums.len() == group.sums.len()
             && lane.history.len() == group.history.lane(0).len()
     }
@@ -194,6 +197,7 @@ impl<R: Lanes> Core for CoreOf<R> {
             drives: (start.rest.iter().zip(start.servo_vel))
                 .map(|(&q, &qd)| JointMemory::rest(f64::from(q), f64::from(qd)))
                 .collect(),
+            wanted_nm: Vec::new(),
             history: {
                 let width = program.actuated.max(1);
                 let depth = self.groups[0].history.lane(0).len() / width;
@@ -229,6 +233,7 @@ impl<R: Lanes> Core for CoreOf<R> {
         LaneState {
             x: group.x.iter().map(|v| Real::lane(*v, slot)).collect(),
             drives: group.drives.iter().map(|d| d.lane(slot)).collect(),
+            wanted_nm: group.wanted.lane(slot),
             history: group.history.lane(slot),
             loss: group.loss[slot],
             sums: group.sums.iter().map(|v| Real::lane(*v, slot)).collect(),
@@ -320,7 +325,8 @@ impl<R: Lanes> Core for CoreOf<R> {
 }
 
 fn put_slot<R: Lanes>(group: &mut Group<R>, slot: usize, from: &LaneState) -> bool {
-    if !group.history.set_lane(slot, &from.history) {
+    if !group.history.set_lane(slot, &from.history) || !group.wanted.set_lane(slot, &from.wanted_nm)
+    {
         return false;
     }
     for (to, v) in group.x.iter_mut().zip(&from.x) {

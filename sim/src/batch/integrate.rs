@@ -140,6 +140,11 @@ pub(super) fn freeze<R: Lanes>(group: &mut Group<R>, scratch: &Scratch<R>) {
     for (now, saved) in group.sums.iter_mut().zip(&scratch.saved_sums) {
         *now = R::select(frozen, *saved, *now);
     }
+    for lane in 0..R::LANES {
+        if group.diverged[lane] {
+            group.wanted.forget(lane);
+        }
+    }
 }
 
 #[inline(always)]
@@ -154,7 +159,6 @@ fn select_memory<R: Lanes>(
         profile_rad: R::select(mask, yes.profile_rad, no.profile_rad),
         profile_radps: R::select(mask, yes.profile_radps, no.profile_radps),
         integral_nm: R::select(mask, yes.integral_nm, no.integral_nm),
-        lagged_nm: R::select(mask, yes.lagged_nm, no.lagged_nm),
         load_nm: R::select(mask, yes.load_nm, no.load_nm),
         lead_rad: R::select(mask, yes.lead_rad, no.lead_rad),
         rotor_radps: R::select(mask, yes.rotor_radps, no.rotor_radps),

@@ -6,7 +6,9 @@ use super::contact::MEMORY;
 use super::program::Program;
 use crate::drive::loss::LossMemory;
 use crate::drive::supply::Supply;
-use crate::drive::{CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive};
+use crate::drive::{
+    CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive, WantedTorques, loop_delay,
+};
 use crate::lanes::Lanes as _;
 use crate::observe;
 use crate::simd::Lanes;
@@ -117,6 +119,7 @@ pub(super) struct Group<R> {
     pub x: Vec<R>,
     /// Drive-lines. `[A]`
     pub drives: Vec<JointMemory<R>>,
+    pub wanted: WantedTorques<R>,
     pub history: CommandHistory<R>,
     /// Per lane.
     pub loss: Vec<LossMemory>,
@@ -163,6 +166,7 @@ impl<R: Lanes> Group<R> {
             },
             x: vec![o; layout(program).len()],
             drives: vec![JointMemory::default(); program.actuated],
+            wanted: WantedTorques::new(program.actuated),
             history: CommandHistory::new(period_s, &vec![o; program.actuated]),
             loss: vec![LossMemory::default(); R::LANES],
             diverged: vec![false; R::LANES],
@@ -235,6 +239,8 @@ impl<R: Lanes> Group<R> {
         to.surface.current_mps.set_lane(lane, &current);
         to.surface.gravity_mps2.set_lane(lane, &gravity);
         to.loss[lane] = p.command_loss;
+        let steps = loop_delay::memory_steps(p, config.dt_s);
+        self.wanted.set_steps(lane, steps);
         to.needs[lane] = (servos.iter().map(DriveFeatures::of))
             .fold(DriveFeatures::default(), DriveFeatures::or);
         to.features = (to.needs.iter().copied()).fold(DriveFeatures::default(), DriveFeatures::or);

@@ -39,6 +39,7 @@ pub use self::clock::{Phase, PhaseSeconds};
 use self::core::{Core, CoreOf, Start};
 pub use self::wanted::Wanted;
 use crate::config::Precision;
+use crate::drive::loop_delay;
 use crate::observe::{self, Coordinates};
 use crate::simd::Width;
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
@@ -308,7 +309,11 @@ impl Engine for BatchEngine {
         for (lane, p) in params.iter().enumerate() {
             p.validate(&self.model, lane)?;
         }
-        if !lanes.iter().all(|lane| self.core.fits(lane)) {
+        let fits = |(lane, p)| {
+            let steps = loop_delay::memory_steps(p, self.config.dt_s);
+            self.core.fits(lane, steps)
+        };
+        if !lanes.iter().zip(&params).all(fits) {
             return Err(snapshot::refused("its lanes have another layout"));
         }
         for (lane, (p, from)) in params.iter().zip(&lanes).enumerate() {

@@ -17,6 +17,7 @@ use super::vec3::{Inertia, V3, dot, zero3};
 use super::wanted::Wanted;
 use super::wet;
 use crate::drive::command::Scheduled;
+use crate::drive::loop_delay::Loop;
 use crate::drive::loss::LossMemory;
 use crate::drive::passive::StopAt;
 use crate::drive::step::{self, Driven, Step};
@@ -359,7 +360,11 @@ fn load_joints<R: Lanes>(
     let lay = layout(program);
     let n = program.nodes.len();
     let Group {
-        x, params, drives, ..
+        x,
+        params,
+        drives,
+        wanted,
+        ..
     } = group;
     let (q, qd) = (&x[lay.q()..lay.q() + n], &x[lay.qd()..lay.qd() + n]);
     let bristle = &x[lay.bristle()..lay.bristle() + n];
@@ -368,6 +373,10 @@ fn load_joints<R: Lanes>(
     let since = R::splat(shared.dt_s * f64::from(substep));
     let bus = Bus::at(x[Layout::BUS]);
     let mut current = R::zero();
+    let late = params.features.loop_delay;
+    if late {
+        wanted.begin_step();
+    }
     for i in 0..n {
         let hinge = &params.hinges[i];
         let stop = StopAt {
@@ -381,6 +390,11 @@ fn load_joints<R: Lanes>(
                 &params.servos[a],
                 hinge,
                 &mut drives[a],
+                if late {
+                    wanted.joint(a)
+                } else {
+                    Loop::direct()
+                },
                 step,
                 &bus,
                 command,
@@ -395,6 +409,9 @@ fn load_joints<R: Lanes>(
             step::hinge_torque(hinge, step, bristle[i], q[i], qd[i], stop)
         };
         scratch.loads[i] = load(&torque, params.armature[i], step.dt_s, qd[i]);
+    }
+    if late {
+        wanted.end_step();
     }
     x[Layout::BUS] = supply::settle_v(&params.supply, x[Layout::BUS], current);
 }

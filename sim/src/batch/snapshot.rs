@@ -6,7 +6,7 @@ use super::core::LaneState;
 use crate::{EngineConfig, LaneParams, SimError, State};
 
 /// Changes whenever the layout below does.
-const FORMAT: &str = "caudata-batch-2";
+const FORMAT: &str = "caudata-batch-3";
 
 /// What a snapshot must match to be restored, and what it holds.
 #[derive(Serialize, Deserialize)]

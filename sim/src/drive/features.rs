@@ -17,8 +17,8 @@ pub struct DriveFeatures {
     pub dead_band: bool,
     /// Integral gain.
     pub integral: bool,
-    /// Lag between loop and torque.
-    pub loop_lag: bool,
+    /// Delay between loop and torque.
+    pub loop_delay: bool,
     /// Gain ratio while driven back.
     pub back_drive: bool,
     /// Winding resistance other than nominal, or warming.
@@ -55,7 +55,7 @@ impl DriveFeatures {
                 || servo.profile_acceleration_radps2 < NO_LIMIT,
             dead_band: servo.dead_band_rad > 0.0,
             integral: servo.ki_nm_per_rad_s > 0.0,
-            loop_lag: servo.loop_share < 1.0,
+            loop_delay: servo.loop_delay_steps > 0.0,
             back_drive: servo.back_drive_kp_ratio != 1.0,
             winding: servo.winding_scale != 1.0 || thermal,
             thermal,
@@ -81,7 +81,7 @@ impl DriveFeatures {
             profile: self.profile | other.profile,
             dead_band: self.dead_band | other.dead_band,
             integral: self.integral | other.integral,
-            loop_lag: self.loop_lag | other.loop_lag,
+            loop_delay: self.loop_delay | other.loop_delay,
             back_drive: self.back_drive | other.back_drive,
             winding: self.winding | other.winding,
             thermal: self.thermal | other.thermal,

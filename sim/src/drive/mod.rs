@@ -1,9 +1,9 @@
 //! The drive-line of one actuated joint, written once over [`Real`]: from the command on the bus to the torque at the joint.
 //!
 //! ```text
-//!  command ── delay, loss ── low-pass ── profile ──▶ PD ── lag ── envelope ──▶ gear ──▶ joint
-//!             command.rs     filter.rs   filter.rs   servo.rs, thermal.rs      gear.rs  friction.rs, passive.rs
-//!                                                      ▲ bus voltage, supply.rs
+//!  command ── delay, loss ── low-pass ── profile ──▶ PD ── delay ── envelope ──▶ gear ──▶ joint
+//!             command.rs     filter.rs   filter.rs   loop_delay.rs, servo.rs,    gear.rs  friction.rs, passive.rs
+//!                                                    thermal.rs ▲ bus voltage, supply.rs
 //! ```
 //!
 //! [`step::start`] gives one joint's torque for one physics step, [`step::finish`] takes what the joint then did into its memory.
@@ -19,6 +19,7 @@ pub mod features;
 pub mod filter;
 pub mod friction;
 pub mod gear;
+pub mod loop_delay;
 pub mod loss;
 pub mod params;
 pub mod passive;
@@ -29,6 +30,7 @@ pub mod thermal;
 
 pub use command::CommandHistory;
 pub use features::DriveFeatures;
+pub use loop_delay::WantedTorques;
 pub use params::{JointPassive, ServoDrive};
 pub use step::JointMemory;
 

@@ -5,7 +5,7 @@ use caudata_model::{JointKind, RobotModel};
 use super::command::MAX_COMMAND_DELAY_S;
 use super::gear::TOOTH_STIFFNESS_NM_PER_RAD;
 use super::supply::Supply;
-use super::{filter, friction};
+use super::{filter, friction, loop_delay};
 use crate::LaneParams;
 use crate::lanes::per_lane;
 use crate::params::backlash_joints;
@@ -70,8 +70,8 @@ per_lane! {
         pub dead_band_rad: R,
         /// Integral gain, N·m/(rad·s).
         pub ki_nm_per_rad_s: R,
-        /// Part of the way that the torque makes per step towards what the loop wants.
-        pub loop_share: R,
+        /// Delay of the torque that the loop wants, in physics steps.
+        pub loop_delay_steps: R,
         /// Winding resistance over the nominal one, cold.
         pub winding_scale: R,
         /// Growth of the resistance, 1/K.
@@ -156,7 +156,7 @@ impl ServoDrive<f64> {
             profile_acceleration_radps2: unlimited(e.profile_acceleration_radps2),
             dead_band_rad: wide(e.dead_band_rad),
             ki_nm_per_rad_s: wide(e.ki_nm_per_rad_s),
-            loop_share: filter::lag_share(wide(e.loop_lag_s), dt_s),
+            loop_delay_steps: loop_delay::steps(e.loop_delay_s, dt_s),
             winding_scale: wide(e.winding_scale),
             resistance_per_k: wide(e.resistance_per_k),
             thermal_rise_k_per_a2: wide(e.thermal_rise_k_per_a2),

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use super::loop_delay::Loop;
 use super::passive::{self, StopAt};
 use super::supply::Bus;
 use super::{DriveFeatures, ImplicitTorque, JointPassive, ServoDrive};
@@ -45,8 +46,6 @@ per_lane! {
         pub profile_radps: R,
         /// Integral part of the loop, N·m.
         pub integral_nm: R,
-        /// Torque after the loop's lag, N·m.
-        pub lagged_nm: R,
         /// Estimate of the torque passed on to the load, N·m.
         pub load_nm: R,
         /// Rotor ahead of the joint, rad.
@@ -88,7 +87,8 @@ pub struct Driven<R> {
     gear: Option<gear::GearStep<R>>,
 }
 
-/// The torque on an actuated joint at position `q_rad`, velocity `qd_radps` for the step that now begins; `command_rad` is what arrives at the servo.
+/// The torque on an actuated joint at position `q_rad`, velocity `qd_radps` for the step that now begins; `command_rad` is what arrives at the servo,
+/// `on_its_way` what its loop asked for before.
 #[must_use]
 #[inline(always)]
 pub fn start<R: Real>(
@@ -96,6 +96,7 @@ pub fn start<R: Real>(
     p: &ServoDrive<R>,
     hinge: &JointPassive<R>,
     m: &mut JointMemory<R>,
+    on_its_way: Loop<'_, R>,
     step: &Step<R>,
     bus: &Bus<R>,
     command_rad: R,
@@ -114,6 +115,7 @@ pub fn start<R: Real>(
         f,
         p,
         m,
+        on_its_way,
         step,
         bus,
         target_rad - q_rad,
@@ -262,6 +264,7 @@ fn motor<R: Real>(
     f: DriveFeatures,
     p: &ServoDrive<R>,
     m: &mut JointMemory<R>,
+    on_its_way: Loop<'_, R>,
     step: &Step<R>,
     bus: &Bus<R>,
     error_rad: R,
@@ -280,9 +283,8 @@ fn motor<R: Real>(
     if f.integral {
         wanted_nm += m.integral_nm;
     }
-    if f.loop_lag {
-        m.lagged_nm = filter::low_pass(m.lagged_nm, wanted_nm, p.loop_share);
-        wanted_nm = m.lagged_nm;
+    if f.loop_delay {
+        wanted_nm = on_its_way.pass(wanted_nm, p.loop_delay_steps);
     }
     wanted_nm -= p.kd_min_nms_per_rad * motor_radps;
     let mut per_rho = R::one();

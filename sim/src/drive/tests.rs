@@ -17,7 +17,7 @@ fn near(what: &str, got: f64, want: f64, tolerance: f64) {
     );
 }
 
-/// A servo without limits, friction or lag: kp 15, kd 0.3, rotor 0.0022 kg·m².
+/// A servo without limits, friction or delay: kp 15, kd 0.3, rotor 0.0022 kg·m².
 fn servo() -> ServoDrive<f64> {
     ServoDrive {
         kp_nm_per_rad: 15.0,
@@ -30,7 +30,6 @@ fn servo() -> ServoDrive<f64> {
         low_pass_share: 1.0,
         profile_speed_radps: params::NO_LIMIT,
         profile_acceleration_radps2: params::NO_LIMIT,
-        loop_share: 1.0,
         winding_scale: 1.0,
         thermal_share: 1.0,
         per_stribeck_speed_s_per_rad: 10.0,
@@ -53,6 +52,7 @@ struct Rig {
     servo: ServoDrive<f64>,
     hinge: JointPassive<f64>,
     memory: JointMemory<f64>,
+    wanted: WantedTorques<f64>,
     volt: f64,
     q: f64,
     qd: f64,
@@ -63,7 +63,10 @@ struct Rig {
 
 impl Rig {
     fn new(servo: ServoDrive<f64>, hinge: JointPassive<f64>) -> Self {
+        let mut wanted = WantedTorques::new(1);
+        wanted.set_steps(0, servo.loop_delay_steps.ceil() as usize + 1);
         Self {
+            wanted,
             // the stop reckons with the load and the rotor
             stop: Stop::new(&Default::default(), 1.0 / (0.01 + servo.rotor_kgm2)),
             free: 0.0,
@@ -83,6 +86,7 @@ impl Rig {
         let dt = Step::new(DT);
         let bus = Bus::at(self.volt);
         let m = &mut self.memory;
+        self.wanted.begin_step();
         let stop = StopAt {
             law: &self.stop,
             free_radps2: self.free,
@@ -92,6 +96,7 @@ impl Rig {
             &self.servo,
             &self.hinge,
             m,
+            self.wanted.joint(0),
             &dt,
             &bus,
             command,
@@ -99,6 +104,7 @@ impl Rig {
             self.qd,
             stop,
         );
+        self.wanted.end_step();
         let t = d.torque;
         let inertia = 0.01 + self.servo.armature_kgm2() + t.inertia_kgm2;
         let qd = (inertia * self.qd + DT * (load + t.now_nm))
@@ -357,28 +363,108 @@ fn warm_motor_droops_more() {
     near("droop", 0.5 - rig.q, 0.04 * 1.1404, 1e-5);
 }
 
+/// `p` with a loop that is late by `delay_s`.
+fn late(p: ServoDrive<f64>, delay_s: f64) -> ServoDrive<f64> {
+    ServoDrive {
+        loop_delay_steps: delay_s / DT,
+        ..p
+    }
+}
+
 #[test]
-fn loop_lag_makes_it_ring() {
-    // ζ without lag: 0.3/(2·√(15·0.0122)) = 0.35. A lag of 20 ms takes about kp·lag = 0.3 off the damping: it no longer dies
-    let overshoot = |lag: f64| {
-        let mut rig = Rig::new(
-            ServoDrive {
-                loop_share: filter::lag_share(lag, DT),
-                ..servo()
-            },
-            hinge(),
-        );
-        rig.run(2.0, |_| 0.5, 0.0);
+fn torque_arrives_after_the_loops_delay() {
+    // an error of 0.1 rad asks for 1.5 N·m. After 2.25 steps: nothing in two, three quarters in the third (the rest is still what was asked for before)
+    let mut rig = Rig::new(late(servo(), 0.00225), hinge());
+    rig.run(0.01, |_| 0.0, 0.0);
+    for want in [0.0, 0.0, 1.125, 1.5, 1.5] {
+        rig.step(0.1, 0.0);
+        near("torque", rig.motor_nm, want, 1e-12);
+    }
+    // back-EMF is no part of the loop: it brakes at once
+    let coasting = ServoDrive {
+        kp_nm_per_rad: 0.0,
+        kd_nms_per_rad: 0.0,
+        kd_min_nms_per_rad: 0.2,
+        ..servo()
+    };
+    let mut rig = Rig::new(late(coasting, 0.01), hinge());
+    rig.qd = 2.0;
+    rig.step(0.0, 0.0);
+    near("back-EMF", rig.motor_nm, -0.4, 1e-12);
+}
+
+#[test]
+fn late_damping_is_stable_up_to_a_quarter_turn() {
+    // ω' = −kd/J·ω(t − d) rings for good at kd·d/J = π/2. 20 ms and half a step (torque holds for one), J = 0.0122 kg·m²: kd = 0.9349 N·m·s/rad.
+    // 2 % off: its growth is π/2/(1 + π²/4)·Δ(kd/J) = 0.453·1.53 = 0.69 /s, e^2.8 = 16 in 4 s
+    let limit = 0.5 * std::f64::consts::PI * 0.0122 / 0.0205;
+    let growth = |kd: f64| {
+        let p = ServoDrive {
+            kp_nm_per_rad: 0.0,
+            kd_nms_per_rad: kd,
+            ..servo()
+        };
+        let mut rig = Rig::new(late(p, 0.02), hinge());
+        // in a step of its own: it did not move before
+        rig.step(0.0, 0.0);
+        rig.qd = 1.0;
+        let mut greatest = |from: f64| {
+            rig.run(from, |_| 0.0, 0.0);
+            let mut most = 0.0_f64;
+            for _ in 0..100 {
+                rig.step(0.0, 0.0);
+                most = most.max(rig.qd.abs());
+            }
+            most
+        };
+        let first = greatest(1.0);
+        greatest(3.9) / first
+    };
+    let (dies, grows) = (growth(0.98 * limit), growth(1.02 * limit));
+    near("dies", dies, 1.0 / 16.0, 0.02);
+    near("grows", grows, 16.0, 4.0);
+}
+
+#[test]
+fn a_late_loop_rings_beyond_its_phase_margin() {
+    // |kp + i·kd·ω| = J·ω² at ω = 39.6 rad/s, where kd gives atan(0.792) = 0.670 rad: that is 16.9 ms, half a step of them the step's own
+    let left = |delay_s: f64| {
+        let mut rig = Rig::new(late(servo(), delay_s), hinge());
+        rig.run(2.0, |_| 0.01, 0.0);
         let mut most = 0.0_f64;
         for _ in 0..500 {
-            rig.step(0.5, 0.0);
-            most = most.max((rig.q - 0.5).abs());
+            rig.step(0.01, 0.0);
+            most = most.max((rig.q - 0.01).abs());
         }
         most
     };
-    assert!(overshoot(0.0) < 1e-6);
-    assert!(overshoot(0.004) < 1e-3, "a short lag is survived");
-    assert!(overshoot(0.03) > 0.05, "a long one is not");
+    assert!(left(0.0) < 1e-7);
+    assert!(left(0.013) < 1e-3, "well within it dies: {}", left(0.013));
+    assert!(left(0.020) > 0.1, "beyond it grows: {}", left(0.020));
+}
+
+#[test]
+fn short_delays_are_smooth() {
+    // with 1 µs, 1 % of a step and 1 step the motion changes in proportion to the delay
+    let after = |delay_s: f64| {
+        let mut rig = Rig::new(late(servo(), delay_s), hinge());
+        rig.run(0.05, |t| if t < 0.005 { 0.0 } else { 0.1 }, 0.0);
+        rig.q
+    };
+    let none = after(0.0);
+    let per_s = (after(1e-6) - none) / 1e-6;
+    near(
+        "1 %",
+        (after(1e-5) - none) / 1e-5,
+        per_s,
+        1e-3 * per_s.abs(),
+    );
+    near(
+        "a step",
+        (after(1e-3) - none) / 1e-3,
+        per_s,
+        0.1 * per_s.abs(),
+    );
 }
 
 #[test]
@@ -438,7 +524,7 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
         profile: true,
         dead_band: true,
         integral: true,
-        loop_lag: true,
+        loop_delay: true,
         back_drive: true,
         winding: true,
         thermal: true,
@@ -463,8 +549,11 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
     let stop = Stop::new(&Default::default(), 1.0 / 0.0122);
     let mut memories: [JointMemory<f32>; 2] = [Lanes::splat(&JointMemory::rest(0.0, 0.0)); 2];
     let mut at = [(0.0_f32, 0.0_f32); 2];
+    let mut late = WantedTorques::new(1);
+    late.set_steps(0, 5); // as a neighbour's delay of four steps makes it
     for k in 0..400 {
         let command = (k as f32 * 0.02).sin();
+        late.begin_step();
         for (i, f) in [DriveFeatures::default(), all].into_iter().enumerate() {
             let (q, qd) = at[i];
             let m = &mut memories[i];
@@ -472,13 +561,14 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
                 law: &stop,
                 free_radps2: 0.0,
             };
-            let d = step::start(f, &p, &h, m, &dt, &bus, command, q, qd, stop);
+            let d = step::start(f, &p, &h, m, late.joint(0), &dt, &bus, command, q, qd, stop);
             let t = d.torque;
             let next = (0.0122 * qd + dt.dt_s * t.now_nm)
                 / (0.0122 + dt.dt_s * (t.damping_nms_per_rad + dt.dt_s * t.stiffness_nm_per_rad));
             step::finish(f, &p, &h, m, &dt, &d, dt.dt_s * next, qd, next);
             at[i] = (q + dt.dt_s * next, next);
         }
+        late.end_step();
         // the profile's own rounding is all that may differ
         assert!((at[0].0 - at[1].0).abs() < 1e-5, "step {k}: {at:?}");
     }

@@ -12,7 +12,8 @@ use crate::drive::passive::{self, StopAt};
 use crate::drive::step::{self, Driven, Step};
 use crate::drive::supply::{self, Bus, Supply};
 use crate::drive::{
-    CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive, friction,
+    CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive, WantedTorques, friction,
+    loop_delay,
 };
 use crate::lanes::Lanes;
 use crate::{CommandLoss, InitialState, LaneParams, State};
@@ -25,6 +26,7 @@ pub(super) struct DriveMemory {
     loss: LossMemory,
     /// `[A]`
     servos: Vec<JointMemory<f32>>,
+    wanted: WantedTorques<f32>,
     /// Friction bristles; those of actuated joints are in `servos`. `[J]`
     bristle_rad: Vec<f32>,
     /// Accelerations in the last step, without the joints' stops. `[J]`
@@ -37,16 +39,25 @@ impl DriveMemory {
     /// Nothing on its way, supply unloaded.
     pub fn new(shared: &Shared, params: &LaneParams, init: &InitialState) -> Self {
         let moving = init.joint_pos_rad.iter().zip(&init.joint_vel_radps);
-        Self {
+        let mut new = Self {
             history: CommandHistory::new(shared.config.control_period_s(), &init.joint_pos_rad),
             loss: LossMemory::default(),
             servos: moving
                 .map(|(&q, &qd)| Lanes::splat(&JointMemory::rest(f64::from(q), f64::from(qd))))
                 .collect(),
+            wanted: WantedTorques::new(shared.model.actuated().len()),
             bristle_rad: vec![0.0; shared.model.joints().len()],
             free_radps2: vec![0.0; shared.model.joints().len()],
             bus_v: params.supply_v,
-        }
+        };
+        new.fit(shared, params);
+        new
+    }
+
+    /// Remembers from now on what a lane with parameters `params` needs.
+    pub fn fit(&mut self, shared: &Shared, params: &LaneParams) {
+        let steps = loop_delay::memory_steps(params, shared.config.dt_s);
+        self.wanted.set_steps(0, steps);
     }
 }
 
@@ -132,6 +143,7 @@ impl Drive {
     ) {
         let bus = Bus::at(memory.bus_v);
         let mut current_a = 0.0;
+        memory.wanted.begin_step();
         for (j, model_joint) in shared.model.joints().iter().enumerate() {
             let Some(at) = robot.joint(j) else { continue };
             let hinge = &self.passive[j];
@@ -151,6 +163,7 @@ impl Drive {
                         &self.servos[index],
                         hinge,
                         &mut memory.servos[index],
+                        memory.wanted.joint(index),
                         &self.step,
                         &bus,
                         command,
@@ -176,6 +189,7 @@ impl Drive {
             robot.load_joint(j, &torque);
             self.started[j] = Started { at, driven };
         }
+        memory.wanted.end_step();
         memory.bus_v = supply::settle_v(&self.supply, memory.bus_v, current_a);
     }
 

@@ -122,6 +122,7 @@ impl Lane {
             water: WaterMemory::default(), // the new bodies carry none yet
             ..memory
         };
+        lane.memory.drive.fit(shared, &lane.params);
         *self = lane;
         Ok(())
     }

@@ -268,7 +268,7 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
                 j.profile_speed_radps = 3.0;
                 j.dead_band_rad = 0.01;
                 j.ki_nm_per_rad_s = 2.0;
-                j.loop_lag_s = 0.004;
+                j.loop_delay_s = 0.004;
                 j.back_drive_kp_ratio = 0.7;
                 j.winding_scale = 1.2;
                 j.resistance_per_k = 0.004;
@@ -299,4 +299,44 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
         plain.joint_pos_rad, busy.joint_pos_rad,
         "lane 1 moves otherwise"
     );
+}
+
+/// What a lane's loops have under way is its own: delays come, grow, shrink and go, and a neighbour that needs a longer memory all along (or only at
+/// first) changes nothing, to the bit.
+#[test]
+fn a_neighbours_longer_memory_is_nothing_to_a_lane() {
+    let model = robots::polymander();
+    let config = EngineConfig::default();
+    let run = |neighbour_s: [f32; 2]| {
+        let mut e = engine(&model, 2, &config, 1, |l| l);
+        let late = |e: &mut dyn Engine, lane: usize, delay_s: f32| {
+            let mut params = e.params(lane).clone();
+            for (a, j) in params.joints.iter_mut().enumerate() {
+                j.loop_delay_s = delay_s * (1.0 - 0.05 * a as f32);
+            }
+            e.set_params(lane, &params).unwrap();
+        };
+        let mut all = Vec::new();
+        for period in 0..60 {
+            match period {
+                0 => late(e.as_mut(), 1, neighbour_s[0]),
+                10 => late(e.as_mut(), 0, 0.0037),
+                20 => late(e.as_mut(), 0, 0.011),
+                25 => late(e.as_mut(), 1, neighbour_s[1]),
+                30 => late(e.as_mut(), 0, 0.005),
+                40 => late(e.as_mut(), 0, 0.0),
+                50 => late(e.as_mut(), 0, 0.0061),
+                _ => (),
+            }
+            e.step(&command(&model, 2, period, |l| l), &[0.0; 12])
+                .unwrap();
+            let state = e.state();
+            all.push(state.joint_pos_rad[..state.joints].to_vec());
+        }
+        all
+    };
+    let alone = run([0.0, 0.0]);
+    for neighbour_s in [[0.04, 0.04], [0.04, 0.0], [0.0, 0.04], [0.002, 0.002]] {
+        assert_eq!(alone, run(neighbour_s), "neighbour {neighbour_s:?}");
+    }
 }

@@ -93,6 +93,41 @@ pub fn limits_limit(config: &EngineConfig) {
     near("early stop", pos(e.as_ref(), 1), 0.3078, 0.0005);
 }
 
+/// A command of 0.02 rad asks for 0.3 N·m. With 25 ms of delay in the loop nothing comes in the first 20 ms and 0.3 N·m for three quarters of the next;
+/// what the loop asked for when the wheel began to move is under way until then. Without a delay it comes at once. More than 50 ms is refused.
+pub fn a_late_loop_gives_its_torque_later(config: &EngineConfig) {
+    let model = robots::wheels();
+    let all = [
+        geared(&model, |j| j.loop_delay_s = 0.025),
+        geared(&model, |_| ()),
+    ];
+    let mut e = lanes(config, &model, &all);
+    let per_20_ms = periods(config, 0.02);
+    for _ in 0..2 {
+        // a reset leaves nothing under way
+        e.reset(0, &InitialState::nominal(&model)).unwrap();
+        run(e.as_mut(), 3 * per_20_ms, &[0.0; 4], |_, _| ());
+        let mut torques = [[0.0; 2]; 2];
+        run(e.as_mut(), 2 * per_20_ms, &[0.02; 4], |k, e| {
+            for lane in [0, 1] {
+                let torque = f64::from(e.state().motor_torque_nm[2 * lane]);
+                torques[lane][k / per_20_ms] += torque / per_20_ms as f64;
+            }
+        });
+        near("late, first", torques[0][0], 0.0, 1e-6);
+        near("late, then", torques[0][1], 0.225, 1e-5);
+    }
+    let mut at_once = 0.0;
+    e.reset(1, &InitialState::nominal(&model)).unwrap();
+    run(e.as_mut(), 1, &[0.02; 4], |_, e| {
+        at_once = f64::from(e.state().motor_torque_nm[2]);
+    });
+    assert!(at_once > 0.02, "without a delay: {at_once} N·m");
+    let too_long = geared(&model, |j| j.loop_delay_s = 0.06);
+    let refused = e.set_params(0, &too_long).unwrap_err().to_string();
+    assert!(refused.contains("loop_delay_s"), "{refused}");
+}
+
 /// Pushed with 0.3 N·m (its flat limit) a wheel reaches the speed at which friction takes it: viscous 0.05 alone 6 rad/s, with Coulomb 0.1
 /// 4 rad/s, with 0.02 more in this direction 3.6 rad/s.
 pub fn friction_sets_the_speed(config: &EngineConfig) {

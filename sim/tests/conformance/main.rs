@@ -108,6 +108,7 @@ macro_rules! suite {
             effects::{
                 droop_says_which,
                 limits_limit,
+                a_late_loop_gives_its_torque_later,
                 friction_sets_the_speed,
                 load_friction_lifts_and_lowers,
                 stribeck_grips_at_rest,

@@ -46,7 +46,7 @@ fn everything(model: &RobotModel) -> LaneParams {
         joint.command_low_pass_s = 0.02;
         joint.profile_speed_radps = 4.0;
         joint.ki_nm_per_rad_s = 5.0;
-        joint.loop_lag_s = 0.002;
+        joint.loop_delay_s = 0.007;
         joint.load_friction_driving = 0.1;
         joint.load_friction_driven = 0.1;
         joint.gear_half_gap_rad = 0.002;

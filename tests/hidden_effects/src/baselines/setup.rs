@@ -121,7 +121,7 @@ pub const KNOBS: &[Knob] = &[
         0.001,
         (0.0, 0.05),
         &[0.005],
-        |s, _, a, x| s.lane.joints[a].loop_lag_s = x as f32,
+        |s, _, a, x| s.lane.joints[a].loop_delay_s = x as f32,
     ),
     knob(
         "profile_limit",
