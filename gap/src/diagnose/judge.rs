@@ -26,8 +26,8 @@ const MOST_MISFIT: f64 = 80.0;
 const FRICTION_TOLERANCE: f64 = 0.07;
 /// Before friction slides, its law is a matter of taste: the way to it by this share.
 const PRESLIDING_TOLERANCE: f64 = 0.3;
-/// A firmware's tick and the current loop, s.
-const LOOP_TOLERANCE_S: f64 = 0.0007;
+/// When in its tick a firmware acts, and its current loop, from joint to joint: s.
+const LOOP_TOLERANCE_S: f64 = 0.000_12;
 /// Rotor inertia by this share.
 const ROTOR_TOLERANCE: f64 = 0.05;
 /// Stamps, integration and bus: s.
@@ -508,7 +508,7 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
     );
     add("pre_sliding", way * (1.0 + PRESLIDING_TOLERANCE), 1.0, true);
     add("kp_error", 1.0 + 3.0 * GAIN_TOLERANCE, 1.0 / 3.0, true);
-    add("servo_loop_delay", LOOP_TOLERANCE_S, 1.0, true);
+    add("servo_loop_delay", 6.0 * LOOP_TOLERANCE_S, 1.0 / 6.0, true);
     add(
         "armature",
         ROTOR_TOLERANCE * mean(&plant.lane.joint_armature_kgm2).max(1e-4),
