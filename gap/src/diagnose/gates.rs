@@ -221,13 +221,9 @@ pub fn worst(context: &Context, state: &State) -> f64 {
     worst_of(context, &both)
 }
 
-/// The same on held-out runs alone.
+/// The same of any runs.
 #[must_use]
-pub fn worst_of_holdout(context: &Context, state: &State) -> f64 {
-    worst_of(context, &[(&context.holdout, &state.holdout)])
-}
-
-fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
+pub fn worst_of(context: &Context, parts: &[(&Judge, &On)]) -> f64 {
     let joints = context.replayer.model().actuated().len();
     groups(joints, parts)
         .iter()

@@ -5,10 +5,12 @@
 
 pub mod algebra;
 mod divergence;
+mod doubt;
 mod extend;
 mod floors;
 mod gates;
 mod judge;
+mod lawful;
 mod leftover;
 mod naming;
 mod next;

@@ -1,11 +1,11 @@
 //! Naming: which effects would explain as much in a cause's place. A cause is a set of names with probabilities, not a name.
 
+use super::doubt::much_is_left;
 use super::gates::{self, Worth};
 use super::refine::refine;
 use super::screen::{Screened, screen};
 use super::search::{Found, penalised, single, swapped};
 use super::state::{Context, State};
-use super::verdict::left;
 use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::Variant;
@@ -91,7 +91,7 @@ pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError
         // and what takes little off where much is left stands in for what is not in the catalogue
         let share = named.worth.holdout / named.worth.of.max(1e-9);
         let too_little =
-            left(context, &found.base, &found.best) > 0.0 && share < LEAST_SHARE_IN_PART;
+            much_is_left(context, &found.base, &found.best) && share < LEAST_SHARE_IN_PART;
         if too_little || named.worth.holdout <= 0.0 {
             found.best = named.without;
             return name(context, found);

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use caudata_model::RobotModel;
 
 use super::divergence::divergence;
+use super::doubt::Doubts;
 use super::extend::extended;
 use super::floors::floors;
 use super::naming::Named;
@@ -12,7 +13,7 @@ use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
 use super::{Diagnosis, Request, Split, gates, leftover, next, pictures};
-use crate::effects::{Effect, Place};
+use crate::effects::Effect;
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
@@ -25,11 +26,6 @@ pub const QUIET: f64 = 0.8;
 const TRUST: f64 = 0.97;
 /// … and where something is left unexplained, or a parameter is at its bound, that is this high: on the benchmark five of fourteen such names are right.
 const TRUST_IN_PART: f64 = 0.4;
-/// Misfit of held-out runs that an explained gap may leave in any case (of many joints: [`QUIET`]), …
-const LEFT: f64 = 0.5;
-/// … and, where it is more, its product with its share of the misfit before: 1.2 floors of ten, half a floor of 1.7. Of the benchmark's causes the right ones
-/// leave less (their laws are not quite nature's), wrong ones more.
-const LEFT_OF_SHARE: f64 = 0.15;
 /// Cells of the divergence map that are reported.
 const MOST_CELLS: usize = 400;
 
@@ -73,15 +69,13 @@ pub fn conclude(
 ) -> Result<Diagnosis, GapError> {
     let (base, best) = (&found.base, &found.best);
     let spread = spread(context, best)?;
-    let outgrown: Vec<&Term> = best.terms.iter().filter(|t| outgrown(context, t)).collect();
-    // a model that leaves much unexplained lacks something, and what it has may stand in for that
-    let in_part = left(context, base, best) > 0.0;
+    let doubts = Doubts::about(context, base, best);
     let mut causes: Vec<Cause> = Vec::new();
     let mut order: Vec<&Named> = named.iter().collect();
     order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
     for n in &order {
         let place = &best.terms[n.index].place;
-        let trust = if in_part || outgrown.iter().any(|t| meet(&t.place, place)) {
+        let trust = if doubts.concern(place) {
             TRUST_IN_PART
         } else {
             TRUST
@@ -89,14 +83,13 @@ pub fn conclude(
         causes.push(cause(context, best, n, &spread, trust)?);
     }
     let unexplained = leftover::leftover(context, found);
-    let verdict = verdict(context, found, &causes, &outgrown, split);
+    let verdict = verdict(context, found, &causes, &doubts, split);
     let next_experiment = next::next(context, verdict, &causes, found);
     let summary = summary(
+        context,
         verdict,
-        base,
-        best,
         &causes,
-        &outgrown,
+        &doubts,
         &unexplained,
         split,
         found,
@@ -142,10 +135,10 @@ fn verdict(
     context: &Context,
     found: &Found,
     causes: &[Cause],
-    outgrown: &[&Term],
+    doubts: &Doubts<'_>,
     split: Split,
 ) -> Verdict {
-    let (base, best) = (&found.base, &found.best);
+    let base = &found.base;
     if causes.is_empty() {
         if gates::worst(context, base) < QUIET {
             let dark = context
@@ -171,7 +164,7 @@ fn verdict(
             Verdict::Unexplained
         };
     }
-    if left(context, base, best) > 0.0 || !outgrown.is_empty() {
+    if doubts.any() {
         return Verdict::PartlyExplained;
     }
     if causes.iter().any(|c| !c.alternatives.is_empty()) {
@@ -179,34 +172,6 @@ fn verdict(
     } else {
         Verdict::Explained
     }
-}
-
-/// Share of the misfit of held-out runs that is left where it is greatest; 0 where that is no more than is known of the floor.
-pub fn left(context: &Context, base: &State, best: &State) -> f64 {
-    let of = |state: &State| gates::worst_of_holdout(context, state);
-    let (before, after) = (of(base), of(best));
-    let share = after / before.max(1e-9);
-    if after > LEFT.max(gates::quiet(context)) && after * share > LEFT_OF_SHARE {
-        share.min(1.0)
-    } else {
-        0.0
-    }
-}
-
-/// Whether a term's size (its first parameter) wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place
-/// makes up for where it differs.
-fn outgrown(context: &Context, term: &Term) -> bool {
-    let model = context.replayer.model();
-    (term.effect).at_bound(model, &term.place, 0, term.values[0])
-}
-
-/// Whether two effects act at one joint (link, foot, hinge), or on what cannot be told apart so: a link and a joint, the whole robot and a part of it.
-fn meet(one: &Place, other: &Place) -> bool {
-    let whole = |p: &Place| p.items.is_empty();
-    one.domain != other.domain
-        || whole(one)
-        || whole(other)
-        || one.items.iter().any(|i| other.items.contains(i))
 }
 
 fn cause(
@@ -407,15 +372,15 @@ fn ratio_interval(a: &[f64], b: &[f64], seed: u64) -> (f64, f64) {
 }
 
 fn summary(
+    context: &Context,
     verdict: Verdict,
-    base: &State,
-    best: &State,
     causes: &[Cause],
-    outgrown: &[&Term],
+    doubts: &Doubts<'_>,
     unexplained: &[Unexplained],
     split: Split,
     found: &Found,
 ) -> String {
+    let (base, best) = (&found.base, &found.best);
     let names: Vec<String> = causes
         .iter()
         .map(|c| {
@@ -452,23 +417,11 @@ fn summary(
             let left = unexplained
                 .first()
                 .map_or(String::new(), |u| format!(", most of it at {}", u.location));
-            let beyond: Vec<String> = (outgrown.iter())
-                .map(|t| t.place.label(t.effect.id))
-                .collect();
-            let beyond = match beyond.as_slice() {
-                [] => String::new(),
-                [one] => format!(
-                    " As large as it would have to be, {one} is not plausible: something that is not in the catalogue may be behind it."
-                ),
-                more => format!(
-                    " As large as they would have to be, {} are not plausible: something that is not in the catalogue may be behind them.",
-                    more.join(" and ")
-                ),
-            };
             format!(
-                "{} explain a part: {fall}; {:.0} % of it is left{left}.{beyond}",
+                "{} explain a part: {fall}; {:.0} % of it is left{left}.{}",
                 names.join(" and "),
-                100.0 * best.misfit() / base.misfit().max(1e-9)
+                100.0 * best.misfit() / base.misfit().max(1e-9),
+                doubts.in_words(context)
             )
         }
         Verdict::Unexplained => format!(
