@@ -403,7 +403,7 @@ fn free_cuts(trial: &Trial, length_s: f64) -> Vec<Cut> {
 }
 
 /// From when every joint's position and a command are known.
-fn replay_span(trial: &Trial) -> (f64, f64) {
+pub(super) fn replay_span(trial: &Trial) -> (f64, f64) {
     let (mut first, mut last) = trial.span_s;
     for c in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
         first = first.max(c.time_s[0]);

@@ -4,7 +4,7 @@ use caudata_sim::batch::{BatchEngine, Wanted};
 use caudata_sim::{Engine, InitialState, State};
 
 use super::commands::{Reader, Readers, true_angle};
-use super::data::{Data, Start, roll_pitch};
+use super::data::{Data, Start, replay_span, roll_pitch};
 use super::observe::{self, Trace, wanted};
 use super::{Replayer, Variant};
 use crate::error::GapError;
@@ -14,6 +14,10 @@ use crate::trial::{Trial, attitude_of};
 /// How long a command waits in any servo, s: half a period of a firmware loop of about 1 kHz and its bridge. The simulated loop acts at once; without this
 /// every faultless servo shows 0.5 to 0.8 ms of delay.
 const SERVO_TICK_S: f64 = 0.0006;
+
+/// How long a held robot stands at its first commands before a recording begins, where a loop has an integral part: s. By then its torque holds the load, and
+/// how that is shared between error and integral is taken from the measured error.
+const STAND_S: f64 = 1.0;
 
 /// Runs `jobs` (variant, segment), at most as many as the engine has lanes. An empty prediction stands for a candidate that cannot be simulated.
 pub(super) fn run(
@@ -32,6 +36,7 @@ pub(super) fn run(
     let mut switches = Vec::with_capacity(jobs.len());
     let mut traces = Vec::with_capacity(jobs.len());
     let mut corrections = Vec::with_capacity(jobs.len());
+    let mut stands = Vec::with_capacity(jobs.len());
     let mut read = Wanted::JOINTS;
     let mut most = 0;
     for (lane, &(v, s)) in jobs.iter().enumerate() {
@@ -39,8 +44,14 @@ pub(super) fn run(
         let trial = &data.trials[segment.trial];
         let plant = replayer.plant(trial, &variants[v]);
         let periods = (segment.duration_s() / period_s).ceil() as usize;
-        most = most.max(periods);
-        readers.push(readers_of(trial, &plant, segment.start_s));
+        let stand = if stands_before(&plant, data, s) {
+            (STAND_S / period_s).round() as usize
+        } else {
+            0
+        };
+        most = most.max(stand + periods);
+        let from_s = segment.start_s - stand as f64 * period_s;
+        readers.push(readers_of(trial, &plant, from_s));
         switches.push(Switches::new(trial, &plant, segment.start_s));
         let signals = wanted(trial);
         traces.push(Trace::new(
@@ -50,12 +61,14 @@ pub(super) fn run(
             period_s,
             periods,
         ));
-        read.base |= signals.base || segment.again.is_some();
+        read.base |= signals.base || segment.again.is_some() || stand > 0;
         read.imu |= signals.imu;
         read.feet |= signals.feet;
-        corrections.push(segment.again.as_ref().map_or(usize::MAX, |(at_s, _)| {
-            ((at_s - segment.start_s) / period_s).round() as usize
+        corrections.push(segment.again.as_ref().map(|(at_s, measured)| {
+            let after = ((at_s - segment.start_s) / period_s).round() as usize;
+            (after, measured)
         }));
+        stands.push(stand);
         sound[lane] = start(engine, lane, &plant, &switches[lane], data, s);
         plants.push(plant);
     }
@@ -64,13 +77,20 @@ pub(super) fn run(
     let wrenches = vec![0.0_f32; lanes * 6];
     for k in 0..=most {
         for (lane, &(_, s)) in jobs.iter().enumerate() {
-            if k < traces[lane].rows() {
+            let stand = stands[lane];
+            if k == stand && stand > 0 && sound[lane] {
+                let measured = &data.segments[s].start;
+                sound[lane] &= correct(engine, lane, &plants[lane], measured);
+            }
+            if k >= stand && k - stand < traces[lane].rows() {
                 traces[lane].record(engine.state(), lane, &model);
             }
-            let from = data.segments[s].start_s + k as f64 * period_s;
-            if k == corrections[lane] && sound[lane] {
-                sound[lane] &= correct(engine, lane, &plants[lane], data, s);
+            if let Some((_, measured)) = corrections[lane].filter(|(after, _)| stand + after == k)
+                && sound[lane]
+            {
+                sound[lane] &= correct(engine, lane, &plants[lane], measured);
             }
+            let from = data.segments[s].start_s + (k as f64 - stand as f64) * period_s;
             let own = &mut targets[lane * joints..(lane + 1) * joints];
             readers[lane].means(from, from + period_s, own);
             if switches[lane].due(from) && sound[lane] {
@@ -94,6 +114,14 @@ pub(super) fn run(
         })
         .collect();
     Ok(out)
+}
+
+/// Whether a robot stands before stretch `segment` begins: where an integral part has wound up to something that no row of the run tells.
+fn stands_before(plant: &Plant, data: &Data, segment: usize) -> bool {
+    let s = &data.segments[segment];
+    data.hold(segment) == 0
+        && s.start_s <= replay_span(&data.trials[s.trial]).0
+        && plant.lane.joints.iter().any(|j| j.ki_nm_per_rad_s > 0.0)
 }
 
 /// Puts a lane at its measured start. Whether the candidate is physical.
@@ -145,12 +173,8 @@ fn correct(
     engine: &mut BatchEngine,
     lane: usize,
     plant: &Plant,
-    data: &Data,
-    segment: usize,
+    measured: &Start,
 ) -> bool {
-    let Some((_, measured)) = &data.segments[segment].again else {
-        return true;
-    };
     let state = engine.state();
     let three = |x: &[f32]| [x[3 * lane], x[3 * lane + 1], x[3 * lane + 2]];
     let pos_m = three(&state.base_pos_m);
