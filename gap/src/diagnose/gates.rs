@@ -21,6 +21,11 @@ const ONE_BLOCK: f64 = 0.8;
 pub const FAR: f64 = 6.0;
 /// See [`RELATIVE_GAIN`], far from the data.
 const FAR_GAIN: f64 = 0.03;
+/// Gain on the runs it was fitted to that leaves no doubt there, in floors (careful labs have less than this to explain) …
+const BEYOND_DOUBT: f64 = 0.36;
+/// … and as a share of what there was: held-out runs that hardly ask for an effect (an integral part, in a run that never stands) need only speak for it then, not
+/// prove it by themselves once more.
+const BEYOND_DOUBT_SHARE: f64 = 0.25;
 
 /// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the benchmark).
 pub const FLOOR: f64 = 0.4;
@@ -36,10 +41,12 @@ pub struct Worth {
     pub holdout: f64,
     /// Misfit of held-out runs before, on the same channels.
     pub of: f64,
-    /// Lower end of that (0.5 %).
+    /// Lower end of the fall (0.5 %; 2.5 % where that is enough).
     pub low: f64,
     /// 95 % interval of that.
     pub interval: (f64, f64),
+    /// Whether the runs it was fitted to leave no doubt.
+    pub beyond_doubt: bool,
     /// Whether all gates are passed.
     pub passed: bool,
     /// Which gate failed first; empty if none.
@@ -73,7 +80,12 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     };
     let far = of > FAR;
     let relative = if far { FAR_GAIN } else { RELATIVE_GAIN };
-    let low = if far { at(0.025) } else { at(0.005) };
+    let beyond_doubt = fit > BEYOND_DOUBT && fit > BEYOND_DOUBT_SHARE * before;
+    let (low, absolute) = if far || beyond_doubt {
+        (at(0.025), 0.5 * ABSOLUTE_GAIN)
+    } else {
+        (at(0.005), ABSOLUTE_GAIN)
+    };
     let why = if fit <= 0.0 {
         "no gain on the runs it was fitted to"
     } else if holdout <= 0.0 {
@@ -82,7 +94,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         "what it explains is within what careful labs differ by at one joint of so many"
     } else if low <= 0.0 && !rare(&gains, holdout, of) {
         "its gain on held-out runs is within what resampling gives by chance"
-    } else if holdout < relative * of || holdout < ABSOLUTE_GAIN {
+    } else if holdout < relative * of || holdout < absolute {
         "its gain on held-out runs is too small to matter"
     } else if fit < 0.2 * relative * before {
         "its gain on the runs it was fitted to is too small to matter"
@@ -101,6 +113,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         of,
         low,
         interval: (at(0.025), at(0.975)),
+        beyond_doubt,
         passed: why.is_empty(),
         why,
     }

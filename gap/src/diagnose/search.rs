@@ -283,7 +283,9 @@ fn overtakes(
 /// Whether a further effect at `place` explains enough to be one.
 fn enough(context: &Context, worth: &Worth, base: &State, place: Option<&Place>) -> bool {
     let all = gates::part(&context.holdout, &base.holdout, place);
+    let fitted = || gates::part(&context.fit, &base.fit, place);
     worth.holdout > OF_ALL * all
+        || (worth.beyond_doubt && worth.fit > OF_ALL * fitted())
         || worth.of > gates::FAR
         || (worth.of > MUCH && worth.holdout > OF_REST * worth.of)
 }
