@@ -69,7 +69,13 @@ pub fn terms(extension: &Extension, model: &RobotModel) -> Result<Variant, GapEr
                 .ok_or_else(|| bad(format!("the robot has no {}", e.location.join(", "))))?;
             for name in e.parameters.keys() {
                 if !effect.parameters.iter().any(|p| p.name == name) {
-                    return Err(bad(format!("has no parameter `{name}`")));
+                    let own: Vec<String> = (effect.parameters.iter())
+                        .map(|p| format!("`{}`", p.name))
+                        .collect();
+                    return Err(bad(format!(
+                        "has no parameter `{name}` but {}; a file of an earlier version has to be diagnosed again",
+                        own.join(", ")
+                    )));
                 }
             }
             let neutral = effect.neutral(model, &place);

@@ -21,8 +21,8 @@ const ONE_BLOCK: f64 = 0.8;
 pub const FAR: f64 = 6.0;
 /// See [`RELATIVE_GAIN`], far from the data.
 const FAR_GAIN: f64 = 0.03;
-/// Gain on the runs it was fitted to that leaves no doubt there, in floors (careful labs have less than this to explain) …
-const BEYOND_DOUBT: f64 = 0.36;
+/// Gain on the runs it was fitted to that leaves no doubt there, in what careful labs have to explain ([`quiet`]) …
+const BEYOND_DOUBT: f64 = 0.9;
 /// … and as a share of what there was: held-out runs that hardly ask for an effect (an integral part, in a run that never stands) need only speak for it then, not
 /// prove it by themselves once more.
 const BEYOND_DOUBT_SHARE: f64 = 0.25;
@@ -41,9 +41,9 @@ pub struct Worth {
     pub holdout: f64,
     /// Misfit of held-out runs before, on the same channels.
     pub of: f64,
-    /// Lower end of the fall (0.5 %; 2.5 % where that is enough).
+    /// Lower end of that (0.5 %; far from the data 2.5 %).
     pub low: f64,
-    /// 95 % interval of that.
+    /// 95 % interval of the fall on held-out runs.
     pub interval: (f64, f64),
     /// Whether the runs it was fitted to leave no doubt.
     pub beyond_doubt: bool,
@@ -80,11 +80,14 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     };
     let far = of > FAR;
     let relative = if far { FAR_GAIN } else { RELATIVE_GAIN };
-    let beyond_doubt = fit > BEYOND_DOUBT && fit > BEYOND_DOUBT_SHARE * before;
-    let (low, absolute) = if far || beyond_doubt {
-        (at(0.025), 0.5 * ABSOLUTE_GAIN)
+    let low = if far { at(0.025) } else { at(0.005) };
+    let beyond_doubt = !context.same_runs
+        && fit > BEYOND_DOUBT * quiet(context)
+        && fit > BEYOND_DOUBT_SHARE * before;
+    let (sure, absolute) = if beyond_doubt {
+        (at(0.025) > 0.0, 0.5 * ABSOLUTE_GAIN)
     } else {
-        (at(0.005), ABSOLUTE_GAIN)
+        (low > 0.0, ABSOLUTE_GAIN)
     };
     let why = if fit <= 0.0 {
         "no gain on the runs it was fitted to"
@@ -92,7 +95,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         "makes held-out runs worse"
     } else if joints >= MANY_JOINTS && worst_within(joints, judge, &from.holdout, &mask) < QUIET {
         "what it explains is within what careful labs differ by at one joint of so many"
-    } else if low <= 0.0 && !rare(&gains, holdout, of) {
+    } else if !sure && !rare(&gains, holdout, of) {
         "its gain on held-out runs is within what resampling gives by chance"
     } else if holdout < relative * of || holdout < absolute {
         "its gain on held-out runs is too small to matter"

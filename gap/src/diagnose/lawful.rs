@@ -111,7 +111,7 @@ fn for_each(judge: &Judge, joint: usize, mut f: impl FnMut(usize, &At)) {
                     position.at(t + SPEED_WINDOW_S),
                     position.at(t - SPEED_WINDOW_S),
                 );
-                let command = trial.commands.get(joint);
+                let command = (trial.commands.get(joint)).filter(|c| !c.value.is_empty());
                 f(
                     k,
                     &At {

@@ -173,7 +173,7 @@ pub fn diagnose(
         run.role = role_name(trial.role).to_owned();
     }
     let faults = mask_disturbed(&mut trials);
-    let mut context = context(request, &model, trials)?;
+    let mut context = context(request, &model, trials, split)?;
     let mut found = search::search(&mut context, progress)?;
     progress(Progress::new(Stage::Naming, 0, &found.best.label()));
     let named = naming::name(&context, &mut found)?;
@@ -286,6 +286,7 @@ fn context(
     request: &Request,
     model: &Arc<RobotModel>,
     trials: Vec<Trial>,
+    split: Split,
 ) -> Result<state::Context, GapError> {
     let last = trials.len().max(2) as f64 - 1.0;
     let mut trials = trials;
@@ -325,6 +326,7 @@ fn context(
         fit,
         scout,
         holdout,
+        same_runs: split == Split::Same,
         effects: effects::ALL.iter().copied().filter(wanted).collect(),
         excitation,
         seed: request.options.seed,

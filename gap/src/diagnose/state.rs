@@ -20,6 +20,8 @@ pub struct Context {
     pub scout: Option<Scout>,
     /// Runs held out.
     pub holdout: Judge,
+    /// Whether there are none, and [`Context::holdout`] are the runs to fit to once more.
+    pub same_runs: bool,
     /// Effects that are tried.
     pub effects: Vec<&'static Effect>,
     /// What the runs to fit to excite.

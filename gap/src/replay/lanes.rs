@@ -15,8 +15,8 @@ use crate::trial::{Trial, attitude_of};
 /// every faultless servo shows 0.5 to 0.8 ms of delay.
 const SERVO_TICK_S: f64 = 0.0006;
 
-/// How long a held robot stands at its first commands before a recording begins, where a loop has an integral part: s. By then its torque holds the load, and
-/// how that is shared between error and integral is taken from the measured error.
+/// How long a held robot stands at its first commands before a recording begins, where a loop has an integral part, s: nobody begins to record in the
+/// moment of switching on, and what has been integrated by then no row tells. Much longer, and a soft integral part would have taken over all of the load.
 const STAND_S: f64 = 1.0;
 
 /// Runs `jobs` (variant, segment), at most as many as the engine has lanes. An empty prediction stands for a candidate that cannot be simulated.
@@ -116,11 +116,17 @@ pub(super) fn run(
     Ok(out)
 }
 
-/// Whether a robot stands before stretch `segment` begins: where an integral part has wound up to something that no row of the run tells.
+/// Whether a robot stands before stretch `segment` begins: at the beginning of a run of a held robot whose servos are on, with an integral part.
 fn stands_before(plant: &Plant, data: &Data, segment: usize) -> bool {
     let s = &data.segments[segment];
+    let trial = &data.trials[s.trial];
     data.hold(segment) == 0
-        && s.start_s <= replay_span(&data.trials[s.trial]).0
+        && s.start_s <= replay_span(trial).0
+        && trial
+            .enabled
+            .iter()
+            .flatten()
+            .all(|on| on.at(s.start_s) > 0.5)
         && plant.lane.joints.iter().any(|j| j.ki_nm_per_rad_s > 0.0)
 }
 
@@ -169,12 +175,7 @@ fn placed(plant: &Plant, measured: &Start, moves: bool, mut init: InitialState) 
 }
 
 /// Puts a lane to what was measured once more; what was not measured stays where the simulation has brought it. Whether that went well.
-fn correct(
-    engine: &mut BatchEngine,
-    lane: usize,
-    plant: &Plant,
-    measured: &Start,
-) -> bool {
+fn correct(engine: &mut BatchEngine, lane: usize, plant: &Plant, measured: &Start) -> bool {
     let state = engine.state();
     let three = |x: &[f32]| [x[3 * lane], x[3 * lane + 1], x[3 * lane + 2]];
     let pos_m = three(&state.base_pos_m);

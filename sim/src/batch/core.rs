@@ -219,18 +219,10 @@ impl<R: Lanes> Core for CoreOf<R> {
         if program.free {
             from.x[7..13].copy_from_slice(&start.motion);
         }
-        let servos = &self.groups[lane / R::LANES].params.servos;
-        let slot = lane % R::LANES;
         for (i, node) in program.nodes.iter().enumerate() {
-            let Some(a) = driven.iter().position(|&joint| joint == node.joint) else {
-                continue;
-            };
-            let moved_rad = start.joint_pos[node.joint] - from.x[lay.q() + i];
-            from.x[lay.q() + i] = start.joint_pos[node.joint];
-            from.x[lay.qd() + i] = start.joint_vel[node.joint];
-            if Real::lane(servos[a].ki_nm_per_rad_s, slot) > 0.0 {
-                // it holds the load, wherever the joint was before
-                from.drives[a].integral_nm += Real::lane(servos[a].kp_nm_per_rad, slot) * moved_rad;
+            if driven.contains(&node.joint) {
+                from.x[lay.q() + i] = start.joint_pos[node.joint];
+                from.x[lay.qd() + i] = start.joint_vel[node.joint];
             }
         }
         self.place(lane, &from, state);

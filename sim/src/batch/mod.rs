@@ -133,8 +133,7 @@ impl BatchEngine {
     }
 
     /// Puts a lane's base and actuated joints where `init` says, in the middle of its motion. What nobody can measure stays as it is: hinges without a
-    /// servo, what friction, loops, filters and contacts remember. Only an integral part takes over what the proportional one gives less, so that the torque
-    /// does not jump: that of a joint that holds a load is what the load asks for.
+    /// servo, what friction, loops, filters and contacts remember.
     ///
     /// # Errors
     /// As [`Engine::reset`].

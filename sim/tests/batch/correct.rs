@@ -95,27 +95,3 @@ fn what_was_measured_is_taken_over_and_the_other_lane_goes_on() {
     assert_eq!(measured(&model, s, 0), other);
     assert!(engine.correct(2, &to).is_err());
 }
-
-#[test]
-fn an_integral_part_goes_on_holding_the_load() {
-    let (model, mut engine, targets) = rocked();
-    let mut params = engine.params(1).clone();
-    for joint in &mut params.joints {
-        joint.ki_nm_per_rad_s = 3.0;
-    }
-    engine.set_params(1, &params).unwrap();
-    let hold = targets(300);
-    for _ in 0..300 {
-        engine.step(&hold, &[0.0; 12]).unwrap();
-    }
-    let knee = model.actuated().len() + 3;
-    let before_nm = engine.state().motor_torque_nm[knee];
-    // half a degree away from where it stood: kp alone would answer by kp times that
-    let mut to = measured(&model, engine.state(), 1);
-    to.joint_pos_rad[3] += 0.009;
-    let jump_nm = 0.009 * f64::from(params.kp_nm_per_rad[3]);
-    engine.correct(1, &to).unwrap();
-    engine.step(&hold, &[0.0; 12]).unwrap();
-    let changed_nm = f64::from((engine.state().motor_torque_nm[knee] - before_nm).abs());
-    assert!(jump_nm > 0.05 && changed_nm < 0.2 * jump_nm, "{before_nm} N·m changes by {changed_nm} of {jump_nm}");
-}

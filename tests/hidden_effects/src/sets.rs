@@ -64,10 +64,9 @@ const LOOK_ALIKE: &[(&str, &str)] = &[
     ("coulomb_friction", "controller_dead_band"),
 ];
 
-/// Effects that another one holds as a special case, or with a second one to the last bit (both gains by one factor and one of them by another are any two
-/// gains): who is left out takes the wider one along.
+/// Effects that another one holds as a special case: who is left out takes the wider one along. (`stale_gains` and `kp_error` together are any two gains: a
+/// `kd_error` that was left out would still be explained exactly.)
 const WIDER: &[(&str, &str)] = &[
-    ("kp_error", "stale_gains"),
     ("kd_error", "stale_gains"),
     ("load_dependent_friction", "drive_asymmetry"),
     ("coulomb_friction", "friction_drift"),
