@@ -1,0 +1,121 @@
+//! What a diagnosis may claim, one hidden law at a time: sure where it knows, unsure where a name stands in for another law.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use caudata_gap::Options;
+use caudata_gap::report::{Cause, Report, Verdict};
+use caudata_hidden_effects::battery::Amount;
+use caudata_hidden_effects::case::{Answer, Block};
+use caudata_hidden_effects::examinee;
+use caudata_hidden_effects::generate::{self, Request, Rig};
+use caudata_hidden_effects::hidden::find;
+use caudata_hidden_effects::score::outcome::CONFIDENT;
+
+/// Seed of what differs from run to run.
+const SEED: u64 = 5;
+
+/// The pendulum with `effect`, four null discrepancies large, recorded in `folder`.
+fn recorded(effect: &str, block: Block, folder: &std::path::Path) -> Answer {
+    let request = Request {
+        name: "case".to_owned(),
+        block,
+        rig: &Rig::bench("pendulum").unwrap(),
+        seed: SEED,
+        amount: Amount::Full,
+        effects: vec![(find(effect).unwrap(), 0, 4.0)],
+        decoy: None,
+        without: Vec::new(),
+    };
+    generate::make(&request, folder).unwrap()
+}
+
+/// Diagnosis with the whole catalogue.
+fn diagnosed(case: &std::path::Path) -> Report {
+    examinee::diagnose(case, Options::default()).unwrap()
+}
+
+fn in_words(causes: &[Cause]) -> String {
+    let each = causes
+        .iter()
+        .map(|c| format!("{} {:.2}", c.effect, c.confidence));
+    each.collect::<Vec<_>>().join(", ")
+}
+
+#[test]
+fn the_drag_of_a_sail_is_no_sure_viscous_friction() {
+    let root = tempfile::tempdir().unwrap();
+    recorded("air_drag_of_a_sail", Block::Outside, root.path());
+    let report = diagnosed(&root.path().join("case"));
+    // a drag with the square of the speed is much like one with the speed; what is left of the currents tells them apart
+    assert_eq!(
+        report.verdict,
+        Verdict::PartlyExplained,
+        "{}",
+        report.summary
+    );
+    assert!(report.summary.contains("obeys a law"), "{}", report.summary);
+    assert!(
+        report.causes.iter().all(|c| c.confidence < CONFIDENT),
+        "{}",
+        in_words(&report.causes)
+    );
+}
+
+#[test]
+fn without_a_hold_out_nothing_is_foretold() {
+    let root = tempfile::tempdir().unwrap();
+    recorded("coulomb_friction", Block::Single, root.path());
+    let case = root.path().join("case");
+    // one trial, and no other
+    for entry in std::fs::read_dir(&case).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        if path.is_dir() && !name.starts_with("fit_triangles") {
+            std::fs::remove_dir_all(&path).unwrap();
+        }
+    }
+    let report = diagnosed(&case);
+    // what the fitted runs say of themselves is no foretelling
+    assert!(
+        !report.summary.contains("obeys a law"),
+        "{}",
+        report.summary
+    );
+    assert!(
+        report.summary.contains("No hold-out was given"),
+        "{}",
+        report.summary
+    );
+}
+
+#[test]
+fn an_integral_part_is_named_although_held_out_runs_hardly_ask_for_it() {
+    let root = tempfile::tempdir().unwrap();
+    let answer = recorded("integral_action", Block::Single, root.path());
+    let truth = answer.effects[0].parameters[0].value;
+    let report = diagnosed(&root.path().join("case"));
+    let [cause] = report.causes.as_slice() else {
+        panic!("{}: {}", report.summary, in_words(&report.causes));
+    };
+    assert_eq!(cause.effect, "integral_action");
+    let ki = &cause.parameters["ki_nm_per_rad_s"];
+    assert!(
+        (ki.value - truth).abs() < 0.15 * truth,
+        "{} of {truth}",
+        ki.value
+    );
+}
+
+#[test]
+fn the_delay_of_a_loop_is_no_delay_of_a_measurement() {
+    let root = tempfile::tempdir().unwrap();
+    let answer = recorded("servo_loop_delay", Block::Single, root.path());
+    let truth_s = answer.effects[0].parameters[0].value;
+    let report = diagnosed(&root.path().join("case"));
+    let first = &report.causes[0];
+    assert_eq!(first.effect, "servo_loop_delay", "{}", report.summary);
+    let delay_s = first.parameters["delay_s"].value;
+    assert!(
+        (delay_s - truth_s).abs() < 0.2 * truth_s,
+        "{delay_s} of {truth_s}"
+    );
+}
