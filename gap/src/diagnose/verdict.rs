@@ -24,7 +24,7 @@ use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Unexplained,
 pub const QUIET: f64 = 0.8;
 /// Nobody is surer than the benchmark's own error rate …
 const TRUST: f64 = 0.97;
-/// … and where something is left unexplained, or a parameter is at its bound, that is this high: on the benchmark five of fourteen such names are right.
+/// … and where there are doubts ([`Doubts`]), or a parameter is at its bound, that is this high: on the benchmark five of fourteen such names were right.
 const TRUST_IN_PART: f64 = 0.4;
 /// Cells of the divergence map that are reported.
 const MOST_CELLS: usize = 400;

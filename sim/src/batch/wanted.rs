@@ -10,8 +10,8 @@ use crate::state::FIELDS;
 pub struct Wanted {
     /// Pose, velocity and angular velocity of the base link.
     pub base: bool,
-    /// Angular velocity, specific force and direction of gravity of the IMU. A lane's first specific force after this is switched on is wrong unless the lane is
-    /// reset or corrected first: it is a change of velocity.
+    /// Angular velocity, specific force and direction of gravity of the IMU. A lane's first specific force after this is switched on (and after
+    /// restoring a snapshot that was taken without it) is wrong unless the lane is reset or corrected first: it is a change of velocity.
     pub imu: bool,
     /// Positions of the feet.
     pub feet: bool,

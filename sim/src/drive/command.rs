@@ -72,13 +72,6 @@ impl<R: Real> CommandHistory<R> {
         }
     }
 
-    /// Fills lane `lane` with `rest_rad`, as if it were new.
-    pub fn reset_lane(&mut self, lane: usize, rest_rad: &[f64]) {
-        for (all, rest) in self.values.iter_mut().zip(rest_rad.iter().cycle()) {
-            *all = all.with_lane(lane, *rest);
-        }
-    }
-
     /// What lane `lane` holds, newest command first. `[depth, width]`, rad.
     #[must_use]
     pub fn lane(&self, lane: usize) -> Vec<f64> {
@@ -211,13 +204,5 @@ mod tests {
         h.push(&[3.0, 4.0], false);
         h.push(&[5.0, 6.0], true);
         assert_eq!((h.newest(0), h.newest(1)), (3.0, 4.0));
-    }
-
-    #[test]
-    fn a_reset_lane_holds_its_rest() {
-        let mut h = CommandHistory::new(0.02, &[0.0_f32]);
-        h.push(&[1.0], false);
-        h.reset_lane(0, &[0.25]);
-        assert_eq!(h, CommandHistory::new(0.02, &[0.25]));
     }
 }
