@@ -18,6 +18,9 @@ pub struct Report {
     pub divergence_after: Vec<Divergence>,
     /// Named causes, strongest first.
     pub causes: Vec<Cause>,
+    /// What speaks against them although each passed every gate; not empty where the verdict is [`Verdict::PartlyExplained`].
+    #[serde(default)]
+    pub doubts: Vec<Doubt>,
     /// By signal: error on held-out runs before and after.
     pub gain: BTreeMap<String, Gain>,
     /// What is left that no cause of the catalogue explains.
@@ -118,6 +121,30 @@ pub struct Rejected {
     pub effect: String,
     /// Why, with numbers.
     pub reason: String,
+}
+
+/// What speaks against an explanation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Doubt {
+    /// What kind.
+    pub kind: DoubtKind,
+    /// Joint, or effect and its place; empty: the whole robot.
+    #[serde(rename = "where")]
+    pub location: String,
+    /// In a sentence, with numbers.
+    pub detail: String,
+}
+
+/// Kinds of [`Doubt`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DoubtKind {
+    /// More is left than careful labs differ by.
+    MuchLeft,
+    /// A cause would have to be larger than it can plausibly be.
+    ImplausibleSize,
+    /// What is left of a joint's current obeys a law.
+    LawfulRest,
 }
 
 /// Error of a signal on held-out runs.

@@ -102,6 +102,7 @@ fn sample() -> (Report, Plots) {
         divergence_after: divergence(0.08),
         causes: vec![friction, delay],
         gain: BTreeMap::from([("pos".to_owned(), gain(0.0213, 0.0058)), ("vel".to_owned(), gain(0.31, 0.12)), ("cur".to_owned(), gain(0.08, 0.047))]),
+        doubts: Vec::new(),
         unexplained: vec![Unexplained {
             location: "HR_knee cur".to_owned(),
             depends_on: vec!["position".to_owned()],
@@ -363,6 +364,7 @@ fn a_page_of_little_is_still_a_page() {
             divergence_after: vec![],
             causes: vec![],
             gain: BTreeMap::new(),
+            doubts: Vec::new(),
             unexplained: vec![],
             next_experiment: None,
             detection_floor: BTreeMap::new(),

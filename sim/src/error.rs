@@ -21,7 +21,9 @@ pub enum SimError {
     #[error("robot model cannot be simulated: {0}")]
     Model(String),
     /// The robot file's extension names a parameter that does not exist.
-    #[error("robot file: extension.lane.`{path}` is no parameter of this robot")]
+    #[error(
+        "robot file: extension.lane.`{path}` is no parameter of this robot; if a diagnosis of an earlier version wrote it, diagnose its logs again"
+    )]
     Extension {
         /// The path as written.
         path: String,

@@ -32,15 +32,19 @@ pub fn run(command: &RobotModelCommand) -> Result<(), Failure> {
     }
 }
 
-/// Reads a robot file; the failure says whether it is missing or wrong.
+/// Reads a robot file with its extension; the failure says whether it is missing or wrong.
 pub fn load(path: &Path) -> Result<RobotModel, Failure> {
-    RobotModel::load(path).map_err(|error| {
+    let named = || format!("robot file {}", path.display());
+    let model = RobotModel::load(path).map_err(|error| {
         let code = match &error {
             ModelError::Read { .. } => ExitCode::NoInput,
             _ => ExitCode::BadInput,
         };
-        Failure::new(code, error).context(format!("robot file {}", path.display()))
-    })
+        Failure::new(code, error).context(named())
+    })?;
+    caudata_sim::check_extension(&model)
+        .map_err(|error| Failure::new(ExitCode::BadInput, error).context(named()))?;
+    Ok(model)
 }
 
 #[derive(Serialize)]

@@ -5,6 +5,7 @@ use super::lawful::{Lawful, lawful};
 use super::state::{Context, State};
 use crate::effects::{Domain, Place};
 use crate::replay::Term;
+use crate::report::{Doubt, DoubtKind};
 
 /// Misfit that an explained gap may leave in any case (of many joints: [`gates::quiet`]), …
 const LEFT: f64 = 0.5;
@@ -16,10 +17,18 @@ const LEFT_OF_SHARE: f64 = 0.15;
 /// ripple 0.91; but a cable that rubs and is called friction 0.19.
 const LAWFUL_SHARE: f64 = 0.2;
 
+/// What a model leaves, where it is most, floors.
+pub struct Left {
+    /// Of the runs that it was fitted to, or of held-out ones.
+    held_out: bool,
+    before: f64,
+    after: f64,
+}
+
 /// Doubts about a model.
 pub struct Doubts<'a> {
     /// Much is left.
-    pub much: bool,
+    pub much: Option<Left>,
     /// Effects that would have to be larger than they can plausibly be.
     pub outgrown: Vec<&'a Term>,
     /// Joints where what is left obeys a law.
@@ -34,7 +43,7 @@ impl<'a> Doubts<'a> {
         // what the runs that were fitted say of themselves is no foretelling
         let nothing_to_ask = best.terms.is_empty() || context.same_runs;
         Self {
-            much: much_is_left(context, base, best),
+            much: left(context, base, best),
             outgrown: best.terms.iter().filter(|t| outgrown(context, t)).collect(),
             lawful: if nothing_to_ask {
                 Vec::new()
@@ -46,38 +55,51 @@ impl<'a> Doubts<'a> {
 
     /// Whether there are any.
     pub fn any(&self) -> bool {
-        self.much || !self.outgrown.is_empty() || !self.lawful.is_empty()
+        self.much.is_some() || !self.outgrown.is_empty() || !self.lawful.is_empty()
     }
 
-    /// Each in a sentence of its own, with a space before it, but for what is much: that is a figure of the summary.
-    pub fn in_words(&self, context: &Context) -> String {
-        let beyond: Vec<String> = (self.outgrown.iter())
-            .map(|t| t.place.label(t.effect.id))
-            .collect();
-        let mut words = match beyond.as_slice() {
-            [] => String::new(),
-            [one] => format!(
-                " As large as it would have to be, {one} is not plausible: something that is not in the catalogue may be behind it."
-            ),
-            more => format!(
-                " As large as they would have to be, {} are not plausible: something that is not in the catalogue may be behind them.",
-                more.join(" and ")
-            ),
-        };
+    /// Each for the report.
+    pub fn listed(&self, context: &Context) -> Vec<Doubt> {
         let names = context.replayer.model().actuated_names();
-        for l in &self.lawful {
-            words.push_str(&format!(
-                " What is left of the current of {} obeys a law that no cause here has: functions of angle, speed and error that were fitted to it foretell {:.0} % of it in held-out runs.",
-                names[l.joint],
-                100.0 * l.share
-            ));
-        }
-        words
+        let much = self.much.iter().map(|l| Doubt {
+            kind: DoubtKind::MuchLeft,
+            location: String::new(),
+            detail: format!(
+                "Of {} {:.2} of {:.2} floors are left where it is most.",
+                if l.held_out {
+                    "held-out runs"
+                } else {
+                    "the runs that were fitted"
+                },
+                l.after,
+                l.before
+            ),
+        });
+        let outgrown = self.outgrown.iter().map(|t| {
+            let label = t.place.label(t.effect.id);
+            Doubt {
+                kind: DoubtKind::ImplausibleSize,
+                detail: format!("As large as it would have to be, {label} is not plausible: something that is not in the catalogue may be behind it."),
+                location: label,
+            }
+        });
+        let lawful = self.lawful.iter().map(|l| {
+            Doubt {
+                kind: DoubtKind::LawfulRest,
+                location: names[l.joint].to_owned(),
+                detail: format!(
+                    "What is left of the current of {} obeys a law that no cause here has: functions of angle, speed and error that were fitted to it foretell {:.0} % of it in held-out runs.",
+                    names[l.joint],
+                    100.0 * l.share
+                ),
+            }
+        });
+        much.chain(outgrown).chain(lawful).collect()
     }
 
     /// Whether they are about a cause at `place`: what is missing elsewhere does not make it less sure.
     pub fn concern(&self, place: &Place) -> bool {
-        self.much
+        self.much.is_some()
             || self.outgrown.iter().any(|t| meet(&t.place, place))
             || self.lawful.iter().any(|l| acts_on(place, l.joint))
     }
@@ -85,23 +107,37 @@ impl<'a> Doubts<'a> {
 
 /// Whether a model leaves more than is known of the floor, of the runs that it was fitted to or of held-out ones, where it is most.
 pub fn much_is_left(context: &Context, base: &State, best: &State) -> bool {
-    let allowed = LEFT.max(gates::quiet(context));
-    let parts = [
-        (&context.fit, &base.fit, &best.fit),
-        (&context.holdout, &base.holdout, &best.holdout),
-    ];
-    parts.into_iter().any(|(judge, before, after)| {
-        let of = |on| gates::worst_of(context, &[(judge, on)]);
-        let (before, after) = (of(before), of(after));
-        after > allowed && after * after / f64::max(before, 1e-9) > LEFT_OF_SHARE
-    })
+    left(context, base, best).is_some()
 }
 
-/// Whether a term's size (its first parameter) wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place
-/// makes up for where it differs.
+fn left(context: &Context, base: &State, best: &State) -> Option<Left> {
+    let allowed = LEFT.max(gates::quiet(context));
+    let parts = [
+        (true, &context.holdout, &base.holdout, &best.holdout),
+        (false, &context.fit, &base.fit, &best.fit),
+    ];
+    let of = |(held_out, judge, before, after)| {
+        let of = |on| gates::worst_of(context, &[(judge, on)]);
+        Left {
+            held_out,
+            before: of(before),
+            after: of(after),
+        }
+    };
+    let much =
+        |l: &Left| l.after > allowed && l.after * l.after / l.before.max(1e-9) > LEFT_OF_SHARE;
+    parts.into_iter().map(of).find(much)
+}
+
+/// Whether a term's size (its first parameter, and others of its unit: a centre of mass has three) wants to be larger than it can plausibly be: it stands in for something
+/// else, and what acts at the same place makes up for where it differs.
 fn outgrown(context: &Context, term: &Term) -> bool {
     let model = context.replayer.model();
-    (term.effect).at_bound(model, &term.place, 0, term.values[0])
+    let parameters = term.effect.parameters.iter().enumerate();
+    let unit = |p: usize| term.effect.parameters[p].unit;
+    parameters
+        .filter(|(p, _)| *p == 0 || (!unit(0).is_empty() && unit(*p) == unit(0)))
+        .any(|(p, _)| (term.effect).at_bound(model, &term.place, p, term.values[p]))
 }
 
 /// Whether two effects act at one joint (link, foot, hinge), or on what cannot be told apart so: a link and a joint, the whole robot and a part of it.
@@ -116,4 +152,32 @@ fn meet(one: &Place, other: &Place) -> bool {
 /// Whether an effect at `place` may act on a joint.
 fn acts_on(place: &Place, joint: usize) -> bool {
     place.domain != Domain::Joints || place.items.is_empty() || place.items.contains(&joint)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(domain: Domain, items: &[usize]) -> Place {
+        Place {
+            domain,
+            items: items.to_vec(),
+            names: items.iter().map(usize::to_string).collect(),
+        }
+    }
+
+    #[test]
+    fn what_is_missing_elsewhere_does_not_make_a_cause_less_sure() {
+        let knee = at(Domain::Joints, &[3]);
+        assert!(!meet(&knee, &at(Domain::Joints, &[4])));
+        assert!(meet(&knee, &at(Domain::Joints, &[2, 3])));
+        // all joints, the whole robot, a link that the joint may carry
+        assert!(meet(&knee, &at(Domain::Joints, &[])));
+        assert!(meet(&at(Domain::Robot, &[]), &knee));
+        assert!(meet(&at(Domain::Links, &[7]), &knee));
+        assert!(!meet(&at(Domain::Links, &[7]), &at(Domain::Links, &[8])));
+        // a law in what is left of a joint's current speaks against whatever may act on that joint
+        assert!(acts_on(&knee, 3) && !acts_on(&knee, 4));
+        assert!(acts_on(&at(Domain::Links, &[7]), 4));
+    }
 }

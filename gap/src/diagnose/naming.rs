@@ -1,11 +1,14 @@
 //! Naming: which effects would explain as much in a cause's place. A cause is a set of names with probabilities, not a name.
 
+use std::collections::BTreeSet;
+
 use super::doubt::much_is_left;
 use super::gates::{self, Worth};
 use super::refine::refine;
 use super::screen::{Screened, screen};
-use super::search::{Found, penalised, single, swapped};
+use super::search::{Found, MOST_TERMS, penalised, single, swapped};
 use super::state::{Context, State};
+use super::verdict::{indistinguishable, wider};
 use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::Variant;
@@ -22,8 +25,16 @@ const MARGIN_FLOORS: f64 = 0.06;
 const UNNAMED: f64 = 0.2;
 /// … unless its layer (friction, motor, timing …) has this one.
 const LAYER_KNOWN: f64 = 0.6;
-/// Where much is left unexplained, a cause must take this share off the misfit of its joint.
+/// Where much is left unexplained, a cause must take this share off the misfit of its joint, …
 const LEAST_SHARE_IN_PART: f64 = 0.08;
+/// … and where it takes less than this one off, be sure to take any.
+const GREAT_SHARE: f64 = 0.5;
+/// Two look-alikes are both there if together they take this share off what the better one alone leaves of the runs that are fitted …
+const MORE_TOGETHER: f64 = 0.25;
+/// … and this one off what it leaves of held-out runs.
+const MORE_TOGETHER_HELD_OUT: f64 = 0.2;
+/// A rival that is so many times as probable takes a cause's place.
+const FAR_MORE: f64 = 2.0;
 /// Temperature of the probabilities, as a share of the margin.
 const TEMPERATURE: f64 = 0.6;
 
@@ -55,50 +66,157 @@ pub struct Named {
     pub probability: f64,
 }
 
-/// Finds the rivals of every cause.
+/// Finds the rivals of every cause. Causes that turn out to be none, or to have a better name, are put right on the way.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError> {
-    let mut out = Vec::new();
-    let size = |s: &State| s.parameters(context.replayer.model());
-    for index in 0..found.best.terms.len() {
-        let mut named = rivals_of(context, found, index)?;
-        let simpler = named
-            .rivals
-            .iter()
-            .filter(|r| r.in_set && size(&r.state) < size(&found.best))
-            // what is clearly worse does not say the same
-            .filter(|r| {
-                let more = gates::worth(context, &r.state, &found.best, None);
-                more.low <= 0.0 || more.fit <= 0.0
-            })
-            .min_by(|a, b| {
-                let by_size = size(&a.state).cmp(&size(&b.state));
-                by_size.then(a.short.total_cmp(&b.short))
-            });
-        if let Some(simpler) = simpler {
-            // who says the same with less is the first to be believed
-            found.best = simpler.state.clone();
-            named = rivals_of(context, found, index)?;
+    // what was the best before does not come back, so that this ends
+    let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
+    'again: loop {
+        seen.insert(found.best.key());
+        let mut out = Vec::new();
+        // what was added last leans on what was there before
+        for index in (0..found.best.terms.len()).rev() {
+            let named = rivals_of(context, found, index)?;
+            if let Some(best) = put_right(context, found, &named, &seen)? {
+                found.best = best;
+                continue 'again;
+            }
+            out.push(named);
         }
-        // a cause of which nobody can tell the name, nor even the layer, is a leftover, not a cause
-        let own = named.probability + same_name(found, &named);
-        if own < UNNAMED && same_layer(found, &named) < LAYER_KNOWN {
-            found.best = named.without;
-            return name(context, found);
-        }
-        // and what takes little off where much is left stands in for what is not in the catalogue
-        let share = named.worth.holdout / named.worth.of.max(1e-9);
-        let too_little =
-            much_is_left(context, &found.base, &found.best) && share < LEAST_SHARE_IN_PART;
-        if too_little || named.worth.holdout <= 0.0 {
-            found.best = named.without;
-            return name(context, found);
-        }
-        out.push(named);
+        return Ok(out);
     }
-    Ok(out)
+}
+
+/// What should be the best model instead, by what the rivals of one of its causes are; none where that cause stands.
+fn put_right(
+    context: &Context,
+    found: &Found,
+    named: &Named,
+    seen: &BTreeSet<Vec<String>>,
+) -> Result<Option<State>, GapError> {
+    let best = &found.best;
+    let new = |s: &State| !seen.contains(&s.key());
+    let other = simpler(context, best, named)
+        .filter(new)
+        .or_else(|| better(context, best, named).filter(new));
+    if other.is_some() {
+        return Ok(other);
+    }
+    if !is_a_cause(context, found, named) {
+        return Ok(Some(named.without.clone()));
+    }
+    Ok(both(context, best, named)?.filter(new))
+}
+
+/// The rival that says the same as the cause in `named` with less, which is the first to be believed: with fewer parameters, or, where nothing at all tells them apart,
+/// without several joints that have the same size of an effect by chance.
+fn simpler(context: &Context, best: &State, named: &Named) -> Option<State> {
+    let model = context.replayer.model();
+    let chances = |s: &State| -> usize {
+        let of_joints = s.terms.iter().filter(|t| t.place.domain == Domain::Joints);
+        of_joints
+            .map(|t| t.place.items.len().saturating_sub(1))
+            .sum()
+    };
+    let size = |s: &State| (s.parameters(model), chances(s));
+    let own = best.terms[named.index].effect;
+    let same = |r: &&Rival| {
+        if r.state.parameters(model) == best.parameters(model) {
+            return indistinguishable(best, &r.state);
+        }
+        // what is clearly worse does not say the same; a special case of the cause must be worse by all that a further cause would have to be better by
+        let more = gates::worth(context, &r.state, best, None);
+        if wider(r.state.terms[r.index].effect, own) {
+            !more.passed
+        } else {
+            more.low <= 0.0 || more.fit <= 0.0
+        }
+    };
+    named
+        .rivals
+        .iter()
+        .filter(|r| r.in_set && size(&r.state) < size(best))
+        .filter(same)
+        .min_by(|a, b| {
+            let by_size = size(&a.state).cmp(&size(&b.state));
+            by_size.then(a.short.total_cmp(&b.short))
+        })
+        .map(|r| r.state.clone())
+}
+
+/// The rival that is far more probable than the cause in `named` and says it with as little.
+fn better(context: &Context, best: &State, named: &Named) -> Option<State> {
+    let model = context.replayer.model();
+    let takes_over = |r: &&Rival| {
+        r.probability > FAR_MORE * named.probability
+            && r.state.parameters(model) <= best.parameters(model)
+    };
+    let first = named.rivals.iter().find(takes_over)?;
+    Some(first.state.clone())
+}
+
+/// Whether what is in `named` deserves to be called a cause.
+fn is_a_cause(context: &Context, found: &Found, named: &Named) -> bool {
+    // one of which nobody can tell the name, nor even the layer, is a leftover
+    let own = named.probability + same_name(found, named);
+    if own < UNNAMED && same_layer(found, named) < LAYER_KNOWN {
+        return false;
+    }
+    let worth = &named.worth;
+    if much_is_left(context, &found.base, &found.best) {
+        // what takes little off where much is left, or is not sure to, stands in for what is not in the catalogue
+        let share = worth.holdout / worth.of.max(1e-9);
+        if share < LEAST_SHARE_IN_PART || (share < GREAT_SHARE && worth.interval.0 <= 0.0) {
+            return false;
+        }
+    }
+    worth.holdout > 0.0
+}
+
+/// The model with a rival of the answer set beside the cause in `named`, if there is one that says far more than either alone: two look-alikes that are both there leave
+/// little of each other, less than what ends the search.
+fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>, GapError> {
+    let term = &best.terms[named.index];
+    let other = |r: &&Rival| {
+        let rival = r.state.terms[r.index].effect;
+        r.in_set && rival != term.effect && !wider(term.effect, rival) && !wider(rival, term.effect)
+    };
+    let model = context.replayer.model();
+    let mut variants: Vec<Variant> = Vec::new();
+    for rival in named.rivals.iter().filter(other) {
+        // each takes half of what it has alone
+        let mut terms = best.terms.clone();
+        terms.push(rival.state.terms[rival.index].clone());
+        for i in [named.index, terms.len() - 1] {
+            let neutral = terms[i].effect.neutral(model, &terms[i].place);
+            for (v, z) in terms[i].values.iter_mut().zip(neutral) {
+                *v = 0.5 * (*v + z);
+            }
+        }
+        variants.push(terms);
+    }
+    if variants.is_empty() || best.terms.len() >= MOST_TERMS {
+        return Ok(None);
+    }
+    let fitted = refine(context, &context.fit, variants, None, None)?;
+    let fitted: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
+    let place = Some(&term.place);
+    let more = |state: &State| {
+        let worth = gates::worth(context, best, state, place);
+        let before = gates::part(&context.fit, &best.fit, place);
+        worth.passed
+            && worth.low > 0.0
+            && worth.fit > MORE_TOGETHER * before
+            && worth.holdout > MORE_TOGETHER_HELD_OUT * worth.of
+            && state.terms.iter().all(|t| gates::matters(context, t))
+    };
+    Ok(context
+        .states(&fitted)?
+        .into_iter()
+        .filter(more)
+        .min_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b))))
 }
 
 /// Probability of the same effect at other places.

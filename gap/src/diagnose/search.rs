@@ -20,7 +20,7 @@ use crate::error::GapError;
 use crate::replay::{Term, Variant};
 
 /// Most effects at once.
-const MOST_TERMS: usize = 8;
+pub const MOST_TERMS: usize = 8;
 /// Candidates that are kept side by side.
 const BEAM: usize = 2;
 /// Lines with a look-alike in the place of one effect that go on beside them where much is left.

@@ -18,7 +18,9 @@ use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
 use crate::replay::Term;
-use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Unexplained, Verdict};
+use crate::report::{
+    Cause, Compute, DoubtKind, Gain, Rejected, Report, RunUse, Unexplained, Verdict,
+};
 
 /// Misfit below which nothing is left to explain. 1 is what the tolerances allow; careful labs stay below 0.3 (nulls of the benchmark).
 pub const QUIET: f64 = 0.8;
@@ -42,6 +44,7 @@ pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> D
             divergence: Vec::new(),
             divergence_after: Vec::new(),
             causes: Vec::new(),
+            doubts: Vec::new(),
             gain: BTreeMap::new(),
             unexplained: Vec::new(),
             next_experiment: None,
@@ -113,6 +116,11 @@ pub fn conclude(
             summary,
             divergence: before,
             divergence_after: after,
+            doubts: if causes.is_empty() {
+                Vec::new()
+            } else {
+                doubts.listed(context)
+            },
             causes,
             gain: gain(context, base, best),
             unexplained: if matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
@@ -249,7 +257,7 @@ fn cause(
 }
 
 /// Whether two models predict the same, to a hundredth of what counts.
-fn indistinguishable(a: &State, b: &State) -> bool {
+pub fn indistinguishable(a: &State, b: &State) -> bool {
     const SAME: f64 = 0.01;
     let apart = |a: &On, b: &On| -> f64 {
         let pairs = a.residual.iter().zip(&b.residual);
@@ -417,11 +425,15 @@ fn summary(
             let left = unexplained
                 .first()
                 .map_or(String::new(), |u| format!(", most of it at {}", u.location));
+            // how much is left is in the figures
+            let others = doubts.listed(context).into_iter();
+            let others: String = (others.filter(|d| d.kind != DoubtKind::MuchLeft))
+                .map(|d| format!(" {}", d.detail))
+                .collect();
             format!(
-                "{} explain a part: {fall}; {:.0} % of it is left{left}.{}",
+                "{} explain a part: {fall}; {:.0} % of it is left{left}.{others}",
                 names.join(" and "),
                 100.0 * best.misfit() / base.misfit().max(1e-9),
-                doubts.in_words(context)
             )
         }
         Verdict::Unexplained => format!(

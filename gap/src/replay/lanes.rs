@@ -1,11 +1,11 @@
 //! One engine full of jobs: reset, step, record.
 
-use caudata_sim::batch::{BatchEngine, Wanted};
+use caudata_sim::batch::{BatchEngine, Readout};
 use caudata_sim::{Engine, InitialState, State};
 
 use super::commands::{Reader, Readers, true_angle};
 use super::data::{Data, Start, replay_span, roll_pitch};
-use super::observe::{self, Trace, wanted};
+use super::observe::{self, Trace, readout};
 use super::{Replayer, Variant};
 use crate::error::GapError;
 use crate::plant::Plant;
@@ -37,7 +37,7 @@ pub(super) fn run(
     let mut traces = Vec::with_capacity(jobs.len());
     let mut corrections = Vec::with_capacity(jobs.len());
     let mut stands = Vec::with_capacity(jobs.len());
-    let mut read = Wanted::JOINTS;
+    let mut read = Readout::JOINTS;
     let mut most = 0;
     for (lane, &(v, s)) in jobs.iter().enumerate() {
         let segment = &data.segments[s];
@@ -53,7 +53,7 @@ pub(super) fn run(
         let from_s = segment.start_s - stand as f64 * period_s;
         readers.push(readers_of(trial, &plant, from_s));
         switches.push(Switches::new(trial, &plant, segment.start_s));
-        let signals = wanted(trial);
+        let signals = readout(trial);
         traces.push(Trace::new(
             signals,
             &plant,

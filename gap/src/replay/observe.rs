@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use caudata_model::RobotModel;
 use caudata_sim::State;
-use caudata_sim::batch::Wanted;
+use caudata_sim::batch::Readout;
 
 use super::commands::{shown_angle, shown_current};
 use super::data::{Data, Piece};
@@ -13,17 +13,17 @@ use crate::plant::Plant;
 use crate::trial::{Kind, Trial, attitude_of};
 
 /// What the channels of a log are made of beside joints.
-pub(super) fn wanted(trial: &Trial) -> Wanted {
-    let mut wanted = Wanted::JOINTS;
+pub(super) fn readout(trial: &Trial) -> Readout {
+    let mut readout = Readout::JOINTS;
     for channel in &trial.channels {
         match channel.kind {
-            Kind::Gyro | Kind::Acceleration | Kind::Gravity => wanted.imu = true,
-            Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => wanted.base = true,
-            Kind::Foot => wanted.feet = true,
+            Kind::Gyro | Kind::Acceleration | Kind::Gravity => readout.imu = true,
+            Kind::BasePosition | Kind::BaseVelocity | Kind::BaseAttitude => readout.base = true,
+            Kind::Foot => readout.feet = true,
             Kind::Position | Kind::Velocity | Kind::Current | Kind::Torque | Kind::Voltage => {}
         }
     }
-    wanted
+    readout
 }
 
 /// Recorded states of one lane.
@@ -34,9 +34,9 @@ pub(super) struct Trace {
     width: usize,
     joints: usize,
     /// Which body signals are recorded.
-    wanted: Wanted,
+    readout: Readout,
     feet: usize,
-    /// `[rows, width]`: positions, velocities, torques, and then body signals: IMU, base, feet, as far as wanted.
+    /// `[rows, width]`: positions, velocities, torques, and then body signals: IMU, base, feet, as far as they are read out.
     values: Vec<f32>,
 }
 
@@ -52,9 +52,15 @@ const QUAT: usize = 6;
 const BASE: usize = 10;
 
 impl Trace {
-    pub fn new(wanted: Wanted, plant: &Plant, start_s: f64, period_s: f64, periods: usize) -> Self {
+    pub fn new(
+        readout: Readout,
+        plant: &Plant,
+        start_s: f64,
+        period_s: f64,
+        periods: usize,
+    ) -> Self {
         let joints = plant.model.actuated().len();
-        let feet = if wanted.feet {
+        let feet = if readout.feet {
             plant.model.feet().len()
         } else {
             0
@@ -65,7 +71,7 @@ impl Trace {
             rows: periods + 1,
             width: 0,
             joints,
-            wanted,
+            readout,
             feet,
             values: Vec::new(),
         };
@@ -85,12 +91,12 @@ impl Trace {
 
     /// First column of the base's signals.
     fn base_column(&self) -> usize {
-        self.imu_column() + if self.wanted.imu { IMU } else { 0 }
+        self.imu_column() + if self.readout.imu { IMU } else { 0 }
     }
 
     /// First column of the feet's positions.
     fn foot_column(&self) -> usize {
-        self.base_column() + if self.wanted.base { BASE } else { 0 }
+        self.base_column() + if self.readout.base { BASE } else { 0 }
     }
 
     pub fn record(&mut self, state: &State, lane: usize, model: &RobotModel) {
@@ -101,12 +107,12 @@ impl Trace {
             values.extend(model.actuated().iter().map(|&j| own[j]));
         }
         values.extend_from_slice(&state.motor_torque_nm[row(self.joints)]);
-        if self.wanted.imu {
+        if self.readout.imu {
             values.extend_from_slice(&state.imu_gyro_radps[row(3)]);
             values.extend_from_slice(&state.imu_acc_mps2[row(3)]);
             values.extend_from_slice(&state.imu_gravity[row(3)]);
         }
-        if self.wanted.base {
+        if self.readout.base {
             values.extend_from_slice(&state.base_pos_m[row(3)]);
             values.extend_from_slice(&state.base_vel_mps[row(3)]);
             values.extend_from_slice(&state.base_quat_wxyz[row(4)]);

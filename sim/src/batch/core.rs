@@ -11,8 +11,8 @@ use super::lanes::Group;
 use super::period::{Period, Scratch, Shared};
 use super::pool::Pool;
 use super::program::Program;
+use super::readout::Readout;
 use super::report;
-use super::wanted::Wanted;
 use crate::drive::loss::LossMemory;
 use crate::drive::{JointMemory, loop_delay};
 use crate::lanes::Lanes as _;
@@ -57,7 +57,7 @@ pub(super) trait Core: Send {
     fn put(&mut self, lane: usize, from: &LaneState) -> bool;
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State);
     /// What the steps that follow report.
-    fn report_only(&mut self, wanted: Wanted);
+    fn report_only(&mut self, readout: Readout);
     /// Starts to time the phases of the steps that follow.
     fn time_phases(&mut self);
     /// All threads together.
@@ -246,8 +246,8 @@ impl<R: Lanes> Core for CoreOf<R> {
         put_slot(group, slot, from)
     }
 
-    fn report_only(&mut self, wanted: Wanted) {
-        self.shared.wanted = wanted;
+    fn report_only(&mut self, readout: Readout) {
+        self.shared.readout = readout;
     }
 
     fn time_phases(&mut self) {
@@ -354,7 +354,7 @@ impl<R: Lanes> Kernel for Report<'_, R> {
     type Output = ();
     #[inline(always)]
     fn run(self) {
-        report::report(self.shared, Wanted::ALL, self.group, self.scratch);
+        report::report(self.shared, Readout::ALL, self.group, self.scratch);
     }
 }
 
@@ -438,7 +438,7 @@ impl<R: Lanes> Part<'_, R> {
             turned: &mut scratch.turned,
             rows: &mut self.rows.fields,
             widths: &self.widths,
-            wanted: self.shared.wanted.fields(),
+            readout: self.shared.readout.fields(),
             first,
             diverged,
         });
@@ -453,7 +453,7 @@ struct Publish<'a, 'b, R> {
     rows: &'a mut [&'b mut [f32]; FIELDS],
     widths: &'a [usize; FIELDS],
     /// Which fields.
-    wanted: [bool; FIELDS],
+    readout: [bool; FIELDS],
     first: usize,
     diverged: &'a [bool],
 }
@@ -467,7 +467,7 @@ impl<R: Lanes> Kernel for Publish<'_, '_, R> {
         for f in 0..FIELDS {
             let (at, k) = (next, self.widths[f]);
             next += k;
-            if !self.wanted[f] {
+            if !self.readout[f] {
                 continue;
             }
             for v in at..next {

@@ -24,11 +24,11 @@ mod pairs;
 mod period;
 mod pool;
 pub mod program;
+mod readout;
 mod report;
 pub mod smooth;
 mod snapshot;
 mod vec3;
-mod wanted;
 mod wet;
 
 use std::sync::Arc;
@@ -37,7 +37,7 @@ use caudata_model::RobotModel;
 
 pub use self::clock::{Phase, PhaseSeconds};
 use self::core::{Core, CoreOf, Start};
-pub use self::wanted::Wanted;
+pub use self::readout::Readout;
 use crate::config::Precision;
 use crate::drive::loop_delay;
 use crate::observe::{self, Coordinates};
@@ -127,9 +127,9 @@ impl BatchEngine {
         self.core.phase_seconds()
     }
 
-    /// From the next step on, works out and reports only what is `wanted`. A new engine reports everything.
-    pub fn report_only(&mut self, wanted: Wanted) {
-        self.core.report_only(wanted);
+    /// From the next step on, works out and reports only what is in `readout`. A new engine reports everything.
+    pub fn report_only(&mut self, readout: Readout) {
+        self.core.report_only(readout);
     }
 
     /// Puts a lane's base and actuated joints where `init` says, in the middle of its motion. What nobody can measure stays as it is: hinges without a

@@ -13,8 +13,8 @@ use super::kinematics::{self, Frame, Push, World};
 use super::lanes::{Group, Layout, layout, sums_len};
 use super::pairs;
 use super::program::{Part, Program};
+use super::readout::Readout;
 use super::vec3::{Inertia, V3, dot, zero3};
-use super::wanted::Wanted;
 use super::wet;
 use crate::drive::command::Scheduled;
 use crate::drive::loop_delay::Loop;
@@ -41,7 +41,7 @@ pub(super) struct Shared<R: Lanes> {
     pub max_joint_speed: f64,
     pub max_base_speed: f64,
     /// What each period reports.
-    pub wanted: Wanted,
+    pub readout: Readout,
 }
 
 impl<R: Lanes> Shared<R> {
@@ -61,7 +61,7 @@ impl<R: Lanes> Shared<R> {
             water_level_m,
             max_joint_speed: config.max_joint_speed_radps,
             max_base_speed: config.max_base_speed_mps,
-            wanted: Wanted::ALL,
+            readout: Readout::ALL,
         }
     }
 
@@ -199,7 +199,7 @@ impl<R: Lanes, const FLAT: bool> Kernel for Period<'_, R, FLAT> {
             group.diverged[lane] |= !sound.lane(lane);
         }
         integrate::freeze(group, scratch);
-        super::report::report(shared, shared.wanted, group, scratch);
+        super::report::report(shared, shared.readout, group, scratch);
         scratch.mark(Phase::Report);
     }
 }

@@ -4,14 +4,14 @@ use super::kinematics::{self, Frame, take3};
 use super::lanes::{Group, Layout, layout};
 use super::period::{Scratch, Shared};
 use super::program::{Place, Program};
+use super::readout::Readout;
 use super::vec3::{
     V3, add, add_scaled, cross, scale, sub, sym_times, turn, turn_back, turn_sym, zero3,
 };
-use super::wanted::Wanted;
 use crate::simd::Lanes;
 use crate::state::FIELDS;
 
-/// Numbers per lane of what [`Wanted::base`] stands for.
+/// Numbers per lane of what [`Readout::base`] stands for.
 const BASE: usize = 3 + 4 + 3 + 3;
 /// Numbers per lane of centre of mass, its velocity, angular velocity and heading.
 const WHOLE: usize = 3 + 3 + 3 + 1;
@@ -64,16 +64,16 @@ impl<R: Lanes> Writer<'_, R> {
     }
 }
 
-/// Fills the fields of `scratch.out` that are `wanted` from the group's state and sums, and moves the IMU's velocity on if that is one of them.
+/// Fills the fields of `scratch.out` that are in `readout` from the group's state and sums, and moves the IMU's velocity on if that is one of them.
 #[inline(always)]
 pub(super) fn report<R: Lanes>(
     shared: &Shared<R>,
-    wanted: Wanted,
+    readout: Readout,
     group: &mut Group<R>,
     scratch: &mut Scratch<R>,
 ) {
     let program = &shared.program;
-    let needed = frames_needed(program, wanted);
+    let needed = frames_needed(program, readout);
     kinematics::frames(program, &group.x, &mut scratch.frames[..needed]);
     let frames = &scratch.frames;
     let mut w = Writer {
@@ -85,7 +85,7 @@ pub(super) fn report<R: Lanes>(
     } else {
         zero3()
     };
-    if wanted.base {
+    if readout.base {
         put_base(program, group, frames, base, &mut w);
     } else {
         w.at += BASE;
@@ -93,30 +93,30 @@ pub(super) fn report<R: Lanes>(
     put_joints(program, group, &mut w);
     let a = program.actuated;
     w.put(&group.sums[..2 * a]);
-    if wanted.rest {
+    if readout.rest {
         put_whole(program, group, frames, base, &mut scratch.coms, &mut w);
         w.put(&[heading(program, frames)]);
     } else {
         w.at += WHOLE;
     }
-    put_feet(shared, wanted, frames, base, &mut w);
+    put_feet(shared, readout, frames, base, &mut w);
     w.put(&group.sums[2 * a..]);
-    if wanted.imu {
+    if readout.imu {
         put_imu(shared, group, frames, &mut w);
     }
 }
 
-/// Number of the frames, from the base on, that what is wanted is worked out from.
+/// Number of the frames, from the base on, that what is read out is worked out from.
 #[inline(always)]
-fn frames_needed<R: Lanes>(program: &Program<R>, wanted: Wanted) -> usize {
-    if wanted.rest || wanted.feet {
+fn frames_needed<R: Lanes>(program: &Program<R>, readout: Readout) -> usize {
+    if readout.rest || readout.feet {
         return program.frames();
     }
     let mut frames = 0;
-    if wanted.base {
+    if readout.base {
         frames = program.base_place.node + 1;
     }
-    if wanted.imu {
+    if readout.imu {
         frames = frames.max(program.imu.node + 1);
     }
     frames
@@ -298,7 +298,7 @@ fn heading<R: Lanes>(program: &Program<R>, frames: &[Frame<R>]) -> R {
 #[inline(always)]
 fn put_feet<R: Lanes>(
     shared: &Shared<R>,
-    wanted: Wanted,
+    readout: Readout,
     frames: &[Frame<R>],
     base: V3<R>,
     w: &mut Writer<'_, R>,
@@ -307,7 +307,7 @@ fn put_feet<R: Lanes>(
     let feet = program.feet.len();
     let (pos, vel, height) = (w.at, w.at + 3 * feet, w.at + 6 * feet);
     w.at += 7 * feet;
-    if !wanted.feet && !wanted.rest {
+    if !readout.feet && !readout.rest {
         return;
     }
     for (f, foot) in program.feet.iter().enumerate() {
@@ -315,7 +315,7 @@ fn put_feet<R: Lanes>(
         let arm = frame.point(foot.at);
         let at = add(base, arm);
         w.out[pos + 3 * f..pos + 3 * f + 3].copy_from_slice(&at);
-        if !wanted.rest {
+        if !readout.rest {
             continue;
         }
         let moving = frame.velocity(arm);

@@ -14,11 +14,11 @@ mod correct;
 mod drift;
 mod dynamics;
 mod plain;
+mod readout;
 #[path = "../conformance/robots.rs"]
 #[allow(dead_code)]
 mod robots;
 mod trees;
-mod wanted;
 
 use caudata_model::{Pose, RobotModel};
 use caudata_random::Stream;

@@ -2,26 +2,33 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use caudata_gap::Options;
-use caudata_gap::report::{Cause, Report, Verdict};
+use caudata_gap::report::{Cause, Doubt, DoubtKind, Report, Verdict};
 use caudata_hidden_effects::battery::Amount;
 use caudata_hidden_effects::case::{Answer, Block};
 use caudata_hidden_effects::examinee;
 use caudata_hidden_effects::generate::{self, Request, Rig};
 use caudata_hidden_effects::hidden::find;
-use caudata_hidden_effects::score::outcome::CONFIDENT;
+use caudata_hidden_effects::score::outcome::{self, CONFIDENT, Given};
 
 /// Seed of what differs from run to run.
 const SEED: u64 = 5;
 
-/// The pendulum with `effect`, four null discrepancies large, recorded in `folder`.
+/// The pendulum with `effect`, recorded in `folder`.
 fn recorded(effect: &str, block: Block, folder: &std::path::Path) -> Answer {
+    recorded_on("pendulum", &[effect], block, folder)
+}
+
+/// A rig with `effects` at its first joint, each four null discrepancies large, recorded in `folder`.
+fn recorded_on(rig: &str, effects: &[&str], block: Block, folder: &std::path::Path) -> Answer {
     let request = Request {
         name: "case".to_owned(),
         block,
-        rig: &Rig::bench("pendulum").unwrap(),
+        rig: &Rig::bench(rig).unwrap(),
         seed: SEED,
         amount: Amount::Full,
-        effects: vec![(find(effect).unwrap(), 0, 4.0)],
+        effects: (effects.iter())
+            .map(|e| (find(e).unwrap(), 0, 4.0))
+            .collect(),
         decoy: None,
         without: Vec::new(),
     };
@@ -53,6 +60,8 @@ fn the_drag_of_a_sail_is_no_sure_viscous_friction() {
         report.summary
     );
     assert!(report.summary.contains("obeys a law"), "{}", report.summary);
+    let lawful = |d: &Doubt| d.kind == DoubtKind::LawfulRest && d.location == "swing";
+    assert!(report.doubts.iter().any(lawful), "{:?}", report.doubts);
     assert!(
         report.causes.iter().all(|c| c.confidence < CONFIDENT),
         "{}",
@@ -118,4 +127,37 @@ fn the_delay_of_a_loop_is_no_delay_of_a_measurement() {
         (delay_s - truth_s).abs() < 0.2 * truth_s,
         "{delay_s} of {truth_s}"
     );
+}
+
+#[test]
+fn two_gains_that_look_alike_are_both_named() {
+    let root = tempfile::tempdir().unwrap();
+    let hidden = ["kp_error", "kd_error"];
+    let answer = recorded_on("pendulum", &hidden, Block::Pair, root.path());
+    let report = diagnosed(&root.path().join("case"));
+    assert_eq!(report.causes.len(), 2, "{}", in_words(&report.causes));
+    let given = Given {
+        report: Some(report),
+        failure: String::new(),
+        seconds: 0.0,
+    };
+    let links = [("swing".to_owned(), "arm".to_owned())];
+    for effect in outcome::judge(&answer, &given, &links).truth {
+        let right = effect.named && effect.interval_holds == Some(true);
+        assert!(right, "{effect:?}");
+    }
+}
+
+#[test]
+fn a_supply_that_nobody_logs_is_named_before_two_limits_that_are_alike_by_chance() {
+    let root = tempfile::tempdir().unwrap();
+    recorded_on("arm", &["supply_level"], Block::Single, root.path());
+    let report = diagnosed(&root.path().join("case"));
+    let [cause] = report.causes.as_slice() else {
+        panic!("{}: {}", report.summary, in_words(&report.causes));
+    };
+    assert_eq!(cause.effect, "supply_level");
+    // the same in all joints at once: nothing tells them apart
+    assert_eq!(cause.alternatives, ["voltage_limit"]);
+    assert_eq!(report.verdict, Verdict::Ambiguous);
 }

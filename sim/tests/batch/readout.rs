@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use caudata_sim::batch::{BatchEngine, Wanted};
+use caudata_sim::batch::{BatchEngine, Readout};
 use caudata_sim::{Engine, EngineConfig, InitialState, State, Terrain, TerrainConfig};
 
 use crate::robots;
@@ -49,54 +49,58 @@ fn imu(state: &State) -> [&[f32]; 3] {
 }
 
 #[test]
-fn what_is_wanted_is_the_same_and_the_rest_stays() {
-    let joints = Wanted::JOINTS;
-    for wanted in [
+fn what_is_read_out_is_the_same_and_the_rest_stays() {
+    let joints = Readout::JOINTS;
+    for readout in [
         joints,
-        Wanted {
+        Readout {
             base: true,
             ..joints
         },
-        Wanted {
+        Readout {
             imu: true,
             ..joints
         },
-        Wanted {
+        Readout {
             feet: true,
             ..joints
         },
-        Wanted {
+        Readout {
             rest: true,
             ..joints
         },
-        Wanted {
+        Readout {
             rest: false,
-            ..Wanted::ALL
+            ..Readout::ALL
         },
     ] {
         let (mut whole, mut part) = (engine(1), engine(1));
         let start = part.state().clone();
-        part.report_only(wanted);
+        part.report_only(readout);
         for step in 0..STEPS {
             walk(&mut whole, step);
             walk(&mut part, step);
             let (all, some) = (whole.state(), part.state());
             let or_start = |on: bool| if on { all } else { &start };
-            assert_eq!(some.joint_pos_rad, all.joint_pos_rad, "{wanted:?} {step}");
+            assert_eq!(some.joint_pos_rad, all.joint_pos_rad, "{readout:?} {step}");
             assert_eq!(some.joint_vel_radps, all.joint_vel_radps);
             assert_eq!(some.motor_torque_nm, all.motor_torque_nm);
-            assert_eq!(base(some), base(or_start(wanted.base)), "{wanted:?} {step}");
-            assert_eq!(imu(some), imu(or_start(wanted.imu)), "{wanted:?} {step}");
-            assert_eq!(some.foot_pos_m, or_start(wanted.feet).foot_pos_m);
-            assert_eq!(some.foot_vel_mps, or_start(wanted.rest).foot_vel_mps);
-            assert_eq!(some.foot_height_m, or_start(wanted.rest).foot_height_m);
-            assert_eq!(some.foot_force_n, or_start(wanted.rest).foot_force_n);
+            assert_eq!(
+                base(some),
+                base(or_start(readout.base)),
+                "{readout:?} {step}"
+            );
+            assert_eq!(imu(some), imu(or_start(readout.imu)), "{readout:?} {step}");
+            assert_eq!(some.foot_pos_m, or_start(readout.feet).foot_pos_m);
+            assert_eq!(some.foot_vel_mps, or_start(readout.rest).foot_vel_mps);
+            assert_eq!(some.foot_height_m, or_start(readout.rest).foot_height_m);
+            assert_eq!(some.foot_force_n, or_start(readout.rest).foot_force_n);
             assert_eq!(
                 some.com_angvel_radps,
-                or_start(wanted.rest).com_angvel_radps
+                or_start(readout.rest).com_angvel_radps
             );
-            assert_eq!(some.heading_rad, or_start(wanted.rest).heading_rad);
-            assert_eq!(some.mech_power_w, or_start(wanted.rest).mech_power_w);
+            assert_eq!(some.heading_rad, or_start(readout.rest).heading_rad);
+            assert_eq!(some.mech_power_w, or_start(readout.rest).mech_power_w);
         }
     }
 }
@@ -104,12 +108,12 @@ fn what_is_wanted_is_the_same_and_the_rest_stays() {
 #[test]
 fn a_reset_reports_everything_and_the_imu_goes_on_from_it() {
     let (mut whole, mut part) = (engine(2), engine(2));
-    part.report_only(Wanted::JOINTS);
+    part.report_only(Readout::JOINTS);
     for step in 0..STEPS {
         walk(&mut whole, step);
         walk(&mut part, step);
     }
-    part.report_only(Wanted::ALL);
+    part.report_only(Readout::ALL);
     let init = InitialState::nominal(whole.model());
     for lane in 0..whole.lanes() {
         whole.reset(lane, &init).unwrap();

@@ -5,9 +5,9 @@ use crate::state::FIELDS;
 /// What of [`State`](crate::State) is worked out after each control period beside joints and motor torques, which always are. With short periods the
 /// report costs as much as the physics, and who reads only joints need not pay for the whole robot's centre of mass.
 ///
-/// What is not wanted stays as the lane's last reset or correction reported it.
+/// What is not read out stays as the lane's last reset or correction reported it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Wanted {
+pub struct Readout {
     /// Pose, velocity and angular velocity of the base link.
     pub base: bool,
     /// Angular velocity, specific force and direction of gravity of the IMU. A lane's first specific force after this is switched on (and after
@@ -19,7 +19,7 @@ pub struct Wanted {
     pub rest: bool,
 }
 
-impl Wanted {
+impl Readout {
     /// All of it.
     pub const ALL: Self = Self {
         base: true,
@@ -35,7 +35,7 @@ impl Wanted {
         rest: false,
     };
 
-    /// Whether each field of [`State`](crate::State) is wanted, in its order.
+    /// Whether each field of [`State`](crate::State) is read out, in its order.
     #[inline(always)]
     pub(super) fn fields(self) -> [bool; FIELDS] {
         let Self {
@@ -51,7 +51,7 @@ impl Wanted {
     }
 }
 
-impl Default for Wanted {
+impl Default for Readout {
     fn default() -> Self {
         Self::ALL
     }
