@@ -18,7 +18,7 @@ pub struct Report {
     pub divergence_after: Vec<Divergence>,
     /// Named causes, strongest first.
     pub causes: Vec<Cause>,
-    /// What speaks against them although each passed every gate; not empty where the verdict is [`Verdict::PartlyExplained`].
+    /// What speaks against them; not empty where the verdict is [`Verdict::PartlyExplained`].
     #[serde(default)]
     pub doubts: Vec<Doubt>,
     /// By signal: error on held-out runs before and after.

@@ -9,8 +9,8 @@ use caudata_gap::plots::{
     Correlation, Horizon, Hypothesis, Overlay, Plots, Series, Signature, WaterfallStep,
 };
 use caudata_gap::report::{
-    Cause, Compute, DataFault, Divergence, Floor, Gain, NextExperiment, Parameter, Rejected,
-    Report, RunUse, Unexplained, Verdict,
+    Cause, Compute, DataFault, Divergence, Doubt, DoubtKind, Floor, Gain, NextExperiment,
+    Parameter, Rejected, Report, RunUse, Unexplained, Verdict,
 };
 
 fn parameter(value: f64, unit: &str, half: f64) -> Parameter {
@@ -388,4 +388,35 @@ fn a_page_of_little_is_still_a_page() {
             "{verdict:?}"
         );
     }
+}
+
+#[test]
+fn a_report_of_an_earlier_version_has_no_doubts() {
+    let report = Report {
+        verdict: Verdict::PartlyExplained,
+        summary: String::new(),
+        divergence: vec![],
+        divergence_after: vec![],
+        causes: vec![],
+        doubts: vec![Doubt {
+            kind: DoubtKind::LawfulRest,
+            location: "FL_knee".to_owned(),
+            detail: "What is left obeys a law.".to_owned(),
+        }],
+        gain: BTreeMap::new(),
+        unexplained: vec![],
+        next_experiment: None,
+        detection_floor: BTreeMap::new(),
+        data_faults: vec![],
+        runs: vec![],
+        compute: Compute::default(),
+    };
+    let mut json = serde_json::to_value(&report).unwrap();
+    assert_eq!(json["doubts"][0]["kind"], "lawful_rest");
+    assert_eq!(json["doubts"][0]["where"], "FL_knee");
+    let again: Report = serde_json::from_value(json.clone()).unwrap();
+    assert_eq!(again, report);
+    json.as_object_mut().unwrap().remove("doubts");
+    let old: Report = serde_json::from_value(json).unwrap();
+    assert!(old.doubts.is_empty());
 }

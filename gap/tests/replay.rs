@@ -68,6 +68,7 @@ fn runs_with_other_channels_share_an_engine_and_change_nothing() {
         let data = Data::new(&model, trials, SegmentOptions::default());
         let replayer = Replayer::new(Arc::clone(&model), 1).unwrap();
         let of = replayer.predict(&data, &[Vec::new()]).unwrap().remove(0);
+        assert!(of.iter().all(|x| x.is_finite()));
         of.iter().map(|x| x.to_bits()).collect()
     };
     let alone = [

@@ -25,6 +25,9 @@ pub enum RobotModelCommand {
 pub fn run(command: &RobotModelCommand) -> Result<(), Failure> {
     let RobotModelCommand::Check { file, json } = command;
     let model = load(file)?;
+    caudata_sim::check_extension(&model).map_err(|error| {
+        Failure::new(ExitCode::BadInput, error).context(format!("robot file {}", file.display()))
+    })?;
     if *json {
         say::json(&Summary::of(&model))
     } else {
@@ -32,19 +35,15 @@ pub fn run(command: &RobotModelCommand) -> Result<(), Failure> {
     }
 }
 
-/// Reads a robot file with its extension; the failure says whether it is missing or wrong.
+/// Reads a robot file; the failure says whether it is missing or wrong.
 pub fn load(path: &Path) -> Result<RobotModel, Failure> {
-    let named = || format!("robot file {}", path.display());
-    let model = RobotModel::load(path).map_err(|error| {
+    RobotModel::load(path).map_err(|error| {
         let code = match &error {
             ModelError::Read { .. } => ExitCode::NoInput,
             _ => ExitCode::BadInput,
         };
-        Failure::new(code, error).context(named())
-    })?;
-    caudata_sim::check_extension(&model)
-        .map_err(|error| Failure::new(ExitCode::BadInput, error).context(named()))?;
-    Ok(model)
+        Failure::new(code, error).context(format!("robot file {}", path.display()))
+    })
 }
 
 #[derive(Serialize)]

@@ -3,7 +3,7 @@
 use super::gates;
 use super::lawful::{Lawful, lawful};
 use super::state::{Context, State};
-use crate::effects::{Domain, Place};
+use crate::effects::{Domain, Effect, Place};
 use crate::replay::Term;
 use crate::report::{Doubt, DoubtKind};
 
@@ -65,7 +65,7 @@ impl<'a> Doubts<'a> {
             kind: DoubtKind::MuchLeft,
             location: String::new(),
             detail: format!(
-                "Of {} {:.2} of {:.2} floors are left where it is most.",
+                "Of {} {:.2} floors are left at the worst joint; before, the worst had {:.2}.",
                 if l.held_out {
                     "held-out runs"
                 } else {
@@ -116,6 +116,8 @@ fn left(context: &Context, base: &State, best: &State) -> Option<Left> {
         (true, &context.holdout, &base.holdout, &best.holdout),
         (false, &context.fit, &base.fit, &best.fit),
     ];
+    // without a hold-out they are the same runs
+    let parts = parts.into_iter().skip(usize::from(context.same_runs));
     let of = |(held_out, judge, before, after)| {
         let of = |on| gates::worst_of(context, &[(judge, on)]);
         Left {
@@ -126,18 +128,20 @@ fn left(context: &Context, base: &State, best: &State) -> Option<Left> {
     };
     let much =
         |l: &Left| l.after > allowed && l.after * l.after / l.before.max(1e-9) > LEFT_OF_SHARE;
-    parts.into_iter().map(of).find(much)
+    parts.map(of).find(much)
 }
 
-/// Whether a term's size (its first parameter, and others of its unit: a centre of mass has three) wants to be larger than it can plausibly be: it stands in for something
-/// else, and what acts at the same place makes up for where it differs.
+/// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place makes up for where it differs.
 fn outgrown(context: &Context, term: &Term) -> bool {
     let model = context.replayer.model();
-    let parameters = term.effect.parameters.iter().enumerate();
-    let unit = |p: usize| term.effect.parameters[p].unit;
-    parameters
-        .filter(|(p, _)| *p == 0 || (!unit(0).is_empty() && unit(*p) == unit(0)))
-        .any(|(p, _)| (term.effect).at_bound(model, &term.place, p, term.values[p]))
+    sizes(term.effect).any(|p| (term.effect).at_bound(model, &term.place, p, term.values[p]))
+}
+
+/// Parameters of an effect that say how large it is: the first, and those of the same unit (a centre of mass has three).
+fn sizes(effect: &Effect) -> impl Iterator<Item = usize> + '_ {
+    let unit = |p: usize| effect.parameters[p].unit;
+    (0..effect.parameters.len())
+        .filter(move |&p| p == 0 || (!unit(0).is_empty() && unit(p) == unit(0)))
 }
 
 /// Whether two effects act at one joint (link, foot, hinge), or on what cannot be told apart so: a link and a joint, the whole robot and a part of it.
@@ -156,7 +160,10 @@ fn acts_on(place: &Place, joint: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+
     use super::*;
+    use crate::effects;
 
     fn at(domain: Domain, items: &[usize]) -> Place {
         Place {
@@ -172,12 +179,26 @@ mod tests {
         assert!(!meet(&knee, &at(Domain::Joints, &[4])));
         assert!(meet(&knee, &at(Domain::Joints, &[2, 3])));
         // all joints, the whole robot, a link that the joint may carry
-        assert!(meet(&knee, &at(Domain::Joints, &[])));
+        assert!(meet(&knee, &at(Domain::Joints, &[0, 1, 2, 3])));
         assert!(meet(&at(Domain::Robot, &[]), &knee));
         assert!(meet(&at(Domain::Links, &[7]), &knee));
         assert!(!meet(&at(Domain::Links, &[7]), &at(Domain::Links, &[8])));
         // a law in what is left of a joint's current speaks against whatever may act on that joint
         assert!(acts_on(&knee, 3) && !acts_on(&knee, 4));
         assert!(acts_on(&at(Domain::Links, &[7]), 4));
+    }
+
+    #[test]
+    fn what_says_how_large_an_effect_is_has_the_unit_of_its_first_parameter() {
+        let of = |id: &str| sizes(effects::find(id).unwrap()).collect::<Vec<_>>();
+        assert_eq!(of("link_com"), [0, 1, 2]);
+        // two amplitudes, and how many there are in a turn
+        assert_eq!(of("cogging"), [0, 1]);
+        // two changes, and a time
+        assert_eq!(of("friction_drift"), [0, 1]);
+        // a mass, and where it is
+        assert_eq!(of("payload"), [0]);
+        // of shares without a unit only the first
+        assert_eq!(of("drive_asymmetry"), [0]);
     }
 }

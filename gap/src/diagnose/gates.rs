@@ -37,6 +37,8 @@ const MANY_JOINTS: usize = 5;
 pub struct Worth {
     /// Fall of the misfit on fit runs.
     pub fit: f64,
+    /// Misfit of fit runs before, on the same channels.
+    pub fit_of: f64,
     /// On held-out runs.
     pub holdout: f64,
     /// Misfit of held-out runs before, on the same channels.
@@ -112,6 +114,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     };
     Worth {
         fit,
+        fit_of: before,
         holdout,
         of,
         low,

@@ -29,12 +29,14 @@ const LAYER_KNOWN: f64 = 0.6;
 const LEAST_SHARE_IN_PART: f64 = 0.08;
 /// … and where it takes less than this one off, be sure to take any.
 const GREAT_SHARE: f64 = 0.5;
-/// Two look-alikes are both there if together they take this share off what the better one alone leaves of the runs that are fitted …
+/// Two look-alikes are both there if together they take this share off what the cause alone leaves of the runs that are fitted …
 const MORE_TOGETHER: f64 = 0.25;
 /// … and this one off what it leaves of held-out runs.
 const MORE_TOGETHER_HELD_OUT: f64 = 0.2;
 /// A rival that is so many times as probable takes a cause's place.
 const FAR_MORE: f64 = 2.0;
+/// After so many steps causes are dropped only.
+const MOST_STEPS: usize = 2 * MOST_TERMS;
 /// Temperature of the probabilities, as a share of the margin.
 const TEMPERATURE: f64 = 0.6;
 
@@ -71,16 +73,25 @@ pub struct Named {
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError> {
-    // what was the best before does not come back, so that this ends
+    // Ends: a step either makes the model smaller or leads to one that was not the best before, and after some steps only causes are dropped.
     let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
+    let mut steps = 0;
     'again: loop {
         seen.insert(found.best.key());
         let mut out = Vec::new();
         // what was added last leans on what was there before
         for index in (0..found.best.terms.len()).rev() {
             let named = rivals_of(context, found, index)?;
-            if let Some(best) = put_right(context, found, &named, &seen)? {
-                found.best = best;
+            let mut better = None;
+            if steps < MOST_STEPS {
+                better = put_right(context, found, &named, &seen)?;
+            }
+            if better.is_none() && !is_a_cause(context, found, &named) {
+                better = Some(named.without.clone());
+            }
+            if let Some(better) = better {
+                found.best = better;
+                steps += 1;
                 continue 'again;
             }
             out.push(named);
@@ -89,7 +100,7 @@ pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError
     }
 }
 
-/// What should be the best model instead, by what the rivals of one of its causes are; none where that cause stands.
+/// The model that should be the best instead, by what the rivals of one of its causes are and unless it was before; none where that cause stands.
 fn put_right(
     context: &Context,
     found: &Found,
@@ -98,62 +109,75 @@ fn put_right(
 ) -> Result<Option<State>, GapError> {
     let best = &found.best;
     let new = |s: &State| !seen.contains(&s.key());
-    let other = simpler(context, best, named)
-        .filter(new)
-        .or_else(|| better(context, best, named).filter(new));
-    if other.is_some() {
+    let rivals: Vec<&Rival> = named.rivals.iter().filter(|r| new(&r.state)).collect();
+    let other = simpler(context, best, named, &rivals)
+        .or_else(|| more_probable(context, found, named, &rivals));
+    if other.is_some() || !is_a_cause(context, found, named) {
         return Ok(other);
-    }
-    if !is_a_cause(context, found, named) {
-        return Ok(Some(named.without.clone()));
     }
     Ok(both(context, best, named)?.filter(new))
 }
 
-/// The rival that says the same as the cause in `named` with less, which is the first to be believed: with fewer parameters, or, where nothing at all tells them apart,
-/// without several joints that have the same size of an effect by chance.
-fn simpler(context: &Context, best: &State, named: &Named) -> Option<State> {
+/// The one of `rivals` that says the same as the cause in `named` with less, which is the first to be believed: with fewer parameters, or, where nothing at all tells them
+/// apart, without several joints that have the same size of an effect by chance.
+fn simpler(context: &Context, best: &State, named: &Named, rivals: &[&Rival]) -> Option<State> {
     let model = context.replayer.model();
-    let chances = |s: &State| -> usize {
-        let of_joints = s.terms.iter().filter(|t| t.place.domain == Domain::Joints);
-        of_joints
-            .map(|t| t.place.items.len().saturating_sub(1))
-            .sum()
-    };
     let size = |s: &State| (s.parameters(model), chances(s));
-    let own = best.terms[named.index].effect;
-    let same = |r: &&Rival| {
+    let own = &best.terms[named.index];
+    let same = |r: &Rival| {
         if r.state.parameters(model) == best.parameters(model) {
             return indistinguishable(best, &r.state);
         }
-        // what is clearly worse does not say the same; a special case of the cause must be worse by all that a further cause would have to be better by
-        let more = gates::worth(context, &r.state, best, None);
-        if wider(r.state.terms[r.index].effect, own) {
-            !more.passed
-        } else {
-            more.low <= 0.0 || more.fit <= 0.0
+        if wider(r.state.terms[r.index].effect, own.effect) {
+            // a special case of the cause must be worse by what a further cause would have to be better by
+            return !gates::worth(context, &r.state, best, Some(&own.place)).passed;
         }
+        // what is clearly worse does not say the same
+        let more = gates::worth(context, &r.state, best, None);
+        more.low <= 0.0 || more.fit <= 0.0
     };
-    named
-        .rivals
+    let alike = rivals
         .iter()
-        .filter(|r| r.in_set && size(&r.state) < size(best))
-        .filter(same)
-        .min_by(|a, b| {
-            let by_size = size(&a.state).cmp(&size(&b.state));
-            by_size.then(a.short.total_cmp(&b.short))
-        })
-        .map(|r| r.state.clone())
+        .filter(|r| r.in_set && size(&r.state) < size(best) && same(r));
+    let first = alike.min_by(|a, b| {
+        let by_size = size(&a.state).cmp(&size(&b.state));
+        by_size.then(a.short.total_cmp(&b.short))
+    })?;
+    Some(first.state.clone())
 }
 
-/// The rival that is far more probable than the cause in `named` and says it with as little.
-fn better(context: &Context, best: &State, named: &Named) -> Option<State> {
+/// How many joints have the size of another one by chance: places of effects of joints that are several joints.
+fn chances(state: &State) -> usize {
+    let of_joints = state
+        .terms
+        .iter()
+        .filter(|t| t.place.domain == Domain::Joints);
+    of_joints
+        .map(|t| t.place.items.len().saturating_sub(1))
+        .sum()
+}
+
+/// The one of `rivals` that is far more probable than the cause in `named`, says it with as little, and would be a cause in its place.
+fn more_probable(
+    context: &Context,
+    found: &Found,
+    named: &Named,
+    rivals: &[&Rival],
+) -> Option<State> {
     let model = context.replayer.model();
-    let takes_over = |r: &&Rival| {
+    let best = &found.best;
+    let takes_over = |r: &&&Rival| {
+        let term = &r.state.terms[r.index];
+        let worth = || gates::worth(context, &named.without, &r.state, Some(&term.place));
+        let by_chance = || chances(&r.state) > chances(best) && indistinguishable(best, &r.state);
         r.probability > FAR_MORE * named.probability
             && r.state.parameters(model) <= best.parameters(model)
+            && gates::matters(context, term)
+            && !by_chance()
+            && worth().passed
+            && enough_in_part(context, found, &r.state, &worth())
     };
-    let first = named.rivals.iter().find(takes_over)?;
+    let first = rivals.iter().find(takes_over)?;
     Some(first.state.clone())
 }
 
@@ -164,18 +188,25 @@ fn is_a_cause(context: &Context, found: &Found, named: &Named) -> bool {
     if own < UNNAMED && same_layer(found, named) < LAYER_KNOWN {
         return false;
     }
-    let worth = &named.worth;
-    if much_is_left(context, &found.base, &found.best) {
-        // what takes little off where much is left, or is not sure to, stands in for what is not in the catalogue
-        let share = worth.holdout / worth.of.max(1e-9);
-        if share < LEAST_SHARE_IN_PART || (share < GREAT_SHARE && worth.interval.0 <= 0.0) {
-            return false;
-        }
-    }
-    worth.holdout > 0.0
+    enough_in_part(context, found, &found.best, &named.worth)
 }
 
-/// The model with a rival of the answer set beside the cause in `named`, if there is one that says far more than either alone: two look-alikes that are both there leave
+/// Whether a cause that is worth `worth` in `best` explains enough: what takes little off where much is left, or is not sure to take any off a joint of which much is left,
+/// stands in for what is not in the catalogue.
+fn enough_in_part(context: &Context, found: &Found, best: &State, worth: &Worth) -> bool {
+    if worth.holdout <= 0.0 {
+        return false;
+    }
+    if !much_is_left(context, &found.base, best) {
+        return true;
+    }
+    let share = worth.holdout / worth.of.max(1e-9);
+    let well_explained = worth.of - worth.holdout < gates::quiet(context);
+    let sure = worth.interval.0 > 0.0 || share >= GREAT_SHARE || well_explained;
+    share >= LEAST_SHARE_IN_PART && sure
+}
+
+/// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says far more than alone: two look-alikes that are both there leave
 /// little of each other, less than what ends the search.
 fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>, GapError> {
     let term = &best.terms[named.index];
@@ -186,9 +217,13 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
     let model = context.replayer.model();
     let mut variants: Vec<Variant> = Vec::new();
     for rival in named.rivals.iter().filter(other) {
-        // each takes half of what it has alone
         let mut terms = best.terms.clone();
         terms.push(rival.state.terms[rival.index].clone());
+        if terms.iter().any(|t| t.effect.hinge) {
+            // half of a limit is none
+            variants.push(terms.clone());
+        }
+        // each takes half of what it has alone
         for i in [named.index, terms.len() - 1] {
             let neutral = terms[i].effect.neutral(model, &terms[i].place);
             for (v, z) in terms[i].values.iter_mut().zip(neutral) {
@@ -202,13 +237,11 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
     }
     let fitted = refine(context, &context.fit, variants, None, None)?;
     let fitted: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
-    let place = Some(&term.place);
     let more = |state: &State| {
-        let worth = gates::worth(context, best, state, place);
-        let before = gates::part(&context.fit, &best.fit, place);
+        let worth = gates::worth(context, best, state, Some(&term.place));
         worth.passed
             && worth.low > 0.0
-            && worth.fit > MORE_TOGETHER * before
+            && worth.fit > MORE_TOGETHER * worth.fit_of
             && worth.holdout > MORE_TOGETHER_HELD_OUT * worth.of
             && state.terms.iter().all(|t| gates::matters(context, t))
     };

@@ -24,8 +24,9 @@ use crate::report::{
 
 /// Misfit below which nothing is left to explain. 1 is what the tolerances allow; careful labs stay below 0.3 (nulls of the benchmark).
 pub const QUIET: f64 = 0.8;
-/// Nobody is surer than the benchmark's own error rate …
-const TRUST: f64 = 0.97;
+/// Nobody is surer than the benchmark's own error rate (seeds 73 and 79 of set `pr`, laws outside the catalogue included: of 126 names that nothing spoke against and
+/// no look-alike came near, at least 112 were right) …
+const TRUST: f64 = 0.92;
 /// … and where there are doubts ([`Doubts`]), or a parameter is at its bound, that is this high: on the benchmark five of fourteen such names were right.
 const TRUST_IN_PART: f64 = 0.4;
 /// Cells of the divergence map that are reported.
@@ -249,7 +250,7 @@ fn cause(
         layer: term.effect.layer.name().to_owned(),
         location: term.place.names.clone(),
         parameters,
-        confidence: (same_name * trust).clamp(0.03, 0.97),
+        confidence: (same_name * trust).clamp(0.03, TRUST),
         alternatives,
         evidence: evidence(context, term, named),
         rejected,

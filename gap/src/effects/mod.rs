@@ -125,7 +125,7 @@ pub struct Effect {
     pub layer: Layer,
     /// On what.
     pub domain: Domain,
-    /// The first is its size.
+    /// The first is its size, with those of the same unit (a centre of mass has three).
     pub parameters: &'static [ParameterSpec],
     /// Sizes to try, one value per parameter, in units of the references.
     pub grid: &'static [&'static [f64]],
