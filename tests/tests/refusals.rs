@@ -79,6 +79,31 @@ fn a_wrong_robot_file_is_refused_by_name() {
 }
 
 #[test]
+fn an_extension_of_an_earlier_version_is_refused_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let robots = repository_root().join("robots");
+    let text = fs::read_to_string(robots.join("polymander.robot.toml")).unwrap();
+    let extended = folder.path().join("extended.robot.toml");
+    // a parameter that was a lag once, and is a delay now
+    let lane =
+        "\n[extension]\nbase = \"\"\n\n[extension.lane]\n\"joints.spine_1.loop_lag_s\" = 0.01\n";
+    fs::write(&extended, text + lane).unwrap();
+    fs::copy(
+        robots.join("polymander.xml"),
+        folder.path().join("polymander.xml"),
+    )
+    .unwrap();
+    let args = ["robot-model", "check", extended.to_str().unwrap()];
+    let check = command("caudata", &args).unwrap();
+    let words = [
+        "extended.robot.toml",
+        "loop_lag_s",
+        "diagnose its logs again",
+    ];
+    refused(&finish(check).unwrap(), 65, &words);
+}
+
+#[test]
 fn a_port_in_use_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
