@@ -18,7 +18,11 @@ pub struct Report {
     pub divergence_after: Vec<Divergence>,
     /// Named causes, strongest first.
     pub causes: Vec<Cause>,
-    /// What speaks against them; not empty where the verdict is [`Verdict::PartlyExplained`].
+    /// Effects that the extended model carries beside them and that are no findings, since they take less off than they leave: they may be there, and may make up for
+    /// what a cause's law lacks. Strongest first.
+    #[serde(default)]
+    pub leads: Vec<Cause>,
+    /// What speaks against the causes; not empty where the verdict is [`Verdict::PartlyExplained`].
     #[serde(default)]
     pub doubts: Vec<Doubt>,
     /// By signal: error on held-out runs before and after.

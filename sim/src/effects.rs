@@ -86,6 +86,8 @@ effects! {
         profile_acceleration_radps2: 0.0, 1e6;
         /// Errors within ± this give no torque, and larger ones that much less, rad. Nominal 0.
         dead_band_rad: 0.0, 1.0;
+        /// Share of that by which larger errors are not less: 1 where a controller acts on the whole error as soon as it is outside. Nominal 0.
+        dead_band_jump: 0.0, 1.0;
         /// Integral gain, N·m/(rad·s); stands still while the motor saturates. Nominal 0.
         ki_nm_per_rad_s: 0.0, 1000.0;
         /// Delay between what the loop wants and what the motor gives, s (computing time). At most [`MAX_LOOP_DELAY_S`]. Nominal 0.
@@ -106,6 +108,9 @@ effects! {
         current_dead_band_a: 0.0, 100.0;
         /// Largest motor current, A. 0: none. Nominal: the servo's.
         current_limit_a: 0.0, 1000.0;
+        /// Largest motor current against the motion where it is another one (a bridge that is limited as it drives brakes through its diodes), A.
+        /// 0: `current_limit_a`. Nominal 0.
+        braking_current_limit_a: 0.0, 1000.0;
         /// Friction at rest beyond Coulomb's, N·m (Stribeck). Nominal: the servo's.
         stribeck_nm: 0.0, 100.0;
         /// Speed at which that has fallen to 1/e, rad/s. Nominal: the servo's.
@@ -164,6 +169,7 @@ impl JointEffects {
             profile_speed_radps: 0.0,
             profile_acceleration_radps2: 0.0,
             dead_band_rad: 0.0,
+            dead_band_jump: 0.0,
             ki_nm_per_rad_s: 0.0,
             loop_delay_s: 0.0,
             speed_scale: 1.0,
@@ -174,6 +180,7 @@ impl JointEffects {
             torque_constant_nm_per_a: servo.torque_per_current_nm_per_a as f32,
             current_dead_band_a: servo.current_dead_band_a as f32,
             current_limit_a: servo.current_limit_a as f32,
+            braking_current_limit_a: 0.0,
             stribeck_nm: servo.stribeck_nm as f32,
             stribeck_speed_radps: servo.stribeck_speed_radps as f32,
             load_friction_driving: servo.load_friction_driving as f32,

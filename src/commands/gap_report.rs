@@ -62,15 +62,11 @@ pub fn print(report: &Report) {
         ));
     }
     for (i, cause) in report.causes.iter().enumerate() {
-        let place = if cause.location.is_empty() {
-            "the whole robot".to_owned()
-        } else {
-            cause.location.join(", ")
-        };
         say::line(format!(
-            "\n{}. {} at {place}, confidence {:.0} %",
+            "\n{}. {} at {}, confidence {:.0} %",
             i + 1,
             cause.effect,
+            place(&cause.location),
             100.0 * cause.confidence
         ));
         for (name, p) in &cause.parameters {
@@ -91,6 +87,20 @@ pub fn print(report: &Report) {
             say::line(format!("   as good: {}", cause.alternatives.join(", ")));
         }
         for text in &cause.evidence {
+            say::line(format!("   {text}"));
+        }
+    }
+    for s in &report.leads {
+        let values: Vec<String> = (s.parameters.iter())
+            .map(|(name, p)| format!("{name} = {} {}", short(p.value), p.unit).trim_end().to_owned())
+            .collect();
+        say::line(format!(
+            "\na lead, in the model and no finding: {} at {}, {}",
+            s.effect,
+            place(&s.location),
+            values.join(", ")
+        ));
+        for text in s.evidence.iter().take(1) {
             say::line(format!("   {text}"));
         }
     }
@@ -123,6 +133,15 @@ pub fn print(report: &Report) {
         "{} hypotheses, {} simulated runs, {:.0} s simulated, {:.1} s",
         c.candidates, c.rollouts, c.simulated_s, c.seconds
     ));
+}
+
+/// Where a cause is.
+fn place(location: &[String]) -> String {
+    if location.is_empty() {
+        "the whole robot".to_owned()
+    } else {
+        location.join(", ")
+    }
 }
 
 /// Four significant digits.

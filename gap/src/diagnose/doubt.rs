@@ -145,7 +145,7 @@ fn sizes(effect: &Effect) -> impl Iterator<Item = usize> + '_ {
 }
 
 /// Whether two effects act at one joint (link, foot, hinge), or on what cannot be told apart so: a link and a joint, the whole robot and a part of it.
-fn meet(one: &Place, other: &Place) -> bool {
+pub fn meet(one: &Place, other: &Place) -> bool {
     let whole = |p: &Place| p.items.is_empty();
     one.domain != other.domain
         || whole(one)

@@ -66,13 +66,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let mask = masked(joints, judge, &from.holdout, place);
     let of = mean_of(&mask, &from.holdout);
     let samples = mask.iter().filter(|m| **m).count().max(1);
-    let gains = judge.by_block(|k| {
-        if mask[k] {
-            f64::from(from.holdout.residual[k]).powi(2) - f64::from(to.holdout.residual[k]).powi(2)
-        } else {
-            0.0
-        }
-    });
+    let gains = gains(judge, &mask, &from.holdout, &to.holdout);
     let holdout = gains.iter().sum::<f64>() / samples as f64;
     let sorted = resampled(&gains, context.seed, samples);
     let at = |share: f64| {
@@ -86,6 +80,11 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let beyond_doubt = !context.same_runs
         && fit > BEYOND_DOUBT * quiet(context)
         && fit > BEYOND_DOUBT_SHARE * before;
+    // what held-out runs ask for in one second only is no incident if the others ask for it time and again
+    let often = beyond_doubt && {
+        let gains = self::gains(&context.fit, &own, &from.fit, &to.fit);
+        blocks_that_count(&gains) >= 2 && !from_one_block(&gains)
+    };
     let (sure, absolute) = if beyond_doubt {
         (at(0.025) > 0.0, 0.5 * ABSOLUTE_GAIN)
     } else {
@@ -97,20 +96,16 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         "makes held-out runs worse"
     } else if joints >= MANY_JOINTS && worst_within(joints, judge, &from.holdout, &mask) < QUIET {
         "what it explains is within what careful labs differ by at one joint of so many"
-    } else if !sure && !rare(&gains, holdout, of) {
+    } else if !sure && !rare(&gains, holdout, of, often) {
         "its gain on held-out runs is within what resampling gives by chance"
     } else if holdout < relative * of || holdout < absolute {
         "its gain on held-out runs is too small to matter"
     } else if fit < 0.2 * relative * before {
         "its gain on the runs it was fitted to is too small to matter"
+    } else if from_one_block(&gains) && !often {
+        "its gain comes from one second of one run"
     } else {
-        let total: f64 = gains.iter().sum();
-        let largest = gains.iter().copied().fold(0.0, f64::max);
-        if largest > ONE_BLOCK * total && gains.len() > 4 {
-            "its gain comes from one second of one run"
-        } else {
-            ""
-        }
+        ""
     };
     Worth {
         fit,
@@ -125,13 +120,36 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     }
 }
 
-/// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain much, in two blocks or more, and lose
-/// nearly nowhere.
-fn rare(gains: &[f64], holdout: f64, of: f64) -> bool {
+/// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain much, in two blocks or more (unless it does in
+/// the runs that were fitted: `often`), and lose nearly nowhere.
+fn rare(gains: &[f64], holdout: f64, of: f64, often: bool) -> bool {
     let total: f64 = gains.iter().sum();
     let lost: f64 = gains.iter().filter(|g| **g < 0.0).map(|g| -g).sum();
-    let many = gains.iter().filter(|g| **g > 0.1 * total).count();
-    holdout > 0.2 * of && many >= 2 && lost < 0.15 * total
+    holdout > 0.2 * of && (often || blocks_that_count(gains) >= 2) && lost < 0.15 * total
+}
+
+/// Fall of the sum of squares by block, on the samples in `mask`.
+fn gains(judge: &Judge, mask: &[bool], from: &On, to: &On) -> Vec<f64> {
+    judge.by_block(|k| {
+        if mask[k] {
+            f64::from(from.residual[k]).powi(2) - f64::from(to.residual[k]).powi(2)
+        } else {
+            0.0
+        }
+    })
+}
+
+/// Blocks that have a good part of a gain.
+fn blocks_that_count(gains: &[f64]) -> usize {
+    let total: f64 = gains.iter().sum();
+    gains.iter().filter(|g| **g > 0.1 * total).count()
+}
+
+/// Whether a gain comes from one block of several.
+fn from_one_block(gains: &[f64]) -> bool {
+    let total: f64 = gains.iter().sum();
+    let largest = gains.iter().copied().fold(0.0, f64::max);
+    largest > ONE_BLOCK * total && gains.len() > 4
 }
 
 /// Misfit from which on there is something to explain. Of many joints one is always a little off.

@@ -31,6 +31,8 @@ const LINE_BEHIND: f64 = 2.5;
 const POLISHED: usize = 4;
 /// Steps of that.
 const POLISHING: usize = 2;
+/// Steps of the last fit.
+const LAST_STEPS: usize = 12;
 /// Screened candidates that are fitted in earnest, per state.
 const FITTED: usize = 12;
 /// The same once something was found.
@@ -214,21 +216,12 @@ pub fn search(
     }
     if !best.terms.is_empty() {
         rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
-    }
-    if best.terms.len() > 1 {
+        // the metric has changed: what is deleted is compared with what is fitted by the new one, and must be as well
+        best = polished(context, best)?;
+        let terms = best.terms.len();
         best = delete(context, &base, best)?;
-    }
-    if !best.terms.is_empty() {
-        let polished = refine(
-            context,
-            &context.fit,
-            vec![best.terms.clone()],
-            Some(12),
-            None,
-        )?;
-        let polished = single(context, polished[0].0.clone())?;
-        if polished.fit.misfit <= best.fit.misfit {
-            best = polished;
+        if best.terms.len() < terms {
+            best = polished(context, best)?;
         }
     }
     Ok(Found {
@@ -238,6 +231,18 @@ pub fn search(
         singles,
         refused,
         tried,
+    })
+}
+
+/// `state` fitted to everything by the present metric.
+fn polished(context: &Context, state: State) -> Result<State, GapError> {
+    let terms = vec![state.terms.clone()];
+    let mut fitted = refine(context, &context.fit, terms, Some(LAST_STEPS), None)?;
+    let fitted = single(context, fitted.swap_remove(0).0)?;
+    Ok(if fitted.fit.misfit <= state.fit.misfit {
+        fitted
+    } else {
+        state
     })
 }
 

@@ -43,19 +43,37 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
     id: "gear_compliance",
     layer: Layer::Transmission,
     domain: Domain::Joints,
-    parameters: &[parameter(
-        "compliance_rad_per_nm",
-        "rad/(N·m)",
-        0.0,
-        (0.0005, 0.5),
-        0.002,
-        One,
-    )],
-    grid: &[&[0.003], &[0.01], &[0.02], &[0.04], &[0.08], &[0.15]],
+    parameters: &[
+        parameter(
+            "compliance_rad_per_nm",
+            "rad/(N·m)",
+            0.0,
+            (0.0005, 0.5),
+            0.002,
+            One,
+        ),
+        // of the rotor on that spring, of critical
+        parameter("damping_ratio", "", 0.3, (0.0, 3.0), 0.05, One),
+    ],
+    grid: &[
+        &[0.003, 0.3],
+        &[0.01, 0.1],
+        &[0.01, 0.3],
+        &[0.02, 0.1],
+        &[0.02, 0.3],
+        &[0.04, 0.1],
+        &[0.04, 0.3],
+        &[0.08, 0.1],
+        &[0.08, 0.3],
+        &[0.15, 0.1],
+        &[0.15, 0.3],
+    ],
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
-            plant.lane.joints[a].gear_stiffness_nm_per_rad = (1.0 / v[0].max(1e-5)) as f32;
+            let joint = &mut plant.lane.joints[a];
+            joint.gear_stiffness_nm_per_rad = (1.0 / v[0].max(1e-5)) as f32;
+            joint.gear_damping_ratio = v[1] as f32;
             let rotor = &mut plant.lane.joint_armature_kgm2[a];
             *rotor = rotor.max(1e-4);
         }

@@ -197,14 +197,16 @@ impl Effect {
     }
 
     /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without the effect, and where there is none at all of what it
-    /// counts, nothing does.
+    /// counts, nothing does; nor where there is all of what it is a share of.
     #[must_use]
     pub fn at_bound(&self, model: &RobotModel, place: &Place, index: usize, value: f64) -> bool {
+        let spec = &self.parameters[index];
+        let a_share = spec.unit.is_empty() && (spec.low, spec.high) == (0.0, 1.0);
         let (low, high) = self.bounds(model, place, index);
         let near = 1e-6 * (high - low);
         let neutral = self.neutral(model, place)[index];
         let moved = (value - neutral).abs() >= near && value.abs() >= near;
-        moved && (value <= low + near || value >= high - near)
+        !a_share && moved && (value <= low + near || value >= high - near)
     }
 
     /// Smallest change of parameter `index` that matters, SI.

@@ -154,28 +154,42 @@ pub static TORQUE_LIMIT: Effect = Effect {
     id: "torque_limit",
     layer: Layer::Actuation,
     domain: Domain::Joints,
-    parameters: &[parameter("limit_nm", "N·m", 1.1, (0.05, 1.1), 0.03, Torque)],
+    parameters: &[
+        parameter("limit_nm", "N·m", 1.1, (0.05, 1.1), 0.03, Torque),
+        // 0: against the motion as with it (a limit of the current); 1: against the motion what the servo gives without it
+        parameter("braking_freed", "", 0.0, (0.0, 1.0), 0.1, One),
+    ],
     grid: &[
-        &[0.1],
-        &[0.15],
-        &[0.2],
-        &[0.25],
-        &[0.3],
-        &[0.36],
-        &[0.43],
-        &[0.5],
-        &[0.58],
-        &[0.66],
-        &[0.75],
-        &[0.85],
-        &[0.95],
+        &[0.1, 0.0],
+        &[0.15, 0.0],
+        &[0.15, 1.0],
+        &[0.2, 0.0],
+        &[0.25, 0.0],
+        &[0.25, 1.0],
+        &[0.3, 0.0],
+        &[0.36, 0.0],
+        &[0.36, 1.0],
+        &[0.43, 0.0],
+        &[0.5, 0.0],
+        &[0.5, 1.0],
+        &[0.58, 0.0],
+        &[0.66, 0.0],
+        &[0.66, 1.0],
+        &[0.75, 0.0],
+        &[0.85, 0.0],
+        &[0.85, 1.0],
+        &[0.95, 0.0],
     ],
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
+            let servo = plant.model.servo(a);
+            let unlimited_nm = servo.tau_brake_max_nm.max(v[0]);
             let joint = &mut plant.lane.joints[a];
-            joint.current_limit_a =
-                joint.current_dead_band_a + v[0] as f32 / joint.torque_constant_nm_per_a;
+            let (idle_a, constant) = (joint.current_dead_band_a, joint.torque_constant_nm_per_a);
+            let at = |torque_nm: f64| idle_a + torque_nm as f32 / constant;
+            joint.current_limit_a = at(v[0]);
+            joint.braking_current_limit_a = at(v[0] + v[1] * (unlimited_nm - v[0]));
         }
     },
     shows_in: JOINT_SIGNALS,
@@ -280,28 +294,35 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
     id: "controller_dead_band",
     layer: Layer::Actuation,
     domain: Domain::Joints,
-    parameters: &[parameter(
-        "half_width_rad",
-        "rad",
-        0.0,
-        (0.0, 0.2),
-        0.001,
-        One,
-    )],
+    parameters: &[
+        parameter("half_width_rad", "rad", 0.0, (0.0, 0.2), 0.001, One),
+        // 0: outside the band the controller acts on what is over; 1: on the whole error
+        parameter("jump", "", 0.0, (0.0, 1.0), 0.1, One),
+    ],
     grid: &[
-        &[0.002],
-        &[0.004],
-        &[0.007],
-        &[0.012],
-        &[0.02],
-        &[0.035],
-        &[0.06],
-        &[0.1],
+        &[0.002, 0.0],
+        &[0.002, 1.0],
+        &[0.004, 0.0],
+        &[0.004, 1.0],
+        &[0.007, 0.0],
+        &[0.007, 1.0],
+        &[0.012, 0.0],
+        &[0.012, 1.0],
+        &[0.02, 0.0],
+        &[0.02, 1.0],
+        &[0.035, 0.0],
+        &[0.035, 1.0],
+        &[0.06, 0.0],
+        &[0.06, 1.0],
+        &[0.1, 0.0],
+        &[0.1, 1.0],
     ],
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
-            plant.lane.joints[a].dead_band_rad += v[0] as f32;
+            let joint = &mut plant.lane.joints[a];
+            joint.dead_band_rad += v[0] as f32;
+            joint.dead_band_jump = v[1] as f32;
         }
     },
     shows_in: JOINT_SIGNALS,

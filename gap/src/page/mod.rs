@@ -38,6 +38,15 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
         body.push_str(&figures::key(true));
         body.push_str(&sections::causes(report, plots));
     }
+    if !report.leads.is_empty() {
+        section(
+            &mut body,
+            "leads",
+            "Leads",
+            "With these the extended model is closer to held-out runs, and it carries them. But each takes less off than it leaves, beside a greater cause at the same place: it may be there, and it may make up for what that cause's law lacks.",
+        );
+        body.push_str(&sections::leads(report));
+    }
     body.push_str(&sections::next(report));
     if report.verdict != Verdict::DataFault || !report.divergence.is_empty() {
         section(

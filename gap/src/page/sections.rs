@@ -205,6 +205,27 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
     out
 }
 
+/// What the model carries beside its causes and is no finding.
+pub fn leads(report: &Report) -> String {
+    let mut out = String::new();
+    for s in &report.leads {
+        let _ = write!(
+            out,
+            "<div class=\"card\"><h3>{} <span class=\"soft\">at {}</span></h3><p class=\"small soft\">{} · <code>{}</code></p>{}",
+            escape(&effect_name(&s.effect)),
+            place(&s.location),
+            escape(&s.layer),
+            escape(&s.effect),
+            parameters(s)
+        );
+        if let Some(first) = s.evidence.first() {
+            let _ = write!(out, "<p class=\"small\">{}</p>", escape(first));
+        }
+        out.push_str("</div>");
+    }
+    out
+}
+
 /// Parameters with their intervals as bars around the value.
 fn parameters(cause: &Cause) -> String {
     let mut out = String::from(

@@ -59,7 +59,8 @@ impl DriveFeatures {
             back_drive: servo.back_drive_kp_ratio != 1.0,
             winding: servo.winding_scale != 1.0 || thermal,
             thermal,
-            current_limit: servo.current_limit_nm < NO_LIMIT,
+            current_limit: servo.current_limit_nm < NO_LIMIT
+                || servo.braking_current_limit_nm < NO_LIMIT,
             stribeck: servo.stribeck_nm > 0.0,
             load_friction: servo.load_friction_mean > 0.0
                 || servo.load_friction_half_difference != 0.0

@@ -58,6 +58,8 @@ per_lane! {
         pub current_dead_band_a: R,
         /// Torque at the current limit, N·m.
         pub current_limit_nm: R,
+        /// The same against the motion, N·m.
+        pub braking_current_limit_nm: R,
         /// Command delay with skew, s.
         pub delay_s: R,
         /// Part of the way that the command low-pass makes per step.
@@ -68,6 +70,8 @@ per_lane! {
         pub profile_acceleration_radps2: R,
         /// Errors within ± this give no torque, rad.
         pub dead_band_rad: R,
+        /// Share of that which errors outside get back.
+        pub dead_band_jump: R,
         /// Integral gain, N·m/(rad·s).
         pub ki_nm_per_rad_s: R,
         /// Delay of the torque that the loop wants, in physics steps.
@@ -132,10 +136,16 @@ impl ServoDrive<f64> {
             _ => TOOTH_STIFFNESS_NM_PER_RAD,
         };
         let constant = wide(e.torque_constant_nm_per_a);
+        let at_limit = |limit_a: f32| constant * wide(limit_a - e.current_dead_band_a).max(0.0);
         let current_limit_nm = if e.current_limit_a > 0.0 {
-            constant * wide(e.current_limit_a - e.current_dead_band_a).max(0.0)
+            at_limit(e.current_limit_a)
         } else {
             NO_LIMIT
+        };
+        let braking_current_limit_nm = if e.braking_current_limit_a > 0.0 {
+            at_limit(e.braking_current_limit_a)
+        } else {
+            current_limit_nm
         };
         let (driving, driven) = (wide(e.load_friction_driving), wide(e.load_friction_driven));
         Self {
@@ -150,11 +160,13 @@ impl ServoDrive<f64> {
             per_torque_constant_a_per_nm: 1.0 / constant,
             current_dead_band_a: wide(e.current_dead_band_a),
             current_limit_nm,
+            braking_current_limit_nm,
             delay_s: wide((params.command_delay_s + e.command_skew_s).min(MAX_COMMAND_DELAY_S)),
             low_pass_share: filter::lag_share(wide(e.command_low_pass_s), dt_s),
             profile_speed_radps: unlimited(e.profile_speed_radps),
             profile_acceleration_radps2: unlimited(e.profile_acceleration_radps2),
             dead_band_rad: wide(e.dead_band_rad),
+            dead_band_jump: wide(e.dead_band_jump),
             ki_nm_per_rad_s: wide(e.ki_nm_per_rad_s),
             loop_delay_steps: loop_delay::steps(e.loop_delay_s, dt_s),
             winding_scale: wide(e.winding_scale),

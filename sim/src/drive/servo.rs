@@ -28,11 +28,14 @@ use crate::real::Real;
 /// Speed over which the back-driven gain ratio fades in, rad/s: without it a loaded joint at rest would chatter between two gains.
 const BACK_DRIVE_FADE_RADPS: f64 = 0.1;
 
-/// The error that the controller acts on: nothing within ± `dead_band_rad`, beyond it what is over (steady, so nothing chatters at the edge).
+/// The error that the controller acts on: nothing within ± the dead band, beyond it what is over (steady, so that nothing chatters at the edge) and the jump's
+/// share of the band.
 #[must_use]
 #[inline(always)]
-pub fn dead_band<R: Real>(error_rad: R, dead_band_rad: R) -> R {
-    error_rad - error_rad.clamp(-dead_band_rad, dead_band_rad)
+pub fn dead_band<R: Real>(p: &ServoDrive<R>, error_rad: R) -> R {
+    let within = error_rad.clamp(-p.dead_band_rad, p.dead_band_rad);
+    let outside = p.dead_band_rad.lt(error_rad.abs());
+    error_rad - within + R::select(outside, p.dead_band_jump * within, R::zero())
 }
 
 /// Factor on Kp: 1 while the joint moves towards its target or rests, `ratio` while the load drives it away from it.
@@ -79,6 +82,15 @@ pub fn clamp_nm<R: Real>(
         R::select(forward, -p.tau_brake_max_nm, -rest),
     );
     torque_nm.clamp(low, high)
+}
+
+/// Clamps a torque to what the current limits allow at motor speed `speed_radps`, N·m.
+#[must_use]
+#[inline(always)]
+pub fn limit_current_nm<R: Real>(p: &ServoDrive<R>, torque_nm: R, speed_radps: R) -> R {
+    let brakes = (torque_nm * speed_radps).lt(R::zero());
+    let limit = R::select(brakes, p.braking_current_limit_nm, p.current_limit_nm);
+    torque_nm.clamp(-limit, limit)
 }
 
 /// What a motor gives that would give `torque_nm` if its torque were in proportion to its current, N·m.
@@ -175,6 +187,21 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn the_limit_of_the_current_may_differ_against_the_motion() {
+        let p = ServoDrive {
+            current_limit_nm: 0.5,
+            braking_current_limit_nm: 1.2,
+            ..envelope(1.0)
+        };
+        let limited = |torque, speed| limit_current_nm(&p, torque, speed);
+        check(limited(0.9, 3.0), 0.5); // drives
+        check(limited(0.9, -3.0), 0.9); // brakes, within its limit
+        check(limited(-2.0, 3.0), -1.2); // brakes
+        check(limited(-2.0, -3.0), -0.5);
+        check(limited(0.9, 0.0), 0.5); // at rest nothing brakes
+    }
+
+    #[test]
     fn driving_limit_is_flat_then_tapers() {
         check(limit(12.0, 0.0), 1.94);
         check(limit(12.0, 0.8), 1.94);
@@ -229,10 +256,22 @@ pub(crate) mod tests {
 
     #[test]
     fn dead_band_swallows_small_errors() {
-        check(dead_band(0.01, 0.02), 0.0);
-        check(dead_band(0.05, 0.02), 0.03);
-        check(dead_band(-0.05, 0.02), -0.03);
-        check(dead_band(-0.05, 0.0), -0.05);
+        let acts_on = |error, dead_band_rad, dead_band_jump| {
+            let p = ServoDrive {
+                dead_band_rad,
+                dead_band_jump,
+                ..envelope(1.0)
+            };
+            dead_band(&p, error)
+        };
+        check(acts_on(0.01, 0.02, 0.0), 0.0);
+        check(acts_on(0.05, 0.02, 0.0), 0.03);
+        check(acts_on(-0.05, 0.02, 0.0), -0.03);
+        check(acts_on(-0.05, 0.0, 0.0), -0.05);
+        // the whole error, a half of the band less, and nothing within it
+        check(acts_on(0.05, 0.02, 1.0), 0.05);
+        check(acts_on(-0.05, 0.02, 0.5), -0.04);
+        check(acts_on(-0.019, 0.02, 1.0), 0.0);
     }
 
     #[test]

@@ -273,7 +273,7 @@ fn motor<R: Real>(
 ) -> R {
     let mut error_rad = error_rad;
     if f.dead_band {
-        error_rad = servo::dead_band(error_rad, p.dead_band_rad);
+        error_rad = servo::dead_band(p, error_rad);
     }
     let mut kp = p.kp_nm_per_rad;
     if f.back_drive {
@@ -294,7 +294,7 @@ fn motor<R: Real>(
     }
     let mut given_nm = servo::clamp_nm(p, bus, per_rho, wanted_nm, motor_radps);
     if f.current_limit {
-        given_nm = given_nm.clamp(-p.current_limit_nm, p.current_limit_nm);
+        given_nm = servo::limit_current_nm(p, given_nm, motor_radps);
     }
     if f.integral {
         // Stands still while the motor cannot give more: no wind-up.

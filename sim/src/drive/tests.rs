@@ -27,6 +27,7 @@ fn servo() -> ServoDrive<f64> {
         back_drive_kp_ratio: 1.0,
         per_torque_constant_a_per_nm: 1.0,
         current_limit_nm: params::NO_LIMIT,
+        braking_current_limit_nm: params::NO_LIMIT,
         low_pass_share: 1.0,
         profile_speed_radps: params::NO_LIMIT,
         profile_acceleration_radps2: params::NO_LIMIT,
@@ -181,6 +182,7 @@ fn integral_does_not_wind_up() {
         ServoDrive {
             ki_nm_per_rad_s: 30.0,
             current_limit_nm: 0.5,
+            braking_current_limit_nm: 0.5,
             ..servo()
         },
         JointPassive {

@@ -267,6 +267,7 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
                 j.command_low_pass_s = 0.03;
                 j.profile_speed_radps = 3.0;
                 j.dead_band_rad = 0.01;
+                j.dead_band_jump = 0.5;
                 j.ki_nm_per_rad_s = 2.0;
                 j.loop_delay_s = 0.004;
                 j.back_drive_kp_ratio = 0.7;
@@ -274,6 +275,7 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
                 j.resistance_per_k = 0.004;
                 j.thermal_rise_k_per_a2 = 30.0;
                 j.current_limit_a = 1.0;
+                j.braking_current_limit_a = 1.5;
                 j.stribeck_nm = 0.02;
                 j.load_friction_driving = 0.1;
                 j.load_friction_driven = 0.2;

@@ -161,3 +161,65 @@ fn a_supply_that_nobody_logs_is_named_before_two_limits_that_are_alike_by_chance
     assert_eq!(cause.alternatives, ["voltage_limit"]);
     assert_eq!(report.verdict, Verdict::Ambiguous);
 }
+
+#[test]
+fn a_motor_that_is_limited_as_it_drives_may_brake_as_before() {
+    let root = tempfile::tempdir().unwrap();
+    let answer = recorded_on("arm", &["torque_limit"], Block::Single, root.path());
+    let truth_nm = answer.effects[0].parameters[0].value;
+    let report = diagnosed(&root.path().join("case"));
+    let [cause] = report.causes.as_slice() else {
+        panic!("{}: {}", report.summary, in_words(&report.causes));
+    };
+    assert_eq!(
+        (cause.effect.as_str(), report.verdict),
+        ("torque_limit", Verdict::Explained)
+    );
+    let limit_nm = cause.parameters["limit_nm"].value;
+    assert!(
+        (limit_nm - truth_nm).abs() < 0.1 * truth_nm,
+        "{limit_nm} of {truth_nm}"
+    );
+    // with a limit that holds both ways this one's fall under gravity is braked far too little
+    assert!(cause.parameters["braking_freed"].value > 0.1);
+}
+
+#[test]
+fn outside_its_band_a_controller_may_act_on_the_whole_error() {
+    let root = tempfile::tempdir().unwrap();
+    let answer = recorded("controller_dead_band", Block::Single, root.path());
+    let truth_rad = answer.effects[0].parameters[0].value;
+    let report = diagnosed(&root.path().join("case"));
+    let [cause] = report.causes.as_slice() else {
+        panic!("{}: {}", report.summary, in_words(&report.causes));
+    };
+    assert_eq!(cause.effect, "controller_dead_band");
+    let half_width_rad = cause.parameters["half_width_rad"].value;
+    assert!(
+        (half_width_rad - truth_rad).abs() < 0.1 * truth_rad,
+        "{half_width_rad} of {truth_rad}"
+    );
+    assert!(cause.parameters["jump"].value > 0.7);
+}
+
+#[test]
+fn what_takes_less_than_it_leaves_is_a_lead() {
+    let root = tempfile::tempdir().unwrap();
+    recorded("friction_drift", Block::Single, root.path());
+    let report = diagnosed(&root.path().join("case"));
+    // the true friction bends by as much as before it slides, however much it grows; the catalogue's grows stiffer with it
+    let [cause] = report.causes.as_slice() else {
+        panic!("{}: {}", report.summary, in_words(&report.causes));
+    };
+    assert_eq!(cause.effect, "friction_drift");
+    let [lead] = report.leads.as_slice() else {
+        panic!("{}: {}", report.summary, in_words(&report.leads));
+    };
+    assert_eq!(lead.effect, "pre_sliding");
+    assert!(lead.confidence < cause.confidence);
+    assert!(
+        report.summary.contains("a lead and no finding"),
+        "{}",
+        report.summary
+    );
+}
