@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub struct Plots {
     /// The cells that part most, measured against simulated, worst first. At most eight.
     pub overlays: Vec<Overlay>,
-    /// One or more per named cause, in the order of the report's causes.
+    /// One or more per effect of the extended model that has a picture.
     pub signatures: Vec<Signature>,
     /// Error against prediction horizon, by signal.
     pub horizons: Vec<Horizon>,

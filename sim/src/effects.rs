@@ -109,7 +109,7 @@ effects! {
         /// Largest motor current, A. 0: none. Nominal: the servo's.
         current_limit_a: 0.0, 1000.0;
         /// Largest motor current against the motion where it is another one (a bridge that is limited as it drives brakes through its diodes), A.
-        /// 0: `current_limit_a`. Nominal 0.
+        /// Comes with the speed, over 0.1 rad/s. 0: `current_limit_a`. Nominal 0.
         braking_current_limit_a: 0.0, 1000.0;
         /// Friction at rest beyond Coulomb's, N·m (Stribeck). Nominal: the servo's.
         stribeck_nm: 0.0, 100.0;

@@ -92,7 +92,11 @@ pub fn print(report: &Report) {
     }
     for s in &report.leads {
         let values: Vec<String> = (s.parameters.iter())
-            .map(|(name, p)| format!("{name} = {} {}", short(p.value), p.unit).trim_end().to_owned())
+            .map(|(name, p)| {
+                format!("{name} = {} {}", short(p.value), p.unit)
+                    .trim_end()
+                    .to_owned()
+            })
             .collect();
         say::line(format!(
             "\na lead, in the model and no finding: {} at {}, {}",

@@ -138,7 +138,7 @@ fn outgrown(context: &Context, term: &Term) -> bool {
 }
 
 /// Parameters of an effect that say how large it is: the first, and those of the same unit (a centre of mass has three).
-fn sizes(effect: &Effect) -> impl Iterator<Item = usize> + '_ {
+pub fn sizes(effect: &Effect) -> impl Iterator<Item = usize> + '_ {
     let unit = |p: usize| effect.parameters[p].unit;
     (0..effect.parameters.len())
         .filter(move |&p| p == 0 || (!unit(0).is_empty() && unit(p) == unit(0)))

@@ -21,6 +21,8 @@ const ONE_BLOCK: f64 = 0.8;
 pub const FAR: f64 = 6.0;
 /// See [`RELATIVE_GAIN`], far from the data.
 const FAR_GAIN: f64 = 0.03;
+/// A gain that is in so many blocks of the runs that were fitted is no incident ([`blocks`]).
+const SEVERAL_BLOCKS: f64 = 2.0;
 /// Gain on the runs it was fitted to that leaves no doubt there, in what careful labs have to explain ([`quiet`]) …
 const BEYOND_DOUBT: f64 = 0.9;
 /// … and as a share of what there was: held-out runs that hardly ask for an effect (an integral part, in a run that never stands) need only speak for it then, not
@@ -30,7 +32,7 @@ const BEYOND_DOUBT_SHARE: f64 = 0.25;
 /// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the benchmark).
 pub const FLOOR: f64 = 0.4;
 /// A robot with so many joints is judged joint by joint.
-const MANY_JOINTS: usize = 5;
+pub const MANY_JOINTS: usize = 5;
 
 /// What a step is worth.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,7 +68,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let mask = masked(joints, judge, &from.holdout, place);
     let of = mean_of(&mask, &from.holdout);
     let samples = mask.iter().filter(|m| **m).count().max(1);
-    let gains = gains(judge, &mask, &from.holdout, &to.holdout);
+    let gains = falls(judge, &mask, &from.holdout, &to.holdout);
     let holdout = gains.iter().sum::<f64>() / samples as f64;
     let sorted = resampled(&gains, context.seed, samples);
     let at = |share: f64| {
@@ -81,10 +83,8 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         && fit > BEYOND_DOUBT * quiet(context)
         && fit > BEYOND_DOUBT_SHARE * before;
     // what held-out runs ask for in one second only is no incident if the others ask for it time and again
-    let often = beyond_doubt && {
-        let gains = self::gains(&context.fit, &own, &from.fit, &to.fit);
-        blocks_that_count(&gains) >= 2 && !from_one_block(&gains)
-    };
+    let often =
+        beyond_doubt && blocks(&falls(&context.fit, &own, &from.fit, &to.fit)) >= SEVERAL_BLOCKS;
     let (sure, absolute) = if beyond_doubt {
         (at(0.025) > 0.0, 0.5 * ABSOLUTE_GAIN)
     } else {
@@ -125,11 +125,12 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
 fn rare(gains: &[f64], holdout: f64, of: f64, often: bool) -> bool {
     let total: f64 = gains.iter().sum();
     let lost: f64 = gains.iter().filter(|g| **g < 0.0).map(|g| -g).sum();
-    holdout > 0.2 * of && (often || blocks_that_count(gains) >= 2) && lost < 0.15 * total
+    let many = gains.iter().filter(|g| **g > 0.1 * total).count();
+    holdout > 0.2 * of && (often || many >= 2) && lost < 0.15 * total
 }
 
 /// Fall of the sum of squares by block, on the samples in `mask`.
-fn gains(judge: &Judge, mask: &[bool], from: &On, to: &On) -> Vec<f64> {
+fn falls(judge: &Judge, mask: &[bool], from: &On, to: &On) -> Vec<f64> {
     judge.by_block(|k| {
         if mask[k] {
             f64::from(from.residual[k]).powi(2) - f64::from(to.residual[k]).powi(2)
@@ -139,10 +140,11 @@ fn gains(judge: &Judge, mask: &[bool], from: &On, to: &On) -> Vec<f64> {
     })
 }
 
-/// Blocks that have a good part of a gain.
-fn blocks_that_count(gains: &[f64]) -> usize {
-    let total: f64 = gains.iter().sum();
-    gains.iter().filter(|g| **g > 0.1 * total).count()
+/// In how many blocks a gain is: their participation number, (Σg)²/Σg². 1: all in one; as many as there are: in all alike.
+fn blocks(gains: &[f64]) -> f64 {
+    let positive = || gains.iter().map(|g| g.max(0.0));
+    let square: f64 = positive().map(|g| g * g).sum();
+    positive().sum::<f64>().powi(2) / square.max(f64::MIN_POSITIVE)
 }
 
 /// Whether a gain comes from one block of several.
@@ -313,4 +315,32 @@ fn resampled(gains: &[f64], seed: u64, samples: usize) -> Vec<f64> {
         .collect();
     out.sort_by(f64::total_cmp);
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_incident_is_in_one_block_and_a_habit_in_many() {
+        // 3, 1 and nothing: (3 + 1)²/(9 + 1)
+        assert!((blocks(&[3.0, 1.0, -2.0, 0.0]) - 1.6).abs() < 1e-12);
+        assert!((blocks(&[0.0, 7.0, 0.0]) - 1.0).abs() < 1e-12);
+        // however many they are, and however little each has of the whole
+        assert!((blocks(&[0.1; 40]) - 40.0).abs() < 1e-9);
+        assert!(blocks(&[-1.0, 0.0]).abs() < 1e-12);
+        assert!(from_one_block(&[9.0, 0.5, 0.5, 0.0, 0.0]));
+        assert!(!from_one_block(&[5.0, 4.0, 1.0, 0.0, 0.0]));
+    }
+
+    #[test]
+    fn what_acts_rarely_must_gain_in_two_blocks_or_have_done_so_often() {
+        let one = [8.0, 0.1, 0.0, 0.0, -0.2];
+        assert!(!rare(&one, 0.5, 1.0, false));
+        assert!(rare(&one, 0.5, 1.0, true));
+        assert!(rare(&[4.0, 4.0, 0.0, -0.2], 0.5, 1.0, false));
+        // too little, or with too much lost elsewhere
+        assert!(!rare(&one, 0.1, 1.0, true));
+        assert!(!rare(&[8.0, -2.0], 0.5, 1.0, true));
+    }
 }

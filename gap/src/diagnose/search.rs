@@ -572,7 +572,13 @@ fn delete(context: &Context, base: &State, mut state: State) -> Result<State, Ga
             .into_iter()
             .enumerate()
             .min_by(|a, b| penalised(context, &a.1).total_cmp(&penalised(context, &b.1)));
-        let Some((index, shorter)) = least else { break };
+        let Some((index, mut shorter)) = least else {
+            break;
+        };
+        if context.scout.is_some() {
+            // fitted to a scout, it is not yet as good as it can be
+            shorter = polished(context, shorter)?;
+        }
         let place = Some(&state.terms[index].place);
         let worth = gates::worth(context, &shorter, &state, place);
         let kept = worth.passed && enough(context, &worth, base, place);

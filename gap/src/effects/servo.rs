@@ -184,10 +184,15 @@ pub static TORQUE_LIMIT: Effect = Effect {
     apply: |plant, place, v| {
         for &a in &place.items {
             let servo = plant.model.servo(a);
-            let unlimited_nm = servo.tau_brake_max_nm.max(v[0]);
             let joint = &mut plant.lane.joints[a];
             let (idle_a, constant) = (joint.current_dead_band_a, joint.torque_constant_nm_per_a);
             let at = |torque_nm: f64| idle_a + torque_nm as f32 / constant;
+            // against the motion a robot may have a limit of its own
+            let own_nm = match f64::from(joint.current_limit_a) {
+                own_a if own_a > 0.0 => (own_a - f64::from(idle_a)) * f64::from(constant),
+                _ => servo.tau_brake_max_nm,
+            };
+            let unlimited_nm = own_nm.max(v[0]);
             joint.current_limit_a = at(v[0]);
             joint.braking_current_limit_a = at(v[0] + v[1] * (unlimited_nm - v[0]));
         }
@@ -203,7 +208,7 @@ pub static TORQUE_LIMIT: Effect = Effect {
         (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
     },
     trial: "loaded_steps",
-    signature: "current is cut flat, at any speed",
+    signature: "current is cut flat, at any speed; where the motor brakes perhaps less, or not at all",
 };
 
 pub static TORQUE_SATURATION: Effect = Effect {
@@ -334,7 +339,7 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
     ],
     unseen: |_, _| None,
     trial: "slow_ramps",
-    signature: "a steady error without current, of the same width under any load",
+    signature: "a steady error without current, up to the same width whatever the gain",
 };
 
 pub static BRAKING_ASYMMETRY: Effect = Effect {

@@ -25,11 +25,14 @@ use super::ServoDrive;
 use super::supply::Bus;
 use crate::real::Real;
 
+/// Speed over which a separate limit of the current against the motion fades in, rad/s.
+const BRAKING_FADE_RADPS: f64 = 0.1;
+
 /// Speed over which the back-driven gain ratio fades in, rad/s: without it a loaded joint at rest would chatter between two gains.
 const BACK_DRIVE_FADE_RADPS: f64 = 0.1;
 
-/// The error that the controller acts on: nothing within ± the dead band, beyond it what is over (steady, so that nothing chatters at the edge) and the jump's
-/// share of the band.
+/// The error that the controller acts on: nothing within ± the dead band, beyond it what is over (steady, so that nothing chatters at the edge) and, where there
+/// is a jump, its share of the band.
 #[must_use]
 #[inline(always)]
 pub fn dead_band<R: Real>(p: &ServoDrive<R>, error_rad: R) -> R {
@@ -84,12 +87,14 @@ pub fn clamp_nm<R: Real>(
     torque_nm.clamp(low, high)
 }
 
-/// Clamps a torque to what the current limits allow at motor speed `speed_radps`, N·m.
+/// Clamps a torque to what the current limits allow at motor speed `speed_radps`, N·m. At rest nothing brakes: what is allowed against the motion comes with the
+/// speed, without which a load between the two limits would be held by chattering between them.
 #[must_use]
 #[inline(always)]
 pub fn limit_current_nm<R: Real>(p: &ServoDrive<R>, torque_nm: R, speed_radps: R) -> R {
-    let brakes = (torque_nm * speed_radps).lt(R::zero());
-    let limit = R::select(brakes, p.braking_current_limit_nm, p.current_limit_nm);
+    let against = -(speed_radps * torque_nm.signum0());
+    let share = (against * R::splat(1.0 / BRAKING_FADE_RADPS)).clamp(R::zero(), R::one());
+    let limit = (R::one() - share) * p.current_limit_nm + share * p.braking_current_limit_nm;
     torque_nm.clamp(-limit, limit)
 }
 
@@ -199,6 +204,7 @@ pub(crate) mod tests {
         check(limited(-2.0, 3.0), -1.2); // brakes
         check(limited(-2.0, -3.0), -0.5);
         check(limited(0.9, 0.0), 0.5); // at rest nothing brakes
+        check(limited(0.9, -0.02), 0.64); // a fifth of the way from 0.5 to 1.2
     }
 
     #[test]

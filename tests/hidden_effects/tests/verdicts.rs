@@ -180,7 +180,7 @@ fn a_motor_that_is_limited_as_it_drives_may_brake_as_before() {
         (limit_nm - truth_nm).abs() < 0.1 * truth_nm,
         "{limit_nm} of {truth_nm}"
     );
-    // with a limit that holds both ways this one's fall under gravity is braked far too little
+    // with a limit that holds both ways its fall under gravity is braked far too little; how much more is allowed than was asked for nobody can tell
     assert!(cause.parameters["braking_freed"].value > 0.1);
 }
 
@@ -216,7 +216,6 @@ fn what_takes_less_than_it_leaves_is_a_lead() {
         panic!("{}: {}", report.summary, in_words(&report.leads));
     };
     assert_eq!(lead.effect, "pre_sliding");
-    assert!(lead.confidence < cause.confidence);
     assert!(
         report.summary.contains("a lead and no finding"),
         "{}",

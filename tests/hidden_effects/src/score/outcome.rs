@@ -71,6 +71,8 @@ pub struct Outcome {
     pub truth: Vec<Judged>,
     /// Wrong names.
     pub wrong: usize,
+    /// Leads that are true, and that are not.
+    pub leads: (usize, usize),
     /// Highest confidence of a wrong name.
     pub wrong_confidence: f64,
     /// (confidence, right) of every name.
@@ -101,6 +103,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         .map(|t| judged(t, causes, joint_links))
         .collect();
     let is_true = |c: &Cause| answer.effects.iter().any(|t| same(t, &c.effect));
+    let leads = given.report.as_ref().map_or(&empty, |r| &r.leads);
     let wrong: Vec<&Cause> = causes.iter().filter(|c| !is_true(c)).collect();
     let detected = matches!(
         verdict,
@@ -165,6 +168,10 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
             .collect(),
         detected,
         wrong: wrong.len(),
+        leads: (
+            leads.iter().filter(|c| is_true(c)).count(),
+            leads.iter().filter(|c| !is_true(c)).count(),
+        ),
         wrong_confidence,
         confidences: causes.iter().map(|c| (c.confidence, is_true(c))).collect(),
         set_size: causes.first().map_or(0, |c| 1 + c.alternatives.len()),

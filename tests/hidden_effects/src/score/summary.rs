@@ -75,6 +75,8 @@ pub struct Summary {
     pub pairs_one: Rate,
     /// Wrong names per case (nulls, singles, pairs).
     pub wrong_per_case: f64,
+    /// Leads, which are no findings, that were true, and that were not, in the same cases.
+    pub leads: (usize, usize),
     /// Wrong names per single.
     pub wrong_per_single: f64,
     /// Laws outside the catalogue that were flagged.
@@ -180,6 +182,9 @@ impl Summary {
             pairs_both: Rate::count(all, block(Block::Pair), |o| o.truth.iter().all(|t| t.named)),
             pairs_one: Rate::count(all, block(Block::Pair), |o| o.truth.iter().any(|t| t.named)),
             wrong_per_case: mean(&counted.iter().map(|o| o.wrong as f64).collect::<Vec<_>>()),
+            leads: counted.iter().fold((0, 0), |(right, wrong), o| {
+                (right + o.leads.0, wrong + o.leads.1)
+            }),
             wrong_per_single: mean(
                 &all.iter()
                     .filter(|o| single(o))
@@ -319,6 +324,11 @@ impl Summary {
                 "<= 0.10",
             ),
             (
+                "leads in the same cases: true, not true".to_owned(),
+                format!("{}, {}", self.leads.0, self.leads.1),
+                "",
+            ),
+            (
                 "outside the catalogue: flagged".to_owned(),
                 self.outside_flagged.to_string(),
                 "80 %",
@@ -444,6 +454,7 @@ mod tests {
                 .collect(),
             detected: !given.is_empty(),
             wrong: given.len() - truth.iter().filter(|t| t.named).count(),
+            leads: (0, 0),
             wrong_confidence: 0.0,
             confidences: given
                 .iter()
