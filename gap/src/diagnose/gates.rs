@@ -21,8 +21,10 @@ const ONE_BLOCK: f64 = 0.8;
 pub const FAR: f64 = 6.0;
 /// See [`RELATIVE_GAIN`], far from the data.
 const FAR_GAIN: f64 = 0.03;
-/// A gain that is in so many blocks of the runs that were fitted is no incident ([`blocks`]).
+/// A gain that is in so many blocks of the runs that were fitted is no incident ([`blocks`]) …
 const SEVERAL_BLOCKS: f64 = 2.0;
+/// … nor one that takes so much off held-out runs, to which nothing was fitted.
+const NEARLY_ALL: f64 = 0.8;
 /// Gain on the runs it was fitted to that leaves no doubt there, in what careful labs have to explain ([`quiet`]) …
 const BEYOND_DOUBT: f64 = 0.9;
 /// … and as a share of what there was: held-out runs that hardly ask for an effect (an integral part, in a run that never stands) need only speak for it then, not
@@ -82,9 +84,9 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let beyond_doubt = !context.same_runs
         && fit > BEYOND_DOUBT * quiet(context)
         && fit > BEYOND_DOUBT_SHARE * before;
-    // what held-out runs ask for in one second only is no incident if the others ask for it time and again
-    let often =
-        beyond_doubt && blocks(&falls(&context.fit, &own, &from.fit, &to.fit)) >= SEVERAL_BLOCKS;
+    // what held-out runs ask for in one second only is no incident if the others ask for it time and again, or if it is foretold there nearly to the end
+    let fitted_blocks = || blocks(&falls(&context.fit, &own, &from.fit, &to.fit));
+    let again = beyond_doubt && (holdout > NEARLY_ALL * of || fitted_blocks() >= SEVERAL_BLOCKS);
     let (sure, absolute) = if beyond_doubt {
         (at(0.025) > 0.0, 0.5 * ABSOLUTE_GAIN)
     } else {
@@ -96,13 +98,13 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         "makes held-out runs worse"
     } else if joints >= MANY_JOINTS && worst_within(joints, judge, &from.holdout, &mask) < QUIET {
         "what it explains is within what careful labs differ by at one joint of so many"
-    } else if !sure && !rare(&gains, holdout, of, often) {
+    } else if !sure && !rare(&gains, holdout, of, again) {
         "its gain on held-out runs is within what resampling gives by chance"
     } else if holdout < relative * of || holdout < absolute {
         "its gain on held-out runs is too small to matter"
     } else if fit < 0.2 * relative * before {
         "its gain on the runs it was fitted to is too small to matter"
-    } else if from_one_block(&gains) && !often {
+    } else if from_one_block(&gains) && !again {
         "its gain comes from one second of one run"
     } else {
         ""
@@ -120,13 +122,13 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     }
 }
 
-/// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain much, in two blocks or more (unless it does in
-/// the runs that were fitted: `often`), and lose nearly nowhere.
-fn rare(gains: &[f64], holdout: f64, of: f64, often: bool) -> bool {
+/// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain much, in two blocks or more (unless what it does
+/// there is what it did in the runs that were fitted: `again`), and lose nearly nowhere.
+fn rare(gains: &[f64], holdout: f64, of: f64, again: bool) -> bool {
     let total: f64 = gains.iter().sum();
     let lost: f64 = gains.iter().filter(|g| **g < 0.0).map(|g| -g).sum();
     let many = gains.iter().filter(|g| **g > 0.1 * total).count();
-    holdout > 0.2 * of && (often || many >= 2) && lost < 0.15 * total
+    holdout > 0.2 * of && (again || many >= 2) && lost < 0.15 * total
 }
 
 /// Fall of the sum of squares by block, on the samples in `mask`.
