@@ -470,8 +470,12 @@ fn summary(
         Verdict::DataFault => String::new(),
     };
     if !leads.is_empty() {
+        let which = match leads {
+            [_] => "which takes less than it leaves: a lead and no finding",
+            _ => "each of which takes less than it leaves: leads and no findings",
+        };
         text.push_str(&format!(
-            " The model carries {} as well, which takes less than it leaves: a lead and no finding.",
+            " The model carries {} as well, {which}.",
             names(leads)
         ));
     }
