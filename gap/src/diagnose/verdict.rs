@@ -27,9 +27,9 @@ pub const QUIET: f64 = 0.8;
 /// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no look-alike came near (set `pr`, laws outside the catalogue
 /// included) at least 112 of 126 were right with the catalogue of seeds 73 and 79, and 57 of 57 with the present one (seed 89) …
 const TRUST: f64 = 0.95;
-/// … and where there are doubts ([`Doubts`]), or a parameter is at its bound, that is this high: there 20 of 34 such names were right (none of the 13 that stand
-/// for a law outside the catalogue), with the earlier catalogue 5 of 14.
-const TRUST_IN_PART: f64 = 0.5;
+/// … and where there are doubts ([`Doubts`]), or a parameter is at its bound, that is this high: there 12 of 26 names were right (12 of 13, and none of the 13 that
+/// stand for a law outside the catalogue), with the earlier catalogue 5 of 14.
+const TRUST_IN_PART: f64 = 0.4;
 /// … and of a lead ([`naming::leads`]) this: of 25 such names two were right.
 const TRUST_LEAD: f64 = 0.1;
 /// Cells of the divergence map that are reported.
