@@ -1,6 +1,6 @@
 //! Runs that repeat each other: who belongs together, and their mean.
 
-use crate::trial::{Channel, Trial};
+use crate::trial::{Channel, Kind, Trial, YAW, nearest_turn};
 
 /// Commands that differ by less than this are the same, rad (half a count of a 4096-count encoder).
 const SAME_COMMAND_RAD: f64 = 0.0008;
@@ -49,7 +49,7 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
     let n = members.len() as f64;
     let mut trial = first.clone();
     for channel in &mut trial.channels {
-        // angles in the world, and anything that not all of them have, stay those of the first
+        // anything that not all of them have stays that of the first
         let others: Vec<(&Trial, &Channel)> = members
             .iter()
             .filter_map(|m| m.channel(channel.kind, channel.index).map(|c| (m, c)))
@@ -57,13 +57,19 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
         if others.len() < members.len() {
             continue;
         }
+        let yaw = (channel.kind, channel.index) == (Kind::BaseAttitude, YAW);
         for (k, t) in channel.time_s.iter().enumerate() {
             let since = t - first.span_s.0;
             let (mut sum, mut count) = (0.0, 0.0);
             for (m, c) in &others {
                 let at = m.span_s.0 + since;
                 if !m.masked_s.iter().any(|(a, b)| (*a..=*b).contains(&at)) {
-                    sum += c.at(at);
+                    let value = c.at(at);
+                    // each run counts its turns from where it began
+                    sum += match yaw {
+                        true => nearest_turn(value, channel.value[k]),
+                        false => value,
+                    };
                     count += 1.0;
                 }
             }

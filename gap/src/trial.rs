@@ -1,7 +1,5 @@
 //! A measured run as diagnosis sees it: commands, switches, and sampled channels with their own stamps.
 
-use std::collections::BTreeMap;
-
 use caudata_model::RobotModel;
 use caudata_runlog::{Axis, BaseHold, QuatPart, RunLog, Signal};
 
@@ -55,11 +53,15 @@ pub enum Kind {
     BasePosition,
     /// Velocity of the base, world, m/s.
     BaseVelocity,
-    /// Orientation of the base: roll and pitch by the direction of gravity in it, and yaw. `index` 0, 1: x, y of gravity in the base; 2: yaw, rad.
+    /// Orientation of the base: roll and pitch by the direction of gravity in it, and yaw. `index` 0, 1, 3: x, y, z of gravity in the base; 2: yaw, rad,
+    /// on past π where the base turns on.
     BaseAttitude,
     /// Position of a foot's ball, world, m. `index`: foot·3 + axis.
     Foot,
 }
+
+/// Which component of [`Kind::BaseAttitude`] is the yaw.
+pub const YAW: usize = 2;
 
 impl Kind {
     /// Name in reports.
@@ -94,6 +96,16 @@ impl Kind {
             Self::Gravity => "",
             Self::BasePosition | Self::Foot => "m",
             Self::BaseVelocity => "m/s",
+        }
+    }
+
+    /// Whether component `index` says where the robot is in the world, which no two runs of a free robot agree on.
+    #[must_use]
+    pub fn of_place(self, index: usize) -> bool {
+        match self {
+            Self::BasePosition | Self::Foot => true,
+            Self::BaseAttitude => index == YAW,
+            _ => false,
         }
     }
 
@@ -308,7 +320,6 @@ fn channels(model: &RobotModel, table: &caudata_runlog::Table) -> Vec<Channel> {
     let time = table.time_s();
     let joints = model.actuated_names();
     let mut channels = Vec::new();
-    let mut attitude: BTreeMap<usize, Vec<Option<f64>>> = BTreeMap::new();
     let axis = |a: Axis| (a as usize, ["x", "y", "z"][a as usize].to_owned());
     for signal in table.signals() {
         let Some(column) = table.column(signal) else {
@@ -333,16 +344,6 @@ fn channels(model: &RobotModel, table: &caudata_runlog::Table) -> Vec<Channel> {
             Signal::Gravity(a) => of_axis(Kind::Gravity, *a),
             Signal::BasePosition(a) => of_axis(Kind::BasePosition, *a),
             Signal::BaseVelocity(a) => of_axis(Kind::BaseVelocity, *a),
-            Signal::BaseQuaternion(part) => {
-                let slot = match part {
-                    QuatPart::W => 0,
-                    QuatPart::X => 1,
-                    QuatPart::Y => 2,
-                    QuatPart::Z => 3,
-                };
-                attitude.insert(slot, column.to_vec());
-                None
-            }
             Signal::Foot(leg, a) => {
                 let (index, word) = axis(*a);
                 model
@@ -357,18 +358,20 @@ fn channels(model: &RobotModel, table: &caudata_runlog::Table) -> Vec<Channel> {
             push(&mut channels, kind, index, name, time, column);
         }
     }
-    if attitude.len() == 4 {
-        let names = ["gravity_x", "gravity_y", "yaw"];
-        let mut three = [(); 3].map(|()| vec![None; time.len()]);
-        for k in 0..time.len() {
-            if let [Some(w), Some(x), Some(y), Some(z)] = [0, 1, 2, 3].map(|i| attitude[&i][k]) {
-                let [gx, gy, yaw] = attitude_of([w, x, y, z]);
-                three[0][k] = Some(gx);
-                three[1][k] = Some(gy);
-                three[2][k] = Some(yaw);
+    if let Some(quaternions) = base_quaternions(table) {
+        let names = ["gravity_x", "gravity_y", "yaw", "gravity_z"];
+        let mut parts = [(); 4].map(|()| vec![None; time.len()]);
+        let mut turned: Option<f64> = None;
+        for (k, wxyz) in quaternions.enumerate() {
+            if let Some(wxyz) = wxyz {
+                let [gx, gy, yaw, gz] = attitude_of(wxyz);
+                turned = Some(turned.map_or(yaw, |last| nearest_turn(yaw, last)));
+                for (part, value) in parts.iter_mut().zip([Some(gx), Some(gy), turned, Some(gz)]) {
+                    part[k] = value;
+                }
             }
         }
-        for (index, column) in three.iter().enumerate() {
+        for (index, column) in parts.iter().enumerate() {
             push(
                 &mut channels,
                 Kind::BaseAttitude,
@@ -383,16 +386,38 @@ fn channels(model: &RobotModel, table: &caudata_runlog::Table) -> Vec<Channel> {
     channels
 }
 
-/// x and y of the direction of gravity in the body (level: 0, 0), and yaw, rad, of world_from_body `[w, x, y, z]`.
+/// x and y of the direction of gravity in the body (level: 0, 0), yaw (rad), and its z (level: −1), of world_from_body `[w, x, y, z]`.
 #[must_use]
-pub fn attitude_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+pub fn attitude_of([w, x, y, z]: [f64; 4]) -> [f64; 4] {
     let n = (w * w + x * x + y * y + z * z).sqrt().max(1e-12);
     let (w, x, y, z) = (w / n, x / n, y / n, z / n);
     // minus the third row of the rotation matrix
     let gx = -2.0 * (x * z - w * y);
     let gy = -2.0 * (y * z + w * x);
     let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
-    [gx, gy, yaw]
+    let gz = -(1.0 - 2.0 * (x * x + y * y));
+    [gx, gy, yaw, gz]
+}
+
+/// `angle_rad`, or as many whole turns away from it as bring it nearest to `near_rad`.
+#[must_use]
+pub fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
+    use std::f64::consts::TAU;
+    angle_rad + TAU * ((near_rad - angle_rad) / TAU).round()
+}
+
+/// Orientation of the base by motion capture in every row, where the log has it.
+fn base_quaternions(
+    table: &caudata_runlog::Table,
+) -> Option<impl Iterator<Item = Option<[f64; 4]>> + '_> {
+    let column = |part| table.column(&Signal::BaseQuaternion(part));
+    let [w, x, y, z] = [
+        column(QuatPart::W)?,
+        column(QuatPart::X)?,
+        column(QuatPart::Y)?,
+        column(QuatPart::Z)?,
+    ];
+    Some((0..w.len()).map(move |k| Some([w[k]?, x[k]?, y[k]?, z[k]?])))
 }
 
 fn push(
@@ -427,17 +452,34 @@ mod tests {
 
     #[test]
     fn attitude_by_hand() {
-        let near = |got: [f64; 3], want: [f64; 3]| {
-            for i in 0..3 {
+        let near = |got: [f64; 4], want: [f64; 4]| {
+            for i in 0..4 {
                 assert!((got[i] - want[i]).abs() < 1e-12, "{got:?} {want:?}");
             }
         };
-        near(attitude_of([1.0, 0.0, 0.0, 0.0]), [0.0, 0.0, 0.0]);
+        near(attitude_of([1.0, 0.0, 0.0, 0.0]), [0.0, 0.0, 0.0, -1.0]);
         // nose down by 0.2 (positive turn about y): gravity towards +x of the body
         let (c, s) = (0.1_f64.cos(), 0.1_f64.sin());
-        near(attitude_of([c, 0.0, s, 0.0]), [0.2_f64.sin(), 0.0, 0.0]);
-        near(attitude_of([c, s, 0.0, 0.0]), [0.0, -0.2_f64.sin(), 0.0]);
-        near(attitude_of([c, 0.0, 0.0, s]), [0.0, 0.0, 0.2]);
+        near(
+            attitude_of([c, 0.0, s, 0.0]),
+            [0.2_f64.sin(), 0.0, 0.0, -0.2_f64.cos()],
+        );
+        near(
+            attitude_of([c, s, 0.0, 0.0]),
+            [0.0, -0.2_f64.sin(), 0.0, -0.2_f64.cos()],
+        );
+        near(attitude_of([c, 0.0, 0.0, s]), [0.0, 0.0, 0.2, -1.0]);
+        // on its back
+        near(attitude_of([0.0, 1.0, 0.0, 0.0]), [0.0, 0.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn turns_go_on_past_half_a_turn() {
+        let turned = nearest_turn(-3.1, 3.1);
+        assert!((turned - 3.183_185).abs() < 1e-6, "{turned}");
+        assert_eq!(nearest_turn(0.3, 0.2), 0.3);
+        let thrice = nearest_turn(0.1, 18.0);
+        assert!((thrice - 18.949_556).abs() < 1e-6, "{thrice}");
     }
 
     #[test]

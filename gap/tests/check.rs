@@ -91,6 +91,35 @@ fn turned_signs_are_found() {
 }
 
 #[test]
+fn an_error_within_a_count_says_nothing_of_a_current() {
+    // a leg folded back under water: the joint rests a count or none off its command, and the current wanders the other way by what friction holds
+    let robot = robot("polymander");
+    let log = &logs(&robot, "holds", &[3])[0];
+    let [cmd, pos, vel, cur]: [Signal; 4] =
+        ["cmd", "pos", "vel", "cur"].map(|kind| format!("{kind}.FL_hip").parse().unwrap());
+    let resting = |count_rad: f64| {
+        changed(log, |s, _, t, v| {
+            let off = if (0.4 * t).sin() > 0.0 { 1.0 } else { 0.0 };
+            let folded = if t < 2.0 { 0.0 } else { 0.3 };
+            match s {
+                s if *s == cmd => Some(folded),
+                s if *s == pos => Some(folded - count_rad * off),
+                s if *s == vel => Some(0.0),
+                s if *s == cur => Some(-0.1 * off),
+                _ => v,
+            }
+        })
+    };
+    let within = one(&robot, &resting(0.0015));
+    assert!(
+        !within.faults.iter().any(|f| f.location.contains("cur.")),
+        "{:#?}",
+        within.faults
+    );
+    found(&one(&robot, &resting(0.02)), "sign", "cur.FL_hip");
+}
+
+#[test]
 fn other_units_are_found() {
     let robot = robot("polymander");
     for trial in ["chirp_medium", "triangle_medium"] {

@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use caudata_config::ConfigArgs;
 use caudata_gap::{GoOn, Role, Run, extension, page};
-use caudata_hidden_effects::ground::{self, GroundPlan, LabFile};
 use caudata_hidden_effects::paper::{self, Pictures, Row};
+use caudata_hidden_effects::salamander::{self, LabFile, SalamanderPlan};
 use caudata_hidden_effects::truth::free::Channels;
-use caudata_runlog::RunLog;
+use caudata_runlog::{BaseHold, RunLog};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
 use clap::Args;
 
@@ -126,9 +126,10 @@ pub fn run(args: &PaperArgs, process: &Process) -> Result<(), Failure> {
 
 /// Writes the logs, whole or not at all, and, beside them, the robot that they come from.
 fn make(args: &PaperArgs, stop: &StopFlag) -> Result<(), Failure> {
-    let plan = GroundPlan {
+    let plan = SalamanderPlan {
         name: PART.to_owned(),
         file: LabFile::Stiff,
+        place: BaseHold::Free,
         hidden: paper::HIDDEN,
         channels: Channels {
             imu: true,
@@ -144,11 +145,11 @@ fn make(args: &PaperArgs, stop: &StopFlag) -> Result<(), Failure> {
         std::fs::remove_dir_all(&part).or_exit_with(ExitCode::CannotCreate, cannot)?;
     }
     let go_on = || !stop.is_set();
-    ground::make(&plan, &args.out, &go_on).or_exit(ExitCode::Internal)?;
+    salamander::make(&plan, &args.out, &go_on).or_exit(ExitCode::Internal)?;
     paper::on_stand(plan.file, plan.seed, &part, &go_on).or_exit(ExitCode::Internal)?;
-    let (_, mjcf, _) = ground::salamander(LabFile::Stiff).or_exit(ExitCode::Internal)?;
+    let (_, mjcf, _) = salamander::lab_file(LabFile::Stiff).or_exit(ExitCode::Internal)?;
     let truth =
-        ground::true_salamander(LabFile::Stiff, paper::HIDDEN).or_exit(ExitCode::Internal)?;
+        salamander::true_salamander(LabFile::Stiff, paper::HIDDEN).or_exit(ExitCode::Internal)?;
     write_whole(&args.out.join("polymander.xml"), mjcf.as_bytes())?;
     write_whole(&args.out.join(TRUTH), truth.as_bytes())?;
     std::fs::rename(&part, args.out.join(LOGS)).or_exit_with(ExitCode::CannotCreate, cannot)

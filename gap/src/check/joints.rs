@@ -213,7 +213,9 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         .collect();
     let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
     let unsigned = cur.iter().all(|i| i.is_nan() || *i >= 0.0);
-    if t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) && !unsigned {
+    // an error that hardly leaves its count, and a current that wanders meanwhile, tell nothing
+    let told = t.first_sd > run.robot.servo(joint.index).encoder_lsb_rad();
+    if told && t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) && !unsigned {
         out.push(fatal(
             "sign",
             format!("cur.{}", joint.name),

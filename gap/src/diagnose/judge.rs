@@ -48,6 +48,12 @@ const ENGINES_APART: f32 = 7.0;
 const TOLERANCES: f64 = 4.0;
 /// Ground friction by this share.
 const GROUND_TOLERANCE: f64 = 0.1;
+/// A pool stirs for minutes after somebody has been in it: m/s, along and across.
+const STIR_TOLERANCE_MPS: f64 = 0.005;
+/// Drag by this share: a cable, a wall nearby, bubbles on the skin.
+const DRAG_TOLERANCE: f64 = 0.05;
+/// Buoyancy by this share: temperature, bubbles, what has leaked in.
+const BUOYANCY_TOLERANCE: f64 = 0.005;
 
 /// See [`shown_in`].
 const SHOWS: f64 = 0.01;
@@ -192,6 +198,7 @@ impl Judge {
         let mut noise = Noise {
             sigma: vec![1.0; data.len()],
             difference: vec![0.0; data.len()],
+            white: whole.noise.white.clone(),
             repeat: whole.noise.repeat.clone(),
             repeated: false,
         };
@@ -276,7 +283,8 @@ impl Judge {
     /// As [`Replayer::predict`].
     pub fn set_base(&mut self, replayer: &Replayer, base: &[Term]) -> Result<(), GapError> {
         let model = replayer.model();
-        let joint_effects = nuisances(replayer, base);
+        let wet = (self.data.trials.iter()).any(|t| t.base == BaseHold::Water);
+        let joint_effects = nuisances(replayer, base, wet);
         let mut variants = vec![base.to_vec()];
         variants.extend(joint_effects.iter().map(|n| n.variant.clone()));
         let mut predictions = replayer.predict(&self.data, &variants)?;
@@ -458,8 +466,8 @@ struct Nuisance {
     per_joint: bool,
 }
 
-/// What differs from run to run in a careful lab, as candidates on top of `base`.
-fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
+/// What differs from run to run in a careful lab, and in its pool (`wet`), as candidates on top of `base`.
+fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance> {
     let model = replayer.model();
     let lane = crate::plant::Plant::nominal(model).lane;
     let mut plant = crate::plant::Plant::nominal(model);
@@ -469,7 +477,7 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
     }
     let mean = |x: &[f32]| x.iter().map(|v| f64::from(*v)).sum::<f64>() / x.len().max(1) as f64;
     let mut out = Vec::new();
-    let mut add = |id: &str, first: f64, share: f64, per_joint: bool| {
+    let mut one = |id: &str, parameter: usize, value: f64, share: f64, per_joint: bool| {
         let Some(effect) = effects::find(id) else {
             return;
         };
@@ -477,7 +485,7 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
             return;
         };
         let mut values = effect.neutral(model, &place);
-        values[0] = first;
+        values[parameter] = value;
         let mut variant = base.to_vec();
         variant.push(Term {
             effect,
@@ -489,6 +497,21 @@ fn nuisances(replayer: &Replayer, base: &[Term]) -> Vec<Nuisance> {
             share: share as f32,
             per_joint,
         });
+    };
+    if wet {
+        one("water_current", 0, 4.0 * STIR_TOLERANCE_MPS, 0.25, false);
+        one("water_current", 1, 4.0 * STIR_TOLERANCE_MPS, 0.25, false);
+        one(
+            "quadratic_drag",
+            1,
+            1.0 + 3.0 * DRAG_TOLERANCE,
+            1.0 / 3.0,
+            false,
+        );
+        one("buoyancy", 0, 1.0 + 4.0 * BUOYANCY_TOLERANCE, 0.25, false);
+    }
+    let mut add = |id: &str, value: f64, share: f64, per_joint: bool| {
+        one(id, 0, value, share, per_joint);
     };
     // a few times the tolerance, scaled back: the trace of a tiny change drowns in rounding
     let friction = mean(&plant.lane.joint_friction_nm).max(0.003 * effective_torque(&lane, model));

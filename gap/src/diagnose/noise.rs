@@ -22,6 +22,8 @@ fn relative(kind: Kind) -> f64 {
 const IDLE: f64 = 1.3;
 /// Repeats that differ this many times more than usual in a block have been disturbed.
 const DISTURBED: f64 = 10.0;
+/// So many samples are the beginning of a stretch.
+const BEGINS: usize = 5;
 /// Repeats are not expected to agree better than this, rad.
 const LEAST_RAD: f64 = 0.004;
 
@@ -32,6 +34,8 @@ pub struct Noise {
     pub sigma: Vec<f32>,
     /// Of what repeats differ by alone, by (trial, kind, index), SI.
     pub repeat: BTreeMap<(usize, Kind, usize), f64>,
+    /// Of what a sensor adds from one sample to the next alone, by (trial, kind, index), SI: counts and jitter.
+    pub white: BTreeMap<(usize, Kind, usize), f64>,
     /// One run less the mean of its repeats, in units of `sigma`; 0 where there are no repeats. `[N]`
     pub difference: Vec<f32>,
     /// Whether any run has a repeat.
@@ -84,6 +88,8 @@ impl Noise {
             _ => jitter(values),
         };
         let floor = (quantum(model, channel) / 12.0_f64.sqrt()).max(white);
+        let least = (self.white.entry((trial, piece.kind, piece.index))).or_insert(floor);
+        *least = least.min(floor);
         let members: Vec<(f64, &Channel)> = (own.members.iter())
             .filter_map(|m| {
                 Some((
@@ -92,13 +98,26 @@ impl Noise {
                 ))
             })
             .collect();
+        // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes from there
+        let free = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
+        let began: Vec<f64> = (members.iter())
+            .map(|(shift, c)| {
+                if free {
+                    began_at(data, piece, *shift, c)
+                } else {
+                    0.0
+                }
+            })
+            .collect();
         let m = members.len() as f64;
         let mut sum = 0.0;
         let mut differences = vec![0.0; values.len()];
         if members.len() > 1 {
             for (k, difference) in differences.iter_mut().enumerate() {
                 let t = data.time_s[range.start + k];
-                let all: Vec<f64> = members.iter().map(|(shift, c)| c.at(t + shift)).collect();
+                let all: Vec<f64> = (members.iter().zip(&began))
+                    .map(|((shift, c), from)| c.at(t + shift) - from)
+                    .collect();
                 let mean = all.iter().sum::<f64>() / m;
                 sum += all.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (m - 1.0);
                 // one member against the mean of all: σ²·(1 − 1/m)
@@ -129,6 +148,13 @@ impl Noise {
             self.difference[range.start + k] = (differences[k] / sigma) as f32;
         }
     }
+}
+
+/// What the repeat `channel`, `shift_s` later, reads where the stretch of `piece` begins: the mean of a few samples.
+fn began_at(data: &Data, piece: &Piece, shift_s: f64, channel: &Channel) -> f64 {
+    let stamps = &data.time_s[piece.range.clone()];
+    let few = &stamps[..stamps.len().min(BEGINS)];
+    few.iter().map(|t| channel.at(t + shift_s)).sum::<f64>() / few.len().max(1) as f64
 }
 
 /// All samples of the channel of `piece` in `trial`.

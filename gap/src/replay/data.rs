@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use caudata_model::RobotModel;
+use caudata_model::{JointMotion, Pose, RobotModel};
 use caudata_runlog::BaseHold;
 
-use crate::trial::{Channel, Kind, Trial};
+use crate::trial::{Channel, Kind, Trial, YAW};
 
 /// Time after the start of a stretch that does not count: what friction and loops remember from before is not known, s.
 const SETTLE_S: f64 = 0.15;
@@ -15,6 +15,8 @@ const MOST_SAMPLES: usize = 400_000;
 pub const BLOCK_S: f64 = 1.0;
 /// Stretches of a free robot, s: it diverges from its simulation, so it is put back to what was measured.
 const FREE_SEGMENT_S: f64 = 0.8;
+/// The same of a swimming one, s: no foot that lands a little earlier sends it elsewhere, and what the water does to its speed takes a second or two to show.
+const SWIMMING_SEGMENT_S: f64 = 2.0;
 /// Time before each that is simulated and does not count, s: where play hangs, how friction is wound up and how hard each foot presses is not measured, and
 /// comes about in it. At its end the robot is put to what was measured once more.
 const FREE_LEAD_S: f64 = 0.3;
@@ -28,8 +30,10 @@ const SPEED_WINDOW_S: f64 = 0.03;
 pub struct SegmentOptions {
     /// Length of a stretch of a held robot, s; infinite: the whole run.
     pub fixed_s: f64,
-    /// Length of a stretch of a free or swimming robot, s.
+    /// Length of a stretch of a free robot, s.
     pub free_s: f64,
+    /// Length of a stretch of a swimming robot, s.
+    pub swimming_s: f64,
     /// Length of a stretch in which a servo of a held robot is let go, s; infinite: no such stretches, what was let go swings on to the end of the run.
     pub loose_s: f64,
     /// Time before a stretch of a held robot that is simulated and does not count, s: what a joint that rests remembers of how it came there.
@@ -41,6 +45,7 @@ impl Default for SegmentOptions {
         Self {
             fixed_s: f64::INFINITY,
             free_s: FREE_SEGMENT_S,
+            swimming_s: SWIMMING_SEGMENT_S,
             loose_s: LOOSE_SEGMENT_S,
             lead_s: 0.0,
         }
@@ -135,7 +140,8 @@ impl Data {
         for (number, trial) in trials.iter().enumerate() {
             let cuts = match trial.base {
                 BaseHold::Fixed => held_cuts(trial, options),
-                _ => free_cuts(trial, options.free_s),
+                BaseHold::Free => free_cuts(trial, options.free_s),
+                BaseHold::Water => free_cuts(trial, options.swimming_s),
             };
             for cut in cuts {
                 data.push(model, number, trial, cut, stride);
@@ -412,11 +418,10 @@ pub(super) fn replay_span(trial: &Trial) -> (f64, f64) {
     (first, last.max(first + 1e-3))
 }
 
-/// Roll and pitch of a body in which gravity points along (`gx`, `gy`, ·), rad: gravity in the body is (sin p, −cos p·sin r, −cos p·cos r).
-pub(super) fn roll_pitch(gx: f64, gy: f64) -> [f64; 2] {
+/// Roll and pitch of a body in which gravity points along (`gx`, `gy`, `gz`), rad: gravity in the body is (sin p, −cos p·sin r, −cos p·cos r).
+pub(super) fn roll_pitch(gx: f64, gy: f64, gz: f64) -> [f64; 2] {
     let pitch = gx.clamp(-1.0, 1.0).asin();
-    let roll = (-gy / pitch.cos().max(1e-3)).clamp(-1.0, 1.0).asin();
-    [roll, pitch]
+    [(-gy).atan2(-gz), pitch]
 }
 
 /// The stamp of a position that is nearest to `t_s`.
@@ -476,21 +481,65 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
     if let Some(v) = three(Kind::BaseVelocity) {
         start.base_vel_mps = Some(v.map(|x| x.0));
     }
-    let attitude = three(Kind::BaseAttitude);
-    let gravity = three(Kind::Gravity);
-    let down = match (attitude, gravity) {
-        (Some(a), _) => Some((a[0].0, a[1].0, a[2].0)),
-        (None, Some(g)) => Some((g[0].0, g[1].0, 0.0)),
-        _ => None,
-    };
-    if let Some((gx, gy, yaw)) = down {
-        let [roll, pitch] = roll_pitch(gx, gy);
-        start.base_rpy_rad = Some([roll, pitch, yaw]);
+    let imu = ImuPlace::of(model, &start);
+    let attitude = three(Kind::BaseAttitude).zip(trial.channel(Kind::BaseAttitude, 3));
+    if let Some((a, gz)) = attitude {
+        let [roll, pitch] = roll_pitch(a[0].0, a[1].0, line(gz, t_s).0);
+        start.base_rpy_rad = Some([roll, pitch, a[YAW].0]);
+    } else if let (Some(g), Some(imu)) = (three(Kind::Gravity), &imu) {
+        let [gx, gy, gz] = imu.base_from_imu.rotate(g.map(|x| x.0));
+        let [roll, pitch] = roll_pitch(gx, gy, gz);
+        start.base_rpy_rad = Some([roll, pitch, 0.0]);
     }
-    if let Some(w) = three(Kind::Gyro) {
-        start.base_angvel_radps = Some(w.map(|x| x.0));
+    if let (Some(w), Some(imu)) = (three(Kind::Gyro), &imu) {
+        let read = w.map(|x| x.0);
+        let turned = imu.base_from_imu.rotate(read);
+        start.base_angvel_radps = Some(match trial.base {
+            BaseHold::Water => [0, 1, 2].map(|i| turned[i] - imu.angvel_radps[i]),
+            // On the ground the floor was measured with the gyroscope's own rate, and has to be: with the right one it is half as high, and what shows in
+            // healthy robots then is how a belly drags in another engine (docs/status.md).
+            BaseHold::Fixed | BaseHold::Free => read,
+        });
     }
     start
+}
+
+/// Where the IMU is and how its link turns against the base, by the joints between the two.
+struct ImuPlace {
+    base_from_imu: Pose,
+    /// Of the IMU's link less the base, in the base, rad/s.
+    angvel_radps: [f64; 3],
+}
+
+impl ImuPlace {
+    /// With joints as in `start`; what no servo moves is at rest in its zero. `None` where `start` does not fit the model.
+    fn of(model: &RobotModel, start: &Start) -> Option<Self> {
+        let mut pos_rad = vec![0.0; model.joints().len()];
+        let mut vel_radps = pos_rad.clone();
+        for (a, &j) in model.actuated().iter().enumerate() {
+            pos_rad[j] = start.pos_rad[a];
+            vel_radps[j] = start.vel_radps[a];
+        }
+        let places = model.kinematics(&Pose::IDENTITY, &pos_rad).ok()?;
+        let (link, link_from_imu) = model
+            .imu_site()
+            .map_or((0, Pose::IDENTITY), |s| (s.link, s.link_from_site));
+        let links = model.links();
+        let carrying: Vec<usize> =
+            std::iter::successors(Some(link), |&l| links[l].parent).collect();
+        let mut angvel_radps = [0.0; 3];
+        for (j, joint) in model.joints().iter().enumerate() {
+            if carrying.contains(&joint.child_link) && joint.motion == JointMotion::Hinge {
+                for (w, axis) in angvel_radps.iter_mut().zip(places.joints[j].axis) {
+                    *w += axis * vel_radps[j];
+                }
+            }
+        }
+        Some(Self {
+            base_from_imu: places.links[link].compose(&link_from_imu),
+            angvel_radps,
+        })
+    }
 }
 
 /// Joints that swing at `t_s`: position as it was read, speed from positions alone, since a servo's own reading of it lags behind a swing, and from those
@@ -518,11 +567,7 @@ fn line(c: &Channel, t_s: f64) -> (f64, f64) {
     let high = c.time_s.partition_point(|&t| t <= t_s + SPEED_WINDOW_S);
     let n = (high - low) as f64;
     if n < 1.0 {
-        let k = c
-            .time_s
-            .partition_point(|&t| t < t_s)
-            .min(c.value.len() - 1);
-        return (c.value[k], 0.0);
+        return across(c, t_s);
     }
     let (t, y) = (&c.time_s[low..high], &c.value[low..high]);
     let mean_t = t.iter().sum::<f64>() / n;
@@ -536,10 +581,83 @@ fn line(c: &Channel, t_s: f64) -> (f64, f64) {
     (mean_y + slope * (t_s - mean_t), slope)
 }
 
+/// The same where there are no samples nearby (motion capture was covered): on the line between the last one before and the first one after.
+fn across(c: &Channel, t_s: f64) -> (f64, f64) {
+    let last = c.value.len() - 1;
+    let after = c.time_s.partition_point(|&t| t < t_s);
+    if after == 0 || after > last {
+        return (c.value[after.min(last)], 0.0);
+    }
+    let (from, to) = (after - 1, after);
+    let slope = (c.value[to] - c.value[from]) / (c.time_s[to] - c.time_s[from]).max(1e-9);
+    (c.value[from] + slope * (t_s - c.time_s[from]), slope)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::trial::{Role, Steps};
+
+    #[test]
+    fn what_was_covered_is_bridged() {
+        // 3 rad/s, nothing from 1.0 to 1.15 s
+        let time_s = vec![0.99, 1.0, 1.15, 1.16];
+        let c = Channel {
+            kind: Kind::BasePosition,
+            index: 0,
+            name: "x".into(),
+            value: time_s.iter().map(|t| 3.0 * t).collect(),
+            time_s,
+        };
+        let near = |(value, slope): (f64, f64), want: (f64, f64)| {
+            assert!((value - want.0).abs() < 1e-9 && (slope - want.1).abs() < 1e-6);
+        };
+        near(line(&c, 1.08), (3.24, 3.0));
+        // beyond both ends there is nothing to go by
+        near(line(&c, 2.0), (3.48, 0.0));
+        near(line(&c, 0.5), (2.97, 0.0));
+    }
+
+    #[test]
+    fn a_still_base_with_a_turning_neck_is_still() {
+        let model = salamander();
+        let neck = model.actuated_names().iter().position(|n| *n == "spine_1");
+        let mut run = run_of(Steps::default());
+        run.base = BaseHold::Water;
+        let like = run.channels[0].clone();
+        let channel = |kind, index, value: f64| Channel {
+            kind,
+            index,
+            value: vec![value; like.time_s.len()],
+            ..like.clone()
+        };
+        let neck = neck.unwrap();
+        run.channels = vec![channel(Kind::Velocity, neck, 0.8)];
+        let ramp = like.time_s.iter().map(|t| 0.3 + 0.8 * (t - 5.0));
+        run.channels.push(Channel {
+            value: ramp.collect(),
+            ..channel(Kind::Position, neck, 0.0)
+        });
+        // the joint turns the IMU's link by 0.8 rad/s about the base's z, one way or the other
+        let mut turning = Start {
+            pos_rad: vec![0.0; model.actuated().len()],
+            vel_radps: vec![0.0; model.actuated().len()],
+            ..Start::default()
+        };
+        turning.vel_radps[neck] = 0.8;
+        let way = ImuPlace::of(&model, &turning).unwrap().angvel_radps[2].signum();
+        for (axis, rate) in [0.0, 0.0, 0.8 * way].into_iter().enumerate() {
+            run.channels.push(channel(Kind::Gyro, axis, rate));
+        }
+        let w = start(&model, &run, 5.0).base_angvel_radps.unwrap();
+        assert!(w.iter().all(|x| x.abs() < 1e-6), "{w:?}");
+    }
+
+    fn salamander() -> RobotModel {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../robots/polymander.robot.toml");
+        RobotModel::load(&file).unwrap()
+    }
 
     fn run_of(enabled: Steps) -> Trial {
         // 0 to 10 s at 100 Hz, at 0.5 rad until 4 s, then at 3 rad/s
@@ -567,6 +685,50 @@ mod tests {
             masked_s: Vec::new(),
             members: Vec::new(),
             session: 0.0,
+        }
+    }
+
+    #[test]
+    fn roll_and_pitch_by_gravity_all_the_way_round() {
+        let near = |got: [f64; 2], want: [f64; 2]| {
+            for (g, w) in got.iter().zip(want) {
+                assert!((g - w).abs() < 1e-9, "{got:?} {want:?}");
+            }
+        };
+        // gravity in the body is (sin p, −cos p·sin r, −cos p·cos r)
+        for (roll, pitch) in [(0.3_f64, -0.2_f64), (1.5, 0.1), (1.7, 0.1), (3.0, 0.4)] {
+            let [x, y, z] = [
+                pitch.sin(),
+                -pitch.cos() * roll.sin(),
+                -pitch.cos() * roll.cos(),
+            ];
+            near(roll_pitch(x, y, z), [roll, pitch]);
+        }
+    }
+
+    #[test]
+    fn a_gyroscope_beyond_a_joint_turns_with_it() {
+        let model = salamander();
+        let joints = model.actuated().len();
+        // the salamander's IMU sits behind the first joint of its spine, which turns about z, and ahead of the second
+        let names = model.actuated_names();
+        let at = |name: &str| names.iter().position(|n| *n == name).unwrap();
+        let mut start = Start {
+            pos_rad: vec![0.0; joints],
+            vel_radps: vec![0.0; joints],
+            ..Start::default()
+        };
+        start.pos_rad[at("spine_1")] = 0.5;
+        start.vel_radps[at("spine_1")] = 2.0;
+        start.vel_radps[at("spine_2")] = 3.0;
+        let imu = ImuPlace::of(&model, &start).unwrap();
+        let axis_z = imu.angvel_radps[2] / 2.0;
+        assert!((axis_z.abs() - 1.0).abs() < 1e-9, "{:?}", imu.angvel_radps);
+        // what points ahead there points to the side in the base
+        let ahead = imu.base_from_imu.rotate([1.0, 0.0, 0.0]);
+        let want = [0.5_f64.cos(), axis_z * 0.5_f64.sin(), 0.0];
+        for (a, w) in ahead.iter().zip(want) {
+            assert!((a - w).abs() < 1e-9, "{ahead:?} {want:?}");
         }
     }
 

@@ -180,8 +180,8 @@ fn correct(engine: &mut BatchEngine, lane: usize, plant: &Plant, measured: &Star
     let three = |x: &[f32]| [x[3 * lane], x[3 * lane + 1], x[3 * lane + 2]];
     let pos_m = three(&state.base_pos_m);
     let quat = [0, 1, 2, 3].map(|i| f64::from(state.base_quat_wxyz[4 * lane + i]));
-    let [gx, gy, yaw] = attitude_of(quat);
-    let [roll, pitch] = roll_pitch(gx, gy);
+    let [gx, gy, yaw, gz] = attitude_of(quat);
+    let [roll, pitch] = roll_pitch(gx, gy, gz);
     let own = InitialState {
         base_xy_m: [pos_m[0], pos_m[1]],
         base_z_m: Some(pos_m[2]),

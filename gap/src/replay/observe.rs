@@ -10,7 +10,7 @@ use caudata_sim::batch::Readout;
 use super::commands::{shown_angle, shown_current};
 use super::data::{Data, Piece};
 use crate::plant::Plant;
-use crate::trial::{Kind, Trial, attitude_of};
+use crate::trial::{Kind, Trial, YAW, attitude_of, nearest_turn};
 
 /// What the channels of a log are made of beside joints.
 pub(super) fn readout(trial: &Trial) -> Readout {
@@ -151,14 +151,15 @@ impl Trace {
         out
     }
 
-    /// Gravity's x and y in the base and the base's yaw, each on the line between its values at recorded states.
-    fn attitude(&self, place: &Place) -> [f64; 3] {
+    /// What [`attitude_of`] says of the base, each on the line between its values at recorded states.
+    fn attitude(&self, place: &Place) -> [f64; 4] {
         let [a, b] = [place.row, place.next].map(|row| {
             let q = row as usize * self.width + self.base_column() + QUAT;
             let wxyz = [0, 1, 2, 3].map(|i| f64::from(self.values[q + i]));
             attitude_of(wxyz).map(|x| x as f32)
         });
-        [0, 1, 2].map(|i| place.between(a[i], b[i]))
+        let on = nearest_turn(f64::from(b[2]), f64::from(a[2])) as f32;
+        [(a[0], b[0]), (a[1], b[1]), (a[2], on), (a[3], b[3])].map(|(a, b)| place.between(a, b))
     }
 
     /// `N` columns from `c` on, each behind a low-pass of `time_s`, as columns of their own.
@@ -212,28 +213,35 @@ pub(super) fn predict(plant: &Plant, trace: &Trace, data: &Data, segment: usize)
         trace,
         origin_s: trial.span_s.0,
         stamps: Vec::new(),
-        triples: Vec::new(),
+        together: Vec::new(),
     };
     for piece in &s.pieces {
+        let from = out.len();
         channel(
             &mut seen,
             piece,
             &data.time_s[piece.range.clone()],
             &mut out,
         );
+        if (piece.kind, piece.index) == (Kind::BaseAttitude, YAW) {
+            // as many turns as the robot has made
+            for (yaw, &measured) in out[from..].iter_mut().zip(&data.value[piece.range.clone()]) {
+                *yaw = nearest_turn(f64::from(*yaw), measured) as f32;
+            }
+        }
     }
     out
 }
 
-/// What channels have in common in a stretch: most have the same stamps, and three go together.
+/// What channels have in common in a stretch: most have the same stamps, and the parts of a vector or an attitude go together.
 struct Seen<'a> {
     plant: &'a Plant,
     trace: &'a Trace,
     /// When the run began, s.
     origin_s: f64,
     stamps: Vec<Stamps<'a>>,
-    /// All three components of a kind at some stamps (their number in `stamps`), SI.
-    triples: Vec<(Kind, usize, Vec<[f32; 3]>)>,
+    /// All components of a kind at some stamps (their number in `stamps`), SI: three of a vector and 0, four of an attitude.
+    together: Vec<(Kind, usize, Vec<[f32; 4]>)>,
 }
 
 /// Stamps of a channel, and where they fall.
@@ -300,23 +308,23 @@ impl<'a> Seen<'a> {
         self.stamps.len() - 1
     }
 
-    /// Component `index` of `kind` at stamps `number`; `all` gives all three.
+    /// Component `index` of `kind` at stamps `number`; `all` gives them all.
     fn component(
         &mut self,
         kind: Kind,
         number: usize,
         index: usize,
-        all: impl Fn(&Plant, &Trace, &[Place]) -> Vec<[f32; 3]>,
+        all: impl Fn(&Plant, &Trace, &[Place]) -> Vec<[f32; 4]>,
         out: &mut Vec<f32>,
     ) {
-        let same = |t: &(Kind, usize, Vec<[f32; 3]>)| (t.0, t.1) == (kind, number);
-        let known = self.triples.iter().position(same).unwrap_or_else(|| {
+        let same = |t: &(Kind, usize, Vec<[f32; 4]>)| (t.0, t.1) == (kind, number);
+        let known = self.together.iter().position(same).unwrap_or_else(|| {
             let places = &self.stamps[number].places;
             let values = all(self.plant, self.trace, places);
-            self.triples.push((kind, number, values));
-            self.triples.len() - 1
+            self.together.push((kind, number, values));
+            self.together.len() - 1
         });
-        out.extend(self.triples[known].2.iter().map(|v| v[index]));
+        out.extend(self.together[known].2.iter().map(|v| v[index]));
     }
 }
 
@@ -407,18 +415,18 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
     }
 }
 
-/// Gravity's x and y in the base, and the base's yaw as motion capture has it, rad.
-fn attitudes(plant: &Plant, trace: &Trace, places: &[Place]) -> Vec<[f32; 3]> {
+/// Direction of gravity in the base, and the base's yaw (rad) as motion capture has it, in the order of [`Kind::BaseAttitude`].
+fn attitudes(plant: &Plant, trace: &Trace, places: &[Place]) -> Vec<[f32; 4]> {
     let yaw_rad = f64::from(plant.sensing.mocap_yaw_rad);
     let of = |place: &Place| {
-        let [x, y, yaw] = trace.attitude(place);
-        [x as f32, y as f32, (yaw + yaw_rad) as f32]
+        let [x, y, yaw, z] = trace.attitude(place);
+        [x, y, yaw + yaw_rad, z].map(|v| v as f32)
     };
     places.iter().map(of).collect()
 }
 
-/// All three axes of an IMU's signal.
-fn imu(plant: &Plant, trace: &Trace, kind: Kind, places: &[Place]) -> Vec<[f32; 3]> {
+/// The three axes of an IMU's signal, and 0.
+fn imu(plant: &Plant, trace: &Trace, kind: Kind, places: &[Place]) -> Vec<[f32; 4]> {
     let sensing = &plant.sensing;
     let base = trace.imu_column()
         + match kind {
@@ -433,9 +441,10 @@ fn imu(plant: &Plant, trace: &Trace, kind: Kind, places: &[Place]) -> Vec<[f32; 
         let (seen, bias) = match kind {
             Kind::Gyro => (sensing.mounting.gyro_radps(v), sensing.bias.gyro_radps),
             Kind::Acceleration => (sensing.mounting.acc_mps2(v), sensing.bias.acc_mps2),
-            _ => return sensing.mounting.turned(v),
+            _ => (sensing.mounting.turned(v), [0.0; 3]),
         };
-        [0, 1, 2].map(|axis| seen[axis] + bias[axis])
+        let read = |axis: usize| seen[axis] + bias[axis];
+        [read(0), read(1), read(2), 0.0]
     };
     places.iter().map(of).collect()
 }

@@ -20,6 +20,8 @@ pub enum Block {
     Starved,
     /// The salamander on the ground, by another engine.
     Ground,
+    /// The same in water.
+    Water,
     /// The robot changes between fit and hold-out.
     HoldoutChange,
 }

@@ -11,11 +11,11 @@ use caudata_gap::{GapError, GoOn, Run};
 use caudata_model::RobotModel;
 
 use crate::generate::GenerateError;
-use crate::ground::{self, LabFile, OnGround};
+use crate::salamander::{self, Hides, LabFile};
 use crate::stand;
 
 /// The paper's robot, as far as the paper says: play of 4° each side, and the middle of what a servo's filter and supply can do.
-pub const HIDDEN: OnGround = OnGround::Paper {
+pub const HIDDEN: Hides = Hides::Paper {
     half_width_deg: 4.0,
     low_pass_s: 0.03,
     torque: 0.7,
@@ -78,8 +78,8 @@ pub fn on_stand(
     folder: &Path,
     go_on: &dyn Fn() -> bool,
 ) -> Result<(), GenerateError> {
-    let (_, _, model) = ground::salamander(file)?;
-    let lane = ground::lane_of(&model, HIDDEN);
+    let (_, _, model) = salamander::lab_file(file)?;
+    let lane = salamander::lane_of(&model, HIDDEN);
     for (i, (role, trial)) in ON_STAND.iter().enumerate() {
         for r in 0..STAND_REPEATS {
             if !go_on() {

@@ -9,7 +9,7 @@ use caudata_gap::report::Report;
 
 use crate::case::{Answer, Answers};
 use crate::generate::{self, GenerateError, Request, Rig};
-use crate::ground::{self, GroundPlan, LabFile};
+use crate::salamander::{self, LabFile, SalamanderPlan};
 use crate::score::{Given, Outcome, judge};
 use crate::seal;
 use crate::sets::Plan;
@@ -91,16 +91,17 @@ pub fn generate(
 }
 
 fn make(index: usize, plan: &Plan, cases: &Path) -> Result<Answer, GenerateError> {
-    if let Some((hidden, channels)) = plan.ground {
-        let plan = GroundPlan {
+    if let Some((place, hidden, channels)) = plan.salamander {
+        let plan = SalamanderPlan {
             name: format!("c{index:04}"),
             file: LabFile::Stiff,
+            place,
             hidden,
             channels,
             seed: plan.seed,
             repeats: 2,
         };
-        return ground::make(&plan, cases, &|| true);
+        return salamander::make(&plan, cases, &|| true);
     }
     let rig = Rig::bench(plan.rig)?;
     let request = Request {
@@ -183,8 +184,8 @@ pub fn judge_kept(root: &Path, known: &Answers) -> Result<Vec<Outcome>, BenchErr
 fn judged(known: &Answers, given: &[Given]) -> Result<Vec<Outcome>, BenchError> {
     let mut outcomes = Vec::new();
     for (answer, given) in known.answers.iter().zip(given) {
-        let model = if answer.rig == ground::RIG {
-            ground::salamander(LabFile::Stiff)?.2
+        let model = if answer.rig == salamander::RIG {
+            salamander::lab_file(LabFile::Stiff)?.2
         } else {
             Rig::bench(&answer.rig)?.model
         };

@@ -1,12 +1,13 @@
 //! Which cases make up a set. Sets are drawn by seed; nobody diagnosing knows it.
 
 use caudata_random::{Key, Purpose, Stream};
+use caudata_runlog::BaseHold;
 
 use crate::battery::Amount;
 use crate::case::Block;
 use crate::decoy::Decoy;
-use crate::ground::OnGround;
 use crate::hidden::{CATALOGUE, Hidden, OUTSIDE, Scope, find};
+use crate::salamander::Hides;
 use crate::truth::free::Channels;
 
 /// A case to be made.
@@ -26,8 +27,8 @@ pub struct Plan {
     pub decoy: Option<Decoy>,
     /// Left out of the catalogue.
     pub without: Vec<String>,
-    /// The salamander on the ground instead of a bench rig.
-    pub ground: Option<(OnGround, Channels)>,
+    /// The salamander instead of a bench rig.
+    pub salamander: Option<(BaseHold, Hides, Channels)>,
 }
 
 /// How many cases of which block.
@@ -50,6 +51,7 @@ struct Counts {
     starved: usize,
     changes: usize,
     ground: usize,
+    water: usize,
 }
 
 /// Pairs that look alike in poor data (GAP.md 2.7).
@@ -102,6 +104,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 starved: 0,
                 changes: 0,
                 ground: 0,
+                water: 0,
             },
             Amount::Short,
         ),
@@ -115,6 +118,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 starved: 8,
                 changes: 4,
                 ground: 4,
+                water: 7,
             },
             Amount::Full,
         ),
@@ -128,6 +132,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 starved: 48,
                 changes: 24,
                 ground: 60,
+                water: 28,
             },
             Amount::Full,
         ),
@@ -141,7 +146,7 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
         effects: Vec::new(),
         decoy: None,
         without: Vec::new(),
-        ground: None,
+        salamander: None,
     };
     let rig = |i: usize| {
         if set == SetName::Quick || i % 3 != 2 {
@@ -230,7 +235,12 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     }
     for i in 0..counts.ground {
         let mut p = case(Block::Ground, "polymander", &mut s);
-        p.ground = Some(on_ground(i, &mut s));
+        p.salamander = Some(on_ground(i, &mut s));
+        plans.push(p);
+    }
+    for i in 0..counts.water {
+        let mut p = case(Block::Water, "polymander", &mut s);
+        p.salamander = Some(in_water(i, &mut s));
         plans.push(p);
     }
     s.shuffle(&mut plans);
@@ -249,7 +259,7 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
         effects: vec![(h, j, d)],
         decoy: None,
         without: Vec::new(),
-        ground: None,
+        salamander: None,
     };
     let mut plans = Vec::new();
     match set {
@@ -297,39 +307,52 @@ fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {
     plans
 }
 
+/// An IMU and motion capture.
+const ALL: Channels = Channels {
+    imu: true,
+    mocap: true,
+};
+
 /// Cases on the ground in turn: play at each hinge, the paper's robot, slippery feet, a payload, a slope, nothing.
-fn on_ground(i: usize, s: &mut Stream) -> (OnGround, Channels) {
-    let all = Channels {
-        imu: true,
-        mocap: true,
-    };
+fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     let half_width_deg = s.uniform_f64(2.0, 5.0);
-    let paper = OnGround::Paper {
+    let paper = Hides::Paper {
         half_width_deg: 4.0,
         low_pass_s: s.uniform_f64(0.02, 0.05),
         torque: s.uniform_f64(0.6, 0.8),
     };
-    match i % 10 {
-        hinge @ 0..4 => (
-            OnGround::Play {
-                hinge,
-                half_width_deg,
-            },
-            all,
-        ),
-        4 => (paper, all),
-        5 => (
-            paper,
-            Channels {
-                mocap: false,
-                ..all
-            },
-        ),
-        6 => (OnGround::Friction(s.uniform_f64(0.4, 0.7)), all),
-        7 => (OnGround::Payload(s.uniform_f64(0.2, 0.5)), all),
-        8 => (OnGround::Slope(s.uniform_f64(2.0, 6.0)), all),
-        _ => (OnGround::Nothing, all),
-    }
+    let play = |hinge| Hides::Play {
+        hinge,
+        half_width_deg,
+    };
+    let without_mocap = Channels {
+        mocap: false,
+        ..ALL
+    };
+    let (hidden, channels) = match i % 10 {
+        hinge @ 0..4 => (play(hinge), ALL),
+        4 => (paper, ALL),
+        5 => (paper, without_mocap),
+        6 => (Hides::Friction(s.uniform_f64(0.4, 0.7)), ALL),
+        7 => (Hides::Payload(s.uniform_f64(0.2, 0.5)), ALL),
+        8 => (Hides::Slope(s.uniform_f64(2.0, 6.0)), ALL),
+        _ => (Hides::Nothing, ALL),
+    };
+    (BaseHold::Free, hidden, channels)
+}
+
+/// Cases in water in turn (a current below 0.1 m/s is within what is allowed of a pool that stirs): drag, buoyancy, added mass, a current, heave damping, the centre of buoyancy, nothing.
+fn in_water(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
+    let hidden = match i % 7 {
+        0 => Hides::Drag(s.uniform_f64(1.4, 2.0)),
+        1 => Hides::Buoyancy(s.uniform_f64(1.08, 1.2)),
+        2 => Hides::AddedMass(s.uniform_f64(0.5, 1.0)),
+        3 => Hides::Current(s.uniform_f64(0.1, 0.2)),
+        4 => Hides::Heave(s.uniform_f64(1.0, 3.0)),
+        5 => Hides::BuoyancyCentre(s.uniform_f64(0.005, 0.015)),
+        _ => Hides::Nothing,
+    };
+    (BaseHold::Water, hidden, ALL)
 }
 
 fn joint(rig: &str, s: &mut Stream) -> usize {
@@ -365,6 +388,8 @@ mod tests {
             Block::Outside,
             Block::Starved,
             Block::HoldoutChange,
+            Block::Ground,
+            Block::Water,
         ] {
             assert!(nightly.iter().any(|p| p.block == block), "{block:?}");
         }

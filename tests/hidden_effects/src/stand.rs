@@ -11,7 +11,7 @@ use caudata_sim::LaneParams;
 
 use crate::battery::RATE_HZ;
 use crate::generate::GenerateError;
-use crate::truth::free::{self, Channels, Ground};
+use crate::truth::free::{self, Channels, Session};
 
 /// Records `trial` of the battery for a robot with `lane` on the day of `seed` into the log folder `dir`. `run` counts the recordings of that day: each has
 /// its own friction and noise.
@@ -31,7 +31,7 @@ pub fn record(
         mocap: false,
     };
     let made = excite::trial(model, trial, None, RATE_HZ)?;
-    let ground = Ground::of_the_day(model, lane, seed, run);
+    let session = Session::of_the_day(model, lane, BaseHold::Fixed, seed, run);
     let key = Key {
         seed,
         actor: 13,
@@ -40,11 +40,18 @@ pub fn record(
     };
     let mut stream = Stream::new(key, Purpose::Sensor);
     let rows = &made.commands_rad;
-    let log = free::run(model, &ground, rows, channels, true, &mut stream)?;
+    let log = free::run(
+        model,
+        &session,
+        rows,
+        channels,
+        BaseHold::Fixed.into(),
+        &mut stream,
+    )?;
     let mut meta = LogMeta::new(model.name(), BaseHold::Fixed, RATE_HZ);
     meta.kp = Some(model.kp_nm_per_rad());
     meta.kd = Some(model.kd_nm_s_per_rad());
-    meta.supply_v = Some((f64::from(ground.lane.supply_v) * 10.0).round() / 10.0);
+    meta.supply_v = Some((f64::from(session.lane.supply_v) * 10.0).round() / 10.0);
     let mut writer = LogWriter::create(dir, &free::signals(model, channels), &meta)?;
     for (t, row) in &log {
         writer.row(*t, row)?;

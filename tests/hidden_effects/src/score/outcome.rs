@@ -119,7 +119,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         Block::Null => {
             verdict == Some(Verdict::NoGap) || (verdict.is_some() && causes.is_empty() && !detected)
         }
-        Block::Single | Block::Ground => truth.iter().all(|t| t.first),
+        Block::Single | Block::Ground | Block::Water => truth.iter().all(|t| t.first),
         Block::Pair => truth.iter().all(|t| t.named) && !truth.is_empty(),
         Block::Decoy if answer.fault => {
             verdict == Some(Verdict::DataFault) || names_fault(answer, given)

@@ -89,6 +89,8 @@ pub struct Summary {
     pub holdout_change: Rate,
     /// Salamander on the ground: first name right.
     pub ground: Rate,
+    /// Salamander in water: first name right.
+    pub water: Rate,
     /// Play at a girdle: found at the right hinge within half a degree.
     pub play: Rate,
     /// Expected calibration error of confidences.
@@ -198,6 +200,7 @@ impl Summary {
             starved: Rate::count(all, block(Block::Starved), |o| o.right),
             holdout_change: Rate::count(all, block(Block::HoldoutChange), |o| o.right),
             ground: Rate::count(all, block(Block::Ground), first),
+            water: Rate::count(all, block(Block::Water), first),
             play: Rate::count(
                 all,
                 |o| o.block == Block::Ground && o.truth.iter().any(|t| t.effect == PLAY),
@@ -351,6 +354,11 @@ impl Summary {
             (
                 "on the ground: first name right".to_owned(),
                 self.ground.to_string(),
+                "",
+            ),
+            (
+                "in water: first name right".to_owned(),
+                self.water.to_string(),
                 "",
             ),
             (

@@ -1,15 +1,18 @@
-//! The salamander on the ground, by the Rapier engine at half the diagnosing simulator's step, with the sensors of a lab around it: encoders,
-//! IMU, and motion capture of feet and base.
+//! The salamander on a stand, on the ground or in water, by the Rapier engine at half the diagnosing simulator's step, with the sensors of a lab around
+//! it: encoders, IMU, and motion capture of feet and base.
 //!
-//! Another engine, another contact model and another joint solver than the diagnosis has. Drive-line formulas are those of `sim/` (both engines
-//! share them), so what is hidden here lies in structure, masses and ground.
+//! Another engine, another contact model, another joint solver and another way to take drag and added mass than the diagnosis has. Formulas of the
+//! drive-line and of water are those of `sim/` (both engines share them), so what is hidden here lies in structure, masses, ground, and in the sizes of
+//! what water does.
 
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
-use caudata_runlog::{Axis, QuatPart, Signal};
-use caudata_sim::{EngineConfig, EngineKind, InitialState, LaneParams, SimError, TerrainConfig};
+use caudata_runlog::{Axis, BaseHold, QuatPart, Signal};
+use caudata_sim::{
+    EngineConfig, EngineKind, InitialState, LaneParams, SimError, TerrainConfig, TerrainKind,
+};
 
 use super::sensors::Row;
 
@@ -17,8 +20,13 @@ use super::sensors::Row;
 const STEP_S: f64 = 0.001;
 /// Steps per row (100 Hz).
 const STEPS_PER_ROW: u32 = 10;
-/// How long the robot stands before the run begins, s.
+/// How long the robot stands before the run begins, s, and how long it floats: bobbing dies within a second.
 const SETTLE_S: f64 = 1.0;
+const FLOAT_S: f64 = 3.0;
+/// A pool is never quite still (m/s), and never quite the same to swim in: shares by which drag and buoyancy differ from run to run.
+const STIR_MPS: f32 = 0.004;
+const DRAG_SHARE: f32 = 0.04;
+const BUOYANCY_SHARE: f32 = 0.004;
 /// Motion capture: noise (m), and every so many seconds a gap of so many.
 const MOCAP_NOISE_M: f64 = 0.0004;
 const MOCAP_GAP_EVERY_S: f64 = 4.0;
@@ -35,9 +43,9 @@ pub struct Channels {
     pub mocap: bool,
 }
 
-/// A robot on the ground and its imperfections of this session.
+/// A robot and its imperfections in one run.
 #[derive(Clone, Debug)]
-pub struct Ground {
+pub struct Session {
     /// Physics.
     pub lane: LaneParams,
     /// Offset of the gyroscope, rad/s.
@@ -46,10 +54,16 @@ pub struct Ground {
     pub acc_bias_mps2: [f64; 3],
 }
 
-impl Ground {
-    /// A careful lab's robot on a given day.
+impl Session {
+    /// A careful lab's robot in one run of a given day.
     #[must_use]
-    pub fn of_the_day(model: &RobotModel, lane: &LaneParams, seed: u64, run: u64) -> Self {
+    pub fn of_the_day(
+        model: &RobotModel,
+        lane: &LaneParams,
+        place: BaseHold,
+        seed: u64,
+        run: u64,
+    ) -> Self {
         let key = Key {
             seed,
             actor: 11,
@@ -62,6 +76,20 @@ impl Ground {
         lane.supply_v += s.uniform(-0.4, 0.4);
         for f in &mut lane.joint_friction_nm {
             *f *= s.uniform(0.92, 1.08);
+        }
+        if place == BaseHold::Water {
+            let drag = s.uniform(1.0 - DRAG_SHARE, 1.0 + DRAG_SHARE);
+            let lift = s.uniform(1.0 - BUOYANCY_SHARE, 1.0 + BUOYANCY_SHARE);
+            for link in &mut lane.water {
+                link.quadratic_drag_scale_x *= drag;
+                link.quadratic_drag_scale_y *= drag;
+                link.quadratic_drag_scale_z *= drag;
+                link.quadratic_torque_scale *= drag;
+                link.buoyancy_scale *= lift;
+            }
+            for v in &mut lane.water_current_mps[..2] {
+                *v += s.uniform(-STIR_MPS, STIR_MPS);
+            }
         }
         // offsets are of the device: the same in all runs
         let mut device = Stream::new(
@@ -114,16 +142,44 @@ pub fn signals(model: &RobotModel, channels: Channels) -> Vec<Signal> {
     all
 }
 
-/// Walks the robot through `rows_rad` (one command per row), or moves it on a stand (`held`), and returns the log's rows.
+/// Where a run happens, and how it begins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beginning {
+    /// On a stand, on the ground or in water.
+    pub place: BaseHold,
+    /// A hand on the trunk that lets go as the run begins: force (N) and torque (N·m), world.
+    pub hand: [f32; 6],
+}
+
+impl From<BaseHold> for Beginning {
+    fn from(place: BaseHold) -> Self {
+        Self {
+            place,
+            hand: [0.0; 6],
+        }
+    }
+}
+
+/// Height of the water above z = 0, m, as `log.toml` of runs in water says.
+pub const WATER_LEVEL_M: f64 = 2.0;
+
+fn pool() -> TerrainConfig {
+    TerrainConfig {
+        water_level_m: WATER_LEVEL_M,
+        ..TerrainConfig::of(TerrainKind::DeepWater)
+    }
+}
+
+/// Moves the robot through `rows_rad` (one command per row) and returns the log's rows.
 ///
 /// # Errors
 /// [`SimError`] where parameters are not physical.
 pub fn run(
     model: &Arc<RobotModel>,
-    ground: &Ground,
+    session: &Session,
     rows_rad: &[Vec<f64>],
     channels: Channels,
-    held: bool,
+    begins: Beginning,
     stream: &mut Stream,
 ) -> Result<Vec<Row>, SimError> {
     let config = EngineConfig {
@@ -131,18 +187,15 @@ pub fn run(
         dt_s: STEP_S,
         // torque is reported as the mean over a period: a servo reads its current at an instant, not over a whole row
         substeps: 1,
-        fixed_base: held,
+        fixed_base: begins.place == BaseHold::Fixed,
         ..EngineConfig::rapier()
     };
-    let mut engine = caudata_sim::build(
-        Arc::clone(model),
-        1,
-        &config,
-        &TerrainConfig::default(),
-        1,
-        1,
-    )?;
-    engine.set_params(0, &ground.lane)?;
+    let (terrain, settle_s) = match begins.place {
+        BaseHold::Water => (pool(), FLOAT_S),
+        BaseHold::Fixed | BaseHold::Free => (TerrainConfig::default(), SETTLE_S),
+    };
+    let mut engine = caudata_sim::build(Arc::clone(model), 1, &config, &terrain, 1, 1)?;
+    engine.set_params(0, &session.lane)?;
     let narrow = |row: &[f64]| row.iter().map(|&x| x as f32).collect::<Vec<f32>>();
     let mut start = narrow(&rows_rad[0]);
     for q in &mut start {
@@ -156,8 +209,8 @@ pub fn run(
         },
     )?;
     let period_s = config.control_period_s() * f64::from(STEPS_PER_ROW);
-    for _ in 0..(SETTLE_S / STEP_S) as usize {
-        engine.step(&narrow(&rows_rad[0]), &[0.0; 6])?;
+    for _ in 0..(settle_s / STEP_S) as usize {
+        engine.step(&narrow(&rows_rad[0]), &begins.hand)?;
     }
     let mut out = Vec::with_capacity(rows_rad.len());
     for (k, row) in rows_rad.iter().enumerate() {
@@ -169,7 +222,7 @@ pub fn run(
         };
         out.push((
             stamp,
-            read(model, engine.state(), ground, row, t, channels, stream),
+            read(model, engine.state(), session, row, t, channels, stream),
         ));
         let targets = narrow(row);
         for _ in 0..STEPS_PER_ROW {
@@ -182,7 +235,7 @@ pub fn run(
 fn read(
     model: &RobotModel,
     state: &caudata_sim::State,
-    ground: &Ground,
+    session: &Session,
     command: &[f64],
     t: f64,
     channels: Channels,
@@ -214,7 +267,7 @@ fn read(
             servo.current_lsb_a,
         )));
     }
-    row.push(Some(to(f64::from(ground.lane.supply_v), 0.1)));
+    row.push(Some(to(f64::from(session.lane.supply_v), 0.1)));
     if channels.imu {
         let imu = model.sensors().imu.as_ref();
         // noise of a band of half the rate
@@ -228,13 +281,13 @@ fn read(
         for i in 0..3 {
             row.push(Some(
                 f64::from(state.imu_gyro_radps[i])
-                    + ground.gyro_bias_radps[i]
+                    + session.gyro_bias_radps[i]
                     + gyro * s.normal_f64(),
             ));
         }
         for i in 0..3 {
             row.push(Some(
-                f64::from(state.imu_acc_mps2[i]) + ground.acc_bias_mps2[i] + acc * s.normal_f64(),
+                f64::from(state.imu_acc_mps2[i]) + session.acc_bias_mps2[i] + acc * s.normal_f64(),
             ));
         }
     }

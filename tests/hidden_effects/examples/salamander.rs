@@ -1,10 +1,11 @@
-//! Writes cases of the salamander on the ground, `ground OUT [NAME…]`; the robot that each comes from goes to `OUT/truth/NAME.robot.toml`.
+//! Writes cases of the salamander, `salamander OUT [NAME…]`; the robot that each comes from goes to `OUT/truth/NAME.robot.toml`.
 //!
 //! Those whose names begin with `shipped_` come with the robot file of this repository, in which policies are trained, and are for `caudata adapt`; the
-//! others with one of stiff girdles.
+//! others with one of stiff girdles. `water_…` swim, the others walk.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
-use caudata_hidden_effects::ground::{self, GroundPlan, LabFile, OnGround};
+use caudata_hidden_effects::salamander::{self, Hides, LabFile, SalamanderPlan};
 use caudata_hidden_effects::truth::free::Channels;
+use caudata_runlog::BaseHold;
 fn main() {
     let out = std::path::PathBuf::from(std::env::args().nth(1).unwrap());
     let all = Channels {
@@ -12,10 +13,10 @@ fn main() {
         mocap: true,
     };
     let plans = [
-        ("ground_null", OnGround::Nothing, all),
+        ("ground_null", Hides::Nothing, all),
         (
             "play_hind_x_4deg",
-            OnGround::Play {
+            Hides::Play {
                 hinge: 2,
                 half_width_deg: 4.0,
             },
@@ -23,7 +24,7 @@ fn main() {
         ),
         (
             "play_hind_x_joints_only",
-            OnGround::Play {
+            Hides::Play {
                 hinge: 2,
                 half_width_deg: 4.0,
             },
@@ -32,12 +33,12 @@ fn main() {
                 mocap: false,
             },
         ),
-        ("slippery", OnGround::Friction(0.5), all),
-        ("payload_0.4kg", OnGround::Payload(0.4), all),
-        ("weak_leg", OnGround::WeakLeg(0.5), all),
+        ("slippery", Hides::Friction(0.5), all),
+        ("payload_0.4kg", Hides::Payload(0.4), all),
+        ("weak_leg", Hides::WeakLeg(0.5), all),
         (
             "paper",
-            OnGround::Paper {
+            Hides::Paper {
                 half_width_deg: 4.0,
                 low_pass_s: 0.03,
                 torque: 0.7,
@@ -45,41 +46,55 @@ fn main() {
             all,
         ),
     ];
-    let worn = OnGround::Play {
+    let worn = Hides::Play {
         hinge: 2,
         half_width_deg: 10.0,
     };
     let shipped = [
-        ("shipped_null", OnGround::Nothing, all),
-        ("shipped_weak_leg", OnGround::WeakLeg(0.4), all),
-        ("shipped_slippery", OnGround::Friction(0.4), all),
+        ("shipped_null", Hides::Nothing, all),
+        ("shipped_weak_leg", Hides::WeakLeg(0.4), all),
+        ("shipped_slippery", Hides::Friction(0.4), all),
         ("shipped_worn_girdle", worn, all),
     ];
-    let plans = plans
-        .map(|p| (LabFile::Stiff, p))
-        .into_iter()
-        .chain(shipped.map(|p| (LabFile::AsShipped, p)));
+    let swims = [
+        ("water_null", Hides::Nothing, all),
+        ("water_drag", Hides::Drag(1.6), all),
+        ("water_linear_drag", Hides::LinearDrag(60.0), all),
+        ("water_added_mass", Hides::AddedMass(0.8), all),
+        ("water_buoyancy", Hides::Buoyancy(1.12), all),
+        ("water_buoyancy_centre", Hides::BuoyancyCentre(0.01), all),
+        ("water_heave", Hides::Heave(2.0), all),
+        ("water_current", Hides::Current(0.12), all),
+        ("water_weak_leg", Hides::WeakLeg(0.5), all),
+        ("water_null_again", Hides::Nothing, all),
+    ];
+    let plans = (plans
+        .map(|p| (LabFile::Stiff, BaseHold::Free, p))
+        .into_iter())
+    .chain(shipped.map(|p| (LabFile::AsShipped, BaseHold::Free, p)))
+    .chain(swims.map(|p| (LabFile::Stiff, BaseHold::Water, p)));
     let wanted: Vec<String> = std::env::args().skip(2).collect();
     let truth = out.join("truth");
     std::fs::create_dir_all(&truth).unwrap();
-    let mjcf = ground::salamander(LabFile::Stiff).unwrap().1;
+    let mjcf = salamander::lab_file(LabFile::Stiff).unwrap().1;
     std::fs::write(truth.join("polymander.xml"), mjcf).unwrap();
-    for (i, (lab, (name, hidden, channels))) in plans.enumerate() {
+    for (i, (lab, place, (name, hidden, channels))) in plans.enumerate() {
         if !wanted.is_empty() && !wanted.iter().any(|w| w == name) {
             continue;
         }
         let file = truth.join(format!("{name}.robot.toml"));
-        std::fs::write(file, ground::true_salamander(lab, hidden).unwrap()).unwrap();
+        std::fs::write(file, salamander::true_salamander(lab, hidden).unwrap()).unwrap();
         let now = std::time::Instant::now();
-        let plan = GroundPlan {
+        let plan = SalamanderPlan {
             name: name.to_owned(),
             file: lab,
+            place,
             hidden,
             channels,
             seed: 300 + i as u64,
             repeats: 2,
         };
-        let answer = ground::make(&plan, &out, &|| true).unwrap();
+        let answer = salamander::make(&plan, &out, &|| true).unwrap();
         println!(
             "{name} {:?} {:.1} s",
             answer
