@@ -155,8 +155,11 @@ fn soft(t: f64) -> f64 {
     t.clamp(0.0, 1.0)
 }
 
+/// Adds an angle (rad) to the command of a joint.
+type Add<'a> = dyn FnMut(&str, f64) + 'a;
+
 /// One row per period, each the nominal pose to which `at` adds what moves at a time (s).
-fn rows(model: &RobotModel, at: &dyn Fn(f64, &mut dyn FnMut(&str, f64))) -> Vec<Vec<f64>> {
+fn rows(model: &RobotModel, at: &dyn Fn(f64, &mut Add<'_>)) -> Vec<Vec<f64>> {
     let names = model.actuated_names();
     let nominal = model.nominal_pos_rad().to_vec();
     (0..=(RUN_S * RATE_HZ) as usize)
@@ -224,7 +227,7 @@ fn swims(model: &RobotModel, tempo: f64) -> Vec<Script> {
         .filter(|n| n.starts_with("spine") || n.starts_with("tail"))
         .collect();
     // one wave on the body, larger towards the tail, on top of a bend; legs folded back
-    let wave = |add: &mut dyn FnMut(&str, f64), phase: f64, size: f64, bend: f64, legs: f64| {
+    let wave = |add: &mut Add<'_>, phase: f64, size: f64, bend: f64, legs: f64| {
         for (i, name) in spine.iter().enumerate() {
             let x = i as f64 / spine.len() as f64;
             let along = (phase - TURN * x).sin();
