@@ -120,9 +120,8 @@ mod tests {
     use caudata_runlog::BaseHold;
 
     use super::*;
-    use crate::trial::{Role, Steps};
 
-    fn turned(name: &str, yaw_rad: [f64; 3]) -> Trial {
+    fn turned(yaw_rad: [f64; 3]) -> Trial {
         let channel = |index, value: [f64; 3]| Channel {
             kind: Kind::BaseAttitude,
             index,
@@ -130,31 +129,14 @@ mod tests {
             time_s: vec![0.0, 0.5, 1.0],
             value: value.to_vec(),
         };
-        Trial {
-            name: name.into(),
-            role: Role::Fit,
-            base: BaseHold::Water,
-            span_s: (0.0, 1.0),
-            commands: vec![Steps::default()],
-            enabled: vec![None],
-            channels: vec![channel(0, [0.1, 0.2, 0.3]), channel(YAW, yaw_rad)],
-            kp_nm_per_rad: None,
-            kd_nms_per_rad: None,
-            supply_v: None,
-            group: 0,
-            masked_s: Vec::new(),
-            members: Vec::new(),
-            session: 0.0,
-        }
+        let channels = vec![channel(0, [0.1, 0.2, 0.3]), channel(YAW, yaw_rad)];
+        Trial::bare(BaseHold::Water, 1.0, channels)
     }
 
     #[test]
     fn headings_on_both_sides_of_half_a_turn_have_the_mean_between_them() {
         // 3.1 and −3.1 rad are 0.083 rad apart: their mean is half a turn, not none
-        let runs = [
-            turned("a", [3.1, 3.2, 3.3]),
-            turned("b", [-3.1, -3.0, -2.9]),
-        ];
+        let runs = [turned([3.1, 3.2, 3.3]), turned([-3.1, -3.0, -2.9])];
         let mean = collapse(&runs).swap_remove(0);
         let yaw = &mean.channel(Kind::BaseAttitude, YAW).unwrap().value;
         for (got, off) in yaw.iter().zip([0.0, 0.1, 0.2]) {

@@ -308,6 +308,29 @@ impl Trial {
     }
 }
 
+#[cfg(test)]
+impl Trial {
+    /// A run of one joint that was never commanded, with `channels`, from 0 s on.
+    pub(crate) fn bare(base: BaseHold, end_s: f64, channels: Vec<Channel>) -> Self {
+        Self {
+            name: "bare".into(),
+            role: Role::Fit,
+            base,
+            span_s: (0.0, end_s),
+            commands: vec![Steps::default()],
+            enabled: vec![None],
+            channels,
+            kp_nm_per_rad: None,
+            kd_nms_per_rad: None,
+            supply_v: None,
+            group: 0,
+            masked_s: Vec::new(),
+            members: Vec::new(),
+            session: 0.0,
+        }
+    }
+}
+
 /// Voltage without load: what the upper half of the readings are on average, V.
 fn open_voltage(volt_v: &[f64]) -> f64 {
     let mut sorted = volt_v.to_vec();

@@ -498,6 +498,7 @@ fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance> {
             per_joint,
         });
     };
+    // a few times the tolerance, scaled back: the trace of a tiny change drowns in rounding
     if wet {
         one("water_current", 0, 4.0 * STIR_TOLERANCE_MPS, 0.25, false);
         one("water_current", 1, 4.0 * STIR_TOLERANCE_MPS, 0.25, false);
@@ -513,7 +514,6 @@ fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance> {
     let mut add = |id: &str, value: f64, share: f64, per_joint: bool| {
         one(id, 0, value, share, per_joint);
     };
-    // a few times the tolerance, scaled back: the trace of a tiny change drowns in rounding
     let friction = mean(&plant.lane.joint_friction_nm).max(0.003 * effective_torque(&lane, model));
     add(
         "coulomb_friction",

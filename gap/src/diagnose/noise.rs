@@ -99,10 +99,10 @@ impl Noise {
             })
             .collect();
         // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes from there
-        let free = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
+        let swims = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
         let began: Vec<f64> = (members.iter())
             .map(|(shift, c)| {
-                if free {
+                if swims {
                     began_at(data, piece, *shift, c)
                 } else {
                     0.0

@@ -596,7 +596,7 @@ fn across(c: &Channel, t_s: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trial::{Role, Steps};
+    use crate::trial::Steps;
 
     #[test]
     fn what_was_covered_is_bridged() {
@@ -664,27 +664,16 @@ mod tests {
         let time_s: Vec<f64> = (0..=1000).map(|k| f64::from(k) * 0.01).collect();
         let value = time_s.iter().map(|t| 0.5 + 3.0 * (t - 4.0).max(0.0));
         let value: Vec<f64> = value.collect();
+        let position = Channel {
+            kind: Kind::Position,
+            index: 0,
+            name: "a".into(),
+            time_s,
+            value,
+        };
         Trial {
-            name: "drop".into(),
-            role: Role::Fit,
-            base: BaseHold::Fixed,
-            span_s: (0.0, 10.0),
-            commands: vec![Steps::default()],
             enabled: vec![Some(enabled)],
-            channels: vec![Channel {
-                kind: Kind::Position,
-                index: 0,
-                name: "a".into(),
-                time_s,
-                value,
-            }],
-            kp_nm_per_rad: None,
-            kd_nms_per_rad: None,
-            supply_v: None,
-            group: 0,
-            masked_s: Vec::new(),
-            members: Vec::new(),
-            session: 0.0,
+            ..Trial::bare(BaseHold::Fixed, 10.0, vec![position])
         }
     }
 

@@ -158,8 +158,9 @@ impl Trace {
             let wxyz = [0, 1, 2, 3].map(|i| f64::from(self.values[q + i]));
             attitude_of(wxyz).map(|x| x as f32)
         });
-        let on = nearest_turn(f64::from(b[2]), f64::from(a[2])) as f32;
-        [(a[0], b[0]), (a[1], b[1]), (a[2], on), (a[3], b[3])].map(|(a, b)| place.between(a, b))
+        let mut b = b;
+        b[YAW] = nearest_turn(f64::from(b[YAW]), f64::from(a[YAW])) as f32;
+        [0, 1, 2, 3].map(|i| place.between(a[i], b[i]))
     }
 
     /// `N` columns from `c` on, each behind a low-pass of `time_s`, as columns of their own.

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_runlog::{BaseHold, LogMeta, LogWriter, Setting};
-use caudata_sim::LaneParams;
+use caudata_sim::{LaneParams, LinkWater};
 
 use crate::battery::RATE_HZ;
 use crate::case::{Answer, Block, TrueEffect, TrueValue};
@@ -278,6 +278,11 @@ fn swims(model: &RobotModel, tempo: f64) -> Vec<Script> {
     .into()
 }
 
+/// Does the same to each link in water.
+fn links(lane: &mut LaneParams, change: impl Fn(&mut LinkWater)) {
+    lane.water.iter_mut().for_each(change);
+}
+
 /// The robot with what is hidden.
 pub(crate) fn lane_of(model: &RobotModel, hidden: Hides) -> LaneParams {
     let mut lane = LaneParams::nominal(model);
@@ -313,41 +318,21 @@ pub(crate) fn lane_of(model: &RobotModel, hidden: Hides) -> LaneParams {
             }
         }
         Hides::Current(mps) => lane.water_current_mps[0] += mps as f32,
-        Hides::Drag(f) => {
-            for link in &mut lane.water {
-                link.quadratic_drag_scale_y *= f as f32;
-                link.quadratic_drag_scale_z *= f as f32;
-                link.quadratic_torque_scale *= f as f32;
-            }
-        }
-        Hides::LinearDrag(f) => {
-            for link in &mut lane.water {
-                link.linear_drag_scale *= f as f32;
-            }
-        }
-        Hides::AddedMass(share) => {
-            for link in &mut lane.water {
-                link.added_mass_y += share as f32;
-                link.added_mass_z += share as f32;
-                link.added_inertia_y += share as f32;
-                link.added_inertia_z += share as f32;
-            }
-        }
-        Hides::Buoyancy(f) => {
-            for link in &mut lane.water {
-                link.buoyancy_scale *= f as f32;
-            }
-        }
-        Hides::BuoyancyCentre(up_m) => {
-            for link in &mut lane.water {
-                link.buoyancy_z_m += up_m as f32;
-            }
-        }
-        Hides::Heave(more) => {
-            for link in &mut lane.water {
-                link.heave_damping_ns_per_m += more as f32;
-            }
-        }
+        Hides::Drag(f) => links(&mut lane, |link| {
+            link.quadratic_drag_scale_y *= f as f32;
+            link.quadratic_drag_scale_z *= f as f32;
+            link.quadratic_torque_scale *= f as f32;
+        }),
+        Hides::LinearDrag(f) => links(&mut lane, |link| link.linear_drag_scale *= f as f32),
+        Hides::AddedMass(share) => links(&mut lane, |link| {
+            link.added_mass_y += share as f32;
+            link.added_mass_z += share as f32;
+            link.added_inertia_y += share as f32;
+            link.added_inertia_z += share as f32;
+        }),
+        Hides::Buoyancy(f) => links(&mut lane, |link| link.buoyancy_scale *= f as f32),
+        Hides::BuoyancyCentre(up_m) => links(&mut lane, |link| link.buoyancy_z_m += up_m as f32),
+        Hides::Heave(more) => links(&mut lane, |link| link.heave_damping_ns_per_m += more as f32),
     }
     lane
 }
