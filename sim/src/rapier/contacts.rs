@@ -5,6 +5,7 @@ use rapier3d::math::Vector;
 use rapier3d::prelude::*;
 
 use super::convert;
+use super::friction::Slide;
 use super::world::{GROUND_TAG, TAIL_TAG, TRUNK_TAG};
 
 /// Sums of contact impulses, N·s.
@@ -26,8 +27,8 @@ impl ContactImpulses {
         self.tail_ns = 0.0;
     }
 
-    /// Adds what the last step's contacts did.
-    pub fn add(&mut self, world: &PhysicsWorld) {
+    /// Adds what the last step's contacts did, of which `slides` had their friction as loads.
+    pub fn add(&mut self, world: &PhysicsWorld, slides: &[Slide]) {
         for pair in world.narrow_phase.contact_pairs() {
             let tag =
                 |h: ColliderHandle| world.colliders.get(h).map_or(GROUND_TAG, |c| c.user_data);
@@ -41,6 +42,20 @@ impl ContactImpulses {
                 self.add_foot(manifold, tag1, 1.0);
                 self.add_foot(manifold, tag2, -1.0);
             }
+        }
+        let dt_s = world.integration_parameters.dt;
+        for slide in slides {
+            let tag = world.colliders.get(slide.collider).map(|c| c.user_data);
+            if let Some(foot) = tag.and_then(foot_of) {
+                self.push_foot(foot, slide.force_n * dt_s);
+            }
+        }
+    }
+
+    fn push_foot(&mut self, foot: usize, impulse_ns: Vector) {
+        let sums = &mut self.feet_ns[3 * foot..3 * foot + 3];
+        for (sum, part) in sums.iter_mut().zip(convert::array(impulse_ns)) {
+            *sum += part;
         }
     }
 
@@ -57,22 +72,22 @@ impl ContactImpulses {
     }
 
     /// What a contact does to a foot, if it is one.
-    fn add_foot(&mut self, manifold: &ContactManifold, tag: u128, sign: f64) {
-        if matches!(tag, GROUND_TAG | TRUNK_TAG | TAIL_TAG) {
-            return;
-        }
-        let foot = 3 * (tag as usize - 1);
+    fn add_foot(&mut self, manifold: &ContactManifold, tag: u128, sign: f32) {
+        let Some(foot) = foot_of(tag) else { return };
         let towards_first = -manifold.data.normal;
         for point in &manifold.points {
             let impulse =
                 towards_first * point.data.impulse + friction_impulse(&point.data, towards_first);
-            for (sum, part) in self.feet_ns[foot..foot + 3]
-                .iter_mut()
-                .zip(convert::array(impulse))
-            {
-                *sum += sign * part;
-            }
+            self.push_foot(foot, impulse * sign);
         }
+    }
+}
+
+/// The foot whose collider has this tag.
+fn foot_of(tag: u128) -> Option<usize> {
+    match tag {
+        GROUND_TAG | TRUNK_TAG | TAIL_TAG => None,
+        foot => Some(foot as usize - 1),
     }
 }
 

@@ -228,7 +228,7 @@ impl Drive {
             // Mean speed, not way moved: an Euler step moves by its final speed, which would add τ²·dt²/2I.
             self.work_sum[index] += impulse * 0.5 * f64::from(driven.motor_radps + motor_radps);
         }
-        self.contacts.add(&robot.world);
+        self.contacts.add(&robot.world, robot.slides());
     }
 
     /// Writes the means over the period.

@@ -8,7 +8,7 @@ use rapier3d::prelude::SharedShape;
 use serde::{Deserialize, Serialize};
 
 use super::drive::{Drive, DriveMemory};
-use super::grip::Grip;
+use super::friction::{Grip, Owed};
 use super::robot::Robot;
 use super::water::{Water, WaterMemory};
 use crate::drive::ServoDrive;
@@ -27,6 +27,8 @@ pub(super) struct Shared {
     pub ground: Option<SharedShape>,
     /// Slippery places of the ground.
     pub grip: Grip,
+    /// As in [`Mobility::links`](crate::mobility::Mobility). `[L]`
+    pub mobility_per_kg: Vec<f64>,
 }
 
 /// Everything of a lane that changes while it runs, besides the Rapier world.
@@ -35,6 +37,7 @@ pub(super) struct Memory {
     /// Commands under way, friction, gears, supply.
     drive: DriveMemory,
     water: WaterMemory,
+    owed_friction: Owed,
     /// Velocity of the IMU point at the end of the last period, world, m/s.
     imu_vel_mps: [f64; 3],
     /// What was last reported.
@@ -84,6 +87,7 @@ impl Lane {
             memory: Memory {
                 drive: drive_memory,
                 water: WaterMemory::default(),
+                owed_friction: Owed::default(),
                 imu_vel_mps: [0.0; 3],
                 out: State::zeros(
                     1,
@@ -120,6 +124,7 @@ impl Lane {
         lane.memory = Memory {
             imu_vel_mps: lane.memory.imu_vel_mps,
             water: WaterMemory::default(), // the new bodies carry none yet
+            owed_friction: Owed::default(),
             ..memory
         };
         lane.memory.drive.fit(shared, &lane.params);
@@ -154,7 +159,8 @@ impl Lane {
             if let Some(water) = &self.water {
                 water.load(&mut self.robot, &mut self.memory.water);
             }
-            self.robot.step(&shared.grip);
+            self.robot
+                .step(&shared.grip, &mut self.memory.owed_friction);
             self.drive
                 .account(shared, &self.robot, &mut self.memory.drive);
             if !self.robot.is_sound(config) {

@@ -32,7 +32,7 @@
 mod contacts;
 mod convert;
 mod drive;
-mod grip;
+mod friction;
 mod lane;
 mod robot;
 mod snapshot;
@@ -43,6 +43,7 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 
+use crate::mobility::Mobility;
 use crate::stop::Stop;
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 use lane::{Lane, Shared};
@@ -92,7 +93,8 @@ impl RapierEngine {
         let shared = Shared {
             stops: Stop::all(&model, &config)?,
             ground: world::height_field(&terrain),
-            grip: grip::Grip::new(Arc::clone(&terrain)),
+            mobility_per_kg: Mobility::of(&model, &config)?.links,
+            grip: friction::Grip::new(Arc::clone(&terrain)),
             model,
             config,
             terrain,

@@ -6,7 +6,7 @@ use rapier3d::math::{Matrix, Vector};
 use rapier3d::prelude::*;
 
 use super::convert;
-use super::grip::Grip;
+use super::friction::{Friction, Grip, Owed, Skin, Slide};
 use super::lane::Shared;
 use super::world::{self, RobotHandles};
 use crate::drive::{ImplicitTorque, ServoDrive};
@@ -23,6 +23,7 @@ pub(super) struct Robot {
     root_com_m: [f64; 3],
     /// One per body, for the coming step.
     loads: Vec<Load>,
+    skin: Skin,
     /// Rotor inertia of each joint, model order, kg·m² (the stops' inertia comes on top).
     armature_kgm2: Vec<f32>,
 }
@@ -56,6 +57,13 @@ impl Robot {
                 JointKind::Passive | JointKind::Backlash => joint.armature_kgm2 as f32,
             })
             .collect();
+        let mass_kg: f64 = masses.iter().map(|m| m.mass_kg).sum();
+        let skin = Skin::new(&world, mass_kg as f32, |body| {
+            let mut links = handles.links.iter().zip(&shared.mobility_per_kg);
+            links
+                .find(|(link, _)| handles.bodies[**link] == body)
+                .map_or(0.0, |(_, give)| *give as f32)
+        });
         Ok(Self {
             root_com_m: if handles.free_base {
                 masses[0].com_m
@@ -63,6 +71,7 @@ impl Robot {
                 [0.0; 3]
             },
             loads: vec![Load::default(); handles.bodies.len()],
+            skin,
             world,
             handles,
             armature_kgm2,
@@ -216,7 +225,8 @@ impl Robot {
     }
 
     /// One physics step under the loads.
-    pub fn step(&mut self, grip: &Grip) {
+    pub fn step(&mut self, grip: &Grip, owed: &mut Owed) {
+        self.skin.find_slides(&self.world, grip, owed);
         for (&handle, load) in self.handles.bodies.iter().zip(&self.loads) {
             if let Some(body) = self.world.bodies.get_mut(handle) {
                 body.reset_forces(false);
@@ -225,11 +235,22 @@ impl Robot {
                 body.add_torque(load.torque_nm, false);
             }
         }
-        if grip.is_needed() {
-            self.world.step_with_events(grip, &());
-        } else {
-            self.world.step();
+        for slide in self.skin.slides() {
+            if let Some(body) = self.world.bodies.get_mut(slide.body) {
+                body.add_force(slide.force_n, false);
+                body.add_torque(slide.arm_m.cross(slide.force_n), false);
+            }
         }
+        let friction = Friction {
+            grip,
+            slides: self.skin.slides(),
+        };
+        self.world.step_with_events(&friction, &());
+    }
+
+    /// What slid in the last step.
+    pub fn slides(&self) -> &[Slide] {
+        self.skin.slides()
     }
 
     /// Whether speeds are finite and sane, and Rapier has not taken a body out.

@@ -12,7 +12,7 @@ use super::lane::{Lane, Memory, Shared};
 use crate::{InitialState, LaneParams, SimError};
 
 /// Changes whenever the layout below or Rapier's own layout does.
-const FORMAT: &str = "caudata-rapier-5 rapier-0.36.1";
+const FORMAT: &str = "caudata-rapier-6 rapier-0.36.1";
 
 /// What a snapshot must match to be restored, and what it holds.
 #[derive(Serialize, Deserialize)]

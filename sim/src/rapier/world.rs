@@ -138,6 +138,7 @@ fn insert_ground(world: &mut PhysicsWorld, shared: &Shared) {
             .friction(0.0)
             .friction_combine_rule(CoefficientCombineRule::Max)
             .restitution(0.0)
+            .active_hooks(ActiveHooks::MODIFY_SOLVER_CONTACTS)
             .collision_groups(InteractionGroups::new(
                 GROUND,
                 ROBOT,
@@ -154,14 +155,7 @@ fn insert_ground(world: &mut PhysicsWorld, shared: &Shared) {
         return;
     };
     let upright = Rotation::from_rotation_x(std::f32::consts::FRAC_PI_2);
-    let hooks = if shared.grip.is_needed() {
-        ActiveHooks::MODIFY_SOLVER_CONTACTS
-    } else {
-        ActiveHooks::empty()
-    };
-    let field = finish(ColliderBuilder::new(shape.clone()))
-        .position(Pose::from_rotation(upright))
-        .active_hooks(hooks);
+    let field = finish(ColliderBuilder::new(shape.clone())).position(Pose::from_rotation(upright));
     world.colliders.insert(field);
     world.colliders.insert(plane(-APRON_DROP_M));
 }

@@ -149,6 +149,7 @@ macro_rules! suite {
                 play_can_be_locked,
                 walks_like_mujoco,
                 stands_on_rugged_ground,
+                a_tail_drags_the_same_wherever_it_faces,
             },
             lane_params::{
                 each_parameter_acts,
