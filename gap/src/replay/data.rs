@@ -492,14 +492,8 @@ fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
         start.base_rpy_rad = Some([roll, pitch, 0.0]);
     }
     if let (Some(w), Some(imu)) = (three(Kind::Gyro), &imu) {
-        let read = w.map(|x| x.0);
-        let turned = imu.base_from_imu.rotate(read);
-        start.base_angvel_radps = Some(match trial.base {
-            BaseHold::Water => [0, 1, 2].map(|i| turned[i] - imu.angvel_radps[i]),
-            // On the ground the floor was measured with the gyroscope's own rate, and has to be: with the right one it is half as high, and what shows in
-            // healthy robots then is how a belly drags in another engine (docs/status.md).
-            BaseHold::Fixed | BaseHold::Free => read,
-        });
+        let turned = imu.base_from_imu.rotate(w.map(|x| x.0));
+        start.base_angvel_radps = Some([0, 1, 2].map(|i| turned[i] - imu.angvel_radps[i]));
     }
     start
 }
