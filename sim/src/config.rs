@@ -82,6 +82,9 @@ pub struct EngineConfig {
     pub bristle_stiffness_n_per_m: f64,
     /// `batch`: damping of that bristle, N·s/m, 0..=1e4. Default 100: sticking feet come to rest within a step or two. Zero: they ring.
     pub bristle_damping_ns_per_m: f64,
+    /// `batch`: how many times faster contacts push back than the MJCF's `solref` says, 0.1..=10. Default 1. Harder: feet land with a jolt, and small steps
+    /// are needed. Softer: they sink in.
+    pub contact_hardness: f64,
 }
 
 impl Default for EngineConfig {
@@ -104,6 +107,7 @@ impl Default for EngineConfig {
             convex_friction: false,
             bristle_stiffness_n_per_m: 30_000.0,
             bristle_damping_ns_per_m: 100.0,
+            contact_hardness: 1.0,
         }
     }
 }
@@ -197,6 +201,13 @@ impl EngineConfig {
             0.0,
             1e4,
             "must be 0 to 10000 N·s/m",
+        )?;
+        check(
+            "contact_hardness",
+            self.contact_hardness,
+            0.1,
+            10.0,
+            "must be 0.1 to 10",
         )
     }
 }

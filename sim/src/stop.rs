@@ -86,6 +86,16 @@ impl Stop {
         }
     }
 
+    /// The same with a time constant of `1/times`.
+    #[must_use]
+    pub fn harder(self, times: f64) -> Self {
+        Self {
+            stiffness_per_s2: self.stiffness_per_s2 * times * times,
+            damping_per_s: self.damping_per_s * times,
+            ..self
+        }
+    }
+
     /// Its spring over its impedance, 1/s².
     #[must_use]
     pub fn stiffness_per_s2(&self) -> f64 {

@@ -43,6 +43,8 @@ const READING_TOLERANCE_S: f64 = 0.002;
 /// 2 ms by 1.2 to 4.5 times on one day and 5.2 on another, in the spine of a salamander on a stand in which nothing is hidden. With 5 the second day is a
 /// gap.
 const ENGINES_APART: f32 = 7.0;
+/// Nobody has measured how hard the ground is: what one of a quarter of the file's time constant changes belongs to the floor.
+const HARDER_GROUND: f64 = 4.0;
 /// κ: a nuisance of so many tolerances is as large as the floor. Of a healthy salamander's on a stand one in ten is beyond 0.7
 /// (current) to 3.9 (loop).
 const TOLERANCES: f64 = 4.0;
@@ -151,36 +153,44 @@ impl Judge {
         Ok(judge)
     }
 
-    /// Adds what the simulator's own step does to held runs, beyond what nuisances explain, to their noise. Whether that is anything.
+    /// Adds what the simulator's own settings do, beyond what nuisances explain, to the noise: of held runs what half its step does, of runs on the ground what
+    /// harder ground does. Whether that is anything.
     fn add_numerics(&mut self, replayer: &Replayer) -> Result<bool, GapError> {
-        if self.data.trials.iter().all(|t| t.base != BaseHold::Fixed) {
-            return Ok(false);
-        }
         let model = replayer.model();
-        let times = if model.joints().len() == model.actuated().len() {
+        let apart = if model.joints().len() == model.actuated().len() {
             1.0
         } else {
             ENGINES_APART
         };
-        let coarse = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
-        let fine = (replayer.finer())
-            .predict(&self.data, &[Vec::new()])?
-            .swap_remove(0);
-        let off = self.change(&fine, &coarse);
-        for segment in &self.data.segments {
-            if self.data.trials[segment.trial].base != BaseHold::Fixed {
+        let with = |judge: &Self, other: &Replayer| -> Result<Vec<f32>, GapError> {
+            Ok(other.predict(&judge.data, &[Vec::new()])?.swap_remove(0))
+        };
+        let mut any = false;
+        for (base, times) in [(BaseHold::Fixed, apart), (BaseHold::Free, 1.0)] {
+            if self.data.trials.iter().all(|t| t.base != base) {
                 continue;
             }
-            for piece in &segment.pieces {
-                let of = &off[piece.range.clone()];
-                let square = dot(of, of) / of.len().max(1) as f64;
-                let grows = 1.0_f32.hypot(times * square.sqrt() as f32);
-                for k in piece.range.clone() {
-                    self.noise.grow(k, grows);
+            any = true;
+            let other = match base {
+                BaseHold::Fixed => replayer.finer(),
+                BaseHold::Free | BaseHold::Water => replayer.on_harder_ground(HARDER_GROUND),
+            };
+            let off = self.change(&with(self, &other)?, &with(self, replayer)?);
+            for segment in &self.data.segments {
+                if self.data.trials[segment.trial].base != base {
+                    continue;
+                }
+                for piece in &segment.pieces {
+                    let of = &off[piece.range.clone()];
+                    let square = dot(of, of) / of.len().max(1) as f64;
+                    let grows = 1.0_f32.hypot(times * square.sqrt() as f32);
+                    for k in piece.range.clone() {
+                        self.noise.grow(k, grows);
+                    }
                 }
             }
         }
-        Ok(true)
+        Ok(any)
     }
 
     /// Only the stretches `keep` of `data`, which holds the same runs as `whole` cut otherwise, with the noise that they have there, around the robot

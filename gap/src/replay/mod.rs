@@ -55,6 +55,8 @@ pub struct Replayer {
     /// Time between recorded states, s: every step is recorded. A command jumps between steps and the torque jumps with it, so that a servo that reads its
     /// current just before the next command must not be told a mean that reaches beyond it.
     step_s: f64,
+    /// As in [`EngineConfig::contact_hardness`].
+    contact_hardness: f64,
     engines: [Mutex<Vec<BatchEngine>>; 3],
     rollouts: AtomicUsize,
     simulated_ms: AtomicUsize,
@@ -77,6 +79,7 @@ impl Replayer {
             threads: threads.max(1),
             go_on: GoOn::default(),
             step_s: EngineConfig::default().dt_s,
+            contact_hardness: 1.0,
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
@@ -100,13 +103,24 @@ impl Replayer {
     /// The same with half the step.
     #[must_use]
     pub fn finer(&self) -> Self {
+        self.with(0.5 * self.step_s, self.contact_hardness)
+    }
+
+    /// The same on ground that pushes back so many times faster.
+    #[must_use]
+    pub fn on_harder_ground(&self, times: f64) -> Self {
+        self.with(self.step_s, times * self.contact_hardness)
+    }
+
+    fn with(&self, step_s: f64, contact_hardness: f64) -> Self {
         Self {
             model: Arc::clone(&self.model),
             water_level_m: self.water_level_m,
             given: self.given.clone(),
             threads: self.threads,
             go_on: self.go_on.clone(),
-            step_s: 0.5 * self.step_s,
+            step_s,
+            contact_hardness,
             engines: [(); 3].map(|()| Mutex::new(Vec::new())),
             rollouts: AtomicUsize::new(0),
             simulated_ms: AtomicUsize::new(0),
@@ -241,6 +255,7 @@ impl Replayer {
             dt_s: self.step_s,
             substeps: 1,
             fixed_base: hold == 0,
+            contact_hardness: self.contact_hardness,
             ..EngineConfig::default()
         };
         let mut ground = TerrainConfig::default();

@@ -212,7 +212,7 @@ impl<R: Lanes> Program<R> {
         let links = link_places(model, &placed);
         let links_of = ranges(nodes.len() + 1, links.iter().map(|l| l.node));
         mark_first_children(&mut nodes, &links_of);
-        let points = contact_points(model, &placed, &mobility)?;
+        let points = contact_points(model, &placed, &mobility, config)?;
         let points_of = ranges(nodes.len() + 1, points.iter().map(|p| p.node));
         let place = |link: usize, at: &Pose| place::<R>(&placed, link, at);
         let find = |link: usize| {
@@ -354,6 +354,7 @@ fn contact_points<R: Lanes>(
     model: &RobotModel,
     placed: &[(usize, Pose)],
     mobility: &Mobility,
+    config: &EngineConfig,
 ) -> Result<Vec<Point<R>>, SimError> {
     let mut points = Vec::new();
     for (i, link) in model.links().iter().enumerate() {
@@ -379,7 +380,7 @@ fn contact_points<R: Lanes>(
                 centre: node_from_geom.point(c).map(R::elem),
                 radius: R::elem(radius),
                 mobility: R::elem(mobility.links[i].max(LEAST_MOBILITY)),
-                soft: Stop::new(&geom.soft, mobility.links[i]),
+                soft: Stop::new(&geom.soft, mobility.links[i]).harder(config.contact_hardness),
                 part: foot.map_or(other, Part::Foot),
             }));
         }

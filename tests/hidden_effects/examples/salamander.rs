@@ -1,4 +1,4 @@
-//! Writes cases of the salamander, `salamander OUT [NAME…]`; the robot that each comes from goes to `OUT/truth/NAME.robot.toml`.
+//! Writes cases of the salamander, `salamander OUT [--seed N] [NAME…]`; the robot that each comes from goes to `OUT/truth/NAME.robot.toml`.
 //!
 //! Those whose names begin with `shipped_` come with the robot file of this repository, in which policies are trained, and are for `caudata adapt`; the
 //! others with one of stiff girdles. `water_…` swim, the others walk.
@@ -73,7 +73,12 @@ fn main() {
         .into_iter())
     .chain(shipped.map(|p| (LabFile::AsShipped, BaseHold::Free, p)))
     .chain(swims.map(|p| (LabFile::Stiff, BaseHold::Water, p)));
-    let wanted: Vec<String> = std::env::args().skip(2).collect();
+    let mut wanted: Vec<String> = std::env::args().skip(2).collect();
+    let mut first_seed = 300;
+    if let Some(at) = wanted.iter().position(|w| w == "--seed") {
+        first_seed = wanted[at + 1].parse().unwrap();
+        wanted.drain(at..=at + 1);
+    }
     let truth = out.join("truth");
     std::fs::create_dir_all(&truth).unwrap();
     let mjcf = salamander::lab_file(LabFile::Stiff).unwrap().1;
@@ -91,7 +96,7 @@ fn main() {
             place,
             hidden,
             channels,
-            seed: 300 + i as u64,
+            seed: first_seed + i as u64,
             repeats: 2,
         };
         let answer = salamander::make(&plan, &out, &|| true).unwrap();
