@@ -162,20 +162,23 @@ impl Judge {
         } else {
             ENGINES_APART
         };
-        let with = |judge: &Self, other: &Replayer| -> Result<Vec<f32>, GapError> {
-            Ok(other.predict(&judge.data, &[Vec::new()])?.swap_remove(0))
-        };
+        let others = [
+            (BaseHold::Fixed, replayer.finer(), apart),
+            (
+                BaseHold::Free,
+                replayer.on_harder_ground(HARDER_GROUND),
+                1.0,
+            ),
+        ];
+        let as_given = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
         let mut any = false;
-        for (base, times) in [(BaseHold::Fixed, apart), (BaseHold::Free, 1.0)] {
+        for (base, other, times) in others {
             if self.data.trials.iter().all(|t| t.base != base) {
                 continue;
             }
             any = true;
-            let other = match base {
-                BaseHold::Fixed => replayer.finer(),
-                BaseHold::Free | BaseHold::Water => replayer.on_harder_ground(HARDER_GROUND),
-            };
-            let off = self.change(&with(self, &other)?, &with(self, replayer)?);
+            let changed = other.predict(&self.data, &[Vec::new()])?.swap_remove(0);
+            let off = self.change(&changed, &as_given);
             for segment in &self.data.segments {
                 if self.data.trials[segment.trial].base != base {
                     continue;

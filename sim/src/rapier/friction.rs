@@ -3,11 +3,11 @@
 //! *Patches.* Rapier keeps one coefficient per contact manifold: a ball has one contact in it, so its factor is exact; a flat shape that lies across a
 //! patch's edge has the factor at the mean of its contact points.
 //!
-//! *Sliding.* Rapier 0.36.1 solves the two tangents of a multibody's contact one by one, each with its own effective mass (m₁, m₂), and then cuts the impulse
+//! *Sliding.* Rapier 0.36.1 solves the two tangents of a multibody's contact each by itself, with its own effective mass (m₁, m₂), and then cuts the impulse
 //! to μ·N. What slides at v is so pulled back along (m₁v₁, m₂v₂) in the world's axes, and not along v: the tip of a tail, light sideways and heavy
-//! lengthwise, loses up to a quarter of its drag, and how much hangs on the robot's heading. So a contact that slides faster than an explicit force could turn
-//! round within the step gets −μ·N·v/|v| from here, and none from Rapier. Slower ones, and those that hold, stay Rapier's: what is at rest has no
-//! direction to get wrong. With it random gaits end 4.2 % and 4.1° from MuJoCo's, without 8.8 % and 8.7° (2 ms, `caudata sim verify`).
+//! lengthwise, loses up to a quarter of its drag, and how much hangs on the robot's heading (figures: `docs/simulation.md`). So a contact that slides fast
+//! enough for an explicit force gets −μ·N·v/|v| from here, and none from Rapier. How fast that is goes with the step: some 0.1 m/s for the Polymander's tail
+//! and 0.2 m/s for a foot that carries its share at 1 ms, four times as much at 4 ms. What is slower stays Rapier's, whose direction then is as wrong as ever.
 
 use std::sync::Arc;
 
@@ -50,20 +50,32 @@ pub(super) struct Slide {
     pub body: RigidBodyHandle,
     /// From the body's centre of mass to the contact, world, m.
     pub arm_m: Vector,
-    /// World, m/s.
-    slip_mps: Vector,
     /// On the robot, world, N.
     pub force_n: Vector,
+}
+
+/// A point where a collider of the robot touches, or may touch in a moment.
+#[derive(Debug, Clone, Copy)]
+struct Touch {
+    /// Index of the collider.
+    of: usize,
+    arm_m: Vector,
+    /// Out of the ground or into it.
+    normal: Vector,
+    /// Friction that the last step's push allows, N·s.
+    allowed_ns: Real,
+    /// Whether Rapier gave it.
+    given: bool,
 }
 
 /// Friction that sliding contacts have yet to give.
 ///
 /// A push is answered over a few steps: in a leg that friction presses into the ground an answer to the last step's push alone is a larger push in the next
 /// one, and so on until the foot hops.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(super) struct Owed {
     /// Of each of the robot's colliders, N·s.
-    impulse_ns: Vec<f32>,
+    impulse_ns: Vec<Real>,
 }
 
 /// The robot's colliders, and how they give way.
@@ -73,6 +85,8 @@ pub(super) struct Skin {
     give_per_kg: Vec<Real>,
     /// Of the whole robot, kg.
     mass_kg: Real,
+    /// Where it touches the ground, in the order of colliders.
+    touches: Vec<Touch>,
     /// What slides in the coming step, or in the one just taken.
     slides: Vec<Slide>,
 }
@@ -92,6 +106,7 @@ impl Skin {
             colliders,
             give_per_kg,
             mass_kg,
+            touches: Vec::new(),
             slides: Vec::new(),
         }
     }
@@ -103,107 +118,127 @@ impl Skin {
 
     /// Finds what slides as the world now is, and takes what the last step's pushes call for into `owed`. What has left the ground owes nothing.
     pub fn find_slides(&mut self, world: &PhysicsWorld, grip: &Grip, owed: &mut Owed) {
+        self.find_touches(world, grip);
         self.slides.clear();
-        let count = self.colliders.len();
-        let mut was_ns = std::mem::replace(&mut owed.impulse_ns, vec![0.0; count]);
-        was_ns.resize(count, 0.0);
-        let all_mps = self.friction_ns(world) / self.mass_kg;
+        owed.impulse_ns.resize(self.colliders.len(), 0.0);
+        let all_ns: Real = self.touches.iter().map(|t| t.allowed_ns).sum();
+        let all_mps = all_ns / self.mass_kg;
+        let mut touches = self.touches.as_slice();
+        for (i, owed_ns) in owed.impulse_ns.iter_mut().enumerate() {
+            let (own, others) = touches.split_at(touches.partition_point(|t| t.of <= i));
+            touches = others;
+            let contact = Contact {
+                collider: self.colliders[i],
+                give_per_kg: self.give_per_kg[i],
+                touches: own,
+                was_ns: std::mem::take(owed_ns),
+            };
+            if let Some(rest_ns) = contact.slide(world, all_mps, &mut self.slides) {
+                *owed_ns = rest_ns;
+            }
+        }
+    }
+
+    /// Finds where the robot touches the ground, by collider.
+    fn find_touches(&mut self, world: &PhysicsWorld, grip: &Grip) {
+        self.touches.clear();
         for pair in world.narrow_phase.contact_pairs() {
             let sides = [pair.collider1, pair.collider2];
             let index = |side: usize| self.colliders.iter().position(|c| *c == sides[side]);
-            let (side, i) = match (index(0), index(1)) {
-                (Some(i), None) => (0, i),
-                (None, Some(i)) => (1, i),
+            let (side, of) = match (index(0), index(1)) {
+                (Some(of), None) => (0, of),
+                (None, Some(of)) => (1, of),
                 _ => continue,
             };
-            let manifolds = pair.solver_manifolds();
-            if manifolds.iter().all(|m| m.points.is_empty()) {
+            let Some(collider) = world.colliders.get(sides[side]) else {
                 continue;
-            }
-            let before = self.slides.len();
-            let was_ns = std::mem::take(&mut was_ns[i]);
-            match self.slide(world, grip, manifolds, (side, i), was_ns, all_mps) {
-                Some(rest_ns) => owed.impulse_ns[i] += rest_ns,
-                None => self.slides.truncate(before),
-            }
-        }
-    }
-
-    /// The most friction that the last step's pushes allow, all together, N·s.
-    fn friction_ns(&self, world: &PhysicsWorld) -> Real {
-        let of = |h: ColliderHandle| world.colliders.get(h).map_or(0.0, Collider::friction);
-        let pairs = world.narrow_phase.contact_pairs();
-        pairs
-            .map(|pair| {
-                let points = pair.solver_manifolds().iter().flat_map(|m| &m.points);
-                let push_ns: Real = points.map(|p| p.data.impulse).sum();
-                push_ns * of(pair.collider1).max(of(pair.collider2))
-            })
-            .sum()
-    }
-
-    /// Adds the contacts in `manifolds`, whose side `side` is the robot's collider `i`, and returns what they still owe after the coming step, N·s; `None`
-    /// where one of them may not slide. They owed `was_ns`; `all_mps`: what all friction changes of the robot's speed in a step.
-    fn slide(
-        &mut self,
-        world: &PhysicsWorld,
-        grip: &Grip,
-        manifolds: &[ContactManifold],
-        (side, i): (usize, usize),
-        was_ns: Real,
-        all_mps: Real,
-    ) -> Option<Real> {
-        let collider = world.colliders.get(self.colliders[i])?;
-        let handle = collider.parent()?;
-        let body = world.bodies.get(handle)?;
-        let first = self.slides.len();
-        let (mut owed_ns, mut last_ns) = (was_ns, 0.0);
-        for manifold in manifolds {
-            let normal = manifold.data.normal;
-            for point in &manifold.points {
-                let arm_m = match side {
-                    0 => point.data.solver_dp1,
-                    _ => point.data.solver_dp2,
-                };
-                let at = body.center_of_mass() + arm_m;
-                let friction_ns = collider.friction() * grip.factor(at) * point.data.impulse;
-                last_ns += friction_ns;
-                // from Rapier's hands the force goes on as it was
-                let taken_over = point.data.tangent_impulse != TangentImpulse::zeros();
-                owed_ns += if taken_over {
-                    friction_ns / PAID
-                } else {
-                    friction_ns
-                };
-                let vel = body.linvel() + body.angvel().cross(arm_m);
-                self.slides.push(Slide {
-                    collider: self.colliders[i],
-                    body: handle,
-                    arm_m,
-                    slip_mps: vel - normal * vel.dot(normal),
-                    force_n: Vector::ZERO,
-                });
+            };
+            let centre = (collider.parent())
+                .and_then(|body| world.bodies.get(body))
+                .map_or(Vector::ZERO, RigidBody::center_of_mass);
+            for manifold in pair.solver_manifolds() {
+                for point in &manifold.points {
+                    let arm_m = match side {
+                        0 => point.data.solver_dp1,
+                        _ => point.data.solver_dp2,
+                    };
+                    let friction = collider.friction() * grip.factor(centre + arm_m);
+                    self.touches.push(Touch {
+                        of,
+                        arm_m,
+                        normal: manifold.data.normal,
+                        allowed_ns: friction * point.data.impulse,
+                        given: point.data.tangent_impulse != TangentImpulse::zeros(),
+                    });
+                }
             }
         }
-        if owed_ns <= 0.0 {
+        // a collider on the edge of two pieces of ground touches both, and is one contact
+        self.touches.sort_by_key(|t| t.of);
+    }
+}
+
+/// All that one collider does on the ground.
+struct Contact<'a> {
+    collider: ColliderHandle,
+    give_per_kg: Real,
+    touches: &'a [Touch],
+    /// Owed from before the last step, N·s.
+    was_ns: Real,
+}
+
+impl Contact<'_> {
+    /// Adds it to `slides` and returns what it still owes after the coming step, N·s; `None` where it may hold. `all_mps`: what all friction changes of
+    /// the robot's speed in a step.
+    fn slide(&self, world: &PhysicsWorld, all_mps: Real, slides: &mut Vec<Slide>) -> Option<Real> {
+        let last_ns: Real = self.touches.iter().map(|t| t.allowed_ns).sum();
+        // Taken over from Rapier it begins where it would be after many steps of such a push, so that the force goes on as it was.
+        let due_ns = |t: &Touch| {
+            if t.given {
+                t.allowed_ns / PAID
+            } else {
+                t.allowed_ns
+            }
+        };
+        let owed_ns = self.was_ns + self.touches.iter().map(due_ns).sum::<Real>();
+        if self.touches.is_empty() || owed_ns <= 0.0 {
             return None; // whatever lands, lands in Rapier's hands
         }
-        let own = &mut self.slides[first..];
-        let count = own.len() as Real;
-        let each_ns = PAID * owed_ns / count;
-        let most_mps = self.give_per_kg[i] * each_ns.max(last_ns / count) + all_mps;
-        let surely = if was_ns > 0.0 { ENDS } else { BEGINS };
-        let dt_s = world.integration_parameters.dt;
-        // one coefficient for all of a pair's contacts: all slide, or none
-        for slide in own {
-            let speed = slide.slip_mps.length();
-            if speed <= surely * most_mps {
-                return None;
-            }
-            slide.force_n = slide.slip_mps * (-each_ns / (dt_s * speed));
+        let share = |t: &Touch| match last_ns > 0.0 {
+            true => t.allowed_ns / last_ns,
+            false => 1.0 / self.touches.len() as Real,
+        };
+        let body = world.colliders.get(self.collider)?.parent()?;
+        let (linvel, angvel) = velocity(world, body)?;
+        let slip = |t: &Touch| {
+            let vel = linvel + angvel.cross(t.arm_m);
+            vel - t.normal * vel.dot(t.normal)
+        };
+        let paid_ns = PAID * owed_ns;
+        let surely = if self.was_ns > 0.0 { ENDS } else { BEGINS };
+        let least_mps = surely * (self.give_per_kg * paid_ns.max(last_ns) + all_mps);
+        let bear = || self.touches.iter().filter(|t| share(t) > 0.0);
+        // one coefficient for all that a collider touches: all slide, or none
+        if bear().any(|t| slip(t).length() <= least_mps) {
+            return None;
         }
-        Some((1.0 - PAID) * owed_ns)
+        let force_n = paid_ns / world.integration_parameters.dt;
+        slides.extend(bear().map(|t| Slide {
+            collider: self.collider,
+            body,
+            arm_m: t.arm_m,
+            force_n: slip(t).normalize_or_zero() * (-share(t) * force_n),
+        }));
+        Some(owed_ns - paid_ns)
     }
+}
+
+/// Velocity of a link's centre of mass and its angular velocity, world: a link's own fields are those at the start of the last step.
+fn velocity(world: &PhysicsWorld, body: RigidBodyHandle) -> Option<(Vector, Vector)> {
+    let link = world.multibody_joints.rigid_body_link(body)?;
+    let multibody = world.multibody_joints.get_multibody(link.multibody)?;
+    let v = multibody.body_jacobian(link.id) * multibody.generalized_velocity();
+    Some((Vector::new(v[0], v[1], v[2]), Vector::new(v[3], v[4], v[5])))
 }
 
 /// What Rapier asks before it solves contacts.

@@ -269,7 +269,7 @@ impl Robot {
     /// Velocity of a free root's centre of mass and its angular velocity, world; zero for a held base.
     fn root_velocity(&self) -> (Vector, Vector) {
         match self.multibody() {
-            // The body's own velocity fields lag behind by the solver's last pass.
+            // The body's own velocity fields are those at the start of the last step.
             Some(multibody) if self.handles.free_base => {
                 let v = multibody.generalized_velocity();
                 (Vector::new(v[0], v[1], v[2]), Vector::new(v[3], v[4], v[5]))

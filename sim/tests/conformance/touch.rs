@@ -25,10 +25,21 @@ fn force_sum(e: &dyn Engine, axis: usize) -> f64 {
         .sum()
 }
 
-/// Started at 1 m/s it slides v²/(2·μ·g) = 1/(2·0.5·9.81) = 0.1019 m; while it slides, the ground pulls back with μ·m·g.
+/// Started at 1 m/s it slides v²/(2·μ·g) = 1/(2·0.5·9.81) = 0.1019 m; while it slides, the ground pulls back with μ·m·g. On a plane, and over the cells of a
+/// height field that is as level.
 pub fn sliding_stops_by_friction(config: &EngineConfig) {
+    let field = TerrainConfig {
+        patch_share: 0.0,
+        ..TerrainConfig::of(TerrainKind::Slippery)
+    };
+    for ground in [TerrainConfig::default(), field] {
+        slide_on(config, &ground);
+    }
+}
+
+fn slide_on(config: &EngineConfig, ground: &TerrainConfig) {
     let model = robots::table();
-    let mut e = engine(config, &model, 1);
+    let mut e = build(model.clone(), 1, config, ground, 1, 1).unwrap();
     e.reset(
         0,
         &InitialState {

@@ -76,8 +76,9 @@ fn main() {
     let mut wanted: Vec<String> = std::env::args().skip(2).collect();
     let mut first_seed = 300;
     if let Some(at) = wanted.iter().position(|w| w == "--seed") {
-        first_seed = wanted[at + 1].parse().unwrap();
-        wanted.drain(at..=at + 1);
+        wanted.remove(at);
+        assert!(at < wanted.len(), "--seed needs a number");
+        first_seed = wanted.remove(at).parse().expect("a seed");
     }
     let truth = out.join("truth");
     std::fs::create_dir_all(&truth).unwrap();
