@@ -16,7 +16,7 @@ use crate::trial::Kind;
 
 /// So many times its own miss is what a model of a free robot may be off: its misfit is then that of a careful lab on a stand (0.2 to 0.3), so that the same
 /// thresholds hold for all. A healthy swimmer that another engine simulates is off by 1.5 to 3.5 times its own miss. On the ground what is not known of its
-/// hardness comes on top; with 1.5 and that, two healthy robots of stiff girdles were no clear matter.
+/// hardness comes on top; with 1.5 and that, two healthy robots of stiff girdles ended as `insufficient_data`.
 fn misses_allowed(base: BaseHold) -> f64 {
     match base {
         BaseHold::Water => 2.5,
