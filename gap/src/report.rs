@@ -149,6 +149,8 @@ pub enum DoubtKind {
     ImplausibleSize,
     /// What is left of a joint's current obeys a law.
     LawfulRest,
+    /// A cause has another size in each part of the data.
+    InconstantSize,
 }
 
 /// Error of a signal on held-out runs.

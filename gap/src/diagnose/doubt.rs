@@ -1,8 +1,9 @@
 //! What speaks against a model although each of its causes passed every gate: something is missing, and what was found may stand in for it.
 
+use super::constancy::{self, Scatter};
 use super::gates;
 use super::lawful::{Lawful, lawful};
-use super::state::{Context, State};
+use super::state::{Context, Derivatives, State};
 use crate::effects::{Domain, Effect, Place};
 use crate::replay::Term;
 use crate::report::{Doubt, DoubtKind};
@@ -16,6 +17,9 @@ const LEFT_OF_SHARE: f64 = 0.15;
 /// benchmark (bench rigs) have up to 0.10, the drag of a sail that is called viscous friction 0.34 and 0.63, a spring that hardens and is called a spring and
 /// ripple 0.91; but a cable that rubs and is called friction 0.19.
 const LAWFUL_SHARE: f64 = 0.2;
+
+/// Scatter of a cause's size along anything, as a share of it.
+const INCONSTANT: f64 = 0.12;
 
 /// What a model leaves, where it is most, floors.
 pub struct Left {
@@ -33,16 +37,30 @@ pub struct Doubts<'a> {
     pub outgrown: Vec<&'a Term>,
     /// Joints where what is left obeys a law.
     pub lawful: Vec<Lawful>,
+    /// Causes without one size, with their places.
+    pub inconstant: Vec<(Scatter, &'a Term)>,
 }
 
 impl<'a> Doubts<'a> {
-    /// About `best`.
-    pub fn about(context: &Context, base: &State, best: &'a State) -> Self {
+    /// About `best`, whose terms `causes` are to be findings.
+    pub fn about(
+        context: &Context,
+        base: &State,
+        best: &'a State,
+        derivatives: &Derivatives,
+        causes: &[usize],
+    ) -> Self {
         let quiet = gates::quiet(context);
         let a_law = |l: &Lawful| l.share > LAWFUL_SHARE && l.left > quiet;
         // what the runs that were fitted say of themselves is no foretelling
         let nothing_to_ask = best.terms.is_empty() || context.same_runs;
+        let scatter = constancy::scatter(context, best, derivatives, causes);
         Self {
+            inconstant: (scatter.into_iter())
+                .filter(|s| s.share > INCONSTANT)
+                .map(|s| (best.terms.get(s.term), s))
+                .filter_map(|(t, s)| Some((s, t?)))
+                .collect(),
             much: left(context, base, best),
             outgrown: best.terms.iter().filter(|t| outgrown(context, t)).collect(),
             lawful: if nothing_to_ask {
@@ -55,7 +73,10 @@ impl<'a> Doubts<'a> {
 
     /// Whether there are any.
     pub fn any(&self) -> bool {
-        self.much.is_some() || !self.outgrown.is_empty() || !self.lawful.is_empty()
+        self.much.is_some()
+            || !self.outgrown.is_empty()
+            || !self.lawful.is_empty()
+            || !self.inconstant.is_empty()
     }
 
     /// Each for the report.
@@ -94,15 +115,36 @@ impl<'a> Doubts<'a> {
                 ),
             }
         });
-        much.chain(outgrown).chain(lawful).collect()
+        let inconstant = self.inconstant.iter().map(|(s, t)| {
+            let label = t.place.label(t.effect.id);
+            let sizes: Vec<String> = s.sizes.iter().map(|x| format!("{x:.2}")).collect();
+            Doubt {
+                kind: DoubtKind::InconstantSize,
+                detail: format!(
+                    "{} the data ask for {} times as much of {label} as was found: a law that is not in the catalogue may be behind it.",
+                    in_front(s.along.in_words()),
+                    sizes.join(", ")
+                ),
+                location: label,
+            }
+        });
+        much.chain(outgrown).chain(lawful).chain(inconstant).collect()
     }
 
-    /// Whether they are about a cause at `place`: what is missing elsewhere does not make it less sure.
-    pub fn concern(&self, place: &Place) -> bool {
-        self.much.is_some()
-            || self.outgrown.iter().any(|t| meet(&t.place, place))
+    /// Whether they say of a cause at `place` that its law is another one: what is missing elsewhere does not make it less sure.
+    pub fn deny(&self, place: &Place) -> bool {
+        self.outgrown.iter().any(|t| meet(&t.place, place))
             || self.lawful.iter().any(|l| acts_on(place, l.joint))
+            || self.inconstant.iter().any(|(_, t)| meet(&t.place, place))
     }
+}
+
+/// With a capital.
+fn in_front(words: &str) -> String {
+    let mut letters = words.chars();
+    letters.next().map_or_else(String::new, |first| {
+        first.to_uppercase().chain(letters).collect()
+    })
 }
 
 /// Whether a model leaves more than is known of the floor, of the runs that it was fitted to or of held-out ones, where it is most.

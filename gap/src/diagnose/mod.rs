@@ -4,6 +4,7 @@
 //! leftovers, the next experiment. Deterministic: the only randomness is resampling, from a seed.
 
 pub mod algebra;
+mod constancy;
 mod divergence;
 mod doubt;
 mod extend;

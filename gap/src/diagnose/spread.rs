@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::algebra::{dot, inverse};
-use super::state::{Context, State};
+use super::state::{Context, Derivatives, State};
 use crate::error::GapError;
 use crate::plots::Correlation;
 use crate::replay::Term;
@@ -68,15 +68,15 @@ pub fn parameters(
 
 /// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block. Friction and supply differ from run to run
 /// and hold for all of it, so that whole runs are taken for blocks too.
-pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
+pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spread {
     let none = Spread {
         covariance: Vec::new(),
         variance: Vec::new(),
     };
     if best.terms.is_empty() {
-        return Ok(none);
+        return none;
     }
-    let (columns, steps) = context.jacobian(&context.fit, &best.terms)?;
+    let (columns, steps) = (&derivatives.fit, &derivatives.steps);
     let n = columns.len();
     let mut gram: Vec<Vec<f64>> = columns
         .iter()
@@ -87,7 +87,7 @@ pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
         row[i] += 1e-9 * largest.max(1e-12);
     }
     let Some(bread) = inverse(&gram) else {
-        return Ok(none);
+        return none;
     };
     let residual = &best.fit.residual;
     let score = |c: &Vec<f32>, k: usize| f64::from(c[k]) * f64::from(residual[k]);
@@ -118,10 +118,10 @@ pub fn spread(context: &Context, best: &State) -> Result<Spread, GapError> {
             *v = v.max(few * row[i]);
         }
     }
-    Ok(Spread {
+    Spread {
         covariance,
         variance,
-    })
+    }
 }
 
 /// Variances of the parameters of term `index`, SI², if `rivals`, which explain the runs about as well in its place, may be there beside it: each with

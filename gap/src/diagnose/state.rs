@@ -128,7 +128,31 @@ pub fn builds_up(effect: &Effect) -> bool {
     effect.parameters.iter().any(slow)
 }
 
+/// What each parameter of a model does to all runs.
+pub struct Derivatives {
+    /// On the runs it is fitted to, whitened, per step. `[P][N]`
+    pub fit: Vec<Vec<f32>>,
+    /// On held-out runs. `[P][N]`
+    pub holdout: Vec<Vec<f32>>,
+    /// The steps, SI. `[P]`
+    pub steps: Vec<f64>,
+}
+
 impl Context {
+    /// Derivatives by the parameters of `terms`.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn derivatives(&self, terms: &[Term]) -> Result<Derivatives, GapError> {
+        let (fit, steps) = self.jacobian(&self.fit, terms)?;
+        let (holdout, _) = self.jacobian(&self.holdout, terms)?;
+        Ok(Derivatives {
+            fit,
+            holdout,
+            steps,
+        })
+    }
+
     /// Where candidates are looked at first: the scout, or the runs to fit to.
     #[must_use]
     pub fn first_look(&self) -> &Judge {

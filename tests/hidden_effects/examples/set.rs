@@ -50,11 +50,12 @@ fn main() {
             .map(|e| format!("{}@{} d={:.1}", e.effect, e.joint, e.d))
             .collect();
         println!(
-            "{} {} {:?} {} truth {truth:?} {} | {} {:?} wrong {} err {:?} ci {:?} half {:?} gain {:?} {:.0} s {}",
+            "{} {} {:?} {} truth {truth:?} together {:.1} {} | {} {:?} wrong {} err {:?} ci {:?} half {:?} gain {:?} {:.0} s {}",
             if o.right { "ok  " } else { "MISS" },
             o.case,
             o.block,
             o.rig,
+            o.together_d,
             o.decoy,
             o.verdict,
             o.given,

@@ -71,6 +71,9 @@ pub struct Answer {
     pub seed: u64,
     /// Target size asked for, d; 0 where there is none.
     pub target_d: f64,
+    /// Size of all true effects together, d: two that make up for each other are less than either; 0 where it was not measured.
+    #[serde(default)]
+    pub together_d: f64,
     /// True effects, none for nulls and decoys.
     pub effects: Vec<TrueEffect>,
     /// Ids that the diagnosis has to do without (leave one out).

@@ -125,6 +125,9 @@ struct Run {
     meta: LogMeta,
 }
 
+/// Index of the first held-out run; the three repeats of a fit trial have indices from ten times its number on.
+const FIRST_HELD_OUT: u64 = 1000;
+
 const JITTER: u64 = 1;
 const READING: u64 = 2;
 const PER_RUN: u64 = 3;
@@ -157,6 +160,7 @@ pub fn lab(model: &RobotModel, seed: u64) -> World {
         spec,
         sensing: Sensing::careful(model.actuated().len()),
         declared_supply_v: None,
+        drained_v: 0.0,
     }
 }
 
@@ -167,6 +171,13 @@ fn of_the_day(world: &World, seed: u64, run: u64) -> (World, Vec<f64>) {
     // relative to 12 V nominal, so that an effect on the supply stays what it is
     let shift = s.uniform_f64(-0.4, 0.4);
     w.spec.supply_v += shift;
+    // four trials to fit on, then the held-out ones
+    let late = if run < FIRST_HELD_OUT {
+        (run / 10) as f64 / 4.0
+    } else {
+        1.0
+    };
+    w.spec.supply_v -= world.drained_v * late.min(1.0);
     if let Some(v) = &mut w.declared_supply_v {
         *v += shift;
     }
@@ -421,6 +432,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
     };
     let mut world = lab(model, seed);
     let mut effects = Vec::new();
+    let mut together_d = 0.0;
     if !request.effects.is_empty() {
         // d is measured on the whole battery also for starved cases: the effect is there, the data do not show it
         let view = null_view(rig, &full_fit, seed)?;
@@ -435,6 +447,10 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
             (hidden.apply)(&mut world, model, joint, sign * size);
             effects.push((hidden, joint, sign * size, reached));
         }
+        together_d = match effects.as_slice() {
+            [(_, _, _, d)] => *d,
+            _ => detectability(rig, &world, &full_fit, &view, seed)?,
+        };
     }
     let (fit, holdout) = runs(request, &world, &trials)?;
     write(rig, &world, &parent.join(&request.name), &fit, &holdout)?;
@@ -445,6 +461,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
         rig: rig.name.clone(),
         seed,
         target_d: request.effects.first().map_or(0.0, |e| e.2),
+        together_d,
         effects: effects
             .iter()
             .map(|&(h, j, size, d)| true_effect(h, j, size, d, &world, model))
@@ -525,7 +542,7 @@ fn runs(
         .enumerate()
     {
         for r in 0..2 {
-            let index = 1000 + 10 * i as u64 + r;
+            let index = FIRST_HELD_OUT + 10 * i as u64 + r;
             holdout.push(one_run(request, world, trial, index, "holdout", r)?);
         }
     }
@@ -593,4 +610,42 @@ fn write(
         log.finish()?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[test]
+    fn gains_that_follow_the_supply_are_no_other_gains_once_it_changes() {
+        let rig = Rig::bench("pendulum").unwrap();
+        let trials = battery::fit(&rig.model, Amount::Short);
+        let mut view = null_view(&rig, &trials, 3).unwrap();
+        let mut follows = lab(&rig.model, 3);
+        follows.spec.gain_follows_supply = true;
+        follows.spec.supply_v = 10.0;
+        let mut fixed = lab(&rig.model, 3);
+        fixed.spec.supply_v = 10.0;
+        let mut apart = |drained_v: f64| {
+            follows.drained_v = drained_v;
+            fixed.drained_v = drained_v;
+            // four runs at 0, 1, 2 and 3 fourths of what is drained
+            let share = (10.0 - 0.375 * drained_v) / fixed.spec.reference_v;
+            let nominal = Spec::nominal(&rig.model);
+            for (p, n) in fixed.spec.joints.iter_mut().zip(&nominal.joints) {
+                p.kp_nm_per_rad = share * n.kp_nm_per_rad;
+                p.kd_nms_per_rad = share * n.kd_nms_per_rad;
+                p.feed_forward_vs_per_rad = share * n.feed_forward_vs_per_rad;
+            }
+            view.rows = (trials.iter().enumerate())
+                .map(|(i, t)| run(&rig, &follows, t, 3, 10 * i as u64, None).unwrap().1)
+                .collect();
+            detectability(&rig, &fixed, &trials, &view, 3).unwrap()
+        };
+        // ± 0.4 V from run to run are there in any case
+        let (steady, drained) = (apart(0.0), apart(4.0));
+        assert!(steady < 0.8 && drained > 2.0 * steady, "{steady} {drained}");
+    }
 }

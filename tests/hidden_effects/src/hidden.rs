@@ -16,6 +16,8 @@ pub struct World {
     pub sensing: Sensing,
     /// Supply that `log.toml` gives; `None`: the true one.
     pub declared_supply_v: Option<f64>,
+    /// What the battery loses from the first run to the held-out ones, V.
+    pub drained_v: f64,
 }
 
 /// How an effect is placed.
@@ -833,9 +835,10 @@ pub const OUTSIDE: &[Hidden] = &[
         "actuation",
         (1.0, 6.0),
         |w, _, _, s| {
-            // a firmware that does not compensate, on a tired battery; the log tells the voltage
+            // a firmware that does not compensate, on a battery that runs down; the log tells the voltage. (At one voltage it would be what the catalogue calls
+            // stale gains.)
             w.spec.gain_follows_supply = true;
-            w.spec.supply_v = (w.spec.supply_v - s).max(4.0);
+            w.drained_v += s;
         },
     ),
 ];

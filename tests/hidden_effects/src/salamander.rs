@@ -526,6 +526,7 @@ pub fn make(
         }
     }
     Ok(Answer {
+        together_d: 0.0,
         case: plan.name.clone(),
         block: match (plan.hidden, plan.place) {
             (Hides::Nothing, _) => Block::Null,

@@ -70,6 +70,27 @@ fn the_drag_of_a_sail_is_no_sure_viscous_friction() {
 }
 
 #[test]
+fn a_gain_that_grows_with_the_error_is_no_sure_gain() {
+    let root = tempfile::tempdir().unwrap();
+    recorded("gain_grows_with_error", Block::Outside, root.path());
+    let report = diagnosed(&root.path().join("case"));
+    assert_eq!(
+        report.verdict,
+        Verdict::PartlyExplained,
+        "{}",
+        report.summary
+    );
+    // one gain explains most of it; but small errors, and slow motions with them, ask for less of it than large ones
+    let inconstant = |d: &Doubt| d.kind == DoubtKind::InconstantSize && d.location.contains("kp");
+    assert!(report.doubts.iter().any(inconstant), "{:?}", report.doubts);
+    assert!(
+        report.causes.iter().all(|c| c.confidence < CONFIDENT),
+        "{}",
+        in_words(&report.causes)
+    );
+}
+
+#[test]
 fn without_a_hold_out_nothing_is_foretold() {
     let root = tempfile::tempdir().unwrap();
     recorded("coulomb_friction", Block::Single, root.path());

@@ -67,6 +67,8 @@ pub struct Outcome {
     pub given: Vec<(String, String, f64)>,
     /// Whether a gap was seen at all.
     pub detected: bool,
+    /// Size of all true effects together, d.
+    pub together_d: f64,
     /// True effects.
     pub truth: Vec<Judged>,
     /// Wrong names.
@@ -167,6 +169,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
             .map(|c| (c.effect.clone(), c.location.join(" "), c.confidence))
             .collect(),
         detected,
+        together_d: answer.together_d,
         wrong: wrong.len(),
         leads: (
             leads.iter().filter(|c| is_true(c)).count(),

@@ -11,6 +11,8 @@ pub const LADDER: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
 /// Id of play at the girdles, and how well it must be found: half a degree, rad.
 const PLAY: &str = "girdle_play";
 const PLAY_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+/// Pairs that make up for each other down to less than this, d, need not be seen.
+const VISIBLE: f64 = 2.0;
 /// Bins of the reliability diagram.
 const BINS: usize = 5;
 
@@ -73,6 +75,8 @@ pub struct Summary {
     pub pairs_both: Rate,
     /// Pairs with at least one.
     pub pairs_one: Rate,
+    /// The same of pairs that are at least [`VISIBLE`] together.
+    pub pairs_one_visible: Rate,
     /// Wrong names per case (nulls, singles, pairs).
     pub wrong_per_case: f64,
     /// Leads, which are no findings, that were true, and that were not, in the same cases.
@@ -183,6 +187,11 @@ impl Summary {
             interval: Rate::new(intervals.iter().filter(|x| **x).count(), intervals.len()),
             pairs_both: Rate::count(all, block(Block::Pair), |o| o.truth.iter().all(|t| t.named)),
             pairs_one: Rate::count(all, block(Block::Pair), |o| o.truth.iter().any(|t| t.named)),
+            pairs_one_visible: Rate::count(
+                all,
+                |o| o.block == Block::Pair && o.together_d >= VISIBLE,
+                |o| o.truth.iter().any(|t| t.named),
+            ),
             wrong_per_case: mean(&counted.iter().map(|o| o.wrong as f64).collect::<Vec<_>>()),
             leads: counted.iter().fold((0, 0), |(right, wrong), o| {
                 (right + o.leads.0, wrong + o.leads.1)
@@ -320,6 +329,11 @@ impl Summary {
                 "pairs: at least one".to_owned(),
                 self.pairs_one.to_string(),
                 "97 %",
+            ),
+            (
+                "the same, pairs of d >= 2 together".to_owned(),
+                self.pairs_one_visible.to_string(),
+                "",
             ),
             (
                 "wrong names per case".to_owned(),
@@ -461,6 +475,7 @@ mod tests {
                 .map(|g| ((*g).to_owned(), String::new(), 0.9))
                 .collect(),
             detected: !given.is_empty(),
+            together_d: 0.0,
             wrong: given.len() - truth.iter().filter(|t| t.named).count(),
             leads: (0, 0),
             wrong_confidence: 0.0,

@@ -1,0 +1,374 @@
+//! Whether a cause has one size.
+//!
+//! A right law has the same size in every part of the data. One that stands in for another fits each part with another size: the gain that is named in place of
+//! one that grows with the error is the larger the larger the error. So the data are parted along what laws depend on, each part is asked for how much of the cause
+//! it wants (to first order, with all other causes as they are), and the scatter of these amounts is held against what was found.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use super::algebra::{dot, inverse};
+use super::judge::Judge;
+use super::state::{Context, Derivatives, On, State};
+use crate::trial::Kind;
+
+/// Parts along each argument; each holds as much of what the cause does as any other.
+const PARTS: usize = 4;
+/// A part with less than this share of the information says nothing.
+const LEAST_PART: f64 = 1e-3;
+/// Time over which a speed is taken, to each side, s.
+const SPEED_WINDOW_S: f64 = 0.03;
+
+/// What the data are parted along.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Along {
+    /// From run to run.
+    Runs,
+    /// |command − position|.
+    Error,
+    /// |speed|.
+    Speed,
+    /// |current|; where it is not logged, the error once more.
+    Current,
+    /// Current times speed: from braking to driving.
+    Power,
+    /// Position.
+    Angle,
+    /// Speed, with its sign.
+    Direction,
+}
+
+impl Along {
+    /// All of them.
+    pub const ALL: [Self; 7] = [
+        Self::Runs,
+        Self::Error,
+        Self::Speed,
+        Self::Current,
+        Self::Power,
+        Self::Angle,
+        Self::Direction,
+    ];
+
+    /// In words.
+    pub const fn in_words(self) -> &'static str {
+        match self {
+            Self::Runs => "from run to run",
+            Self::Error => "from small errors to large ones",
+            Self::Speed => "from slow to fast",
+            Self::Current => "from small currents to large ones",
+            Self::Power => "from braking to driving",
+            Self::Angle => "from one end of the range to the other",
+            Self::Direction => "from one direction to the other",
+        }
+    }
+}
+
+/// How the size of a term differs between parts of the data.
+#[derive(Debug, Clone)]
+pub struct Scatter {
+    /// Which term of the model.
+    pub term: usize,
+    /// Along what.
+    pub along: Along,
+    /// Root mean square of the differences, as a share of what was found; what noise does to it is taken off.
+    pub share: f64,
+    /// What each part asks for, as a share of what was found.
+    pub sizes: Vec<f64>,
+}
+
+/// For each of the terms `which`, along what its size scatters most.
+#[must_use]
+pub fn scatter(
+    context: &Context,
+    best: &State,
+    derivatives: &Derivatives,
+    which: &[usize],
+) -> Vec<Scatter> {
+    let mut sides = vec![Side::new(&context.fit, &best.fit, &derivatives.fit)];
+    if !context.same_runs {
+        sides.push(Side::new(
+            &context.holdout,
+            &best.holdout,
+            &derivatives.holdout,
+        ));
+    }
+    let model = context.replayer.model();
+    let mut first = 0;
+    let mut out = Vec::new();
+    for (term, t) in best.terms.iter().enumerate() {
+        let own = first..first + t.values.len();
+        first = own.end;
+        if !which.contains(&term) {
+            continue;
+        }
+        // all of its parameters in the proportions that were found: how much of it there is
+        let neutral = t.effect.neutral(model, &t.place);
+        let found = t.values.iter().zip(&neutral);
+        let amount: Vec<f64> = found
+            .zip(&derivatives.steps[own.clone()])
+            .map(|((v, z), step)| (v - z) / step)
+            .collect();
+        let Some(derivative) = alone(&sides, own, &amount) else {
+            continue;
+        };
+        let each = Along::ALL
+            .iter()
+            .filter_map(|&along| along_one(&sides, &derivative, along, term));
+        out.extend(each.max_by(|a, b| a.share.total_cmp(&b.share)));
+    }
+    out
+}
+
+/// Runs of one role.
+struct Side<'a> {
+    judge: &'a Judge,
+    on: &'a On,
+    /// `[P][N]`
+    columns: &'a [Vec<f32>],
+    /// Arguments of each sample; none for channels that belong to no joint. `[N]`
+    arguments: Vec<Option<[f64; Along::ALL.len()]>>,
+}
+
+impl<'a> Side<'a> {
+    fn new(judge: &'a Judge, on: &'a On, columns: &'a [Vec<f32>]) -> Self {
+        let data = &judge.data;
+        let mut arguments = vec![None; data.len()];
+        for segment in &data.segments {
+            let trial = &data.trials[segment.trial];
+            for piece in segment.pieces.iter().filter(|p| p.kind.of_joint()) {
+                let joint = piece.index;
+                let Some(position) = trial.channel(Kind::Position, joint) else {
+                    continue;
+                };
+                let current = trial.channel(Kind::Current, joint);
+                let command = (trial.commands.get(joint)).filter(|c| !c.value.is_empty());
+                for k in piece.range.clone() {
+                    let t = data.time_s[k];
+                    let q_rad = position.at(t);
+                    let (ahead, behind) = (
+                        position.at(t + SPEED_WINDOW_S),
+                        position.at(t - SPEED_WINDOW_S),
+                    );
+                    let qd_radps = (ahead - behind) / (2.0 * SPEED_WINDOW_S);
+                    let error_rad = command.map_or(0.0, |c| c.at(t) - q_rad);
+                    let effort = current.map_or(error_rad, |c| c.at(t));
+                    arguments[k] = Some([
+                        segment.trial as f64,
+                        error_rad.abs(),
+                        qd_radps.abs(),
+                        effort.abs(),
+                        effort * qd_radps,
+                        q_rad,
+                        qd_radps,
+                    ]);
+                }
+            }
+        }
+        Self {
+            judge,
+            on,
+            columns,
+            arguments,
+        }
+    }
+}
+
+/// One sample of one side, by where it stands along an argument.
+struct Sample {
+    argument: f64,
+    block: (usize, u32),
+    score: f64,
+    information: f64,
+}
+
+/// Sums over a part.
+#[derive(Default, Clone)]
+struct Part {
+    score: f64,
+    information: f64,
+    /// Variance of the score, from blocks.
+    variance: f64,
+}
+
+/// What more of a term does (its parameters `own` in proportion to `amount`), less what the other terms can do in its place; none if that is all of it. `[S][N]`
+fn alone(sides: &[Side], own: Range<usize>, amount: &[f64]) -> Option<Vec<Vec<f32>>> {
+    let count = sides.first()?.columns.len();
+    let mut derivative: Vec<Vec<f32>> = (sides.iter())
+        .map(|s| {
+            let mut sum = vec![0.0; s.on.residual.len()];
+            for (column, a) in s.columns[own.clone()].iter().zip(amount) {
+                for (x, c) in sum.iter_mut().zip(column) {
+                    *x += *a as f32 * c;
+                }
+            }
+            sum
+        })
+        .collect();
+    let others: Vec<usize> = (0..count).filter(|i| !own.contains(i)).collect();
+    let product = |a: usize, b: usize| -> f64 {
+        let of_side = |s: &Side| dot(&s.columns[a], &s.columns[b]);
+        sides.iter().map(of_side).sum()
+    };
+    let mut gram: Vec<Vec<f64>> = (others.iter())
+        .map(|&a| others.iter().map(|&b| product(a, b)).collect())
+        .collect();
+    let most = (0..gram.len()).map(|i| gram[i][i]).fold(0.0, f64::max);
+    for (i, row) in gram.iter_mut().enumerate() {
+        row[i] += 1e-9 * most.max(1e-12);
+    }
+    let along = |&a: &usize| -> f64 {
+        let pairs = sides.iter().zip(&derivative);
+        pairs.map(|(s, d)| dot(&s.columns[a], d)).sum()
+    };
+    let along: Vec<f64> = others.iter().map(along).collect();
+    let inverse = inverse(&gram)?;
+    for (row, &other) in inverse.iter().zip(&others) {
+        let weight: f64 = row.iter().zip(&along).map(|(a, b)| a * b).sum();
+        for (s, d) in sides.iter().zip(&mut derivative) {
+            for (x, o) in d.iter_mut().zip(&s.columns[other]) {
+                *x -= weight as f32 * o;
+            }
+        }
+    }
+    let all: f64 = derivative.iter().map(|d| dot(d, d)).sum();
+    (all > 0.0).then_some(derivative)
+}
+
+/// How the amount of a term scatters along one argument; none where there is only one part.
+fn along_one(
+    sides: &[Side],
+    derivative: &[Vec<f32>],
+    along: Along,
+    term: usize,
+) -> Option<Scatter> {
+    let samples = samples(sides, derivative, along);
+    let runs = sides.iter().map(|s| s.judge.data.trials.len()).sum();
+    let parts = match along {
+        Along::Runs => sums(&samples, runs, |s, _| s.argument as usize),
+        _ => sums(&samples, PARTS, |_, before| {
+            (before * PARTS as f64) as usize
+        }),
+    };
+    let (share, sizes) = apart(&parts)?;
+    Some(Scatter {
+        term,
+        along,
+        share,
+        sizes,
+    })
+}
+
+/// Every sample of a joint, in the order of an argument.
+fn samples(sides: &[Side], derivative: &[Vec<f32>], along: Along) -> Vec<Sample> {
+    let argument = Along::ALL.iter().position(|&a| a == along).unwrap_or(0);
+    let mut samples: Vec<Sample> = Vec::new();
+    let mut runs_before = 0;
+    for (number, (side, own)) in sides.iter().zip(derivative).enumerate() {
+        for (k, arguments) in side.arguments.iter().enumerate() {
+            let Some(arguments) = arguments else { continue };
+            let x = f64::from(own[k]);
+            samples.push(Sample {
+                argument: match along {
+                    Along::Runs => runs_before as f64 + arguments[argument],
+                    _ => arguments[argument],
+                },
+                block: (number, side.judge.data.block[k]),
+                score: x * f64::from(side.on.residual[k]),
+                information: x * x,
+            });
+        }
+        runs_before += side.judge.data.trials.len();
+    }
+    samples.sort_by(|a, b| a.argument.total_cmp(&b.argument));
+    samples
+}
+
+/// Sums over `count` parts. `part`: that of a sample, by itself and by the share of all information that comes before it.
+fn sums(samples: &[Sample], count: usize, part: impl Fn(&Sample, f64) -> usize) -> Vec<Part> {
+    let total: f64 = samples.iter().map(|s| s.information).sum();
+    let mut before = 0.0;
+    let mut parts = vec![Part::default(); count];
+    let mut blocks: BTreeMap<(usize, (usize, u32)), f64> = BTreeMap::new();
+    for s in samples {
+        let number = part(s, before / total.max(f64::MIN_POSITIVE)).min(count - 1);
+        before += s.information;
+        parts[number].score += s.score;
+        parts[number].information += s.information;
+        *blocks.entry((number, s.block)).or_insert(0.0) += s.score;
+    }
+    for ((number, _), score) in blocks {
+        parts[number].variance += score * score;
+    }
+    parts
+}
+
+/// Scatter of the amounts that `parts` ask for, less what noise makes of it; and each part's amount, 1 being what was found. None where all information is in one
+/// part.
+fn apart(parts: &[Part]) -> Option<(f64, Vec<f64>)> {
+    let all: f64 = parts.iter().map(|p| p.information).sum();
+    let parts: Vec<&Part> = (parts.iter())
+        .filter(|p| p.information > LEAST_PART * all)
+        .collect();
+    if parts.len() < 2 {
+        return None;
+    }
+    let total: f64 = parts.iter().map(|p| p.information).sum();
+    let mean = parts.iter().map(|p| p.score).sum::<f64>() / total;
+    let off = |p: &Part| p.score / p.information - mean;
+    let square: f64 = parts.iter().map(|p| p.information * off(p).powi(2)).sum();
+    // of n parts that differ by noise alone, what their mean leaves
+    let noise: f64 = (parts.iter())
+        .map(|p| p.variance / p.information * (1.0 - p.information / total))
+        .sum();
+    let sizes = parts.iter().map(|p| 1.0 + p.score / p.information);
+    let share = ((square - noise).max(0.0) / total).sqrt();
+    Some((share, sizes.collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(argument: f64, block: u32, residual: f64) -> Sample {
+        // the whole effect does 20 everywhere: where a tenth of it is missing, 2 are left
+        Sample {
+            argument,
+            block: (0, block),
+            score: 20.0 * residual,
+            information: 400.0,
+        }
+    }
+
+    #[test]
+    fn a_size_that_grows_along_an_argument_scatters_by_how_much() {
+        // the lower half of the data asks for a fifth less, the upper for a fifth more
+        let samples: Vec<Sample> = (0..80)
+            .map(|k| sample(f64::from(k), k as u32, if k < 40 { -4.0 } else { 4.0 }))
+            .collect();
+        let parts = sums(&samples, 2, |_, before| (2.0 * before) as usize);
+        let (share, sizes) = apart(&parts).unwrap();
+        assert_eq!(sizes, [0.8, 1.2]);
+        // blocks of one sample do not know that they hang together: a score is 80, 40 of them have a variance of 40·80² in an information of 16,000, that is 16, half of
+        // which the mean of two parts leaves of either. The square of what is apart is 16,000·0.2² of either: (1280 − 16)/32,000 = 0.0395
+        assert!((share - 0.0395_f64.sqrt()).abs() < 1e-12, "{share}");
+    }
+
+    #[test]
+    fn what_noise_makes_of_a_size_is_no_scatter() {
+        // each block has its own sign, whatever the argument
+        let samples: Vec<Sample> = (0..80)
+            .map(|k| {
+                sample(
+                    f64::from(k % 2),
+                    (k / 2) as u32,
+                    if k % 4 < 2 { 3.0 } else { -3.0 },
+                )
+            })
+            .collect();
+        let parts = sums(&samples, 2, |s, _| s.argument as usize);
+        assert_eq!(apart(&parts).unwrap().0, 0.0);
+        // one part alone cannot differ from itself
+        assert!(apart(&sums(&samples, 1, |_, _| 0)).is_none());
+    }
+}
