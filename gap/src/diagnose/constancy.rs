@@ -19,6 +19,9 @@ const LEAST_PART: f64 = 1e-3;
 /// Time over which a speed is taken, to each side, s.
 const SPEED_WINDOW_S: f64 = 0.03;
 
+/// Share of what a cause does that must show in joints' channels for these to be parted by what joints do: of a buoyancy the base's height tells most.
+const IN_JOINTS: f64 = 0.5;
+
 /// What the data are parted along.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Along {
@@ -37,6 +40,9 @@ pub enum Along {
     /// Speed, with its sign.
     Direction,
 }
+
+/// Arguments besides runs.
+const ARGUMENTS: usize = Along::ALL.len() - 1;
 
 impl Along {
     /// All of them.
@@ -112,7 +118,11 @@ pub fn scatter(
         let Some(derivative) = alone(&sides, own, &amount) else {
             continue;
         };
-        let each = Along::ALL
+        let arguments = match in_joints(&sides, &derivative) > IN_JOINTS {
+            true => &Along::ALL[..],
+            false => &[Along::Runs],
+        };
+        let each = arguments
             .iter()
             .filter_map(|&along| along_one(&sides, &derivative, along, term));
         out.extend(each.max_by(|a, b| a.share.total_cmp(&b.share)));
@@ -126,15 +136,19 @@ struct Side<'a> {
     on: &'a On,
     /// `[P][N]`
     columns: &'a [Vec<f32>],
-    /// Arguments of each sample; none for channels that belong to no joint. `[N]`
-    arguments: Vec<Option<[f64; Along::ALL.len()]>>,
+    /// Which run each sample is of. `[N]`
+    run: Vec<usize>,
+    /// Arguments of each sample, in the order of [`Along::ALL`] without runs; none for channels that belong to no joint. `[N]`
+    arguments: Vec<Option<[f64; ARGUMENTS]>>,
 }
 
 impl<'a> Side<'a> {
     fn new(judge: &'a Judge, on: &'a On, columns: &'a [Vec<f32>]) -> Self {
         let data = &judge.data;
         let mut arguments = vec![None; data.len()];
+        let mut run = vec![0; data.len()];
         for segment in &data.segments {
+            run[segment.range.clone()].fill(segment.trial);
             let trial = &data.trials[segment.trial];
             for piece in segment.pieces.iter().filter(|p| p.kind.of_joint()) {
                 let joint = piece.index;
@@ -154,7 +168,6 @@ impl<'a> Side<'a> {
                     let error_rad = command.map_or(0.0, |c| c.at(t) - q_rad);
                     let effort = current.map_or(error_rad, |c| c.at(t));
                     arguments[k] = Some([
-                        segment.trial as f64,
                         error_rad.abs(),
                         qd_radps.abs(),
                         effort.abs(),
@@ -169,6 +182,7 @@ impl<'a> Side<'a> {
             judge,
             on,
             columns,
+            run,
             arguments,
         }
     }
@@ -259,21 +273,40 @@ fn along_one(
     })
 }
 
-/// Every sample of a joint, in the order of an argument.
+/// Share of what `derivative` does that shows in joints' channels.
+fn in_joints(sides: &[Side], derivative: &[Vec<f32>]) -> f64 {
+    let (mut joints, mut all) = (0.0, 0.0);
+    for (side, own) in sides.iter().zip(derivative) {
+        for (x, arguments) in own.iter().zip(&side.arguments) {
+            let square = f64::from(*x).powi(2);
+            all += square;
+            if arguments.is_some() {
+                joints += square;
+            }
+        }
+    }
+    joints / f64::max(all, f64::MIN_POSITIVE)
+}
+
+/// Every sample that has an argument, in its order.
 fn samples(sides: &[Side], derivative: &[Vec<f32>], along: Along) -> Vec<Sample> {
-    let argument = Along::ALL.iter().position(|&a| a == along).unwrap_or(0);
+    let number = Along::ALL.iter().position(|&a| a == along);
     let mut samples: Vec<Sample> = Vec::new();
     let mut runs_before = 0;
-    for (number, (side, own)) in sides.iter().zip(derivative).enumerate() {
-        for (k, arguments) in side.arguments.iter().enumerate() {
-            let Some(arguments) = arguments else { continue };
+    for (which, (side, own)) in sides.iter().zip(derivative).enumerate() {
+        let argument = |k: usize| match (along, number) {
+            (Along::Runs, _) => Some((runs_before + side.run[k]) as f64),
+            (_, Some(n)) => Some(side.arguments[k]?[n - 1]),
+            (_, None) => None,
+        };
+        for k in 0..own.len() {
+            let Some(argument) = argument(k) else {
+                continue;
+            };
             let x = f64::from(own[k]);
             samples.push(Sample {
-                argument: match along {
-                    Along::Runs => runs_before as f64 + arguments[argument],
-                    _ => arguments[argument],
-                },
-                block: (number, side.judge.data.block[k]),
+                argument,
+                block: (which, side.judge.data.block[k]),
                 score: x * f64::from(side.on.residual[k]),
                 information: x * x,
             });

@@ -27,9 +27,9 @@ pub const QUIET: f64 = 0.8;
 /// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no look-alike came near (set `pr`, laws outside the catalogue
 /// included) at least 112 of 126 were right with the catalogue of seeds 73 and 79, and 57 of 57 with the present one (seed 89) …
 const TRUST: f64 = 0.95;
-/// … where much is left, or a parameter is at its bound, this: of names of seeds 83 to 101 that nothing else speaks against, 24 of 29 were right, and where much is
+/// … where much is left, or a parameter is at its bound, this: of names of seeds 83 to 107 that nothing else speaks against, 46 of 53 were right, and where much is
 /// left the next robot has more that no catalogue knows than the benchmark has …
-const TRUST_IN_PART: f64 = 0.6;
+const TRUST_IN_PART: f64 = 0.8;
 /// … where something says that the law is another one ([`Doubts::deny`]), this: of such names of seeds 61 to 101 4 of 66 were right …
 const TRUST_DENIED: f64 = 0.15;
 /// … and of a lead ([`naming::leads`]) this: of 25 such names two were right.
@@ -222,6 +222,8 @@ fn cause(
         }
         let id = other.effect.id.to_owned();
         if more_general(term, other) {
+            // whatever speaks for the wider one speaks for its special case
+            same_name += rival.probability;
             rejected.push(Rejected {
                 effect: id,
                 reason: format!("says the same with more parameters, and nothing more: misfit {:.2} against {:.2}", rival.state.misfit(), best.misfit()),
