@@ -97,10 +97,37 @@ pub struct Cause {
     pub confidence: f64,
     /// Effect ids that explain it as well.
     pub alternatives: Vec<String>,
+    /// Other places at which the same effect explains it as well.
+    #[serde(default)]
+    pub elsewhere: Vec<Vec<String>>,
     /// Text and numbers that speak for it.
     pub evidence: Vec<String>,
     /// Look-alikes that were tried, and why they fell.
     pub rejected: Vec<Rejected>,
+}
+
+impl Cause {
+    /// Whether another name, or another place, explains it as well.
+    #[must_use]
+    pub fn is_open(&self) -> bool {
+        !self.alternatives.is_empty() || !self.elsewhere.is_empty()
+    }
+
+    /// All that explain it alike, in words: `a at x or at y or b`.
+    #[must_use]
+    pub fn rivals(&self) -> String {
+        let mut out = self.effect.clone();
+        if !self.elsewhere.is_empty() {
+            out.push_str(&format!(" at {}", self.location.join(", ")));
+        }
+        for place in &self.elsewhere {
+            out.push_str(&format!(" or at {}", place.join(", ")));
+        }
+        for name in &self.alternatives {
+            out.push_str(&format!(" or {name}"));
+        }
+        out
+    }
 }
 
 /// A fitted parameter.

@@ -68,6 +68,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("friction_nm".to_owned(), parameter(0.084, "N·m", 0.006))]),
         confidence: 0.93,
         alternatives: vec![],
+        elsewhere: Vec::new(),
         evidence: vec![
             "The torque jumps by 0.17 N·m at every reversal, at any speed.".to_owned(),
             "Error on held-out runs falls by 71 % (66 to 75).".to_owned(),
@@ -85,6 +86,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("delay_s".to_owned(), parameter(0.0123, "s", 0.0009))]),
         confidence: 0.58,
         alternatives: vec!["command_low_pass".to_owned()],
+        elsewhere: Vec::new(),
         evidence: vec!["Lag is 12 ms at every frequency.".to_owned()],
         rejected: vec![],
     };
@@ -95,6 +97,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("way_rad".to_owned(), parameter(0.0088, "rad", 0.001))]),
         confidence: 0.1,
         alternatives: vec![],
+        elsewhere: Vec::new(),
         evidence: vec!["takes 39 % off the misfit of held-out runs".to_owned()],
         rejected: vec![],
     };

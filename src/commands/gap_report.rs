@@ -86,6 +86,9 @@ pub fn print(report: &Report) {
         if !cause.alternatives.is_empty() {
             say::line(format!("   as good: {}", cause.alternatives.join(", ")));
         }
+        for place in &cause.elsewhere {
+            say::line(format!("   as good: at {}", place.join(", ")));
+        }
         for text in &cause.evidence {
             say::line(format!("   {text}"));
         }

@@ -128,7 +128,10 @@ impl<'a> Doubts<'a> {
                 location: label,
             }
         });
-        much.chain(outgrown).chain(lawful).chain(inconstant).collect()
+        much.chain(outgrown)
+            .chain(lawful)
+            .chain(inconstant)
+            .collect()
     }
 
     /// Whether they say of a cause at `place` that its law is another one: what is missing elsewhere does not make it less sure.

@@ -15,18 +15,24 @@ pub fn next(
     match verdict {
         Verdict::NoGap | Verdict::Explained | Verdict::DataFault => None,
         Verdict::Ambiguous => {
-            let open = causes.iter().find(|c| !c.alternatives.is_empty())?;
+            let open = causes.iter().find(|c| c.is_open())?;
             let mut separates = vec![open.effect.clone()];
             separates.extend(open.alternatives.iter().cloned());
             let trial = separating(&open.effect, &open.alternatives)?;
             Some(NextExperiment {
                 trial: trial.to_owned(),
                 joints: open.location.clone(),
-                reason: format!(
-                    "{} and {} explain these runs alike; this trial makes their difference visible",
-                    open.effect,
-                    open.alternatives.join(", ")
-                ),
+                reason: match open.alternatives.as_slice() {
+                    [] => format!(
+                        "{} explain these runs alike; what moves between the two places tells them apart: put a sensor there (an IMU, a marker) for this trial",
+                        open.rivals()
+                    ),
+                    _ => format!(
+                        "{} and {} explain these runs alike; this trial makes their difference visible",
+                        open.effect,
+                        open.alternatives.join(", ")
+                    ),
+                },
                 separates,
             })
         }

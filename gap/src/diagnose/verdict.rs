@@ -8,12 +8,12 @@ use super::divergence::divergence;
 use super::doubt::Doubts;
 use super::extend::extended;
 use super::floors::floors;
-use super::naming::{self, Named};
+use super::naming::{self, Named, Rival};
 use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
 use super::{Diagnosis, Request, Split, gates, leftover, next, pictures};
-use crate::effects::Effect;
+use crate::effects::{Effect, Place};
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
@@ -195,7 +195,7 @@ fn verdict(
     if doubts.any() {
         return Verdict::PartlyExplained;
     }
-    if causes.iter().any(|c| !c.alternatives.is_empty()) {
+    if causes.iter().any(Cause::is_open) {
         Verdict::Ambiguous
     } else {
         Verdict::Explained
@@ -213,11 +213,15 @@ fn cause(
     let mut alternatives: Vec<String> = Vec::new();
     let mut rejected: Vec<Rejected> = Vec::new();
     let mut same_name = named.probability;
+    let mut elsewhere: Vec<Vec<String>> = Vec::new();
     let mut open: Vec<&Term> = Vec::new();
     for rival in &named.rivals {
         let other = &rival.state.terms[rival.index];
         if other.effect == term.effect {
             same_name += rival.probability;
+            if rival.in_set && another(&term.place, &other.place) {
+                elsewhere.push(other.place.names.clone());
+            }
             continue;
         }
         let id = other.effect.id.to_owned();
@@ -273,9 +277,17 @@ fn cause(
         parameters,
         confidence: (same_name * trust).clamp(0.03, TRUST),
         alternatives,
+        elsewhere,
         evidence: evidence(context, term, named),
         rejected,
     })
+}
+
+/// Whether two places of one effect are alike and have nothing in common: one hinge and another one, not one and all.
+fn another(one: &Place, other: &Place) -> bool {
+    one.domain == other.domain
+        && one.items.len() == other.items.len()
+        && one.items.iter().all(|i| !other.items.contains(i))
 }
 
 /// Whether two models predict the same, to a hundredth of what counts.
@@ -331,6 +343,14 @@ fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
             "the next best name, {}, leaves {:.0} % of it",
             other.place.label(other.effect.id),
             100.0 * first.short
+        ));
+    }
+    let elsewhere = |r: &&Rival| r.state.terms[r.index].effect == term.effect;
+    if let Some(other) = named.rivals.iter().find(elsewhere) {
+        lines.push(format!(
+            "at {} instead it leaves {:.0} % of it",
+            other.state.terms[other.index].place.names.join(", "),
+            100.0 * other.short
         ));
     }
     if context.fit.noise.repeated {
@@ -436,8 +456,8 @@ fn summary(
         Verdict::Ambiguous => {
             let open: Vec<String> = causes
                 .iter()
-                .filter(|c| !c.alternatives.is_empty())
-                .map(|c| format!("{} or {}", c.effect, c.alternatives.join(" or ")))
+                .filter(|c| c.is_open())
+                .map(Cause::rivals)
                 .collect();
             format!(
                 "The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.",

@@ -133,10 +133,10 @@ fn place(location: &[String]) -> String {
 pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
     let mut out = String::new();
     for (i, cause) in report.causes.iter().enumerate() {
-        let class = if cause.alternatives.is_empty() {
-            "cause"
-        } else {
+        let class = if cause.is_open() {
             "cause amb"
+        } else {
+            "cause"
         };
         let _ = write!(
             out,
@@ -161,6 +161,13 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
                 out,
                 "<p class=\"warn\">As good an explanation in these runs: {}.</p>",
                 names.join(", ")
+            );
+        }
+        for other in &cause.elsewhere {
+            let _ = write!(
+                out,
+                "<p class=\"warn\">As good an explanation in these runs: the same at {}.</p>",
+                place(other)
             );
         }
         if !cause.evidence.is_empty() {
