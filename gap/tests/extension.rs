@@ -51,6 +51,7 @@ fn soft_knee(model: &Arc<RobotModel>) -> Extension {
             location: names,
             confidence: 0.9,
             alternatives: vec!["stale_gains".to_owned()],
+            elsewhere: vec![vec!["FR_knee".to_owned()]],
             evidence: vec!["the droop".to_owned()],
             parameters: BTreeMap::from([("scale".to_owned(), value)]),
             randomise: BTreeMap::from([("scale".to_owned(), [0.77, 0.83])]),

@@ -86,7 +86,7 @@ fn sample() -> (Report, Plots) {
         parameters: BTreeMap::from([("delay_s".to_owned(), parameter(0.0123, "s", 0.0009))]),
         confidence: 0.58,
         alternatives: vec!["command_low_pass".to_owned()],
-        elsewhere: Vec::new(),
+        elsewhere: vec![vec!["FR_knee".to_owned()]],
         evidence: vec!["Lag is 12 ms at every frequency.".to_owned()],
         rejected: vec![],
     };
@@ -343,6 +343,7 @@ fn the_page_is_whole_and_needs_nothing_else() {
         "as if touched",
         "HR_knee cur",
         "command low pass",
+        "the same at FR_knee",
         "Leads",
         "Pre sliding",
     ] {

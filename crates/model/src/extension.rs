@@ -41,6 +41,9 @@ pub struct ExtensionEffect {
     /// Ids of others that explain it as well.
     #[serde(default)]
     pub alternatives: Vec<String>,
+    /// Other places at which it explains it as well.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub elsewhere: Vec<Vec<String>>,
     /// What speaks for it.
     #[serde(default)]
     pub evidence: Vec<String>,

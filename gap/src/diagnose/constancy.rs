@@ -2,7 +2,8 @@
 //!
 //! A right law has the same size in every part of the data. One that stands in for another fits each part with another size: the gain that is named in place of
 //! one that grows with the error is the larger the larger the error. So the data are parted along what laws depend on, each part is asked for how much of the cause
-//! it wants (to first order, with all other causes as they are), and the scatter of these amounts is held against what was found.
+//! it wants, and the scatter of these amounts is held against what was found. What the cause does is its whole trace, less what the parameters of all other causes
+//! can do in its place over all runs.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -10,6 +11,8 @@ use std::ops::Range;
 use super::algebra::{dot, inverse};
 use super::judge::Judge;
 use super::state::{Context, Derivatives, On, State};
+use crate::error::GapError;
+use crate::replay::Variant;
 use crate::trial::Kind;
 
 /// Parts along each argument; each holds as much of what the cause does as any other.
@@ -22,6 +25,13 @@ const SPEED_WINDOW_S: f64 = 0.03;
 /// Share of what a cause does that must show in joints' channels for these to be parted by what joints do: of a buoyancy the base's height tells most.
 const IN_JOINTS: f64 = 0.5;
 
+/// A trace of which the others can do all but this share says nothing by itself.
+const LEAST_ALONE: f64 = 0.03;
+/// Scatter that is no more than this, in floors, is too small to tell a law …
+const LEAST_FLOORS: f64 = 0.01;
+/// … and from run to run, where drag, friction and supply differ in any lab (one tolerance is 0.06 floors), this.
+const LEAST_FLOORS_RUNS: f64 = 0.1;
+
 /// What the data are parted along.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Along {
@@ -31,9 +41,9 @@ pub enum Along {
     Error,
     /// |speed|.
     Speed,
-    /// |current|; where it is not logged, the error once more.
+    /// |current|, where it is logged.
     Current,
-    /// Current times speed: from braking to driving.
+    /// Current times speed, from braking to driving, where it is logged.
     Power,
     /// Position.
     Angle,
@@ -84,58 +94,64 @@ pub struct Scatter {
 }
 
 /// For each of the terms `which`, along what its size scatters most.
-#[must_use]
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
 pub fn scatter(
     context: &Context,
     best: &State,
     derivatives: &Derivatives,
     which: &[usize],
-) -> Vec<Scatter> {
-    let mut sides = vec![Side::new(&context.fit, &best.fit, &derivatives.fit)];
+) -> Result<Vec<Scatter>, GapError> {
+    let model = context.replayer.model();
+    let without = |&term: &usize| {
+        let mut terms = best.terms.clone();
+        let t = &mut terms[term];
+        t.values = t.effect.neutral(model, &t.place);
+        terms
+    };
+    let variants: Vec<Variant> = which.iter().map(without).collect();
+    let mut sides = vec![Side::new(
+        context,
+        (&context.fit, &best.fit),
+        &derivatives.fit,
+        &variants,
+    )?];
     if !context.same_runs {
         sides.push(Side::new(
-            &context.holdout,
-            &best.holdout,
+            context,
+            (&context.holdout, &best.holdout),
             &derivatives.holdout,
-        ));
+            &variants,
+        )?);
     }
-    let model = context.replayer.model();
-    let mut first = 0;
     let mut out = Vec::new();
-    for (term, t) in best.terms.iter().enumerate() {
-        let own = first..first + t.values.len();
-        first = own.end;
-        if !which.contains(&term) {
-            continue;
-        }
-        // all of its parameters in the proportions that were found: how much of it there is
-        let neutral = t.effect.neutral(model, &t.place);
-        let found = t.values.iter().zip(&neutral);
-        let amount: Vec<f64> = found
-            .zip(&derivatives.steps[own.clone()])
-            .map(|((v, z), step)| (v - z) / step)
-            .collect();
-        let Some(derivative) = alone(&sides, own, &amount) else {
+    for (number, &term) in which.iter().enumerate() {
+        let first: usize = best.terms[..term].iter().map(|t| t.values.len()).sum();
+        let own = first..first + best.terms[term].values.len();
+        let Some(trace) = alone(&sides, number, &own) else {
             continue;
         };
-        let arguments = match in_joints(&sides, &derivative) > IN_JOINTS {
+        let arguments = match in_joints(&sides, &trace) > IN_JOINTS {
             true => &Along::ALL[..],
             false => &[Along::Runs],
         };
         let each = arguments
             .iter()
-            .filter_map(|&along| along_one(&sides, &derivative, along, term));
+            .filter_map(|&along| along_one(&sides, &trace, along, term));
         out.extend(each.max_by(|a, b| a.share.total_cmp(&b.share)));
     }
-    out
+    Ok(out)
 }
 
 /// Runs of one role.
 struct Side<'a> {
     judge: &'a Judge,
     on: &'a On,
-    /// `[P][N]`
+    /// Derivatives by all parameters, whitened. `[P][N]`
     columns: &'a [Vec<f32>],
+    /// What each of the terms asked for does, whitened. `[W][N]`
+    traces: Vec<Vec<f32>>,
     /// Which run each sample is of. `[N]`
     run: Vec<usize>,
     /// Arguments of each sample, in the order of [`Along::ALL`] without runs; none for channels that belong to no joint. `[N]`
@@ -143,8 +159,17 @@ struct Side<'a> {
 }
 
 impl<'a> Side<'a> {
-    fn new(judge: &'a Judge, on: &'a On, columns: &'a [Vec<f32>]) -> Self {
+    fn new(
+        context: &Context,
+        (judge, on): (&'a Judge, &'a On),
+        columns: &'a [Vec<f32>],
+        without: &[Variant],
+    ) -> Result<Self, GapError> {
         let data = &judge.data;
+        let predictions = context.replayer.predict(data, without)?;
+        let traces = (predictions.iter())
+            .map(|p| judge.change(&on.prediction, p))
+            .collect();
         let mut arguments = vec![None; data.len()];
         let mut run = vec![0; data.len()];
         for segment in &data.segments {
@@ -166,25 +191,26 @@ impl<'a> Side<'a> {
                     );
                     let qd_radps = (ahead - behind) / (2.0 * SPEED_WINDOW_S);
                     let error_rad = command.map_or(0.0, |c| c.at(t) - q_rad);
-                    let effort = current.map_or(error_rad, |c| c.at(t));
+                    let current_a = current.map_or(f64::NAN, |c| c.at(t));
                     arguments[k] = Some([
                         error_rad.abs(),
                         qd_radps.abs(),
-                        effort.abs(),
-                        effort * qd_radps,
+                        current_a.abs(),
+                        current_a * qd_radps,
                         q_rad,
                         qd_radps,
                     ]);
                 }
             }
         }
-        Self {
+        Ok(Self {
             judge,
             on,
             columns,
+            traces,
             run,
             arguments,
-        }
+        })
     }
 }
 
@@ -205,20 +231,12 @@ struct Part {
     variance: f64,
 }
 
-/// What more of a term does (its parameters `own` in proportion to `amount`), less what the other terms can do in its place; none if that is all of it. `[S][N]`
-fn alone(sides: &[Side], own: Range<usize>, amount: &[f64]) -> Option<Vec<Vec<f32>>> {
+/// Trace `number`, that of the term with the parameters `own`, less what the parameters of other terms can do in its place; none if that is nearly all of it. `[S][N]`
+fn alone(sides: &[Side], number: usize, own: &Range<usize>) -> Option<Vec<Vec<f32>>> {
     let count = sides.first()?.columns.len();
-    let mut derivative: Vec<Vec<f32>> = (sides.iter())
-        .map(|s| {
-            let mut sum = vec![0.0; s.on.residual.len()];
-            for (column, a) in s.columns[own.clone()].iter().zip(amount) {
-                for (x, c) in sum.iter_mut().zip(column) {
-                    *x += *a as f32 * c;
-                }
-            }
-            sum
-        })
-        .collect();
+    let mut trace: Vec<Vec<f32>> = sides.iter().map(|s| s.traces[number].clone()).collect();
+    let energy = |trace: &[Vec<f32>]| trace.iter().map(|t| dot(t, t)).sum::<f64>();
+    let before = energy(&trace);
     let others: Vec<usize> = (0..count).filter(|i| !own.contains(i)).collect();
     let product = |a: usize, b: usize| -> f64 {
         let of_side = |s: &Side| dot(&s.columns[a], &s.columns[b]);
@@ -232,31 +250,26 @@ fn alone(sides: &[Side], own: Range<usize>, amount: &[f64]) -> Option<Vec<Vec<f3
         row[i] += 1e-9 * most.max(1e-12);
     }
     let along = |&a: &usize| -> f64 {
-        let pairs = sides.iter().zip(&derivative);
+        let pairs = sides.iter().zip(&trace);
         pairs.map(|(s, d)| dot(&s.columns[a], d)).sum()
     };
     let along: Vec<f64> = others.iter().map(along).collect();
     let inverse = inverse(&gram)?;
     for (row, &other) in inverse.iter().zip(&others) {
         let weight: f64 = row.iter().zip(&along).map(|(a, b)| a * b).sum();
-        for (s, d) in sides.iter().zip(&mut derivative) {
+        for (s, d) in sides.iter().zip(&mut trace) {
             for (x, o) in d.iter_mut().zip(&s.columns[other]) {
                 *x -= weight as f32 * o;
             }
         }
     }
-    let all: f64 = derivative.iter().map(|d| dot(d, d)).sum();
-    (all > 0.0).then_some(derivative)
+    let left = energy(&trace);
+    (left > 0.0 && left > LEAST_ALONE * before).then_some(trace)
 }
 
 /// How the amount of a term scatters along one argument; none where there is only one part.
-fn along_one(
-    sides: &[Side],
-    derivative: &[Vec<f32>],
-    along: Along,
-    term: usize,
-) -> Option<Scatter> {
-    let samples = samples(sides, derivative, along);
+fn along_one(sides: &[Side], trace: &[Vec<f32>], along: Along, term: usize) -> Option<Scatter> {
+    let samples = samples(sides, trace, along);
     let runs = sides.iter().map(|s| s.judge.data.trials.len()).sum();
     let parts = match along {
         Along::Runs => sums(&samples, runs, |s, _| s.argument as usize),
@@ -264,7 +277,11 @@ fn along_one(
             (before * PARTS as f64) as usize
         }),
     };
-    let (share, sizes) = apart(&parts)?;
+    let least = match along {
+        Along::Runs => LEAST_FLOORS_RUNS,
+        _ => LEAST_FLOORS,
+    };
+    let (share, sizes) = apart(&parts, least * samples.len() as f64)?;
     Some(Scatter {
         term,
         along,
@@ -273,10 +290,10 @@ fn along_one(
     })
 }
 
-/// Share of what `derivative` does that shows in joints' channels.
-fn in_joints(sides: &[Side], derivative: &[Vec<f32>]) -> f64 {
+/// Share of `trace` that shows in joints' channels.
+fn in_joints(sides: &[Side], trace: &[Vec<f32>]) -> f64 {
     let (mut joints, mut all) = (0.0, 0.0);
-    for (side, own) in sides.iter().zip(derivative) {
+    for (side, own) in sides.iter().zip(trace) {
         for (x, arguments) in own.iter().zip(&side.arguments) {
             let square = f64::from(*x).powi(2);
             all += square;
@@ -289,21 +306,19 @@ fn in_joints(sides: &[Side], derivative: &[Vec<f32>]) -> f64 {
 }
 
 /// Every sample that has an argument, in its order.
-fn samples(sides: &[Side], derivative: &[Vec<f32>], along: Along) -> Vec<Sample> {
-    let number = Along::ALL.iter().position(|&a| a == along);
+fn samples(sides: &[Side], trace: &[Vec<f32>], along: Along) -> Vec<Sample> {
     let mut samples: Vec<Sample> = Vec::new();
     let mut runs_before = 0;
-    for (which, (side, own)) in sides.iter().zip(derivative).enumerate() {
-        let argument = |k: usize| match (along, number) {
-            (Along::Runs, _) => Some((runs_before + side.run[k]) as f64),
-            (_, Some(n)) => Some(side.arguments[k]?[n - 1]),
-            (_, None) => None,
-        };
-        for k in 0..own.len() {
-            let Some(argument) = argument(k) else {
-                continue;
+    for (which, (side, own)) in sides.iter().zip(trace).enumerate() {
+        for (k, x) in own.iter().enumerate() {
+            let argument = match along {
+                Along::Runs => (runs_before + side.run[k]) as f64,
+                _ => side.arguments[k].map_or(f64::NAN, |a| a[along as usize - 1]),
             };
-            let x = f64::from(own[k]);
+            if argument.is_nan() {
+                continue;
+            }
+            let x = f64::from(*x);
             samples.push(Sample {
                 argument,
                 block: (which, side.judge.data.block[k]),
@@ -337,8 +352,8 @@ fn sums(samples: &[Sample], count: usize, part: impl Fn(&Sample, f64) -> usize) 
 }
 
 /// Scatter of the amounts that `parts` ask for, less what noise makes of it; and each part's amount, 1 being what was found. None where all information is in one
-/// part.
-fn apart(parts: &[Part]) -> Option<(f64, Vec<f64>)> {
+/// part, or where what is scattered has a square of less than `least`.
+fn apart(parts: &[Part], least: f64) -> Option<(f64, Vec<f64>)> {
     let all: f64 = parts.iter().map(|p| p.information).sum();
     let parts: Vec<&Part> = (parts.iter())
         .filter(|p| p.information > LEAST_PART * all)
@@ -355,8 +370,8 @@ fn apart(parts: &[Part]) -> Option<(f64, Vec<f64>)> {
         .map(|p| p.variance / p.information * (1.0 - p.information / total))
         .sum();
     let sizes = parts.iter().map(|p| 1.0 + p.score / p.information);
-    let share = ((square - noise).max(0.0) / total).sqrt();
-    Some((share, sizes.collect()))
+    let scattered = (square - noise).max(0.0);
+    (scattered >= least).then(|| ((scattered / total).sqrt(), sizes.collect()))
 }
 
 #[cfg(test)]
@@ -380,7 +395,7 @@ mod tests {
             .map(|k| sample(f64::from(k), k as u32, if k < 40 { -4.0 } else { 4.0 }))
             .collect();
         let parts = sums(&samples, 2, |_, before| (2.0 * before) as usize);
-        let (share, sizes) = apart(&parts).unwrap();
+        let (share, sizes) = apart(&parts, 0.0).unwrap();
         assert_eq!(sizes, [0.8, 1.2]);
         // blocks of one sample do not know that they hang together: a score is 80, 40 of them have a variance of 40·80² in an information of 16,000, that is 16, half of
         // which the mean of two parts leaves of either. The square of what is apart is 16,000·0.2² of either: (1280 − 16)/32,000 = 0.0395
@@ -389,19 +404,28 @@ mod tests {
 
     #[test]
     fn what_noise_makes_of_a_size_is_no_scatter() {
-        // each block has its own sign, whatever the argument
-        let samples: Vec<Sample> = (0..80)
-            .map(|k| {
-                sample(
-                    f64::from(k % 2),
-                    (k / 2) as u32,
-                    if k % 4 < 2 { 3.0 } else { -3.0 },
-                )
+        // two parts of 16 blocks of one sample each; in one nine ask for more and seven for less, in the other the reverse
+        let samples: Vec<Sample> = (0..32)
+            .map(|k: u32| {
+                let (part, number) = (k / 16, k % 16);
+                let more = if part == 0 { number < 9 } else { number < 7 };
+                sample(f64::from(part), k, if more { 3.0 } else { -3.0 })
             })
             .collect();
         let parts = sums(&samples, 2, |s, _| s.argument as usize);
-        assert_eq!(apart(&parts).unwrap().0, 0.0);
-        // one part alone cannot differ from itself
-        assert!(apart(&sums(&samples, 1, |_, _| 0)).is_none());
+        // a part's score is ±2·60 in an information of 6,400: 2.25 each. Its variance is 16·60², 9 in that information, of which half
+        let square: f64 = parts.iter().map(|p| p.score.powi(2) / p.information).sum();
+        assert!((square - 4.5).abs() < 1e-12, "{square}");
+        assert_eq!(apart(&parts, 0.0).unwrap().0, 0.0);
+        // too little to tell a law, and one part alone, which cannot differ from itself
+        assert!(apart(&parts, 1e-9).is_none());
+        assert!(apart(&sums(&samples, 1, |_, _| 0), 0.0).is_none());
+    }
+
+    #[test]
+    fn arguments_come_in_the_order_of_their_names() {
+        for (n, along) in Along::ALL.into_iter().enumerate() {
+            assert_eq!(along as usize, n);
+        }
     }
 }

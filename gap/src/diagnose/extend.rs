@@ -33,6 +33,7 @@ pub fn extended(
             location: cause.location.clone(),
             confidence: cause.confidence,
             alternatives: cause.alternatives.clone(),
+            elsewhere: cause.elsewhere.clone(),
             evidence: cause.evidence.clone(),
             parameters: (cause.parameters.iter())
                 .map(|(name, p)| (name.clone(), written(p)))

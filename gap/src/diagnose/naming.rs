@@ -2,14 +2,14 @@
 
 use std::collections::BTreeSet;
 
-use super::doubt::{meet, much_is_left};
+use super::doubt::{much_is_left, one_place};
 use super::gates::{self, Worth};
 use super::refine::refine;
 use super::screen::{Screened, screen};
 use super::search::{Found, MOST_TERMS, penalised, single, swapped};
 use super::state::{Context, State};
 use super::verdict::{indistinguishable, wider};
-use crate::effects::{Domain, Place};
+use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::Variant;
 
@@ -258,15 +258,12 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
 /// leave, beside a greater cause there. They make the model better and may as well make up for what the greater one's law lacks.
 pub fn leads(context: &Context, best: &State, order: &[&Named]) -> Vec<bool> {
     let mut out: Vec<bool> = Vec::new();
-    let few_joints = context.replayer.model().actuated().len() < gates::MANY_JOINTS;
     for (k, n) in order.iter().enumerate() {
         let place = |n: &Named| &best.terms[n.index].place;
-        // of many joints a link's mass and another joint's gain have nothing to do with each other
-        let one_place = |a: &Place, b: &Place| (few_joints || a.domain == b.domain) && meet(a, b);
         let beside = order[..k].iter().zip(&out);
         let beside_greater = beside
             .filter(|(_, is_lead)| !**is_lead)
-            .any(|(greater, _)| one_place(place(greater), place(n)));
+            .any(|(greater, _)| one_place(context, place(greater), place(n)));
         // of what careful labs leave in any case a share says nothing
         let of_much = n.worth.of > gates::quiet(context);
         out.push(beside_greater && of_much && n.worth.holdout < GREAT_SHARE * n.worth.of);

@@ -15,7 +15,9 @@ pub fn next(
     match verdict {
         Verdict::NoGap | Verdict::Explained | Verdict::DataFault => None,
         Verdict::Ambiguous => {
-            let open = causes.iter().find(|c| c.is_open())?;
+            // names first, places after them
+            let named = causes.iter().find(|c| !c.alternatives.is_empty());
+            let open = named.or_else(|| causes.iter().find(|c| c.is_open()))?;
             let mut separates = vec![open.effect.clone()];
             separates.extend(open.alternatives.iter().cloned());
             let trial = separating(&open.effect, &open.alternatives)?;
@@ -24,7 +26,7 @@ pub fn next(
                 joints: open.location.clone(),
                 reason: match open.alternatives.as_slice() {
                     [] => format!(
-                        "{} explain these runs alike; what moves between the two places tells them apart: put a sensor there (an IMU, a marker) for this trial",
+                        "{} explain these runs alike; what moves between these places tells them apart: put a sensor there (an IMU, a marker) for this trial",
                         open.rivals()
                     ),
                     _ => format!(

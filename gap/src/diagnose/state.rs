@@ -132,7 +132,7 @@ pub fn builds_up(effect: &Effect) -> bool {
 pub struct Derivatives {
     /// On the runs it is fitted to, whitened, per step. `[P][N]`
     pub fit: Vec<Vec<f32>>,
-    /// On held-out runs. `[P][N]`
+    /// On held-out runs; empty where there are none. `[P][N]`
     pub holdout: Vec<Vec<f32>>,
     /// The steps, SI. `[P]`
     pub steps: Vec<f64>,
@@ -145,7 +145,10 @@ impl Context {
     /// As [`Replayer::predict`].
     pub fn derivatives(&self, terms: &[Term]) -> Result<Derivatives, GapError> {
         let (fit, steps) = self.jacobian(&self.fit, terms)?;
-        let (holdout, _) = self.jacobian(&self.holdout, terms)?;
+        let holdout = match self.same_runs {
+            true => Vec::new(),
+            false => self.jacobian(&self.holdout, terms)?.0,
+        };
         Ok(Derivatives {
             fit,
             holdout,

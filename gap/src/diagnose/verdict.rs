@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use caudata_model::RobotModel;
 
 use super::divergence::divergence;
-use super::doubt::Doubts;
+use super::doubt::{Doubts, meet};
 use super::extend::extended;
 use super::floors::floors;
 use super::naming::{self, Named, Rival};
@@ -86,12 +86,12 @@ pub fn conclude(
     let are_leads = naming::leads(context, best, &order);
     let found_causes = order.iter().zip(&are_leads).filter(|(_, lead)| !**lead);
     let found_causes: Vec<usize> = found_causes.map(|(n, _)| n.index).collect();
-    let doubts = Doubts::about(context, base, best, &derivatives, &found_causes);
+    let doubts = Doubts::about(context, base, best, &derivatives, &found_causes)?;
     for (n, is_lead) in order.iter().zip(&are_leads) {
         let place = &best.terms[n.index].place;
         let trust = if *is_lead {
             TRUST_LEAD
-        } else if doubts.deny(place) {
+        } else if doubts.deny(context, place) {
             TRUST_DENIED
         } else if doubts.much.is_some() {
             TRUST_IN_PART
@@ -226,8 +226,10 @@ fn cause(
         }
         let id = other.effect.id.to_owned();
         if more_general(term, other) {
-            // whatever speaks for the wider one speaks for its special case
-            same_name += rival.probability;
+            // what speaks for the wider one there speaks for its special case, unless it is better
+            if meet(&term.place, &other.place) && rival.short >= 0.0 {
+                same_name += rival.probability.min(named.probability);
+            }
             rejected.push(Rejected {
                 effect: id,
                 reason: format!("says the same with more parameters, and nothing more: misfit {:.2} against {:.2}", rival.state.misfit(), best.misfit()),
@@ -348,8 +350,8 @@ fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
     let elsewhere = |r: &&Rival| r.state.terms[r.index].effect == term.effect;
     if let Some(other) = named.rivals.iter().find(elsewhere) {
         lines.push(format!(
-            "at {} instead it leaves {:.0} % of it",
-            other.state.terms[other.index].place.names.join(", "),
+            "as {} it leaves {:.0} % of it",
+            other.state.terms[other.index].place.label(term.effect.id),
             100.0 * other.short
         ));
     }
@@ -514,4 +516,49 @@ fn summary(
         Split::Same => text.push_str(" No hold-out was given and there are too few trials to set any aside: gains are on the very runs that were fitted."),
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::Domain;
+
+    fn at(items: &[usize]) -> Place {
+        Place {
+            domain: Domain::Joints,
+            items: items.to_vec(),
+            names: items.iter().map(usize::to_string).collect(),
+        }
+    }
+
+    #[test]
+    fn one_hinge_and_another_are_two_places_and_one_of_all_is_not() {
+        assert!(another(&at(&[1]), &at(&[2])));
+        assert!(!another(&at(&[1]), &at(&[1])));
+        assert!(!another(&at(&[1]), &at(&[0, 1, 2])));
+        assert!(!another(&at(&[0, 1]), &at(&[1, 2])));
+    }
+
+    #[test]
+    fn rivals_are_told_with_their_places() {
+        let mut cause = Cause {
+            effect: "girdle_play".to_owned(),
+            layer: "structure".to_owned(),
+            location: vec!["hind".to_owned()],
+            parameters: BTreeMap::new(),
+            confidence: 0.9,
+            alternatives: Vec::new(),
+            elsewhere: Vec::new(),
+            evidence: Vec::new(),
+            rejected: Vec::new(),
+        };
+        assert!(!cause.is_open());
+        cause.elsewhere = vec![vec!["front".to_owned()]];
+        assert!(cause.is_open());
+        assert_eq!(cause.rivals(), "girdle_play at hind or at front");
+        cause.alternatives = vec!["payload".to_owned()];
+        assert_eq!(cause.rivals(), "girdle_play at hind or at front or payload");
+        cause.elsewhere.clear();
+        assert_eq!(cause.rivals(), "girdle_play or payload");
+    }
 }

@@ -646,6 +646,9 @@ mod tests {
         };
         // ± 0.4 V from run to run are there in any case
         let (steady, drained) = (apart(0.0), apart(4.0));
-        assert!(steady < 0.8 && drained > 2.0 * steady, "{steady} {drained}");
+        assert!(
+            steady < 0.8 && drained > 1.0 && drained > 2.0 * steady,
+            "{steady} {drained}"
+        );
     }
 }

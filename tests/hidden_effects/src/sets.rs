@@ -67,7 +67,8 @@ const LOOK_ALIKE: &[(&str, &str)] = &[
 ];
 
 /// Effects that another one holds as a special case: who is left out takes the wider one along. (`stale_gains` and `kp_error` together are any two gains: a
-/// `kd_error` that was left out would still be explained exactly. A mass and its centre together are any inertia with the same moment of gravity.)
+/// `kd_error` that was left out would still be explained exactly. `link_com` goes with an inertia because a mass and its centre together are any inertia with the same
+/// moment of gravity.)
 const WIDER: &[(&str, &str)] = &[
     ("kd_error", "stale_gains"),
     ("load_dependent_friction", "drive_asymmetry"),

@@ -81,7 +81,13 @@ fn a_gain_that_grows_with_the_error_is_no_sure_gain() {
         report.summary
     );
     // one gain explains most of it; but small errors, and slow motions with them, ask for less of it than large ones
-    let inconstant = |d: &Doubt| d.kind == DoubtKind::InconstantSize && d.location.contains("kp");
+    let inconstant = |d: &Doubt| {
+        d.kind == DoubtKind::InconstantSize
+            && d.location == "kp_error@swing"
+            && ["From slow to fast", "From small errors"]
+                .iter()
+                .any(|w| d.detail.starts_with(w))
+    };
     assert!(report.doubts.iter().any(inconstant), "{:?}", report.doubts);
     assert!(
         report.causes.iter().all(|c| c.confidence < CONFIDENT),

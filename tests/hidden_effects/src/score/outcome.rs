@@ -132,10 +132,10 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
             Some(Verdict::Unexplained | Verdict::PartlyExplained)
         ),
         Block::Starved => {
-            matches!(
-                verdict,
-                Some(Verdict::Ambiguous | Verdict::InsufficientData)
-            ) || truth.iter().all(|t| t.first && t.in_set)
+            // an open question must hold the truth
+            verdict == Some(Verdict::InsufficientData)
+                || (verdict == Some(Verdict::Ambiguous) && truth.iter().any(|t| t.in_set))
+                || truth.iter().all(|t| t.first && t.in_set)
         }
         Block::HoldoutChange => causes.is_empty(),
     };
@@ -143,7 +143,9 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         .report
         .as_ref()
         .and_then(|r| r.next_experiment.as_ref());
-    let next_helps = (verdict == Some(Verdict::Ambiguous)
+    // which place it is, a trial alone does not say
+    let open_name = causes.iter().any(|c| !c.alternatives.is_empty());
+    let next_helps = ((verdict == Some(Verdict::Ambiguous) && open_name)
         || verdict == Some(Verdict::InsufficientData))
     .then(|| {
         next.is_some_and(|n| {
@@ -177,7 +179,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         ),
         wrong_confidence,
         confidences: causes.iter().map(|c| (c.confidence, is_true(c))).collect(),
-        set_size: causes.first().map_or(0, |c| 1 + c.alternatives.len()),
+        set_size: (causes.first()).map_or(0, |c| 1 + c.alternatives.len() + c.elsewhere.len()),
         right,
         gain_ratio: given.report.as_ref().and_then(gain),
         next_helps,
