@@ -51,7 +51,8 @@ fn server(data: &Path, address: Option<SocketAddr>) -> (Killed, SocketAddr) {
     let mut child = Command::new(program)
         .arg("--data")
         .arg(data)
-        .args(["--addr", &address.to_string(), "--keep", "16"])
+        // three versions a second: what a robot has said of one must still be there when it has been cut off for a while
+        .args(["--addr", &address.to_string(), "--keep", "64"])
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn()
