@@ -2,8 +2,8 @@
 //!
 //! A right law has the same size in every part of the data. One that stands in for another fits each part with another size: the gain that is named in place of
 //! one that grows with the error is the larger the larger the error. So the data are parted along what laws depend on, each part is asked for how much of the cause
-//! it wants, and the scatter of these amounts is held against what was found. What the cause does is its whole trace, less what the parameters of all other causes
-//! can do in its place over all runs.
+//! it wants, and the scatter of these amounts is held against what was found. What more of the cause does is told to first order, less what the
+//! parameters of all other causes can do in its place over all runs.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -11,8 +11,7 @@ use std::ops::Range;
 use super::algebra::{dot, inverse};
 use super::judge::Judge;
 use super::state::{Context, Derivatives, On, State};
-use crate::error::GapError;
-use crate::replay::Variant;
+use crate::replay::Term;
 use crate::trial::Kind;
 
 /// Parts along each argument; each holds as much of what the cause does as any other.
@@ -94,42 +93,22 @@ pub struct Scatter {
 }
 
 /// For each of the terms `which`, along what its size scatters most.
-///
-/// # Errors
-/// As [`crate::replay::Replayer::predict`].
+#[must_use]
 pub fn scatter(
     context: &Context,
     best: &State,
     derivatives: &Derivatives,
     which: &[usize],
-) -> Result<Vec<Scatter>, GapError> {
-    let model = context.replayer.model();
-    let without = |&term: &usize| {
-        let mut terms = best.terms.clone();
-        let t = &mut terms[term];
-        t.values = t.effect.neutral(model, &t.place);
-        terms
-    };
-    let variants: Vec<Variant> = which.iter().map(without).collect();
-    let mut sides = vec![Side::new(
-        context,
-        (&context.fit, &best.fit),
-        &derivatives.fit,
-        &variants,
-    )?];
+) -> Vec<Scatter> {
+    let amounts = amounts(context, best, &derivatives.steps);
+    let side = |judge, on, columns| Side::new(judge, on, columns, &amounts, which);
+    let mut sides = vec![side(&context.fit, &best.fit, &derivatives.fit)];
     if !context.same_runs {
-        sides.push(Side::new(
-            context,
-            (&context.holdout, &best.holdout),
-            &derivatives.holdout,
-            &variants,
-        )?);
+        sides.push(side(&context.holdout, &best.holdout, &derivatives.holdout));
     }
     let mut out = Vec::new();
     for (number, &term) in which.iter().enumerate() {
-        let first: usize = best.terms[..term].iter().map(|t| t.values.len()).sum();
-        let own = first..first + best.terms[term].values.len();
-        let Some(trace) = alone(&sides, number, &own) else {
+        let Some(trace) = alone(&sides, number, &amounts[term].0) else {
             continue;
         };
         let arguments = match in_joints(&sides, &trace) > IN_JOINTS {
@@ -141,7 +120,23 @@ pub fn scatter(
             .filter_map(|&along| along_one(&sides, &trace, along, term));
         out.extend(each.max_by(|a, b| a.share.total_cmp(&b.share)));
     }
-    Ok(out)
+    out
+}
+
+/// For each term, how many steps each of its parameters is away from no effect. More or less of a term is all of them in these proportions: the whole trace of a gap
+/// or a ripple would count every shift of it as another size.
+fn amounts(context: &Context, best: &State, steps: &[f64]) -> Vec<(Range<usize>, Vec<f64>)> {
+    let model = context.replayer.model();
+    let mut first = 0;
+    let of = |t: &Term| {
+        let own = first..first + t.values.len();
+        first = own.end;
+        let neutral = t.effect.neutral(model, &t.place);
+        let moved = t.values.iter().zip(&neutral).map(|(v, z)| v - z);
+        let amount = moved.zip(&steps[own.clone()]).map(|(m, step)| m / step);
+        (own, amount.collect())
+    };
+    best.terms.iter().map(of).collect()
 }
 
 /// Runs of one role.
@@ -160,16 +155,24 @@ struct Side<'a> {
 
 impl<'a> Side<'a> {
     fn new(
-        context: &Context,
-        (judge, on): (&'a Judge, &'a On),
+        judge: &'a Judge,
+        on: &'a On,
         columns: &'a [Vec<f32>],
-        without: &[Variant],
-    ) -> Result<Self, GapError> {
+        amounts: &[(Range<usize>, Vec<f64>)],
+        which: &[usize],
+    ) -> Self {
         let data = &judge.data;
-        let predictions = context.replayer.predict(data, without)?;
-        let traces = (predictions.iter())
-            .map(|p| judge.change(&on.prediction, p))
-            .collect();
+        let trace = |&term: &usize| {
+            let (own, amount) = &amounts[term];
+            let mut sum = vec![0.0; data.len()];
+            for (column, a) in columns[own.clone()].iter().zip(amount) {
+                for (x, c) in sum.iter_mut().zip(column) {
+                    *x += *a as f32 * c;
+                }
+            }
+            sum
+        };
+        let traces = which.iter().map(trace).collect();
         let mut arguments = vec![None; data.len()];
         let mut run = vec![0; data.len()];
         for segment in &data.segments {
@@ -203,14 +206,14 @@ impl<'a> Side<'a> {
                 }
             }
         }
-        Ok(Self {
+        Self {
             judge,
             on,
             columns,
             traces,
             run,
             arguments,
-        })
+        }
     }
 }
 

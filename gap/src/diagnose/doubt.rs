@@ -5,7 +5,6 @@ use super::gates;
 use super::lawful::{Lawful, lawful};
 use super::state::{Context, Derivatives, State};
 use crate::effects::{Domain, Effect, Place};
-use crate::error::GapError;
 use crate::replay::Term;
 use crate::report::{Doubt, DoubtKind};
 
@@ -45,22 +44,19 @@ pub struct Doubts<'a> {
 
 impl<'a> Doubts<'a> {
     /// About `best`, whose terms `causes` are to be findings.
-    ///
-    /// # Errors
-    /// As [`crate::replay::Replayer::predict`].
     pub fn about(
         context: &Context,
         base: &State,
         best: &'a State,
         derivatives: &Derivatives,
         causes: &[usize],
-    ) -> Result<Self, GapError> {
+    ) -> Self {
         let quiet = gates::quiet(context);
         let a_law = |l: &Lawful| l.share > LAWFUL_SHARE && l.left > quiet;
         // what the runs that were fitted say of themselves is no foretelling
         let nothing_to_ask = best.terms.is_empty() || context.same_runs;
-        let scatter = constancy::scatter(context, best, derivatives, causes)?;
-        Ok(Self {
+        let scatter = constancy::scatter(context, best, derivatives, causes);
+        Self {
             inconstant: (scatter.into_iter())
                 .filter(|s| s.share > INCONSTANT)
                 .map(|s| (best.terms.get(s.term), s))
@@ -73,7 +69,7 @@ impl<'a> Doubts<'a> {
             } else {
                 lawful(context, best).into_iter().filter(a_law).collect()
             },
-        })
+        }
     }
 
     /// Whether there are any.

@@ -86,7 +86,7 @@ pub fn conclude(
     let are_leads = naming::leads(context, best, &order);
     let found_causes = order.iter().zip(&are_leads).filter(|(_, lead)| !**lead);
     let found_causes: Vec<usize> = found_causes.map(|(n, _)| n.index).collect();
-    let doubts = Doubts::about(context, base, best, &derivatives, &found_causes)?;
+    let doubts = Doubts::about(context, base, best, &derivatives, &found_causes);
     for (n, is_lead) in order.iter().zip(&are_leads) {
         let place = &best.terms[n.index].place;
         let trust = if *is_lead {
