@@ -10,6 +10,7 @@ use std::ops::Range;
 
 use super::algebra::{dot, inverse};
 use super::judge::Judge;
+use super::motion::Motion;
 use super::state::{Context, Derivatives, On, State};
 use crate::replay::Term;
 use crate::trial::Kind;
@@ -18,9 +19,6 @@ use crate::trial::Kind;
 const PARTS: usize = 4;
 /// A part with less than this share of the information says nothing.
 const LEAST_PART: f64 = 1e-3;
-/// Time over which a speed is taken, to each side, s.
-const SPEED_WINDOW_S: f64 = 0.03;
-
 /// Share of what a cause does that must show in joints' channels for these to be parted by what joints do: of a buoyancy the base's height tells most.
 const IN_JOINTS: f64 = 0.5;
 
@@ -101,14 +99,18 @@ pub fn scatter(
     which: &[usize],
 ) -> Vec<Scatter> {
     let amounts = amounts(context, best, &derivatives.steps);
-    let side = |judge, on, columns| Side::new(judge, on, columns, &amounts, which);
-    let mut sides = vec![side(&context.fit, &best.fit, &derivatives.fit)];
+    let mut sides = vec![Side::new(&context.fit, &best.fit, &derivatives.fit)];
     if !context.same_runs {
-        sides.push(side(&context.holdout, &best.holdout, &derivatives.holdout));
+        sides.push(Side::new(
+            &context.holdout,
+            &best.holdout,
+            &derivatives.holdout,
+        ));
     }
     let mut out = Vec::new();
-    for (number, &term) in which.iter().enumerate() {
-        let Some(trace) = alone(&sides, number, &amounts[term].0) else {
+    for &term in which {
+        let (own, amount) = &amounts[term];
+        let Some(trace) = alone(&sides, own, amount) else {
             continue;
         };
         let arguments = match in_joints(&sides, &trace) > IN_JOINTS {
@@ -145,8 +147,6 @@ struct Side<'a> {
     on: &'a On,
     /// Derivatives by all parameters, whitened. `[P][N]`
     columns: &'a [Vec<f32>],
-    /// What each of the terms asked for does, whitened. `[W][N]`
-    traces: Vec<Vec<f32>>,
     /// Which run each sample is of. `[N]`
     run: Vec<usize>,
     /// Arguments of each sample, in the order of [`Along::ALL`] without runs; none for channels that belong to no joint. `[N]`
@@ -154,25 +154,8 @@ struct Side<'a> {
 }
 
 impl<'a> Side<'a> {
-    fn new(
-        judge: &'a Judge,
-        on: &'a On,
-        columns: &'a [Vec<f32>],
-        amounts: &[(Range<usize>, Vec<f64>)],
-        which: &[usize],
-    ) -> Self {
+    fn new(judge: &'a Judge, on: &'a On, columns: &'a [Vec<f32>]) -> Self {
         let data = &judge.data;
-        let trace = |&term: &usize| {
-            let (own, amount) = &amounts[term];
-            let mut sum = vec![0.0; data.len()];
-            for (column, a) in columns[own.clone()].iter().zip(amount) {
-                for (x, c) in sum.iter_mut().zip(column) {
-                    *x += *a as f32 * c;
-                }
-            }
-            sum
-        };
-        let traces = which.iter().map(trace).collect();
         let mut arguments = vec![None; data.len()];
         let mut run = vec![0; data.len()];
         for segment in &data.segments {
@@ -184,24 +167,18 @@ impl<'a> Side<'a> {
                     continue;
                 };
                 let current = trial.channel(Kind::Current, joint);
-                let command = (trial.commands.get(joint)).filter(|c| !c.value.is_empty());
+                let command = trial.commands.get(joint);
                 for k in piece.range.clone() {
                     let t = data.time_s[k];
-                    let q_rad = position.at(t);
-                    let (ahead, behind) = (
-                        position.at(t + SPEED_WINDOW_S),
-                        position.at(t - SPEED_WINDOW_S),
-                    );
-                    let qd_radps = (ahead - behind) / (2.0 * SPEED_WINDOW_S);
-                    let error_rad = command.map_or(0.0, |c| c.at(t) - q_rad);
+                    let motion = Motion::at(position, command, t);
                     let current_a = current.map_or(f64::NAN, |c| c.at(t));
                     arguments[k] = Some([
-                        error_rad.abs(),
-                        qd_radps.abs(),
+                        motion.error_rad.abs(),
+                        motion.qd_radps.abs(),
                         current_a.abs(),
-                        current_a * qd_radps,
-                        q_rad,
-                        qd_radps,
+                        current_a * motion.qd_radps,
+                        motion.q_rad,
+                        motion.qd_radps,
                     ]);
                 }
             }
@@ -210,7 +187,6 @@ impl<'a> Side<'a> {
             judge,
             on,
             columns,
-            traces,
             run,
             arguments,
         }
@@ -234,10 +210,20 @@ struct Part {
     variance: f64,
 }
 
-/// Trace `number`, that of the term with the parameters `own`, less what the parameters of other terms can do in its place; none if that is nearly all of it. `[S][N]`
-fn alone(sides: &[Side], number: usize, own: &Range<usize>) -> Option<Vec<Vec<f32>>> {
+/// What more of a term does (its parameters `own` in proportion to `amount`), less what the parameters of other terms can do in its place; none if that is nearly all
+/// of it. `[S][N]`
+fn alone(sides: &[Side], own: &Range<usize>, amount: &[f64]) -> Option<Vec<Vec<f32>>> {
     let count = sides.first()?.columns.len();
-    let mut trace: Vec<Vec<f32>> = sides.iter().map(|s| s.traces[number].clone()).collect();
+    let of_side = |s: &Side| {
+        let mut sum = vec![0.0; s.on.residual.len()];
+        for (column, a) in s.columns[own.clone()].iter().zip(amount) {
+            for (x, c) in sum.iter_mut().zip(column) {
+                *x += *a as f32 * c;
+            }
+        }
+        sum
+    };
+    let mut trace: Vec<Vec<f32>> = sides.iter().map(of_side).collect();
     let energy = |trace: &[Vec<f32>]| trace.iter().map(|t| dot(t, t)).sum::<f64>();
     let before = energy(&trace);
     let others: Vec<usize> = (0..count).filter(|i| !own.contains(i)).collect();

@@ -7,6 +7,7 @@
 
 use super::algebra::{dot, solve};
 use super::judge::Judge;
+use super::motion::Motion;
 use super::state::{Context, On, State};
 use crate::trial::Kind;
 
@@ -16,8 +17,6 @@ const KNOTS: usize = 8;
 const RIDGE: f64 = 1e-3;
 /// Speed over which the direction turns round, rad/s.
 const TURN_RADPS: f64 = 0.05;
-/// Time over which a speed is taken, to each side, s.
-const SPEED_WINDOW_S: f64 = 0.03;
 
 /// What is lawful of what is left at one joint.
 #[derive(Debug, Clone, Copy)]
@@ -87,39 +86,19 @@ fn range(judge: &Judge, joint: usize) -> Option<(f64, f64)> {
     (range.0 < range.1).then_some(range)
 }
 
-/// What a joint does at one sample.
-struct At {
-    q_rad: f64,
-    qd_radps: f64,
-    error_rad: f64,
-}
-
 /// Calls `f` with the place of every sample of the joint's current.
-fn for_each(judge: &Judge, joint: usize, mut f: impl FnMut(usize, &At)) {
+fn for_each(judge: &Judge, joint: usize, mut f: impl FnMut(usize, &Motion)) {
     let data = &judge.data;
     for segment in &data.segments {
         let trial = &data.trials[segment.trial];
         let Some(position) = trial.channel(Kind::Position, joint) else {
             continue;
         };
+        let command = trial.commands.get(joint);
         let own = |p: &&crate::replay::Piece| p.kind == Kind::Current && p.index == joint;
         for piece in segment.pieces.iter().filter(own) {
             for k in piece.range.clone() {
-                let t = data.time_s[k];
-                let q_rad = position.at(t);
-                let (ahead, behind) = (
-                    position.at(t + SPEED_WINDOW_S),
-                    position.at(t - SPEED_WINDOW_S),
-                );
-                let command = (trial.commands.get(joint)).filter(|c| !c.value.is_empty());
-                f(
-                    k,
-                    &At {
-                        q_rad,
-                        qd_radps: (ahead - behind) / (2.0 * SPEED_WINDOW_S),
-                        error_rad: command.map_or(0.0, |c| c.at(t) - q_rad),
-                    },
-                );
+                f(k, &Motion::at(position, command, data.time_s[k]));
             }
         }
     }
@@ -157,7 +136,7 @@ impl Rows {
 }
 
 /// The terms at one sample, A each.
-fn terms(at: &At, (low, high): (f64, f64)) -> Vec<f64> {
+fn terms(at: &Motion, (low, high): (f64, f64)) -> Vec<f64> {
     let direction = (at.qd_radps / TURN_RADPS).clamp(-1.0, 1.0);
     let place = ((at.q_rad - low) / (high - low)).clamp(0.0, 1.0) * (KNOTS - 1) as f64;
     let hat = |k: usize| (1.0 - (place - k as f64).abs()).max(0.0);
@@ -200,7 +179,7 @@ mod tests {
     #[test]
     fn a_spring_a_drag_and_a_rub_are_among_the_terms() {
         // a joint that goes from −1 to 1 rad: at 0.2 rad, 7 knots' widths of 2/7 rad, place (0.2 + 1)/2·7 = 4.2, so 0.8 of knot 4 and 0.2 of knot 5
-        let at = At {
+        let at = Motion {
             q_rad: 0.2,
             qd_radps: -3.0,
             error_rad: 0.5,

@@ -13,6 +13,7 @@ mod gates;
 mod judge;
 mod lawful;
 mod leftover;
+mod motion;
 mod naming;
 mod next;
 mod noise;

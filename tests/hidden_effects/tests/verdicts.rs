@@ -47,21 +47,14 @@ fn in_words(causes: &[Cause]) -> String {
     each.collect::<Vec<_>>().join(", ")
 }
 
-#[test]
-fn the_drag_of_a_sail_is_no_sure_viscous_friction() {
-    let root = tempfile::tempdir().unwrap();
-    recorded("air_drag_of_a_sail", Block::Outside, root.path());
-    let report = diagnosed(&root.path().join("case"));
-    // a drag with the square of the speed is much like one with the speed; what is left of the currents tells them apart
+/// What stands for a law outside the catalogue is a partial explanation without a sure name.
+fn is_unsure(report: &Report) {
     assert_eq!(
         report.verdict,
         Verdict::PartlyExplained,
         "{}",
         report.summary
     );
-    assert!(report.summary.contains("obeys a law"), "{}", report.summary);
-    let lawful = |d: &Doubt| d.kind == DoubtKind::LawfulRest && d.location == "swing";
-    assert!(report.doubts.iter().any(lawful), "{:?}", report.doubts);
     assert!(
         report.causes.iter().all(|c| c.confidence < CONFIDENT),
         "{}",
@@ -70,16 +63,23 @@ fn the_drag_of_a_sail_is_no_sure_viscous_friction() {
 }
 
 #[test]
+fn the_drag_of_a_sail_is_no_sure_viscous_friction() {
+    let root = tempfile::tempdir().unwrap();
+    recorded("air_drag_of_a_sail", Block::Outside, root.path());
+    let report = diagnosed(&root.path().join("case"));
+    // a drag with the square of the speed is much like one with the speed; what is left of the currents tells them apart
+    is_unsure(&report);
+    assert!(report.summary.contains("obeys a law"), "{}", report.summary);
+    let lawful = |d: &Doubt| d.kind == DoubtKind::LawfulRest && d.location == "swing";
+    assert!(report.doubts.iter().any(lawful), "{:?}", report.doubts);
+}
+
+#[test]
 fn a_gain_that_grows_with_the_error_is_no_sure_gain() {
     let root = tempfile::tempdir().unwrap();
     recorded("gain_grows_with_error", Block::Outside, root.path());
     let report = diagnosed(&root.path().join("case"));
-    assert_eq!(
-        report.verdict,
-        Verdict::PartlyExplained,
-        "{}",
-        report.summary
-    );
+    is_unsure(&report);
     // one gain explains most of it; but small errors, and slow motions with them, ask for less of it than large ones
     let inconstant = |d: &Doubt| {
         d.kind == DoubtKind::InconstantSize
@@ -89,11 +89,6 @@ fn a_gain_that_grows_with_the_error_is_no_sure_gain() {
                 .any(|w| d.detail.starts_with(w))
     };
     assert!(report.doubts.iter().any(inconstant), "{:?}", report.doubts);
-    assert!(
-        report.causes.iter().all(|c| c.confidence < CONFIDENT),
-        "{}",
-        in_words(&report.causes)
-    );
 }
 
 #[test]
