@@ -158,6 +158,8 @@ pub struct Steps {
     pub time_s: Vec<f64>,
     /// From that time on.
     pub value: Vec<f64>,
+    /// Time from one frame to the next, s: in between, what holds is sent again. 0: nobody knows, nothing is.
+    pub frame_s: f64,
 }
 
 impl Steps {
@@ -248,9 +250,15 @@ impl Trial {
                 last - first
             )));
         }
+        let mut rows_s: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
+        rows_s.sort_by(f64::total_cmp);
+        let frame_s = rows_s[rows_s.len() / 2];
         let steps = |signal: &Signal| -> Option<Steps> {
             let column = table.column(signal)?;
-            let mut steps = Steps::default();
+            let mut steps = Steps {
+                frame_s,
+                ..Steps::default()
+            };
             for (t, v) in time.iter().zip(column) {
                 if let Some(v) = *v
                     && steps.value.last() != Some(&v)
@@ -269,6 +277,7 @@ impl Trial {
             commands.push(column.unwrap_or(Steps {
                 time_s: vec![first],
                 value: vec![model.nominal_pos_rad()[a]],
+                frame_s,
             }));
         }
         if commanded == 0 {
@@ -510,6 +519,7 @@ mod tests {
         let s = Steps {
             time_s: vec![1.0, 2.0],
             value: vec![5.0, 7.0],
+            ..Steps::default()
         };
         assert_eq!(
             [0.0, 1.0, 1.9, 2.0, 9.0].map(|t| s.at(t)),

@@ -34,7 +34,7 @@ pub struct Left {
 pub struct Doubts<'a> {
     /// Much is left.
     pub much: Option<Left>,
-    /// Effects that would have to be larger than they can plausibly be.
+    /// Effects that would have to be larger, or otherwise, than they can plausibly be.
     pub outgrown: Vec<&'a Term>,
     /// Joints where what is left obeys a law.
     pub lawful: Vec<Lawful>,
@@ -63,7 +63,10 @@ impl<'a> Doubts<'a> {
                 .filter_map(|(t, s)| Some((s, t?)))
                 .collect(),
             much: left(context, base, best),
-            outgrown: best.terms.iter().filter(|t| outgrown(context, t)).collect(),
+            outgrown: (best.terms.iter().enumerate())
+                .filter(|(k, t)| outgrown(context, t, causes.contains(k)))
+                .map(|(_, t)| t)
+                .collect(),
             lawful: if nothing_to_ask {
                 Vec::new()
             } else {
@@ -101,7 +104,7 @@ impl<'a> Doubts<'a> {
             let label = t.place.label(t.effect.id);
             Doubt {
                 kind: DoubtKind::ImplausibleSize,
-                detail: format!("As large as it would have to be, {label} is not plausible: something that is not in the catalogue may be behind it."),
+                detail: format!("What {label} would have to be lies at the end of what is plausible: something that is not in the catalogue may be behind it."),
                 location: label,
             }
         });
@@ -177,10 +180,12 @@ fn left(context: &Context, base: &State, best: &State) -> Option<Left> {
     parts.map(of).find(much)
 }
 
-/// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place makes up for where it differs.
-fn outgrown(context: &Context, term: &Term) -> bool {
+/// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place makes up for where it differs. Of a
+/// cause that is a finding the same goes for what else its law counts, a speed at which friction bends, a number of ripples in a turn.
+fn outgrown(context: &Context, term: &Term, finding: bool) -> bool {
     let model = context.replayer.model();
-    sizes(term.effect).any(|p| (term.effect).at_bound(model, &term.place, p, term.values[p]))
+    let at_bound = |p: usize| (term.effect).at_bound(model, &term.place, p, term.values[p]);
+    sizes(term.effect).any(at_bound) || (finding && (0..term.values.len()).any(at_bound))
 }
 
 /// Parameters of an effect that say how large it is: the first, and those of the same unit (a centre of mass has three).

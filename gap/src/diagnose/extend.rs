@@ -8,38 +8,19 @@ use super::state::{Context, State};
 use crate::extension::{self, Extension, ExtensionEffect, ExtensionParameter};
 use crate::report::{Cause, Parameter};
 
-/// The extension that the best model comes to.
+/// The extension that the best model comes to: frames that are lost, and `causes`, which are in the order of `order`.
 pub fn extended(
     request: &Request,
     context: &Context,
     best: &State,
     causes: &[Cause],
     order: &[&Named],
+    losses: Option<&Cause>,
 ) -> Extension {
     let model = context.replayer.model();
     let mut effect: Vec<Option<ExtensionEffect>> = vec![None; best.terms.len()];
     for (cause, named) in causes.iter().zip(order) {
-        let randomise = cause
-            .parameters
-            .iter()
-            .map(|(name, p)| {
-                // what the fit leaves open, and half as much again for what was not recorded
-                let half = 0.75 * (p.ci_high - p.ci_low);
-                (name.clone(), [p.value - half, p.value + half])
-            })
-            .collect();
-        effect[named.index] = Some(ExtensionEffect {
-            id: cause.effect.clone(),
-            location: cause.location.clone(),
-            confidence: cause.confidence,
-            alternatives: cause.alternatives.clone(),
-            elsewhere: cause.elsewhere.clone(),
-            evidence: cause.evidence.clone(),
-            parameters: (cause.parameters.iter())
-                .map(|(name, p)| (name.clone(), written(p)))
-                .collect(),
-            randomise,
-        });
+        effect[named.index] = Some(entry(cause));
     }
     let mut noise: BTreeMap<String, (f64, usize)> = BTreeMap::new();
     for ((_, kind, _), sd) in &context.fit.noise.repeat {
@@ -54,6 +35,7 @@ pub fn extended(
             .extension()
             .into_iter()
             .flat_map(|e| e.effect.iter().cloned()))
+        .chain(losses.map(entry))
         .chain(effect.into_iter().flatten())
         .collect(),
         observation_noise: noise
@@ -61,6 +43,30 @@ pub fn extended(
             .map(|(k, (sum, n))| (k, (sum / n as f64).sqrt()))
             .collect(),
         lane: extension::lane(model, &context.replayer.with_given(&best.terms)),
+    }
+}
+
+fn entry(cause: &Cause) -> ExtensionEffect {
+    let randomise = cause
+        .parameters
+        .iter()
+        .map(|(name, p)| {
+            // what the fit leaves open, and half as much again for what was not recorded
+            let half = 0.75 * (p.ci_high - p.ci_low);
+            (name.clone(), [p.value - half, p.value + half])
+        })
+        .collect();
+    ExtensionEffect {
+        id: cause.effect.clone(),
+        location: cause.location.clone(),
+        confidence: cause.confidence,
+        alternatives: cause.alternatives.clone(),
+        elsewhere: cause.elsewhere.clone(),
+        evidence: cause.evidence.clone(),
+        parameters: (cause.parameters.iter())
+            .map(|(name, p)| (name.clone(), written(p)))
+            .collect(),
+        randomise,
     }
 }
 

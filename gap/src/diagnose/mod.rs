@@ -13,6 +13,7 @@ mod gates;
 mod judge;
 mod lawful;
 mod leftover;
+mod losses;
 mod motion;
 mod naming;
 mod next;
@@ -32,7 +33,7 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 
-use crate::effects::{self, Effect};
+use crate::effects::{self, DROPPED_FRAMES, Effect};
 use crate::error::GapError;
 use crate::excitation::Excitation;
 use crate::extension::Extension;
@@ -309,27 +310,42 @@ fn context(
         None => replayer,
     };
     let options = SegmentOptions::default();
-    let fit_trials = of(Role::Fit);
-    let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
-    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), options)?;
-    let holdout = judge::Judge::new(
-        &replayer,
-        Data::new(model, of(Role::Holdout), options),
-        options,
-    )?;
+    let (fit_trials, held_out) = (of(Role::Fit), of(Role::Holdout));
     let wanted = |e: &&'static Effect| {
         let named = |list: &[String]| list.iter().any(|id| id == e.id);
         !named(&request.options.without)
             && (request.options.only.is_empty() || named(&request.options.only))
     };
+    let mut effects: Vec<&'static Effect> = effects::ALL.iter().copied().filter(wanted).collect();
+    let same_runs = split == Split::Same;
+    let losses = if effects.iter().any(|e| e.id == DROPPED_FRAMES.id) {
+        losses::find(
+            &replayer,
+            &fit_trials,
+            (!same_runs).then_some(&held_out[..]),
+        )?
+    } else {
+        None
+    };
+    let replayer = match &losses {
+        Some(losses) => {
+            effects.retain(|e| e.id != DROPPED_FRAMES.id);
+            replayer.with_also(losses.term.clone())
+        }
+        None => replayer,
+    };
+    let excitation = Excitation::of(model, &fit_trials.iter().collect::<Vec<_>>());
+    let fit = judge::Judge::new(&replayer, Data::new(model, fit_trials, options), options)?;
+    let holdout = judge::Judge::new(&replayer, Data::new(model, held_out, options), options)?;
     let scout = scout::Scout::new(&replayer, &fit, options)?;
     Ok(state::Context {
         replayer,
         fit,
         scout,
         holdout,
-        same_runs: split == Split::Same,
-        effects: effects::ALL.iter().copied().filter(wanted).collect(),
+        same_runs,
+        losses,
+        effects,
         excitation,
         seed: request.options.seed,
     })

@@ -4,6 +4,7 @@ use caudata_model::RobotModel;
 
 use super::algebra::dot;
 use super::judge::Judge;
+use super::losses::Losses;
 use super::scout::{Scout, WINDOW_S};
 use crate::effects::Effect;
 use crate::error::GapError;
@@ -22,6 +23,8 @@ pub struct Context {
     pub holdout: Judge,
     /// Whether there are none, and [`Context::holdout`] are the runs to fit to once more.
     pub same_runs: bool,
+    /// Frames that were lost, which the simulator loses as well.
+    pub losses: Option<Losses>,
     /// Effects that are tried.
     pub effects: Vec<&'static Effect>,
     /// What the runs to fit to excite.
@@ -187,6 +190,23 @@ impl Context {
             }
         }
         Ok(states)
+    }
+
+    /// The robot as its file says, which does not lose the frames of `losses`.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn lossless(&self, losses: &Losses) -> Result<State, GapError> {
+        let replayer = self.replayer.except(losses.term.effect);
+        let on = |judge: &Judge| -> Result<On, GapError> {
+            let prediction = replayer.predict(&judge.data, &[Vec::new()])?.swap_remove(0);
+            Ok(On::new(judge, prediction))
+        };
+        Ok(State {
+            fit: on(&self.fit)?,
+            holdout: on(&self.holdout)?,
+            ..State::default()
+        })
     }
 
     /// Fills in `state.basis` from derivatives by its parameters.

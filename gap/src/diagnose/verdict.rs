@@ -77,7 +77,12 @@ pub fn conclude(
     runs: Vec<RunUse>,
     split: Split,
 ) -> Result<Diagnosis, GapError> {
-    let (base, best) = (&found.base, &found.best);
+    let best = &found.best;
+    let lossless = match &context.losses {
+        Some(losses) => Some(context.lossless(losses)?),
+        None => None,
+    };
+    let base = lossless.as_ref().unwrap_or(&found.base);
     let derivatives = context.derivatives(&best.terms)?;
     let spread = spread(context, best, &derivatives);
     let mut order: Vec<&Named> = named.iter().collect();
@@ -100,13 +105,16 @@ pub fn conclude(
         };
         all.push(cause(context, best, n, &spread, trust)?);
     }
-    let extension = extended(request, context, best, &all, &order);
+    let losses = context.losses.as_ref().map(|l| l.cause(TRUST));
+    let extension = extended(request, context, best, &all, &order, losses.as_ref());
     let mut are_leads = are_leads.into_iter();
-    let (leads, causes): (Vec<Cause>, Vec<Cause>) = all
+    let (leads, mut causes): (Vec<Cause>, Vec<Cause>) = all
         .into_iter()
         .partition(|_| are_leads.next() == Some(true));
+    // first what is measured; the rest is found with it in the simulation
+    causes.splice(0..0, losses);
     let unexplained = leftover::leftover(context, found);
-    let verdict = verdict(context, found, &causes, &doubts, split);
+    let verdict = verdict(context, (base, found), &causes, &doubts, split);
     let next_experiment = next::next(context, verdict, &causes, found);
     let summary = summary(
         context,
@@ -115,7 +123,7 @@ pub fn conclude(
         &doubts,
         &unexplained,
         split,
-        found,
+        (base, found),
     );
     let judge = &context.holdout;
     let mut before = divergence(judge, &base.holdout, context.seed);
@@ -161,12 +169,11 @@ pub fn conclude(
 
 fn verdict(
     context: &Context,
-    found: &Found,
+    (base, found): (&State, &Found),
     causes: &[Cause],
     doubts: &Doubts<'_>,
     split: Split,
 ) -> Verdict {
-    let base = &found.base;
     if causes.is_empty() {
         if gates::worst(context, base) < QUIET {
             let dark = context
@@ -430,9 +437,9 @@ fn summary(
     doubts: &Doubts<'_>,
     unexplained: &[Unexplained],
     split: Split,
-    found: &Found,
+    (base, found): (&State, &Found),
 ) -> String {
-    let (base, best) = (&found.base, &found.best);
+    let best = &found.best;
     let names = |causes: &[Cause]| {
         let name = |c: &Cause| {
             let place = if c.location.is_empty() {
@@ -509,6 +516,9 @@ fn summary(
             " The model carries {} as well, {which}.",
             names(leads)
         ));
+    }
+    if context.losses.is_some() {
+        text.push_str(" Lost frames show in what repeats differ by, not in their mean.");
     }
     match split {
         Split::Given => {}

@@ -18,6 +18,7 @@ mod timing;
 mod water;
 
 use caudata_model::RobotModel;
+pub use timing::DROPPED_FRAMES;
 
 use crate::excitation::Excitation;
 use crate::plant::Plant;

@@ -93,6 +93,7 @@ pub static BUS_SKEW: Effect = Effect {
     signature: "the lag grows along the bus",
 };
 
+/// Frames of the command that do not arrive, which [`crate::diagnose`] also measures by what repeats differ by.
 pub static DROPPED_FRAMES: Effect = Effect {
     id: "dropped_frames",
     layer: Layer::Timing,

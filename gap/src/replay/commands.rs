@@ -1,7 +1,10 @@
 //! The command stream of one joint, as the servo hears it: delayed, with frames lost, seen through a wrong encoder, averaged over a step.
+//!
+//! Which frames were lost in a run nobody knows. The replay hears what a servo hears on average over all ways to lose them: the mean of repeats tends to it, and
+//! no single way of losing them is as close to a run whose own way is not known.
 
-use caudata_model::ServoParams;
-use caudata_random::{Key, Purpose, Stream};
+use std::borrow::Cow;
+
 use caudata_sim::CommandLoss;
 use caudata_sim::sensors::EncoderErrors;
 
@@ -59,11 +62,9 @@ impl<'a> Readers<'a> {
 
 /// A stepwise command read in order of time.
 pub(super) struct Reader<'a> {
-    steps: &'a Steps,
+    steps: Cow<'a, Steps>,
     delay_s: f64,
     encoder: EncoderErrors,
-    /// Frames that arrive; `None`: all.
-    arrive: Option<Vec<bool>>,
     at: usize,
     heard_rad: f64,
 }
@@ -76,14 +77,17 @@ impl<'a> Reader<'a> {
         loss: &CommandLoss,
         from_s: f64,
     ) -> Self {
-        let arrive = (loss.share > 0.0).then(|| arrivals(steps.value.len(), loss));
+        let steps = if loss.share > 0.0 {
+            Cow::Owned(heard_on_average(steps, loss))
+        } else {
+            Cow::Borrowed(steps)
+        };
         let mut reader = Self {
+            heard_rad: steps.value.first().copied().unwrap_or(0.0),
             steps,
             delay_s,
             encoder,
-            arrive,
             at: 0,
-            heard_rad: steps.value.first().copied().unwrap_or(0.0),
         };
         reader.advance(from_s);
         reader
@@ -92,10 +96,7 @@ impl<'a> Reader<'a> {
     /// Takes in every frame that has arrived by `t_s`.
     fn advance(&mut self, t_s: f64) {
         while self.next_s() <= t_s {
-            let arrives = self.arrive.as_ref().is_none_or(|a| a[self.at]);
-            if arrives {
-                self.heard_rad = self.steps.value[self.at];
-            }
+            self.heard_rad = self.steps.value[self.at];
             self.at += 1;
         }
     }
@@ -157,34 +158,46 @@ pub(super) fn shown_angle(encoder: &EncoderErrors, q_rad: f64) -> f64 {
 }
 
 /// Current that a servo shows for a motor torque, without counting, A. Its dead band fades in over a hundredth of an ampere.
-pub(super) fn shown_current(
-    servo: &ServoParams,
-    torque_nm: f64,
-    per_a_nm: f64,
-    band_a: f64,
-) -> f64 {
-    let _ = servo;
+pub(super) fn shown_current(torque_nm: f64, per_a_nm: f64, band_a: f64) -> f64 {
     let amps = torque_nm / per_a_nm;
     amps + band_a * (amps / 0.01).clamp(-1.0, 1.0)
 }
 
-/// Two states, as in the simulator's bus: bursts of mean length `burst` lose `share` of the frames in all.
-fn arrivals(frames: usize, loss: &CommandLoss) -> Vec<bool> {
-    let burst = f64::from(loss.burst.max(1.0));
+/// A command whose late hearers are off by less than this is heard, rad.
+const HEARD_RAD: f64 = 1e-6;
+
+/// What is heard on average of `steps` over a bus with two states, as the simulator's: bursts of mean length `burst` lose `share` of the frames in all.
+fn heard_on_average(steps: &Steps, loss: &CommandLoss) -> Steps {
     let share = f64::from(loss.share.clamp(0.0, 0.9));
-    let mut stream = Stream::new(Key::for_run(loss.seed), Purpose::CommandLoss);
-    let mut lost = false;
-    (0..frames)
-        .map(|_| {
-            let chance = if lost {
-                1.0 - 1.0 / burst
-            } else {
-                share / (burst * (1.0 - share))
-            };
-            lost = f64::from(stream.uniform(0.0, 1.0)) < chance;
-            !lost
-        })
-        .collect()
+    // where more are lost than arrive, single frames cannot be
+    let burst = f64::from(loss.burst).max(f64::max(1.0, share / (1.0 - share)));
+    // chance that a frame is lost after one that was
+    let stay = 1.0 - 1.0 / burst;
+    let mut heard = Steps {
+        frame_s: steps.frame_s,
+        ..Steps::default()
+    };
+    // what those hear who lost the last frame, on average
+    let mut stale_rad = steps.value.first().copied().unwrap_or(0.0);
+    let mut before_rad = stale_rad;
+    for (k, (&from_s, &sent_rad)) in steps.time_s.iter().zip(&steps.value).enumerate() {
+        let next_s = steps.time_s.get(k + 1);
+        let end_s = next_s.map_or(f64::INFINITY, |t| t - 0.5 * steps.frame_s);
+        let mut frame = 0.0;
+        loop {
+            // who lost this frame lost the one before as well, or heard it
+            stale_rad = stay * stale_rad + (1.0 - stay) * before_rad;
+            before_rad = sent_rad;
+            heard.time_s.push(from_s + frame * steps.frame_s);
+            heard.value.push(sent_rad + share * (stale_rad - sent_rad));
+            frame += 1.0;
+            let heard_by_all = (stale_rad - sent_rad).abs() < HEARD_RAD;
+            if heard_by_all || steps.frame_s <= 0.0 || from_s + frame * steps.frame_s >= end_s {
+                break;
+            }
+        }
+    }
+    heard
 }
 
 #[cfg(test)]
@@ -196,6 +209,7 @@ mod tests {
         let steps = Steps {
             time_s: vec![0.0, 1.0],
             value: vec![0.0, 4.0],
+            ..Steps::default()
         };
         let mut r = Reader::new(
             &steps,
@@ -211,10 +225,59 @@ mod tests {
     }
 
     #[test]
+    fn lost_frames_are_heard_as_they_are_on_average() {
+        // a third is lost, two in a row on average: one that was lost is followed by another with 1/2. Of a jump from 0 to 3 two thirds hear at once; of the
+        // others half hear with the next frame, which says the same, and so on: 3 − 1, 3 − 1/2 …
+        let loss = CommandLoss {
+            share: 1.0 / 3.0,
+            burst: 2.0,
+            ..CommandLoss::default()
+        };
+        let steps = Steps {
+            time_s: vec![0.0, 1.0],
+            value: vec![0.0, 3.0],
+            frame_s: 0.25,
+        };
+        let heard = heard_on_average(&steps, &loss);
+        assert_eq!(heard.time_s[..4], [0.0, 1.0, 1.25, 1.5]);
+        for (value, expected) in heard.value.iter().zip([0.0, 2.0, 2.5, 2.75]) {
+            assert!((value - expected).abs() < 1e-6, "{value}");
+        }
+        // it ends: 3·2⁻ⁿ/3·… falls below a millionth after some twenty frames
+        assert!(heard.value.len() < 30);
+        // lost one at a time: who did not hear a frame heard the one before, and hears the next. 1, 4, 9 are heard as 1 − 1/4, 4 − 3/4, 9 − 5/4
+        let loss = CommandLoss {
+            share: 0.25,
+            burst: 1.0,
+            ..CommandLoss::default()
+        };
+        let steps = Steps {
+            time_s: vec![0.0, 1.0, 2.0, 3.0],
+            value: vec![0.0, 1.0, 4.0, 9.0],
+            frame_s: 1.0,
+        };
+        let heard = heard_on_average(&steps, &loss);
+        let expected = [0.0, 0.75, 3.25, 7.75, 9.0];
+        for (value, expected) in heard.value.iter().zip(expected) {
+            assert!((value - expected).abs() < 1e-9, "{value}");
+        }
+        assert_eq!(heard.value.len(), expected.len());
+        // 9 of 10 lost one at a time is not possible; a command that stands is heard all the same
+        let most = CommandLoss { share: 0.9, ..loss };
+        let still = Steps {
+            time_s: vec![0.0],
+            value: vec![0.3],
+            frame_s: 1.0,
+        };
+        assert_eq!(heard_on_average(&still, &most).value, [0.3]);
+    }
+
+    #[test]
     fn joints_read_together_read_as_they_do_alone() {
         let steps = [0.3, 0.7].map(|shift| Steps {
             time_s: vec![0.0, 0.011 + shift, 0.9],
             value: vec![0.1, shift, -0.3],
+            ..Steps::default()
         });
         let reader = |joint: usize| {
             Reader::new(

@@ -721,6 +721,7 @@ mod tests {
         let run = run_of(Steps {
             time_s: vec![0.0, 1.0, 1.5, 4.0, 6.4],
             value: vec![1.0, 0.0, 1.0, 0.0, 1.0],
+            ..Steps::default()
         });
         let options = SegmentOptions {
             loose_s: 1.0,
@@ -751,6 +752,7 @@ mod tests {
         let loose = run_of(Steps {
             time_s: vec![0.0, 1.0],
             value: vec![0.0, 1.0],
+            ..Steps::default()
         });
         assert_eq!(
             cuts(&loose, options),

@@ -100,6 +100,21 @@ impl Replayer {
         self
     }
 
+    /// With `term` in every candidate, as if the robot file's own extension had it.
+    #[must_use]
+    pub fn with_also(mut self, term: Term) -> Self {
+        self.given.push(term);
+        self
+    }
+
+    /// The same without `effect` in what is given.
+    #[must_use]
+    pub fn except(&self, effect: &Effect) -> Self {
+        let mut other = self.with(self.step_s, self.contact_hardness);
+        other.given.retain(|t| t.effect.id != effect.id);
+        other
+    }
+
     /// The same with half the step.
     #[must_use]
     pub fn finer(&self) -> Self {

@@ -365,12 +365,10 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
         Kind::Current => {
             let joint = &plant.lane.joints[i];
             let errors = &sensing.currents[i];
-            let servo = plant.model.servo(i);
             let current = |given: f64| {
                 // the current is that of a motor that does not saturate
                 let left = 1.0 - f64::from(joint.torque_saturation_per_nm) * given.abs();
                 let true_a = shown_current(
-                    servo,
                     given / left.max(1e-3),
                     f64::from(joint.torque_constant_nm_per_a),
                     f64::from(joint.current_dead_band_a),

@@ -455,6 +455,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
     let (fit, holdout) = runs(request, &world, &trials)?;
     write(rig, &world, &parent.join(&request.name), &fit, &holdout)?;
     let decoy = request.decoy;
+    let ids: Vec<&str> = effects.iter().map(|e| e.0.id).collect();
     Ok(Answer {
         case: request.name.clone(),
         block: request.block,
@@ -464,7 +465,10 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
         together_d,
         effects: effects
             .iter()
-            .map(|&(h, j, size, d)| true_effect(h, j, size, d, &world, model))
+            .map(|&(h, j, size, d)| {
+                let same = h.same_as(model.actuated().len(), &ids);
+                true_effect(h, j, size, d, &world, model, &same)
+            })
             .collect(),
         without: request.without.clone(),
         decoy: decoy.map_or(String::new(), |d| d.name().to_owned()),
@@ -482,12 +486,8 @@ fn true_effect(
     d: f64,
     world: &World,
     model: &RobotModel,
+    same: &[&str],
 ) -> TrueEffect {
-    let same = if model.actuated().len() == 1 {
-        h.equivalent.0
-    } else {
-        h.equivalent.1
-    };
     TrueEffect {
         effect: h.id.to_owned(),
         layer: h.layer.to_owned(),

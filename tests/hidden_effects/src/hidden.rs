@@ -64,6 +64,32 @@ pub struct Hidden {
     pub equivalent: (&'static [&'static str], &'static [&'static str]),
 }
 
+/// On a rig with one joint (effect, what fits exactly as well, beside what): of a hanging link two numbers show, its moment of gravity and its inertia about the
+/// hinge, and where an inertia is free only the first tells a mass from its centre.
+const EQUIVALENT_BESIDE: &[(&str, &str, &str)] = &[
+    ("link_mass", "link_com", "link_inertia"),
+    ("link_mass", "link_com", "armature"),
+    ("link_com", "link_mass", "link_inertia"),
+    ("link_com", "link_mass", "armature"),
+];
+
+impl Hidden {
+    /// Ids that the same data fit exactly as well on a rig with `joints` joints where the effects `beside` are there too.
+    #[must_use]
+    pub fn same_as(&self, joints: usize, beside: &[&str]) -> Vec<&'static str> {
+        if joints > 1 {
+            return self.equivalent.1.to_vec();
+        }
+        let rows = EQUIVALENT_BESIDE.iter();
+        let rows = rows.filter(|(id, _, other)| *id == self.id && beside.contains(other));
+        let rows = rows.map(|(_, same, _)| *same);
+        let mut all: Vec<&str> = self.equivalent.0.iter().copied().chain(rows).collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+}
+
 const NONE: (&[&str], &[&str]) = (&[], &[]);
 
 fn one(

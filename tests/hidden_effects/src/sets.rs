@@ -67,13 +67,16 @@ const LOOK_ALIKE: &[(&str, &str)] = &[
 ];
 
 /// Effects that another one holds as a special case: who is left out takes the wider one along. (`stale_gains` and `kp_error` together are any two gains: a
-/// `kd_error` that was left out would still be explained exactly. `link_com` goes with an inertia because a mass and its centre together are any inertia with the same
-/// moment of gravity.)
+/// `kd_error` that was left out would still be explained exactly. Of a hanging link two numbers show, its moment of gravity and its inertia about the hinge: any two of
+/// its mass, its centre and an inertia are the third one.)
 const WIDER: &[(&str, &str)] = &[
     ("kd_error", "stale_gains"),
     ("load_dependent_friction", "drive_asymmetry"),
     ("coulomb_friction", "friction_drift"),
     ("link_inertia", "link_com"),
+    ("armature", "link_com"),
+    ("link_mass", "link_com"),
+    ("link_com", "link_mass"),
 ];
 
 /// Effects whose starved data leave them among look-alikes.

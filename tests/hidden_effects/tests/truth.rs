@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use caudata_hidden_effects::generate::Rig;
+use caudata_hidden_effects::hidden::CATALOGUE;
 use caudata_hidden_effects::truth::drive::{
     self, AUX, BRISTLE, Firmware, HEAT, ROTOR, ROTOR_SPEED,
 };
@@ -65,6 +66,33 @@ fn a_pendulum_swings_with_its_period() {
     assert!(
         (period / want - 1.0).abs() < 1e-5,
         "{period} against {want}"
+    );
+}
+
+#[test]
+fn where_an_inertia_is_free_a_mass_does_what_its_centre_does() {
+    // the centre 20 mm farther out and a rotor of 0.001: moment of gravity 0.4·0.12 = 0.048 kg·m, inertia about the hinge 0.0006 + 0.4·0.12² + 0.001 = 0.00736;
+    // 1.2 of the mass: 0.48·0.1 = 0.048, and 1.2·0.0006 + 0.48·0.1² = 0.00552, which a rotor of 0.00184 makes the same
+    let rig = Rig::bench("pendulum").unwrap();
+    let arm = Spec::link_of(&rig.model, 0);
+    let mut centre = limp(&rig);
+    centre.links[arm].com_offset_m = [0.0, 0.0, -0.02];
+    centre.joints[0].rotor_kgm2 = 0.001;
+    let mut mass = limp(&rig);
+    mass.links[arm].mass_scale = 1.2;
+    mass.joints[0].rotor_kgm2 = 0.001_84;
+    let [centre, mass] = [centre, mass].map(|s| run(&rig, &s, &[1.0], 4.0));
+    let apart = centre.pos_rad[0].iter().zip(&mass.pos_rad[0]);
+    let apart = apart.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-9, "{apart}");
+    let h = CATALOGUE.iter().find(|h| h.id == "link_com").unwrap();
+    assert!(
+        h.same_as(1, &["link_com", "armature"])
+            .contains(&"link_mass")
+    );
+    assert!(
+        !h.same_as(1, &["link_com", "kp_error"])
+            .contains(&"link_mass")
     );
 }
 

@@ -249,3 +249,51 @@ fn what_takes_less_than_it_leaves_is_a_lead() {
         report.summary
     );
 }
+
+#[test]
+fn frames_that_every_run_loses_elsewhere_are_measured_by_what_repeats_differ_by() {
+    let root = tempfile::tempdir().unwrap();
+    let answer = recorded("dropped_frames", Block::Single, root.path());
+    let report = diagnosed(&root.path().join("case"));
+    let [cause] = report.causes.as_slice() else {
+        panic!("{}: {}", report.summary, in_words(&report.causes));
+    };
+    assert_eq!(cause.effect, "dropped_frames");
+    assert!(cause.confidence > CONFIDENT);
+    let truth = answer.effects[0].parameters[0].value;
+    let share = &cause.parameters["share"];
+    assert!(
+        (share.ci_low..=share.ci_high).contains(&truth) && (share.value / truth - 1.0).abs() < 0.4,
+        "{share:?} of {truth}"
+    );
+    // bursts of three
+    let burst = &cause.parameters["burst"];
+    assert!((1.5..5.0).contains(&burst.value), "{burst:?}");
+    // the mean of repeats says next to nothing of it
+    assert!(
+        report.summary.contains("what repeats differ by"),
+        "{}",
+        report.summary
+    );
+    // where it is not in the catalogue it is not named
+    let without = Options {
+        without: vec!["dropped_frames".to_owned()],
+        ..Options::default()
+    };
+    let report = examinee::diagnose(&root.path().join("case"), without).unwrap();
+    assert!(report.causes.is_empty(), "{}", in_words(&report.causes));
+}
+
+#[test]
+fn a_law_that_bends_where_it_is_hardly_plausible_is_no_sure_name() {
+    let root = tempfile::tempdir().unwrap();
+    recorded("coulomb_friction", Block::Outside, root.path());
+    let without = ["coulomb_friction", "friction_drift"].map(str::to_owned);
+    let options = Options {
+        without: without.to_vec(),
+        ..Options::default()
+    };
+    // friction that is more at rest, with a speed beyond which it is less that the joint hardly reaches, is friction without such a speed
+    let report = examinee::diagnose(&root.path().join("case"), options).unwrap();
+    is_unsure(&report);
+}
