@@ -158,7 +158,7 @@ pub struct Steps {
     pub time_s: Vec<f64>,
     /// From that time on.
     pub value: Vec<f64>,
-    /// Time from one frame to the next, s: in between, what holds is sent again. 0: nobody knows, nothing is.
+    /// Time from one frame to the next, s (one row of the log that has a value, one frame): in between, what holds is sent again. 0: nobody knows, nothing is.
     pub frame_s: f64,
 }
 
@@ -250,13 +250,11 @@ impl Trial {
                 last - first
             )));
         }
-        let mut rows_s: Vec<f64> = time.windows(2).map(|w| w[1] - w[0]).collect();
-        rows_s.sort_by(f64::total_cmp);
-        let frame_s = rows_s[rows_s.len() / 2];
         let steps = |signal: &Signal| -> Option<Steps> {
             let column = table.column(signal)?;
+            let sent = time.iter().zip(column).filter(|(_, v)| v.is_some());
             let mut steps = Steps {
-                frame_s,
+                frame_s: median_step(sent.map(|(t, _)| *t)),
                 ..Steps::default()
             };
             for (t, v) in time.iter().zip(column) {
@@ -277,7 +275,7 @@ impl Trial {
             commands.push(column.unwrap_or(Steps {
                 time_s: vec![first],
                 value: vec![model.nominal_pos_rad()[a]],
-                frame_s,
+                frame_s: 0.0,
             }));
         }
         if commanded == 0 {
@@ -338,6 +336,14 @@ impl Trial {
             session: 0.0,
         }
     }
+}
+
+/// Median time from one stamp to the next, s; 0 where there are fewer than two.
+fn median_step(stamps_s: impl Iterator<Item = f64>) -> f64 {
+    let stamps_s: Vec<f64> = stamps_s.collect();
+    let mut steps_s: Vec<f64> = stamps_s.windows(2).map(|w| w[1] - w[0]).collect();
+    steps_s.sort_by(f64::total_cmp);
+    steps_s.get(steps_s.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Voltage without load: what the upper half of the readings are on average, V.

@@ -181,6 +181,10 @@ pub fn diagnose(
     progress(Progress::new(Stage::Naming, 0, &found.best.label()));
     let named = naming::name(&context, &mut found)?;
     progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
+    if let Some(losses) = &context.losses {
+        // what was wrong before is said of the robot as its file says
+        found.base = context.lossless(losses)?;
+    }
     let mut diagnosis = verdict::conclude(request, &context, &found, &named, runs, split)?;
     diagnosis
         .report

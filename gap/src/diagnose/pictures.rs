@@ -102,7 +102,7 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
             measured_low: bands.iter().map(|b| Some(b.0)).collect(),
             measured_high: bands.iter().map(|b| Some(b.1)).collect(),
             before: on(&found.base.holdout),
-            after: if found.best.terms.is_empty() {
+            after: if found.best.terms.is_empty() && context.losses.is_none() {
                 Vec::new()
             } else {
                 on(&found.best.holdout)
@@ -158,7 +158,7 @@ fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
                 unit: kind.unit().to_owned(),
                 horizon_s,
                 before: of(0),
-                after: if found.best.terms.is_empty() {
+                after: if found.best.terms.is_empty() && context.losses.is_none() {
                     Vec::new()
                 } else {
                     of(1)

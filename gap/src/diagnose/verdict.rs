@@ -77,12 +77,7 @@ pub fn conclude(
     runs: Vec<RunUse>,
     split: Split,
 ) -> Result<Diagnosis, GapError> {
-    let best = &found.best;
-    let lossless = match &context.losses {
-        Some(losses) => Some(context.lossless(losses)?),
-        None => None,
-    };
-    let base = lossless.as_ref().unwrap_or(&found.base);
+    let (base, best) = (&found.base, &found.best);
     let derivatives = context.derivatives(&best.terms)?;
     let spread = spread(context, best, &derivatives);
     let mut order: Vec<&Named> = named.iter().collect();
@@ -105,7 +100,12 @@ pub fn conclude(
         };
         all.push(cause(context, best, n, &spread, trust)?);
     }
-    let losses = context.losses.as_ref().map(|l| l.cause(TRUST));
+    let trust_in_rest = if doubts.much.is_some() {
+        TRUST_IN_PART
+    } else {
+        TRUST
+    };
+    let losses = (context.losses.as_ref()).map(|l| l.cause(trust_in_rest));
     let extension = extended(request, context, best, &all, &order, losses.as_ref());
     let mut are_leads = are_leads.into_iter();
     let (leads, mut causes): (Vec<Cause>, Vec<Cause>) = all
@@ -114,7 +114,7 @@ pub fn conclude(
     // first what is measured; the rest is found with it in the simulation
     causes.splice(0..0, losses);
     let unexplained = leftover::leftover(context, found);
-    let verdict = verdict(context, (base, found), &causes, &doubts, split);
+    let verdict = verdict(context, found, &causes, &doubts, split);
     let next_experiment = next::next(context, verdict, &causes, found);
     let summary = summary(
         context,
@@ -123,11 +123,11 @@ pub fn conclude(
         &doubts,
         &unexplained,
         split,
-        (base, found),
+        found,
     );
     let judge = &context.holdout;
     let mut before = divergence(judge, &base.holdout, context.seed);
-    let mut after = if best.terms.is_empty() {
+    let mut after = if best.terms.is_empty() && context.losses.is_none() {
         Vec::new()
     } else {
         divergence(judge, &best.holdout, context.seed)
@@ -169,11 +169,12 @@ pub fn conclude(
 
 fn verdict(
     context: &Context,
-    (base, found): (&State, &Found),
+    found: &Found,
     causes: &[Cause],
     doubts: &Doubts<'_>,
     split: Split,
 ) -> Verdict {
+    let base = &found.base;
     if causes.is_empty() {
         if gates::worst(context, base) < QUIET {
             let dark = context
@@ -437,9 +438,9 @@ fn summary(
     doubts: &Doubts<'_>,
     unexplained: &[Unexplained],
     split: Split,
-    (base, found): (&State, &Found),
+    found: &Found,
 ) -> String {
-    let best = &found.best;
+    let (base, best) = (&found.base, &found.best);
     let names = |causes: &[Cause]| {
         let name = |c: &Cause| {
             let place = if c.location.is_empty() {
@@ -452,10 +453,12 @@ fn summary(
         let names: Vec<String> = causes.iter().map(name).collect();
         names.join(" and ")
     };
-    let fall = format!(
-        "held-out misfit falls from {:.2} to {:.2} floors",
-        base.holdout.misfit, best.holdout.misfit
-    );
+    let (before, after) = (base.holdout.misfit, best.holdout.misfit);
+    let fall = if best.terms.is_empty() {
+        format!("held-out misfit is {after:.2} floors, and was {before:.2}")
+    } else {
+        format!("held-out misfit falls from {before:.2} to {after:.2} floors")
+    };
     let mut text = match verdict {
         Verdict::NoGap => format!(
             "Simulation and measurement agree within what runs differ by (misfit {:.2}); the table of floors says what would have been seen.",

@@ -75,10 +75,10 @@ impl<'a> Reader<'a> {
         delay_s: f64,
         encoder: EncoderErrors,
         loss: &CommandLoss,
-        from_s: f64,
+        window_s: (f64, f64),
     ) -> Self {
         let steps = if loss.share > 0.0 {
-            Cow::Owned(heard_on_average(steps, loss))
+            Cow::Owned(heard_on_average(steps, loss, window_s))
         } else {
             Cow::Borrowed(steps)
         };
@@ -89,7 +89,7 @@ impl<'a> Reader<'a> {
             encoder,
             at: 0,
         };
-        reader.advance(from_s);
+        reader.advance(window_s.0);
         reader
     }
 
@@ -163,11 +163,16 @@ pub(super) fn shown_current(torque_nm: f64, per_a_nm: f64, band_a: f64) -> f64 {
     amps + band_a * (amps / 0.01).clamp(-1.0, 1.0)
 }
 
-/// A command whose late hearers are off by less than this is heard, rad.
+/// A command whose late hearers are off by less than this is heard, rad, …
 const HEARD_RAD: f64 = 1e-6;
+/// … and after so many bursts it is in any case: a millionth of a millionth is not.
+const BURSTS_UNHEARD: f64 = 30.0;
 
-/// What is heard on average of `steps` over a bus with two states, as the simulator's: bursts of mean length `burst` lose `share` of the frames in all.
-fn heard_on_average(steps: &Steps, loss: &CommandLoss) -> Steps {
+/// What was lost so long before a stretch begins is heard by then, s.
+const BEFORE_S: f64 = 2.0;
+
+/// What is heard on average, from `window_s.0` to `window_s.1`, of `steps` over a bus with two states, as the simulator's: bursts of mean length `burst` lose `share` of the frames in all.
+fn heard_on_average(steps: &Steps, loss: &CommandLoss, window_s: (f64, f64)) -> Steps {
     let share = f64::from(loss.share.clamp(0.0, 0.9));
     // where more are lost than arrive, single frames cannot be
     let burst = f64::from(loss.burst).max(f64::max(1.0, share / (1.0 - share)));
@@ -178,9 +183,15 @@ fn heard_on_average(steps: &Steps, loss: &CommandLoss) -> Steps {
         ..Steps::default()
     };
     // what those hear who lost the last frame, on average
-    let mut stale_rad = steps.value.first().copied().unwrap_or(0.0);
+    let first = (steps.time_s).partition_point(|&t| t <= window_s.0 - BEFORE_S);
+    let first = first.saturating_sub(1);
+    let mut stale_rad = steps.value.get(first).copied().unwrap_or(0.0);
     let mut before_rad = stale_rad;
-    for (k, (&from_s, &sent_rad)) in steps.time_s.iter().zip(&steps.value).enumerate() {
+    for (k, (&from_s, &sent_rad)) in (steps.time_s.iter().zip(&steps.value).enumerate()).skip(first)
+    {
+        if from_s > window_s.1 {
+            break;
+        }
         let next_s = steps.time_s.get(k + 1);
         let end_s = next_s.map_or(f64::INFINITY, |t| t - 0.5 * steps.frame_s);
         let mut frame = 0.0;
@@ -191,7 +202,8 @@ fn heard_on_average(steps: &Steps, loss: &CommandLoss) -> Steps {
             heard.time_s.push(from_s + frame * steps.frame_s);
             heard.value.push(sent_rad + share * (stale_rad - sent_rad));
             frame += 1.0;
-            let heard_by_all = (stale_rad - sent_rad).abs() < HEARD_RAD;
+            let heard_by_all =
+                (stale_rad - sent_rad).abs() < HEARD_RAD || frame > BURSTS_UNHEARD * burst;
             if heard_by_all || steps.frame_s <= 0.0 || from_s + frame * steps.frame_s >= end_s {
                 break;
             }
@@ -203,6 +215,8 @@ fn heard_on_average(steps: &Steps, loss: &CommandLoss) -> Steps {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const WHOLE_S: (f64, f64) = (0.0, 100.0);
 
     #[test]
     fn a_step_within_an_interval_counts_by_its_share() {
@@ -216,7 +230,7 @@ mod tests {
             0.25,
             EncoderErrors::default(),
             &CommandLoss::default(),
-            0.0,
+            WHOLE_S,
         );
         // arrives at 1.25: half of [1.0, 1.5]
         assert_eq!(r.mean(0.0, 1.0), 0.0);
@@ -238,7 +252,7 @@ mod tests {
             value: vec![0.0, 3.0],
             frame_s: 0.25,
         };
-        let heard = heard_on_average(&steps, &loss);
+        let heard = heard_on_average(&steps, &loss, WHOLE_S);
         assert_eq!(heard.time_s[..4], [0.0, 1.0, 1.25, 1.5]);
         for (value, expected) in heard.value.iter().zip([0.0, 2.0, 2.5, 2.75]) {
             assert!((value - expected).abs() < 1e-6, "{value}");
@@ -256,12 +270,25 @@ mod tests {
             value: vec![0.0, 1.0, 4.0, 9.0],
             frame_s: 1.0,
         };
-        let heard = heard_on_average(&steps, &loss);
+        let heard = heard_on_average(&steps, &loss, WHOLE_S);
         let expected = [0.0, 0.75, 3.25, 7.75, 9.0];
         for (value, expected) in heard.value.iter().zip(expected) {
             assert!((value - expected).abs() < 1e-9, "{value}");
         }
         assert_eq!(heard.value.len(), expected.len());
+        // a stretch of it is heard as the whole is
+        let long = Steps {
+            time_s: (0..50).map(f64::from).collect(),
+            value: (0..50).map(|k| f64::from(k % 7)).collect(),
+            frame_s: 1.0,
+        };
+        let whole = heard_on_average(&long, &loss, WHOLE_S);
+        let part = heard_on_average(&long, &loss, (20.0, 30.0));
+        assert!(part.time_s.first() > Some(&10.0) && part.time_s.last() < Some(&32.0));
+        for k in 200..300 {
+            let t = 0.1 * f64::from(k);
+            assert_eq!(part.at(t), whole.at(t), "{t}");
+        }
         // 9 of 10 lost one at a time is not possible; a command that stands is heard all the same
         let most = CommandLoss { share: 0.9, ..loss };
         let still = Steps {
@@ -269,7 +296,7 @@ mod tests {
             value: vec![0.3],
             frame_s: 1.0,
         };
-        assert_eq!(heard_on_average(&still, &most).value, [0.3]);
+        assert_eq!(heard_on_average(&still, &most, WHOLE_S).value, [0.3]);
     }
 
     #[test]
@@ -285,7 +312,7 @@ mod tests {
                 0.0006,
                 EncoderErrors::default(),
                 &CommandLoss::default(),
-                0.0,
+                WHOLE_S,
             )
         };
         let mut together = Readers::new(vec![reader(0), reader(1)]);

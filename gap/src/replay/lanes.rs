@@ -51,7 +51,8 @@ pub(super) fn run(
         };
         most = most.max(stand + periods);
         let from_s = segment.start_s - stand as f64 * period_s;
-        readers.push(readers_of(trial, &plant, from_s));
+        let window_s = (from_s, from_s + (stand + periods) as f64 * period_s);
+        readers.push(readers_of(trial, &plant, window_s));
         switches.push(Switches::new(trial, &plant, segment.start_s));
         let signals = readout(trial);
         traces.push(Trace::new(
@@ -194,7 +195,7 @@ fn correct(engine: &mut BatchEngine, lane: usize, plant: &Plant, measured: &Star
     engine.correct(lane, &init).is_ok()
 }
 
-fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Readers<'a> {
+fn readers_of<'a>(trial: &'a Trial, plant: &Plant, window_s: (f64, f64)) -> Readers<'a> {
     let joints = trial
         .commands
         .iter()
@@ -206,7 +207,7 @@ fn readers_of<'a>(trial: &'a Trial, plant: &Plant, from_s: f64) -> Readers<'a> {
                 SERVO_TICK_S + f64::from(delay),
                 plant.sensing.encoders[a],
                 &plant.lane.command_loss,
-                from_s,
+                window_s,
             )
         })
         .collect();

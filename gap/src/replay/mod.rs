@@ -107,6 +107,12 @@ impl Replayer {
         self
     }
 
+    /// Whether every candidate has `effect`.
+    #[must_use]
+    pub fn gives(&self, effect: &Effect) -> bool {
+        self.given.iter().any(|t| t.effect.id == effect.id)
+    }
+
     /// The same without `effect` in what is given.
     #[must_use]
     pub fn except(&self, effect: &Effect) -> Self {

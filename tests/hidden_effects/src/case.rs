@@ -41,6 +41,9 @@ pub struct TrueEffect {
     pub d: f64,
     /// Ids that fit these data exactly as well.
     pub equivalent: Vec<String>,
+    /// Ids that do beside another one that must be named as well.
+    #[serde(default)]
+    pub equivalent_beside: Vec<(String, String)>,
     /// True parameters.
     pub parameters: Vec<TrueValue>,
 }

@@ -465,10 +465,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
         together_d,
         effects: effects
             .iter()
-            .map(|&(h, j, size, d)| {
-                let same = h.same_as(model.actuated().len(), &ids);
-                true_effect(h, j, size, d, &world, model, &same)
-            })
+            .map(|&(h, j, size, d)| true_effect(h, j, size, d, &world, model, &ids))
             .collect(),
         without: request.without.clone(),
         decoy: decoy.map_or(String::new(), |d| d.name().to_owned()),
@@ -486,8 +483,15 @@ fn true_effect(
     d: f64,
     world: &World,
     model: &RobotModel,
-    same: &[&str],
+    hidden: &[&str],
 ) -> TrueEffect {
+    let joints = model.actuated().len();
+    let same = if joints == 1 {
+        h.equivalent.0
+    } else {
+        h.equivalent.1
+    };
+    let beside = h.same_beside(joints, hidden).into_iter();
     TrueEffect {
         effect: h.id.to_owned(),
         layer: h.layer.to_owned(),
@@ -499,6 +503,7 @@ fn true_effect(
         size,
         d,
         equivalent: same.iter().map(|s| (*s).to_owned()).collect(),
+        equivalent_beside: beside.map(|(a, b)| (a.to_owned(), b.to_owned())).collect(),
         parameters: (h.truth)(world, model, joint)
             .into_iter()
             .map(|p| TrueValue {

@@ -66,27 +66,23 @@ pub struct Hidden {
 
 /// On a rig with one joint (effect, what fits exactly as well, beside what): of a hanging link two numbers show, its moment of gravity and its inertia about the
 /// hinge, and where an inertia is free only the first tells a mass from its centre.
-const EQUIVALENT_BESIDE: &[(&str, &str, &str)] = &[
-    ("link_mass", "link_com", "link_inertia"),
-    ("link_mass", "link_com", "armature"),
-    ("link_com", "link_mass", "link_inertia"),
-    ("link_com", "link_mass", "armature"),
+const EQUIVALENT_BESIDE: &[(&str, &str, &[&str])] = &[
+    ("link_mass", "link_com", &["link_inertia", "armature"]),
+    ("link_com", "link_mass", &["link_inertia", "armature"]),
 ];
 
 impl Hidden {
-    /// Ids that the same data fit exactly as well on a rig with `joints` joints where the effects `beside` are there too.
+    /// Ids that the same data fit exactly as well where one of those is named too that they come with, on a rig with `joints` joints where the effects `hidden` are
+    /// hidden: (id, named too).
     #[must_use]
-    pub fn same_as(&self, joints: usize, beside: &[&str]) -> Vec<&'static str> {
-        if joints > 1 {
-            return self.equivalent.1.to_vec();
-        }
+    pub fn same_beside(&self, joints: usize, hidden: &[&str]) -> Vec<(&'static str, &'static str)> {
         let rows = EQUIVALENT_BESIDE.iter();
-        let rows = rows.filter(|(id, _, other)| *id == self.id && beside.contains(other));
-        let rows = rows.map(|(_, same, _)| *same);
-        let mut all: Vec<&str> = self.equivalent.0.iter().copied().chain(rows).collect();
-        all.sort_unstable();
-        all.dedup();
-        all
+        let here = |(id, _, beside): &&(&str, &str, &[&str])| {
+            joints == 1 && *id == self.id && beside.iter().any(|b| hidden.contains(b))
+        };
+        rows.filter(here)
+            .flat_map(|(_, same, beside)| beside.iter().map(|b| (*same, *b)))
+            .collect()
     }
 }
 

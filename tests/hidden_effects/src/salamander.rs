@@ -357,6 +357,7 @@ fn truth(model: &RobotModel, hidden: Hides) -> Vec<TrueEffect> {
         size: value,
         d: 0.0,
         equivalent: Vec::new(),
+        equivalent_beside: Vec::new(),
         parameters: vec![TrueValue {
             names: names.iter().map(|n| (*n).to_owned()).collect(),
             unit: unit.to_owned(),

@@ -67,13 +67,18 @@ const LOOK_ALIKE: &[(&str, &str)] = &[
 ];
 
 /// Effects that another one holds as a special case: who is left out takes the wider one along. (`stale_gains` and `kp_error` together are any two gains: a
-/// `kd_error` that was left out would still be explained exactly. Of a hanging link two numbers show, its moment of gravity and its inertia about the hinge: any two of
-/// its mass, its centre and an inertia are the third one.)
+/// `kd_error` that was left out would still be explained exactly. `link_com` goes with an inertia because a mass and its centre together are any inertia with the same
+/// moment of gravity.)
 const WIDER: &[(&str, &str)] = &[
     ("kd_error", "stale_gains"),
     ("load_dependent_friction", "drive_asymmetry"),
     ("coulomb_friction", "friction_drift"),
     ("link_inertia", "link_com"),
+];
+
+/// The same on a rig with one joint. Of a hanging link two numbers show, its moment of gravity and its inertia about the hinge: any two of its mass, its centre and an
+/// inertia are the third one.
+const WIDER_OF_ONE: &[(&str, &str)] = &[
     ("armature", "link_com"),
     ("link_mass", "link_com"),
     ("link_com", "link_mass"),
@@ -186,9 +191,15 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
                 .chain(h.equivalent.1)
                 .map(|e| (*e).to_owned()),
         );
+        let of_one: &[(&str, &str)] = if p.rig == "pendulum" {
+            WIDER_OF_ONE
+        } else {
+            &[]
+        };
         p.without.extend(
             WIDER
                 .iter()
+                .chain(of_one)
                 .filter(|(id, _)| *id == h.id)
                 .map(|(_, wider)| (*wider).to_owned()),
         );

@@ -86,14 +86,10 @@ fn where_an_inertia_is_free_a_mass_does_what_its_centre_does() {
     let apart = apart.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(apart < 1e-9, "{apart}");
     let h = CATALOGUE.iter().find(|h| h.id == "link_com").unwrap();
-    assert!(
-        h.same_as(1, &["link_com", "armature"])
-            .contains(&"link_mass")
-    );
-    assert!(
-        !h.same_as(1, &["link_com", "kp_error"])
-            .contains(&"link_mass")
-    );
+    let inertias = [("link_mass", "link_inertia"), ("link_mass", "armature")];
+    assert_eq!(h.same_beside(1, &["link_com", "armature"]), inertias);
+    assert!(h.same_beside(1, &["link_com", "kp_error"]).is_empty());
+    assert!(h.same_beside(2, &["link_com", "armature"]).is_empty());
 }
 
 #[test]

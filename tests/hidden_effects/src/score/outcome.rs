@@ -104,7 +104,7 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         .iter()
         .map(|t| judged(t, causes, joint_links))
         .collect();
-    let is_true = |c: &Cause| answer.effects.iter().any(|t| same(t, &c.effect));
+    let is_true = |c: &Cause| (answer.effects.iter()).any(|t| same_among(t, &c.effect, causes));
     let leads = given.report.as_ref().map_or(&empty, |r| &r.leads);
     let wrong: Vec<&Cause> = causes.iter().filter(|c| !is_true(c)).collect();
     let detected = matches!(
@@ -194,6 +194,13 @@ fn same(t: &TrueEffect, name: &str) -> bool {
     t.effect == name || t.equivalent.iter().any(|e| e == name)
 }
 
+/// The same beside the other names in `causes`.
+fn same_among(t: &TrueEffect, name: &str, causes: &[Cause]) -> bool {
+    let named = |id: &str| causes.iter().any(|c| c.effect == id);
+    let mut beside = t.equivalent_beside.iter();
+    same(t, name) || beside.any(|(id, other)| id == name && named(other))
+}
+
 fn names_fault(answer: &Answer, given: &Given) -> bool {
     let faults = given.report.iter().flat_map(|r| &r.data_faults);
     let mut kinds = faults.map(|f| f.kind.as_str());
@@ -201,7 +208,7 @@ fn names_fault(answer: &Answer, given: &Given) -> bool {
 }
 
 fn judged(t: &TrueEffect, causes: &[Cause], joint_links: &[(String, String)]) -> Judged {
-    let cause = causes.iter().find(|c| same(t, &c.effect));
+    let cause = (causes.iter()).find(|c| same_among(t, &c.effect, causes));
     let mut names: Vec<&str> = Vec::new();
     for c in causes {
         names.push(&c.effect);
@@ -221,7 +228,7 @@ fn judged(t: &TrueEffect, causes: &[Cause], joint_links: &[(String, String)]) ->
         effect: t.effect.clone(),
         layer: t.layer.clone(),
         d: t.d,
-        first: causes.first().is_some_and(|c| same(t, &c.effect)),
+        first: (causes.first()).is_some_and(|c| same_among(t, &c.effect, causes)),
         named: cause.is_some(),
         in_three: three.iter().any(|n| same(t, n)),
         layer_right: causes.first().is_some_and(|c| c.layer == t.layer),
