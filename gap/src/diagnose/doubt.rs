@@ -141,7 +141,7 @@ impl<'a> Doubts<'a> {
     /// Whether they say of a cause at `place` that its law is another one: what is missing elsewhere does not make it less sure.
     pub fn deny(&self, context: &Context, place: &Place) -> bool {
         self.outgrown.iter().any(|t| meet(&t.place, place))
-            || self.lawful.iter().any(|l| acts_on(place, l.joint))
+            || (self.lawful.iter()).any(|l| acts_on(place, l.joint, few_joints(context)))
             || (self.inconstant.iter()).any(|(_, t)| one_place(context, &t.place, place))
     }
 }
@@ -207,13 +207,20 @@ pub fn meet(one: &Place, other: &Place) -> bool {
 /// Whether what is wrong with an effect at one place may be made up for by one at the other: of many joints a link's mass and another joint's gain have nothing to do
 /// with each other.
 pub fn one_place(context: &Context, one: &Place, other: &Place) -> bool {
-    let few_joints = context.replayer.model().actuated().len() < gates::MANY_JOINTS;
-    (few_joints || one.domain == other.domain) && meet(one, other)
+    (few_joints(context) || one.domain == other.domain) && meet(one, other)
 }
 
-/// Whether an effect at `place` may act on a joint.
-fn acts_on(place: &Place, joint: usize) -> bool {
-    place.domain != Domain::Joints || place.items.is_empty() || place.items.contains(&joint)
+fn few_joints(context: &Context) -> bool {
+    context.replayer.model().actuated().len() < gates::MANY_JOINTS
+}
+
+/// Whether a law in the current of `joint` may be that of an effect at `place`: at the joint, and of `few` joints at whatever it may carry. What is left of a knee does not
+/// deny play at a girdle.
+fn acts_on(place: &Place, joint: usize, few: bool) -> bool {
+    match place.domain {
+        Domain::Joints => place.items.is_empty() || place.items.contains(&joint),
+        _ => few,
+    }
 }
 
 #[cfg(test)]
@@ -242,8 +249,10 @@ mod tests {
         assert!(meet(&at(Domain::Links, &[7]), &knee));
         assert!(!meet(&at(Domain::Links, &[7]), &at(Domain::Links, &[8])));
         // a law in what is left of a joint's current speaks against whatever may act on that joint
-        assert!(acts_on(&knee, 3) && !acts_on(&knee, 4));
-        assert!(acts_on(&at(Domain::Links, &[7]), 4));
+        assert!(acts_on(&knee, 3, true) && !acts_on(&knee, 4, true));
+        assert!(acts_on(&at(Domain::Links, &[7]), 4, true));
+        // … on many joints' robots only if it is the joint's own
+        assert!(acts_on(&knee, 3, false) && !acts_on(&at(Domain::Links, &[7]), 4, false));
     }
 
     #[test]
