@@ -29,7 +29,7 @@ const ABREAST: f64 = 0.3;
 /// … and it fell behind at one stroke if it is this far behind at once: what two runs drift apart by goes past the first one slowly.
 const ONE_STROKE: f64 = 0.75;
 /// Of the times that a run falls behind at least this share are at one stroke where frames are lost: on bench rigs 0.58 to 0.76 of them, 0.5 where gears have play, 0.1
-/// where friction at rest lets go at another time in each run.
+/// where all commands are late by nearly a row, so that jitter of stamps decides which one is heard.
 const LEAST_AT_ONE_STROKE: f64 = 0.4;
 /// Of the samples at which one run parts from the others, it is behind them at this share: 0.64 (a third of all frames lost) to 0.95 on bench rigs, and 0.2 to 0.57
 /// of those without losses (203 cases of seeds 101 to 113) …
