@@ -3,7 +3,8 @@
 //! Every run loses other frames, so that the mean of repeats shows next to nothing of it, and what repeats differ by is what noise is told by: a third of all frames
 //! may be lost, and simulation and measurement agree within what runs differ by. But current, angle and speed of a servo together say which command it acts on,
 //! whatever load it carries: its own law, solved for the command. Where that of one run falls behind that of its repeats at one stroke, by just what the last frame
-//! asked for, that frame did not arrive. Of three repeats two say which one is behind; what else they differ by puts a run ahead as often. How many did not, and how many in a row, is what the simulation must lose to fall behind as often and for as long.
+//! asked for, that frame did not arrive. Of three repeats two say which one is behind; what else they differ by puts a run ahead as
+//! often. How many did not, and how many in a row, is what the simulation must lose to fall behind as often and for as long.
 
 use std::collections::BTreeMap;
 

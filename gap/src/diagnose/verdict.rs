@@ -87,25 +87,23 @@ pub fn conclude(
     let found_causes = order.iter().zip(&are_leads).filter(|(_, lead)| !**lead);
     let found_causes: Vec<usize> = found_causes.map(|(n, _)| n.index).collect();
     let doubts = Doubts::about(context, base, best, &derivatives, &found_causes);
+    let undenied = if doubts.much.is_some() {
+        TRUST_IN_PART
+    } else {
+        TRUST
+    };
     for (n, is_lead) in order.iter().zip(&are_leads) {
         let place = &best.terms[n.index].place;
         let trust = if *is_lead {
             TRUST_LEAD
         } else if doubts.deny(context, place) {
             TRUST_DENIED
-        } else if doubts.much.is_some() {
-            TRUST_IN_PART
         } else {
-            TRUST
+            undenied
         };
         all.push(cause(context, best, n, &spread, trust)?);
     }
-    let trust_in_rest = if doubts.much.is_some() {
-        TRUST_IN_PART
-    } else {
-        TRUST
-    };
-    let losses = (context.losses.as_ref()).map(|l| l.cause(trust_in_rest));
+    let losses = (context.losses.as_ref()).map(|l| l.cause(undenied));
     let extension = extended(request, context, best, &all, &order, losses.as_ref());
     let mut are_leads = are_leads.into_iter();
     let (leads, mut causes): (Vec<Cause>, Vec<Cause>) = all
