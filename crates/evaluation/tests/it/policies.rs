@@ -1,0 +1,93 @@
+//! Policies made by hand, whose verdict is known.
+
+use caudata_evaluation::{Scenario, ScenarioResult, Settings, Suite, run_scenario};
+use caudata_policy::PolicyFile;
+use caudata_task::{ACT_DIM, PolicyContract};
+
+use crate::by_hand::{config, layer, policy, robot, swimming, vibrating};
+
+/// Episodes of each verdict, and their length.
+fn settings() -> Settings {
+    Settings {
+        episodes: 2,
+        episode_s: 6.0,
+        ..Settings::default()
+    }
+}
+
+fn verdict(make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
+    run(&Scenario::walk("by hand", [0.3, 0.0, 0.0]), make)
+}
+
+fn run(scenario: &Scenario, make: impl Fn(&PolicyContract) -> PolicyFile) -> ScenarioResult {
+    let config = config();
+    let model = robot();
+    let contract = PolicyContract::new(&model, &config.task).unwrap();
+    let policy = make(&contract);
+    let outcome = run_scenario(&config, &model, &policy, scenario, &settings(), &|| true).unwrap();
+    assert_eq!(outcome.result.episodes, 2);
+    outcome.result
+}
+
+#[test]
+fn a_vibrating_policy_is_not_called_walking() {
+    let result = verdict(|contract| vibrating(contract, 7.5));
+    assert_eq!(result.walks(), Some(false));
+    let missed = result.gates.as_ref().unwrap().missed();
+    assert!(missed.contains(&"joint power above 6 Hz"), "{missed:?}");
+    assert!(
+        missed.contains(&"stride frequency off the clock"),
+        "{missed:?}"
+    );
+    assert!(
+        (result.stride_hz.mean - 7.5).abs() < 1.0,
+        "{:?}",
+        result.stride_hz
+    );
+}
+
+#[test]
+fn a_standing_policy_is_not_called_walking() {
+    let result = verdict(|contract| policy(contract, vec![layer(ACT_DIM, contract.obs_dim())]));
+    assert_eq!(result.walks(), Some(false));
+    assert!(result.drift_mps.mean < 0.01, "{:?}", result.drift_mps);
+    assert!(result.power_w.mean < 1.0, "{:?}", result.power_w);
+    let missed = result.gates.as_ref().unwrap().missed();
+    assert!(missed.contains(&"clearance, m"), "{missed:?}");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_figures() {
+    let run = || verdict(|contract| vibrating(contract, 5.0));
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn a_wave_to_the_tail_swims_and_a_wave_to_the_head_does_not() {
+    let deep = Suite::Transition.scenarios(2.6).pop().unwrap();
+    assert_eq!(deep.name, "swim 0.3 m/s");
+    let ahead = run(&deep, |contract| swimming(contract, 0.8));
+    let wave = ahead.wave.unwrap();
+    assert!(wave.travels_to_the_tail, "{wave:?}");
+    // each joint follows its command with much the same delay, so that the lags are those that were asked for
+    for (j, lag) in wave.lag_rad.iter().enumerate() {
+        let off = lag - 0.8 * j as f64;
+        assert!(off.abs() < 0.4, "joint {j}: {:?}", wave.lag_rad);
+    }
+    assert!(ahead.vx_mps.mean > 0.03, "{:?}", ahead.vx_mps);
+    assert_eq!(ahead.fall_share.mean, 0.0);
+
+    let back = run(&deep, |contract| swimming(contract, -0.8));
+    assert!(!back.wave.unwrap().travels_to_the_tail);
+    assert!(back.vx_mps.mean < 0.0, "{:?}", back.vx_mps);
+}
+
+#[test]
+fn swimming_at_the_shore_is_measured_in_the_water() {
+    let onto_land = Suite::Transition.scenarios(2.6).swap_remove(1);
+    let result = run(&onto_land, |contract| swimming(contract, 0.8));
+    let transition = result.transition.unwrap();
+    assert!(transition.swim_speed_mps.unwrap().mean > 0.03);
+    assert_eq!(transition.foot_contact[1], Some(0.0));
+    assert!(transition.wave_in_water.unwrap().travels_to_the_tail);
+}

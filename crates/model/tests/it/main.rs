@@ -1,0 +1,9 @@
+//! Robot files: what they say, what is refused, and MuJoCo as referee.
+
+#![allow(clippy::expect_used, clippy::panic, clippy::unwrap_used)]
+
+mod common;
+mod general;
+mod mujoco;
+mod polymander;
+mod wrong_files;

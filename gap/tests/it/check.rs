@@ -1,0 +1,515 @@
+//! Logs with and without faults: every fault that was put in is found, nothing is said of clean ones.
+
+use crate::common::{Touch, changed, rebuilt, record, robot, simulate};
+use caudata_gap::check::{CheckVerdict, Checked, check};
+use caudata_gap::excite;
+use caudata_model::RobotModel;
+use caudata_runlog::{Axis, RunLog, Signal, Table, TableWriter};
+use proptest::prelude::*;
+
+/// Logs of a trial, one per seed.
+fn logs(robot: &RobotModel, trial: &str, seeds: &[u64]) -> Vec<RunLog> {
+    let trial = excite::trial(robot, trial, None, 100.0).unwrap();
+    let runs = simulate(robot, &trial, seeds, None);
+    runs.iter()
+        .zip(seeds)
+        .map(|(r, s)| record(robot, &trial, r, *s))
+        .collect()
+}
+
+fn one(robot: &RobotModel, log: &RunLog) -> Checked {
+    check(&[("run", log)], robot)
+}
+
+fn all(robot: &RobotModel, logs: &[RunLog]) -> Checked {
+    let names: Vec<String> = (0..logs.len()).map(|i| format!("run_{i}")).collect();
+    let named: Vec<(&str, &RunLog)> = names.iter().map(String::as_str).zip(logs).collect();
+    check(&named, robot)
+}
+
+fn found(checked: &Checked, kind: &str, at: &str) {
+    let hit = checked
+        .faults
+        .iter()
+        .any(|f| f.kind == kind && f.location.ends_with(at));
+    assert!(hit, "no `{kind}` at `{at}` in {:#?}", checked.faults);
+    assert!(checked.faults.iter().all(|f| !f.detail.contains('\n')));
+}
+
+#[test]
+fn nothing_is_said_of_clean_logs() {
+    for name in ["polymander", "xl330_pendulum"] {
+        let robot = robot(name);
+        for trial in excite::battery(&robot, None, 100.0).unwrap() {
+            if trial.duration_s > 40.0 {
+                continue;
+            }
+            let seeds: Vec<u64> = (0..4).collect();
+            let runs = simulate(&robot, &trial, &seeds, None);
+            let logs: Vec<RunLog> = runs
+                .iter()
+                .zip(&seeds)
+                .map(|(r, s)| record(&robot, &trial, r, *s))
+                .collect();
+            let checked = all(&robot, &logs);
+            assert!(
+                checked.faults.is_empty(),
+                "{name} {}: {:#?}",
+                trial.name,
+                checked.faults
+            );
+            assert_eq!(checked.verdict, CheckVerdict::Ok);
+            assert_eq!(
+                checked.repeats.len(),
+                1,
+                "{}: repeats are recognised",
+                trial.name
+            );
+        }
+    }
+}
+
+#[test]
+fn turned_signs_are_found() {
+    let robot = robot("polymander");
+    for trial in ["chirp_medium", "steps_medium", "holds", "gait"] {
+        for log in logs(&robot, trial, &[3, 4]) {
+            for joint in ["FL_hip", "HR_knee"] {
+                let at = Signal::Position(joint.to_owned());
+                let turned = changed(&log, |s, _, _, v| if *s == at { v.map(|x| -x) } else { v });
+                found(&one(&robot, &turned), "sign", &format!("pos.{joint}"));
+            }
+            let at = Signal::Velocity("FL_hip".to_owned());
+            let turned = changed(&log, |s, _, _, v| if *s == at { v.map(|x| -x) } else { v });
+            found(&one(&robot, &turned), "sign", "vel.FL_hip");
+        }
+    }
+}
+
+#[test]
+fn an_error_within_a_count_says_nothing_of_a_current() {
+    // a leg folded back under water: the joint rests a count or none off its command, and the current wanders the other way by what friction holds
+    let robot = robot("polymander");
+    let log = &logs(&robot, "holds", &[3])[0];
+    let [cmd, pos, vel, cur]: [Signal; 4] =
+        ["cmd", "pos", "vel", "cur"].map(|kind| format!("{kind}.FL_hip").parse().unwrap());
+    let resting = |count_rad: f64| {
+        changed(log, |s, _, t, v| {
+            let off = if (0.4 * t).sin() > 0.0 { 1.0 } else { 0.0 };
+            let folded = if t < 2.0 { 0.0 } else { 0.3 };
+            match s {
+                s if *s == cmd => Some(folded),
+                s if *s == pos => Some(folded - count_rad * off),
+                s if *s == vel => Some(0.0),
+                s if *s == cur => Some(-0.1 * off),
+                _ => v,
+            }
+        })
+    };
+    let within = one(&robot, &resting(0.0015));
+    assert!(
+        !within.faults.iter().any(|f| f.location.contains("cur.")),
+        "{:#?}",
+        within.faults
+    );
+    found(&one(&robot, &resting(0.02)), "sign", "cur.FL_hip");
+}
+
+#[test]
+fn other_units_are_found() {
+    let robot = robot("polymander");
+    for trial in ["chirp_medium", "triangle_medium"] {
+        let log = &logs(&robot, trial, &[5])[0];
+        let scaled = |at: &str, by: f64| {
+            let at: Signal = at.parse().unwrap();
+            one(
+                &robot,
+                &changed(
+                    log,
+                    |s, _, _, v| if *s == at { v.map(|x| x * by) } else { v },
+                ),
+            )
+        };
+        found(&scaled("pos.FL_knee", 57.29578), "unit", "pos.FL_knee");
+        found(&scaled("cmd.FL_knee", 57.29578), "unit", "cmd.FL_knee");
+        found(&scaled("vel.FL_knee", 57.29578), "unit", "vel.FL_knee");
+        found(&scaled("vel.FL_knee", 9.549_297), "unit", "vel.FL_knee");
+        found(&scaled("cur.FL_knee", 1000.0), "unit", "cur.FL_knee");
+        let both = changed(log, |s, _, _, v| {
+            let angle = matches!(
+                s,
+                Signal::Command(_) | Signal::Position(_) | Signal::Velocity(_)
+            );
+            if angle { v.map(|x| x * 57.29578) } else { v }
+        });
+        found(&one(&robot, &both), "unit", "pos.FL_knee");
+        let in_g = changed(log, |s, _, _, v| {
+            if matches!(s, Signal::Acceleration(_)) {
+                v.map(|x| x / 9.81)
+            } else {
+                v
+            }
+        });
+        found(&one(&robot, &in_g), "unit", "imu.acc");
+    }
+}
+
+#[test]
+fn exchanged_joints_are_found() {
+    let robot = robot("polymander");
+    for trial in ["chirp_medium", "holds", "steps_large"] {
+        let log = &logs(&robot, trial, &[6])[0];
+        for (a, b) in [("FL_hip", "FL_knee"), ("spine_1", "tail_2")] {
+            let other = |s: &Signal| -> Signal {
+                let name = |j: &String| {
+                    if j == a {
+                        b.to_owned()
+                    } else if j == b {
+                        a.to_owned()
+                    } else {
+                        j.clone()
+                    }
+                };
+                match s {
+                    Signal::Position(j) => Signal::Position(name(j)),
+                    Signal::Velocity(j) => Signal::Velocity(name(j)),
+                    Signal::Current(j) => Signal::Current(name(j)),
+                    s => s.clone(),
+                }
+            };
+            let swapped = changed(log, |s, k, _, _| log.table.column(&other(s)).unwrap()[k]);
+            let checked = one(&robot, &swapped);
+            if a == "FL_hip" {
+                found(&checked, "order", "pos.FL_hip");
+            } else {
+                // commands that are much alike: that something is wrong must show, not what
+                assert_eq!(checked.verdict, CheckVerdict::DataFault, "{trial}");
+                assert!(
+                    checked
+                        .faults
+                        .iter()
+                        .any(|f| f.location.ends_with(a) || f.location.ends_with(b)),
+                    "{:?}",
+                    checked.faults
+                );
+            }
+        }
+        let doubled = changed(log, |s, k, _, v| {
+            if *s == Signal::Position("FR_hip".to_owned()) {
+                log.table
+                    .column(&Signal::Position("FL_hip".to_owned()))
+                    .unwrap()[k]
+            } else {
+                v
+            }
+        });
+        found(&one(&robot, &doubled), "duplicate", "pos.FR_hip");
+    }
+}
+
+#[test]
+fn three_joints_in_each_others_place_are_found_and_one_worn_pair_is_not() {
+    let robot = robot("polymander");
+    let log = &logs(&robot, "steps_large", &[6])[0];
+    let position = |joint: &str| Signal::Position(joint.to_owned());
+    let read = |joint: &str, k: usize| log.table.column(&position(joint)).unwrap()[k];
+    let names = ["FL_hip", "FL_knee", "FR_hip"];
+    let round = changed(log, |s, k, _, v| {
+        let at = names.iter().position(|j| *s == position(j));
+        at.map_or(v, |i| read(names[(i + 1) % 3], k))
+    });
+    let checked = one(&robot, &round);
+    for name in names {
+        found(&checked, "order", &format!("pos.{name}"));
+    }
+    // a joint that is dragged along by its neighbour, which itself gives way: what the neighbour leaves is nobody's
+    let worn = changed(log, |s, k, _, v| {
+        let hip = read("FL_hip", k);
+        if *s == position("FL_knee") {
+            hip.map(|x| 0.9 * x)
+        } else if *s == position("FL_hip") {
+            Some(0.5 * (hip? - read("FR_hip", k)?))
+        } else {
+            v
+        }
+    });
+    let faults = one(&robot, &worn).faults;
+    assert!(faults.iter().all(|f| f.kind != "order"), "{faults:?}");
+}
+
+#[test]
+fn stuck_channels_are_found() {
+    let robot = robot("polymander");
+    let log = &logs(&robot, "steps_large", &[7])[0];
+    let at = Signal::Position("FL_hip".to_owned());
+    let stuck = changed(log, |s, k, _, v| {
+        if *s == at && k > 100 {
+            log.table.column(&at).unwrap()[100]
+        } else {
+            v
+        }
+    });
+    found(&one(&robot, &stuck), "stuck", "pos.FL_hip");
+    let at = Signal::Velocity("FL_hip".to_owned());
+    let stuck = changed(log, |s, _, _, v| if *s == at { Some(0.0) } else { v });
+    found(&one(&robot, &stuck), "parity", "vel.FL_hip");
+}
+
+#[test]
+fn wrong_stamps_are_found() {
+    let robot = robot("polymander");
+    for trial in ["chirp_medium", "steps_medium"] {
+        let log = &logs(&robot, trial, &[8])[0];
+        let signals = log.table.signals().to_vec();
+        let row = |k: usize| log.table.row(k).unwrap();
+        // milliseconds for seconds
+        found(
+            &one(&robot, &rebuilt(log, &signals, |k, t| (1000.0 * t, row(k)))),
+            "unit",
+            "t",
+        );
+        // a clock that runs twice too fast, with its rate claimed accordingly
+        let mut fast = rebuilt(log, &signals, |k, t| (0.5 * t, row(k)));
+        fast.meta.rate_hz = 200.0;
+        found(&one(&robot, &fast), "stamps", "t");
+        // rows written in batches of ten
+        let batched = rebuilt(log, &signals, |k, _| {
+            (0.1 * (k / 10) as f64 + 2e-4 * (k % 10) as f64, row(k))
+        });
+        found(&one(&robot, &batched), "stamps", "t");
+        // the clock is set ahead by 0.3 s in the middle; a second and a half are missing
+        // (at rest the one looks like the other)
+        let set = rebuilt(log, &signals, |k, t| {
+            (if t > 5.03 { t + 0.3 } else { t }, row(k))
+        });
+        if trial == "chirp_medium" {
+            found(&one(&robot, &set), "stamps", "t");
+        }
+        let kept: Vec<usize> = (0..log.table.len())
+            .filter(|k| !(500..650).contains(k))
+            .collect();
+        let mut csv = TableWriter::new(Vec::new(), &signals, f64::INFINITY).unwrap();
+        for k in kept {
+            csv.row(log.table.time_s()[k], &row(k)).unwrap();
+        }
+        let hole = RunLog {
+            meta: log.meta.clone(),
+            table: Table::parse("log.csv", csv.finish().unwrap().as_slice()).unwrap(),
+        };
+        let checked = one(&robot, &hole);
+        found(&checked, "gap", "t");
+        assert_eq!(checked.verdict, CheckVerdict::Ok, "{:#?}", checked.faults);
+        // readings 150 ms too early for their commands
+        let at = |k: usize, s: &Signal| {
+            let k = if matches!(s, Signal::Command(_)) {
+                k
+            } else {
+                (k + 15).min(log.table.len() - 1)
+            };
+            log.table.column(s).unwrap()[k]
+        };
+        let early = changed(log, |s, k, _, _| at(k, s));
+        found(&one(&robot, &early), "stamps", "");
+    }
+}
+
+#[test]
+fn a_wrong_imu_is_found() {
+    let robot = robot("polymander");
+    let log = &logs(&robot, "rock_x", &[9])[0];
+    let imu = |of: fn(Axis) -> Signal, from: [usize; 3], sign: [f64; 3]| {
+        one(
+            &robot,
+            &changed(log, |s, k, _, v| {
+                let Some(i) = Axis::ALL.iter().position(|a| of(*a) == *s) else {
+                    return v;
+                };
+                log.table.column(&of(Axis::ALL[from[i]])).unwrap()[k].map(|x| sign[i] * x)
+            }),
+        )
+    };
+    found(&imu(Signal::Gyro, [0, 1, 2], [-1.0; 3]), "sign", "imu.gyro");
+    found(
+        &imu(Signal::Gyro, [1, 0, 2], [1.0, 1.0, 1.0]),
+        "order",
+        "imu.gyro",
+    );
+    found(
+        &imu(Signal::Acceleration, [0, 1, 2], [-1.0; 3]),
+        "sign",
+        "imu.acc",
+    );
+    found(
+        &imu(Signal::Acceleration, [0, 2, 1], [1.0; 3]),
+        "order",
+        "imu.acc",
+    );
+    found(&imu(Signal::Gyro, [0, 1, 2], [57.3; 3]), "unit", "imu.gyro");
+}
+
+#[test]
+fn a_touch_shows_between_repeats() {
+    let robot = robot("xl330_pendulum");
+    for name in ["triangle_medium", "chirp_medium", "holds"] {
+        let trial = excite::trial(&robot, name, None, 100.0).unwrap();
+        let seeds = [11, 12, 13];
+        let touch = Touch {
+            from_s: 4.0,
+            to_s: 5.0,
+            force_n: [3.0, 0.0, 0.0],
+            run: 1,
+        };
+        let runs = simulate(&robot, &trial, &seeds, Some(touch));
+        let logs: Vec<RunLog> = runs
+            .iter()
+            .zip(seeds)
+            .map(|(r, s)| record(&robot, &trial, r, s))
+            .collect();
+        let checked = all(&robot, &logs);
+        assert_eq!(
+            checked.odd_spans.len(),
+            1,
+            "{name}: {:?}",
+            checked.odd_spans
+        );
+        let span = &checked.odd_spans[0];
+        assert!(
+            span.run == "run_1"
+                && span.from_s > 3.8
+                && span.from_s < 4.4
+                && span.to_s > 4.6
+                && span.to_s < 5.8,
+            "{span:?}"
+        );
+        found(&checked, "touch", "swing");
+        // worth knowing, and no reason to stop
+        assert_eq!(checked.verdict, CheckVerdict::Ok);
+    }
+}
+
+#[test]
+fn bad_logs_get_a_clear_line() {
+    let robot = robot("polymander");
+    let log = logs(&robot, "steps_small", &[1]).remove(0);
+    let says = |csv: &str, want: &str| {
+        let log = RunLog {
+            meta: log.meta.clone(),
+            table: Table::parse("log.csv", csv.as_bytes()).unwrap(),
+        };
+        let checked = one(&robot, &log);
+        assert_eq!(checked.verdict, CheckVerdict::DataFault);
+        assert!(
+            checked
+                .faults
+                .iter()
+                .any(|f| f.fatal && f.detail.contains(want)),
+            "{want}: {:#?}",
+            checked.faults
+        );
+    };
+    let rows = |header: &str, cells: &str, n: usize| -> String {
+        let body: String = (0..n)
+            .map(|k| format!("{:.2},{cells}\n", 0.01 * k as f64))
+            .collect();
+        format!("{header}\n{body}")
+    };
+    says(
+        &rows("t,cmd.FL_hip,pos.FL_hip", "0,0", 101),
+        "is 1.00 s long",
+    );
+    says(
+        &rows("t,cmd.wing,pos.wing", "0,0", 501),
+        "a log of another robot",
+    );
+    says(
+        &rows("t,cmd.FL_hip,pos.FL_hip,pos.wing", "0,0,0", 501),
+        "has wing and `polymander` has no such joint",
+    );
+    says(
+        &rows("t,cmd.FL_hip", "0", 501),
+        "has no column `pos.<joint>`",
+    );
+    says(
+        &rows("t,pos.FL_hip", "0", 501),
+        "has no column `cmd.<joint>`",
+    );
+    says(&rows("t,volt", "14", 501), "has no joint column");
+    says("t,cmd.FL_hip,pos.FL_hip\n", "0 rows");
+    // an empty column is worth a note only
+    let log = RunLog {
+        meta: log.meta.clone(),
+        table: Table::parse(
+            "log.csv",
+            rows("t,cmd.FL_hip,pos.FL_hip,vel.FL_hip", "0,0,", 501).as_bytes(),
+        )
+        .unwrap(),
+    };
+    let checked = one(&robot, &log);
+    assert_eq!(checked.verdict, CheckVerdict::Ok);
+    found(&checked, "empty", "vel.FL_hip");
+}
+
+#[test]
+fn what_cannot_be_told_is_listed_with_what_would_tell_it() {
+    let robot = robot("polymander");
+    let gait = all(&robot, &logs(&robot, "gait_slow", &[1]));
+    for effect in [
+        "pre_sliding",
+        "hard_stop",
+        "thermal_derating",
+        "quadratic_drag",
+        "clock_drift",
+    ] {
+        let blind = gait
+            .cannot_tell
+            .get(effect)
+            .unwrap_or_else(|| panic!("{effect} could show: {:#?}", gait.runs[0].excites));
+        assert!(
+            excite::names(&robot, None).contains(&blind.record.as_str()),
+            "{effect}: {}",
+            blind.record
+        );
+    }
+    // an IMU was there: play between the girdles can show
+    assert!(!gait.cannot_tell.contains_key("girdle_play"));
+    let rig = crate::common::robot("xl330_pendulum");
+    let both: Vec<RunLog> = ["chirp_small", "holds"]
+        .iter()
+        .flat_map(|t| logs(&rig, t, &[1]))
+        .collect();
+    let checked = all(&rig, &both);
+    for effect in ["command_delay", "kp_error"] {
+        assert!(
+            !checked.cannot_tell.contains_key(effect),
+            "{:?} {:#?}",
+            checked.cannot_tell[effect],
+            checked.runs
+        );
+    }
+    assert!(
+        !checked.cannot_tell.contains_key("contact_friction"),
+        "a rig without feet cannot have it"
+    );
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Whatever reads as a log is checked without a panic, and every line is one line.
+    #[test]
+    fn any_log_is_checked(cells in proptest::collection::vec(proptest::option::of(-1e9f64..1e9), 5 * 60..5 * 200), step in 1e-9f64..10.0, scale in -12i32..9) {
+        let robot = robot("xl330_pendulum");
+        let mut csv = String::from("t,cmd.swing,pos.swing,vel.swing,cur.swing,temp.swing\n");
+        for (k, row) in cells.chunks_exact(5).enumerate() {
+            let text: Vec<String> = row.iter().map(|c| c.map_or(String::new(), |x| format!("{:?}", x * 10f64.powi(scale)))).collect();
+            csv.push_str(&format!("{:?},{}\n", k as f64 * step, text.join(",")));
+        }
+        if let Ok(table) = Table::parse("log.csv", csv.as_bytes()) {
+            let meta = caudata_runlog::LogMeta::new("rig", caudata_runlog::BaseHold::Fixed, 100.0);
+            let log = RunLog { meta, table };
+            let checked = all(&robot, &[log.clone(), log]);
+            prop_assert!(checked.faults.iter().all(|f| !f.detail.contains('\n')));
+            serde_json::to_string(&checked).unwrap();
+        }
+    }
+}

@@ -1,0 +1,318 @@
+//! Whole diagnoses of a bench rig whose truth is known: the engine in double precision with a quarter of the step, counts and noise on top.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use caudata_gap::repeats;
+use caudata_gap::replay::{Data, Replayer, SegmentOptions};
+use caudata_gap::report::Verdict;
+use caudata_gap::trial::Trial;
+use caudata_gap::{Diagnosis, GapError, GoOn, Options, Request, Role, Run, diagnose, extension};
+use caudata_model::RobotModel;
+use caudata_random::{Key, Purpose, Stream};
+use caudata_runlog::{BaseHold, LogMeta, RunLog, Table};
+use caudata_sim::batch::BatchEngine;
+use caudata_sim::{
+    Engine, EngineConfig, InitialState, LaneParams, Precision, Terrain, TerrainConfig,
+};
+
+const ROWS_HZ: f64 = 100.0;
+
+fn path(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../robots")
+        .join(name)
+}
+
+fn bytes() -> (Vec<u8>, Vec<u8>) {
+    let read = |name: &str| std::fs::read(path(name)).unwrap();
+    (
+        read("xl330_pendulum.robot.toml"),
+        read("xl330_pendulum.xml"),
+    )
+}
+
+/// Command of trial `kind` at time `t`, rad.
+fn command(kind: usize, t: f64) -> f64 {
+    match kind {
+        0 => 0.8 * (std::f64::consts::TAU * (0.3 * t + 0.12 * t * t)).sin(),
+        1 => [0.0, 0.5, -0.4, 0.9, 0.2, -0.9, 0.7, 0.0][(t / 1.1) as usize % 8],
+        _ => 0.6 * (2.1 * t).sin() + 0.35 * (5.3 * t).sin(),
+    }
+}
+
+/// A recording of `kind` by a robot with `change`; the command arrives `late` rows late.
+fn record(kind: usize, repeat: u64, late: usize, change: &dyn Fn(&mut LaneParams)) -> RunLog {
+    let model = Arc::new(RobotModel::load(&path("xl330_pendulum.robot.toml")).unwrap());
+    let config = EngineConfig {
+        dt_s: 0.0005,
+        substeps: 20,
+        precision: Precision::Double,
+        fixed_base: true,
+        ..EngineConfig::default()
+    };
+    let terrain = Arc::new(Terrain::generate(&TerrainConfig::default(), 1).unwrap());
+    let mut engine = BatchEngine::new(Arc::clone(&model), 1, config, terrain, 1).unwrap();
+    let mut params = LaneParams::nominal(&model);
+    let key = Key {
+        env: kind as u64,
+        episode: repeat,
+        ..Key::for_run(11)
+    };
+    let mut noise = Stream::new(key, Purpose::Sensor);
+    // no two runs are the same
+    params.joint_friction_nm[0] = 0.01 * (1.0 + 0.05 * noise.normal());
+    change(&mut params);
+    engine.set_params(0, &params).unwrap();
+    let mut init = InitialState::nominal(&model);
+    init.joint_pos_rad[0] = command(kind, 0.0) as f32;
+    engine.reset(0, &init).unwrap();
+    let round = |x: f64, lsb: f64| (x / lsb).round() * lsb;
+    let mut text = String::from("t,cmd.swing,pos.swing,vel.swing,tau.swing\n");
+    for k in 0..800_usize {
+        let t = k as f64 / ROWS_HZ;
+        let state = engine.state();
+        let q = f64::from(state.joint_pos_rad[0]) + 0.0002 * f64::from(noise.normal());
+        let v = f64::from(state.joint_vel_radps[0]) + 0.01 * f64::from(noise.normal());
+        let torque = f64::from(state.motor_torque_nm[0]) + 0.003 * f64::from(noise.normal());
+        let u = command(kind, t);
+        text += &format!(
+            "{t},{u},{},{},{torque}\n",
+            round(q, std::f64::consts::TAU / 4096.0),
+            round(v, 0.02398)
+        );
+        let heard = command(kind, (k.saturating_sub(late)) as f64 / ROWS_HZ);
+        engine.step(&[heard as f32], &[0.0; 6]).unwrap();
+    }
+    let mut meta = LogMeta::new("xl330_pendulum", BaseHold::Fixed, ROWS_HZ);
+    meta.supply_v = Some(7.4);
+    RunLog {
+        meta,
+        table: Table::parse("log.csv", text.as_bytes()).unwrap(),
+    }
+}
+
+/// The nominal robot of these tests has a little friction.
+fn robot() -> (Vec<u8>, Vec<u8>) {
+    let (toml, mjcf) = bytes();
+    let text = String::from_utf8(toml).unwrap();
+    let text = text.replacen("friction_loss_nm = 0.0 ", "friction_loss_nm = 0.01 ", 1);
+    (text.into_bytes(), mjcf)
+}
+
+fn request(late: usize, change: &dyn Fn(&mut LaneParams)) -> Request {
+    let (robot_toml, mjcf) = robot();
+    let mut runs = Vec::new();
+    for (kind, role) in [(0, Role::Fit), (1, Role::Fit), (2, Role::Holdout)] {
+        for repeat in 0..2 {
+            runs.push(Run {
+                name: format!("{kind}_{repeat}"),
+                log: record(kind, repeat, late, change),
+                role,
+                sha256: String::new(),
+            });
+        }
+    }
+    Request {
+        robot_toml,
+        mjcf,
+        label: "xl330_pendulum.robot.toml".to_owned(),
+        runs,
+        data_faults: Vec::new(),
+        options: Options::default(),
+    }
+}
+
+fn run(late: usize, change: &dyn Fn(&mut LaneParams)) -> (Request, Diagnosis) {
+    let request = request(late, change);
+    let diagnosis = diagnose(&request, &mut |_| {}).unwrap();
+    (request, diagnosis)
+}
+
+fn names(d: &Diagnosis) -> Vec<&str> {
+    d.report.causes.iter().map(|c| c.effect.as_str()).collect()
+}
+
+#[test]
+fn nothing_is_found_where_nothing_is_wrong() {
+    let (_, d) = run(0, &|_| {});
+    assert_eq!(
+        d.report.verdict,
+        Verdict::NoGap,
+        "{} {:?}",
+        d.report.summary,
+        names(&d)
+    );
+    let floor = &d.report.detection_floor["kp_error@swing"];
+    assert!(
+        floor.excited && (floor.value - 1.0).abs() < 0.25,
+        "{floor:?}"
+    );
+}
+
+#[test]
+fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
+    let (request, d) = run(0, &|p| p.kp_nm_per_rad[0] *= 0.75);
+    let first = &d.report.causes[0];
+    let same = ["kp_error", "stale_gains", "winding_resistance"];
+    assert!(same.contains(&first.effect.as_str()), "{:?}", names(&d));
+    assert!(d.report.gain["pos"].ratio < 0.3, "{:?}", d.report.gain);
+    if first.effect == "kp_error" {
+        let p = &first.parameters["scale"];
+        assert!((p.value - 0.75).abs() < 0.04, "{p:?}");
+    }
+    // the extended file, loaded through the ordinary reader, predicts held-out runs to the bit
+    let text = extension::append(
+        &d.extension,
+        std::str::from_utf8(&request.robot_toml).unwrap(),
+    )
+    .unwrap();
+    let extended =
+        Arc::new(RobotModel::from_bytes("extended", text.as_bytes(), &request.mjcf).unwrap());
+    let plain =
+        Arc::new(RobotModel::from_bytes("plain", &request.robot_toml, &request.mjcf).unwrap());
+    let mut trials: Vec<Trial> = (request.runs.iter().filter(|r| r.role == Role::Holdout))
+        .map(|r| Trial::new(&plain, r).unwrap())
+        .collect();
+    repeats::group(&mut trials);
+    let data = Data::new(
+        &plain,
+        repeats::collapse(&trials),
+        SegmentOptions::default(),
+    );
+    let from_file = Replayer::new(Arc::clone(&extended), 2)
+        .unwrap()
+        .predict(&data, &[Vec::new()])
+        .unwrap();
+    let terms = extension::terms(&d.extension, &plain).unwrap();
+    let in_memory = Replayer::new(plain, 1)
+        .unwrap()
+        .predict(&data, &[terms])
+        .unwrap();
+    let bits = |x: &[Vec<f32>]| x[0].iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&from_file), bits(&in_memory));
+    let square = |x: &[f32]| -> f64 {
+        let pos = data
+            .segments
+            .iter()
+            .flat_map(|s| &s.pieces)
+            .filter(|p| p.kind.name() == "pos");
+        let (mut sum, mut n) = (0.0, 0.0);
+        for k in pos.flat_map(|p| p.range.clone()) {
+            sum += (data.value[k] - f64::from(x[k])).powi(2);
+            n += 1.0;
+        }
+        f64::sqrt(sum / n)
+    };
+    let reported = d.report.gain["pos"].after;
+    assert!(
+        (square(&from_file[0]) / reported - 1.0).abs() < 1e-9,
+        "{} {reported}",
+        square(&from_file[0])
+    );
+    // and what engines read is what was fitted
+    let lane = LaneParams::nominal(&extended);
+    assert!(
+        (lane.kp_nm_per_rad[0] / 0.886 - 0.75).abs() < 0.05 || first.effect == "winding_resistance"
+    );
+    // twice the same, to the bit
+    assert_eq!(diagnose(&request, &mut |_| {}).unwrap().report, d.report);
+}
+
+#[test]
+fn a_late_command_is_named() {
+    let (_, d) = run(2, &|_| {});
+    let first = &d.report.causes[0];
+    let late = ["command_delay", "measurement_delay"];
+    assert!(late.contains(&first.effect.as_str()), "{:?}", names(&d));
+    let p = &first.parameters["delay_s"];
+    assert!((p.value - 0.02).abs() < 0.003, "{p:?}");
+}
+
+#[test]
+fn what_would_have_to_be_larger_than_plausible_is_no_explanation() {
+    // 120 ms late, and no delay beyond 100 ms is plausible; what else is tried can only make up for a part of the rest
+    let mut request = request(12, &|_| {});
+    request.options.only = vec!["command_delay".to_owned(), "viscous_friction".to_owned()];
+    let d = diagnose(&request, &mut |_| {}).unwrap();
+    let delay = d.report.causes.iter().find(|c| c.effect == "command_delay");
+    let delay = delay.expect("a delay is tried");
+    assert!(delay.parameters["delay_s"].at_bound, "{delay:?}");
+    assert_eq!(d.report.verdict, Verdict::PartlyExplained);
+    assert!(
+        (d.report.summary).contains("What command_delay would have to be lies at the end"),
+        "{}",
+        d.report.summary
+    );
+    for cause in &d.report.causes {
+        assert!(cause.confidence <= 0.4, "{cause:?}");
+    }
+}
+
+#[test]
+fn friction_is_named() {
+    let (_, d) = run(0, &|p| p.joint_friction_nm[0] += 0.05);
+    assert_eq!(
+        names(&d).first(),
+        Some(&"coulomb_friction"),
+        "{}",
+        d.report.summary
+    );
+    let p = &d.report.causes[0].parameters["extra_nm"];
+    assert!((p.value - 0.05).abs() < 0.008, "{p:?}");
+}
+
+#[test]
+fn a_diagnosis_that_is_asked_to_stop_ends_there() {
+    let mut request = request(0, &|p| p.joint_friction_nm[0] += 0.05);
+    request.options.only = ["coulomb_friction", "kp_error"].map(str::to_owned).to_vec();
+    // what it answers once it was asked so often, and how often that was in all
+    let mut asked_until = |last: usize| {
+        let asked = Arc::new(AtomicUsize::new(0));
+        let counter = Arc::clone(&asked);
+        let go_on = move || counter.fetch_add(1, Ordering::Relaxed) < last;
+        request.options.go_on = GoOn::as_long_as(go_on);
+        let ended = diagnose(&request, &mut |_| {}).map(|d| d.report.verdict);
+        (ended, asked.load(Ordering::Relaxed))
+    };
+    let (whole, asked) = asked_until(usize::MAX);
+    assert!(whole.is_ok(), "{whole:?}");
+    // before the first simulation, while it reads, searches and names, and before the last one
+    for last in [0, 1, asked / 4, asked / 2, 3 * asked / 4, asked - 1] {
+        let (ended, more) = asked_until(last);
+        assert!(matches!(ended, Err(GapError::Stopped)), "{last}: {ended:?}");
+        // each thread may have asked once more
+        let threads = Options::default().threads;
+        assert!(
+            (last + 1..=last + threads).contains(&more),
+            "{last}: {more}"
+        );
+    }
+}
+
+#[test]
+fn bad_runs_are_refused_in_one_line() {
+    let mut none = request(0, &|_| {});
+    none.runs.clear();
+    assert!(matches!(
+        diagnose(&none, &mut |_| {}),
+        Err(GapError::NoRuns)
+    ));
+    let mut short = request(0, &|_| {});
+    short.runs[0].log.table = Table::parse(
+        "log.csv",
+        "t,cmd.swing,pos.swing\n0,0,0\n0.5,0,0\n".as_bytes(),
+    )
+    .unwrap();
+    let message = diagnose(&short, &mut |_| {}).unwrap_err().to_string();
+    assert!(
+        message.contains("lasts 0.50 s") && !message.contains('\n'),
+        "{message}"
+    );
+    let mut foreign = request(0, &|_| {});
+    foreign.runs[0].log.table =
+        Table::parse("log.csv", "t,cmd.wing,pos.wing\n0,0,0\n5,0,0\n".as_bytes()).unwrap();
+    let message = diagnose(&foreign, &mut |_| {}).unwrap_err().to_string();
+    assert!(message.contains("no actuated joint `wing`"), "{message}");
+}

@@ -1,0 +1,12 @@
+//! What starts a cluster: images, manifests, Slurm scripts.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::unwrap_used
+)]
+
+mod images;
+mod manifests;
+mod slurm;

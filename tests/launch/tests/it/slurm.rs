@@ -1,0 +1,316 @@
+//! A real Slurm on this host: submit, grow, kill, requeue, shrink, stop. Skipped where Slurm is not installed or this is not root.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use caudata_launch_tests::{has_tool, program, repository, skipped};
+use serde_json::Value;
+
+/// Longest wait for anything. Only a hang reaches it.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// A Slurm with its daemons; they end with it.
+struct Slurm {
+    dir: tempfile::TempDir,
+    port: u16,
+}
+
+impl Slurm {
+    fn start() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let output = script("start", dir.path()).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{said}");
+        let probe = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = probe.local_addr().unwrap().port();
+        Self { dir, port }
+    }
+
+    /// A command of ours or of Slurm's, against this Slurm.
+    fn run(&self, program: &str, arguments: &[&str]) -> String {
+        let binaries = caudata_launch_tests::program("caudata-actor").unwrap();
+        let output = Command::new(program)
+            .args(arguments)
+            .env("SLURM_CONF", self.dir.path().join("slurm.conf"))
+            .env("CAUDATA_BIN", binaries.parent().unwrap())
+            .env("CAUDATA_SCHEME", "tcp")
+            .env("CAUDATA_HOST", "127.0.0.1")
+            .env("CAUDATA_PORT", self.port.to_string())
+            .env("CAUDATA_RUN_ID", "slurm-test")
+            .current_dir(repository())
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(
+            output.status.success(),
+            "{program} {arguments:?}: {text}{errors}"
+        );
+        log(&format!("$ {program} {}\n{text}", arguments.join(" ")));
+        text
+    }
+
+    fn submit(&self, arguments: &[&str]) -> String {
+        let script = repository().join("docker/slurm/submit.sh");
+        self.run(script.to_str().unwrap(), arguments)
+    }
+
+    /// Tasks of actors that run.
+    fn running_actors(&self) -> usize {
+        let queue = self.queue();
+        queue
+            .lines()
+            .filter(|line| line.contains("caudata-actor R"))
+            .count()
+    }
+
+    fn queue(&self) -> String {
+        let output = Command::new("squeue")
+            .args(["--noheader", "--array", "--format=%i %j %t"])
+            .env("SLURM_CONF", self.dir.path().join("slurm.conf"))
+            .output()
+            .unwrap();
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    }
+}
+
+impl Drop for Slurm {
+    fn drop(&mut self) {
+        let _ = script("stop", self.dir.path()).output();
+    }
+}
+
+fn script(what: &str, dir: &Path) -> Command {
+    let mut command = Command::new("sh");
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("one_host_slurm.sh"));
+    command.arg(what).arg(dir);
+    command
+}
+
+/// Shown with `--nocapture`; `docs/clusters.md` has such a log.
+#[allow(clippy::print_stdout)]
+fn log(text: &str) {
+    println!("{}", text.trim_end());
+}
+
+fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !done() {
+        assert!(
+            began.elapsed() < PATIENCE,
+            "{what}: not within {PATIENCE:?}"
+        );
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    log(&format!(
+        "# {what}: after {:.1} s",
+        began.elapsed().as_secs_f64()
+    ));
+}
+
+fn events(run: &Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(run.join("progress.jsonl")).unwrap_or_default();
+    text.lines()
+        .filter_map(|line| serde_json::from_str(line).ok())
+        .collect()
+}
+
+fn iteration(run: &Path) -> u64 {
+    let last = events(run)
+        .into_iter()
+        .rev()
+        .find(|event| event["event"] == "iteration");
+    last.and_then(|event| event["iteration"].as_u64())
+        .unwrap_or(0)
+}
+
+fn has(run: &Path, kind: &str, from: usize) -> bool {
+    events(run)
+        .iter()
+        .skip(from)
+        .any(|event| event["event"] == kind)
+}
+
+const CONFIG: &str = r#"
+[run]
+iterations = 1000000
+[actors]
+count = 4
+lanes = 8
+chunk_steps = 16
+max_lead = 1
+policy_timeout_s = 280.0
+[learner]
+checkpoint_every = 10
+batch_timeout_s = 3.0
+min_batch_share = 0.25
+[learner.network]
+policy_hidden = [16]
+value_hidden = [16]
+[learner.ppo]
+minibatches = 2
+[telemetry]
+metrics = false
+"#;
+
+#[test]
+fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
+    let needed = ["munged", "slurmctld", "slurmd", "sbatch"];
+    if let Some(absent) = needed.into_iter().find(|tool| !has_tool(tool)) {
+        return skipped(&format!(
+            "{absent} is not installed (Debian: slurm-wlm munge)"
+        ));
+    }
+    let is_root = std::fs::metadata("/proc/self").is_ok_and(|own| {
+        use std::os::unix::fs::MetadataExt;
+        own.uid() == 0
+    });
+    if !is_root {
+        return skipped("only root can start Slurm's daemons");
+    }
+    if ["caudata-learner", "caudata-actor"]
+        .iter()
+        .any(|name| program(name).is_none())
+    {
+        return skipped("caudata-learner and caudata-actor are not built");
+    }
+    let slurm = Slurm::start();
+    let run: PathBuf = slurm.dir.path().join("run");
+    let config = slurm.dir.path().join("cluster.toml");
+    std::fs::write(&config, CONFIG).unwrap();
+    let (run_word, config_word) = (run.to_str().unwrap(), config.to_str().unwrap());
+
+    slurm.submit(&[
+        "start",
+        "--run",
+        run_word,
+        "--config",
+        config_word,
+        "--actors",
+        "2",
+    ]);
+    wait_until("learning with two actors", || iteration(&run) >= 20);
+
+    slurm.submit(&[
+        "grow",
+        "--run",
+        run_word,
+        "--config",
+        config_word,
+        "--from",
+        "2",
+        "--actors",
+        "2",
+    ]);
+    wait_until("four actors run", || slurm.running_actors() == 4);
+    slurm.run("squeue", &["--array"]);
+
+    // An actor dies without a word; its task starts it again as another incarnation.
+    let ledgers = |actor: u32| {
+        let prefix = format!("actor-{actor}-");
+        let entries = std::fs::read_dir(run.join("ledgers")).unwrap().flatten();
+        entries
+            .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))
+            .count()
+    };
+    assert_eq!(ledgers(0), 1);
+    let victim = pid_of_actor(run_word, 0);
+    log(&format!("$ kill -9 {victim}    # actor 0"));
+    Command::new("kill")
+        .args(["-9", &victim.to_string()])
+        .status()
+        .unwrap();
+    wait_until("actor 0 is back as its next incarnation", || {
+        ledgers(0) == 2
+    });
+    let then = iteration(&run);
+    wait_until("learning goes on", || iteration(&run) > then + 20);
+
+    // The learner's job goes back into the queue, as at the end of its time; the actors wait and find it again.
+    let before = events(&run).len();
+    let learner = std::fs::read_to_string(run.join("slurm-jobs")).unwrap();
+    let learner = learner
+        .lines()
+        .find_map(|line| line.strip_prefix("learner "))
+        .unwrap()
+        .to_owned();
+    slurm.run("scancel", &["--batch", "--signal=TERM", &learner]);
+    wait_until("the learner has saved and said goodbye", || {
+        has(&run, "finished", before)
+    });
+    wait_until("its job waits in the queue", || {
+        slurm
+            .queue()
+            .lines()
+            .any(|line| line.starts_with(&learner) && line.ends_with(" PD"))
+    });
+    // Slurm waits two minutes before a job that was requeued starts; a test does not. But slurmd refuses a launch whose credential is not
+    // younger, in whole seconds, than the end of the job's last start ("already killed, do not launch"), and the job then fails for good.
+    std::thread::sleep(Duration::from_secs(3));
+    let release = ["update", &format!("JobId={learner}"), "StartTime=now"];
+    wait_until("the learner started again", || {
+        let _ = Command::new("scontrol")
+            .args(release)
+            .env("SLURM_CONF", slurm.dir.path().join("slurm.conf"))
+            .output();
+        has(&run, "started", before)
+    });
+    let started = events(&run)
+        .into_iter()
+        .skip(before)
+        .find(|e| e["event"] == "started")
+        .unwrap();
+    assert!(
+        started["iteration"].as_u64().unwrap() >= 20,
+        "from its checkpoint: {started}"
+    );
+    let then = started["iteration"].as_u64().unwrap();
+    wait_until("learning goes on after the learner's return", || {
+        iteration(&run) > then + 20
+    });
+
+    slurm.submit(&["shrink", "--run", run_word, "--from", "2"]);
+    wait_until("two actors are left", || slurm.running_actors() == 2);
+    let then = iteration(&run);
+    wait_until("learning goes on with two", || iteration(&run) > then + 20);
+
+    slurm.submit(&["stop", "--run", run_word]);
+    wait_until("nothing is left in the queue", || {
+        slurm.queue().trim().is_empty()
+    });
+    let accounting: Value =
+        serde_json::from_str(&std::fs::read_to_string(run.join("accounting.json")).unwrap())
+            .unwrap();
+    log(&format!(
+        "# accounting: sent {}, accepted {}, rejected {}, dropped {}, waiting {}",
+        accounting["sent"],
+        accounting["accepted"],
+        accounting["rejected"],
+        accounting["dropped"],
+        accounting["waiting"]
+    ));
+    assert_eq!(accounting["holds"], true, "{accounting}");
+    let number = |key: &str| accounting[key].as_u64().unwrap();
+    assert_eq!(
+        number("sent"),
+        number("accepted") + number("rejected") + number("dropped") + number("waiting")
+    );
+    assert_eq!(number("rejected"), 0);
+}
+
+/// The process of actor `id` of this run.
+fn pid_of_actor(run: &str, id: u32) -> u32 {
+    let wanted = [
+        format!("--actor-id\0{id}\0"),
+        format!("{run}/ledgers/actor-{id}-"),
+    ];
+    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let mut found = processes.filter_map(|entry| {
+        let pid: u32 = entry.file_name().to_str()?.parse().ok()?;
+        let line = std::fs::read(entry.path().join("cmdline")).ok()?;
+        let line = String::from_utf8_lossy(&line).into_owned();
+        wanted.iter().all(|word| line.contains(word)).then_some(pid)
+    });
+    found.next().expect("the actor runs")
+}

@@ -1,0 +1,17 @@
+//! End to end, faults, and the rules of this repository.
+
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::unwrap_used
+)]
+
+mod adapt;
+mod chaos;
+mod faults_actors;
+mod gap_policies;
+mod refusals;
+mod tidy;
+mod traces;
+mod train;
