@@ -1,16 +1,12 @@
-//! The rules of this repository, as tests: what ARCHITECTURE.md promises about paths and dependencies holds.
+//! What may depend on what, and that nothing is declared for nobody.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
 
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
 
-fn repository_root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("tests/ lies in the repository")
-        .to_path_buf()
-}
+use super::exceptions::{Offence, hold};
+use super::product::{self, root};
+use super::tokens::{self, Token};
 
 /// The platform that this was built on, as `rustc` names it.
 fn host() -> String {
@@ -20,11 +16,12 @@ fn host() -> String {
     host.expect("rustc names its host").to_owned()
 }
 
-/// Of this platform only: a machine that has just built this has no other platform's packages, and shall not need a network here.
+/// What cargo knows of the workspace and of this platform's dependencies: a machine that has just built this has no
+/// other platform's packages, and shall not need a network here.
 fn metadata() -> Metadata {
     let options = ["--offline", "--locked", "--filter-platform", &host()].map(String::from);
     MetadataCommand::new()
-        .manifest_path(repository_root().join("Cargo.toml"))
+        .manifest_path(root().join("Cargo.toml"))
         .other_options(options)
         .exec()
         .expect("cargo metadata answers from the lock file")
@@ -58,71 +55,6 @@ fn linked_by(metadata: &Metadata, package: &str) -> BTreeSet<String> {
         }
     }
     seen
-}
-
-/// Markdown files whose back-quoted paths must exist.
-const MAPS: [&str; 2] = ["ARCHITECTURE.md", "README.md"];
-
-/// A back-quoted word counts as a path when it begins with one of the repository's folders or names a root file; one
-/// that begins with `/` is part of a web address.
-fn looks_like_a_path(word: &str, root: &Path) -> bool {
-    let plain = word
-        .chars()
-        .all(|c| c.is_ascii_alphanumeric() || "._-/".contains(c));
-    let first = word.split('/').next().unwrap_or_default();
-    let known_top = root.join(first).exists() || word.ends_with(".md") || word.ends_with('/');
-    plain && !first.is_empty() && known_top && (word.contains('/') || word.ends_with(".md"))
-}
-
-#[test]
-fn every_path_that_the_maps_name_exists() {
-    let root = repository_root();
-    let mut checked = 0;
-    for map in MAPS {
-        let text = std::fs::read_to_string(root.join(map)).expect(map);
-        for word in text.split('`').skip(1).step_by(2) {
-            if looks_like_a_path(word, &root)
-                && !word.starts_with("target/")
-                && !word.starts_with("runs/")
-            {
-                assert!(
-                    root.join(word).exists(),
-                    "{map} names `{word}`, which does not exist"
-                );
-                checked += 1;
-            }
-        }
-    }
-    assert!(
-        checked > 20,
-        "the maps should name many paths, found {checked}"
-    );
-}
-
-#[test]
-fn every_top_level_folder_is_on_the_map() {
-    let root = repository_root();
-    let map = std::fs::read_to_string(root.join("ARCHITECTURE.md")).expect("map");
-    let listed = std::process::Command::new("git")
-        .args(["ls-files"])
-        .current_dir(&root)
-        .output();
-    let Ok(output) = listed else {
-        println!("skipped: git is not installed");
-        return;
-    };
-    let files = String::from_utf8(output.stdout).expect("utf-8 names");
-    let folders: BTreeSet<&str> = files
-        .lines()
-        .filter_map(|line| line.split_once('/').map(|(top, _)| top))
-        .filter(|top| !top.starts_with('.'))
-        .collect();
-    for folder in folders {
-        assert!(
-            map.contains(&format!("`{folder}/`")),
-            "ARCHITECTURE.md does not say what `{folder}/` is for"
-        );
-    }
 }
 
 #[test]
@@ -231,39 +163,9 @@ fn generated_code_stays_in_proto() {
     }
 }
 
-fn rust_files(folder: &Path, out: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder).expect("readable folder") {
-        let path = entry.expect("entry").path();
-        let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        if path.is_dir() && name != "target" && !name.starts_with('.') {
-            rust_files(&path, out);
-        } else if name.ends_with(".rs") {
-            out.push(path);
-        }
-    }
-}
-
-#[test]
-fn every_module_says_what_it_is_for() {
-    let mut files = Vec::new();
-    rust_files(&repository_root(), &mut files);
-    assert!(files.len() > 50);
-    for file in files {
-        let text = std::fs::read_to_string(&file).expect("utf-8");
-        let first = text
-            .lines()
-            .find(|line| !line.trim().is_empty() && !line.starts_with("#!["));
-        assert!(
-            first.is_some_and(|line| line.starts_with("//!")),
-            "{} does not begin with a `//!` line",
-            file.display()
-        );
-    }
-}
-
 #[test]
 fn every_crate_inherits_the_workspace_lints() {
-    let root = repository_root();
+    let root = root();
     for package in metadata().workspace_packages() {
         let text = std::fs::read_to_string(&package.manifest_path).expect("manifest");
         assert!(
@@ -278,41 +180,63 @@ fn every_crate_inherits_the_workspace_lints() {
 }
 
 #[test]
-fn nothing_is_left_to_do_in_the_code() {
-    let mut files = Vec::new();
-    rust_files(&repository_root(), &mut files);
-    let marks = [
-        concat!("TO", "DO"),
-        concat!("FIX", "ME"),
-        concat!("XX", "X:"),
-    ];
-    for file in files {
-        let text = std::fs::read_to_string(&file).expect("utf-8");
-        for (number, line) in text.lines().enumerate() {
-            assert!(
-                !marks.iter().any(|mark| line.contains(mark)),
-                "{}:{} holds a mark of unfinished work",
-                file.display(),
-                number + 1
-            );
+fn nothing_is_declared_that_nobody_uses() {
+    let mut offences = Vec::new();
+    let mut wanted = BTreeSet::new();
+    for package in product::packages() {
+        let folder = root().join(&package);
+        let manifest = read_manifest(&folder);
+        let mut words = BTreeSet::new();
+        for part in ["src", "tests", "benches", "examples"].map(|part| folder.join(part)) {
+            let files = if part.is_dir() { product::files(&part, ".rs") } else { Vec::new() };
+            // Packages below this one's folder count for themselves.
+            let own = files.iter().filter(|file| folder_of_package(file) == folder);
+            words.extend(own.flat_map(|file| words_of(file)));
+        }
+        if folder.join("build.rs").is_file() {
+            words.extend(words_of(&folder.join("build.rs")));
+        }
+        for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
+            for name in names_in(&manifest, section) {
+                if !words.contains(&name.replace('-', "_")) {
+                    let what = format!("[{section}] declares it, and no source of this package names it");
+                    offences.push(Offence::new(format!("{package} {name}"), what));
+                }
+                wanted.insert(name);
+            }
         }
     }
+    for name in names_in(&read_manifest(&root()), "workspace.dependencies") {
+        if !wanted.contains(&name) {
+            let what = "[workspace.dependencies] declares it, and no package asks for it";
+            offences.push(Offence::new(format!("workspace {name}"), what));
+        }
+    }
+    hold("unused dependency", offences);
 }
 
-#[test]
-fn the_page_on_exit_codes_matches_the_code() {
-    let page = std::fs::read_to_string(repository_root().join("docs/exit-codes.md")).expect("page");
-    let on_page: BTreeMap<u8, String> = page
-        .lines()
-        .filter_map(|line| {
-            let mut cells = line.split('|').map(str::trim).skip(1);
-            let number = cells.next()?.parse().ok()?;
-            Some((number, cells.next()?.to_owned()))
-        })
-        .collect();
-    let in_code: BTreeMap<u8, String> = caudata_telemetry::ExitCode::ALL
-        .into_iter()
-        .map(|code| (code.number(), format!("{code:?}")))
-        .collect();
-    assert_eq!(on_page, in_code);
+fn read_manifest(folder: &std::path::Path) -> String {
+    std::fs::read_to_string(folder.join("Cargo.toml")).expect("manifest")
+}
+
+fn folder_of_package(file: &std::path::Path) -> &std::path::Path {
+    let mut above = file.ancestors().skip(1);
+    above.find(|folder| folder.join("Cargo.toml").is_file()).expect("a package")
+}
+
+fn words_of(file: &std::path::Path) -> Vec<String> {
+    let text = std::fs::read_to_string(file).expect("UTF-8");
+    let words = tokens::read(&text).into_iter().filter(Token::is_word);
+    words.map(|token| token.text).collect()
+}
+
+/// Keys of the table `[section]` of a manifest.
+fn names_in(manifest: &str, section: &str) -> Vec<String> {
+    let head = format!("[{section}]");
+    let lines = manifest.lines().skip_while(|line| **line != head).skip(1);
+    lines
+        .take_while(|line| !line.starts_with('['))
+        .filter(|line| line.starts_with(|c: char| c.is_ascii_alphabetic()))
+        .map(|line| line.split(['.', ' ', '=']).next().unwrap_or_default().to_owned())
+        .collect()
 }
