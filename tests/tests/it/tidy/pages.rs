@@ -142,6 +142,8 @@ fn anchor_of(line: &str) -> Option<String> {
 struct Example {
     place: String,
     words: Vec<String>,
+    /// Nothing is left out of it: it stands in a block, without `…`.
+    whole: bool,
 }
 
 /// What pages name as `caudata …`, in blocks of commands, behind the `$` of what was printed, and between back quotes.
@@ -167,14 +169,17 @@ fn examples() -> Vec<Example> {
             let between = line.text.split('`').skip(1).step_by(2).take(spans);
             found.extend(between.map(str::to_owned));
         }
-        for words in found.iter().map(|text| words_of(text)) {
+        for text in found {
+            let (place, words) = (line.place(), words_of(&text));
+            let whole = in_block.is_some() && !text.contains('…');
             if words
                 .first()
                 .is_some_and(|program| PROGRAMS.contains(&program.as_str()))
             {
                 out.push(Example {
-                    place: line.place(),
+                    place,
                     words,
+                    whole,
                 });
             }
         }
@@ -237,10 +242,14 @@ fn commands_in_pages_are_understood() {
         let mut words: Vec<String> = example.words.iter().map(number).collect();
         words.push("--help".to_owned());
         let output = run(&words, &root());
+        let (said, help) = (output.stderr, output.stdout);
+        let why = match String::from_utf8_lossy(&said).lines().next() {
+            _ if output.status.success() && example.whole => missing(&example.words, &help),
+            _ if output.status.success() => None,
+            said => Some(said.unwrap_or_default().to_owned()),
+        };
         checked += 1;
-        if !output.status.success() {
-            let why = String::from_utf8_lossy(&output.stderr);
-            let why = why.lines().next().unwrap_or_default();
+        if let Some(why) = why {
             let page = example.place.split(':').next().expect("a page");
             let place = format!("{page}: {}", example.words.join(" "));
             wrong.push(Offence::new(place, format!("{} {why}", example.place)));
@@ -251,6 +260,15 @@ fn commands_in_pages_are_understood() {
         "pages should have many examples, found {checked}"
     );
     hold("example", wrong);
+}
+
+/// What the usage in `help` asks for and `words` lack.
+fn missing(words: &[String], help: &[u8]) -> Option<String> {
+    let help = String::from_utf8_lossy(help);
+    let usage = help.lines().find_map(|line| line.strip_prefix("Usage: "))?;
+    let mut needed = usage.split(' ').filter(|word| word.starts_with("--"));
+    let lacking = needed.find(|flag| !words.iter().any(|word| word == flag))?;
+    Some(format!("lacks {lacking}"))
 }
 
 #[test]
