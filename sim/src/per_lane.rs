@@ -3,7 +3,7 @@
 use crate::real::Real;
 
 /// Something that holds one `One` per lane.
-pub trait Lanes<One> {
+pub trait PerLane<One> {
     /// The same in every lane.
     fn splat(one: &One) -> Self;
     /// Replaces lane `lane`.
@@ -12,7 +12,7 @@ pub trait Lanes<One> {
     fn lane(&self, lane: usize) -> One;
 }
 
-impl<R: Real> Lanes<f64> for R {
+impl<R: Real> PerLane<f64> for R {
     #[inline(always)]
     fn splat(one: &f64) -> Self {
         <R as Real>::splat(*one)
@@ -27,7 +27,7 @@ impl<R: Real> Lanes<f64> for R {
     }
 }
 
-impl<R: Real> Lanes<[f64; 3]> for [R; 3] {
+impl<R: Real> PerLane<[f64; 3]> for [R; 3] {
     #[inline(always)]
     fn splat(one: &[f64; 3]) -> Self {
         one.map(<R as Real>::splat)
@@ -44,7 +44,7 @@ impl<R: Real> Lanes<[f64; 3]> for [R; 3] {
     }
 }
 
-/// Declares a struct generic over [`Real`], each field `R` or `[R; 3]`, with [`Lanes`] between it and its one-lane `f64` form.
+/// Declares a struct generic over [`Real`], each field `R` or `[R; 3]`, with [`PerLane`] between it and its one-lane `f64` form.
 macro_rules! per_lane {
     ($(#[$meta:meta])* pub struct $name:ident<R> { $($(#[$field_meta:meta])* pub $field:ident: $kind:ty,)+ }) => {
         $(#[$meta])*
@@ -53,15 +53,15 @@ macro_rules! per_lane {
             $($(#[$field_meta])* pub $field: $kind,)+
         }
 
-        impl<R: $crate::real::Real> $crate::lanes::Lanes<$name<f64>> for $name<R> {
+        impl<R: $crate::real::Real> $crate::per_lane::PerLane<$name<f64>> for $name<R> {
             fn splat(one: &$name<f64>) -> Self {
-                Self { $($field: $crate::lanes::Lanes::splat(&one.$field),)+ }
+                Self { $($field: $crate::per_lane::PerLane::splat(&one.$field),)+ }
             }
             fn set_lane(&mut self, lane: usize, one: &$name<f64>) {
-                $($crate::lanes::Lanes::set_lane(&mut self.$field, lane, &one.$field);)+
+                $($crate::per_lane::PerLane::set_lane(&mut self.$field, lane, &one.$field);)+
             }
             fn lane(&self, lane: usize) -> $name<f64> {
-                $name { $($field: $crate::lanes::Lanes::lane(&self.$field, lane),)+ }
+                $name { $($field: $crate::per_lane::PerLane::lane(&self.$field, lane),)+ }
             }
         }
     };
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn goes_in_and_comes_out() {
-        let mut wide: Pair<f32> = Lanes::splat(&Pair {
+        let mut wide: Pair<f32> = PerLane::splat(&Pair {
             one: 1.5,
             three: [1.0, 2.0, 3.0],
         });

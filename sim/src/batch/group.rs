@@ -2,15 +2,16 @@
 
 use caudata_model::{RobotModel, pose};
 
-use super::contact::MEMORY;
+use super::contact_law::MEMORY;
 use super::program::Program;
 use crate::drive::loss::LossMemory;
 use crate::drive::supply::Supply;
 use crate::drive::{
-    CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive, WantedTorques, loop_delay,
+    CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive, WantedTorques,
+    loop_memory_steps,
 };
-use crate::lanes::Lanes as _;
 use crate::observe;
+use crate::per_lane::PerLane as _;
 use crate::simd::Lanes;
 use crate::water::{Surface, WaterLink};
 use crate::{CommandLoss, EngineConfig, LaneParams};
@@ -239,7 +240,7 @@ impl<R: Lanes> Group<R> {
         to.surface.current_mps.set_lane(lane, &current);
         to.surface.gravity_mps2.set_lane(lane, &gravity);
         to.loss[lane] = p.command_loss;
-        let steps = loop_delay::memory_steps(p, config.dt_s);
+        let steps = loop_memory_steps(p, config.dt_s);
         self.wanted.set_steps(lane, steps);
         to.needs[lane] = (servos.iter().map(DriveFeatures::of))
             .fold(DriveFeatures::default(), DriveFeatures::or);
