@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use caudata_gap::report::{Report, Verdict};
 use caudata_gap::{Options, Request, Role, Run, diagnose};
-use caudata_hidden_effects::stand;
+use caudata_gap_benchmark::stand;
 use caudata_model::RobotModel;
 use caudata_runlog::RunLog;
 use caudata_sim::LaneParams;

@@ -3,8 +3,8 @@
 //! Those whose names begin with `shipped_` come with the robot file of this repository, in which policies are trained, and are for `caudata adapt`; the
 //! others with one of stiff girdles. `water_…` swim, the others walk.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
-use caudata_hidden_effects::salamander::{self, Hides, LabFile, SalamanderPlan};
-use caudata_hidden_effects::truth::free::Channels;
+use caudata_gap_benchmark::salamander::{self, Hides, LabFile, SalamanderPlan};
+use caudata_gap_benchmark::truth::free::Channels;
 use caudata_runlog::BaseHold;
 fn main() {
     let out = std::path::PathBuf::from(std::env::args().nth(1).unwrap());

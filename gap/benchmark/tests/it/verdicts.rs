@@ -2,12 +2,12 @@
 
 use caudata_gap::Options;
 use caudata_gap::report::{Cause, Doubt, DoubtKind, Report, Verdict};
-use caudata_hidden_effects::battery::Amount;
-use caudata_hidden_effects::case::{Answer, Block};
-use caudata_hidden_effects::examinee;
-use caudata_hidden_effects::generate::{self, Request, Rig};
-use caudata_hidden_effects::hidden::find;
-use caudata_hidden_effects::score::outcome::{self, CONFIDENT, Given};
+use caudata_gap_benchmark::battery::Amount;
+use caudata_gap_benchmark::case::{Answer, Block};
+use caudata_gap_benchmark::examinee;
+use caudata_gap_benchmark::generate::{self, Request, Rig};
+use caudata_gap_benchmark::hidden::find;
+use caudata_gap_benchmark::score::outcome::{self, CONFIDENT, Given};
 
 /// Seed of what differs from run to run.
 const SEED: u64 = 5;

@@ -1,11 +1,12 @@
-//! Diagnoses one case folder and writes `report.json` into the current folder: `caudata-diagnose-case [--without ID]… [--threads N] CASE`.
+//! Diagnoses one case folder and writes `report.json` into the current folder: `caudata-diagnose-case [--without ID]… CASE`. For the tests
+//! of the benchmark; `caudata bench gap` starts itself.
 
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use caudata_gap::Options;
-use caudata_hidden_effects::examinee;
+use caudata_gap_benchmark::examinee;
 
 /// `sysexits.h`: the input cannot be used.
 const BAD_INPUT: u8 = 65;
@@ -22,7 +23,10 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<(), String> {
-    let mut options = Options::default();
+    let mut options = Options {
+        threads: 1,
+        ..Options::default()
+    };
     let mut folder = None;
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
@@ -30,10 +34,6 @@ fn run() -> Result<(), String> {
             "--without" => options
                 .without
                 .push(args.next().ok_or("--without needs an effect id")?),
-            "--threads" => {
-                let n = args.next().and_then(|n| n.parse().ok());
-                options.threads = n.ok_or("--threads needs a number")?;
-            }
             _ => folder = Some(PathBuf::from(arg)),
         }
     }

@@ -2,7 +2,22 @@
 
 use caudata_model::{JointKind, RobotModel};
 
-use super::{Domain, Effect};
+/// What an effect can act on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Domain {
+    /// The robot as a whole.
+    Robot,
+    /// Actuated joints: all alike, groups alike, or one.
+    Joints,
+    /// Links: one each.
+    Links,
+    /// All links alike (water).
+    AllLinks,
+    /// Play hinges: all alike, or one.
+    Play,
+    /// Feet: all alike, or one.
+    Feet,
+}
 
 /// One place of an effect. Its items share the effect's parameters.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,10 +41,10 @@ impl Place {
         }
     }
 
-    /// The place of `effect` with these names; all of the robot where there are none.
+    /// The place in `domain` with these names; all of it where there are none.
     #[must_use]
-    pub fn named(model: &RobotModel, effect: &Effect, names: &[String]) -> Option<Self> {
-        let all = item_names(model, effect.domain);
+    pub fn named(model: &RobotModel, domain: Domain, names: &[String]) -> Option<Self> {
+        let all = item_names(model, domain);
         let items = if names.is_empty() {
             (0..all.len()).collect()
         } else {
@@ -39,7 +54,7 @@ impl Place {
                 .collect::<Option<Vec<_>>>()?
         };
         Some(Self {
-            domain: effect.domain,
+            domain,
             items,
             names: names.to_vec(),
         })
@@ -65,21 +80,21 @@ fn item_names(model: &RobotModel, domain: Domain) -> Vec<String> {
     }
 }
 
-/// All places of an effect on a robot, widest first.
+/// All places in a domain of a robot, widest first.
 #[must_use]
-pub fn places(model: &RobotModel, effect: &Effect) -> Vec<Place> {
-    let names = item_names(model, effect.domain);
+pub fn places(model: &RobotModel, domain: Domain) -> Vec<Place> {
+    let names = item_names(model, domain);
     let all = Place {
-        domain: effect.domain,
+        domain,
         items: (0..names.len()).collect(),
         names: Vec::new(),
     };
     let one = |i: usize| Place {
-        domain: effect.domain,
+        domain,
         items: vec![i],
         names: vec![names[i].clone()],
     };
-    match effect.domain {
+    match domain {
         Domain::Robot => vec![all],
         Domain::AllLinks if !names.is_empty() => vec![all],
         Domain::Links => (0..names.len()).map(one).collect(),
@@ -87,7 +102,7 @@ pub fn places(model: &RobotModel, effect: &Effect) -> Vec<Place> {
         Domain::Joints => {
             let mut places = vec![all];
             places.extend(groups(&names).into_iter().map(|items| Place {
-                domain: effect.domain,
+                domain,
                 names: items.iter().map(|&i| names[i].clone()).collect(),
                 items,
             }));

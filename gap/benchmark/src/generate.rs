@@ -370,7 +370,7 @@ fn size_for(
 ) -> Result<(f64, f64), GenerateError> {
     let measure = |size: f64| -> Result<f64, GenerateError> {
         let mut world = lab(&rig.model, seed);
-        (hidden.apply)(&mut world, &rig.model, joint, sign * size);
+        hidden.apply(&mut world, &rig.model, joint, sign * size);
         detectability(rig, &world, trials, view, seed)
     };
     let (first, most) = hidden.sizes;
@@ -444,7 +444,7 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
                 1.0
             };
             let (size, reached) = size_for(rig, hidden, joint, sign, d, &full_fit, &view, seed)?;
-            (hidden.apply)(&mut world, model, joint, sign * size);
+            hidden.apply(&mut world, model, joint, sign * size);
             effects.push((hidden, joint, sign * size, reached));
         }
         together_d = match effects.as_slice() {
@@ -504,7 +504,8 @@ fn true_effect(
         d,
         equivalent: same.iter().map(|s| (*s).to_owned()).collect(),
         equivalent_beside: beside.map(|(a, b)| (a.to_owned(), b.to_owned())).collect(),
-        parameters: (h.truth)(world, model, joint)
+        parameters: h
+            .truth(world, model, joint)
             .into_iter()
             .map(|p| TrueValue {
                 names: p.names.iter().map(|s| (*s).to_owned()).collect(),

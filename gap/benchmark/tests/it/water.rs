@@ -2,9 +2,9 @@
 
 use caudata_gap::Options;
 use caudata_gap::report::{Report, Verdict};
-use caudata_hidden_effects::examinee;
-use caudata_hidden_effects::salamander::{self, Hides, LabFile, SalamanderPlan};
-use caudata_hidden_effects::truth::free::Channels;
+use caudata_gap_benchmark::examinee;
+use caudata_gap_benchmark::salamander::{self, Hides, LabFile, SalamanderPlan};
+use caudata_gap_benchmark::truth::free::Channels;
 use caudata_runlog::BaseHold;
 
 /// Diagnosis of a robot in which `hidden` was hidden, with the candidates that a pool suggests.

@@ -1,13 +1,11 @@
 //! The truth simulator against closed forms and conservation laws.
 
-use caudata_hidden_effects::generate::Rig;
-use caudata_hidden_effects::hidden::CATALOGUE;
-use caudata_hidden_effects::truth::drive::{
-    self, AUX, BRISTLE, Firmware, HEAT, ROTOR, ROTOR_SPEED,
-};
-use caudata_hidden_effects::truth::sim::{SAMPLE_S, STEP_S};
-use caudata_hidden_effects::truth::tree::{Scratch, Tree};
-use caudata_hidden_effects::truth::{Commands, Dense, JointSpec, Sim, Spec};
+use caudata_gap_benchmark::generate::Rig;
+use caudata_gap_benchmark::hidden::CATALOGUE;
+use caudata_gap_benchmark::truth::drive::{self, AUX, BRISTLE, Firmware, HEAT, ROTOR, ROTOR_SPEED};
+use caudata_gap_benchmark::truth::sim::{SAMPLE_S, STEP_S};
+use caudata_gap_benchmark::truth::tree::{Scratch, Tree};
+use caudata_gap_benchmark::truth::{Commands, Dense, JointSpec, Sim, Spec};
 
 /// The rig with motors, friction and firmware taken out: swings freely.
 fn limp(rig: &Rig) -> Spec {

@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use caudata_hidden_effects::case::{Answer, Block};
-use caudata_hidden_effects::run::{self, Diagnoser};
-use caudata_hidden_effects::score::{Given, Outcome, Summary, judge};
-use caudata_hidden_effects::sets::{self, SetName};
+use caudata_gap_benchmark::case::{Answer, Block};
+use caudata_gap_benchmark::run::{self, Diagnoser};
+use caudata_gap_benchmark::score::{Given, Outcome, Summary, judge};
+use caudata_gap_benchmark::sets::{self, SetName};
 
 const SECRET: &[u8] = b"known to the examiner alone";
 /// Seed of the quick set.
@@ -14,8 +14,7 @@ const SEED: u64 = 7;
 fn diagnoser() -> Diagnoser {
     Diagnoser {
         program: PathBuf::from(env!("CARGO_BIN_EXE_caudata-diagnose-case")),
-        arguments: vec!["--threads".to_owned(), "1".to_owned()],
-        keep_variables: Vec::new(),
+        arguments: Vec::new(),
         limit_s: run::DEFAULT_LIMIT_S,
     }
 }

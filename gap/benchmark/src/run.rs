@@ -45,15 +45,14 @@ pub const DEFAULT_LIMIT_S: f64 = 900.0;
 /// How often a running diagnosis is looked after, ms.
 const POLL_MS: u64 = 20;
 
-/// How a diagnosis is started: a program that takes a case folder as its last argument and writes `report.json` into its current folder.
+/// How a diagnosis is started: a program that takes a case folder as its last argument and writes `report.json` into
+/// its current folder. It sees no environment variables.
 #[derive(Clone, Debug)]
 pub struct Diagnoser {
     /// Program.
     pub program: PathBuf,
     /// Arguments before the case folder.
     pub arguments: Vec<String>,
-    /// Environment variables that it keeps; all others are taken away.
-    pub keep_variables: Vec<String>,
     /// Longest run, s.
     pub limit_s: f64,
 }
@@ -156,31 +155,6 @@ pub fn diagnose(
     Ok((outcomes, known))
 }
 
-/// Judges the reports that lie in `root` already.
-///
-/// # Errors
-/// [`BenchError`]; a case without a report that can be read is one whose diagnosis failed.
-pub fn judge_kept(root: &Path, known: &Answers) -> Result<Vec<Outcome>, BenchError> {
-    let read = |answer: &Answer| {
-        let path = root.join("out").join(&answer.case).join("report.json");
-        let text = std::fs::read_to_string(&path).unwrap_or_default();
-        match serde_json::from_str::<Report>(&text) {
-            Ok(report) => Given {
-                seconds: report.compute.seconds,
-                report: Some(report),
-                failure: String::new(),
-            },
-            Err(e) => Given {
-                report: None,
-                failure: format!("{}: {e}", path.display()),
-                seconds: 0.0,
-            },
-        }
-    };
-    let given: Vec<Given> = known.answers.iter().map(read).collect();
-    judged(known, &given)
-}
-
 fn judged(known: &Answers, given: &[Given]) -> Result<Vec<Outcome>, BenchError> {
     let mut outcomes = Vec::new();
     for (answer, given) in known.answers.iter().zip(given) {
@@ -221,15 +195,10 @@ fn one(root: &Path, case: &str, without: &[String], diagnoser: &Diagnoser) -> Gi
         Ok(folder) => folder,
         Err(e) => return failed(format!("{case}: {e}")),
     };
-    let kept = diagnoser
-        .keep_variables
-        .iter()
-        .filter_map(|k| Some((k, std::env::var_os(k)?)));
     let mut command = Command::new(&diagnoser.program);
     command
         .args(&diagnoser.arguments)
         .env_clear()
-        .envs(kept)
         .current_dir(&out)
         .stdin(Stdio::null());
     for id in without {
