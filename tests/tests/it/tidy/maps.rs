@@ -72,7 +72,7 @@ fn every_top_level_folder_is_on_the_map() {
 
 #[test]
 fn the_page_on_exit_codes_matches_the_code() {
-    let page = std::fs::read_to_string(root().join("docs/exit-codes.md")).expect("page");
+    let page = std::fs::read_to_string(root().join("docs/reference/exit-codes.md")).expect("page");
     let on_page: BTreeMap<u8, String> = page
         .lines()
         .filter_map(|line| {
