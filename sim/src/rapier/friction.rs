@@ -16,7 +16,7 @@ use rapier3d::pipeline::{ContactModificationContext, PhysicsHooks};
 use rapier3d::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::world::GROUND_TAG;
+use super::tags::GROUND_TAG;
 use crate::Terrain;
 
 /// A contact is taken over where its speed is beyond so many times what all friction changes of it in one step, and given back below so many times that: a
