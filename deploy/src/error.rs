@@ -168,7 +168,7 @@ pub enum DeployError {
     )]
     StateLost,
     /// The server's word about where the label leads does not count, or does not fit.
-    #[error("cannot tell whether `{label}` of {stream} is fresh: {reason}")]
+    #[error("the server's answer about `{label}` of {stream} does not count: {reason}")]
     Stale {
         /// Which stream.
         stream: String,
@@ -285,9 +285,8 @@ impl DeployError {
             | Self::LinkKey { .. }
             | Self::Commands { .. } => ExitCode::BadInput,
             Self::Stream { .. } | Self::Server(ClientError::Address { .. }) => ExitCode::BadConfig,
-            Self::Server(ClientError::BadAnswer(_)) | Self::Bus(BusError::Protocol { .. }) => {
-                ExitCode::Protocol
-            }
+            Self::Server(ClientError::BadAnswer(_) | ClientError::OtherQuestion(_))
+            | Self::Bus(BusError::Protocol { .. }) => ExitCode::Protocol,
             Self::Unfit { .. } => ExitCode::TargetMissed,
             Self::Stale { .. } | Self::NotHeard { .. } => ExitCode::Unavailable,
             // As for a run folder that another one has: starting again changes nothing.

@@ -14,6 +14,8 @@ use std::io::{Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
+use caudata_proto::checks::Check;
+use caudata_proto::registry::question::{Facts, OtherQuestion};
 use caudata_proto::registry::{
     Freshness, LabelName, Manifest, NONCE_BYTES, Signature, SignedFreshness, StreamName,
 };
@@ -63,11 +65,11 @@ pub struct Untrusted {
 }
 
 /// Why an answer about where a label leads does not count.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Stale {
     /// It answers another question, such as one of yesterday.
-    #[error("the answer is for another nonce, stream or label")]
-    OtherQuestion,
+    #[error(transparent)]
+    OtherQuestion(#[from] OtherQuestion),
     /// No trusted key signed it.
     #[error("no key that may say so signed the answer")]
     Unsigned,
@@ -362,20 +364,16 @@ impl Trust {
         stream: &StreamName,
         label: &LabelName,
     ) -> Result<(), Stale> {
-        let said = &answer.said;
-        if said.nonce != *nonce || said.stream != *stream || said.label != *label {
-            return Err(Stale::OtherQuestion);
-        }
-        let bytes = freshness_bytes(said);
-        let form = ed25519_dalek::Signature::from_slice(&answer.signature.signature);
-        let known = |(id, key): &(String, VerifyingKey)| {
-            let fits = |s: &ed25519_dalek::Signature| key.verify_strict(&bytes, s).is_ok();
-            *id == answer.signature.key_id && form.as_ref().is_ok_and(fits)
+        let proof = Proof {
+            trust: self,
+            answer,
+            asked: Facts {
+                nonce: Some(nonce),
+                label: Some(label),
+                ..Facts::of_stream(stream)
+            },
         };
-        match self.fresh_keys.iter().any(known) {
-            true => Ok(()),
-            false => Err(Stale::Unsigned),
-        }
+        proof.check(PROOF)
     }
 
     /// Whether enough trusted keys signed `manifest`.
@@ -402,6 +400,48 @@ impl Trust {
     }
 }
 
+/// What a server says about where a label leads, and whoever asked.
+#[derive(Clone, Copy, Debug)]
+struct Proof<'a> {
+    trust: &'a Trust,
+    answer: &'a SignedFreshness,
+    asked: Facts<'a>,
+}
+
+type ProofCheck = fn(&Proof<'_>) -> Result<(), Stale>;
+
+/// What such an answer must be.
+const PROOF: &[Check<ProofCheck>] = &[
+    // It answers this robot's own question of just now.
+    Check {
+        name: "question",
+        refuse: |proof| Ok(proof.asked.answered_by(&proof.answer.said)?),
+    },
+    // A key that may say so signed it.
+    Check {
+        name: "fresh signature",
+        refuse: |proof| {
+            let SignedFreshness { said, signature } = proof.answer;
+            let bytes = freshness_bytes(said);
+            let form = ed25519_dalek::Signature::from_slice(&signature.signature);
+            let known = |(id, key): &(String, VerifyingKey)| {
+                let fits = |s: &ed25519_dalek::Signature| key.verify_strict(&bytes, s).is_ok();
+                *id == signature.key_id && form.as_ref().is_ok_and(fits)
+            };
+            match proof.trust.fresh_keys.iter().any(known) {
+                true => Ok(()),
+                false => Err(Stale::Unsigned),
+            }
+        },
+    },
+];
+
+impl Proof<'_> {
+    fn check(&self, checks: &[Check<ProofCheck>]) -> Result<(), Stale> {
+        checks.iter().try_for_each(|check| (check.refuse)(self))
+    }
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
@@ -416,6 +456,8 @@ fn from_hex(text: &str) -> Option<[u8; 32]> {
 
 #[cfg(test)]
 mod tests {
+    use caudata_proto::checks::each_left_out;
+
     use super::*;
 
     pub(crate) fn manifest() -> Manifest {
@@ -577,7 +619,8 @@ mod tests {
         let answer = server.vouch(said(1));
         assert_eq!(check(&answer, 1), Ok(()));
         // The same answer to the nonce of today.
-        assert_eq!(check(&answer, 2), Err(Stale::OtherQuestion));
+        let other = |checked| matches!(checked, Err(Stale::OtherQuestion(_)));
+        assert!(other(check(&answer, 2)));
         let mut relabelled = answer.clone();
         relabelled.said.nonce = [2; 32];
         assert_eq!(check(&relabelled, 2), Err(Stale::Unsigned));
@@ -591,15 +634,48 @@ mod tests {
         }
         let mut elsewhere = said(1);
         elsewhere.label = LabelName::new("stable").unwrap();
-        assert_eq!(
-            check(&server.vouch(elsewhere), 1),
-            Err(Stale::OtherQuestion)
-        );
+        assert!(other(check(&server.vouch(elsewhere), 1)));
         // A release key says nothing about labels, and a server's key releases nothing.
         assert_eq!(check(&key(1).vouch(said(1)), 1), Err(Stale::Unsigned));
         let mut by_server = manifest();
         server.sign(&mut by_server);
         assert!(trust.check(&by_server).is_err());
+    }
+
+    #[test]
+    fn each_step_and_no_other_keeps_its_proof_out() {
+        let server = key(9);
+        let text = format!("{}{}", key(1).trust_file(), server.fresh_trust_lines());
+        let trust = Trust::parse(&text).unwrap();
+        let stream = manifest().stream;
+        let said = Freshness {
+            nonce: [1; 32],
+            stream: stream.clone(),
+            label: LabelName::latest(),
+            version: 7,
+            sha256: [1; 32],
+        };
+        let table = each_left_out(PROOF, |name, checks| {
+            let mut answer = server.vouch(said.clone());
+            let mut nonce = [1; 32];
+            match name {
+                "question" => nonce = [2; 32],
+                // It says a lower version than was signed.
+                _ => answer.said.version = 6,
+            }
+            let asked = Facts {
+                nonce: Some(&nonce),
+                ..Facts::of_stream(&stream)
+            };
+            let proof = Proof {
+                trust: &trust,
+                answer: &answer,
+                asked,
+            };
+            proof.check(checks)
+        });
+        // Seen with --nocapture: `make mutants`.
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What a power cut, a full card and a torn file leave of a robot's folder.
 
 use caudata_durable::rehearsal::Rehearsal;
+use caudata_proto::checks::each_left_out;
 
 use super::*;
 
@@ -417,6 +418,30 @@ fn what_the_loop_loads_was_signed_as_this_very_policy() {
     fs::remove_file(&path).unwrap();
     fs::write(older, manifest.to_bytes()).unwrap();
     assert_eq!(*read().unwrap(), *b"one");
+}
+
+#[test]
+fn each_step_and_no_other_keeps_out_what_lies_in_the_folder() {
+    let key = caudata_signing::ReleaseKey::from_seed("release", &[7; 32]);
+    let trust = Trust::parse(&key.trust_file()).unwrap();
+    let table = each_left_out(STORED, |name, checks| {
+        let folder = tempfile::tempdir().unwrap();
+        let store = PolicyStore::open(folder.path()).unwrap();
+        let one = policy(b"one");
+        store.put(&one, b"one").unwrap();
+        let mut manifest = announced(&one, &key);
+        store.put_manifest(&manifest).unwrap();
+        match name {
+            "stored hash" => fs::write(blob(folder.path(), one.sha256), b"other").unwrap(),
+            _ => {
+                manifest.signatures.clear();
+                store.put_manifest(&manifest).unwrap();
+            }
+        }
+        read_policy_by(checks, folder.path(), &one, Some(&trust)).map(drop)
+    });
+    // Seen with --nocapture: `make mutants`.
+    eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
 }
 
 #[test]
