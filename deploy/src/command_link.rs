@@ -17,6 +17,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use caudata_proto::checks::Check;
+use caudata_signing::check_private;
 use caudata_task::COMMAND_DIM;
 use sha2::{Digest, Sha256};
 
@@ -64,15 +65,16 @@ pub trait CommandLink: Send {
 pub struct LinkKey(Vec<u8>);
 
 impl LinkKey {
-    /// The bytes of a file, which must be at least [`KEY_MIN`].
+    /// The bytes of a file, which must be at least [`KEY_MIN`], and which only its owner may write and only its group read.
     ///
     /// # Errors
-    /// [`DeployError::LinkKey`].
+    /// [`DeployError::LinkKey`], [`DeployError::Key`].
     pub fn read(path: &Path) -> Result<Self, DeployError> {
         let wrong = |reason: String| DeployError::LinkKey {
             path: path.to_owned(),
             reason,
         };
+        check_private(path)?;
         let bytes = std::fs::read(path).map_err(|e| wrong(e.to_string()))?;
         if bytes.len() < KEY_MIN {
             return Err(wrong(format!("a key has at least {KEY_MIN} bytes")));

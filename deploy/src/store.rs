@@ -18,6 +18,8 @@ use crate::state::{Decision, OFFER, Offer, PolicyRef, RobotState, STATE_FORMAT, 
 
 /// Largest state file that is read, bytes.
 const STATE_BYTES_MAX: u64 = 1 << 20;
+/// Damaged copies of one state file that are kept.
+const ASIDE_MAX: u32 = 16;
 /// The state, twice.
 const COPIES: [&str; 2] = ["state.json", "state.copy.json"];
 
@@ -120,18 +122,28 @@ impl PolicyStore {
         Ok(())
     }
 
-    /// Copies the damaged file at `path`, of one that is too large the beginning, to where a person finds it.
+    /// Copies the damaged file at `path`, of one that is too large the beginning, to where a person finds it: beside what
+    /// was damaged before. Past [`ASIDE_MAX`] of them the newest gives way.
     fn keep_aside(&self, path: &Path) -> Result<(), DeployError> {
-        let mut bytes = Vec::new();
-        fs::File::open(path)
-            .and_then(|file| file.take(STATE_BYTES_MAX).read_to_end(&mut bytes))
-            .map_err(|source| DeployError::Folder {
-                path: path.to_owned(),
-                source,
-            })?;
-        let mut aside = path.as_os_str().to_owned();
-        aside.push(".damaged");
-        Ok(durable::replace_on(&*self.disk, Path::new(&aside), &bytes)?)
+        let bytes = read_beginning(path)?;
+        let aside = (1..=ASIDE_MAX).map(|number| {
+            let mut aside = path.as_os_str().to_owned();
+            aside.push(match number {
+                1 => ".damaged".to_owned(),
+                number => format!(".damaged-{number}"),
+            });
+            PathBuf::from(aside)
+        });
+        let mut last = path.to_owned();
+        for aside in aside {
+            match fs::exists(&aside) {
+                // Kept by an attempt that was cut short.
+                Ok(true) if read_beginning(&aside)? == bytes => return Ok(()),
+                Ok(false) => return Ok(durable::replace_on(&*self.disk, &aside, &bytes)?),
+                _ => last = aside,
+            }
+        }
+        Ok(durable::replace_on(&*self.disk, &last, &bytes)?)
     }
 
     /// The trust file at `path`, of which `version` is in force, is what this robot goes by: from now on no older one is.
@@ -274,6 +286,18 @@ impl PolicyStore {
             }
         }
     }
+}
+
+/// As much of a file as a state may be long.
+fn read_beginning(path: &Path) -> Result<Vec<u8>, DeployError> {
+    let mut bytes = Vec::new();
+    fs::File::open(path)
+        .and_then(|file| file.take(STATE_BYTES_MAX).read_to_end(&mut bytes))
+        .map_err(|source| DeployError::Folder {
+            path: path.to_owned(),
+            source,
+        })?;
+    Ok(bytes)
 }
 
 /// What the names of announcements end with.

@@ -11,7 +11,7 @@ mod rotation;
 
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use caudata_proto::checks::Check;
@@ -43,6 +43,14 @@ pub enum SigningError {
         path: PathBuf,
         /// The system's words.
         source: std::io::Error,
+    },
+    /// It holds a secret, and others may use it.
+    #[error("{}: others may use this secret (mode {mode:o}); `chmod 600` it", path.display())]
+    Exposed {
+        /// Which file.
+        path: PathBuf,
+        /// Its mode.
+        mode: u32,
     },
     /// Its content is not what it must be.
     #[error("{}: {reason}", path.display())]
@@ -152,8 +160,9 @@ impl ReleaseKey {
     /// Reads a key file: 64 hexadecimal digits.
     ///
     /// # Errors
-    /// [`SigningError`].
+    /// [`SigningError`], also where others may use the file ([`check_private`]).
     pub fn read(path: &Path, id: &str) -> Result<Self, SigningError> {
+        check_private(path)?;
         let text = std::fs::read_to_string(path).map_err(file_error(path))?;
         let seed = from_hex(text.trim()).ok_or_else(|| SigningError::Content {
             path: path.to_owned(),
@@ -213,6 +222,21 @@ impl ReleaseKey {
             signature,
         });
     }
+}
+
+/// Refuses a file with a secret that others than its owner and its group may read, or others than its owner may write.
+///
+/// # Errors
+/// [`SigningError::Exposed`]; [`SigningError::File`] where it is not there.
+pub fn check_private(path: &Path) -> Result<(), SigningError> {
+    let mode = std::fs::metadata(path).map_err(file_error(path))?.mode() & 0o777;
+    if mode & 0o027 == 0 {
+        return Ok(());
+    }
+    Err(SigningError::Exposed {
+        path: path.to_owned(),
+        mode,
+    })
 }
 
 fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningError + '_ {
@@ -322,6 +346,12 @@ impl Trust {
             if !file.revoked.contains(&id) {
                 lists[kind].push((id, key));
             }
+        }
+        // A name that no key bears revokes nothing: more likely than not it is misspelt.
+        if let Some(unknown) = file.revoked.iter().find(|id| !ids.contains(*id)) {
+            return Err(format!(
+                "`revoked` names `{unknown}`, which is no key of this file: list the key as well, or correct the name"
+            ));
         }
         let [keys, fresh_keys, root_keys] = lists;
         let threshold = file.threshold;
@@ -580,6 +610,8 @@ mod tests {
         assert!(trust(&[1], 2, "").is_err(), "can never be met");
         assert!(trust(&[1, 1], 2, "").is_err(), "one key twice");
         assert!(trust(&[1], 1, "\"k1\"").is_err(), "only revoked keys");
+        let unknown = trust(&[1, 2], 1, "\"K1\"").unwrap_err();
+        assert!(unknown.contains("`K1`"), "{unknown}");
         let roots = |number: usize| {
             let own = key(1).trust_file();
             let root = key(2).root_trust_lines();
@@ -676,6 +708,27 @@ mod tests {
         });
         // Seen with --nocapture: `make mutants`.
         eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
+    }
+
+    #[test]
+    fn a_secret_that_others_may_use_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("release.key");
+        key(1).write(&path).unwrap();
+        for (mode, private) in [
+            (0o600, true),
+            (0o400, true),
+            (0o640, true),
+            (0o644, false),
+            (0o660, false),
+            (0o602, false),
+        ] {
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+            let read = ReleaseKey::read(&path, "k1").map(drop);
+            let exposed = matches!(read, Err(SigningError::Exposed { .. }));
+            assert_eq!((read.is_ok(), exposed), (private, !private), "{mode:o}");
+        }
     }
 
     #[test]

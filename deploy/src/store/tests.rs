@@ -163,6 +163,27 @@ fn lost(root: &Path, damaged: &[&str]) {
     }
 }
 
+#[test]
+fn fault_16_what_was_damaged_later_does_not_replace_what_was_damaged_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let torn = |text: &str| {
+        for name in COPIES {
+            fs::write(folder.path().join(name), text).unwrap();
+        }
+        let mut store = PolicyStore::open_torn(folder.path()).unwrap();
+        store.recover("s", 9, 2).unwrap();
+    };
+    ["{first", "{second", "{second"].into_iter().for_each(torn);
+    let kept = |name: &str| fs::read_to_string(folder.path().join(name)).ok();
+    assert_eq!(kept("state.json.damaged").as_deref(), Some("{first"));
+    assert_eq!(kept("state.json.damaged-2").as_deref(), Some("{second"));
+    assert_eq!(kept("state.json.damaged-3"), None, "the same once");
+    (0..40).for_each(|n| torn(&format!("{{{n}")));
+    let files = fs::read_dir(folder.path()).unwrap().count();
+    assert!(files < 40, "{files} files");
+    assert_eq!(kept("state.json.damaged").as_deref(), Some("{first"));
+}
+
 /// Whether a robot that starts with this folder is still torn; else it goes by the new state. It never takes itself for a new one.
 fn torn_or_recovered(folder: &Path) -> bool {
     match PolicyStore::open(folder) {
