@@ -16,11 +16,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use caudata_proto::checks::Check;
+use caudata_signing::check_private;
 use caudata_task::COMMAND_DIM;
 use sha2::{Digest, Sha256};
 
 use crate::DeployError;
-use crate::steps::Step;
 
 /// Age of the newest command beyond which the robot is told to stand still.
 pub const LINK_STOP: Duration = Duration::from_millis(200);
@@ -64,15 +65,16 @@ pub trait CommandLink: Send {
 pub struct LinkKey(Vec<u8>);
 
 impl LinkKey {
-    /// The bytes of a file, which must be at least [`KEY_MIN`].
+    /// The bytes of a file, which must be at least [`KEY_MIN`], and which only its owner may write and only its group read.
     ///
     /// # Errors
-    /// [`DeployError::LinkKey`].
+    /// [`DeployError::LinkKey`], [`DeployError::Key`].
     pub fn read(path: &Path) -> Result<Self, DeployError> {
         let wrong = |reason: String| DeployError::LinkKey {
             path: path.to_owned(),
             reason,
         };
+        check_private(path)?;
         let bytes = std::fs::read(path).map_err(|e| wrong(e.to_string()))?;
         if bytes.len() < KEY_MIN {
             return Err(wrong(format!("a key has at least {KEY_MIN} bytes")));
@@ -90,6 +92,14 @@ impl LinkKey {
         let keyed = |pad: u8| Sha256::new().chain_update(block.map(|b| b ^ pad));
         let inner = keyed(0x36).chain_update(message).finalize();
         keyed(0x5C).chain_update(inner).finalize().into()
+    }
+
+    /// Whether a datagram bears the tag that this key gives it.
+    fn made(&self, bytes: &[u8]) -> bool {
+        let (said, tag) = bytes.split_at(bytes.len().saturating_sub(TAG));
+        // All of it is compared, so that the time taken tells nothing.
+        let differs = |sum, (a, b): (&u8, &u8)| sum | (a ^ b);
+        tag.len() == TAG && tag.iter().zip(&self.hmac(said)[..TAG]).fold(0, differs) == 0
     }
 }
 
@@ -142,14 +152,12 @@ impl Message {
 
     /// Out of a datagram; `None` for anything that this key did not make.
     pub fn decode(bytes: &[u8], key: &LinkKey) -> Option<Self> {
-        let bytes: &[u8; DATAGRAM] = bytes.try_into().ok()?;
-        let (said, tag) = bytes.split_at(DATAGRAM - TAG);
-        // All of it is compared, so that the time taken tells nothing.
-        let differs = |sum, (a, b): (&u8, &u8)| sum | (a ^ b);
-        let sum = tag.iter().zip(&key.hmac(said)[..TAG]).fold(0, differs);
-        if Step::CommandTag.on() && sum != 0 {
-            return None;
-        }
+        Self::read(bytes).filter(|_| key.made(bytes))
+    }
+
+    /// What a datagram says, whoever made it.
+    fn read(bytes: &[u8]) -> Option<Self> {
+        let said: &[u8; DATAGRAM] = bytes.try_into().ok()?;
         let kind = match (said.starts_with(MAGIC), said[4]) {
             (true, 0) => Kind::Ask,
             (true, 1) => Kind::Tell,
@@ -281,28 +289,42 @@ impl Receiver {
 
     /// Takes a datagram that came at `now`, or later; what to answer, if anything.
     pub fn take(&mut self, bytes: &[u8], key: &LinkKey, now: Duration) -> Option<Message> {
-        let Some(message) = Message::decode(bytes, key) else {
-            self.ignored += 1;
-            return None;
-        };
-        if message.kind == Kind::Ask {
-            return Some(Message {
-                kind: Kind::Tell,
-                nonce: self.nonce,
-                sequence: message.sequence,
-                command: [0.0; COMMAND_DIM],
-            });
-        }
-        let of_this_start = message.nonce == self.nonce || !Step::CommandNonce.on();
-        let newer = message.sequence > self.sequence || !Step::CommandSequence.on();
-        let fresh = of_this_start && newer;
-        let sane = message.command.iter().all(|v| v.abs() <= COMMAND_MAX);
-        match message.kind {
-            Kind::Kill if message.nonce == self.nonce => {
-                self.killed = true;
-                return None;
+        self.take_by(DATAGRAM_CHECKS, bytes, key, now)
+    }
+
+    /// [`Receiver::take`] by these checks.
+    fn take_by(
+        &mut self,
+        checks: &[Check<DatagramCheck>],
+        bytes: &[u8],
+        key: &LinkKey,
+        now: Duration,
+    ) -> Option<Message> {
+        let message = Message::read(bytes).filter(|message| {
+            let came = Datagram {
+                bytes,
+                key,
+                message,
+                receiver: self,
+            };
+            !checks.iter().any(|check| (check.refuse)(&came))
+        });
+        let sane = |command: &[f32]| command.iter().all(|v| v.abs() <= COMMAND_MAX);
+        match message {
+            Some(Message {
+                kind: Kind::Ask,
+                sequence,
+                ..
+            }) => {
+                return Some(Message {
+                    kind: Kind::Tell,
+                    nonce: self.nonce,
+                    sequence,
+                    command: [0.0; COMMAND_DIM],
+                });
             }
-            Kind::Velocity | Kind::Held | Kind::Released if fresh && sane => {
+            Some(message) if message.kind == Kind::Kill => self.killed = true,
+            Some(message) if message.kind != Kind::Tell && sane(&message.command) => {
                 self.command = message.command;
                 self.released = match message.kind {
                     Kind::Held => false,
@@ -310,13 +332,10 @@ impl Receiver {
                     _ => self.asks_for_button,
                 };
                 self.at = Some(now);
+                self.sequence = message.sequence;
             }
-            _ => {
-                self.ignored += 1;
-                return None;
-            }
+            _ => self.ignored += 1,
         }
-        self.sequence = message.sequence;
         None
     }
 
@@ -330,6 +349,39 @@ impl Receiver {
         }
     }
 }
+
+/// A datagram that came, and where.
+struct Datagram<'a> {
+    bytes: &'a [u8],
+    key: &'a LinkKey,
+    message: &'a Message,
+    receiver: &'a Receiver,
+}
+
+/// Looks at a datagram that came; true: it does not count.
+type DatagramCheck = fn(&Datagram<'_>) -> bool;
+
+/// What a datagram must be to count.
+const DATAGRAM_CHECKS: &[Check<DatagramCheck>] = &[
+    // It was made with the link's key.
+    Check {
+        name: "command tag",
+        refuse: |came| !came.key.made(came.bytes),
+    },
+    // For this start of the robot.
+    Check {
+        name: "command nonce",
+        refuse: |came| came.message.kind != Kind::Ask && came.message.nonce != came.receiver.nonce,
+    },
+    // And after the newest that counted. To repeat a kill does no harm.
+    Check {
+        name: "command sequence",
+        refuse: |came| {
+            !matches!(came.message.kind, Kind::Ask | Kind::Kill)
+                && came.message.sequence <= came.receiver.sequence
+        },
+    },
+];
 
 /// Listens in a thread of its own; dropped, it ends.
 pub struct UdpLink {
@@ -470,6 +522,8 @@ pub(crate) fn random_nonce() -> io::Result<u64> {
 
 #[cfg(test)]
 mod tests {
+    use caudata_proto::checks::each_left_out;
+
     use super::*;
 
     const MS: Duration = Duration::from_millis(1);
@@ -507,6 +561,32 @@ mod tests {
             command: [vx, 0.0, 0.0],
         };
         message.encode(&key())
+    }
+
+    /// One command counted; whether the next one moves the robot, which somebody without the key, of another start of the robot or of a moment
+    /// ago sends.
+    #[test]
+    fn each_step_and_no_other_keeps_its_command_out() {
+        let table = each_left_out(DATAGRAM_CHECKS, |name, checks| {
+            let mut link = Receiver::new(3);
+            link.take(&velocity(3, 5, 0.1), &key(), MS);
+            let datagram = match name {
+                "command tag" => {
+                    let mut bytes = velocity(3, 6, 0.1);
+                    bytes[21..25].copy_from_slice(&0.2_f32.to_le_bytes());
+                    bytes
+                }
+                "command nonce" => velocity(2, 6, 0.2),
+                _ => velocity(3, 5, 0.2),
+            };
+            link.take_by(checks, &datagram, &key(), MS);
+            match link.view(MS).command[0] {
+                0.2 => Ok(()),
+                vx => Err(format!("{} ignored, vx stays {vx}", link.ignored)),
+            }
+        });
+        // Seen with --nocapture: `make mutants`.
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
     }
 
     #[test]

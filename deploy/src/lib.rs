@@ -36,7 +36,6 @@ pub mod runner;
 pub mod sim_link;
 pub mod stage;
 pub mod state;
-mod steps;
 pub mod store;
 pub mod supervisor;
 pub mod tap;

@@ -13,7 +13,8 @@ use tonic::transport::{Certificate, Identity, ServerTlsConfig};
 const REGISTRY: &str = "/caudata.registry.v1.PolicyRegistry/";
 /// Calls that change what others see, and the roles that may make them. All other calls of the registry read.
 const WRITES: [(&str, &[Role]); 7] = [
-    ("Publish", &[Role::Learner]),
+    // An operator publishes what is signed (`caudata policy release`); the call itself looks at that.
+    ("Publish", &[Role::Learner, Role::Operator]),
     ("Ack", &[Role::Robot]),
     ("Nack", &[Role::Robot]),
     ("SetLabel", &[Role::Operator]),
@@ -156,11 +157,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_learner_publishes_and_an_actor_has_no_business_here() {
+    fn learners_and_operators_publish_and_an_actor_has_no_business_here() {
         let path = |call: &str| format!("{REGISTRY}{call}");
         for (role, publishes, reads) in [
             (Role::Learner, true, true),
-            (Role::Operator, false, true),
+            (Role::Operator, true, true),
             (Role::Robot, false, true),
             (Role::Actor, false, false),
             (Role::Router, false, false),

@@ -280,12 +280,17 @@ impl PolicyRegistry for RegistryService {
         request: Request<Streaming<wire::PublishRequest>>,
     ) -> Result<Response<wire::PublishResponse>, Status> {
         self.refuse_when_draining()?;
-        let origin = origin_of(&request);
+        let (caller, origin) = (caller(&request), origin_of(&request));
         let (manifest, bytes) = receive_upload(request.into_inner(), self.upload_idle)
             .await
             .inspect_err(|_| {
                 self.metrics.refused.inc();
             })?;
+        if caller.is_some_and(|c| c.role == Role::Operator) && manifest.signatures.is_empty() {
+            return Err(Status::permission_denied(
+                "an operator publishes signed policies only: `caudata policy release`",
+            ));
+        }
         let stream = manifest.stream.to_string();
         let version = manifest.version;
         let published = self.publish_file(origin, manifest, bytes).await.inspect_err(|status| {

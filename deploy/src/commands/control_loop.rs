@@ -176,7 +176,9 @@ fn walk<R: Robot>(
 /// The trust file, where one is given: not one that is older than another that was in force on this robot, and not none where one was. A state that was
 /// lost says nothing about that.
 fn trust_of(args: &SourceArgs) -> Result<Option<Trust>, DeployError> {
-    let trust = args.trust.as_deref().map(Trust::read).transpose()?;
+    args.check()?;
+    let trust = args.trust.as_deref().map(Trust::read).transpose();
+    let trust = trust.map_err(DeployError::Trust)?;
     let state = match PolicyStore::peek(&args.state) {
         Ok(Some(state)) => state,
         Ok(None) | Err(DeployError::StateDamaged { .. }) => return Ok(trust),

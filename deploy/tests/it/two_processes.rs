@@ -206,6 +206,8 @@ impl Lab {
     fn link_key(&self) -> PathBuf {
         let key = self.path("link.key");
         std::fs::write(&key, [7; 32]).unwrap();
+        let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+        std::fs::set_permissions(&key, private).unwrap();
         LinkKey::read(&key).unwrap();
         key
     }

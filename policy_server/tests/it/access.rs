@@ -10,6 +10,7 @@ use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, bui
 use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve_tls, tls_config};
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
+use caudata_signing::ReleaseKey;
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::Metrics;
 use tokio::sync::watch;
@@ -104,6 +105,12 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     let mut learner = client(&certificate(&ours, Role::Learner, "learner"));
     let published = learner.publish(manifest, file.bytes()).await.unwrap();
     assert!(!published.already_present);
+    // An operator releases: what keys signed, into any stream.
+    let mut signed = manifest_of(StreamName::new("release/flat").unwrap(), &file, 5).unwrap();
+    ReleaseKey::from_seed("release", &[7; 32]).sign(&mut signed);
+    let mut operator = client(&certificate(&ours, Role::Operator, "operator-1"));
+    let released = operator.publish(signed, file.bytes()).await.unwrap();
+    assert!(!released.already_present);
 
     for (role, reads) in [
         (Role::Robot, true),
@@ -135,7 +142,7 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
         "nothing is served in the open"
     );
 
-    drop((learner, stranger, plain));
+    drop((learner, operator, stranger, plain));
     stop.send(true).unwrap();
     server.await.unwrap();
 }
