@@ -5,12 +5,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Instant, SystemTime};
 
 use caudata_gap::Options;
-use caudata_hidden_effects::baselines::{self, BaselineSummary};
-use caudata_hidden_effects::case::Answer;
-use caudata_hidden_effects::examinee;
-use caudata_hidden_effects::run::{self, BenchError, Diagnoser};
-use caudata_hidden_effects::score::{Outcome, Summary};
-use caudata_hidden_effects::sets::{self, SetName};
+use caudata_gap_benchmark::baselines::{self, BaselineSummary};
+use caudata_gap_benchmark::case::{Answer, Block};
+use caudata_gap_benchmark::examinee;
+use caudata_gap_benchmark::run::{self, BenchError, Diagnoser};
+use caudata_gap_benchmark::score::{Outcome, Summary};
+use caudata_gap_benchmark::sets::{self, SetName};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -23,6 +23,9 @@ pub struct GapBench {
     /// Which cases
     #[arg(long, value_enum, default_value_t = Set::Quick)]
     set: Set,
+    /// Only cases of these blocks: null, single, pair, decoy, outside, starved, ground, water, holdout_change; default: all
+    #[arg(long, value_name = "BLOCK", value_delimiter = ',', value_parser = block)]
+    block: Vec<Block>,
     /// Only so many of them; default: all
     #[arg(long, value_name = "N")]
     cases: Option<usize>,
@@ -103,7 +106,9 @@ pub fn run(args: &GapBench) -> Result<(), Failure> {
 fn bench(args: &GapBench, root: &std::path::Path, began: Instant) -> Result<(), Failure> {
     let jobs = args.jobs as usize;
     let secret = secret();
-    let plans = sets::plan(args.set.into(), args.seed, args.cases);
+    let mut plans = sets::plan(args.set.into(), args.seed, None);
+    plans.retain(|p| args.block.is_empty() || args.block.contains(&p.block));
+    plans.truncate(args.cases.unwrap_or(usize::MAX));
     let told = AtomicUsize::new(0);
     let progress = |what: &'static str| {
         told.store(0, Ordering::Relaxed);
@@ -122,7 +127,6 @@ fn bench(args: &GapBench, root: &std::path::Path, began: Instant) -> Result<(), 
     let diagnoser = Diagnoser {
         program,
         arguments: ["bench", "gap", "--examinee"].map(str::to_owned).to_vec(),
-        keep_variables: Vec::new(),
         limit_s: run::DEFAULT_LIMIT_S,
     };
     let (outcomes, answers) =
@@ -170,6 +174,11 @@ fn bench(args: &GapBench, root: &std::path::Path, began: Instant) -> Result<(), 
     }
     say::line(format!("\n{made} cases in {seconds:.0} s"));
     Ok(())
+}
+
+/// The block with this name.
+fn block(name: &str) -> Result<Block, String> {
+    serde_json::from_value(json!(name)).map_err(|_| "no such block".to_owned())
 }
 
 /// Something that no process started here knows: the answers stay closed to them.
@@ -222,7 +231,7 @@ fn baseline_rows(
         format!("{:.2}", ours.wrong_per_single),
         format!(
             "{:.3}",
-            caudata_hidden_effects::score::summary::median_gain(outcomes)
+            caudata_gap_benchmark::score::summary::median_gain(outcomes)
         ),
         format!("{:.1}", ours.seconds.0),
     ]);

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use caudata_config::ConfigArgs;
 use caudata_gap::{GoOn, Role, Run, extension, page};
-use caudata_hidden_effects::paper::{self, Pictures, Row};
-use caudata_hidden_effects::salamander::{self, LabFile, SalamanderPlan};
-use caudata_hidden_effects::truth::free::Channels;
+use caudata_gap_benchmark::paper::{self, Pictures, Row};
+use caudata_gap_benchmark::salamander::{self, LabFile, SalamanderPlan};
+use caudata_gap_benchmark::truth::free::Channels;
 use caudata_runlog::{BaseHold, RunLog};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
 use clap::Args;

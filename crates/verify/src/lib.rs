@@ -1,7 +1,7 @@
 //! Ground truth for the engines: MuJoCo, closed forms, conservation laws, and each other. The table of `caudata sim verify`.
 //!
 //! Every check runs on every engine given, through the [`Engine`](caudata_sim::Engine) trait, and yields [`Row`]s: a figure, its
-//! target, whether it is met. Rows that need MuJoCo say `skipped: …` where there is none. `docs/simulation.md` says what each row means.
+//! target, whether it is met. Rows that need MuJoCo say `skipped: …` where there is none. `docs/reference/simulation.md` says what each row means.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod accelerations;
@@ -58,7 +58,7 @@ fn largest(a: f64, b: f64) -> f64 {
 /// One figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// The check, one of those of `docs/simulation.md`.
+    /// The check, one of those of `docs/reference/simulation.md`.
     pub check: &'static str,
     /// Engine and, where it matters, step.
     pub engine: String,

@@ -13,7 +13,7 @@
 //! slip is Coulomb's whatever the acceleration.
 //!
 //! Here MuJoCo differs, unless [`convex`](super::convex) is chosen: its friction is the convex relaxation of Coulomb's, in which a sliding contact also lifts (the normal force
-//! grows with the slip), and sticking takes a time constant. `docs/simulation.md` says how much of a gait's way that is.
+//! grows with the slip), and sticking takes a time constant. `docs/reference/simulation.md` says how much of a gait's way that is.
 
 use super::contact_law::{ContactLaw, THETA, Touch};
 use super::convex;

@@ -9,7 +9,7 @@
 //! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact of balls, capsules, boxes and cylinders with the ground as
 //! [`program`] describes, and of balls with balls of the robot itself ([`pairs`]); drive-lines as in [`crate::drive`], water as in [`crate::water`].
 //!
-//! Cost: `caudata bench sim`, with the time split by phase; docs/status.md has figures. Accuracy: `caudata sim verify`; docs/simulation.md.
+//! Cost: `caudata bench sim`, with the time split by phase; accuracy: `caudata sim verify`. docs/reference/simulation.md has the figures.
 
 mod aba;
 mod clock;

@@ -132,7 +132,7 @@ reward_terms! {
     /// Σ over joints of how far they are beyond `soft_limit_share` of their range, rad. Default 0.
     joint_limits: Cost, "rad", 0.0;
     /// Σ over joints of how far the smoothed target lies outside the joint's range before it is cut off there, rad. Default 0. A policy whose target is a radian beyond a limit
-    /// feels nothing of what it does with that joint any more, and learns nothing. With -0.1 such legs stayed there for 1,200 iterations, with -0.6 they came back within 1,000 (docs/learning.md).
+    /// feels nothing of what it does with that joint any more, and learns nothing. With -0.1 such legs stayed there for 1,200 iterations, with -0.6 they came back within 1,000 (docs/reference/learning.md).
     target_limits: Cost, "rad", 0.0;
     /// Sum of the horizontal speeds of the feet that are in contact. Default 0 (not in the paper).
     slip: Cost, "m/s", 0.0;
