@@ -9,7 +9,7 @@ use caudata_proto::registry::{
 };
 use caudata_signing::{Stale, Trust, Untrusted};
 use caudata_task::command::CommandConfig;
-use caudata_task::{ACT_DIM, ObservationLayout, PolicyContract, TaskConfig, TaskError};
+use caudata_task::{ObservationLayout, PolicyContract, TaskConfig, TaskError};
 use sha2::{Digest, Sha256};
 
 use crate::state::{Blame, PolicyRef, Sha256Digest};
@@ -278,7 +278,8 @@ pub fn expected_contract(
     let task = TaskConfig {
         action: policy.action,
         phase: policy.phase.config(),
-        observe_medium: policy.observation == ObservationLayout::new(true),
+        observe_medium: policy.observation
+            == ObservationLayout::new(policy.act_dim(), &policy.phase.feet, true),
         command: CommandConfig {
             vx_mps: policy.command.vx_mps,
             vy_mps: policy.command.vy_mps,
@@ -294,12 +295,13 @@ pub fn expected_contract(
 fn probe(file: &PolicyFile, inference: &mut Inference) -> Result<(), Refusal> {
     let dim = file.spec().obs_dim();
     let mut obs = vec![0.0; dim];
-    let (mut actions, mut expected) = ([0.0; ACT_DIM], [0.0; ACT_DIM]);
+    let act_dim = file.spec().act_dim();
+    let (mut actions, mut expected) = (vec![0.0; act_dim], vec![0.0; act_dim]);
     for index in 0..PROBE_COUNT {
         probe_observation(index, file.spec(), &mut obs);
         inference.run(&obs, 1, &mut actions)?;
         evaluate_mlp(file.spec(), &obs, 1, &mut expected)?;
-        for joint in 0..ACT_DIM {
+        for joint in 0..act_dim {
             let (found, reference) = (actions[joint], expected[joint]);
             let finite = found.is_finite() && reference.is_finite();
             let apart = (found - reference).abs() > PROBE_TOLERANCE * (1.0 + reference.abs());

@@ -7,9 +7,7 @@ use caudata_model::RobotModel;
 
 /// Foot of the leg that each link belongs to; `None`: trunk. `[L]`
 pub(crate) fn legs(model: &RobotModel) -> Vec<Option<usize>> {
-    (0..model.links().len())
-        .map(|l| model.leg_of(l))
-        .collect()
+    (0..model.links().len()).map(|l| model.leg_of(l)).collect()
 }
 
 /// Legs that hang on each link, as foot indices. `[L]`

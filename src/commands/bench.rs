@@ -9,7 +9,7 @@ use caudata_config::ConfigArgs;
 use caudata_policy::{
     Activation, Dense, Inference, MlpSpec, PolicyFile, PolicyMetadata, build_onnx,
 };
-use caudata_task::{ACT_DIM, PolicyContract};
+use caudata_task::{PerJoint, PolicyContract};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, Subcommand, ValueEnum};
 use serde::Serialize;
@@ -276,7 +276,8 @@ fn bench_env(
     let mut env = build_env(&config, model, 0).map_err(|error| error.into_failure())?;
     env.reset_all().or_exit(ExitCode::Internal)?;
     // A gait-like motion, so that contacts come and go.
-    let mut actions = vec![0.0f32; lanes as usize * ACT_DIM];
+    let width = env.act_dim();
+    let mut actions = vec![0.0f32; lanes as usize * width];
     let mut step = 0u32;
     let settings = serde_json::json!({
         "engine": config.engine.kind, "lanes": lanes, "threads": threads,
@@ -289,9 +290,9 @@ fn bench_env(
         settings,
         || {
             // Once for all lanes: a sine per lane and joint would be a fortieth of what is measured.
-            let action: [f32; ACT_DIM] =
-                std::array::from_fn(|i| 0.5 * (step as f32 * 0.16 + i as f32).sin());
-            for lane in actions.chunks_exact_mut(ACT_DIM) {
+            let action: PerJoint =
+                PerJoint::from_fn(width, |i| 0.5 * (step as f32 * 0.16 + i as f32).sin());
+            for lane in actions.chunks_exact_mut(width) {
                 lane.copy_from_slice(&action);
             }
             step += 1;

@@ -74,7 +74,7 @@ pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
         config.robot.clone_from(robot);
     }
     let model = Arc::new(robot_model::load(&config.robot_path())?);
-    JointTable::from_model(&model).or_exit(ExitCode::BadInput)?;
+    JointTable::for_runtime(&model).or_exit(ExitCode::BadInput)?;
     if args.bus == LinkKind::Pty {
         return sim_robot_pty::run(&args.pty, &config, model, args.seed, stop);
     }

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::TaskError;
 use crate::action::ActionConfig;
 use crate::command::CommandConfig;
 use crate::error::checks;
@@ -12,7 +13,6 @@ use crate::randomise::RandomisationConfig;
 use crate::reset::ResetConfig;
 use crate::reward::RewardConfig;
 use crate::termination::TerminationConfig;
-use crate::TaskError;
 
 /// The task. Defaults are the paper's values, and MuJoCo Playground's where the paper gives none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -42,3 +42,7 @@ pub use row::{PerFoot, PerJoint};
 pub const ACTION_HISTORY: usize = 3;
 /// Command: forward and sideways velocity (m/s), yaw rate (rad/s).
 pub const COMMAND_DIM: usize = 3;
+/// Actuated joints that the robot's runtime is built for (see `caudata-deploy`); nothing else knows a number.
+pub const ACT_DIM: usize = 16;
+/// Feet that it is built for, likewise.
+pub const FEET: usize = 4;

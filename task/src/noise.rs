@@ -166,7 +166,10 @@ mod tests {
         let mut readings = level();
         config.add(&mut readings, &mut stream);
         assert_eq!(readings, level());
-        assert_eq!(config.draw_joint_offsets(ACT_DIM, &mut stream), [0.0; ACT_DIM]);
+        assert_eq!(
+            config.draw_joint_offsets(ACT_DIM, &mut stream),
+            [0.0; ACT_DIM]
+        );
         assert_eq!(stream.word_position(), 0);
     }
 

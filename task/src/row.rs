@@ -48,6 +48,12 @@ impl<T: Copy + Default, const MAX: usize> Row<T, MAX> {
         Self::from_fn(values.len(), |i| values[i])
     }
 
+    /// What `of` makes of each value.
+    #[inline]
+    pub fn map<U: Copy + Default>(&self, mut of: impl FnMut(T) -> U) -> Row<U, MAX> {
+        Row::from_fn(self.len, |i| of(self[i]))
+    }
+
     /// As an array, if it has that many values.
     #[inline]
     pub fn to_array<const N: usize>(&self) -> Option<[T; N]> {
@@ -84,6 +90,14 @@ impl<'a, T, const MAX: usize> IntoIterator for &'a Row<T, MAX> {
     }
 }
 
+impl<'a, T, const MAX: usize> IntoIterator for &'a mut Row<T, MAX> {
+    type Item = &'a mut T;
+    type IntoIter = std::slice::IterMut<'a, T>;
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter_mut()
+    }
+}
+
 impl<T, const MAX: usize> IntoIterator for Row<T, MAX> {
     type Item = T;
     type IntoIter = std::iter::Take<std::array::IntoIter<T, MAX>>;
@@ -111,6 +125,12 @@ impl<T: PartialEq, const N: usize, const MAX: usize> PartialEq<[T; N]> for Row<T
     }
 }
 
+impl<T: PartialEq, const N: usize, const MAX: usize> PartialEq<Row<T, MAX>> for [T; N] {
+    fn eq(&self, other: &Row<T, MAX>) -> bool {
+        self[..] == other[..]
+    }
+}
+
 impl<T: std::fmt::Debug, const MAX: usize> std::fmt::Debug for Row<T, MAX> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         self[..].fmt(f)
@@ -123,9 +143,7 @@ impl<T: Serialize, const MAX: usize> Serialize for Row<T, MAX> {
     }
 }
 
-impl<'de, T: Copy + Default + Deserialize<'de>, const MAX: usize> Deserialize<'de>
-    for Row<T, MAX>
-{
+impl<'de, T: Copy + Default + Deserialize<'de>, const MAX: usize> Deserialize<'de> for Row<T, MAX> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let values = Vec::deserialize(deserializer)?;
         if values.len() > MAX {

@@ -258,7 +258,9 @@ pub(crate) struct Sensors {
 impl Sensors {
     pub fn new(model: &RobotModel, control_period_s: f64) -> Self {
         Self {
-            servos: (0..model.actuated().len()).map(|i| model.servo(i).clone()).collect(),
+            servos: (0..model.actuated().len())
+                .map(|i| model.servo(i).clone())
+                .collect(),
             imu: model.sensors().imu.clone(),
             control_period_s,
         }
@@ -350,7 +352,10 @@ mod tests {
             assert!((found - expected).abs() < 1e-6, "{:?}", truth.com_vel_mps);
         }
         assert_eq!(truth.yaw_rate_radps, 0.4);
-        assert_eq!(reader().read_state(&state, None, 0.0, 0).com_vel_mps, [0.0; 3]);
+        assert_eq!(
+            reader().read_state(&state, None, 0.0, 0).com_vel_mps,
+            [0.0; 3]
+        );
     }
 
     #[test]

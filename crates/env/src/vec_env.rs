@@ -8,9 +8,7 @@ use caudata_sim::{Engine, State};
 use caudata_task::observation::ObservationInput;
 use caudata_task::reward::{self, RewardInput, TERM_COUNT};
 use caudata_task::termination::{self, TerminationInput, TerminationReason};
-use caudata_task::{
-    BodyPlan, JointTable, ObservationLayout, PerFoot, PolicyContract, TaskConfig,
-};
+use caudata_task::{BodyPlan, JointTable, ObservationLayout, PerFoot, PolicyContract, TaskConfig};
 
 use crate::EnvError;
 use crate::lane::Lane;
@@ -306,8 +304,11 @@ impl VecEnv {
             let dim = self.layout.dim();
             let now = &self.lanes[lane];
             let last = &self.observations[lane * dim..][..dim];
-            self.buffers
-                .finish(now.stats(lane, truth.foot_height_m.len(), reason), &now.tally.terms, last);
+            self.buffers.finish(
+                now.stats(lane, truth.foot_height_m.len(), reason),
+                &now.tally.terms,
+                last,
+            );
             self.ended.push(lane);
         }
         Ok(())

@@ -7,7 +7,6 @@ use crate::phase::reference_height_m;
 /// Forward speed at which the wave has the amplitude that is configured, m/s.
 const WAVE_SPEED_MPS: f32 = 0.3;
 
-
 /// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame (paper), or along the course where one is held.
 pub fn tracking_lin_vel(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let [x, y] = along_course(input.com_vel_mps, input.off_course_rad);
