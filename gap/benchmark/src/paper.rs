@@ -106,7 +106,7 @@ pub fn pictures(
 ) -> Result<Pictures, GapError> {
     let trials = runs
         .iter()
-        .map(|run| Trial::new(model, run))
+        .map(|run| caudata_gap::reading::trial(model, run))
         .collect::<Result<Vec<_>, _>>()?;
     let options = SegmentOptions {
         free_s: STRETCH_S,
