@@ -46,14 +46,7 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
             _ => all,
         };
         for place in simulated {
-            if (effect.unseen)(&context.excitation, &place).is_some() {
-                continue;
-            }
-            if state
-                .terms
-                .iter()
-                .any(|t| t.effect == effect && t.place == place)
-            {
+            if !open(context, state, effect, &place) {
                 continue;
             }
             for k in 0..effect.grid.len() {
@@ -107,6 +100,13 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
     }
     out.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     Ok(out)
+}
+
+/// Whether the runs can show an effect at a place, and the model does not have it.
+fn open(context: &Context, state: &State, effect: &Effect, place: &Place) -> bool {
+    let mut had = state.terms.iter();
+    (effect.unseen)(&context.excitation, place).is_none()
+        && !had.any(|t| t.effect == effect && t.place == *place)
 }
 
 /// Places that a simulated trace speaks for.
@@ -167,14 +167,7 @@ fn judge(
     out: &mut Vec<Screened>,
 ) {
     let model = context.replayer.model();
-    if (effect.unseen)(&context.excitation, place).is_some() {
-        return;
-    }
-    if state
-        .terms
-        .iter()
-        .any(|t| t.effect == effect && t.place == *place)
-    {
+    if !open(context, state, effect, place) {
         return;
     }
     let n = change.len().max(1) as f64;

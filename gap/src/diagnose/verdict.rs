@@ -86,10 +86,9 @@ pub fn conclude(
     let found_causes = order.iter().zip(&are_leads).filter(|(_, lead)| !**lead);
     let found_causes: Vec<usize> = found_causes.map(|(n, _)| n.index).collect();
     let doubts = Doubts::about(context, base, best, &derivatives, &found_causes);
-    let undenied = if doubts.much.is_some() {
-        TRUST_IN_PART
-    } else {
-        TRUST
+    let undenied = match doubts.much {
+        Some(_) => TRUST_IN_PART,
+        None => TRUST,
     };
     let trusted = |(n, is_lead): (&&Named, &bool)| {
         let trust = match is_lead {
