@@ -442,7 +442,7 @@ mod tests {
 
     #[test]
     fn without_a_file_handle_a_line_is_not_written_and_the_next_one_follows_whole() {
-        use caudata_durable::rehearsal::Rehearsal;
+        use caudata_rehearsal::Rehearsal;
         let folder = tempfile::tempdir().unwrap();
         let disk = Arc::new(Rehearsal::new(folder.path()).unwrap());
         let mut log = AuditLog::open(folder.path(), disk.clone()).unwrap();

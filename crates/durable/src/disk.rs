@@ -11,11 +11,19 @@ pub type WriteFault = (&'static str, io::Error);
 /// An open folder, whose names can be synced.
 #[derive(Debug)]
 pub struct Folder {
-    pub(crate) path: PathBuf,
+    path: PathBuf,
     handle: File,
 }
 
-/// What changes a disk. [`OsDisk`] is the real one, [`crate::rehearsal::Rehearsal`] writes down what was done.
+impl Folder {
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// What changes a disk. [`OsDisk`] is the real one, that of `tests/rehearsal` writes down what was done.
 pub trait Disk: Debug + Send + Sync {
     /// Makes one folder; one that is there already is fine.
     ///

@@ -6,13 +6,12 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod disk;
-pub mod rehearsal;
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-pub use disk::{Disk, Folder, OsDisk};
+pub use disk::{Disk, Folder, OsDisk, WriteFault};
 
 /// Why a durable write failed. The file's earlier content, if any, is untouched.
 #[derive(Debug, thiserror::Error)]
@@ -205,7 +204,7 @@ fn folder_of(disk: &dyn Disk, path: &Path) -> Result<Folder, DurableError> {
 
 fn sync(disk: &dyn Disk, folder: &Folder) -> Result<(), DurableError> {
     disk.sync_folder(folder)
-        .map_err(|source| DurableError::from_io("sync", &folder.path, source))
+        .map_err(|source| DurableError::from_io("sync", folder.path(), source))
 }
 
 #[cfg(test)]

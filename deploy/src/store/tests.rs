@@ -1,6 +1,6 @@
 //! What a power cut, a full card and a torn file leave of a robot's folder.
 
-use caudata_durable::rehearsal::Rehearsal;
+use caudata_rehearsal::Rehearsal;
 
 use super::*;
 

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::Duration;
 
-use caudata_durable::rehearsal::Rehearsal;
+use caudata_rehearsal::Rehearsal;
 use caudata_policy_server::{ConnectionLimits, ServeOptions, Store, StoreLimits};
 use caudata_proto::wire::registry::FetchRequest;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use caudata_durable::OsDisk;
-use caudata_durable::rehearsal::Rehearsal;
+use caudata_rehearsal::Rehearsal;
 use caudata_policy_server::{Origin, Store, StoreError, StoreLimits};
 use caudata_proto::registry::{
     LabelName, Manifest, QuarantineState, RobotReport, RobotState, SetLabel, StreamName, reverting,

@@ -4,13 +4,15 @@
 //! What a file system promises, and no more: bytes are on the disk once the file was synced, names once their folder was. Before
 //! that each of them may be there or not, in any combination; bytes may be there by half.
 
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use crate::disk::{Disk, Folder, OsDisk, WriteFault};
+use caudata_durable::{Disk, Folder, OsDisk, WriteFault};
 
 /// Combinations of unsynced steps that are shown for one cut at most.
 const COMBINATIONS_MAX: usize = 1 << 12;
@@ -368,7 +370,7 @@ impl Disk for Rehearsal {
     fn sync_folder(&self, folder: &Folder) -> io::Result<()> {
         let mut notes = self.notes();
         notes.check_sync()?;
-        notes.steps.push(Step::SyncedFolder(folder.path.clone()));
+        notes.steps.push(Step::SyncedFolder(folder.path().to_owned()));
         Ok(())
     }
 
@@ -420,7 +422,7 @@ mod tests {
 
     #[test]
     fn a_replaced_file_is_the_old_one_or_the_new_one_whenever_power_goes() {
-        let left = left_by(|disk, path| crate::replace_on(disk, path, b"fresh").unwrap());
+        let left = left_by(|disk, path| caudata_durable::replace_on(disk, path, b"fresh").unwrap());
         let whole = [b"old".to_vec(), b"fresh".to_vec()];
         assert_eq!(left, whole.map(Some).into_iter().collect());
     }
@@ -476,10 +478,10 @@ mod tests {
         disk.fail_opens_at(0, EMFILE);
         let before = disk.steps();
         for error in [
-            crate::replace_on(&disk, &path, b"1").unwrap_err(),
-            crate::create_new_on(&disk, &path, b"1").unwrap_err(),
-            crate::make_folder_on(&disk, &path).unwrap_err(),
-            crate::sync_folder_on(&disk, folder.path()).unwrap_err(),
+            caudata_durable::replace_on(&disk, &path, b"1").unwrap_err(),
+            caudata_durable::create_new_on(&disk, &path, b"1").unwrap_err(),
+            caudata_durable::make_folder_on(&disk, &path).unwrap_err(),
+            caudata_durable::sync_folder_on(&disk, folder.path()).unwrap_err(),
         ] {
             assert!(!error.is_sync_failure(), "{error}");
         }
