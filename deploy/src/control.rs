@@ -16,14 +16,14 @@ use crate::command_link::{CommandLink, LINK_STAND, LINK_STOP};
 use crate::flight_log::{FlightLog, LogRow};
 use crate::gate::OutputGate;
 use crate::guard::{Fault, Guard, Verdict};
+use crate::last_moments::LastMoments;
 use crate::metrics::RobotMetrics;
 use crate::motion::{Motion, Stage};
 use crate::notify::{Notifier, Word};
 use crate::orientation::GravityFilter;
 use crate::pacing::{Clock, Pacer};
-use crate::recorder::Recorder;
-use crate::report::Ended;
 use crate::runner::{PolicyRunner, View};
+use crate::summary::Ended;
 use crate::tap::Tick;
 use crate::updates::{PolicyEvent, Updates};
 
@@ -47,7 +47,7 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     runner: PolicyRunner,
     updates: Updates,
     log: Option<FlightLog>,
-    recorder: Recorder,
+    last_moments: LastMoments,
     link: Option<Box<dyn CommandLink>>,
     notifier: Notifier,
     /// Raised by a second signal.
@@ -101,7 +101,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             what: "a policy with other joints than this robot's".to_owned(),
         })?;
         metrics.policy_version.set(version_gauge(&runner));
-        let recorder = Recorder::new(plan.period);
+        let last_moments = LastMoments::new(plan.period);
         Ok(Self {
             gate: OutputGate::new(&joints, plan.step_max_rad, first.servos.pos_rad),
             guard: Guard::new(plan.limits.clone()),
@@ -114,7 +114,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             runner,
             updates,
             log: None,
-            recorder,
+            last_moments,
             link: None,
             notifier: Notifier::default(),
             insisted: StopFlag::new(),
@@ -167,8 +167,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     }
 
     /// The last 30 s, oldest first.
-    pub fn recorder(&self) -> &Recorder {
-        &self.recorder
+    pub fn last_moments(&self) -> &LastMoments {
+        &self.last_moments
     }
 
     /// The policy that runs.
@@ -288,7 +288,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             gravity: sensed.gravity,
             truth: sensed.truth,
         };
-        self.recorder.push(row);
+        self.last_moments.push(row);
         if let Some(log) = &mut self.log {
             log.push(row);
         }

@@ -59,7 +59,7 @@ pub enum Refusal {
     #[error("its contract is not one for this program: {0}")]
     Task(#[from] TaskError),
     /// The announcement is for another robot, or another model of this one.
-    #[error("it is for {} {}, this is {}", .0.what, .0.said, .0.asked)]
+    #[error("it is for another robot: {0}")]
     OtherRobot(OtherQuestion),
     /// The file has another version than announced.
     #[error("the file says version {found}, announced was {expected}")]
@@ -281,7 +281,7 @@ pub const CANDIDATE: &[Check<CandidateCheck>] = &[
         refuse: |candidate| {
             candidate.refuse_action(
                 |a| !(a.found.abs() <= ACTION_MAX && a.reference.abs() <= ACTION_MAX),
-                |a| format!("action {} is {}, beyond ±{ACTION_MAX}", a.joint, a.found),
+                |a| format!("action {} is {:e}, beyond ±{ACTION_MAX}", a.joint, a.found),
             )
         },
     },

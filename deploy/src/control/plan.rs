@@ -8,7 +8,7 @@ use caudata_task::{ACT_DIM, COMMAND_DIM};
 use crate::DeployError;
 use crate::bus::{GroundTruth, Health, ImuReading, Robot, ServoReadings};
 use crate::orientation::GravityFilter;
-use crate::report::{Latencies, Odometer, Velocity, rounded};
+use crate::summary::{Latencies, Odometer, Velocity, rounded};
 use crate::walk_command::CommandTable;
 
 /// Mean speed of the joints below which the robot counts as standing still, rad/s. Servos report in steps of 0.024 rad/s.

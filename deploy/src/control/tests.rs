@@ -10,7 +10,7 @@ use super::*;
 use crate::bus::{Imu, ImuReading, ServoBus, ServoReadings};
 use crate::command_link::LinkView;
 use crate::state::{PolicyRef, Sha256Digest};
-use crate::testing::{model, policy_file, standing};
+use crate::testing::{model, policy_file, standing, stepping};
 use crate::updates::Slot;
 use crate::verify::{Verified, verify};
 use crate::walk_command::{CommandTable, WalkCommand};
@@ -194,20 +194,8 @@ fn run_at(
     }
 }
 
-/// A policy whose joints swing with the gait's phase.
-fn stepping() -> Vec<u8> {
-    policy_file(1, |spec, metadata| {
-        let phase = metadata.contract.observation.slice("phase").unwrap().start;
-        let input = spec.layers[0].input;
-        spec.layers[0].weight.fill(0.0);
-        for row in spec.layers[0].weight.chunks_mut(input) {
-            row[phase] = 0.5;
-        }
-    })
-}
-
 fn run(robot: &mut FakeRobot, walk_s: f64) -> Run {
-    let policy = verified(1, stepping());
+    let policy = verified(1, stepping(1));
     run_with(robot, policy, Slot::default(), walk_s, &StopFlag::new())
 }
 
@@ -363,8 +351,8 @@ fn fault_32_standing_still_passes_no_trial() {
         let good = |event: &PolicyEvent| matches!(event, PolicyEvent::Good { .. });
         run.told().iter().any(good)
     };
-    assert!(good(0.3, stepping()));
-    assert!(!good(0.0, stepping()), "it was told to stand");
+    assert!(good(0.3, stepping(1)));
+    assert!(!good(0.0, stepping(1)), "it was told to stand");
     assert!(!good(0.3, standing(1)), "it was told to move and did not");
 }
 
@@ -691,7 +679,7 @@ fn fault_32_a_fall_in_the_trial_is_the_policys_fault_and_one_after_it_is_not() {
     let fall = |falls_from: usize, proved: bool| {
         let mut robot = FakeRobot::new();
         robot.falls_from = falls_from;
-        let mut policy = verified(1, stepping());
+        let mut policy = verified(1, stepping(1));
         policy.proved = proved;
         let run = run_with(&mut robot, policy, Slot::default(), 100.0, &StopFlag::new());
         assert_eq!(run.result.as_ref().unwrap(), &Ended::Fallen);

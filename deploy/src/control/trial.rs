@@ -7,7 +7,7 @@ use super::plan::{Sensed, mean_speed};
 use crate::bus::Robot;
 use crate::gate::{HELD_IN_A_ROW_MAX, Held, PINNED_TICKS_MAX};
 use crate::pacing::Clock;
-use crate::report::{Ended, rounded};
+use crate::summary::{Ended, rounded};
 use crate::updates::PolicyEvent;
 
 impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {

@@ -1,7 +1,7 @@
 //! What a power cut, a full card and a torn file leave of a robot's folder.
 
-use caudata_durable::rehearsal::Rehearsal;
 use caudata_proto::checks::each_left_out;
+use caudata_rehearsal::Rehearsal;
 
 use super::*;
 
