@@ -166,7 +166,7 @@ impl Stage {
 mod tests {
     use std::path::Path;
 
-    use caudata_durable::rehearsal::Rehearsal;
+    use caudata_rehearsal::Rehearsal;
     use caudata_policy::PolicyFile;
     use caudata_proto::registry::StreamName;
     use caudata_registry_client::{RegistryClient, manifest_of};
