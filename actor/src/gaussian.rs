@@ -30,7 +30,7 @@ pub struct Density {
 }
 
 impl Density {
-    /// Of the distributions with these `ln σ_i`.
+    /// The density of the distributions with these `ln σ_i`.
     pub fn new(log_std: &[f32]) -> Self {
         let component = |&log_std: &f32| {
             let log_std = f64::from(log_std);

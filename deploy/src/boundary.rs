@@ -280,7 +280,7 @@ pub struct Told {
 }
 
 impl Told {
-    /// Of these folders, whether or not they are there yet.
+    /// Watches the folders of this state and run, whether or not they are there yet.
     pub fn of(state: &Path, run: &RunFolder) -> Self {
         Self {
             folders: told(state, run),

@@ -23,7 +23,7 @@ pub(crate) struct Mobility {
 }
 
 impl Mobility {
-    /// Of `model` as `config` lets it move.
+    /// The mobility of `model` as `config` lets it move.
     ///
     /// # Errors
     /// [`SimError::Model`] where its inertia is singular: a joint that moves nothing.

@@ -18,7 +18,7 @@ pub struct Truth {
     pub motor_torque_nm: PerJoint,
     /// Mean over the control period, signed.
     pub mech_power_w: PerJoint,
-    /// Of the whole body.
+    /// Heading of the whole body, rad.
     pub heading_rad: f32,
     /// Whole body, heading frame.
     pub com_vel_mps: [f32; 3],
@@ -56,9 +56,9 @@ pub(crate) struct Reader {
     pub girdle_of: PerFoot<usize>,
     /// How far ahead of the centre of mass the two girdles are, along the heading.
     pub girdles_ahead_m: [f32; 2],
-    /// Of the task.
+    /// The task's `afloat_above_m`, m.
     pub afloat_above_m: f32,
-    /// Of the task.
+    /// The task's `feet_reach_m`, m.
     pub feet_reach_m: f32,
 }
 

@@ -35,7 +35,7 @@ pub enum NoSuccessor {
     /// Keys that may say so did not sign it.
     #[error("{whose} root keys signed it {valid} times, {needed} are needed")]
     Unsigned {
-        /// Of which file.
+        /// Which file lacks signatures.
         whose: &'static str,
         /// Distinct root keys with a valid signature.
         valid: usize,

@@ -18,7 +18,7 @@ use crate::hardware::{open_bus, open_imu, read_wiring};
 
 /// Round trips that are timed.
 const TIMED: u32 = 50;
-/// Of a tick of 20 ms, this much is the bus's.
+/// How much of a tick of 20 ms is the bus's.
 const BUS_BUDGET: Duration = Duration::from_millis(7);
 /// A joint that was moved by hand moved at least this far, rad.
 const MOVED_RAD: f64 = 0.15;

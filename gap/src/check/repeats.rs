@@ -149,7 +149,7 @@ struct Off {
 }
 
 impl Off {
-    /// Of joint `j` of the runs in `group`; none where its position is not logged in all of them.
+    /// How far joint `j` is off among the runs in `group`; none where its position is not logged in all of them.
     fn of(runs: &[Run<'_>], channels: &[Vec<Channels>], group: &[usize], j: usize) -> Option<Self> {
         let first = &runs[group[0]];
         let grid = &first.grid;

@@ -63,11 +63,11 @@ pub struct OutputGradient {
 
 /// Indices into the sums that [`loss_and_gradient`] answers.
 pub mod sums {
-    /// Of −w·min(r·A, clip(r)·A).
+    /// Sum of −w·min(r·A, clip(r)·A).
     pub const SURROGATE: usize = 0;
-    /// Of ¼(V − target)².
+    /// Sum of ¼(V − target)².
     pub const VALUE: usize = 1;
-    /// Of KL(π_prox ‖ π_θ), nats.
+    /// Sum of KL(π_prox ‖ π_θ), nats.
     pub const KL: usize = 2;
     /// Samples whose ratio lies outside 1 ± ε.
     pub const CLIPPED: usize = 3;

@@ -49,7 +49,7 @@ pub const COLUMNS: usize = 4;
 pub struct Drawn {
     /// Actions, means of π_prox, and the columns of [`Column`], table after table: `[R, 2A + 4]`.
     pub samples: Tensor,
-    /// Of π_prox, `[A]`.
+    /// Logarithm of the standard deviation of π_prox, `[A]`.
     pub prox_log_std: Tensor,
     /// First rows of each table that belong to it, B.
     pub rows: usize,
@@ -67,7 +67,7 @@ impl Drawn {
 pub struct Minibatch {
     /// First row and number of rows.
     pub part: (usize, usize),
-    /// Of the loss.
+    /// The loss's settings.
     pub loss: LossSettings,
     /// Advantages are shifted and scaled over the minibatch.
     pub scale_advantages: bool,
@@ -78,7 +78,7 @@ pub struct Minibatch {
 pub struct Total {
     /// In the order of [`sums`].
     pub sums: [f64; sums::COUNT],
-    /// Of the loss of the whole minibatch, `[P]`; nothing before the first shard.
+    /// Gradient of the loss of the whole minibatch, `[P]`; nothing before the first shard.
     pub gradient: Option<Tensor>,
 }
 

@@ -95,7 +95,7 @@ pub struct Ppo {
     reduction: Box<dyn Reduction>,
     settings: PpoSettings,
     learning_rate: f64,
-    /// Of the whole run so far.
+    /// Environment steps of the whole run so far.
     env_steps: u64,
 }
 

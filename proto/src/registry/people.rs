@@ -71,7 +71,7 @@ impl std::str::FromStr for LabelName {
 /// Where a label leads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LabelState {
-    /// Of which stream.
+    /// The stream that it belongs to.
     pub stream: StreamName,
     /// Which label.
     pub label: LabelName,
@@ -90,7 +90,7 @@ pub struct LabelState {
 /// Asks to move a label.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SetLabel {
-    /// Of which stream.
+    /// The stream that it belongs to.
     pub stream: StreamName,
     /// Which label.
     pub label: LabelName,
@@ -105,7 +105,7 @@ pub struct SetLabel {
 /// A version out of use.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct QuarantineState {
-    /// Of which stream.
+    /// The stream that it belongs to.
     pub stream: StreamName,
     /// Which version.
     pub version: u64,
@@ -173,7 +173,7 @@ impl RobotState {
 pub struct RobotReport {
     /// Name of the robot.
     pub robot: String,
-    /// Of which stream.
+    /// The stream that it belongs to.
     pub stream: StreamName,
     /// Which version.
     pub version: u64,
@@ -198,7 +198,7 @@ pub struct RobotReport {
 pub struct Freshness {
     /// What the asking side made up.
     pub nonce: [u8; NONCE_BYTES],
-    /// Of which stream.
+    /// The stream that it belongs to.
     pub stream: StreamName,
     /// Which label.
     pub label: LabelName,
@@ -243,7 +243,7 @@ pub struct AuditEntry {
     pub by: String,
     /// What kind of change.
     pub what: String,
-    /// Of which stream.
+    /// The stream that it belongs to.
     pub stream: String,
     /// Which version.
     pub version: u64,

@@ -37,7 +37,8 @@ pub fn one_actor_too_many_waits_for_its_turn(kind: Kind) {
     rig.finish();
 }
 
-/// Of three actors one is killed in mid-stream, again and again: no torn frame, the others lose nothing, and each new
+/// One of three actors is killed in mid-stream, again and again: no torn frame, the others lose nothing, and each
+/// new
 /// incarnation works.
 pub fn a_killed_actor_harms_nobody(kind: Kind) {
     // More of them than shared memory has ports: those of the killed must be reclaimed.

@@ -110,7 +110,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of all outcomes.
+    /// Summarises all outcomes.
     #[must_use]
     pub fn of(all: &[Outcome]) -> Self {
         let block = |b: Block| move |o: &Outcome| o.block == b;
