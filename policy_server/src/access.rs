@@ -260,10 +260,19 @@ mod tests {
         ] {
             let name = "x".to_owned();
             let stream = StreamName::new(stream).unwrap();
-            assert_eq!(Caller { role, name }.check_publication(&stream, true).is_ok(), may);
+            assert_eq!(
+                Caller { role, name }
+                    .check_publication(&stream, true)
+                    .is_ok(),
+                may
+            );
         }
         let (role, name) = (Role::Operator, "x".to_owned());
         let stream = StreamName::new("release/flat").unwrap();
-        assert!(Caller { role, name }.check_publication(&stream, false).is_err());
+        assert!(
+            Caller { role, name }
+                .check_publication(&stream, false)
+                .is_err()
+        );
     }
 }

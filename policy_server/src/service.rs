@@ -250,7 +250,9 @@ impl PolicyRegistry for RegistryService {
         let (caller, origin) = (Caller::of(&request), Caller::origin(&request));
         let may = |manifest: &Manifest| {
             let signed = !manifest.signatures.is_empty();
-            caller.map_or(Ok(()), |caller| caller.check_publication(&manifest.stream, signed))
+            caller.map_or(Ok(()), |caller| {
+                caller.check_publication(&manifest.stream, signed)
+            })
         };
         let (manifest, bytes) = receive_upload(request.into_inner(), self.upload_idle, may)
             .await
