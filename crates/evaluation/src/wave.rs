@@ -2,7 +2,7 @@
 
 use caudata_task::PerJoint;
 use rustfft::num_complex::Complex;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::Estimate;
 use crate::spectrum::Welch;
@@ -68,7 +68,7 @@ impl Wave {
 }
 
 /// The wave along the body over all episodes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WaveResult {
     /// Its frequency, Hz.
     pub hz: Estimate,
