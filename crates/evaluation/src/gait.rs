@@ -397,8 +397,8 @@ pub(crate) mod tests {
             let speed = |hz: f64| (TAU * hz * t).cos();
             let way = |hz: f64| (TAU * hz * t).sin() / (TAU * hz);
             let (slow, fast) = (speed(7.5), speed(15.0));
-            frame.joint_pos_rad = [(way(7.5) + way(15.0)) as f32; 16];
-            frame.torque_nm = [(0.2 * slow - 0.2 * fast) as f32; 16];
+            frame.joint_pos_rad = [(way(7.5) + way(15.0)) as f32; ACT_DIM].into();
+            frame.torque_nm = [(0.2 * slow - 0.2 * fast) as f32; ACT_DIM].into();
         }
         let gait = Gait::of(&trace, &measure()).unwrap();
         assert!(gait.vibration_share > 0.95, "{}", gait.vibration_share);
