@@ -4,8 +4,8 @@ use caudata_bench::measure::Rate;
 use caudata_bench::sim::{DT_S, Speed};
 use caudata_bench::transport::ingest;
 use caudata_bench::{gap, lag, sim, skill, transport};
-use caudata_hidden_effects::case::Answer;
-use caudata_hidden_effects::score::{Outcome, summary::median_gain};
+use caudata_gap_benchmark::case::Answer;
+use caudata_gap_benchmark::score::{Outcome, summary::median_gain};
 use caudata_sim::batch::Phase;
 use serde_json::Value;
 

@@ -5,15 +5,16 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Instant, SystemTime};
 
 use caudata_gap::Options;
-use caudata_hidden_effects::baselines::{self, BaselineSummary};
-use caudata_hidden_effects::case::Answer;
-use caudata_hidden_effects::examinee;
-use caudata_hidden_effects::run::{self, BenchError, Diagnoser};
-use caudata_hidden_effects::score::{Outcome, Summary};
-use caudata_hidden_effects::sets::{self, SetName};
+use caudata_gap_benchmark::baselines::{self, BaselineSummary};
+use caudata_gap_benchmark::case::{Answer, Block};
+use caudata_gap_benchmark::examinee;
+use caudata_gap_benchmark::run::{self, BenchError, Diagnoser};
+use caudata_gap_benchmark::score::{Outcome, Summary};
+use caudata_gap_benchmark::sets::{self, SetName};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use serde_json::json;
 
 /// Which cases, and how they are diagnosed.
 #[derive(Clone, Debug, Args)]
@@ -21,6 +22,9 @@ pub struct Plan {
     /// Which cases
     #[arg(long, value_enum, default_value_t = Set::Quick)]
     set: Set,
+    /// Only cases of these blocks: null, single, pair, decoy, outside, starved, ground, water, holdout_change; default: all
+    #[arg(long, value_name = "BLOCK", value_delimiter = ',', value_parser = block)]
+    block: Vec<Block>,
     /// Only so many of them; default: all
     #[arg(long, value_name = "N")]
     cases: Option<usize>,
@@ -126,7 +130,9 @@ fn bench(plan: &Plan, program: &Path, root: &Path) -> Result<Finding, Failure> {
     let began = Instant::now();
     let jobs = plan.jobs as usize;
     let secret = secret();
-    let cases = sets::plan(plan.set.into(), plan.seed, plan.cases);
+    let mut cases = sets::plan(plan.set.into(), plan.seed, None);
+    cases.retain(|p| plan.block.is_empty() || plan.block.contains(&p.block));
+    cases.truncate(plan.cases.unwrap_or(usize::MAX));
     let told = AtomicUsize::new(0);
     let progress = |what: &'static str| {
         told.store(0, Ordering::Relaxed);
@@ -144,7 +150,6 @@ fn bench(plan: &Plan, program: &Path, root: &Path) -> Result<Finding, Failure> {
     let diagnoser = Diagnoser {
         program: program.to_owned(),
         arguments: ["bench", "gap", "--examinee"].map(str::to_owned).to_vec(),
-        keep_variables: Vec::new(),
         limit_s: run::DEFAULT_LIMIT_S,
     };
     let (outcomes, answers) =
@@ -165,6 +170,11 @@ fn bench(plan: &Plan, program: &Path, root: &Path) -> Result<Finding, Failure> {
         outcomes,
         answers: answers.answers,
     })
+}
+
+/// The block with this name.
+fn block(name: &str) -> Result<Block, String> {
+    serde_json::from_value(json!(name)).map_err(|_| "no such block".to_owned())
 }
 
 /// Something that no process started here knows: the answers stay closed to them.

@@ -5,9 +5,9 @@ use std::sync::Arc;
 
 use caudata_gap::report::Verdict;
 use caudata_gap::{GoOn, Role, Run, extension, page};
-use caudata_hidden_effects::paper::{self, Pictures, Row};
-use caudata_hidden_effects::salamander::{self, LabFile, SalamanderPlan};
-use caudata_hidden_effects::truth::free::Channels;
+use caudata_gap_benchmark::paper::{self, Pictures, Row};
+use caudata_gap_benchmark::salamander::{self, LabFile, SalamanderPlan};
+use caudata_gap_benchmark::truth::free::Channels;
 use caudata_runlog::{BaseHold, RunLog};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::Args;

@@ -259,7 +259,7 @@ pub struct Training<'a> {
     pub progress: Option<PathBuf>,
 }
 
-/// For a policy that walks already: small steps from the first on, a critic that keeps up (docs/learning.md), costs and pushes that count from the start.
+/// For a policy that walks already: small steps from the first on, a critic that keeps up (docs/reference/learning.md), costs and pushes that count from the start.
 const GOES_ON: [&str; 6] = [
     "learner.ppo.learning_rate=5e-5",
     "learner.ppo.value_learning_rate=1e-3",

@@ -22,7 +22,7 @@ pub(super) fn largest(a: f64, b: f64) -> f64 {
 /// One figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// The check, one of those of `docs/simulation.md`.
+    /// The check, one of those of `docs/reference/simulation.md`.
     pub check: &'static str,
     /// Engine and, where it matters, step.
     pub engine: String,
