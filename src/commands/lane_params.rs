@@ -1,8 +1,8 @@
 //! `--set lane.KEY=VALUE`: one robot's physical parameters on the command line.
 //!
-//! `KEY` is a path of `LaneParams`, as in the `[extension.lane]` of a robot file: `joints.FL_hip.dead_band_rad`. Names in its
-//! middle or at its end may be left out, and stand for all: `kp_nm_per_rad`, `joints.dead_band_rad`. `VALUE` is a number, or
-//! a list of as many as there are.
+//! `KEY` is a path of `LaneParams`, as in the `[extension.lane]` of a robot file:
+//! `joints.FL_hip.dead_band_rad`. Names in its middle or at its end may be left out, and stand for all:
+//! `kp_nm_per_rad`, `joints.dead_band_rad`. `VALUE` is a number, or a list of as many as there are.
 
 use caudata_config::ConfigArgs;
 use caudata_model::RobotModel;
@@ -142,7 +142,10 @@ mod tests {
             ("kp_nm_per_rad.wing=1", "no `kp_nm_per_rad.wing`"),
             ("kp_nm_per_rad=[1,2]", "is 16 values, not 2"),
             ("joints.FL_hip.slack=1", "no `joints.FL_hip.slack`"),
-            ("joints.wing.dead_band_rad=1", "no `joints.wing.dead_band_rad`"),
+            (
+                "joints.wing.dead_band_rad=1",
+                "no `joints.wing.dead_band_rad`",
+            ),
             ("joints.FL_hip.dead_band_rad=-1", "dead_band_rad"),
         ] {
             let message = with(change).unwrap_err();

@@ -43,7 +43,8 @@ impl Wave {
         let peak = (1..frames.len() / 2)
             .filter(inside)
             .max_by(|&a, &b| power(a).total_cmp(&power(b)))?;
-        // a Hann window spreads a line over three bins and passes half of its height; of those the power is 3/2 of the middle one's
+        // a Hann window spreads a line over three bins and passes half of its height; of those the power is
+        // 3/2 of the middle one's
         let line = peak.saturating_sub(1).max(1)..=peak + 1;
         let scale = 4.0 / frames.len() as f64 / 1.5_f64.sqrt();
         let amplitude_rad = std::array::from_fn(|joint| {
@@ -72,8 +73,8 @@ pub struct WaveResult {
     pub hz: Estimate,
     /// Amplitude of each yaw joint at that frequency, head to tail, rad.
     pub amplitude_rad: [f64; YAW_JOINTS],
-    /// How far each yaw joint lags behind the first, rad: differences of neighbours (each within ±π, from cross-spectra averaged over
-    /// episodes) added up.
+    /// How far each yaw joint lags behind the first, rad: differences of neighbours (each within ±π, from
+    /// cross-spectra averaged over episodes) added up.
     pub lag_rad: [f64; YAW_JOINTS],
     /// Whether it grows at every joint: a wave that travels to the tail.
     pub travels_to_the_tail: bool,
