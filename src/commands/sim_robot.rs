@@ -316,6 +316,7 @@ fn three(values: &[f32]) -> [f32; 3] {
 mod tests {
     use super::*;
     use std::path::Path;
+    use std::sync::Arc;
 
     fn robot() -> SimulatedRobot {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/polymander.robot.toml");
