@@ -59,7 +59,8 @@ enum Command {
     /// Show what the simulation gets wrong, name the cause, extend the model
     #[command(subcommand)]
     Gap(commands::gap::GapCommand),
-    /// From measured logs to a policy for the robot as it is: diagnose, train in the extended model, evaluate, publish
+    /// From measured logs to a policy for the robot as it is: diagnose, train in the extended model,
+    /// evaluate, publish
     Adapt(commands::adapt::AdaptArgs),
     /// Measure how fast the parts are on this machine
     #[command(subcommand)]
@@ -123,8 +124,8 @@ mod tests {
         }
     }
 
-    /// `docs/reference/command-line.md` is what `-h` prints. When this fails, run it with `CAUDATA_WRITE_DOCS=1`, read what has
-    /// changed, and commit it.
+    /// `docs/reference/command-line.md` is what `-h` prints. When this fails, run it with
+    /// `CAUDATA_WRITE_DOCS=1`, read what has changed, and commit it.
     #[test]
     fn the_help_reads_as_it_is_documented() {
         let path = concat!(

@@ -1,10 +1,12 @@
 //! `caudata actors`: the actors of one host, for a learner elsewhere; started, watched, started again.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant, SystemTime};
 
 use caudata_config::{Config, ConfigArgs};
+use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, Pulse, StopFlag};
 use clap::Args;
 use nix::sys::signal::Signal;
@@ -15,7 +17,7 @@ use crate::commands::train::supervise::is_permanent;
 use crate::say;
 
 /// How often the actors are looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const LOOK_AT_ACTORS_EVERY: Duration = Duration::from_millis(100);
 /// How long actors have to end besides `actors.flush_timeout_s`.
 const STOP_MAX: Duration = Duration::from_secs(5);
 
@@ -42,10 +44,12 @@ pub struct ActorsArgs {
 
 /// Runs until the learner says stop, until asked to, or until an actor cannot work at all.
 pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
-    let mut source = args.config.source();
+    let mut flags = args.config.clone();
     let endpoints = format!("transport.zenoh_connect={:?}", args.connect);
-    source = source.set("transport.kind=zenoh").set(&endpoints);
-    let config = Config::load(&source).or_exit(ExitCode::BadConfig)?;
+    flags
+        .overrides
+        .extend(["transport.kind=zenoh".to_owned(), endpoints]);
+    let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let run_id = args.run_id.as_deref().unwrap_or(config.cluster_run_id());
     let name = match &args.name {
         Some(name) => name.clone(),
@@ -56,9 +60,7 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
         Some(folder) => folder.clone(),
         None => std::env::temp_dir().join(format!("caudata-actors-{run_id}")),
     };
-    std::fs::create_dir_all(&logs).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot make {}", logs.display())
-    })?;
+    files::make_folder(&logs)?;
     say::line(format!(
         "{count} actors of `{name}` for the run {run_id} at {}; logs in {}",
         args.connect.join(", "),
@@ -66,7 +68,7 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
     ));
     let mut host = Host {
         programs: Programs::beside_this_one()?,
-        arguments: arguments(&source, run_id),
+        arguments: arguments(&flags, run_id),
         config: &config,
         logs: &logs,
         began: Instant::now(),
@@ -80,28 +82,19 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
 }
 
 fn cores() -> u32 {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    u32::try_from(cores).unwrap_or(1)
+    u32::try_from(flags::cores()).unwrap_or(1)
 }
 
 /// The arguments that all actors of this host share.
-fn arguments(source: &caudata_config::Source, run_id: &str) -> Vec<String> {
-    let mut arguments = vec!["--run-id".to_owned(), run_id.to_owned()];
-    if let Some(preset) = &source.preset {
-        arguments.extend(["--preset".to_owned(), preset.clone()]);
-    }
-    if let Some(file) = &source.file {
-        arguments.extend(["--config".to_owned(), file.display().to_string()]);
-    }
-    for set in &source.overrides {
-        arguments.extend(["--set".to_owned(), set.clone()]);
-    }
+fn arguments(flags: &ConfigArgs, run_id: &str) -> Vec<OsString> {
+    let mut arguments = vec!["--run-id".into(), run_id.into()];
+    arguments.extend(flags::as_words(flags));
     arguments
 }
 
 struct Host<'a> {
     programs: Programs,
-    arguments: Vec<String>,
+    arguments: Vec<OsString>,
     config: &'a Config,
     logs: &'a Path,
     began: Instant,
@@ -148,17 +141,16 @@ impl Host<'_> {
                     self.start(index)?;
                 }
             }
-            if self
-                .slots
-                .iter()
-                .all(|slot| slot.process.is_none() && slot.due.is_none())
-            {
-                return Ok(());
-            }
-            if stop.wait(LOOK_EVERY) {
+            if self.is_over() || stop.wait(LOOK_AT_ACTORS_EVERY) {
                 return Ok(());
             }
         }
+    }
+
+    /// Nobody works, and nobody will.
+    fn is_over(&self) -> bool {
+        let over = |slot: &Slot| slot.process.is_none() && slot.due.is_none();
+        self.slots.iter().all(over)
     }
 
     fn start(&mut self, index: usize) -> Result<(), Failure> {
@@ -223,16 +215,9 @@ impl Host<'_> {
                     "actor {} {how} too often and stays down{why}",
                     slot.name
                 ));
-                if self
-                    .slots
-                    .iter()
-                    .all(|slot| slot.process.is_none() && slot.due.is_none())
-                {
-                    return Err(Failure::message(
-                        ExitCode::TempFail,
-                        "no actor is left".to_owned(),
-                    )
-                    .hint(format!("see {}", self.logs.display())));
+                if self.is_over() {
+                    return Err(Failure::message(ExitCode::TempFail, "no actor is left")
+                        .hint(format!("see {}", self.logs.display())));
                 }
             }
         }
@@ -274,11 +259,14 @@ mod tests {
 
     #[test]
     fn actors_get_the_configuration_of_the_command_and_where_to_connect() {
-        let source = Source::file(Path::new("cluster.toml"))
-            .set("actors.lanes=8")
-            .set("transport.kind=zenoh");
+        let set = |change: &str| change.to_owned();
+        let flags = ConfigArgs {
+            config: Some("cluster.toml".into()),
+            overrides: vec![set("actors.lanes=8"), set("transport.kind=zenoh")],
+            ..ConfigArgs::default()
+        };
         assert_eq!(
-            arguments(&source, "walk"),
+            arguments(&flags, "walk"),
             [
                 "--run-id",
                 "walk",

@@ -26,7 +26,8 @@ pub struct UpArgs {
     config: ConfigArgs,
 }
 
-/// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at Ctrl-C.
+/// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at
+/// Ctrl-C.
 pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
     if config.transport.kind != TransportKind::Zenoh {
@@ -97,8 +98,9 @@ pub fn run_dir(config: &Config) -> PathBuf {
 
 /// One core stays for the learner.
 fn spare_cores() -> u32 {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    u32::try_from(cores.saturating_sub(1)).unwrap_or(1).max(1)
+    u32::try_from(caudata_studies::flags::cores().saturating_sub(1))
+        .unwrap_or(1)
+        .max(1)
 }
 
 /// An endpoint with this host's name instead of "any address", for others to connect to.
