@@ -10,9 +10,10 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 
-use super::WAKE;
 use super::run_dir::RunDir;
-use super::services::{DataHead, Ipc, PolicyHeadBytes, Services, backend, check_room_for_learner};
+use super::services::{
+    DataHead, Ipc, PolicyHeadBytes, Services, WAKE, backend, check_room_for_learner,
+};
 use crate::learner_core::{Downlink, LearnerCore, RemoteLearner};
 use crate::reliable::PolicyHead;
 use crate::{Iceoryx2Config, LearnerLink, Limits, TransportConfig, TransportError, identity};

@@ -6,18 +6,13 @@
 //! - `status`: publish-subscribe, learner to actors, the table of all answers; only the newest counts.
 //! - `policy`: publish-subscribe, learner to actors, history 1 and overflow on: only the newest counts, and late
 //!   joiners get it.
-//! - `up`, `down`: events that wake the other side. A lost one costs at most [`WAKE`].
+//! - `up`, `down`: events that wake the other side. A lost one costs at most 50 ms.
 
 mod actor;
 mod learner;
 mod run_dir;
 mod services;
 
-use std::time::Duration;
-
 pub(crate) use actor::actor;
 pub(crate) use learner::learner;
 pub(crate) use run_dir::clean_up;
-
-/// Longest wait for a wake-up event before looking anyway.
-const WAKE: Duration = Duration::from_millis(50);

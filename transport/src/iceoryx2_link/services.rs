@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::path::Path;
+use std::time::Duration;
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::{
@@ -16,6 +17,9 @@ use nix::sys::statvfs::statvfs;
 use super::run_dir::{RunPaths, SHM_DIR, io_error, prefix, segments};
 use crate::reliable::{PolicyHead, Status, UpHead};
 use crate::{Limits, TransportError};
+
+/// Longest wait for a wake-up event before looking anyway.
+pub(super) const WAKE: Duration = Duration::from_millis(50);
 
 pub(super) type Ipc = ipc_threadsafe::Service;
 /// The head of a message travels beside the frame, as iceoryx2's user header.

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
-use super::{Status, UpHead, UpKind};
+use super::message::{Status, UpHead, UpKind};
 use crate::Limits;
 
 /// Links whose counters are remembered, those that are gone included, so that a link that comes back after

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::{Status, UpHead, UpKind};
+use super::message::{Status, UpHead, UpKind};
 use crate::{Limits, SendError};
 
 /// While no learner answers, probes go out this many times per heartbeat.

@@ -8,13 +8,15 @@ use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
+use super::keys::{PieceRequest, down_key, policy_key, up_key};
 use super::reconnect::Reconnect;
-use super::{PieceRequest, access, down_key, policy_key, session, up_key};
+use super::{access, session};
 use crate::actor_core::{ActorCore, RemoteActor, Uplink};
+use crate::crew::Failures;
 use crate::reliable::{PolicyHead, PolicyId, Status, UpHead};
 use crate::{ActorLink, PolicyUpdate, TransportError, ZenohConfig, identity};
 
-/// Pause between attempts to open the session while nobody answers, and after a piece that did not come.
+/// Pause after a piece that did not come.
 const RETRY: Duration = Duration::from_millis(100);
 /// Sessions that may be closing at once. Each takes zenoh some seconds at most; more of them than this means that it does not let go.
 const CLOSING_MAX: usize = 16;
@@ -138,12 +140,12 @@ impl Puller {
     }
 
     fn open_until_closed(&self, endpoints: &[String]) -> Option<Session> {
+        let mut failures = Failures::default();
         while !self.core.crew.is_closing() {
             match self.open(endpoints) {
                 Ok(session) => return Some(session),
-                Err(error) => tracing::debug!(%error, "no learner or router yet"),
+                Err(error) => failures.pause(&self.core.crew, "no learner or router yet", &error),
             }
-            std::thread::sleep(RETRY);
         }
         None
     }

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use zenoh::{Config, Session, Wait};
 
-use super::PIECE_BYTES;
 use super::access;
+use super::keys::PIECE_BYTES;
 use crate::{Limits, TlsFiles, TransportError, ZenohConfig};
 
 /// Connections that may exist besides one per actor: actors that are being replaced.
