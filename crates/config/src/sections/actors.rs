@@ -63,9 +63,4 @@ impl ActorsConfig {
             * u64::from(self.chunk_steps)
             * u64::from(self.lanes)
     }
-
-    /// Chunks in a full batch of the learner.
-    pub fn chunks_per_iteration(&self) -> u64 {
-        u64::from(self.count) * u64::from(self.chunks_per_version)
-    }
 }
