@@ -26,6 +26,9 @@ mod settings;
 mod snapshot;
 mod trace;
 
+/// The file in the run folder that the learner locks: nobody else writes there then.
+pub const LEARNER_LOCK: &str = "learner.lock";
+
 pub use error::ActorError;
 pub use identity::{clock_incarnation, host_name, named_actor_id};
 pub use ledger::{Ledger, LedgerCount, ledger_path, ledgers_in, read_ledger};
@@ -33,7 +36,7 @@ pub use link::{
     decode_transport, encode_transport, transport_config, transport_of, with_certificates,
 };
 pub use metrics::ActorMetrics;
-pub use pulse::{BEAT_EVERY, PulsedLink, say_alive};
+pub use pulse::{ALIVE, PulsedLink, say_alive};
 pub use run::{ActorReport, run};
 pub use settings::{ActorSettings, actor_key, build_env, tracer_of};
 pub use snapshot::{ActorSnapshot, SnapshotPort};

@@ -35,7 +35,6 @@ fn print(found: &Value) {
     ));
     let mut rows = vec![
         [
-            "ranks",
             "threads",
             "steps/s",
             "update ms",
@@ -51,7 +50,6 @@ fn print(found: &Value) {
         let number = |key: &str| speed[key].as_f64().unwrap_or(f64::NAN);
         let share = number("gflops") / number("ceiling_same_shape_gflops");
         rows.push(vec![
-            speed["ranks"].to_string(),
             speed["threads"].to_string(),
             format!("{:.0}", number("samples_per_s")),
             format!("{:.2}", 1e3 * number("update_median_s")),

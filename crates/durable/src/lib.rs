@@ -6,6 +6,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod disk;
+mod owner;
 pub mod rehearsal;
 
 use std::fs::{self, File};
@@ -13,6 +14,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub use disk::{Disk, OsDisk};
+pub use owner::{Owner, OwnerError};
 
 /// Why a durable write failed. The file's earlier content, if any, is untouched.
 #[derive(Debug, thiserror::Error)]

@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_proto::{DecodeLimits, Envelope, RolloutChunk, chunk_identity, decode};
 
-use super::accounting::{Accounting, ActorKey, Arrival, DropReason};
+use super::account::{Arrival, DropReason};
+use super::accounting::{Accounting, ActorKey};
 
 /// Refused chunks after which an incarnation is not listened to any more.
 pub const STRIKES_MAX: u32 = 3;

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use caudata_durable::{DurableError, replace, sync_folder};
 use sha2::{Digest, Sha256};
 
-use crate::LearnerError;
+use crate::{LearnerError, hex};
 
 /// Version of the meaning of the files.
 pub const FORMAT: u32 = 1;
@@ -183,11 +183,6 @@ impl CheckpointStore {
             }
         }
     }
-}
-
-/// Lower-case hexadecimal digits.
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn name_of(iteration: u64) -> String {

@@ -13,7 +13,7 @@ use caudata_telemetry::StopFlag;
 use caudata_traces::Tracer;
 use caudata_transport::InprocHub;
 
-use super::setup::{TrainSettings, ledger_folder};
+use super::settings::{TrainSettings, ledger_folder};
 use crate::LearnerError;
 use crate::batch::Accounting;
 

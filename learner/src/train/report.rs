@@ -12,6 +12,7 @@ use caudata_telemetry::progress::{self, Event, EventWriter};
 use caudata_telemetry::{Advisor, IterationLoad};
 
 use super::metrics::LearnerMetrics;
+use super::settings::ACCOUNT_FILE;
 use crate::batch::Accounting;
 use crate::checkpoint::EpisodeWindow;
 use crate::ppo::UpdateStats;
@@ -96,7 +97,7 @@ impl Reporter {
         if let Err(error) = draw_curves(&self.run_dir.join("curves"), history) {
             self.failed("curves", &error.to_string());
         }
-        let path = self.run_dir.join("accounting.json");
+        let path = self.run_dir.join(ACCOUNT_FILE);
         let json = serde_json::to_vec_pretty(&accounting.report()).unwrap_or_default();
         if let Err(error) = caudata_durable::replace(&path, &json) {
             self.failed("accounting.json", &error.to_string());

@@ -81,6 +81,24 @@ fn a_stopped_and_resumed_run_ends_in_the_same_bits() {
 }
 
 #[test]
+fn a_run_whose_checkpoints_are_gone_does_not_begin_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    let quiet = Listener::default();
+    run(folder, config(4, &[]), Resume::No, &quiet, None).unwrap();
+    let before = policy(folder);
+    fs::remove_dir_all(folder.join("checkpoints")).unwrap();
+    let error = run(folder, config(6, &[]), Resume::Latest, &quiet, None).unwrap_err();
+    assert_eq!(error.exit_code().number(), 78, "{error}");
+    assert!(error.to_string().contains("holds no checkpoint"), "{error}");
+    assert_eq!(policy(folder), before);
+
+    // One that was killed before its first checkpoint begins again.
+    let fresh = tempfile::tempdir().unwrap();
+    run(fresh.path(), config(2, &[]), Resume::Latest, &quiet, None).unwrap();
+}
+
+#[test]
 fn a_truncated_checkpoint_is_refused_and_the_good_one_named() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path();

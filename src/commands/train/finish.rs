@@ -34,6 +34,8 @@ pub struct Report {
     first_iteration: u64,
     /// Actors that were started again.
     actor_restarts: usize,
+    /// How often the learner gave no sign of life for longer than `cluster.hang_timeout_s`.
+    learner_silences: usize,
     /// What became of every chunk.
     accounting: Balance,
     /// The policy's SHA-256 wherever it lies.
@@ -122,6 +124,7 @@ pub fn evaluate(
         folder: folder.root().to_owned(),
         first_iteration: outcome.first_iteration,
         actor_restarts: outcome.restarts,
+        learner_silences: outcome.learner_silences,
         accounting: balance(&finished.actors, &outcome.ledgers),
         policy: PolicyHashes {
             version: finished.policy_version,
@@ -215,6 +218,13 @@ pub fn print(report: &Report) {
             "does NOT add up"
         }
     ));
+    for line in &account.incomplete {
+        say::line(format!("warning: rollouts: {line}"));
+    }
+    if report.learner_silences > 0 {
+        let times = report.learner_silences;
+        say::line(format!("the learner stood still: {times} times"));
+    }
     if report.actor_restarts > 0 {
         say::line(format!("actors started again: {}", report.actor_restarts));
     }
@@ -341,6 +351,7 @@ mod tests {
             finished: Finished::default(),
             first_iteration: 0,
             actor_restarts: 0,
+            learner_silences: 0,
             accounting: Balance::default(),
             policy: PolicyHashes {
                 version: 0,

@@ -7,15 +7,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use caudata_config::Config;
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Listening, StopFlag};
-use crossbeam_channel::bounded;
+use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use nix::sys::signal::Signal;
 use serde::Serialize;
 use serde_json::Value;
 
 use super::children::{self, LineSink, Process, Programs};
 use super::folder::RunFolder;
-use super::supervise::{failed_child, patience_after};
+use super::start::{failed_child, start_service};
 use crate::say;
 
 /// How long the simulated robot may take to start.
@@ -71,23 +70,14 @@ fn start_simulator(folder: &RunFolder) -> Result<(Process, SocketAddr), Failure>
         "info",
     ]);
     command.arg("--config").arg(folder.config());
-    let (sender, announced) = bounded(1);
-    let sink: LineSink = Box::new(move |line| {
-        if let Ok(listening) = serde_json::from_str::<Listening>(&line) {
-            let _ = sender.try_send(listening.address);
-        }
-    });
     let log = folder.logs().join("sim_robot.log");
-    let mut simulator = Process::start("the simulated robot", command, &log, Some(sink))?;
-    match announced.recv_timeout(SIMULATOR_START_MAX) {
-        Ok(addr) => Ok((simulator, addr)),
-        Err(error) => {
-            let code = simulator
-                .finish(patience_after(error))
-                .map_or(ExitCode::TempFail, children::exit_code);
-            Err(failed_child(&simulator, code, "did not start"))
-        }
-    }
+    start_service(
+        "the simulated robot",
+        "robot_link",
+        command,
+        &log,
+        SIMULATOR_START_MAX,
+    )
 }
 
 fn run_client(
