@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::require;
+use crate::error::checks;
 use crate::{ACT_DIM, JointTable, TaskError};
 
 /// Table `[task.action]`: `q_des = q_nominal + scale · filter(clip(a))`.
@@ -37,24 +37,12 @@ impl ActionConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        require(
-            self.scale > 0.0 && self.scale <= 10.0,
-            "action.scale",
-            self.scale,
-            "must be above 0 and at most 10 rad",
-        )?;
-        require(
-            self.filter_alpha > 0.0 && self.filter_alpha <= 1.0,
-            "action.filter_alpha",
-            self.filter_alpha,
-            "must be above 0 and at most 1 (1 is no filter)",
-        )?;
-        require(
-            self.clip > 0.0 && self.clip <= 1e3,
-            "action.clip",
-            self.clip,
-            "must be above 0 and at most 1000",
-        )
+        checks! {
+            self, "action.";
+            scale: self.scale > 0.0 && self.scale <= 10.0, "must be above 0 and at most 10 rad";
+            filter_alpha: self.filter_alpha > 0.0 && self.filter_alpha <= 1.0, "must be above 0 and at most 1 (1 is no filter)";
+            clip: self.clip > 0.0 && self.clip <= 1e3, "must be above 0 and at most 1000";
+        }
     }
 
     /// The action cut off at ± `clip`; what the policy will see as its past action. Not a number becomes 0.

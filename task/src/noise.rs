@@ -3,7 +3,7 @@
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
-use crate::error::require;
+use crate::error::checks;
 use crate::{ACT_DIM, TaskError};
 
 /// Table `[task.noise]`: noise on the observation, bell-shaped with the given standard deviations (and never
@@ -52,22 +52,15 @@ impl ObservationNoiseConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        let fields = [
-            (self.joint_vel_std_radps, "noise.joint_vel_std_radps"),
-            (self.joint_pos_std_rad, "noise.joint_pos_std_rad"),
-            (self.joint_offset_std_rad, "noise.joint_offset_std_rad"),
-            (self.gyro_std_radps, "noise.gyro_std_radps"),
-            (self.gravity_std, "noise.gravity_std"),
-        ];
-        for (value, field) in fields {
-            require(
-                (0.0..=10.0).contains(&value),
-                field,
-                value,
-                "must be 0 to 10",
-            )?;
+        let right = |std: f32| (0.0..=10.0).contains(&std);
+        checks! {
+            self, "noise.";
+            joint_vel_std_radps: right(self.joint_vel_std_radps), "must be 0 to 10";
+            joint_pos_std_rad: right(self.joint_pos_std_rad), "must be 0 to 10";
+            joint_offset_std_rad: right(self.joint_offset_std_rad), "must be 0 to 10";
+            gyro_std_radps: right(self.gyro_std_radps), "must be 0 to 10";
+            gravity_std: right(self.gravity_std), "must be 0 to 10";
         }
-        Ok(())
     }
 
     /// Draws the constant offsets of the joint positions for one episode, rad.

@@ -5,7 +5,7 @@ use std::f32::consts::{PI, TAU};
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{require, require_range};
+use crate::error::{checks, within};
 use crate::{COMMAND_DIM, FEET, TaskError};
 
 /// Phase of each foot relative to the clock, rad: a trot, FL with HR, and FR with HL half a cycle later.
@@ -43,25 +43,12 @@ impl PhaseConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        require_range(
-            self.frequency_hz,
-            0.01,
-            10.0,
-            "phase.frequency_hz",
-            "must be [min, max] within 0.01 to 10 Hz",
-        )?;
-        require(
-            (0.0..=0.5).contains(&self.swing_height_m),
-            "phase.swing_height_m",
-            self.swing_height_m,
-            "must be 0 to 0.5 m",
-        )?;
-        require(
-            self.stand_command_norm.is_finite(),
-            "phase.stand_command_norm",
-            self.stand_command_norm,
-            "must be finite (negative: the clock never stops)",
-        )
+        checks! {
+            self, "phase.";
+            frequency_hz: within(self.frequency_hz, 0.01, 10.0), "must be [min, max] within 0.01 to 10 Hz";
+            swing_height_m: (0.0..=0.5).contains(&self.swing_height_m), "must be 0 to 0.5 m";
+            stand_command_norm: self.stand_command_norm.is_finite(), "must be finite (negative: the clock never stops)";
+        }
     }
 }
 

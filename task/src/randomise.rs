@@ -6,7 +6,7 @@
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
-use crate::error::require_range;
+use crate::error::{checks, within};
 use crate::{ACT_DIM, TaskError};
 
 /// Table `[task.randomisation]`: ranges [min, max] of uniform draws, once per episode. `[1, 1]` (or `[0, 0]`
@@ -71,7 +71,7 @@ impl Default for RandomisationConfig {
 }
 
 /// Longest command delay that may be asked for, s (engines keep a bounded history of commands).
-pub const MAX_COMMAND_DELAY_S: f32 = 0.1;
+const MAX_COMMAND_DELAY_S: f32 = 0.1;
 
 impl RandomisationConfig {
     /// Checks every value.
@@ -80,57 +80,28 @@ impl RandomisationConfig {
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
         // A mass, gain or voltage of zero is no robot; friction, damping and play may vanish.
-        let positive = [
-            (self.total_mass_scale, "randomisation.total_mass_scale"),
-            (self.link_mass_scale, "randomisation.link_mass_scale"),
-            (self.kp_scale, "randomisation.kp_scale"),
-            (self.torque_scale, "randomisation.torque_scale"),
-            (self.supply_scale, "randomisation.supply_scale"),
-        ];
-        for (range, field) in positive {
-            require_range(
-                range,
-                0.05,
-                20.0,
-                field,
-                "must be [min, max] within 0.05 to 20",
-            )?;
+        let (positive, any) = (
+            "must be [min, max] within 0.05 to 20",
+            "must be [min, max] within 0 to 20",
+        );
+        let delay = "must be [min, max] within 0 to 0.1 s";
+        checks! {
+            self, "randomisation.";
+            total_mass_scale: within(self.total_mass_scale, 0.05, 20.0), positive;
+            link_mass_scale: within(self.link_mass_scale, 0.05, 20.0), positive;
+            kp_scale: within(self.kp_scale, 0.05, 20.0), positive;
+            torque_scale: within(self.torque_scale, 0.05, 20.0), positive;
+            supply_scale: within(self.supply_scale, 0.05, 20.0), positive;
+            foot_friction_scale: within(self.foot_friction_scale, 0.0, 20.0), any;
+            body_friction_scale: within(self.body_friction_scale, 0.0, 20.0), any;
+            joint_friction_scale: within(self.joint_friction_scale, 0.0, 20.0), any;
+            armature_scale: within(self.armature_scale, 0.0, 20.0), any;
+            damping_scale: within(self.damping_scale, 0.0, 20.0), any;
+            kd_scale: within(self.kd_scale, 0.0, 20.0), any;
+            backlash_scale: within(self.backlash_scale, 0.0, 20.0), any;
+            com_offset_m: within(self.com_offset_m, -0.5, 0.5), "must be [min, max] within ±0.5 m";
+            command_delay_s: within(self.command_delay_s, 0.0, MAX_COMMAND_DELAY_S), delay;
         }
-        let may_vanish = [
-            (
-                self.foot_friction_scale,
-                "randomisation.foot_friction_scale",
-            ),
-            (
-                self.body_friction_scale,
-                "randomisation.body_friction_scale",
-            ),
-            (
-                self.joint_friction_scale,
-                "randomisation.joint_friction_scale",
-            ),
-            (self.armature_scale, "randomisation.armature_scale"),
-            (self.damping_scale, "randomisation.damping_scale"),
-            (self.kd_scale, "randomisation.kd_scale"),
-            (self.backlash_scale, "randomisation.backlash_scale"),
-        ];
-        for (range, field) in may_vanish {
-            require_range(range, 0.0, 20.0, field, "must be [min, max] within 0 to 20")?;
-        }
-        require_range(
-            self.com_offset_m,
-            -0.5,
-            0.5,
-            "randomisation.com_offset_m",
-            "must be [min, max] within ±0.5 m",
-        )?;
-        require_range(
-            self.command_delay_s,
-            0.0,
-            MAX_COMMAND_DELAY_S,
-            "randomisation.command_delay_s",
-            "must be [min, max] within 0 to 0.1 s",
-        )
     }
 }
 

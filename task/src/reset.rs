@@ -5,7 +5,7 @@ use std::f32::consts::PI;
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
-use crate::error::require;
+use crate::error::checks;
 use crate::{ACT_DIM, JointTable, TaskError};
 
 /// Table `[task.reset]`: how far episodes start from the nominal pose at rest.
@@ -48,45 +48,16 @@ impl ResetConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        let up_to = |value: f32, most: f32, field, reason| {
-            require((0.0..=most).contains(&value), field, value, reason)
-        };
-        up_to(
-            self.joint_pos_noise_rad,
-            PI,
-            "reset.joint_pos_noise_rad",
-            "must be 0 to π",
-        )?;
-        up_to(
-            self.joint_vel_noise_radps,
-            50.0,
-            "reset.joint_vel_noise_radps",
-            "must be 0 to 50",
-        )?;
-        up_to(
-            self.base_vel_noise_mps,
-            10.0,
-            "reset.base_vel_noise_mps",
-            "must be 0 to 10",
-        )?;
-        up_to(
-            self.yaw_range_rad,
-            PI,
-            "reset.yaw_range_rad",
-            "must be 0 to π",
-        )?;
-        up_to(
-            self.spawn_half_extent_m,
-            1e3,
-            "reset.spawn_half_extent_m",
-            "must be 0 to 1000",
-        )?;
-        up_to(
-            self.swimming_pose_share,
-            1.0,
-            "reset.swimming_pose_share",
-            "must be 0 to 1",
-        )
+        let up_to = |value: f32, most: f32| (0.0..=most).contains(&value);
+        checks! {
+            self, "reset.";
+            joint_pos_noise_rad: up_to(self.joint_pos_noise_rad, PI), "must be 0 to π";
+            joint_vel_noise_radps: up_to(self.joint_vel_noise_radps, 50.0), "must be 0 to 50";
+            base_vel_noise_mps: up_to(self.base_vel_noise_mps, 10.0), "must be 0 to 10";
+            yaw_range_rad: up_to(self.yaw_range_rad, PI), "must be 0 to π";
+            spawn_half_extent_m: up_to(self.spawn_half_extent_m, 1e3), "must be 0 to 1000";
+            swimming_pose_share: up_to(self.swimming_pose_share, 1.0), "must be 0 to 1";
+        }
     }
 }
 

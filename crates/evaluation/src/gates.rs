@@ -1,6 +1,8 @@
 //! What counts as walking. Rewards for velocity can be had by vibrating, in any simulator; these gates cannot.
 
-use serde::Serialize;
+use std::borrow::Cow;
+
+use serde::{Deserialize, Serialize};
 
 use crate::gait::Gait;
 
@@ -38,10 +40,10 @@ impl Default for Limits {
 }
 
 /// One gate.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gate {
     /// What is looked at.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// What was found, worst foot where there is one per foot.
     pub value: f64,
     /// Smallest value that passes; `None`: none.
@@ -53,7 +55,7 @@ pub struct Gate {
 }
 
 /// All gates of a scenario, on means over its episodes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GateReport {
     /// Whether this is walking: there was something to measure, and every gate is met.
     pub walks: bool,
@@ -127,11 +129,11 @@ impl GateReport {
 
     /// Names of the gates that are not met.
     #[must_use]
-    pub fn missed(&self) -> Vec<&'static str> {
+    pub fn missed(&self) -> Vec<&str> {
         self.gates
             .iter()
             .filter(|g| !g.met)
-            .map(|g| g.name)
+            .map(|g| g.name.as_ref())
             .collect()
     }
 }
@@ -140,7 +142,7 @@ fn gate(name: &'static str, value: f64, at_least: Option<f64>, at_most: Option<f
     let met =
         at_least.is_none_or(|least| value >= least) && at_most.is_none_or(|most| value <= most);
     Gate {
-        name,
+        name: name.into(),
         value,
         at_least,
         at_most,

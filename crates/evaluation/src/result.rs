@@ -1,22 +1,22 @@
 //! What an evaluation found.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use crate::acceptance::Row;
 use crate::gait::Gait;
 use crate::transition::{Passage, TransitionResult};
 use crate::wave::{Wave, WaveResult};
 use crate::{Estimate, GateReport, Suite};
 
 /// A policy in all scenarios of a suite.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SuiteResult {
     /// The suite.
     pub suite: Suite,
     /// The engine.
-    pub engine: &'static str,
+    pub engine: Cow<'static, str>,
     /// Version of the policy.
     pub policy_version: u64,
     /// SHA-256 of the policy's bytes, hex.
@@ -38,10 +38,10 @@ impl SuiteResult {
 }
 
 /// What another engine says of the same policy.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Referee {
     /// The engine.
-    pub engine: &'static str,
+    pub engine: Cow<'static, str>,
     /// Its results, for all scenarios or some.
     pub scenarios: Vec<ScenarioResult>,
 }
@@ -54,15 +54,38 @@ impl Referee {
     }
 }
 
+/// One of the project's targets for a policy.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// What is measured.
+    pub name: Cow<'static, str>,
+    /// Its unit; `1` for pure numbers.
+    pub unit: Cow<'static, str>,
+    /// The limit that is owed.
+    pub owed: f64,
+    /// The figure that is aimed at.
+    pub aim: f64,
+    /// Whether it must be at least that (else at most).
+    pub at_least: bool,
+    /// What was measured; `None`: nothing could be.
+    pub measured: Option<f64>,
+    /// Whether what is owed is met, gates and falls included.
+    pub met: bool,
+    /// Whether the aim is.
+    pub aim_met: bool,
+    /// Why not, where the figure alone does not say it.
+    pub note: String,
+}
+
 /// A policy in one scenario. Means are over episodes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScenarioResult {
     /// Its name.
     pub name: String,
     /// Episodes.
     pub episodes: usize,
     /// Episodes that ended by failing, per reason.
-    pub falls: BTreeMap<&'static str, usize>,
+    pub falls: BTreeMap<Cow<'static, str>, usize>,
     /// Share of episodes that ended by failing.
     pub fall_share: Estimate,
     /// Mean command: vx, vy (m/s), yaw rate (rad/s).
@@ -137,7 +160,7 @@ impl ScenarioResult {
         let most = |value: fn(&Gait) -> f64| gaits.iter().map(|g| value(g)).fold(0.0, f64::max);
         let mut falls = BTreeMap::new();
         for reason in episodes.iter().filter_map(|e| e.fell) {
-            *falls.entry(reason).or_insert(0) += 1;
+            *falls.entry(reason.into()).or_insert(0) += 1;
         }
         Self {
             name: name.to_owned(),

@@ -128,7 +128,8 @@ pub fn run_scenario(
         .judged
         .then(|| judge(&measured, scenario, &settings.limits));
     let mut result = ScenarioResult::of(&scenario.name, &measured, gates);
-    result.transition = shore.map(|_| TransitionResult::of(&measured));
+    let passages: Vec<_> = measured.iter().filter_map(|e| e.passage).collect();
+    result.transition = shore.map(|_| TransitionResult::of(&passages));
     let waves: Vec<_> = measured.iter().filter_map(|e| e.wave).collect();
     result.wave = WaveResult::of(&waves);
     Ok(Outcome {

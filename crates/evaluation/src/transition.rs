@@ -2,11 +2,10 @@
 
 use caudata_sim::Terrain;
 use caudata_task::FEET;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::Estimate;
 use crate::gait::Measure;
-use crate::result::Episode;
 use crate::scenario::Goal;
 use crate::trace::{Frame, Trace};
 use crate::wave::{Wave, WaveResult};
@@ -136,7 +135,7 @@ impl Motion {
 
 /// All episodes of a scenario at the shore. On land: the centre of mass half a body length before the waterline; in water: a whole one beyond
 /// it; of each the longest stretch after the first second. Null where no episode had one.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TransitionResult {
     /// Share of the episodes that got where they were to go.
     pub reached: Estimate,
@@ -160,8 +159,7 @@ pub struct TransitionResult {
 
 impl TransitionResult {
     /// Sums up the passages of some episodes.
-    pub(crate) fn of(episodes: &[Episode]) -> Self {
-        let passages: Vec<Passage> = episodes.iter().filter_map(|e| e.passage).collect();
+    pub(crate) fn of(passages: &[Passage]) -> Self {
         let land: Vec<Motion> = passages.iter().filter_map(|p| p.on_land).collect();
         let water: Vec<Motion> = passages.iter().filter_map(|p| p.in_water).collect();
         let estimate = |values: Vec<f64>| (!values.is_empty()).then(|| Estimate::of(&values));
@@ -270,17 +268,14 @@ mod tests {
     #[test]
     fn episodes_are_summed_up() {
         let shore = shore(Goal::IntoWater);
-        let episode = |out_s| Episode {
-            passage: Some(shore.passage(&trace(out_s), &MEASURE)),
-            ..Episode::default()
-        };
-        let result = TransitionResult::of(&[episode(20.0), episode(6.0)]);
+        let passage = |out_s| shore.passage(&trace(out_s), &MEASURE);
+        let result = TransitionResult::of(&[passage(20.0), passage(6.0)]);
         assert_eq!(result.reached.mean, 0.5);
         assert!((result.swim_speed_mps.unwrap().mean - 0.3).abs() < 1e-6);
         let kept = result.leg_swing_kept.unwrap();
         assert!((kept - 0.25).abs() < 0.03, "{kept}");
         assert!(!result.wave_in_water.unwrap().travels_to_the_tail);
-        let nowhere = TransitionResult::of(&[episode(1.0)]);
+        let nowhere = TransitionResult::of(&[passage(1.0)]);
         assert_eq!(nowhere.swim_speed_mps, None);
     }
 }

@@ -1,7 +1,7 @@
 //! The wave along the body: do spine and tail swing one after the other, from head to tail?
 
 use rustfft::num_complex::Complex;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::Estimate;
 use crate::spectrum::Welch;
@@ -66,7 +66,7 @@ impl Wave {
 }
 
 /// The wave along the body over all episodes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WaveResult {
     /// Its frequency, Hz.
     pub hz: Estimate,

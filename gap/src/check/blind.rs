@@ -154,7 +154,7 @@ fn unseen(
     let excitation = Excitation::of(robot, &trials.iter().collect::<Vec<_>>());
     let mut out = BTreeMap::new();
     for effect in effects::ALL.iter().filter(|e| !known.contains_key(e.id)) {
-        let places = effects::places(robot, effect);
+        let places = effect.places(robot);
         let why: Option<Vec<&str>> = places
             .iter()
             .map(|p| (effect.unseen)(&excitation, p))

@@ -2,9 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::joints::Channels;
+use super::channels::Channels;
+use super::finding::{Finding, Run};
 use super::series::{median, smooth};
-use super::{Finding, Run, Severity};
 
 /// Commands of repeats may differ by this much, rad.
 const SAME_RAD: f64 = 2e-3;
@@ -273,15 +273,14 @@ pub(super) fn finding(span: &OddSpan, repeats: usize) -> Finding {
     } else {
         "its repeats agree with each other; leave the stretch out or record the run again"
     };
-    Finding {
-        kind: "touch",
-        at: format!("{} {}", span.run, span.joint),
-        detail: format!(
+    Finding::note(
+        "touch",
+        format!("{} {}", span.run, span.joint),
+        format!(
             "is off by up to {:.3} rad from t = {:.2} to {:.2} s, as if touched: {who}",
             span.peak_rad, span.from_s, span.to_s
         ),
-        severity: Severity::Note,
-    }
+    )
 }
 
 #[cfg(test)]

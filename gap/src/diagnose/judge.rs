@@ -11,11 +11,12 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use caudata_runlog::BaseHold;
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
-use super::algebra::{dot, symmetric_eigen};
 use super::noise::Noise;
 use super::pipeline::add_own_misses;
-use crate::effects::{self, Domain, Place, places};
+use super::product::dot;
+use crate::effects::{self, Domain, Place};
 use crate::error::GapError;
 use crate::replay::{Data, Piece, Replayer, SegmentOptions, Term, Variant};
 use crate::trial::Kind;
@@ -33,7 +34,7 @@ const ROTOR_TOLERANCE: f64 = 0.05;
 /// Stamps, integration and bus: s.
 const TIME_TOLERANCE_S: f64 = 0.0007;
 /// Gains by this share (supply and temperature act on them).
-const GAIN_TOLERANCE: f64 = 0.01;
+const GAINS_TOLERANCE: f64 = 0.01;
 /// Supply by this share.
 const SUPPLY_TOLERANCE: f64 = 0.015;
 /// When within its loop a servo reads its current, and over how long: s. Between two commands the torque falls as the joint follows, so that this is a current
@@ -129,7 +130,7 @@ struct TrialMetric {
     /// Nuisance traces in units of noise. `[K]`
     columns: Vec<Column>,
     /// V·diag((1 − 1/√(1+s))/s)·Vᵀ of the Gram matrix V·S·Vᵀ. `[K, K]`
-    shrink: Vec<Vec<f64>>,
+    shrink: DMatrix<f64>,
 }
 
 impl Judge {
@@ -435,27 +436,24 @@ impl Judge {
 impl TrialMetric {
     fn new(range: Range<usize>, columns: Vec<Column>) -> Self {
         let k = columns.len();
-        let gram: Vec<Vec<f64>> = (0..k)
-            .map(|i| (0..k).map(|j| columns[i].times(&columns[j])).collect())
-            .collect();
-        let (values, v) = symmetric_eigen(&gram);
-        let factor: Vec<f64> = values
-            .iter()
-            .map(|&s| {
-                if s > 1e-9 {
-                    (1.0 - 1.0 / (1.0 + s).sqrt()) / s
-                } else {
-                    0.5
-                }
-            })
-            .collect();
-        let shrink = (0..k)
-            .map(|i| {
-                (0..k)
-                    .map(|j| (0..k).map(|m| v[i][m] * factor[m] * v[j][m]).sum())
-                    .collect()
-            })
-            .collect();
+        let factor = |s: f64| match s > 1e-9 {
+            true => (1.0 - 1.0 / (1.0 + s).sqrt()) / s,
+            false => 0.5,
+        };
+        // of nothing there is no decomposition
+        let shrink = if k == 0 {
+            DMatrix::zeros(0, 0)
+        } else {
+            let gram = DMatrix::from_fn(k, k, |i, j| columns[i].times(&columns[j]));
+            let eigen = SymmetricEigen::try_new(gram, f64::EPSILON, 100 * k);
+            eigen.map_or_else(
+                || DMatrix::zeros(k, k),
+                |mut eigen| {
+                    eigen.eigenvalues.apply(|s| *s = factor(*s));
+                    eigen.recompose()
+                },
+            )
+        };
         Self {
             range,
             columns,
@@ -464,10 +462,11 @@ impl TrialMetric {
     }
 
     fn apply(&self, x: &mut [f32]) {
-        let along: Vec<f64> = self.columns.iter().map(|c| c.dot(x)).collect();
-        for (column, row) in self.columns.iter().zip(&self.shrink) {
-            let c: f64 = row.iter().zip(&along).map(|(a, b)| a * b).sum();
-            column.take_off(c as f32, x);
+        let along = self.columns.iter().map(|c| c.dot(x));
+        let along = DVector::from_iterator(self.columns.len(), along);
+        let shares = &self.shrink * along;
+        for (column, c) in self.columns.iter().zip(shares.iter()) {
+            column.take_off(*c as f32, x);
         }
     }
 }
@@ -495,7 +494,7 @@ fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance> {
         let Some(effect) = effects::find(id) else {
             return;
         };
-        let Some(place) = places(model, effect).into_iter().next() else {
+        let Some(place) = effect.places(model).into_iter().next() else {
             return;
         };
         let mut values = effect.neutral(model, &place);
@@ -553,7 +552,7 @@ fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance> {
             .collect::<Vec<_>>(),
     );
     add("pre_sliding", way * (1.0 + PRESLIDING_TOLERANCE), 1.0, true);
-    add("kp_error", 1.0 + 3.0 * GAIN_TOLERANCE, 1.0 / 3.0, true);
+    add("kp_error", 1.0 + 3.0 * GAINS_TOLERANCE, 1.0 / 3.0, true);
     add("servo_loop_delay", 6.0 * LOOP_TOLERANCE_S, 1.0 / 6.0, true);
     add(
         "armature",

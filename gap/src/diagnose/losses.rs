@@ -24,7 +24,7 @@ const TIMES_NOISE: f64 = 8.0;
 /// Of the samples those with the smallest frames, which noise is told by.
 const QUIET_SHARE: f64 = 0.25;
 /// A run is behind from this share of the last frame on, …
-const BEHIND: f64 = 0.5;
+const BEHIND_FRAMES: f64 = 0.5;
 /// … it was not before below this one, …
 const ABREAST: f64 = 0.3;
 /// … and it fell behind at one stroke if it is this far behind at once: what two runs drift apart by goes past the first one slowly.
@@ -429,9 +429,9 @@ impl<'a> Together<'a> {
             };
             for (run, &now) in behind.iter().enumerate() {
                 tally.samples += 1;
-                tally.behind_most += usize::from(now - most > BEHIND);
-                tally.ahead_of_most += usize::from(most - now > BEHIND);
-                if now <= BEHIND {
+                tally.behind_most += usize::from(now - most > BEHIND_FRAMES);
+                tally.ahead_of_most += usize::from(most - now > BEHIND_FRAMES);
+                if now <= BEHIND_FRAMES {
                     continue;
                 }
                 tally.behind += 1;

@@ -3,10 +3,10 @@
 //! One trace per size serves for all places of a joint effect at once: all joints get it together, and each joint's channels are judged on
 //! their own. (Joints of a held robot hardly move each other; whoever passes is fitted in earnest afterwards.)
 
-use super::algebra::dot;
 use super::judge::{Judge, concerns};
+use super::product::dot;
 use super::state::{Context, On, State, builds_up};
-use crate::effects::{Domain, Effect, Place, places};
+use crate::effects::{Domain, Effect, Place};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
 
@@ -38,7 +38,7 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
     let model = context.replayer.model();
     let mut plan: Vec<(&'static Effect, Place, usize, Variant)> = Vec::new();
     for &effect in &context.effects {
-        let all = places(model, effect);
+        let all = effect.places(model);
         let simulated: Vec<Place> = match effect.domain {
             Domain::Joints => all.into_iter().take(1).collect(),
             _ => all,
@@ -110,7 +110,7 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
 /// Places that a simulated trace speaks for.
 fn judged_places(context: &Context, effect: &'static Effect, simulated: &Place) -> Vec<Place> {
     if effect.domain == Domain::Joints {
-        places(context.replayer.model(), effect)
+        effect.places(context.replayer.model())
     } else {
         vec![simulated.clone()]
     }

@@ -9,12 +9,13 @@
 
 use std::collections::BTreeSet;
 
+use super::alike::{look_alike, wider};
 use super::gates::{self, Worth};
+use super::levels::NOTHING_LEFT;
 use super::refine::{Race, refine};
+use super::request::{Progress, Stage};
 use super::screen::{Screened, screen};
 use super::state::{Context, State, builds_up};
-use super::verdict::wider;
-use super::{Progress, Stage};
 use crate::effects::{Effect, Place};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
@@ -26,7 +27,7 @@ const BEAM: usize = 2;
 /// Lines with a look-alike in the place of one effect that go on beside them where much is left.
 const LOOK_ALIKES: usize = 3;
 /// Most that a line's misfit may be, in that of the best.
-const LINE_BEHIND: f64 = 2.5;
+const LINE_FAR_BEHIND: f64 = 2.5;
 /// Candidates that were fitted to a scout and are fitted to everything as well.
 const POLISHED: usize = 4;
 /// Steps of that.
@@ -40,7 +41,7 @@ const FITTED_LATER: usize = 6;
 /// Places of one effect among them.
 const PLACES: usize = 2;
 /// A candidate whose misfit is so many times that of the best is given up.
-const BEHIND: f64 = 1.5;
+const FAR_BEHIND: f64 = 1.5;
 /// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has
 /// (unless the misfit is still far from the floor).
 const OF_ALL: f64 = 0.035;
@@ -189,13 +190,13 @@ pub fn search(
         if depth > 1 || next.len() > 1 {
             // one that is far behind cannot catch up by a single effect more often than it costs
             let lead = next[0].misfit();
-            next.retain(|s| s.misfit() < BEHIND * lead);
+            next.retain(|s| s.misfit() < FAR_BEHIND * lead);
         }
-        if gates::worst(context, &best) < super::verdict::QUIET {
+        if gates::worst(context, &best) < NOTHING_LEFT {
             // what is still to be found is small: one way is enough
             next.truncate(1);
         }
-        if gates::worst(context, &best) >= super::verdict::QUIET && depth < MOST_TERMS {
+        if gates::worst(context, &best) >= NOTHING_LEFT && depth < MOST_TERMS {
             let others = look_alikes(context, &base, &first, &best)?;
             if let Some(other) = others.first()
                 && !other.says_more
@@ -244,11 +245,6 @@ fn polished(context: &Context, state: State) -> Result<State, GapError> {
     } else {
         state
     })
-}
-
-/// Whether either is declared to look like the other.
-fn look_alike(one: &Effect, other: &Effect) -> bool {
-    one.look_alikes.contains(&other.id) || other.look_alikes.contains(&one.id)
 }
 
 /// Where the effect that was added last is.
@@ -543,7 +539,9 @@ fn chosen_lines(
 ) -> Result<Vec<Line>, GapError> {
     sort_lines(context, &mut lines);
     let mut seen: BTreeSet<Vec<String>> = beam.iter().map(State::key).collect();
-    lines.retain(|l| l.state.misfit() < LINE_BEHIND * best.misfit() && seen.insert(l.state.key()));
+    lines.retain(|l| {
+        l.state.misfit() < LINE_FAR_BEHIND * best.misfit() && seen.insert(l.state.key())
+    });
     lines.truncate(LOOK_ALIKES);
     for line in &mut lines {
         context.find_basis(&mut line.state)?;

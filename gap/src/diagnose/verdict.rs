@@ -4,16 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_model::RobotModel;
 
+use super::alike::{indistinguishable, wider};
 use super::divergence::divergence;
 use super::doubt::{Doubts, meet};
 use super::extend::extended;
 use super::floors::floors;
+use super::levels::NOTHING_LEFT;
 use super::naming::{self, Named, Rival};
+use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
-use super::{Diagnosis, Request, Split, gates, leftover, next, pictures};
-use crate::effects::{Effect, Place};
+use super::{gates, leftover, next, pictures};
+use crate::effects::Place;
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
@@ -22,8 +25,6 @@ use crate::report::{
     Cause, Compute, DoubtKind, Gain, Rejected, Report, RunUse, Unexplained, Verdict,
 };
 
-/// Misfit below which nothing is left to explain. 1 is what the tolerances allow; careful labs stay below 0.3 (nulls of the benchmark).
-pub const QUIET: f64 = 0.8;
 /// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no look-alike came near (set `pr`, laws outside the catalogue
 /// included) at least 112 of 126 were right with the catalogue of seeds 73 and 79, and 57 of 57 with the present one (seed 89) …
 const TRUST: f64 = 0.95;
@@ -174,7 +175,7 @@ fn verdict(
 ) -> Verdict {
     let base = &found.base;
     if causes.is_empty() {
-        if gates::worst(context, base) < QUIET {
+        if gates::worst(context, base) < NOTHING_LEFT {
             let dark = context
                 .excitation
                 .joints
@@ -189,7 +190,7 @@ fn verdict(
         // something explains the runs it was fitted to, and held-out runs do not show it
         let unseen = found.refused.iter().any(|(s, w)| {
             w.fit > 0.5 * (base.fit.misfit - 1.0)
-                && base.holdout.misfit < QUIET
+                && base.holdout.misfit < NOTHING_LEFT
                 && s.fit.misfit < base.fit.misfit
         });
         return if unseen || split == Split::Same {
@@ -231,7 +232,7 @@ fn cause(
             continue;
         }
         let id = other.effect.id.to_owned();
-        if more_general(term, other) {
+        if wider(term.effect, other.effect) {
             // what speaks for the wider one there speaks for its special case, unless it is better
             if meet(&term.place, &other.place) && rival.short >= 0.0 {
                 same_name += rival.probability.min(named.probability);
@@ -296,35 +297,6 @@ fn another(one: &Place, other: &Place) -> bool {
     one.domain == other.domain
         && one.items.len() == other.items.len()
         && one.items.iter().all(|i| !other.items.contains(i))
-}
-
-/// Whether two models predict the same, to a hundredth of what counts.
-pub fn indistinguishable(a: &State, b: &State) -> bool {
-    const SAME: f64 = 0.01;
-    let apart = |a: &On, b: &On| -> f64 {
-        let pairs = a.residual.iter().zip(&b.residual);
-        let square: f64 = pairs.map(|(x, y)| f64::from(x - y).powi(2)).sum();
-        square / a.residual.len().max(1) as f64
-    };
-    apart(&a.fit, &b.fit) < SAME && apart(&a.holdout, &b.holdout) < SAME
-}
-
-/// Effects that are special cases of others: the wider one says what the narrower one says, and more.
-const WIDER: &[(&str, &str)] = &[
-    ("load_dependent_friction", "drive_asymmetry"),
-    ("load_dependent_friction", "load_stiction"),
-    ("coulomb_friction", "stribeck_friction"),
-    ("link_mass", "payload"),
-];
-
-/// Whether `other` can say what `term` says and more.
-fn more_general(term: &Term, other: &Term) -> bool {
-    wider(term.effect, other.effect)
-}
-
-/// Whether the effect `one` is a special case of `other`.
-pub fn wider(one: &Effect, other: &Effect) -> bool {
-    WIDER.contains(&(one.id, other.id))
 }
 
 fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {

@@ -35,19 +35,14 @@ pub fn print_end(result: &SuiteResult) {
         }
     }
     if !result.acceptance.is_empty() {
-        let mut table = vec![
-            ["target", "owed", "aim", "measured", "", ""]
-                .map(str::to_owned)
-                .into(),
-        ];
-        table.extend(result.acceptance.iter().map(target));
-        say::table(&table);
+        let head = ["target", "owed", "aim", "measured", "", ""];
+        say::table(&head, result.acceptance.iter().map(target));
     }
 }
 
 fn target(row: &Row) -> Vec<String> {
     let sign = if row.at_least { "≥" } else { "≤" };
-    let unit = if row.unit == "1" { "" } else { row.unit };
+    let unit = if row.unit == "1" { "" } else { &row.unit };
     let with_unit = |x: f64| format!("{sign} {x} {unit}").trim_end().to_owned();
     let measured = row.measured.map_or_else(
         || "–".to_owned(),
@@ -59,7 +54,7 @@ fn target(row: &Row) -> Vec<String> {
         (false, false) => "missed",
     };
     vec![
-        row.name.to_owned(),
+        row.name.to_string(),
         with_unit(row.owed),
         with_unit(row.aim),
         measured,

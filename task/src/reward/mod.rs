@@ -11,7 +11,7 @@ use std::f32::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::require;
+use crate::error::{checks, require_all};
 use crate::{ACT_DIM, COMMAND_DIM, FEET, JointTable, TaskError};
 
 /// Whether a term pays or costs.
@@ -132,7 +132,7 @@ reward_terms! {
     /// Σ over joints of how far they are beyond `soft_limit_share` of their range, rad. Default 0.
     joint_limits: Cost, "rad", 0.0;
     /// Σ over joints of how far the smoothed target lies outside the joint's range before it is cut off there, rad. Default 0. A policy whose target is a radian beyond a limit
-    /// feels nothing of what it does with that joint any more, and learns nothing. With -0.1 such legs stayed there for 1,200 iterations, with -0.6 they came back within 1,000 (docs/learning.md).
+    /// feels nothing of what it does with that joint any more, and learns nothing. With -0.1 such legs stayed there for 1,200 iterations, with -0.6 they came back within 1,000 (docs/reference/learning.md).
     target_limits: Cost, "rad", 0.0;
     /// Sum of the horizontal speeds of the feet that are in contact. Default 0 (not in the paper).
     slip: Cost, "m/s", 0.0;
@@ -157,20 +157,17 @@ reward_terms! {
 }
 
 fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {
-    match sense {
-        Sense::Reward => require(
+    let (right, reason) = match sense {
+        Sense::Reward => (
             (0.0..=1e4).contains(&weight),
-            field,
-            weight,
             "this term rewards, its weight must be 0 to 10000",
         ),
-        Sense::Cost => require(
+        Sense::Cost => (
             (-1e4..=0.0).contains(&weight),
-            field,
-            weight,
             "this term costs, its weight must be -10000 to 0",
         ),
-    }
+    };
+    require_all(&[(right, field, &weight, reason)])
 }
 
 /// Table `[task.reward]`: shapes of the terms; their weights are in `[task.reward.weights]`.
@@ -271,49 +268,27 @@ impl RewardConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        let positive = [
-            (self.lin_vel_sigma, "reward.lin_vel_sigma"),
-            (self.yaw_rate_sigma, "reward.yaw_rate_sigma"),
-            (self.phase_sigma, "reward.phase_sigma"),
-            (self.contact_force_n, "reward.contact_force_n"),
-            (self.trunk_force_n, "reward.trunk_force_n"),
-            (self.leg_fold_within_rad, "reward.leg_fold_within_rad"),
-            (self.wave_sigma, "reward.wave_sigma"),
-        ];
-        for (value, field) in positive {
-            require(
-                value > 0.0 && value <= 1e6,
-                field,
-                value,
-                "must be above 0 and at most 1000000",
-            )?;
-        }
-        require(
-            self.soft_limit_share > 0.0 && self.soft_limit_share <= 1.0,
-            "reward.soft_limit_share",
-            self.soft_limit_share,
-            "must be above 0 and at most 1",
-        )?;
-        for value in self.wave_amplitude_rad {
-            require(
-                (0.0..=2.0).contains(&value),
-                "reward.wave_amplitude_rad",
-                value,
-                "must be 0 to 2 rad",
-            )?;
-        }
-        require(
-            (-PI..=PI).contains(&self.wave_lag_rad),
-            "reward.wave_lag_rad",
-            self.wave_lag_rad,
-            "must be -π to π",
-        )?;
-        require(
-            (0.0..=1.0).contains(&self.costs_at_start),
-            "reward.costs_at_start",
-            self.costs_at_start,
-            "must be 0 to 1",
-        )?;
+        let above_zero = |value: f32| value > 0.0 && value <= 1e6;
+        let reason = "must be above 0 and at most 1000000";
+        let share = self.soft_limit_share > 0.0 && self.soft_limit_share <= 1.0;
+        let wave = self
+            .wave_amplitude_rad
+            .iter()
+            .all(|a| (0.0..=2.0).contains(a));
+        checks! {
+            self, "reward.";
+            lin_vel_sigma: above_zero(self.lin_vel_sigma), reason;
+            yaw_rate_sigma: above_zero(self.yaw_rate_sigma), reason;
+            phase_sigma: above_zero(self.phase_sigma), reason;
+            contact_force_n: above_zero(self.contact_force_n), reason;
+            trunk_force_n: above_zero(self.trunk_force_n), reason;
+            leg_fold_within_rad: above_zero(self.leg_fold_within_rad), reason;
+            wave_sigma: above_zero(self.wave_sigma), reason;
+            soft_limit_share: share, "must be above 0 and at most 1";
+            wave_amplitude_rad: wave, "must be 0 to 2 rad";
+            wave_lag_rad: (-PI..=PI).contains(&self.wave_lag_rad), "must be -π to π";
+            costs_at_start: (0.0..=1.0).contains(&self.costs_at_start), "must be 0 to 1";
+        }?;
         self.weights.validate()
     }
 }

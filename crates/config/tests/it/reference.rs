@@ -1,4 +1,4 @@
-//! `docs/configuration.md` is made from the doc comments of the configuration's structs, so that it cannot lag behind.
+//! `docs/reference/configuration.md` is made from the doc comments of the configuration's structs, so that it cannot lag behind.
 //!
 //! When this test fails, run it with `CAUDATA_WRITE_DOCS=1` and commit the file.
 
@@ -171,7 +171,7 @@ fn reference() -> String {
 
 #[test]
 fn the_reference_page_is_up_to_date() {
-    let path = repository().join("docs/configuration.md");
+    let path = repository().join("docs/reference/configuration.md");
     let made = reference();
     if std::env::var_os("CAUDATA_WRITE_DOCS").is_some() {
         std::fs::write(&path, &made).unwrap();
@@ -179,7 +179,7 @@ fn the_reference_page_is_up_to_date() {
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         kept == made,
-        "docs/configuration.md is out of date: run this test with CAUDATA_WRITE_DOCS=1"
+        "docs/reference/configuration.md is out of date: run this test with CAUDATA_WRITE_DOCS=1"
     );
 }
 
