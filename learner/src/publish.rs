@@ -60,20 +60,12 @@ struct State {
 }
 
 impl Publisher {
-    /// Publishes to the server at `address` (`host:port`) as `stream`. Nothing is sent yet, and the server need not
-    /// be there.
+    /// Publishes to the server at `address` (`host:port`, or `https://` with the certificates in `tls_dir`) as `stream`.
+    /// Nothing is sent yet, and the server need not be there.
     ///
     /// # Errors
-    /// An address or stream name that is none, or the system refuses the thread.
-    pub fn start(address: &str, stream: &str) -> Result<Self, LearnerError> {
-        Self::start_with(address, stream, None)
-    }
-
-    /// As [`Publisher::start`], to an `https://` address with the certificates in `tls_dir`.
-    ///
-    /// # Errors
-    /// As [`Publisher::start`], and certificates that do not work.
-    pub fn start_with(
+    /// An address or stream name that is none, certificates that do not work, or the system refuses the thread.
+    pub fn start(
         address: &str,
         stream: &str,
         tls_dir: Option<&Path>,

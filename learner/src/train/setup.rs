@@ -12,6 +12,7 @@ use caudata_random::{Key, Purpose, Stream};
 use caudata_task::PolicyContract;
 use caudata_telemetry::progress::{Event, Finished, Started};
 use caudata_telemetry::{DRAIN_DEADLINE, StopFlag, build_info};
+use caudata_traces::Tracer;
 use caudata_transport::{InprocHub, TransportConfig, learner_link};
 use tch::Device;
 
@@ -66,22 +67,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         start.accounting,
     );
 
-    let publisher = settings
-        .policy_server
-        .as_deref()
-        .map(|address| {
-            let stream = config.policy_server.stream_of(&settings.run_id);
-            Publisher::start_with(address, stream, config.cluster.certificates())
-        })
-        .transpose()?;
-    let tracer = tracer_of(
-        config,
-        "caudata-learner",
-        "learner".to_owned(),
-        &settings.run_id,
-        &settings.metrics,
-    )
-    .map_err(|error| LearnerError::setting(error.to_string()))?;
+    let (publisher, tracer) = outside(&settings)?;
     let accounting = collector.accounting();
     let (link, fleet) = match &transport {
         TransportConfig::Inproc(inproc) => {
@@ -100,6 +86,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     };
     let metrics = LearnerMetrics::register(&settings.metrics, settings.pulse);
     let mut reporter = Reporter::new(&settings.run_dir, settings.events, metrics);
+    let incarnations = (0..config.actors.count).map(|id| accounting.next_incarnation(id));
     reporter.event(&Event::Started(Started {
         run_id: settings.run_id.clone(),
         transport: match inproc {
@@ -111,9 +98,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         iterations: config.run.iterations,
         resumed_from: start.resumed_from,
         device: device_name(device),
-        next_incarnations: (0..config.actors.count)
-            .map(|id| accounting.next_incarnation(id))
-            .collect(),
+        next_incarnations: incarnations.collect(),
     }));
     Run {
         config,
@@ -139,6 +124,26 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         began: Instant::now(),
     }
     .train()
+}
+
+/// What leads out of a run besides the actors: to the policy server and to a collector of traces, where there are any.
+fn outside(settings: &TrainSettings) -> Result<(Option<Publisher>, Tracer), LearnerError> {
+    let config = &settings.config;
+    let publish = |address: &String| {
+        let stream = config.policy_server.stream_of(&settings.run_id);
+        Publisher::start(address, stream, config.cluster.certificates())
+    };
+    let publisher = settings.policy_server.as_ref().map(publish).transpose()?;
+    let (service, instance) = ("caudata-learner", "learner".to_owned());
+    let tracer = tracer_of(
+        config,
+        service,
+        instance,
+        &settings.run_id,
+        &settings.metrics,
+    );
+    let tracer = tracer.map_err(|error| LearnerError::setting(error.to_string()))?;
+    Ok((publisher, tracer))
 }
 
 /// Makes this process the one learner of the run folder, on whatever transport: one that is still ending is waited for.
