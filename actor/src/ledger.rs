@@ -1,7 +1,8 @@
 //! How many chunks an actor has sent, on disk, so that the count survives `kill -9`.
 //!
-//! Eight bytes, little endian, at offset 0. They are written in place before each chunk is handed over: a killed
-//! process leaves a count that is right or one too high (the chunk it was about to hand over), never too low.
+//! Eight bytes, little endian, at offset 0. They are written in place before each chunk is handed over: a
+//! killed process leaves a count that is right or one too high (the chunk it was about to hand over), never
+//! too low.
 
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -73,8 +74,8 @@ pub struct LedgerCount {
     pub actor_id: u32,
     /// How many times it was started before.
     pub incarnation: u64,
-    /// Chunks that it sent; `None` where the file is torn. An empty one was just made by an actor that was killed before
-    /// it sent anything.
+    /// Chunks that it sent; `None` where the file is torn. An empty one was just made by an actor that was
+    /// killed before it sent anything.
     pub sent: Option<u64>,
 }
 

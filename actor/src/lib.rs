@@ -1,11 +1,11 @@
 //! Steps environments, runs the ONNX policy and streams rollouts.
 //!
-//! [`run`] is one actor: it waits for a policy, checks it, collects chunks of `steps × lanes` with it, and hands them
-//! to the learner over an [`ActorLink`](caudata_transport::ActorLink). The binary `caudata-actor` runs one per process;
-//! the learner's in-process mode runs several as threads.
+//! [`run`] is one actor: it waits for a policy, checks it, collects chunks of `steps × lanes` with it, and
+//! hands them to the learner over an [`ActorLink`](caudata_transport::ActorLink). The binary `caudata-actor`
+//! runs one per process; the learner's in-process mode runs several as threads.
 //!
-//! With `max_lead = 0` the chunks of an actor depend on nothing but the configuration, the seed and the policies'
-//! bytes: not on clocks, thread counts, or the transport.
+//! With `max_lead = 0` the chunks of an actor depend on nothing but the configuration, the seed and the
+//! policies' bytes: not on clocks, thread counts, or the transport.
 //!
 //! *Invariant:* libtorch is not linked.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]

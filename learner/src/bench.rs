@@ -1,6 +1,7 @@
 //! How fast the update is on this machine, beside what libtorch's matrix product reaches in the same run.
 //!
-//! The batch is noise in the shape of the configuration: the time of an update does not depend on what is in it.
+//! The batch is noise in the shape of the configuration: the time of an update does not depend on what is in
+//! it.
 
 use std::time::{Duration, Instant};
 
@@ -157,8 +158,9 @@ fn speed(
     })
 }
 
-/// Multiplications and additions of the dense layers: one forward pass before the epochs; in each epoch forward, gradients of the weights,
-/// and gradients of the inputs of all layers but the first. Activations, loss and optimiser are not counted.
+/// Multiplications and additions of the dense layers: one forward pass before the epochs; in each epoch
+/// forward, gradients of the weights, and gradients of the inputs of all layers but the first. Activations,
+/// loss and optimiser are not counted.
 fn flops_per_update(spec: &NetworkSpec, rows: usize, epochs: u32) -> f64 {
     let products = |sizes: &[usize]| -> (usize, usize) {
         let all = sizes.windows(2).map(|pair| pair[0] * pair[1]).sum();
@@ -202,8 +204,8 @@ mod tests {
 
     #[test]
     fn arithmetic_is_counted_as_by_hand() {
-        // Policy 3→2→1: 6 + 2 = 8, its first layer 6; value 3→1→1: 3 + 1 = 4, first 3. One pass forward, two epochs:
-        // 2·10·(12 + 2·(36 − 9)) = 1320.
+        // Policy 3→2→1: 6 + 2 = 8, its first layer 6; value 3→1→1: 3 + 1 = 4, first 3. One pass forward, two
+        // epochs: 2·10·(12 + 2·(36 − 9)) = 1320.
         let spec = NetworkSpec {
             obs_dim: 3,
             act_dim: 1,

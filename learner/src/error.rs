@@ -77,24 +77,12 @@ pub enum LearnerError {
         /// Why.
         source: caudata_actor::ActorError,
     },
-    /// An actor of this process has left although the run goes on.
-    #[error("actor {id} has ended before the run")]
-    ActorEnded {
+    /// An actor of this process is gone, or cannot be saved.
+    #[error("actor {id} {reason}")]
+    ActorLost {
         /// Which.
         id: u32,
-    },
-    /// An actor of this process has panicked.
-    #[error("actor {id} has died; its message is above")]
-    ActorPanicked {
-        /// Which.
-        id: u32,
-    },
-    /// An actor of this process could not be saved.
-    #[error("actor {id} cannot be saved: {reason}")]
-    Snapshot {
-        /// Which.
-        id: u32,
-        /// Why.
+        /// What was seen of it.
         reason: String,
     },
     /// Too few rollouts for too long.
@@ -194,10 +182,7 @@ impl LearnerError {
             Self::Transport(_) => ExitCode::OsResource,
             Self::Robot { .. } | Self::Task(_) => ExitCode::BadInput,
             Self::Actor { source, .. } => source.exit_code(),
-            Self::ActorEnded { .. } | Self::ActorPanicked { .. } | Self::Snapshot { .. } => {
-                ExitCode::Internal
-            }
-            Self::NotFinite { .. } => ExitCode::Internal,
+            Self::ActorLost { .. } | Self::NotFinite { .. } => ExitCode::Internal,
             Self::Starved { .. } => ExitCode::TempFail,
             Self::CheckpointContract { .. } => ExitCode::PolicyRefused,
             Self::CheckpointDamaged { .. } | Self::CheckpointsGone { .. } => {

@@ -1,4 +1,5 @@
-//! `caudata-learner`: PPO on libtorch as a process. Started by `caudata train`, by hand, or by a cluster's scheduler.
+//! `caudata-learner`: PPO on libtorch as a process. Started by `caudata train`, by hand, or by a cluster's
+//! scheduler.
 
 use std::io::Write;
 use std::net::SocketAddr;
@@ -16,7 +17,8 @@ use caudata_telemetry::{
 };
 use clap::{Parser, Subcommand};
 
-/// Learns from the rollouts of actors and hands out policies. Progress goes to standard output, one JSON object per line.
+/// Learns from the rollouts of actors and hands out policies. Progress goes to standard output, one JSON
+/// object per line.
 #[derive(Debug, Parser)]
 #[command(
     version,

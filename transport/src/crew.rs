@@ -66,7 +66,8 @@ impl Crew {
         slot.get_or_insert(failure);
     }
 
-    /// Starts a thread. Should it end (panic) before the end closes, that is its failure, and `alarm` is raised.
+    /// Starts a thread. Should it end (panic) before the end closes, that is its failure, and `alarm` is
+    /// raised.
     pub(crate) fn spawn(
         self: &Arc<Self>,
         name: &'static str,

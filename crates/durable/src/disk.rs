@@ -8,7 +8,8 @@ use std::path::Path;
 /// What went wrong, and at which part of a write: "write" or "sync".
 pub type WriteFault = (&'static str, io::Error);
 
-/// What changes a disk. [`OsDisk`] is the real one, [`crate::rehearsal::Rehearsal`] writes down what was done.
+/// What changes a disk. [`OsDisk`] is the real one, [`crate::rehearsal::Rehearsal`] writes down what was
+/// done.
 pub trait Disk: Debug + Send + Sync {
     /// Makes one folder; one that is there already is fine.
     ///
@@ -22,7 +23,8 @@ pub trait Disk: Debug + Send + Sync {
     /// Which part failed, and what the system says.
     fn write_synced(&self, path: &Path, bytes: &[u8]) -> Result<(), WriteFault>;
 
-    /// Adds `bytes` to the end of a file, which is made where it is absent, and waits until they are on the disk.
+    /// Adds `bytes` to the end of a file, which is made where it is absent, and waits until they are on the
+    /// disk.
     ///
     /// # Errors
     /// As [`Disk::write_synced`].

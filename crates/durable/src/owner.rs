@@ -5,7 +5,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// A lock file that this process holds. The operating system lets go of it when the process ends, however it ends.
+/// A lock file that this process holds. The operating system lets go of it when the process ends, however it
+/// ends.
 #[derive(Debug)]
 pub struct Owner {
     _lock: File,
@@ -33,8 +34,8 @@ pub enum OwnerError {
 }
 
 impl Owner {
-    /// Takes the lock file `path`. While another process holds it `wait` is called, which waits a moment and answers
-    /// whether to try again, until `patience` is used up.
+    /// Takes the lock file `path`. While another process holds it `wait` is called, which waits a moment and
+    /// answers whether to try again, until `patience` is used up.
     ///
     /// # Errors
     /// [`OwnerError`].

@@ -65,7 +65,8 @@ pub struct IncarnationAccount {
     pub(super) missing: BTreeSet<u64>,
     /// Such numbers that are not remembered one by one any more.
     pub(super) given_up: u64,
-    /// Numbers below `next` that a learner before this one may have seen, after the checkpoint that the run goes on from.
+    /// Numbers below `next` that a learner before this one may have seen, after the checkpoint that the run
+    /// goes on from.
     #[serde(default)]
     pub(super) rolled_back: BTreeSet<u64>,
     /// What the actor's last words or its ledger say that it sent.
@@ -108,8 +109,8 @@ impl IncarnationAccount {
         Arrival::New
     }
 
-    /// The run goes on from a checkpoint, and the ledger says `sent`: the numbers that the checkpoint does not know are
-    /// rolled back. One of them that is still on its way counts when it comes.
+    /// The run goes on from a checkpoint, and the ledger says `sent`: the numbers that the checkpoint does
+    /// not know are rolled back. One of them that is still on its way counts when it comes.
     pub(super) fn roll_back(&mut self, sent: u64) {
         if sent <= self.next {
             return;

@@ -1,10 +1,10 @@
 //! What became of every chunk, per actor and incarnation.
 //!
-//! Each sequence number that an incarnation used has exactly one fate: accepted, rejected, dropped (which includes
-//! lost and rolled back), or waiting. `sent = accepted + rejected + dropped + waiting` is checked from counts that are
-//! kept apart: `lost` comes from gaps in the sequence numbers and from what the actor says it sent, never from the
-//! difference. What this check finds is a chunk that the learner counted twice or not at all; that nothing vanished on
-//! the way is seen from `lost` of the actors that said goodbye.
+//! Each sequence number that an incarnation used has exactly one fate: accepted, rejected, dropped (which
+//! includes lost and rolled back), or waiting. `sent = accepted + rejected + dropped + waiting` is checked
+//! from counts that are kept apart: `lost` comes from gaps in the sequence numbers and from what the actor
+//! says it sent, never from the difference. What this check finds is a chunk that the learner counted twice
+//! or not at all; that nothing vanished on the way is seen from `lost` of the actors that said goodbye.
 
 use std::collections::BTreeMap;
 
@@ -124,8 +124,8 @@ impl Accounting {
         });
     }
 
-    /// What the ledger of an actor says that it sent; its last words win over it. One that has gone back to 0 (it is not
-    /// synced, and power was lost) says nothing.
+    /// What the ledger of an actor says that it sent; its last words win over it. One that has gone back to 0
+    /// (it is not synced, and power was lost) says nothing.
     pub fn ledger(&mut self, actor: ActorKey, sent: u64) {
         self.greet(actor);
         self.change(actor, |account| {
@@ -147,8 +147,8 @@ impl Accounting {
         }
     }
 
-    /// The run goes on from a checkpoint, and this is what the ledger of an actor says that it sent in all. The actor
-    /// is known from then on, so that none of its incarnations is used again.
+    /// The run goes on from a checkpoint, and this is what the ledger of an actor says that it sent in all.
+    /// The actor is known from then on, so that none of its incarnations is used again.
     pub fn rolled_back(&mut self, actor: ActorKey, sent: u64) {
         self.greet(actor);
         self.change(actor, |account| account.roll_back(sent));

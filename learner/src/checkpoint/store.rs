@@ -1,7 +1,7 @@
 //! Folders of files that are whole or absent.
 //!
-//! `checkpoints/iter_000123/` holds the files of one checkpoint and `SHA256SUMS` (as `sha256sum -c` reads it), which
-//! names them all. A folder is filled under a temporary name, synced, renamed, and only then does
+//! `checkpoints/iter_000123/` holds the files of one checkpoint and `SHA256SUMS` (as `sha256sum -c` reads
+//! it), which names them all. A folder is filled under a temporary name, synced, renamed, and only then does
 //! `checkpoints/latest` point to it; so after a crash at any point `latest` names a whole checkpoint.
 
 use std::collections::BTreeMap;
@@ -49,7 +49,8 @@ impl CheckpointStore {
         &self.root
     }
 
-    /// Saves `files` as the checkpoint of `iteration` and answers its folder. One of the same iteration is replaced.
+    /// Saves `files` as the checkpoint of `iteration` and answers its folder. One of the same iteration is
+    /// replaced.
     ///
     /// # Errors
     /// [`LearnerError::Durable`] when the disk is full or fails; what was saved before is untouched.

@@ -1,7 +1,7 @@
 //! The shards of an update: worked on by the threads of this process, and added in their order.
 //!
-//! A batch is cut into shards by a rule that knows nothing of threads, and so *the bits of an update on the CPU do
-//! not depend on the number of threads.*
+//! A batch is cut into shards by a rule that knows nothing of threads, and so *the bits of an update on the
+//! CPU do not depend on the number of threads.*
 
 use caudata_config::AdvantageScale;
 use tch::{Device, Kind, Tensor};
@@ -38,7 +38,7 @@ pub enum Column {
 }
 
 /// How many [`Column`]s there are.
-pub const COLUMNS: usize = 4;
+pub const SAMPLE_COLUMNS: usize = 4;
 
 /// What the epochs of an update draw from, or one pass over it in the order of that pass.
 #[derive(Debug)]
@@ -103,8 +103,8 @@ impl Total {
     }
 }
 
-/// The threads that work on the shards of one network. Its parameters are the owner's: they change between two calls,
-/// never during one.
+/// The threads that work on the shards of one network. Its parameters are the owner's: they change between
+/// two calls, never during one.
 #[derive(Debug)]
 pub struct Shards {
     net: ActorCritic,
@@ -112,8 +112,8 @@ pub struct Shards {
 }
 
 impl Shards {
-    /// `threads` threads on the CPU, one where the network lies on another device: a GPU works on whole minibatches,
-    /// and a second thread could only queue behind the first.
+    /// `threads` threads on the CPU, one where the network lies on another device: a GPU works on whole
+    /// minibatches, and a second thread could only queue behind the first.
     ///
     /// # Errors
     /// When the operating system refuses a thread.
@@ -246,7 +246,7 @@ mod tests {
     fn advantages_of_a_minibatch_are_shifted_and_scaled() {
         const ACT: usize = 2;
         let samples = Tensor::zeros(
-            [3, 2 * ACT as i64 + COLUMNS as i64],
+            [3, 2 * ACT as i64 + SAMPLE_COLUMNS as i64],
             (Kind::Float, Device::Cpu),
         );
         let advantages = samples.narrow(1, 2 * ACT as i64 + 1, 1);

@@ -1,8 +1,9 @@
-//! What the samples of a batch are learnt with: advantages, value targets and importance weights, on the host.
+//! What the samples of a batch are learnt with: advantages, value targets and importance weights, on the
+//! host.
 
 use caudata_config::{AdvantageScale, PpoConfig, Returns, StalenessConfig};
 
-use super::shards::{COLUMNS, Column};
+use super::shards::{Column, SAMPLE_COLUMNS};
 use crate::batch::{Batch, Segment};
 use crate::returns::{Trajectories, VtraceSettings, mean_and_std, vtrace, weighted_mean_and_std};
 
@@ -17,8 +18,8 @@ pub(super) struct Targets {
 }
 
 impl Targets {
-    /// Advantages (scaled over the batch if so configured), value targets and importance weights under the policy
-    /// before the update, which is version `policy_version`.
+    /// Advantages (scaled over the batch if so configured), value targets and importance weights under the
+    /// policy before the update, which is version `policy_version`.
     pub fn new(
         ppo: &PpoConfig,
         staleness: &StalenessConfig,
@@ -33,7 +34,8 @@ impl Targets {
             weights: vec![1.0; batch.rows],
         };
         for segment in &batch.segments {
-            // The same policy computed by ONNX Runtime and by libtorch differs in the last bits; that is no staleness.
+            // The same policy computed by ONNX Runtime and by libtorch differs in the last bits; that is no
+            // staleness.
             let stale = segment.policy_version != policy_version;
             let prox = stale.then_some(prox_log_probs);
             out.add_segment(ppo, staleness, batch, segment, values, prox);
@@ -100,8 +102,8 @@ impl Targets {
 
     /// Sample after sample, in the order of [`Column`].
     pub fn columns(&self, prox_log_probs: &[f32]) -> Vec<f32> {
-        let mut columns = vec![0.0; prox_log_probs.len() * COLUMNS];
-        for (i, row) in columns.chunks_exact_mut(COLUMNS).enumerate() {
+        let mut columns = vec![0.0; prox_log_probs.len() * SAMPLE_COLUMNS];
+        for (i, row) in columns.chunks_exact_mut(SAMPLE_COLUMNS).enumerate() {
             row[Column::ProxLogProb as usize] = prox_log_probs[i];
             row[Column::Advantage as usize] = self.advantages[i];
             row[Column::Target as usize] = self.targets[i];

@@ -10,7 +10,7 @@ use tch::Tensor;
 
 use super::loss::{LossSettings, entropy, log_prob, sums};
 use super::pool::rows;
-use super::shards::{COLUMNS, Draws, Head, Minibatch, Shards, host};
+use super::shards::{Draws, Head, Minibatch, SAMPLE_COLUMNS, Shards, host};
 use super::targets::{Targets, effective_share, explained_variance, image_weights};
 use crate::LearnerError;
 use crate::adam::Adam;
@@ -174,13 +174,15 @@ impl Ppo {
         self.learning_rate
     }
 
-    /// Environment steps of the whole run before the next update, on which the target of the KL divergence depends.
+    /// Environment steps of the whole run before the next update, on which the target of the KL divergence
+    /// depends.
     pub fn set_progress(&mut self, env_steps: u64) {
         self.env_steps = env_steps;
     }
 
-    /// After iterations with `value_only`: the optimiser forgets them. The policy had no gradient in them, and the second moments' correction for
-    /// the first steps would be long gone: its first real steps would be three times as long as they should.
+    /// After iterations with `value_only`: the optimiser forgets them. The policy had no gradient in them,
+    /// and the second moments' correction for the first steps would be long gone: its first real steps would
+    /// be three times as long as they should.
     pub fn begin_policy(&mut self) {
         self.adam.reset();
     }
@@ -190,13 +192,16 @@ impl Ppo {
         self.learning_rate = rate;
     }
 
-    /// Learns from `batch`, whose observations the current policy (version `policy_version`) sees through `scaling`.
-    /// `order` decides which samples meet in a minibatch. With `value_only` the policy stays as it is.
+    /// Learns from `batch`, whose observations the current policy (version `policy_version`) sees through
+    /// `scaling`. `order` decides which samples meet in a minibatch. With `value_only` the policy stays as it
+    /// is.
     ///
-    /// A minibatch whose loss or gradient is not finite changes nothing and is counted. An update that fails changes nothing at all.
+    /// A minibatch whose loss or gradient is not finite changes nothing and is counted. An update that fails
+    /// changes nothing at all.
     ///
     /// # Errors
-    /// [`LearnerError::Setting`] for a batch of other dimensions, an error of libtorch, or that a thread has died.
+    /// [`LearnerError::Setting`] for a batch of other dimensions, an error of libtorch, or that a thread has
+    /// died.
     pub fn update(
         &mut self,
         batch: &Batch,
@@ -321,9 +326,9 @@ impl Ppo {
         let explained_variance = explained_variance(&values[..batch.rows], &targets.targets);
         let mut samples = self.samples(&actions, &prox_means, &prox_log_probs, &targets);
         if let Some(mirror) = &self.settings.mirror {
-            // Values and advantages of a mirror image are the sample's own. Its weight is how likely the policy is to
-            // act so: without it an action that a lopsided policy would not take pushes the mean about, and the robot
-            // ends up standing.
+            // Values and advantages of a mirror image are the sample's own. Its weight is how likely the
+            // policy is to act so: without it an action that a lopsided policy would not take pushes the mean
+            // about, and the robot ends up standing.
             let images = exchange(&rows(&raw, own), &mirror.observation);
             let images = scaling.apply(&images.to_device(device));
             let actions = exchange(&actions, &mirror.action);
@@ -355,7 +360,7 @@ impl Ppo {
         targets: &Targets,
     ) -> Tensor {
         let columns = Tensor::from_slice(&targets.columns(prox_log_probs))
-            .view([-1, COLUMNS as i64])
+            .view([-1, SAMPLE_COLUMNS as i64])
             .to_device(self.net.device());
         Tensor::cat(&[actions, prox_means, &columns], 1)
     }
@@ -467,7 +472,8 @@ fn adapted_rate(ppo: &PpoConfig, target_kl: f64, rate: f64, kl: f64) -> f64 {
     }
 }
 
-/// In each pass every other sample as it is and the others as their mirror images, which follow B rows later; the other way round in the next pass.
+/// In each pass every other sample as it is and the others as their mirror images, which follow B rows later;
+/// the other way round in the next pass.
 fn half_mirrored(indices: &[i64], epoch: u32) -> Vec<i64> {
     let rows = indices.len() as i64;
     let image = |&i: &i64| i + rows * ((i + i64::from(epoch)) & 1);

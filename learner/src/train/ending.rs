@@ -17,8 +17,8 @@ const PUBLISH_PATIENCE: Duration = Duration::from_secs(10);
 const TENTHS_MIN: usize = 20;
 
 impl Run<'_> {
-    /// Saves, publishes the last policy, stops the actors, accounts for everything. Does all of it even where a part
-    /// fails; answers the first failure. `healthy`: the loop ended as it should.
+    /// Saves, publishes the last policy, stops the actors, accounts for everything. Does all of it even where
+    /// a part fails; answers the first failure. `healthy`: the loop ended as it should.
     pub(super) fn wind_down(
         &mut self,
         state: &mut LoopState,

@@ -101,8 +101,8 @@ impl LearnerMetrics {
         }
     }
 
-    /// Counts a frame under `outcome`: `waiting`, `duplicate`, `hello`, `bye`, or the reason why it was not taken.
-    /// Answers the count.
+    /// Counts a frame under `outcome`: `waiting`, `duplicate`, `hello`, `bye`, or the reason why it was not
+    /// taken. Answers the count.
     pub fn frame(&self, outcome: &str) -> u64 {
         let labels = vec![("outcome".to_owned(), outcome.to_owned())];
         let counter = self.frames.get_or_create(&labels).clone();

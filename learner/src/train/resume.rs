@@ -42,8 +42,8 @@ pub(super) fn load(
     Ok(Some((path, state)))
 }
 
-/// Whether a learner of this run has saved before: the account, which is written after each checkpoint, knows of chunks
-/// that were learnt from. To begin anew would write over the policy that came of them.
+/// Whether a learner of this run has saved before: the account, which is written after each checkpoint, knows
+/// of chunks that were learnt from. To begin anew would write over the policy that came of them.
 fn has_learnt(run_dir: &Path) -> bool {
     #[derive(Deserialize)]
     struct Account {

@@ -81,7 +81,8 @@ pub(super) struct LoopState {
     pub scaling: Scaling,
     /// Iteration and folder of the newest checkpoint.
     pub saved: Option<(u64, PathBuf)>,
-    /// Whether every actor waits for the policy of the current iteration, so that their states belong together.
+    /// Whether every actor waits for the policy of the current iteration, so that their states belong
+    /// together.
     pub actors_wait: bool,
     pub not_finite: u32,
     /// The first iteration of this process.
@@ -341,8 +342,9 @@ impl Run<'_> {
         export(self.ppo.net(), scaling, &self.identity, version, steps)
     }
 
-    /// The policy to begin with. Bytes under a version never change: where the run folder holds a later version than
-    /// the checkpoint that the run goes on from, or other bytes of the same one, numbers go on behind it.
+    /// The policy to begin with. Bytes under a version never change: where the run folder holds a later
+    /// version than the checkpoint that the run goes on from, or other bytes of the same one, numbers go on
+    /// behind it.
     fn first_policy(&mut self, scaling: &Scaling) -> Result<PolicyFile, LearnerError> {
         let policy = self.export(scaling)?;
         let before = std::fs::read(self.policy_path()).ok();
@@ -433,8 +435,8 @@ impl Run<'_> {
         }
     }
 
-    /// The whole state between two iterations. The actors' states go in where they belong together: in one process,
-    /// in turns.
+    /// The whole state between two iterations. The actors' states go in where they belong together: in one
+    /// process, in turns.
     pub(super) fn state(&self, state: &LoopState) -> Result<CheckpointState, LearnerError> {
         let in_turns = self.config.actors.max_lead == 0 && state.actors_wait;
         let actors = match self.fleet.as_ref().filter(|_| in_turns) {

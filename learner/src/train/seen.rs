@@ -46,7 +46,8 @@ impl PoliciesSeen {
         }
     }
 
-    /// The newest policy that actors ran and that the policy server has; without one, the newest that they ran.
+    /// The newest policy that actors ran and that the policy server has; without one, the newest that they
+    /// ran.
     pub fn best(&self) -> Option<ActorsPolicy> {
         let ran = || {
             self.made

@@ -41,8 +41,8 @@ const OWNER_PATIENCE: Duration = Duration::from_secs(15).saturating_add(DRAIN_DE
 /// Pause between two looks at it.
 const OWNER_PAUSE: Duration = Duration::from_millis(100);
 
-/// Trains until the configured number of iterations is done or `stop` is raised; then saves everything, stops the
-/// actors and accounts for every chunk.
+/// Trains until the configured number of iterations is done or `stop` is raised; then saves everything, stops
+/// the actors and accounts for every chunk.
 ///
 /// # Errors
 /// See [`LearnerError`]. What was learnt until then is saved if it can be.
@@ -126,7 +126,8 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     .train()
 }
 
-/// What leads out of a run besides the actors: to the policy server and to a collector of traces, where there are any.
+/// What leads out of a run besides the actors: to the policy server and to a collector of traces, where there
+/// are any.
 fn outside(settings: &TrainSettings) -> Result<(Option<Publisher>, Tracer), LearnerError> {
     let config = &settings.config;
     let publish = |address: &String| {
@@ -146,7 +147,8 @@ fn outside(settings: &TrainSettings) -> Result<(Option<Publisher>, Tracer), Lear
     Ok((publisher, tracer))
 }
 
-/// Makes this process the one learner of the run folder, on whatever transport: one that is still ending is waited for.
+/// Makes this process the one learner of the run folder, on whatever transport: one that is still ending is
+/// waited for.
 fn own(settings: &TrainSettings, stop: &StopFlag) -> Result<Owner, LearnerError> {
     let path = settings.run_dir.join(LEARNER_LOCK);
     let mut said = false;
@@ -243,8 +245,8 @@ fn device_name(device: Device) -> String {
     }
 }
 
-/// Where actors and learner take turns in one process, the actors' threads are idle during an update; results do not
-/// depend on the number.
+/// Where actors and learner take turns in one process, the actors' threads are idle during an update; results
+/// do not depend on the number.
 fn threads(config: &Config, inproc: bool) -> usize {
     let own = config.learner.threads as usize;
     if !inproc || config.actors.max_lead > 0 {

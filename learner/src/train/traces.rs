@@ -1,4 +1,5 @@
-//! What the learner adds to the traces: chunks that arrive, the batch, the update, and the policy version that comes of it.
+//! What the learner adds to the traces: chunks that arrive, the batch, the update, and the policy version
+//! that comes of it.
 
 use caudata_proto::{RolloutChunk, TraceContext, chunk_identity};
 use caudata_traces::{Kind, Span, Tracer, Value, now_ns};

@@ -106,7 +106,8 @@ fn a_signal_ends_the_run_in_good_order_and_it_can_be_resumed() {
     }
 }
 
-/// As after `kill -9` of a supervisor and `--resume` at once: the first learner still saves when the second comes.
+/// As after `kill -9` of a supervisor and `--resume` at once: the first learner still saves when the second
+/// comes.
 #[test]
 fn a_second_learner_of_a_folder_waits_for_the_first_and_goes_on_where_that_ended() {
     let dir = tempfile::tempdir().unwrap();

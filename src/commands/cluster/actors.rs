@@ -16,7 +16,7 @@ use crate::commands::train::watched::{Watched, stop_all};
 use crate::say;
 
 /// How often the actors are looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const WATCH_EVERY: Duration = Duration::from_millis(100);
 /// How long actors have to end besides `actors.flush_timeout_s`.
 const STOP_MAX: Duration = Duration::from_secs(5);
 
@@ -162,7 +162,7 @@ impl Host<'_> {
                 }
             }
             // Each has been told to stop: the run is complete, or its learner ended for good.
-            if self.slots.iter_mut().all(is_down) || stop.wait(LOOK_EVERY) {
+            if self.slots.iter_mut().all(is_down) || stop.wait(WATCH_EVERY) {
                 return Ok(());
             }
         }
@@ -180,8 +180,8 @@ impl Host<'_> {
     }
 }
 
-/// A folder in the system's folder for temporary files, where everybody may write: made for this user alone. What another
-/// user has put there, a folder or a link to elsewhere, is refused.
+/// A folder in the system's folder for temporary files, where everybody may write: made for this user alone.
+/// What another user has put there, a folder or a link to elsewhere, is refused.
 fn private_folder(path: &Path) -> Result<(), Failure> {
     let cannot = || format!("cannot make {}", path.display());
     match DirBuilder::new().mode(0o700).create(path) {

@@ -26,7 +26,8 @@ pub struct UpArgs {
     config: ConfigArgs,
 }
 
-/// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at Ctrl-C.
+/// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at
+/// Ctrl-C.
 pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
     if config.transport.kind != TransportKind::Zenoh {

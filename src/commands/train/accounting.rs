@@ -25,8 +25,8 @@ pub struct Balance {
     pub incomplete: Vec<String>,
 }
 
-/// Checks the learner's account of each actor against the actor's own count. An actor that said goodbye has lost
-/// nothing; one that was killed may have lost what was on its way.
+/// Checks the learner's account of each actor against the actor's own count. An actor that said goodbye has
+/// lost nothing; one that was killed may have lost what was on its way.
 pub fn balance(accounts: &[ActorAccount], ledgers: &[LedgerCount]) -> Balance {
     let mut total = Balance::default();
     for account in accounts {
@@ -42,7 +42,8 @@ pub fn balance(accounts: &[ActorAccount], ledgers: &[LedgerCount]) -> Balance {
             .iter()
             .find(|l| (l.actor_id, l.incarnation) == (account.actor_id, account.incarnation))
             .map(|l| l.sent);
-        // A ledger is written before its chunk is sent: 0 after a chunk has arrived is what a power cut leaves.
+        // A ledger is written before its chunk is sent: 0 after a chunk has arrived is what a power cut
+        // leaves.
         let torn = |sent: &Option<u64>| sent.is_none_or(|sent| sent == 0 && account.received > 0);
         if ledger.as_ref().is_some_and(torn) {
             total.incomplete.push(format!(

@@ -60,8 +60,9 @@ struct PolicyHashes {
     same: bool,
 }
 
-/// The newest policy that actors ran and that was published too (else the newest that they ran), with its SHA-256 in
-/// their memory, as the learner made it, and on the server (null where the server does not hold that version).
+/// The newest policy that actors ran and that was published too (else the newest that they ran), with its
+/// SHA-256 in their memory, as the learner made it, and on the server (null where the server does not hold
+/// that version).
 #[derive(Debug, Serialize)]
 struct ActorsHash {
     version: u64,
@@ -174,7 +175,8 @@ impl ActorsHash {
 }
 
 impl Report {
-    /// An error when the run broke a promise: a chunk unaccounted for, or a policy that is not the same everywhere.
+    /// An error when the run broke a promise: a chunk unaccounted for, or a policy that is not the same
+    /// everywhere.
     pub fn verdict(&self) -> Result<(), Failure> {
         if let Some(problem) = self.accounting.problems.first() {
             return Err(Failure::message(

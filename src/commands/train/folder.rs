@@ -16,8 +16,8 @@ const DIFF_BYTES_MAX: usize = 4 << 20;
 /// [`DRAIN_DEADLINE`] to save.
 const OWNER_PATIENCE: Duration = Duration::from_secs(15).saturating_add(DRAIN_DEADLINE);
 
-/// `runs/<time>_<name>/`. One process has it at a time: whoever holds `supervisor.lock`, and of the learners whoever holds
-/// [`caudata_actor::LEARNER_LOCK`].
+/// `runs/<time>_<name>/`. One process has it at a time: whoever holds `supervisor.lock`, and of the learners
+/// whoever holds [`caudata_actor::LEARNER_LOCK`].
 #[derive(Clone, Debug)]
 pub struct RunFolder {
     root: PathBuf,
@@ -85,8 +85,8 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// The folder of an earlier run: `out`, or the newest one under `out_dir`. Processes of an earlier command that are
-    /// still ending in it are waited for.
+    /// The folder of an earlier run: `out`, or the newest one under `out_dir`. Processes of an earlier
+    /// command that are still ending in it are waited for.
     pub fn reopen(out: Option<&Path>, out_dir: &Path, wait: Wait<'_>) -> Result<Self, Failure> {
         let root = match out {
             Some(out) => out.to_owned(),
@@ -231,7 +231,8 @@ fn owned(root: &Path, patience: Duration, wait: Wait<'_>) -> Result<Arc<Owner>, 
         })
     };
     let owner = take("supervisor.lock")?;
-    // A supervisor that was killed is outlived by its learner, which saves first. The next learner takes this lock itself.
+    // A supervisor that was killed is outlived by its learner, which saves first. The next learner takes this
+    // lock itself.
     drop(take(caudata_actor::LEARNER_LOCK)?);
     Ok(Arc::new(owner))
 }

@@ -1,4 +1,5 @@
-//! The robot client at the end of a run: pulls the policy from the server and walks the simulated robot with it.
+//! The robot client at the end of a run: pulls the policy from the server and walks the simulated robot with
+//! it.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -22,7 +23,7 @@ const SIMULATOR_START_MAX: Duration = Duration::from_secs(30);
 /// Time for pulling, standing up and lying down, on top of the walk itself.
 const AROUND_THE_WALK_MAX: Duration = Duration::from_secs(60);
 /// How often the client is looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const CLIENT_LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// What the robot client reported.
 #[derive(Clone, Debug, Serialize)]
@@ -112,7 +113,7 @@ fn run_client(
     let mut client = Process::start("the robot client", command, &log, Some(sink))?;
     let limit = Duration::from_secs_f64(evaluation.robot_run_s) + AROUND_THE_WALK_MAX;
     let deadline = Instant::now() + limit;
-    while client.ended().is_none() && Instant::now() < deadline && !stop.wait(LOOK_EVERY) {}
+    while client.ended().is_none() && Instant::now() < deadline && !stop.wait(CLIENT_LOOK_EVERY) {}
     client.signal(Signal::SIGTERM);
     let status = client.finish(Duration::from_secs(10));
     if let Some(status) = status.filter(|status| !status.success()) {

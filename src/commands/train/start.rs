@@ -42,7 +42,8 @@ pub fn is_permanent(code: ExitCode) -> bool {
     )
 }
 
-/// The failure that a child's end amounts to: its own error line and hint; without them, `how` it ended and its log.
+/// The failure that a child's end amounts to: its own error line and hint; without them, `how` it ended and
+/// its log.
 pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
     let log = format!("its log is {}", child.log().display());
     match child.last_error() {
@@ -52,7 +53,8 @@ pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
     }
 }
 
-/// Starts a process that says on standard output where it listens as `service`, and waits for that at most `patience`.
+/// Starts a process that says on standard output where it listens as `service`, and waits for that at most
+/// `patience`.
 pub fn start_service(
     name: &str,
     service: &'static str,

@@ -24,9 +24,9 @@ use super::watched::{Watched, stop_all};
 /// Lines of the learner that may wait to be shown; then the learner waits.
 const LINES_WAITING_MAX: usize = 256;
 /// How long the loop sleeps at most between two looks at the children.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// How long the learner may take to finish its iteration, save, and say goodbye. Shorter than the deadline of the
-/// supervisor itself, so that it is the supervisor who tells.
+const WATCH_EVERY: Duration = Duration::from_millis(100);
+/// How long the learner may take to finish its iteration, save, and say goodbye. Shorter than the deadline of
+/// the supervisor itself, so that it is the supervisor who tells.
 const LEARNER_STOP_MAX: Duration = Duration::from_secs(45);
 /// How long other children may take to stop.
 const CHILD_STOP_MAX: Duration = Duration::from_secs(5);
@@ -42,7 +42,8 @@ pub struct Plan {
     pub resume: Resume,
     /// Actors on this host, numbered from 0.
     pub actors: u32,
-    /// Whether a learner that died goes on from its newest checkpoint while the actors wait, instead of ending the run.
+    /// Whether a learner that died goes on from its newest checkpoint while the actors wait, instead of
+    /// ending the run.
     pub restart_learner: bool,
 }
 
@@ -161,11 +162,12 @@ impl<'a> Supervisor<'a> {
         })
     }
 
-    /// Watches until the learner has ended, then stops the actors. The policy server stays up for the evaluation.
+    /// Watches until the learner has ended, then stops the actors. The policy server stays up for the
+    /// evaluation.
     pub fn watch(mut self) -> Result<Outcome, Failure> {
         while self.learner.ended().is_none() || self.restart_learner() {
             // Whatever fails here ends the run in good order: the learner saves, the transport is cleaned up.
-            self.take_lines(LOOK_EVERY);
+            self.take_lines(WATCH_EVERY);
             self.watch_learner();
             let watched = self.watch_actors().and_then(|()| self.watch_server());
             if let Err(failure) = watched {
@@ -226,8 +228,8 @@ impl<'a> Supervisor<'a> {
         }
     }
 
-    /// Says once that the learner stands still, and when it goes on. It is not killed: whoever stopped it may let it go
-    /// on, with everything it has, and a batch that is long to learn from is no fault.
+    /// Says once that the learner stands still, and when it goes on. It is not killed: whoever stopped it may
+    /// let it go on, with everything it has, and a batch that is long to learn from is no fault.
     fn watch_learner(&mut self) {
         let silent_s = self.learner_pulse.silent_for().as_secs_f64();
         let silent = silent_s > self.config.cluster.hang_timeout_s;
@@ -449,7 +451,5 @@ impl Outcome {
     }
 }
 
-#[cfg(test)]
-mod tests;
 #[cfg(test)]
 mod tests;

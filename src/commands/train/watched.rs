@@ -76,8 +76,8 @@ impl Watched {
         Ok(())
     }
 
-    /// Notices at `now`, since the supervisor began, what has become of the process, and decides what follows; `tell`
-    /// hears of it. Answers why it stays down, where it has died too often.
+    /// Notices at `now`, since the supervisor began, what has become of the process, and decides what
+    /// follows; `tell` hears of it. Answers why it stays down, where it has died too often.
     ///
     /// # Errors
     /// Where the actor cannot work at all.

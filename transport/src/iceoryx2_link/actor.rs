@@ -1,5 +1,5 @@
-//! The actor's end over iceoryx2: one thread joins the learner's services, reads answers and policies, and joins
-//! anew when another learner has taken the run over.
+//! The actor's end over iceoryx2: one thread joins the learner's services, reads answers and policies, and
+//! joins anew when another learner has taken the run over.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;

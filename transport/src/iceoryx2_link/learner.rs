@@ -1,4 +1,5 @@
-//! The learner's end over iceoryx2: one thread reads, answers, hands out policies and cleans up after the dead.
+//! The learner's end over iceoryx2: one thread reads, answers, hands out policies and cleans up after the
+//! dead.
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -35,8 +36,8 @@ pub(crate) fn learner(
     let ports = Ports::new(&run_dir, &tag, limits)?;
     let wake = ports.services.up.notifier_builder().create();
     let wake = wake.map_err(backend)?;
-    // Posted before the thread starts: an error here leaves no thread behind. Actors that come at once find the
-    // services, and are read from a moment later.
+    // Posted before the thread starts: an error here leaves no thread behind. Actors that come at once find
+    // the services, and are read from a moment later.
     run_dir.post(&tag, limits)?;
     let body = Arc::clone(&core);
     let thread = core.spawn("caudata-shm", move || ports.run_until_closed(&body))?;
@@ -125,8 +126,8 @@ impl Ports {
         }
     }
 
-    /// Takes over everything that has arrived. A frame is whole once it is here: a writer that dies before has
-    /// not handed it over. It is copied before it is looked at, so nothing can change under the check.
+    /// Takes over everything that has arrived. A frame is whole once it is here: a writer that dies before
+    /// has not handed it over. It is copied before it is looked at, so nothing can change under the check.
     fn read(&self, core: &LearnerCore) {
         loop {
             match self.data.receive() {

@@ -1,4 +1,5 @@
-//! The actor's end over zenoh: one thread opens the session, opens another beside it when nobody answers, and pulls policies.
+//! The actor's end over zenoh: one thread opens the session, opens another beside it when nobody answers, and
+//! pulls policies.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -17,8 +18,9 @@ use crate::reliable::{PolicyHead, PolicyId, Status, UpHead};
 use crate::{ActorLink, PolicyUpdate, TransportError, ZenohConfig, identity};
 
 /// Pause after a piece that did not come.
-const RETRY: Duration = Duration::from_millis(100);
-/// Sessions that may be closing at once. Each takes zenoh some seconds at most; more of them than this means that it does not let go.
+const PIECE_RETRY: Duration = Duration::from_millis(100);
+/// Sessions that may be closing at once. Each takes zenoh some seconds at most; more of them than this means
+/// that it does not let go.
 const CLOSING_MAX: usize = 16;
 
 /// An actor's end of `run_id`.
@@ -133,7 +135,7 @@ impl Puller {
                     have = Some(got);
                     self.core.policy.replace(update);
                 }
-                Ok(None) => std::thread::sleep(RETRY),
+                Ok(None) => std::thread::sleep(PIECE_RETRY),
                 Err(failure) => self.core.fail(failure),
             }
         }
@@ -150,9 +152,9 @@ impl Puller {
         None
     }
 
-    /// Another session beside the one that nobody answers on. zenoh reconnects by itself, but over QUIC only after the lease, and it has
-    /// open faults there (eclipse-zenoh/zenoh#1876, #1886). The old session stays until this one is open: a learner that
-    /// merely stands still answers on it when it goes on.
+    /// Another session beside the one that nobody answers on. zenoh reconnects by itself, but over QUIC only
+    /// after the lease, and it has open faults there (eclipse-zenoh/zenoh#1876, #1886). The old session stays
+    /// until this one is open: a learner that merely stands still answers on it when it goes on.
     fn open_beside(&self, endpoints: &[String]) -> Option<Session> {
         match self.open(endpoints) {
             Ok(session) => {
@@ -224,7 +226,8 @@ impl Puller {
         Ok(None)
     }
 
-    /// A piece of the policy; `None` when it does not come within the peer time-out, or the learner has fallen silent.
+    /// A piece of the policy; `None` when it does not come within the peer time-out, or the learner has
+    /// fallen silent.
     fn ask(&self, session: &Session, request: &PieceRequest) -> Option<(PolicyHead, Vec<u8>)> {
         let limits = &self.core.limits;
         let replies = session

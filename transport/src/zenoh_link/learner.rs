@@ -16,8 +16,8 @@ use crate::learner_core::{Downlink, LearnerCore, RemoteLearner};
 use crate::reliable::{PolicyHead, Status};
 use crate::{LearnerLink, TransportConfig, TransportError, ZenohConfig, identity};
 
-/// How long another learner of the run may take to answer behind a router. One that was killed answers nothing until
-/// the router has noticed.
+/// How long another learner of the run may take to answer behind a router. One that was killed answers
+/// nothing until the router has noticed.
 const ANSWER_WAIT: Duration = Duration::from_secs(3);
 /// How often the learner that stays asks whether one that started in the same moment has given way.
 const GIVE_WAY_TRIES: u32 = 10;
@@ -70,11 +70,13 @@ fn already_running(run_id: &str) -> TransportError {
     }
 }
 
-/// After this learner has declared itself: no other one has done so in the same moment, or the others give way.
+/// After this learner has declared itself: no other one has done so in the same moment, or the others give
+/// way.
 ///
-/// The router takes the messages of a connection in their order. With the end of the answers to a question it has
-/// therefore also the declaration that was sent before: of two learners at least one sees the other, and a learner
-/// that starts from now on finds this one. Of two that see each other the one with the higher number gives way.
+/// The router takes the messages of a connection in their order. With the end of the answers to a question it
+/// has therefore also the declaration that was sent before: of two learners at least one sees the other, and
+/// a learner that starts from now on finds this one. Of two that see each other the one with the higher
+/// number gives way.
 fn stay_alone(session: &Session, run_id: &str, epoch: u64) -> Result<(), TransportError> {
     for _ in 0..GIVE_WAY_TRIES {
         let others = others(session, run_id, epoch)?;

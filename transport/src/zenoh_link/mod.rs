@@ -1,4 +1,5 @@
-//! Links over zenoh: actors anywhere that reaches the learner, or a common router, by TCP on one host, by QUIC between hosts.
+//! Links over zenoh: actors anywhere that reaches the learner, or a common router, by TCP on one host, by
+//! QUIC between hosts.
 //!
 //! Keys, with the run id and the link's number in hexadecimal:
 //! - `caudata/<run>/up/<link>`: messages of an actor, the head as attachment, the frame as payload.

@@ -10,8 +10,8 @@ use crate::support::policies::{assert_nothing_more, label, next_policy, policy, 
 use crate::support::proxy::Proxy;
 use crate::support::rig::{Kind, Rig, limits, remote};
 
-/// The connection is cut in the middle of a stream of large frames, five times: every frame arrives once and in order, and
-/// the policy gets through.
+/// The connection is cut in the middle of a stream of large frames, five times: every frame arrives once and
+/// in order, and the policy gets through.
 #[test]
 fn a_cut_connection_loses_nothing() {
     const CUTS: u64 = 5;
@@ -50,7 +50,8 @@ fn a_cut_connection_loses_nothing() {
     rig.finish();
 }
 
-/// The smaller of the two frame limits counts: a frame that the learner would not take is refused at the source.
+/// The smaller of the two frame limits counts: a frame that the learner would not take is refused at the
+/// source.
 #[test]
 fn keeps_to_the_learners_frame_limit() {
     let learner = learner_link(&remote(Kind::Zenoh, limits()), "limits").unwrap();
@@ -66,7 +67,8 @@ fn keeps_to_the_learners_frame_limit() {
     drop((actor, learner));
 }
 
-/// zenoh panics when asked to wait on a thread of a single-threaded tokio runtime; the links do not ask it to.
+/// zenoh panics when asked to wait on a thread of a single-threaded tokio runtime; the links do not ask it
+/// to.
 #[test]
 fn links_work_inside_a_single_threaded_runtime() {
     let runtime = tokio::runtime::Builder::new_current_thread()

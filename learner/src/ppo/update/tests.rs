@@ -322,7 +322,8 @@ fn an_image_weighs_as_much_as_the_policy_would_act_so() {
 
 #[test]
 fn the_critic_has_its_own_rate() {
-    // One epoch, one minibatch, from rest: Adam's first step has the size of the rate wherever there is a gradient.
+    // One epoch, one minibatch, from rest: Adam's first step has the size of the rate wherever there is a
+    // gradient.
     let largest = |value_rate: f64| {
         let mut ppo = ppo(
             |s| {
