@@ -1,4 +1,5 @@
-//! What people and robots say about versions: labels, quarantine, reports, freshness, and the record of who changed what.
+//! What people and robots say about versions: labels, quarantine, reports, freshness, and the record of who
+//! changed what.
 
 use super::{Manifest, RegistryError, Signature, StreamName};
 
