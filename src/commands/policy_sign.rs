@@ -10,7 +10,7 @@ use caudata_signing::{
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use serde_json::json;
 
-use crate::commands::policy::{ServerArgs, block_on, hex};
+use crate::commands::policy_calls::{ServerArgs, block_on, hex};
 use crate::say;
 
 /// Flags of `keygen`.
@@ -128,7 +128,7 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
     let before = Trust::before(&args.trust, version).map_err(|error| {
         let code = match error {
             SigningError::File { .. } => ExitCode::NoInput,
-            SigningError::Content { .. } => ExitCode::BadInput,
+            SigningError::Content { .. } | SigningError::Exposed { .. } => ExitCode::BadInput,
         };
         Failure::new(code, error)
     })?;

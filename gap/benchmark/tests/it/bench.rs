@@ -116,7 +116,7 @@ fn a_quick_set_is_answered_sealed_and_worthless_with_shuffled_labels() {
     let said = said.join("\n");
     let summary = Summary::of(&outcomes);
     assert_eq!(summary.failed, 0, "{said}");
-    // Names are scored on the large sets (docs/hidden-effects.md). Here each effect is large (d = 8): these are floors, not figures.
+    // Names are scored on the large sets (docs/reference/hidden-effects.md). Here each effect is large (d = 8): these are floors, not figures.
     assert_eq!(summary.first_large.of, 5, "{said}");
     assert!(summary.first_large.hits >= 4, "{said}");
     assert_eq!(summary.false_alarms.hits, 0, "{said}");
