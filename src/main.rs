@@ -127,7 +127,10 @@ mod tests {
     /// changed, and commit it.
     #[test]
     fn the_help_reads_as_it_is_documented() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/command-line.md");
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/docs/reference/command-line.md"
+        );
         let mut page = String::from(
             "# Command line\n\nWhat `-h` prints; `--help` says more. Made by a test in `src/main.rs`; edit the flags there.\n",
         );

@@ -9,13 +9,16 @@ use caudata_proto::wire::registry::policy_registry_server::PolicyRegistryServer;
 use caudata_signing::ReleaseKey;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
-use tonic::transport::{Server, ServerTlsConfig};
+use tokio_rustls::TlsAcceptor;
+use tonic::transport::Server;
 
 use crate::access::GuardLayer;
-use crate::limits::{ConnectionLimits, Incoming};
+use crate::limits::{ConnectionLimits, incoming};
 use crate::metrics::ServerMetrics;
-use crate::service::{REPLY_IDLE_MAX, RegistryService, SharedStore, UPLOAD_IDLE_MAX};
+use crate::service::{REPLY_IDLE_MAX, RegistryService};
+use crate::shared::SharedStore;
 use crate::store::Store;
+use crate::uploads::UPLOAD_IDLE_MAX;
 
 /// Requests served at once on one connection; further ones wait.
 const STREAMS_PER_CONNECTION: u32 = 32;
@@ -25,6 +28,8 @@ const MESSAGE_SIZE_MAX: usize = 256 << 10;
 const HEADERS_MAX: u32 = 8 << 10;
 /// Calls that a client may take back before the server has looked at them; beyond that its connection is closed.
 const RESETS_MAX: usize = 20;
+/// How often a store that cannot write looks whether it can again.
+const PROBE_PAUSE: Duration = Duration::from_secs(5);
 /// A call that has not begun to be answered by then is given up; streams of answers go on.
 const CALL_MAX: Duration = Duration::from_secs(60);
 
@@ -98,7 +103,7 @@ pub struct ServeOptions {
     /// When a silent connection is given up.
     pub keepalive: Keepalive,
     /// Clients show a certificate, and its role decides what they may do; `None`: plain, for this host only.
-    pub tls: Option<ServerTlsConfig>,
+    pub tls: Option<TlsAcceptor>,
     /// Signs where labels lead; `None`: the server cannot say so.
     pub fresh_key: Option<Arc<ReleaseKey>>,
     /// How many connections.
@@ -109,6 +114,8 @@ pub struct ServeOptions {
     /// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time, [`REPLY_IDLE_MAX`] unless told otherwise. Too short:
     /// robots behind a poor network are cut off and have to ask again; too long: one that hangs holds its place and what waits for it.
     pub reply_idle: Duration,
+    /// How often a store that cannot write looks whether it can again.
+    pub probe_pause: Duration,
 }
 
 impl Default for ServeOptions {
@@ -120,6 +127,7 @@ impl Default for ServeOptions {
             connections: ConnectionLimits::default(),
             upload_idle: UPLOAD_IDLE_MAX,
             reply_idle: REPLY_IDLE_MAX,
+            probe_pause: PROBE_PAUSE,
         }
     }
 }
@@ -148,7 +156,7 @@ pub async fn serve_tls(
     store: Store,
     metrics: ServerMetrics,
     stop: watch::Receiver<bool>,
-    tls: ServerTlsConfig,
+    tls: TlsAcceptor,
 ) -> Result<(), ServeError> {
     let options = ServeOptions {
         tls: Some(tls),
@@ -179,14 +187,11 @@ pub async fn serve_with(
         .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
-    let (mut broken, broken_health) = (registry.read_only(), health.clone());
-    let watched = tokio::spawn(async move {
-        if broken.wait_for(|broken| *broken).await.is_ok() {
-            broken_health
-                .set_not_serving::<PolicyRegistryServer<RegistryService>>()
-                .await;
-        }
-    });
+    let watched = tokio::spawn(watch_over(
+        registry.clone(),
+        health.clone(),
+        options.probe_pause,
+    ));
     let mut stopped = stop.clone();
     let drained = async move {
         // An error means that the sender is gone, which is a stop as well.
@@ -198,11 +203,7 @@ pub async fn serve_with(
     let guard = GuardLayer {
         enforced: options.tls.is_some(),
     };
-    let mut builder = Server::builder();
-    if let Some(tls) = options.tls {
-        builder = builder.tls_config(tls)?;
-    }
-    let server = builder
+    let server = Server::builder()
         .layer(guard)
         .concurrency_limit_per_connection(STREAMS_PER_CONNECTION as usize)
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
@@ -218,7 +219,10 @@ pub async fn serve_with(
                 .max_decoding_message_size(MESSAGE_SIZE_MAX)
                 .max_encoding_message_size(MESSAGE_SIZE_MAX * 4),
         )
-        .serve_with_incoming_shutdown(Incoming::new(listener, options.connections), drained);
+        .serve_with_incoming_shutdown(
+            incoming(listener, options.connections, options.tls),
+            drained,
+        );
     // Ends with the server, whichever way that ends.
     let _watched = AbortOnDrop(watched);
     let mut stopping = stop;
@@ -230,6 +234,35 @@ pub async fn serve_with(
         } => {
             tracing::warn!("open requests did not finish in time and were cut off");
             Ok(())
+        }
+    }
+}
+
+/// Says on the health service whether the store takes changes; while it does not, looks again and again whether it does.
+async fn watch_over(
+    registry: RegistryService,
+    health: tonic_health::server::HealthReporter,
+    pause: Duration,
+) {
+    let mut trouble = registry.trouble();
+    loop {
+        let is_well = trouble.borrow_and_update().is_none();
+        match is_well {
+            true => {
+                health
+                    .set_serving::<PolicyRegistryServer<RegistryService>>()
+                    .await;
+                if trouble.changed().await.is_err() {
+                    return;
+                }
+            }
+            false => {
+                health
+                    .set_not_serving::<PolicyRegistryServer<RegistryService>>()
+                    .await;
+                tokio::time::sleep(pause).await;
+                registry.recover().await;
+            }
         }
     }
 }

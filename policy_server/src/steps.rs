@@ -43,12 +43,13 @@ mod tests {
     use std::cell::Cell;
 
     use caudata_left_out::{each_left_out, steps_in};
+    use caudata_proto::hex::hex;
     use caudata_proto::registry::{LabelName, QuarantineState, SetLabel, StreamName};
     use sha2::{Digest, Sha256};
 
     use super::Step;
     use crate::audit::Origin;
-    use crate::store::{Store, StoreLimits, hex};
+    use crate::store::{Store, StoreLimits};
     use crate::testing::manifest;
 
     thread_local! {

@@ -76,7 +76,7 @@ pub static BUS_SKEW: Effect = Effect {
     ..BASE
 };
 
-/// Frames of the command that do not arrive, which [`crate::diagnose`] also measures by what repeats differ by.
+/// Frames of the command that do not arrive, which a diagnosis also measures by what repeats differ by.
 pub static DROPPED_FRAMES: Effect = Effect {
     id: "dropped_frames",
     parameters: &[

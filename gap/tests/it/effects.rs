@@ -71,7 +71,7 @@ fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
 }
 
 fn data(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Data {
-    let mut trial = Trial::new(model, &run(model, base, body, seconds)).unwrap();
+    let mut trial = caudata_gap::reading::trial(model, &run(model, base, body, seconds)).unwrap();
     trial.session = 1.0;
     Data::new(model, vec![trial], SegmentOptions::default())
 }

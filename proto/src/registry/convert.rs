@@ -230,7 +230,7 @@ impl TryFrom<pb::FetchResponse> for FetchPart {
         match r.part.ok_or(RegistryError::Missing { field: "part" })? {
             pb::fetch_response::Part::Data(data) => {
                 range("data", data.len() as u64, 1, FETCH_CHUNK_BYTES as u64)?;
-                Ok(Self::Data(data))
+                Ok(Self::Data(data.into()))
             }
             pb::fetch_response::Part::Info(info) => match info.status() {
                 pb::fetch_info::Status::NotModified => Ok(Self::NotModified),
@@ -263,7 +263,7 @@ impl From<FetchPart> for pb::FetchResponse {
             })
         };
         let part = match part {
-            FetchPart::Data(data) => pb::fetch_response::Part::Data(data),
+            FetchPart::Data(data) => pb::fetch_response::Part::Data(data.into()),
             FetchPart::NotModified => info(pb::fetch_info::Status::NotModified, None),
             FetchPart::Info(i) => info(pb::fetch_info::Status::ContentFollows, Some(i)),
         };

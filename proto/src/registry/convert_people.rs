@@ -125,23 +125,47 @@ impl From<QuarantineState> for pb::QuarantineState {
     }
 }
 
+/// Both ways between a report's state and its number on the wire.
+macro_rules! states {
+    ($($state:ident),*) => {
+        impl TryFrom<pb::robot_report::State> for RobotState {
+            type Error = RegistryError;
+
+            fn try_from(state: pb::robot_report::State) -> Result<Self, RegistryError> {
+                match state {
+                    $(pb::robot_report::State::$state => Ok(Self::$state),)*
+                    pb::robot_report::State::Unspecified => {
+                        Err(RegistryError::Missing { field: "state" })
+                    }
+                }
+            }
+        }
+
+        impl From<RobotState> for pb::robot_report::State {
+            fn from(state: RobotState) -> Self {
+                match state {
+                    $(RobotState::$state => Self::$state,)*
+                }
+            }
+        }
+    };
+}
+states!(Armed, Trial, Good, Refused, Failed);
+
 impl TryFrom<pb::RobotReport> for RobotReport {
     type Error = RegistryError;
 
     fn try_from(r: pb::RobotReport) -> Result<Self, RegistryError> {
-        let state = match r.state() {
-            pb::robot_report::State::Armed => RobotState::Armed,
-            pb::robot_report::State::Trial => RobotState::Trial,
-            pb::robot_report::State::Good => RobotState::Good,
-            pb::robot_report::State::Refused => RobotState::Refused,
-            pb::robot_report::State::Failed => RobotState::Failed,
-            pb::robot_report::State::Unspecified => {
-                return Err(RegistryError::Missing { field: "state" });
-            }
-        };
+        let state = RobotState::try_from(r.state())?;
         if !(r.walked_s.is_finite() && r.walked_s >= 0.0) {
             return Err(RegistryError::Together(
                 "`walked_s` must be a number of seconds",
+            ));
+        }
+        // Standing still is no trial: `stable` would follow a robot that never moved.
+        if state == RobotState::Good && r.walked_s == 0.0 {
+            return Err(RegistryError::Together(
+                "`good` needs seconds walked: `walked_s` is 0",
             ));
         }
         let least = usize::from(!state.went_well());
@@ -162,19 +186,12 @@ impl TryFrom<pb::RobotReport> for RobotReport {
 
 impl From<RobotReport> for pb::RobotReport {
     fn from(r: RobotReport) -> Self {
-        let state = match r.state {
-            RobotState::Armed => pb::robot_report::State::Armed,
-            RobotState::Trial => pb::robot_report::State::Trial,
-            RobotState::Good => pb::robot_report::State::Good,
-            RobotState::Refused => pb::robot_report::State::Refused,
-            RobotState::Failed => pb::robot_report::State::Failed,
-        };
         Self {
             robot: r.robot,
             stream: r.stream.0,
             version: r.version,
             sha256: r.sha256.to_vec(),
-            state: state.into(),
+            state: pb::robot_report::State::from(r.state).into(),
             reason: r.reason,
             walked_s: r.walked_s,
             falls: r.falls,

@@ -6,6 +6,7 @@
 mod convert;
 mod convert_people;
 mod people;
+pub mod question;
 #[cfg(test)]
 mod tests;
 

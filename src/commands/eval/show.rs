@@ -103,8 +103,8 @@ fn body(r: &ScenarioResult) {
     say::line(format!(
         "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
         r.stride_hz.mean,
-        r.duty_factor.map(|d| format!("{d:.2}")).join(" "),
-        r.clearance_m.map(|c| format!("{:.1}", 100.0 * c)).join(" "),
+        each(&r.duty_factor, |d| format!("{d:.2}")),
+        each(&r.clearance_m, |c| format!("{:.1}", 100.0 * c)),
         100.0 * r.slip_mps.mean,
         100.0 * r.vibration_share.mean,
         100.0 * r.trunk_contact_share.mean
@@ -148,4 +148,10 @@ fn shore(t: &TransitionResult) {
             false => "no wave that travels to the tail",
         }
     ));
+}
+
+/// Values side by side.
+fn each(values: &[f64], show: impl Fn(f64) -> String) -> String {
+    let shown: Vec<String> = values.iter().map(|&v| show(v)).collect();
+    shown.join(" ")
 }

@@ -4,13 +4,15 @@
 //! What a file system promises, and no more: bytes are on the disk once the file was synced, names once their
 //! folder was. Before that each of them may be there or not, in any combination; bytes may be there by half.
 
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use crate::disk::{Disk, OsDisk, WriteFault};
+use caudata_durable::{Disk, Folder, OsDisk, WriteFault};
 
 /// Combinations of unsynced steps that are shown for one cut at most.
 const COMBINATIONS_MAX: usize = 1 << 12;
@@ -51,6 +53,8 @@ struct Failing {
     writes: bool,
     /// Waiting for the disk is refused.
     syncs: bool,
+    /// Opening is refused.
+    opens: bool,
     /// A number of the system.
     error: i32,
 }
@@ -107,19 +111,25 @@ impl Rehearsal {
     /// From step number `step` on (counted from the beginning, 0 the first) bytes and names are refused with
     /// `error`, a number of the system; half of the bytes of a write that is refused are there.
     pub fn fail_writes_at(&self, step: usize, error: i32) {
-        self.fail(step, true, false, error);
+        self.fail(step, [true, false, false], error);
     }
 
     /// From step number `step` on every wait for the disk fails.
     pub fn fail_syncs_at(&self, step: usize, error: i32) {
-        self.fail(step, false, true, error);
+        self.fail(step, [false, true, false], error);
     }
 
-    fn fail(&self, step: usize, writes: bool, syncs: bool, error: i32) {
+    /// From step number `step` on nothing can be opened, as in a process that has no file handle left.
+    pub fn fail_opens_at(&self, step: usize, error: i32) {
+        self.fail(step, [false, false, true], error);
+    }
+
+    fn fail(&self, step: usize, [writes, syncs, opens]: [bool; 3], error: i32) {
         self.notes().fail = Some(Failing {
             step,
             writes,
             syncs,
+            opens,
             error,
         });
     }
@@ -284,6 +294,10 @@ impl Notes {
         self.fails(|f| f.syncs).map_or(Ok(()), Err)
     }
 
+    fn check_open(&self) -> io::Result<()> {
+        self.fails(|f| f.opens).map_or(Ok(()), Err)
+    }
+
     /// The file of `path`, which is made where it is absent.
     fn file(&mut self, path: &Path) -> usize {
         if let Some(file) = self.names.get(path) {
@@ -296,6 +310,7 @@ impl Notes {
 
     /// Bytes of `path` from `at` on; a failing write leaves half of them.
     fn bytes(&mut self, path: &Path, at: usize, bytes: &[u8]) -> Result<(), WriteFault> {
+        self.check_open().map_err(|e| ("open", e))?;
         // Cutting a file needs no space.
         let needs_space = !bytes.is_empty();
         if needs_space {
@@ -347,10 +362,17 @@ impl Disk for Rehearsal {
             .bytes(path, usize::try_from(length).unwrap_or(usize::MAX), &[])
     }
 
-    fn sync_folder(&self, folder: &Path) -> io::Result<()> {
+    fn open_folder(&self, folder: &Path) -> io::Result<Folder> {
+        self.notes().check_open()?;
+        OsDisk.open_folder(folder)
+    }
+
+    fn sync_folder(&self, folder: &Folder) -> io::Result<()> {
         let mut notes = self.notes();
         notes.check_sync()?;
-        notes.steps.push(Step::SyncedFolder(folder.to_owned()));
+        notes
+            .steps
+            .push(Step::SyncedFolder(folder.path().to_owned()));
         Ok(())
     }
 
@@ -402,7 +424,7 @@ mod tests {
 
     #[test]
     fn a_replaced_file_is_the_old_one_or_the_new_one_whenever_power_goes() {
-        let left = left_by(|disk, path| crate::replace_on(disk, path, b"fresh").unwrap());
+        let left = left_by(|disk, path| caudata_durable::replace_on(disk, path, b"fresh").unwrap());
         let whole = [b"old".to_vec(), b"fresh".to_vec()];
         assert_eq!(left, whole.map(Some).into_iter().collect());
     }
@@ -447,5 +469,25 @@ mod tests {
         disk.fail_syncs_at(disk.steps(), 5);
         let (action, _) = disk.write_synced(&path, b"12").unwrap_err();
         assert_eq!(action, "sync");
+    }
+
+    #[test]
+    fn a_process_without_file_handles_changes_nothing_and_is_no_failed_sync() {
+        const EMFILE: i32 = 24;
+        let folder = tempfile::tempdir().unwrap();
+        let disk = Rehearsal::new(folder.path()).unwrap();
+        let path = folder.path().join("a");
+        disk.fail_opens_at(0, EMFILE);
+        let before = disk.steps();
+        for error in [
+            caudata_durable::replace_on(&disk, &path, b"1").unwrap_err(),
+            caudata_durable::create_new_on(&disk, &path, b"1").unwrap_err(),
+            caudata_durable::make_folder_on(&disk, &path).unwrap_err(),
+            caudata_durable::sync_folder_on(&disk, folder.path()).unwrap_err(),
+        ] {
+            assert!(!error.is_sync_failure(), "{error}");
+        }
+        assert_eq!(disk.steps(), before);
+        assert!(!path.exists());
     }
 }
