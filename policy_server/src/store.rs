@@ -460,48 +460,6 @@ impl Store {
         }
     }
 
-    /// Takes away the versions of a damaged blob; their numbers wait for the same bytes.
-    fn withdraw(&mut self, sha256: &Hash) {
-        let of_it = |record: &&Record| record.manifest.sha256 == *sha256;
-        let lost: Vec<Record> = self.records(None).filter(of_it).cloned().collect();
-        for Record { manifest, .. } in lost {
-            let (stream, version) = (manifest.stream, manifest.version);
-            tracing::error!(%stream, version, "blob damaged, version withdrawn");
-            if let Err(error) = self.use_up(&stream, |used| used.damage(version, Some(*sha256))) {
-                tracing::error!(%error, %stream, version, "its number is free after a restart");
-            }
-            self.set_aside(&self.record_path(&stream, version));
-            if let Some(versions) = self.streams.get_mut(&stream) {
-                versions.remove(&version);
-            }
-        }
-        self.streams.retain(|_, versions| !versions.is_empty());
-    }
-
-    /// Moves a damaged file away; one of the same name that was moved before stays.
-    pub(crate) fn set_aside(&self, path: &Path) {
-        let parts: Vec<_> = path.components().collect();
-        let last = parts.iter().skip(parts.len().saturating_sub(2));
-        let name: Vec<_> = last
-            .map(|part| part.as_os_str().to_string_lossy())
-            .collect();
-        let damaged = self.root.join("damaged").join(name.join("_"));
-        let mut names = (1..1000).map(|number| damaged.with_extension(format!("{number}.json")));
-        let to = match damaged.exists() {
-            false => Some(damaged),
-            true => names.find(|name| !name.exists()),
-        };
-        if let Some(Err(error)) = to.map(|to| self.disk.rename(path, &to)) {
-            tracing::error!(path = %path.display(), %error, "cannot be set aside");
-        }
-    }
-
-    /// Files that were set aside.
-    #[must_use]
-    pub fn damaged_files(&self) -> usize {
-        fs::read_dir(self.root.join("damaged")).map_or(0, Iterator::count)
-    }
-
     pub(crate) fn blob_path(&self, sha256: &[u8; 32]) -> PathBuf {
         self.root
             .join("blobs")

@@ -1,6 +1,6 @@
 //! Where something belongs in a trace: the identifiers that travel with a chunk.
 
-use super::DecodeError;
+use super::error::DecodeError;
 
 /// Bytes on the wire.
 const LEN: usize = 24;
