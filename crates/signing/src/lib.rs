@@ -11,9 +11,11 @@ mod rotation;
 
 use std::collections::BTreeSet;
 use std::io::{Read, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use caudata_proto::checks::Check;
+use caudata_proto::registry::question::{Facts, OtherQuestion};
 use caudata_proto::registry::{
     Freshness, LabelName, Manifest, NONCE_BYTES, Signature, SignedFreshness, StreamName,
 };
@@ -42,6 +44,14 @@ pub enum SigningError {
         /// The system's words.
         source: std::io::Error,
     },
+    /// It holds a secret, and others may use it.
+    #[error("{}: others may use this secret (mode {mode:o}); `chmod 600` it", path.display())]
+    Exposed {
+        /// Which file.
+        path: PathBuf,
+        /// Its mode.
+        mode: u32,
+    },
     /// Its content is not what it must be.
     #[error("{}: {reason}", path.display())]
     Content {
@@ -63,11 +73,11 @@ pub struct Untrusted {
 }
 
 /// Why an answer about where a label leads does not count.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Stale {
     /// It answers another question, such as one of yesterday.
-    #[error("the answer is for another nonce, stream or label")]
-    OtherQuestion,
+    #[error(transparent)]
+    OtherQuestion(#[from] OtherQuestion),
     /// No trusted key signed it.
     #[error("no key that may say so signed the answer")]
     Unsigned,
@@ -150,8 +160,9 @@ impl ReleaseKey {
     /// Reads a key file: 64 hexadecimal digits.
     ///
     /// # Errors
-    /// [`SigningError`].
+    /// [`SigningError`], also where others may use the file ([`check_private`]).
     pub fn read(path: &Path, id: &str) -> Result<Self, SigningError> {
+        check_private(path)?;
         let text = std::fs::read_to_string(path).map_err(file_error(path))?;
         let seed = from_hex(text.trim()).ok_or_else(|| SigningError::Content {
             path: path.to_owned(),
@@ -211,6 +222,21 @@ impl ReleaseKey {
             signature,
         });
     }
+}
+
+/// Refuses a file with a secret that others than its owner and its group may read, or others than its owner may write.
+///
+/// # Errors
+/// [`SigningError::Exposed`]; [`SigningError::File`] where it is not there.
+pub fn check_private(path: &Path) -> Result<(), SigningError> {
+    let mode = std::fs::metadata(path).map_err(file_error(path))?.mode() & 0o777;
+    if mode & 0o027 == 0 {
+        return Ok(());
+    }
+    Err(SigningError::Exposed {
+        path: path.to_owned(),
+        mode,
+    })
 }
 
 fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningError + '_ {
@@ -321,6 +347,12 @@ impl Trust {
                 lists[kind].push((id, key));
             }
         }
+        // A name that no key bears revokes nothing: more likely than not it is misspelt.
+        if let Some(unknown) = file.revoked.iter().find(|id| !ids.contains(*id)) {
+            return Err(format!(
+                "`revoked` names `{unknown}`, which is no key of this file: list the key as well, or correct the name"
+            ));
+        }
         let [keys, fresh_keys, root_keys] = lists;
         let threshold = file.threshold;
         if threshold == 0 || threshold > keys.len() {
@@ -362,20 +394,16 @@ impl Trust {
         stream: &StreamName,
         label: &LabelName,
     ) -> Result<(), Stale> {
-        let said = &answer.said;
-        if said.nonce != *nonce || said.stream != *stream || said.label != *label {
-            return Err(Stale::OtherQuestion);
-        }
-        let bytes = freshness_bytes(said);
-        let form = ed25519_dalek::Signature::from_slice(&answer.signature.signature);
-        let known = |(id, key): &(String, VerifyingKey)| {
-            let fits = |s: &ed25519_dalek::Signature| key.verify_strict(&bytes, s).is_ok();
-            *id == answer.signature.key_id && form.as_ref().is_ok_and(fits)
+        let proof = Proof {
+            trust: self,
+            answer,
+            asked: Facts {
+                nonce: Some(nonce),
+                label: Some(label),
+                ..Facts::of_stream(stream)
+            },
         };
-        match self.fresh_keys.iter().any(known) {
-            true => Ok(()),
-            false => Err(Stale::Unsigned),
-        }
+        proof.check(PROOF)
     }
 
     /// Whether enough trusted keys signed `manifest`.
@@ -402,6 +430,48 @@ impl Trust {
     }
 }
 
+/// What a server says about where a label leads, and whoever asked.
+#[derive(Clone, Copy, Debug)]
+struct Proof<'a> {
+    trust: &'a Trust,
+    answer: &'a SignedFreshness,
+    asked: Facts<'a>,
+}
+
+type ProofCheck = fn(&Proof<'_>) -> Result<(), Stale>;
+
+/// What such an answer must be.
+const PROOF: &[Check<ProofCheck>] = &[
+    // It answers this robot's own question of just now.
+    Check {
+        name: "question",
+        refuse: |proof| Ok(proof.asked.answered_by(&proof.answer.said)?),
+    },
+    // A key that may say so signed it.
+    Check {
+        name: "fresh signature",
+        refuse: |proof| {
+            let SignedFreshness { said, signature } = proof.answer;
+            let bytes = freshness_bytes(said);
+            let form = ed25519_dalek::Signature::from_slice(&signature.signature);
+            let known = |(id, key): &(String, VerifyingKey)| {
+                let fits = |s: &ed25519_dalek::Signature| key.verify_strict(&bytes, s).is_ok();
+                *id == signature.key_id && form.as_ref().is_ok_and(fits)
+            };
+            match proof.trust.fresh_keys.iter().any(known) {
+                true => Ok(()),
+                false => Err(Stale::Unsigned),
+            }
+        },
+    },
+];
+
+impl Proof<'_> {
+    fn check(&self, checks: &[Check<ProofCheck>]) -> Result<(), Stale> {
+        checks.iter().try_for_each(|check| (check.refuse)(self))
+    }
+}
+
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
@@ -416,6 +486,8 @@ fn from_hex(text: &str) -> Option<[u8; 32]> {
 
 #[cfg(test)]
 mod tests {
+    use caudata_proto::checks::each_left_out;
+
     use super::*;
 
     pub(crate) fn manifest() -> Manifest {
@@ -538,6 +610,8 @@ mod tests {
         assert!(trust(&[1], 2, "").is_err(), "can never be met");
         assert!(trust(&[1, 1], 2, "").is_err(), "one key twice");
         assert!(trust(&[1], 1, "\"k1\"").is_err(), "only revoked keys");
+        let unknown = trust(&[1, 2], 1, "\"K1\"").unwrap_err();
+        assert!(unknown.contains("`K1`"), "{unknown}");
         let roots = |number: usize| {
             let own = key(1).trust_file();
             let root = key(2).root_trust_lines();
@@ -577,7 +651,8 @@ mod tests {
         let answer = server.vouch(said(1));
         assert_eq!(check(&answer, 1), Ok(()));
         // The same answer to the nonce of today.
-        assert_eq!(check(&answer, 2), Err(Stale::OtherQuestion));
+        let other = |checked| matches!(checked, Err(Stale::OtherQuestion(_)));
+        assert!(other(check(&answer, 2)));
         let mut relabelled = answer.clone();
         relabelled.said.nonce = [2; 32];
         assert_eq!(check(&relabelled, 2), Err(Stale::Unsigned));
@@ -591,15 +666,69 @@ mod tests {
         }
         let mut elsewhere = said(1);
         elsewhere.label = LabelName::new("stable").unwrap();
-        assert_eq!(
-            check(&server.vouch(elsewhere), 1),
-            Err(Stale::OtherQuestion)
-        );
+        assert!(other(check(&server.vouch(elsewhere), 1)));
         // A release key says nothing about labels, and a server's key releases nothing.
         assert_eq!(check(&key(1).vouch(said(1)), 1), Err(Stale::Unsigned));
         let mut by_server = manifest();
         server.sign(&mut by_server);
         assert!(trust.check(&by_server).is_err());
+    }
+
+    #[test]
+    fn each_step_and_no_other_keeps_its_proof_out() {
+        let server = key(9);
+        let text = format!("{}{}", key(1).trust_file(), server.fresh_trust_lines());
+        let trust = Trust::parse(&text).unwrap();
+        let stream = manifest().stream;
+        let said = Freshness {
+            nonce: [1; 32],
+            stream: stream.clone(),
+            label: LabelName::latest(),
+            version: 7,
+            sha256: [1; 32],
+        };
+        let table = each_left_out(PROOF, |name, checks| {
+            let mut answer = server.vouch(said.clone());
+            let mut nonce = [1; 32];
+            match name {
+                "question" => nonce = [2; 32],
+                // It says a lower version than was signed.
+                _ => answer.said.version = 6,
+            }
+            let asked = Facts {
+                nonce: Some(&nonce),
+                ..Facts::of_stream(&stream)
+            };
+            let proof = Proof {
+                trust: &trust,
+                answer: &answer,
+                asked,
+            };
+            proof.check(checks)
+        });
+        // Seen with --nocapture: `make mutants`.
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
+    }
+
+    #[test]
+    fn a_secret_that_others_may_use_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("release.key");
+        key(1).write(&path).unwrap();
+        for (mode, private) in [
+            (0o600, true),
+            (0o400, true),
+            (0o640, true),
+            (0o644, false),
+            (0o660, false),
+            (0o602, false),
+        ] {
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+            let read = ReleaseKey::read(&path, "k1").map(drop);
+            let exposed = matches!(read, Err(SigningError::Exposed { .. }));
+            assert_eq!((read.is_ok(), exposed), (private, !private), "{mode:o}");
+        }
     }
 
     #[test]

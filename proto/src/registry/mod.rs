@@ -8,6 +8,7 @@ mod error;
 mod field;
 mod messages;
 mod names;
+pub mod question;
 #[cfg(test)]
 mod tests;
 

@@ -11,14 +11,14 @@ const ROWS_MAX: usize = 30_000;
 
 /// A ring of rows; its memory is taken once.
 #[derive(Debug)]
-pub struct Recorder {
+pub struct LastMoments {
     rows: Vec<LogRow>,
     capacity: usize,
     /// Where the oldest row is, once the ring is full.
     oldest: usize,
 }
 
-impl Recorder {
+impl LastMoments {
     /// A ring for [`REMEMBERED_S`] at one row per `period`.
     pub fn new(period: Duration) -> Self {
         let rows = (REMEMBERED_S / period.as_secs_f64().max(1e-3)).round() as usize;
@@ -76,15 +76,15 @@ mod tests {
 
     #[test]
     fn the_last_thirty_seconds_in_order_and_no_memory_is_taken_later() {
-        let mut recorder = Recorder::new(Duration::from_millis(20));
-        let room = recorder.rows.capacity();
+        let mut last_moments = LastMoments::new(Duration::from_millis(20));
+        let room = last_moments.rows.capacity();
         for tick in 0..4000 {
-            recorder.push(row(f64::from(tick)));
+            last_moments.push(row(f64::from(tick)));
         }
-        let times: Vec<f64> = recorder.iter().map(|r| r.servos.time_s).collect();
+        let times: Vec<f64> = last_moments.iter().map(|r| r.servos.time_s).collect();
         // 30 s at 50 Hz are 1500 rows: 2500 to 3999.
         let expected: Vec<f64> = (2500..4000).map(f64::from).collect();
         assert_eq!(times, expected);
-        assert_eq!(recorder.rows.capacity(), room);
+        assert_eq!(last_moments.rows.capacity(), room);
     }
 }
