@@ -5,6 +5,7 @@
 
 mod access;
 mod audit;
+mod checks;
 mod error;
 mod files;
 mod labels;
@@ -19,7 +20,6 @@ mod replies;
 mod server;
 mod service;
 mod shared;
-mod steps;
 mod store;
 #[cfg(test)]
 mod testing;

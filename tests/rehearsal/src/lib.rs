@@ -370,7 +370,9 @@ impl Disk for Rehearsal {
     fn sync_folder(&self, folder: &Folder) -> io::Result<()> {
         let mut notes = self.notes();
         notes.check_sync()?;
-        notes.steps.push(Step::SyncedFolder(folder.path().to_owned()));
+        notes
+            .steps
+            .push(Step::SyncedFolder(folder.path().to_owned()));
         Ok(())
     }
 
