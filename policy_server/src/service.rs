@@ -20,7 +20,6 @@ use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
 use bytes::Bytes;
-use caudata_pki::Role;
 use caudata_proto::hex::hex;
 use caudata_proto::registry::{
     FetchRequest, Freshness, LabelName, ListRequest, Manifest, ManifestRequest, NONCE_BYTES,
@@ -29,6 +28,7 @@ use caudata_proto::registry::{
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistry;
 use caudata_signing::ReleaseKey;
+use caudata_signing::pki::Role;
 use tokio::sync::{broadcast, watch};
 use tokio_stream::Stream;
 use tonic::{Code, Request, Response, Status, Streaming};

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use caudata_pki::{Authority, Request, Role};
+use caudata_signing::pki::{Authority, Request, Role};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, PARENT_PID_VAR};
 use caudata_transport::{ActorLink, SendError, TlsFiles, TransportConfig, actor_link};
 use nix::sys::resource::{UsageWho, getrusage};
@@ -172,8 +172,9 @@ pub fn now_ns() -> u128 {
 /// # Errors
 /// When they cannot be made.
 pub fn certificates(folder: &Path) -> Result<(TlsFiles, TlsFiles), Failure> {
-    let made =
-        |error: caudata_pki::PkiError| Failure::message(ExitCode::CannotCreate, error.to_string());
+    let made = |error: caudata_signing::pki::PkiError| {
+        Failure::message(ExitCode::CannotCreate, error.to_string())
+    };
     let now = SystemTime::now();
     let authority = Authority::create(folder, "bench", now).map_err(made)?;
     let issue = |role: Role, name: &str| {
