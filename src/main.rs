@@ -123,11 +123,14 @@ mod tests {
         }
     }
 
-    /// `docs/command-line.md` is what `-h` prints. When this fails, run it with `CAUDATA_WRITE_DOCS=1`, read what has
+    /// `docs/reference/command-line.md` is what `-h` prints. When this fails, run it with `CAUDATA_WRITE_DOCS=1`, read what has
     /// changed, and commit it.
     #[test]
     fn the_help_reads_as_it_is_documented() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/command-line.md");
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/docs/reference/command-line.md"
+        );
         let mut page = String::from(
             "# Command line\n\nWhat `-h` prints; `--help` says more. Made by a test in `src/main.rs`; edit the flags there.\n",
         );
@@ -140,7 +143,7 @@ mod tests {
         let kept = std::fs::read_to_string(path).unwrap_or_default();
         assert!(
             kept == page,
-            "docs/command-line.md is out of date: run this test with CAUDATA_WRITE_DOCS=1"
+            "docs/reference/command-line.md is out of date: run this test with CAUDATA_WRITE_DOCS=1"
         );
     }
 

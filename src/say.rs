@@ -3,8 +3,21 @@
 use std::fmt::Display;
 use std::io::Write;
 
+use caudata_studies::Table;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use clap::Args;
 use serde::Serialize;
+use serde_json::Value;
+
+/// The flags of a command, and how its answer is wanted.
+#[derive(Debug, Args)]
+pub struct WithJson<P: Args> {
+    #[command(flatten)]
+    pub plan: P,
+    /// One JSON object on the last line
+    #[arg(long)]
+    pub json: bool,
+}
 
 /// One line for a person. A reader that has gone away (`caudata … | head`) is no error.
 pub fn line(text: impl Display) {
@@ -20,24 +33,116 @@ pub fn json(value: &impl Serialize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A table with its columns aligned: the first row is the header.
-pub fn table(rows: &[Vec<String>]) {
+/// A value for a program, with `json`, or in words.
+///
+/// # Errors
+/// When the value has no JSON form.
+pub fn either<T: Serialize>(json: bool, value: &T, words: impl FnOnce(&T)) -> Result<(), Failure> {
+    if json {
+        return self::json(value);
+    }
+    words(value);
+    Ok(())
+}
+
+/// A table with its columns aligned; `head` names them, or is empty.
+pub fn table(head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
+    let head: Vec<String> = head.iter().map(|&cell| cell.to_owned()).collect();
+    aligned(std::iter::once(head).filter(|h| !h.is_empty()).chain(rows));
+}
+
+/// Records as a table: the fields that `keys` names, a column each.
+pub fn records<T: Serialize>(records: &[T], keys: &str) {
+    let keys: Vec<&str> = keys.split_whitespace().collect();
+    let row = |record: &T| {
+        let record = serde_json::to_value(record).unwrap_or_default();
+        keys.iter().map(|key| cell(&record[*key])).collect()
+    };
+    table(&keys, records.iter().map(row));
+}
+
+/// One record on a line: the fields that `keys` names.
+pub fn record(record: &impl Serialize, keys: &str) {
+    let record = serde_json::to_value(record).unwrap_or_default();
+    let fields = keys.split_whitespace();
+    let fields = fields.map(|key| format!("{key} {}", cell(&record[key])));
+    line(fields.collect::<Vec<_>>().join(", "));
+}
+
+/// A field of a record, short: a hash by its beginning, a dash where there is nothing.
+fn cell(value: &Value) -> String {
+    const HASH: usize = 64;
+    match value {
+        Value::Null => "-".to_owned(),
+        Value::String(text) if text.len() == HASH => text.chars().take(12).collect(),
+        Value::String(text) => text.clone(),
+        Value::Number(number) if number.is_f64() => short(number.as_f64().unwrap_or(f64::NAN)),
+        Value::Array(list) => list.iter().map(cell).collect::<Vec<_>>().join(" "),
+        other => other.to_string(),
+    }
+}
+
+/// Four significant digits.
+pub fn short(x: f64) -> String {
+    if x == 0.0 || !x.is_finite() {
+        return format!("{x}");
+    }
+    let decimals = (3 - x.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    format!("{x:.decimals$}")
+}
+
+/// Tables with an empty line before each.
+pub fn tables(tables: Vec<Table>) {
+    for table in tables {
+        line("");
+        aligned(std::iter::once(table.head).chain(table.rows));
+    }
+}
+
+fn aligned(rows: impl Iterator<Item = Vec<String>>) {
+    let rows: Vec<Vec<String>> = rows.collect();
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let width = |column: usize| {
-        rows.iter()
-            .filter_map(|row| row.get(column))
-            .map(|cell| cell.chars().count())
-            .max()
+        let cells = rows.iter().filter_map(|row| row.get(column));
+        cells.map(|cell| cell.chars().count()).max().unwrap_or(0)
     };
-    let widths: Vec<usize> = (0..columns)
-        .map(|column| width(column).unwrap_or(0))
-        .collect();
-    for row in rows {
-        let cells: Vec<String> = row
-            .iter()
-            .zip(&widths)
+    let widths: Vec<usize> = (0..columns).map(width).collect();
+    for row in &rows {
+        let cells = row.iter().zip(&widths);
+        let cells: Vec<String> = cells
             .map(|(cell, width)| format!("{cell:<width$}"))
             .collect();
         line(cells.join("  ").trim_end());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_are_short() {
+        let cells = serde_json::json!([
+            1.0 / 3.0,
+            123_456.7,
+            12,
+            null,
+            "abc",
+            "0".repeat(64),
+            ["a", "b"],
+            true
+        ]);
+        let cells: Vec<String> = cells.as_array().unwrap().iter().map(cell).collect();
+        let wanted = [
+            "0.3333",
+            "123457",
+            "12",
+            "-",
+            "abc",
+            "000000000000",
+            "a b",
+            "true",
+        ];
+        assert_eq!(cells, wanted);
     }
 }

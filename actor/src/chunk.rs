@@ -5,7 +5,7 @@ use std::time::Instant;
 use caudata_env::{EpisodeStats, StepOutput, VecEnv};
 use caudata_proto::{ActionHistory, EpisodeSummary, FinalObservation, RolloutChunk};
 use caudata_task::ACTION_HISTORY;
-use caudata_task::layout::ACTIONS;
+use caudata_task::layout::Part;
 
 use crate::moments::moments_of;
 use crate::policy::LoadedPolicy;
@@ -162,7 +162,7 @@ fn empty_chunk(
         episodes: Vec::new(),
         moments: moments_of(&[], obs_dim),
         action_history: Some(ActionHistory {
-            first: ACTIONS,
+            first: env.contract().observation.range(Part::Actions).start,
             steps: ACTION_HISTORY,
             clip: env.task().action.clip,
         }),

@@ -97,12 +97,15 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let servos = robot.read(FIRST_READ_DEADLINE)?;
         let first = complete(robot, &mut gravity, servos, period_s)?;
         let joints = *runner.joints();
+        let nominal_rad = joints.nominal_rad.to_array().ok_or(DeployError::Internal {
+            what: "a policy with other joints than this robot's".to_owned(),
+        })?;
         metrics.policy_version.set(version_gauge(&runner));
         let last_moments = LastMoments::new(plan.period);
         Ok(Self {
             gate: OutputGate::new(&joints, plan.step_max_rad, first.servos.pos_rad),
             guard: Guard::new(plan.limits.clone()),
-            motion: Motion::new(joints.nominal_rad, period_s),
+            motion: Motion::new(nominal_rad, period_s),
             last_time_s: first.servos.time_s,
             first: Some(first),
             robot,

@@ -10,7 +10,7 @@ use caudata_proto::registry::Manifest;
 use caudata_proto::registry::question::{Facts, OtherQuestion};
 use caudata_signing::{Trust, Untrusted};
 use caudata_task::command::CommandConfig;
-use caudata_task::{ACT_DIM, ObservationLayout, PolicyContract, TaskConfig, TaskError};
+use caudata_task::{ObservationLayout, PolicyContract, TaskConfig, TaskError};
 use sha2::{Digest, Sha256};
 
 use crate::state::{Blame, PolicyRef, Sha256Digest};
@@ -392,7 +392,8 @@ pub fn expected_contract(
     let task = TaskConfig {
         action: policy.action,
         phase: policy.phase.config(),
-        observe_medium: policy.observation == ObservationLayout::new(true),
+        observe_medium: policy.observation
+            == ObservationLayout::new(policy.act_dim(), &policy.phase.feet, true),
         command: CommandConfig {
             vx_mps: policy.command.vx_mps,
             vy_mps: policy.command.vy_mps,
@@ -422,13 +423,14 @@ fn try_out(file: &PolicyFile) -> Result<(Inference, Vec<Action>), VerifyError> {
 /// Runs a few observations through ONNX Runtime and through the plain evaluation.
 fn probe(spec: &MlpSpec, inference: &mut Inference) -> Result<Vec<Action>, PolicyError> {
     let mut obs = vec![0.0; spec.obs_dim()];
-    let (mut actions, mut expected) = ([0.0; ACT_DIM], [0.0; ACT_DIM]);
-    let mut tried = Vec::with_capacity(PROBE_COUNT * ACT_DIM);
+    let act_dim = spec.act_dim();
+    let (mut actions, mut expected) = (vec![0.0; act_dim], vec![0.0; act_dim]);
+    let mut tried = Vec::with_capacity(PROBE_COUNT * act_dim);
     for index in 0..PROBE_COUNT {
         probe_observation(index, spec, &mut obs);
         inference.run(&obs, 1, &mut actions)?;
         evaluate_mlp(spec, &obs, 1, &mut expected)?;
-        tried.extend((0..ACT_DIM).map(|joint| Action {
+        tried.extend((0..act_dim).map(|joint| Action {
             index,
             joint,
             found: actions[joint],

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use caudata_model::RobotModel;
 use caudata_runlog::BaseHold;
 
-use crate::effects::{Domain, Place};
+use crate::place::{Domain, Place};
 use crate::trial::{Kind, Trial};
 
 /// One joint's part in the runs.

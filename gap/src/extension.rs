@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::effects::{self, Place};
 use crate::error::GapError;
 use crate::plant::Plant;
-use crate::replay::{Term, Variant};
+use crate::term::{Term, Variant};
 
 pub use caudata_model::{Extension, ExtensionEffect, ExtensionParameter};
 
@@ -65,7 +65,7 @@ pub fn terms(extension: &Extension, model: &RobotModel) -> Result<Variant, GapEr
             let bad = |what: String| GapError::Extension(format!("effect `{}`: {what}", e.id));
             let effect =
                 effects::find(&e.id).ok_or_else(|| bad("is not in the catalogue".into()))?;
-            let place = Place::named(model, effect, &e.location)
+            let place = Place::named(model, effect.domain, &e.location)
                 .ok_or_else(|| bad(format!("the robot has no {}", e.location.join(", "))))?;
             for name in e.parameters.keys() {
                 if !effect.parameters.iter().any(|p| p.name == name) {

@@ -17,11 +17,14 @@ pub mod extension;
 pub mod go_on;
 pub mod import;
 pub mod page;
+pub mod place;
 pub mod plant;
 pub mod plots;
+pub mod reading;
 pub mod repeats;
 pub mod replay;
 pub mod report;
+pub mod term;
 pub mod trial;
 
 pub use diagnose::{Diagnosis, Options, Progress, Request, Stage, diagnose};

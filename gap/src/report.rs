@@ -1,4 +1,4 @@
-//! `report.json`: what a diagnosis found. The keys are a contract (docs/json.md): add, never rename.
+//! `report.json`: what a diagnosis found. The keys are a contract (docs/reference/json.md): add, never rename.
 
 use std::collections::BTreeMap;
 

@@ -24,7 +24,7 @@ use crate::limits::Peer;
 const REGISTRY: &str = "/caudata.registry.v1.PolicyRegistry/";
 /// Calls that change what others see, and the roles that may make them. All other calls of the registry read.
 const WRITES: [(&str, &[Role]); 7] = [
-    // What robots follow outside of the lab is for operators: see `Caller::check_stream`.
+    // What robots follow outside of the lab is for operators: see `Caller::check_publication`.
     ("Publish", &[Role::Learner, Role::Operator]),
     ("Ack", &[Role::Robot]),
     ("Nack", &[Role::Robot]),
@@ -113,11 +113,17 @@ impl Caller {
         }
     }
 
-    /// Whether it may publish into `stream`: a learner's machine is not trusted with what operators released.
+    /// Whether it may publish into `stream`: a learner's machine is not trusted with what operators release, and an
+    /// operator releases nothing that is not signed.
     ///
     /// # Errors
     /// `PERMISSION_DENIED`.
-    pub fn check_stream(&self, stream: &StreamName) -> Result<(), Status> {
+    pub fn check_publication(&self, stream: &StreamName, signed: bool) -> Result<(), Status> {
+        if self.role == Role::Operator && !signed {
+            return Err(Status::permission_denied(
+                "an operator publishes signed policies only: `caudata policy release`",
+            ));
+        }
         if self.role != Role::Learner || !stream.as_str().starts_with(RELEASES) {
             return Ok(());
         }
@@ -254,7 +260,19 @@ mod tests {
         ] {
             let name = "x".to_owned();
             let stream = StreamName::new(stream).unwrap();
-            assert_eq!(Caller { role, name }.check_stream(&stream).is_ok(), may);
+            assert_eq!(
+                Caller { role, name }
+                    .check_publication(&stream, true)
+                    .is_ok(),
+                may
+            );
         }
+        let (role, name) = (Role::Operator, "x".to_owned());
+        let stream = StreamName::new("release/flat").unwrap();
+        assert!(
+            Caller { role, name }
+                .check_publication(&stream, false)
+                .is_err()
+        );
     }
 }

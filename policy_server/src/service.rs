@@ -249,7 +249,10 @@ impl PolicyRegistry for RegistryService {
         self.refuse_when_draining()?;
         let (caller, origin) = (Caller::of(&request), Caller::origin(&request));
         let may = |manifest: &Manifest| {
-            caller.map_or(Ok(()), |caller| caller.check_stream(&manifest.stream))
+            let signed = !manifest.signatures.is_empty();
+            caller.map_or(Ok(()), |caller| {
+                caller.check_publication(&manifest.stream, signed)
+            })
         };
         let (manifest, bytes) = receive_upload(request.into_inner(), self.upload_idle, may)
             .await

@@ -1,5 +1,6 @@
 //! `[engine]` of the configuration file.
 
+use caudata_model::{BaseKind, Joint, JointKind, RobotModel};
 use serde::{Deserialize, Serialize};
 
 use crate::SimError;
@@ -135,81 +136,43 @@ impl EngineConfig {
     /// # Errors
     /// [`SimError::Config`] naming the field.
     pub fn validate(&self) -> Result<(), SimError> {
-        let check = |field, value: f64, low: f64, high: f64, reason| {
-            check_range("engine", field, value, low, high, reason)
-        };
-        check("dt_s", self.dt_s, 0.0002, 0.01, "must be 0.0002 to 0.01 s")?;
-        check(
-            "substeps",
-            f64::from(self.substeps),
-            1.0,
-            200.0,
-            "must be 1 to 200",
-        )?;
-        check(
-            "solver_iterations",
-            f64::from(self.solver_iterations),
-            1.0,
-            16.0,
-            "must be 1 to 16",
-        )?;
-        check(
-            "contact_frequency_hz",
-            self.contact_frequency_hz,
-            1.0,
-            1000.0,
-            "must be 1 to 1000 Hz",
-        )?;
-        check(
-            "contact_damping_ratio",
-            self.contact_damping_ratio,
-            0.1,
-            50.0,
-            "must be 0.1 to 50",
-        )?;
-        check(
-            "contact_margin_m",
-            self.contact_margin_m,
-            0.0,
-            0.05,
-            "must be 0 to 0.05 m",
-        )?;
-        check(
-            "max_joint_speed_radps",
-            self.max_joint_speed_radps,
-            10.0,
-            1e4,
-            "must be 10 to 10000 rad/s",
-        )?;
-        check(
-            "max_base_speed_mps",
-            self.max_base_speed_mps,
-            1.0,
-            1e3,
-            "must be 1 to 1000 m/s",
-        )?;
-        check(
-            "bristle_stiffness_n_per_m",
-            self.bristle_stiffness_n_per_m,
-            100.0,
-            1e6,
-            "must be 100 to 1000000 N/m",
-        )?;
-        check(
-            "bristle_damping_ns_per_m",
-            self.bristle_damping_ns_per_m,
-            0.0,
-            1e4,
-            "must be 0 to 10000 N·s/m",
-        )?;
-        check(
-            "contact_hardness",
-            self.contact_hardness,
-            0.1,
-            10.0,
-            "must be 0.1 to 10",
-        )
+        #[rustfmt::skip]
+        let ranges = [
+            ("dt_s", self.dt_s, 0.0002, 0.01, "must be 0.0002 to 0.01 s"),
+            ("substeps", f64::from(self.substeps), 1.0, 200.0, "must be 1 to 200"),
+            ("solver_iterations", f64::from(self.solver_iterations), 1.0, 16.0, "must be 1 to 16"),
+            ("contact_frequency_hz", self.contact_frequency_hz, 1.0, 1000.0, "must be 1 to 1000 Hz"),
+            ("contact_damping_ratio", self.contact_damping_ratio, 0.1, 50.0, "must be 0.1 to 50"),
+            ("contact_margin_m", self.contact_margin_m, 0.0, 0.05, "must be 0 to 0.05 m"),
+            ("max_joint_speed_radps", self.max_joint_speed_radps, 10.0, 1e4, "must be 10 to 10000 rad/s"),
+            ("max_base_speed_mps", self.max_base_speed_mps, 1.0, 1e3, "must be 1 to 1000 m/s"),
+            ("bristle_stiffness_n_per_m", self.bristle_stiffness_n_per_m, 100.0, 1e6, "must be 100 to 1000000 N/m"),
+            ("bristle_damping_ns_per_m", self.bristle_damping_ns_per_m, 0.0, 1e4, "must be 0 to 10000 N·s/m"),
+            ("contact_hardness", self.contact_hardness, 0.1, 10.0, "must be 0.1 to 10"),
+        ];
+        check_ranges("engine", &ranges)
     }
+
+    /// Whether the base moves.
+    pub(crate) fn frees_base(&self, model: &RobotModel) -> bool {
+        model.base() == BaseKind::Free && !self.fixed_base
+    }
+
+    /// Whether a joint is held at zero.
+    pub(crate) fn holds(&self, joint: &Joint) -> bool {
+        joint.locked || self.lock_backlash && joint.kind == JointKind::Backlash
+    }
+}
+
+/// Refuses the first value outside its `low..=high`.
+pub(crate) fn check_ranges(
+    table: &'static str,
+    ranges: &[(&'static str, f64, f64, f64, &'static str)],
+) -> Result<(), SimError> {
+    let mut ranges = ranges.iter();
+    ranges.try_for_each(|&(field, value, low, high, reason)| {
+        check_range(table, field, value, low, high, reason)
+    })
 }
 
 /// Refuses a value outside `low..=high` (and not-a-number).

@@ -25,9 +25,14 @@ pub struct EffectField {
     pub high: f32,
 }
 
-/// Declares a struct of `f32`, each with `low..=high`.
+/// Declares a struct of `f32`, each with `low..=high` and what it is for the robot as the model has it.
 macro_rules! effects {
-    ($(#[$meta:meta])* pub struct $name:ident { $($(#[$field_meta:meta])* $field:ident: $low:expr, $high:expr;)+ }) => {
+    (
+        $(#[$nominal_meta:meta])* ($($from:ident: $kind:ty),+)
+        $(#[$meta:meta])* pub struct $name:ident {
+            $($(#[$field_meta:meta])* $field:ident: $low:expr, $high:expr => $nominal:expr;)+
+        }
+    ) => {
         $(#[$meta])*
         #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
@@ -36,6 +41,12 @@ macro_rules! effects {
         }
 
         impl $name {
+            $(#[$nominal_meta])*
+            #[must_use]
+            pub fn nominal($($from: $kind),+) -> Self {
+                Self { $($field: ($nominal) as f32,)+ }
+            }
+
             /// Every field, in order of declaration.
             pub const FIELDS: &[EffectField] = &[
                 $(EffectField { name: stringify!($field), low: $low, high: $high },)+
@@ -73,237 +84,157 @@ macro_rules! effects {
 }
 
 effects! {
+    /// The joint as the model has it.
+    (servo: &ServoParams, joint: &Joint)
     /// Drive-line of one actuated joint, beyond what [`LaneParams`](crate::LaneParams) has as arrays. Formulas: [`crate::drive`].
     pub struct JointEffects {
         /// Delay of this joint's commands on top of the lane's `command_delay_s`, s (sampling skew along the bus). Together at most
         /// [`MAX_COMMAND_DELAY_S`]. Nominal 0.
-        command_skew_s: 0.0, MAX_COMMAND_DELAY_S;
+        command_skew_s: 0.0, MAX_COMMAND_DELAY_S => 0.0;
         /// Time constant of a first-order low-pass on the command, s. Nominal 0: none.
-        command_low_pass_s: 0.0, 10.0;
+        command_low_pass_s: 0.0, 10.0 => 0.0;
         /// Speed limit of the servo's command profile, rad/s. Nominal 0: none.
-        profile_speed_radps: 0.0, 1000.0;
+        profile_speed_radps: 0.0, 1000.0 => 0.0;
         /// Acceleration limit of the servo's command profile, rad/s². Nominal 0: none.
-        profile_acceleration_radps2: 0.0, 1e6;
+        profile_acceleration_radps2: 0.0, 1e6 => 0.0;
         /// Errors within ± this give no torque, and larger ones that much less, rad. Nominal 0.
-        dead_band_rad: 0.0, 1.0;
+        dead_band_rad: 0.0, 1.0 => 0.0;
         /// Share of that by which larger errors are not less: 1 where a controller acts on the whole error as soon as it is outside. Nominal 0.
-        dead_band_jump: 0.0, 1.0;
+        dead_band_jump: 0.0, 1.0 => 0.0;
         /// Integral gain, N·m/(rad·s); stands still while the motor saturates. Nominal 0.
-        ki_nm_per_rad_s: 0.0, 1000.0;
+        ki_nm_per_rad_s: 0.0, 1000.0 => 0.0;
         /// Delay between what the loop wants and what the motor gives, s (computing time). At most [`MAX_LOOP_DELAY_S`]. Nominal 0.
-        loop_delay_s: 0.0, MAX_LOOP_DELAY_S;
+        loop_delay_s: 0.0, MAX_LOOP_DELAY_S => 0.0;
         /// Factor on both speeds of the envelope (a lower back-EMF constant is a faster motor). Nominal 1.
-        speed_scale: 0.05, 20.0;
+        speed_scale: 0.05, 20.0 => 1.0;
         /// Factor on the limit of torque against the motion, on top of `torque_scale`. Nominal 1.
-        brake_scale: 0.0, 100.0;
+        brake_scale: 0.0, 100.0 => 1.0;
         /// Winding resistance over the nominal one: divides the loop's torque and the sloping part of the envelope. Nominal 1.
-        winding_scale: 0.05, 20.0;
+        winding_scale: 0.05, 20.0 => 1.0;
         /// Damping that the motor has beyond the Kd gain (back-EMF), N·m·s/rad. Nominal: the servo's.
-        kd_min_nms_per_rad: 0.0, 100.0;
+        kd_min_nms_per_rad: 0.0, 100.0 => servo.kd_min_nm_s_per_rad;
         /// Factor on Kp while the load drives the joint away from its target. Nominal: the servo's.
-        back_drive_kp_ratio: 0.0, 10.0;
+        back_drive_kp_ratio: 0.0, 10.0 => servo.back_drive_kp_ratio;
         /// Torque per ampere beyond the dead band, N·m/A. Nominal: the servo's.
-        torque_constant_nm_per_a: 0.001, 1000.0;
+        torque_constant_nm_per_a: 0.001, 1000.0 => servo.torque_per_current_nm_per_a;
         /// Current that gives no torque yet, A. Nominal: the servo's.
-        current_dead_band_a: 0.0, 100.0;
+        current_dead_band_a: 0.0, 100.0 => servo.current_dead_band_a;
         /// Largest motor current, A. 0: none. Nominal: the servo's.
-        current_limit_a: 0.0, 1000.0;
+        current_limit_a: 0.0, 1000.0 => servo.current_limit_a;
         /// Largest motor current against the motion where it is another one (a bridge that is limited as it drives brakes through its diodes), A.
         /// Comes with the speed, over 0.1 rad/s. 0: `current_limit_a`. Nominal 0.
-        braking_current_limit_a: 0.0, 1000.0;
+        braking_current_limit_a: 0.0, 1000.0 => 0.0;
         /// Friction at rest beyond Coulomb's, N·m (Stribeck). Nominal: the servo's.
-        stribeck_nm: 0.0, 100.0;
+        stribeck_nm: 0.0, 100.0 => servo.stribeck_nm;
         /// Speed at which that has fallen to 1/e, rad/s. Nominal: the servo's.
-        stribeck_speed_radps: 1e-3, 100.0;
+        stribeck_speed_radps: 1e-3, 100.0 => servo.stribeck_speed_radps;
         /// Friction per load torque while the motor drives the load. Nominal: the servo's.
-        load_friction_driving: 0.0, 0.95;
+        load_friction_driving: 0.0, 0.95 => servo.load_friction_driving;
         /// Friction per load torque while the load drives the motor. Nominal: the servo's.
-        load_friction_driven: 0.0, 0.95;
+        load_friction_driven: 0.0, 0.95 => servo.load_friction_driven;
         /// Friction per load torque at rest on top of that; falls with speed as Stribeck's does, at the same speed. Nominal 0.
-        load_stribeck: 0.0, 0.95;
+        load_stribeck: 0.0, 0.95 => 0.0;
         /// How fast torque falls behind the current: a motor that would give τ gives τ/(1 + s·|τ|), 1/(N·m) (iron that saturates, brushes and
         /// bridge that drop more). Nominal 0.
-        torque_saturation_per_nm: 0.0, 100.0;
+        torque_saturation_per_nm: 0.0, 100.0 => 0.0;
         /// Friction more in the positive and less in the negative direction, N·m. Nominal 0.
-        friction_asymmetry_nm: -100.0, 100.0;
+        friction_asymmetry_nm: -100.0, 100.0 => 0.0;
         /// Deflection at which friction starts to slide, rad. Nominal 0.002.
-        presliding_rad: 1e-5, 1.0;
+        presliding_rad: 1e-5, 1.0 => PRESLIDING_RAD;
         /// Amplitude of torque ripple A·sin(n·q + φ), N·m. Nominal 0.
-        ripple_nm: 0.0, 100.0;
+        ripple_nm: 0.0, 100.0 => 0.0;
         /// n: periods of the ripple per turn of the joint. Nominal 1.
-        ripple_per_turn: 0.0, 10_000.0;
+        ripple_per_turn: 0.0, 10_000.0 => 1.0;
         /// φ: phase of the ripple, rad. Nominal 0.
-        ripple_phase_rad: -10.0, 10.0;
+        ripple_phase_rad: -10.0, 10.0 => 0.0;
         /// Half of the play between rotor and joint, rad. Nominal 0 (the servo's own figure is
         /// [`gear_backlash_rad`](ServoParams::gear_backlash_rad)/2).
-        gear_half_gap_rad: 0.0, 0.5;
+        gear_half_gap_rad: 0.0, 0.5 => 0.0;
         /// Stiffness between rotor and joint, N·m/rad. Nominal 0: rigid (teeth of 1000 where there is play).
-        gear_stiffness_nm_per_rad: 0.0, 1e6;
+        gear_stiffness_nm_per_rad: 0.0, 1e6 => 0.0;
         /// Damping ratio of the rotor on that stiffness. Nominal 0.3.
-        gear_damping_ratio: 0.0, 10.0;
+        gear_damping_ratio: 0.0, 10.0 => TOOTH_DAMPING_RATIO;
         /// Spring at the joint (cable, skin), N·m/rad. Nominal: the model's.
-        spring_nm_per_rad: 0.0, 1e4;
+        spring_nm_per_rad: 0.0, 1e4 => joint.stiffness_nm_per_rad;
         /// Where that spring is relaxed, rad. Nominal: the model's.
-        spring_rest_rad: -1000.0, 1000.0;
+        spring_rest_rad: -1000.0, 1000.0 => joint.spring_ref_rad;
         /// Lower end stop, rad. Nominal: the model's.
-        low_rad: -ENDLESS_RAD, ENDLESS_RAD;
+        low_rad: -ENDLESS_RAD, ENDLESS_RAD => range(joint).0;
         /// Upper end stop, rad, not below the lower one. Nominal: the model's.
-        high_rad: -ENDLESS_RAD, ENDLESS_RAD;
+        high_rad: -ENDLESS_RAD, ENDLESS_RAD => range(joint).1;
         /// Steady rise of the winding's temperature per current squared, K/A². Nominal 0: stays cold.
-        thermal_rise_k_per_a2: 0.0, 1000.0;
+        thermal_rise_k_per_a2: 0.0, 1000.0 => 0.0;
         /// Time constant of the warming, s. Nominal 100.
-        thermal_time_s: 0.1, 1e5;
+        thermal_time_s: 0.1, 1e5 => 100.0;
         /// Growth of the winding's resistance, 1/K. Nominal 0.0039, copper.
-        resistance_per_k: 0.0, 0.1;
-    }
-}
-
-impl JointEffects {
-    /// The joint as the model has it.
-    #[must_use]
-    pub fn nominal(servo: &ServoParams, joint: &Joint) -> Self {
-        let (low_rad, high_rad) = range(joint);
-        Self {
-            command_skew_s: 0.0,
-            command_low_pass_s: 0.0,
-            profile_speed_radps: 0.0,
-            profile_acceleration_radps2: 0.0,
-            dead_band_rad: 0.0,
-            dead_band_jump: 0.0,
-            ki_nm_per_rad_s: 0.0,
-            loop_delay_s: 0.0,
-            speed_scale: 1.0,
-            brake_scale: 1.0,
-            winding_scale: 1.0,
-            kd_min_nms_per_rad: servo.kd_min_nm_s_per_rad as f32,
-            back_drive_kp_ratio: servo.back_drive_kp_ratio as f32,
-            torque_constant_nm_per_a: servo.torque_per_current_nm_per_a as f32,
-            current_dead_band_a: servo.current_dead_band_a as f32,
-            current_limit_a: servo.current_limit_a as f32,
-            braking_current_limit_a: 0.0,
-            stribeck_nm: servo.stribeck_nm as f32,
-            stribeck_speed_radps: servo.stribeck_speed_radps as f32,
-            load_friction_driving: servo.load_friction_driving as f32,
-            load_friction_driven: servo.load_friction_driven as f32,
-            load_stribeck: 0.0,
-            torque_saturation_per_nm: 0.0,
-            friction_asymmetry_nm: 0.0,
-            presliding_rad: PRESLIDING_RAD as f32,
-            ripple_nm: 0.0,
-            ripple_per_turn: 1.0,
-            ripple_phase_rad: 0.0,
-            gear_half_gap_rad: 0.0,
-            gear_stiffness_nm_per_rad: 0.0,
-            gear_damping_ratio: TOOTH_DAMPING_RATIO as f32,
-            spring_nm_per_rad: joint.stiffness_nm_per_rad as f32,
-            spring_rest_rad: joint.spring_ref_rad as f32,
-            low_rad,
-            high_rad,
-            thermal_rise_k_per_a2: 0.0,
-            thermal_time_s: 100.0,
-            resistance_per_k: 0.0039,
-        }
+        resistance_per_k: 0.0, 0.1 => 0.0039;
     }
 }
 
 effects! {
+    /// The hinge as the model has it.
+    (joint: &Joint)
     /// A hinge without a servo: passive, or play at a connection (whose stops are the lane's `backlash_half_width_rad`).
     pub struct HingeEffects {
         /// Spring, N·m/rad. Nominal: the model's.
-        spring_nm_per_rad: 0.0, 1e4;
+        spring_nm_per_rad: 0.0, 1e4 => joint.stiffness_nm_per_rad;
         /// Where it is relaxed, rad. Nominal: the model's.
-        spring_rest_rad: -1000.0, 1000.0;
+        spring_rest_rad: -1000.0, 1000.0 => joint.spring_ref_rad;
         /// Viscous damping, N·m·s/rad. Nominal: the model's.
-        damping_nms_per_rad: 0.0, 1e4;
+        damping_nms_per_rad: 0.0, 1e4 => joint.damping_nm_s_per_rad;
         /// Coulomb friction, N·m. Nominal: the model's.
-        friction_nm: 0.0, 1e4;
+        friction_nm: 0.0, 1e4 => joint.friction_loss_nm;
         /// Lower end stop, rad. Nominal: the model's.
-        low_rad: -ENDLESS_RAD, ENDLESS_RAD;
+        low_rad: -ENDLESS_RAD, ENDLESS_RAD => range(joint).0;
         /// Upper end stop, rad, not below the lower one. Nominal: the model's.
-        high_rad: -ENDLESS_RAD, ENDLESS_RAD;
-    }
-}
-
-impl HingeEffects {
-    /// The hinge as the model has it.
-    #[must_use]
-    pub fn nominal(joint: &Joint) -> Self {
-        let (low_rad, high_rad) = range(joint);
-        Self {
-            spring_nm_per_rad: joint.stiffness_nm_per_rad as f32,
-            spring_rest_rad: joint.spring_ref_rad as f32,
-            damping_nms_per_rad: joint.damping_nm_s_per_rad as f32,
-            friction_nm: joint.friction_loss_nm as f32,
-            low_rad,
-            high_rad,
-        }
+        high_rad: -ENDLESS_RAD, ENDLESS_RAD => range(joint).1;
     }
 }
 
 effects! {
+    /// Link `link` as the model has it; without water in the model, neutral.
+    (water: Option<&WaterParams>, link: usize)
     /// One link in water. Formulas: [`crate::water`].
     pub struct LinkWater {
         /// Factor on the link's buoyancy. Nominal 1.
-        buoyancy_scale: 0.0, 100.0;
+        buoyancy_scale: 0.0, 100.0 => 1.0;
         /// Centre of buoyancy, offset from the (nominal) centre of mass along the link's x, m. Nominal 0.
-        buoyancy_x_m: -1.0, 1.0;
+        buoyancy_x_m: -1.0, 1.0 => 0.0;
         /// The same along y.
-        buoyancy_y_m: -1.0, 1.0;
+        buoyancy_y_m: -1.0, 1.0 => 0.0;
         /// The same along z.
-        buoyancy_z_m: -1.0, 1.0;
+        buoyancy_z_m: -1.0, 1.0 => 0.0;
         /// Factor on linear drag, force and torque. Nominal 1.
-        linear_drag_scale: 0.0, 100.0;
+        linear_drag_scale: 0.0, 100.0 => 1.0;
         /// Factor on quadratic drag along the link's x. Nominal 1.
-        quadratic_drag_scale_x: 0.0, 100.0;
+        quadratic_drag_scale_x: 0.0, 100.0 => 1.0;
         /// The same along y.
-        quadratic_drag_scale_y: 0.0, 100.0;
+        quadratic_drag_scale_y: 0.0, 100.0 => 1.0;
         /// The same along z.
-        quadratic_drag_scale_z: 0.0, 100.0;
+        quadratic_drag_scale_z: 0.0, 100.0 => 1.0;
         /// Factor on the quadratic drag torque. Nominal 1.
-        quadratic_torque_scale: 0.0, 100.0;
+        quadratic_torque_scale: 0.0, 100.0 => 1.0;
         /// Damping of the vertical motion of the whole link under water, N·s/m. Nominal: the model's.
-        heave_damping_ns_per_m: 0.0, 1000.0;
+        heave_damping_ns_per_m: 0.0, 1000.0 => water.map_or(0.0, |w| w.heave_damping_ns_per_m);
         /// Added mass along the link's x, as a share of the displaced water. Nominal: the model's.
-        added_mass_x: 0.0, 20.0;
+        added_mass_x: 0.0, 20.0 => added(water, link).0[0];
         /// The same along y.
-        added_mass_y: 0.0, 20.0;
+        added_mass_y: 0.0, 20.0 => added(water, link).0[1];
         /// The same along z.
-        added_mass_z: 0.0, 20.0;
+        added_mass_z: 0.0, 20.0 => added(water, link).0[2];
         /// Added inertia about the link's x, as a share of the displaced water's own. Nominal: the model's.
-        added_inertia_x: 0.0, 20.0;
+        added_inertia_x: 0.0, 20.0 => added(water, link).1[0];
         /// The same about y.
-        added_inertia_y: 0.0, 20.0;
+        added_inertia_y: 0.0, 20.0 => added(water, link).1[1];
         /// The same about z.
-        added_inertia_z: 0.0, 20.0;
+        added_inertia_z: 0.0, 20.0 => added(water, link).1[2];
     }
 }
 
-impl LinkWater {
-    /// Link `link` as the model has it; without water in the model, neutral.
-    #[must_use]
-    pub fn nominal(water: Option<&WaterParams>, link: usize) -> Self {
-        let added = water.and_then(|w| w.added.get(link));
-        let mass = added.map_or([0.0; 3], |a| a.mass.map(|x| x as f32));
-        let inertia = added.map_or([0.0; 3], |a| a.inertia.map(|x| x as f32));
-        Self {
-            buoyancy_scale: 1.0,
-            buoyancy_x_m: 0.0,
-            buoyancy_y_m: 0.0,
-            buoyancy_z_m: 0.0,
-            linear_drag_scale: 1.0,
-            quadratic_drag_scale_x: 1.0,
-            quadratic_drag_scale_y: 1.0,
-            quadratic_drag_scale_z: 1.0,
-            quadratic_torque_scale: 1.0,
-            heave_damping_ns_per_m: water.map_or(0.0, |w| w.heave_damping_ns_per_m as f32),
-            added_mass_x: mass[0],
-            added_mass_y: mass[1],
-            added_mass_z: mass[2],
-            added_inertia_x: inertia[0],
-            added_inertia_y: inertia[1],
-            added_inertia_z: inertia[2],
-        }
-    }
+/// Added mass and inertia of a link along and about its axes.
+fn added(water: Option<&WaterParams>, link: usize) -> ([f64; 3], [f64; 3]) {
+    let added = water.and_then(|w| w.added.get(link));
+    added.map_or_else(Default::default, |a| (a.mass, a.inertia))
 }
 
 fn range(joint: &Joint) -> (f32, f32) {

@@ -2,6 +2,7 @@
 
 use caudata_model::RobotModel;
 
+use crate::error::check_len;
 use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 
 /// A batch of independent robots ("lanes"), stepped together by control periods.
@@ -66,4 +67,31 @@ pub trait Engine: Send {
     /// # Errors
     /// When the bytes are damaged or belong to another model, lane count, configuration or terrain.
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError>;
+}
+
+/// Values per lane of a wrench: force, torque.
+pub(crate) const WRENCH: usize = 6;
+
+/// What every engine checks before it is built.
+pub(crate) fn check_new(
+    model: &RobotModel,
+    config: &EngineConfig,
+    lanes: usize,
+    most_lanes: usize,
+) -> Result<(), SimError> {
+    config.validate()?;
+    crate::check_extension(model)?;
+    let expected = lanes.clamp(1, most_lanes);
+    check_len("lanes", lanes, expected)
+}
+
+/// What every engine checks of a step's arrays.
+pub(crate) fn check_step(
+    engine: &dyn Engine,
+    targets_rad: &[f32],
+    wrenches: &[f32],
+) -> Result<(), SimError> {
+    let (lanes, width) = (engine.lanes(), engine.model().actuated().len());
+    check_len("targets_rad", targets_rad.len(), lanes * width)?;
+    check_len("wrenches", wrenches.len(), lanes * WRENCH)
 }

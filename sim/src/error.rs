@@ -69,3 +69,21 @@ pub enum SimError {
         reason: String,
     },
 }
+
+pub(crate) fn check_len(what: &'static str, got: usize, expected: usize) -> Result<(), SimError> {
+    if got == expected {
+        return Ok(());
+    }
+    Err(SimError::Shape {
+        what,
+        got,
+        expected,
+    })
+}
+
+pub(crate) fn check_lane(lane: usize, lanes: usize) -> Result<(), SimError> {
+    if lane < lanes {
+        return Ok(());
+    }
+    Err(SimError::Lane { lane, lanes })
+}

@@ -15,16 +15,17 @@ pub mod effects;
 pub mod engine;
 pub mod error;
 pub mod extension;
-pub mod lanes;
 mod mobility;
 pub mod momenta;
 mod observe;
 pub mod params;
+pub mod per_lane;
 pub mod rapier;
 pub mod real;
 mod self_contact;
 pub mod sensors;
 pub(crate) mod simd;
+mod snapshot;
 pub mod state;
 pub mod stop;
 pub mod terrain;
@@ -63,20 +64,19 @@ pub fn build(
     threads: usize,
 ) -> Result<Box<dyn Engine>, SimError> {
     let terrain = Arc::new(Terrain::generate(terrain, seed)?);
+    macro_rules! engine {
+        ($engine:ty) => {
+            Ok(Box::new(<$engine>::new(
+                model,
+                lanes,
+                config.clone(),
+                terrain,
+                threads,
+            )?))
+        };
+    }
     match config.kind {
-        EngineKind::Batch => Ok(Box::new(batch::BatchEngine::new(
-            model,
-            lanes,
-            config.clone(),
-            terrain,
-            threads,
-        )?)),
-        EngineKind::Rapier => Ok(Box::new(rapier::RapierEngine::new(
-            model,
-            lanes,
-            config.clone(),
-            terrain,
-            threads,
-        )?)),
+        EngineKind::Batch => engine!(batch::BatchEngine),
+        EngineKind::Rapier => engine!(rapier::RapierEngine),
     }
 }

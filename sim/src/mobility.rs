@@ -5,7 +5,7 @@
 //! joint as it was built, and a payload does not change it.
 
 use caudata_model::pose::{cross, sub};
-use caudata_model::{BaseKind, JointKind, JointMotion, Pose, RobotModel};
+use caudata_model::{JointMotion, Kinematics, Pose, RobotModel};
 use nalgebra::{DMatrix, Matrix3};
 
 use crate::{EngineConfig, SimError};
@@ -31,17 +31,12 @@ impl Mobility {
         let refused = |e: caudata_model::ModelError| SimError::Model(e.to_string());
         let zero = vec![0.0; model.joints().len()];
         let places = model.kinematics(&Pose::IDENTITY, &zero).map_err(refused)?;
-        let base = if model.base() == BaseKind::Free && !config.fixed_base {
-            6
-        } else {
-            0
-        };
+        let base = if config.frees_base(model) { 6 } else { 0 };
         // column of each joint in the inertia
         let mut columns = vec![None; model.joints().len()];
         let mut size = base;
         for (j, joint) in model.joints().iter().enumerate() {
-            let held = joint.locked || config.lock_backlash && joint.kind == JointKind::Backlash;
-            if !held {
+            if !config.holds(joint) {
                 columns[j] = Some(size);
                 size += 1;
             }
@@ -49,41 +44,9 @@ impl Mobility {
         let mut inertia = DMatrix::<f64>::zeros(size, size);
         let mut jacobians = Vec::with_capacity(model.links().len());
         for (i, link) in model.links().iter().enumerate() {
-            let pose = &places.links[i];
-            let com = pose.point(link.com_m);
-            // rows: velocity of the centre of mass, angular velocity
-            let mut jacobian = DMatrix::<f64>::zeros(6, size);
-            let mut put = |column: usize, lin: [f64; 3], ang: [f64; 3]| {
-                for c in 0..3 {
-                    jacobian[(c, column)] = lin[c];
-                    jacobian[(3 + c, column)] = ang[c];
-                }
-            };
-            for c in 0..base {
-                let mut unit = [0.0; 3];
-                unit[c % 3] = 1.0;
-                if c < 3 {
-                    put(c, unit, [0.0; 3]);
-                } else {
-                    put(c, cross(unit, sub(com, places.links[0].pos_m)), unit);
-                }
-            }
-            let mut at = Some(i);
-            while let Some(k) = at {
-                for &j in &model.links()[k].joints {
-                    let Some(column) = columns[j] else { continue };
-                    let frame = &places.joints[j];
-                    match model.joints()[j].motion {
-                        JointMotion::Hinge => {
-                            let arm = sub(com, frame.anchor_m);
-                            put(column, cross(frame.axis, arm), frame.axis);
-                        }
-                        JointMotion::Slide => put(column, frame.axis, [0.0; 3]),
-                    }
-                }
-                at = model.links()[k].parent;
-            }
-            let turn = caudata_model::pose::rotate_tensor(pose.quat_wxyz, link.inertia_kgm2);
+            let jacobian = jacobian(model, &places, i, base, &columns, size);
+            let turn =
+                caudata_model::pose::rotate_tensor(places.links[i].quat_wxyz, link.inertia_kgm2);
             let own = Matrix3::from_fn(|r, c| turn[r][c]);
             let (lin, ang) = (jacobian.rows(0, 3), jacobian.rows(3, 3));
             inertia += link.mass_kg * lin.transpose() * lin + ang.transpose() * own * ang;
@@ -110,6 +73,50 @@ impl Mobility {
             .collect();
         Ok(Self { joints, links })
     }
+}
+
+/// How the coordinates move link `i`. Rows: velocity of its centre of mass, angular velocity; columns: `base` of the base, then the joints' `columns`.
+fn jacobian(
+    model: &RobotModel,
+    places: &Kinematics,
+    i: usize,
+    base: usize,
+    columns: &[Option<usize>],
+    size: usize,
+) -> DMatrix<f64> {
+    let com = places.links[i].point(model.links()[i].com_m);
+    let mut jacobian = DMatrix::<f64>::zeros(6, size);
+    let mut put = |column: usize, lin: [f64; 3], ang: [f64; 3]| {
+        for c in 0..3 {
+            jacobian[(c, column)] = lin[c];
+            jacobian[(3 + c, column)] = ang[c];
+        }
+    };
+    for c in 0..base {
+        let mut unit = [0.0; 3];
+        unit[c % 3] = 1.0;
+        if c < 3 {
+            put(c, unit, [0.0; 3]);
+        } else {
+            put(c, cross(unit, sub(com, places.links[0].pos_m)), unit);
+        }
+    }
+    let mut at = Some(i);
+    while let Some(k) = at {
+        for &j in &model.links()[k].joints {
+            let Some(column) = columns[j] else { continue };
+            let frame = &places.joints[j];
+            match model.joints()[j].motion {
+                JointMotion::Hinge => {
+                    let arm = sub(com, frame.anchor_m);
+                    put(column, cross(frame.axis, arm), frame.axis);
+                }
+                JointMotion::Slide => put(column, frame.axis, [0.0; 3]),
+            }
+        }
+        at = model.links()[k].parent;
+    }
+    jacobian
 }
 
 #[cfg(test)]

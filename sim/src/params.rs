@@ -8,6 +8,7 @@ pub use crate::drive::command::MAX_COMMAND_DELAY_S;
 pub use crate::drive::loop_delay::MAX_LOOP_DELAY_S;
 pub use crate::drive::loss::CommandLoss;
 pub use crate::effects::{EffectField, HingeEffects, JointEffects, LinkWater};
+use crate::error::check_len;
 
 /// Largest absolute position, velocity or angle an initial state may hold (m, m/s, rad, rad/s).
 const MAX_INITIAL: f32 = 1000.0;
@@ -143,91 +144,37 @@ impl LaneParams {
         let (a, l) = (model.actuated().len(), model.links().len());
         let offsets: Vec<f32> = self.com_offset_m.iter().flatten().copied().collect();
         let loss = &self.command_loss;
+        let (feet, play) = (model.feet().len(), backlash_joints(model).count());
+        #[rustfmt::skip]
         let checks: &[(&'static str, &[f32], usize, f32, f32)] = &[
             ("gravity_mps2", &self.gravity_mps2, 3, -1000.0, 1000.0),
             ("foot_friction", &[self.foot_friction], 1, 0.0, 10.0),
-            (
-                "foot_friction_scale",
-                &self.foot_friction_scale,
-                model.feet().len(),
-                0.0,
-                100.0,
-            ),
+            ("foot_friction_scale", &self.foot_friction_scale, feet, 0.0, 100.0),
             ("body_friction", &[self.body_friction], 1, 0.0, 10.0),
             ("link_mass_scale", &self.link_mass_scale, l, 0.01, 100.0),
-            (
-                "link_inertia_scale",
-                &self.link_inertia_scale,
-                l,
-                0.01,
-                100.0,
-            ),
+            ("link_inertia_scale", &self.link_inertia_scale, l, 0.01, 100.0),
             ("com_offset_m", &offsets, 3 * l, -1.0, 1.0),
             ("payload_kg", &[self.payload_kg], 1, 0.0, 1000.0),
             ("payload_m", &self.payload_m, 3, -10.0, 10.0),
             ("joint_friction_nm", &self.joint_friction_nm, a, 0.0, 100.0),
-            (
-                "joint_armature_kgm2",
-                &self.joint_armature_kgm2,
-                a,
-                0.0,
-                10.0,
-            ),
-            (
-                "joint_damping_nms_per_rad",
-                &self.joint_damping_nms_per_rad,
-                a,
-                0.0,
-                100.0,
-            ),
+            ("joint_armature_kgm2", &self.joint_armature_kgm2, a, 0.0, 10.0),
+            ("joint_damping_nms_per_rad", &self.joint_damping_nms_per_rad, a, 0.0, 100.0),
             ("kp_nm_per_rad", &self.kp_nm_per_rad, a, 0.0, 1000.0),
             ("kd_nms_per_rad", &self.kd_nms_per_rad, a, 0.0, 100.0),
             ("torque_scale", &self.torque_scale, a, 0.0, 100.0),
             ("supply_v", &[self.supply_v], 1, 0.1, 1000.0),
-            (
-                "supply_resistance_ohm",
-                &[self.supply_resistance_ohm],
-                1,
-                0.0,
-                100.0,
-            ),
+            ("supply_resistance_ohm", &[self.supply_resistance_ohm], 1, 0.0, 100.0),
             ("supply_lag_s", &[self.supply_lag_s], 1, 0.0, 10.0),
-            (
-                "command_delay_s",
-                &[self.command_delay_s],
-                1,
-                0.0,
-                MAX_COMMAND_DELAY_S,
-            ),
+            ("command_delay_s", &[self.command_delay_s], 1, 0.0, MAX_COMMAND_DELAY_S),
             ("command_loss.share", &[loss.share], 1, 0.0, 0.9),
             ("command_loss.burst", &[loss.burst], 1, 1.0, 100.0),
-            (
-                "water_level_offset_m",
-                &[self.water_level_offset_m],
-                1,
-                -100.0,
-                100.0,
-            ),
-            (
-                "water_current_mps",
-                &self.water_current_mps,
-                3,
-                -100.0,
-                100.0,
-            ),
+            ("water_level_offset_m", &[self.water_level_offset_m], 1, -100.0, 100.0),
+            ("water_current_mps", &self.water_current_mps, 3, -100.0, 100.0),
+            ("backlash_half_width_rad", &self.backlash_half_width_rad, play, 0.0, 1.0),
         ];
         for &(what, values, expected, low, high) in checks {
             check_values(what, values, expected, low, high, lane)?;
         }
-        let play = backlash_joints(model).count();
-        check_values(
-            "backlash_half_width_rad",
-            &self.backlash_half_width_rad,
-            play,
-            0.0,
-            1.0,
-            lane,
-        )?;
         check_effects("joints", &self.joints, a, JointEffects::wrong, lane)?;
         let hinges = unactuated(model).count();
         check_effects("hinges", &self.hinges, hinges, HingeEffects::wrong, lane)?;
@@ -331,21 +278,9 @@ fn check_effects<T>(
     wrong: impl Fn(&T) -> Option<(EffectField, f32)>,
     lane: usize,
 ) -> Result<(), SimError> {
-    if all.len() != expected {
-        return Err(SimError::Shape {
-            what,
-            got: all.len(),
-            expected,
-        });
-    }
+    check_len(what, all.len(), expected)?;
     match all.iter().find_map(wrong) {
-        Some((field, value)) => Err(SimError::Value {
-            what: field.name,
-            value,
-            lane,
-            low: field.low,
-            high: field.high,
-        }),
+        Some((field, value)) => check_values(field.name, &[value], 1, field.low, field.high, lane),
         None => Ok(()),
     }
 }
@@ -358,13 +293,7 @@ fn check_values(
     high: f32,
     lane: usize,
 ) -> Result<(), SimError> {
-    if values.len() != expected {
-        return Err(SimError::Shape {
-            what,
-            got: values.len(),
-            expected,
-        });
-    }
+    check_len(what, values.len(), expected)?;
     match values.iter().find(|v| !(low..=high).contains(*v)) {
         Some(&value) => Err(SimError::Value {
             what,

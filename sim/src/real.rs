@@ -117,11 +117,27 @@ impl Mask for bool {
 }
 
 macro_rules! one_lane {
+    (@own $float:ty; $($method:ident($($other:ident)?) -> $out:ty;)+) => {
+        $(#[inline(always)]
+        fn $method(self $(, $other: Self)?) -> $out {
+            <$float>::$method(self $(, $other)?)
+        })+
+    };
     ($float:ty) => {
         impl Real for $float {
             type Mask = bool;
             const LANES: usize = 1;
 
+            one_lane!(@own $float;
+                sqrt() -> Self;
+                abs() -> Self;
+                min(other) -> Self;
+                max(other) -> Self;
+                floor() -> Self;
+                sin_cos() -> (Self, Self);
+                exp() -> Self;
+                is_finite() -> bool;
+            );
             #[inline(always)]
             fn splat(value: f64) -> Self {
                 value as $float
@@ -140,44 +156,12 @@ macro_rules! one_lane {
                 self * a + b
             }
             #[inline(always)]
-            fn sqrt(self) -> Self {
-                <$float>::sqrt(self)
-            }
-            #[inline(always)]
-            fn abs(self) -> Self {
-                <$float>::abs(self)
-            }
-            #[inline(always)]
-            fn min(self, other: Self) -> Self {
-                <$float>::min(self, other)
-            }
-            #[inline(always)]
-            fn max(self, other: Self) -> Self {
-                <$float>::max(self, other)
-            }
-            #[inline(always)]
-            fn floor(self) -> Self {
-                <$float>::floor(self)
-            }
-            #[inline(always)]
-            fn sin_cos(self) -> (Self, Self) {
-                <$float>::sin_cos(self)
-            }
-            #[inline(always)]
-            fn exp(self) -> Self {
-                <$float>::exp(self)
-            }
-            #[inline(always)]
             fn lt(self, other: Self) -> bool {
                 self < other
             }
             #[inline(always)]
             fn le(self, other: Self) -> bool {
                 self <= other
-            }
-            #[inline(always)]
-            fn is_finite(self) -> bool {
-                <$float>::is_finite(self)
             }
             #[inline(always)]
             fn select(mask: bool, yes: Self, no: Self) -> Self {

@@ -22,7 +22,7 @@
 use caudata_model::{RobotModel, Shape};
 
 use crate::LaneParams;
-use crate::lanes::per_lane;
+use crate::per_lane::per_lane;
 use crate::real::Real;
 
 /// A link dips in over at least this height, m: thin plates would else jump.

@@ -37,7 +37,7 @@ pub fn run(command: &ConfigCommand) -> Result<(), Failure> {
             let rows = PRESETS
                 .iter()
                 .map(|preset| vec![preset.name.into(), preset.about.into()]);
-            say::table(&rows.collect::<Vec<_>>());
+            say::table(&[], rows);
             Ok(())
         }
     }

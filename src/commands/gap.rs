@@ -1,14 +1,11 @@
 //! `caudata gap`: measured data to divergence, named cause, extended model, gain.
 
-use std::path::{Path, PathBuf};
-
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
+use caudata_studies::diagnosis;
+use caudata_telemetry::{Failure, Process};
 use clap::Subcommand;
-use sha2::{Digest, Sha256};
 
-use super::{
-    gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_paper, gap_policies, gap_report,
-};
+use super::{gap_apply, gap_check, gap_diagnose, gap_excite, gap_import, gap_policies, gap_report};
+use crate::say::WithJson;
 
 #[derive(Debug, Subcommand)]
 pub enum GapCommand {
@@ -17,7 +14,7 @@ pub enum GapCommand {
     /// Turn recordings of other projects into log folders
     Import(gap_import::ImportArgs),
     /// Say where simulation and measurement part, why, and what it is worth to know
-    Diagnose(gap_diagnose::DiagnoseArgs),
+    Diagnose(WithJson<diagnosis::Plan>),
     /// Merge what a diagnosis found into a robot file
     Apply(gap_apply::ApplyArgs),
     /// Show a diagnosis again
@@ -28,7 +25,7 @@ pub enum GapCommand {
     Policies(gap_policies::PoliciesArgs),
     /// The pipeline of the paper on logs of a simulated robot: play, low-pass and weaker servos are found and drawn as the paper draws them, and policies
     /// trained without and with them are run on that robot
-    Paper(gap_paper::PaperArgs),
+    Paper(gap_policies::PaperArgs),
 }
 
 pub fn run(command: &GapCommand, process: &Process) -> Result<(), Failure> {
@@ -40,74 +37,6 @@ pub fn run(command: &GapCommand, process: &Process) -> Result<(), Failure> {
         GapCommand::Report(args) => gap_report::run(args),
         GapCommand::Excite(args) => gap_excite::run(args),
         GapCommand::Policies(args) => gap_policies::run(args, process),
-        GapCommand::Paper(args) => gap_paper::run(args, process),
+        GapCommand::Paper(args) => gap_policies::paper(args, process),
     }
-}
-
-/// The log folders that were named: each is one, or holds some (a folder of repeats).
-///
-/// # Errors
-/// When a folder is missing or holds no log.
-pub fn log_folders(given: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
-    let mut out = Vec::new();
-    for dir in given {
-        if is_log(dir) {
-            out.push(dir.clone());
-            continue;
-        }
-        let entries = std::fs::read_dir(dir).map_err(|e| {
-            Failure::new(ExitCode::of_io(&e, false), e).context(format!("log {}", dir.display()))
-        })?;
-        let mut inside: Vec<PathBuf> = entries
-            .filter_map(|e| Some(e.ok()?.path()))
-            .filter(|p| is_log(p))
-            .collect();
-        inside.sort();
-        if inside.is_empty() {
-            return Err(Failure::message(
-                ExitCode::NoInput,
-                format!(
-                    "{} is no log folder and holds none (log.csv and log.toml)",
-                    dir.display()
-                ),
-            )
-            .hint("`caudata gap import` makes log folders from other recordings"));
-        }
-        out.extend(inside);
-    }
-    Ok(out)
-}
-
-/// Of a file, in hexadecimal.
-///
-/// # Errors
-/// When it cannot be read.
-pub fn file_sha256(path: &Path) -> Result<String, Failure> {
-    let bytes = std::fs::read(path).map_err(|e| {
-        Failure::new(ExitCode::of_io(&e, false), e)
-            .context(format!("cannot read {}", path.display()))
-    })?;
-    let hash = Sha256::digest(bytes);
-    Ok(hash.iter().map(|b| format!("{b:02x}")).collect())
-}
-
-/// The bytes of a robot file, and name and bytes of the MJCF beside it.
-///
-/// # Errors
-/// When one cannot be read.
-pub fn robot_files(path: &Path) -> Result<(Vec<u8>, String, Vec<u8>), Failure> {
-    let read = |path: &Path| {
-        std::fs::read(path).map_err(|e| {
-            Failure::new(ExitCode::of_io(&e, false), e).context(path.display().to_string())
-        })
-    };
-    let robot_toml = read(path)?;
-    let mjcf_name = caudata_gap::mjcf_name(&String::from_utf8_lossy(&robot_toml))
-        .or_exit(ExitCode::BadInput)?;
-    let mjcf = read(&path.with_file_name(&mjcf_name))?;
-    Ok((robot_toml, mjcf_name, mjcf))
-}
-
-fn is_log(dir: &Path) -> bool {
-    dir.join(caudata_runlog::META_NAME).is_file()
 }

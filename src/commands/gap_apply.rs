@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use caudata_gap::extension;
+use caudata_studies::diagnosis::{EXTENDED, robot_files};
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
 use clap::Args;
 use serde_json::json;
 
-use super::gap::robot_files;
-use super::robot_model;
 use crate::say;
 
 #[derive(Debug, Args)]
@@ -31,9 +31,9 @@ pub struct ApplyArgs {
 }
 
 pub fn run(args: &ApplyArgs) -> Result<(), Failure> {
-    let robot = robot_model::load(&args.robot)?;
+    let robot = files::robot(&args.robot)?;
     let (robot_toml, mjcf_name, mjcf) = robot_files(&args.robot)?;
-    let found = robot_model::load(&args.diagnosis.join("extended.robot.toml"))?;
+    let found = files::robot(&args.diagnosis.join(EXTENDED))?;
     let Some(extension) = found.extension() else {
         return Err(Failure::message(
             ExitCode::BadInput,
@@ -53,13 +53,7 @@ pub fn run(args: &ApplyArgs) -> Result<(), Failure> {
     let text = String::from_utf8_lossy(&robot_toml);
     let extended =
         extension::append(extension, &text).map_err(|e| Failure::new(ExitCode::BadInput, e))?;
-    let put = |path: &PathBuf, bytes: &[u8]| {
-        std::fs::write(path, bytes).map_err(|e| {
-            Failure::new(ExitCode::of_io(&e, true), e)
-                .context(format!("cannot write {}", path.display()))
-        })
-    };
-    put(&args.out, extended.as_bytes())?;
+    files::write(&args.out, extended)?;
     let beside = args.out.with_file_name(&mjcf_name);
     // in the robot's own folder it is there already
     if std::fs::read(&beside).ok().as_deref() != Some(&mjcf[..]) {
@@ -70,9 +64,9 @@ pub fn run(args: &ApplyArgs) -> Result<(), Failure> {
             )
             .hint("choose another folder for --out"));
         }
-        put(&beside, &mjcf)?;
+        files::write(&beside, &mjcf)?;
     }
-    let made = robot_model::load(&args.out)?;
+    let made = files::robot(&args.out)?;
     let effects: Vec<&str> = extension.effect.iter().map(|e| e.id.as_str()).collect();
     if args.json {
         return say::json(

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
-use caudata_gap::check::{CheckVerdict, Checked, check_dirs};
+use caudata_gap::check::{CheckVerdict, Checked, JointExcitation, RunCheck, check_dirs};
+use caudata_studies::diagnosis::log_folders;
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
 use clap::Args;
 
-use super::gap::log_folders;
-use super::robot_model;
+use super::gap_report;
 use crate::say;
 
 #[derive(Debug, Args)]
@@ -24,14 +25,10 @@ pub struct CheckArgs {
 }
 
 pub fn run(args: &CheckArgs) -> Result<(), Failure> {
-    let robot = robot_model::load(&args.robot)?;
+    let robot = files::robot(&args.robot)?;
     let dirs = log_folders(&args.logs)?;
     let (_, checked) = check_dirs(&dirs, &robot);
-    if args.json {
-        say::json(&checked)?;
-    } else {
-        print(&checked);
-    }
+    say::either(args.json, &checked, print)?;
     match checked.verdict {
         CheckVerdict::Ok => Ok(()),
         CheckVerdict::DataFault => {
@@ -43,7 +40,7 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
 }
 
 fn print(checked: &Checked) {
-    let mut rows = vec![row(&[
+    let head = [
         "run",
         "rows",
         "s",
@@ -53,79 +50,63 @@ fn print(checked: &Checked) {
         "fastest rad/s",
         "band Hz",
         "logged",
-    ])];
-    for run in &checked.runs {
-        let e = &run.excites;
-        let fastest = e
-            .joints
-            .iter()
-            .map(|j| j.speed_max_radps)
-            .fold(0.0, f64::max);
-        let low = e
-            .joints
-            .iter()
-            .map(|j| j.band_hz[0])
-            .filter(|f| *f > 0.0)
-            .fold(f64::INFINITY, f64::min);
-        let high = e.joints.iter().map(|j| j.band_hz[1]).fold(0.0, f64::max);
-        let kinds: Vec<&str> = e.channels.keys().map(String::as_str).collect();
-        rows.push(row(&[
-            &run.name,
-            &run.rows.to_string(),
-            &format!("{:.1}", e.duration_s),
-            &format!("{:.0}", run.rate_hz),
-            &format!("{:?}", e.base).to_lowercase(),
-            &e.joints.len().to_string(),
-            &format!("{fastest:.2}"),
-            &if high > 0.0 {
-                format!("{low:.1} to {high:.1}")
-            } else {
-                "rests".to_owned()
-            },
-            &kinds.join(" "),
-        ]));
-    }
-    say::table(&rows);
+    ];
+    say::table(&head, checked.runs.iter().map(row));
     let repeated = checked.repeats.iter().filter(|g| g.len() > 1).count();
+    let guessed = match repeated == 0 && checked.runs.len() > 1 {
+        true => ": without repeats the noise must be guessed",
+        false => "",
+    };
+    let trials = checked.repeats.len();
     say::line(format!(
-        "\n{} trial(s), {repeated} of them repeated{}",
-        checked.repeats.len(),
-        if repeated == 0 && checked.runs.len() > 1 {
-            ": without repeats the noise must be guessed"
-        } else {
-            ""
-        }
+        "\n{trials} trial(s), {repeated} of them repeated{guessed}"
     ));
     if checked.faults.is_empty() {
         say::line("no fault found");
     }
-    for f in &checked.faults {
-        let word = if f.fatal { "FAULT" } else { "note " };
-        say::line(format!("{word} {}: {}: {}", f.kind, f.location, f.detail));
+    gap_report::faults(&checked.faults);
+    if checked.cannot_tell.is_empty() {
+        return;
     }
-    if !checked.cannot_tell.is_empty() {
-        say::line(
-            "\nCannot show in these runs (and the trial of `caudata gap excite` that would show it):",
-        );
-        let mut by_need: Vec<(String, Vec<&str>)> = Vec::new();
-        for (effect, blind) in &checked.cannot_tell {
-            let trial = if blind.record.is_empty() {
-                String::new()
-            } else {
-                format!(" [{}]", blind.record)
-            };
-            let need = format!("{}{trial}", blind.missing);
-            match by_need.iter_mut().find(|n| n.0 == need) {
-                Some(n) => n.1.push(effect),
-                None => by_need.push((need, vec![effect])),
-            }
+    say::line(
+        "\nCannot show in these runs (and the trial of `caudata gap excite` that would show it):",
+    );
+    let mut by_need: Vec<(String, Vec<&str>)> = Vec::new();
+    for (effect, blind) in &checked.cannot_tell {
+        let need = match blind.record.is_empty() {
+            true => blind.missing.clone(),
+            false => format!("{} [{}]", blind.missing, blind.record),
+        };
+        match by_need.iter_mut().find(|n| n.0 == need) {
+            Some(n) => n.1.push(effect),
+            None => by_need.push((need, vec![effect])),
         }
-        for (need, effects) in by_need {
-            say::line(format!("  {}: needs {need}", effects.join(", ")));
-        }
+    }
+    for (need, effects) in by_need {
+        say::line(format!("  {}: needs {need}", effects.join(", ")));
     }
 }
 
-fn row(cells: &[&str]) -> Vec<String> {
-    cells.iter().map(|c| (*c).to_owned()).collect()
+fn row(run: &RunCheck) -> Vec<String> {
+    let e = &run.excites;
+    let most =
+        |value: &dyn Fn(&JointExcitation) -> f64| e.joints.iter().map(value).fold(0.0, f64::max);
+    let high = most(&|j| j.band_hz[1]);
+    let low = e.joints.iter().map(|j| j.band_hz[0]);
+    let low = low.filter(|f| *f > 0.0).fold(f64::INFINITY, f64::min);
+    let kinds: Vec<&str> = e.channels.keys().map(String::as_str).collect();
+    vec![
+        run.name.clone(),
+        run.rows.to_string(),
+        format!("{:.1}", e.duration_s),
+        format!("{:.0}", run.rate_hz),
+        format!("{:?}", e.base).to_lowercase(),
+        e.joints.len().to_string(),
+        format!("{:.2}", most(&|j| j.speed_max_radps)),
+        match high > 0.0 {
+            true => format!("{low:.1} to {high:.1}"),
+            false => "rests".to_owned(),
+        },
+        kinds.join(" "),
+    ]
 }

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use caudata_gap::import::{ImportError, bam};
 use caudata_runlog::LogError;
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use super::robot_model;
 use crate::say;
 
 #[derive(Debug, Args)]
@@ -37,7 +37,7 @@ enum Format {
 }
 
 pub fn run(args: &ImportArgs) -> Result<(), Failure> {
-    let robot = robot_model::load(&args.robot)?;
+    let robot = files::robot(&args.robot)?;
     let mut folders = Vec::new();
     let mut notes = Vec::new();
     for file in &args.files {

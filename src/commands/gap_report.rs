@@ -3,11 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use caudata_gap::page;
-use caudata_gap::report::Report;
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_gap::report::{Cause, DataFault, Report, Verdict};
+use caudata_model::RobotModel;
+use caudata_studies::diagnosis::{EXTENDED, PLOTS, REPORT};
+use caudata_studies::files;
+use caudata_telemetry::Failure;
 use clap::Args;
 
-use crate::say;
+use crate::say::{self, short};
 
 #[derive(Debug, Args)]
 pub struct ReportArgs {
@@ -23,111 +26,70 @@ pub struct ReportArgs {
 }
 
 pub fn run(args: &ReportArgs) -> Result<(), Failure> {
-    let report: Report = read(&args.folder.join("report.json"))?;
+    let report: Report = files::read_json(&args.folder.join(REPORT))?;
     if let Some(path) = &args.html {
-        let plots = read(&args.folder.join("plots.json")).ok();
+        let plots = files::read_json(&args.folder.join(PLOTS)).ok();
         let robot = robot_name(&args.folder);
-        std::fs::write(path, page::render(&robot, &report, plots.as_ref())).map_err(|e| {
-            Failure::new(ExitCode::of_io(&e, true), e)
-                .context(format!("cannot write {}", path.display()))
-        })?;
+        files::write(path, page::render(&robot, &report, plots.as_ref()))?;
     }
-    if args.json {
-        return say::json(&report);
-    }
-    print(&report);
-    Ok(())
-}
-
-fn read<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
-    let bytes = std::fs::read(path).map_err(|e| {
-        Failure::new(ExitCode::of_io(&e, false), e).context(path.display().to_string())
-    })?;
-    serde_json::from_slice(&bytes).or_exit_with(ExitCode::BadInput, || path.display().to_string())
+    say::either(args.json, &report, print)
 }
 
 fn robot_name(folder: &Path) -> String {
-    let robot = caudata_model::RobotModel::load(&folder.join("extended.robot.toml"));
+    let robot = RobotModel::load(&folder.join(EXTENDED));
     robot.map_or_else(|_| "robot".to_owned(), |r| r.name().to_owned())
+}
+
+/// A verdict as `report.json` has it.
+pub fn word(verdict: &Verdict) -> String {
+    let word = serde_json::to_value(verdict).unwrap_or_default();
+    word.as_str().unwrap_or_default().to_owned()
+}
+
+/// Faults of the data, a line each.
+pub fn faults(faults: &[DataFault]) {
+    for f in faults {
+        let word = if f.fatal { "FAULT" } else { "note " };
+        say::line(format!("{word} {}: {}: {}", f.kind, f.location, f.detail));
+    }
 }
 
 /// The report in words.
 pub fn print(report: &Report) {
     say::line(format!("\n{:?}: {}", report.verdict, report.summary));
-    for fault in &report.data_faults {
-        let word = if fault.fatal { "FAULT" } else { "note " };
-        say::line(format!(
-            "{word} {}: {}: {}",
-            fault.kind, fault.location, fault.detail
-        ));
-    }
-    for (i, cause) in report.causes.iter().enumerate() {
-        say::line(format!(
-            "\n{}. {} at {}, confidence {:.0} %",
-            i + 1,
-            cause.effect,
-            place(&cause.location),
-            100.0 * cause.confidence
-        ));
-        for (name, p) in &cause.parameters {
-            let bound = if p.at_bound {
-                ", at its bound: no result"
-            } else {
-                ""
-            };
-            say::line(format!(
-                "   {name} = {} {} ({} to {}{bound})",
-                short(p.value),
-                p.unit,
-                short(p.ci_low),
-                short(p.ci_high)
-            ));
-        }
-        if !cause.alternatives.is_empty() {
-            say::line(format!("   as good: {}", cause.alternatives.join(", ")));
-        }
-        for place in &cause.elsewhere {
-            say::line(format!("   as good: at {}", place.join(", ")));
-        }
-        for text in &cause.evidence {
-            say::line(format!("   {text}"));
-        }
+    faults(&report.data_faults);
+    for (i, found) in report.causes.iter().enumerate() {
+        cause(i + 1, found);
     }
     for s in &report.leads {
-        let values: Vec<String> = (s.parameters.iter())
-            .map(|(name, p)| {
-                format!("{name} = {} {}", short(p.value), p.unit)
-                    .trim_end()
-                    .to_owned()
-            })
-            .collect();
+        let values = s.parameters.iter().map(|(name, p)| {
+            let value = format!("{name} = {} {}", short(p.value), p.unit);
+            value.trim_end().to_owned()
+        });
         say::line(format!(
             "\na lead, in the model and no finding: {} at {}, {}",
             s.effect,
             place(&s.location),
-            values.join(", ")
+            values.collect::<Vec<_>>().join(", ")
         ));
         for text in s.evidence.iter().take(1) {
             say::line(format!("   {text}"));
         }
     }
     if !report.gain.is_empty() {
-        let mut rows = vec![
-            ["held-out error", "as given", "extended", "ratio", "95 %"]
-                .map(str::to_owned)
-                .to_vec(),
-        ];
-        for (signal, g) in &report.gain {
-            rows.push(vec![
-                signal.clone(),
-                short(g.before),
-                short(g.after),
-                format!("{:.3}", g.ratio),
-                format!("{:.3} to {:.3}", g.ci_low, g.ci_high),
-            ]);
-        }
         say::line("");
-        say::table(&rows);
+        say::table(
+            &["held-out error", "as given", "extended", "ratio", "95 %"],
+            report.gain.iter().map(|(signal, g)| {
+                vec![
+                    signal.clone(),
+                    short(g.before),
+                    short(g.after),
+                    format!("{:.3}", g.ratio),
+                    format!("{:.3} to {:.3}", g.ci_low, g.ci_high),
+                ]
+            }),
+        );
     }
     for u in &report.unexplained {
         say::line(format!("left over at {}: {}", u.location, u.description));
@@ -142,6 +104,37 @@ pub fn print(report: &Report) {
     ));
 }
 
+fn cause(number: usize, cause: &Cause) {
+    say::line(format!(
+        "\n{number}. {} at {}, confidence {:.0} %",
+        cause.effect,
+        place(&cause.location),
+        100.0 * cause.confidence
+    ));
+    for (name, p) in &cause.parameters {
+        let bound = match p.at_bound {
+            true => ", at its bound: no result",
+            false => "",
+        };
+        say::line(format!(
+            "   {name} = {} {} ({} to {}{bound})",
+            short(p.value),
+            p.unit,
+            short(p.ci_low),
+            short(p.ci_high)
+        ));
+    }
+    if !cause.alternatives.is_empty() {
+        say::line(format!("   as good: {}", cause.alternatives.join(", ")));
+    }
+    for place in &cause.elsewhere {
+        say::line(format!("   as good: at {}", place.join(", ")));
+    }
+    for text in &cause.evidence {
+        say::line(format!("   {text}"));
+    }
+}
+
 /// Where a cause is.
 fn place(location: &[String]) -> String {
     if location.is_empty() {
@@ -149,13 +142,4 @@ fn place(location: &[String]) -> String {
     } else {
         location.join(", ")
     }
-}
-
-/// Four significant digits.
-fn short(x: f64) -> String {
-    if x == 0.0 || !x.is_finite() {
-        return format!("{x}");
-    }
-    let decimals = (3 - x.abs().log10().floor() as i32).clamp(0, 9) as usize;
-    format!("{x:.decimals$}")
 }

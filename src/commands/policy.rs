@@ -2,15 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use caudata_evaluation::Summary;
+use caudata_evaluation::{Line, Summary};
 use caudata_policy::PolicyFile;
-use caudata_proto::registry::{LabelName, Manifest, QuarantineState, StreamName};
-use caudata_registry_client::{ClientError, RegistryClient};
+use caudata_proto::registry::{LabelName, Manifest, QuarantineState};
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
-use clap::{Args, Subcommand};
+use clap::Subcommand;
 use serde_json::json;
 
-use crate::commands::eval::read_policy;
+use crate::commands::policy_calls::{ServerArgs, as_json};
+pub use crate::commands::policy_calls::{block_on, hex};
 use crate::commands::{policy_people, policy_sign};
 use crate::say;
 
@@ -74,19 +75,6 @@ pub enum PolicyCommand {
     },
 }
 
-#[derive(Debug, Args)]
-pub struct ServerArgs {
-    /// Address of the policy server
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7401")]
-    server: String,
-    /// Stream of policies: a run's id unless the run chose another name; all streams when absent
-    #[arg(long)]
-    stream: Option<String>,
-    /// Certificates for an https:// address: folder with ca.crt, tls.crt and tls.key
-    #[arg(long, value_name = "DIR", env = "CAUDATA_TLS_DIR")]
-    tls_dir: Option<PathBuf>,
-}
-
 pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
     match command {
         PolicyCommand::List {
@@ -105,7 +93,7 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
             file: Some(file),
             json,
             ..
-        } => show(file, &read_policy(file)?, *json),
+        } => show(file, &files::policy(file)?, *json),
         PolicyCommand::Show {
             file: None,
             server,
@@ -119,59 +107,6 @@ pub fn run(command: &PolicyCommand) -> Result<(), Failure> {
             out,
             json,
         } => pull(server, *version, out, *json),
-    }
-}
-
-/// Runs a few calls to a policy server.
-pub fn block_on<T>(work: impl Future<Output = Result<T, ClientError>>) -> Result<T, Failure> {
-    tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .or_exit(ExitCode::OsResource)?
-        .block_on(work)
-        .map_err(client_failure)
-}
-
-/// The exit code that a client error stands for.
-pub fn client_failure(error: ClientError) -> Failure {
-    let code = match &error {
-        ClientError::Address { .. } | ClientError::Certificates { .. } => ExitCode::BadConfig,
-        _ if error.is_not_found() => ExitCode::NoInput,
-        ClientError::Unreachable { .. } => ExitCode::Unavailable,
-        _ if error.is_lost_race() => ExitCode::TempFail,
-        ClientError::TimedOut { .. } | ClientError::TooSlow => ExitCode::TempFail,
-        ClientError::BadAnswer(_)
-        | ClientError::OtherQuestion(_)
-        | ClientError::WrongBytes { .. } => ExitCode::Protocol,
-        ClientError::Refused { .. } => ExitCode::Unavailable,
-    };
-    Failure::new(code, error)
-}
-
-impl ServerArgs {
-    /// The stream, where one was given.
-    pub fn stream(&self) -> Result<Option<StreamName>, Failure> {
-        self.stream
-            .as_deref()
-            .map(StreamName::new)
-            .transpose()
-            .or_exit(ExitCode::BadConfig)
-    }
-
-    /// The stream, which must have been given.
-    pub fn one_stream(&self) -> Result<StreamName, Failure> {
-        self.stream()?.ok_or_else(|| {
-            Failure::message(
-                ExitCode::BadConfig,
-                "which stream? `caudata policy list` shows them",
-            )
-            .hint("add --stream NAME")
-        })
-    }
-
-    /// A client of the server.
-    pub fn client(&self) -> Result<RegistryClient, ClientError> {
-        RegistryClient::with_tls(&self.server, self.tls_dir.as_deref())
     }
 }
 
@@ -193,50 +128,20 @@ fn list(server: &ServerArgs, limit: u32, json: bool) -> Result<(), Failure> {
         }
         marks
     };
+    let policies = page.manifests.iter().map(|m| {
+        let mut object = as_json(m);
+        object["labels"] = json!(marks(m));
+        object
+    });
+    let policies: Vec<_> = policies.collect();
     if json {
-        let policies = page.manifests.iter().map(|m| {
-            let mut object = as_json(m);
-            object["labels"] = json!(marks(m));
-            object
-        });
-        let policies: Vec<_> = policies.collect();
         return say::json(&json!({ "policies": policies, "more": page.more }));
     }
-    let mut rows = vec![
-        ["stream", "version", "sha256", "bytes", "steps", "labels"]
-            .map(String::from)
-            .to_vec(),
-    ];
-    rows.extend(page.manifests.iter().map(|m| {
-        let hash = hex(&m.sha256);
-        vec![
-            m.stream.to_string(),
-            m.version.to_string(),
-            hash[..12].to_owned(),
-            m.size.to_string(),
-            m.env_steps.to_string(),
-            marks(m).join(" "),
-        ]
-    }));
-    say::table(&rows);
+    say::records(&policies, "stream version sha256 bytes env_steps labels");
     if page.more {
         say::line("… and older ones; --limit shows more");
     }
     Ok(())
-}
-
-/// What a manifest says.
-pub fn as_json(manifest: &Manifest) -> serde_json::Value {
-    json!({
-        "stream": manifest.stream.as_str(),
-        "version": manifest.version,
-        "sha256": hex(&manifest.sha256),
-        "bytes": manifest.size,
-        "run_id": manifest.run_id,
-        "env_steps": manifest.env_steps,
-        "robot": manifest.robot_name,
-        "created_unix_ms": manifest.created_unix_ms,
-    })
 }
 
 fn show(path: &Path, policy: &PolicyFile, json: bool) -> Result<(), Failure> {
@@ -293,26 +198,25 @@ fn show(path: &Path, policy: &PolicyFile, json: bool) -> Result<(), Failure> {
 }
 
 fn show_evaluation(summary: &Summary) {
-    let header = ["evaluated", "command", "achieved", "falls", "power W", ""];
-    let mut rows = vec![header.map(String::from).to_vec()];
     let velocity = |v: [f64; 3]| v.map(|x| format!("{x:.2}")).join(" ");
-    for line in &summary.scenarios {
+    let row = |line: &Line| {
         let verdict = match (line.walks, line.reached) {
             (Some(true), _) => "walks".to_owned(),
             (Some(false), _) => format!("does not walk: {}", line.missed.join("; ")),
             (None, Some(reached)) => format!("gets there in {:.1} %", 100.0 * reached),
             (None, None) => String::new(),
         };
-        rows.push(vec![
+        vec![
             line.name.clone(),
             velocity(line.command),
             velocity(line.achieved),
             format!("{:.1} %", 100.0 * line.fall_share),
             format!("{:.1}", line.power_w),
             verdict,
-        ]);
-    }
-    say::table(&rows);
+        ]
+    };
+    let head = ["evaluated", "command", "achieved", "falls", "power W", ""];
+    say::table(&head, summary.scenarios.iter().map(row));
     if let Some([met, of]) = summary.targets_met {
         say::line(format!("{met} of {of} targets met"));
     }
@@ -320,7 +224,24 @@ fn show_evaluation(summary: &Summary) {
 
 fn show_joints(policy: &PolicyFile) {
     let contract = &policy.metadata().contract;
-    let header = [
+    let row = |(i, name): (usize, &String)| {
+        let number = |values: &[f32]| values.get(i).map_or(String::new(), |x| format!("{x:.3}"));
+        let std: Vec<f32> = policy.metadata().log_std.iter().map(|x| x.exp()).collect();
+        let mut row = vec![i.to_string(), name.clone()];
+        row.extend(
+            [
+                &contract.nominal_pos_rad,
+                &contract.lower_limit_rad,
+                &contract.upper_limit_rad,
+                &contract.kp_nm_per_rad,
+                &contract.kd_nm_s_per_rad,
+                &std,
+            ]
+            .map(|values| number(values)),
+        );
+        row
+    };
+    let head = [
         "#",
         "joint",
         "nominal rad",
@@ -330,44 +251,21 @@ fn show_joints(policy: &PolicyFile) {
         "Kd",
         "exploration",
     ];
-    let mut rows = vec![header.map(String::from).to_vec()];
-    for (i, name) in contract.joint_names.iter().enumerate() {
-        let number = |values: &[f32]| values.get(i).map_or(String::new(), |x| format!("{x:.3}"));
-        let std = policy
-            .metadata()
-            .log_std
-            .get(i)
-            .map_or(String::new(), |x| format!("{:.3}", x.exp()));
-        rows.push(vec![
-            i.to_string(),
-            name.clone(),
-            number(&contract.nominal_pos_rad),
-            number(&contract.lower_limit_rad),
-            number(&contract.upper_limit_rad),
-            number(&contract.kp_nm_per_rad),
-            number(&contract.kd_nm_s_per_rad),
-            std,
-        ]);
-    }
-    say::table(&rows);
+    say::table(&head, contract.joint_names.iter().enumerate().map(row));
 }
 
 fn show_layout(policy: &PolicyFile) {
-    let mut rows = vec![
-        ["start", "size", "observation", "unit", "frame"]
-            .map(String::from)
-            .to_vec(),
-    ];
-    for slice in policy.metadata().contract.observation.slices() {
-        rows.push(vec![
+    let slices = policy.metadata().contract.observation.slices();
+    let rows = slices.iter().map(|slice| {
+        vec![
             slice.start.to_string(),
             slice.len.to_string(),
             slice.name.to_string(),
             slice.unit.to_string(),
             slice.frame.to_string(),
-        ]);
-    }
-    say::table(&rows);
+        ]
+    });
+    say::table(&["start", "size", "observation", "unit", "frame"], rows);
 }
 
 fn pull(
@@ -384,22 +282,12 @@ fn pull(
         Ok((manifest, bytes))
     })?;
     let policy = PolicyFile::parse(bytes.into()).or_exit(ExitCode::BadInput)?;
-    caudata_durable::replace(out, policy.bytes()).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot write {}", out.display())
-    })?;
-    if json {
-        return say::json(&as_json(&manifest));
-    }
-    say::line(format!(
-        "version {} ({}) is in {}",
-        manifest.version,
-        policy.sha256_hex(),
-        out.display()
-    ));
-    Ok(())
-}
-
-/// Bytes as lower-case hexadecimal.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    files::write_whole(out, policy.bytes())?;
+    say::either(json, &as_json(&manifest), |_| {
+        let (version, out) = (manifest.version, out.display());
+        say::line(format!(
+            "version {version} ({}) is in {out}",
+            policy.sha256_hex()
+        ));
+    })
 }

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use caudata_proto::registry::{LabelName, Manifest, Overview, SetLabel, reverting};
+use caudata_proto::registry::{AuditEntry, LabelName, Manifest, Overview, SetLabel, reverting};
 use caudata_registry_client::ClientError;
 use caudata_signing::ReleaseKey;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use serde_json::json;
 
-use crate::commands::policy::{ServerArgs, as_json, block_on, hex};
+use crate::commands::policy_calls::{ServerArgs, as_json, block_on, hex};
 use crate::say;
 
 /// Flags of `label`.
@@ -127,42 +127,24 @@ fn show_labels(args: &LabelArgs) -> Result<(), Failure> {
         .iter()
         .filter(|s| wanted(&s.label))
         .collect();
-    if args.json {
-        let labels: Vec<_> = labels
-            .iter()
-            .map(|s| {
-                json!({
-                    "stream": s.stream.as_str(), "label": s.label.as_str(), "version": s.version, "by": s.by,
-                    "override_reason": s.override_reason,
-                })
+    let labels: Vec<_> = labels
+        .iter()
+        .map(|s| {
+            let mut out = overview.quarantined.iter();
+            json!({
+                "stream": s.stream.as_str(), "label": s.label.as_str(), "version": s.version, "by": s.by,
+                "override_reason": s.override_reason,
+                "quarantined": out.any(|q| q.stream == s.stream && q.version == s.version),
             })
-            .collect();
+        })
+        .collect();
+    if args.json {
         return say::json(&json!({ "labels": labels }));
     }
-    let mut rows = vec![
-        ["stream", "label", "version", "moved by", ""]
-            .map(String::from)
-            .to_vec(),
-    ];
-    rows.extend(labels.iter().map(|s| {
-        let out = overview
-            .quarantined
-            .iter()
-            .any(|q| q.stream == s.stream && q.version == s.version);
-        let note = match (&s.override_reason, out) {
-            (_, true) => "quarantined: leads nowhere".to_owned(),
-            (Some(reason), _) => format!("overridden: {reason}"),
-            (None, _) => String::new(),
-        };
-        vec![
-            s.stream.to_string(),
-            s.label.to_string(),
-            s.version.to_string(),
-            s.by.clone(),
-            note,
-        ]
-    }));
-    say::table(&rows);
+    say::records(
+        &labels,
+        "stream label version by override_reason quarantined",
+    );
     Ok(())
 }
 
@@ -234,12 +216,7 @@ pub fn audit(args: &AuditArgs) -> Result<(), Failure> {
             .collect();
         return say::json(&json!({ "entries": entries }));
     }
-    let mut rows = vec![
-        ["#", "when, UTC", "who", "what", "stream", "version", ""]
-            .map(String::from)
-            .to_vec(),
-    ];
-    rows.extend(entries.iter().map(|e| {
+    let row = |e: &AuditEntry| {
         vec![
             e.number.to_string(),
             utc(e.unix_ms),
@@ -249,8 +226,9 @@ pub fn audit(args: &AuditArgs) -> Result<(), Failure> {
             e.version.to_string(),
             e.detail.clone(),
         ]
-    }));
-    say::table(&rows);
+    };
+    let head = ["#", "when, UTC", "who", "what", "stream", "version", ""];
+    say::table(&head, entries.iter().map(row));
     Ok(())
 }
 

@@ -10,7 +10,7 @@ use caudata_signing::{
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use serde_json::json;
 
-use crate::commands::policy::{ServerArgs, block_on, hex};
+use crate::commands::policy_calls::{ServerArgs, block_on, hex};
 use crate::say;
 
 /// Flags of `keygen`.

@@ -1,9 +1,11 @@
 //! `caudata robot-model`: what a robot file says.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::Arc;
 
-use caudata_model::{ModelError, RobotModel};
-use caudata_telemetry::{ExitCode, Failure};
+use caudata_config::{Config, ConfigArgs};
+use caudata_model::RobotModel;
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 use serde::Serialize;
 
@@ -28,22 +30,25 @@ pub fn run(command: &RobotModelCommand) -> Result<(), Failure> {
     caudata_sim::check_extension(&model).map_err(|error| {
         Failure::new(ExitCode::BadInput, error).context(format!("robot file {}", file.display()))
     })?;
-    if *json {
-        say::json(&Summary::of(&model))
-    } else {
-        print(&model)
-    }
+    say::either(*json, &Summary::of(&model), |summary| {
+        print(&model, summary)
+    })
 }
 
 /// Reads a robot file; the failure says whether it is missing or wrong.
-pub fn load(path: &Path) -> Result<RobotModel, Failure> {
-    RobotModel::load(path).map_err(|error| {
-        let code = match &error {
-            ModelError::Read { .. } => ExitCode::NoInput,
-            _ => ExitCode::BadInput,
-        };
-        Failure::new(code, error).context(format!("robot file {}", path.display()))
-    })
+pub use caudata_studies::files::robot as load;
+
+/// What the flags say, and the robot: that of `--robot`, else the configuration's.
+pub fn configured(
+    flags: &ConfigArgs,
+    robot: Option<&PathBuf>,
+) -> Result<(Config, Arc<RobotModel>), Failure> {
+    let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
+    if let Some(robot) = robot {
+        config.robot.clone_from(robot);
+    }
+    let model = Arc::new(load(&config.robot_path())?);
+    Ok((config, model))
 }
 
 #[derive(Serialize)]
@@ -75,8 +80,7 @@ impl<'a> Summary<'a> {
     }
 }
 
-fn print(model: &RobotModel) -> Result<(), Failure> {
-    let summary = Summary::of(model);
+fn print(model: &RobotModel, summary: &Summary<'_>) {
     say::line(format!(
         "{}: {} links, {} joints ({} actuated), {:.3} kg, {:.1} V, gains {} N·m/rad and {} N·m·s/rad",
         summary.name,
@@ -89,21 +93,17 @@ fn print(model: &RobotModel) -> Result<(), Failure> {
         summary.kd_nm_s_per_rad,
     ));
     say::line(format!("hash {}", summary.hash));
-    let mut rows = vec![
-        ["#", "joint", "nominal °", "lower °", "upper °"]
-            .map(String::from)
-            .to_vec(),
-    ];
     let joints = summary
         .actuated
         .iter()
         .zip(model.nominal_pos_rad())
         .zip(model.joint_limits_rad());
-    for (index, ((name, nominal), (lower, upper))) in joints.enumerate() {
-        let degrees = |x: f64| format!("{:.1}", x.to_degrees());
-        let angles = [*nominal, *lower, *upper].map(degrees);
-        rows.push([vec![index.to_string(), (*name).to_owned()], angles.to_vec()].concat());
-    }
-    say::table(&rows);
-    Ok(())
+    let row =
+        |(index, ((name, nominal), (lower, upper))): (usize, ((&&str, &f64), &(f64, f64)))| {
+            let degrees = |x: &f64| format!("{:.1}", x.to_degrees());
+            let angles = [nominal, lower, upper].map(degrees);
+            [vec![index.to_string(), (*name).to_owned()], angles.to_vec()].concat()
+        };
+    let head = ["#", "joint", "nominal °", "lower °", "upper °"];
+    say::table(&head, joints.enumerate().map(row));
 }

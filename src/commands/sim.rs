@@ -1,6 +1,6 @@
 //! `caudata sim`: simulate without training.
 
-use caudata_telemetry::{Failure, Process};
+use caudata_telemetry::{Failure, Process, StopFlag};
 use clap::Subcommand;
 
 use super::{sim_robot, sim_rollout, sim_show, sim_verify};
@@ -10,7 +10,7 @@ pub enum SimCommand {
     /// Open loop: joint commands in, simulated signals out
     ///
     /// `--set lane.KEY=VALUE` changes the robot's physical parameters: lane.foot_friction=0.5, lane.kp_nm_per_rad=12 (all joints),
-    /// lane.kp_nm_per_rad.FL_hip=9 (one), lane.joints.dead_band_rad=0.01. docs/simulation.md says more.
+    /// lane.kp_nm_per_rad.FL_hip=9 (one), lane.joints.dead_band_rad=0.01. docs/reference/simulation.md says more.
     Rollout(sim_rollout::RolloutArgs),
     /// A picture or a short animation of a model, a scene or a log
     Show(sim_show::ShowArgs),
@@ -21,11 +21,15 @@ pub enum SimCommand {
 }
 
 pub fn run(command: &SimCommand, process: &Process) -> Result<(), Failure> {
+    dispatch(command, &process.stop)
+}
+
+fn dispatch(command: &SimCommand, stop: &StopFlag) -> Result<(), Failure> {
     match command {
-        SimCommand::Rollout(args) => sim_rollout::run(args, &process.stop),
-        SimCommand::Show(args) => sim_show::run(args, &process.stop),
+        SimCommand::Rollout(args) => sim_rollout::run(args, stop),
+        SimCommand::Show(args) => sim_show::run(args, stop),
         SimCommand::Verify(args) => sim_verify::run(args),
-        SimCommand::Robot(args) => sim_robot::run(args, &process.stop),
+        SimCommand::Robot(args) => sim_robot::run(args, stop),
     }
 }
 
@@ -35,7 +39,7 @@ mod tests {
 
     use super::*;
     use caudata_runlog::{RunLog, Signal};
-    use caudata_telemetry::{ExitCode, StopFlag};
+    use caudata_telemetry::ExitCode;
     use clap::Parser;
     use std::path::Path;
 
@@ -54,13 +58,7 @@ mod tests {
             word.replace("DIR", &folder.display().to_string())
         });
         let line = Line::try_parse_from(std::iter::once("sim".to_owned()).chain(words)).unwrap();
-        let stop = StopFlag::default();
-        match line.command {
-            SimCommand::Rollout(args) => sim_rollout::run(&args, &stop),
-            SimCommand::Show(args) => sim_show::run(&args, &stop),
-            SimCommand::Verify(args) => sim_verify::run(&args),
-            SimCommand::Robot(args) => sim_robot::run(&args, &stop),
-        }
+        dispatch(&line.command, &StopFlag::default())
     }
 
     fn refused(folder: &Path, args: &str, code: ExitCode, words: &[&str]) {
@@ -142,8 +140,15 @@ mod tests {
             ExitCode::BadConfig,
             &["depth"],
         );
-        let elsewhere = good.replace("DIR/o.csv", "DIR/no/o.csv");
-        refused(dir, &elsewhere, ExitCode::CannotCreate, &["o.csv"]);
+        // No folder is made for what is refused, and none can be made inside a file.
+        let elsewhere = good.replace("DIR/o.csv", "DIR/new/o.csv");
+        let refused_there = format!("{elsewhere} --rate-hz 333");
+        refused(dir, &refused_there, ExitCode::BadConfig, &["333"]);
+        assert!(!dir.join("new").exists());
+        sim(dir, &elsewhere).unwrap();
+        assert!(dir.join("new/o.toml").is_file());
+        let inside = good.replace("DIR/o.csv", "DIR/c.csv/o.csv");
+        refused(dir, &inside, ExitCode::CannotCreate, &["c.csv"]);
         refused(
             dir,
             "show --out DIR/f.jpg",

@@ -6,7 +6,6 @@
 use std::io::ErrorKind;
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use caudata_config::ConfigArgs;
@@ -69,12 +68,8 @@ pub enum LinkKind {
 
 /// Serves one client after the other until asked to stop.
 pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
-    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
-    if let Some(robot) = &args.robot {
-        config.robot.clone_from(robot);
-    }
-    let model = Arc::new(robot_model::load(&config.robot_path())?);
-    JointTable::from_model(&model).or_exit(ExitCode::BadInput)?;
+    let (config, model) = robot_model::configured(&args.config, args.robot.as_ref())?;
+    JointTable::for_runtime(&model).or_exit(ExitCode::BadInput)?;
     if args.bus == LinkKind::Pty {
         return sim_robot_pty::run(&args.pty, &config, model, args.seed, stop);
     }

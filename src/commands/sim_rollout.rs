@@ -9,11 +9,13 @@ use caudata_config::{Config, ConfigArgs};
 use caudata_model::{BaseKind, RobotModel};
 use caudata_runlog::{Axis, BaseHold, LogMeta, QuatPart, Setting, Signal, Table, TableWriter};
 use caudata_sim::{Engine, InitialState, LaneParams, State};
+use caudata_studies::failures::stopped;
+use caudata_studies::files;
+use caudata_studies::flags::EngineName;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::commands::eval::EngineName;
 use crate::commands::ground::{Ground, pair};
 use crate::commands::lane_params;
 use crate::commands::robot_model;
@@ -100,7 +102,9 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let commands = Commands::new(&table, &model)?;
     commands.fit(config.engine.control_period_s())?;
     let periods = periods(args, &commands, config.engine.control_period_s())?;
-    let mut engine = build_engine(&config, &model)?;
+    let (seed, robot) = (config.run.seed, Arc::clone(&model));
+    let mut engine = caudata_sim::build(robot, 1, &config.engine, &config.terrain, seed, 1)
+        .or_exit(ExitCode::BadConfig)?;
     engine.set_params(0, &params).or_exit(ExitCode::BadConfig)?;
     let start = InitialState {
         base_xy_m: args.place,
@@ -112,17 +116,12 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     let meta = circumstances(args, &config, &params, engine.as_ref())
         .to_toml()
         .or_exit(ExitCode::Internal)?;
-    std::fs::write(&meta_path, meta).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot write {}", meta_path.display())
-    })?;
+    files::write(&meta_path, meta)?;
     let diverged = engine.state().diverged[0];
-    if args.json {
-        say::json(
-            &json!({ "rows": rows, "out": args.out, "meta": meta_path, "diverged": diverged }),
-        )?;
-    } else {
+    let made = json!({ "rows": rows, "out": args.out, "meta": meta_path, "diverged": diverged });
+    say::either(args.json, &made, |_| {
         say::line(format!("{rows} rows are in {}", args.out.display()));
-    }
+    })?;
     if diverged {
         let message = "the simulation broke down; the last rows stand still";
         return Err(Failure::message(ExitCode::Internal, message));
@@ -194,6 +193,7 @@ fn circumstances(
     let mut meta = LogMeta::new(args.robot.display().to_string(), base, rate_hz);
     meta.terrain = config.terrain.kind.name().to_owned();
     meta.notes = "caudata sim rollout".to_owned();
+    let path = |path: &Path| Setting::Text(path.display().to_string());
     let same = |values: &[f32]| {
         let first = *values.first()?;
         values.iter().all(|v| *v == first).then(|| f64::from(first))
@@ -204,24 +204,20 @@ fn circumstances(
     let mut put = |key: &str, value| meta.settings.insert(key.to_owned(), value);
     // as text: a number would lose digits beyond 2^53
     put("seed", Setting::Text(args.seed.to_string()));
-    put(
-        "commands",
-        Setting::Text(args.commands.display().to_string()),
-    );
+    put("commands", path(&args.commands));
     put("place_x_m", Setting::Number(f64::from(args.place[0])));
     put("place_y_m", Setting::Number(f64::from(args.place[1])));
+    put("dt_s", Setting::Number(config.engine.dt_s));
+    put(
+        "engine",
+        Setting::Text(config.engine.kind.name().to_owned()),
+    );
     if let Some(preset) = &args.config.preset {
         put("preset", Setting::Text(preset.clone()));
     }
     if let Some(file) = &args.config.config {
-        put("config", Setting::Text(file.display().to_string()));
+        put("config", path(file));
     }
-    put("dt_s", Setting::Number(config.engine.dt_s));
-    let engine_name = serde_json::to_value(config.engine.kind).unwrap_or_default();
-    put(
-        "engine",
-        Setting::Text(engine_name.as_str().unwrap_or_default().to_owned()),
-    );
     if !args.config.overrides.is_empty() {
         put("set", Setting::Text(args.config.overrides.join(" ")));
     }
@@ -243,19 +239,6 @@ fn terrain_changes(config: &Config) -> Vec<(String, f64)> {
         .filter(|(key, value)| defaults.get(key) != Some(value))
         .filter_map(|(key, value)| Some((key, value.as_f64()?)))
         .collect()
-}
-
-fn build_engine(config: &Config, model: &Arc<RobotModel>) -> Result<Box<dyn Engine>, Failure> {
-    let model = Arc::clone(model);
-    caudata_sim::build(
-        model,
-        1,
-        &config.engine,
-        &config.terrain,
-        config.run.seed,
-        1,
-    )
-    .or_exit(ExitCode::BadConfig)
 }
 
 /// Joint commands over time; each holds until the next row.
@@ -351,6 +334,9 @@ fn simulate(
     stop: &StopFlag,
 ) -> Result<u64, Failure> {
     let cannot_write = || format!("cannot write {}", out.display());
+    if let Some(folder) = out.parent() {
+        files::make_folder(folder)?;
+    }
     let file = File::create(out).or_exit_with(ExitCode::CannotCreate, cannot_write)?;
     let signals = signals(engine.model());
     let mut table = TableWriter::new(BufWriter::new(file), &signals, 0.5)
@@ -359,11 +345,8 @@ fn simulate(
     let first = commands.time_s[0];
     let mut values = Vec::with_capacity(signals.len());
     for period in 0..=periods {
-        if let Some(reason) = stop.reason() {
-            return Err(Failure::message(
-                ExitCode::TempFail,
-                format!("stopped by {reason}"),
-            ));
+        if stop.is_set() {
+            return Err(stopped(stop));
         }
         let t_s = first + period as f64 * period_s;
         let command = commands.at(t_s);

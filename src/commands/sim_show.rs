@@ -9,6 +9,8 @@ use caudata_model::{Pose, RobotModel};
 use caudata_render::{Camera, Image, Quality, Scene, View, encode, render, robot_items};
 use caudata_runlog::{Axis, QuatPart, RunLog, Setting, Signal, Table};
 use caudata_sim::{InitialState, Terrain, TerrainConfig, TerrainKind};
+use caudata_studies::failures::stopped;
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::{Args, ValueEnum};
 use serde_json::json;
@@ -133,11 +135,7 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
             "--fps must be 1 to 50",
         ));
     }
-    let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
-    if let Some(robot) = &args.robot {
-        config.robot.clone_from(robot);
-    }
-    let model = Arc::new(robot_model::load(&config.robot_path())?);
+    let (mut config, model) = robot_model::configured(&args.config, args.robot.as_ref())?;
     let log = args.log.as_deref().map(read_log).transpose()?;
     let seed = choose_terrain(args, log.as_ref(), &mut config)?;
     let terrain = Arc::new(Terrain::generate(&config.terrain, seed).or_exit(ExitCode::BadConfig)?);
@@ -151,21 +149,15 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
     } else {
         encode::png(&frames[0]).or_exit(ExitCode::Internal)?
     };
-    std::fs::write(&args.out, &bytes).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot write {}", args.out.display())
-    })?;
-    let (width, height) = (frames[0].width(), frames[0].height());
-    if args.json {
-        return say::json(&json!({
-            "out": args.out, "frames": frames.len(), "width": width, "height": height, "bytes": bytes.len(),
-        }));
-    }
-    let count = frames.len();
-    say::line(format!(
-        "{} ({width} × {height}, {count} frames)",
-        args.out.display()
-    ));
-    Ok(())
+    files::write(&args.out, &bytes)?;
+    let (width, height, count) = (frames[0].width(), frames[0].height(), frames.len());
+    let made = json!({
+        "out": args.out, "frames": count, "width": width, "height": height, "bytes": bytes.len(),
+    });
+    say::either(args.json, &made, |_| {
+        let out = args.out.display();
+        say::line(format!("{out} ({width} × {height}, {count} frames)"));
+    })
 }
 
 fn read_log(dir: &Path) -> Result<RunLog, Failure> {
@@ -392,9 +384,8 @@ fn draw(
     let mut frames = Vec::with_capacity(count);
     let mut heading = Smooth::default();
     for k in 0..count {
-        if let Some(reason) = stop.reason() {
-            let message = format!("stopped by {reason}");
-            return Err(Failure::message(ExitCode::TempFail, message));
+        if stop.is_set() {
+            return Err(stopped(stop));
         }
         let moment = &moments[if turn { 0 } else { k }];
         let places = model

@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
+use caudata_bench::verify::{CHECKS, Row, Settings, Subject, VerifyError, run as verify};
 use caudata_config::ConfigArgs;
-use caudata_sim::EngineConfig;
+use caudata_sim::{EngineConfig, EngineKind};
+use caudata_studies::flags::EngineName;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
-use caudata_verify::{CHECKS, Row, Settings, Subject, VerifyError, run as verify};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::json;
 
-use crate::commands::eval::EngineName;
 use crate::say;
 
 #[derive(Debug, Args)]
@@ -52,26 +52,19 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
         let message = "--gait-s must be 1 to 600";
         return Err(Failure::message(ExitCode::BadConfig, message));
     }
-    let chosen = if args.engine.is_empty() {
-        EngineName::value_variants().to_vec()
-    } else {
-        args.engine.clone()
+    let subject = |name: EngineName| Subject {
+        name: EngineKind::from(name).name().to_owned(),
+        config: EngineConfig {
+            kind: name.into(),
+            ..config.engine.clone()
+        },
     };
-    let subjects = chosen
-        .into_iter()
-        .map(|name| Subject {
-            name: name
-                .to_possible_value()
-                .map_or_else(String::new, |v| v.get_name().to_owned()),
-            config: EngineConfig {
-                kind: name.into(),
-                ..config.engine.clone()
-            },
-        })
-        .collect();
     let settings = Settings {
         robot: config.robot_path(),
-        subjects,
+        subjects: EngineName::or_all(&args.engine)
+            .into_iter()
+            .map(subject)
+            .collect(),
         seed: args.seed,
         states: args.states as usize,
         gaits: args.gaits as usize,
@@ -95,16 +88,13 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
         .iter()
         .filter(|r| r.value.is_none() && r.pass.is_none())
         .count();
-    if args.json {
-        say::json(
-            &json!({ "rows": rows, "passed": passed, "failed": failed, "skipped": skipped }),
-        )?;
-    } else {
+    let found = json!({ "rows": rows, "passed": passed, "failed": failed, "skipped": skipped });
+    say::either(args.json, &found, |_| {
         print(&rows);
         say::line(format!(
             "{passed} passed, {failed} failed, {skipped} skipped"
         ));
-    }
+    })?;
     if failed == 0 {
         return Ok(());
     }
@@ -115,15 +105,10 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
 }
 
 fn print(rows: &[Row]) {
-    let header = ["check", "engine", "figure", "value", "target", "", "note"];
-    let mut table = vec![header.map(str::to_owned).to_vec()];
-    for row in rows {
-        let number = |x: f64| {
-            if x != 0.0 && !(1e-2..1e5).contains(&x.abs()) {
-                format!("{x:.1e} {}", row.unit)
-            } else {
-                format!("{x:.2} {}", row.unit)
-            }
+    let cells = |row: &Row| {
+        let number = |x: f64| match x != 0.0 && !(1e-2..1e5).contains(&x.abs()) {
+            true => format!("{x:.1e} {}", row.unit),
+            false => format!("{x:.2} {}", row.unit),
         };
         let verdict = match (row.pass, row.value) {
             (Some(true), _) => "ok",
@@ -131,16 +116,17 @@ fn print(rows: &[Row]) {
             (None, Some(_)) => "",
             (None, None) => "-",
         };
-        table.push(vec![
+        let target = row.target.map(|t| format!("≤ {}", number(t)));
+        vec![
             row.check.to_owned(),
             row.engine.clone(),
             row.what.clone(),
             row.value.map_or("-".into(), number),
-            row.target
-                .map_or(String::new(), |t| format!("≤ {}", number(t))),
+            target.unwrap_or_default(),
             verdict.to_owned(),
             row.note.clone(),
-        ]);
-    }
-    say::table(&table);
+        ]
+    };
+    let head = ["check", "engine", "figure", "value", "target", "", "note"];
+    say::table(&head, rows.iter().map(cells));
 }

@@ -1,9 +1,11 @@
 //! Commanded velocities: how they are drawn and how long each holds.
 
+use std::f32::consts::PI;
+
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{require, require_range};
+use crate::error::{checks, within};
 use crate::phase::wrap_angle;
 use crate::{COMMAND_DIM, TaskError};
 
@@ -54,48 +56,20 @@ impl CommandConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        let speed = "must be [min, max] within ±5 m/s";
-        require_range(self.vx_mps, -5.0, 5.0, "command.vx_mps", speed)?;
-        require_range(self.vy_mps, -5.0, 5.0, "command.vy_mps", speed)?;
-        require_range(
-            self.yaw_rate_radps,
-            -20.0,
-            20.0,
-            "command.yaw_rate_radps",
-            "must be [min, max] within ±20 rad/s",
-        )?;
-        require_range(
-            self.resample_s,
-            1e-3,
-            1e6,
-            "command.resample_s",
-            "must be [min, max] within 0.001 to 1000000 s",
-        )?;
-        require(
-            (0.0..=1.0).contains(&self.zero_share),
-            "command.zero_share",
-            self.zero_share,
-            "must be 0 to 1",
-        )?;
-        require(
-            (0.0..=1.0).contains(&self.course_share),
-            "command.course_share",
-            self.course_share,
-            "must be 0 to 1",
-        )?;
-        require(
-            (0.0..=std::f32::consts::PI).contains(&self.course_within_rad),
-            "command.course_within_rad",
-            self.course_within_rad,
-            "must be 0 to π",
-        )?;
         let [least, most] = self.yaw_rate_radps;
-        require(
-            self.course_share == 0.0 || (least <= 0.0 && most >= 0.0),
-            "command.course_share",
-            self.course_share,
-            "needs a yaw_rate_radps that holds 0: a course is held with none",
-        )
+        let unit = |share: f32| (0.0..=1.0).contains(&share);
+        let speed = "must be [min, max] within ±5 m/s";
+        checks! {
+            self, "command.";
+            vx_mps: within(self.vx_mps, -5.0, 5.0), speed;
+            vy_mps: within(self.vy_mps, -5.0, 5.0), speed;
+            yaw_rate_radps: within(self.yaw_rate_radps, -20.0, 20.0), "must be [min, max] within ±20 rad/s";
+            resample_s: within(self.resample_s, 1e-3, 1e6), "must be [min, max] within 0.001 to 1000000 s";
+            zero_share: unit(self.zero_share), "must be 0 to 1";
+            course_share: unit(self.course_share), "must be 0 to 1";
+            course_within_rad: (0.0..=PI).contains(&self.course_within_rad), "must be 0 to π";
+            course_share: self.course_share == 0.0 || (least <= 0.0 && most >= 0.0), "needs a yaw_rate_radps that holds 0: a course is held with none";
+        }
     }
 }
 

@@ -2,9 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::TaskError;
 use crate::action::ActionConfig;
 use crate::command::CommandConfig;
-use crate::error::require;
+use crate::error::checks;
 use crate::noise::ObservationNoiseConfig;
 use crate::phase::PhaseConfig;
 use crate::push::PushConfig;
@@ -12,7 +13,6 @@ use crate::randomise::RandomisationConfig;
 use crate::reset::ResetConfig;
 use crate::reward::RewardConfig;
 use crate::termination::TerminationConfig;
-use crate::{ObservationLayout, TaskError};
 
 /// The task. Defaults are the paper's values, and MuJoCo Playground's where the paper gives none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -83,30 +83,14 @@ impl TaskConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        require(
-            (1e-4..=1.0).contains(&self.control_period_s),
-            "control_period_s",
-            self.control_period_s,
-            "must be 0.0001 to 1 s",
-        )?;
-        require(
-            (1..=10_000_000).contains(&self.episode_steps),
-            "episode_steps",
-            self.episode_steps,
-            "must be 1 to 10000000",
-        )?;
-        require(
-            (0.0..=10.0).contains(&self.afloat_above_m),
-            "afloat_above_m",
-            self.afloat_above_m,
-            "must be 0 to 10 m",
-        )?;
-        require(
-            (0.0..=10.0).contains(&self.feet_reach_m),
-            "feet_reach_m",
-            self.feet_reach_m,
-            "must be 0 to 10 m",
-        )?;
+        let height = |h: f32| (0.0..=10.0).contains(&h);
+        checks! {
+            self, "";
+            control_period_s: (1e-4..=1.0).contains(&self.control_period_s), "must be 0.0001 to 1 s";
+            episode_steps: (1..=10_000_000).contains(&self.episode_steps), "must be 1 to 10000000";
+            afloat_above_m: height(self.afloat_above_m), "must be 0 to 10 m";
+            feet_reach_m: height(self.feet_reach_m), "must be 0 to 10 m";
+        }?;
         self.action.validate()?;
         self.phase.validate()?;
         self.command.validate()?;
@@ -116,11 +100,6 @@ impl TaskConfig {
         self.randomisation.validate()?;
         self.push.validate()?;
         self.noise.validate()
-    }
-
-    /// The layout of the observation.
-    pub fn layout(&self) -> ObservationLayout {
-        ObservationLayout::new(self.observe_medium)
     }
 }
 
@@ -136,7 +115,6 @@ mod tests {
             (config.control_period_s, config.episode_steps),
             (0.02, 1000)
         );
-        assert_eq!(config.layout().dim(), 97);
         let reward = config.reward;
         assert_eq!(
             [

@@ -15,7 +15,7 @@ pub enum TaskError {
     },
     /// The robot is not one that this task can drive.
     #[error(
-        "robot '{robot}' has {found} {what}, the walking task needs {expected}; choose another robot file"
+        "robot '{robot}' has {found} {what}, the task takes {least} to {most}; choose another robot file"
     )]
     Robot {
         /// Name of the robot.
@@ -24,18 +24,20 @@ pub enum TaskError {
         what: &'static str,
         /// How many there are.
         found: usize,
-        /// How many there must be.
-        expected: usize,
+        /// How many there must be at least.
+        least: usize,
+        /// How many there may be.
+        most: usize,
     },
     /// Left and right of the robot differ.
     #[error(
-        "robot '{robot}' is not its own mirror image: joint '{joint}' {reason}; set learner.ppo.mirror = false"
+        "robot '{robot}' is not its own mirror image: '{part}' {reason}; set learner.ppo.mirror = false"
     )]
     NotSymmetric {
         /// Name of the robot.
         robot: String,
-        /// Name of the joint.
-        joint: String,
+        /// Name of the joint or foot.
+        part: String,
         /// What is missing.
         reason: &'static str,
     },
@@ -59,36 +61,32 @@ pub enum TaskError {
     },
 }
 
-/// Refuses `value` of `field` unless `ok`.
-pub(crate) fn require(
-    ok: bool,
-    field: &'static str,
-    value: impl std::fmt::Debug,
-    reason: &'static str,
-) -> Result<(), TaskError> {
-    if ok {
-        return Ok(());
+/// Whether a value is right, its field, the value, and what would be right.
+pub(crate) type Check<'a> = (bool, &'static str, &'a dyn std::fmt::Debug, &'static str);
+
+/// Refuses the first value that is not right.
+pub(crate) fn require_all(checks: &[Check<'_>]) -> Result<(), TaskError> {
+    match checks.iter().find(|check| !check.0) {
+        Some((_, field, value, reason)) => Err(TaskError::Config {
+            field,
+            value: format!("{value:?}"),
+            reason,
+        }),
+        None => Ok(()),
     }
-    Err(TaskError::Config {
-        field,
-        value: format!("{value:?}"),
-        reason,
-    })
 }
 
-/// Refuses a `[min, max]` range that is not finite, is reversed, or leaves `lowest..=highest`.
-pub(crate) fn require_range(
-    range: [f32; 2],
-    lowest: f32,
-    highest: f32,
-    field: &'static str,
-    reason: &'static str,
-) -> Result<(), TaskError> {
-    let [lo, hi] = range;
-    require(
-        lo.is_finite() && hi.is_finite() && lo <= hi && lo >= lowest && hi <= highest,
-        field,
-        range,
-        reason,
-    )
+/// Whether a `[min, max]` range is finite, not reversed, and within `lowest..=highest`.
+pub(crate) fn within([lo, hi]: [f32; 2], lowest: f32, highest: f32) -> bool {
+    lo.is_finite() && hi.is_finite() && lo <= hi && lo >= lowest && hi <= highest
 }
+
+/// Refuses the first field of a table of the configuration that is not right: field, whether it is, what would be right.
+macro_rules! checks {
+    ($config:ident, $table:literal; $($field:ident: $right:expr, $reason:expr;)+) => {
+        $crate::error::require_all(&[
+            $(($right, concat!($table, stringify!($field)), &$config.$field, $reason),)+
+        ])
+    };
+}
+pub(crate) use checks;

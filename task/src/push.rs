@@ -6,7 +6,7 @@ use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::TaskError;
-use crate::error::require_range;
+use crate::error::{checks, within};
 
 /// Table `[task.push]`: when and how hard the robot is pushed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,15 +46,12 @@ impl PushConfig {
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
         let time = "must be [min, max] within 0.001 to 1000000 s";
-        require_range(self.interval_s, 1e-3, 1e6, "push.interval_s", time)?;
-        require_range(self.duration_s, 1e-3, 1e6, "push.duration_s", time)?;
-        require_range(
-            self.force_n,
-            0.0,
-            1e4,
-            "push.force_n",
-            "must be [min, max] within 0 to 10000 N",
-        )
+        checks! {
+            self, "push.";
+            interval_s: within(self.interval_s, 1e-3, 1e6), time;
+            duration_s: within(self.duration_s, 1e-3, 1e6), time;
+            force_n: within(self.force_n, 0.0, 1e4), "must be [min, max] within 0 to 10000 N";
+        }
     }
 
     /// Factor on the force after `env_steps` steps of the whole run, 0 to 1.

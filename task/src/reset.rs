@@ -5,8 +5,8 @@ use std::f32::consts::PI;
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
-use crate::error::require;
-use crate::{ACT_DIM, JointTable, TaskError};
+use crate::error::checks;
+use crate::{JointTable, PerJoint, TaskError};
 
 /// Table `[task.reset]`: how far episodes start from the nominal pose at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -48,45 +48,16 @@ impl ResetConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        let up_to = |value: f32, most: f32, field, reason| {
-            require((0.0..=most).contains(&value), field, value, reason)
-        };
-        up_to(
-            self.joint_pos_noise_rad,
-            PI,
-            "reset.joint_pos_noise_rad",
-            "must be 0 to π",
-        )?;
-        up_to(
-            self.joint_vel_noise_radps,
-            50.0,
-            "reset.joint_vel_noise_radps",
-            "must be 0 to 50",
-        )?;
-        up_to(
-            self.base_vel_noise_mps,
-            10.0,
-            "reset.base_vel_noise_mps",
-            "must be 0 to 10",
-        )?;
-        up_to(
-            self.yaw_range_rad,
-            PI,
-            "reset.yaw_range_rad",
-            "must be 0 to π",
-        )?;
-        up_to(
-            self.spawn_half_extent_m,
-            1e3,
-            "reset.spawn_half_extent_m",
-            "must be 0 to 1000",
-        )?;
-        up_to(
-            self.swimming_pose_share,
-            1.0,
-            "reset.swimming_pose_share",
-            "must be 0 to 1",
-        )
+        let up_to = |value: f32, most: f32| (0.0..=most).contains(&value);
+        checks! {
+            self, "reset.";
+            joint_pos_noise_rad: up_to(self.joint_pos_noise_rad, PI), "must be 0 to π";
+            joint_vel_noise_radps: up_to(self.joint_vel_noise_radps, 50.0), "must be 0 to 50";
+            base_vel_noise_mps: up_to(self.base_vel_noise_mps, 10.0), "must be 0 to 10";
+            yaw_range_rad: up_to(self.yaw_range_rad, PI), "must be 0 to π";
+            spawn_half_extent_m: up_to(self.spawn_half_extent_m, 1e3), "must be 0 to 1000";
+            swimming_pose_share: up_to(self.swimming_pose_share, 1.0), "must be 0 to 1";
+        }
     }
 }
 
@@ -100,16 +71,16 @@ pub struct ResetDraw {
     /// Velocity of the base, m/s, world x and y.
     pub base_vel_mps: [f32; 2],
     /// Joint positions, rad, within the limits.
-    pub joint_pos_rad: [f32; ACT_DIM],
+    pub joint_pos_rad: PerJoint,
     /// Joint velocities, rad/s.
-    pub joint_vel_radps: [f32; ACT_DIM],
+    pub joint_vel_radps: PerJoint,
 }
 
 /// Draws a start. `swimming_rad` is the pose of [`ResetConfig::swimming_pose_share`].
 pub fn draw(
     config: &ResetConfig,
     joints: &JointTable,
-    swimming_rad: &[f32; ACT_DIM],
+    swimming_rad: &PerJoint,
     stream: &mut Stream,
 ) -> ResetDraw {
     let folded = config.swimming_pose_share > 0.0 && stream.chance(config.swimming_pose_share);
@@ -122,12 +93,14 @@ pub fn draw(
         base_xy_m: std::array::from_fn(|_| around_zero(config.spawn_half_extent_m)),
         yaw_rad: around_zero(config.yaw_range_rad),
         base_vel_mps: std::array::from_fn(|_| around_zero(config.base_vel_noise_mps)),
-        joint_pos_rad: std::array::from_fn(|i| {
+        joint_pos_rad: PerJoint::from_fn(joints.len(), |i| {
             (pose_rad[i] + around_zero(config.joint_pos_noise_rad))
                 .max(joints.lower_rad[i])
                 .min(joints.upper_rad[i])
         }),
-        joint_vel_radps: std::array::from_fn(|_| around_zero(config.joint_vel_noise_radps)),
+        joint_vel_radps: PerJoint::from_fn(joints.len(), |_| {
+            around_zero(config.joint_vel_noise_radps)
+        }),
     }
 }
 
@@ -136,13 +109,19 @@ mod tests {
     use super::*;
     use caudata_random::{Key, Purpose};
 
-    const JOINTS: JointTable = JointTable {
-        nominal_rad: [0.5; ACT_DIM],
-        lower_rad: [-1.0; ACT_DIM],
-        upper_rad: [0.55; ACT_DIM],
-    };
+    const ACT_DIM: usize = 16;
 
-    const SWIMMING_RAD: [f32; ACT_DIM] = [-0.5; ACT_DIM];
+    fn joints() -> JointTable {
+        JointTable {
+            nominal_rad: [0.5; ACT_DIM].into(),
+            lower_rad: [-1.0; ACT_DIM].into(),
+            upper_rad: [0.55; ACT_DIM].into(),
+        }
+    }
+
+    fn swimming_rad() -> PerJoint {
+        PerJoint::filled(ACT_DIM, -0.5)
+    }
 
     #[test]
     fn the_asked_share_starts_in_the_swimming_pose() {
@@ -153,7 +132,7 @@ mod tests {
         };
         let mut stream = Stream::new(Key::for_run(4), Purpose::Reset);
         let folded = (0..1000).filter(|_| {
-            let start = draw(&config, &JOINTS, &SWIMMING_RAD, &mut stream);
+            let start = draw(&config, &joints(), &swimming_rad(), &mut stream);
             let near = |pose: f32| start.joint_pos_rad.iter().all(|q| (q - pose).abs() <= 0.1);
             assert!(near(0.5) || near(-0.5));
             near(-0.5)
@@ -173,7 +152,7 @@ mod tests {
         let mut stream = Stream::new(Key::for_run(1), Purpose::Reset);
         let mut at_limit = 0;
         for _ in 0..100 {
-            let start = draw(&config, &JOINTS, &SWIMMING_RAD, &mut stream);
+            let start = draw(&config, &joints(), &swimming_rad(), &mut stream);
             for q in start.joint_pos_rad {
                 // 0.5 ± 0.1, cut at the limit 0.55.
                 assert!((0.4..=0.55).contains(&q));
@@ -200,11 +179,11 @@ mod tests {
         };
         let start = draw(
             &config,
-            &JOINTS,
-            &SWIMMING_RAD,
+            &joints(),
+            &swimming_rad(),
             &mut Stream::new(Key::for_run(1), Purpose::Reset),
         );
-        assert_eq!(start.joint_pos_rad, JOINTS.nominal_rad);
+        assert_eq!(start.joint_pos_rad, joints().nominal_rad);
         assert_eq!(start.joint_vel_radps, [0.0; ACT_DIM]);
         assert_eq!(
             (start.base_xy_m, start.base_vel_mps, start.yaw_rad),

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::TaskError;
-use crate::error::{require, require_range};
+use crate::error::{checks, within};
 
 /// Table `[task.termination]`: states that end an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,19 +34,13 @@ impl TerminationConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        require(
-            self.max_tilt_rad > 0.0 && self.max_tilt_rad <= std::f32::consts::PI,
-            "termination.max_tilt_rad",
-            self.max_tilt_rad,
-            "must be above 0 and at most π",
-        )?;
-        require_range(
-            self.com_height_m,
-            -100.0,
-            100.0,
-            "termination.com_height_m",
-            "must be [min, max] within ±100 m",
-        )
+        let tilt = self.max_tilt_rad > 0.0 && self.max_tilt_rad <= std::f32::consts::PI;
+        let height = within(self.com_height_m, -100.0, 100.0);
+        checks! {
+            self, "termination.";
+            max_tilt_rad: tilt, "must be above 0 and at most π";
+            com_height_m: height, "must be [min, max] within ±100 m";
+        }
     }
 }
 

@@ -7,7 +7,7 @@
 //!
 //! Nothing is dropped silently. When the learner falls behind, [`ActorLink::send`] returns
 //! [`SendError::Full`] at its deadline and the frame has *not* been taken: the caller tries again.
-//! `docs/transport.md` has the protocol, the limits and the fault table.
+//! `docs/reference/transport.md` has the protocol, the limits and the fault table.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 

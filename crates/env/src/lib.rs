@@ -16,11 +16,12 @@ mod measure;
 mod output;
 mod physics;
 mod snapshot;
+mod start;
 mod steer;
 mod vec_env;
 
 pub use error::EnvError;
 pub use measure::Truth;
 pub use output::{EpisodeStats, StepOutput};
-pub use steer::StartShift;
+pub use start::StartShift;
 pub use vec_env::VecEnv;

@@ -7,7 +7,7 @@ use crate::lane::Lane;
 use crate::{EnvError, VecEnv};
 
 /// Raise when what a snapshot holds changes.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 #[derive(Serialize, Deserialize)]
 struct Saved {

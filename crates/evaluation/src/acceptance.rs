@@ -1,32 +1,7 @@
 //! The project's targets for a policy: what is owed, what is aimed at, what was measured.
 
-use serde::Serialize;
-
-use crate::result::{ScenarioResult, SuiteResult};
+use crate::result::{Row, ScenarioResult, SuiteResult};
 use crate::suite;
-
-/// One line of the table.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Row {
-    /// What is measured.
-    pub name: &'static str,
-    /// Its unit; `1` for pure numbers.
-    pub unit: &'static str,
-    /// The limit that is owed.
-    pub owed: f64,
-    /// The figure that is aimed at.
-    pub aim: f64,
-    /// Whether it must be at least that (else at most).
-    pub at_least: bool,
-    /// What was measured; `None`: nothing could be.
-    pub measured: Option<f64>,
-    /// Whether what is owed is met, gates and falls included.
-    pub met: bool,
-    /// Whether the aim is.
-    pub aim_met: bool,
-    /// Why not, where the figure alone does not say it.
-    pub note: String,
-}
 
 /// A figure that counts, and what stands against it.
 struct Found {
@@ -86,8 +61,8 @@ fn row(name: &'static str, unit: &'static str, target: Target, found: Found) -> 
     };
     let counts = found.against.is_empty();
     Row {
-        name,
-        unit,
+        name: name.into(),
+        unit: unit.into(),
         owed,
         aim,
         at_least,
@@ -253,7 +228,7 @@ mod tests {
     fn result(scenarios: Vec<ScenarioResult>) -> SuiteResult {
         SuiteResult {
             suite: Suite::Acceptance,
-            engine: "batch",
+            engine: "batch".into(),
             policy_version: 1,
             policy_sha256: String::new(),
             scenarios,

@@ -52,7 +52,7 @@ impl Evaluation<'_> {
         let referee = self.referee(&scenarios, go_on, done)?;
         let mut result = SuiteResult {
             suite: self.suite,
-            engine: engine.name(),
+            engine: engine.name().into(),
             policy_version: self.policy.metadata().version,
             policy_sha256: self.policy.sha256_hex(),
             scenarios: outcomes.iter().map(|o| o.result.clone()).collect(),
@@ -107,7 +107,7 @@ impl Evaluation<'_> {
             results.push(outcome.result);
         }
         Ok(Some(Referee {
-            engine,
+            engine: engine.into(),
             scenarios: results,
         }))
     }

@@ -1,6 +1,8 @@
 //! What counts as walking. Rewards for velocity can be had by vibrating, in any simulator; these gates cannot.
 
-use serde::Serialize;
+use std::borrow::Cow;
+
+use serde::{Deserialize, Serialize};
 
 use crate::gait::Gait;
 
@@ -38,10 +40,10 @@ impl Default for Limits {
 }
 
 /// One gate.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gate {
     /// What is looked at.
-    pub name: &'static str,
+    pub name: Cow<'static, str>,
     /// What was found, worst foot where there is one per foot.
     pub value: f64,
     /// Smallest value that passes; `None`: none.
@@ -53,7 +55,7 @@ pub struct Gate {
 }
 
 /// All gates of a scenario, on means over its episodes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GateReport {
     /// Whether this is walking: there was something to measure, and every gate is met.
     pub walks: bool,
@@ -71,8 +73,11 @@ impl GateReport {
         let mean = |value: &dyn Fn(&Gait) -> f64| {
             gaits.iter().map(value).sum::<f64>() / gaits.len() as f64
         };
-        let feet: Vec<f64> = (0..4).map(|foot| mean(&|g| g.duty_factor[foot])).collect();
-        let clearance = (0..4).map(|foot| mean(&|g| g.clearance_m[foot]));
+        let feet = gaits[0].duty_factor.len();
+        let clearance = (0..feet).map(|foot| mean(&|g| g.clearance_m[foot]));
+        let feet: Vec<f64> = (0..feet)
+            .map(|foot| mean(&|g| g.duty_factor[foot]))
+            .collect();
         let off_clock = mean(&|g| (g.stride_hz / g.clock_hz - 1.0).abs());
         let lowest = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
         let highest = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -127,11 +132,11 @@ impl GateReport {
 
     /// Names of the gates that are not met.
     #[must_use]
-    pub fn missed(&self) -> Vec<&'static str> {
+    pub fn missed(&self) -> Vec<&str> {
         self.gates
             .iter()
             .filter(|g| !g.met)
-            .map(|g| g.name)
+            .map(|g| g.name.as_ref())
             .collect()
     }
 }
@@ -140,7 +145,7 @@ fn gate(name: &'static str, value: f64, at_least: Option<f64>, at_most: Option<f
     let met =
         at_least.is_none_or(|least| value >= least) && at_most.is_none_or(|most| value <= most);
     Gate {
-        name,
+        name: name.into(),
         value,
         at_least,
         at_most,
@@ -151,10 +156,10 @@ fn gate(name: &'static str, value: f64, at_least: Option<f64>, at_most: Option<f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gait::tests::{MEASURE, trot};
+    use crate::gait::tests::{measure, trot};
 
     fn judged(stride_hz: f64, shake: f64) -> GateReport {
-        let gait = Gait::of(&trot(stride_hz, shake), &MEASURE).unwrap();
+        let gait = Gait::of(&trot(stride_hz, shake), &measure()).unwrap();
         GateReport::of(&[gait], &Limits::default())
     }
 
@@ -173,7 +178,7 @@ mod tests {
 
     #[test]
     fn each_limit_can_fail_alone() {
-        let good = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let good = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         type Spoil = fn(&mut Gait);
         let spoil: [(&str, Spoil); 8] = [
             ("stride frequency off the clock", |g| g.stride_hz = 2.8),

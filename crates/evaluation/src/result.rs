@@ -1,22 +1,23 @@
 //! What an evaluation found.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use caudata_task::PerFoot;
+use serde::{Deserialize, Serialize};
 
-use crate::acceptance::Row;
 use crate::gait::Gait;
 use crate::transition::{Passage, TransitionResult};
 use crate::wave::{Wave, WaveResult};
 use crate::{Estimate, GateReport, Suite};
 
 /// A policy in all scenarios of a suite.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SuiteResult {
     /// The suite.
     pub suite: Suite,
     /// The engine.
-    pub engine: &'static str,
+    pub engine: Cow<'static, str>,
     /// Version of the policy.
     pub policy_version: u64,
     /// SHA-256 of the policy's bytes, hex.
@@ -38,10 +39,10 @@ impl SuiteResult {
 }
 
 /// What another engine says of the same policy.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Referee {
     /// The engine.
-    pub engine: &'static str,
+    pub engine: Cow<'static, str>,
     /// Its results, for all scenarios or some.
     pub scenarios: Vec<ScenarioResult>,
 }
@@ -54,15 +55,38 @@ impl Referee {
     }
 }
 
+/// One of the project's targets for a policy.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// What is measured.
+    pub name: Cow<'static, str>,
+    /// Its unit; `1` for pure numbers.
+    pub unit: Cow<'static, str>,
+    /// The limit that is owed.
+    pub owed: f64,
+    /// The figure that is aimed at.
+    pub aim: f64,
+    /// Whether it must be at least that (else at most).
+    pub at_least: bool,
+    /// What was measured; `None`: nothing could be.
+    pub measured: Option<f64>,
+    /// Whether what is owed is met, gates and falls included.
+    pub met: bool,
+    /// Whether the aim is.
+    pub aim_met: bool,
+    /// Why not, where the figure alone does not say it.
+    pub note: String,
+}
+
 /// A policy in one scenario. Means are over episodes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScenarioResult {
     /// Its name.
     pub name: String,
     /// Episodes.
     pub episodes: usize,
     /// Episodes that ended by failing, per reason.
-    pub falls: BTreeMap<&'static str, usize>,
+    pub falls: BTreeMap<Cow<'static, str>, usize>,
     /// Share of episodes that ended by failing.
     pub fall_share: Estimate,
     /// Mean command: vx, vy (m/s), yaw rate (rad/s).
@@ -86,9 +110,9 @@ pub struct ScenarioResult {
     /// Strongest frequency in the feet's heights, Hz.
     pub stride_hz: Estimate,
     /// Share of time on the ground per foot: FL, FR, HL, HR.
-    pub duty_factor: [f64; 4],
+    pub duty_factor: PerFoot<f64>,
     /// Height that each foot reaches, m.
-    pub clearance_m: [f64; 4],
+    pub clearance_m: PerFoot<f64>,
     /// Speed of feet in stance, m/s.
     pub slip_mps: Estimate,
     /// Share of joint power above 6 Hz.
@@ -126,8 +150,13 @@ pub(crate) struct Episode {
 }
 
 impl ScenarioResult {
-    /// Sums up the episodes of one scenario.
-    pub(crate) fn of(name: &str, episodes: &[Episode], gates: Option<GateReport>) -> Self {
+    /// Sums up the episodes of one scenario of a robot with so many feet.
+    pub(crate) fn of(
+        name: &str,
+        feet: usize,
+        episodes: &[Episode],
+        gates: Option<GateReport>,
+    ) -> Self {
         let gaits: Vec<&Gait> = episodes.iter().filter_map(|e| e.gait.as_ref()).collect();
         let estimate = |value: &dyn Fn(&Gait) -> f64| {
             let values: Vec<f64> = gaits.iter().map(|g| value(g)).collect();
@@ -137,7 +166,7 @@ impl ScenarioResult {
         let most = |value: fn(&Gait) -> f64| gaits.iter().map(|g| value(g)).fold(0.0, f64::max);
         let mut falls = BTreeMap::new();
         for reason in episodes.iter().filter_map(|e| e.fell) {
-            *falls.entry(reason).or_insert(0) += 1;
+            *falls.entry(reason.into()).or_insert(0) += 1;
         }
         Self {
             name: name.to_owned(),
@@ -157,8 +186,8 @@ impl ScenarioResult {
             power_w: estimate(&|g| g.power_w),
             cost_of_transport: estimate(&|g| g.cost_of_transport),
             stride_hz: estimate(&|g| g.stride_hz),
-            duty_factor: std::array::from_fn(|foot| mean(&|g| g.duty_factor[foot])),
-            clearance_m: std::array::from_fn(|foot| mean(&|g| g.clearance_m[foot])),
+            duty_factor: PerFoot::from_fn(feet, |foot| mean(&|g| g.duty_factor[foot])),
+            clearance_m: PerFoot::from_fn(feet, |foot| mean(&|g| g.clearance_m[foot])),
             slip_mps: estimate(&|g| g.slip_mps),
             vibration_share: estimate(&|g| g.vibration_share),
             trunk_contact_share: estimate(&|g| g.trunk_contact_share),
@@ -199,11 +228,11 @@ fn rmse_of_means(episodes: &[Episode]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gait::tests::{MEASURE, trot};
+    use crate::gait::tests::{measure, trot};
 
     #[test]
     fn falls_and_errors_by_hand() {
-        let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let gait = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         let episode = |command, fell, gait| Episode {
             command,
             fell,
@@ -215,7 +244,7 @@ mod tests {
             episode([0.5, 0.0, 0.1], None, Some(gait)),
             episode([0.3, 0.0, 0.0], Some("tilted"), None),
         ];
-        let result = ScenarioResult::of("x", &episodes, None);
+        let result = ScenarioResult::of("x", 4, &episodes, None);
         assert_eq!((result.episodes, result.falls["tilted"]), (3, 1));
         assert!((result.fall_share.mean - 1.0 / 3.0).abs() < 1e-12);
         // errors 0 and −0.2: √(0.04/2); 0 and −0.1: √(0.01/2)
@@ -226,7 +255,7 @@ mod tests {
 
     #[test]
     fn who_falls_too_often_does_not_walk() {
-        let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let gait = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         let walks = GateReport {
             walks: true,
             gates: Vec::new(),
@@ -241,7 +270,7 @@ mod tests {
             20
         ];
         episodes[0].fell = Some("tilted");
-        let result = |e: &[Episode]| ScenarioResult::of("x", e, Some(walks.clone())).walks();
+        let result = |e: &[Episode]| ScenarioResult::of("x", 4, e, Some(walks.clone())).walks();
         assert_eq!(result(&episodes), Some(true));
         episodes[1].fell = Some("tilted");
         assert_eq!(result(&episodes), Some(false));

@@ -4,7 +4,7 @@ use std::f32::consts::PI;
 
 use caudata_sim::{TerrainConfig, TerrainKind};
 use caudata_task::push::PushConfig;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::scenario::{Corner, Goal, Leg, Order, Scenario, Start};
 
@@ -31,7 +31,7 @@ pub(crate) const SWIM: &str = "swim 0.3 m/s";
 pub const PAPER_COMMAND_MPS: f32 = 0.3;
 
 /// A named list of scenarios.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Suite {
     /// Flat ground: forward at 0.3 m/s, standing still, and faster commands up to 0.8 m/s.

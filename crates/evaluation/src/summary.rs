@@ -127,7 +127,7 @@ impl Summary {
             policy_version: result.policy_version,
             robot_hash,
             suite: result.suite.name().to_owned(),
-            engine: result.engine.to_owned(),
+            engine: result.engine.to_string(),
             seed,
             scenarios: result.scenarios.iter().map(Line::of).collect(),
             targets_met: (!rows.is_empty()).then_some([met, rows.len()]),
@@ -186,7 +186,7 @@ mod tests {
     fn summary() -> Summary {
         let result = SuiteResult {
             suite: Suite::Flat,
-            engine: "batch",
+            engine: "batch".into(),
             policy_version: 7,
             policy_sha256: "ab".repeat(32),
             scenarios: vec![ScenarioResult {

@@ -4,10 +4,31 @@ use std::collections::BTreeMap;
 
 use crate::error::ModelError;
 use crate::mjcf::MjModel;
-use crate::model::BaseKind;
 use crate::params::{BacklashParams, ServoParams, WaterParams};
 use crate::robot_file::{BaseWord, Checker, RobotFile};
-use crate::types::{Foot, Joint, JointKind, Link, Shape, Site};
+use crate::types::{BaseKind, Foot, Joint, JointKind, Link, Shape, Site};
+
+/// Place of what is called `name` among the names of the MJCF.
+pub(crate) fn find<'a>(
+    c: &Checker<'_>,
+    at: &str,
+    kind: &str,
+    name: &str,
+    mut names: impl Iterator<Item = &'a str>,
+) -> Result<usize, ModelError> {
+    let missing = || c.error(at, format!("there is no {kind} `{name}` in the MJCF"));
+    names.position(|n| n == name).ok_or_else(missing)
+}
+
+fn find_joint(c: &Checker<'_>, at: &str, name: &str, mj: &MjModel) -> Result<usize, ModelError> {
+    find(
+        c,
+        at,
+        "joint",
+        name,
+        mj.joints.iter().map(|j| j.name.as_str()),
+    )
+}
 
 pub(crate) fn base_kind(
     c: &Checker<'_>,
@@ -38,17 +59,13 @@ pub(crate) fn actuated_joints(
     let at = "joints.actuated";
     let names = &file.joints.actuated;
     if names.is_empty() {
-        return Err(c.error(at, "is empty; name at least one joint"));
+        return c.refuse(at, "is empty; name at least one joint");
     }
     let mut out = Vec::with_capacity(names.len());
     for (i, name) in names.iter().enumerate() {
-        let j = mj
-            .joints
-            .iter()
-            .position(|j| &j.name == name)
-            .ok_or_else(|| c.error(at, format!("there is no joint `{name}` in the MJCF")))?;
+        let j = find_joint(c, at, name, mj)?;
         if out.contains(&j) {
-            return Err(c.error(at, format!("names `{name}` twice")));
+            return c.refuse(at, format!("names `{name}` twice"));
         }
         out.push(j);
         match mj.actuators.get(i) {
@@ -66,15 +83,15 @@ pub(crate) fn actuated_joints(
                 });
             }
             None => {
-                return Err(c.error(at, format!("joint `{name}` has no actuator in the MJCF")));
+                return c.refuse(at, format!("joint `{name}` has no actuator in the MJCF"));
             }
         }
     }
     if let Some(extra) = mj.actuators.get(names.len()) {
-        return Err(c.error(
+        return c.refuse(
             at,
             format!("lacks `{}`, which the MJCF actuates", extra.joint),
-        ));
+        );
     }
     Ok(out)
 }
@@ -108,7 +125,7 @@ pub(crate) fn servos(
     };
     for name in file.servo.joint.keys() {
         if !file.joints.actuated.contains(name) {
-            return Err(c.error("servo.joint", format!("`{name}` is not an actuated joint")));
+            return c.refuse("servo.joint", format!("`{name}` is not an actuated joint"));
         }
     }
     let default = find("servo.default", &file.servo.default)?;
@@ -132,18 +149,9 @@ pub(crate) fn backlash(
     };
     let mut joints = Vec::new();
     for name in &b.joints {
-        let j = mj
-            .joints
-            .iter()
-            .position(|j| &j.name == name)
-            .ok_or_else(|| {
-                c.error(
-                    "backlash.joints",
-                    format!("there is no joint `{name}` in the MJCF"),
-                )
-            })?;
+        let j = find_joint(c, "backlash.joints", name, mj)?;
         if file.joints.actuated.contains(name) || joints.contains(&j) {
-            return Err(c.error("backlash.joints", format!("`{name}` already has a role")));
+            return c.refuse("backlash.joints", format!("`{name}` already has a role"));
         }
         joints.push(j);
     }
@@ -205,13 +213,13 @@ pub(crate) fn joints(
             } else {
                 let table = file.passive.as_ref();
                 let Some((table, p)) = table.and_then(|t| Some((t, t.joint.get(&m.name)?))) else {
-                    return Err(c.error(
+                    return c.refuse(
                         "passive.joint",
                         format!(
                             "lacks `{}`: the MJCF joint is neither actuated nor backlash",
                             m.name
                         ),
-                    ));
+                    );
                 };
                 joint.stiffness_nm_per_rad = p.stiffness_nm_per_rad;
                 joint.damping_nm_s_per_rad = p.damping_nm_s_per_rad;
@@ -226,10 +234,10 @@ pub(crate) fn joints(
             .iter()
             .any(|j| &j.name == name && j.kind == JointKind::Passive)
         {
-            return Err(c.error(
+            return c.refuse(
                 format!("passive.joint.{name}"),
                 "there is no such joint in the MJCF, or it already has a role",
-            ));
+            );
         }
     }
     Ok(out)
@@ -245,7 +253,7 @@ pub(crate) fn pose(
 ) -> Result<Vec<f64>, ModelError> {
     for name in by_name.keys() {
         if !file.joints.actuated.contains(name) {
-            return Err(c.error(at, format!("`{name}` is not an actuated joint")));
+            return c.refuse(at, format!("`{name}` is not an actuated joint"));
         }
     }
     let mut out = Vec::new();
@@ -254,10 +262,10 @@ pub(crate) fn pose(
             .get(name)
             .ok_or_else(|| c.error(at, format!("lacks `{name}`")))?;
         if !(lo..=hi).contains(&q) {
-            return Err(c.error(
+            return c.refuse(
                 format!("{at}.{name}"),
                 format!("{q} rad is outside the joint's limits {lo} to {hi}"),
-            ));
+            );
         }
         out.push(q);
     }
@@ -318,26 +326,26 @@ pub(crate) fn feet(
             Some((l, g))
         });
         let Some((link, geom)) = found else {
-            return Err(c.error(at, format!("there is no geom `{}` on a link", entry.geom)));
+            return c.refuse(at, format!("there is no geom `{}` on a link", entry.geom));
         };
         let g = &mut links[link].geoms[geom];
         let Shape::Sphere { radius_m } = g.shape else {
-            return Err(c.error(at, format!("geom `{}` is not a sphere", entry.geom)));
+            return c.refuse(at, format!("geom `{}` is not a sphere", entry.geom));
         };
         if !g.collides() {
-            return Err(c.error(
+            return c.refuse(
                 at,
                 format!(
                     "geom `{}` touches nothing (contype, conaffinity)",
                     entry.geom
                 ),
-            ));
+            );
         }
         if out
             .iter()
             .any(|f| f.name == entry.name || (f.link, f.geom) == (link, geom))
         {
-            return Err(c.error(at, "is listed twice"));
+            return c.refuse(at, "is listed twice");
         }
         g.friction = file.contact.foot_friction;
         let centre_m = g.link_from_geom.pos_m;
@@ -364,10 +372,10 @@ pub(crate) fn water(
     for (group, g) in &w.drag {
         for name in &g.links {
             if !links.iter().any(|l| &l.name == name) {
-                return Err(c.error(
+                return c.refuse(
                     format!("water.drag.{group}.links"),
                     format!("there is no body `{name}` in the MJCF"),
-                ));
+                );
             }
         }
     }
@@ -376,10 +384,10 @@ pub(crate) fn water(
     for link in links {
         let mut groups = w.drag.values().filter(|g| g.links.contains(&link.name));
         let (Some(one), None) = (groups.next(), groups.next()) else {
-            return Err(c.error(
+            return c.refuse(
                 "water.drag",
                 format!("link `{}` must be in exactly one group", link.name),
-            ));
+            );
         };
         drag.push(one.scale.clone());
         added.push(one.added.clone());

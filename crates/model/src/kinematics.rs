@@ -3,7 +3,7 @@
 use crate::error::ModelError;
 use crate::model::RobotModel;
 use crate::pose::{self, Pose};
-use crate::types::JointMotion;
+use crate::types::{BaseKind, JointMotion};
 
 /// A joint's axis line in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,8 +92,8 @@ impl RobotModel {
 
     fn root_pose(&self, world_from_base: &Pose, placed: Pose) -> Pose {
         match self.base {
-            crate::model::BaseKind::Free => *world_from_base,
-            crate::model::BaseKind::Fixed => world_from_base.compose(&placed),
+            BaseKind::Free => *world_from_base,
+            BaseKind::Fixed => world_from_base.compose(&placed),
         }
     }
 
@@ -125,13 +125,5 @@ impl RobotModel {
         }
         let total = self.total_mass_kg();
         sum.map(|x| x / total)
-    }
-
-    /// Centres of the foot balls in the world, m, in the order of [`RobotModel::feet`].
-    pub fn foot_centres_m(&self, kinematics: &Kinematics) -> Vec<[f64; 3]> {
-        self.feet
-            .iter()
-            .map(|f| kinematics.links[f.link].point(f.centre_m))
-            .collect()
     }
 }

@@ -24,10 +24,10 @@ mod types;
 pub use error::ModelError;
 pub use extension::{Extension, ExtensionEffect, ExtensionParameter};
 pub use kinematics::{JointFrame, Kinematics};
-pub use model::{BaseKind, RobotModel};
+pub use model::RobotModel;
 pub use params::{
     AddedShare, BacklashParams, ContactParams, DragScale, ImuParams, SensorParams, ServoParams,
     SupplyParams, WaterParams,
 };
 pub use pose::Pose;
-pub use types::{Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness};
+pub use types::{BaseKind, Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness};

@@ -6,18 +6,37 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use crate::assemble::{
-    actuated_joints, backlash, base_kind, feet, joints, parts, pose, servos, water,
+    actuated_joints, backlash, base_kind, feet, find, joints, parts, pose, servos, water,
 };
 use crate::error::ModelError;
-use crate::mjcf;
+use crate::mjcf::{self, MjModel};
 use crate::model::RobotModel;
 use crate::params::SensorParams;
 use crate::robot_file::{self, Checker, RobotFile};
+use crate::types::{Joint, Link, Site};
 
 /// Largest robot file or MJCF that is read.
 const FILE_LIMIT_BYTES: u64 = 16 * 1024 * 1024;
 
-pub(crate) fn from_path(robot_toml: &Path) -> Result<RobotModel, ModelError> {
+impl RobotModel {
+    /// Reads a robot file and the MJCF that it names (a file in the same folder), and checks both completely.
+    ///
+    /// # Errors
+    /// [`ModelError`] with file, place and reason.
+    pub fn load(robot_toml: &Path) -> Result<Self, ModelError> {
+        from_path(robot_toml)
+    }
+
+    /// As [`RobotModel::load`], from bytes; `label` names the robot file in error messages.
+    ///
+    /// # Errors
+    /// [`ModelError`] with place and reason.
+    pub fn from_bytes(label: &str, robot_toml: &[u8], mjcf: &[u8]) -> Result<Self, ModelError> {
+        from_bytes(label, robot_toml, mjcf)
+    }
+}
+
+fn from_path(robot_toml: &Path) -> Result<RobotModel, ModelError> {
     let label = robot_toml.display().to_string();
     let toml_bytes = read(robot_toml)?;
     let file = robot_file::parse(&label, utf8(&label, &toml_bytes)?)?;
@@ -32,11 +51,7 @@ pub(crate) fn from_path(robot_toml: &Path) -> Result<RobotModel, ModelError> {
     )
 }
 
-pub(crate) fn from_bytes(
-    label: &str,
-    robot_toml: &[u8],
-    mjcf: &[u8],
-) -> Result<RobotModel, ModelError> {
+fn from_bytes(label: &str, robot_toml: &[u8], mjcf: &[u8]) -> Result<RobotModel, ModelError> {
     let file = robot_file::parse(label, utf8(label, robot_toml)?)?;
     let mjcf_label = file.mjcf.clone();
     build(label, &mjcf_label, file, robot_toml, mjcf)
@@ -101,62 +116,20 @@ fn build(
         &servo_presets,
         &servo_of,
     )?;
-    let mut limits_rad = Vec::new();
-    for &j in &actuated {
-        let joint = &joints[j];
-        limits_rad.push(joint.range_rad.ok_or_else(|| ModelError::Mjcf {
-            file: mjcf_label.to_owned(),
-            line: mj.joints[j].line,
-            element: format!("joint name=\"{}\"", joint.name),
-            message: "attribute `range`: is missing; an actuated joint needs limits".to_owned(),
-        })?);
-    }
-    let nominal_pos_rad = pose(
-        &c,
-        "pose.nominal_rad",
-        &file.pose.nominal_rad,
-        &file,
-        &limits_rad,
-    )?;
-    let swimming_pos_rad = match &file.pose.swimming_rad {
-        Some(p) => Some(pose(&c, "pose.swimming_rad", p, &file, &limits_rad)?),
-        None => None,
-    };
+    let limits_rad = limits(mjcf_label, &mj, &actuated, &joints)?;
+    let pose = |at, by_name| pose(&c, at, by_name, &file, &limits_rad);
+    let nominal_pos_rad = pose("pose.nominal_rad", &file.pose.nominal_rad)?;
+    let swimming = file.pose.swimming_rad.as_ref();
+    let swimming_pos_rad = swimming.map(|p| pose("pose.swimming_rad", p)).transpose()?;
     let gravity_mps2 = mj.gravity_mps2;
     let (mut links, sites, world_geoms, excluded_pairs) = parts(mj);
     let feet = feet(&c, &file, &mut links)?;
     let water = water(&c, &file, &links)?;
-    let site_index = |at: &str, name: &str| {
-        sites
-            .iter()
-            .position(|s| s.name == name)
-            .ok_or_else(|| c.error(at, format!("there is no site `{name}` in the MJCF")))
-    };
     let imu_site = match &file.imu {
-        Some(imu) => Some(site_index("imu.site", &imu.site)?),
+        Some(imu) => Some(site(&c, &sites, "imu.site", &imu.site)?),
         None => None,
     };
-    let mut torso_link = 0;
-    let mut heading_sites = None;
-    if let Some(f) = &file.frames {
-        torso_link = links
-            .iter()
-            .position(|l| l.name == f.torso)
-            .ok_or_else(|| {
-                c.error(
-                    "frames.torso",
-                    format!("there is no body `{}` in the MJCF", f.torso),
-                )
-            })?;
-        heading_sites = match (&f.heading_hind, &f.heading_front) {
-            (Some(h), Some(f)) => Some((
-                site_index("frames.heading_hind", h)?,
-                site_index("frames.heading_front", f)?,
-            )),
-            (None, None) => None,
-            _ => return Err(c.error("frames", "heading_hind and heading_front go together")),
-        };
-    }
+    let (torso_link, heading_sites) = frames(&c, &file, &links, &sites)?;
     Ok(RobotModel {
         hash: hash(toml_bytes, mjcf_bytes),
         name: file.name,
@@ -186,4 +159,49 @@ fn build(
         heading_sites,
         torso_link,
     })
+}
+
+/// Lower and upper limit of each actuated joint, rad.
+fn limits(
+    mjcf_label: &str,
+    mj: &MjModel,
+    actuated: &[usize],
+    joints: &[Joint],
+) -> Result<Vec<(f64, f64)>, ModelError> {
+    let limit = |&j: &usize| {
+        joints[j].range_rad.ok_or_else(|| ModelError::Mjcf {
+            file: mjcf_label.to_owned(),
+            line: mj.joints[j].line,
+            element: format!("joint name=\"{}\"", joints[j].name),
+            message: "attribute `range`: is missing; an actuated joint needs limits".to_owned(),
+        })
+    };
+    actuated.iter().map(limit).collect()
+}
+
+fn site(c: &Checker<'_>, sites: &[Site], at: &str, name: &str) -> Result<usize, ModelError> {
+    find(c, at, "site", name, sites.iter().map(|s| s.name.as_str()))
+}
+
+/// Index of the torso's link, and of the hind and the front end of the heading line.
+fn frames(
+    c: &Checker<'_>,
+    file: &RobotFile,
+    links: &[Link],
+    sites: &[Site],
+) -> Result<(usize, Option<(usize, usize)>), ModelError> {
+    let Some(f) = &file.frames else {
+        return Ok((0, None));
+    };
+    let links = links.iter().map(|l| l.name.as_str());
+    let torso = find(c, "frames.torso", "body", &f.torso, links)?;
+    let heading = match (&f.heading_hind, &f.heading_front) {
+        (Some(hind), Some(front)) => Some((
+            site(c, sites, "frames.heading_hind", hind)?,
+            site(c, sites, "frames.heading_front", front)?,
+        )),
+        (None, None) => None,
+        _ => return c.refuse("frames", "heading_hind and heading_front go together"),
+    };
+    Ok((torso, heading))
 }

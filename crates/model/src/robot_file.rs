@@ -111,6 +111,16 @@ pub(crate) struct BacklashTable {
     pub friction_loss_nm: f64,
 }
 
+impl BacklashTable {
+    fn spring(&self) -> PassiveJoint {
+        PassiveJoint {
+            stiffness_nm_per_rad: self.stiffness_nm_per_rad,
+            damping_nm_s_per_rad: self.damping_nm_s_per_rad,
+            friction_loss_nm: self.friction_loss_nm,
+        }
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct WaterTable {
@@ -158,6 +168,14 @@ impl Checker<'_> {
         }
     }
 
+    pub fn refuse<T>(
+        &self,
+        at: impl Into<String>,
+        message: impl Into<String>,
+    ) -> Result<T, ModelError> {
+        Err(self.error(at, message))
+    }
+
     fn above(&self, at: &str, x: f64) -> Result<(), ModelError> {
         if x.is_finite() && x > 0.0 {
             return Ok(());
@@ -174,10 +192,10 @@ impl Checker<'_> {
 
     fn run(&self, f: &RobotFile) -> Result<(), ModelError> {
         if f.format != FORMAT {
-            return Err(self.error(
+            return self.refuse(
                 "format",
                 format!("is `{}`; this version reads `{FORMAT}`", f.format),
-            ));
+            );
         }
         if f.name.is_empty()
             || !f
@@ -185,86 +203,61 @@ impl Checker<'_> {
                 .chars()
                 .all(|c| c.is_ascii_alphanumeric() || "_-".contains(c))
         {
-            return Err(self.error("name", "needs letters, digits, _ and - only"));
+            return self.refuse("name", "needs letters, digits, _ and - only");
         }
         if f.mjcf.is_empty() || f.mjcf.contains(['/', '\\']) || f.mjcf == ".." {
-            return Err(self.error("mjcf", "names a file in the same folder, without a path"));
+            return self.refuse("mjcf", "names a file in the same folder, without a path");
         }
-        // Ranges: wide enough for any robot of this kind, narrow enough to catch a wrong unit.
-        self.within("control.kp_nm_per_rad", f.control.kp_nm_per_rad, 0.0, 1e4)?;
-        self.within(
-            "control.kd_nm_s_per_rad",
-            f.control.kd_nm_s_per_rad,
-            0.0,
-            1e3,
-        )?;
         for (name, preset) in &f.servo.preset {
             self.servo(name, preset)?;
         }
-        for (at, v) in [
-            ("supply.default_v", f.supply.default_v),
-            ("supply.bench_v", f.supply.bench_v),
-            ("supply.battery_full_v", f.supply.battery_full_v),
-            ("supply.battery_nominal_v", f.supply.battery_nominal_v),
-        ] {
-            self.within(at, v, 1.0, 100.0)?;
-        }
-        self.within("supply.resistance_ohm", f.supply.resistance_ohm, 0.0, 10.0)?;
-        self.within("supply.lag_s", f.supply.lag_s, 0.0, 1.0)?;
-        self.within("contact.foot_friction", f.contact.foot_friction, 0.0, 4.0)?;
-        self.within("contact.body_friction", f.contact.body_friction, 0.0, 4.0)?;
+        // Ranges: wide enough for any robot of this kind, narrow enough to catch a wrong unit.
+        #[rustfmt::skip]
+        self.all_within(&[
+            ("control.kp_nm_per_rad", f.control.kp_nm_per_rad, 0.0, 1e4),
+            ("control.kd_nm_s_per_rad", f.control.kd_nm_s_per_rad, 0.0, 1e3),
+            ("supply.default_v", f.supply.default_v, 1.0, 100.0),
+            ("supply.bench_v", f.supply.bench_v, 1.0, 100.0),
+            ("supply.battery_full_v", f.supply.battery_full_v, 1.0, 100.0),
+            ("supply.battery_nominal_v", f.supply.battery_nominal_v, 1.0, 100.0),
+            ("supply.resistance_ohm", f.supply.resistance_ohm, 0.0, 10.0),
+            ("supply.lag_s", f.supply.lag_s, 0.0, 1.0),
+            ("contact.foot_friction", f.contact.foot_friction, 0.0, 4.0),
+            ("contact.body_friction", f.contact.body_friction, 0.0, 4.0),
+        ])?;
         if let Some(imu) = &f.imu {
-            self.within(
-                "imu.gyro_noise_radps_per_sqrt_hz",
-                imu.gyro_noise_radps_per_sqrt_hz,
-                0.0,
-                1.0,
-            )?;
-            self.within(
-                "imu.acc_noise_mps2_per_sqrt_hz",
-                imu.acc_noise_mps2_per_sqrt_hz,
-                0.0,
-                1.0,
-            )?;
-            self.within("imu.gyro_bias_std_radps", imu.gyro_bias_std_radps, 0.0, 1.0)?;
-            self.within("imu.acc_bias_std_mps2", imu.acc_bias_std_mps2, 0.0, 10.0)?;
+            #[rustfmt::skip]
+            self.all_within(&[
+                ("imu.gyro_noise_radps_per_sqrt_hz", imu.gyro_noise_radps_per_sqrt_hz, 0.0, 1.0),
+                ("imu.acc_noise_mps2_per_sqrt_hz", imu.acc_noise_mps2_per_sqrt_hz, 0.0, 1.0),
+                ("imu.gyro_bias_std_radps", imu.gyro_bias_std_radps, 0.0, 1.0),
+                ("imu.acc_bias_std_mps2", imu.acc_bias_std_mps2, 0.0, 10.0),
+            ])?;
         }
-        if let Some(p) = &f.passive {
-            for (name, j) in &p.joint {
-                self.spring(
-                    &format!("passive.joint.{name}"),
-                    [
-                        j.stiffness_nm_per_rad,
-                        j.damping_nm_s_per_rad,
-                        j.friction_loss_nm,
-                    ],
-                )?;
-            }
+        for (name, j) in f.passive.iter().flat_map(|p| &p.joint) {
+            self.spring(&format!("passive.joint.{name}"), j)?;
         }
         if let Some(b) = &f.backlash {
             self.within("backlash.half_width_rad", b.half_width_rad, 0.0, 0.5)?;
-            self.spring(
-                "backlash",
-                [
-                    b.stiffness_nm_per_rad,
-                    b.damping_nm_s_per_rad,
-                    b.friction_loss_nm,
-                ],
-            )?;
+            self.spring("backlash", &b.spring())?;
         }
-        if let Some(w) = &f.water {
-            self.water(w)?;
+        match &f.water {
+            Some(w) => self.water(w),
+            None => Ok(()),
         }
-        Ok(())
     }
 
-    fn spring(&self, at: &str, values: [f64; 3]) -> Result<(), ModelError> {
-        let names = [
-            "stiffness_nm_per_rad",
-            "damping_nm_s_per_rad",
-            "friction_loss_nm",
-        ];
-        for (name, v) in names.iter().zip(values) {
+    fn all_within(&self, ranges: &[(&str, f64, f64, f64)]) -> Result<(), ModelError> {
+        let mut ranges = ranges.iter();
+        ranges.try_for_each(|&(at, x, lo, hi)| self.within(at, x, lo, hi))
+    }
+
+    fn spring(&self, at: &str, j: &PassiveJoint) -> Result<(), ModelError> {
+        for (name, v) in [
+            ("stiffness_nm_per_rad", j.stiffness_nm_per_rad),
+            ("damping_nm_s_per_rad", j.damping_nm_s_per_rad),
+            ("friction_loss_nm", j.friction_loss_nm),
+        ] {
             self.within(&format!("{at}.{name}"), v, 0.0, 1e4)?;
         }
         Ok(())
@@ -305,24 +298,22 @@ impl Checker<'_> {
         let key = "stribeck_speed_radps";
         self.within(&at(key), s.stribeck_speed_radps, 1e-3, 1e2)?;
         if !(0.0 <= s.qd_tau_max_radps && s.qd_tau_max_radps < s.qd_max_radps) {
-            return Err(self.error(at("qd_tau_max_radps"), "must be ≥ 0 and below qd_max_radps"));
+            return self.refuse(at("qd_tau_max_radps"), "must be ≥ 0 and below qd_max_radps");
         }
         if !(0.0 <= s.tau_qd_max_nm && s.tau_qd_max_nm <= s.tau_max_nm) {
-            return Err(self.error(at("tau_qd_max_nm"), "must be ≥ 0 and at most tau_max_nm"));
+            return self.refuse(at("tau_qd_max_nm"), "must be ≥ 0 and at most tau_max_nm");
         }
         Ok(())
     }
 
     fn water(&self, w: &WaterTable) -> Result<(), ModelError> {
-        self.within("water.density_kg_per_m3", w.density_kg_per_m3, 1.0, 2e4)?;
-        self.within("water.viscosity_pa_s", w.viscosity_pa_s, 0.0, 10.0)?;
-        self.within("water.buoyancy_ratio", w.buoyancy_ratio, 0.0, 20.0)?;
-        self.within(
-            "water.heave_damping_ns_per_m",
-            w.heave_damping_ns_per_m,
-            0.0,
-            1e3,
-        )?;
+        #[rustfmt::skip]
+        self.all_within(&[
+            ("water.density_kg_per_m3", w.density_kg_per_m3, 1.0, 2e4),
+            ("water.viscosity_pa_s", w.viscosity_pa_s, 0.0, 10.0),
+            ("water.buoyancy_ratio", w.buoyancy_ratio, 0.0, 20.0),
+            ("water.heave_damping_ns_per_m", w.heave_damping_ns_per_m, 0.0, 1e3),
+        ])?;
         for (name, group) in &w.drag {
             let s = &group.scale;
             for (key, v) in [

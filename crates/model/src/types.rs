@@ -5,6 +5,15 @@
 
 use crate::pose::Pose;
 
+/// Whether the root link is free or fixed to the world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BaseKind {
+    /// Six degrees of freedom; the pose of the root link is part of the state.
+    Free,
+    /// The root link is fixed to (or jointed with) the world.
+    Fixed,
+}
+
 /// A rigid body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Link {

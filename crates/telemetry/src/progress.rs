@@ -286,7 +286,7 @@ mod tests {
 
     #[test]
     fn the_documentation_names_every_event_and_key() {
-        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/json.md");
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/reference/json.md");
         let page = std::fs::read_to_string(page).unwrap();
         let finished = Finished {
             first_tenth: Some(MeanSe::default()),
@@ -309,7 +309,7 @@ mod tests {
             for name in names {
                 assert!(
                     page.contains(&format!("`{name}`")),
-                    "docs/json.md does not name `{name}`"
+                    "docs/reference/json.md does not name `{name}`"
                 );
             }
         }

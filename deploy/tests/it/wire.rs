@@ -362,7 +362,7 @@ fn a_log_of_the_flight_recorder_goes_straight_through_check_and_diagnosis() {
         .arg(bench.folder.path().join("diagnosis"));
     let (code, found, errors) = outcome(diagnose);
     let verdict = found["verdict"].as_str().unwrap_or_default();
-    // What a diagnosis that is complete can come to (docs/exit-codes.md); a data fault or a flag that is wrong is none of them.
+    // What a diagnosis that is complete can come to (docs/reference/exit-codes.md); a data fault or a flag that is wrong is none of them.
     let fits = match verdict {
         "no_gap" | "explained" => code == 0,
         "ambiguous" => code == 80,

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use caudata_runlog::{BaseHold, Signal};
 use serde::{Deserialize, Serialize};
 
-use super::Run;
-use super::joints::Channels;
+use super::channels::Channels;
+use super::finding::Run;
 use super::series::{slope, smooth};
 
 /// Frequencies at which a command's share is asked for, Hz: half-octaves.

@@ -2,11 +2,10 @@
 
 use caudata_runlog::Signal;
 
+use super::channels::{Channels, SLOW_S};
+use super::finding::{Finding, Run};
 use super::series::{Together, best_lag, slope, smooth, together};
-use super::{Finding, Run, Severity};
 
-/// Commands and readings are compared below about 1 Hz, where no lag of a servo turns a sign.
-const SLOW_S: f64 = 0.35;
 /// A command that moves less than this (standard deviation of its slow part, rad) tells nothing.
 const MOVES_RAD: f64 = 0.02;
 /// A joint slower than this rests, rad/s.
@@ -31,74 +30,12 @@ const FAR_BETTER: f64 = 0.1;
 const FOLLOWS_WELL: f64 = 0.06;
 /// … and as far as this share of the command.
 const FOLLOWS_FAR: f64 = 0.5;
-/// For this comparison, over so long a time is smoothed, and lags differ by so much, s.
-const FINE_S: f64 = 0.1;
+/// For this comparison, lags differ by so much, s.
 const LAG_STEP_S: f64 = 0.02;
 /// Motion below this (standard deviation) is not told from noise, rad.
 const RESOLVED_RAD: f64 = 0.004;
 /// An error that no servo leaves on both sides of a reading that does not change, rad.
 const STUCK_RAD: f64 = 0.15;
-
-/// What is known of one joint, on the run's grid.
-pub(super) struct Channels {
-    pub name: String,
-    pub index: usize,
-    /// Command, rad; NaN where none is in force.
-    pub cmd: Option<Vec<f64>>,
-    pub pos: Option<Vec<f64>>,
-    pub vel: Option<Vec<f64>>,
-    pub cur: Option<Vec<f64>>,
-    /// 1 powered, 0 let go.
-    pub on: Option<Vec<f64>>,
-    slow_cmd: Option<Vec<f64>>,
-    slow_pos: Option<Vec<f64>>,
-    fine_cmd: Option<Vec<f64>>,
-    fine_pos: Option<Vec<f64>>,
-}
-
-impl Channels {
-    /// The channels of every actuated joint that the log has, policy order.
-    pub fn all(run: &Run<'_>) -> Vec<Self> {
-        let table = &run.log.table;
-        let (slow, fine) = (run.grid.points(SLOW_S), run.grid.points(FINE_S));
-        let names = run.robot.actuated_names();
-        names
-            .iter()
-            .enumerate()
-            .filter(|(_, name)| {
-                let named = |s: &Signal| s.joint() == Some(**name);
-                table.signals().iter().any(named)
-            })
-            .map(|(index, name)| {
-                let own =
-                    |of: fn(String) -> Signal| run.grid.linear(table, &of((*name).to_owned()));
-                let on = run.grid.held(table, &Signal::Enabled((*name).to_owned()));
-                let mut cmd = run.grid.held(table, &Signal::Command((*name).to_owned()));
-                if let (Some(cmd), Some(on)) = (&mut cmd, &on) {
-                    for (u, &on) in cmd.iter_mut().zip(on) {
-                        if on == 0.0 {
-                            *u = f64::NAN;
-                        }
-                    }
-                }
-                let pos = own(Signal::Position);
-                Self {
-                    name: (*name).to_owned(),
-                    index,
-                    slow_cmd: cmd.as_deref().map(|x| smooth(x, slow)),
-                    slow_pos: pos.as_deref().map(|x| smooth(x, slow)),
-                    fine_cmd: cmd.as_deref().map(|x| smooth(x, fine)),
-                    fine_pos: pos.as_deref().map(|x| smooth(x, fine)),
-                    cmd,
-                    pos,
-                    vel: own(Signal::Velocity),
-                    cur: own(Signal::Current),
-                    on,
-                }
-            })
-            .collect()
-    }
-}
 
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let exchanged = order(run, joints, out);
@@ -112,15 +49,6 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
     }
     doubled(joints, out);
     cause_before_effect(run, joints, out);
-}
-
-fn fatal(kind: &'static str, at: String, detail: String) -> Finding {
-    Finding {
-        kind,
-        at,
-        detail,
-        severity: Severity::Fatal,
-    }
 }
 
 /// The slow parts of command and position, where there is enough of both.
@@ -146,7 +74,7 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
             } else {
                 "is it in another unit, from another zero, or of another robot?"
             };
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "unit",
                 format!("{what}.{}", joint.name),
                 format!(
@@ -160,7 +88,7 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     };
     // 57.3 either way, also where the joint's range is wide enough to hold it
     if t.r > 0.7 && t.slope > 20.0 && beyond(&joint.pos).is_none() {
-        out.push(fatal(
+        out.push(Finding::fatal(
             "unit",
             format!("pos.{}", joint.name),
             format!(
@@ -169,7 +97,7 @@ fn units(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
             ),
         ));
     } else if t.r > 0.7 && t.slope > 0.0 && t.slope < 0.03 && beyond(&joint.cmd).is_none() {
-        out.push(fatal(
+        out.push(Finding::fatal(
             "unit",
             format!("cmd.{}", joint.name),
             format!(
@@ -185,7 +113,7 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         return;
     };
     if t.r < -0.5 && t.second_sd > 0.2 * t.first_sd {
-        out.push(fatal(
+        out.push(Finding::fatal(
             "sign",
             format!("pos.{}", joint.name),
             format!(
@@ -216,7 +144,7 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     // an error that hardly leaves its count, and a current that wanders meanwhile, tell nothing
     let told = t.first_sd > run.robot.servo(joint.index).encoder_lsb_rad();
     if told && t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) && !unsigned {
-        out.push(fatal(
+        out.push(Finding::fatal(
             "sign",
             format!("cur.{}", joint.name),
             format!(
@@ -251,7 +179,7 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         let below = asked().any(|u| pos[from] - u > far);
         let lasts = (i - from) as f64 * run.grid.step_s;
         if above && below && lasts > 0.3 {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "stuck",
                 format!("pos.{}", joint.name),
                 format!(
@@ -283,15 +211,13 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         .fold(f64::INFINITY, f64::min);
     let lsb = run.robot.servo(joint.index).encoder_lsb_rad();
     if known.len() >= 5 && span > 20.0 * lsb && step > 4.0 * lsb {
-        out.push(Finding {
-            kind: "quantisation",
-            at: format!("pos.{}", joint.name),
-            detail: format!(
-                "comes in steps of {:.4} rad where the encoder counts {lsb:.4} rad; log it unrounded",
-                step
+        out.push(Finding::note(
+            "quantisation",
+            format!("pos.{}", joint.name),
+            format!(
+                "comes in steps of {step:.4} rad where the encoder counts {lsb:.4} rad; log it unrounded"
             ),
-            severity: Severity::Note,
-        });
+        ));
     }
 }
 
@@ -347,7 +273,7 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
         } else {
             ": are the columns in another joint's order?".to_owned()
         };
-        out.push(fatal(
+        out.push(Finding::fatal(
             "order",
             format!("pos.{a_name}"),
             format!(
@@ -459,7 +385,7 @@ fn doubled(joints: &[Channels], out: &mut Vec<Finding>) {
                 _ => false,
             };
             if moved && !asked_alike && all > 50 && same * 100 > all * 98 {
-                out.push(fatal(
+                out.push(Finding::fatal(
                     "duplicate",
                     format!("pos.{}", second.name),
                     format!(
@@ -504,7 +430,7 @@ fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding
     }
     if let Some(&(name, lag_s, r)) = leads.iter().max_by(|a, b| a.2.total_cmp(&b.2)) {
         let how = if lag_s < 0.0 { "before" } else { "after" };
-        out.push(fatal(
+        out.push(Finding::fatal(
             "stamps",
             format!("pos.{name}"),
             format!(

@@ -4,12 +4,15 @@
 //! gravity is 9.81 m/s², repeats repeat), so it needs no simulation and no effect of the catalogue makes it fail.
 
 mod blind;
+mod channels;
 mod excites;
+mod finding;
 mod joints;
 mod parity;
 mod repeats;
 pub mod series;
 mod stamps;
+mod usable;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,37 +26,8 @@ pub use excites::{JointExcitation, RunExcitation};
 pub use repeats::OddSpan;
 
 use crate::report::DataFault;
-
-/// A run shorter than this says nothing, s.
-pub const SHORTEST_RUN_S: f64 = 2.0;
-/// A run with fewer rows than this says nothing.
-pub const FEWEST_ROWS: usize = 50;
-
-/// Whether a finding stops a diagnosis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Severity {
-    /// It must be put right first.
-    Fatal,
-    /// It is worth knowing.
-    Note,
-}
-
-/// A fault of one run, before it is given the run's name.
-#[derive(Clone, Debug)]
-pub(crate) struct Finding {
-    pub kind: &'static str,
-    pub at: String,
-    pub detail: String,
-    pub severity: Severity,
-}
-
-/// One run being looked at.
-pub(crate) struct Run<'a> {
-    pub name: String,
-    pub log: &'a RunLog,
-    pub robot: &'a RobotModel,
-    pub grid: series::Grid,
-}
+use channels::Channels;
+use finding::{Finding, Run};
 
 /// What was found in one run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -162,8 +136,8 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
     let mut channels = Vec::new();
     for run in &runs {
         let mut found = Vec::new();
-        let joints = joints::Channels::all(run);
-        if usable(run, &joints, &mut found) {
+        let joints = Channels::all(run);
+        if usable::usable(run, &joints, &mut found) {
             stamps::faults(run, &joints, &mut found);
             joints::faults(run, &joints, &mut found);
             parity::faults(run, &joints, &mut found);
@@ -215,96 +189,6 @@ fn fault(run: &str, f: Finding) -> DataFault {
         kind: f.kind.to_owned(),
         location,
         detail: f.detail,
-        fatal: f.severity == Severity::Fatal,
+        fatal: f.fatal,
     }
-}
-
-/// Whether there is anything to check: the right robot, its joints, enough rows.
-fn usable(run: &Run<'_>, joints: &[joints::Channels], out: &mut Vec<Finding>) -> bool {
-    let before = out.len();
-    let mut fatal = |kind, at: &str, detail: String| {
-        out.push(Finding {
-            kind,
-            at: at.to_owned(),
-            detail,
-            severity: Severity::Fatal,
-        });
-    };
-    let table = &run.log.table;
-    let known = run.robot.actuated_names();
-    let strangers: Vec<&str> = {
-        let mut all: Vec<&str> = table
-            .signals()
-            .iter()
-            .filter_map(|s| s.joint())
-            .filter(|j| !known.contains(j))
-            .collect();
-        all.sort_unstable();
-        all.dedup();
-        all
-    };
-    let robot = run.robot.name();
-    if joints.is_empty() {
-        let detail = if strangers.is_empty() {
-            "has no joint column; a diagnosis needs `cmd.<joint>` and `pos.<joint>`".to_owned()
-        } else {
-            format!(
-                "has joints {} where `{robot}` has {}: a log of another robot (`robot = \"{}\"`)",
-                strangers.join(", "),
-                known.join(", "),
-                run.log.meta.robot
-            )
-        };
-        fatal("columns", "log.csv", detail);
-    } else {
-        if !strangers.is_empty() {
-            fatal(
-                "columns",
-                "log.csv",
-                format!(
-                    "has {} and `{robot}` has no such joint; its joints are {}",
-                    strangers.join(", "),
-                    known.join(", ")
-                ),
-            );
-        }
-        for (what, has) in [
-            ("cmd", joints.iter().any(|j| j.cmd.is_some())),
-            ("pos", joints.iter().any(|j| j.pos.is_some())),
-        ] {
-            if !has {
-                fatal(
-                    "columns",
-                    "log.csv",
-                    format!("has no column `{what}.<joint>`"),
-                );
-            }
-        }
-    }
-    let span_s = table.time_s().last().unwrap_or(&0.0) - table.time_s().first().unwrap_or(&0.0);
-    if table.len() < FEWEST_ROWS || span_s < SHORTEST_RUN_S {
-        fatal(
-            "short",
-            "log.csv",
-            format!(
-                "is {span_s:.2} s long in {} rows; a run has at least {SHORTEST_RUN_S} s and {FEWEST_ROWS} rows",
-                table.len()
-            ),
-        );
-    }
-    let usable = out.len() == before;
-    for signal in table.signals() {
-        if table
-            .column(signal)
-            .is_some_and(|c| c.iter().all(Option::is_none))
-        {
-            out.push(Finding {
-                kind: "empty",
-                at: signal.to_string(),
-                detail: "has no sample in the whole run".to_owned(),
-                severity: Severity::Note,
-            });
-        }
-    }
-    usable
 }

@@ -2,9 +2,9 @@
 
 use caudata_runlog::{Axis, QuatPart, Signal};
 
-use super::joints::Channels;
-use super::series::{Together, best_lag, smooth, together};
-use super::{Finding, Run, Severity};
+use super::channels::Channels;
+use super::finding::{Finding, Run};
+use super::series::{Together, best_lag, median, slope, smooth, together};
 
 /// Speeds are compared as means over so long, s: encoder steps vanish.
 const WINDOW_S: f64 = 0.15;
@@ -29,7 +29,7 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
         let alike = ratios.iter().all(|r| (r / mean - 1.0).abs() < 0.1);
         let known_unit = unit_factor(mean).is_some();
         if alike && !known_unit && !(1.0 / RATIO..RATIO).contains(&mean) && mean > 0.0 {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "stamps",
                 "t".to_owned(),
                 format!(
@@ -50,21 +50,12 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
     plain_ranges(run, joints, out);
 }
 
-fn fatal(kind: &'static str, at: String, detail: String) -> Finding {
-    Finding {
-        kind,
-        at,
-        detail,
-        severity: Severity::Fatal,
-    }
-}
-
 /// The change of `pos` per time against `speed`, at the lag where they go best together; `None` where nothing moves.
 fn speed_parity(run: &Run<'_>, pos: &[f64], speed: &[f64]) -> Option<Together> {
     let grid = &run.grid;
     let width = grid.points(WINDOW_S).max(2);
     let half = width / 2;
-    let change = super::series::slope(pos, half, grid.step_s);
+    let change = slope(pos, half, grid.step_s);
     let mean = smooth(speed, 2 * half);
     let lags = grid.points(LAG_S) as isize;
     let (_, t) = best_lag(&change, &mean, 0..=lags);
@@ -90,25 +81,25 @@ fn unit_factor(ratio: f64) -> Option<&'static str> {
 fn speed_fault(t: Together, at: &str, of: &str) -> Option<Finding> {
     if t.r < -0.5 {
         let detail = format!("goes against the change of {of} (correlation {:.2})", t.r);
-        return Some(fatal("sign", at.to_owned(), detail));
+        return Some(Finding::fatal("sign", at.to_owned(), detail));
     }
     if t.r < LEAST_R {
         let detail = format!(
             "does not follow the change of {of} (correlation {:.2}); is it another joint's, or stuck?",
             t.r
         );
-        return Some(fatal("parity", at.to_owned(), detail));
+        return Some(Finding::fatal("parity", at.to_owned(), detail));
     }
     if let Some(unit) = unit_factor(t.slope) {
         let detail = format!(
             "is {:.1} times the change of {of} per second; is it in {unit}?",
             t.slope
         );
-        return Some(fatal("unit", at.to_owned(), detail));
+        return Some(Finding::fatal("unit", at.to_owned(), detail));
     }
     if !(1.0 / RATIO..RATIO).contains(&t.slope) {
         let detail = format!("is {:.2} times the change of {of} per second", t.slope);
-        return Some(fatal("parity", at.to_owned(), detail));
+        return Some(Finding::fatal("parity", at.to_owned(), detail));
     }
     None
 }
@@ -137,12 +128,12 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
     let grav = vector(run, Signal::Gravity);
     let g = run.robot.gravity_mps2();
     let g = (g[0].powi(2) + g[1].powi(2) + g[2].powi(2)).sqrt();
-    if let Some(median) = acc.as_ref().and_then(|a| super::series::median(norms(a))) {
+    if let Some(median) = acc.as_ref().and_then(|a| median(norms(a))) {
         let at = "imu.acc".to_owned();
         if (median / 1.0 - 1.0).abs() < 0.2 && g > 2.0 {
-            out.push(fatal("unit", at, format!("is {median:.2} long in the middle where gravity is {g:.2} m/s²; is it in units of g?")));
+            out.push(Finding::fatal("unit", at, format!("is {median:.2} long in the middle where gravity is {g:.2} m/s²; is it in units of g?")));
         } else if !(0.8..1.25).contains(&(median / g)) {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "parity",
                 at,
                 format!("is {median:.2} m/s² long in the middle where gravity is {g:.2} m/s²"),
@@ -150,17 +141,17 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
         }
     }
     if let Some(grav) = &grav {
-        if let Some(length) = super::series::median(norms(grav))
+        if let Some(length) = median(norms(grav))
             && !(0.9..1.1).contains(&length)
         {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "unit",
                 "imu.grav".to_owned(),
                 format!("is {length:.2} long; the direction of gravity is a unit vector"),
             ));
         }
         if let (Some(acc), Some(along)) = (&acc, acc.as_ref().and_then(|a| along(a, grav))) {
-            let length = super::series::median(norms(acc)).unwrap_or(g).max(1e-9);
+            let length = median(norms(acc)).unwrap_or(g).max(1e-9);
             // at rest the accelerometer reads gravity's reaction: straight against its direction
             if along / length > -0.7 {
                 let (kind, how) = if along / length > 0.7 {
@@ -168,7 +159,7 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
                 } else {
                     ("order", "across")
                 };
-                out.push(fatal(
+                out.push(Finding::fatal(
                     kind,
                     "imu.acc".to_owned(),
                     format!(
@@ -188,7 +179,7 @@ fn imu(run: &Run<'_>, out: &mut Vec<Finding>) {
             .filter(|x| x.is_finite())
             .fold(0.0, f64::max);
         if most > 60.0 {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "unit",
                 "imu.gyro".to_owned(),
                 format!("reaches {most:.0} rad/s; is it in deg/s?"),
@@ -211,7 +202,7 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     let smooth3 = |v: &[Vec<f64>; 3]| [0, 1, 2].map(|k| smooth(&v[k], 2 * half));
     let (w, g) = (smooth3(gyro), smooth3(grav));
     let change: Vec<f64> = (0..3)
-        .flat_map(|k| super::series::slope(&grav[k], half, run.grid.step_s))
+        .flat_map(|k| slope(&grav[k], half, run.grid.step_s))
         .collect();
     let predicted = |signs: [f64; 3], axes: [usize; 3]| -> Vec<f64> {
         let w = |k: usize, i: usize| signs[k] * w[axes[k]][i];
@@ -230,7 +221,7 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     }
     if plain.r > LEAST_R {
         if let Some(unit) = unit_factor(1.0 / plain.slope) {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "unit",
                 "imu.gyro".to_owned(),
                 format!(
@@ -276,7 +267,7 @@ fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut 
     } else {
         "order"
     };
-    out.push(fatal(
+    out.push(Finding::fatal(
         kind,
         "imu.gyro".to_owned(),
         format!(
@@ -296,10 +287,10 @@ fn base(run: &Run<'_>, out: &mut Vec<Finding>) {
         let lengths = (0..q[0].len())
             .map(|i| q.iter().map(|c| c[i] * c[i]).sum::<f64>().sqrt())
             .collect();
-        if let Some(length) = super::series::median(lengths)
+        if let Some(length) = median(lengths)
             && !(0.95..1.05).contains(&length)
         {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "unit",
                 "base.quat".to_owned(),
                 format!("is {length:.2} long; a rotation is a unit quaternion (w, x, y, z)"),
@@ -319,11 +310,11 @@ fn base(run: &Run<'_>, out: &mut Vec<Finding>) {
 
 /// Readings in the wrong order of magnitude.
 fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
-    let middle = |signal: &Signal| super::series::median(run.grid.linear(&run.log.table, signal)?);
+    let middle = |signal: &Signal| median(run.grid.linear(&run.log.table, signal)?);
     if let Some(v) = middle(&Signal::Voltage) {
         let nominal = run.log.meta.supply_v.unwrap_or(run.robot.supply_v());
         if !(0.2..3.0).contains(&(v / nominal)) {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "unit",
                 "volt".to_owned(),
                 format!("is {v:.1} in the middle where the supply is about {nominal:.1} V"),
@@ -334,7 +325,7 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
         if let Some(t) = middle(&Signal::Temperature(joint.name.clone()))
             && !(-30.0..130.0).contains(&t)
         {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "unit",
                 format!("temp.{}", joint.name),
                 format!("is {t:.0} in the middle; servos live between −30 and 130 °C"),
@@ -346,7 +337,7 @@ fn plain_ranges(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
         let most = joint.cur.iter().flatten().filter(|i| i.is_finite());
         let most = most.fold(0.0, |m: f64, i| m.max(i.abs()));
         if most > 20.0 * stall_a {
-            out.push(fatal(
+            out.push(Finding::fatal(
                 "unit",
                 format!("cur.{}", joint.name),
                 format!("reaches {most:.0} where the servo stalls at {stall_a:.1} A; is it in mA?"),

@@ -2,9 +2,9 @@
 
 use caudata_runlog::Signal;
 
-use super::joints::Channels;
-use super::{Finding, Run, Severity};
-use crate::check::series::median_step_s;
+use super::channels::Channels;
+use super::finding::{Finding, Run};
+use super::series::median_step_s;
 
 /// The median rate may be off the one that `log.toml` claims by this share; a loop never keeps its rate exactly.
 const RATE_TOLERANCE: f64 = 0.2;
@@ -38,19 +38,19 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
             r if (9e-7..1.1e-6).contains(&r) => "; is `t` in microseconds?",
             _ => "; correct `t` or `rate_hz`",
         };
-        out.push(Finding {
-            kind: if hint.contains("seconds?") {
-                "unit"
-            } else {
-                "stamps"
-            },
-            at: "t".to_owned(),
-            detail: format!(
+        let kind = if hint.contains("seconds?") {
+            "unit"
+        } else {
+            "stamps"
+        };
+        out.push(Finding::fatal(
+            kind,
+            "t".to_owned(),
+            format!(
                 "rows come at {:.4} Hz where log.toml says {claimed:.4} Hz{hint}",
                 1.0 / median
             ),
-            severity: Severity::Fatal,
-        });
+        ));
     }
     let steps = || time_s.windows(2).map(|w| (w[0], w[1] - w[0]));
     let is_gap = |step: f64| step > GAP_STEPS * median && step > GAP_S;
@@ -61,43 +61,45 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
             let channels = clock_jumped(run, joints, at, step);
             (channels > 0).then_some((at, step, channels))
         }) {
-            out.push(Finding {
-                kind: "stamps",
-                at: "t".to_owned(),
-                detail: format!(
+            out.push(Finding::fatal(
+"stamps",
+"t".to_owned(),
+format!(
                     "jump ahead by {step:.2} s after t = {at:.2} s while {channels} channel(s) go on as if {:.0} ms had passed: the clock was set, no row is missing",
                     1e3 * median
                 ),
-                severity: Severity::Fatal,
-            });
+));
             return;
         }
         let lost: f64 = gaps.iter().map(|g| g.1).sum();
         let share = lost / (time_s[time_s.len() - 1] - time_s[0]);
-        out.push(Finding {
-            kind: "gap",
-            at: "t".to_owned(),
-            detail: format!(
+        let said = if share > 0.5 {
+            Finding::fatal
+        } else {
+            Finding::note
+        };
+        out.push(said(
+"gap",
+"t".to_owned(),
+format!(
                 "{} gap(s), the longest of {step:.2} s after t = {at:.2} s ({:.0} % of the run is missing)",
                 gaps.len(),
                 100.0 * share
             ),
-            severity: if share > 0.5 { Severity::Fatal } else { Severity::Note },
-        });
+));
     }
     let bunched = steps().filter(|&(_, step)| step < BUNCHED * median).count();
     if bunched as f64 > BUNCHED_SHARE * time_s.len() as f64 {
-        out.push(Finding {
-            kind: "stamps",
-            at: "t".to_owned(),
-            detail: format!(
+        out.push(Finding::fatal(
+            "stamps",
+            "t".to_owned(),
+            format!(
                 "{bunched} of {} rows come less than {:.2} ms after the one before (median {:.2} ms): stamp rows when they are sampled, not when they are written",
                 time_s.len(),
                 1e3 * BUNCHED * median,
                 1e3 * median
             ),
-            severity: Severity::Fatal,
-        });
+));
     }
 }
 

@@ -8,9 +8,11 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::algebra::{dot, inverse};
+use nalgebra::{DMatrix, DVector};
+
 use super::judge::Judge;
 use super::motion::Motion;
+use super::product::{dot, stiffen};
 use super::state::{Context, Derivatives, On, State};
 use crate::replay::Term;
 use crate::trial::Kind;
@@ -231,21 +233,16 @@ fn alone(sides: &[Side], own: &Range<usize>, amount: &[f64]) -> Option<Vec<Vec<f
         let of_side = |s: &Side| dot(&s.columns[a], &s.columns[b]);
         sides.iter().map(of_side).sum()
     };
-    let mut gram: Vec<Vec<f64>> = (others.iter())
-        .map(|&a| others.iter().map(|&b| product(a, b)).collect())
-        .collect();
-    let most = (0..gram.len()).map(|i| gram[i][i]).fold(0.0, f64::max);
-    for (i, row) in gram.iter_mut().enumerate() {
-        row[i] += 1e-9 * most.max(1e-12);
-    }
+    let n = others.len();
+    let mut gram = DMatrix::from_fn(n, n, |i, j| product(others[i], others[j]));
+    stiffen(&mut gram, 0.0);
     let along = |&a: &usize| -> f64 {
         let pairs = sides.iter().zip(&trace);
         pairs.map(|(s, d)| dot(&s.columns[a], d)).sum()
     };
-    let along: Vec<f64> = others.iter().map(along).collect();
-    let inverse = inverse(&gram)?;
-    for (row, &other) in inverse.iter().zip(&others) {
-        let weight: f64 = row.iter().zip(&along).map(|(a, b)| a * b).sum();
+    let along = DVector::from_iterator(n, others.iter().map(along));
+    let weights = gram.cholesky()?.solve(&along);
+    for (&weight, &other) in weights.iter().zip(&others) {
         for (s, d) in sides.iter().zip(&mut trace) {
             for (x, o) in d.iter_mut().zip(&s.columns[other]) {
                 *x -= weight as f32 * o;

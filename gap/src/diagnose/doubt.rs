@@ -3,6 +3,7 @@
 use super::constancy::{self, Scatter};
 use super::gates;
 use super::lawful::{Lawful, lawful};
+use super::levels::MANY_JOINTS;
 use super::state::{Context, Derivatives, State};
 use crate::effects::{Domain, Effect, Place};
 use crate::replay::Term;
@@ -211,7 +212,7 @@ pub fn one_place(context: &Context, one: &Place, other: &Place) -> bool {
 }
 
 fn few_joints(context: &Context) -> bool {
-    context.replayer.model().actuated().len() < gates::MANY_JOINTS
+    context.replayer.model().actuated().len() < MANY_JOINTS
 }
 
 /// Whether a law in the current of `joint` may be that of an effect at `place`: at the joint, and of `few` joints at whatever it may carry. What is left of a knee does not

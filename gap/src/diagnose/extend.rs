@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::Request;
 use super::naming::Named;
+use super::request::Request;
 use super::state::{Context, State};
 use crate::extension::{self, Extension, ExtensionEffect, ExtensionParameter};
 use crate::report::{Cause, Parameter};

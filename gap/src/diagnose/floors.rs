@@ -6,7 +6,7 @@ use super::doubt::sizes;
 use super::gates::{ABSOLUTE_GAIN, RELATIVE_GAIN};
 use super::screen::Screened;
 use super::state::Context;
-use crate::effects::{self, Effect, places};
+use crate::effects::{self, Effect};
 use crate::report::Floor;
 
 /// By `effect` or `effect@place`.
@@ -49,7 +49,7 @@ pub fn floors(context: &Context, screened: &[Screened], misfit: f64) -> BTreeMap
         );
     }
     for &effect in &context.effects {
-        for place in places(model, effect) {
+        for place in effect.places(model) {
             let key = place.label(effect.id);
             if out.contains_key(&key) || (effect.unseen)(&context.excitation, &place).is_none() {
                 continue;

@@ -2,10 +2,10 @@
 
 use caudata_random::{Key, Purpose, Stream};
 
-use super::algebra::dot;
 use super::judge::{Judge, group};
+use super::levels::{CAREFUL_LAB, MANY_JOINTS, NOTHING_LEFT};
+use super::product::dot;
 use super::state::{Context, On, State};
-use super::verdict::QUIET;
 use crate::effects::{Domain, Place};
 use crate::replay::Term;
 
@@ -30,11 +30,6 @@ const BEYOND_DOUBT: f64 = 0.9;
 /// … and as a share of what there was: held-out runs that hardly ask for an effect (an integral part, in a run that never stands) need only speak for it then, not
 /// prove it by themselves once more.
 const BEYOND_DOUBT_SHARE: f64 = 0.25;
-
-/// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the benchmark).
-pub const FLOOR: f64 = 0.4;
-/// A robot with so many joints is judged joint by joint.
-pub const MANY_JOINTS: usize = 5;
 
 /// What a step is worth.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -96,7 +91,9 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
         "no gain on the runs it was fitted to"
     } else if holdout <= 0.0 {
         "makes held-out runs worse"
-    } else if joints >= MANY_JOINTS && worst_within(joints, judge, &from.holdout, &mask) < QUIET {
+    } else if joints >= MANY_JOINTS
+        && worst_within(joints, judge, &from.holdout, &mask) < NOTHING_LEFT
+    {
         "what it explains is within what careful labs differ by at one joint of so many"
     } else if !sure && !rare(&gains, holdout, of, again) {
         "its gain on held-out runs is within what resampling gives by chance"
@@ -160,9 +157,9 @@ fn from_one_block(gains: &[f64]) -> bool {
 #[must_use]
 pub fn quiet(context: &Context) -> f64 {
     if context.replayer.model().actuated().len() < MANY_JOINTS {
-        FLOOR
+        CAREFUL_LAB
     } else {
-        QUIET
+        NOTHING_LEFT
     }
 }
 
@@ -206,7 +203,7 @@ fn masked(joints: usize, judge: &Judge, from: &On, place: Option<&Place>) -> Vec
     let sums = groups(joints, &[(judge, from)]);
     let quiet: Vec<bool> = sums
         .iter()
-        .map(|(square, n)| *square <= FLOOR * n)
+        .map(|(square, n)| *square <= CAREFUL_LAB * n)
         .collect();
     if quiet.iter().all(|q| *q) {
         return mask;
@@ -233,7 +230,7 @@ fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
     sums
 }
 
-/// Mean of both misfits, by samples. Of a robot with many joints, each joint counts as [`FLOOR`] at least: with one joint far off, a little of
+/// Mean of both misfits, by samples. Of a robot with many joints, each joint counts as [`CAREFUL_LAB`] at least: with one joint far off, a little of
 /// what every careful lab has in all the others must not weigh more than that joint.
 #[must_use]
 pub fn misfit(context: &Context, state: &State) -> f64 {
@@ -247,7 +244,7 @@ pub fn misfit(context: &Context, state: &State) -> f64 {
     ];
     let sums = groups(joints, &parts);
     let samples: f64 = sums.iter().map(|s| s.1).sum();
-    let clipped = sums.iter().map(|(square, n)| square.max(FLOOR * n));
+    let clipped = sums.iter().map(|(square, n)| square.max(CAREFUL_LAB * n));
     clipped.sum::<f64>() / samples.max(1.0)
 }
 

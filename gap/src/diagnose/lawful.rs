@@ -5,9 +5,11 @@
 //! models too. Generic terms in angle, speed and error, which name nothing, are fitted to the whitened currents that are left of the runs that were fitted.
 //! What they foretell of held-out runs is lawful.
 
-use super::algebra::{dot, solve};
+use nalgebra::DVector;
+
 use super::judge::Judge;
 use super::motion::Motion;
+use super::product::{dot, gram, stiffen};
 use super::state::{Context, On, State};
 use crate::trial::Kind;
 
@@ -53,20 +55,11 @@ fn of_joint(context: &Context, state: &State, joint: usize) -> Option<Lawful> {
 
 /// Share of what is left in `held` that the terms foretell with weights fitted to what is left in `fitted`; none where they have no weights.
 fn foretold(fitted: &Rows, held: &Rows) -> Option<f64> {
-    let n = fitted.terms.len();
-    let mut gram = vec![vec![0.0; n]; n];
-    for i in 0..n {
-        for j in 0..=i {
-            gram[i][j] = dot(&fitted.terms[i], &fitted.terms[j]);
-            gram[j][i] = gram[i][j];
-        }
-    }
-    let right: Vec<f64> = fitted.terms.iter().map(|t| dot(t, &fitted.left)).collect();
-    let most = (0..n).map(|i| gram[i][i]).fold(0.0, f64::max);
-    for (i, row) in gram.iter_mut().enumerate() {
-        row[i] += RIDGE * row[i] + 1e-9 * most;
-    }
-    let weights = solve(&gram, &right)?;
+    let mut gram = gram(&fitted.terms);
+    stiffen(&mut gram, RIDGE);
+    let right = fitted.terms.iter().map(|t| dot(t, &fitted.left));
+    let right = DVector::from_iterator(fitted.terms.len(), right);
+    let weights = gram.cholesky()?.solve(&right);
     let mut after = held.left.clone();
     for (w, term) in weights.iter().zip(&held.terms) {
         for (x, t) in after.iter_mut().zip(term) {

@@ -1,13 +1,15 @@
 //! What is left: where it is, on which arguments it depends, a formula that describes it, the nearest effect.
 
-use super::algebra::{dot, solve};
+use nalgebra::{DMatrix, DVector};
+
+use super::product::dot;
 use super::search::Found;
 use super::state::Context;
 use crate::report::Unexplained;
 use crate::trial::Kind;
 
-/// A cell whose misfit is below this is no leftover.
-const QUIET: f64 = 2.0;
+/// A channel whose share of the misfit is below this, floors, is no leftover.
+const LEFTOVER: f64 = 0.2;
 /// An argument matters if it explains this share of what is left.
 const MATTERS: f64 = 0.05;
 
@@ -40,7 +42,7 @@ pub fn leftover(context: &Context, found: &Found) -> Vec<Unexplained> {
         .map(|(t, _)| t.place.label(t.effect.id));
     cells
         .into_iter()
-        .filter(|c| c.0 / n > 0.1 * QUIET)
+        .filter(|c| c.0 / n > LEFTOVER)
         .take(3)
         .map(|(_, kind, index, name)| {
             let (depends_on, description) = depends(context, found, kind, index);
@@ -191,27 +193,23 @@ fn library(q: f64, v: f64, e: f64, t: f64) -> Vec<f64> {
 /// What is left of the rows after least squares on `terms`, and their weights.
 fn residual_energy(rows: &[(f64, Vec<f64>)], terms: &[usize]) -> (f64, Vec<f64>) {
     let n = terms.len();
-    let mut gram = vec![vec![0.0; n]; n];
-    let mut right = vec![0.0; n];
+    let mut gram = DMatrix::zeros(n, n);
+    let mut right = DVector::zeros(n);
     let mut energy = 0.0;
     for (y, x) in rows {
         energy += y * y;
         for (i, a) in terms.iter().enumerate() {
             right[i] += x[*a] * y;
             for (j, b) in terms.iter().enumerate() {
-                gram[i][j] += x[*a] * x[*b];
+                gram[(i, j)] += x[*a] * x[*b];
             }
         }
     }
-    for (i, row) in gram.iter_mut().enumerate() {
-        row[i] *= 1.0 + 1e-9;
-        row[i] += 1e-12;
+    for i in 0..n {
+        gram[(i, i)] = gram[(i, i)] * (1.0 + 1e-9) + 1e-12;
     }
-    match solve(&gram, &right) {
-        Some(w) => {
-            let explained: f64 = w.iter().zip(&right).map(|(a, b)| a * b).sum();
-            (energy - explained, w)
-        }
-        None => (energy, vec![0.0; n]),
-    }
+    let weights = gram
+        .cholesky()
+        .map_or_else(|| DVector::zeros(n), |c| c.solve(&right));
+    (energy - weights.dot(&right), weights.as_slice().to_vec())
 }

@@ -3,24 +3,32 @@
 //! Noise floor, divergence, screening, refinement, greedy extension with deletion and swaps, gates on held-out runs, answer sets, detection floors,
 //! leftovers, the next experiment. Deterministic: the only randomness is resampling, from a seed.
 
-pub mod algebra;
+mod alike;
 mod constancy;
 mod divergence;
 mod doubt;
 mod extend;
+mod fits;
 mod floors;
 mod gates;
+mod heard;
 mod judge;
 mod lawful;
 mod leftover;
+mod levels;
+mod lines;
 mod losses;
+mod metric;
 mod motion;
 mod naming;
 mod next;
 mod noise;
+mod nuisances;
 mod pictures;
 mod pipeline;
+mod product;
 mod refine;
+mod request;
 mod scout;
 mod screen;
 mod search;
@@ -28,6 +36,7 @@ mod signature;
 mod spread;
 mod state;
 mod verdict;
+mod words;
 
 use std::sync::Arc;
 
@@ -36,111 +45,12 @@ use caudata_model::RobotModel;
 use crate::effects::{self, DROPPED_FRAMES, Effect};
 use crate::error::GapError;
 use crate::excitation::Excitation;
-use crate::extension::Extension;
-use crate::go_on::GoOn;
-use crate::plots::Plots;
-use crate::repeats;
 use crate::replay::{Data, Replayer, SegmentOptions};
-use crate::report::{Compute, DataFault, Report, RunUse};
+use crate::report::{Compute, DataFault, RunUse};
 use crate::trial::{Role, Run, Trial};
+use crate::{reading, repeats};
 
-/// What a diagnosis is made from.
-#[derive(Debug, Clone)]
-pub struct Request {
-    /// The robot file, as bytes, and a name for it in messages.
-    pub robot_toml: Vec<u8>,
-    /// The MJCF that it names.
-    pub mjcf: Vec<u8>,
-    /// Names the robot file in messages.
-    pub label: String,
-    /// In order of recording.
-    pub runs: Vec<Run>,
-    /// Faults that a check of the data found. A fatal one ends the diagnosis.
-    pub data_faults: Vec<DataFault>,
-    /// Settings.
-    pub options: Options,
-}
-
-/// Settings of a diagnosis.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// Threads; results do not depend on it.
-    pub threads: usize,
-    /// Seed of resampling.
-    pub seed: u64,
-    /// Effects that are not tried, by id.
-    pub without: Vec<String>,
-    /// Only these are tried, by id; empty: all.
-    pub only: Vec<String>,
-    /// Whether to go on.
-    pub go_on: GoOn,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            threads: 2,
-            seed: 1,
-            without: Vec::new(),
-            only: Vec::new(),
-            go_on: GoOn::default(),
-        }
-    }
-}
-
-/// What a diagnosis gives.
-#[derive(Debug, Clone)]
-pub struct Diagnosis {
-    /// `report.json`.
-    pub report: Report,
-    /// What goes into the extended robot file.
-    pub extension: Extension,
-    /// What the page draws.
-    pub plots: Plots,
-}
-
-/// What it is doing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
-    /// Reading runs, noise.
-    Reading,
-    /// Trying sizes of every effect.
-    Screening,
-    /// Fitting the promising ones.
-    Fitting,
-    /// A cause was accepted.
-    Accepted,
-    /// Looking for look-alikes.
-    Naming,
-    /// Floors, intervals, pictures.
-    Reporting,
-}
-
-/// How far it is.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Progress {
-    /// What it is doing.
-    pub stage: Stage,
-    /// Which round of extension, from 1.
-    pub round: usize,
-    /// The model that it works on, in words.
-    pub model: String,
-}
-
-impl Progress {
-    fn new(stage: Stage, round: usize, model: &str) -> Self {
-        let model = if model.is_empty() {
-            "robot as given"
-        } else {
-            model
-        };
-        Self {
-            stage,
-            round,
-            model: model.to_owned(),
-        }
-    }
-}
+pub use request::{Diagnosis, Options, Progress, Request, Split, Stage};
 
 /// Diagnoses.
 ///
@@ -167,7 +77,7 @@ pub fn diagnose(
     let mut trials = request
         .runs
         .iter()
-        .map(|run| Trial::new(&model, run))
+        .map(|run| reading::trial(&model, run))
         .collect::<Result<Vec<_>, _>>()?;
     repeats::group(&mut trials);
     let split = hold_out(&mut trials);
@@ -225,17 +135,6 @@ fn uses(request: &Request) -> Vec<RunUse> {
             }
         })
         .collect()
-}
-
-/// How held-out runs came about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Split {
-    /// They were given.
-    Given,
-    /// Every third group of repeats was set aside.
-    SetAside,
-    /// There are too few runs: what was fitted is judged on the same runs.
-    Same,
 }
 
 /// Sets runs aside where none are held out.

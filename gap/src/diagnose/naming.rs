@@ -2,13 +2,14 @@
 
 use std::collections::BTreeSet;
 
+use super::alike::{indistinguishable, wider};
 use super::doubt::{much_is_left, one_place};
+use super::fits::{penalised, single, swapped};
 use super::gates::{self, Worth};
 use super::refine::refine;
 use super::screen::{Screened, screen};
-use super::search::{Found, MOST_TERMS, penalised, single, swapped};
+use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
-use super::verdict::{indistinguishable, wider};
 use crate::effects::Domain;
 use crate::error::GapError;
 use crate::replay::Variant;

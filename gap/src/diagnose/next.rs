@@ -55,9 +55,7 @@ pub fn next(
                 });
             }
             let dark = context.effects.iter().find_map(|e| {
-                let place = effects::places(context.replayer.model(), e)
-                    .into_iter()
-                    .next()?;
+                let place = e.places(context.replayer.model()).into_iter().next()?;
                 let alone = e.id == "bus_skew" && context.excitation.joints.len() < 2;
                 let relevant = !alone
                     && !matches!(e.domain, Domain::AllLinks)

@@ -1,7 +1,9 @@
 //! Refinement: least squares (Levenberg–Marquardt with bounds) of many candidates in step with each other, so that their simulations share lanes.
 
-use super::algebra::{dot, solve};
+use nalgebra::{DMatrix, DVector};
+
 use super::judge::Judge;
+use super::product::{dot, gram};
 use super::state::{Context, differences};
 use crate::error::GapError;
 use crate::replay::Variant;
@@ -19,8 +21,8 @@ const STARTS_UNTIL: usize = 2;
 const GOOD_START: f64 = 0.9;
 /// Iterations after which candidates that are far behind stay as they are.
 const RACE_UNTIL: usize = 3;
-/// Far behind: they explain less than this share of what the best explains.
-const BEHIND: f64 = 0.4;
+/// They are if they explain less than this share of what the best explains.
+const LEAST_OF_BEST: f64 = 0.4;
 
 /// Who competes with whom, so that time goes to those who may win.
 pub struct Race<'a> {
@@ -87,7 +89,7 @@ fn weed(fits: &mut [Fit], race: &Race<'_>, rounds: usize) {
         let starts = earned.iter().zip(race.of).filter(|(_, g)| *g == group);
         let best_start = starts.map(|(e, _)| *e).fold(0.0, f64::max);
         let beaten = rounds >= STARTS_UNTIL && *own < GOOD_START * best_start;
-        let behind = rounds >= RACE_UNTIL && *own < BEHIND * most;
+        let behind = rounds >= RACE_UNTIL && *own < LEAST_OF_BEST * most;
         fit.done |= beaten || behind;
     }
 }
@@ -108,11 +110,9 @@ fn round(context: &Context, judge: &Judge, fits: &mut [Fit]) -> Result<(), GapEr
             .map(|p| judge.change(&predictions[from + 2 * p], &predictions[from + 2 * p + 1]))
             .collect();
         let residual = judge.residual(&fits[i].prediction);
-        let gram: Vec<Vec<f64>> = columns
-            .iter()
-            .map(|a| columns.iter().map(|b| 0.25 * dot(a, b)).collect())
-            .collect();
-        let slope: Vec<f64> = columns.iter().map(|c| 0.5 * dot(c, &residual)).collect();
+        let gram = 0.25 * gram(&columns);
+        let slope = columns.iter().map(|c| 0.5 * dot(c, &residual));
+        let slope = DVector::from_iterator(columns.len(), slope);
         for share in TRIES {
             let damping = fits[i].damping * share;
             if let Some(variant) = step(context, &fits[i].terms, &gram, &slope, steps, damping) {
@@ -156,26 +156,22 @@ fn round(context: &Context, judge: &Judge, fits: &mut [Fit]) -> Result<(), GapEr
 fn step(
     context: &Context,
     terms: &Variant,
-    gram: &[Vec<f64>],
-    slope: &[f64],
+    gram: &DMatrix<f64>,
+    slope: &DVector<f64>,
     steps: &[f64],
     damping: f64,
 ) -> Option<Variant> {
     let model = context.replayer.model();
-    let mean = gram
-        .iter()
-        .enumerate()
-        .map(|(i, row)| row[i])
-        .fold(0.0, f64::max);
-    if mean <= 0.0 {
+    let most = gram.diagonal().iter().copied().fold(0.0, f64::max);
+    if most <= 0.0 {
         return None;
     }
-    let mut matrix = gram.to_vec();
-    for (i, row) in matrix.iter_mut().enumerate() {
+    let mut matrix = gram.clone();
+    for i in 0..matrix.nrows() {
         // a parameter without any trace stays where it is
-        row[i] += damping * row[i] + 1e-9 * mean;
+        matrix[(i, i)] += damping * matrix[(i, i)] + 1e-9 * most;
     }
-    let change = solve(&matrix, slope)?;
+    let change = matrix.cholesky()?.solve(slope);
     let mut variant = terms.clone();
     let mut k = 0;
     for term in &mut variant {

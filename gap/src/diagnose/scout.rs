@@ -6,6 +6,7 @@
 //! worth ten times one.
 
 use super::judge::{Judge, group};
+use super::levels::MANY_JOINTS;
 use crate::error::GapError;
 use crate::replay::{Data, Replayer, SegmentOptions};
 
@@ -19,8 +20,6 @@ pub const WINDOW_S: f64 = 6.0;
 const LEAD_S: f64 = 2.5;
 /// What is left unexplained counts so many times what a nuisance would do.
 const RESIDUAL_WEIGHT: f64 = 3.0;
-/// Robots with fewer joints are quick enough.
-const MANY_JOINTS: usize = 5;
 
 /// A few stretches with their metric.
 pub struct Scout {

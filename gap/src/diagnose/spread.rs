@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::algebra::{dot, inverse};
+use nalgebra::DMatrix;
+
+use super::product::{gram, stiffen};
 use super::state::{Context, Derivatives, State};
 use crate::error::GapError;
 use crate::plots::Correlation;
@@ -23,7 +25,7 @@ const FEWEST_RUNS: usize = 3;
 /// Sandwich covariance of the fitted parameters.
 pub struct Spread {
     /// `[P, P]`, SI.
-    pub covariance: Vec<Vec<f64>>,
+    pub covariance: DMatrix<f64>,
     /// Variances with residuals that hang together within a second, or within a whole run: the larger. `[P]`, SI².
     variance: Vec<f64>,
 }
@@ -70,7 +72,7 @@ pub fn parameters(
 /// and hold for all of it, so that whole runs are taken for blocks too.
 pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spread {
     let none = Spread {
-        covariance: Vec::new(),
+        covariance: DMatrix::zeros(0, 0),
         variance: Vec::new(),
     };
     if best.terms.is_empty() {
@@ -78,44 +80,35 @@ pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spr
     }
     let (columns, steps) = (&derivatives.fit, &derivatives.steps);
     let n = columns.len();
-    let mut gram: Vec<Vec<f64>> = columns
-        .iter()
-        .map(|a| columns.iter().map(|b| dot(a, b)).collect())
-        .collect();
-    let largest = (0..n).map(|i| gram[i][i]).fold(0.0, f64::max);
-    for (i, row) in gram.iter_mut().enumerate() {
-        row[i] += 1e-9 * largest.max(1e-12);
-    }
-    let Some(bread) = inverse(&gram) else {
+    let mut gram = gram(columns);
+    stiffen(&mut gram, 0.0);
+    let Some(bread) = gram.cholesky().map(|c| c.inverse()) else {
         return none;
     };
     let residual = &best.fit.residual;
     let score = |c: &Vec<f32>, k: usize| f64::from(c[k]) * f64::from(residual[k]);
     let by_block = columns
         .iter()
-        .map(|c| context.fit.by_block(|k| score(c, k)))
-        .collect::<Vec<_>>();
+        .map(|c| context.fit.by_block(|k| score(c, k)));
     let by_run = columns
         .iter()
-        .map(|c| context.fit.by_trial(|k| score(c, k)))
-        .collect::<Vec<_>>();
+        .map(|c| context.fit.by_trial(|k| score(c, k)));
+    let by_run: Vec<Vec<f64>> = by_run.collect();
+    // bread·(Σ score·scoreᵀ)·bread, SI
     let scaled = |scores: &[Vec<f64>]| {
-        let mut covariance = sandwich(&bread, scores);
-        for (i, row) in covariance.iter_mut().enumerate() {
-            for (j, c) in row.iter_mut().enumerate() {
-                *c *= steps[i] * steps[j];
-            }
-        }
-        covariance
+        let meat = |i: usize, j: usize| scores[i].iter().zip(&scores[j]).map(|(a, b)| a * b).sum();
+        let sandwich = &bread * DMatrix::from_fn(n, n, meat) * &bread;
+        DMatrix::from_fn(n, n, |i, j| sandwich[(i, j)] * steps[i] * steps[j])
     };
-    let covariance = scaled(&by_block);
-    let mut variance: Vec<f64> = (0..n).map(|i| covariance[i][i]).collect();
+    let covariance = scaled(&by_block.collect::<Vec<_>>());
+    let mut variance: Vec<f64> = covariance.diagonal().iter().copied().collect();
     let runs = by_run.first().map_or(0, Vec::len);
     if runs >= FEWEST_RUNS {
         // scores sum to nothing at the best fit: one run of them is not free
         let few = runs as f64 / (runs as f64 - 1.0);
-        for (i, (v, row)) in variance.iter_mut().zip(scaled(&by_run)).enumerate() {
-            *v = v.max(few * row[i]);
+        let by_run = scaled(&by_run);
+        for (i, v) in variance.iter_mut().enumerate() {
+            *v = v.max(few * by_run[(i, i)]);
         }
     }
     Spread {
@@ -155,55 +148,31 @@ pub fn beside(
         });
     }
     let (columns, steps) = context.jacobian(&context.fit, &terms)?;
-    let mut gram: Vec<Vec<f64>> = columns
-        .iter()
-        .map(|a| columns.iter().map(|b| dot(a, b)).collect())
-        .collect();
-    let largest = (0..own).map(|i| gram[i][i]).fold(0.0, f64::max);
-    for (i, row) in gram.iter_mut().enumerate() {
-        row[i] += 1e-9 * largest.max(1e-12);
+    let mut gram = gram(&columns);
+    let largest = gram.diagonal().rows(0, own).max().max(1e-12);
+    for i in 0..gram.nrows() {
+        gram[(i, i)] += 1e-9 * largest;
         if i >= own {
             // what leaves no trace, or was not needed, stays where it is
             let size = (sizes[i - own] / steps[i]).max(1e-6);
-            row[i] += 1.0 / (size * size);
+            gram[(i, i)] += 1.0 / (size * size);
         }
     }
-    let alone: Vec<Vec<f64>> = gram[..own].iter().map(|r| r[..own].to_vec()).collect();
-    let (Some(together), Some(alone)) = (inverse(&gram), inverse(&alone)) else {
+    let alone = gram.view((0, 0), (own, own)).into_owned().cholesky();
+    let (Some(together), Some(alone)) = (gram.cholesky(), alone) else {
         return Ok(Vec::new());
     };
+    let (together, alone) = (together.inverse(), alone.inverse());
     let offset: usize = best.terms[..index].iter().map(|t| t.values.len()).sum();
     let count = best.terms[index].values.len();
     Ok((offset..offset + count)
         .map(|i| {
             let known = spread.variance.get(i).copied().unwrap_or(0.0);
-            let grows = together[i][i] / alone[i][i].max(1e-300);
+            let grows = together[(i, i)] / alone[(i, i)].max(1e-300);
             // either the noise as the sandwich has it, grown alike, or the model's own
-            (known * grows).max((together[i][i] - alone[i][i]) * steps[i] * steps[i])
+            (known * grows).max((together[(i, i)] - alone[(i, i)]) * steps[i] * steps[i])
         })
         .collect())
-}
-
-/// bread·(Σ score·scoreᵀ)·bread; `scores`: `[P][B]`.
-fn sandwich(bread: &[Vec<f64>], scores: &[Vec<f64>]) -> Vec<Vec<f64>> {
-    let n = scores.len();
-    let meat: Vec<Vec<f64>> = (0..n)
-        .map(|i| {
-            (0..n)
-                .map(|j| scores[i].iter().zip(&scores[j]).map(|(a, b)| a * b).sum())
-                .collect()
-        })
-        .collect();
-    let product = |a: &[Vec<f64>], b: &[Vec<f64>]| -> Vec<Vec<f64>> {
-        (0..n)
-            .map(|i| {
-                (0..n)
-                    .map(|j| (0..n).map(|k| a[i][k] * b[k][j]).sum())
-                    .collect()
-            })
-            .collect()
-    };
-    product(&product(bread, &meat), bread)
 }
 
 /// Correlation of all fitted parameters.
@@ -220,22 +189,19 @@ pub fn correlation(best: &State, spread: &Spread) -> Correlation {
         })
         .collect();
     let c = &spread.covariance;
-    if c.len() != names.len() {
+    if c.nrows() != names.len() {
         return Correlation::default();
     }
-    let matrix = (0..c.len())
-        .map(|i| {
-            (0..c.len())
-                .map(|j| {
-                    let scale = (c[i][i] * c[j][j]).sqrt();
-                    if scale > 0.0 {
-                        (c[i][j] / scale).clamp(-1.0, 1.0)
-                    } else {
-                        f64::from(u8::from(i == j))
-                    }
-                })
-                .collect()
-        })
-        .collect();
-    Correlation { names, matrix }
+    let of = |i: usize, j: usize| {
+        let scale = (c[(i, i)] * c[(j, j)]).sqrt();
+        match scale > 0.0 {
+            true => (c[(i, j)] / scale).clamp(-1.0, 1.0),
+            false => f64::from(u8::from(i == j)),
+        }
+    };
+    let row = |i| (0..c.nrows()).map(|j| of(i, j)).collect();
+    Correlation {
+        names,
+        matrix: (0..c.nrows()).map(row).collect(),
+    }
 }

@@ -2,9 +2,9 @@
 
 use caudata_model::RobotModel;
 
-use super::algebra::dot;
 use super::judge::Judge;
 use super::losses::Losses;
+use super::product::dot;
 use super::scout::{Scout, WINDOW_S};
 use crate::effects::Effect;
 use crate::error::GapError;

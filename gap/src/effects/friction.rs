@@ -1,12 +1,18 @@
 //! Friction (X1 to X7, X11).
 
-use super::Reference::{Damping, One, Speed, Torque};
-use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+use super::effect::Reference::{Damping, One, Speed, Torque};
+use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
+use crate::place::Domain;
+
+const BASE: Effect = Effect {
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    unseen: needs_motion,
+    ..PLAIN
+};
 
 pub static COULOMB_FRICTION: Effect = Effect {
     id: "coulomb_friction",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[parameter(
         "extra_nm",
         "N·m",
@@ -15,23 +21,13 @@ pub static COULOMB_FRICTION: Effect = Effect {
         0.004,
         Torque,
     )],
-    grid: &[
-        &[-0.02],
-        &[-0.008],
-        &[0.008],
-        &[0.02],
-        &[0.05],
-        &[0.1],
-        &[0.2],
-    ],
-    hinge: false,
+    grid: &one(&[-0.02, -0.008, 0.008, 0.02, 0.05, 0.1, 0.2]),
     apply: |plant, place, v| {
         for &a in &place.items {
             let friction = &mut plant.lane.joint_friction_nm[a];
             *friction = (*friction + v[0] as f32).max(0.0);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "stribeck_friction",
         "viscous_friction",
@@ -39,15 +35,13 @@ pub static COULOMB_FRICTION: Effect = Effect {
         "controller_dead_band",
         "pre_sliding",
     ],
-    unseen: needs_motion,
     trial: "slow_triangles",
     signature: "a jump of torque at every reversal, the same at any speed and load",
+    ..BASE
 };
 
 pub static VISCOUS_FRICTION: Effect = Effect {
     id: "viscous_friction",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[parameter(
         "extra_nms_per_rad",
         "N·m·s/rad",
@@ -56,15 +50,13 @@ pub static VISCOUS_FRICTION: Effect = Effect {
         0.04,
         Damping,
     )],
-    grid: &[&[-0.1], &[0.1], &[0.3], &[0.8], &[2.0]],
-    hinge: false,
+    grid: &one(&[-0.1, 0.1, 0.3, 0.8, 2.0]),
     apply: |plant, place, v| {
         for &a in &place.items {
             let damping = plant.lane.joint_damping_nms_per_rad[a] + v[0] as f32;
             plant.lane.joint_damping_nms_per_rad[a] = damping.max(0.0);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "kd_error",
         "load_dependent_friction",
@@ -72,15 +64,13 @@ pub static VISCOUS_FRICTION: Effect = Effect {
         "torque_constant",
         "command_low_pass",
     ],
-    unseen: needs_motion,
     trial: "chirp",
     signature: "torque grows in proportion to speed, with the servo off as well",
+    ..BASE
 };
 
 pub static STRIBECK_FRICTION: Effect = Effect {
     id: "stribeck_friction",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[
         parameter("extra_nm", "N·m", 0.0, (0.0, 0.5), 0.004, Torque),
         parameter("speed_radps", "rad/s", 0.015, (0.001, 0.4), 0.002, Speed),
@@ -103,7 +93,6 @@ pub static STRIBECK_FRICTION: Effect = Effect {
             plant.lane.joints[a].stribeck_speed_radps = (v[1] as f32).clamp(1e-3, 100.0);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "load_stiction",
         "coulomb_friction",
@@ -111,18 +100,15 @@ pub static STRIBECK_FRICTION: Effect = Effect {
         "controller_dead_band",
         "gear_backlash",
     ],
-    unseen: needs_motion,
     trial: "slow_triangles",
     signature: "more friction at rest than in motion: stick and slip at low speed only",
+    ..BASE
 };
 
 pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
     id: "load_dependent_friction",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[parameter("share", "", 0.0, (0.0, 0.9), 0.02, One)],
-    grid: &[&[0.05], &[0.1], &[0.2], &[0.35], &[0.55]],
-    hinge: false,
+    grid: &one(&[0.05, 0.1, 0.2, 0.35, 0.55]),
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
@@ -132,7 +118,6 @@ pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
                 (joint.load_friction_driven + v[0] as f32).clamp(0.0, 0.95);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "load_stiction",
         "torque_saturation",
@@ -142,15 +127,13 @@ pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
         "winding_resistance",
         "torque_constant",
     ],
-    unseen: needs_motion,
     trial: "lift_and_lower",
     signature: "the jump at a reversal grows with the load at the same speed",
+    ..BASE
 };
 
 pub static LOAD_STICTION: Effect = Effect {
     id: "load_stiction",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[
         parameter("share", "", 0.0, (0.0, 0.9), 0.03, One),
         parameter("speed_radps", "rad/s", 0.02, (0.001, 0.4), 0.004, Speed),
@@ -172,22 +155,19 @@ pub static LOAD_STICTION: Effect = Effect {
             joint.stribeck_speed_radps = (v[1] as f32).clamp(1e-3, 100.0);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "stribeck_friction",
         "load_dependent_friction",
         "coulomb_friction",
         "drive_asymmetry",
     ],
-    unseen: needs_motion,
     trial: "lift_and_lower",
     signature: "a joint sticks the harder the more it carries, and lets go with a jerk; without load it does not stick",
+    ..BASE
 };
 
 pub static DRIVE_ASYMMETRY: Effect = Effect {
     id: "drive_asymmetry",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[
         parameter("driving", "", 0.0, (0.0, 0.9), 0.02, One),
         parameter("driven", "", 0.0, (0.0, 0.9), 0.02, One),
@@ -200,7 +180,6 @@ pub static DRIVE_ASYMMETRY: Effect = Effect {
         &[0.1, 0.3],
         &[0.3, 0.1],
     ],
-    hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
@@ -210,22 +189,19 @@ pub static DRIVE_ASYMMETRY: Effect = Effect {
                 (joint.load_friction_driven + v[1] as f32).clamp(0.0, 0.95);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "load_dependent_friction",
         "braking_asymmetry",
         "torque_constant",
         "direction_asymmetry",
     ],
-    unseen: needs_motion,
     trial: "lift_and_lower",
     signature: "lifting and lowering the same load at the same speed lose differently",
+    ..BASE
 };
 
 pub static DIRECTION_ASYMMETRY: Effect = Effect {
     id: "direction_asymmetry",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[parameter(
         "difference_nm",
         "N·m",
@@ -234,8 +210,7 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
         0.004,
         Torque,
     )],
-    grid: &[&[-0.06], &[-0.015], &[0.015], &[0.06]],
-    hinge: false,
+    grid: &one(&[-0.06, -0.015, 0.015, 0.06]),
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
@@ -245,7 +220,6 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
             *mean = mean.max(joint.friction_asymmetry_nm.abs());
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "encoder_offset",
         "parallel_spring",
@@ -253,15 +227,13 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
         "link_com",
         "drive_asymmetry",
     ],
-    unseen: needs_motion,
     trial: "slow_triangles",
     signature: "heavier one way than the other, in every pose",
+    ..BASE
 };
 
 pub static PRE_SLIDING: Effect = Effect {
     id: "pre_sliding",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[parameter(
         "way_rad",
         "rad",
@@ -270,29 +242,25 @@ pub static PRE_SLIDING: Effect = Effect {
         0.002,
         One,
     )],
-    grid: &[&[0.0006], &[0.006], &[0.012], &[0.025], &[0.05], &[0.1]],
-    hinge: false,
+    grid: &one(&[0.0006, 0.006, 0.012, 0.025, 0.05, 0.1]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.lane.joints[a].presliding_rad = (v[0] as f32).clamp(1e-5, 1.0);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "coulomb_friction",
         "stribeck_friction",
         "gear_compliance",
         "gear_backlash",
     ],
-    unseen: needs_motion,
     trial: "micro_reversals",
     signature: "friction comes on like a spring after a reversal",
+    ..BASE
 };
 
 pub static FRICTION_DRIFT: Effect = Effect {
     id: "friction_drift",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[
         parameter("change_nm", "N·m", 0.0, (-0.3, 0.3), 0.006, Torque),
         parameter("run_in_nm", "N·m", 0.0, (-0.2, 0.3), 0.006, Torque),
@@ -307,7 +275,6 @@ pub static FRICTION_DRIFT: Effect = Effect {
         &[0.0, 0.1, 4.0],
         &[0.0, -0.02, 4.0],
     ],
-    hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
             let friction = &mut plant.lane.joint_friction_nm[a];
@@ -317,7 +284,6 @@ pub static FRICTION_DRIFT: Effect = Effect {
             run_in.time_s = v[2].max(0.05);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["thermal_derating", "coulomb_friction"],
     unseen: |e, place| {
         if e.runs < 3 && e.longest_s < 5.0 {
@@ -330,4 +296,5 @@ pub static FRICTION_DRIFT: Effect = Effect {
     },
     trial: "warm_up_series",
     signature: "friction changes within every run as the joint warms, or from the first to the last run of the session",
+    ..BASE
 };

@@ -1,24 +1,20 @@
 //! Gears (X8 to X10).
 
-use super::Reference::{One, Torque};
-use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+use super::effect::Reference::{One, Torque};
+use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter, rows};
+use crate::place::Domain;
+
+const BASE: Effect = Effect {
+    layer: Layer::Transmission,
+    domain: Domain::Joints,
+    unseen: needs_motion,
+    ..PLAIN
+};
 
 pub static GEAR_BACKLASH: Effect = Effect {
     id: "gear_backlash",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[parameter("gap_rad", "rad", 0.0, (0.0, 0.3), 0.002, One)],
-    grid: &[
-        &[0.003],
-        &[0.006],
-        &[0.01],
-        &[0.015],
-        &[0.022],
-        &[0.032],
-        &[0.045],
-        &[0.065],
-        &[0.1],
-    ],
+    grid: &one(&[0.003, 0.006, 0.01, 0.015, 0.022, 0.032, 0.045, 0.065, 0.1]),
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -27,22 +23,19 @@ pub static GEAR_BACKLASH: Effect = Effect {
             *rotor = rotor.max(1e-4);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "gear_compliance",
         "controller_dead_band",
         "pre_sliding",
         "servo_loop_delay",
     ],
-    unseen: needs_motion,
     trial: "micro_reversals",
     signature: "free travel without torque, of the same width at any load; current reverses before the joint does",
+    ..BASE
 };
 
 pub static GEAR_COMPLIANCE: Effect = Effect {
     id: "gear_compliance",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[
         parameter(
             "compliance_rad_per_nm",
@@ -78,50 +71,38 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
             *rotor = rotor.max(1e-4);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "gear_backlash",
         "pre_sliding",
         "servo_loop_delay",
         "armature",
     ],
-    unseen: needs_motion,
     trial: "chirp",
     signature: "deflection in proportion to torque; a resonance that moves with the load's inertia",
+    ..BASE
+};
+
+/// Ripples that are tried: so many in a turn, each a quarter of its period on from the one before.
+const RIPPLES: [[f64; 3]; 40] = {
+    let per_turn = [4.0, 6.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0, 32.0];
+    let mut all = [[0.0; 3]; 40];
+    let mut k = 0;
+    while k < all.len() {
+        let [sin, cos] = [[0.02, 0.0], [0.0, 0.02], [-0.02, 0.0], [0.0, -0.02]][k % 4];
+        all[k] = [sin, cos, per_turn[k / 4]];
+        k += 1;
+    }
+    all
 };
 
 pub static COGGING: Effect = Effect {
     id: "cogging",
-    layer: Layer::Transmission,
-    domain: Domain::Joints,
     parameters: &[
         parameter("sin_nm", "N·m", 0.0, (-0.3, 0.3), 0.006, Torque),
         parameter("cos_nm", "N·m", 0.0, (-0.3, 0.3), 0.006, Torque),
         parameter("per_turn", "", 1.0, (3.0, 100.0), 0.05, One),
     ],
-    grid: &[
-        &[0.02, 0.0, 4.0],
-        &[0.0, 0.02, 4.0],
-        &[0.02, 0.0, 6.0],
-        &[0.0, 0.02, 6.0],
-        &[0.02, 0.0, 8.0],
-        &[0.0, 0.02, 8.0],
-        &[0.02, 0.0, 10.0],
-        &[0.0, 0.02, 10.0],
-        &[0.02, 0.0, 12.0],
-        &[0.0, 0.02, 12.0],
-        &[0.02, 0.0, 14.0],
-        &[0.0, 0.02, 14.0],
-        &[0.02, 0.0, 16.0],
-        &[0.0, 0.02, 16.0],
-        &[0.02, 0.0, 20.0],
-        &[0.0, 0.02, 20.0],
-        &[0.02, 0.0, 24.0],
-        &[0.0, 0.02, 24.0],
-        &[0.02, 0.0, 32.0],
-        &[0.0, 0.02, 32.0],
-    ],
-    hinge: false,
+    grid: &rows(&RIPPLES),
     apply: |plant, place, v| {
         // A·sin(n·q + φ) = s·sin(n·q) + c·cos(n·q)
         for &a in &place.items {
@@ -131,9 +112,8 @@ pub static COGGING: Effect = Effect {
             joint.ripple_per_turn = v[2] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["parallel_spring", "encoder_gain", "stribeck_friction"],
-    unseen: needs_motion,
     trial: "slow_turn",
     signature: "a torque that repeats with the angle, at any speed",
+    ..BASE
 };

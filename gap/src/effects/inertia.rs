@@ -1,21 +1,24 @@
 //! Masses (I1 to I6).
 
-use super::Reference::{Armature, One};
-use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+use super::effect::Reference::{Armature, One};
+use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
+use crate::place::Domain;
+
+const BASE: Effect = Effect {
+    layer: Layer::Inertia,
+    domain: Domain::Links,
+    ..PLAIN
+};
 
 pub static LINK_MASS: Effect = Effect {
     id: "link_mass",
-    layer: Layer::Inertia,
-    domain: Domain::Links,
     parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.03, One)],
-    grid: &[&[0.7], &[0.9], &[1.1], &[1.3], &[1.7]],
-    hinge: false,
+    grid: &one(&[0.7, 0.9, 1.1, 1.3, 1.7]),
     apply: |plant, place, v| {
         for &l in &place.items {
             plant.lane.link_mass_scale[l] *= v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "link_com",
         "payload",
@@ -24,15 +27,13 @@ pub static LINK_MASS: Effect = Effect {
         "encoder_gain",
         "parallel_spring",
     ],
-    unseen: |_, _| None,
     trial: "hold_poses",
     signature: "gravity and inertia of the link grow together",
+    ..BASE
 };
 
 pub static LINK_COM: Effect = Effect {
     id: "link_com",
-    layer: Layer::Inertia,
-    domain: Domain::Links,
     parameters: &[
         parameter("x_m", "m", 0.0, (-0.1, 0.1), 0.001, One),
         parameter("y_m", "m", 0.0, (-0.1, 0.1), 0.001, One),
@@ -46,7 +47,6 @@ pub static LINK_COM: Effect = Effect {
         &[0.0, 0.0, -0.012],
         &[0.0, 0.0, 0.012],
     ],
-    hinge: false,
     apply: |plant, place, v| {
         for &l in &place.items {
             for (offset, v) in plant.lane.com_offset_m[l].iter_mut().zip(v) {
@@ -54,7 +54,6 @@ pub static LINK_COM: Effect = Effect {
             }
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "link_mass",
         "armature",
@@ -63,33 +62,29 @@ pub static LINK_COM: Effect = Effect {
         "link_inertia",
         "payload",
     ],
-    unseen: |_, _| None,
     trial: "hold_poses",
     signature: "gravity changes with the lever, inertia with its square; the weight stays",
+    ..BASE
 };
 
 pub static LINK_INERTIA: Effect = Effect {
     id: "link_inertia",
-    layer: Layer::Inertia,
-    domain: Domain::Links,
     parameters: &[parameter("scale", "", 1.0, (0.05, 20.0), 0.1, One)],
-    grid: &[&[0.4], &[1.7], &[3.0], &[6.0], &[12.0]],
-    hinge: false,
+    grid: &one(&[0.4, 1.7, 3.0, 6.0, 12.0]),
     apply: |plant, place, v| {
         for &l in &place.items {
             plant.lane.link_inertia_scale[l] *= v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["armature", "link_com", "link_mass"],
     unseen: needs_motion,
     trial: "fast_chirp",
     signature: "shows in fast motion only; no gravity",
+    ..BASE
 };
 
 pub static ARMATURE: Effect = Effect {
     id: "armature",
-    layer: Layer::Inertia,
     domain: Domain::Joints,
     parameters: &[parameter(
         "extra_kgm2",
@@ -99,24 +94,22 @@ pub static ARMATURE: Effect = Effect {
         0.2,
         Armature,
     )],
-    grid: &[&[-0.5], &[0.5], &[1.5], &[4.0], &[8.0]],
-    hinge: false,
+    grid: &one(&[-0.5, 0.5, 1.5, 4.0, 8.0]),
     apply: |plant, place, v| {
         for &a in &place.items {
             let rotor = plant.lane.joint_armature_kgm2[a] + v[0] as f32;
             plant.lane.joint_armature_kgm2[a] = rotor.max(1e-4);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["link_inertia", "link_com", "link_mass", "added_mass"],
     unseen: needs_motion,
     trial: "fast_chirp",
     signature: "inertia of the joint alone: no gravity, nothing passed on to neighbours",
+    ..BASE
 };
 
 pub static PAYLOAD: Effect = Effect {
     id: "payload",
-    layer: Layer::Inertia,
     domain: Domain::Robot,
     parameters: &[
         parameter("mass_kg", "kg", 0.0, (0.0, 5.0), 0.02, One),
@@ -131,24 +124,22 @@ pub static PAYLOAD: Effect = Effect {
         &[0.3, -0.1, 0.0],
         &[0.3, 0.0, 0.1],
     ],
-    hinge: false,
     apply: |plant, _, v| {
         plant.lane.payload_kg += v[0] as f32;
         plant.lane.payload_m[0] += v[1] as f32;
         plant.lane.payload_m[2] += v[2] as f32;
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["link_mass", "link_com", "buoyancy"],
     unseen: |e, _| {
         (!e.on_ground && !e.in_water).then_some("a held trunk does not show what it carries")
     },
     trial: "stand_heights",
     signature: "weight on the trunk: every leg carries more",
+    ..BASE
 };
 
 pub static FLOOR_SLOPE: Effect = Effect {
     id: "floor_slope",
-    layer: Layer::Inertia,
     domain: Domain::Robot,
     parameters: &[
         parameter("roll_rad", "rad", 0.0, (-0.4, 0.4), 0.005, One),
@@ -164,16 +155,14 @@ pub static FLOOR_SLOPE: Effect = Effect {
         &[0.1, 0.0],
         &[-0.1, 0.0],
     ],
-    hinge: false,
     apply: |plant, _, v| plant.lane.tilt_floor(v[0] as f32, v[1] as f32),
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "imu_tilt",
         "encoder_offset",
         "link_com",
         "direction_asymmetry",
     ],
-    unseen: |_, _| None,
     trial: "stand_headings",
     signature: "gravity points elsewhere in the world: all joints with a lever change together, and it turns with the heading",
+    ..BASE
 };

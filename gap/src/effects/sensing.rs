@@ -2,47 +2,46 @@
 //!
 //! The encoder is inside the position loop: an offset moves the joint, not the reading.
 
-use super::Reference::One;
-use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+use super::effect::Reference::One;
+use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
+use crate::place::Domain;
 use crate::trial::Kind;
+
+const BASE: Effect = Effect {
+    layer: Layer::Sensing,
+    domain: Domain::Joints,
+    ..PLAIN
+};
 
 pub static ENCODER_OFFSET: Effect = Effect {
     id: "encoder_offset",
-    layer: Layer::Sensing,
-    domain: Domain::Joints,
     parameters: &[parameter("offset_rad", "rad", 0.0, (-0.6, 0.6), 0.005, One)],
-    grid: &[&[-0.25], &[-0.05], &[-0.02], &[0.02], &[0.05], &[0.25]],
-    hinge: false,
+    grid: &one(&[-0.25, -0.05, -0.02, 0.02, 0.05, 0.25]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.sensing.encoders[a].offset_rad += v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "link_com",
         "parallel_spring",
         "floor_slope",
         "direction_asymmetry",
     ],
-    unseen: |_, _| None,
     trial: "hold_poses",
     signature: "the gravity curve of current against angle is shifted; independent of speed and direction",
+    ..BASE
 };
 
 pub static ENCODER_GAIN: Effect = Effect {
     id: "encoder_gain",
-    layer: Layer::Sensing,
-    domain: Domain::Joints,
     parameters: &[parameter("gain", "", 0.0, (-0.35, 0.35), 0.005, One)],
-    grid: &[&[-0.15], &[-0.05], &[-0.02], &[0.02], &[0.05], &[0.15]],
-    hinge: false,
+    grid: &one(&[-0.15, -0.05, -0.02, 0.02, 0.05, 0.15]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.sensing.encoders[a].gain += v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "link_mass",
         "link_com",
@@ -52,21 +51,18 @@ pub static ENCODER_GAIN: Effect = Effect {
     unseen: needs_motion,
     trial: "hold_poses",
     signature: "grows with the angle; shows against motion capture, only weakly against current",
+    ..BASE
 };
 
 pub static VELOCITY_LAG: Effect = Effect {
     id: "velocity_lag",
-    layer: Layer::Sensing,
-    domain: Domain::Joints,
     parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.2), 0.003, One)],
-    grid: &[&[0.005], &[0.01], &[0.02], &[0.04], &[0.08]],
-    hinge: false,
+    grid: &one(&[0.005, 0.01, 0.02, 0.04, 0.08]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.sensing.velocity_lag_s[a] += v[0] as f32;
         }
     },
-    shows_in: &[Kind::Velocity],
     look_alikes: &["measurement_delay"],
     unseen: |e, place| {
         if e.has(Kind::Velocity) {
@@ -77,44 +73,38 @@ pub static VELOCITY_LAG: Effect = Effect {
     },
     trial: "chirp",
     signature: "the reported velocity lags behind the derivative of the reported position; positions are untouched",
+    ..BASE
 };
 
 pub static CURRENT_BIAS: Effect = Effect {
     id: "current_bias",
-    layer: Layer::Sensing,
-    domain: Domain::Joints,
     parameters: &[
         parameter("bias_a", "A", 0.0, (-0.5, 0.5), 0.01, One),
         parameter("gain", "", 0.0, (-0.6, 0.6), 0.04, One),
     ],
     grid: &[&[-0.05, 0.0], &[0.05, 0.0], &[0.0, -0.15], &[0.0, 0.15]],
-    hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.sensing.currents[a].bias_a += v[0] as f32;
             plant.sensing.currents[a].gain += v[1] as f32;
         }
     },
-    shows_in: &[Kind::Current],
     look_alikes: &["torque_constant"],
     unseen: |e, _| (!e.has(Kind::Current)).then_some("no currents were recorded"),
     trial: "hold_poses",
     signature: "only the current reading is off; the motion is as simulated",
+    ..BASE
 };
 
 pub static CURRENT_LAG: Effect = Effect {
     id: "current_lag",
-    layer: Layer::Sensing,
-    domain: Domain::Joints,
     parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.2), 0.005, One)],
-    grid: &[&[0.005], &[0.01], &[0.02], &[0.04], &[0.08]],
-    hinge: false,
+    grid: &one(&[0.005, 0.01, 0.02, 0.04, 0.08]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.sensing.current_lag_s[a] += v[0] as f32;
         }
     },
-    shows_in: &[Kind::Current],
     look_alikes: &["torque_constant", "current_bias", "measurement_delay"],
     unseen: |e, place| {
         if e.has(Kind::Current) {
@@ -125,4 +115,5 @@ pub static CURRENT_LAG: Effect = Effect {
     },
     trial: "chirp",
     signature: "the current lags behind what the motion needs, and its peaks are rounded; positions are untouched",
+    ..BASE
 };

@@ -1,21 +1,24 @@
 //! Position loop and motor (A1 to A7, A11 to A13).
 
-use super::Reference::{Damping, Gain, One, Torque};
-use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+use super::effect::Reference::{Damping, Gain, One, Torque};
+use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
+use crate::place::Domain;
+
+const BASE: Effect = Effect {
+    layer: Layer::Actuation,
+    domain: Domain::Joints,
+    ..PLAIN
+};
 
 pub static KP_ERROR: Effect = Effect {
     id: "kp_error",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.04, One)],
-    grid: &[&[0.5], &[0.75], &[0.9], &[1.1], &[1.3], &[1.7]],
-    hinge: false,
+    grid: &one(&[0.5, 0.75, 0.9, 1.1, 1.3, 1.7]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.lane.kp_nm_per_rad[a] *= v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "kd_error",
         "winding_resistance",
@@ -23,15 +26,13 @@ pub static KP_ERROR: Effect = Effect {
         "controller_dead_band",
         "stale_gains",
     ],
-    unseen: |_, _| None,
     trial: "hold_poses",
     signature: "the droop under load changes; nothing in time touches it",
+    ..BASE
 };
 
 pub static KD_ERROR: Effect = Effect {
     id: "kd_error",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[parameter(
         "extra_nms_per_rad",
         "N·m·s/rad",
@@ -40,8 +41,7 @@ pub static KD_ERROR: Effect = Effect {
         0.1,
         Damping,
     )],
-    grid: &[&[-0.5], &[-0.2], &[0.2], &[0.6], &[1.5], &[3.0]],
-    hinge: false,
+    grid: &one(&[-0.5, -0.2, 0.2, 0.6, 1.5, 3.0]),
     apply: |plant, place, v| {
         for &a in &place.items {
             // what the gain does not hold comes off the servo's own damping
@@ -51,7 +51,6 @@ pub static KD_ERROR: Effect = Effect {
             *own = (*own + kd.min(0.0)).max(0.0);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "viscous_friction",
         "kp_error",
@@ -63,12 +62,11 @@ pub static KD_ERROR: Effect = Effect {
     unseen: needs_motion,
     trial: "steps",
     signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
+    ..BASE
 };
 
 pub static INTEGRAL_ACTION: Effect = Effect {
     id: "integral_action",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[parameter(
         "ki_nm_per_rad_s",
         "N·m/(rad·s)",
@@ -77,27 +75,22 @@ pub static INTEGRAL_ACTION: Effect = Effect {
         0.05,
         Gain,
     )],
-    grid: &[&[0.1], &[0.3], &[1.0], &[3.0]],
-    hinge: false,
+    grid: &one(&[0.1, 0.3, 1.0, 3.0]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.lane.joints[a].ki_nm_per_rad_s += v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["kp_error", "thermal_derating"],
-    unseen: |_, _| None,
     trial: "long_holds",
     signature: "the droop goes away within seconds",
+    ..BASE
 };
 
 pub static TORQUE_CONSTANT: Effect = Effect {
     id: "torque_constant",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[parameter("scale", "", 1.0, (0.4, 2.5), 0.04, One)],
-    grid: &[&[0.6], &[0.8], &[0.9], &[1.1], &[1.25], &[1.5]],
-    hinge: false,
+    grid: &one(&[0.6, 0.8, 0.9, 1.1, 1.25, 1.5]),
     apply: |plant, place, v| {
         // volts make current through R, current makes torque through k_t, speed makes volts through the same constant
         let s = v[0] as f32;
@@ -111,7 +104,6 @@ pub static TORQUE_CONSTANT: Effect = Effect {
             joint.torque_constant_nm_per_a *= s;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "winding_resistance",
         "kp_error",
@@ -119,24 +111,20 @@ pub static TORQUE_CONSTANT: Effect = Effect {
         "load_dependent_friction",
         "link_mass",
     ],
-    unseen: |_, _| None,
     trial: "hold_poses",
     signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
+    ..BASE
 };
 
 pub static WINDING_RESISTANCE: Effect = Effect {
     id: "winding_resistance",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[parameter("scale", "", 1.0, (0.4, 3.0), 0.04, One)],
-    grid: &[&[0.6], &[0.8], &[0.9], &[1.1], &[1.3], &[1.7]],
-    hinge: false,
+    grid: &one(&[0.6, 0.8, 0.9, 1.1, 1.3, 1.7]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.lane.joints[a].winding_scale *= v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "torque_saturation",
         "kp_error",
@@ -145,15 +133,13 @@ pub static WINDING_RESISTANCE: Effect = Effect {
         "supply_level",
         "stale_gains",
     ],
-    unseen: |_, _| None,
     trial: "stalls",
     signature: "more droop at stall with the same current per torque; the speed without load is as it was",
+    ..BASE
 };
 
 pub static TORQUE_LIMIT: Effect = Effect {
     id: "torque_limit",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[
         parameter("limit_nm", "N·m", 1.1, (0.05, 1.1), 0.03, Torque),
         // 0: against the motion as with it (a limit of the current); 1: against the motion what the servo gives without it
@@ -197,7 +183,6 @@ pub static TORQUE_LIMIT: Effect = Effect {
             joint.braking_current_limit_a = at(v[0] + v[1] * (unlimited_nm - v[0]));
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "voltage_limit",
         "supply_level",
@@ -209,15 +194,13 @@ pub static TORQUE_LIMIT: Effect = Effect {
     },
     trial: "loaded_steps",
     signature: "current is cut flat, at any speed; where the motor brakes perhaps less, or not at all",
+    ..BASE
 };
 
 pub static TORQUE_SATURATION: Effect = Effect {
     id: "torque_saturation",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[parameter("drop", "", 0.0, (0.0, 0.8), 0.04, One)],
-    grid: &[&[0.1], &[0.2], &[0.35], &[0.5], &[0.65]],
-    hinge: false,
+    grid: &one(&[0.1, 0.2, 0.35, 0.5, 0.65]),
     apply: |plant, place, v| {
         for &a in &place.items {
             // the servo's greatest torque falls by this share, less torque by less
@@ -227,7 +210,6 @@ pub static TORQUE_SATURATION: Effect = Effect {
                 (drop / (1.0 - drop) / most_nm.max(1e-6)) as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "winding_resistance",
         "torque_constant",
@@ -241,49 +223,20 @@ pub static TORQUE_SATURATION: Effect = Effect {
     },
     trial: "loaded_steps",
     signature: "torque falls behind in proportion to itself: small errors are answered in full, large ones less and less, at any speed",
+    ..BASE
 };
-
-/// Torque limits of joint `a` where the motor gets `share` of its voltage: the line through stall torque and speed without load moves in parallel
-/// (the speeds are the caller's). Against the motion, back-EMF helps the bridge, so that the motor brakes harder than it drives, but not
-/// harder than its current limit for braking allows.
-pub(crate) fn less_voltage(plant: &mut crate::plant::Plant, a: usize, share: f32) {
-    /// Braking torque over stall torque: back-EMF is about half the voltage where a joint begins to brake.
-    const BRAKING: f64 = 1.5;
-    let servo = plant.model.servo(a);
-    let before = plant.lane.torque_scale[a];
-    plant.lane.torque_scale[a] *= share;
-    let joint = &mut plant.lane.joints[a];
-    let allowed_nm = servo.tau_brake_max_nm as f32 * before * joint.brake_scale;
-    let possible_nm = (BRAKING * servo.tau_max_nm) as f32 * before * share;
-    joint.brake_scale *= allowed_nm.min(possible_nm) / (allowed_nm * share).max(1e-9);
-}
 
 pub static VOLTAGE_LIMIT: Effect = Effect {
     id: "voltage_limit",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[parameter("duty", "", 1.05, (0.1, 1.3), 0.03, One)],
-    grid: &[
-        &[0.15],
-        &[0.22],
-        &[0.3],
-        &[0.38],
-        &[0.46],
-        &[0.54],
-        &[0.62],
-        &[0.7],
-        &[0.8],
-        &[0.9],
-        &[1.2],
-    ],
+    grid: &one(&[0.15, 0.22, 0.3, 0.38, 0.46, 0.54, 0.62, 0.7, 0.8, 0.9, 1.2]),
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
-            less_voltage(plant, a, v[0] as f32);
+            plant.less_voltage(a, v[0] as f32);
             plant.lane.joints[a].speed_scale *= v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "supply_level",
         "torque_limit",
@@ -293,12 +246,11 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
     unseen: needs_motion,
     trial: "large_steps",
     signature: "torque is cut along a line that falls with speed",
+    ..BASE
 };
 
 pub static CONTROLLER_DEAD_BAND: Effect = Effect {
     id: "controller_dead_band",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[
         parameter("half_width_rad", "rad", 0.0, (0.0, 0.2), 0.001, One),
         // 0: outside the band the controller acts on what is over; 1: on the whole error
@@ -330,22 +282,19 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
             joint.dead_band_jump = v[1] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "coulomb_friction",
         "kp_error",
         "gear_backlash",
         "stribeck_friction",
     ],
-    unseen: |_, _| None,
     trial: "slow_ramps",
     signature: "a steady error without current, up to the same width whatever the gain",
+    ..BASE
 };
 
 pub static BRAKING_ASYMMETRY: Effect = Effect {
     id: "braking_asymmetry",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[
         parameter("brake_scale", "", 1.0, (0.02, 1.5), 0.05, One),
         parameter("back_drive_kp_ratio", "", 1.0, (0.1, 3.0), 0.05, One),
@@ -370,19 +319,17 @@ pub static BRAKING_ASYMMETRY: Effect = Effect {
             joint.back_drive_kp_ratio *= v[1] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["drive_asymmetry", "torque_limit", "viscous_friction"],
     unseen: needs_motion,
     trial: "fast_reversals",
     signature: "only where torque is against the motion",
+    ..BASE
 };
 
 pub static STALE_GAINS: Effect = Effect {
     id: "stale_gains",
-    layer: Layer::Actuation,
-    domain: Domain::Joints,
     parameters: &[parameter("ratio", "", 1.0, (0.1, 8.0), 0.1, One)],
-    grid: &[&[0.25], &[0.5], &[2.0], &[4.0]],
+    grid: &one(&[0.25, 0.5, 2.0, 4.0]),
     hinge: true,
     apply: |plant, place, v| {
         for &a in &place.items {
@@ -390,9 +337,8 @@ pub static STALE_GAINS: Effect = Effect {
             plant.lane.kd_nms_per_rad[a] *= v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["kp_error", "winding_resistance"],
-    unseen: |_, _| None,
     trial: "steps",
     signature: "both gains by one factor, as of another register",
+    ..BASE
 };

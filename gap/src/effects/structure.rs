@@ -1,12 +1,18 @@
 //! Play, springs, stops (R1, R3, R4).
 
-use super::Reference::{Gain, One};
-use super::{Domain, Effect, JOINT_SIGNALS, Layer, parameter};
+use super::effect::Reference::{Gain, One};
+use super::effect::{Effect, Layer, PLAIN, one, parameter};
+use crate::place::Domain;
 use crate::trial::Kind;
+
+const BASE: Effect = Effect {
+    layer: Layer::Structure,
+    domain: Domain::Joints,
+    ..PLAIN
+};
 
 pub static GIRDLE_PLAY: Effect = Effect {
     id: "girdle_play",
-    layer: Layer::Structure,
     domain: Domain::Play,
     parameters: &[parameter(
         "half_width_rad",
@@ -16,31 +22,13 @@ pub static GIRDLE_PLAY: Effect = Effect {
         0.004,
         One,
     )],
-    grid: &[
-        &[0.0],
-        &[0.008],
-        &[0.017],
-        &[0.035],
-        &[0.052],
-        &[0.07],
-        &[0.09],
-        &[0.12],
-        &[0.16],
-        &[0.2],
-    ],
+    grid: &one(&[0.0, 0.008, 0.017, 0.035, 0.052, 0.07, 0.09, 0.12, 0.16, 0.2]),
     hinge: true,
     apply: |plant, place, v| {
         for &b in &place.items {
             plant.lane.backlash_half_width_rad[b] = (v[0] as f32).clamp(0.0, 1.0);
         }
     },
-    shows_in: &[
-        Kind::Gyro,
-        Kind::Acceleration,
-        Kind::Gravity,
-        Kind::BaseAttitude,
-        Kind::Foot,
-    ],
     look_alikes: &["imu_tilt", "contact_friction", "payload"],
     unseen: |e, _| {
         let sees = [
@@ -56,12 +44,11 @@ pub static GIRDLE_PLAY: Effect = Effect {
     },
     trial: "girdle_rocking",
     signature: "the body tips between two stops with the sign of its load; joint encoders see nothing",
+    ..BASE
 };
 
 pub static PARALLEL_SPRING: Effect = Effect {
     id: "parallel_spring",
-    layer: Layer::Structure,
-    domain: Domain::Joints,
     parameters: &[
         parameter(
             "stiffness_nm_per_rad",
@@ -81,7 +68,6 @@ pub static PARALLEL_SPRING: Effect = Effect {
         &[0.08, 0.6],
         &[0.08, -0.6],
     ],
-    hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
@@ -94,7 +80,6 @@ pub static PARALLEL_SPRING: Effect = Effect {
             joint.spring_nm_per_rad = both;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "link_com",
         "link_mass",
@@ -102,15 +87,13 @@ pub static PARALLEL_SPRING: Effect = Effect {
         "direction_asymmetry",
         "kp_error",
     ],
-    unseen: |_, _| None,
     trial: "hold_poses",
     signature: "torque where gravity has no lever; the same however the robot is turned",
+    ..BASE
 };
 
 pub static HARD_STOP: Effect = Effect {
     id: "hard_stop",
-    layer: Layer::Structure,
-    domain: Domain::Joints,
     parameters: &[
         parameter("low_rad", "rad", -4.0, (-4.0, 1.0), 0.005, One),
         parameter("high_rad", "rad", 4.0, (-1.0, 4.0), 0.005, One),
@@ -147,9 +130,8 @@ pub static HARD_STOP: Effect = Effect {
             joint.high_rad = joint.high_rad.min(v[1] as f32).max(joint.low_rad);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["torque_limit", "parallel_spring"],
-    unseen: |_, _| None,
     trial: "full_range",
     signature: "the joint never passes an angle, and current surges there",
+    ..BASE
 };

@@ -1,31 +1,31 @@
 //! Supply and heat (A8 to A10).
 
-use super::Reference::One;
-use super::servo::less_voltage;
-use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
-use crate::trial::Kind;
+use super::effect::Reference::One;
+use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
+use crate::place::Domain;
+
+const BASE: Effect = Effect {
+    layer: Layer::Actuation,
+    domain: Domain::Robot,
+    unseen: needs_motion,
+    ..PLAIN
+};
 
 pub static SUPPLY_SAG: Effect = Effect {
     id: "supply_sag",
-    layer: Layer::Actuation,
-    domain: Domain::Robot,
     parameters: &[parameter("resistance_ohm", "Ω", 0.0, (0.0, 5.0), 0.1, One)],
-    grid: &[&[0.2], &[0.5], &[1.0], &[2.0]],
-    hinge: false,
+    grid: &one(&[0.2, 0.5, 1.0, 2.0]),
     apply: |plant, _, v| plant.lane.supply_resistance_ohm += v[0] as f32,
-    shows_in: &[Kind::Voltage, Kind::Position, Kind::Velocity],
     look_alikes: &["supply_level", "voltage_limit"],
-    unseen: needs_motion,
     trial: "all_joints_probe",
     signature: "all joints lose speed when any of them works; follows the total current within milliseconds",
+    ..BASE
 };
 
 pub static SUPPLY_LEVEL: Effect = Effect {
     id: "supply_level",
-    layer: Layer::Actuation,
-    domain: Domain::Robot,
     parameters: &[parameter("scale", "", 1.0, (0.3, 2.0), 0.03, One)],
-    grid: &[&[0.5], &[0.7], &[0.85], &[1.15], &[1.4]],
+    grid: &one(&[0.5, 0.7, 0.85, 1.15, 1.4]),
     hinge: true,
     apply: |plant, _, v| {
         // speeds of the envelope go with the supply by themselves; so does the torque at stall, as long as no current limit comes first
@@ -33,20 +33,18 @@ pub static SUPPLY_LEVEL: Effect = Effect {
         plant.lane.supply_v *= share;
         if share < 1.0 {
             for a in 0..plant.lane.torque_scale.len() {
-                less_voltage(plant, a, share);
+                plant.less_voltage(a, share);
             }
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["voltage_limit", "supply_sag", "profile_limit"],
-    unseen: needs_motion,
     trial: "large_steps",
     signature: "as a voltage limit, the same in all joints and at any load; the logged voltage shows it",
+    ..BASE
 };
 
 pub static THERMAL_DERATING: Effect = Effect {
     id: "thermal_derating",
-    layer: Layer::Actuation,
     domain: Domain::Joints,
     parameters: &[
         parameter("rise_k_per_a2", "K/A²", 0.0, (0.0, 900.0), 5.0, One),
@@ -59,14 +57,12 @@ pub static THERMAL_DERATING: Effect = Effect {
         &[150.0, 100.0],
         &[400.0, 60.0],
     ],
-    hinge: false,
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.lane.joints[a].thermal_rise_k_per_a2 += v[0] as f32;
             plant.lane.joints[a].thermal_time_s = (v[1] as f32).clamp(0.1, 1e5);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["winding_resistance", "friction_drift", "kp_error"],
     unseen: |e, place| {
         if e.longest_s < 5.0 {
@@ -77,4 +73,5 @@ pub static THERMAL_DERATING: Effect = Effect {
     },
     trial: "hot_hold",
     signature: "droop grows with the current squared over the past minute",
+    ..BASE
 };

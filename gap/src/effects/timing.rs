@@ -2,30 +2,33 @@
 
 use caudata_sim::{MAX_COMMAND_DELAY_S, MAX_LOOP_DELAY_S};
 
-use super::Reference::{One, Speed};
-use super::{Domain, Effect, JOINT_SIGNALS, Layer, needs_motion, parameter};
+use super::effect::Reference::{One, Speed};
+use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
+use crate::excitation::Excitation;
+use crate::place::{Domain, Place};
+
+fn needs_commands(e: &Excitation, _: &Place) -> Option<&'static str> {
+    (e.fastest_command_radps < 0.2).then_some("commands hardly change in these runs")
+}
+
+const BASE: Effect = Effect {
+    layer: Layer::Timing,
+    domain: Domain::Robot,
+    unseen: needs_commands,
+    ..PLAIN
+};
+
+/// Delays that are tried, s.
+const DELAYS_S: [f64; 8] = [0.002, 0.004, 0.008, 0.014, 0.022, 0.035, 0.055, 0.08];
 
 pub static COMMAND_DELAY: Effect = Effect {
     id: "command_delay",
-    layer: Layer::Timing,
-    domain: Domain::Robot,
     parameters: &[parameter("delay_s", "s", 0.0, (0.0, 0.1), 0.002, One)],
-    grid: &[
-        &[0.002],
-        &[0.004],
-        &[0.008],
-        &[0.014],
-        &[0.022],
-        &[0.035],
-        &[0.055],
-        &[0.08],
-    ],
-    hinge: false,
+    grid: &one(&DELAYS_S),
     apply: |plant, _, v| {
         let lane = &mut plant.lane;
         lane.command_delay_s = (lane.command_delay_s + v[0] as f32).clamp(0.0, MAX_COMMAND_DELAY_S);
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "command_low_pass",
         "measurement_delay",
@@ -33,43 +36,24 @@ pub static COMMAND_DELAY: Effect = Effect {
         "bus_skew",
         "profile_limit",
     ],
-    unseen: |e, _| {
-        (e.fastest_command_radps < 0.2).then_some("commands hardly change in these runs")
-    },
     trial: "chirp",
     signature: "phase falls in proportion to frequency with gain 1; what happens without a command is not shifted",
+    ..BASE
 };
 
 pub static MEASUREMENT_DELAY: Effect = Effect {
     id: "measurement_delay",
-    layer: Layer::Timing,
-    domain: Domain::Robot,
     parameters: &[parameter("delay_s", "s", 0.0, (0.0, 0.1), 0.002, One)],
-    grid: &[
-        &[0.002],
-        &[0.004],
-        &[0.008],
-        &[0.014],
-        &[0.022],
-        &[0.035],
-        &[0.055],
-        &[0.08],
-    ],
-    hinge: false,
+    grid: &one(&DELAYS_S),
     apply: |plant, _, v| plant.sensing.measurement_delay_s += v[0] as f32,
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["command_delay", "command_low_pass", "clock_drift"],
-    unseen: |e, _| {
-        (e.fastest_command_radps < 0.2).then_some("commands hardly change in these runs")
-    },
     trial: "torque_off_drop",
     signature: "as a command delay, but what happens without a command is shifted too",
+    ..BASE
 };
 
 pub static BUS_SKEW: Effect = Effect {
     id: "bus_skew",
-    layer: Layer::Timing,
-    domain: Domain::Robot,
     parameters: &[parameter(
         "per_joint_s",
         "s",
@@ -78,26 +62,23 @@ pub static BUS_SKEW: Effect = Effect {
         0.0003,
         One,
     )],
-    grid: &[&[0.0005], &[0.001], &[0.002], &[0.004]],
-    hinge: false,
+    grid: &one(&[0.0005, 0.001, 0.002, 0.004]),
     apply: |plant, _, v| {
         for (a, joint) in plant.lane.joints.iter_mut().enumerate() {
             joint.command_skew_s =
                 (joint.command_skew_s + a as f32 * v[0] as f32).clamp(0.0, MAX_COMMAND_DELAY_S);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["command_delay"],
     unseen: |e, _| (e.joints.len() < 2).then_some("one joint alone shows no pattern along the bus"),
     trial: "chirp",
     signature: "the lag grows along the bus",
+    ..BASE
 };
 
-/// Frames of the command that do not arrive, which [`crate::diagnose`] also measures by what repeats differ by.
+/// Frames of the command that do not arrive, which a diagnosis also measures by what repeats differ by.
 pub static DROPPED_FRAMES: Effect = Effect {
     id: "dropped_frames",
-    layer: Layer::Timing,
-    domain: Domain::Robot,
     parameters: &[
         parameter("share", "", 0.0, (0.0, 0.8), 0.03, One),
         parameter("burst", "", 1.0, (1.0, 30.0), 0.5, One),
@@ -114,64 +95,37 @@ pub static DROPPED_FRAMES: Effect = Effect {
         plant.lane.command_loss.share = (v[0] as f32).clamp(0.0, 0.9);
         plant.lane.command_loss.burst = (v[1] as f32).clamp(1.0, 100.0);
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["command_delay", "command_low_pass"],
-    unseen: |e, _| {
-        (e.fastest_command_radps < 0.2).then_some("commands hardly change in these runs")
-    },
     trial: "chirp",
     signature: "the command stands still at single ticks; a delay shifts all of them",
+    ..BASE
 };
 
 pub static CLOCK_DRIFT: Effect = Effect {
     id: "clock_drift",
-    layer: Layer::Timing,
-    domain: Domain::Robot,
     parameters: &[parameter("drift", "", 0.0, (-0.02, 0.02), 0.000_1, One)],
-    grid: &[
-        &[-0.003],
-        &[-0.001],
-        &[-0.0003],
-        &[0.0003],
-        &[0.001],
-        &[0.003],
-    ],
-    hinge: false,
+    grid: &one(&[-0.003, -0.001, -0.0003, 0.0003, 0.001, 0.003]),
     apply: |plant, _, v| plant.sensing.clock_drift += v[0] as f32,
-    shows_in: JOINT_SIGNALS,
     look_alikes: &["measurement_delay", "command_delay"],
-    unseen: |e, _| {
-        if e.fastest_command_radps < 0.2 {
-            Some("commands hardly change in these runs")
-        } else {
-            (e.longest_s < 5.0).then_some("the runs are too short for a drift")
-        }
+    unseen: |e, place| {
+        let short = || (e.longest_s < 5.0).then_some("the runs are too short for a drift");
+        needs_commands(e, place).or_else(short)
     },
     trial: "long_chirp",
     signature: "the lag grows with the time since the start of the run",
+    ..BASE
 };
 
 pub static COMMAND_LOW_PASS: Effect = Effect {
     id: "command_low_pass",
-    layer: Layer::Timing,
     domain: Domain::Joints,
     parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.5), 0.003, One)],
-    grid: &[
-        &[0.003],
-        &[0.006],
-        &[0.012],
-        &[0.025],
-        &[0.05],
-        &[0.1],
-        &[0.2],
-    ],
-    hinge: false,
+    grid: &one(&[0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2]),
     apply: |plant, place, v| {
         for &a in &place.items {
             plant.lane.joints[a].command_low_pass_s += v[0] as f32;
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "command_delay",
         "measurement_delay",
@@ -182,11 +136,11 @@ pub static COMMAND_LOW_PASS: Effect = Effect {
     unseen: needs_motion,
     trial: "chirp",
     signature: "gain falls with frequency as well as phase; steps are rounded",
+    ..BASE
 };
 
 pub static PROFILE_LIMIT: Effect = Effect {
     id: "profile_limit",
-    layer: Layer::Timing,
     domain: Domain::Joints,
     parameters: &[
         parameter("speed_radps", "rad/s", 4.0, (0.03, 4.0), 0.03, Speed),
@@ -222,7 +176,6 @@ pub static PROFILE_LIMIT: Effect = Effect {
             plant.lane.joints[a].profile_acceleration_radps2 = (v[1] as f32).clamp(0.0, 1e6);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "voltage_limit",
         "torque_limit",
@@ -232,22 +185,20 @@ pub static PROFILE_LIMIT: Effect = Effect {
     unseen: needs_motion,
     trial: "steps",
     signature: "ramps of one slope after steps of any size, whatever load and voltage",
+    ..BASE
 };
 
 pub static SERVO_LOOP_DELAY: Effect = Effect {
     id: "servo_loop_delay",
-    layer: Layer::Timing,
     domain: Domain::Joints,
     parameters: &[parameter("delay_s", "s", 0.0, (0.0, 0.05), 0.001, One)],
-    grid: &[&[0.001], &[0.002], &[0.004], &[0.008], &[0.015], &[0.03]],
-    hinge: false,
+    grid: &one(&[0.001, 0.002, 0.004, 0.008, 0.015, 0.03]),
     apply: |plant, place, v| {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
             joint.loop_delay_s = (joint.loop_delay_s + v[0] as f32).clamp(0.0, MAX_LOOP_DELAY_S);
         }
     },
-    shows_in: JOINT_SIGNALS,
     look_alikes: &[
         "kd_error",
         "command_low_pass",
@@ -257,4 +208,5 @@ pub static SERVO_LOOP_DELAY: Effect = Effect {
     unseen: needs_motion,
     trial: "steps",
     signature: "damping is lost, the more the higher the gain; a delay outside the loop only shifts",
+    ..BASE
 };

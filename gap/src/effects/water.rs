@@ -1,50 +1,38 @@
 //! Water (H1 to H8).
 
-use super::Reference::One;
-use super::{Domain, Effect, Layer, parameter};
+use super::effect::Reference::One;
+use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::excitation::Excitation;
-use crate::trial::Kind;
-
-use super::Place;
-
-const WET_SIGNALS: &[Kind] = &[
-    Kind::Gyro,
-    Kind::Acceleration,
-    Kind::Gravity,
-    Kind::BasePosition,
-    Kind::BaseVelocity,
-    Kind::BaseAttitude,
-    Kind::Position,
-    Kind::Torque,
-];
+use crate::place::{Domain, Place};
 
 fn needs_water(e: &Excitation, _: &Place) -> Option<&'static str> {
     (!e.in_water).then_some("the robot is never in the water in these runs")
 }
 
-pub static LINEAR_DRAG: Effect = Effect {
-    id: "linear_drag",
+const BASE: Effect = Effect {
     layer: Layer::Water,
     domain: Domain::AllLinks,
+    unseen: needs_water,
+    ..PLAIN
+};
+
+pub static LINEAR_DRAG: Effect = Effect {
+    id: "linear_drag",
     parameters: &[parameter("scale", "", 1.0, (0.0, 90.0), 1.0, One)],
-    grid: &[&[5.0], &[20.0], &[60.0]],
-    hinge: false,
+    grid: &one(&[5.0, 20.0, 60.0]),
     apply: |plant, place, v| {
         for &l in &place.items {
             plant.lane.water[l].linear_drag_scale *= v[0] as f32;
         }
     },
-    shows_in: WET_SIGNALS,
     look_alikes: &["quadratic_drag", "viscous_friction", "heave_damping"],
-    unseen: needs_water,
     trial: "coast_down",
     signature: "loss per cycle grows with the amplitude squared",
+    ..BASE
 };
 
 pub static QUADRATIC_DRAG: Effect = Effect {
     id: "quadratic_drag",
-    layer: Layer::Water,
-    domain: Domain::AllLinks,
     parameters: &[
         parameter("along", "", 1.0, (0.0, 30.0), 0.3, One),
         parameter("across", "", 1.0, (0.0, 8.0), 0.07, One),
@@ -56,7 +44,6 @@ pub static QUADRATIC_DRAG: Effect = Effect {
         &[1.0, 1.4],
         &[1.0, 2.0],
     ],
-    hinge: false,
     apply: |plant, place, v| {
         for &l in &place.items {
             let water = &mut plant.lane.water[l];
@@ -66,20 +53,16 @@ pub static QUADRATIC_DRAG: Effect = Effect {
             water.quadratic_torque_scale *= v[1] as f32;
         }
     },
-    shows_in: WET_SIGNALS,
     look_alikes: &["linear_drag", "added_mass"],
-    unseen: needs_water,
     trial: "three_amplitudes_three_frequencies",
     signature: "loss per cycle grows with the cube of the amplitude",
+    ..BASE
 };
 
 pub static ADDED_MASS: Effect = Effect {
     id: "added_mass",
-    layer: Layer::Water,
-    domain: Domain::AllLinks,
     parameters: &[parameter("across_share", "", 0.0, (0.0, 5.0), 0.05, One)],
-    grid: &[&[0.2], &[0.6], &[1.2]],
-    hinge: false,
+    grid: &one(&[0.2, 0.6, 1.2]),
     apply: |plant, place, v| {
         for &l in &place.items {
             let water = &mut plant.lane.water[l];
@@ -89,42 +72,34 @@ pub static ADDED_MASS: Effect = Effect {
             water.added_inertia_z += v[0] as f32;
         }
     },
-    shows_in: WET_SIGNALS,
     look_alikes: &["quadratic_drag", "armature", "link_mass"],
-    unseen: needs_water,
     trial: "wet_and_dry_chirp",
     signature: "shifts the phase without net work, in water only",
+    ..BASE
 };
 
 pub static BUOYANCY: Effect = Effect {
     id: "buoyancy",
-    layer: Layer::Water,
-    domain: Domain::AllLinks,
     parameters: &[parameter("scale", "", 1.0, (0.3, 3.0), 0.03, One)],
-    grid: &[&[0.75], &[0.9], &[1.1], &[1.3]],
-    hinge: false,
+    grid: &one(&[0.75, 0.9, 1.1, 1.3]),
     apply: |plant, place, v| {
         for &l in &place.items {
             plant.lane.water[l].buoyancy_scale *= v[0] as f32;
         }
     },
-    shows_in: WET_SIGNALS,
     look_alikes: &["water_level", "payload", "link_mass"],
-    unseen: needs_water,
     trial: "float",
     signature: "floats higher or deeper at rest",
+    ..BASE
 };
 
 pub static BUOYANCY_CENTRE: Effect = Effect {
     id: "buoyancy_centre",
-    layer: Layer::Water,
-    domain: Domain::AllLinks,
     parameters: &[
         parameter("x_m", "m", 0.0, (-0.1, 0.1), 0.002, One),
         parameter("z_m", "m", 0.0, (-0.1, 0.1), 0.002, One),
     ],
     grid: &[&[-0.01, 0.0], &[0.01, 0.0], &[0.0, -0.01], &[0.0, 0.01]],
-    hinge: false,
     apply: |plant, place, v| {
         for &l in &place.items {
             let water = &mut plant.lane.water[l];
@@ -132,17 +107,14 @@ pub static BUOYANCY_CENTRE: Effect = Effect {
             water.buoyancy_z_m += v[1] as f32;
         }
     },
-    shows_in: WET_SIGNALS,
     look_alikes: &["link_com", "payload"],
-    unseen: needs_water,
     trial: "float",
     signature: "the attitude at rest in the water changes",
+    ..BASE
 };
 
 pub static HEAVE_DAMPING: Effect = Effect {
     id: "heave_damping",
-    layer: Layer::Water,
-    domain: Domain::AllLinks,
     parameters: &[parameter(
         "extra_ns_per_m",
         "N·s/m",
@@ -151,53 +123,45 @@ pub static HEAVE_DAMPING: Effect = Effect {
         0.2,
         One,
     )],
-    grid: &[&[-0.8], &[1.0], &[3.0], &[10.0]],
-    hinge: false,
+    grid: &one(&[-0.8, 1.0, 3.0, 10.0]),
     apply: |plant, place, v| {
         for &l in &place.items {
             let damping = &mut plant.lane.water[l].heave_damping_ns_per_m;
             *damping = (*damping + v[0] as f32).max(0.0);
         }
     },
-    shows_in: WET_SIGNALS,
     look_alikes: &["linear_drag", "quadratic_drag"],
-    unseen: needs_water,
     trial: "bob",
     signature: "how fast bobbing dies",
+    ..BASE
 };
 
 pub static WATER_CURRENT: Effect = Effect {
     id: "water_current",
-    layer: Layer::Water,
     domain: Domain::Robot,
     parameters: &[
         parameter("x_mps", "m/s", 0.0, (-2.0, 2.0), 0.01, One),
         parameter("y_mps", "m/s", 0.0, (-2.0, 2.0), 0.01, One),
     ],
     grid: &[&[-0.05, 0.0], &[0.05, 0.0], &[0.0, -0.05], &[0.0, 0.05]],
-    hinge: false,
     apply: |plant, _, v| {
         plant.lane.water_current_mps[0] += v[0] as f32;
         plant.lane.water_current_mps[1] += v[1] as f32;
     },
-    shows_in: WET_SIGNALS,
     look_alikes: &["quadratic_drag"],
-    unseen: needs_water,
     trial: "passive_drift",
     signature: "the robot drifts without doing anything",
+    ..BASE
 };
 
 pub static WATER_LEVEL: Effect = Effect {
     id: "water_level",
-    layer: Layer::Water,
     domain: Domain::Robot,
     parameters: &[parameter("offset_m", "m", 0.0, (-0.3, 0.3), 0.004, One)],
-    grid: &[&[-0.03], &[-0.01], &[0.01], &[0.03]],
-    hinge: false,
+    grid: &one(&[-0.03, -0.01, 0.01, 0.03]),
     apply: |plant, _, v| plant.lane.water_level_offset_m += v[0] as f32,
-    shows_in: WET_SIGNALS,
     look_alikes: &["buoyancy"],
-    unseen: needs_water,
     trial: "slow_dip",
     signature: "everything wet begins at another depth",
+    ..BASE
 };

@@ -1,12 +1,13 @@
 //! One engine full of jobs: reset, step, record.
 
 use caudata_sim::batch::{BatchEngine, Readout};
-use caudata_sim::{Engine, InitialState, State};
+use caudata_sim::{Engine, InitialState};
 
 use super::commands::{Reader, Readers, true_angle};
-use super::data::{Data, Start, replay_span, roll_pitch};
+use super::cuts::replay_span;
+use super::data::Data;
 use super::observe::{self, Trace, readout};
-use super::{Replayer, Variant};
+use super::starts::{Start, roll_pitch};
 use crate::error::GapError;
 use crate::plant::Plant;
 use crate::trial::{Trial, attitude_of};
@@ -19,102 +20,118 @@ const SERVO_TICK_S: f64 = 0.0006;
 /// moment of switching on, and what has been integrated by then no row tells. Much longer, and a soft integral part would have taken over all of the load.
 const STAND_S: f64 = 1.0;
 
-/// Runs `jobs` (variant, segment), at most as many as the engine has lanes. An empty prediction stands for a candidate that cannot be simulated.
+/// One lane at work.
+struct Lane<'a> {
+    plant: Plant,
+    segment: usize,
+    readers: Readers<'a>,
+    switches: Switches,
+    trace: Trace,
+    /// After how many periods it is put to what was measured once more, and what that was.
+    again: Option<(usize, &'a Start)>,
+    /// Periods for which it stands before its stretch begins.
+    stand: usize,
+    /// Whether the candidate can be simulated.
+    sound: bool,
+}
+
+impl<'a> Lane<'a> {
+    fn new(plant: Plant, data: &'a Data, segment: usize, period_s: f64) -> Self {
+        let own = &data.segments[segment];
+        let trial = &data.trials[own.trial];
+        let periods = (own.duration_s() / period_s).ceil() as usize;
+        let stand = match stands_before(&plant, data, segment) {
+            true => (STAND_S / period_s).round() as usize,
+            false => 0,
+        };
+        let from_s = own.start_s - stand as f64 * period_s;
+        let window_s = (from_s, from_s + (stand + periods) as f64 * period_s);
+        let again = own.again.as_ref().map(|(at_s, measured)| {
+            let after = ((at_s - own.start_s) / period_s).round() as usize;
+            (after, measured)
+        });
+        Self {
+            readers: readers_of(trial, &plant, window_s),
+            switches: Switches::new(trial, &plant, own.start_s),
+            trace: Trace::new(readout(trial), &plant, own.start_s, period_s, periods),
+            plant,
+            segment,
+            again,
+            stand,
+            sound: true,
+        }
+    }
+
+    /// What comes before step `k`: puts lane `lane` right, records it, and gives it its commands (rad).
+    fn before_step(
+        &mut self,
+        engine: &mut BatchEngine,
+        (lane, k, period_s): (usize, usize, f64),
+        data: &Data,
+        targets: &mut [f32],
+    ) {
+        let (own, stand) = (&data.segments[self.segment], self.stand);
+        if k == stand && stand > 0 && self.sound {
+            self.sound &= correct(engine, lane, &self.plant, &own.start);
+        }
+        if k >= stand && k - stand < self.trace.rows() {
+            self.trace.record(engine.state(), lane, &self.plant.model);
+        }
+        if let Some((_, measured)) = self.again.filter(|(after, _)| stand + after == k)
+            && self.sound
+        {
+            self.sound &= correct(engine, lane, &self.plant, measured);
+        }
+        let from = own.start_s + (k as f64 - stand as f64) * period_s;
+        self.readers.means(from, from + period_s, targets);
+        if self.switches.due(from) && self.sound {
+            let params = self.switches.apply(&self.plant, from);
+            self.sound &= engine.set_params(lane, &params).is_ok();
+        }
+    }
+}
+
+/// Runs `jobs` (robot, segment), at most as many as the engine has lanes. An empty prediction stands for a candidate that cannot be simulated.
 pub(super) fn run(
-    replayer: &Replayer,
     engine: &mut BatchEngine,
     data: &Data,
-    variants: &[Variant],
-    jobs: &[(usize, usize)],
+    period_s: f64,
+    jobs: Vec<(Plant, usize)>,
 ) -> Result<Vec<Vec<f32>>, GapError> {
-    let model = replayer.model().clone();
-    let (joints, lanes) = (model.actuated().len(), engine.lanes());
-    let period_s = replayer.period_s();
-    let mut sound = vec![true; jobs.len()];
-    let mut plants = Vec::with_capacity(jobs.len());
-    let mut readers = Vec::with_capacity(jobs.len());
-    let mut switches = Vec::with_capacity(jobs.len());
-    let mut traces = Vec::with_capacity(jobs.len());
-    let mut corrections = Vec::with_capacity(jobs.len());
-    let mut stands = Vec::with_capacity(jobs.len());
+    let joints = jobs.first().map_or(0, |(p, _)| p.model.actuated().len());
     let mut read = Readout::JOINTS;
     let mut most = 0;
-    for (lane, &(v, s)) in jobs.iter().enumerate() {
-        let segment = &data.segments[s];
-        let trial = &data.trials[segment.trial];
-        let plant = replayer.plant(trial, &variants[v]);
-        let periods = (segment.duration_s() / period_s).ceil() as usize;
-        let stand = if stands_before(&plant, data, s) {
-            (STAND_S / period_s).round() as usize
-        } else {
-            0
-        };
-        most = most.max(stand + periods);
-        let from_s = segment.start_s - stand as f64 * period_s;
-        let window_s = (from_s, from_s + (stand + periods) as f64 * period_s);
-        readers.push(readers_of(trial, &plant, window_s));
-        switches.push(Switches::new(trial, &plant, segment.start_s));
-        let signals = readout(trial);
-        traces.push(Trace::new(
-            signals,
-            &plant,
-            segment.start_s,
-            period_s,
-            periods,
-        ));
-        read.base |= signals.base || segment.again.is_some() || stand > 0;
+    let mut all = Vec::with_capacity(jobs.len());
+    for (number, (plant, segment)) in jobs.into_iter().enumerate() {
+        let mut lane = Lane::new(plant, data, segment, period_s);
+        let own = &data.segments[segment];
+        let signals = readout(&data.trials[own.trial]);
+        read.base |= signals.base || own.again.is_some() || lane.stand > 0;
         read.imu |= signals.imu;
         read.feet |= signals.feet;
-        corrections.push(segment.again.as_ref().map(|(at_s, measured)| {
-            let after = ((at_s - segment.start_s) / period_s).round() as usize;
-            (after, measured)
-        }));
-        stands.push(stand);
-        sound[lane] = start(engine, lane, &plant, &switches[lane], data, s);
-        plants.push(plant);
+        most = most.max(lane.stand + (own.duration_s() / period_s).ceil() as usize);
+        lane.sound = start(engine, number, &lane, data);
+        all.push(lane);
     }
     engine.report_only(read);
-    let mut targets = vec![0.0_f32; lanes * joints];
-    let wrenches = vec![0.0_f32; lanes * 6];
+    let mut targets = vec![0.0_f32; engine.lanes() * joints];
+    let wrenches = vec![0.0_f32; engine.lanes() * 6];
     for k in 0..=most {
-        for (lane, &(_, s)) in jobs.iter().enumerate() {
-            let stand = stands[lane];
-            if k == stand && stand > 0 && sound[lane] {
-                let measured = &data.segments[s].start;
-                sound[lane] &= correct(engine, lane, &plants[lane], measured);
-            }
-            if k >= stand && k - stand < traces[lane].rows() {
-                traces[lane].record(engine.state(), lane, &model);
-            }
-            if let Some((_, measured)) = corrections[lane].filter(|(after, _)| stand + after == k)
-                && sound[lane]
-            {
-                sound[lane] &= correct(engine, lane, &plants[lane], measured);
-            }
-            let from = data.segments[s].start_s + (k as f64 - stand as f64) * period_s;
-            let own = &mut targets[lane * joints..(lane + 1) * joints];
-            readers[lane].means(from, from + period_s, own);
-            if switches[lane].due(from) && sound[lane] {
-                let params = switches[lane].apply(&plants[lane], from);
-                sound[lane] &= engine.set_params(lane, &params).is_ok();
-            }
+        for (number, lane) in all.iter_mut().enumerate() {
+            let own = &mut targets[number * joints..(number + 1) * joints];
+            lane.before_step(engine, (number, k, period_s), data, own);
         }
         if k < most {
             engine.step(&targets, &wrenches)?;
         }
     }
-    let diverged = |state: &State, lane: usize| state.diverged[lane];
-    let out = jobs
-        .iter()
-        .enumerate()
-        .map(|(lane, &(_, s))| {
-            if !sound[lane] || diverged(engine.state(), lane) {
-                return Vec::new();
-            }
-            observe::predict(&plants[lane], &traces[lane], data, s)
-        })
-        .collect();
-    Ok(out)
+    let predicted = all.iter().enumerate().map(|(number, lane)| {
+        if !lane.sound || engine.state().diverged[number] {
+            return Vec::new();
+        }
+        observe::predict(&lane.plant, &lane.trace, data, lane.segment)
+    });
+    Ok(predicted.collect())
 }
 
 /// Whether a robot stands before stretch `segment` begins: at the beginning of a run of a held robot whose servos are on, with an integral part.
@@ -132,23 +149,18 @@ fn stands_before(plant: &Plant, data: &Data, segment: usize) -> bool {
 }
 
 /// Puts a lane at its measured start. Whether the candidate is physical.
-fn start(
-    engine: &mut BatchEngine,
-    lane: usize,
-    plant: &Plant,
-    switches: &Switches,
-    data: &Data,
-    segment: usize,
-) -> bool {
+fn start(engine: &mut BatchEngine, number: usize, lane: &Lane, data: &Data) -> bool {
+    let own = &data.segments[lane.segment];
+    let nominal = InitialState::nominal(&lane.plant.model);
     let init = placed(
-        plant,
-        &data.segments[segment].start,
-        data.hold(segment) != 0,
-        InitialState::nominal(&plant.model),
+        &lane.plant,
+        &own.start,
+        data.hold(lane.segment) != 0,
+        nominal,
     );
-    let params = switches.apply(plant, data.segments[segment].start_s);
-    let good = engine.set_params(lane, &params).is_ok();
-    good && engine.reset(lane, &init).is_ok()
+    let params = lane.switches.apply(&lane.plant, own.start_s);
+    let good = engine.set_params(number, &params).is_ok();
+    good && engine.reset(number, &init).is_ok()
 }
 
 /// `init` with what was measured in the place of what it has.

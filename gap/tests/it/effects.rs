@@ -1,11 +1,11 @@
-//! Every effect of the catalogue: nothing at nothing, to the bit; and a change of the signals that it claims to change.
+//! Every effect of the catalogue: nothing at nothing, to the bit; and a change of a signal at some size.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use caudata_gap::effects::{self, Effect, Place, places};
+use caudata_gap::effects::{self, Effect, Place};
 use caudata_gap::replay::{Data, Replayer, SegmentOptions, Term};
-use caudata_gap::trial::{Kind, Role, Run, Trial};
+use caudata_gap::trial::{Role, Run, Trial};
 use caudata_model::RobotModel;
 use caudata_runlog::{RunLog, Table};
 
@@ -71,7 +71,7 @@ fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
 }
 
 fn data(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Data {
-    let mut trial = Trial::new(model, &run(model, base, body, seconds)).unwrap();
+    let mut trial = caudata_gap::reading::trial(model, &run(model, base, body, seconds)).unwrap();
     trial.session = 1.0;
     Data::new(model, vec![trial], SegmentOptions::default())
 }
@@ -85,10 +85,10 @@ fn term(model: &RobotModel, effect: &'static Effect, place: &Place, values: Vec<
     }]
 }
 
-/// Checks one effect on data in which it can show: neutral values give the same bits, at least one grid size changes a signal that it claims.
+/// Checks one effect on data in which it can show: neutral values give the same bits, at least one grid size changes a signal.
 fn check(replayer: &Replayer, data: &Data, effect: &'static Effect) {
     let model = replayer.model();
-    let Some(place) = places(model, effect).into_iter().last() else {
+    let Some(place) = effect.places(model).into_iter().last() else {
         panic!("{}: no place on {}", effect.id, model.name());
     };
     let mut variants = vec![Vec::new()];
@@ -124,19 +124,11 @@ fn check(replayer: &Replayer, data: &Data, effect: &'static Effect) {
             effect.id
         );
         for piece in data.segments.iter().flat_map(|s| &s.pieces) {
-            let claimed = effect.shows_in.contains(&piece.kind);
-            let far = piece
-                .range
-                .clone()
-                .any(|i| (with[i] - predictions[0][i]).abs() > 1e-4);
-            changed |= far && claimed;
+            let mut samples = piece.range.clone();
+            changed |= samples.any(|i| (with[i] - predictions[0][i]).abs() > 1e-4);
         }
     }
-    assert!(
-        changed,
-        "{}: no size changes what it claims to change",
-        effect.id
-    );
+    assert!(changed, "{}: no size changes anything", effect.id);
 }
 
 #[test]
@@ -207,7 +199,7 @@ fn predictions_do_not_depend_on_threads() {
     let model = bench();
     let data = data(&model, "fixed", false, 3.0);
     let effect = effects::find("kp_error").unwrap();
-    let place = places(&model, effect).remove(0);
+    let place = effect.places(&model).remove(0);
     let variants: Vec<_> = (0..40)
         .map(|k| term(&model, effect, &place, vec![0.5 + 0.02 * f64::from(k)]))
         .collect();
@@ -244,6 +236,6 @@ fn the_catalogue_is_whole() {
         for p in e.parameters {
             assert!(p.low < p.high && p.scale > 0.0, "{}.{}", e.id, p.name);
         }
-        assert!(!e.shows_in.is_empty() && e.shows_in.iter().all(|k: &Kind| !k.name().is_empty()));
+        assert!(!e.id.is_empty() && !e.trial.is_empty() && !e.signature.is_empty());
     }
 }

@@ -30,7 +30,7 @@ fn load(toml: &str) -> Result<Arc<RobotModel>, String> {
 fn soft_knee(model: &Arc<RobotModel>) -> Extension {
     let effect = effects::find("kp_error").unwrap();
     let names = vec!["FL_knee".to_owned()];
-    let place = Place::named(model, effect, &names).unwrap();
+    let place = Place::named(model, effect.domain, &names).unwrap();
     let term = Term {
         effect,
         place,

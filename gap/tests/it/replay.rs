@@ -51,7 +51,7 @@ fn run(
         role: Role::Fit,
         sha256: String::new(),
     };
-    Trial::new(model, &run).unwrap()
+    caudata_gap::reading::trial(model, &run).unwrap()
 }
 
 #[test]
@@ -88,7 +88,7 @@ fn a_held_robot_with_an_integral_part_stands_for_a_second_before_its_recording()
     let share_per_s = 0.1;
     let integral = vec![Term {
         effect,
-        place: Place::named(&model, effect, &["swing".to_owned()]).unwrap(),
+        place: Place::named(&model, effect.domain, &["swing".to_owned()]).unwrap(),
         values: vec![share_per_s * kp],
     }];
     // where it is after `t_s`, beginning from `pos_rad`

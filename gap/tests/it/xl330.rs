@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use caudata_gap::effects::{self, places};
+use caudata_gap::effects;
 use caudata_gap::import::bam;
 use caudata_gap::replay::{Data, Replayer, SegmentOptions, Term, Variant};
 use caudata_gap::trial::{Kind, Role, Run, Trial};
@@ -103,7 +103,7 @@ impl Bench {
             .iter()
             .map(|id| {
                 let effect = effects::find(id).unwrap();
-                let place = places(&model, effect)[0].clone();
+                let place = effect.places(&model)[0].clone();
                 let values = effect.neutral(&model, &place);
                 Term {
                     effect,
@@ -165,7 +165,7 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
     assert_eq!(runs.len(), 16);
     let trials = runs
         .iter()
-        .map(|r| Trial::new(&model, r).unwrap())
+        .map(|r| caudata_gap::reading::trial(&model, r).unwrap())
         .collect();
     let bench = Bench {
         replayer: Replayer::new(Arc::clone(&model), 2).unwrap(),

@@ -1,6 +1,6 @@
 //! The articulated-body algorithm (Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 7) about one common point: inwards, then outwards.
 
-use super::kinematics::Frame;
+use super::frame::Frame;
 use super::program::Program;
 use super::vec3::{Inertia, V3, add_scaled, dot, zero3};
 use crate::simd::Lanes;

@@ -13,93 +13,29 @@
 //! slip is Coulomb's whatever the acceleration.
 //!
 //! Here MuJoCo differs, unless [`convex`](super::convex) is chosen: its friction is the convex relaxation of Coulomb's, in which a sliding contact also lifts (the normal force
-//! grows with the slip), and sticking takes a time constant. `docs/simulation.md` says how much of a gait's way that is.
+//! grows with the slip), and sticking takes a time constant. `docs/reference/simulation.md` says how much of a gait's way that is.
 
+use super::contact_law::{ContactLaw, THETA, Touch};
 use super::convex;
+use super::frame::Frame;
 use super::ground::Ground;
-use super::kinematics::Frame;
 use super::program::Point;
 use super::vec3::{Inertia, V3, add_cross, add_scaled, cross, dot, scale, select3, sub, zero3};
-use crate::EngineConfig;
-use crate::real::{Mask, Real};
+use crate::real::Mask;
 use crate::simd::Lanes;
 
-/// Share of a contact spring's motion over the step that its force sees.
-const THETA: f64 = 0.5;
 /// Deepest penetration that the spring answers to, m: deeper, it pushes out with a constant force instead of throwing the robot off.
 const DEEPEST_M: f64 = 0.01;
 
-/// Constants of the contact law for one step size.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ContactLaw<R: Lanes> {
-    dt: R::Elem,
-    /// θ·dt, s.
-    pub theta_dt: R::Elem,
-    /// MuJoCo's friction instead of the bristle.
-    pub convex: bool,
-    /// Bristle stiffness, N/m.
-    kt: R::Elem,
-    /// Bristle damping plus θ·dt·kt, N·s/m.
-    dt_full: R::Elem,
+/// A ball that reaches into the ground.
+struct Meeting<R> {
+    depth: R,
+    normal: V3<R>,
+    /// Touching point from the reference point, world, m.
+    arm: V3<R>,
+    /// The ground's factor on friction there.
+    grip: R,
 }
-
-impl<R: Lanes> ContactLaw<R> {
-    pub fn new(config: &EngineConfig) -> Self {
-        let dt = config.dt_s;
-        Self {
-            dt: R::elem(dt),
-            theta_dt: R::elem(THETA * dt),
-            convex: config.convex_friction,
-            kt: R::elem(config.bristle_stiffness_n_per_m),
-            dt_full: R::elem(
-                config.bristle_damping_ns_per_m + THETA * dt * config.bristle_stiffness_n_per_m,
-            ),
-        }
-    }
-}
-
-/// A contact of the current step: force on the robot `f0 − m·Δ`, Δ the acceleration of the point beyond its bias.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Touch<R> {
-    /// Whether any lane touches.
-    pub any: bool,
-    /// Touching point from the base's origin, world, m.
-    pub arm: V3<R>,
-    /// Normal of the ground.
-    pub normal: V3<R>,
-    /// A: acceleration of the point per force, 1/kg.
-    pub give: R,
-    /// 1 where a lane touches, 0 elsewhere.
-    pub touching: R,
-    pub f0: V3<R>,
-    /// Symmetric.
-    pub m: [R; 6],
-}
-
-impl<R: Real> Touch<R> {
-    pub fn none() -> Self {
-        Self {
-            any: false,
-            arm: zero3(),
-            normal: zero3(),
-            give: R::zero(),
-            touching: R::zero(),
-            f0: zero3(),
-            m: [R::zero(); 6],
-        }
-    }
-
-    /// The force with the body's acceleration beyond its bias, N; and that acceleration of the point, m/s².
-    #[inline(always)]
-    pub fn force(&self, ang: V3<R>, lin: V3<R>) -> (V3<R>, V3<R>) {
-        let a = add_cross(lin, ang, self.arm);
-        (sub(self.f0, super::vec3::sym_times(&self.m, a)), a)
-    }
-}
-
-/// Values that a contact point keeps from step to step: deflection of its bristle, world, m; of the last step the normal force, N, and the
-/// acceleration along the normal without it, m/s². With convex friction the first three are that acceleration, world, m/s².
-pub(super) const MEMORY: usize = 5;
 
 /// Works out the contact of a ball (`point` in the frame `frame`, from the base at `base`), adds it to the body's inertia and notes it.
 #[inline(always)]
@@ -109,65 +45,19 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     base: V3<R>,
     frame: &Frame<R>,
     point: &Point<R>,
-    mut friction: R,
+    friction: R,
     memory: &mut [R],
     inertia: &mut Inertia<R>,
     note: &mut Touch<R>,
 ) {
-    let k = R::uniform;
-    let (o, one) = (R::zero(), R::one());
-    let c = point.centre.map(k);
-    let radius = k(point.radius);
-    let rot = &frame.rot;
-    let z = rot[2][2].mul_add(
-        c[2],
-        rot[1][2].mul_add(c[1], rot[0][2].mul_add(c[0], frame.pos[2])),
-    );
-    let (depth, normal, from_base);
-    if FLAT {
-        depth = radius - (z + base[2]);
-        if !o.lt(depth).any() {
-            leave(memory, note);
-            return;
-        }
-        normal = [o, o, one];
-        from_base = [
-            rot[2][0].mul_add(
-                c[2],
-                rot[1][0].mul_add(c[1], rot[0][0].mul_add(c[0], frame.pos[0])),
-            ),
-            rot[2][1].mul_add(
-                c[2],
-                rot[1][1].mul_add(c[1], rot[0][1].mul_add(c[0], frame.pos[1])),
-            ),
-            z,
-        ];
-    } else {
-        let x = rot[2][0].mul_add(
-            c[2],
-            rot[1][0].mul_add(c[1], rot[0][0].mul_add(c[0], frame.pos[0])),
-        );
-        let y = rot[2][1].mul_add(
-            c[2],
-            rot[1][1].mul_add(c[1], rot[0][1].mul_add(c[0], frame.pos[1])),
-        );
-        let (clearance, n, grip) = ground.clearance(x + base[0], y + base[1], z + base[2]);
-        depth = radius - clearance;
-        if !o.lt(depth).any() {
-            leave(memory, note);
-            return;
-        }
-        normal = n;
-        friction = friction * grip;
-        from_base = [x, y, z];
-    }
-    let touching = o.lt(depth);
-    let dt = k(law.dt);
-    let arm = if FLAT {
-        [from_base[0], from_base[1], z - radius]
-    } else {
-        add_scaled(from_base, normal, -radius)
+    let Some(meeting) = meet::<R, FLAT>(ground, base, frame, point) else {
+        leave(memory, note);
+        return;
     };
+    let (normal, arm) = (meeting.normal, meeting.arm);
+    let friction = friction * meeting.grip;
+    let touching = R::zero().lt(meeting.depth);
+    let depth = meeting.depth.min(R::splat(DEEPEST_M));
     let vel = add_cross(frame.lin, frame.ang, arm);
     // classical acceleration of the point with the bias alone
     let acc = add_cross(
@@ -175,26 +65,101 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
         frame.ang,
         vel,
     );
+    let (f0, m);
     if law.convex {
-        let depth = depth.min(R::splat(DEEPEST_M));
         let free = [memory[0], memory[1], memory[2]];
-        let (f0, m) = convex::force(
+        (f0, m) = convex::force(
             law, point, touching, depth, normal, vel, acc, friction, free,
         );
         add_general(inertia, arm, &m);
-        inertia.f = sub(inertia.f, f0);
-        inertia.n = sub(inertia.n, cross(arm, f0));
-        *note = Touch {
-            any: true,
-            arm,
-            normal,
-            give: k(point.mobility),
-            touching: R::select(touching, one, o),
-            f0,
-            m,
-        };
-        return;
+    } else {
+        (f0, m) = bristle::<R, FLAT>(
+            law, point, touching, depth, normal, vel, acc, friction, memory,
+        );
+        if FLAT {
+            add_flat(inertia, arm, &m);
+        } else {
+            add_general(inertia, arm, &m);
+        }
     }
+    inertia.f = sub(inertia.f, f0);
+    inertia.n = sub(inertia.n, cross(arm, f0));
+    *note = Touch {
+        any: true,
+        arm,
+        normal,
+        give: R::uniform(point.mobility),
+        touching: R::select(touching, R::one(), R::zero()),
+        f0,
+        m,
+    };
+}
+
+/// Where a ball reaches into the ground; `None` where no lane's does.
+#[inline(always)]
+fn meet<R: Lanes, const FLAT: bool>(
+    ground: &Ground<R>,
+    base: V3<R>,
+    frame: &Frame<R>,
+    point: &Point<R>,
+) -> Option<Meeting<R>> {
+    let (o, one) = (R::zero(), R::one());
+    let c = point.centre.map(R::uniform);
+    let radius = R::uniform(point.radius);
+    let z = coordinate(frame, c, 2);
+    if FLAT {
+        let depth = radius - (z + base[2]);
+        if !o.lt(depth).any() {
+            return None;
+        }
+        return Some(Meeting {
+            depth,
+            normal: [o, o, one],
+            arm: [coordinate(frame, c, 0), coordinate(frame, c, 1), z - radius],
+            grip: one,
+        });
+    }
+    let (x, y) = (coordinate(frame, c, 0), coordinate(frame, c, 1));
+    let (clearance, normal, grip) = ground.clearance(x + base[0], y + base[1], z + base[2]);
+    let depth = radius - clearance;
+    if !o.lt(depth).any() {
+        return None;
+    }
+    Some(Meeting {
+        depth,
+        normal,
+        arm: add_scaled([x, y, z], normal, -radius),
+        grip,
+    })
+}
+
+/// One world coordinate of a place in a frame, from the reference point, m.
+#[inline(always)]
+fn coordinate<R: Lanes>(frame: &Frame<R>, at: V3<R>, axis: usize) -> R {
+    let rot = &frame.rot;
+    rot[2][axis].mul_add(
+        at[2],
+        rot[1][axis].mul_add(at[1], rot[0][axis].mul_add(at[0], frame.pos[axis])),
+    )
+}
+
+/// The force `f0 − m·Δ` of a contact `depth` deep with Coulomb's friction on a bristle, Δ the acceleration of the point beyond its bias; m
+/// symmetric. `vel`, `acc`: velocity and bias acceleration of the point.
+#[inline(always)]
+fn bristle<R: Lanes, const FLAT: bool>(
+    law: &ContactLaw<R>,
+    point: &Point<R>,
+    touching: R::Mask,
+    depth: R,
+    normal: V3<R>,
+    vel: V3<R>,
+    acc: V3<R>,
+    friction: R,
+    memory: &mut [R],
+) -> (V3<R>, [R; 6]) {
+    let k = R::uniform;
+    let (o, one) = (R::zero(), R::one());
+    let dt = k(law.dt);
     let ahead = add_scaled(vel, acc, dt);
     let (vn, ahead_n) = if FLAT {
         (vel[2], ahead[2])
@@ -202,23 +167,20 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
         (dot(vel, normal), dot(ahead, normal))
     };
     // normal: spring, damper and inertia
-    let depth = depth.min(R::splat(DEEPEST_M));
-    let give = k(point.mobility);
     let d = point.soft.impedance(depth);
-    let weight = d / ((one - d) * give);
+    let weight = d / ((one - d) * k(point.mobility));
     let spring = d * R::splat(point.soft.stiffness_per_s2());
     let damper = R::splat(point.soft.damping_per_s());
     let on = touching & memory[4].lt(spring * depth - damper * vn);
     let half = k(law.theta_dt);
     let resists = spring.mul_add(half, damper);
     let mid_n = (ahead_n - vn).mul_add(R::splat(THETA), vn);
-    let f0_n = weight * (spring * depth - resists * mid_n);
-    let m_n = weight * resists.mul_add(half, one);
+    let up = R::select(on, weight * (spring * depth - resists * mid_n), o);
+    let mn = R::select(on, weight * resists.mul_add(half, one), o);
     // the normal force that came out of the last step: no estimate of this one's is free of bias (see above)
     let limit = friction * memory[3];
 
     // friction: deflection, tangential part, held within the limit
-    let old = [memory[0], memory[1], memory[2]];
     let (slip, slip_ahead) = if FLAT {
         ([vel[0], vel[1], o], [ahead[0], ahead[1], o])
     } else {
@@ -227,7 +189,7 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
             add_scaled(ahead, normal, -ahead_n),
         )
     };
-    let mut s = add_scaled(old, slip, dt);
+    let mut s = add_scaled([memory[0], memory[1], memory[2]], slip, dt);
     if !FLAT {
         s = add_scaled(s, normal, -dot(s, normal));
     }
@@ -243,20 +205,26 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
     let share = R::select(slides, limit * inverse, one);
     let along = select3(slides, scale(trial, inverse), zero3());
     let mt = R::select(on, share * k(law.dt_full) * dt, o);
-    let mn = R::select(on, m_n, o);
     let back = R::select(on, -share, o);
-    let up = R::select(on, f0_n, o);
+    memory[..3].copy_from_slice(&select3(on, s, zero3()));
+    resist::<R, FLAT>(scale(trial, back), normal, along, up, mn, mt)
+}
 
-    let mut f0 = scale(trial, back);
-    let s = select3(on, s, zero3());
-    memory[0] = s[0];
-    memory[1] = s[1];
-    memory[2] = s[2];
-    let m;
+/// Puts the parts together: `f0` along the ground and `up`; `mn` along the normal, `mt` across it but not `along` the slip.
+#[inline(always)]
+fn resist<R: Lanes, const FLAT: bool>(
+    mut f0: V3<R>,
+    normal: V3<R>,
+    along: V3<R>,
+    up: R,
+    mn: R,
+    mt: R,
+) -> (V3<R>, [R; 6]) {
     if FLAT {
+        let o = R::zero();
         f0[2] = up;
         let (tx, ty) = (along[0] * mt, along[1] * mt);
-        m = [
+        let m = [
             mt - tx * along[0],
             -(tx * along[1]),
             o,
@@ -264,41 +232,24 @@ pub(super) fn touch<R: Lanes, const FLAT: bool>(
             o,
             mn,
         ];
-        add_flat(inertia, arm, &m);
-    } else {
-        f0 = add_scaled(f0, normal, up);
-        let w = scale(along, -mt);
-        let v = scale(normal, mn - mt);
-        m = [
-            v[0].mul_add(normal[0], w[0].mul_add(along[0], mt)),
-            v[0].mul_add(normal[1], w[0] * along[1]),
-            v[0].mul_add(normal[2], w[0] * along[2]),
-            v[1].mul_add(normal[1], w[1].mul_add(along[1], mt)),
-            v[1].mul_add(normal[2], w[1] * along[2]),
-            v[2].mul_add(normal[2], w[2].mul_add(along[2], mt)),
-        ];
-        add_general(inertia, arm, &m);
+        return (f0, m);
     }
-    inertia.f = sub(inertia.f, f0);
-    inertia.n = sub(inertia.n, cross(arm, f0));
-    *note = Touch {
-        any: true,
-        arm,
-        normal,
-        give,
-        touching: R::select(touching, one, o),
-        f0,
-        m,
-    };
+    let w = scale(along, -mt);
+    let v = scale(normal, mn - mt);
+    let m = [
+        v[0].mul_add(normal[0], w[0].mul_add(along[0], mt)),
+        v[0].mul_add(normal[1], w[0] * along[1]),
+        v[0].mul_add(normal[2], w[0] * along[2]),
+        v[1].mul_add(normal[1], w[1].mul_add(along[1], mt)),
+        v[1].mul_add(normal[2], w[1] * along[2]),
+        v[2].mul_add(normal[2], w[2].mul_add(along[2], mt)),
+    ];
+    (add_scaled(f0, normal, up), m)
 }
 
 #[inline(always)]
 fn leave<R: Lanes>(memory: &mut [R], note: &mut Touch<R>) {
-    memory[0] = R::zero();
-    memory[1] = R::zero();
-    memory[2] = R::zero();
-    memory[3] = R::zero();
-    memory[4] = R::zero();
+    memory.fill(R::zero());
     note.any = false;
 }
 

@@ -7,7 +7,7 @@
 //! estimate of the normal force. Whether it slides, sticks or does nothing is judged by how the point would have accelerated
 //! without contact in the last step.
 
-use super::contact::ContactLaw;
+use super::contact_law::ContactLaw;
 use super::program::Point;
 use super::vec3::{V3, add_scaled, dot, scale, select3, zero3};
 use crate::simd::Lanes;

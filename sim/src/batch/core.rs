@@ -7,15 +7,16 @@ use caudata_model::RobotModel;
 
 use super::clock::{Clock, PhaseSeconds};
 use super::ground::Ground;
-use super::lanes::Group;
-use super::period::{Period, Scratch, Shared};
+use super::group::Group;
+use super::period::Period;
 use super::pool::Pool;
 use super::program::Program;
 use super::readout::Readout;
 use super::report;
+use super::shared::{Scratch, Shared};
 use crate::drive::loss::LossMemory;
 use crate::drive::{JointMemory, loop_delay};
-use crate::lanes::Lanes as _;
+use crate::per_lane::PerLane as _;
 use crate::real::Real;
 use crate::simd::{Kernel, Lanes};
 use crate::state::FIELDS;
@@ -138,7 +139,7 @@ impl<R: Lanes> CoreOf<R> {
             }
         }
         let first = g * R::LANES;
-        let widths = report::widths(&self.shared.program);
+        let widths = self.shared.program.widths();
         let mut at = 0;
         state.diverged[lane] = from.diverged;
         for (field, k) in state.fields_mut().into_iter().zip(widths) {
@@ -181,13 +182,13 @@ impl<R: Lanes> Core for CoreOf<R> {
 
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State) {
         let program = &self.shared.program;
-        let mut x = vec![0.0; super::lanes::layout(program).len()];
+        let mut x = vec![0.0; super::group::layout(program).len()];
         x[..7].copy_from_slice(&start.pose);
-        x[super::lanes::Layout::BUS] = start.bus_v;
+        x[super::group::Layout::BUS] = start.bus_v;
         if program.free {
             x[7..13].copy_from_slice(&start.motion);
         }
-        let lay = super::lanes::layout(program);
+        let lay = super::group::layout(program);
         for (i, node) in program.nodes.iter().enumerate() {
             x[lay.q() + i] = start.joint_pos[node.joint];
             x[lay.qd() + i] = start.joint_vel[node.joint];
@@ -205,7 +206,7 @@ impl<R: Lanes> Core for CoreOf<R> {
                 rest.repeat(depth)
             },
             loss: LossMemory::default(),
-            sums: vec![0.0; super::lanes::sums_len(program)],
+            sums: vec![0.0; super::group::sums_len(program)],
             diverged: false,
         };
         self.place(lane, &from, state);
@@ -214,7 +215,7 @@ impl<R: Lanes> Core for CoreOf<R> {
     fn correct(&mut self, lane: usize, start: &Start<'_>, driven: &[usize], state: &mut State) {
         let mut from = self.get(lane);
         let program = &self.shared.program;
-        let lay = super::lanes::layout(program);
+        let lay = super::group::layout(program);
         from.x[..7].copy_from_slice(&start.pose);
         if program.free {
             from.x[7..13].copy_from_slice(&start.motion);
@@ -272,7 +273,7 @@ impl<R: Lanes> Core for CoreOf<R> {
         // Small parts. Each thread begins with those that it had in the last step, which are in its cache, and then helps the others: the
         // machine may be busy with other things as well. A group's result does not depend on who works it out.
         let share = self.groups.len().div_ceil(PARTS_PER_THREAD * threads);
-        let widths = report::widths(&shared.program);
+        let widths = shared.program.widths();
         let actuated = shared.program.actuated;
         let mut rest = Rows::of(state);
         if threads == 1 {

@@ -1,8 +1,8 @@
 //! The end of a physics step: velocities and positions move on; lanes that broke down get their state back.
 
+use super::group::{Group, Layout, layout};
 use super::kinematics;
-use super::lanes::{Group, Layout, layout};
-use super::period::{Scratch, Shared};
+use super::shared::{Scratch, Shared};
 use super::vec3::{V3, add_cross, add_scaled, dot, scale};
 use crate::drive::passive::{self, StopAt};
 use crate::drive::{JointMemory, friction, step};

@@ -9,25 +9,27 @@
 //! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact of balls, capsules, boxes and cylinders with the ground as
 //! [`program`] describes, and of balls with balls of the robot itself ([`pairs`]); drive-lines as in [`crate::drive`], water as in [`crate::water`].
 //!
-//! Cost: `caudata bench sim`, with the time split by phase; docs/status.md has figures. Accuracy: `caudata sim verify`; docs/simulation.md.
+//! Cost: `caudata bench sim`, with the time split by phase; accuracy: `caudata sim verify`. docs/reference/simulation.md has the figures.
 
 mod aba;
 mod clock;
 mod contact;
+mod contact_law;
 mod convex;
 mod core;
+mod frame;
 mod ground;
+mod group;
 mod integrate;
 mod kinematics;
-mod lanes;
 mod pairs;
 mod period;
 mod pool;
 pub mod program;
 mod readout;
 mod report;
+mod shared;
 pub mod smooth;
-mod snapshot;
 mod vec3;
 mod wet;
 
@@ -36,19 +38,22 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 
 pub use self::clock::{Phase, PhaseSeconds};
-use self::core::{Core, CoreOf, Start};
+use self::core::{Core, CoreOf, LaneState, Start};
 pub use self::readout::Readout;
 use crate::config::Precision;
-use crate::drive::loop_delay;
+use crate::drive::loop_memory_steps;
+use crate::engine::{check_new, check_step};
+use crate::error::check_lane;
 use crate::observe::{self, Coordinates};
 use crate::simd::Width;
+use crate::snapshot::{Owner, refused};
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
 
 /// Most lanes one engine takes; each needs about 20 kB of memory.
 pub const MAX_LANES: usize = 1 << 20;
 
-/// Values per lane of a wrench: force, torque.
-const WRENCH: usize = 6;
+/// Changes whenever what a snapshot holds does.
+const FORMAT: &str = "caudata-batch-4";
 
 /// The batch engine.
 pub struct BatchEngine {
@@ -74,26 +79,13 @@ impl BatchEngine {
         terrain: Arc<Terrain>,
         threads: usize,
     ) -> Result<Self, SimError> {
-        config.validate()?;
-        crate::check_extension(&model)?;
-        if lanes == 0 || lanes > MAX_LANES {
-            return Err(SimError::Shape {
-                what: "lanes",
-                got: lanes,
-                expected: lanes.clamp(1, MAX_LANES),
-            });
-        }
+        check_new(&model, &config, lanes, MAX_LANES)?;
         let width = width(&config)?;
         let groups = lanes.div_ceil(width.lanes());
         let threads = threads.clamp(1, groups);
         let core = build_core(&model, lanes, &config, &terrain, threads, width)?;
         let params = vec![LaneParams::nominal(&model); lanes];
-        let state = State::zeros(
-            lanes,
-            model.joints().len(),
-            model.actuated().len(),
-            model.feet().len(),
-        );
+        let state = State::of(&model, lanes);
         let mut engine = Self {
             terrain_mark: terrain.fingerprint(),
             model,
@@ -138,7 +130,7 @@ impl BatchEngine {
     /// # Errors
     /// As [`Engine::reset`].
     pub fn correct(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
-        self.check_lane(lane)?;
+        check_lane(lane, self.lanes())?;
         let at = self.coordinates(lane, init)?;
         let start = start_of(&self.params[lane], init, &at);
         let driven = self.model.actuated();
@@ -156,21 +148,13 @@ impl BatchEngine {
         Ok(at)
     }
 
-    fn check_lane(&self, lane: usize) -> Result<(), SimError> {
-        if lane < self.params.len() {
-            return Ok(());
-        }
-        Err(SimError::Lane {
-            lane,
-            lanes: self.params.len(),
-        })
-    }
-
-    fn owner(&self) -> snapshot::Owner<'_> {
-        snapshot::Owner {
+    fn owner(&self) -> Owner<'_> {
+        Owner {
+            format: FORMAT,
             model_hash: self.model.hash(),
             config: &self.config,
             terrain: self.terrain_mark,
+            lanes: self.params.len(),
         }
     }
 }
@@ -266,7 +250,7 @@ impl Engine for BatchEngine {
     }
 
     fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
-        self.check_lane(lane)?;
+        check_lane(lane, self.lanes())?;
         params.validate(&self.model, lane)?;
         self.params[lane].clone_from(params);
         self.core
@@ -275,7 +259,7 @@ impl Engine for BatchEngine {
     }
 
     fn reset(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
-        self.check_lane(lane)?;
+        check_lane(lane, self.lanes())?;
         let at = self.coordinates(lane, init)?;
         let start = start_of(&self.params[lane], init, &at);
         self.core.reset(lane, &start, &mut self.state);
@@ -283,13 +267,7 @@ impl Engine for BatchEngine {
     }
 
     fn step(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
-        let lanes = self.params.len();
-        check_len(
-            "targets_rad",
-            targets_rad,
-            lanes * self.model.actuated().len(),
-        )?;
-        check_len("wrenches", wrenches, lanes * WRENCH)?;
+        check_step(self, targets_rad, wrenches)?;
         self.core
             .step(&self.pool, targets_rad, wrenches, &mut self.state);
         Ok(())
@@ -300,41 +278,35 @@ impl Engine for BatchEngine {
     }
 
     fn snapshot(&self) -> Result<Vec<u8>, SimError> {
-        let lanes = (0..self.params.len()).map(|l| self.core.get(l)).collect();
-        snapshot::save(&self.owner(), &self.params, lanes, &self.state)
+        let lanes: Vec<_> = (0..self.params.len()).map(|l| self.core.get(l)).collect();
+        self.owner().save(&(&self.params, lanes, &self.state))
     }
 
     fn restore(&mut self, bytes: &[u8]) -> Result<(), SimError> {
-        let (params, lanes, state) = snapshot::load(&self.owner(), bytes, self.params.len())?;
+        let (params, lanes, state): (Vec<LaneParams>, Vec<LaneState>, State) =
+            self.owner().load(bytes)?;
+        let count = self.params.len();
+        if [params.len(), lanes.len(), state.lanes] != [count; 3] {
+            return Err(refused("it has another number of lanes"));
+        }
         for (lane, p) in params.iter().enumerate() {
             p.validate(&self.model, lane)?;
         }
         let fits = |(lane, p)| {
-            let steps = loop_delay::memory_steps(p, self.config.dt_s);
+            let steps = loop_memory_steps(p, self.config.dt_s);
             self.core.fits(lane, steps)
         };
         if !lanes.iter().zip(&params).all(fits) {
-            return Err(snapshot::refused("its lanes have another layout"));
+            return Err(refused("its lanes have another layout"));
         }
         for (lane, (p, from)) in params.iter().zip(&lanes).enumerate() {
             self.core.set_params(lane, &self.model, &self.config, p);
             if !self.core.put(lane, from) {
-                return Err(snapshot::refused("its lanes have another layout"));
+                return Err(refused("its lanes have another layout"));
             }
         }
         self.params = params;
         self.state = state;
         Ok(())
     }
-}
-
-fn check_len(what: &'static str, values: &[f32], expected: usize) -> Result<(), SimError> {
-    if values.len() == expected {
-        return Ok(());
-    }
-    Err(SimError::Shape {
-        what,
-        got: values.len(),
-        expected,
-    })
 }

@@ -4,8 +4,8 @@
 //! and opposite on the two bodies: taken implicitly by each body alone it would not be, and the robot would push itself along. So its
 //! stiffness is bounded by the lightest link and the step: 5000 N/m on 0.1 kg at 2 ms is ω·dt = 0.45, the limit being 2.
 
-use super::kinematics::Frame;
-use super::lanes::Group;
+use super::frame::Frame;
+use super::group::Group;
 use super::program::{Part, Program};
 use super::vec3::{Inertia, V3, add, cross, dot, scale, select3, sub, zero3};
 use crate::real::Mask;

@@ -4,143 +4,27 @@
 //! belong to the positions' time, so they are taken at the velocity half a step on, extrapolated with the last step's acceleration: with
 //! the velocity as it is, a chaotic double pendulum gains 5 % of its energy in 1.4 s at 2 ms.
 
-use super::aba::{self, Hinge, Load};
-use super::clock::{Clock, Phase};
-use super::contact::{ContactLaw, MEMORY, Touch};
-use super::ground::Ground;
+use super::aba::{self, Load};
+use super::clock::Phase;
+use super::contact_law::MEMORY;
+use super::group::{Group, Layout, layout};
 use super::integrate;
-use super::kinematics::{self, Frame, Push, World};
-use super::lanes::{Group, Layout, layout, sums_len};
+use super::kinematics::{self, Push, World};
 use super::pairs;
-use super::program::{Part, Program};
-use super::readout::Readout;
-use super::vec3::{Inertia, V3, dot, zero3};
+use super::program::Part;
+use super::shared::{Scratch, Shared};
+use super::vec3::{dot, zero3};
 use super::wet;
+use crate::CommandLoss;
+use crate::drive::ImplicitTorque;
 use crate::drive::command::Scheduled;
 use crate::drive::loop_delay::Loop;
 use crate::drive::loss::LossMemory;
 use crate::drive::passive::StopAt;
-use crate::drive::step::{self, Driven, Step};
+use crate::drive::step;
 use crate::drive::supply::{self, Bus};
-use crate::drive::{ImplicitTorque, JointMemory};
 use crate::real::Mask;
 use crate::simd::{Kernel, Lanes};
-use crate::{CommandLoss, EngineConfig};
-
-/// What every group of an engine shares.
-#[derive(Debug, Clone)]
-pub(super) struct Shared<R: Lanes> {
-    pub program: Program<R>,
-    pub ground: Ground<R>,
-    pub law: ContactLaw<R>,
-    pub dt_s: f64,
-    pub substeps: u32,
-    pub step: Step<R>,
-    /// Height of the water's surface as the terrain has it, m.
-    pub water_level_m: f64,
-    pub max_joint_speed: f64,
-    pub max_base_speed: f64,
-    /// What each period reports.
-    pub readout: Readout,
-}
-
-impl<R: Lanes> Shared<R> {
-    pub fn new(
-        program: Program<R>,
-        ground: Ground<R>,
-        config: &EngineConfig,
-        water_level_m: f64,
-    ) -> Self {
-        Self {
-            program,
-            ground,
-            law: ContactLaw::new(config),
-            dt_s: config.dt_s,
-            substeps: config.substeps,
-            step: Step::new(config.dt_s),
-            water_level_m,
-            max_joint_speed: config.max_joint_speed_radps,
-            max_base_speed: config.max_base_speed_mps,
-            readout: Readout::ALL,
-        }
-    }
-
-    pub fn period_s(&self) -> f64 {
-        self.dt_s * f64::from(self.substeps)
-    }
-}
-
-/// Working memory of one thread; nothing in it outlives a period.
-#[derive(Debug, Clone)]
-pub(super) struct Scratch<R: Lanes> {
-    pub frames: Vec<Frame<R>>,
-    inertias: Vec<Inertia<R>>,
-    hinges: Vec<Hinge<R>>,
-    loads: Vec<Load<R>>,
-    pub beyond: Vec<(V3<R>, V3<R>)>,
-    pub qdd: Vec<R>,
-    touches: Vec<Touch<R>>,
-    /// Centres of the contact points, for those that may touch each other.
-    centres: Vec<V3<R>>,
-    /// State and sums at the start of the period.
-    pub saved: Vec<R>,
-    pub saved_sums: Vec<R>,
-    pub saved_drives: Vec<JointMemory<R>>,
-    /// New commands. `[A]`
-    targets: Vec<R>,
-    /// What arrives at each servo in the current control period. `[A]`
-    scheduled: Vec<Scheduled<R>>,
-    /// What each servo gives in the current step. `[A]`
-    pub driven: Vec<Option<Driven<R>>>,
-    /// Report, see [`super::report`].
-    pub out: Vec<R>,
-    /// The same as plain numbers, 16 per register.
-    pub turned: Vec<f32>,
-    /// Centre of mass and its velocity per link.
-    pub coms: Vec<(V3<R>, V3<R>)>,
-    /// Runs where somebody asked for the time split by phase.
-    pub clock: Option<Clock>,
-}
-
-impl<R: Lanes> Scratch<R> {
-    pub fn new(program: &Program<R>) -> Self {
-        let o = R::zero();
-        let n = program.nodes.len();
-        Self {
-            frames: vec![Frame::zero(); n + 1],
-            inertias: vec![Inertia::zero(); n + 1],
-            hinges: vec![Hinge::zero(); n],
-            loads: vec![
-                Load {
-                    torque: o,
-                    inertia: o
-                };
-                n
-            ],
-            beyond: vec![(zero3(), zero3()); n + 1],
-            qdd: vec![o; n],
-            touches: vec![Touch::none(); program.points.len()],
-            centres: vec![zero3(); program.points.len()],
-            saved: vec![o; layout(program).len()],
-            saved_sums: vec![o; sums_len(program)],
-            saved_drives: vec![JointMemory::default(); program.actuated],
-            targets: vec![o; program.actuated],
-            scheduled: vec![Scheduled::constant(o); program.actuated],
-            driven: vec![None; program.actuated],
-            out: vec![o; super::report::len(program)],
-            turned: vec![0.0; 16 * super::report::len(program)],
-            coms: vec![(zero3(), zero3()); program.links.len()],
-            clock: None,
-        }
-    }
-
-    #[inline(always)]
-    pub fn mark(&mut self, phase: Phase) {
-        if let Some(clock) = &mut self.clock {
-            clock.mark(phase);
-        }
-    }
-}
 
 /// Runs a period and reports it. `FLAT`: the ground is the plane z = 0.
 pub(super) struct Period<'a, R: Lanes, const FLAT: bool> {
@@ -181,7 +65,14 @@ impl<R: Lanes, const FLAT: bool> Kernel for Period<'_, R, FLAT> {
         scratch.saved_sums.copy_from_slice(&group.sums);
         scratch.saved_drives.copy_from_slice(&group.drives);
         push_commands(shared, group, scratch, used, targets);
-        let push = read_push(group, used, wrenches);
+        let mut push = Push {
+            force: zero3(),
+            torque: zero3(),
+        };
+        for c in 0..3 {
+            push.force[c] = column(&group.diverged[..used], wrenches, 6, c);
+            push.torque[c] = column(&group.diverged[..used], wrenches, 6, 3 + c);
+        }
         for sum in &mut group.sums {
             *sum = R::zero();
         }
@@ -226,13 +117,7 @@ fn push_commands<R: Lanes>(
     let mut lost = [0.0_f32; 16];
     lost_frames(&mut group.loss, &group.params.loss, &mut lost);
     for a in 0..width {
-        let mut row = [0.0_f32; 16];
-        for lane in 0..used {
-            if !group.diverged[lane] {
-                row[lane] = targets[lane * width + a];
-            }
-        }
-        scratch.targets[a] = R::read(&row);
+        scratch.targets[a] = column(&group.diverged[..used], targets, width, a);
     }
     let lost = R::zero().lt(R::read(&lost));
     group.history.push(&scratch.targets, lost);
@@ -256,22 +141,16 @@ fn lost_frames(memory: &mut [LossMemory], loss: &[CommandLoss], lost: &mut [f32;
     }
 }
 
+/// Column `at` of rows of `width` numbers, one per lane; 0 for a lane that broke down.
 #[inline(always)]
-fn read_push<R: Lanes>(group: &Group<R>, used: usize, wrenches: &[f32]) -> Push<R> {
-    let mut all = [R::zero(); 6];
-    for c in 0..6 {
-        let mut row = [0.0_f32; 16];
-        for lane in 0..used {
-            if !group.diverged[lane] {
-                row[lane] = wrenches[lane * 6 + c];
-            }
+fn column<R: Lanes>(diverged: &[bool], rows: &[f32], width: usize, at: usize) -> R {
+    let mut all = [0.0_f32; 16];
+    for lane in 0..diverged.len() {
+        if !diverged[lane] {
+            all[lane] = rows[lane * width + at];
         }
-        all[c] = R::read(&row);
     }
-    Push {
-        force: [all[0], all[1], all[2]],
-        torque: [all[3], all[4], all[5]],
-    }
+    R::read(&all)
 }
 
 /// One physics step. Gives which lanes are still sound.

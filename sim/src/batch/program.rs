@@ -13,6 +13,7 @@ use caudata_model::{BaseKind, Geom, JointKind, JointMotion, RobotModel, Shape};
 use crate::mobility::Mobility;
 use crate::self_contact;
 use crate::simd::Lanes;
+use crate::state::{self, FIELDS};
 use crate::stop::Stop;
 use crate::{EngineConfig, SimError};
 
@@ -153,62 +154,8 @@ pub(super) struct Program<R: Lanes> {
 impl<R: Lanes> Program<R> {
     /// Compiles `model` as `config` asks for.
     pub fn new(model: &RobotModel, config: &EngineConfig, water: bool) -> Result<Self, SimError> {
-        let free = model.base() == BaseKind::Free && !config.fixed_base;
         let mobility = Mobility::of(model, config)?;
-        let mut nodes: Vec<Node<R>> = Vec::new();
-        // node and pose in it, per link
-        let mut placed: Vec<(usize, Pose)> = Vec::new();
-        for link in model.links() {
-            let (mut node, mut at) = match link.parent {
-                Some(p) => (placed[p].0, placed[p].1.compose(&link.parent_from_link)),
-                None if model.base() == BaseKind::Fixed => (0, link.parent_from_link),
-                None => (0, Pose::IDENTITY),
-            };
-            if link.parent.is_none() && free && !link.joints.is_empty() {
-                return Err(SimError::Model(format!(
-                    "the root link {} is free and has joints as well",
-                    link.name
-                )));
-            }
-            for &j in &link.joints {
-                let joint = &model.joints()[j];
-                if joint.locked || config.lock_backlash && joint.kind == JointKind::Backlash {
-                    continue;
-                }
-                let anchor = at.point(joint.anchor_m);
-                let (turn_quat, axis, negative) = lay(at.rotate(joint.axis));
-                let from_node = Pose {
-                    pos_m: anchor,
-                    quat_wxyz: turn_quat,
-                };
-                nodes.push(Node {
-                    parent: node,
-                    slide: joint.motion == JointMotion::Slide,
-                    axis,
-                    negative,
-                    turn: (turn_quat != Pose::IDENTITY.quat_wxyz)
-                        .then(|| constant_columns::<R>(turn_quat)),
-                    offset: anchor.map(R::elem),
-                    has_offset: anchor.map(|x| x != 0.0),
-                    first_for_parent: false,
-                    joint: j,
-                    servo: match joint.kind {
-                        JointKind::Actuated { index } => Some(index),
-                        JointKind::Passive | JointKind::Backlash => None,
-                    },
-                    stop: Stop::new(&joint.stop, mobility.joints[j]),
-                });
-                node = nodes.len();
-                at = from_node.inverse().compose(&at);
-            }
-            placed.push((node, at));
-        }
-        if nodes.len() > MAX_JOINTS {
-            return Err(SimError::Model(format!(
-                "it has {} moving joints, the batch engine takes {MAX_JOINTS}",
-                nodes.len()
-            )));
-        }
+        let (mut nodes, placed) = nodes(model, config, &mobility)?;
         let links = link_places(model, &placed);
         let links_of = ranges(nodes.len() + 1, links.iter().map(|l| l.node));
         mark_first_children(&mut nodes, &links_of);
@@ -222,7 +169,7 @@ impl<R: Lanes> Program<R> {
                 .ok_or_else(|| SimError::Model(format!("link {link} is nowhere")))
         };
         Ok(Self {
-            free,
+            free: config.frees_base(model),
             centre: nominal_centre(model)?.map(R::elem),
             torso: find(model.torso_link())?,
             base_place: place(0, &Pose::IDENTITY),
@@ -260,10 +207,85 @@ impl<R: Lanes> Program<R> {
         })
     }
 
+    /// Numbers per lane of each field of [`State`](crate::State), in its order.
+    pub fn widths(&self) -> [usize; FIELDS] {
+        state::widths(self.joints, self.actuated, self.feet.len())
+    }
+
+    /// Numbers per lane of all fields.
+    pub fn report_len(&self) -> usize {
+        self.widths().iter().sum()
+    }
+
     /// Number of nodes with node 0.
     pub fn frames(&self) -> usize {
         self.nodes.len() + 1
     }
+}
+
+/// Which node carries each link, and where in it.
+type Placed = Vec<(usize, Pose)>;
+
+/// A node per live joint, and where they carry the links.
+fn nodes<R: Lanes>(
+    model: &RobotModel,
+    config: &EngineConfig,
+    mobility: &Mobility,
+) -> Result<(Vec<Node<R>>, Placed), SimError> {
+    let mut nodes: Vec<Node<R>> = Vec::new();
+    let mut placed = Placed::new();
+    for link in model.links() {
+        let (mut node, mut at) = match link.parent {
+            Some(p) => (placed[p].0, placed[p].1.compose(&link.parent_from_link)),
+            None if model.base() == BaseKind::Fixed => (0, link.parent_from_link),
+            None => (0, Pose::IDENTITY),
+        };
+        if link.parent.is_none() && config.frees_base(model) && !link.joints.is_empty() {
+            return Err(SimError::Model(format!(
+                "the root link {} is free and has joints as well",
+                link.name
+            )));
+        }
+        for &j in &link.joints {
+            let joint = &model.joints()[j];
+            if config.holds(joint) {
+                continue;
+            }
+            let anchor = at.point(joint.anchor_m);
+            let (turn_quat, axis, negative) = lay(at.rotate(joint.axis));
+            let from_node = Pose {
+                pos_m: anchor,
+                quat_wxyz: turn_quat,
+            };
+            nodes.push(Node {
+                parent: node,
+                slide: joint.motion == JointMotion::Slide,
+                axis,
+                negative,
+                turn: (turn_quat != Pose::IDENTITY.quat_wxyz)
+                    .then(|| constant_columns::<R>(turn_quat)),
+                offset: anchor.map(R::elem),
+                has_offset: anchor.map(|x| x != 0.0),
+                first_for_parent: false,
+                joint: j,
+                servo: match joint.kind {
+                    JointKind::Actuated { index } => Some(index),
+                    JointKind::Passive | JointKind::Backlash => None,
+                },
+                stop: Stop::new(&joint.stop, mobility.joints[j]),
+            });
+            node = nodes.len();
+            at = from_node.inverse().compose(&at);
+        }
+        placed.push((node, at));
+    }
+    if nodes.len() > MAX_JOINTS {
+        return Err(SimError::Model(format!(
+            "it has {} moving joints, the batch engine takes {MAX_JOINTS}",
+            nodes.len()
+        )));
+    }
+    Ok((nodes, placed))
 }
 
 /// Centre of mass in the nominal pose, in the base's frame.

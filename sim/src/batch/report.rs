@@ -1,53 +1,20 @@
 //! What [`State`] reports, worked out in the lanes. [`crate::observe`] is the plain form of the same quantities.
 
-use super::kinematics::{self, Frame, take3};
-use super::lanes::{Group, Layout, layout};
-use super::period::{Scratch, Shared};
+use super::frame::Frame;
+use super::group::{Group, Layout, layout};
+use super::kinematics::{self, take3};
 use super::program::{Place, Program};
 use super::readout::Readout;
+use super::shared::{Scratch, Shared};
 use super::vec3::{
     V3, add, add_scaled, cross, scale, sub, sym_times, turn, turn_back, turn_sym, zero3,
 };
 use crate::simd::Lanes;
-use crate::state::FIELDS;
 
 /// Numbers per lane of what [`Readout::base`] stands for.
 const BASE: usize = 3 + 4 + 3 + 3;
 /// Numbers per lane of centre of mass, its velocity, angular velocity and heading.
 const WHOLE: usize = 3 + 3 + 3 + 1;
-
-/// Numbers per lane of each field of [`crate::State`], in its order.
-pub(super) fn widths<R: Lanes>(program: &Program<R>) -> [usize; FIELDS] {
-    let (j, a, f) = (program.joints, program.actuated, program.feet.len());
-    [
-        3,
-        4,
-        3,
-        3,
-        j,
-        j,
-        a,
-        a,
-        3,
-        3,
-        3,
-        1,
-        3 * f,
-        3 * f,
-        f,
-        3 * f,
-        1,
-        1,
-        3,
-        3,
-        3,
-    ]
-}
-
-/// Numbers per lane of all fields.
-pub(super) fn len<R: Lanes>(program: &Program<R>) -> usize {
-    widths(program).iter().sum()
-}
 
 /// Writes the fields one after the other.
 struct Writer<'a, R> {

@@ -3,10 +3,11 @@
 use caudata_model::{Pose, RobotModel};
 
 use super::aba::{self, Hinge, Load};
-use super::contact::ContactLaw;
+use super::contact_law::ContactLaw;
+use super::frame::Frame;
 use super::ground::Ground;
-use super::kinematics::{self, Frame, Push, World};
-use super::lanes::{Group, Layout, layout};
+use super::group::{Group, Layout, layout};
+use super::kinematics::{self, Push, World};
 use super::program::Program;
 use super::vec3::{Inertia, V3, add_cross, zero3};
 use crate::config::Precision;

@@ -4,8 +4,8 @@
 //! as it is.
 
 use super::contact::add_general;
-use super::kinematics::Frame;
-use super::lanes::GroupParams;
+use super::frame::Frame;
+use super::group::GroupParams;
 use super::program::Program;
 use super::vec3::{Inertia, V3, add, add_cross, add_scaled, cross, sub, sym_times, turn, turn_sym};
 use crate::simd::Lanes;

@@ -14,7 +14,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::LaneParams;
 use crate::real::Real;
 
 /// Longest delay of a loop, s.
@@ -24,19 +23,6 @@ pub const MAX_LOOP_DELAY_S: f32 = 0.05;
 #[must_use]
 pub fn steps(delay_s: f32, dt_s: f64) -> f64 {
     f64::from(delay_s) / dt_s
-}
-
-/// How many steps a lane with parameters `params` has to remember, the present one among them; 0 where none of its loops is late.
-#[must_use]
-pub fn memory_steps(params: &LaneParams, dt_s: f64) -> usize {
-    let most = (params.joints.iter())
-        .map(|j| steps(j.loop_delay_s, dt_s))
-        .fold(0.0, f64::max);
-    if most > 0.0 {
-        most.ceil() as usize + 1
-    } else {
-        0
-    }
 }
 
 /// What the loops of some lanes asked for in the last steps. Empty while no lane has a delay.
@@ -73,7 +59,7 @@ impl<R: Real> WantedTorques<R> {
         }
     }
 
-    /// Lane `lane` needs `steps` from now on (see [`memory_steps`]). What it remembers stays; of steps further back it takes the oldest one that it has.
+    /// Lane `lane` needs `steps` from now on (see [`loop_memory_steps`](super::loop_memory_steps)). What it remembers stays; of steps further back it takes the oldest one that it has.
     pub fn set_steps(&mut self, lane: usize, steps: usize) {
         let before = std::mem::replace(&mut self.own[lane], steps);
         if before == 0 {

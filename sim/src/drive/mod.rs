@@ -21,6 +21,7 @@ pub mod friction;
 pub mod gear;
 pub mod loop_delay;
 pub mod loss;
+mod of_lane;
 pub mod params;
 pub mod passive;
 pub mod servo;
@@ -31,6 +32,7 @@ pub mod thermal;
 pub use command::CommandHistory;
 pub use features::DriveFeatures;
 pub use loop_delay::WantedTorques;
+pub use of_lane::loop_memory_steps;
 pub use params::{JointPassive, ServoDrive};
 pub use step::JointMemory;
 

@@ -7,7 +7,7 @@ use super::passive::{self, StopAt};
 use super::supply::Bus;
 use super::{DriveFeatures, ImplicitTorque, JointPassive, ServoDrive};
 use super::{filter, friction, gear, servo, thermal};
-use crate::lanes::per_lane;
+use crate::per_lane::per_lane;
 use crate::real::Real;
 
 /// Weight of the newest load estimate: the mean of two steps, since a contact's impulse in one step is no load to rub under.

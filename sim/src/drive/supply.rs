@@ -4,11 +4,11 @@
 //! many joints at once run along their voltage limit.
 
 use super::filter;
-use crate::lanes::per_lane;
+use crate::per_lane::per_lane;
 use crate::real::Real;
 
 /// Lowest bus voltage, as a share of the open-circuit voltage: below it servos brown out, which is not modelled.
-const FLOOR: f64 = 0.2;
+const LEAST_SHARE: f64 = 0.2;
 
 per_lane! {
     /// One robot's supply.
@@ -47,7 +47,7 @@ impl<R: Real> Bus<R> {
 #[must_use]
 #[inline(always)]
 pub fn settle_v<R: Real>(p: &Supply<R>, bus_v: R, current_a: R) -> R {
-    let settled = (p.open_v - p.resistance_ohm * current_a).max(p.open_v * R::splat(FLOOR));
+    let settled = (p.open_v - p.resistance_ohm * current_a).max(p.open_v * R::splat(LEAST_SHARE));
     filter::low_pass(bus_v, settled, p.share)
 }
 

@@ -4,7 +4,7 @@ use super::passive::{self, StopAt};
 use super::step::{self, Step};
 use super::supply::{self, Bus, Supply};
 use super::*;
-use crate::lanes::Lanes;
+use crate::per_lane::PerLane;
 use crate::stop::Stop;
 
 const DT: f64 = 0.001;
@@ -541,15 +541,15 @@ fn a_lane_that_does_not_need_a_stage_is_not_touched_by_it() {
     };
     assert_eq!(DriveFeatures::of(&servo()), DriveFeatures::default());
     assert_eq!(all.or(DriveFeatures::default()), all);
-    let p: ServoDrive<f32> = Lanes::splat(&servo());
-    let h: JointPassive<f32> = Lanes::splat(&JointPassive {
+    let p: ServoDrive<f32> = PerLane::splat(&servo());
+    let h: JointPassive<f32> = PerLane::splat(&JointPassive {
         friction_nm: 0.038,
         damping_nms_per_rad: 0.0064,
         ..hinge()
     });
     let (dt, bus) = (Step::<f32>::new(DT), Bus::at(12.0_f32));
     let stop = Stop::new(&Default::default(), 1.0 / 0.0122);
-    let mut memories: [JointMemory<f32>; 2] = [Lanes::splat(&JointMemory::rest(0.0, 0.0)); 2];
+    let mut memories: [JointMemory<f32>; 2] = [PerLane::splat(&JointMemory::rest(0.0, 0.0)); 2];
     let mut at = [(0.0_f32, 0.0_f32); 2];
     let mut late = WantedTorques::new(1);
     late.set_steps(0, 5); // as a neighbour's delay of four steps makes it

@@ -6,7 +6,7 @@ use rapier3d::prelude::*;
 
 use super::convert;
 use super::friction::Slide;
-use super::world::{GROUND_TAG, TAIL_TAG, TRUNK_TAG};
+use super::tags::{GROUND_TAG, TAIL_TAG, TRUNK_TAG, foot_of};
 
 /// Sums of contact impulses, N·s.
 #[derive(Debug, Default)]
@@ -80,14 +80,6 @@ impl ContactImpulses {
                 towards_first * point.data.impulse + friction_impulse(&point.data, towards_first);
             self.push_foot(foot, impulse * sign);
         }
-    }
-}
-
-/// The foot whose collider has this tag.
-fn foot_of(tag: u128) -> Option<usize> {
-    match tag {
-        GROUND_TAG | TRUNK_TAG | TAIL_TAG => None,
-        foot => Some(foot as usize - 1),
     }
 }
 

@@ -4,8 +4,8 @@ use caudata_model::JointKind;
 use serde::{Deserialize, Serialize};
 
 use super::contacts::ContactImpulses;
-use super::lane::Shared;
 use super::robot::{JointState, Robot};
+use super::shared::Shared;
 use crate::drive::command::Scheduled;
 use crate::drive::loss::LossMemory;
 use crate::drive::passive::{self, StopAt};
@@ -13,9 +13,9 @@ use crate::drive::step::{self, Driven, Step};
 use crate::drive::supply::{self, Bus, Supply};
 use crate::drive::{
     CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive, WantedTorques, friction,
-    loop_delay,
+    loop_memory_steps,
 };
-use crate::lanes::Lanes;
+use crate::per_lane::PerLane;
 use crate::{CommandLoss, InitialState, LaneParams, State};
 
 /// What the drive-lines of one lane remember.
@@ -43,7 +43,7 @@ impl DriveMemory {
             history: CommandHistory::new(shared.config.control_period_s(), &init.joint_pos_rad),
             loss: LossMemory::default(),
             servos: moving
-                .map(|(&q, &qd)| Lanes::splat(&JointMemory::rest(f64::from(q), f64::from(qd))))
+                .map(|(&q, &qd)| PerLane::splat(&JointMemory::rest(f64::from(q), f64::from(qd))))
                 .collect(),
             wanted: WantedTorques::new(shared.model.actuated().len()),
             bristle_rad: vec![0.0; shared.model.joints().len()],
@@ -56,7 +56,7 @@ impl DriveMemory {
 
     /// Remembers from now on what a lane with parameters `params` needs.
     pub fn fit(&mut self, shared: &Shared, params: &LaneParams) {
-        let steps = loop_delay::memory_steps(params, shared.config.dt_s);
+        let steps = loop_memory_steps(params, shared.config.dt_s);
         self.wanted.set_steps(0, steps);
     }
 }
@@ -102,11 +102,11 @@ impl Drive {
                 .fold(DriveFeatures::default(), DriveFeatures::or),
             loss: params.command_loss,
             step: Step::new(dt_s),
-            supply: Lanes::splat(&Supply::new(params, dt_s)),
-            servos: servos.iter().map(Lanes::splat).collect(),
+            supply: PerLane::splat(&Supply::new(params, dt_s)),
+            servos: servos.iter().map(PerLane::splat).collect(),
             passive: JointPassive::all(model, params)
                 .iter()
-                .map(Lanes::splat)
+                .map(PerLane::splat)
                 .collect(),
             scheduled: Vec::new(),
             started: vec![Started::default(); model.joints().len()],

@@ -5,7 +5,7 @@
 //!
 //! *Sliding.* Rapier 0.36.1 solves the two tangents of a multibody's contact each by itself, with its own effective mass (m₁, m₂), and then cuts the impulse
 //! to μ·N. What slides at v is so pulled back along (m₁v₁, m₂v₂) in the world's axes, and not along v: the tip of a tail, light sideways and heavy
-//! lengthwise, loses up to a quarter of its drag, and how much hangs on the robot's heading (figures: `docs/simulation.md`). So a contact that slides fast
+//! lengthwise, loses up to a quarter of its drag, and how much hangs on the robot's heading (figures: `docs/reference/simulation.md`). So a contact that slides fast
 //! enough for an explicit force gets −μ·N·v/|v| from here, and none from Rapier. How fast that is goes with the step: some 0.1 m/s for the Polymander's tail
 //! and 0.2 m/s for a foot that carries its share at 1 ms, four times as much at 4 ms. What is slower stays Rapier's, whose direction then is as wrong as ever.
 
@@ -16,7 +16,7 @@ use rapier3d::pipeline::{ContactModificationContext, PhysicsHooks};
 use rapier3d::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::world::GROUND_TAG;
+use super::tags::GROUND_TAG;
 use crate::Terrain;
 
 /// A contact is taken over where its speed is beyond so many times what all friction changes of it in one step, and given back below so many times that: a

@@ -1,35 +1,16 @@
 //! One lane: one robot, its parameters, what it remembers, what it reports.
 
-use std::sync::Arc;
-
-use caudata_model::RobotModel;
 use caudata_model::pose::sub;
-use rapier3d::prelude::SharedShape;
 use serde::{Deserialize, Serialize};
 
 use super::drive::{Drive, DriveMemory};
-use super::friction::{Grip, Owed};
+use super::friction::Owed;
 use super::robot::Robot;
+use super::shared::Shared;
 use super::water::{Water, WaterMemory};
 use crate::drive::ServoDrive;
 use crate::observe::{self, Coordinates, LinkMass, Motion};
-use crate::stop::Stop;
-use crate::{EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
-
-/// What all lanes share.
-pub(super) struct Shared {
-    pub model: Arc<RobotModel>,
-    pub config: EngineConfig,
-    pub terrain: Arc<Terrain>,
-    /// End stops, model order.
-    pub stops: Vec<Stop>,
-    /// The terrain's height field as Rapier has it, shared by all worlds.
-    pub ground: Option<SharedShape>,
-    /// Slippery places of the ground.
-    pub grip: Grip,
-    /// As in [`Mobility::links`](crate::mobility::Mobility). `[L]`
-    pub mobility_per_kg: Vec<f64>,
-}
+use crate::{InitialState, LaneParams, SimError, State};
 
 /// Everything of a lane that changes while it runs, besides the Rapier world.
 #[derive(Clone, Serialize, Deserialize)]
@@ -89,12 +70,7 @@ impl Lane {
                 water: WaterMemory::default(),
                 owed_friction: Owed::default(),
                 imu_vel_mps: [0.0; 3],
-                out: State::zeros(
-                    1,
-                    model.joints().len(),
-                    model.actuated().len(),
-                    model.feet().len(),
-                ),
+                out: State::of(model, 1),
             },
             robot: Robot::new(shared, &params, &servos, &masses)?,
             drive: Drive::new(shared, &params, &servos),

@@ -36,7 +36,9 @@ mod drive;
 mod friction;
 mod lane;
 mod robot;
+mod shared;
 mod snapshot;
+mod tags;
 mod water;
 mod world;
 
@@ -44,10 +46,13 @@ use std::sync::Arc;
 
 use caudata_model::RobotModel;
 
+use crate::engine::{WRENCH, check_new, check_step};
+use crate::error::check_lane;
 use crate::mobility::Mobility;
 use crate::stop::Stop;
 use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
-use lane::{Lane, Shared};
+use lane::Lane;
+use shared::Shared;
 
 /// Most lanes one engine takes; each needs about 0.25 MB of memory.
 pub const MAX_LANES: usize = 65_536;
@@ -74,23 +79,10 @@ impl RapierEngine {
         terrain: Arc<Terrain>,
         threads: usize,
     ) -> Result<Self, SimError> {
-        config.validate()?;
-        crate::check_extension(&model)?;
-        if lanes == 0 || lanes > MAX_LANES {
-            return Err(SimError::Shape {
-                what: "lanes",
-                got: lanes,
-                expected: lanes.clamp(1, MAX_LANES),
-            });
-        }
+        check_new(&model, &config, lanes, MAX_LANES)?;
         let params = LaneParams::nominal(&model);
         let init = InitialState::nominal(&model);
-        let state = State::zeros(
-            lanes,
-            model.joints().len(),
-            model.actuated().len(),
-            model.feet().len(),
-        );
+        let state = State::of(&model, lanes);
         let shared = Shared {
             stops: Stop::all(&model, &config)?,
             ground: world::height_field(&terrain),
@@ -119,16 +111,6 @@ impl RapierEngine {
     fn publish(&mut self, lane: usize) {
         self.state.copy_lane(lane, &self.lanes[lane].memory.out);
     }
-
-    fn check_lane(&self, lane: usize) -> Result<(), SimError> {
-        if lane < self.lanes.len() {
-            return Ok(());
-        }
-        Err(SimError::Lane {
-            lane,
-            lanes: self.lanes.len(),
-        })
-    }
 }
 
 impl Engine for RapierEngine {
@@ -155,7 +137,7 @@ impl Engine for RapierEngine {
     }
 
     fn set_params(&mut self, lane: usize, params: &LaneParams) -> Result<(), SimError> {
-        self.check_lane(lane)?;
+        check_lane(lane, self.lanes())?;
         params.validate(&self.shared.model, lane)?;
         // The world is rebuilt with them at the next reset or step, whichever comes first.
         self.pending[lane] = Some(params.clone());
@@ -163,7 +145,7 @@ impl Engine for RapierEngine {
     }
 
     fn reset(&mut self, lane: usize, init: &InitialState) -> Result<(), SimError> {
-        self.check_lane(lane)?;
+        check_lane(lane, self.lanes())?;
         init.validate(&self.shared.model, lane)?;
         let params = self.params(lane).clone();
         self.lanes[lane] = Lane::new(&self.shared, params, init)?;
@@ -174,8 +156,7 @@ impl Engine for RapierEngine {
 
     fn step(&mut self, targets_rad: &[f32], wrenches: &[f32]) -> Result<(), SimError> {
         let width = self.shared.model.actuated().len();
-        check_len("targets_rad", targets_rad, self.lanes.len() * width)?;
-        check_len("wrenches", wrenches, self.lanes.len() * WRENCH)?;
+        check_step(self, targets_rad, wrenches)?;
         for (lane, pending) in self.lanes.iter_mut().zip(&mut self.pending) {
             if let Some(params) = pending.take() {
                 lane.rebuild(&self.shared, params)?;
@@ -225,18 +206,4 @@ impl Engine for RapierEngine {
         }
         Ok(())
     }
-}
-
-/// Values per lane of a wrench: force, torque.
-const WRENCH: usize = 6;
-
-fn check_len(what: &'static str, values: &[f32], expected: usize) -> Result<(), SimError> {
-    if values.len() == expected {
-        return Ok(());
-    }
-    Err(SimError::Shape {
-        what,
-        got: values.len(),
-        expected,
-    })
 }

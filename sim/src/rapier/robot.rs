@@ -7,7 +7,7 @@ use rapier3d::prelude::*;
 
 use super::convert;
 use super::friction::{Friction, Grip, Owed, Skin, Slide};
-use super::lane::Shared;
+use super::shared::Shared;
 use super::world::{self, RobotHandles};
 use crate::drive::{ImplicitTorque, ServoDrive};
 use crate::observe::{Coordinates, LinkMass};

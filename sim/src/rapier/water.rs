@@ -10,11 +10,11 @@ use rapier3d::math::Vector;
 use serde::{Deserialize, Serialize};
 
 use super::convert;
-use super::lane::Shared;
 use super::robot::Robot;
+use super::shared::Shared;
 use crate::LaneParams;
-use crate::lanes::Lanes;
 use crate::observe::LinkMass;
+use crate::per_lane::PerLane;
 use crate::water::{self, LinkForces, LinkMotion, Surface, WaterLink};
 
 /// A change of added mass by less than this share of a link's mass is not worth telling Rapier.
@@ -48,7 +48,7 @@ impl Water {
         };
         Some(Self {
             has_added_mass: links.iter().any(wet),
-            links: links.iter().map(Lanes::splat).collect(),
+            links: links.iter().map(PerLane::splat).collect(),
             surface: Surface {
                 level_m: level + params.water_level_offset_m,
                 current_mps: params.water_current_mps,

@@ -6,14 +6,13 @@
 //! Welded links and locked joints are joints without degrees of freedom.
 
 use caudata_model::pose::sub;
-use caudata_model::{
-    BaseKind, Geom, JointKind, JointMotion, Link, Pose as ModelPose, RobotModel, Shape,
-};
+use caudata_model::{BaseKind, Geom, JointMotion, Link, Pose as ModelPose, RobotModel, Shape};
 use rapier3d::math::{Pose, Real, Rotation, Vector};
 use rapier3d::prelude::*;
 
 use super::convert;
-use super::lane::Shared;
+use super::shared::Shared;
+use super::tags::{GROUND_TAG, TAIL_TAG, TRUNK_TAG, foot_tag};
 use crate::observe::LinkMass;
 use crate::self_contact;
 use crate::terrain::APRON_DROP_M;
@@ -29,18 +28,6 @@ const TRUNK: Group = Group::GROUP_3;
 const FIRST_LEG: u32 = 3;
 /// Most legs that have a group of their own.
 const MAX_LEGS: usize = 28;
-/// `user_data` of the ground's colliders; see [`foot_tag`] for the rest.
-pub(super) const GROUND_TAG: u128 = 0;
-/// `user_data` of the colliders that are no feet, on links that carry feet.
-pub(super) const TRUNK_TAG: u128 = u128::MAX;
-/// `user_data` of the colliders of all other links.
-pub(super) const TAIL_TAG: u128 = u128::MAX - 1;
-
-/// `user_data` of foot `index`'s collider.
-pub(super) fn foot_tag(index: usize) -> u128 {
-    index as u128 + 1
-}
-
 /// Collision group of the leg with foot `foot`.
 fn leg_group(foot: usize) -> Group {
     Group::from_bits_truncate(1 << (FIRST_LEG + (foot % MAX_LEGS) as u32))
@@ -190,7 +177,7 @@ struct Builder<'a> {
 
 impl Builder<'_> {
     fn insert_robot(mut self) -> Result<RobotHandles, SimError> {
-        let free_base = self.model.base() == BaseKind::Free && !self.config.fixed_base;
+        let free_base = self.config.frees_base(self.model);
         let mut handles = RobotHandles {
             bodies: Vec::new(),
             links: Vec::new(),
@@ -246,7 +233,7 @@ impl Builder<'_> {
             .joints
             .iter()
             .copied()
-            .filter(|&j| !self.is_locked(j))
+            .filter(|&j| !self.config.holds(&self.model.joints()[j]))
             .collect();
         let (mut parent, parent_com) = from;
         // Placement of the current frame in the parent body's frame, before the joint moves.
@@ -320,11 +307,6 @@ impl Builder<'_> {
             .local_frame2(frame2)
             .contacts_enabled(false)
             .build()
-    }
-
-    fn is_locked(&self, j: usize) -> bool {
-        let joint = &self.model.joints()[j];
-        joint.locked || self.config.lock_backlash && joint.kind == JointKind::Backlash
     }
 
     fn link_body(&self, i: usize) -> RigidBodyBuilder {

@@ -4,8 +4,6 @@ use caudata_model::ServoParams;
 use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::{current_a, quantise};
-
 /// Errors of one encoder: it reads `(1 + gain)·q + A·sin(q + φ) + offset`, rounded to counts.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -94,6 +92,31 @@ impl ImuMounting {
 
 fn scaled(v: [f32; 3], gain: [f32; 3]) -> [f32; 3] {
     [0, 1, 2].map(|i| v[i] * (1.0 + gain[i]))
+}
+
+/// Current as a servo reports it for a motor torque, A: beyond the dead band proportional to torque, rounded to its step.
+///
+/// No torque reads as no current, although anything inside the dead band would give none.
+#[must_use]
+pub fn current_a(servo: &ServoParams, torque_nm: f32) -> f32 {
+    if torque_nm == 0.0 {
+        return 0.0;
+    }
+    let torque = f64::from(torque_nm);
+    let amps = torque.abs() / servo.torque_per_current_nm_per_a + servo.current_dead_band_a;
+    quantise((amps * torque.signum()) as f32, servo.current_lsb_a)
+}
+
+/// Nearest multiple of `lsb` (0: as it is).
+pub(super) fn quantise(value: f32, lsb: f64) -> f32 {
+    if lsb > 0.0 {
+        // Adding this moves the fraction out of the mantissa: rounds to the nearest whole number, as long as that has less than 51 bits.
+        // (`round` is a call into the C library on processors without SSE 4.1.)
+        const SHIFT: f64 = 6_755_399_441_055_744.0; // 1.5·2⁵²
+        (((f64::from(value) / lsb + SHIFT) - SHIFT) * lsb) as f32
+    } else {
+        value
+    }
 }
 
 #[cfg(test)]

@@ -13,7 +13,8 @@ use caudata_model::{ImuParams, ServoParams};
 use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
-pub use errors::{CurrentErrors, EncoderErrors, ImuMounting};
+use errors::quantise;
+pub use errors::{CurrentErrors, EncoderErrors, ImuMounting, current_a};
 pub use lag::{Delay, Lag};
 
 /// Position as a servo reports it: the true one plus its mounting offset, rounded to encoder counts, rad.
@@ -30,19 +31,6 @@ pub fn encoder_pos_rad(servo: &ServoParams, true_rad: f32, offset_rad: f32) -> f
 #[must_use]
 pub fn encoder_vel_radps(servo: &ServoParams, true_radps: f32) -> f32 {
     quantise(true_radps, servo.velocity_lsb_radps)
-}
-
-/// Current as a servo reports it for a motor torque, A: beyond the dead band proportional to torque, rounded to its step.
-///
-/// No torque reads as no current, although anything inside the dead band would give none.
-#[must_use]
-pub fn current_a(servo: &ServoParams, torque_nm: f32) -> f32 {
-    if torque_nm == 0.0 {
-        return 0.0;
-    }
-    let torque = f64::from(torque_nm);
-    let amps = torque.abs() / servo.torque_per_current_nm_per_a + servo.current_dead_band_a;
-    quantise((amps * torque.signum()) as f32, servo.current_lsb_a)
 }
 
 /// Offsets of an IMU that stay from power-up to power-down.
@@ -99,18 +87,6 @@ fn noise_std(density: f64, period_s: f64) -> f32 {
 
 fn noisy(truth: [f32; 3], bias: [f32; 3], std: f32, stream: &mut Stream) -> [f32; 3] {
     [0, 1, 2].map(|i| truth[i] + bias[i] + std * stream.normal())
-}
-
-/// Nearest multiple of `lsb` (0: as it is).
-fn quantise(value: f32, lsb: f64) -> f32 {
-    if lsb > 0.0 {
-        // Adding this moves the fraction out of the mantissa: rounds to the nearest whole number, as long as that has less than 51 bits.
-        // (`round` is a call into the C library on processors without SSE 4.1.)
-        const SHIFT: f64 = 6_755_399_441_055_744.0; // 1.5·2⁵²
-        (((f64::from(value) / lsb + SHIFT) - SHIFT) * lsb) as f32
-    } else {
-        value
-    }
 }
 
 #[cfg(test)]

@@ -10,6 +10,8 @@
 #[cfg(target_arch = "aarch64")]
 mod neon;
 mod scalar;
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+mod table;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
@@ -95,12 +97,11 @@ impl Width {
             }
             #[cfg(target_arch = "x86_64")]
             Self::Sixteen => {
-                std::arch::is_x86_feature_detected!("avx512f")
+                Self::Eight.is_available()
+                    && std::arch::is_x86_feature_detected!("avx512f")
                     && std::arch::is_x86_feature_detected!("avx512dq")
                     && std::arch::is_x86_feature_detected!("avx512vl")
                     && std::arch::is_x86_feature_detected!("avx512bw")
-                    && std::arch::is_x86_feature_detected!("avx2")
-                    && std::arch::is_x86_feature_detected!("fma")
             }
             #[cfg(target_arch = "aarch64")]
             Self::Four => true,
@@ -118,6 +119,22 @@ impl Width {
             .find(|w| w.is_available())
             .unwrap_or(Self::One)
     }
+}
+
+/// [`Lanes::gather`] without an instruction for it.
+#[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+#[inline(always)]
+fn gather_one_by_one<R: Lanes>(table: &[f32], index: R) -> R {
+    let mut at = [0.0_f32; 16];
+    index.write(&mut at);
+    let last = table.len().saturating_sub(1);
+    for slot in &mut at[..R::LANES] {
+        *slot = table
+            .get((*slot as usize).min(last))
+            .copied()
+            .unwrap_or(0.0);
+    }
+    R::read(&at)
 }
 
 /// Sine and cosine by range reduction to ±π/4 and minimax polynomials (Cephes' coefficients, S. Moshier), absolute error below 1.5e-7

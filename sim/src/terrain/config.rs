@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::SimError;
-use crate::config::check_range;
+use crate::config::{check_range, check_ranges};
 
 /// Largest number of grid points along one edge: 16 MiB of heights.
 const MAX_POINTS: f64 = 2048.0;
@@ -11,79 +11,59 @@ const MAX_POINTS: f64 = 2048.0;
 /// Coarsest cell of `steps`: their risers are one cell wide.
 const STEPS_CELL_M: f64 = 0.02;
 
-/// Shape of the ground.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TerrainKind {
-    /// The plane z = 0, without end.
-    Flat,
-    /// Smooth hills; steepest slope `slope_deg`.
-    Hills,
-    /// Independent random heights from 0 to `height_m` at the grid points.
-    Rugged,
-    /// `hills` with `rugged` on top.
-    Rough,
-    /// `rough` with 2 cm and 15°, whatever `height_m` and `slope_deg` say.
-    RoughEasy,
-    /// `rough` with 4 cm and 15°.
-    RoughMedium,
-    /// `rough` with 4 cm and 25°.
-    RoughHard,
-    /// A valley along x: a floor 1 m wide, then walls rising with `slope_deg` on both sides.
-    Valley,
-    /// One plane that rises along +x with `slope_deg`, from edge to edge.
-    Slope,
-    /// Terraces along x: every `step_length_m` a drop of `height_m` towards +x. The origin is in the middle of one.
-    Steps,
-    /// Level ground with square patches of low friction.
-    Slippery,
-    /// Land around the origin, a beach going down with `slope_deg` from x = 0.5 m on, then a pool; its surface at `water_level_m`.
-    Shore,
-    /// A pool without end: level ground at z = 0 under `water_level_m` of water.
-    DeepWater,
-    /// The paper's training ground in one field: four squares, flat, `hills`, `rugged` and `valley`, each ending at 0 at its border.
-    Mixed,
+/// Declares the kinds of ground with their names in configuration files.
+macro_rules! kinds {
+    ($($(#[$about:meta])* $kind:ident = $name:literal,)+) => {
+        /// Shape of the ground.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+        pub enum TerrainKind {
+            $($(#[$about])* #[serde(rename = $name)] $kind,)+
+        }
+
+        impl TerrainKind {
+            /// All kinds, in the order of the declaration.
+            pub const ALL: [Self; [$($name),+].len()] = [$(Self::$kind),+];
+
+            /// Its name in configuration files and on the command line.
+            #[must_use]
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $name,)+
+                }
+            }
+        }
+    };
 }
 
-impl TerrainKind {
-    /// All kinds, in the order of the declaration.
-    pub const ALL: [Self; 14] = [
-        Self::Flat,
-        Self::Hills,
-        Self::Rugged,
-        Self::Rough,
-        Self::RoughEasy,
-        Self::RoughMedium,
-        Self::RoughHard,
-        Self::Valley,
-        Self::Slope,
-        Self::Steps,
-        Self::Slippery,
-        Self::Shore,
-        Self::DeepWater,
-        Self::Mixed,
-    ];
-
-    /// Its name in configuration files and on the command line.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Flat => "flat",
-            Self::Hills => "hills",
-            Self::Rugged => "rugged",
-            Self::Rough => "rough",
-            Self::RoughEasy => "rough_easy",
-            Self::RoughMedium => "rough_medium",
-            Self::RoughHard => "rough_hard",
-            Self::Valley => "valley",
-            Self::Slope => "slope",
-            Self::Steps => "steps",
-            Self::Slippery => "slippery",
-            Self::Shore => "shore",
-            Self::DeepWater => "deep_water",
-            Self::Mixed => "mixed",
-        }
-    }
+kinds! {
+    /// The plane z = 0, without end.
+    Flat = "flat",
+    /// Smooth hills; steepest slope `slope_deg`.
+    Hills = "hills",
+    /// Independent random heights from 0 to `height_m` at the grid points.
+    Rugged = "rugged",
+    /// `hills` with `rugged` on top.
+    Rough = "rough",
+    /// `rough` with 2 cm and 15°, whatever `height_m` and `slope_deg` say.
+    RoughEasy = "rough_easy",
+    /// `rough` with 4 cm and 15°.
+    RoughMedium = "rough_medium",
+    /// `rough` with 4 cm and 25°.
+    RoughHard = "rough_hard",
+    /// A valley along x: a floor 1 m wide, then walls rising with `slope_deg` on both sides.
+    Valley = "valley",
+    /// One plane that rises along +x with `slope_deg`, from edge to edge.
+    Slope = "slope",
+    /// Terraces along x: every `step_length_m` a drop of `height_m` towards +x. The origin is in the middle of one.
+    Steps = "steps",
+    /// Level ground with square patches of low friction.
+    Slippery = "slippery",
+    /// Land around the origin, a beach going down with `slope_deg` from x = 0.5 m on, then a pool; its surface at `water_level_m`.
+    Shore = "shore",
+    /// A pool without end: level ground at z = 0 under `water_level_m` of water.
+    DeepWater = "deep_water",
+    /// The paper's training ground in one field: four squares, flat, `hills`, `rugged` and `valley`, each ending at 0 at its border.
+    Mixed = "mixed",
 }
 
 /// Table `[terrain]`.
@@ -164,9 +144,7 @@ impl TerrainConfig {
             ("patch_friction", self.patch_friction, 0.0, 1.0, "must be 0 to 1"),
             ("water_level_m", self.water_level_m, 0.0, 10.0, "must be 0 to 10 m"),
         ];
-        for (field, value, low, high, reason) in ranges {
-            check_range("terrain", field, value, low, high, reason)?;
-        }
+        check_ranges("terrain", &ranges)?;
         if self.kind == TerrainKind::Shore {
             check_range(
                 "terrain",

@@ -4,7 +4,11 @@ use std::f64::consts::TAU;
 
 use caudata_random::{Key, Purpose, Stream};
 
-use super::{HeightGrid, MARGIN_M, TerrainConfig, TerrainKind};
+use super::config::{TerrainConfig, TerrainKind};
+use super::grid::HeightGrid;
+
+/// Width of the ramp down to 0 at the edge of a height field, m.
+const MARGIN_M: f64 = 1.0;
 
 /// How many sine waves make a hilly landscape.
 const HILL_WAVES: usize = 12;

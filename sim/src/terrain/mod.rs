@@ -12,9 +12,6 @@ use crate::SimError;
 pub use config::{TerrainConfig, TerrainKind};
 pub use grid::HeightGrid;
 
-/// Width of the ramp down to 0 at the edge of a height field, m.
-pub const MARGIN_M: f64 = 1.0;
-
 /// How far the plane around (and under) a height field lies below 0, m: deep enough that a foot on the field never touches both.
 pub const APRON_DROP_M: f64 = 0.002;
 
@@ -101,16 +98,6 @@ impl Terrain {
         self.grid
             .as_ref()
             .is_some_and(|g| g.friction().iter().any(|&f| f != 1.0))
-    }
-
-    /// Largest |x| and |y| at which a robot of 1.2 m still stands wholly on the terrain proper, m: lanes may start anywhere in that
-    /// square. Infinite on the plane without end.
-    #[must_use]
-    pub fn start_half_extent_m(&self) -> f32 {
-        const ROBOT_M: f64 = 1.2;
-        self.grid.as_ref().map_or(f32::INFINITY, |g| {
-            (g.size_m() / 2.0 - MARGIN_M - ROBOT_M).max(0.0) as f32
-        })
     }
 
     /// A number that differs between terrains (FNV-1a over everything): snapshots keep it, to be restored on the same ground only.

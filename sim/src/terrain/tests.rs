@@ -187,16 +187,6 @@ fn same_seed_same_ground_and_the_fingerprint_tells_them_apart() {
 }
 
 #[test]
-fn robots_may_start_anywhere_within_the_margin() {
-    assert_eq!(
-        terrain(TerrainKind::Flat).start_half_extent_m(),
-        f32::INFINITY
-    );
-    // 8 m − 1 m of margin − 1.2 m of robot
-    near(terrain(TerrainKind::Hills).start_half_extent_m(), 5.8);
-}
-
-#[test]
 fn refuses_what_is_out_of_range() {
     let message = |config: TerrainConfig| Terrain::generate(&config, 0).unwrap_err().to_string();
     let tiny = TerrainConfig {

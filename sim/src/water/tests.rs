@@ -336,13 +336,13 @@ fn polymander_has_the_drag_its_file_says() {
 
 #[test]
 fn one_lane_in_single_precision_agrees() {
-    use crate::lanes::Lanes;
+    use crate::per_lane::PerLane;
     let p = WaterLink {
         quadratic_force: [1.0, 2.0, 3.0],
         heave_ns_per_m: 1.0,
         ..body([0.1, 0.05, 0.04], 0.58, 0.7)
     };
-    let single: WaterLink<f32> = Lanes::splat(&p);
+    let single: WaterLink<f32> = PerLane::splat(&p);
     let at = level_at(0.01, [0.3, -0.2, 0.1]);
     let f = forces(&p, &at, &still());
     let g = forces(

@@ -102,11 +102,7 @@ fn show(dir: &Path) -> Result<(), Failure> {
     })?;
     let mut folders: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     folders.sort();
-    let mut rows = vec![
-        ["folder", "role", "name", "valid for"]
-            .map(str::to_owned)
-            .to_vec(),
-    ];
+    let mut rows = Vec::new();
     for folder in folders {
         let certificate = folder.join(CERTIFICATE_FILE);
         if !certificate.is_file() {
@@ -125,7 +121,7 @@ fn show(dir: &Path) -> Result<(), Failure> {
             left,
         ]);
     }
-    say::table(&rows);
+    say::table(&["folder", "role", "name", "valid for"], rows);
     Ok(())
 }
 

@@ -51,11 +51,11 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
         format!("the learner's metrics at {address} do not answer")
     })?;
     let status = Status::of(&page);
-    if args.json {
-        return say::json(&status.json(&address));
-    }
-    status.print(&address);
-    Ok(())
+    say::either(args.json, &status.json(&address), |status| {
+        for (key, value) in status.as_object().into_iter().flatten() {
+            say::line(format!("{key:<24} {value}"));
+        }
+    })
 }
 
 /// The address in the newest `started` event of a run.
@@ -150,50 +150,6 @@ impl Status {
             "frames": self.frames(),
             "advice": self.advice(),
         })
-    }
-
-    fn print(&self, address: &str) {
-        let number = |name: &str, digits: usize| match self.get(name) {
-            Some(value) => format!("{value:.digits$}"),
-            None => "?".to_owned(),
-        };
-        let rows = [
-            ("learner", address.to_owned()),
-            (
-                "iterations of this process",
-                number("caudata_learner_iterations_total", 0),
-            ),
-            (
-                "policy version",
-                number("caudata_learner_policy_version", 0),
-            ),
-            (
-                "return of an episode",
-                number("caudata_learner_episode_return", 2),
-            ),
-            ("actors", number("caudata_learner_actors", 0)),
-            (
-                "chunks waiting",
-                number("caudata_learner_chunks_waiting", 0),
-            ),
-            (
-                "lag, versions",
-                number("caudata_policy_staleness_versions", 2),
-            ),
-            (
-                "effective samples",
-                number("caudata_learner_effective_sample_share", 2),
-            ),
-            ("advice", self.advice().to_owned()),
-        ];
-        let mut table: Vec<Vec<String>> = rows
-            .into_iter()
-            .map(|(name, value)| vec![name.to_owned(), value])
-            .collect();
-        for (outcome, count) in self.frames() {
-            table.push(vec![format!("frames: {outcome}"), count.to_string()]);
-        }
-        say::table(&table);
     }
 }
 

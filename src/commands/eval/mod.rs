@@ -13,14 +13,14 @@ use caudata_evaluation::{
 use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
 use caudata_sim::EngineKind;
+use caudata_studies::failures::refused;
+use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
-use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 
-use crate::commands::robot_model;
-use crate::commands::steps::stopped;
 use crate::say;
 
+pub use caudata_studies::files::policy as read_policy;
 pub use show::print;
 
 /// Forward speed at which a training run is evaluated when it ends, m/s: the paper's.
@@ -34,7 +34,7 @@ pub struct EvalArgs {
     /// Under what conditions: flat (0.3 m/s, standing, faster), rough (the paper's three grades), omni (75 commands),
     /// push, robust (corners of the randomisation), transition (land and water), paper (all that walk), acceptance (the
     /// project's targets; exit code 79 where one is missed)
-    #[arg(long, default_value = "flat", value_parser = suite_parser())]
+    #[arg(long, default_value = "flat", value_parser = flags::suite_parser())]
     suite: Suite,
     /// On which engine; without it, the one of the configuration
     #[arg(long, value_enum)]
@@ -65,36 +65,10 @@ pub struct EvalArgs {
     config: ConfigArgs,
 }
 
-/// The suites, as words on the command line.
-pub fn suite_parser() -> impl TypedValueParser<Value = Suite> {
-    PossibleValuesParser::new(Suite::ALL.map(Suite::name)).map(|name| {
-        let named = |suite: &Suite| suite.name() == name;
-        Suite::ALL.into_iter().find(named).unwrap_or(Suite::Flat)
-    })
-}
-
 fn seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(s) if (4.0..=600.0).contains(&s) => Ok(s),
         _ => Err("must be 4 to 600 s (the first 2 s are left out)".to_owned()),
-    }
-}
-
-/// The engines, as words on the command line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum EngineName {
-    /// Articulated bodies in vector lanes, as in training
-    Batch,
-    /// Rapier multibody joints
-    Rapier,
-}
-
-impl From<EngineName> for EngineKind {
-    fn from(name: EngineName) -> Self {
-        match name {
-            EngineName::Batch => EngineKind::Batch,
-            EngineName::Rapier => EngineKind::Rapier,
-        }
     }
 }
 
@@ -110,8 +84,9 @@ enum Engines {
 }
 
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
-    let policy = read_policy(&args.policy)?;
-    let mut config = configuration(args)?;
+    let policy = files::policy(&args.policy)?;
+    let flags = flags::or_beside(&args.config, &args.policy, "quick");
+    let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
     match args.engine {
         Some(Engines::Batch | Engines::Both) => config.engine.kind = EngineKind::Batch,
         Some(Engines::Rapier) => config.engine.kind = EngineKind::Rapier,
@@ -120,7 +95,7 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     if let Some(robot) = &args.robot {
         config.robot.clone_from(robot);
     }
-    let model = Arc::new(robot_model::load(&config.robot_path())?);
+    let model = Arc::new(files::robot(&config.robot_path())?);
     warn_of_differences(&config, &model, &policy)?;
     let evaluation = Evaluation {
         config: &config,
@@ -150,7 +125,7 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     }
     let (result, outcomes) = evaluation
         .run(&go_on, &mut show)
-        .map_err(|error| failure(error, &process.stop))?;
+        .map_err(|error| refused(error, &process.stop))?;
     finish(args, &evaluation, &result, &outcomes)
 }
 
@@ -170,7 +145,7 @@ fn finish(
     if let Some(path) = &args.report {
         let page =
             report::page(result, outcomes, model, policy, settings).or_exit(ExitCode::Internal)?;
-        write(path, page.as_bytes())?;
+        files::write(path, page)?;
     }
     if args.write_summary {
         let summary = Summary::of(result, model.hash_hex(), settings.seed);
@@ -198,16 +173,9 @@ fn finish(
     }
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    std::fs::write(path, bytes).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot write {}", path.display())
-    })
-}
-
 /// Puts a summary beside its policy.
 pub fn write_summary(policy: &Path, summary: &Summary) -> Result<(), Failure> {
-    let text = serde_json::to_string_pretty(summary).or_exit(ExitCode::Internal)?;
-    write(&summary_path(policy), text.as_bytes())
+    files::write_json(&summary_path(policy), summary)
 }
 
 fn warn_of_differences(
@@ -219,46 +187,11 @@ fn warn_of_differences(
         caudata_task::PolicyContract::new(model, &config.task).or_exit(ExitCode::BadConfig)?;
     let differences = policy
         .check_runs_on(&contract)
-        .map_err(|error| failure(EvaluationError::Refused(error), &StopFlag::default()))?;
+        .map_err(|error| refused(EvaluationError::Refused(error), &StopFlag::default()))?;
     for difference in differences {
         tracing::warn!("the policy was trained with another {}", difference.name());
     }
     Ok(())
-}
-
-/// What an evaluation that cannot go on ends with.
-pub fn failure(error: EvaluationError, stop: &StopFlag) -> Failure {
-    match error {
-        EvaluationError::Build(error) => error.into_failure(),
-        EvaluationError::Refused(error) => Failure::new(ExitCode::PolicyRefused, error).hint(
-            "evaluate with the robot file and the [task] section that the policy was trained with",
-        ),
-        EvaluationError::Inference(error) => Failure::new(ExitCode::BadInput, error),
-        EvaluationError::Env(error) => Failure::new(ExitCode::Internal, error),
-        EvaluationError::Stopped => stopped(stop),
-    }
-}
-
-/// The flags' configuration, else the one of the run that the policy came from, else `quick`.
-fn configuration(args: &EvalArgs) -> Result<Config, Failure> {
-    let mut flags = args.config.clone();
-    let beside = args.policy.with_file_name("config.toml");
-    if flags.preset.is_none() && flags.config.is_none() {
-        match beside.exists() {
-            true => flags.config = Some(beside),
-            false => flags.preset = Some("quick".into()),
-        }
-    }
-    flags.load().or_exit(ExitCode::BadConfig)
-}
-
-/// Reads and checks a policy file.
-pub fn read_policy(path: &Path) -> Result<PolicyFile, Failure> {
-    let bytes = std::fs::read(path).or_exit_with(ExitCode::NoInput, || {
-        format!("cannot read policy {}", path.display())
-    })?;
-    PolicyFile::parse(bytes.into())
-        .or_exit_with(ExitCode::BadInput, || format!("policy {}", path.display()))
 }
 
 /// What a run is told about its policy when it ends: forward at 0.3 m/s on flat ground.
@@ -277,7 +210,7 @@ pub fn evaluate(
     let scenario = Scenario::walk("flat 0.3 m/s", [FINAL_COMMAND_MPS, 0.0, 0.0]);
     let go_on = || stop.reason().is_none();
     let outcome = run_scenario(config, model, policy, &scenario, &settings, &go_on)
-        .map_err(|error| failure(error, stop))?;
+        .map_err(|error| refused(error, stop))?;
     Ok(outcome.result)
 }
 
@@ -290,7 +223,7 @@ pub fn summary(
 ) -> Summary {
     let result = SuiteResult {
         suite: Suite::Flat,
-        engine: config.engine.kind.name(),
+        engine: config.engine.kind.name().into(),
         policy_version: policy.metadata().version,
         policy_sha256: policy.sha256_hex(),
         scenarios: vec![result.clone()],

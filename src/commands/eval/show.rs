@@ -35,19 +35,14 @@ pub fn print_end(result: &SuiteResult) {
         }
     }
     if !result.acceptance.is_empty() {
-        let mut table = vec![
-            ["target", "owed", "aim", "measured", "", ""]
-                .map(str::to_owned)
-                .into(),
-        ];
-        table.extend(result.acceptance.iter().map(target));
-        say::table(&table);
+        let head = ["target", "owed", "aim", "measured", "", ""];
+        say::table(&head, result.acceptance.iter().map(target));
     }
 }
 
 fn target(row: &Row) -> Vec<String> {
     let sign = if row.at_least { "≥" } else { "≤" };
-    let unit = if row.unit == "1" { "" } else { row.unit };
+    let unit = if row.unit == "1" { "" } else { &row.unit };
     let with_unit = |x: f64| format!("{sign} {x} {unit}").trim_end().to_owned();
     let measured = row.measured.map_or_else(
         || "–".to_owned(),
@@ -59,7 +54,7 @@ fn target(row: &Row) -> Vec<String> {
         (false, false) => "missed",
     };
     vec![
-        row.name.to_owned(),
+        row.name.to_string(),
         with_unit(row.owed),
         with_unit(row.aim),
         measured,
@@ -108,8 +103,8 @@ fn body(r: &ScenarioResult) {
     say::line(format!(
         "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
         r.stride_hz.mean,
-        r.duty_factor.map(|d| format!("{d:.2}")).join(" "),
-        r.clearance_m.map(|c| format!("{:.1}", 100.0 * c)).join(" "),
+        each(&r.duty_factor, |d| format!("{d:.2}")),
+        each(&r.clearance_m, |c| format!("{:.1}", 100.0 * c)),
         100.0 * r.slip_mps.mean,
         100.0 * r.vibration_share.mean,
         100.0 * r.trunk_contact_share.mean
@@ -153,4 +148,10 @@ fn shore(t: &TransitionResult) {
             false => "no wave that travels to the tail",
         }
     ));
+}
+
+/// Values side by side.
+fn each(values: &[f64], show: impl Fn(f64) -> String) -> String {
+    let shown: Vec<String> = values.iter().map(|&v| show(v)).collect();
+    shown.join(" ")
 }

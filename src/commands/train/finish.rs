@@ -333,7 +333,7 @@ mod tests {
 
     #[test]
     fn the_documentation_names_every_key_of_the_report() {
-        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/json.md");
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/json.md");
         let page = std::fs::read_to_string(page).unwrap();
         let report = Report {
             run_id: "r".into(),
@@ -368,7 +368,7 @@ mod tests {
         {
             assert!(
                 page.contains(&format!("`{key}`")),
-                "docs/json.md does not name `{key}`"
+                "docs/reference/json.md does not name `{key}`"
             );
         }
     }

@@ -11,8 +11,8 @@ use std::f32::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::require;
-use crate::{ACT_DIM, COMMAND_DIM, FEET, JointTable, TaskError};
+use crate::error::{checks, require_all};
+use crate::{COMMAND_DIM, JointTable, PerFoot, TaskError};
 
 /// Whether a term pays or costs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,7 +132,7 @@ reward_terms! {
     /// Σ over joints of how far they are beyond `soft_limit_share` of their range, rad. Default 0.
     joint_limits: Cost, "rad", 0.0;
     /// Σ over joints of how far the smoothed target lies outside the joint's range before it is cut off there, rad. Default 0. A policy whose target is a radian beyond a limit
-    /// feels nothing of what it does with that joint any more, and learns nothing. With -0.1 such legs stayed there for 1,200 iterations, with -0.6 they came back within 1,000 (docs/learning.md).
+    /// feels nothing of what it does with that joint any more, and learns nothing. With -0.1 such legs stayed there for 1,200 iterations, with -0.6 they came back within 1,000 (docs/reference/learning.md).
     target_limits: Cost, "rad", 0.0;
     /// Sum of the horizontal speeds of the feet that are in contact. Default 0 (not in the paper).
     slip: Cost, "m/s", 0.0;
@@ -157,20 +157,17 @@ reward_terms! {
 }
 
 fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), TaskError> {
-    match sense {
-        Sense::Reward => require(
+    let (right, reason) = match sense {
+        Sense::Reward => (
             (0.0..=1e4).contains(&weight),
-            field,
-            weight,
             "this term rewards, its weight must be 0 to 10000",
         ),
-        Sense::Cost => require(
+        Sense::Cost => (
             (-1e4..=0.0).contains(&weight),
-            field,
-            weight,
             "this term costs, its weight must be -10000 to 0",
         ),
-    }
+    };
+    require_all(&[(right, field, &weight, reason)])
 }
 
 /// Table `[task.reward]`: shapes of the terms; their weights are in `[task.reward.weights]`.
@@ -271,49 +268,27 @@ impl RewardConfig {
     /// # Errors
     /// [`TaskError::Config`] names the first field that is out of range.
     pub fn validate(&self) -> Result<(), TaskError> {
-        let positive = [
-            (self.lin_vel_sigma, "reward.lin_vel_sigma"),
-            (self.yaw_rate_sigma, "reward.yaw_rate_sigma"),
-            (self.phase_sigma, "reward.phase_sigma"),
-            (self.contact_force_n, "reward.contact_force_n"),
-            (self.trunk_force_n, "reward.trunk_force_n"),
-            (self.leg_fold_within_rad, "reward.leg_fold_within_rad"),
-            (self.wave_sigma, "reward.wave_sigma"),
-        ];
-        for (value, field) in positive {
-            require(
-                value > 0.0 && value <= 1e6,
-                field,
-                value,
-                "must be above 0 and at most 1000000",
-            )?;
-        }
-        require(
-            self.soft_limit_share > 0.0 && self.soft_limit_share <= 1.0,
-            "reward.soft_limit_share",
-            self.soft_limit_share,
-            "must be above 0 and at most 1",
-        )?;
-        for value in self.wave_amplitude_rad {
-            require(
-                (0.0..=2.0).contains(&value),
-                "reward.wave_amplitude_rad",
-                value,
-                "must be 0 to 2 rad",
-            )?;
-        }
-        require(
-            (-PI..=PI).contains(&self.wave_lag_rad),
-            "reward.wave_lag_rad",
-            self.wave_lag_rad,
-            "must be -π to π",
-        )?;
-        require(
-            (0.0..=1.0).contains(&self.costs_at_start),
-            "reward.costs_at_start",
-            self.costs_at_start,
-            "must be 0 to 1",
-        )?;
+        let above_zero = |value: f32| value > 0.0 && value <= 1e6;
+        let reason = "must be above 0 and at most 1000000";
+        let share = self.soft_limit_share > 0.0 && self.soft_limit_share <= 1.0;
+        let wave = self
+            .wave_amplitude_rad
+            .iter()
+            .all(|a| (0.0..=2.0).contains(a));
+        checks! {
+            self, "reward.";
+            lin_vel_sigma: above_zero(self.lin_vel_sigma), reason;
+            yaw_rate_sigma: above_zero(self.yaw_rate_sigma), reason;
+            phase_sigma: above_zero(self.phase_sigma), reason;
+            contact_force_n: above_zero(self.contact_force_n), reason;
+            trunk_force_n: above_zero(self.trunk_force_n), reason;
+            leg_fold_within_rad: above_zero(self.leg_fold_within_rad), reason;
+            wave_sigma: above_zero(self.wave_sigma), reason;
+            soft_limit_share: share, "must be above 0 and at most 1";
+            wave_amplitude_rad: wave, "must be 0 to 2 rad";
+            wave_lag_rad: (-PI..=PI).contains(&self.wave_lag_rad), "must be -π to π";
+            costs_at_start: (0.0..=1.0).contains(&self.costs_at_start), "must be 0 to 1";
+        }?;
         self.weights.validate()
     }
 }
@@ -331,8 +306,8 @@ pub struct RewardInput<'a> {
     pub command: [f32; COMMAND_DIM],
     /// Whether that command is to stand.
     pub standing: bool,
-    /// Phase of each foot after the step, rad, (−π, π].
-    pub phase_rad: [f32; FEET],
+    /// Phase of each foot (of the clock without feet) after the step, rad, (−π, π].
+    pub phase_rad: PerFoot,
     /// How far the heading is to the left of the course that the command holds, rad; 0 where it holds none.
     pub off_course_rad: f32,
     /// Velocity of the whole body's centre of mass, m/s, heading frame.
@@ -344,21 +319,21 @@ pub struct RewardInput<'a> {
     /// Direction of gravity, unit vector, body frame.
     pub gravity: [f32; 3],
     /// Joint positions, rad.
-    pub joint_pos_rad: &'a [f32; ACT_DIM],
+    pub joint_pos_rad: &'a [f32],
     /// Joint velocities, rad/s.
-    pub joint_vel_radps: &'a [f32; ACT_DIM],
+    pub joint_vel_radps: &'a [f32],
     /// Joint velocities after the step before, rad/s.
-    pub previous_joint_vel_radps: &'a [f32; ACT_DIM],
+    pub previous_joint_vel_radps: &'a [f32],
     /// Motor torques, mean over the step, N·m.
-    pub motor_torque_nm: &'a [f32; ACT_DIM],
+    pub motor_torque_nm: &'a [f32],
     /// Mechanical power of each motor, mean over the step, signed, W.
-    pub mech_power_w: &'a [f32; ACT_DIM],
+    pub mech_power_w: &'a [f32],
     /// Height of each foot's lowest point above the ground, m.
-    pub foot_height_m: &'a [f32; FEET],
+    pub foot_height_m: &'a [f32],
     /// Velocity of each foot, m/s, world.
-    pub foot_vel_mps: &'a [[f32; 3]; FEET],
+    pub foot_vel_mps: &'a [[f32; 3]],
     /// Contact force on each foot, mean over the step, N, world.
-    pub foot_force_n: &'a [[f32; 3]; FEET],
+    pub foot_force_n: &'a [[f32; 3]],
     /// Sum of contact forces on everything but the feet, N.
     pub trunk_force_n: f32,
     /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
@@ -366,15 +341,17 @@ pub struct RewardInput<'a> {
     /// 1 while it is that and the ground is out of reach (`task.afloat_above_m`), 0 otherwise.
     pub afloat: f32,
     /// Which feet can be asked to walk, 1 or 0: all of them on land, and in water those with the ground in reach.
-    pub on_ground: [f32; FEET],
+    pub on_ground: PerFoot,
+    /// Which joints move a leg.
+    pub in_leg: &'a [bool],
     /// Joint positions of the swimming pose, rad.
-    pub swimming_rad: &'a [f32; ACT_DIM],
+    pub swimming_rad: &'a [f32],
     /// Position targets of this step before they are cut off at the limits, rad.
-    pub target_rad: &'a [f32; ACT_DIM],
+    pub target_rad: &'a [f32],
     /// The action of this step, clipped.
-    pub action: &'a [f32; ACT_DIM],
+    pub action: &'a [f32],
     /// The action of the step before, clipped.
-    pub previous_action: &'a [f32; ACT_DIM],
+    pub previous_action: &'a [f32],
 }
 
 #[cfg(test)]

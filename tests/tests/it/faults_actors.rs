@@ -1,5 +1,5 @@
 //! FAULTS.md section 4, "Rollouts and actors", against the real programs. The faults of a single crate have their tests there
-//! (docs/faults-actors.md has the table); here is what needs several processes.
+//! (docs/reference/faults-actors.md has the table); here is what needs several processes.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;

@@ -281,7 +281,7 @@ pub struct StalenessConfig {
     pub correction: Correction,
     /// What older data says of values, with `decoupled`. `gae`: what newer data would; its mistake is what the policies differ by in the steps that λ looks ahead. `vtrace`:
     /// each step corrected by its ratio (Espeholt et al. 2018), which is exact in the mean, and in sixteen dimensions cuts traces short: four iterations of lag make λ = 0.95 look
-    /// ahead as far as 0.79 does (docs/learning.md).
+    /// ahead as far as 0.79 does (docs/reference/learning.md).
     pub returns: Returns,
     /// ρ̄ of V-trace (Espeholt et al. 2018): cap of the ratio in the correction of values. 0.1 to 10; 1 is the paper's. Only with `returns = "vtrace"`.
     pub rho_max: f64,

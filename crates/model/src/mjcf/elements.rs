@@ -6,7 +6,32 @@ use crate::types::{Geom, JointMotion, Shape, Softness};
 
 use super::compiler::Compiler;
 use super::xml::Element;
-use super::{Actuator, MjJoint, MjSite};
+
+pub(crate) struct MjJoint {
+    pub name: String,
+    pub line: u32,
+    pub motion: JointMotion,
+    pub axis: [f64; 3],
+    pub anchor_m: [f64; 3],
+    pub range_rad: Option<(f64, f64)>,
+    pub stop: Softness,
+    pub stiffness: f64,
+    pub spring_ref: f64,
+    pub damping: f64,
+    pub armature: f64,
+    pub friction_loss: f64,
+}
+
+pub(crate) struct MjSite {
+    pub name: String,
+    pub link_from_site: Pose,
+}
+
+pub(crate) struct Actuator {
+    pub name: String,
+    pub line: u32,
+    pub joint: String,
+}
 
 /// MuJoCo's default sliding friction coefficient.
 const DEFAULT_FRICTION: f64 = 1.0;
@@ -57,7 +82,7 @@ pub(super) fn pose(e: &Element<'_, '_>, compiler: &Compiler) -> Result<Pose, Mod
     let pos_m = e.array::<3>("pos")?.unwrap_or([0.0; 3]);
     let quat_wxyz = match (e.array::<4>("quat")?, e.array::<3>("euler")?) {
         (Some(_), Some(_)) => {
-            return Err(e.error("euler", "stands beside `quat`; give one of them"));
+            return e.refuse("euler", "stands beside `quat`; give one of them");
         }
         (Some(q), None) => pose::quat_normalised(q)
             .ok_or_else(|| e.error("quat", "has length zero; it needs a direction"))?,
@@ -73,12 +98,12 @@ pub(super) fn joint(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjJoint,
     let motion = match e.text("type").unwrap_or("hinge") {
         "hinge" => JointMotion::Hinge,
         "slide" => JointMotion::Slide,
-        "free" => return Err(e.error("type", "write the free joint as <freejoint/>")),
+        "free" => return e.refuse("type", "write the free joint as <freejoint/>"),
         other => {
-            return Err(e.error(
+            return e.refuse(
                 "type",
                 format!("`{other}` is not supported (hinge or slide)"),
-            ));
+            );
         }
     };
     let unit = match motion {
@@ -91,7 +116,7 @@ pub(super) fn joint(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjJoint,
     if let Some((lo, hi)) = range
         && lo >= hi
     {
-        return Err(e.error("range", "its lower end is not below its upper end"));
+        return e.refuse("range", "its lower end is not below its upper end");
     }
     let limited = match e.text("limited").unwrap_or("auto") {
         "true" => true,
@@ -99,15 +124,15 @@ pub(super) fn joint(e: &Element<'_, '_>, compiler: &Compiler) -> Result<MjJoint,
         "auto" if compiler.autolimits => range.is_some(),
         "auto" if range.is_none() => false,
         "auto" => {
-            return Err(e.error(
+            return e.refuse(
                 "limited",
                 "must be given beside `range` when autolimits is off",
-            ));
+            );
         }
-        other => return Err(e.error("limited", format!("`{other}` is not true, false or auto"))),
+        other => return e.refuse("limited", format!("`{other}` is not true, false or auto")),
     };
     if limited && range.is_none() {
-        return Err(e.error("range", "is missing on a limited joint"));
+        return e.refuse("range", "is missing on a limited joint");
     }
     Ok(MjJoint {
         name: e.required_text("name")?.to_owned(),
@@ -142,20 +167,20 @@ fn softness(
     if !(time > 0.0 && damping > 0.0 || time < 0.0 && damping <= 0.0) {
         let message =
             "must be a time constant and a damping ratio above zero, or -stiffness and -damping";
-        return Err(e.error(solref, message));
+        return e.refuse(solref, message);
     }
     let [low, high, width, middle, power] = out.solimp;
     if !([low, high, middle].iter().all(|x| (0.0..1.0).contains(x)) && width >= 0.0) {
-        return Err(e.error(
+        return e.refuse(
             solimp,
             "must be two shares below one, a width, a share below one",
-        ));
+        );
     }
     if power != 1.0 && power != 2.0 {
-        return Err(e.error(
+        return e.refuse(
             solimp,
             "has a power other than 1 and 2, which are those supported",
-        ));
+        );
     }
     Ok(out)
 }
@@ -173,16 +198,16 @@ pub(super) fn geom(
         None => (shape(e, kind)?, pose(e, compiler)?),
     };
     if shape == Shape::Plane && !in_world {
-        return Err(e.error("type", "a plane belongs in <worldbody>, not on a link"));
+        return e.refuse("type", "a plane belongs in <worldbody>, not on a link");
     }
     let friction = e
         .numbers("friction", 1, 3)?
         .map_or(DEFAULT_FRICTION, |f| f[0]);
     if friction < 0.0 {
-        return Err(e.error(
+        return e.refuse(
             "friction",
             format!("is {friction}; it must not be negative"),
-        ));
+        );
     }
     Ok(Geom {
         name: e.node.attribute("name").map(str::to_owned),
@@ -199,12 +224,12 @@ pub(super) fn geom(
 fn sizes<const N: usize>(e: &Element<'_, '_>) -> Result<[f64; N], ModelError> {
     // MuJoCo ignores sizes beyond those that the type needs.
     let Some(v) = e.numbers("size", N, 3)? else {
-        return Err(e.error("size", "is missing"));
+        return e.refuse("size", "is missing");
     };
     let mut out = [0.0; N];
     out.copy_from_slice(&v[..N]);
     if let Some(bad) = out.iter().find(|x| **x <= 0.0) {
-        return Err(e.error("size", format!("{bad} is not above zero")));
+        return e.refuse("size", format!("{bad} is not above zero"));
     }
     Ok(out)
 }
@@ -236,10 +261,7 @@ fn shape(e: &Element<'_, '_>, kind: &str) -> Result<Shape, ModelError> {
         },
         "plane" => Shape::Plane,
         other => {
-            return Err(e.error(
-                "type",
-                format!("`{other}` is not supported (sphere, capsule, cylinder, box, ellipsoid; plane in the world)"),
-            ));
+            return e.refuse("type", format!("`{other}` is not supported (sphere, capsule, cylinder, box, ellipsoid; plane in the world)"));
         }
     })
 }
@@ -248,7 +270,7 @@ fn shape(e: &Element<'_, '_>, kind: &str) -> Result<Shape, ModelError> {
 fn segment(e: &Element<'_, '_>, kind: &str, ends: [f64; 6]) -> Result<(Shape, Pose), ModelError> {
     for other in ["pos", "quat", "euler"] {
         if e.node.attribute(other).is_some() {
-            return Err(e.error(other, "stands beside `fromto`; give one of them"));
+            return e.refuse(other, "stands beside `fromto`; give one of them");
         }
     }
     let a = [ends[0], ends[1], ends[2]];
@@ -257,7 +279,7 @@ fn segment(e: &Element<'_, '_>, kind: &str, ends: [f64; 6]) -> Result<(Shape, Po
     let d = pose::sub(a, b);
     let length = pose::norm(d);
     if length < 1e-9 {
-        return Err(e.error("fromto", "its two points coincide"));
+        return e.refuse("fromto", "its two points coincide");
     }
     let radius_m = sizes::<1>(e)?[0];
     let half_length_m = 0.5 * length;
@@ -270,7 +292,7 @@ fn segment(e: &Element<'_, '_>, kind: &str, ends: [f64; 6]) -> Result<(Shape, Po
             radius_m,
             half_length_m,
         },
-        _ => return Err(e.error("fromto", "is only supported on capsules and cylinders")),
+        _ => return e.refuse("fromto", "is only supported on capsules and cylinders"),
     };
     let pos_m = [
         0.5 * (a[0] + b[0]),
@@ -312,23 +334,23 @@ pub(super) fn inertial(e: &Element<'_, '_>, compiler: &Compiler) -> Result<Inert
         .number("mass")?
         .ok_or_else(|| e.error("mass", "is missing"))?;
     if mass <= 0.0 {
-        return Err(e.error("mass", format!("is {mass} kg; it must be above zero")));
+        return e.refuse("mass", format!("is {mass} kg; it must be above zero"));
     }
     let turned = link_from_inertial.quat_wxyz != [1.0, 0.0, 0.0, 0.0];
     let (attribute, inertia) = match (e.array::<3>("diaginertia")?, e.array::<6>("fullinertia")?) {
         (Some(_), Some(_)) => {
-            return Err(e.error(
+            return e.refuse(
                 "fullinertia",
                 "stands beside `diaginertia`; give one of them",
-            ));
+            );
         }
-        (None, None) => return Err(e.error("diaginertia", "is missing (or `fullinertia`)")),
+        (None, None) => return e.refuse("diaginertia", "is missing (or `fullinertia`)"),
         (Some([x, y, z]), None) => ("diaginertia", [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]),
         (None, Some(_)) if turned => {
-            return Err(e.error(
+            return e.refuse(
                 "fullinertia",
                 "cannot stand beside an orientation (as in MuJoCo)",
-            ));
+            );
         }
         // MJCF order: xx, yy, zz, xy, xz, yz
         (None, Some([xx, yy, zz, xy, xz, yz])) => {

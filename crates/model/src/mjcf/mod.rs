@@ -24,9 +24,10 @@ use roxmltree::{Document, Node};
 
 use crate::error::ModelError;
 use crate::pose::Pose;
-use crate::types::{Geom, JointMotion, Softness};
+use crate::types::Geom;
 
 use compiler::Compiler;
+use elements::{Actuator, MjJoint, MjSite};
 use xml::{DEPTH_LIMIT, Defaults, Source};
 
 /// Most bodies of one robot.
@@ -57,32 +58,6 @@ pub(crate) struct MjBody {
     pub geoms: Vec<Geom>,
 }
 
-pub(crate) struct MjJoint {
-    pub name: String,
-    pub line: u32,
-    pub motion: JointMotion,
-    pub axis: [f64; 3],
-    pub anchor_m: [f64; 3],
-    pub range_rad: Option<(f64, f64)>,
-    pub stop: Softness,
-    pub stiffness: f64,
-    pub spring_ref: f64,
-    pub damping: f64,
-    pub armature: f64,
-    pub friction_loss: f64,
-}
-
-pub(crate) struct MjSite {
-    pub name: String,
-    pub link_from_site: Pose,
-}
-
-pub(crate) struct Actuator {
-    pub name: String,
-    pub line: u32,
-    pub joint: String,
-}
-
 /// Parses an MJCF text; `file` names it in errors.
 pub(crate) fn parse(file: &str, text: &str) -> Result<MjModel, ModelError> {
     let doc = Document::parse(text).map_err(|e| ModelError::Xml {
@@ -92,7 +67,7 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<MjModel, ModelError> {
     let source = Source { file, doc: &doc };
     let root = doc.root_element();
     if root.tag_name().name() != "mujoco" {
-        return Err(source.error(root, None, "is not <mujoco>; this is not an MJCF file"));
+        return source.refuse(root, "is not <mujoco>; this is not an MJCF file");
     }
     source.only_attributes(root, &["model"])?;
     let mut gravity_mps2 = DEFAULT_GRAVITY_MPS2;
@@ -106,7 +81,7 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<MjModel, ModelError> {
             "default" => defaults.read(&source, node, &elements::attributes_of)?,
             "option" => gravity_mps2 = read_option(&source, &defaults, node)?,
             "worldbody" | "actuator" | "contact" => {}
-            _ => return Err(source.error(node, None, "is outside the supported subset")),
+            _ => return source.refuse(node, "is outside the supported subset"),
         }
     }
     let mut reader = Reader {
@@ -139,7 +114,7 @@ pub(crate) fn parse(file: &str, text: &str) -> Result<MjModel, ModelError> {
         }
     }
     if reader.out.bodies.is_empty() {
-        return Err(source.error(root, None, "has no <body> in its <worldbody>"));
+        return source.refuse(root, "has no <body> in its <worldbody>");
     }
     Ok(reader.out)
 }
@@ -194,17 +169,14 @@ impl Reader<'_> {
                         .push(elements::geom(&e, self.compiler, true)?);
                 }
                 "body" if !self.out.bodies.is_empty() => {
-                    return Err(self.source.error(
+                    return self.source.refuse(
                         child,
-                        None,
                         "is a second tree in <worldbody>; a robot is one tree",
-                    ));
+                    );
                 }
                 "body" => self.body(child, None, None, 0)?,
                 _ => {
-                    return Err(self
-                        .source
-                        .error(child, None, "is not supported in <worldbody>"));
+                    return self.source.refuse(child, "is not supported in <worldbody>");
                 }
             }
         }
@@ -221,11 +193,10 @@ impl Reader<'_> {
         let source = self.source;
         source.only_attributes(node, &["name", "pos", "quat", "euler", "childclass"])?;
         if depth > DEPTH_LIMIT || self.out.bodies.len() >= BODY_LIMIT {
-            return Err(source.error(
+            return source.refuse(
                 node,
-                None,
                 format!("exceeds {DEPTH_LIMIT} nested or {BODY_LIMIT} bodies in all"),
-            ));
+            );
         }
         let childclass = node.attribute("childclass").or(childclass);
         let e = self.defaults.element(source, node, childclass)?;
@@ -242,9 +213,9 @@ impl Reader<'_> {
             [one] => {
                 elements::inertial(&self.defaults.element(source, **one, None)?, self.compiler)?
             }
-            [] => return Err(source.error(node, None, "has no <inertial>; every link needs one")),
+            [] => return source.refuse(node, "has no <inertial>; every link needs one"),
             [_, second, ..] => {
-                return Err(source.error(**second, None, "stands twice in one body"));
+                return source.refuse(**second, "stands twice in one body");
             }
         };
         self.out.bodies.push(MjBody {
@@ -262,11 +233,10 @@ impl Reader<'_> {
             self.part(child, index, childclass)?;
         }
         if parent.is_some() && self.out.bodies[index].joints.is_empty() {
-            return Err(source.error(
+            return source.refuse(
                 node,
-                None,
                 "has no joint, so it is welded to its parent; merge it into the parent",
-            ));
+            );
         }
         for &child in children.iter().filter(|c| c.tag_name().name() == "body") {
             self.body(child, Some(index), childclass, depth + 1)?;
@@ -287,17 +257,17 @@ impl Reader<'_> {
             "freejoint" => {
                 source.only_attributes(node, &["name"])?;
                 if self.out.bodies[body].parent.is_some() {
-                    return Err(source.error(node, None, "belongs in the root body only"));
+                    return source.refuse(node, "belongs in the root body only");
                 }
                 if self.out.free_base || !self.out.bodies[body].joints.is_empty() {
-                    return Err(source.error(node, None, "must be the only joint of its body"));
+                    return source.refuse(node, "must be the only joint of its body");
                 }
                 self.out.free_base = true;
             }
             "joint" => {
                 let joint = elements::joint(&e, self.compiler)?;
                 if self.out.free_base && self.out.bodies[body].parent.is_none() {
-                    return Err(source.error(node, None, "stands beside <freejoint>"));
+                    return source.refuse(node, "stands beside <freejoint>");
                 }
                 self.unique(node, "joint", &joint.name)?;
                 self.out.bodies[body].joints.push(self.out.joints.len());
@@ -315,7 +285,7 @@ impl Reader<'_> {
                 self.unique(node, "site", &site.name)?;
                 self.out.sites.push((body, site));
             }
-            _ => return Err(source.error(node, None, "is not supported inside <body>")),
+            _ => return source.refuse(node, "is not supported inside <body>"),
         }
         Ok(())
     }
@@ -324,21 +294,19 @@ impl Reader<'_> {
         self.source.only_attributes(node, &[])?;
         for child in self.source.children(node)? {
             if !matches!(child.tag_name().name(), "position" | "motor") {
-                return Err(self.source.error(
-                    child,
-                    None,
-                    "is not a supported actuator (position or motor)",
-                ));
+                return self
+                    .source
+                    .refuse(child, "is not a supported actuator (position or motor)");
             }
             let e = self.defaults.element(self.source, child, None)?;
             let actuator = elements::actuator(&e)?;
             self.unique(child, "actuator", &actuator.name)?;
             if !self.out.joints.iter().any(|j| j.name == actuator.joint) {
-                return Err(self.source.error(
+                return self.source.refuse_attribute(
                     child,
-                    Some("joint"),
+                    "joint",
                     format!("there is no joint `{}`", actuator.joint),
-                ));
+                );
             }
             self.out.actuators.push(actuator);
         }
@@ -349,11 +317,9 @@ impl Reader<'_> {
         self.source.only_attributes(node, &[])?;
         for child in self.source.children(node)? {
             if child.tag_name().name() != "exclude" {
-                return Err(self.source.error(
-                    child,
-                    None,
-                    "is not supported in <contact> (exclude)",
-                ));
+                return self
+                    .source
+                    .refuse(child, "is not supported in <contact> (exclude)");
             }
             self.source
                 .only_attributes(child, &["name", "body1", "body2"])?;

@@ -42,15 +42,30 @@ impl Source<'_> {
         }
     }
 
+    /// Refuses `node`.
+    pub fn refuse<T>(
+        &self,
+        node: Node<'_, '_>,
+        message: impl Into<String>,
+    ) -> Result<T, ModelError> {
+        Err(self.error(node, None, message))
+    }
+
+    /// Refuses one attribute of `node`.
+    pub fn refuse_attribute<T>(
+        &self,
+        node: Node<'_, '_>,
+        attribute: &str,
+        message: impl Into<String>,
+    ) -> Result<T, ModelError> {
+        Err(self.error(node, Some(attribute), message))
+    }
+
     /// Element children of `node`; refuses stray text.
     pub fn children<'n>(&self, node: Node<'n, 'n>) -> Result<Vec<Node<'n, 'n>>, ModelError> {
         for child in node.children() {
             if child.is_text() && !child.text().unwrap_or("").trim().is_empty() {
-                return Err(self.error(
-                    node,
-                    None,
-                    "holds text; MJCF has only elements and attributes",
-                ));
+                return self.refuse(node, "holds text; MJCF has only elements and attributes");
             }
         }
         Ok(node.children().filter(Node::is_element).collect())
@@ -72,14 +87,14 @@ impl Source<'_> {
     pub fn only_attributes(&self, node: Node<'_, '_>, allowed: &[&str]) -> Result<(), ModelError> {
         for a in node.attributes() {
             if !allowed.contains(&a.name()) {
-                return Err(self.error(
+                return self.refuse_attribute(
                     node,
-                    Some(a.name()),
+                    a.name(),
                     format!(
                         "is outside the supported subset (supported: {})",
                         allowed.join(", ")
                     ),
-                ));
+                );
             }
         }
         Ok(())
@@ -99,6 +114,10 @@ pub(super) struct Element<'s, 'n> {
 impl Element<'_, '_> {
     pub fn error(&self, attribute: &str, message: impl Into<String>) -> ModelError {
         self.source.error(self.node, Some(attribute), message)
+    }
+
+    pub fn refuse<T>(&self, attribute: &str, message: impl Into<String>) -> Result<T, ModelError> {
+        Err(self.error(attribute, message))
     }
 
     /// The value of an attribute: the element's own, else its class's.
@@ -133,7 +152,7 @@ impl Element<'_, '_> {
                 .parse()
                 .map_err(|_| self.error(attribute, format!("`{word}` is not a number")))?;
             if !x.is_finite() || x.abs() > NUMBER_LIMIT {
-                return Err(self.error(attribute, format!("`{word}` is not a usable number")));
+                return self.refuse(attribute, format!("`{word}` is not a usable number"));
             }
             out.push(x);
         }
@@ -143,10 +162,10 @@ impl Element<'_, '_> {
             } else {
                 format!("{min} to {max}")
             };
-            return Err(self.error(
+            return self.refuse(
                 attribute,
                 format!("has {} numbers where {need} belong", out.len()),
-            ));
+            );
         }
         Ok(Some(out))
     }
@@ -168,7 +187,7 @@ impl Element<'_, '_> {
     pub fn non_negative(&self, attribute: &str) -> Result<f64, ModelError> {
         let x = self.number(attribute)?.unwrap_or(0.0);
         if x < 0.0 {
-            return Err(self.error(attribute, format!("is {x}; it must not be negative")));
+            return self.refuse(attribute, format!("is {x}; it must not be negative"));
         }
         Ok(x)
     }
@@ -191,7 +210,7 @@ impl Element<'_, '_> {
         };
         let n = pose::norm(v);
         if n < 1e-9 {
-            return Err(self.error(attribute, "has no direction (length zero)"));
+            return self.refuse(attribute, "has no direction (length zero)");
         }
         Ok(Some(v.map(|x| x / n)))
     }
@@ -231,7 +250,7 @@ impl Defaults {
     ) -> Result<(), ModelError> {
         source.only_attributes(node, &["class"])?;
         if depth > DEPTH_LIMIT {
-            return Err(source.error(node, None, "is nested too deeply"));
+            return source.refuse(node, "is nested too deeply");
         }
         let mut own = inherited;
         for child in node.children().filter(Node::is_element) {
@@ -240,18 +259,18 @@ impl Defaults {
                 continue;
             }
             let Some(allowed) = attributes_of(tag) else {
-                return Err(source.error(child, None, "is not supported inside <default>"));
+                return source.refuse(child, "is not supported inside <default>");
             };
             source.only_attributes(child, allowed)?;
             source.no_children(child)?;
             let map = own.entry(tag.to_owned()).or_default();
             for a in child.attributes() {
                 if matches!(a.name(), "name" | "class") {
-                    return Err(source.error(
+                    return source.refuse_attribute(
                         child,
-                        Some(a.name()),
+                        a.name(),
                         "does not belong in a default",
-                    ));
+                    );
                 }
                 map.insert(a.name().to_owned(), a.value().to_owned());
             }
@@ -259,7 +278,7 @@ impl Defaults {
         for child in node.children().filter(Node::is_element) {
             if child.tag_name().name() == "default" {
                 let Some(class) = child.attribute("class") else {
-                    return Err(source.error(child, Some("class"), "is missing"));
+                    return source.refuse_attribute(child, "class", "is missing");
                 };
                 self.read_class(
                     source,
@@ -299,11 +318,11 @@ impl Defaults {
                 } else {
                     "childclass"
                 };
-                return Err(source.error(
+                return source.refuse_attribute(
                     node,
-                    Some(attribute),
+                    attribute,
                     format!("there is no default class `{name}`"),
-                ));
+                );
             }
             (_, tags) => tags,
         };

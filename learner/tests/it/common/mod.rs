@@ -11,7 +11,7 @@ use caudata_telemetry::progress::{Event, Finished};
 use caudata_telemetry::{Metrics, StopFlag};
 
 #[path = "tiny.rs"]
-mod tiny;
+pub mod tiny;
 use tiny::TINY;
 
 /// The quick preset with [`TINY`] and `more`.

@@ -357,7 +357,7 @@ fn every_secret_is_one_that_the_readme_makes() {
 /// A process may take as long to end as it says it needs.
 #[test]
 fn time_to_end_is_longer_than_what_the_programs_need() {
-    /// `actors.flush_timeout_s` by default (docs/configuration.md).
+    /// `actors.flush_timeout_s` by default (docs/reference/configuration.md).
     const FLUSH_S: f64 = 10.0;
     let grace = |app: &str| {
         let workloads = workloads();

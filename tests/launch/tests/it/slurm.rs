@@ -88,7 +88,7 @@ fn script(what: &str, dir: &Path) -> Command {
     command
 }
 
-/// Shown with `--nocapture`; `docs/clusters.md` has such a log.
+/// Shown with `--nocapture`; `docs/guide/clusters.md` has such a log.
 #[allow(clippy::print_stdout)]
 fn log(text: &str) {
     println!("{}", text.trim_end());

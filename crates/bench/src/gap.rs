@@ -1,0 +1,203 @@
+//! `caudata bench gap`: how well diagnosis finds what was hidden. Cases by other numerics, answers sealed, each diagnosis a process of its own.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Instant, SystemTime};
+
+use caudata_gap::Options;
+use caudata_gap_benchmark::baselines::{self, BaselineSummary};
+use caudata_gap_benchmark::case::{Answer, Block};
+use caudata_gap_benchmark::examinee;
+use caudata_gap_benchmark::run::{self, BenchError, Diagnoser};
+use caudata_gap_benchmark::score::{Outcome, Summary};
+use caudata_gap_benchmark::sets::{self, SetName};
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+
+/// Which cases, and how they are diagnosed.
+#[derive(Clone, Debug, Args)]
+pub struct Plan {
+    /// Which cases
+    #[arg(long, value_enum, default_value_t = Set::Quick)]
+    set: Set,
+    /// Only cases of these blocks: null, single, pair, decoy, outside, starved, ground, water, holdout_change; default: all
+    #[arg(long, value_name = "BLOCK", value_delimiter = ',', value_parser = block)]
+    block: Vec<Block>,
+    /// Only so many of them; default: all
+    #[arg(long, value_name = "N")]
+    cases: Option<usize>,
+    /// Diagnoses at a time
+    #[arg(long, value_name = "J", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=256))]
+    jobs: u32,
+    /// Seed of the set
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Leave cases, reports and sealed answers in this folder; default: a temporary one
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
+    /// Also what least squares, evolution, forward selection and an unnamed residual make of the same logs (slow)
+    #[arg(long)]
+    baselines: bool,
+    /// Diagnose one case folder into the current folder: what the benchmark starts for each case
+    #[arg(long, value_name = "CASE", hide = true)]
+    examinee: Option<PathBuf>,
+    /// Effect ids that the examinee has to do without
+    #[arg(long, hide = true)]
+    without: Vec<String>,
+}
+
+/// The sets of cases.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Set {
+    /// A dozen short cases
+    Quick,
+    /// About 150: every effect once at d = 4, half of them at another size, and some of all other blocks
+    Pr,
+    /// About 1,200
+    Nightly,
+}
+
+impl From<Set> for SetName {
+    fn from(set: Set) -> Self {
+        match set {
+            Set::Quick => Self::Quick,
+            Set::Pr => Self::Pr,
+            Set::Nightly => Self::Nightly,
+        }
+    }
+}
+
+/// How every case went.
+#[derive(Debug, Serialize)]
+pub struct Finding {
+    /// Which cases.
+    pub set: Set,
+    /// Seed of the set.
+    pub seed: u64,
+    /// How many were made.
+    pub cases: usize,
+    /// Why a case was not made.
+    pub left_out: Vec<String>,
+    /// What it took.
+    pub seconds: f64,
+    /// Rates.
+    pub summary: Summary,
+    /// The same of other methods, where that was asked for.
+    pub baselines: Vec<BaselineSummary>,
+    /// One per case.
+    pub outcomes: Vec<Outcome>,
+    /// What was hidden in each.
+    #[serde(skip)]
+    pub answers: Vec<Answer>,
+}
+
+/// Makes the cases, has each diagnosed by `program` in a process of its own, and opens the answers; nothing where this
+/// process is such a one.
+///
+/// # Errors
+/// Where a folder cannot be written or a baseline cannot run; a diagnosis that fails is an outcome.
+pub fn run(plan: &Plan, program: &Path) -> Result<Option<Finding>, Failure> {
+    if let Some(case) = &plan.examinee {
+        let options = Options {
+            threads: 1,
+            without: plan.without.clone(),
+            ..Options::default()
+        };
+        examinee::write_report(case, options).or_exit(ExitCode::BadInput)?;
+        return Ok(None);
+    }
+    let temporary = std::env::temp_dir().join(format!("caudata-bench-gap-{}", std::process::id()));
+    let root = plan.keep.as_ref().unwrap_or(&temporary);
+    if root.join(run::SEALED_NAME).exists() || root.join(run::CASES_NAME).exists() {
+        let message = format!(
+            "{} holds a set already; choose another folder",
+            root.display()
+        );
+        return Err(Failure::message(ExitCode::CannotCreate, message));
+    }
+    let found = bench(plan, program, root);
+    if plan.keep.is_none() {
+        // nothing of value is lost if it stays
+        let _ = std::fs::remove_dir_all(&temporary);
+    }
+    found.map(Some)
+}
+
+fn bench(plan: &Plan, program: &Path, root: &Path) -> Result<Finding, Failure> {
+    let began = Instant::now();
+    let jobs = plan.jobs as usize;
+    let secret = secret();
+    let mut cases = sets::plan(plan.set.into(), plan.seed, None);
+    cases.retain(|c| plan.block.is_empty() || plan.block.contains(&c.block));
+    cases.truncate(plan.cases.unwrap_or(usize::MAX));
+    let told = AtomicUsize::new(0);
+    let progress = |what: &'static str| {
+        told.store(0, Ordering::Relaxed);
+        let told = &told;
+        move |done: usize, all: usize| {
+            // tenths are often enough
+            let tenth = 10 * done / all.max(1);
+            if tenth > told.swap(tenth, Ordering::Relaxed) {
+                tracing::info!("{what}: {done} of {all}");
+            }
+        }
+    };
+    let (made, left_out) =
+        run::generate(&cases, root, &secret, jobs, progress("cases made")).map_err(failure)?;
+    let diagnoser = Diagnoser {
+        program: program.to_owned(),
+        arguments: ["bench", "gap", "--examinee"].map(str::to_owned).to_vec(),
+        limit_s: run::DEFAULT_LIMIT_S,
+    };
+    let (outcomes, answers) =
+        run::diagnose(root, &secret, &diagnoser, jobs, progress("cases diagnosed"))
+            .map_err(failure)?;
+    let baselines = match plan.baselines {
+        true => with_baselines(root, &answers.answers)?,
+        false => Vec::new(),
+    };
+    Ok(Finding {
+        set: plan.set,
+        seed: plan.seed,
+        cases: made,
+        left_out,
+        seconds: began.elapsed().as_secs_f64(),
+        summary: Summary::of(&outcomes),
+        baselines,
+        outcomes,
+        answers: answers.answers,
+    })
+}
+
+/// The block with this name.
+fn block(name: &str) -> Result<Block, String> {
+    serde_json::from_value(serde_json::Value::from(name)).map_err(|_| "no such block".to_owned())
+}
+
+/// Something that no process started here knows: the answers stay closed to them.
+fn secret() -> Vec<u8> {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    format!("{:?} {}", now, std::process::id()).into_bytes()
+}
+
+fn failure(e: BenchError) -> Failure {
+    let code = match &e {
+        BenchError::Io { source, .. } => ExitCode::of_io(source, true),
+        _ => ExitCode::Internal,
+    };
+    Failure::new(code, e)
+}
+
+fn with_baselines(root: &Path, answers: &[Answer]) -> Result<Vec<BaselineSummary>, Failure> {
+    let mut all = Vec::new();
+    for answer in answers {
+        let folder = root.join(run::CASES_NAME).join(&answer.case);
+        all.push((
+            answer.clone(),
+            baselines::all(&folder, answer).or_exit(ExitCode::Internal)?,
+        ));
+    }
+    Ok(baselines::summaries(&all))
+}

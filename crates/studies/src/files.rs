@@ -1,0 +1,114 @@
+//! Files that commands read and write, with the exit code of what goes wrong.
+
+use std::path::Path;
+
+use caudata_durable::DurableError;
+use caudata_model::{ModelError, RobotModel};
+use caudata_policy::PolicyFile;
+use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use sha2::{Digest, Sha256};
+
+/// The bytes of a file.
+///
+/// # Errors
+/// As [`ExitCode::of_io`] has it for reading.
+pub fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    std::fs::read(path).map_err(|error| {
+        Failure::new(ExitCode::of_io(&error, false), error)
+            .context(format!("cannot read {}", path.display()))
+    })
+}
+
+/// The value in a JSON file.
+///
+/// # Errors
+/// As [`read`], and exit code 65 where it is something else.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Failure> {
+    serde_json::from_slice(&read(path)?)
+        .or_exit_with(ExitCode::BadInput, || path.display().to_string())
+}
+
+/// A robot file and its MJCF, checked.
+///
+/// # Errors
+/// Exit code 66 where one is missing, 65 where it is wrong.
+pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
+    RobotModel::load(path).map_err(|error| {
+        let code = match &error {
+            ModelError::Read { .. } => ExitCode::NoInput,
+            _ => ExitCode::BadInput,
+        };
+        Failure::new(code, error).context(format!("robot file {}", path.display()))
+    })
+}
+
+/// A policy file, checked.
+///
+/// # Errors
+/// Exit code 66 where it cannot be read, 65 where it is wrong.
+pub fn policy(path: &Path) -> Result<PolicyFile, Failure> {
+    let shown = || format!("policy {}", path.display());
+    let bytes = std::fs::read(path)
+        .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))?;
+    PolicyFile::parse(bytes.into()).or_exit_with(ExitCode::BadInput, shown)
+}
+
+/// Writes a file that was asked for by name; it may be a pipe or a terminal.
+///
+/// # Errors
+/// As [`ExitCode::of_io`] has it for writing.
+pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<(), Failure> {
+    std::fs::write(path, bytes).map_err(|error| {
+        Failure::new(ExitCode::of_io(&error, true), error)
+            .context(format!("cannot write {}", path.display()))
+    })
+}
+
+/// Writes a file whole: one that is there is complete.
+///
+/// # Errors
+/// As [`ExitCode::of_io`] has it for writing.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    caudata_durable::replace(path, bytes).map_err(|error| {
+        let code = match &error {
+            DurableError::Io { source, .. } => ExitCode::of_io(source, true),
+            DurableError::DiskFull { .. } => ExitCode::IoError,
+            DurableError::Exists { .. } => ExitCode::CannotCreate,
+        };
+        Failure::new(code, error).context(format!("cannot write {}", path.display()))
+    })
+}
+
+/// Writes a value as JSON for people, whole.
+///
+/// # Errors
+/// As [`write_whole`].
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
+    let bytes = serde_json::to_vec_pretty(value).or_exit(ExitCode::Internal)?;
+    write_whole(path, &bytes)
+}
+
+/// Makes a folder, and those above it, where it is absent.
+///
+/// # Errors
+/// Exit code 73.
+pub fn make_folder(path: &Path) -> Result<(), Failure> {
+    std::fs::create_dir_all(path).or_exit_with(ExitCode::CannotCreate, || {
+        format!("folder {}", path.display())
+    })
+}
+
+/// SHA-256 of a file, in hexadecimal.
+///
+/// # Errors
+/// As [`read`].
+pub fn sha256(path: &Path) -> Result<String, Failure> {
+    Ok(hex(&Sha256::digest(read(path)?)))
+}
+
+/// Bytes as lower-case hexadecimal.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,84 @@
+//! Flags that several commands take.
+
+use std::ffi::OsString;
+use std::path::Path;
+
+use caudata_config::ConfigArgs;
+use caudata_evaluation::Suite;
+use caudata_sim::EngineKind;
+use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+
+/// The suites, as words on the command line.
+pub fn suite_parser() -> impl TypedValueParser<Value = Suite> {
+    PossibleValuesParser::new(Suite::ALL.map(Suite::name)).map(|name| {
+        let named = |suite: &Suite| suite.name() == name;
+        Suite::ALL.into_iter().find(named).unwrap_or(Suite::Flat)
+    })
+}
+
+/// The engines, as words on the command line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum EngineName {
+    /// Articulated bodies in vector lanes, as in training
+    Batch,
+    /// Rapier multibody joints
+    Rapier,
+}
+
+impl From<EngineName> for EngineKind {
+    fn from(name: EngineName) -> Self {
+        match name {
+            EngineName::Batch => EngineKind::Batch,
+            EngineName::Rapier => EngineKind::Rapier,
+        }
+    }
+}
+
+impl EngineName {
+    /// Those that were named; all where none was.
+    #[must_use]
+    pub fn or_all(named: &[Self]) -> Vec<Self> {
+        match named {
+            [] => Self::value_variants().to_vec(),
+            some => some.to_vec(),
+        }
+    }
+}
+
+/// The flags as given, else this preset.
+#[must_use]
+pub fn or_preset(flags: &ConfigArgs, preset: &str) -> ConfigArgs {
+    let mut flags = flags.clone();
+    if flags.preset.is_none() && flags.config.is_none() {
+        flags.preset = Some(preset.into());
+    }
+    flags
+}
+
+/// The flags as given, else the configuration that lies beside a policy, else this preset.
+#[must_use]
+pub fn or_beside(flags: &ConfigArgs, policy: &Path, preset: &str) -> ConfigArgs {
+    let mut flags = flags.clone();
+    let beside = policy.with_file_name("config.toml");
+    if flags.preset.is_none() && flags.config.is_none() && beside.is_file() {
+        flags.config = Some(beside);
+    }
+    or_preset(&flags, preset)
+}
+
+/// The flags again, for a program that takes them too.
+#[must_use]
+pub fn as_words(flags: &ConfigArgs) -> Vec<OsString> {
+    let mut words: Vec<OsString> = Vec::new();
+    if let Some(preset) = &flags.preset {
+        words.extend(["--preset".into(), preset.into()]);
+    }
+    if let Some(file) = &flags.config {
+        words.extend(["--config".into(), file.into()]);
+    }
+    for change in &flags.overrides {
+        words.extend(["--set".into(), change.into()]);
+    }
+    words
+}

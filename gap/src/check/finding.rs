@@ -1,0 +1,46 @@
+//! What a check looks at, and what it says.
+
+use caudata_model::RobotModel;
+use caudata_runlog::RunLog;
+
+use super::series::Grid;
+
+/// A fault of one run, before it is given the run's name.
+#[derive(Clone, Debug)]
+pub(super) struct Finding {
+    pub kind: &'static str,
+    pub at: String,
+    pub detail: String,
+    /// Whether it must be put right first.
+    pub fatal: bool,
+}
+
+/// One run being looked at.
+pub(super) struct Run<'a> {
+    pub name: String,
+    pub log: &'a RunLog,
+    pub robot: &'a RobotModel,
+    pub grid: Grid,
+}
+
+impl Finding {
+    /// A fault that must be put right first.
+    pub(super) fn fatal(kind: &'static str, at: String, detail: String) -> Self {
+        Self {
+            kind,
+            at,
+            detail,
+            fatal: true,
+        }
+    }
+
+    /// Something worth knowing.
+    pub(super) fn note(kind: &'static str, at: String, detail: String) -> Self {
+        Self {
+            kind,
+            at,
+            detail,
+            fatal: false,
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! Whether there is anything to check: the right robot, its joints, enough rows.
+
+use super::channels::Channels;
+use super::finding::{Finding, Run};
+
+/// A run shorter than this says nothing, s.
+const SHORTEST_RUN_S: f64 = 2.0;
+/// A run with fewer rows than this says nothing.
+const FEWEST_ROWS: usize = 50;
+
+/// Whether a run can be checked at all; why not, and which columns are empty, goes to `out`.
+pub(super) fn usable(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> bool {
+    let before = out.len();
+    columns(run, joints, out);
+    let table = &run.log.table;
+    let span_s = table.time_s().last().unwrap_or(&0.0) - table.time_s().first().unwrap_or(&0.0);
+    if table.len() < FEWEST_ROWS || span_s < SHORTEST_RUN_S {
+        let detail = format!(
+            "is {span_s:.2} s long in {} rows; a run has at least {SHORTEST_RUN_S} s and {FEWEST_ROWS} rows",
+            table.len()
+        );
+        out.push(Finding::fatal("short", "log.csv".to_owned(), detail));
+    }
+    let usable = out.len() == before;
+    for signal in table.signals() {
+        let column = table.column(signal);
+        if column.is_some_and(|c| c.iter().all(Option::is_none)) {
+            let detail = "has no sample in the whole run".to_owned();
+            out.push(Finding::note("empty", signal.to_string(), detail));
+        }
+    }
+    usable
+}
+
+/// Whether the log has commands and positions of this robot's joints, and of no others.
+fn columns(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
+    let mut fatal = |detail| out.push(Finding::fatal("columns", "log.csv".to_owned(), detail));
+    let known = run.robot.actuated_names();
+    let signals = run.log.table.signals().iter();
+    let mut strangers: Vec<&str> = (signals.filter_map(|s| s.joint()))
+        .filter(|j| !known.contains(j))
+        .collect();
+    strangers.sort_unstable();
+    strangers.dedup();
+    let (robot, own, strange) = (run.robot.name(), known.join(", "), strangers.join(", "));
+    if joints.is_empty() {
+        return fatal(match strangers.is_empty() {
+            true => {
+                "has no joint column; a diagnosis needs `cmd.<joint>` and `pos.<joint>`".to_owned()
+            }
+            false => format!(
+                "has joints {strange} where `{robot}` has {own}: a log of another robot (`robot = \"{}\"`)",
+                run.log.meta.robot
+            ),
+        });
+    }
+    if !strangers.is_empty() {
+        fatal(format!(
+            "has {strange} and `{robot}` has no such joint; its joints are {own}"
+        ));
+    }
+    for (what, has) in [
+        ("cmd", joints.iter().any(|j| j.cmd.is_some())),
+        ("pos", joints.iter().any(|j| j.pos.is_some())),
+    ] {
+        if !has {
+            fatal(format!("has no column `{what}.<joint>`"));
+        }
+    }
+}

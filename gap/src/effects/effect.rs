@@ -1,0 +1,268 @@
+//! What an effect is: a record with a hook, and what most records share.
+
+use caudata_model::RobotModel;
+
+use crate::excitation::Excitation;
+use crate::place::{Domain, Place, places};
+use crate::plant::Plant;
+
+/// Where in the chain an effect acts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Layer {
+    /// What is read.
+    Sensing,
+    /// When it is sent and read.
+    Timing,
+    /// Position loop, motor, supply.
+    Actuation,
+    /// Friction, gear.
+    Transmission,
+    /// Play, springs, stops.
+    Structure,
+    /// Masses.
+    Inertia,
+    /// Ground.
+    Contact,
+    /// Water.
+    Water,
+}
+
+impl Layer {
+    /// Its name in reports.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sensing => "sensing",
+            Self::Timing => "timing",
+            Self::Actuation => "actuation",
+            Self::Transmission => "transmission",
+            Self::Structure => "structure",
+            Self::Inertia => "inertia",
+            Self::Contact => "contact",
+            Self::Water => "water",
+        }
+    }
+}
+
+/// Measure of a parameter on a given robot, so that one grid serves small and large servos.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reference {
+    /// 1.
+    One,
+    /// The servo's largest torque, N·m.
+    Torque,
+    /// The servo's speed without load, rad/s.
+    Speed,
+    /// Torque over speed, N·m·s/rad.
+    Damping,
+    /// Rotor inertia at the joint, kg·m².
+    Armature,
+    /// The position gain, N·m/rad.
+    Gain,
+}
+
+/// One parameter of an effect.
+#[derive(Debug, Clone, Copy)]
+pub struct ParameterSpec {
+    /// Name with unit, as in reports.
+    pub name: &'static str,
+    /// SI unit.
+    pub unit: &'static str,
+    /// Smallest value, in units of the reference.
+    pub low: f64,
+    /// Largest value, in units of the reference.
+    pub high: f64,
+    /// Value without the effect, in units of the reference. Not a number: what the robot file has.
+    pub neutral: f64,
+    /// Smallest change that matters, in units of the reference.
+    pub scale: f64,
+    /// What the above are measured in.
+    pub reference: Reference,
+}
+
+/// One physical effect.
+pub struct Effect {
+    /// Id of GAP.md.
+    pub id: &'static str,
+    /// Where in the chain.
+    pub layer: Layer,
+    /// On what.
+    pub domain: Domain,
+    /// The first is its size, with those of the same unit (a centre of mass has three).
+    pub parameters: &'static [ParameterSpec],
+    /// Sizes to try, one value per parameter, in units of the references.
+    pub grid: &'static [&'static [f64]],
+    /// Whether its trace starts with a threshold (gap, stop, limit), so that a derivative at nothing says nothing.
+    pub hinge: bool,
+    /// Puts it into a plant. `values` in SI, one per parameter.
+    pub apply: fn(&mut Plant, &Place, &[f64]),
+    /// Effects that look like it.
+    pub look_alikes: &'static [&'static str],
+    /// Why the runs cannot show it, if so.
+    pub unseen: fn(&Excitation, &Place) -> Option<&'static str>,
+    /// A trial that shows it.
+    pub trial: &'static str,
+    /// How it differs from its look-alikes, in one line.
+    pub signature: &'static str,
+}
+
+impl std::fmt::Debug for Effect {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.id)
+    }
+}
+
+impl PartialEq for Effect {
+    fn eq(&self, other: &Self) -> bool {
+        self.id == other.id
+    }
+}
+
+impl Effect {
+    /// Everywhere that it can act on a robot, widest first.
+    #[must_use]
+    pub fn places(&self, model: &RobotModel) -> Vec<Place> {
+        places(model, self.domain)
+    }
+
+    /// Value of parameter `index` that is `units` references at `place`.
+    #[must_use]
+    pub fn value(&self, model: &RobotModel, place: &Place, index: usize, units: f64) -> f64 {
+        units * reference(model, place, self.parameters[index].reference)
+    }
+
+    /// Grid point `k` at `place`, SI. `[P]`
+    #[must_use]
+    pub fn sizes(&self, model: &RobotModel, place: &Place, k: usize) -> Vec<f64> {
+        (self.grid[k].iter().enumerate())
+            .map(|(i, &units)| self.value(model, place, i, units))
+            .collect()
+    }
+
+    /// Values without the effect, SI. `[P]`
+    #[must_use]
+    pub fn neutral(&self, model: &RobotModel, place: &Place) -> Vec<f64> {
+        (0..self.parameters.len())
+            .map(|i| {
+                let neutral = self.parameters[i].neutral;
+                if neutral.is_nan() {
+                    return model.backlash().half_width_rad;
+                }
+                self.value(model, place, i, neutral)
+            })
+            .collect()
+    }
+
+    /// Lowest and highest value of parameter `index`, SI.
+    #[must_use]
+    pub fn bounds(&self, model: &RobotModel, place: &Place, index: usize) -> (f64, f64) {
+        let p = &self.parameters[index];
+        (
+            self.value(model, place, index, p.low),
+            self.value(model, place, index, p.high),
+        )
+    }
+
+    /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without the effect, and where there is none at all of what it
+    /// counts, nothing does; nor where there is all of what it is a share of.
+    #[must_use]
+    pub fn at_bound(&self, model: &RobotModel, place: &Place, index: usize, value: f64) -> bool {
+        let spec = &self.parameters[index];
+        let a_share = spec.unit.is_empty() && (spec.low, spec.high) == (0.0, 1.0);
+        let (low, high) = self.bounds(model, place, index);
+        let near = 1e-6 * (high - low);
+        let neutral = self.neutral(model, place)[index];
+        let moved = (value - neutral).abs() >= near && value.abs() >= near;
+        !a_share && moved && (value <= low + near || value >= high - near)
+    }
+
+    /// Smallest change of parameter `index` that matters, SI.
+    #[must_use]
+    pub fn scale(&self, model: &RobotModel, place: &Place, index: usize) -> f64 {
+        self.value(model, place, index, self.parameters[index].scale)
+    }
+}
+
+fn reference(model: &RobotModel, place: &Place, reference: Reference) -> f64 {
+    let joints: Vec<usize> = match place.domain {
+        Domain::Joints => place.items.clone(),
+        _ => (0..model.actuated().len()).collect(),
+    };
+    let mean = |f: &dyn Fn(usize) -> f64| {
+        joints.iter().map(|&a| f(a)).sum::<f64>() / joints.len().max(1) as f64
+    };
+    match reference {
+        Reference::One => 1.0,
+        Reference::Torque => mean(&|a| model.servo(a).tau_max_nm),
+        Reference::Speed => mean(&|a| model.servo(a).qd_max_radps),
+        Reference::Damping => mean(&|a| model.servo(a).tau_max_nm / model.servo(a).qd_max_radps),
+        Reference::Armature => {
+            mean(&|a| model.joints()[model.actuated()[a]].armature_kgm2.max(1e-4))
+        }
+        Reference::Gain => model.kp_nm_per_rad().max(1e-6),
+    }
+}
+
+/// A parameter: name, unit, neutral, low, high, smallest that matters, reference.
+pub(super) const fn parameter(
+    name: &'static str,
+    unit: &'static str,
+    neutral: f64,
+    (low, high): (f64, f64),
+    scale: f64,
+    reference: Reference,
+) -> ParameterSpec {
+    ParameterSpec {
+        name,
+        unit,
+        low,
+        high,
+        neutral,
+        scale,
+        reference,
+    }
+}
+
+/// What a record says unless it says otherwise; a family's record builds on it.
+pub(super) const PLAIN: Effect = Effect {
+    id: "",
+    layer: Layer::Sensing,
+    domain: Domain::Robot,
+    parameters: &[],
+    grid: &[],
+    hinge: false,
+    apply: |_, _, _| {},
+    look_alikes: &[],
+    unseen: |_, _| None,
+    trial: "",
+    signature: "",
+};
+
+/// For effects that any motion of the joints shows.
+pub(super) fn needs_motion(e: &Excitation, place: &Place) -> Option<&'static str> {
+    (e.fastest_radps(place) < 0.2).then_some("the joint hardly moves in these runs")
+}
+
+/// A grid for an effect of one parameter.
+pub(super) const fn one<const N: usize>(sizes: &'static [f64; N]) -> [&'static [f64]; N] {
+    let mut grid: [&[f64]; N] = [&[]; N];
+    let mut k = 0;
+    while k < N {
+        grid[k] = std::slice::from_ref(&sizes[k]);
+        k += 1;
+    }
+    grid
+}
+
+/// A grid from an array of its points.
+pub(super) const fn rows<const N: usize, const P: usize>(
+    points: &'static [[f64; P]; N],
+) -> [&'static [f64]; N] {
+    let mut grid: [&[f64]; N] = [&[]; N];
+    let mut k = 0;
+    while k < N {
+        grid[k] = points[k].as_slice();
+        k += 1;
+    }
+    grid
+}

@@ -1,0 +1,202 @@
+//! What benchmarks found, in words.
+
+use caudata_bench::measure::Rate;
+use caudata_bench::sim::{DT_S, Speed};
+use caudata_bench::transport::ingest;
+use caudata_bench::{gap, lag, sim, skill, transport};
+use caudata_gap_benchmark::case::Answer;
+use caudata_gap_benchmark::score::{Outcome, summary::median_gain};
+use caudata_sim::batch::Phase;
+use serde_json::Value;
+
+use crate::say;
+
+/// Physics, its phases, and environment steps.
+pub fn sim(found: &sim::Finding) {
+    if !found.physics.is_empty() {
+        say::records(
+            &found.physics,
+            "engine scene lane_width lanes steps_per_s all_threads_steps_per_s threads scaling mujoco_steps_per_s ratio diverged",
+        );
+        phases(&found.physics);
+        say::line(format!(
+            "{}. Its setting: Newton, 4 iterations, 8 line searches, pyramidal cone, one thread. All steps {} ms.",
+            found.mujoco,
+            1e3 * DT_S
+        ));
+    }
+    rate(&found.environment);
+}
+
+/// Where the time of a step goes, one row per phase, one column per line of the other table.
+fn phases(speeds: &[Speed]) {
+    let timed: Vec<&Speed> = speeds.iter().filter(|s| !s.phases.is_empty()).collect();
+    if timed.is_empty() {
+        return;
+    }
+    let name = |s: &&Speed| match s.lane_width {
+        0 => s.scene.name().to_owned(),
+        width => format!("{}, {width} lanes", s.scene.name()),
+    };
+    let mut head = vec!["time of one thread".to_owned()];
+    head.extend(timed.iter().map(name));
+    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    let rows = Phase::ALL.into_iter().enumerate().map(|(at, phase)| {
+        let share = |s: &&Speed| format!("{:.1} %", 100.0 * s.phases[at].share);
+        let name = std::iter::once(phase.name().to_owned());
+        name.chain(timed.iter().map(share)).collect()
+    });
+    say::table(&head, rows);
+}
+
+/// Updates of the learner.
+pub fn learner(found: &Value) {
+    say::record(found, "batch_rows epochs policy_hidden value_hidden");
+    if let Some(speeds) = found["speeds"].as_array() {
+        say::records(
+            speeds,
+            "ranks threads samples_per_s update_median_s gflops ceiling_same_shape_gflops ceiling_large_gflops",
+        );
+    }
+}
+
+/// Diagnosis against hidden effects.
+pub fn gap(found: &gap::Finding, each: bool) {
+    if each {
+        for (outcome, answer) in found.outcomes.iter().zip(&found.answers) {
+            say::line(one_case(outcome, answer));
+        }
+    }
+    let rows = found.summary.rows().into_iter();
+    say::table(
+        &["", "measured (95 % interval)", "owed"],
+        rows.map(|(what, value, owed)| vec![what, value, owed.to_owned()]),
+    );
+    if !found.baselines.is_empty() {
+        say::line("");
+        baselines(found);
+    }
+    if !found.left_out.is_empty() {
+        say::line(format!(
+            "\n{} cases were not made: their effect cannot be as large as asked for",
+            found.left_out.len()
+        ));
+    }
+    say::line(format!("\n{} cases in {:.0} s", found.cases, found.seconds));
+}
+
+fn baselines(found: &gap::Finding) {
+    let ours = &found.summary;
+    let row = |name: &str, alarms: String, first: String, figures: [f64; 3]| {
+        let [wrong, ratio, seconds] = figures;
+        let figures = [
+            format!("{wrong:.2}"),
+            format!("{ratio:.3}"),
+            format!("{seconds:.1}"),
+        ];
+        [vec![name.to_owned(), alarms, first], figures.to_vec()].concat()
+    };
+    let figures = [
+        ours.wrong_per_single,
+        median_gain(&found.outcomes),
+        ours.seconds.0,
+    ];
+    let alarms = ours.false_alarms.to_string();
+    let caudata = row("caudata", alarms, ours.first_large.to_string(), figures);
+    let others = found.baselines.iter().map(|b| {
+        let figures = [b.wrong_per_case, b.holdout_ratio, b.seconds];
+        let (alarms, first) = (b.false_alarms.to_string(), b.first_large.to_string());
+        row(&b.baseline, alarms, first, figures)
+    });
+    say::table(
+        &[
+            "",
+            "false alarms",
+            "first name right, d >= 4",
+            "wrong names per single",
+            "held-out error, median ratio",
+            "s",
+        ],
+        std::iter::once(caudata).chain(others),
+    );
+}
+
+fn one_case(o: &Outcome, a: &Answer) -> String {
+    let truth = a.effects.iter();
+    let truth = truth.map(|t| format!("{} {} d {:.1}", t.effect, t.joint, t.d));
+    let given = o.given.iter();
+    let given = given.map(|(effect, place, c)| format!("{effect} {place} {c:.2}"));
+    let mark = if o.right { "right" } else { "WRONG" };
+    let what = match a.decoy.is_empty() {
+        true => truth.collect::<Vec<_>>().join(", "),
+        false => a.decoy.clone(),
+    };
+    format!(
+        "{mark}  {:?} {} [{what}]: {} {} {}",
+        o.block,
+        o.rig,
+        o.verdict,
+        given.collect::<Vec<_>>().join(", "),
+        o.failure
+    )
+}
+
+/// One training from nothing.
+pub fn skill(one: &skill::Skill) {
+    say::record(
+        one,
+        "seed walks_after_s fast_after_s training_s last_speed_mps last_missed",
+    );
+}
+
+/// Links, and rollouts over them.
+pub fn transport(found: &transport::Finding) {
+    if !found.links.is_empty() {
+        say::record(found, "frame_bytes actors seconds");
+        say::records(
+            &found.links,
+            "what frames_per_s gigabytes_per_s latency_p50_us latency_p99_us cpu_s_per_gigabyte",
+        );
+    }
+    if !found.rollouts.is_empty() {
+        say::records(
+            &found.rollouts,
+            "what steps_per_s steps_per_cpu_s share_of_bare",
+        );
+    }
+    if !found.phases.is_empty() {
+        say::line("the in-process actor:");
+        say::records(&found.phases, "what share");
+    }
+}
+
+/// Light actors against one learner.
+pub fn ingest(found: &ingest::Finding) {
+    say::record(
+        found,
+        "kind actors frame_bytes every_ms sent received seconds frames_per_s",
+    );
+    say::record(
+        found,
+        "acknowledged_p50_ms acknowledged_p99_ms acknowledged_max_ms memory_max_mb memory_before_mb cpu_us_per_frame",
+    );
+}
+
+/// One training with old data.
+pub fn lag(run: &lag::Run) {
+    say::record(run, "lag loss seed effective_share_min seconds");
+}
+
+/// All of them.
+pub fn lags(found: &lag::Finding) {
+    say::record(found, "returns");
+    say::records(&found.rows, "lag loss last_tenth_return share_of_fresh");
+}
+
+/// A rate in words.
+pub fn rate(found: &Rate) {
+    say::record(
+        found,
+        "benchmark per_second unit rounds round_median_s round_p99_s settings",
+    );
+}
