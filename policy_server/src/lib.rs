@@ -5,6 +5,7 @@
 
 mod access;
 mod audit;
+mod checks;
 mod damage;
 mod error;
 mod fetches;
@@ -22,7 +23,6 @@ mod replies;
 mod server;
 mod service;
 mod shared;
-mod steps;
 mod store;
 #[cfg(test)]
 mod testing;

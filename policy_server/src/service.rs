@@ -18,7 +18,6 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
-use caudata_pki::Role;
 use caudata_proto::hex::hex;
 use caudata_proto::registry::{
     FetchRequest, Freshness, LabelName, ListRequest, Manifest, ManifestRequest, NONCE_BYTES,
@@ -27,6 +26,7 @@ use caudata_proto::registry::{
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistry;
 use caudata_signing::ReleaseKey;
+use caudata_signing::pki::Role;
 use tokio::sync::{broadcast, watch};
 use tonic::{Code, Request, Response, Status, Streaming};
 

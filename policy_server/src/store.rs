@@ -27,12 +27,12 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::audit::{AuditLog, Deed, Origin};
+use crate::checks::{BYTES, PUBLICATION, Publication};
 use crate::error::StoreError;
 use crate::files::{clipped, seal, stream_folder, unusable};
 use crate::notes::{Hash, Quarantined, Reports, UsedUp, UsedUpFile};
 use crate::quota::Quota;
 use crate::record::Record;
-use crate::steps::Step;
 
 /// Limits of the store.
 #[derive(Clone, Copy, Debug)]
@@ -186,7 +186,7 @@ impl Store {
         bytes: &[u8],
     ) -> Result<Published, StoreError> {
         let actual: [u8; 32] = Sha256::digest(bytes).into();
-        if Step::Hash.on() && actual != manifest.sha256 {
+        if BYTES.iter().any(|c| (c.refuse)(&manifest.sha256, &actual)) {
             return Err(StoreError::HashMismatch {
                 announced: hex(&manifest.sha256),
                 actual: hex(&actual),
@@ -206,9 +206,13 @@ impl Store {
                 })
             };
         }
-        self.check_number(&manifest)?;
-        self.check_stream(&manifest)?;
-        self.check_not_quarantined(&manifest)?;
+        let (store, new) = (&*self, &manifest);
+        Publication {
+            store,
+            manifest: new,
+        }
+        .check(PUBLICATION)?;
+        self.check_room(&manifest.stream)?;
         let record = Record {
             generation: self.generation + 1,
             manifest,
@@ -322,7 +326,8 @@ impl Store {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Err(missing()),
             Err(source) => return Err(StoreError::Unreadable { path, source }),
         };
-        if !Step::StoredHash.on() || Hash::from(Sha256::digest(&bytes)) == *sha256 {
+        let actual = Hash::from(Sha256::digest(&bytes));
+        if !BYTES.iter().any(|c| (c.refuse)(sha256, &actual)) {
             self.held.retain(|_, held| held.strong_count() > 0);
             self.held.insert(*sha256, Arc::downgrade(&bytes));
             return Ok(bytes);
@@ -343,38 +348,14 @@ impl Store {
         self.streams.get(stream)?.get(&version)
     }
 
-    fn check_number(&self, manifest: &Manifest) -> Result<(), StoreError> {
-        let used_up = self.used_up.get(&manifest.stream);
-        match used_up.and_then(|used| used.objection(manifest.version, &manifest.sha256)) {
-            None => Ok(()),
-            Some(why) => Err(StoreError::UsedUp {
-                stream: manifest.stream.to_string(),
-                version: manifest.version,
-                why,
-            }),
+    fn check_room(&self, stream: &StreamName) -> Result<(), StoreError> {
+        let limit = self.limits.streams_max;
+        if self.streams.contains_key(stream) || self.streams.len() < limit {
+            return Ok(());
         }
-    }
-
-    fn check_stream(&self, manifest: &Manifest) -> Result<(), StoreError> {
-        match self.newest(&manifest.stream) {
-            Some(newest)
-                if Step::Contract.on()
-                    && newest.manifest.contract_hash != manifest.contract_hash =>
-            {
-                Err(StoreError::ContractMismatch {
-                    stream: manifest.stream.to_string(),
-                    expected: hex(&newest.manifest.contract_hash),
-                    actual: hex(&manifest.contract_hash),
-                })
-            }
-            None if self.streams.len() >= self.limits.streams_max => Err(StoreError::Full {
-                reason: format!(
-                    "the store holds its limit of {} streams; use one of them",
-                    self.limits.streams_max
-                ),
-            }),
-            _ => Ok(()),
-        }
+        Err(StoreError::Full {
+            reason: format!("the store holds its limit of {limit} streams; use one of them"),
+        })
     }
 
     fn write_blob(&self, sha256: &[u8; 32], bytes: &[u8]) -> Result<(), StoreError> {

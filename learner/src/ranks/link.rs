@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use caudata_pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
+use caudata_signing::pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName};
 use rustls::server::WebPkiClientVerifier;
@@ -354,7 +354,7 @@ fn again(error: &io::Error) -> Result<(), Broken> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use caudata_pki::{Authority, Request};
+    use caudata_signing::pki::{Authority, Request};
     use std::net::TcpListener;
     use std::time::SystemTime;
 
