@@ -4,9 +4,9 @@
 //! and about something else must not be able to pass it off as the one that was asked for.
 
 use crate::checks::Check;
-use crate::registry::{
-    Freshness, LabelName, LabelState, Manifest, NONCE_BYTES, QuarantineState, StreamName,
-};
+use super::error::NONCE_BYTES;
+use super::messages::{Freshness, LabelState, Manifest, QuarantineState};
+use super::names::{LabelName, StreamName};
 
 /// What a question fixes, or what an answer says. Whatever the question fixes, the answer must say likewise.
 #[derive(Clone, Copy, Debug, Default)]

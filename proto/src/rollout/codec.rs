@@ -4,11 +4,11 @@ use prost::Message;
 
 use super::check::{self, dimension, length, product};
 use super::error::DecodeError;
-use super::frames::{
+use super::history;
+use super::messages::{
     ActionHistory, ActorBye, ActorHello, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
     Moments, ROLLOUT_PROTOCOL, RolloutChunk,
 };
-use super::history;
 use super::tensors::{self, Tensors};
 use super::trace::TraceContext;
 use crate::wire::rollout as pb;

@@ -7,9 +7,9 @@
 mod check;
 mod codec;
 mod error;
-mod frames;
 mod history;
 mod identity;
+mod messages;
 mod tensors;
 #[cfg(test)]
 mod tests;
@@ -17,9 +17,9 @@ mod trace;
 
 pub use codec::{decode, encode, frame_bytes_bound};
 pub use error::{DecodeError, REASON_IDS};
-pub use frames::{
+pub use identity::{ChunkIdentity, chunk_identity};
+pub use messages::{
     ActionHistory, ActorBye, ActorHello, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
     Moments, ROLLOUT_PROTOCOL, RolloutChunk,
 };
-pub use identity::{ChunkIdentity, chunk_identity};
 pub use trace::TraceContext;

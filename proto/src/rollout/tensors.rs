@@ -10,7 +10,7 @@ use prost::encoding::{
     encoded_len_varint, key_len, skip_field,
 };
 
-use super::frames::{ROLLOUT_PROTOCOL, RolloutChunk};
+use super::messages::{ROLLOUT_PROTOCOL, RolloutChunk};
 
 /// Field of `Envelope` that holds the chunk.
 const CHUNK: u32 = 3;
@@ -73,8 +73,7 @@ fn fields<'a>(
     Ok(())
 }
 
-/// Appends numbers, little-endian. By blocks that stay in the cache: room that was filled with zeros first
-/// would be written twice.
+/// Appends numbers, little-endian. By blocks that stay in the cache: room that was filled with zeros first would be written twice.
 fn push_floats(frame: &mut Vec<u8>, values: &[f32]) {
     const BLOCK: usize = 1024;
     let mut block = [[0; 4]; BLOCK];

@@ -7,7 +7,7 @@ use zenoh::Config;
 
 use crate::{TlsFiles, TransportError};
 
-/// Common names of certificates (`caudata-pki`, `Role`) that may do everything within `caudata/`.
+/// Common names of certificates (`caudata_signing::pki::Role`) that may do everything within `caudata/`.
 const TRUSTED: [&str; 2] = ["learner", "router"];
 /// The common name of actors.
 const ACTOR: &str = "actor";

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
-use caudata_pki::{Authority, Request, Role};
+use caudata_signing::pki::{Authority, Request, Role};
 use caudata_transport::{
     Control, LearnerLink, TlsFiles, TransportConfig, ZenohConfig, actor_link, learner_link,
 };

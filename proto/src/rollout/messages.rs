@@ -1,4 +1,4 @@
-//! What the frames say, as checked values.
+//! What actors tell the learner, as checked values.
 
 use super::trace::TraceContext;
 
