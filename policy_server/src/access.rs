@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::task::{Context, Poll};
 
-use caudata_pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
 use caudata_proto::registry::StreamName;
+use caudata_signing::pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::pem::PemObject;
@@ -260,10 +260,19 @@ mod tests {
         ] {
             let name = "x".to_owned();
             let stream = StreamName::new(stream).unwrap();
-            assert_eq!(Caller { role, name }.check_publication(&stream, true).is_ok(), may);
+            assert_eq!(
+                Caller { role, name }
+                    .check_publication(&stream, true)
+                    .is_ok(),
+                may
+            );
         }
         let (role, name) = (Role::Operator, "x".to_owned());
         let stream = StreamName::new("release/flat").unwrap();
-        assert!(Caller { role, name }.check_publication(&stream, false).is_err());
+        assert!(
+            Caller { role, name }
+                .check_publication(&stream, false)
+                .is_err()
+        );
     }
 }

@@ -230,7 +230,11 @@ impl Hostile {
                     tokio::time::sleep(pause).await;
                 }
                 let length = piece.as_ref().map_or(0, Vec::len);
-                if to.send(piece.map(|p| part(Part::Data(p.into())))).await.is_err() {
+                if to
+                    .send(piece.map(|p| part(Part::Data(p.into()))))
+                    .await
+                    .is_err()
+                {
                     return;
                 }
                 sent.fetch_add(length, Ordering::SeqCst);

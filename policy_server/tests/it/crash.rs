@@ -5,11 +5,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use caudata_durable::OsDisk;
-use caudata_rehearsal::Rehearsal;
 use caudata_policy_server::{Origin, Store, StoreError, StoreLimits};
 use caudata_proto::registry::{
     LabelName, Manifest, QuarantineState, RobotReport, RobotState, SetLabel, StreamName, reverting,
 };
+use caudata_rehearsal::Rehearsal;
 use sha2::{Digest, Sha256};
 
 /// Numbers of the system: no space left, input/output error.
