@@ -30,7 +30,6 @@ const NOT_YET: &[(&str, &str)] = &[
     ("constant", "gap/benchmark STEP_S"),
     ("constant", "policy_server ROBOTS_MAX"),
     ("constant", "tests/chaos_proxy ON_THE_WAY_MAX"),
-    ("example", "docs/reference/configuration.md: caudata-learner --rank R"),
     ("function length", "crates/runlog/src/ros/container.rs::step"),
     ("function length", "crates/runlog/src/ros/write.rs::messages"),
     ("function length", "gap/benchmark/src/replay.rs::predict_shifted"),
