@@ -63,7 +63,7 @@ pub struct Row {
     pub loss: &'static str,
     /// Mean over the seeds.
     pub last_tenth_return: f64,
-    /// Of the mean at lag 0 with the same loss; null where that was not run.
+    /// Share of the mean at lag 0 with the same loss; null where that was not run.
     pub share_of_fresh: Option<f64>,
 }
 

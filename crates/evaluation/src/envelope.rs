@@ -25,7 +25,7 @@ pub struct Envelope {
 }
 
 impl Envelope {
-    /// Of a robot.
+    /// The envelope of a robot's servos.
     #[must_use]
     pub fn of(model: &RobotModel) -> Self {
         let servo = model.servo(0);

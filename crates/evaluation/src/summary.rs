@@ -118,7 +118,7 @@ impl Line {
 }
 
 impl Summary {
-    /// Of a result for a robot with files of this SHA-256.
+    /// Sums up a result for a robot with files of this SHA-256.
     #[must_use]
     pub fn of(result: &SuiteResult, robot_hash: String, seed: u64) -> Self {
         let rows = &result.acceptance;

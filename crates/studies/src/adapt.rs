@@ -25,7 +25,7 @@ const FALLS_TOLERANCE: f64 = 0.01;
 /// m/s, turning rad/s. Without them a hair's breadth more in what was nearly right outweighs much less in
 /// what was not.
 const UNNOTICED: [f64; 3] = [0.005, 0.005, 0.01];
-/// Of the error before, mean of the three axes, that may be left: less gain than that is chance.
+/// Share of the error before, mean of the three axes, that may be left: less gain than that is chance.
 const LEFT_AT_MOST: f64 = 0.95;
 /// No axis may get worse than this many times.
 const WORSE_AT_MOST: f64 = 1.25;

@@ -33,7 +33,7 @@ pub struct Rollouts {
     pub steps_per_s: f64,
     /// CPU time of the actor and of the learner's receiving and checking.
     pub steps_per_cpu_s: f64,
-    /// Of the bare simulator and policy.
+    /// Share of what the bare simulator and policy do.
     pub share_of_bare: f64,
 }
 

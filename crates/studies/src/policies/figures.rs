@@ -100,7 +100,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// Of the runs of several trainings.
+    /// Figures over the runs of several trainings.
     pub fn of(runs: &[Run]) -> Self {
         let falls = runs.iter().map(|r| r.falls).sum();
         let episodes = runs.iter().map(|r| r.episodes).sum();

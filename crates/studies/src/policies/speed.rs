@@ -29,7 +29,7 @@ pub fn scenario() -> Scenario {
 /// `NAME_in_rapier.json`: a policy with forward velocities that change.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Walks {
-    /// Of the policy.
+    /// SHA-256 of the policy.
     pub policy_sha256: String,
     /// A scenario of `caudata eval --json`.
     pub result: ScenarioResult,
@@ -40,7 +40,7 @@ pub struct Walks {
 }
 
 impl Walks {
-    /// Of an evaluation of a policy that kept velocities.
+    /// Takes them from an evaluation that kept velocities.
     pub fn of(policy: &PolicyFile, outcome: Outcome) -> Self {
         let forward = |row: &[f32; 6]| [row[0], row[3]];
         let tracks = outcome.tracks.iter();
@@ -70,7 +70,7 @@ pub struct Speed {
 }
 
 impl Speed {
-    /// Of the episodes of all of them; where some have ended, of those that go on.
+    /// Averages over the episodes of all of them; where some have ended, over those that go on.
     pub fn of<'a>(all: impl Iterator<Item = &'a Walks>) -> Self {
         const STRIDE_S: f64 = 0.7;
         let mut speed = Self::default();
