@@ -12,7 +12,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test check lint doc deny advisories bench test-faults fuzz soak mutants clean tools
+.PHONY: help setup build train test check lint doc deny advisories bench test-faults fuzz soak mutants lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -64,6 +64,9 @@ deny: tools ## licences, duplicate dependencies, sources (installs cargo-deny in
 
 advisories: tools ## known security advisories of the dependencies (fetches the advisory database with git)
 	@$(DENY) && cargo deny --locked --workspace check advisories
+
+lines: ## count the product: lines of Rust without tests, generated code and doc comments
+	@python3 setup/lines.py
 
 clean: ## remove target/ (the provisioned libraries stay in ~/.cache/caudata)
 	@cargo clean

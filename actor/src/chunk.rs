@@ -5,14 +5,15 @@ use std::time::Instant;
 use caudata_env::{EpisodeStats, StepOutput, VecEnv};
 use caudata_proto::{ActionHistory, EpisodeSummary, FinalObservation, RolloutChunk};
 use caudata_task::ACTION_HISTORY;
-use caudata_task::layout::ACTIONS;
+use caudata_task::layout::Part;
 
 use crate::moments::moments_of;
 use crate::policy::LoadedPolicy;
 use crate::trace::ChunkTrace;
 use crate::{ActorError, ActorMetrics, ActorSettings, gaussian};
 
-/// Memory of a chunk that has been sent, for the next one: fresh memory would be given back to the system and asked for again each time.
+/// Memory of a chunk that has been sent, for the next one: fresh memory would be given back to the system and
+/// asked for again each time.
 #[derive(Default)]
 pub(crate) struct Spare {
     observations: Vec<f32>,
@@ -38,8 +39,8 @@ impl From<RolloutChunk> for Spare {
     }
 }
 
-/// Collects a chunk, with its times where it is traced; or `None` when asked to stop in the middle of it (its steps are then lost, and
-/// were never sent).
+/// Collects a chunk, with its times where it is traced; or `None` when asked to stop in the middle of it (its
+/// steps are then lost, and were never sent).
 pub(crate) fn collect(
     settings: &ActorSettings,
     env: &mut VecEnv,
@@ -162,7 +163,7 @@ fn empty_chunk(
         episodes: Vec::new(),
         moments: moments_of(&[], obs_dim),
         action_history: Some(ActionHistory {
-            first: ACTIONS,
+            first: env.contract().observation.range(Part::Actions).start,
             steps: ACTION_HISTORY,
             clip: env.task().action.clip,
         }),

@@ -1,7 +1,7 @@
 //! A policy that an actor acts with: exactly the bytes that arrived, checked before use.
 
 use caudata_policy::{Inference, PolicyFile};
-use caudata_task::{ACT_DIM, PolicyContract};
+use caudata_task::PolicyContract;
 use caudata_transport::PolicyUpdate;
 use sha2::{Digest, Sha256};
 
@@ -62,7 +62,7 @@ impl LoadedPolicy {
         })
     }
 
-    /// `means [N, 16]` for `observations [N, D]`, refused when one is not finite.
+    /// `means [N, A]` for `observations [N, D]`, refused when one is not finite.
     pub fn run(
         &mut self,
         observations: &[f32],
@@ -76,7 +76,7 @@ impl LoadedPolicy {
             None => Ok(()),
             Some(at) => Err(ActorError::NotFinite {
                 version: self.version,
-                lane: at / ACT_DIM,
+                lane: at / self.std.len().max(1),
             }),
         }
     }

@@ -9,30 +9,24 @@
 //! A velocity says whether a dead-man's button is held. One with the button let go makes the robot stand at once. One from a sender that has
 //! no such button (kind 2) moves the robot only where the robot does not ask for the button.
 
+mod message;
+
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
-use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use caudata_proto::checks::Check;
 use caudata_task::COMMAND_DIM;
-use sha2::{Digest, Sha256};
+pub use message::{DATAGRAM, KEY_MIN, Kind, LinkKey, Message};
 
 use crate::DeployError;
-use crate::steps::Step;
 
 /// Age of the newest command beyond which the robot is told to stand still.
 pub const LINK_STOP: Duration = Duration::from_millis(200);
 /// Age beyond which it stands.
 pub const LINK_STAND: Duration = Duration::from_secs(1);
-/// Length of a datagram.
-pub const DATAGRAM: usize = 4 + 1 + 8 + 8 + 12 + TAG;
-/// Shortest key, bytes.
-pub const KEY_MIN: usize = 16;
-
-const TAG: usize = 16;
-const MAGIC: &[u8; 4] = b"CDL1";
 /// How often the listener looks whether it is still wanted; and how much older than it is a command may be taken for.
 const LOOK: Duration = Duration::from_millis(20);
 /// Datagrams taken before it is looked whether the listener is still wanted.
@@ -57,120 +51,6 @@ pub struct LinkView {
 pub trait CommandLink: Send {
     /// The newest.
     fn view(&mut self) -> LinkView;
-}
-
-/// The secret that both ends hold.
-#[derive(Clone)]
-pub struct LinkKey(Vec<u8>);
-
-impl LinkKey {
-    /// The bytes of a file, which must be at least [`KEY_MIN`].
-    ///
-    /// # Errors
-    /// [`DeployError::LinkKey`].
-    pub fn read(path: &Path) -> Result<Self, DeployError> {
-        let wrong = |reason: String| DeployError::LinkKey {
-            path: path.to_owned(),
-            reason,
-        };
-        let bytes = std::fs::read(path).map_err(|e| wrong(e.to_string()))?;
-        if bytes.len() < KEY_MIN {
-            return Err(wrong(format!("a key has at least {KEY_MIN} bytes")));
-        }
-        Ok(Self(bytes))
-    }
-
-    /// HMAC-SHA-256 (RFC 2104).
-    fn hmac(&self, message: &[u8]) -> [u8; 32] {
-        let mut block = [0; 64];
-        match self.0.len() <= 64 {
-            true => block[..self.0.len()].copy_from_slice(&self.0),
-            false => block[..32].copy_from_slice(&Sha256::digest(&self.0)),
-        }
-        let keyed = |pad: u8| Sha256::new().chain_update(block.map(|b| b ^ pad));
-        let inner = keyed(0x36).chain_update(message).finalize();
-        keyed(0x5C).chain_update(inner).finalize().into()
-    }
-}
-
-/// What a datagram says.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(u8)]
-pub enum Kind {
-    /// What is your nonce?
-    Ask = 0,
-    /// This is my nonce.
-    Tell = 1,
-    /// A velocity, of a sender without a dead-man's button.
-    Velocity = 2,
-    /// Stop at once.
-    Kill = 3,
-    /// A velocity, and somebody holds the dead-man's button.
-    Held = 4,
-    /// Nobody holds the dead-man's button: stand.
-    Released = 5,
-}
-
-/// One datagram.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Message {
-    /// What it says.
-    pub kind: Kind,
-    /// The robot's nonce; 0 in [`Kind::Ask`].
-    pub nonce: u64,
-    /// Grows with every datagram of a sender.
-    pub sequence: u64,
-    /// vx, vy (m/s), yaw rate (rad/s).
-    pub command: [f32; COMMAND_DIM],
-}
-
-impl Message {
-    /// As it goes over the network.
-    pub fn encode(&self, key: &LinkKey) -> [u8; DATAGRAM] {
-        let mut out = [0; DATAGRAM];
-        out[..4].copy_from_slice(MAGIC);
-        out[4] = self.kind as u8;
-        out[5..13].copy_from_slice(&self.nonce.to_le_bytes());
-        out[13..21].copy_from_slice(&self.sequence.to_le_bytes());
-        for (i, value) in self.command.iter().enumerate() {
-            out[21 + 4 * i..25 + 4 * i].copy_from_slice(&value.to_le_bytes());
-        }
-        let tag = key.hmac(&out[..DATAGRAM - TAG]);
-        out[DATAGRAM - TAG..].copy_from_slice(&tag[..TAG]);
-        out
-    }
-
-    /// Out of a datagram; `None` for anything that this key did not make.
-    pub fn decode(bytes: &[u8], key: &LinkKey) -> Option<Self> {
-        let bytes: &[u8; DATAGRAM] = bytes.try_into().ok()?;
-        let (said, tag) = bytes.split_at(DATAGRAM - TAG);
-        // All of it is compared, so that the time taken tells nothing.
-        let differs = |sum, (a, b): (&u8, &u8)| sum | (a ^ b);
-        let sum = tag.iter().zip(&key.hmac(said)[..TAG]).fold(0, differs);
-        if Step::CommandTag.on() && sum != 0 {
-            return None;
-        }
-        let kind = match (said.starts_with(MAGIC), said[4]) {
-            (true, 0) => Kind::Ask,
-            (true, 1) => Kind::Tell,
-            (true, 2) => Kind::Velocity,
-            (true, 3) => Kind::Kill,
-            (true, 4) => Kind::Held,
-            (true, 5) => Kind::Released,
-            _ => return None,
-        };
-        let eight = |at: usize| Some(u64::from_le_bytes(said[at..at + 8].try_into().ok()?));
-        let mut command = [0.0; COMMAND_DIM];
-        for (i, value) in command.iter_mut().enumerate() {
-            *value = f32::from_le_bytes(said[21 + 4 * i..25 + 4 * i].try_into().ok()?);
-        }
-        Some(Self {
-            kind,
-            nonce: eight(5)?,
-            sequence: eight(13)?,
-            command,
-        })
-    }
 }
 
 /// The far end of a link: what it sends, and what it knows of the robot.
@@ -281,28 +161,42 @@ impl Receiver {
 
     /// Takes a datagram that came at `now`, or later; what to answer, if anything.
     pub fn take(&mut self, bytes: &[u8], key: &LinkKey, now: Duration) -> Option<Message> {
-        let Some(message) = Message::decode(bytes, key) else {
-            self.ignored += 1;
-            return None;
-        };
-        if message.kind == Kind::Ask {
-            return Some(Message {
-                kind: Kind::Tell,
-                nonce: self.nonce,
-                sequence: message.sequence,
-                command: [0.0; COMMAND_DIM],
-            });
-        }
-        let of_this_start = message.nonce == self.nonce || !Step::CommandNonce.on();
-        let newer = message.sequence > self.sequence || !Step::CommandSequence.on();
-        let fresh = of_this_start && newer;
-        let sane = message.command.iter().all(|v| v.abs() <= COMMAND_MAX);
-        match message.kind {
-            Kind::Kill if message.nonce == self.nonce => {
-                self.killed = true;
-                return None;
+        self.take_by(DATAGRAM_CHECKS, bytes, key, now)
+    }
+
+    /// [`Receiver::take`] by these checks.
+    fn take_by(
+        &mut self,
+        checks: &[Check<DatagramCheck>],
+        bytes: &[u8],
+        key: &LinkKey,
+        now: Duration,
+    ) -> Option<Message> {
+        let message = Message::read(bytes).filter(|message| {
+            let came = Datagram {
+                bytes,
+                key,
+                message,
+                receiver: self,
+            };
+            !checks.iter().any(|check| (check.refuse)(&came))
+        });
+        let sane = |command: &[f32]| command.iter().all(|v| v.abs() <= COMMAND_MAX);
+        match message {
+            Some(Message {
+                kind: Kind::Ask,
+                sequence,
+                ..
+            }) => {
+                return Some(Message {
+                    kind: Kind::Tell,
+                    nonce: self.nonce,
+                    sequence,
+                    command: [0.0; COMMAND_DIM],
+                });
             }
-            Kind::Velocity | Kind::Held | Kind::Released if fresh && sane => {
+            Some(message) if message.kind == Kind::Kill => self.killed = true,
+            Some(message) if message.kind != Kind::Tell && sane(&message.command) => {
                 self.command = message.command;
                 self.released = match message.kind {
                     Kind::Held => false,
@@ -310,13 +204,10 @@ impl Receiver {
                     _ => self.asks_for_button,
                 };
                 self.at = Some(now);
+                self.sequence = message.sequence;
             }
-            _ => {
-                self.ignored += 1;
-                return None;
-            }
+            _ => self.ignored += 1,
         }
-        self.sequence = message.sequence;
         None
     }
 
@@ -330,6 +221,39 @@ impl Receiver {
         }
     }
 }
+
+/// A datagram that came, and where.
+struct Datagram<'a> {
+    bytes: &'a [u8],
+    key: &'a LinkKey,
+    message: &'a Message,
+    receiver: &'a Receiver,
+}
+
+/// Looks at a datagram that came; true: it does not count.
+type DatagramCheck = fn(&Datagram<'_>) -> bool;
+
+/// What a datagram must be to count.
+const DATAGRAM_CHECKS: &[Check<DatagramCheck>] = &[
+    // It was made with the link's key.
+    Check {
+        name: "command tag",
+        refuse: |came| !came.key.made(came.bytes),
+    },
+    // For this start of the robot.
+    Check {
+        name: "command nonce",
+        refuse: |came| came.message.kind != Kind::Ask && came.message.nonce != came.receiver.nonce,
+    },
+    // And after the newest that counted. To repeat a kill does no harm.
+    Check {
+        name: "command sequence",
+        refuse: |came| {
+            !matches!(came.message.kind, Kind::Ask | Kind::Kill)
+                && came.message.sequence <= came.receiver.sequence
+        },
+    },
+];
 
 /// Listens in a thread of its own; dropped, it ends.
 pub struct UdpLink {
@@ -470,6 +394,8 @@ pub(crate) fn random_nonce() -> io::Result<u64> {
 
 #[cfg(test)]
 mod tests {
+    use caudata_proto::checks::each_left_out;
+
     use super::*;
 
     const MS: Duration = Duration::from_millis(1);
@@ -507,6 +433,32 @@ mod tests {
             command: [vx, 0.0, 0.0],
         };
         message.encode(&key())
+    }
+
+    /// One command counted; whether the next one moves the robot, which somebody without the key, of another start of the robot or of a moment
+    /// ago sends.
+    #[test]
+    fn each_step_and_no_other_keeps_its_command_out() {
+        let table = each_left_out(DATAGRAM_CHECKS, |name, checks| {
+            let mut link = Receiver::new(3);
+            link.take(&velocity(3, 5, 0.1), &key(), MS);
+            let datagram = match name {
+                "command tag" => {
+                    let mut bytes = velocity(3, 6, 0.1);
+                    bytes[21..25].copy_from_slice(&0.2_f32.to_le_bytes());
+                    bytes
+                }
+                "command nonce" => velocity(2, 6, 0.2),
+                _ => velocity(3, 5, 0.2),
+            };
+            link.take_by(checks, &datagram, &key(), MS);
+            match link.view(MS).command[0] {
+                0.2 => Ok(()),
+                vx => Err(format!("{} ignored, vx stays {vx}", link.ignored)),
+            }
+        });
+        // Seen with --nocapture: `make mutants`.
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
     }
 
     #[test]

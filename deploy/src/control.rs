@@ -1,131 +1,43 @@
 //! The control loop: sense, decide, check, send, fifty times a second.
 
+mod plan;
+mod swap;
+mod trial;
+
 use std::time::Duration;
 
-use caudata_hardware::wiring::Limits;
 use caudata_task::{ACT_DIM, COMMAND_DIM};
 use caudata_telemetry::StopFlag;
 use crossbeam_channel::Sender;
 
 use crate::DeployError;
-use crate::bus::{BusError, GroundTruth, Health, ImuReading, Robot, ServoReadings};
+use crate::bus::{BusError, Health, Robot};
 use crate::command_link::{CommandLink, LINK_STAND, LINK_STOP};
 use crate::flight_log::{FlightLog, LogRow};
-use crate::gate::{HELD_IN_A_ROW_MAX, Held, OutputGate, PINNED_TICKS_MAX};
+use crate::gate::OutputGate;
 use crate::guard::{Fault, Guard, Verdict};
+use crate::last_moments::LastMoments;
 use crate::metrics::RobotMetrics;
 use crate::motion::{Motion, Stage};
 use crate::notify::{Notifier, Word};
 use crate::orientation::GravityFilter;
 use crate::pacing::{Clock, Pacer};
-use crate::recorder::Recorder;
-use crate::report::{Ended, Latencies, Odometer, Velocity, rounded};
 use crate::runner::{PolicyRunner, View};
+use crate::summary::Ended;
 use crate::tap::Tick;
 use crate::updates::{PolicyEvent, Updates};
-use crate::walk_command::CommandTable;
+
+pub use plan::{Counts, RunPlan, Sensed};
+use plan::{Trial, complete};
 
 /// How long a tick waits for the readings of a simulated robot.
 pub const READ_DEADLINE: Duration = Duration::from_millis(7);
 /// Ticks in a row without readings after which the robot counts as lost (2 s).
 pub const LATE_IN_A_ROW_MAX: u32 = 100;
-/// Walking ticks after which a policy that never gave a bad action counts as good (10 s).
-pub const TRIAL_TICKS: u32 = 500;
 /// Gravity's z in the IMU frame above which the robot lies on its side or back (tilt beyond 78°).
 pub const FALLEN_GRAVITY_Z: f32 = -0.2;
 /// Ticks in a row of that before the robot is stopped (0.5 s).
 pub const FALLEN_TICKS: u32 = 25;
-
-/// Mean speed of the joints below which the robot counts as standing still, rad/s. Servos report in steps of 0.024 rad/s.
-pub const STILL_RADPS: f32 = 0.1;
-/// Ticks in a row of that, with the command at zero, before a newer policy is swapped in (0.2 s).
-pub const STILL_TICKS: u32 = 10;
-/// A robot that was made to stand for a swap and does not come to rest by then gets it all the same (2 s): its targets stand still.
-pub const STAND_TICKS_MAX: u32 = 100;
-
-/// What a run is asked to do.
-#[derive(Clone, Debug)]
-pub struct RunPlan {
-    /// Control period.
-    pub period: Duration,
-    /// How long a policy is in charge, s of the robot's time; `None`: until asked to stop.
-    pub walk_s: Option<f64>,
-    /// Where to go.
-    pub commands: CommandTable,
-    /// How far a target may move per tick, rad.
-    pub step_max_rad: f32,
-    /// How long a tick waits for readings.
-    pub read_deadline: Duration,
-    /// Limits of the hardware; `None` on a simulated robot.
-    pub limits: Option<Limits>,
-    /// How long a newer policy waits for the robot to stand before the robot is made to; `None`: for ever.
-    pub swap_wait: Option<Duration>,
-}
-
-/// Everything sensed at one tick.
-#[derive(Clone, Copy, Debug)]
-pub struct Sensed {
-    /// Servos.
-    pub servos: ServoReadings,
-    /// IMU.
-    pub imu: ImuReading,
-    /// Direction of gravity, IMU frame.
-    pub gravity: [f32; 3],
-    /// What a simulation knows.
-    pub truth: GroundTruth,
-    /// What the hardware says about itself.
-    pub health: Health,
-    /// Whether it is in water.
-    pub in_water: Option<bool>,
-}
-
-/// What the loop counted.
-#[derive(Clone, Debug, Default)]
-pub struct Counts {
-    /// Ticks.
-    pub ticks: u64,
-    /// Ticks without readings.
-    pub late_readings: u64,
-    /// Policies swapped in.
-    pub swaps: u64,
-    /// Largest mean speed of the joints at which that happened, rad/s.
-    pub swap_speed_radps: f32,
-    /// Times that the robot was made to stand for a swap.
-    pub stands_for_swap: u64,
-    /// Periods skipped.
-    pub overruns: u64,
-    /// Actions held.
-    pub held: u64,
-    /// Ticks with a slowed target.
-    pub rate_limited: u64,
-    /// Joint-ticks that a policy wanted at a joint's limit.
-    pub saturated: u64,
-    /// Time that a policy was in charge, s of the robot's time.
-    pub walked_s: f64,
-    /// Sum of the commands over walking ticks, and their number.
-    command_sum: [f64; COMMAND_DIM],
-    walking_ticks: u64,
-    /// From waking to sent.
-    pub tick_latency: Latencies,
-    /// From due to woken.
-    pub wake_latency: Latencies,
-    /// Observation, inference and action filter.
-    pub inference_latency: Latencies,
-    /// How far it went.
-    pub odometer: Odometer,
-}
-
-impl Counts {
-    /// Mean of the commands given.
-    pub fn mean_command(&self) -> Velocity {
-        let mean = |i: usize| rounded(self.command_sum[i] / self.walking_ticks.max(1) as f64);
-        Velocity {
-            vx_mps: mean(0),
-            vy_mps: mean(1),
-            yaw_rate_radps: mean(2),
-        }
-    }
-}
 
 /// The loop over one robot. It ends with the torque off whatever happens, as far as the bus lets it.
 pub struct ControlLoop<'a, R: Robot, C: Clock> {
@@ -135,7 +47,7 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     runner: PolicyRunner,
     updates: Updates,
     log: Option<FlightLog>,
-    recorder: Recorder,
+    last_moments: LastMoments,
     link: Option<Box<dyn CommandLink>>,
     notifier: Notifier,
     /// Raised by a second signal.
@@ -150,9 +62,7 @@ pub struct ControlLoop<'a, R: Robot, C: Clock> {
     first: Option<Sensed>,
     last_time_s: f64,
     walk_start_s: Option<f64>,
-    trial_ticks: u32,
-    /// When this policy took over, s of the robot's time.
-    begun_at_s: f64,
+    trial: Trial,
     still_ticks: u32,
     /// Ticks for which a newer policy has waited.
     swap_ticks: u32,
@@ -187,12 +97,15 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let servos = robot.read(FIRST_READ_DEADLINE)?;
         let first = complete(robot, &mut gravity, servos, period_s)?;
         let joints = *runner.joints();
+        let nominal_rad = joints.nominal_rad.to_array().ok_or(DeployError::Internal {
+            what: "a policy with other joints than this robot's".to_owned(),
+        })?;
         metrics.policy_version.set(version_gauge(&runner));
-        let recorder = Recorder::new(plan.period);
+        let last_moments = LastMoments::new(plan.period);
         Ok(Self {
             gate: OutputGate::new(&joints, plan.step_max_rad, first.servos.pos_rad),
             guard: Guard::new(plan.limits.clone()),
-            motion: Motion::new(joints.nominal_rad, period_s),
+            motion: Motion::new(nominal_rad, period_s),
             last_time_s: first.servos.time_s,
             first: Some(first),
             robot,
@@ -201,7 +114,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             runner,
             updates,
             log: None,
-            recorder,
+            last_moments,
             link: None,
             notifier: Notifier::default(),
             insisted: StopFlag::new(),
@@ -209,8 +122,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             metrics,
             gravity,
             walk_start_s: None,
-            trial_ticks: 0,
-            begun_at_s: 0.0,
+            trial: Trial::default(),
             still_ticks: 0,
             swap_ticks: 0,
             stand_ticks: None,
@@ -255,8 +167,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     }
 
     /// The last 30 s, oldest first.
-    pub fn recorder(&self) -> &Recorder {
-        &self.recorder
+    pub fn last_moments(&self) -> &LastMoments {
+        &self.last_moments
     }
 
     /// The policy that runs.
@@ -376,7 +288,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             gravity: sensed.gravity,
             truth: sensed.truth,
         };
-        self.recorder.push(row);
+        self.last_moments.push(row);
         if let Some(log) = &mut self.log {
             log.push(row);
         }
@@ -462,7 +374,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         if self.fallen_ticks >= FALLEN_TICKS && !braking {
             tracing::error!(gravity = ?sensed.gravity, ?stage, "the robot fell: stopping");
             if stage == Stage::Walk {
-                self.blame_a_fall(sensed);
+                self.blame_a_fall();
             }
             self.ended = Some(Ended::Fallen);
             self.motion.damp();
@@ -517,125 +429,6 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         self.fault
     }
 
-    /// A policy that never went through its trial here and falls is not begun with again. One that did may have met a stone.
-    fn blame_a_fall(&mut self, sensed: &Sensed) {
-        if self.runner.is_proved() || self.trial_ticks >= TRIAL_TICKS {
-            return;
-        }
-        self.updates.tell(PolicyEvent::Bad {
-            policy: self.runner.policy().clone(),
-            reason: "fell in its trial".to_owned(),
-            walked_s: self.drove_s(sensed),
-            fell: true,
-        });
-    }
-
-    /// How long the present policy has been in charge, s.
-    fn drove_s(&self, sensed: &Sensed) -> f64 {
-        let from = self.walk_start_s.unwrap_or(sensed.servos.time_s);
-        rounded((sensed.servos.time_s - from.max(self.begun_at_s)).max(0.0))
-    }
-
-    /// A newer policy gets in only at a safe moment: before walking has begun, or standing. While the robot walks it waits; where that
-    /// takes too long, the robot is made to stand.
-    fn look_for_swap(&mut self, sensed: &Sensed, wanted: &[f32; COMMAND_DIM]) {
-        if self.walk_on && self.motion.resume(self.gate.last_rad()) {
-            self.walk_on = false;
-        }
-        let speed = mean_speed(&sensed.servos);
-        let stage = self.motion.stage();
-        // Held still by the loop, or commanded to stand and standing.
-        let held = matches!(stage, Stage::Settle | Stage::Stand);
-        let asked = stage == Stage::Walk && *wanted == [0.0; COMMAND_DIM];
-        let still = (held || asked) && speed < STILL_RADPS;
-        self.still_ticks = if still { self.still_ticks + 1 } else { 0 };
-        if !self.updates.waits() {
-            self.swap_ticks = 0;
-            if self.stand_ticks.take().is_some() {
-                self.walk_on();
-            }
-            return;
-        }
-        self.swap_ticks = self.swap_ticks.saturating_add(1);
-        self.metrics.armed.set(1);
-        let at_rest = self.gate.last_rad() == self.runner.joints().nominal_rad;
-        let stood_long = self
-            .stand_ticks
-            .is_some_and(|ticks| ticks >= STAND_TICKS_MAX);
-        let safe = match stage {
-            Stage::Rise => true,
-            Stage::Settle => true,
-            // Slow on its way to the nominal pose is not there.
-            Stage::Stand => at_rest && (self.still_ticks >= STILL_TICKS || stood_long),
-            Stage::Walk => self.still_ticks >= STILL_TICKS,
-            // On its way to the end: the next run begins with it.
-            Stage::Return | Stage::Rest | Stage::Damped | Stage::Off => false,
-        };
-        if safe {
-            self.swap_policy(sensed, speed, wanted);
-        } else {
-            self.hurry(stage);
-        }
-    }
-
-    /// Makes the robot stand where a newer policy has waited for too long.
-    fn hurry(&mut self, stage: Stage) {
-        if let Some(ticks) = &mut self.stand_ticks {
-            *ticks += u32::from(self.gate.last_rad() == self.runner.joints().nominal_rad);
-            return;
-        }
-        let waited = self.plan.period * self.swap_ticks;
-        if stage == Stage::Walk && self.plan.swap_wait.is_some_and(|limit| waited >= limit) {
-            let waited_s = waited.as_secs_f32();
-            tracing::info!(
-                waited_s,
-                "a newer policy waits: the robot stands to let it in"
-            );
-            self.counts.stands_for_swap += 1;
-            self.stand_ticks = Some(0);
-            self.motion.stand();
-        }
-    }
-
-    /// Takes over a newer policy, with empty history, blended in from what was sent last.
-    fn swap_policy(&mut self, sensed: &Sensed, speed: f32, commanded: &[f32; COMMAND_DIM]) {
-        let Some(verified) = self.updates.take() else {
-            return;
-        };
-        match PolicyRunner::new(verified, Some(self.runner.clock())) {
-            Ok(runner) => {
-                let stage = self.motion.stage();
-                let waited_s = self.plan.period.as_secs_f32() * self.swap_ticks as f32;
-                let policy = runner.policy();
-                tracing::info!(version = policy.version, sha256 = %policy.sha256, ?stage, waited_s, speed_radps = speed, ?commanded, "policy swapped in");
-                let old = std::mem::replace(&mut self.runner, runner);
-                self.updates.tell(PolicyEvent::Replaced(Box::new(old)));
-                self.updates
-                    .tell(PolicyEvent::Begun(self.runner.policy().clone()));
-                self.metrics.policy_version.set(version_gauge(&self.runner));
-                self.metrics.armed.set(0);
-                self.counts.swaps += 1;
-                // Rising, the robot moves by the loop's own ramp, not by a policy.
-                if stage != Stage::Rise {
-                    self.counts.swap_speed_radps = self.counts.swap_speed_radps.max(speed);
-                }
-                self.trial_ticks = 0;
-                self.begun_at_s = sensed.servos.time_s;
-                self.motion.blend_again(self.gate.last_rad());
-            }
-            Err(error) => tracing::error!(%error, "policy not swapped in"),
-        }
-        self.swap_ticks = 0;
-        if self.stand_ticks.take().is_some() {
-            self.walk_on();
-        }
-    }
-
-    /// After standing for a swap. With a command link the link decides.
-    fn walk_on(&mut self) {
-        self.walk_on = self.link.is_none() && !self.motion.resume(self.gate.last_rad());
-    }
-
     /// The policy's targets; `None`: hold what was sent last.
     fn walk(
         &mut self,
@@ -674,59 +467,13 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         match acted {
             Some(targets) => {
                 self.gate.good();
-                self.trial_ticks += 1;
-                self.judge_trial(sensed, &targets);
+                self.judge_trial(sensed, &targets, &command);
                 Some(targets)
             }
             None => {
-                self.bad_action(sensed);
+                self.bad_action();
                 None
             }
-        }
-    }
-
-    /// A policy that wants many joints at their limits for a second does not pass its trial. One that passed before may be leaning on
-    /// something.
-    fn judge_trial(&mut self, sensed: &Sensed, targets: &[f32; ACT_DIM]) {
-        let ticks = self.gate.watch_limits(targets);
-        let fails = !self.runner.is_proved() && ticks >= PINNED_TICKS_MAX;
-        let over = self.trial_ticks > TRIAL_TICKS;
-        if over || (!fails && self.trial_ticks < TRIAL_TICKS) {
-            return;
-        }
-        let policy = self.runner.policy().clone();
-        let walked_s = self.drove_s(sensed);
-        if !fails {
-            self.updates.tell(PolicyEvent::Good { policy, walked_s });
-            return;
-        }
-        let reason = format!("wanted joints at their limits for {ticks} ticks in a row");
-        tracing::error!(%policy, reason, "the policy does not pass its trial: stopping");
-        self.updates.tell(PolicyEvent::Bad {
-            policy,
-            reason,
-            walked_s,
-            fell: false,
-        });
-        self.ended.get_or_insert(Ended::Saturated);
-        self.motion.finish();
-    }
-
-    fn bad_action(&mut self, sensed: &Sensed) {
-        self.metrics.held_actions.inc();
-        self.trial_ticks = 0;
-        if self.gate.hold() == Held::Stop {
-            let policy = self.runner.policy().clone();
-            tracing::error!(%policy, "actions are not finite: stopping");
-            let reason = format!("gave {HELD_IN_A_ROW_MAX} actions in a row that are not finite");
-            self.updates.tell(PolicyEvent::Bad {
-                policy,
-                reason,
-                walked_s: self.drove_s(sensed),
-                fell: false,
-            });
-            self.ended = Some(Ended::BadActions);
-            self.motion.damp();
         }
     }
 
@@ -742,34 +489,6 @@ const FIRST_READ_DEADLINE: Duration = Duration::from_secs(5);
 
 fn version_gauge(runner: &PolicyRunner) -> i64 {
     i64::try_from(runner.policy().version).unwrap_or(i64::MAX)
-}
-
-/// Mean over the joints of their speeds, rad/s. What is not a number is no standing still.
-fn mean_speed(servos: &ServoReadings) -> f32 {
-    let sum: f32 = servos.vel_radps.iter().map(|v| v.abs()).sum();
-    match sum.is_finite() {
-        true => sum / ACT_DIM as f32,
-        false => f32::INFINITY,
-    }
-}
-
-/// Adds the IMU and what follows from it to servo readings taken `dt_s` after the last ones.
-fn complete<R: Robot>(
-    robot: &mut R,
-    filter: &mut GravityFilter,
-    servos: ServoReadings,
-    dt_s: f32,
-) -> Result<Sensed, DeployError> {
-    let imu = robot.reading()?;
-    let estimate = filter.update(imu.gyro_radps, imu.acc_mps2, dt_s);
-    Ok(Sensed {
-        servos,
-        imu,
-        gravity: imu.gravity.unwrap_or(estimate),
-        truth: robot.ground_truth(),
-        health: robot.health(),
-        in_water: robot.in_water(),
-    })
 }
 
 #[cfg(test)]

@@ -113,7 +113,18 @@ pub enum DeployError {
     },
     /// The trust file.
     #[error("trust file {0}")]
-    Trust(#[from] SigningError),
+    Trust(SigningError),
+    /// A key file that cannot be used, or that others may use.
+    #[error("key file {0}")]
+    Key(#[from] SigningError),
+    /// Policies would come from another computer in a way that anybody on the network can forge.
+    #[error("policy server {address} is on another computer, and {missing}")]
+    Insecure {
+        /// Address of the server.
+        address: String,
+        /// What is not given.
+        missing: &'static str,
+    },
     /// The keys of a trust file were given up on this robot.
     #[error(
         "trust file {}: version {found} is in force, and on this robot version {seen} was: put the newer files back",
@@ -168,7 +179,7 @@ pub enum DeployError {
     )]
     StateLost,
     /// The server's word about where the label leads does not count, or does not fit.
-    #[error("cannot tell whether `{label}` of {stream} is fresh: {reason}")]
+    #[error("the server's answer about `{label}` of {stream} does not count: {reason}")]
     Stale {
         /// Which stream.
         stream: String,
@@ -269,12 +280,13 @@ impl DeployError {
             }
             | Self::BlobMissing { .. }
             | Self::Runtime(_) => ExitCode::NoInput,
-            Self::Wiring(WiringError::Read { .. }) | Self::Trust(SigningError::File { .. }) => {
-                ExitCode::NoInput
-            }
+            Self::Wiring(WiringError::Read { .. })
+            | Self::Trust(SigningError::File { .. })
+            | Self::Key(SigningError::File { .. }) => ExitCode::NoInput,
             Self::Robot { .. }
             | Self::Wiring(_)
             | Self::Trust(_)
+            | Self::Key(_)
             | Self::OlderTrust { .. }
             | Self::TrustLeftOut { .. }
             | Self::Task { .. }
@@ -284,10 +296,11 @@ impl DeployError {
             | Self::NotSigned { .. }
             | Self::LinkKey { .. }
             | Self::Commands { .. } => ExitCode::BadInput,
-            Self::Stream { .. } | Self::Server(ClientError::Address { .. }) => ExitCode::BadConfig,
-            Self::Server(ClientError::BadAnswer(_)) | Self::Bus(BusError::Protocol { .. }) => {
-                ExitCode::Protocol
-            }
+            Self::Stream { .. }
+            | Self::Insecure { .. }
+            | Self::Server(ClientError::Address { .. }) => ExitCode::BadConfig,
+            Self::Server(ClientError::BadAnswer(_) | ClientError::OtherQuestion(_))
+            | Self::Bus(BusError::Protocol { .. }) => ExitCode::Protocol,
             Self::Unfit { .. } => ExitCode::TargetMissed,
             Self::Stale { .. } | Self::NotHeard { .. } => ExitCode::Unavailable,
             // As for a run folder that another one has: starting again changes nothing.
@@ -322,6 +335,9 @@ impl DeployError {
             }
             Self::OlderTrust { .. } => Some(
                 "keys that were given up stay given up; a robot that is to begin anew with other trust files needs another state folder",
+            ),
+            Self::Insecure { .. } => Some(
+                "give https://HOST:PORT with --tls-dir, and --trust; docs/robot-bring-up.md shows how they are made",
             ),
             Self::NoPolicy { .. } => {
                 Some("`caudata policy list` shows the streams; training publishes under its run id")

@@ -9,7 +9,7 @@ use caudata_registry_client::{RegistryClient, Watch, jittered};
 use tokio::sync::watch;
 
 use crate::DeployError;
-use crate::keeper::{Keeper, reference};
+use crate::keeper::Keeper;
 use crate::metrics::AgentMetrics;
 use crate::stage::Stage;
 use crate::state::PolicyRef;
@@ -217,7 +217,7 @@ impl Following {
             }
         };
         self.proved_at = Instant::now();
-        let policy = reference(&manifest);
+        let policy = PolicyRef::from(&manifest);
         if policy == self.offered {
             return;
         }

@@ -1,6 +1,6 @@
 //! The last thing between a policy and the servos: finite, within the joint limits, not too far from what was sent last.
 
-use caudata_task::{ACT_DIM, JointTable};
+use caudata_task::{ACT_DIM, JointTable, PerJoint};
 
 /// Actions in a row that may be held because they were not finite; with this many the robot is stopped.
 pub const HELD_IN_A_ROW_MAX: u32 = 3;
@@ -24,8 +24,8 @@ pub enum Held {
 /// Checks every target before it is sent.
 #[derive(Clone, Debug)]
 pub struct OutputGate {
-    lower_rad: [f32; ACT_DIM],
-    upper_rad: [f32; ACT_DIM],
+    lower_rad: PerJoint,
+    upper_rad: PerJoint,
     step_max_rad: f32,
     last_rad: [f32; ACT_DIM],
     in_a_row: u32,
@@ -126,9 +126,9 @@ mod tests {
 
     fn gate() -> OutputGate {
         let joints = JointTable {
-            nominal_rad: [0.0; ACT_DIM],
-            lower_rad: [-0.5; ACT_DIM],
-            upper_rad: [1.0; ACT_DIM],
+            nominal_rad: [0.0; ACT_DIM].into(),
+            lower_rad: [-0.5; ACT_DIM].into(),
+            upper_rad: [1.0; ACT_DIM].into(),
         };
         OutputGate::new(&joints, 0.25, [0.0; ACT_DIM])
     }

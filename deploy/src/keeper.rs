@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use caudata_model::RobotModel;
 use caudata_policy::{MAX_FILE_BYTES, PolicyFile};
+use caudata_proto::registry::question::Facts;
 use caudata_proto::registry::{LabelName, Manifest, NONCE_BYTES, RobotState as Word, StreamName};
 use caudata_registry_client::{ClientError, RegistryClient};
 use caudata_signing::Trust;
@@ -13,16 +14,12 @@ use sha2::{Digest, Sha256};
 use crate::DeployError;
 use crate::boundary::FACTORY;
 use crate::metrics::AgentMetrics;
-use crate::probe::{ProbeProgram, Probed};
+use crate::probe::{CHILD, ProbeProgram, Probed};
 use crate::reporter::{News, Reporter};
-use crate::state::{ATTEMPTS_MAX, Blame, Decision, PolicyRef, Sha256Digest};
-use crate::steps::Step;
+use crate::state::{Blame, Decision, PolicyRef, Sha256Digest};
 use crate::store::PolicyStore;
 use crate::updates::PolicyEvent;
-use crate::verify::{
-    Refusal, Verified, VerifyError, check_fresh, check_manifest, check_proved, check_signatures,
-    verify,
-};
+use crate::verify::{ANNOUNCEMENT, Announcement, Refusal, Verified, VerifyError, verify};
 
 /// Decides which policy runs; shared by the threads of the agent.
 #[derive(Clone, Debug)]
@@ -112,13 +109,18 @@ impl Keeper {
             },
             false => error.into(),
         };
-        let Some(trust) = self.trust.as_ref().filter(|t| t.knows_fresh_keys()) else {
-            return client.labelled(stream, label).await.map_err(missing);
-        };
         let stale = |reason: String| DeployError::Stale {
             stream: stream.to_string(),
             label: label.to_string(),
             reason,
+        };
+        let asked = Facts::of_stream(stream);
+        let Some(trust) = self.trust.as_ref().filter(|t| t.knows_fresh_keys()) else {
+            let manifest = client.labelled(stream, label).await.map_err(missing)?;
+            asked
+                .answered_by(&manifest)
+                .map_err(|why| stale(why.to_string()))?;
+            return Ok(manifest);
         };
         // The proof first: what it names is then asked for by its number, so that a label that moves meanwhile does no harm.
         let nonce = new_nonce()?;
@@ -126,13 +128,22 @@ impl Keeper {
             .freshness(nonce, stream, label)
             .await
             .map_err(missing)?;
-        check_fresh(trust, &answer, &nonce, stream, label).map_err(|why| stale(why.to_string()))?;
+        trust
+            .check_fresh(&answer, &nonce, stream, label)
+            .map_err(|why| stale(why.to_string()))?;
         let proved = answer.said;
         let manifest = client
             .manifest(stream, Some(proved.version))
             .await
             .map_err(missing)?;
-        check_proved(&manifest, &proved).map_err(|why| stale(why.to_owned()))?;
+        let asked = Facts {
+            version: Some(proved.version),
+            sha256: Some(&proved.sha256),
+            ..asked
+        };
+        asked
+            .answered_by(&manifest)
+            .map_err(|why| stale(why.to_string()))?;
         let mut store = self.store();
         if store.is_torn() {
             store.recover(stream.as_str(), proved.version, trust.version())?;
@@ -151,13 +162,11 @@ impl Keeper {
         client: &mut RegistryClient,
         manifest: &Manifest,
     ) -> Result<Verified, DeployError> {
-        let policy = reference(manifest);
-        if Step::Torn.on() && self.store().is_torn() {
-            return Err(DeployError::StateLost);
-        }
+        let policy = PolicyRef::from(manifest);
         // Its own statement: the store must not stay locked while the decision is carried out.
-        let decision = self.store().state().decide(&policy, self.robot());
+        let decision = self.store().decide(&policy, self.robot());
         match decision {
+            Decision::StateLost => return Err(DeployError::StateLost),
             Decision::Refused { reason } => {
                 return Err(self.refused(policy, Refusal::Before(reason)));
             }
@@ -174,12 +183,16 @@ impl Keeper {
             },
             Decision::Fetch => {}
         }
-        if let Err(refusal) = check_signatures(manifest, self.trust.as_deref()) {
+        let announcement = Announcement {
+            manifest,
+            trust: self.trust.as_deref(),
+            model: &self.model,
+        };
+        match announcement.check(ANNOUNCEMENT) {
+            Ok(()) => {}
             // Not recorded: whoever can make up announcements must not be able to fill the records with them.
-            return Err(self.refused(policy, refusal));
-        }
-        if let Err(refusal) = check_manifest(manifest, &self.model) {
-            return Err(self.quarantine(policy, refusal));
+            Err(refusal @ Refusal::Untrusted(_)) => return Err(self.refused(policy, refusal)),
+            Err(refusal) => return Err(self.quarantine(policy, refusal)),
         }
         // A disk that will not take it is asked before the network is: or it would be fetched again and again.
         self.store().reserve(&policy, manifest.size)?;
@@ -202,9 +215,13 @@ impl Keeper {
         if policy.stream == FACTORY {
             return Ok(true);
         }
-        let before = self.store().state().attempts(policy.sha256);
-        if Step::Attempts.on() && before >= ATTEMPTS_MAX {
-            let refusal = Refusal::TooManyAttempts { attempts: before };
+        let worn_out = {
+            let store = self.store();
+            let attempts = store.state().attempts(policy.sha256);
+            let worn_out = store.state().is_worn_out(policy.sha256);
+            worn_out.then_some(Refusal::TooManyAttempts { attempts })
+        };
+        if let Some(refusal) = worn_out {
             return Err(self.quarantine(policy.clone(), refusal));
         }
         let mut attempts = 0;
@@ -366,23 +383,23 @@ impl Keeper {
         bytes: Arc<[u8]>,
         policy: &PolicyRef,
     ) -> Result<Verified, DeployError> {
-        let probed = self.probe.as_ref().map(|probe| probe.run(policy, &bytes));
-        match &probed {
-            Some(Probed::Died(how)) if Step::ChildLived.on() => {
-                let how = how.clone();
-                return Err(self.quarantine(policy.clone(), Refusal::KilledItsProbe { how }));
+        let Some(probe) = &self.probe else {
+            return self.checked(bytes, policy);
+        };
+        let probed = probe.run(policy, &bytes);
+        if let Probed::Unable(reason) = &probed {
+            tracing::warn!(reason, "the candidate was not tried");
+        }
+        match probed.check(CHILD) {
+            Ok(()) => self.checked(bytes, policy),
+            Err(refusal) => {
+                if matches!(refusal, Refusal::ByItsProbe(_)) {
+                    // What the child found is found here again, and sorted by what is to blame.
+                    self.checked(bytes, policy)?;
+                }
+                Err(self.quarantine(policy.clone(), refusal))
             }
-            Some(Probed::Unable(reason)) => tracing::warn!(reason, "the candidate was not tried"),
-            _ => {}
         }
-        // What the child found is found here again, and sorted by what is to blame.
-        let verified = self.checked(bytes, policy)?;
-        if let Some(Probed::Refused(reason)) = probed
-            && Step::ChildContent.on()
-        {
-            return Err(self.quarantine(policy.clone(), Refusal::ByItsProbe(reason)));
-        }
-        Ok(verified)
     }
 
     fn checked(&self, bytes: Arc<[u8]>, policy: &PolicyRef) -> Result<Verified, DeployError> {
@@ -462,16 +479,6 @@ pub fn read_factory(path: &Path, model: &RobotModel) -> Result<Verified, DeployE
         VerifyError::Runtime(error) => DeployError::Runtime(error),
         VerifyError::Refused(refusal) => refused(&policy, refusal),
     })
-}
-
-/// Which policy a manifest announces.
-pub fn reference(manifest: &Manifest) -> PolicyRef {
-    PolicyRef {
-        stream: manifest.stream.to_string(),
-        version: manifest.version,
-        sha256: Sha256Digest(manifest.sha256),
-        reverts_to: manifest.reverts_to,
-    }
 }
 
 /// Thirty-two bytes that nobody can have seen before.

@@ -6,11 +6,13 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use caudata_proto::checks::Check;
 use caudata_telemetry::ExitCode;
 use nix::sys::resource::{Resource, setrlimit};
 
 use crate::DeployError;
 use crate::state::PolicyRef;
+use crate::verify::Refusal;
 
 /// How long a child may take, its start included.
 pub const CHILD_DEADLINE: Duration = Duration::from_secs(30);
@@ -68,6 +70,39 @@ pub enum Probed {
     Died(String),
     /// It could not do its work, which says nothing about the policy.
     Unable(String),
+}
+
+/// Looks at what a child came to.
+pub type ChildCheck = fn(&Probed) -> Result<(), Refusal>;
+
+/// What a child that tried a candidate must have come to.
+pub const CHILD: &[Check<ChildCheck>] = &[
+    // It came back.
+    Check {
+        name: "child lived",
+        refuse: |probed| match probed {
+            Probed::Died(how) => Err(Refusal::KilledItsProbe { how: how.clone() }),
+            _ => Ok(()),
+        },
+    },
+    // And found nothing wrong.
+    Check {
+        name: "child content",
+        refuse: |probed| match probed {
+            Probed::Refused(reason) => Err(Refusal::ByItsProbe(reason.clone())),
+            _ => Ok(()),
+        },
+    },
+];
+
+impl Probed {
+    /// Refuses what these checks find.
+    ///
+    /// # Errors
+    /// [`Refusal::KilledItsProbe`], [`Refusal::ByItsProbe`].
+    pub fn check(&self, checks: &[Check<ChildCheck>]) -> Result<(), Refusal> {
+        checks.iter().try_for_each(|check| (check.refuse)(self))
+    }
 }
 
 impl ProbeProgram {
@@ -146,6 +181,8 @@ fn wait(child: &mut Child, deadline: Duration) -> Result<i32, String> {
 
 #[cfg(test)]
 mod tests {
+    use caudata_proto::checks::each_left_out;
+
     use super::*;
     use crate::state::Sha256Digest;
     use std::os::unix::fs::PermissionsExt;
@@ -168,6 +205,19 @@ mod tests {
             reverts_to: None,
         };
         probe.run(&policy, &vec![0; 1 << 20])
+    }
+
+    #[test]
+    fn each_step_and_no_other_keeps_out_what_a_child_did_not_bear() {
+        let table = each_left_out(CHILD, |name, checks| {
+            let text = match name {
+                "child lived" => "kill -SEGV $$",
+                _ => "cat > /dev/null; echo 'error: bad' >&2; exit 77",
+            };
+            script(text, LONG).check(checks)
+        });
+        // Seen with --nocapture: `make mutants`.
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
     }
 
     const LONG: Duration = Duration::from_secs(60);

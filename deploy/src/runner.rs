@@ -4,7 +4,7 @@ use caudata_policy::Inference;
 use caudata_task::action::{ActionConfig, ActionFilter};
 use caudata_task::observation::ObservationInput;
 use caudata_task::phase::{PhaseClock, PhaseConfig};
-use caudata_task::{ACT_DIM, ACTION_HISTORY, COMMAND_DIM, JointTable, ObservationLayout};
+use caudata_task::{ACT_DIM, ACTION_HISTORY, COMMAND_DIM, JointTable, ObservationLayout, PerJoint};
 
 use crate::DeployError;
 use crate::bus::ServoReadings;
@@ -30,7 +30,7 @@ pub struct PolicyRunner {
     clock: PhaseClock,
     filter: ActionFilter,
     /// Clipped, newest first.
-    actions: [[f32; ACT_DIM]; ACTION_HISTORY],
+    actions: [PerJoint; ACTION_HISTORY],
     obs: Vec<f32>,
 }
 
@@ -56,12 +56,13 @@ impl PolicyRunner {
     /// [`DeployError::Internal`] where the contract lacks joints, which verification excludes.
     pub fn new(verified: Verified, carry_on: Option<&PhaseClock>) -> Result<Self, DeployError> {
         let contract = &verified.file.metadata().contract;
-        let joints = contract.joint_table().ok_or(DeployError::Internal {
+        let joints = contract.joint_table().filter(|j| j.len() == ACT_DIM);
+        let joints = joints.ok_or(DeployError::Internal {
             what: "a verified policy lacks joints".to_owned(),
         })?;
         let [low_hz, high_hz] = contract.phase.frequency_hz;
         let command = &contract.command;
-        let phase_rad = carry_on.map_or(0.0, |clock| clock.phases_rad()[0]);
+        let phase_rad = carry_on.map_or(0.0, |clock| clock.phases_rad(1)[0]);
         Ok(Self {
             layout: contract.observation.clone(),
             joints,
@@ -70,8 +71,8 @@ impl PolicyRunner {
             ranges: [command.vx_mps, command.vy_mps, command.yaw_rate_radps],
             period_s: contract.control_period_s as f32,
             clock: PhaseClock::new(phase_rad, 0.5 * (low_hz + high_hz)),
-            filter: ActionFilter::new(),
-            actions: [[0.0; ACT_DIM]; ACTION_HISTORY],
+            filter: ActionFilter::new(ACT_DIM),
+            actions: [PerJoint::filled(ACT_DIM, 0.0); ACTION_HISTORY],
             obs: vec![0.0; contract.obs_dim()],
             policy: verified.policy,
             proved: verified.proved,
@@ -109,8 +110,8 @@ impl PolicyRunner {
 
     /// Begins anew: no past actions, filter at rest. The gait clock goes on.
     pub fn forget(&mut self) {
-        self.filter = ActionFilter::new();
-        self.actions = [[0.0; ACT_DIM]; ACTION_HISTORY];
+        self.filter = ActionFilter::new(ACT_DIM);
+        self.actions = [PerJoint::filled(ACT_DIM, 0.0); ACTION_HISTORY];
     }
 
     /// What the policy saw last.
@@ -134,7 +135,7 @@ impl PolicyRunner {
             joint_pos_rad: &view.servos.pos_rad,
             gyro_radps: view.gyro_radps,
             gravity: view.gravity,
-            phase_rad: self.clock.phases_rad(),
+            phase_rad: self.clock.phases_rad(self.layout.phases()),
             command: view.command,
             previous_actions: &self.actions,
             medium: view.in_water.map(|water| f32::from(u8::from(water))),
@@ -154,9 +155,8 @@ impl PolicyRunner {
         }
         self.actions.rotate_right(1);
         self.actions[0] = self.action_config.clipped(&action);
-        Some(
-            self.filter
-                .apply(&self.action_config, &action, &self.joints),
-        )
+        self.filter
+            .apply(&self.action_config, &action, &self.joints)
+            .to_array()
     }
 }

@@ -166,10 +166,10 @@ impl Stage {
 mod tests {
     use std::path::Path;
 
-    use caudata_durable::rehearsal::Rehearsal;
     use caudata_policy::PolicyFile;
     use caudata_proto::registry::StreamName;
     use caudata_registry_client::{RegistryClient, manifest_of};
+    use caudata_rehearsal::Rehearsal;
     use sha2::{Digest, Sha256};
 
     use super::*;

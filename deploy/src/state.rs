@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
+use caudata_proto::checks::Check;
+use caudata_proto::registry::Manifest;
 use serde::{Deserialize, Serialize};
-
-use crate::steps::Step;
 
 /// `format` of the state file.
 pub const STATE_FORMAT: &str = "caudata.robot_state.v1";
@@ -96,6 +96,18 @@ impl PolicyRef {
     }
 }
 
+/// Which policy a manifest announces.
+impl From<&Manifest> for PolicyRef {
+    fn from(manifest: &Manifest) -> Self {
+        Self {
+            stream: manifest.stream.to_string(),
+            version: manifest.version,
+            sha256: Sha256Digest(manifest.sha256),
+            reverts_to: manifest.reverts_to,
+        }
+    }
+}
+
 /// A policy that has not yet shown that it walks.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -162,7 +174,124 @@ pub enum Decision {
         /// Why.
         reason: String,
     },
+    /// The state was lost, and no server proved yet what is newest.
+    StateLost,
 }
+
+/// A policy that the server offers, and what this robot knows.
+#[derive(Clone, Copy, Debug)]
+pub struct Offer<'a> {
+    /// What the robot knows.
+    pub state: &'a RobotState,
+    /// Whether it lost what it knew.
+    pub lost: bool,
+    /// The policy.
+    pub policy: &'a PolicyRef,
+    /// Hash of the robot's model.
+    pub robot: Sha256Digest,
+}
+
+/// Looks at an offer; the error is what to do instead of taking it.
+pub type OfferCheck = fn(&Offer<'_>) -> Result<(), Decision>;
+
+/// What keeps an offered policy from being fetched.
+pub const OFFER: &[Check<OfferCheck>] = &[
+    // A robot whose state is lost takes nothing before a server proved what is newest.
+    Check {
+        name: "lost state",
+        refuse: |offer| match offer.lost {
+            true => Err(Decision::StateLost),
+            false => Ok(()),
+        },
+    },
+    // It was not refused before.
+    Check {
+        name: "quarantine",
+        refuse: |offer| {
+            let of_it = |e: &&Quarantined| {
+                e.policy.sha256 == offer.policy.sha256 && e.holds_on(offer.robot)
+            };
+            match offer.state.quarantined.iter().find(of_it) {
+                Some(entry) => Err(Decision::Refused {
+                    reason: entry.reason.clone(),
+                }),
+                None => Ok(()),
+            }
+        },
+    },
+    // It is not older than what this robot has.
+    Check {
+        name: "older",
+        refuse: |offer| match offer.active_version() {
+            Some(have) if have > offer.policy.version => Err(Decision::Older { have }),
+            _ => Ok(()),
+        },
+    },
+    // It is not older than anything this robot has seen.
+    Check {
+        name: "seen",
+        refuse: |offer| match offer.seen_version() {
+            Some(have)
+                if have > offer.policy.version && !offer.state.needs(offer.policy.sha256) =>
+            {
+                Err(Decision::Older { have })
+            }
+            _ => Ok(()),
+        },
+    },
+    // Its version does not shut out all later ones.
+    Check {
+        name: "jump",
+        refuse: |offer| {
+            let known = offer.seen_version().max(offer.active_version());
+            match offer.policy.version.saturating_sub(known.unwrap_or(0)) > VERSION_JUMP_MAX {
+                true => Err(Decision::Refused {
+                    reason: format!("its version is more than {VERSION_JUMP_MAX} above any seen"),
+                }),
+                false => Ok(()),
+            }
+        },
+    },
+];
+
+impl Offer<'_> {
+    fn active_version(&self) -> Option<u64> {
+        let active = self.state.active.as_ref();
+        let same = active.filter(|active| active.stream == self.policy.stream);
+        same.map(|active| active.version)
+    }
+
+    fn seen_version(&self) -> Option<u64> {
+        self.state.seen.get(&self.policy.stream).copied()
+    }
+
+    /// What to do about it, by these checks.
+    pub fn decide(&self, checks: &[Check<OfferCheck>]) -> Decision {
+        match checks.iter().try_for_each(|check| (check.refuse)(self)) {
+            Err(decision) => decision,
+            Ok(()) if self.state.active.as_ref() == Some(self.policy) => Decision::HaveIt,
+            Ok(()) => Decision::Fetch,
+        }
+    }
+}
+
+/// Looks at how often a policy on trial was begun with.
+pub type TrialCheck = fn(u32) -> bool;
+
+/// What keeps a policy from being begun with once more.
+pub const TRIAL: &[Check<TrialCheck>] = &[Check {
+    name: "attempts",
+    refuse: |attempts| attempts >= ATTEMPTS_MAX,
+}];
+
+/// Looks at the highest version of a trust file that was in force, and at the one that is to be.
+pub type TrustCheck = fn(u64, u64) -> bool;
+
+/// What keeps a trust file from being in force.
+pub const TRUST: &[Check<TrustCheck>] = &[Check {
+    name: "trust version",
+    refuse: |seen, version| version < seen,
+}];
 
 /// What the robot knows about policies; `state.json`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -212,40 +341,13 @@ impl Default for RobotState {
 impl RobotState {
     /// What to do about `offered` on the robot model with hash `robot`.
     pub fn decide(&self, offered: &PolicyRef, robot: Sha256Digest) -> Decision {
-        let of_it = |e: &&Quarantined| e.policy.sha256 == offered.sha256 && e.holds_on(robot);
-        let known = self.quarantined.iter().find(of_it);
-        if let Some(entry) = known.filter(|_| Step::Quarantine.on()) {
-            return Decision::Refused {
-                reason: entry.reason.clone(),
-            };
-        }
-        let newer = |active: &PolicyRef| {
-            active.stream == offered.stream && active.version > offered.version && Step::Older.on()
+        let offer = Offer {
+            state: self,
+            lost: false,
+            policy: offered,
+            robot,
         };
-        match &self.active {
-            Some(active) if active == offered => Decision::HaveIt,
-            Some(active) if newer(active) => Decision::Older {
-                have: active.version,
-            },
-            _ => self.decide_by_seen(offered),
-        }
-    }
-
-    fn decide_by_seen(&self, offered: &PolicyRef) -> Decision {
-        let seen = self.seen.get(&offered.stream).copied();
-        let older = seen.is_some_and(|seen| offered.version < seen);
-        if Step::Seen.on() && older && !self.needs(offered.sha256) {
-            return Decision::Older {
-                have: seen.unwrap_or_default(),
-            };
-        }
-        let jump = offered.version.saturating_sub(seen.unwrap_or_default());
-        if Step::Jump.on() && jump > VERSION_JUMP_MAX {
-            return Decision::Refused {
-                reason: format!("its version is more than {VERSION_JUMP_MAX} above any seen"),
-            };
-        }
-        Decision::Fetch
+        offer.decide(OFFER)
     }
 
     fn saw(&mut self, policy: &PolicyRef) {
@@ -285,6 +387,12 @@ impl RobotState {
         same.map_or(0, |trial| trial.attempts)
     }
 
+    /// Whether the policy with these bytes was begun with too often.
+    pub fn is_worn_out(&self, sha256: Sha256Digest) -> bool {
+        let attempts = self.attempts(sha256);
+        TRIAL.iter().any(|check| (check.refuse)(attempts))
+    }
+
     /// A run with the policy ended in order before its trial was over: that says nothing against it.
     pub fn end_in_order(&mut self, sha256: Sha256Digest) {
         if self.trial.take_if(|trial| trial.sha256 == sha256).is_some() {
@@ -299,7 +407,9 @@ impl RobotState {
 
     /// Whether a trust file of this version may be in force: not where a newer one was.
     pub fn takes_trust(&self, version: u64) -> bool {
-        version >= self.trust_version || !Step::TrustVersion.on()
+        !TRUST
+            .iter()
+            .any(|check| (check.refuse)(self.trust_version, version))
     }
 
     /// The trust file of this version is in force. Version 1 is not written down: there is none below it, and programs that do not know
@@ -379,6 +489,8 @@ impl RobotState {
 
 #[cfg(test)]
 mod tests {
+    use caudata_proto::checks::each_left_out;
+
     use super::*;
 
     fn policy(version: u64) -> PolicyRef {
@@ -399,6 +511,53 @@ mod tests {
         state.confirm(policy(1).sha256);
         state.adopt(policy(2));
         state
+    }
+
+    #[test]
+    fn each_step_and_no_other_keeps_a_bad_offer_out() {
+        let mut state = RobotState::default();
+        state.adopt(policy(1));
+        state.adopt(policy(3));
+        state.quarantine(policy(3), "falls".to_owned(), Blame::Policy);
+        // Of a state written before versions were remembered by stream.
+        let mut unseen = RobotState::default();
+        unseen.adopt(policy(3));
+        unseen.seen.clear();
+        let offers = each_left_out(OFFER, |name, checks| {
+            let offer = |state, policy: &PolicyRef| {
+                let lost = name == "lost state";
+                let robot = HERE;
+                let offer = Offer {
+                    state,
+                    lost,
+                    policy,
+                    robot,
+                };
+                match offer.decide(checks) {
+                    Decision::Fetch | Decision::HaveIt => Ok(()),
+                    other => Err(other),
+                }
+            };
+            match name {
+                "lost state" => offer(&RobotState::default(), &policy(1)),
+                "quarantine" => offer(&state, &policy(3)),
+                "older" => offer(&unseen, &policy(2)),
+                "seen" => offer(&state, &policy(2)),
+                "jump" => offer(&state, &policy(u64::MAX)),
+                other => panic!("no attempt at {other}"),
+            }
+        });
+        let refused = |refused| if refused { Err("refused") } else { Ok(()) };
+        let trials = each_left_out(TRIAL, |_, checks| {
+            refused(checks.iter().any(|c| (c.refuse)(ATTEMPTS_MAX)))
+        });
+        let trust = each_left_out(TRUST, |_, checks| {
+            refused(checks.iter().any(|c| (c.refuse)(2, 1)))
+        });
+        // Seen with --nocapture: `make mutants`.
+        for table in [offers, trials, trust] {
+            eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
+        }
     }
 
     #[test]

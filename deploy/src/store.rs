@@ -1,26 +1,25 @@
 //! The robot's folder: `state.json` with its copy `state.copy.json`, `blobs/<sha256>.onnx`, and beside each of these its signed
 //! announcement, `blobs/<sha256>.<version>.<stream>.manifest`, where the stream is the first half of its name's SHA-256. What is read from it is checked as if it came from outside.
 
+mod state_file;
+
 use std::fs;
-use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_durable::{self as durable, Disk, OsDisk};
 use caudata_policy::MAX_FILE_BYTES;
+use caudata_proto::checks::Check;
 use caudata_proto::registry::Manifest;
 use caudata_signing::Trust;
 use sha2::{Digest, Sha256};
+use state_file::{COPIES, encode, read_beginning, read_copy, read_state};
 
 use crate::DeployError;
-use crate::state::{PolicyRef, RobotState, STATE_FORMAT, Sha256Digest};
-use crate::steps::Step;
+use crate::state::{Decision, OFFER, Offer, PolicyRef, RobotState, Sha256Digest};
 
-/// Largest state file that is read, bytes.
-const STATE_BYTES_MAX: u64 = 1 << 20;
-/// The state, twice.
-const COPIES: [&str; 2] = ["state.json", "state.copy.json"];
-
+/// Damaged copies of one state file that are kept.
+const ASIDE_MAX: u32 = 16;
 /// The state and the policies on disk. Every change is on the disk before it counts.
 #[derive(Debug)]
 pub struct PolicyStore {
@@ -120,18 +119,28 @@ impl PolicyStore {
         Ok(())
     }
 
-    /// Copies the damaged file at `path`, of one that is too large the beginning, to where a person finds it.
+    /// Copies the damaged file at `path`, of one that is too large the beginning, to where a person finds it: beside what
+    /// was damaged before. Past [`ASIDE_MAX`] of them the newest gives way.
     fn keep_aside(&self, path: &Path) -> Result<(), DeployError> {
-        let mut bytes = Vec::new();
-        fs::File::open(path)
-            .and_then(|file| file.take(STATE_BYTES_MAX).read_to_end(&mut bytes))
-            .map_err(|source| DeployError::Folder {
-                path: path.to_owned(),
-                source,
-            })?;
-        let mut aside = path.as_os_str().to_owned();
-        aside.push(".damaged");
-        Ok(durable::replace_on(&*self.disk, Path::new(&aside), &bytes)?)
+        let bytes = read_beginning(path)?;
+        let aside = (1..=ASIDE_MAX).map(|number| {
+            let mut aside = path.as_os_str().to_owned();
+            aside.push(match number {
+                1 => ".damaged".to_owned(),
+                number => format!(".damaged-{number}"),
+            });
+            PathBuf::from(aside)
+        });
+        let mut last = path.to_owned();
+        for aside in aside {
+            match fs::exists(&aside) {
+                // Kept by an attempt that was cut short.
+                Ok(true) if read_beginning(&aside)? == bytes => return Ok(()),
+                Ok(false) => return Ok(durable::replace_on(&*self.disk, &aside, &bytes)?),
+                _ => last = aside,
+            }
+        }
+        Ok(durable::replace_on(&*self.disk, &last, &bytes)?)
     }
 
     /// The trust file at `path`, of which `version` is in force, is what this robot goes by: from now on no older one is.
@@ -150,6 +159,17 @@ impl PolicyStore {
             tracing::error!(%error, version, "cannot write down which trust file is in force");
         }
         Ok(())
+    }
+
+    /// What to do about `offered` on the robot model with hash `robot`.
+    pub fn decide(&self, offered: &PolicyRef, robot: Sha256Digest) -> Decision {
+        let offer = Offer {
+            state: &self.state,
+            lost: self.torn,
+            policy: offered,
+            robot,
+        };
+        offer.decide(OFFER)
     }
 
     /// Reads the state without changing anything; `None` where there is none.
@@ -225,7 +245,7 @@ impl PolicyStore {
     /// # Errors
     /// [`DeployError::Durable`].
     pub fn put_manifest(&self, manifest: &Manifest) -> Result<(), DeployError> {
-        let path = manifest_file(&self.folder, &crate::keeper::reference(manifest));
+        let path = manifest_file(&self.folder, &PolicyRef::from(manifest));
         Ok(durable::replace_on(
             &*self.disk,
             &path,
@@ -270,6 +290,53 @@ const MANIFEST: &str = "manifest";
 /// Largest manifest file that is read, bytes: the evaluation summary is most of it.
 const MANIFEST_BYTES_MAX: u64 = 128 << 10;
 
+/// A policy as it was found in the robot's folder.
+pub struct Stored<'a> {
+    folder: &'a Path,
+    policy: &'a PolicyRef,
+    trust: Option<&'a Trust>,
+    path: PathBuf,
+    bytes: Vec<u8>,
+}
+
+/// Looks at a policy in the robot's folder.
+pub type StoredCheck = fn(&Stored<'_>) -> Result<(), DeployError>;
+
+/// What a policy in the robot's folder must be.
+pub const STORED: &[Check<StoredCheck>] = &[
+    // The bytes on the disk are those that were put there.
+    Check {
+        name: "stored hash",
+        refuse: |stored| {
+            let found = Sha256Digest(Sha256::digest(&stored.bytes).into());
+            match found == stored.policy.sha256 {
+                true => Ok(()),
+                false => Err(DeployError::BlobDamaged {
+                    path: stored.path.clone(),
+                }),
+            }
+        },
+    },
+    // The announcement on the disk is this policy's, and signed.
+    Check {
+        name: "stored signature",
+        refuse: |stored| {
+            let Some(trust) = stored.trust else {
+                return Ok(());
+            };
+            let path = kept_manifest_file(stored.folder, stored.policy);
+            let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
+            let signed = manifest.is_ok_and(|manifest| {
+                PolicyRef::from(&manifest) == *stored.policy && trust.check(&manifest).is_ok()
+            });
+            match signed {
+                true => Ok(()),
+                false => Err(DeployError::NotSigned { path }),
+            }
+        },
+    },
+];
+
 /// The bytes of a policy, as they were put into the robot's folder. With `trust`, keys of it must have signed the announcement that
 /// was kept beside them.
 ///
@@ -281,23 +348,28 @@ pub fn read_policy(
     policy: &PolicyRef,
     trust: Option<&Trust>,
 ) -> Result<Arc<[u8]>, DeployError> {
+    read_policy_by(STORED, folder, policy, trust)
+}
+
+/// [`read_policy`] by these checks.
+fn read_policy_by(
+    checks: &[Check<StoredCheck>],
+    folder: &Path,
+    policy: &PolicyRef,
+    trust: Option<&Trust>,
+) -> Result<Arc<[u8]>, DeployError> {
     let path = blob(folder, policy.sha256);
-    let bytes = read_bounded(&path, MAX_FILE_BYTES as u64)?;
-    let found = Sha256Digest(Sha256::digest(&bytes).into());
-    if Step::StoredHash.on() && found != policy.sha256 {
-        return Err(DeployError::BlobDamaged { path });
-    }
-    if let Some(trust) = trust.filter(|_| Step::StoredSignature.on()) {
-        let path = kept_manifest_file(folder, policy);
-        let manifest = Manifest::from_bytes(&read_bounded(&path, MANIFEST_BYTES_MAX)?);
-        let signed = manifest.is_ok_and(|manifest| {
-            crate::keeper::reference(&manifest) == *policy && trust.check(&manifest).is_ok()
-        });
-        if !signed {
-            return Err(DeployError::NotSigned { path });
-        }
-    }
-    Ok(bytes.into())
+    let stored = Stored {
+        folder,
+        policy,
+        trust,
+        bytes: read_bounded(&path, MAX_FILE_BYTES as u64)?,
+        path,
+    };
+    checks
+        .iter()
+        .try_for_each(|check| (check.refuse)(&stored))?;
+    Ok(stored.bytes.into())
 }
 
 fn read_bounded(path: &Path, bytes_max: u64) -> Result<Vec<u8>, DeployError> {
@@ -372,84 +444,6 @@ pub fn check_without_trust(state: &RobotState, folder: &Path) -> Result<(), Depl
         folder: folder.to_owned(),
         seen: state.trust_version,
     })
-}
-
-/// A state file: the state, and the SHA-256 of its compact JSON, so that a flipped bit is noticed.
-#[derive(serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-struct StateFile {
-    sha256: Sha256Digest,
-    state: RobotState,
-}
-
-fn digest(state: &RobotState) -> Result<Sha256Digest, String> {
-    let text = serde_json::to_vec(state).map_err(|e| e.to_string())?;
-    Ok(Sha256Digest(Sha256::digest(text).into()))
-}
-
-fn encode(state: &RobotState) -> Result<Vec<u8>, DeployError> {
-    let file = digest(state).map(|sha256| StateFile {
-        sha256,
-        state: state.clone(),
-    });
-    file.and_then(|file| serde_json::to_vec_pretty(&file).map_err(|e| e.to_string()))
-        .map_err(|what| DeployError::Internal { what })
-}
-
-/// The newest state that can be read; `None` where there never was one.
-fn read_state(folder: &Path) -> Result<Option<RobotState>, DeployError> {
-    let mut newest: Option<RobotState> = None;
-    let mut damage = None;
-    for name in COPIES {
-        let path = folder.join(name);
-        match read_copy(&path) {
-            Ok(None) => {}
-            Ok(Some(state)) => {
-                if newest
-                    .as_ref()
-                    .is_none_or(|n| n.generation < state.generation)
-                {
-                    newest = Some(state);
-                }
-            }
-            Err(DeployError::StateDamaged { path, reason }) => {
-                damage.get_or_insert((path, reason));
-            }
-            Err(error) => return Err(error),
-        }
-    }
-    match (newest, damage) {
-        (None, Some((path, reason))) => Err(DeployError::StateDamaged { path, reason }),
-        (Some(state), Some((path, reason))) => {
-            tracing::error!(path = %path.display(), reason, "one copy of the state is damaged; the other is used");
-            Ok(Some(state))
-        }
-        (newest, None) => Ok(newest),
-    }
-}
-
-fn read_copy(path: &Path) -> Result<Option<RobotState>, DeployError> {
-    let damaged = |reason: String| DeployError::StateDamaged {
-        path: path.to_owned(),
-        reason,
-    };
-    match fs::metadata(path) {
-        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Ok(meta) if meta.len() > STATE_BYTES_MAX => return Err(damaged("it is too large".into())),
-        _ => {}
-    }
-    let bytes = fs::read(path).map_err(|source| DeployError::Folder {
-        path: path.to_owned(),
-        source,
-    })?;
-    let file: StateFile = serde_json::from_slice(&bytes).map_err(|e| damaged(e.to_string()))?;
-    if file.state.format != STATE_FORMAT {
-        return Err(damaged(format!("its format is `{}`", file.state.format)));
-    }
-    if digest(&file.state).map_err(damaged)? != file.sha256 {
-        return Err(damaged("it is not what was written".to_owned()));
-    }
-    Ok(Some(file.state))
 }
 
 #[cfg(test)]

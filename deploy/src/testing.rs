@@ -61,3 +61,15 @@ pub fn standing(version: u64) -> Vec<u8> {
         spec.layers[0].bias.fill(0.0);
     })
 }
+
+/// A policy whose joints swing with the gait's phase.
+pub fn stepping(version: u64) -> Vec<u8> {
+    policy_file(version, |spec, metadata| {
+        let phase = metadata.contract.observation.slice("phase").unwrap();
+        let input = spec.layers[0].input;
+        spec.layers[0].weight.fill(0.0);
+        for row in spec.layers[0].weight.chunks_mut(input) {
+            row[phase.start] = 0.5;
+        }
+    })
+}

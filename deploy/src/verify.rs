@@ -1,19 +1,19 @@
 //! Whether a policy may run on this robot: hash, strict reading, contract, a probe of inference.
 
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
 use caudata_policy::{Inference, MlpSpec, PolicyError, PolicyFile, evaluate_mlp};
-use caudata_proto::registry::{
-    Freshness, LabelName, Manifest, NONCE_BYTES, SignedFreshness, StreamName,
-};
-use caudata_signing::{Stale, Trust, Untrusted};
+use caudata_proto::checks::Check;
+use caudata_proto::registry::Manifest;
+use caudata_proto::registry::question::{Facts, OtherQuestion};
+use caudata_signing::{Trust, Untrusted};
 use caudata_task::command::CommandConfig;
-use caudata_task::{ACT_DIM, ObservationLayout, PolicyContract, TaskConfig, TaskError};
+use caudata_task::{ObservationLayout, PolicyContract, TaskConfig, TaskError};
 use sha2::{Digest, Sha256};
 
 use crate::state::{Blame, PolicyRef, Sha256Digest};
-use crate::steps::Step;
 
 /// Observations that the probe evaluates.
 pub const PROBE_COUNT: usize = 32;
@@ -21,6 +21,9 @@ pub const PROBE_COUNT: usize = 32;
 const PROBE_STRIDE: usize = 137;
 /// How far ONNX Runtime and the plain evaluation may be apart, per unit of action (and of 1).
 pub const PROBE_TOLERANCE: f32 = 1e-4;
+/// Largest action, in its own unit, on observations like those of training: trained policies stay within some tens, and
+/// this is many turns of a servo. What goes beyond would pin every joint at a limit.
+pub const ACTION_MAX: f32 = 1e3;
 
 /// A policy that passed every check, ready to run.
 #[derive(Debug)]
@@ -55,22 +58,9 @@ pub enum Refusal {
     /// It asks for something that the task here does not allow.
     #[error("its contract is not one for this program: {0}")]
     Task(#[from] TaskError),
-    /// The announcement does not fit this robot.
-    #[error("it is for robot `{found}`, this is `{expected}`")]
-    OtherRobot {
-        /// Robot announced.
-        found: String,
-        /// Robot here.
-        expected: String,
-    },
-    /// The announcement names another model of this robot.
-    #[error("it was trained on model {found} of the robot, this one is {expected}")]
-    OtherModel {
-        /// Hash announced.
-        found: Sha256Digest,
-        /// Hash here.
-        expected: Sha256Digest,
-    },
+    /// The announcement is for another robot, or another model of this one.
+    #[error("it is for another robot: {0}")]
+    OtherRobot(OtherQuestion),
     /// The file has another version than announced.
     #[error("the file says version {found}, announced was {expected}")]
     OtherVersion {
@@ -135,8 +125,7 @@ impl Refusal {
         match self {
             Self::Contract(_)
             | Self::Task(_)
-            | Self::OtherRobot { .. }
-            | Self::OtherModel { .. }
+            | Self::OtherRobot(_)
             | Self::ByItsProbe(_)
             | Self::TooSlow { .. } => Blame::Robot(robot),
             Self::WrongHash { .. }
@@ -165,65 +154,154 @@ pub enum VerifyError {
     Runtime(PolicyError),
 }
 
-/// Refuses what is not for this robot before anything is downloaded.
-///
-/// # Errors
-/// [`Refusal::OtherRobot`], [`Refusal::OtherModel`].
-pub fn check_manifest(manifest: &Manifest, model: &RobotModel) -> Result<(), Refusal> {
-    if Step::RobotName.on() && manifest.robot_name != model.name() {
-        return Err(Refusal::OtherRobot {
-            found: manifest.robot_name.clone(),
-            expected: model.name().to_owned(),
-        });
-    }
-    if Step::RobotModel.on() && manifest.robot_hash != model.hash() {
-        return Err(Refusal::OtherModel {
-            found: Sha256Digest(manifest.robot_hash),
-            expected: Sha256Digest(model.hash()),
-        });
-    }
-    Ok(())
+/// An announcement, and the robot that is to take it.
+#[derive(Clone, Copy, Debug)]
+pub struct Announcement<'a> {
+    /// What the server announces.
+    pub manifest: &'a Manifest,
+    /// Keys that must have signed it; `None`: nobody needs to.
+    pub trust: Option<&'a Trust>,
+    /// The robot.
+    pub model: &'a RobotModel,
 }
 
-/// Refuses what not enough keys of `trust` signed; without trusted keys nobody needs to sign.
-///
-/// # Errors
-/// [`Refusal::Untrusted`].
-pub fn check_signatures(manifest: &Manifest, trust: Option<&Trust>) -> Result<(), Refusal> {
-    match trust {
-        Some(trust) if Step::Signature.on() => Ok(trust.check(manifest)?),
-        _ => Ok(()),
+/// Looks at an announcement.
+pub type AnnouncementCheck = fn(&Announcement<'_>) -> Result<(), Refusal>;
+
+/// What an announcement must be before anything is downloaded. That it answers the question is looked at before
+/// ([`caudata_proto::registry::question::ANSWERS`]).
+pub const ANNOUNCEMENT: &[Check<AnnouncementCheck>] = &[
+    // Trusted keys signed it.
+    Check {
+        name: "signature",
+        refuse: |found| match found.trust {
+            Some(trust) => Ok(trust.check(found.manifest)?),
+            None => Ok(()),
+        },
+    },
+    // It is for this robot.
+    Check {
+        name: "robot",
+        refuse: |found| {
+            let here = Facts {
+                robot: Some(found.model.name()),
+                ..Facts::default()
+            };
+            here.answered_by(found.manifest)
+                .map_err(Refusal::OtherRobot)
+        },
+    },
+    // And for this model of it.
+    Check {
+        name: "robot model",
+        refuse: |found| {
+            let hash = found.model.hash();
+            let here = Facts {
+                model: Some(&hash),
+                ..Facts::default()
+            };
+            here.answered_by(found.manifest)
+                .map_err(Refusal::OtherRobot)
+        },
+    },
+];
+
+impl Announcement<'_> {
+    /// Refuses what these checks find.
+    ///
+    /// # Errors
+    /// [`Refusal::Untrusted`], [`Refusal::OtherRobot`].
+    pub fn check(&self, checks: &[Check<AnnouncementCheck>]) -> Result<(), Refusal> {
+        checks.iter().try_for_each(|check| (check.refuse)(self))
     }
 }
 
-/// Refuses an answer about where a label leads that a key of `trust` did not sign for exactly this question.
-///
-/// # Errors
-/// [`Stale`].
-pub fn check_fresh(
-    trust: &Trust,
-    answer: &SignedFreshness,
-    nonce: &[u8; NONCE_BYTES],
-    stream: &StreamName,
-    label: &LabelName,
-) -> Result<(), Stale> {
-    match Step::Fresh.on() {
-        true => trust.check_fresh(answer, nonce, stream, label),
-        false => Ok(()),
-    }
+/// The bytes of a policy, and what they turn out to be as far as somebody asked.
+pub struct Candidate<'a> {
+    policy: &'a PolicyRef,
+    model: &'a RobotModel,
+    bytes: Arc<[u8]>,
+    file: OnceCell<PolicyFile>,
+    tried: OnceCell<(Inference, Vec<Action>)>,
 }
 
-/// Refuses an announcement of something else than what the server proved.
-///
-/// # Errors
-/// What is wrong.
-pub fn check_proved(manifest: &Manifest, proved: &Freshness) -> Result<(), &'static str> {
-    let same = manifest.sha256 == proved.sha256 && manifest.version == proved.version;
-    match same || !Step::Proved.on() {
-        true => Ok(()),
-        false => Err("the server shows another version than it proved"),
-    }
+/// One action of the probe.
+struct Action {
+    index: usize,
+    joint: usize,
+    /// As ONNX Runtime has it.
+    found: f32,
+    /// Worked out plainly.
+    reference: f32,
 }
+
+/// Looks at a candidate.
+pub type CandidateCheck = fn(&Candidate<'_>) -> Result<(), VerifyError>;
+
+/// What the bytes of a policy must be.
+pub const CANDIDATE: &[Check<CandidateCheck>] = &[
+    // The bytes are the announced ones.
+    Check {
+        name: "hash",
+        refuse: |candidate| {
+            let found = Sha256Digest(Sha256::digest(&candidate.bytes).into());
+            let expected = candidate.policy.sha256;
+            match found == expected {
+                true => Ok(()),
+                false => Err(Refusal::WrongHash { found, expected }.into()),
+            }
+        },
+    },
+    // The file bears the announced version.
+    Check {
+        name: "version",
+        refuse: |candidate| {
+            let found = candidate.file()?.metadata().version;
+            let expected = candidate.policy.file_version();
+            match found == expected {
+                true => Ok(()),
+                false => Err(Refusal::OtherVersion { found, expected }.into()),
+            }
+        },
+    },
+    // What the policy may not choose itself is as on this robot. (What it may choose is in range: reading the file
+    // checks that.)
+    Check {
+        name: "contract",
+        refuse: |candidate| {
+            let file = candidate.file()?;
+            let expected = expected_contract(candidate.model, &file.metadata().contract);
+            let expected = expected.map_err(Refusal::from)?;
+            Ok(file.check_contract(&expected).map_err(Refusal::Contract)?)
+        },
+    },
+    // Its actions are numbers that a servo can come near to.
+    Check {
+        name: "actions in range",
+        refuse: |candidate| {
+            candidate.refuse_action(
+                |a| !(a.found.abs() <= ACTION_MAX && a.reference.abs() <= ACTION_MAX),
+                |a| format!("action {} is {:e}, beyond ±{ACTION_MAX}", a.joint, a.found),
+            )
+        },
+    },
+    // ONNX Runtime computes what the file says.
+    Check {
+        name: "same actions",
+        refuse: |candidate| {
+            candidate.refuse_action(
+                |a| {
+                    let apart = (a.found - a.reference).abs();
+                    apart > PROBE_TOLERANCE * (1.0 + a.reference.abs())
+                },
+                |a| {
+                    let (joint, found, reference) = (a.joint, a.found, a.reference);
+                    format!("action {joint} is {found}, worked out plainly it is {reference}")
+                },
+            )
+        },
+    },
+];
 
 /// Checks the bytes of `policy` completely.
 ///
@@ -234,36 +312,72 @@ pub fn verify(
     policy: &PolicyRef,
     model: &RobotModel,
 ) -> Result<Verified, VerifyError> {
-    let found = Sha256Digest(Sha256::digest(&bytes).into());
-    if Step::Hash.on() && found != policy.sha256 {
-        let expected = policy.sha256;
-        return Err(Refusal::WrongHash { found, expected }.into());
-    }
-    let file = PolicyFile::parse(bytes).map_err(Refusal::from)?;
-    if Step::Version.on() && file.metadata().version != policy.file_version() {
-        return Err(Refusal::OtherVersion {
-            found: file.metadata().version,
-            expected: policy.file_version(),
-        }
-        .into());
-    }
-    let expected = expected_contract(model, &file.metadata().contract).map_err(Refusal::from)?;
-    if Step::Contract.on() {
-        file.check_contract(&expected).map_err(Refusal::Contract)?;
-    }
-    let mut inference = Inference::new(&file, 1).map_err(|error| match error {
-        PolicyError::RuntimeNotFound { .. } | PolicyError::RuntimeLoad { .. } => {
-            VerifyError::Runtime(error)
-        }
-        other => Refusal::from(other).into(),
-    })?;
-    probe(&file, &mut inference)?;
+    verify_by(CANDIDATE, bytes, policy, model)
+}
+
+/// [`verify`] by these checks.
+fn verify_by(
+    checks: &[Check<CandidateCheck>],
+    bytes: Arc<[u8]>,
+    policy: &PolicyRef,
+    model: &RobotModel,
+) -> Result<Verified, VerifyError> {
+    let candidate = Candidate {
+        policy,
+        model,
+        bytes,
+        file: OnceCell::new(),
+        tried: OnceCell::new(),
+    };
+    checks
+        .iter()
+        .try_for_each(|check| (check.refuse)(&candidate))?;
+    let Candidate {
+        bytes, file, tried, ..
+    } = candidate;
+    let file = file.into_inner().map_or_else(|| read(bytes), Ok)?;
+    let (inference, _) = tried.into_inner().map_or_else(|| try_out(&file), Ok)?;
     Ok(Verified {
         policy: policy.clone(),
         file,
         inference,
         proved: false,
     })
+}
+
+impl Candidate<'_> {
+    /// What the bytes say, read when it is asked for first.
+    fn file(&self) -> Result<&PolicyFile, VerifyError> {
+        if let Some(file) = self.file.get() {
+            return Ok(file);
+        }
+        let file = read(self.bytes.clone())?;
+        Ok(self.file.get_or_init(|| file))
+    }
+
+    /// What it does on a few observations, in ONNX Runtime and worked out plainly; tried when it is asked for first.
+    fn actions(&self) -> Result<&[Action], VerifyError> {
+        if self.tried.get().is_none() {
+            let _ = self.tried.set(try_out(self.file()?)?);
+        }
+        Ok(self.tried.get().map_or(&[], |(_, actions)| actions))
+    }
+
+    /// Refuses the first action of the probe that is `wrong`, in the words of `problem`.
+    fn refuse_action(
+        &self,
+        wrong: impl Fn(&Action) -> bool,
+        problem: impl Fn(&Action) -> String,
+    ) -> Result<(), VerifyError> {
+        match self.actions()?.iter().find(|action| wrong(action)) {
+            Some(action) => Err(Refusal::Probe {
+                index: action.index,
+                problem: problem(action),
+            }
+            .into()),
+            None => Ok(()),
+        }
+    }
 }
 
 /// The contract that a policy must have here: the robot file's values, and this program's observation and control rate.
@@ -278,7 +392,8 @@ pub fn expected_contract(
     let task = TaskConfig {
         action: policy.action,
         phase: policy.phase.config(),
-        observe_medium: policy.observation == ObservationLayout::new(true),
+        observe_medium: policy.observation
+            == ObservationLayout::new(policy.act_dim(), &policy.phase.feet, true),
         command: CommandConfig {
             vx_mps: policy.command.vx_mps,
             vy_mps: policy.command.vy_mps,
@@ -290,30 +405,39 @@ pub fn expected_contract(
     PolicyContract::new(model, &task)
 }
 
-/// Runs a few observations through ONNX Runtime and through the plain evaluation.
-fn probe(file: &PolicyFile, inference: &mut Inference) -> Result<(), Refusal> {
-    let dim = file.spec().obs_dim();
-    let mut obs = vec![0.0; dim];
-    let (mut actions, mut expected) = ([0.0; ACT_DIM], [0.0; ACT_DIM]);
-    for index in 0..PROBE_COUNT {
-        probe_observation(index, file.spec(), &mut obs);
-        inference.run(&obs, 1, &mut actions)?;
-        evaluate_mlp(file.spec(), &obs, 1, &mut expected)?;
-        for joint in 0..ACT_DIM {
-            let (found, reference) = (actions[joint], expected[joint]);
-            let finite = found.is_finite() && reference.is_finite();
-            let apart = (found - reference).abs() > PROBE_TOLERANCE * (1.0 + reference.abs());
-            let problem = if Step::FiniteActions.on() && !finite {
-                format!("action {joint} is not finite")
-            } else if Step::SameActions.on() && apart {
-                format!("action {joint} is {found}, worked out plainly it is {reference}")
-            } else {
-                continue;
-            };
-            return Err(Refusal::Probe { index, problem });
+fn read(bytes: Arc<[u8]>) -> Result<PolicyFile, VerifyError> {
+    Ok(PolicyFile::parse(bytes).map_err(Refusal::from)?)
+}
+
+fn try_out(file: &PolicyFile) -> Result<(Inference, Vec<Action>), VerifyError> {
+    let mut inference = Inference::new(file, 1).map_err(|error| match error {
+        PolicyError::RuntimeNotFound { .. } | PolicyError::RuntimeLoad { .. } => {
+            VerifyError::Runtime(error)
         }
+        other => Refusal::from(other).into(),
+    })?;
+    let actions = probe(file.spec(), &mut inference).map_err(Refusal::from)?;
+    Ok((inference, actions))
+}
+
+/// Runs a few observations through ONNX Runtime and through the plain evaluation.
+fn probe(spec: &MlpSpec, inference: &mut Inference) -> Result<Vec<Action>, PolicyError> {
+    let mut obs = vec![0.0; spec.obs_dim()];
+    let act_dim = spec.act_dim();
+    let (mut actions, mut expected) = (vec![0.0; act_dim], vec![0.0; act_dim]);
+    let mut tried = Vec::with_capacity(PROBE_COUNT * act_dim);
+    for index in 0..PROBE_COUNT {
+        probe_observation(index, spec, &mut obs);
+        inference.run(&obs, 1, &mut actions)?;
+        evaluate_mlp(spec, &obs, 1, &mut expected)?;
+        tried.extend((0..act_dim).map(|joint| Action {
+            index,
+            joint,
+            found: actions[joint],
+            reference: expected[joint],
+        }));
     }
-    Ok(())
+    Ok(tried)
 }
 
 /// Observation `index`: around the policy's mean observation, from 0 up to ±3 of its standard deviations, which is what it was

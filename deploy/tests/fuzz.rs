@@ -484,6 +484,8 @@ fn command_datagram() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("key");
     std::fs::write(&file, [9; 32]).unwrap();
+    let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+    std::fs::set_permissions(&file, private).unwrap();
     let key = LinkKey::read(&file).unwrap();
     let message = |kind, sequence| Message {
         kind,

@@ -20,6 +20,7 @@ pub mod page;
 pub mod place;
 pub mod plant;
 pub mod plots;
+pub mod reading;
 pub mod repeats;
 pub mod replay;
 pub mod report;

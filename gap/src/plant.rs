@@ -66,7 +66,7 @@ pub struct RunIn {
 }
 
 impl Plant {
-    /// The robot file's robot, without the effects of its extension ([`crate::extension::terms`]).
+    /// The robot file's robot, without the effects of its extension.
     #[must_use]
     pub fn nominal(model: &Arc<RobotModel>) -> Self {
         let joints = model.actuated().len();

@@ -1,19 +1,31 @@
 //! Who may call what: TLS with certificates on both sides, and a role for each call.
 
+use std::io;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::task::{Context, Poll};
 
-use caudata_pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
-use tonic::Status;
-use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
-use tonic::transport::{Certificate, Identity, ServerTlsConfig};
+use caudata_proto::registry::StreamName;
+use caudata_signing::pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::rustls::crypto::ring;
+use tokio_rustls::rustls::pki_types::pem::PemObject;
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use tokio_rustls::rustls::server::WebPkiClientVerifier;
+use tokio_rustls::rustls::{RootCertStore, ServerConfig, version};
+use tonic::{Request, Status};
+
+use crate::audit::Origin;
+use crate::limits::Peer;
 
 /// The service's name in the path of a call.
 const REGISTRY: &str = "/caudata.registry.v1.PolicyRegistry/";
 /// Calls that change what others see, and the roles that may make them. All other calls of the registry read.
 const WRITES: [(&str, &[Role]); 7] = [
-    ("Publish", &[Role::Learner]),
+    // What robots follow outside of the lab is for operators: see `Caller::check_publication`.
+    ("Publish", &[Role::Learner, Role::Operator]),
     ("Ack", &[Role::Robot]),
     ("Nack", &[Role::Robot]),
     ("SetLabel", &[Role::Operator]),
@@ -25,23 +37,49 @@ const WRITES: [(&str, &[Role]); 7] = [
 /// Who may read.
 const READERS: &[Role] = &[Role::Learner, Role::Operator, Role::Robot];
 
-/// Reads `ca.crt`, `tls.crt` and `tls.key` of `folder`; clients must show a certificate of the same authority.
+/// Streams that begin so are what an operator released.
+const RELEASES: &str = "release/";
+
+/// Reads `ca.crt`, `tls.crt` and `tls.key` of `folder`; clients must show a certificate of the same authority, and speak TLS 1.3.
 ///
 /// # Errors
-/// The file that cannot be read.
-pub fn tls_config(folder: &Path) -> Result<ServerTlsConfig, (PathBuf, std::io::Error)> {
+/// The file that cannot be read, or does not hold what it should.
+pub fn tls_config(folder: &Path) -> Result<TlsAcceptor, (PathBuf, io::Error)> {
     let read = |name: &str| {
         let path = folder.join(name);
-        std::fs::read(&path).map_err(|error| (path, error))
+        let bytes = std::fs::read(&path).map_err(|error| (path.clone(), error))?;
+        Ok((path, bytes))
     };
-    Ok(ServerTlsConfig::new()
-        .client_ca_root(Certificate::from_pem(read(CA_FILE)?))
-        .identity(Identity::from_pem(read(CERTIFICATE_FILE)?, read(KEY_FILE)?))
-        .timeout(HANDSHAKE_MAX))
+    let bad = |path: &Path, error: String| {
+        let error = io::Error::new(io::ErrorKind::InvalidData, error);
+        (path.to_owned(), error)
+    };
+    let certificates = |(path, pem): &(PathBuf, Vec<u8>)| {
+        let read: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem).collect();
+        read.map_err(|error| bad(path, error.to_string()))
+    };
+    let authority = read(CA_FILE)?;
+    let own = read(CERTIFICATE_FILE)?;
+    let key = read(KEY_FILE)?;
+    let mut roots = RootCertStore::empty();
+    roots.add_parsable_certificates(certificates(&authority)?);
+    let provider = Arc::new(ring::default_provider());
+    let clients = WebPkiClientVerifier::builder_with_provider(roots.into(), provider.clone())
+        .build()
+        .map_err(|error| bad(&authority.0, error.to_string()))?;
+    let chain = certificates(&own)?;
+    let secret =
+        PrivateKeyDer::from_pem_slice(&key.1).map_err(|error| bad(&key.0, error.to_string()))?;
+    let mut config = ServerConfig::builder_with_provider(provider)
+        .with_protocol_versions(&[&version::TLS13])
+        .and_then(|builder| {
+            let builder = builder.with_client_cert_verifier(clients);
+            builder.with_single_cert(chain, secret)
+        })
+        .map_err(|error| bad(&own.0, error.to_string()))?;
+    config.alpn_protocols = vec![b"h2".to_vec()];
+    Ok(TlsAcceptor::from(Arc::new(config)))
 }
-
-/// A connection that has not finished its handshake by then is closed.
-const HANDSHAKE_MAX: std::time::Duration = std::time::Duration::from_secs(5);
 
 /// Whether `role` may make the call with this path. Health and reflection are open to every certificate of the lab.
 fn allowed(path: &str, role: Role) -> bool {
@@ -59,6 +97,41 @@ pub struct Caller {
     pub role: Role,
     /// Its name.
     pub name: String,
+}
+
+impl Caller {
+    /// Who makes `request`; `None`: somebody on this host.
+    pub fn of<T>(request: &Request<T>) -> Option<Self> {
+        request.extensions().get::<Self>().cloned()
+    }
+
+    /// Who is written down for `request`.
+    pub fn origin<T>(request: &Request<T>) -> Origin {
+        match Self::of(request) {
+            Some(Self { role, name }) => Origin::of(&format!("{role}:{name}")),
+            None => Origin::local(),
+        }
+    }
+
+    /// Whether it may publish into `stream`: a learner's machine is not trusted with what operators release, and an
+    /// operator releases nothing that is not signed.
+    ///
+    /// # Errors
+    /// `PERMISSION_DENIED`.
+    pub fn check_publication(&self, stream: &StreamName, signed: bool) -> Result<(), Status> {
+        if self.role == Role::Operator && !signed {
+            return Err(Status::permission_denied(
+                "an operator publishes signed policies only: `caudata policy release`",
+            ));
+        }
+        if self.role != Role::Learner || !stream.as_str().starts_with(RELEASES) {
+            return Ok(());
+        }
+        Err(Status::permission_denied(format!(
+            "learner `{}` may not publish into {stream}: `{RELEASES}` is for operators",
+            self.name
+        )))
+    }
 }
 
 /// Puts [`Guard`] around a service.
@@ -106,6 +179,9 @@ where
     fn call(&mut self, mut request: http::Request<B>) -> Self::Future {
         // Nothing that came over the wire may stand for a certificate.
         request.extensions_mut().remove::<Caller>();
+        if let Some(peer) = request.extensions().get::<Peer>() {
+            peer.called.store(true, Ordering::Relaxed);
+        }
         let checked = if self.enforced {
             check(&request).map(Some)
         } else {
@@ -131,9 +207,8 @@ where
 }
 
 fn check<B>(request: &http::Request<B>) -> Result<Caller, Status> {
-    let connection = request.extensions().get::<TlsConnectInfo<TcpConnectInfo>>();
-    let certificates = connection.and_then(TlsConnectInfo::peer_certs);
-    let own = certificates.as_ref().and_then(|chain| chain.first());
+    let peer = request.extensions().get::<Peer>();
+    let own = peer.and_then(|peer| peer.certificate.as_deref());
     let Some(own) = own else {
         return Err(Status::unauthenticated(
             "a certificate of the lab is needed",
@@ -156,11 +231,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_learner_publishes_and_an_actor_has_no_business_here() {
+    fn only_learners_and_operators_publish_and_an_actor_has_no_business_here() {
         let path = |call: &str| format!("{REGISTRY}{call}");
         for (role, publishes, reads) in [
             (Role::Learner, true, true),
-            (Role::Operator, false, true),
+            (Role::Operator, true, true),
             (Role::Robot, false, true),
             (Role::Actor, false, false),
             (Role::Router, false, false),
@@ -173,5 +248,31 @@ mod tests {
             assert!(allowed("/grpc.health.v1.Health/Check", role));
             assert!(!allowed("/other.Service/Call", role));
         }
+    }
+
+    #[test]
+    fn a_learner_stays_out_of_what_operators_release() {
+        for (role, stream, may) in [
+            (Role::Learner, "release/flat", false),
+            (Role::Learner, "released/flat", true),
+            (Role::Learner, "polymander/flat", true),
+            (Role::Operator, "release/flat", true),
+        ] {
+            let name = "x".to_owned();
+            let stream = StreamName::new(stream).unwrap();
+            assert_eq!(
+                Caller { role, name }
+                    .check_publication(&stream, true)
+                    .is_ok(),
+                may
+            );
+        }
+        let (role, name) = (Role::Operator, "x".to_owned());
+        let stream = StreamName::new("release/flat").unwrap();
+        assert!(
+            Caller { role, name }
+                .check_publication(&stream, false)
+                .is_err()
+        );
     }
 }

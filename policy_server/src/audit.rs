@@ -9,17 +9,20 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_durable::{Disk, DurableError};
+use caudata_proto::hex::hex;
 use caudata_proto::registry::AuditEntry;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::error::StoreError;
-use crate::store::hex;
+use crate::files::{entries, unusable};
 
 /// Newest entries that are kept in memory and answered with; older ones are in the file.
 pub const ENTRIES_KEPT: usize = 2000;
 /// A file that has grown beyond this is given another name, and a new one is begun, bytes.
 pub const FILE_MAX: u64 = 16 << 20;
+/// Grown files that are kept; the oldest goes. The first line of the next one holds the hash of its last.
+pub const FILES_KEPT: usize = 15;
 /// The file that grows.
 const NAME: &str = "audit.jsonl";
 /// What a line says that announces a change which did not happen.
@@ -93,11 +96,15 @@ pub struct AuditLog {
     root: PathBuf,
     length: u64,
     number: u64,
+    /// The highest change counter that a line announces.
+    generation: u64,
     last_hash: String,
     last: Option<Line>,
     entries: VecDeque<AuditEntry>,
     /// The last line announces what did not happen, and there was no space to say so; the next line says it first.
     owed: Option<String>,
+    /// Half a line may be at the end of the file, and could not be cut off.
+    torn: bool,
 }
 
 impl AuditLog {
@@ -111,10 +118,12 @@ impl AuditLog {
             root: root.to_owned(),
             length: 0,
             number: 0,
+            generation: 0,
             last_hash: String::new(),
             last: None,
             entries: VecDeque::new(),
             owed: None,
+            torn: false,
         };
         // Where the newest file was just begun, the one before it says what the last line was.
         if let Some(before) = log.older_files()?.pop() {
@@ -142,28 +151,30 @@ impl AuditLog {
     }
 
     fn older_files(&self) -> Result<Vec<PathBuf>, StoreError> {
-        let listed = fs::read_dir(&self.root).map_err(|error| StoreError::Unusable {
-            path: self.root.clone(),
-            reason: error.to_string(),
-        })?;
-        let mut files: Vec<PathBuf> = listed
-            .flatten()
-            .map(|entry| entry.path())
-            .filter(|path| {
-                let name = path.file_name().and_then(|name| name.to_str());
-                name.is_some_and(|n| n.starts_with("audit-") && n.ends_with(".jsonl"))
-            })
-            .collect();
-        files.sort();
+        let mut files = entries(&self.root)?;
+        files.retain(|path| {
+            let name = path.file_name().and_then(|name| name.to_str());
+            name.is_some_and(|n| n.starts_with("audit-") && n.ends_with(".jsonl"))
+        });
         Ok(files)
+    }
+
+    /// Writes the file anew, so that all of it is on the disk for certain: what a failed sync left of it nobody knows.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn write_anew(&self) -> Result<(), StoreError> {
+        let path = self.path();
+        if !path.exists() {
+            return Ok(());
+        }
+        let bytes = fs::read(&path).map_err(|error| unusable(&path, &error.to_string()))?;
+        Ok(caudata_durable::replace_on(&*self.disk, &path, &bytes)?)
     }
 
     /// Takes over the whole lines of a file; answers their length.
     fn read(&mut self, path: &Path) -> Result<u64, StoreError> {
-        let bytes = fs::read(path).map_err(|error| StoreError::Unusable {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        })?;
+        let bytes = fs::read(path).map_err(|error| unusable(path, &error.to_string()))?;
         let mut whole = 0;
         for line in bytes.split_inclusive(|b| *b == b'\n') {
             let Some(text) = line.strip_suffix(b"\n") else {
@@ -186,6 +197,7 @@ impl AuditLog {
             tracing::error!(path = %path.display(), number, "the record does not follow from the line before: it was changed");
         }
         self.number = line.number;
+        self.generation = self.generation.max(line.generation.unwrap_or(0));
         self.last_hash = hex(&Sha256::digest(text));
         self.keep(&line);
         self.last = Some(line);
@@ -231,23 +243,38 @@ impl AuditLog {
             before: self.last_hash.clone(),
         };
         let path = self.path();
-        let mut text = serde_json::to_vec(&line).map_err(|error| StoreError::Unusable {
-            path: path.clone(),
-            reason: error.to_string(),
-        })?;
+        let mut text =
+            serde_json::to_vec(&line).map_err(|error| unusable(&path, &error.to_string()))?;
         let hash = hex(&Sha256::digest(&text));
         text.push(b'\n');
-        let begins = self.length == 0;
-        if let Err((action, error)) = self.disk.append_synced(&path, &text) {
-            // Half a line would end up in front of the next one.
-            let cut = self.disk.cut_synced(&path, self.length);
-            if !begins && let Err((_, error)) = cut {
-                return Err(DurableError::from_io("sync", &path, error).into());
-            }
-            return Err(DurableError::from_io(action, &path, error).into());
+        let failed = |(action, error)| DurableError::from_io(action, &path, error);
+        if self.torn {
+            self.disk.cut_synced(&path, self.length).map_err(failed)?;
+            self.torn = false;
         }
-        if begins {
-            let synced = self.disk.sync_folder(&self.root);
+        let begins = self.length == 0;
+        // Opened before anything is written: a name that cannot be synced is no line.
+        let root = match begins {
+            true => Some(self.disk.open_folder(&self.root)),
+            false => None,
+        };
+        let root = root
+            .transpose()
+            .map_err(|e| DurableError::from_io("open", &self.root, e))?;
+        if let Err(fault) = self.disk.append_synced(&path, &text) {
+            // Half a line would end up in front of the next one.
+            self.torn = fault.0 != "open" && path.exists();
+            if self.torn {
+                match self.disk.cut_synced(&path, self.length) {
+                    Ok(()) => self.torn = false,
+                    Err(("open", _)) => {}
+                    Err((_, error)) => return Err(failed(("sync", error)).into()),
+                }
+            }
+            return Err(failed(fault).into());
+        }
+        if let Some(root) = root {
+            let synced = self.disk.sync_folder(&root);
             synced.map_err(|e| DurableError::from_io("sync", &self.root, e))?;
         }
         self.length += text.len() as u64;
@@ -271,12 +298,22 @@ impl AuditLog {
         {
             self.length = 0;
         }
+        let old = self.older_files().unwrap_or_default();
+        for path in old.iter().take(old.len().saturating_sub(FILES_KEPT)) {
+            tracing::info!(path = %path.display(), "the oldest part of the record goes");
+            let _ = self.disk.remove(path);
+        }
     }
 
-    /// What the last line announces: the kind of change and its generation.
+    /// The highest change counter that was announced before this start: no other change may get it, or watchers miss that one.
+    pub fn generation(&self) -> u64 {
+        self.generation
+    }
+
+    /// What the last line announces: the stream of the change and its generation.
     pub fn announced(&self) -> Option<(&str, u64)> {
         let line = self.last.as_ref()?;
-        Some((&line.what, line.generation?))
+        Some((&line.stream, line.generation?))
     }
 
     /// Writes that what the last line announces did not happen; where that fails, the next line is written only after it.
@@ -344,7 +381,7 @@ mod tests {
         fs::write(&path, [&whole[..], b"{\"number\":4,"].concat()).unwrap();
         let mut log = open(folder.path());
         assert_eq!(fs::read(&path).unwrap(), whole);
-        assert_eq!(log.announced(), Some(("label", 3)));
+        assert_eq!(log.announced(), Some(("s", 3)));
         log.write_undone("crash").unwrap();
         let numbers: Vec<u64> = log.newest(0).map(|e| e.number).collect();
         assert_eq!(numbers, [4, 3, 2, 1]);
@@ -378,5 +415,49 @@ mod tests {
         let numbers: Vec<u64> = log.newest(0).map(|e| e.number).collect();
         assert_eq!(numbers, [2, 1]);
         assert_eq!(log.older_files().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn grown_files_are_bounded_and_the_chain_goes_on_from_the_oldest_that_is_left() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut log = open(folder.path());
+        for version in 1..=40 {
+            log.write(&Origin::local(), &deed(version)).unwrap();
+            log.begin_another();
+        }
+        let files = log.older_files().unwrap();
+        assert_eq!(files.len(), FILES_KEPT);
+        let lines: Vec<String> = files
+            .iter()
+            .map(|f| fs::read_to_string(f).unwrap())
+            .collect();
+        for (before, line) in lines.iter().zip(&lines[1..]) {
+            let line: Line = serde_json::from_str(line).unwrap();
+            assert_eq!(line.before, hex(&Sha256::digest(before.trim_end())));
+        }
+        let mut log = open(folder.path());
+        log.write(&Origin::local(), &deed(41)).unwrap();
+        assert_eq!(log.newest(0).next().unwrap().number, 41);
+    }
+
+    #[test]
+    fn without_a_file_handle_a_line_is_not_written_and_the_next_one_follows_whole() {
+        use caudata_rehearsal::Rehearsal;
+        let folder = tempfile::tempdir().unwrap();
+        let disk = Arc::new(Rehearsal::new(folder.path()).unwrap());
+        let mut log = AuditLog::open(folder.path(), disk.clone()).unwrap();
+        for version in 1..=2 {
+            disk.fail_opens_at(0, 24);
+            let error = log.write(&Origin::local(), &deed(version)).unwrap_err();
+            let StoreError::Durable(error) = error else {
+                panic!("{error}")
+            };
+            assert!(!error.is_sync_failure(), "{error}");
+            disk.heal();
+            log.write(&Origin::local(), &deed(version)).unwrap();
+        }
+        drop(log);
+        let numbers: Vec<u64> = open(folder.path()).newest(0).map(|e| e.number).collect();
+        assert_eq!(numbers, [2, 1]);
     }
 }

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 
 use caudata_durable::DurableError;
+use caudata_proto::registry::RegistryError;
+use tonic::Status;
 
 /// Why the store refused or failed. A refusal leaves everything that was stored before untouched.
 #[derive(Debug, thiserror::Error)]
@@ -18,6 +20,16 @@ pub enum StoreError {
         version: u64,
         /// SHA-256 (hex) of the bytes that hold the version.
         stored: String,
+    },
+    /// A number that no version bears any more, and none may bear again.
+    #[error("{stream} version {version} is used up: {why}; publish a higher version instead")]
+    UsedUp {
+        /// Stream in question.
+        stream: String,
+        /// Version in question.
+        version: u64,
+        /// What became of what stood there.
+        why: String,
     },
     /// The bytes are not those that the header announced.
     #[error("uploaded bytes hash to {actual}, the header says {announced}; send the file again")]
@@ -81,27 +93,27 @@ pub enum StoreError {
         /// What speaks against it, and what to do.
         reason: String,
     },
-    /// Nothing is changed any more until a person has looked at the disk.
+    /// Nothing is changed until the disk takes it again.
     #[error(
-        "the store is read-only since {reason}; what it holds is still served. Look at the disk, then start the server again"
+        "the store is read-only since {reason}; what it holds is still served, and it looks by itself whether the disk works again"
     )]
     ReadOnly {
         /// What happened.
         reason: String,
     },
-    /// Too many labels.
-    #[error("{stream} has its limit of {limit} labels; use one of them")]
-    TooManyLabels {
-        /// Stream in question.
-        stream: String,
-        /// The limit.
-        limit: usize,
+    /// There are as many of something as may be.
+    #[error("{reason}")]
+    Full {
+        /// Of what, and what to do.
+        reason: String,
     },
-    /// Too many streams.
-    #[error("the store holds its limit of {limit} streams; remove one or raise the limit")]
-    TooManyStreams {
-        /// The limit.
-        limit: usize,
+    /// A stored file is there and cannot be read now.
+    #[error("cannot read {path} now: {source}; try again in a moment")]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system says, for instance that the process has too many files open.
+        source: std::io::Error,
     },
     /// The data folder cannot be used at all.
     #[error("cannot use {path} as the store: {reason}")]
@@ -114,4 +126,55 @@ pub enum StoreError {
     /// Writing failed.
     #[error(transparent)]
     Durable(#[from] DurableError),
+}
+
+/// Why a file of the store could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordError {
+    /// Not the JSON this server writes.
+    #[error("not a record: {0}")]
+    Json(#[from] serde_json::Error),
+    /// The content is not what was written.
+    #[error("its checksum is not that of its content")]
+    Checksum,
+    /// Written by another version of the server.
+    #[error("record format {found} is unknown; use a newer server")]
+    Format {
+        /// The format found.
+        found: u32,
+    },
+    /// A hash that is not 64 hexadecimal digits.
+    #[error("a hash is not 64 hexadecimal digits")]
+    Hash,
+    /// A value that nothing published can have.
+    #[error(transparent)]
+    Message(#[from] RegistryError),
+}
+
+impl From<&StoreError> for Status {
+    fn from(error: &StoreError) -> Self {
+        let message = error.to_string();
+        match error {
+            StoreError::VersionTaken { .. } | StoreError::UsedUp { .. } => {
+                Self::already_exists(message)
+            }
+            StoreError::HashMismatch { .. } | StoreError::HeaderMismatch { .. } => {
+                Self::invalid_argument(message)
+            }
+            StoreError::ContractMismatch { .. } | StoreError::NotAllowed { .. } => {
+                Self::failed_precondition(message)
+            }
+            StoreError::LabelMoved { .. } => Self::aborted(message),
+            StoreError::NotFound { .. } => Self::not_found(message),
+            StoreError::Damaged { .. } => Self::data_loss(message),
+            StoreError::Full { .. } => Self::resource_exhausted(message),
+            StoreError::Durable(durable) if durable.is_disk_full() => {
+                Self::resource_exhausted(message)
+            }
+            StoreError::ReadOnly { .. }
+            | StoreError::Unreadable { .. }
+            | StoreError::Durable(_) => Self::unavailable(message),
+            StoreError::Unusable { .. } => Self::internal(message),
+        }
+    }
 }

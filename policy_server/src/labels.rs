@@ -1,20 +1,29 @@
 //! Labels, quarantine, reverts and reports of the store.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::time::Instant;
 
 use caudata_proto::registry::{
-    LabelName, LabelState, Manifest, QuarantineState, RobotReport, SetLabel, StreamName,
+    LabelName, LabelState, Manifest, Overview, QuarantineState, RobotReport, SetLabel, StreamName,
 };
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use caudata_proto::wire::registry as wire;
 
 use crate::audit::{Deed, Origin};
+use crate::checks::{MOVE, Move};
 use crate::error::StoreError;
-use crate::notes::{LabelFile, QuarantineFile, Reports, ReportsFile};
-use crate::record::{Record, RecordError};
-use crate::steps::Step;
-use crate::store::{LABELS_MAX, Published, Store, entries, stream_folder, unusable};
+use crate::files::{clipped, stream_folder};
+use crate::notes::{QuarantineFile, Quarantined, Reports, ReportsFile};
+use crate::record::Record;
+use crate::store::{Published, Store};
+
+/// Labels of one stream at most.
+pub const LABELS_MAX: usize = 32;
+/// Versions out of use of one stream at most: they are kept for good.
+pub const QUARANTINED_MAX: usize = 1024;
+/// Reports in an overview at most, the newest.
+const REPORTS_MAX: usize = 1000;
+/// Versions out of use in an overview at most, the newest.
+const SHOWN_MAX: usize = 1000;
 
 /// One change that counts, of those that still show.
 #[derive(Clone, Debug)]
@@ -56,7 +65,14 @@ impl Store {
             .cloned()
             .map(Change::Published)
             .chain(self.labels.values().cloned().map(Change::Label))
-            .chain(self.quarantined.values().cloned().map(Change::Quarantined))
+            .chain(self.quarantines().cloned().map(Change::Quarantined))
+    }
+
+    /// What is out of use.
+    pub fn quarantines(&self) -> impl Iterator<Item = &QuarantineState> {
+        self.quarantined
+            .values()
+            .map(|quarantined| &quarantined.state)
     }
 
     /// Whether a version is out of use.
@@ -108,7 +124,7 @@ impl Store {
     /// Moves a label, where it is still as the caller knows it.
     ///
     /// # Errors
-    /// [`StoreError::LabelMoved`], [`StoreError::NotAllowed`], [`StoreError::TooManyLabels`], [`StoreError::ReadOnly`]; what the disk says.
+    /// [`StoreError::LabelMoved`], [`StoreError::NotAllowed`], [`StoreError::Full`], [`StoreError::ReadOnly`]; what the disk says.
     pub fn set_label(
         &mut self,
         origin: &Origin,
@@ -116,17 +132,25 @@ impl Store {
     ) -> Result<LabelState, StoreError> {
         let key = (wanted.stream.clone(), wanted.label.clone());
         let before = self.labels.get(&key);
-        let found = before.map_or(0, |state| state.generation);
-        if Step::LabelMoved.on() && found != wanted.expected_generation {
-            return Err(StoreError::LabelMoved {
-                stream: wanted.stream.to_string(),
-                label: wanted.label.to_string(),
-                found,
-                expected: wanted.expected_generation,
+        if wanted.label.is_latest() {
+            return Err(StoreError::NotAllowed {
+                reason: "`latest` moves by itself; publish, or quarantine what is newest".into(),
+            });
+        }
+        let to = Move {
+            store: self,
+            wanted: &wanted,
+            before,
+        };
+        to.check(MOVE)?;
+        let of_stream = |(of, _): &&(StreamName, LabelName)| *of == wanted.stream;
+        if before.is_none() && self.labels.keys().filter(of_stream).count() >= LABELS_MAX {
+            let stream = &wanted.stream;
+            return Err(StoreError::Full {
+                reason: format!("{stream} has its limit of {LABELS_MAX} labels; use one of them"),
             });
         }
         let from = before.map(|state| state.version);
-        self.check_label(&wanted, from)?;
         let state = LabelState {
             generation: self.generation + 1,
             by: origin.by.clone(),
@@ -146,56 +170,15 @@ impl Store {
             stream: state.stream.as_str(),
             version: state.version,
             generation: Some(state.generation),
-            detail: clipped(detail),
+            detail: clipped(&detail),
         };
         let path = self.label_path(&state.stream, &state.label);
         self.announced(origin, &deed, |store| {
-            store.write_note(&path, &LabelFile::from(&state))
+            store.write_note(&path, &wire::LabelState::from(state.clone()))
         })?;
         self.generation = state.generation;
         self.labels.insert(key, state.clone());
         Ok(state)
-    }
-
-    fn check_label(&self, wanted: &SetLabel, from: Option<u64>) -> Result<(), StoreError> {
-        let (stream, label, version) = (&wanted.stream, &wanted.label, wanted.version);
-        let refused = |reason: String| Err(StoreError::NotAllowed { reason });
-        if label.is_latest() {
-            return refused(
-                "`latest` moves by itself; publish, or quarantine what is newest".into(),
-            );
-        }
-        if Step::LabelKnown.on() && self.find(stream, version).is_none() {
-            return refused(format!(
-                "{stream} has no version {version} that a label could lead to"
-            ));
-        }
-        if Step::LabelUsable.on() && self.is_quarantined(stream, version) {
-            return refused(format!("{stream} version {version} is quarantined"));
-        }
-        if let Some(from) = from.filter(|from| Step::LabelUp.on() && *from > version) {
-            return refused(format!(
-                "{label} leads to version {from}, and robots never go back to a lower one; `caudata policy revert` publishes \
-                 version {version} again under a higher number"
-            ));
-        }
-        let good = self.good_reports(stream, version);
-        let needed = self.limits.stable_needs;
-        let unproved = label.needs_proof() && good < needed && wanted.override_reason.is_none();
-        if Step::LabelProof.on() && unproved {
-            return refused(format!(
-                "{good} robots ran {stream} version {version} through its trial, {label} needs {needed}; let robots follow another \
-                 label first, or give a reason to override"
-            ));
-        }
-        let labels = self.labels.keys().filter(|(of, _)| of == stream).count();
-        if from.is_none() && labels >= LABELS_MAX {
-            return Err(StoreError::TooManyLabels {
-                stream: stream.to_string(),
-                limit: LABELS_MAX,
-            });
-        }
-        Ok(())
     }
 
     /// Robots that said that a version went through its trial.
@@ -216,9 +199,19 @@ impl Store {
     ) -> Result<QuarantineState, StoreError> {
         let key = (state.stream.clone(), state.version);
         if let Some(known) = self.quarantined.get(&key) {
-            return Ok(known.clone());
+            return Ok(known.state.clone());
         }
-        self.manifest(&state.stream, Some(state.version))?;
+        let record = self.manifest(&state.stream, Some(state.version))?;
+        let sha256 = Some(record.manifest.sha256);
+        let of_stream = self.quarantines().filter(|q| q.stream == state.stream);
+        if of_stream.count() >= QUARANTINED_MAX {
+            return Err(StoreError::Full {
+                reason: format!(
+                    "{} has its limit of {QUARANTINED_MAX} versions out of use; use another stream",
+                    state.stream
+                ),
+            });
+        }
         state.by = origin.by.clone();
         state.unix_ms = origin.unix_ms;
         state.generation = self.generation + 1;
@@ -227,34 +220,19 @@ impl Store {
             stream: state.stream.as_str(),
             version: state.version,
             generation: Some(state.generation),
-            detail: clipped(state.reason.clone()),
+            detail: clipped(&state.reason),
         };
         let path = self.note_path("quarantine", &state.stream, state.version);
+        let quarantined = Quarantined {
+            state: state.clone(),
+            sha256,
+        };
         self.announced(origin, &deed, |store| {
-            store.write_note(&path, &QuarantineFile::from(&state))
+            store.write_note(&path, &QuarantineFile::from(&quarantined))
         })?;
         self.generation = state.generation;
-        self.quarantined.insert(key, state.clone());
+        self.quarantined.insert(key, quarantined);
         Ok(state)
-    }
-
-    /// Bytes that are out of use under one number must not come back under another.
-    pub(crate) fn check_not_quarantined(&self, manifest: &Manifest) -> Result<(), StoreError> {
-        let same = |state: &&QuarantineState| {
-            let record = self.find(&manifest.stream, state.version);
-            state.stream == manifest.stream
-                && record.is_some_and(|r| r.manifest.sha256 == manifest.sha256)
-        };
-        let found = self.quarantined.values().find(same);
-        match found.filter(|_| Step::QuarantinedBytes.on()) {
-            None => Ok(()),
-            Some(state) => Err(StoreError::NotAllowed {
-                reason: format!(
-                    "these bytes are version {} of {}, which is quarantined: {}",
-                    state.version, state.stream, state.reason
-                ),
-            }),
-        }
     }
 
     /// Publishes the bytes of an older version again, as `manifest` says.
@@ -296,14 +274,15 @@ impl Store {
             ));
         }
         let bytes = self.read_blob(&manifest.sha256)?;
-        let words = clipped(format!("version {old} again: {reason}"));
+        let words = clipped(&format!("version {old} again: {reason}"));
         self.publish_by(origin, "revert", &words, manifest, &bytes)
     }
 
     /// Keeps what a robot says about a version. True where it is news.
     ///
     /// # Errors
-    /// [`StoreError::NotFound`] for a version that is not here, or has other bytes; [`StoreError::ReadOnly`]; what the disk says.
+    /// [`StoreError::NotFound`] for a version that is not here, or has other bytes; [`StoreError::Full`] for a robot that says too
+    /// much; [`StoreError::ReadOnly`]; what the disk says.
     pub fn report(&mut self, origin: &Origin, mut report: RobotReport) -> Result<bool, StoreError> {
         let record = self.manifest(&report.stream, Some(report.version))?;
         if record.manifest.sha256 != report.sha256 {
@@ -327,6 +306,14 @@ impl Store {
         if known.is_some_and(same) {
             return Ok(false);
         }
+        if !self.quota.take(&report.robot, Instant::now()) {
+            return Err(StoreError::Full {
+                reason: format!(
+                    "robot `{}` says more than is written down; say less, or again in a while",
+                    report.robot
+                ),
+            });
+        }
         report.unix_ms = origin.unix_ms;
         let what = if report.state.went_well() {
             "ack"
@@ -339,7 +326,7 @@ impl Store {
             stream: report.stream.as_str(),
             version: report.version,
             generation: None,
-            detail: clipped(words.trim_end().to_owned()),
+            detail: clipped(words.trim_end()),
         };
         let path = self.note_path("reports", &report.stream, report.version);
         let next = before.with(report.clone());
@@ -348,13 +335,6 @@ impl Store {
         })?;
         self.reports.insert(key, next);
         Ok(true)
-    }
-
-    fn write_note(&self, path: &Path, note: &impl Serialize) -> Result<(), StoreError> {
-        self.make_folder_of(path)?;
-        let text =
-            serde_json::to_vec_pretty(note).map_err(|error| unusable(path, &error.to_string()))?;
-        Ok(caudata_durable::replace_on(&*self.disk, path, &text)?)
     }
 
     fn label_path(&self, stream: &StreamName, label: &LabelName) -> PathBuf {
@@ -367,111 +347,33 @@ impl Store {
         folder.join(format!("{version:020}.json"))
     }
 
-    /// Forgets what was said about a version that is gone.
-    pub(crate) fn forget_notes(&mut self, stream: &StreamName, version: u64) {
-        let key = (stream.clone(), version);
-        for (kind, known) in [
-            ("quarantine", self.quarantined.remove(&key).is_some()),
-            ("reports", self.reports.remove(&key).is_some()),
-        ] {
-            if known {
-                let _ = self.disk.remove(&self.note_path(kind, stream, version));
-            }
+    /// Forgets what was said about a version that is gone. Its quarantine stays: neither its number nor its bytes come back.
+    pub(crate) fn forget_reports(&mut self, stream: &StreamName, version: u64) {
+        if self.reports.remove(&(stream.clone(), version)).is_some() {
+            let _ = self
+                .disk
+                .remove(&self.note_path("reports", stream, version));
         }
     }
 
-    /// Reads labels, quarantine and reports; a damaged file is set aside, but a damaged quarantine file still keeps its version
-    /// out of use.
-    pub(crate) fn load_notes(&mut self) -> Result<(), StoreError> {
-        for path in self.note_files("labels")? {
-            if let Some(state) = self.note_or_aside::<LabelFile, LabelState>(&path)? {
-                self.generation = self.generation.max(state.generation);
-                self.labels
-                    .insert((state.stream.clone(), state.label.clone()), state);
-            }
-        }
-        for path in self.note_files("quarantine")? {
-            let read = read_note::<QuarantineFile, QuarantineState>(&path)?;
-            let state = match read {
-                Ok(state) => Some(state),
-                // To forget it would let the version loose: the file's name says enough.
-                Err(error) => quarantine_of_name(&path, &error),
-            };
-            if let Some(state) = state {
-                self.generation = self.generation.max(state.generation);
-                self.quarantined
-                    .insert((state.stream.clone(), state.version), state);
-            }
-        }
-        for path in self.note_files("reports")? {
-            if let Some(reports) = self.note_or_aside::<ReportsFile, Reports>(&path)? {
-                let first = reports.0.values().next();
-                if let Some(key) = first.map(|r| (r.stream.clone(), r.version)) {
-                    self.reports.insert(key, reports);
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn note_files(&self, kind: &str) -> Result<Vec<PathBuf>, StoreError> {
-        let mut files = Vec::new();
-        for folder in entries(&self.root.join(kind))? {
-            if folder.is_dir() {
-                caudata_durable::remove_leftovers(&folder)?;
-                files.extend(entries(&folder)?);
-            }
-        }
-        Ok(files)
-    }
-
-    fn note_or_aside<F, T>(&self, path: &Path) -> Result<Option<T>, StoreError>
-    where
-        F: DeserializeOwned,
-        T: TryFrom<F, Error = RecordError>,
-    {
-        match read_note::<F, T>(path)? {
-            Ok(note) => Ok(Some(note)),
-            Err(error) => {
-                tracing::error!(path = %path.display(), %error, "unreadable, set aside");
-                self.set_aside(path);
-                Ok(None)
-            }
+    /// Labels, quarantine and reports of `stream` (`None`: of all), the newest reports first.
+    #[must_use]
+    pub fn overview(&self, stream: Option<&StreamName>) -> Overview {
+        let wanted = |name: &StreamName| stream.is_none_or(|s| s == name);
+        let said = self.reports.values().flat_map(|reports| reports.0.values());
+        let mut reports: Vec<RobotReport> = said.filter(|r| wanted(&r.stream)).cloned().collect();
+        reports.sort_by_key(|report| std::cmp::Reverse(report.unix_ms));
+        reports.truncate(REPORTS_MAX);
+        let out = self.quarantines().filter(|state| wanted(&state.stream));
+        let mut quarantined: Vec<QuarantineState> = out.cloned().collect();
+        quarantined.sort_by_key(|state| std::cmp::Reverse(state.generation));
+        quarantined.truncate(SHOWN_MAX);
+        Overview {
+            labels: self.labels(stream),
+            quarantined,
+            reports,
+            generation: self.generation(),
+            read_only: self.trouble().map(|reason| clipped(reason)),
         }
     }
-}
-
-/// The outer error: the file cannot be read at all.
-fn read_note<F, T>(path: &Path) -> Result<Result<T, RecordError>, StoreError>
-where
-    F: DeserializeOwned,
-    T: TryFrom<F, Error = RecordError>,
-{
-    let bytes = fs::read(path).map_err(|error| unusable(path, &error.to_string()))?;
-    let file = serde_json::from_slice::<F>(&bytes).map_err(RecordError::from);
-    Ok(file.and_then(T::try_from))
-}
-
-/// What the name of a damaged quarantine file says.
-fn quarantine_of_name(path: &Path, error: &RecordError) -> Option<QuarantineState> {
-    tracing::error!(path = %path.display(), %error, "unreadable; its version stays out of use");
-    let folder = path.parent()?.file_name()?.to_str()?.replace('@', "/");
-    Some(QuarantineState {
-        stream: StreamName::new(&folder).ok()?,
-        version: path.file_stem()?.to_str()?.parse().ok()?,
-        reason: "its quarantine file is damaged".to_owned(),
-        by: String::new(),
-        generation: 0,
-        unix_ms: 0,
-    })
-}
-
-/// What fits into a line of the record.
-fn clipped(mut words: String) -> String {
-    let mut end = words.len().min(300);
-    while !words.is_char_boundary(end) {
-        end -= 1;
-    }
-    words.truncate(end);
-    words
 }

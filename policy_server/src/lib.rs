@@ -5,33 +5,42 @@
 
 mod access;
 mod audit;
+mod checks;
+mod damage;
 mod error;
+mod fetches;
+mod files;
 mod labels;
 mod limits;
+mod load;
 mod metrics;
 mod notes;
+mod options;
 mod page;
+mod quota;
 mod record;
 mod replies;
 mod server;
 mod service;
-mod steps;
+mod shared;
 mod store;
 #[cfg(test)]
 mod testing;
+mod uploads;
+mod watches;
 
 pub use access::tls_config;
 pub use audit::{Deed, Origin};
-pub use error::StoreError;
-pub use labels::Change;
+pub use error::{RecordError, StoreError};
+pub use labels::{Change, LABELS_MAX, QUARANTINED_MAX};
 pub use limits::{CONNECTIONS_MAX, ConnectionLimits, PEER_CONNECTIONS_MAX};
 pub use metrics::ServerMetrics;
+pub use options::{Keepalive, REPLY_IDLE_MAX, ServeOptions};
 pub use page::serve_page;
-pub use record::{RECORD_FORMAT, Record, RecordError};
-pub use server::{
-    DRAIN_MAX, Keepalive, ServeError, ServeOptions, listen, serve, serve_tls, serve_with,
-};
-pub use service::{
-    LIST_MAX, REPLY_IDLE_MAX, RegistryService, SharedStore, UPLOAD_IDLE_MAX, WATCH_PROGRESS,
-};
-pub use store::{LABELS_MAX, Published, Store, StoreLimits, hex};
+pub use record::{RECORD_FORMAT, Record};
+pub use server::{DRAIN_MAX, ServeError, listen, serve, serve_tls, serve_with};
+pub use service::{LIST_MAX, RegistryService};
+pub use shared::SharedStore;
+pub use store::{Published, Store, StoreLimits};
+pub use uploads::UPLOAD_IDLE_MAX;
+pub use watches::WATCH_PROGRESS;

@@ -14,11 +14,11 @@ use caudata_policy_server::{
 use caudata_signing::ReleaseKey;
 use caudata_telemetry::{
     ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, StopFlag, announce,
-    parse_args,
+    parse_args, raise_file_limit,
 };
 use clap::Parser;
 use tokio::sync::watch;
-use tonic::transport::ServerTlsConfig;
+use tokio_rustls::TlsAcceptor;
 
 /// Holds policy versions and hands them to robots: a content-addressed store behind gRPC.
 #[derive(Parser)]
@@ -80,7 +80,8 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
         connections: ConnectionLimits {
             total: args.connections,
             per_peer: args.connections_per_host,
-        },
+        }
+        .within(raise_file_limit()),
         ..ServeOptions::default()
     };
     let store = Store::open(&args.data, limits).map_err(store_failure)?;
@@ -88,7 +89,21 @@ fn run(args: &Args, stop: &StopFlag) -> Result<(), Failure> {
     let metrics = Metrics::new();
     let counters = ServerMetrics::register(&metrics);
     let _endpoint = match args.metrics_addr {
-        Some(addr) => Some(MetricsServer::start(addr, metrics, stop.clone())?),
+        Some(addr) => {
+            let trouble = store.trouble();
+            let check = move || {
+                trouble
+                    .borrow()
+                    .as_ref()
+                    .map(|why| format!("cannot write: {why}"))
+            };
+            Some(MetricsServer::start_with_check(
+                addr,
+                metrics,
+                stop.clone(),
+                check,
+            )?)
+        }
         None => None,
     };
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -135,7 +150,7 @@ fn fresh_key(args: &Args) -> Result<Option<Arc<ReleaseKey>>, Failure> {
 }
 
 /// The certificates; none on loopback unless asked for.
-fn tls_of(args: &Args) -> Result<Option<ServerTlsConfig>, Failure> {
+fn tls_of(args: &Args) -> Result<Option<TlsAcceptor>, Failure> {
     let Some(folder) = &args.tls_dir else {
         if args.addr.ip().is_loopback() {
             return Ok(None);

@@ -2,6 +2,8 @@
 
 use caudata_telemetry::{Counter, IntGauge, Metrics};
 
+use crate::store::Store;
+
 /// Handles into the process's registry; cloning shares them.
 #[derive(Clone, Debug)]
 pub struct ServerMetrics {
@@ -15,8 +17,10 @@ pub struct ServerMetrics {
     pub fetched: Counter,
     /// What robots said about versions.
     pub reports: Counter,
-    /// 1 where the store can no longer be changed.
+    /// 1 where the store cannot be changed.
     pub read_only: IntGauge,
+    /// Files that were found damaged and set aside.
+    pub damaged: IntGauge,
     /// Watches open now.
     pub watchers: IntGauge,
     /// Versions in the store.
@@ -46,11 +50,27 @@ impl ServerMetrics {
             ),
             read_only: metrics.int_gauge(
                 "caudata_policy_read_only",
-                "1 after a failed sync: nothing is stored any more",
+                "1 while the disk takes no changes",
+            ),
+            damaged: metrics.int_gauge(
+                "caudata_policy_damaged_files",
+                "Files of the store that were found damaged and set aside",
             ),
             watchers: metrics.int_gauge("caudata_policy_watchers", "Watches open now"),
             versions: metrics.int_gauge("caudata_policy_versions", "Policy versions in the store"),
             streams: metrics.int_gauge("caudata_policy_streams", "Policy streams in the store"),
+        }
+    }
+
+    /// Shows how a store is.
+    pub(crate) fn show(&self, store: &Store) {
+        for (gauge, value) in [
+            (&self.versions, store.records(None).count()),
+            (&self.streams, store.stream_names().count()),
+            (&self.read_only, usize::from(store.trouble().is_some())),
+            (&self.damaged, store.damaged_files()),
+        ] {
+            gauge.set(i64::try_from(value).unwrap_or(i64::MAX));
         }
     }
 }

@@ -1,98 +1,140 @@
-//! What stands beside the versions on disk: where labels lead, what is out of use, and what robots said.
+//! What stands beside the versions on disk: what is out of use, which numbers are used up, and what robots said.
 
 use std::collections::BTreeMap;
 
-use caudata_proto::registry::{
-    LabelName, LabelState, QuarantineState, RobotReport, RobotState, StreamName,
-};
+use caudata_proto::hex;
+use caudata_proto::registry::{QuarantineState, RobotReport, RobotState, StreamName};
+use caudata_proto::wire::registry as wire;
 use serde::{Deserialize, Serialize};
 
-use crate::record::{RecordError, from_hex_32};
-use crate::store::hex;
+use crate::error::RecordError;
 
 /// Robots whose word about one version is kept; with more, the one that spoke first is forgotten.
 pub const ROBOTS_MAX: usize = 256;
+/// Damaged versions of one stream whose numbers are kept one by one; with more, all numbers up to the lowest are used up.
+const DAMAGED_MAX: usize = 256;
 
-/// A label's file.
+/// A SHA-256.
+pub type Hash = [u8; 32];
+
+/// A version out of use, and the bytes that are out of use with it: kept for good, also when the version itself is gone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quarantined {
+    /// What is told of it.
+    pub state: QuarantineState,
+    /// Its bytes; `None` where the file is damaged, or an older server's and the version was gone already.
+    pub sha256: Option<Hash>,
+}
+
+/// Its file.
 #[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LabelFile {
-    stream: String,
-    label: String,
-    version: u64,
-    generation: u64,
-    by: String,
-    override_reason: Option<String>,
-    unix_ms: u64,
-}
-
-impl From<&LabelState> for LabelFile {
-    fn from(state: &LabelState) -> Self {
-        Self {
-            stream: state.stream.to_string(),
-            label: state.label.to_string(),
-            version: state.version,
-            generation: state.generation,
-            by: state.by.clone(),
-            override_reason: state.override_reason.clone(),
-            unix_ms: state.unix_ms,
-        }
-    }
-}
-
-impl TryFrom<LabelFile> for LabelState {
-    type Error = RecordError;
-
-    fn try_from(file: LabelFile) -> Result<Self, RecordError> {
-        Ok(Self {
-            stream: StreamName::new(&file.stream)?,
-            label: LabelName::new(&file.label)?,
-            version: file.version,
-            generation: file.generation,
-            by: file.by,
-            override_reason: file.override_reason,
-            unix_ms: file.unix_ms,
-        })
-    }
-}
-
-/// The file of a version out of use.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct QuarantineFile {
-    stream: String,
-    version: u64,
-    reason: String,
-    by: String,
-    generation: u64,
-    unix_ms: u64,
+    #[serde(flatten)]
+    state: wire::QuarantineState,
+    #[serde(default)]
+    sha256: Option<String>,
 }
 
-impl From<&QuarantineState> for QuarantineFile {
-    fn from(state: &QuarantineState) -> Self {
+impl From<&Quarantined> for QuarantineFile {
+    fn from(quarantined: &Quarantined) -> Self {
         Self {
-            stream: state.stream.to_string(),
-            version: state.version,
-            reason: state.reason.clone(),
-            by: state.by.clone(),
-            generation: state.generation,
-            unix_ms: state.unix_ms,
+            state: quarantined.state.clone().into(),
+            sha256: quarantined.sha256.map(|hash| hex::hex(&hash)),
         }
     }
 }
 
-impl TryFrom<QuarantineFile> for QuarantineState {
+impl TryFrom<QuarantineFile> for Quarantined {
     type Error = RecordError;
 
     fn try_from(file: QuarantineFile) -> Result<Self, RecordError> {
         Ok(Self {
-            stream: StreamName::new(&file.stream)?,
-            version: file.version,
-            reason: file.reason,
-            by: file.by,
-            generation: file.generation,
-            unix_ms: file.unix_ms,
+            state: file.state.try_into()?,
+            sha256: file.sha256.map(|text| hash(&text)).transpose()?,
         })
+    }
+}
+
+fn hash(text: &str) -> Result<Hash, RecordError> {
+    let bytes = hex::from_hex(text).and_then(|bytes| bytes.try_into().ok());
+    bytes.ok_or(RecordError::Hash)
+}
+
+/// Numbers of a stream that are used up although no version stands under them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct UsedUp {
+    /// All below this one: their versions retired.
+    pub below: u64,
+    /// Those whose record or file was found damaged, with the bytes they stood for, where those are known.
+    pub damaged: BTreeMap<u64, Option<Hash>>,
+}
+
+impl UsedUp {
+    /// Why `version` cannot be published with these bytes; `None`: it can.
+    #[must_use]
+    pub fn objection(&self, version: u64, sha256: &Hash) -> Option<String> {
+        match self.damaged.get(&version) {
+            Some(Some(known)) if known == sha256 => None,
+            Some(_) => Some("what stood there was found damaged".to_owned()),
+            None if version < self.below => Some("older versions were retired".to_owned()),
+            None => None,
+        }
+    }
+
+    /// Versions up to `version` retire.
+    pub fn retire(&mut self, version: u64) {
+        self.below = self.below.max(version.saturating_add(1));
+    }
+
+    /// What stood under `version` was found damaged.
+    pub fn damage(&mut self, version: u64, sha256: Option<Hash>) {
+        let known = self.damaged.entry(version).or_default();
+        *known = known.or(sha256);
+        while self.damaged.len() > DAMAGED_MAX {
+            if let Some((lowest, _)) = self.damaged.pop_first() {
+                self.retire(lowest);
+            }
+        }
+    }
+}
+
+/// The file of them.
+#[derive(Serialize, Deserialize)]
+pub struct UsedUpFile {
+    stream: String,
+    below: u64,
+    damaged: Vec<(u64, Option<String>)>,
+}
+
+impl UsedUpFile {
+    /// Those of `stream`.
+    pub fn new(stream: &StreamName, used_up: &UsedUp) -> Self {
+        let line =
+            |(version, known): (&u64, &Option<Hash>)| (*version, known.map(|h| hex::hex(&h)));
+        Self {
+            stream: stream.to_string(),
+            below: used_up.below,
+            damaged: used_up.damaged.iter().map(line).collect(),
+        }
+    }
+}
+
+impl TryFrom<UsedUpFile> for (StreamName, UsedUp) {
+    type Error = RecordError;
+
+    fn try_from(file: UsedUpFile) -> Result<Self, RecordError> {
+        let line = |(version, known): (u64, Option<String>)| {
+            Ok((version, known.map(|text| hash(&text)).transpose()?))
+        };
+        let used_up = UsedUp {
+            below: file.below,
+            damaged: file
+                .damaged
+                .into_iter()
+                .map(line)
+                .collect::<Result<_, RecordError>>()?,
+        };
+        Ok((StreamName::new(&file.stream)?, used_up))
     }
 }
 
@@ -125,42 +167,14 @@ impl Reports {
 
 /// The file of them.
 #[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct ReportsFile {
-    reports: Vec<ReportLine>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ReportLine {
-    robot: String,
-    stream: String,
-    version: u64,
-    sha256: String,
-    state: String,
-    reason: String,
-    walked_s: f64,
-    falls: u32,
-    attempts: u32,
-    unix_ms: u64,
+    reports: Vec<wire::RobotReport>,
 }
 
 impl From<&Reports> for ReportsFile {
     fn from(reports: &Reports) -> Self {
-        let line = |report: &RobotReport| ReportLine {
-            robot: report.robot.clone(),
-            stream: report.stream.to_string(),
-            version: report.version,
-            sha256: hex(&report.sha256),
-            state: report.state.word().to_owned(),
-            reason: report.reason.clone(),
-            walked_s: report.walked_s,
-            falls: report.falls,
-            attempts: report.attempts,
-            unix_ms: report.unix_ms,
-        };
         Self {
-            reports: reports.0.values().map(line).collect(),
+            reports: reports.0.values().cloned().map(Into::into).collect(),
         }
     }
 }
@@ -169,23 +183,13 @@ impl TryFrom<ReportsFile> for Reports {
     type Error = RecordError;
 
     fn try_from(file: ReportsFile) -> Result<Self, RecordError> {
-        let report = |line: ReportLine| {
-            let state = RobotState::of_word(&line.state);
-            let report = RobotReport {
-                stream: StreamName::new(&line.stream)?,
-                version: line.version,
-                sha256: from_hex_32("sha256", &line.sha256)?,
-                state: state.ok_or(RecordError::Word { word: line.state })?,
-                reason: line.reason,
-                walked_s: line.walked_s,
-                falls: line.falls,
-                attempts: line.attempts,
-                unix_ms: line.unix_ms,
-                robot: line.robot,
-            };
-            Ok((report.robot.clone(), report))
-        };
-        let reports: Result<_, RecordError> = file.reports.into_iter().map(report).collect();
-        Ok(Self(reports?))
+        // One that could not be said today, such as `good` without a step, is left out.
+        let reports = file.reports.into_iter().map(RobotReport::try_from);
+        let reports = reports.flatten();
+        Ok(Self(
+            reports
+                .map(|report| (report.robot.clone(), report))
+                .collect(),
+        ))
     }
 }

@@ -8,13 +8,15 @@ use axum::Router;
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::response::IntoResponse;
 use axum::routing::get;
+use caudata_proto::hex::hex;
 use caudata_proto::registry::{Manifest, Overview, RobotReport, StreamName};
+use caudata_telemetry::serve_http;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
 use crate::audit::Origin;
-use crate::service::{SharedStore, overview};
-use crate::store::{Store, hex};
+use crate::shared::SharedStore;
+use crate::store::Store;
 
 /// Versions of one stream that are shown, the newest first.
 const VERSIONS_MAX: usize = 30;
@@ -56,17 +58,13 @@ pub async fn serve_page(
             (headers, text).into_response()
         }
     };
-    let served = axum::serve(listener, Router::new().route("/", get(page)));
-    served
-        .with_graceful_shutdown(async move {
-            let _ = stop.wait_for(|stop| *stop).await;
-        })
-        .await
+    let ended = async move { _ = stop.wait_for(|stop| *stop).await };
+    serve_http(listener, Router::new().route("/", get(page)), ended).await
 }
 
 /// The page, as of `now`.
 pub fn render(store: &Store, now_unix_ms: u64) -> String {
-    let all = overview(store, None);
+    let all = store.overview(None);
     let mut page = format!(
         "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Policies</title>\
          <meta name=\"viewport\" content=\"width=device-width\"><meta http-equiv=\"refresh\" content=\"10\"><style>{STYLE}</style></head>\
@@ -79,7 +77,11 @@ pub fn render(store: &Store, now_unix_ms: u64) -> String {
         all.generation
     );
     if let Some(reason) = &all.read_only {
-        let _ = write!(page, "<p class=\"bad\">Read-only: {}</p>", escaped(reason));
+        let _ = write!(
+            page,
+            "<p class=\"bad\">Cannot be changed: {}</p>",
+            escaped(reason)
+        );
     }
     robots(&mut page, &all, now_unix_ms);
     let mut newest: Vec<(u64, &StreamName)> = store

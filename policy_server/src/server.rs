@@ -1,20 +1,21 @@
 //! Puts the registry, health and reflection services on one port and stops them in order.
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::time::Duration;
 
 use caudata_proto::wire::FILE_DESCRIPTOR_SET;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistryServer;
-use caudata_signing::ReleaseKey;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
-use tonic::transport::{Server, ServerTlsConfig};
+use tokio_rustls::TlsAcceptor;
+use tonic::transport::Server;
 
 use crate::access::GuardLayer;
-use crate::limits::{ConnectionLimits, Incoming};
+use crate::limits::incoming;
 use crate::metrics::ServerMetrics;
-use crate::service::{REPLY_IDLE_MAX, RegistryService, SharedStore, UPLOAD_IDLE_MAX};
+use crate::options::ServeOptions;
+use crate::service::RegistryService;
+use crate::shared::SharedStore;
 use crate::store::Store;
 
 /// Requests served at once on one connection; further ones wait.
@@ -33,24 +34,6 @@ struct AbortOnDrop(tokio::task::JoinHandle<()>);
 impl Drop for AbortOnDrop {
     fn drop(&mut self) {
         self.0.abort();
-    }
-}
-
-/// When a silent connection is given up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Keepalive {
-    /// A connection that is silent for this long is asked for a sign of life.
-    pub interval: Duration,
-    /// Without one for this long it is closed.
-    pub timeout: Duration,
-}
-
-impl Default for Keepalive {
-    fn default() -> Self {
-        Self {
-            interval: Duration::from_secs(30),
-            timeout: Duration::from_secs(20),
-        }
     }
 }
 
@@ -92,38 +75,6 @@ pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
         })
 }
 
-/// How to serve.
-#[derive(Clone)]
-pub struct ServeOptions {
-    /// When a silent connection is given up.
-    pub keepalive: Keepalive,
-    /// Clients show a certificate, and its role decides what they may do; `None`: plain, for this host only.
-    pub tls: Option<ServerTlsConfig>,
-    /// Signs where labels lead; `None`: the server cannot say so.
-    pub fresh_key: Option<Arc<ReleaseKey>>,
-    /// How many connections.
-    pub connections: ConnectionLimits,
-    /// A publisher must send its next piece within this time, [`UPLOAD_IDLE_MAX`] unless told otherwise. Too short: publishers behind a poor network are
-    /// cut off; too long: one that died holds its place and the bytes that came.
-    pub upload_idle: Duration,
-    /// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time, [`REPLY_IDLE_MAX`] unless told otherwise. Too short:
-    /// robots behind a poor network are cut off and have to ask again; too long: one that hangs holds its place and what waits for it.
-    pub reply_idle: Duration,
-}
-
-impl Default for ServeOptions {
-    fn default() -> Self {
-        Self {
-            keepalive: Keepalive::default(),
-            tls: None,
-            fresh_key: None,
-            connections: ConnectionLimits::default(),
-            upload_idle: UPLOAD_IDLE_MAX,
-            reply_idle: REPLY_IDLE_MAX,
-        }
-    }
-}
-
 /// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish for
 /// [`DRAIN_MAX`].
 ///
@@ -148,7 +99,7 @@ pub async fn serve_tls(
     store: Store,
     metrics: ServerMetrics,
     stop: watch::Receiver<bool>,
-    tls: ServerTlsConfig,
+    tls: TlsAcceptor,
 ) -> Result<(), ServeError> {
     let options = ServeOptions {
         tls: Some(tls),
@@ -168,9 +119,7 @@ pub async fn serve_with(
     stop: watch::Receiver<bool>,
     options: ServeOptions,
 ) -> Result<(), ServeError> {
-    let registry = RegistryService::new(store, stop.clone(), metrics, options.fresh_key)
-        .with_upload_idle(options.upload_idle)
-        .with_reply_idle(options.reply_idle);
+    let registry = RegistryService::new(store, stop.clone(), metrics, &options);
     let (health, health_service) = tonic_health::server::health_reporter();
     health
         .set_serving::<PolicyRegistryServer<RegistryService>>()
@@ -179,14 +128,11 @@ pub async fn serve_with(
         .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
         .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
         .build_v1()?;
-    let (mut broken, broken_health) = (registry.read_only(), health.clone());
-    let watched = tokio::spawn(async move {
-        if broken.wait_for(|broken| *broken).await.is_ok() {
-            broken_health
-                .set_not_serving::<PolicyRegistryServer<RegistryService>>()
-                .await;
-        }
-    });
+    let watched = tokio::spawn(watch_over(
+        registry.clone(),
+        health.clone(),
+        options.probe_pause,
+    ));
     let mut stopped = stop.clone();
     let drained = async move {
         // An error means that the sender is gone, which is a stop as well.
@@ -198,11 +144,7 @@ pub async fn serve_with(
     let guard = GuardLayer {
         enforced: options.tls.is_some(),
     };
-    let mut builder = Server::builder();
-    if let Some(tls) = options.tls {
-        builder = builder.tls_config(tls)?;
-    }
-    let server = builder
+    let server = Server::builder()
         .layer(guard)
         .concurrency_limit_per_connection(STREAMS_PER_CONNECTION as usize)
         .max_concurrent_streams(STREAMS_PER_CONNECTION)
@@ -218,7 +160,10 @@ pub async fn serve_with(
                 .max_decoding_message_size(MESSAGE_SIZE_MAX)
                 .max_encoding_message_size(MESSAGE_SIZE_MAX * 4),
         )
-        .serve_with_incoming_shutdown(Incoming::new(listener, options.connections), drained);
+        .serve_with_incoming_shutdown(
+            incoming(listener, options.connections, options.tls),
+            drained,
+        );
     // Ends with the server, whichever way that ends.
     let _watched = AbortOnDrop(watched);
     let mut stopping = stop;
@@ -230,6 +175,35 @@ pub async fn serve_with(
         } => {
             tracing::warn!("open requests did not finish in time and were cut off");
             Ok(())
+        }
+    }
+}
+
+/// Says on the health service whether the store takes changes; while it does not, looks again and again whether it does.
+async fn watch_over(
+    registry: RegistryService,
+    health: tonic_health::server::HealthReporter,
+    pause: Duration,
+) {
+    let mut trouble = registry.trouble();
+    loop {
+        let is_well = trouble.borrow_and_update().is_none();
+        match is_well {
+            true => {
+                health
+                    .set_serving::<PolicyRegistryServer<RegistryService>>()
+                    .await;
+                if trouble.changed().await.is_err() {
+                    return;
+                }
+            }
+            false => {
+                health
+                    .set_not_serving::<PolicyRegistryServer<RegistryService>>()
+                    .await;
+                tokio::time::sleep(pause).await;
+                registry.recover().await;
+            }
         }
     }
 }

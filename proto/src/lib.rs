@@ -4,7 +4,10 @@
 //! the generated types in [`wire`] are for encoders, decoders and gRPC services only.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod checks;
+mod disk;
 pub mod framing;
+pub mod hex;
 pub mod registry;
 pub mod robot_link;
 pub mod rollout;

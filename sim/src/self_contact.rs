@@ -1,27 +1,13 @@
 //! Which parts of a robot may touch each other: legs with the trunk, and legs with other legs.
 //!
-//! The shapes are those that touch the ground. A leg is every link beyond whose joint there is exactly one foot; trunk is the rest. A leg
+//! The shapes are those that touch the ground. Legs are those of [`RobotModel::leg_of`]; trunk is the rest. A leg
 //! never touches itself or the trunk link it hangs on: their shapes overlap at the hip by construction.
 
 use caudata_model::RobotModel;
 
 /// Foot of the leg that each link belongs to; `None`: trunk. `[L]`
 pub(crate) fn legs(model: &RobotModel) -> Vec<Option<usize>> {
-    let links = model.links();
-    let mut feet_beyond = vec![Vec::new(); links.len()];
-    for (f, foot) in model.feet().iter().enumerate() {
-        let mut at = Some(foot.link);
-        while let Some(link) = at {
-            feet_beyond[link].push(f);
-            at = links[link].parent;
-        }
-    }
-    (links.iter().zip(feet_beyond))
-        .map(|(link, feet)| match feet[..] {
-            [foot] if link.parent.is_some() => Some(foot),
-            _ => None,
-        })
-        .collect()
+    (0..model.links().len()).map(|l| model.leg_of(l)).collect()
 }
 
 /// Legs that hang on each link, as foot indices. `[L]`

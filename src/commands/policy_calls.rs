@@ -40,7 +40,9 @@ pub fn client_failure(error: ClientError) -> Failure {
         ClientError::Unreachable { .. } => ExitCode::Unavailable,
         _ if error.is_lost_race() => ExitCode::TempFail,
         ClientError::TimedOut { .. } | ClientError::TooSlow => ExitCode::TempFail,
-        ClientError::BadAnswer(_) | ClientError::WrongBytes { .. } => ExitCode::Protocol,
+        ClientError::BadAnswer(_)
+        | ClientError::OtherQuestion(_)
+        | ClientError::WrongBytes { .. } => ExitCode::Protocol,
         ClientError::Refused { .. } => ExitCode::Unavailable,
     };
     Failure::new(code, error)

@@ -128,7 +128,7 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
     let before = Trust::before(&args.trust, version).map_err(|error| {
         let code = match error {
             SigningError::File { .. } => ExitCode::NoInput,
-            SigningError::Content { .. } => ExitCode::BadInput,
+            SigningError::Content { .. } | SigningError::Exposed { .. } => ExitCode::BadInput,
         };
         Failure::new(code, error)
     })?;

@@ -70,7 +70,7 @@ pub enum LinkKind {
 /// Serves one client after the other until asked to stop.
 pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
     let (config, model) = robot_model::configured(&args.config, args.robot.as_ref())?;
-    JointTable::from_model(&model).or_exit(ExitCode::BadInput)?;
+    JointTable::for_runtime(&model).or_exit(ExitCode::BadInput)?;
     if args.bus == LinkKind::Pty {
         return sim_robot_pty::run(&args.pty, &config, model, args.seed, stop);
     }

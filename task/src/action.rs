@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::checks;
-use crate::{ACT_DIM, JointTable, TaskError};
+use crate::{JointTable, PerJoint, TaskError};
 
 /// Table `[task.action]`: `q_des = q_nominal + scale · filter(clip(a))`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -46,9 +46,9 @@ impl ActionConfig {
     }
 
     /// The action cut off at ± `clip`; what the policy will see as its past action. Not a number becomes 0.
-    pub fn clipped(&self, action: &[f32; ACT_DIM]) -> [f32; ACT_DIM] {
-        let mut clipped = *action;
-        for a in &mut clipped {
+    pub fn clipped(&self, action: &[f32]) -> PerJoint {
+        let mut clipped = PerJoint::of(action);
+        for a in clipped.iter_mut() {
             *a = if a.is_nan() {
                 0.0
             } else {
@@ -62,38 +62,42 @@ impl ActionConfig {
 /// Filter state of one environment (or of the robot): the smoothed action.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ActionFilter {
-    smoothed: [f32; ACT_DIM],
+    smoothed: PerJoint,
 }
 
 impl ActionFilter {
-    /// At rest in the nominal pose.
-    pub fn new() -> Self {
-        Self::default()
+    /// At rest in the nominal pose of a robot with that many actuated joints.
+    pub fn new(joints: usize) -> Self {
+        Self {
+            smoothed: PerJoint::filled(joints, 0.0),
+        }
     }
 
     /// The smoothed action, in units of action.
-    pub fn smoothed(&self) -> &[f32; ACT_DIM] {
+    pub fn smoothed(&self) -> &PerJoint {
         &self.smoothed
     }
 
     /// Where the smoothed action would have the joints, rad, whatever their limits.
-    pub fn unlimited_rad(&self, config: &ActionConfig, joints: &JointTable) -> [f32; ACT_DIM] {
-        std::array::from_fn(|i| joints.nominal_rad[i] + config.scale * self.smoothed[i])
+    pub fn unlimited_rad(&self, config: &ActionConfig, joints: &JointTable) -> PerJoint {
+        PerJoint::from_fn(joints.len(), |i| {
+            joints.nominal_rad[i] + config.scale * self.smoothed[i]
+        })
     }
 
     /// Takes one action and gives the position targets, rad, within the joint limits.
     pub fn apply(
         &mut self,
         config: &ActionConfig,
-        action: &[f32; ACT_DIM],
+        action: &[f32],
         joints: &JointTable,
-    ) -> [f32; ACT_DIM] {
+    ) -> PerJoint {
         let action = config.clipped(action);
         for (smoothed, action) in self.smoothed.iter_mut().zip(action) {
             *smoothed += config.filter_alpha * (action - *smoothed);
         }
         let mut targets = self.unlimited_rad(config, joints);
-        for i in 0..ACT_DIM {
+        for i in 0..targets.len() {
             // Not `clamp`: that panics on reversed limits; here the upper limit would win.
             targets[i] = targets[i].max(joints.lower_rad[i]).min(joints.upper_rad[i]);
         }
@@ -105,11 +109,13 @@ impl ActionFilter {
 mod tests {
     use super::*;
 
+    const ACT_DIM: usize = 16;
+
     fn joints() -> JointTable {
         JointTable {
-            nominal_rad: [0.1; ACT_DIM],
-            lower_rad: [-0.5; ACT_DIM],
-            upper_rad: [0.4; ACT_DIM],
+            nominal_rad: [0.1; ACT_DIM].into(),
+            lower_rad: [-0.5; ACT_DIM].into(),
+            upper_rad: [0.4; ACT_DIM].into(),
         }
     }
 
@@ -120,7 +126,7 @@ mod tests {
             filter_alpha: 0.25,
             clip: 5.0,
         };
-        let mut filter = ActionFilter::new();
+        let mut filter = ActionFilter::new(ACT_DIM);
         // y1 = 0 + 0.25·(0.8 − 0) = 0.2;      target 0.1 + 0.5·0.2 = 0.2
         // y2 = 0.2 + 0.25·(0.8 − 0.2) = 0.35; target 0.1 + 0.5·0.35 = 0.275
         // y3 = 0.35 + 0.25·(−0.8 − 0.35) = 0.0625; target 0.13125
@@ -140,13 +146,13 @@ mod tests {
             filter_alpha: 1.0,
             clip: 2.0,
         };
-        let mut filter = ActionFilter::new();
+        let mut filter = ActionFilter::new(ACT_DIM);
         // 100 is cut to 2: y = 2, target 2.1, upper limit 0.4.
         assert_eq!(
             filter.apply(&config, &[100.0; ACT_DIM], &joints()),
             [0.4; ACT_DIM]
         );
-        assert_eq!(filter.smoothed(), &[2.0; ACT_DIM]);
+        assert_eq!(*filter.smoothed(), [2.0; ACT_DIM]);
         assert_eq!(
             filter.apply(&config, &[f32::NEG_INFINITY; ACT_DIM], &joints()),
             [-0.5; ACT_DIM]

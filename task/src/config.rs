@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::TaskError;
 use crate::action::ActionConfig;
 use crate::command::CommandConfig;
 use crate::error::checks;
@@ -12,7 +13,6 @@ use crate::randomise::RandomisationConfig;
 use crate::reset::ResetConfig;
 use crate::reward::RewardConfig;
 use crate::termination::TerminationConfig;
-use crate::{ObservationLayout, TaskError};
 
 /// The task. Defaults are the paper's values, and MuJoCo Playground's where the paper gives none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -101,11 +101,6 @@ impl TaskConfig {
         self.push.validate()?;
         self.noise.validate()
     }
-
-    /// The layout of the observation.
-    pub fn layout(&self) -> ObservationLayout {
-        ObservationLayout::new(self.observe_medium)
-    }
 }
 
 #[cfg(test)]
@@ -120,7 +115,6 @@ mod tests {
             (config.control_period_s, config.episode_steps),
             (0.02, 1000)
         );
-        assert_eq!(config.layout().dim(), 97);
         let reward = config.reward;
         assert_eq!(
             [
@@ -164,7 +158,7 @@ mod tests {
     #[test]
     fn survives_toml_unchanged() {
         let config = TaskConfig {
-            reward: RewardConfig::matched(),
+            reward: crate::reward::tests::matched(),
             ..TaskConfig::default()
         };
         let text = toml::to_string(&config).unwrap();

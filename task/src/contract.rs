@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::action::ActionConfig;
-use crate::phase::{PhaseConfig, TROT_OFFSETS_RAD};
-use crate::{ACT_DIM, FEET, JointTable, ObservationLayout, TaskConfig, TaskError};
+use crate::phase::{PhaseConfig, offset_rad};
+use crate::row::{MAX_FEET, MAX_JOINTS};
+use crate::{JointTable, ObservationLayout, PerJoint, TaskConfig, TaskError};
 
 /// What a policy was made for. Joint arrays are in policy order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -141,6 +142,7 @@ impl PolicyContract {
     pub fn new(model: &RobotModel, task: &TaskConfig) -> Result<Self, TaskError> {
         task.validate()?;
         let joints = JointTable::from_model(model)?;
+        let feet: Vec<String> = model.feet().iter().map(|foot| foot.name.clone()).collect();
         Ok(Self {
             robot: model.name().to_owned(),
             robot_hash: model.hash_hex(),
@@ -152,14 +154,14 @@ impl PolicyContract {
             nominal_pos_rad: joints.nominal_rad.to_vec(),
             lower_limit_rad: joints.lower_rad.to_vec(),
             upper_limit_rad: joints.upper_rad.to_vec(),
-            kp_nm_per_rad: vec![model.kp_nm_per_rad() as f32; ACT_DIM],
-            kd_nm_s_per_rad: vec![model.kd_nm_s_per_rad() as f32; ACT_DIM],
+            kp_nm_per_rad: vec![model.kp_nm_per_rad() as f32; joints.len()],
+            kd_nm_s_per_rad: vec![model.kd_nm_s_per_rad() as f32; joints.len()],
             control_period_s: task.control_period_s,
             action: task.action,
-            observation: task.layout(),
+            observation: ObservationLayout::new(joints.len(), &feet, task.observe_medium),
             phase: PhaseContract {
-                feet: model.feet().iter().map(|foot| foot.name.clone()).collect(),
-                offsets_rad: TROT_OFFSETS_RAD.to_vec(),
+                offsets_rad: (0..feet.len()).map(offset_rad).collect(),
+                feet,
                 frequency_hz: task.phase.frequency_hz,
                 swing_height_m: task.phase.swing_height_m,
                 stand_command_norm: task.phase.stand_command_norm,
@@ -179,51 +181,41 @@ impl PolicyContract {
     /// action or phase.
     pub fn validate(&self) -> Result<(), TaskError> {
         let refuse = |what, reason: String| Err(TaskError::Contract { what, reason });
-        if self.joint_names.len() != ACT_DIM {
-            return refuse(
-                "joint_names",
-                format!("has {} entries, expected {ACT_DIM}", self.joint_names.len()),
-            );
+        let (joints, feet) = (self.joint_names.len(), self.phase.feet.len());
+        if !(1..=MAX_JOINTS).contains(&joints) {
+            let reason = format!("has {joints} entries, expected 1 to {MAX_JOINTS}");
+            return refuse("joint_names", reason);
+        }
+        if feet > MAX_FEET {
+            let reason = format!("has {feet} entries, expected at most {MAX_FEET}");
+            return refuse("phase.feet", reason);
         }
         let arrays = [
-            ("nominal_pos_rad", &self.nominal_pos_rad, ACT_DIM),
-            ("lower_limit_rad", &self.lower_limit_rad, ACT_DIM),
-            ("upper_limit_rad", &self.upper_limit_rad, ACT_DIM),
-            ("kp_nm_per_rad", &self.kp_nm_per_rad, ACT_DIM),
-            ("kd_nm_s_per_rad", &self.kd_nm_s_per_rad, ACT_DIM),
-            ("phase.offsets_rad", &self.phase.offsets_rad, FEET),
+            ("nominal_pos_rad", &self.nominal_pos_rad, joints),
+            ("lower_limit_rad", &self.lower_limit_rad, joints),
+            ("upper_limit_rad", &self.upper_limit_rad, joints),
+            ("kp_nm_per_rad", &self.kp_nm_per_rad, joints),
+            ("kd_nm_s_per_rad", &self.kd_nm_s_per_rad, joints),
+            ("phase.offsets_rad", &self.phase.offsets_rad, feet),
         ];
         for (what, values, len) in arrays {
             if values.len() != len {
-                return refuse(
-                    what,
-                    format!("has {} entries, expected {len}", values.len()),
-                );
+                let reason = format!("has {} entries, expected {len}", values.len());
+                return refuse(what, reason);
             }
             if values.iter().any(|v| !v.is_finite()) {
                 return refuse(what, "has a value that is not finite".to_owned());
             }
         }
-        for i in 0..ACT_DIM {
-            if self.lower_limit_rad[i] > self.upper_limit_rad[i] {
-                return refuse(
-                    "lower_limit_rad",
-                    format!("is above the upper limit at joint {i}"),
-                );
-            }
+        let mut limits = self.lower_limit_rad.iter().zip(&self.upper_limit_rad);
+        if let Some(i) = limits.position(|(lower, upper)| lower > upper) {
+            let reason = format!("is above the upper limit at joint {i}");
+            return refuse("lower_limit_rad", reason);
         }
-        if self.phase.feet.len() != FEET {
-            return refuse(
-                "phase.feet",
-                format!("has {} entries, expected {FEET}", self.phase.feet.len()),
-            );
-        }
-        let known = [false, true].map(ObservationLayout::new);
+        let known = [false, true].map(|m| ObservationLayout::new(joints, &self.phase.feet, m));
         if !known.contains(&self.observation) {
-            return refuse(
-                "observation",
-                "is not a layout that this version knows".to_owned(),
-            );
+            let reason = "is not a layout that this version knows".to_owned();
+            return refuse("observation", reason);
         }
         if !(1e-4..=1.0).contains(&self.control_period_s) {
             return refuse(
@@ -245,13 +237,17 @@ impl PolicyContract {
         self.joint_names.len()
     }
 
-    /// Nominal pose and limits in the form that the action filter takes; `None` unless there are 16 of each
+    /// Nominal pose and limits in the form that the action filter takes; `None` unless there is one of each per joint
     /// (a contract that passed [`Self::validate`] has them).
     pub fn joint_table(&self) -> Option<JointTable> {
+        let row = |values: &[f32]| {
+            let fits = values.len() == self.act_dim() && values.len() <= MAX_JOINTS;
+            fits.then(|| PerJoint::of(values))
+        };
         Some(JointTable {
-            nominal_rad: self.nominal_pos_rad.as_slice().try_into().ok()?,
-            lower_rad: self.lower_limit_rad.as_slice().try_into().ok()?,
-            upper_rad: self.upper_limit_rad.as_slice().try_into().ok()?,
+            nominal_rad: row(&self.nominal_pos_rad)?,
+            lower_rad: row(&self.lower_limit_rad)?,
+            upper_rad: row(&self.upper_limit_rad)?,
         })
     }
 

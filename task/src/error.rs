@@ -15,7 +15,7 @@ pub enum TaskError {
     },
     /// The robot is not one that this task can drive.
     #[error(
-        "robot '{robot}' has {found} {what}, the walking task needs {expected}; choose another robot file"
+        "robot '{robot}' has {found} {what}, the task takes {least} to {most}; choose another robot file"
     )]
     Robot {
         /// Name of the robot.
@@ -24,18 +24,20 @@ pub enum TaskError {
         what: &'static str,
         /// How many there are.
         found: usize,
-        /// How many there must be.
-        expected: usize,
+        /// How many there must be at least.
+        least: usize,
+        /// How many there may be.
+        most: usize,
     },
     /// Left and right of the robot differ.
     #[error(
-        "robot '{robot}' is not its own mirror image: joint '{joint}' {reason}; set learner.ppo.mirror = false"
+        "robot '{robot}' is not its own mirror image: '{part}' {reason}; set learner.ppo.mirror = false"
     )]
     NotSymmetric {
         /// Name of the robot.
         robot: String,
-        /// Name of the joint.
-        joint: String,
+        /// Name of the joint or foot.
+        part: String,
         /// What is missing.
         reason: &'static str,
     },

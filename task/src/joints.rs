@@ -1,43 +1,107 @@
-//! The actuated joints as the task sees them: nominal pose and limits in fixed arrays.
+//! The actuated joints as the task sees them: nominal pose, limits, which of them are legs.
 
 use caudata_model::RobotModel;
 
-use crate::{ACT_DIM, FEET, TaskError};
+use crate::row::{MAX_FEET, MAX_JOINTS};
+use crate::{ACT_DIM, FEET, PerJoint, TaskError};
 
 /// Nominal position and limits of the actuated joints, rad, policy order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointTable {
     /// Nominal (standing) pose: actions are offsets from it.
-    pub nominal_rad: [f32; ACT_DIM],
+    pub nominal_rad: PerJoint,
     /// Lower position limits.
-    pub lower_rad: [f32; ACT_DIM],
+    pub lower_rad: PerJoint,
     /// Upper position limits.
-    pub upper_rad: [f32; ACT_DIM],
+    pub upper_rad: PerJoint,
 }
 
 impl JointTable {
     /// Reads the table out of a robot model.
     ///
     /// # Errors
-    /// [`TaskError::Robot`] unless the robot has 16 actuated joints and four feet.
+    /// [`TaskError::Robot`] for a robot without actuated joints, or with more joints or feet than the task takes.
     pub fn from_model(model: &RobotModel) -> Result<Self, TaskError> {
-        let count = |what, found, expected| {
-            if found == expected {
+        let count = |what, found, least, most| {
+            if (least..=most).contains(&found) {
                 return Ok(());
             }
             Err(TaskError::Robot {
                 robot: model.name().to_owned(),
                 what,
                 found,
-                expected,
+                least,
+                most,
             })
         };
-        count("actuated joints", model.actuated().len(), ACT_DIM)?;
-        count("feet", model.feet().len(), FEET)?;
+        let joints = model.actuated().len();
+        count("actuated joints", joints, 1, MAX_JOINTS)?;
+        count("feet", model.feet().len(), 0, MAX_FEET)?;
+        let limits = model.joint_limits_rad();
         Ok(Self {
-            nominal_rad: std::array::from_fn(|i| model.nominal_pos_rad()[i] as f32),
-            lower_rad: std::array::from_fn(|i| model.joint_limits_rad()[i].0 as f32),
-            upper_rad: std::array::from_fn(|i| model.joint_limits_rad()[i].1 as f32),
+            nominal_rad: narrow(model.nominal_pos_rad()),
+            lower_rad: PerJoint::from_fn(joints, |i| limits[i].0 as f32),
+            upper_rad: PerJoint::from_fn(joints, |i| limits[i].1 as f32),
         })
     }
+
+    /// As [`Self::from_model`], of a robot that the robot's runtime drives.
+    ///
+    /// # Errors
+    /// [`TaskError::Robot`] for a robot with other numbers of joints or feet than the runtime is built for.
+    pub fn for_runtime(model: &RobotModel) -> Result<Self, TaskError> {
+        for (what, found, built_for) in [
+            ("actuated joints", model.actuated().len(), ACT_DIM),
+            ("feet", model.feet().len(), FEET),
+        ] {
+            if found != built_for {
+                return Err(TaskError::Robot {
+                    robot: model.name().to_owned(),
+                    what,
+                    found,
+                    least: built_for,
+                    most: built_for,
+                });
+            }
+        }
+        Self::from_model(model)
+    }
+
+    /// Number of actuated joints, and of actions.
+    pub fn len(&self) -> usize {
+        self.nominal_rad.len()
+    }
+
+    /// Whether there is none (no robot that the task drives).
+    pub fn is_empty(&self) -> bool {
+        self.nominal_rad.is_empty()
+    }
+}
+
+/// What rewards and starts need to know of a body besides its limits. Policy order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyPlan {
+    /// Swimming pose, rad; the nominal one where the robot has none.
+    pub swimming_rad: PerJoint,
+    /// Which joints move a leg (see [`RobotModel::leg_of`]); the others are the body's, from head to tail.
+    pub in_leg: PerJoint<bool>,
+}
+
+impl BodyPlan {
+    /// Reads the plan out of a robot model.
+    pub fn from_model(model: &RobotModel) -> Self {
+        let swimming = model.swimming_pos_rad().unwrap_or(model.nominal_pos_rad());
+        let in_leg = |i: usize| {
+            let joint = &model.joints()[model.actuated()[i]];
+            model.leg_of(joint.child_link).is_some()
+        };
+        Self {
+            swimming_rad: narrow(swimming),
+            in_leg: PerJoint::from_fn(swimming.len(), in_leg),
+        }
+    }
+}
+
+fn narrow(values: &[f64]) -> PerJoint {
+    PerJoint::from_fn(values.len(), |i| values[i] as f32)
 }

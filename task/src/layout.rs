@@ -2,26 +2,30 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{ACT_DIM, ACTION_HISTORY, COMMAND_DIM, FEET};
+use std::ops::Range;
 
-/// First index of the joint velocities.
-pub const JOINT_VEL: usize = 0;
-/// First index of the joint position offsets.
-pub const JOINT_POS: usize = JOINT_VEL + ACT_DIM;
-/// First index of the angular velocity.
-pub const GYRO: usize = JOINT_POS + ACT_DIM;
-/// First index of the gravity direction.
-pub const GRAVITY: usize = GYRO + 3;
-/// First index of the phase: cos, sin of FL, then of FR, HL, HR.
-pub const PHASE: usize = GRAVITY + 3;
-/// First index of the command.
-pub const COMMAND: usize = PHASE + 2 * FEET;
-/// First index of the past actions, newest first.
-pub const ACTIONS: usize = COMMAND + COMMAND_DIM;
-/// Index of the medium bit, where there is one.
-pub const MEDIUM: usize = ACTIONS + ACTION_HISTORY * ACT_DIM;
-/// Length of the observation on land (97).
-pub const OBS_DIM: usize = MEDIUM;
+use crate::{ACTION_HISTORY, COMMAND_DIM};
+
+/// The parts of every observation, in order; the medium bit only where a layout has it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Joint velocities.
+    JointVel,
+    /// Joint position offsets.
+    JointPos,
+    /// Angular velocity.
+    Gyro,
+    /// Gravity direction.
+    Gravity,
+    /// Phase: cos, sin of the first foot, then of the next; of the clock for a robot without feet.
+    Phase,
+    /// Command.
+    Command,
+    /// Past actions, newest first.
+    Actions,
+    /// Medium bit.
+    Medium,
+}
 
 /// One named part of the observation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,54 +51,52 @@ pub struct ObservationLayout {
 }
 
 impl ObservationLayout {
-    /// The layout on land (97 values), or with the medium bit of amphibious tasks (98).
-    pub fn new(medium: bool) -> Self {
+    /// The layout for a robot with that many actuated joints and these feet; with the medium bit of amphibious tasks where `medium` asks for it.
+    pub fn new(joints: usize, feet: &[String], medium: bool) -> Self {
+        let phases = match feet {
+            [] => "cos sin of the clock".to_owned(),
+            names => format!("cos sin of {}", names.join(", ")),
+        };
+        let command = "heading: vx, vy, yaw rate";
+        #[rustfmt::skip]
         let table = [
-            ("joint_vel", JOINT_VEL, ACT_DIM, "rad/s", "policy order"),
-            (
-                "joint_pos_offset",
-                JOINT_POS,
-                ACT_DIM,
-                "rad",
-                "policy order, minus nominal",
-            ),
-            ("gyro", GYRO, 3, "rad/s", "body"),
-            (
-                "gravity",
-                GRAVITY,
-                3,
-                "1",
-                "body, unit vector, upright is 0 0 -1",
-            ),
-            ("phase", PHASE, 2 * FEET, "1", "cos sin of FL, FR, HL, HR"),
-            (
-                "command",
-                COMMAND,
-                COMMAND_DIM,
-                "m/s m/s rad/s",
-                "heading: vx, vy, yaw rate",
-            ),
-            (
-                "actions",
-                ACTIONS,
-                ACTION_HISTORY * ACT_DIM,
-                "1",
-                "policy order, newest first",
-            ),
-            ("medium", MEDIUM, 1, "1", "0 on land, 1 in water"),
+            ("joint_vel", joints, "rad/s", "policy order"),
+            ("joint_pos_offset", joints, "rad", "policy order, minus nominal"),
+            ("gyro", 3, "rad/s", "body"),
+            ("gravity", 3, "1", "body, unit vector, upright is 0 0 -1"),
+            ("phase", 2 * feet.len().max(1), "1", phases.as_str()),
+            ("command", COMMAND_DIM, "m/s m/s rad/s", command),
+            ("actions", ACTION_HISTORY * joints, "1", "policy order, newest first"),
+            ("medium", 1, "1", "0 on land, 1 in water"),
         ];
         let parts = if medium { table.len() } else { table.len() - 1 };
-        let slices = table[..parts]
-            .iter()
-            .map(|&(name, start, len, unit, frame)| Slice {
+        let mut start = 0;
+        let mut slice = |&(name, len, unit, frame): &(&str, usize, &str, &str)| {
+            start += len;
+            Slice {
                 name: name.to_owned(),
-                start,
+                start: start - len,
                 len,
                 unit: unit.to_owned(),
                 frame: frame.to_owned(),
-            })
-            .collect();
-        Self { slices }
+            }
+        };
+        Self {
+            slices: table[..parts].iter().map(&mut slice).collect(),
+        }
+    }
+
+    /// Where a part lies; empty for one that the layout lacks.
+    #[inline]
+    pub fn range(&self, part: Part) -> Range<usize> {
+        self.slices
+            .get(part as usize)
+            .map_or(0..0, |s| s.start..s.start + s.len)
+    }
+
+    /// Number of phases: one per foot, one of the clock for a robot without feet.
+    pub fn phases(&self) -> usize {
+        self.range(Part::Phase).len() / 2
     }
 
     /// The slices, in order.
@@ -111,21 +113,21 @@ impl ObservationLayout {
     pub fn dim(&self) -> usize {
         self.slices.iter().map(|s| s.len).sum()
     }
-
-    /// Whether the medium bit is part of it.
-    pub fn has_medium(&self) -> bool {
-        self.slice("medium").is_some()
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn layout(medium: bool) -> ObservationLayout {
+        let feet = ["FL", "FR", "HL", "HR"].map(str::to_owned);
+        ObservationLayout::new(16, &feet, medium)
+    }
+
     #[test]
     fn land_layout_is_the_documented_order_without_gaps() {
         // 16 + 16 + 3 + 3 + 8 + 3 + 48 = 97
-        let layout = ObservationLayout::new(false);
+        let layout = layout(false);
         let found: Vec<_> = layout
             .slices()
             .iter()
@@ -144,17 +146,29 @@ mod tests {
             ]
         );
         assert_eq!(layout.dim(), 97);
-        assert_eq!(layout.dim(), OBS_DIM);
-        assert!(!layout.has_medium());
+        assert!(layout.range(Part::Medium).is_empty());
     }
 
     #[test]
     fn amphibious_layout_appends_the_medium_bit() {
-        let layout = ObservationLayout::new(true);
+        let layout = layout(true);
         assert_eq!(layout.dim(), 98);
         let medium = layout.slice("medium").unwrap();
         assert_eq!((medium.start, medium.len), (97, 1));
-        assert!(layout.has_medium());
+        assert_eq!(layout.range(Part::Medium), 97..98);
         assert!(layout.slice("lin_vel").is_none());
+    }
+
+    #[test]
+    fn sizes_are_the_robots() {
+        // a biped of 14 servos: 14 + 14 + 3 + 3 + 4 + 3 + 42 = 83
+        let feet = ["L", "R"].map(str::to_owned);
+        let biped = ObservationLayout::new(14, &feet, false);
+        assert_eq!((biped.dim(), biped.phases()), (83, 2));
+        assert_eq!(biped.range(Part::Actions), 41..83);
+        // a snake of 12 has no feet, and the clock in their place
+        let snake = ObservationLayout::new(12, &[], false);
+        assert_eq!((snake.dim(), snake.phases()), (71, 1));
+        assert_eq!(snake.slice("phase").unwrap().frame, "cos sin of the clock");
     }
 }

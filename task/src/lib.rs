@@ -7,7 +7,7 @@
 //!
 //! Frames: *body* is the IMU's frame on the base link (x forward, y left, z up); *heading* is the world frame
 //! turned about z into the line from the hind to the front girdle. SI units and radians. Joint arrays are in
-//! policy order, feet in the order FL, FR, HL, HR.
+//! policy order, feet in the order of the robot file, from front to hind and left before right. Nothing here knows how many there are.
 //!
 //! *Invariant:* nothing here knows an engine, a network, a clock or a file.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
@@ -27,20 +27,22 @@ pub mod push;
 pub mod randomise;
 pub mod reset;
 pub mod reward;
+pub mod row;
 pub mod termination;
 
 pub use config::TaskConfig;
 pub use contract::{ContractDifference, PolicyContract};
 pub use error::TaskError;
-pub use joints::JointTable;
+pub use joints::{BodyPlan, JointTable};
 pub use layout::ObservationLayout;
 pub use mirror::Mirror;
+pub use row::{PerFoot, PerJoint};
 
-/// Actions, and actuated joints: one joint offset each.
-pub const ACT_DIM: usize = 16;
-/// Feet, in the order FL, FR, HL, HR.
-pub const FEET: usize = 4;
 /// How many past actions the policy sees.
 pub const ACTION_HISTORY: usize = 3;
 /// Command: forward and sideways velocity (m/s), yaw rate (rad/s).
 pub const COMMAND_DIM: usize = 3;
+/// Actuated joints that the robot's runtime is built for (see `caudata-deploy`); nothing else knows a number.
+pub const ACT_DIM: usize = 16;
+/// Feet that it is built for, likewise.
+pub const FEET: usize = 4;

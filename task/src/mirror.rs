@@ -3,17 +3,13 @@
 //! Reflection in the robot's plane y = 0 maps a vector (x, y, z) to (x, −y, z) and a rotation vector to (−x, y, −z). Each joint has a
 //! counterpart: for a joint in the plane itself, for a leg that of the other side.
 
-use caudata_model::{Pose, RobotModel, pose};
+use caudata_model::{Foot, Kinematics, Pose, RobotModel, pose};
 
-use crate::layout::{
-    ACTIONS, COMMAND, GRAVITY, GYRO, JOINT_POS, JOINT_VEL, ObservationLayout, PHASE,
-};
-use crate::{ACT_DIM, ACTION_HISTORY, FEET, TaskError};
+use crate::layout::{ObservationLayout, Part};
+use crate::{ACTION_HISTORY, TaskError};
 
 /// How far anchors, axes and nominal angles of counterparts may differ, m, 1 and rad.
 const TOLERANCE: f64 = 1e-6;
-/// The foot on the other side, in the order FL, FR, HL, HR.
-const OTHER_FOOT: [usize; FEET] = [1, 0, 3, 2];
 
 /// `mirrored[i] = sign[i]·original[source[i]]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,20 +59,30 @@ impl Mirror {
     /// # Errors
     /// [`TaskError::NotSymmetric`] names a joint that has no counterpart, or one with another nominal angle.
     pub fn new(model: &RobotModel, layout: &ObservationLayout) -> Result<Self, TaskError> {
-        let action = joints(model)?;
+        let zero = vec![0.0; model.joints().len()];
+        let at_zero = model.kinematics(&Pose::IDENTITY, &zero);
+        // The lengths agree; should they not, nothing finds its counterpart below.
+        let at_zero = at_zero.unwrap_or_default();
+        let action = joints(model, &at_zero)?;
         let mut observation = SignedPermutation::identity(layout.dim());
-        for start in [JOINT_VEL, JOINT_POS] {
-            observation.place(start, &action);
-        }
+        let start = |part| layout.range(part).start;
+        observation.place(start(Part::JointVel), &action);
+        observation.place(start(Part::JointPos), &action);
         for past in 0..ACTION_HISTORY {
-            observation.place(ACTIONS + past * ACT_DIM, &action);
+            let from = start(Part::Actions) + past * action.source.len();
+            observation.place(from, &action);
         }
-        observation.sign[GYRO..GYRO + 3].copy_from_slice(&[-1.0, 1.0, -1.0]);
-        observation.sign[GRAVITY..GRAVITY + 3].copy_from_slice(&[1.0, -1.0, 1.0]);
-        observation.sign[COMMAND..COMMAND + 3].copy_from_slice(&[1.0, -1.0, -1.0]);
-        for (foot, other) in OTHER_FOOT.into_iter().enumerate() {
+        for (part, sign) in [
+            (Part::Gyro, [-1.0, 1.0, -1.0]),
+            (Part::Gravity, [1.0, -1.0, 1.0]),
+            (Part::Command, [1.0, -1.0, -1.0]),
+        ] {
+            observation.sign[layout.range(part)].copy_from_slice(&sign);
+        }
+        let phase = start(Part::Phase);
+        for (foot, other) in feet(model, &at_zero)?.into_iter().enumerate() {
             for part in 0..2 {
-                observation.source[PHASE + 2 * foot + part] = PHASE + 2 * other + part;
+                observation.source[phase + 2 * foot + part] = phase + 2 * other + part;
             }
         }
         Ok(Self {
@@ -87,18 +93,10 @@ impl Mirror {
 }
 
 /// The counterpart of each actuated joint, in policy order.
-fn joints(model: &RobotModel) -> Result<SignedPermutation, TaskError> {
-    let not_symmetric = |joint: usize, reason: &'static str| TaskError::NotSymmetric {
-        robot: model.name().to_owned(),
-        joint: model.joints()[joint].name.clone(),
-        reason,
-    };
-    let zero = vec![0.0; model.joints().len()];
-    let place = Pose::from_pos([0.0; 3]);
-    let frames = model.kinematics(&place, &zero).map(|k| k.joints);
-    // The lengths agree; should they not, no joint finds its counterpart below.
-    let frames = frames.unwrap_or_default();
-    let near = |a: [f64; 3], b: [f64; 3]| pose::norm(pose::sub(a, b)) < TOLERANCE;
+fn joints(model: &RobotModel, at_zero: &Kinematics) -> Result<SignedPermutation, TaskError> {
+    let not_symmetric =
+        |joint: usize, reason| not_symmetric(model, &model.joints()[joint].name, reason);
+    let frames = &at_zero.joints;
     let actuated = model.actuated();
     let mut out = SignedPermutation::identity(actuated.len());
     for (i, &joint) in actuated.iter().enumerate() {
@@ -134,10 +132,42 @@ fn reflect([x, y, z]: [f64; 3]) -> [f64; 3] {
     [x, -y, z]
 }
 
+/// The foot on the other side of each.
+fn feet(model: &RobotModel, at_zero: &Kinematics) -> Result<Vec<usize>, TaskError> {
+    let centre = |foot: &Foot| {
+        let link = at_zero.links.get(foot.link);
+        link.map_or([f64::NAN; 3], |link| link.point(foot.centre_m))
+    };
+    let other = |foot: &Foot| {
+        let mirrored = reflect(centre(foot));
+        let mut feet = model.feet().iter();
+        (feet.position(|other| near(centre(other), mirrored)))
+            .ok_or_else(|| not_symmetric(model, &foot.name, "has no counterpart on the other side"))
+    };
+    model.feet().iter().map(other).collect()
+}
+
+fn near(a: [f64; 3], b: [f64; 3]) -> bool {
+    pose::norm(pose::sub(a, b)) < TOLERANCE
+}
+
+fn not_symmetric(model: &RobotModel, part: &str, reason: &'static str) -> TaskError {
+    TaskError::NotSymmetric {
+        robot: model.name().to_owned(),
+        part: part.to_owned(),
+        reason,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use std::path::Path;
+
+    fn layout(medium: bool) -> ObservationLayout {
+        let feet = ["FL", "FR", "HL", "HR"].map(str::to_owned);
+        ObservationLayout::new(16, &feet, medium)
+    }
 
     fn polymander() -> RobotModel {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
@@ -146,7 +176,7 @@ mod tests {
 
     #[test]
     fn spine_and_tail_turn_the_other_way_and_legs_change_sides() {
-        let mirror = Mirror::new(&polymander(), &ObservationLayout::new(true)).unwrap();
+        let mirror = Mirror::new(&polymander(), &layout(true)).unwrap();
         assert_eq!(
             mirror.action.source,
             [0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 8, 9, 14, 15, 12, 13]
@@ -157,27 +187,30 @@ mod tests {
 
     #[test]
     fn an_observation_by_hand() {
-        let mirror = Mirror::new(&polymander(), &ObservationLayout::new(true)).unwrap();
+        let mirror = Mirror::new(&polymander(), &layout(true)).unwrap();
+        let start = |part| layout(true).range(part).start;
+        let (gyro, gravity, phase) = (start(Part::Gyro), start(Part::Gravity), start(Part::Phase));
+        let (command, actions) = (start(Part::Command), start(Part::Actions));
         let mut seen = vec![0.0; 98];
         seen[0] = 0.1; // spine_1 turns left
         seen[16 + 9] = 0.2; // FL_knee
-        seen[GYRO..GYRO + 3].copy_from_slice(&[1.0, 2.0, 3.0]);
-        seen[GRAVITY..GRAVITY + 3].copy_from_slice(&[0.1, 0.2, -0.9]);
-        seen[PHASE..PHASE + 8].copy_from_slice(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
-        seen[COMMAND..COMMAND + 3].copy_from_slice(&[0.3, 0.1, 0.5]);
-        seen[ACTIONS + 32 + 14] = 0.7; // HR_hip, three steps ago
+        seen[gyro..gyro + 3].copy_from_slice(&[1.0, 2.0, 3.0]);
+        seen[gravity..gravity + 3].copy_from_slice(&[0.1, 0.2, -0.9]);
+        seen[phase..phase + 8].copy_from_slice(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
+        seen[command..command + 3].copy_from_slice(&[0.3, 0.1, 0.5]);
+        seen[actions + 32 + 14] = 0.7; // HR_hip, three steps ago
         seen[97] = 1.0;
         let other = mirror.observation.apply(&seen);
         assert_eq!(other[0], -0.1);
         assert_eq!((other[16 + 9], other[16 + 11]), (0.0, 0.2)); // now FR_knee
-        assert_eq!(other[GYRO..GYRO + 3], [-1.0, 2.0, -3.0]);
-        assert_eq!(other[GRAVITY..GRAVITY + 3], [0.1, -0.2, -0.9]);
+        assert_eq!(other[gyro..gyro + 3], [-1.0, 2.0, -3.0]);
+        assert_eq!(other[gravity..gravity + 3], [0.1, -0.2, -0.9]);
         assert_eq!(
-            other[PHASE..PHASE + 8],
+            other[phase..phase + 8],
             [3.0, 4.0, 1.0, 2.0, 7.0, 8.0, 5.0, 6.0]
         );
-        assert_eq!(other[COMMAND..COMMAND + 3], [0.3, -0.1, -0.5]);
-        assert_eq!(other[ACTIONS + 32 + 12], 0.7); // now HL_hip
+        assert_eq!(other[command..command + 3], [0.3, -0.1, -0.5]);
+        assert_eq!(other[actions + 32 + 12], 0.7); // now HL_hip
         assert_eq!(other[97], 1.0);
         assert_eq!(mirror.observation.apply(&other), seen);
     }
@@ -189,7 +222,7 @@ mod tests {
         let (robot, mjcf) = (read("polymander.robot.toml"), read("polymander.xml"));
         let refusal = |robot: &str, mjcf: &str| {
             let model = RobotModel::from_bytes("test", robot.as_bytes(), mjcf.as_bytes()).unwrap();
-            let layout = ObservationLayout::new(false);
+            let layout = layout(false);
             Mirror::new(&model, &layout).unwrap_err().to_string()
         };
         let knee = "FL_knee = 0.6283185307179586";

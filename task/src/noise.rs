@@ -4,7 +4,7 @@ use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::error::checks;
-use crate::{ACT_DIM, TaskError};
+use crate::{PerJoint, TaskError};
 
 /// Table `[task.noise]`: noise on the observation, bell-shaped with the given standard deviations (and never
 /// beyond 3.45 of them).
@@ -63,9 +63,9 @@ impl ObservationNoiseConfig {
         }
     }
 
-    /// Draws the constant offsets of the joint positions for one episode, rad.
-    pub fn draw_joint_offsets(&self, stream: &mut Stream) -> [f32; ACT_DIM] {
-        let mut offsets = [0.0; ACT_DIM];
+    /// Draws the constant offsets of the positions of `joints` joints for one episode, rad.
+    pub fn draw_joint_offsets(&self, joints: usize, stream: &mut Stream) -> PerJoint {
+        let mut offsets = PerJoint::filled(joints, 0.0);
         if self.enabled {
             add_noise(&mut offsets, self.joint_offset_std_rad, stream);
         }
@@ -98,9 +98,9 @@ impl ObservationNoiseConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Readings {
     /// Joint velocities, rad/s, policy order.
-    pub joint_vel_radps: [f32; ACT_DIM],
+    pub joint_vel_radps: PerJoint,
     /// Joint positions, rad, policy order.
-    pub joint_pos_rad: [f32; ACT_DIM],
+    pub joint_pos_rad: PerJoint,
     /// Angular velocity, rad/s, body.
     pub gyro_radps: [f32; 3],
     /// Direction of gravity, unit vector, body.
@@ -116,18 +116,22 @@ fn add_noise(values: &mut [f32], std: f32, stream: &mut Stream) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const ACT_DIM: usize = 16;
     use caudata_random::{Key, Purpose};
 
     fn stream() -> Stream {
         Stream::new(Key::for_run(2), Purpose::Sensor)
     }
 
-    const LEVEL: Readings = Readings {
-        joint_vel_radps: [1.0; ACT_DIM],
-        joint_pos_rad: [2.0; ACT_DIM],
-        gyro_radps: [3.0; 3],
-        gravity: [0.0, 0.0, -1.0],
-    };
+    fn level() -> Readings {
+        Readings {
+            joint_vel_radps: [1.0; ACT_DIM].into(),
+            joint_pos_rad: [2.0; ACT_DIM].into(),
+            gyro_radps: [3.0; 3],
+            gravity: [0.0, 0.0, -1.0],
+        }
+    }
 
     #[test]
     fn each_part_gets_its_own_standard_deviation() {
@@ -136,7 +140,7 @@ mod tests {
         let n = 4000;
         let (mut vel, mut pos, mut gyro, mut tilt) = (0.0, 0.0, 0.0, 0.0);
         for _ in 0..n {
-            let mut readings = LEVEL;
+            let mut readings = level();
             config.add(&mut readings, &mut stream);
             vel += (readings.joint_vel_radps[4] - 1.0).powi(2);
             pos += (readings.joint_pos_rad[9] - 2.0).powi(2);
@@ -159,16 +163,19 @@ mod tests {
             ..ObservationNoiseConfig::default()
         };
         let mut stream = stream();
-        let mut readings = LEVEL;
+        let mut readings = level();
         config.add(&mut readings, &mut stream);
-        assert_eq!(readings, LEVEL);
-        assert_eq!(config.draw_joint_offsets(&mut stream), [0.0; ACT_DIM]);
+        assert_eq!(readings, level());
+        assert_eq!(
+            config.draw_joint_offsets(ACT_DIM, &mut stream),
+            [0.0; ACT_DIM]
+        );
         assert_eq!(stream.word_position(), 0);
     }
 
     #[test]
     fn joint_offsets_are_drawn_per_joint() {
-        let offsets = ObservationNoiseConfig::default().draw_joint_offsets(&mut stream());
+        let offsets = ObservationNoiseConfig::default().draw_joint_offsets(ACT_DIM, &mut stream());
         assert!(offsets.iter().all(|o| o.abs() < 0.035));
         assert_ne!(offsets[0], offsets[1]);
     }

@@ -1,25 +1,25 @@
 //! Assembly of one observation from measured quantities.
 
-use crate::layout::{ACTIONS, COMMAND, GRAVITY, GYRO, JOINT_POS, JOINT_VEL, MEDIUM, PHASE};
-use crate::{ACT_DIM, ACTION_HISTORY, COMMAND_DIM, FEET, ObservationLayout, TaskError};
+use crate::layout::Part;
+use crate::{ACTION_HISTORY, COMMAND_DIM, ObservationLayout, PerFoot, PerJoint, TaskError};
 
 /// What goes into an observation: values as the sensors report them.
 #[derive(Clone, Copy, Debug)]
 pub struct ObservationInput<'a> {
     /// Joint velocities, rad/s, policy order.
-    pub joint_vel_radps: &'a [f32; ACT_DIM],
+    pub joint_vel_radps: &'a [f32],
     /// Joint positions, rad, policy order.
-    pub joint_pos_rad: &'a [f32; ACT_DIM],
+    pub joint_pos_rad: &'a [f32],
     /// Angular velocity, rad/s, body.
     pub gyro_radps: [f32; 3],
     /// Direction of gravity, unit vector, body (upright: 0, 0, −1).
     pub gravity: [f32; 3],
-    /// Phase of each foot, rad, (−π, π].
-    pub phase_rad: [f32; FEET],
+    /// Phase of each foot (of the clock without feet), rad, (−π, π]: [`ObservationLayout::phases`] of them.
+    pub phase_rad: PerFoot,
     /// Commanded vx, vy (m/s) and yaw rate (rad/s).
     pub command: [f32; COMMAND_DIM],
     /// Past actions, newest first: a(t−1), a(t−2), a(t−3).
-    pub previous_actions: &'a [[f32; ACT_DIM]; ACTION_HISTORY],
+    pub previous_actions: &'a [PerJoint; ACTION_HISTORY],
     /// 1 afloat (in water that is too deep for the feet), 0 otherwise; only used where the layout has the medium bit (0 where it is not given).
     pub medium: Option<f32>,
 }
@@ -32,30 +32,40 @@ impl ObservationInput<'_> {
     pub fn write(
         &self,
         layout: &ObservationLayout,
-        nominal_rad: &[f32; ACT_DIM],
+        nominal_rad: &[f32],
         out: &mut [f32],
     ) -> Result<(), TaskError> {
-        let expected = layout.dim();
-        if out.len() != expected {
-            return Err(TaskError::Shape {
-                what: "observation",
-                found: out.len(),
-                expected,
-            });
+        let joints = layout.range(Part::JointVel).len();
+        for (what, found, expected) in [
+            ("observation", out.len(), layout.dim()),
+            ("joint velocities", self.joint_vel_radps.len(), joints),
+            ("joint positions", self.joint_pos_rad.len(), joints),
+            ("nominal pose", nominal_rad.len(), joints),
+            ("phases", self.phase_rad.len(), layout.phases()),
+            ("past actions", self.previous_actions[0].len(), joints),
+        ] {
+            if found != expected {
+                return Err(TaskError::Shape {
+                    what,
+                    found,
+                    expected,
+                });
+            }
         }
-        out[JOINT_VEL..JOINT_POS].copy_from_slice(self.joint_vel_radps);
-        let offsets = &mut out[JOINT_POS..GYRO];
-        for i in 0..ACT_DIM {
+        out[layout.range(Part::JointVel)].copy_from_slice(self.joint_vel_radps);
+        let offsets = &mut out[layout.range(Part::JointPos)];
+        for i in 0..joints {
             offsets[i] = self.joint_pos_rad[i] - nominal_rad[i];
         }
-        out[GYRO..GRAVITY].copy_from_slice(&self.gyro_radps);
-        out[GRAVITY..PHASE].copy_from_slice(&self.gravity);
-        self.write_phase(&mut out[PHASE..COMMAND]);
-        out[COMMAND..ACTIONS].copy_from_slice(&self.command);
-        out[ACTIONS..MEDIUM].copy_from_slice(self.previous_actions.as_flattened());
-        if let Some(medium) = out.get_mut(MEDIUM) {
-            *medium = self.medium.unwrap_or(0.0);
+        out[layout.range(Part::Gyro)].copy_from_slice(&self.gyro_radps);
+        out[layout.range(Part::Gravity)].copy_from_slice(&self.gravity);
+        self.write_phase(&mut out[layout.range(Part::Phase)]);
+        out[layout.range(Part::Command)].copy_from_slice(&self.command);
+        let actions = &mut out[layout.range(Part::Actions)];
+        for (to, action) in actions.chunks_exact_mut(joints).zip(self.previous_actions) {
+            to.copy_from_slice(action);
         }
+        out[layout.range(Part::Medium)].fill(self.medium.unwrap_or(0.0));
         Ok(())
     }
 
@@ -78,10 +88,12 @@ impl ObservationInput<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const ACT_DIM: usize = 16;
     use std::f32::consts::{FRAC_PI_2, PI};
 
-    fn numbered(start: f32) -> [f32; ACT_DIM] {
-        std::array::from_fn(|i| start + i as f32)
+    fn numbered(start: f32) -> PerJoint {
+        PerJoint::from_fn(ACT_DIM, |i| start + i as f32)
     }
 
     #[test]
@@ -93,13 +105,14 @@ mod tests {
             joint_pos_rad: &pos,
             gyro_radps: [1.0, 2.0, 3.0],
             gravity: [0.0, 0.1, -0.9],
-            phase_rad: [0.0, PI, FRAC_PI_2, -FRAC_PI_2],
+            phase_rad: [0.0, PI, FRAC_PI_2, -FRAC_PI_2].into(),
             command: [0.3, -0.1, 0.2],
             previous_actions: &actions,
             medium: Some(1.0),
         };
         for medium in [false, true] {
-            let layout = ObservationLayout::new(medium);
+            let feet = ["FL", "FR", "HL", "HR"].map(str::to_owned);
+            let layout = ObservationLayout::new(ACT_DIM, &feet, medium);
             let mut out = vec![f32::NAN; layout.dim()];
             input.write(&layout, &nominal, &mut out).unwrap();
             assert!(input.write(&layout, &nominal, &mut out[1..]).is_err());
@@ -107,7 +120,7 @@ mod tests {
                 let s = layout.slice(name).unwrap();
                 &out[s.start..s.start + s.len]
             };
-            assert_eq!(part("joint_vel"), vel);
+            assert_eq!(part("joint_vel"), &vel[..]);
             // (200 + i) − (1 + i) = 199
             assert_eq!(part("joint_pos_offset"), [199.0; ACT_DIM]);
             assert_eq!(part("gyro"), [1.0, 2.0, 3.0]);
@@ -118,9 +131,9 @@ mod tests {
                 assert!((found - expected).abs() < 1e-6);
             }
             assert_eq!(part("command"), [0.3, -0.1, 0.2]);
-            assert_eq!(part("actions")[..16], actions[0]);
-            assert_eq!(part("actions")[16..32], actions[1]);
-            assert_eq!(part("actions")[32..], actions[2]);
+            assert_eq!(part("actions")[..16], actions[0][..]);
+            assert_eq!(part("actions")[16..32], actions[1][..]);
+            assert_eq!(part("actions")[32..], actions[2][..]);
             assert_eq!(out.len(), if medium { 98 } else { 97 });
             if medium {
                 assert_eq!(out[97], 1.0);

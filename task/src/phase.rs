@@ -6,10 +6,18 @@ use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{checks, within};
-use crate::{COMMAND_DIM, FEET, TaskError};
+use crate::{COMMAND_DIM, PerFoot, TaskError};
 
-/// Phase of each foot relative to the clock, rad: a trot, FL with HR, and FR with HL half a cycle later.
-pub const TROT_OFFSETS_RAD: [f32; FEET] = [0.0, PI, PI, 0.0];
+/// Phase of a foot relative to the clock, rad. Feet come in pairs, left and right, from front to hind, and each is half a cycle from those next to it:
+/// a biped's walk, a quadruped's trot (the first foot with the fourth, the second with the third), a hexapod's tripod.
+#[must_use]
+pub fn offset_rad(foot: usize) -> f32 {
+    if (foot + foot / 2).is_multiple_of(2) {
+        0.0
+    } else {
+        PI
+    }
+}
 
 /// Table `[task.phase]`: the gait clock.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -101,12 +109,12 @@ impl PhaseClock {
         }
     }
 
-    /// Phase of each foot, rad, (−π, π]; all π while standing.
-    pub fn phases_rad(&self) -> [f32; FEET] {
+    /// Phase of each of the first `feet` feet, rad, (−π, π]; all π while standing.
+    pub fn phases_rad(&self, feet: usize) -> PerFoot {
         if self.standing {
-            return [PI; FEET];
+            return PerFoot::filled(feet, PI);
         }
-        TROT_OFFSETS_RAD.map(|offset| wrap_angle(self.phase_rad + offset))
+        PerFoot::from_fn(feet, |foot| wrap_angle(self.phase_rad + offset_rad(foot)))
     }
 }
 
@@ -170,7 +178,7 @@ mod tests {
     #[test]
     fn trot_offsets_pair_the_diagonals() {
         let clock = PhaseClock::new(0.5, 1.25);
-        let [fl, fr, hl, hr] = clock.phases_rad();
+        let [fl, fr, hl, hr] = clock.phases_rad(4).to_array().unwrap();
         close(fl, 0.5);
         close(hr, 0.5);
         // 0.5 + π − 2π
@@ -178,19 +186,28 @@ mod tests {
         close(hl, fr);
     }
 
+    /// Two feet alternate, six make two tripods: front left, middle right, hind left against the others.
+    #[test]
+    fn other_numbers_of_feet_alternate() {
+        let near_zero = |foot| offset_rad(foot) == 0.0;
+        assert_eq!([0, 1].map(near_zero), [true, false]);
+        let tripod = [true, false, false, true, true, false];
+        assert_eq!([0, 1, 2, 3, 4, 5].map(near_zero), tripod);
+    }
+
     #[test]
     fn advances_by_two_pi_f_dt_and_wraps() {
         // 2π·1.25·0.02 = π/20 per control step: 40 steps are one cycle.
         let mut clock = PhaseClock::new(0.0, 1.25);
         clock.advance(0.02);
-        close(clock.phases_rad()[0], PI / 20.0);
+        close(clock.phases_rad(4)[0], PI / 20.0);
         for _ in 0..39 {
             clock.advance(0.02);
         }
-        assert!(clock.phases_rad()[0].abs() < 1e-4);
+        assert!(clock.phases_rad(4)[0].abs() < 1e-4);
         for _ in 0..100_000 {
             clock.advance(0.02);
-            for phase in clock.phases_rad() {
+            for phase in clock.phases_rad(4) {
                 assert!(phase > -PI && phase <= PI);
             }
         }
@@ -203,10 +220,10 @@ mod tests {
         clock.set_command(&config, &[0.0, 0.0, 0.0]);
         clock.advance(0.02);
         assert!(clock.standing());
-        assert_eq!(clock.phases_rad(), [PI; FEET]);
+        assert_eq!(clock.phases_rad(4), [PI; 4]);
         close(reference_height_m(PI, config.swing_height_m), 0.0);
         clock.set_command(&config, &[0.0, 0.0, 0.2]);
-        close(clock.phases_rad()[0], 0.3);
+        close(clock.phases_rad(4)[0], 0.3);
         let never = PhaseConfig {
             stand_command_norm: -1.0,
             ..config
@@ -229,8 +246,8 @@ mod tests {
         );
         assert!(clocks.iter().any(|c| c.frequency_hz() < 1.3));
         assert!(clocks.iter().any(|c| c.frequency_hz() > 1.45));
-        assert!(clocks.iter().any(|c| c.phases_rad()[0] < -1.0));
-        assert!(clocks.iter().any(|c| c.phases_rad()[0] > 1.0));
+        assert!(clocks.iter().any(|c| c.phases_rad(4)[0] < -1.0));
+        assert!(clocks.iter().any(|c| c.phases_rad(4)[0] > 1.0));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{checks, within};
-use crate::{ACT_DIM, TaskError};
+use crate::{PerJoint, TaskError};
 
 /// Table `[task.randomisation]`: ranges [min, max] of uniform draws, once per episode. `[1, 1]` (or `[0, 0]`
 /// for offsets) leaves a quantity alone. Ranges too narrow: the policy fits one simulator; too wide: it walks
@@ -117,15 +117,15 @@ pub struct RandomDraw {
     /// Shift of each link's centre of mass, m, link frame. `[L]`
     pub com_offset_m: Vec<[f32; 3]>,
     /// Factor on each joint's friction loss.
-    pub joint_friction_scale: [f32; ACT_DIM],
+    pub joint_friction_scale: PerJoint,
     /// Factor on each joint's armature.
-    pub armature_scale: [f32; ACT_DIM],
+    pub armature_scale: PerJoint,
     /// Factor on each joint's viscous damping.
-    pub damping_scale: [f32; ACT_DIM],
+    pub damping_scale: PerJoint,
     /// Factor on each servo's Kp.
-    pub kp_scale: [f32; ACT_DIM],
+    pub kp_scale: PerJoint,
     /// Factor on each servo's Kd.
-    pub kd_scale: [f32; ACT_DIM],
+    pub kd_scale: PerJoint,
     /// Factor on all torque limits.
     pub torque_scale: f32,
     /// Factor on the supply voltage.
@@ -138,17 +138,18 @@ pub struct RandomDraw {
 
 impl RandomDraw {
     /// The nominal robot: every factor 1, every offset 0.
-    pub fn nominal(links: usize, backlash_joints: usize) -> Self {
+    pub fn nominal(links: usize, joints: usize, backlash_joints: usize) -> Self {
+        let one = PerJoint::filled(joints, 1.0);
         Self {
             foot_friction_scale: 1.0,
             body_friction_scale: 1.0,
             link_mass_scale: vec![1.0; links],
             com_offset_m: vec![[0.0; 3]; links],
-            joint_friction_scale: [1.0; ACT_DIM],
-            armature_scale: [1.0; ACT_DIM],
-            damping_scale: [1.0; ACT_DIM],
-            kp_scale: [1.0; ACT_DIM],
-            kd_scale: [1.0; ACT_DIM],
+            joint_friction_scale: one,
+            armature_scale: one,
+            damping_scale: one,
+            kp_scale: one,
+            kd_scale: one,
             torque_scale: 1.0,
             supply_scale: 1.0,
             command_delay_s: 0.0,
@@ -159,7 +160,8 @@ impl RandomDraw {
     /// Draws anew in place (the lengths stay); the nominal robot when randomisation is off.
     pub fn redraw(&mut self, config: &RandomisationConfig, stream: &mut Stream) {
         if !config.enabled {
-            *self = Self::nominal(self.link_mass_scale.len(), self.backlash_scale.len());
+            let (links, play) = (self.link_mass_scale.len(), self.backlash_scale.len());
+            *self = Self::nominal(links, self.kp_scale.len(), play);
             return;
         }
         let mut draw = |[lo, hi]: [f32; 2]| stream.uniform(lo, hi);
@@ -172,7 +174,7 @@ impl RandomDraw {
         for offset in self.com_offset_m.iter_mut().flatten() {
             *offset = draw(config.com_offset_m);
         }
-        for i in 0..ACT_DIM {
+        for i in 0..self.kp_scale.len() {
             self.joint_friction_scale[i] = draw(config.joint_friction_scale);
             self.armature_scale[i] = draw(config.armature_scale);
             self.damping_scale[i] = draw(config.damping_scale);
@@ -188,14 +190,15 @@ impl RandomDraw {
     }
 }
 
-/// Draws the physics of one episode for a robot with `links` links and `backlash_joints` joints with play.
+/// Draws the physics of one episode for a robot with `links` links, `joints` servos and `backlash_joints` joints with play.
 pub fn draw(
     config: &RandomisationConfig,
     stream: &mut Stream,
     links: usize,
+    joints: usize,
     backlash_joints: usize,
 ) -> RandomDraw {
-    let mut drawn = RandomDraw::nominal(links, backlash_joints);
+    let mut drawn = RandomDraw::nominal(links, joints, backlash_joints);
     drawn.redraw(config, stream);
     drawn
 }
@@ -214,7 +217,7 @@ mod tests {
         let config = RandomisationConfig::default();
         let mut stream = stream();
         let draws: Vec<_> = (0..300)
-            .map(|_| draw(&config, &mut stream, 19, 4))
+            .map(|_| draw(&config, &mut stream, 19, 16, 4))
             .collect();
         let spans = |get: &dyn Fn(&RandomDraw) -> f32, [lo, hi]: [f32; 2]| {
             let values: Vec<f32> = draws.iter().map(get).collect();
@@ -251,20 +254,20 @@ mod tests {
             ..RandomisationConfig::default()
         };
         assert_eq!(
-            draw(&config, &mut stream(), 19, 4),
-            RandomDraw::nominal(19, 4)
+            draw(&config, &mut stream(), 19, 16, 4),
+            RandomDraw::nominal(19, 16, 4)
         );
-        let mut used = draw(&RandomisationConfig::default(), &mut stream(), 19, 4);
+        let mut used = draw(&RandomisationConfig::default(), &mut stream(), 19, 16, 4);
         used.redraw(&config, &mut stream());
-        assert_eq!(used, RandomDraw::nominal(19, 4));
+        assert_eq!(used, RandomDraw::nominal(19, 16, 4));
     }
 
     #[test]
     fn the_same_stream_gives_the_same_robot() {
         let config = RandomisationConfig::default();
         assert_eq!(
-            draw(&config, &mut stream(), 19, 4),
-            draw(&config, &mut stream(), 19, 4)
+            draw(&config, &mut stream(), 19, 16, 4),
+            draw(&config, &mut stream(), 19, 16, 4)
         );
     }
 

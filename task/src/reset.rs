@@ -6,7 +6,7 @@ use caudata_random::Stream;
 use serde::{Deserialize, Serialize};
 
 use crate::error::checks;
-use crate::{ACT_DIM, JointTable, TaskError};
+use crate::{JointTable, PerJoint, TaskError};
 
 /// Table `[task.reset]`: how far episodes start from the nominal pose at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -71,16 +71,16 @@ pub struct ResetDraw {
     /// Velocity of the base, m/s, world x and y.
     pub base_vel_mps: [f32; 2],
     /// Joint positions, rad, within the limits.
-    pub joint_pos_rad: [f32; ACT_DIM],
+    pub joint_pos_rad: PerJoint,
     /// Joint velocities, rad/s.
-    pub joint_vel_radps: [f32; ACT_DIM],
+    pub joint_vel_radps: PerJoint,
 }
 
 /// Draws a start. `swimming_rad` is the pose of [`ResetConfig::swimming_pose_share`].
 pub fn draw(
     config: &ResetConfig,
     joints: &JointTable,
-    swimming_rad: &[f32; ACT_DIM],
+    swimming_rad: &PerJoint,
     stream: &mut Stream,
 ) -> ResetDraw {
     let folded = config.swimming_pose_share > 0.0 && stream.chance(config.swimming_pose_share);
@@ -93,12 +93,14 @@ pub fn draw(
         base_xy_m: std::array::from_fn(|_| around_zero(config.spawn_half_extent_m)),
         yaw_rad: around_zero(config.yaw_range_rad),
         base_vel_mps: std::array::from_fn(|_| around_zero(config.base_vel_noise_mps)),
-        joint_pos_rad: std::array::from_fn(|i| {
+        joint_pos_rad: PerJoint::from_fn(joints.len(), |i| {
             (pose_rad[i] + around_zero(config.joint_pos_noise_rad))
                 .max(joints.lower_rad[i])
                 .min(joints.upper_rad[i])
         }),
-        joint_vel_radps: std::array::from_fn(|_| around_zero(config.joint_vel_noise_radps)),
+        joint_vel_radps: PerJoint::from_fn(joints.len(), |_| {
+            around_zero(config.joint_vel_noise_radps)
+        }),
     }
 }
 
@@ -107,13 +109,19 @@ mod tests {
     use super::*;
     use caudata_random::{Key, Purpose};
 
-    const JOINTS: JointTable = JointTable {
-        nominal_rad: [0.5; ACT_DIM],
-        lower_rad: [-1.0; ACT_DIM],
-        upper_rad: [0.55; ACT_DIM],
-    };
+    const ACT_DIM: usize = 16;
 
-    const SWIMMING_RAD: [f32; ACT_DIM] = [-0.5; ACT_DIM];
+    fn joints() -> JointTable {
+        JointTable {
+            nominal_rad: [0.5; ACT_DIM].into(),
+            lower_rad: [-1.0; ACT_DIM].into(),
+            upper_rad: [0.55; ACT_DIM].into(),
+        }
+    }
+
+    fn swimming_rad() -> PerJoint {
+        PerJoint::filled(ACT_DIM, -0.5)
+    }
 
     #[test]
     fn the_asked_share_starts_in_the_swimming_pose() {
@@ -124,7 +132,7 @@ mod tests {
         };
         let mut stream = Stream::new(Key::for_run(4), Purpose::Reset);
         let folded = (0..1000).filter(|_| {
-            let start = draw(&config, &JOINTS, &SWIMMING_RAD, &mut stream);
+            let start = draw(&config, &joints(), &swimming_rad(), &mut stream);
             let near = |pose: f32| start.joint_pos_rad.iter().all(|q| (q - pose).abs() <= 0.1);
             assert!(near(0.5) || near(-0.5));
             near(-0.5)
@@ -144,7 +152,7 @@ mod tests {
         let mut stream = Stream::new(Key::for_run(1), Purpose::Reset);
         let mut at_limit = 0;
         for _ in 0..100 {
-            let start = draw(&config, &JOINTS, &SWIMMING_RAD, &mut stream);
+            let start = draw(&config, &joints(), &swimming_rad(), &mut stream);
             for q in start.joint_pos_rad {
                 // 0.5 ± 0.1, cut at the limit 0.55.
                 assert!((0.4..=0.55).contains(&q));
@@ -171,11 +179,11 @@ mod tests {
         };
         let start = draw(
             &config,
-            &JOINTS,
-            &SWIMMING_RAD,
+            &joints(),
+            &swimming_rad(),
             &mut Stream::new(Key::for_run(1), Purpose::Reset),
         );
-        assert_eq!(start.joint_pos_rad, JOINTS.nominal_rad);
+        assert_eq!(start.joint_pos_rad, joints().nominal_rad);
         assert_eq!(start.joint_vel_radps, [0.0; ACT_DIM]);
         assert_eq!(
             (start.base_xy_m, start.base_vel_mps, start.yaw_rad),

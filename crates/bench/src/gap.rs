@@ -134,7 +134,7 @@ fn bench(plan: &Plan, program: &Path, root: &Path) -> Result<Finding, Failure> {
     let jobs = plan.jobs as usize;
     let secret = secret();
     let mut cases = sets::plan(plan.set.into(), plan.seed, None);
-    cases.retain(|p| plan.block.is_empty() || plan.block.contains(&p.block));
+    cases.retain(|c| plan.block.is_empty() || plan.block.contains(&c.block));
     cases.truncate(plan.cases.unwrap_or(usize::MAX));
     let told = AtomicUsize::new(0);
     let progress = |what: &'static str| {
@@ -177,7 +177,7 @@ fn bench(plan: &Plan, program: &Path, root: &Path) -> Result<Finding, Failure> {
 
 /// The block with this name.
 fn block(name: &str) -> Result<Block, String> {
-    serde_json::from_value(json!(name)).map_err(|_| "no such block".to_owned())
+    serde_json::from_value(serde_json::Value::from(name)).map_err(|_| "no such block".to_owned())
 }
 
 /// Something that no process started here knows: the answers stay closed to them.

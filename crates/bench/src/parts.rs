@@ -8,7 +8,7 @@ use caudata_policy::{
     Activation, Dense, Inference, MlpSpec, PolicyFile, PolicyMetadata, build_onnx,
 };
 use caudata_studies::{files, flags};
-use caudata_task::{ACT_DIM, PolicyContract};
+use caudata_task::{PerJoint, PolicyContract};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
 use serde_json::json;
@@ -66,7 +66,8 @@ pub fn environment_steps(seconds: f64, config: &Config) -> Result<Rate, Failure>
     let mut env = build_env(config, model, 0).map_err(|error| error.into_failure())?;
     env.reset_all().or_exit(ExitCode::Internal)?;
     // A gait-like motion, so that contacts come and go.
-    let mut actions = vec![0.0f32; lanes as usize * ACT_DIM];
+    let width = env.act_dim();
+    let mut actions = vec![0.0f32; lanes as usize * width];
     let mut step = 0u32;
     let settings = json!({
         "engine": config.engine.kind, "lanes": lanes, "threads": threads,
@@ -79,9 +80,9 @@ pub fn environment_steps(seconds: f64, config: &Config) -> Result<Rate, Failure>
         settings,
         || {
             // Once for all lanes: a sine per lane and joint would be a fortieth of what is measured.
-            let action: [f32; ACT_DIM] =
-                std::array::from_fn(|i| 0.5 * (step as f32 * 0.16 + i as f32).sin());
-            for lane in actions.chunks_exact_mut(ACT_DIM) {
+            let action: PerJoint =
+                PerJoint::from_fn(width, |i| 0.5 * (step as f32 * 0.16 + i as f32).sin());
+            for lane in actions.chunks_exact_mut(width) {
                 lane.copy_from_slice(&action);
             }
             step += 1;

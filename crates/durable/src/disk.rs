@@ -3,12 +3,27 @@
 use std::fmt::Debug;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// What went wrong, and at which part of a write: "write" or "sync".
+/// What went wrong, and at which part of a write: "open", "write" or "sync".
 pub type WriteFault = (&'static str, io::Error);
 
-/// What changes a disk. [`OsDisk`] is the real one, [`crate::rehearsal::Rehearsal`] writes down what was done.
+/// An open folder, whose names can be synced.
+#[derive(Debug)]
+pub struct Folder {
+    path: PathBuf,
+    handle: File,
+}
+
+impl Folder {
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// What changes a disk. [`OsDisk`] is the real one, that of `tests/rehearsal` writes down what was done.
 pub trait Disk: Debug + Send + Sync {
     /// Makes one folder; one that is there already is fine.
     ///
@@ -22,7 +37,8 @@ pub trait Disk: Debug + Send + Sync {
     /// Which part failed, and what the system says.
     fn write_synced(&self, path: &Path, bytes: &[u8]) -> Result<(), WriteFault>;
 
-    /// Adds `bytes` to the end of a file, which is made where it is absent, and waits until they are on the disk.
+    /// Adds `bytes` to the end of a file, which is made where it is absent, and waits until they are on the
+    /// disk.
     ///
     /// # Errors
     /// As [`Disk::write_synced`].
@@ -34,11 +50,18 @@ pub trait Disk: Debug + Send + Sync {
     /// As [`Disk::write_synced`].
     fn cut_synced(&self, path: &Path, length: u64) -> Result<(), WriteFault>;
 
+    /// Opens a folder for [`Disk::sync_folder`]. Done before anything changes: a process that has no file handle left
+    /// then fails harmlessly, and does not take that for a disk that lost something.
+    ///
+    /// # Errors
+    /// What the system says.
+    fn open_folder(&self, folder: &Path) -> io::Result<Folder>;
+
     /// Waits until the names in a folder are on the disk.
     ///
     /// # Errors
     /// What the system says.
-    fn sync_folder(&self, folder: &Path) -> io::Result<()>;
+    fn sync_folder(&self, folder: &Folder) -> io::Result<()>;
 
     /// Gives a file another name, in place of what has it.
     ///
@@ -65,7 +88,7 @@ pub struct OsDisk;
 
 impl OsDisk {
     fn write(options: &mut OpenOptions, path: &Path, bytes: &[u8]) -> Result<(), WriteFault> {
-        let mut file = options.open(path).map_err(|e| ("write", e))?;
+        let mut file = options.open(path).map_err(|e| ("open", e))?;
         file.write_all(bytes).map_err(|e| ("write", e))?;
         // On the handle that wrote: another one need not hear of an error.
         file.sync_all().map_err(|e| ("sync", e))
@@ -91,13 +114,20 @@ impl Disk for OsDisk {
 
     fn cut_synced(&self, path: &Path, length: u64) -> Result<(), WriteFault> {
         let opened = OpenOptions::new().write(true).open(path);
-        let file = opened.map_err(|e| ("write", e))?;
+        let file = opened.map_err(|e| ("open", e))?;
         file.set_len(length).map_err(|e| ("write", e))?;
         file.sync_all().map_err(|e| ("sync", e))
     }
 
-    fn sync_folder(&self, folder: &Path) -> io::Result<()> {
-        File::open(folder)?.sync_all()
+    fn open_folder(&self, folder: &Path) -> io::Result<Folder> {
+        Ok(Folder {
+            path: folder.to_owned(),
+            handle: File::open(folder)?,
+        })
+    }
+
+    fn sync_folder(&self, folder: &Folder) -> io::Result<()> {
+        folder.handle.sync_all()
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {

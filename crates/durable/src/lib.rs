@@ -1,18 +1,19 @@
 //! Files that are whole or absent: write to a temporary file, sync, rename, sync the folder.
 //!
-//! Everything that must survive a crash or a power cut (policies, checkpoints, the robot's state) is written through
-//! this crate, so that the order of operations is right in one place: the bytes reach the disk before the name does,
-//! and the name reaches the disk before the caller goes on.
+//! Everything that must survive a crash or a power cut (policies, checkpoints, the robot's state) is written
+//! through this crate, so that the order of operations is right in one place: the bytes reach the disk before
+//! the name does, and the name reaches the disk before the caller goes on.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod disk;
-pub mod rehearsal;
+mod owner;
 
-use std::fs::{self, File};
+use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-pub use disk::{Disk, OsDisk};
+pub use disk::{Disk, Folder, OsDisk, WriteFault};
+pub use owner::{Owner, OwnerError};
 
 /// Why a durable write failed. The file's earlier content, if any, is untouched.
 #[derive(Debug, thiserror::Error)]
@@ -26,7 +27,7 @@ pub enum DurableError {
     /// Any other failure of the operating system.
     #[error("cannot {action} {path}: {source}")]
     Io {
-        /// What was tried, as a verb: "write", "sync", "rename", ….
+        /// What was tried, as a verb: "open", "write", "sync", "rename", ….
         action: &'static str,
         /// File or folder that it was tried on.
         path: PathBuf,
@@ -59,8 +60,8 @@ impl DurableError {
         }
     }
 
-    /// True where the system would not say that the bytes are on the disk. What is on it then is not known: writing on could build on
-    /// sand, so that whoever keeps a store stops changing it.
+    /// True where the system would not say that the bytes are on the disk. What is on it then is not known:
+    /// writing on could build on sand, so that whoever keeps a store stops changing it.
     #[must_use]
     pub fn is_sync_failure(&self) -> bool {
         matches!(self, Self::Io { action: "sync", .. })
@@ -89,12 +90,13 @@ pub fn replace(path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
 /// # Errors
 /// As [`replace`].
 pub fn replace_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
+    let folder = folder_of(disk, path)?;
     let temporary = write_temporary(disk, path, bytes)?;
     disk.rename(&temporary, path).map_err(|source| {
         let _ = disk.remove(&temporary);
         DurableError::from_io("rename", path, source)
     })?;
-    sync_folder_of(disk, path)
+    sync(disk, &folder)
 }
 
 /// Like [`replace`], but refuses to touch a file that exists.
@@ -110,6 +112,7 @@ pub fn create_new(path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
 /// # Errors
 /// As [`create_new`].
 pub fn create_new_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), DurableError> {
+    let folder = folder_of(disk, path)?;
     let temporary = write_temporary(disk, path, bytes)?;
     // A hard link fails where the name is taken; a rename would silently replace it.
     let linked = disk
@@ -117,10 +120,11 @@ pub fn create_new_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), D
         .map_err(|source| DurableError::from_io("create", path, source));
     let _ = disk.remove(&temporary);
     linked?;
-    sync_folder_of(disk, path)
+    sync(disk, &folder)
 }
 
-/// Makes a folder and syncs the one above it, so that it survives a power cut. One that is there already is fine.
+/// Makes a folder and syncs the one above it, so that it survives a power cut. One that is there already is
+/// fine.
 ///
 /// # Errors
 /// [`DurableError`].
@@ -128,9 +132,10 @@ pub fn make_folder_on(disk: &dyn Disk, path: &Path) -> Result<(), DurableError> 
     if path.is_dir() {
         return Ok(());
     }
+    let above = folder_of(disk, path)?;
     disk.make_folder(path)
         .map_err(|source| DurableError::from_io("make", path, source))?;
-    sync_folder_of(disk, path)
+    sync(disk, &above)
 }
 
 /// Syncs a folder, so that names created or renamed in it survive a power cut.
@@ -138,9 +143,18 @@ pub fn make_folder_on(disk: &dyn Disk, path: &Path) -> Result<(), DurableError> 
 /// # Errors
 /// [`DurableError::Io`] where the folder cannot be opened or synced.
 pub fn sync_folder(folder: &Path) -> Result<(), DurableError> {
-    File::open(folder)
-        .and_then(|handle| handle.sync_all())
-        .map_err(|source| DurableError::from_io("sync", folder, source))
+    sync_folder_on(&OsDisk, folder)
+}
+
+/// [`sync_folder`] on a disk that may be a rehearsed one.
+///
+/// # Errors
+/// As [`sync_folder`].
+pub fn sync_folder_on(disk: &dyn Disk, folder: &Path) -> Result<(), DurableError> {
+    let opened = disk
+        .open_folder(folder)
+        .map_err(|source| DurableError::from_io("open", folder, source))?;
+    sync(disk, &opened)
 }
 
 /// Removes what interrupted writes left in `folder`; answers how many files that were.
@@ -181,13 +195,19 @@ fn temporary_path(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-fn sync_folder_of(disk: &dyn Disk, path: &Path) -> Result<(), DurableError> {
+/// The folder that `path` lies in, open.
+fn folder_of(disk: &dyn Disk, path: &Path) -> Result<Folder, DurableError> {
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     };
+    disk.open_folder(folder)
+        .map_err(|source| DurableError::from_io("open", path, source))
+}
+
+fn sync(disk: &dyn Disk, folder: &Folder) -> Result<(), DurableError> {
     disk.sync_folder(folder)
-        .map_err(|source| DurableError::from_io("sync", folder, source))
+        .map_err(|source| DurableError::from_io("sync", folder.path(), source))
 }
 
 #[cfg(test)]

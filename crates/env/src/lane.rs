@@ -8,7 +8,7 @@ use caudata_task::phase::{PhaseClock, PhaseConfig};
 use caudata_task::push::PushSchedule;
 use caudata_task::reward::TERM_COUNT;
 use caudata_task::termination::TerminationReason;
-use caudata_task::{ACT_DIM, ACTION_HISTORY, FEET, TaskConfig};
+use caudata_task::{ACTION_HISTORY, PerFoot, PerJoint, TaskConfig};
 use serde::{Deserialize, Serialize};
 
 use crate::measure::{Sensors, Truth};
@@ -25,14 +25,16 @@ pub(crate) struct Lane {
     pub step_limit: u32,
     pub command: CommandState,
     pub clock: PhaseClock,
+    /// How many phases the policy sees.
+    phases: usize,
     pub filter: ActionFilter,
     pub push: PushSchedule,
     /// Past actions, clipped, newest first.
-    pub actions: [[f32; ACT_DIM]; ACTION_HISTORY],
+    pub actions: [PerJoint; ACTION_HISTORY],
     /// True joint velocities after the last step, rad/s.
-    pub joint_vel_radps: [f32; ACT_DIM],
+    pub joint_vel_radps: PerJoint,
     /// Constant error of the joint positions in this episode, rad.
-    pub joint_offset_rad: [f32; ACT_DIM],
+    pub joint_offset_rad: PerJoint,
     /// Constant error of the IMU in this episode.
     pub imu_bias: ImuBias,
     pub command_stream: Stream,
@@ -43,11 +45,12 @@ pub(crate) struct Lane {
 }
 
 impl Lane {
-    /// The state at the start of the episode of `key`, except for its start pose.
+    /// The state at the start of the episode of `key`, except for its start pose, for a robot with so many joints whose policy sees so many phases.
     /// `reset_stream` gives the clock's start and, where `stagger` asks for it, a random length.
     pub fn start(
         task: &TaskConfig,
         sensors: Option<&Sensors>,
+        (joints, phases): (usize, usize),
         key: Key,
         stagger: bool,
         heading_rad: f32,
@@ -65,7 +68,7 @@ impl Lane {
         );
         let mut clock = PhaseClock::draw(&task.phase, reset_stream);
         clock.set_command(&task.phase, &command.value);
-        let joint_offset_rad = task.noise.draw_joint_offsets(&mut sensor_stream);
+        let joint_offset_rad = task.noise.draw_joint_offsets(joints, &mut sensor_stream);
         let imu_bias = sensors
             .map(|s| s.draw_bias(&mut sensor_stream))
             .unwrap_or_default();
@@ -80,10 +83,11 @@ impl Lane {
             step_limit,
             command,
             clock,
-            filter: ActionFilter::new(),
+            phases,
+            filter: ActionFilter::new(joints),
             push: PushSchedule::draw(&task.push, control_period_s, &mut push_stream),
-            actions: [[0.0; ACT_DIM]; ACTION_HISTORY],
-            joint_vel_radps: [0.0; ACT_DIM],
+            actions: [PerJoint::filled(joints, 0.0); ACTION_HISTORY],
+            joint_vel_radps: PerJoint::filled(joints, 0.0),
             joint_offset_rad,
             imu_bias,
             command_stream,
@@ -92,6 +96,11 @@ impl Lane {
             action_stream: Stream::new(key, Purpose::Action),
             tally: Tally::default(),
         }
+    }
+
+    /// Phase of each foot (of the clock without feet), rad, (−π, π].
+    pub fn phases_rad(&self) -> PerFoot {
+        self.clock.phases_rad(self.phases)
     }
 
     /// Follows `command` for the rest of the episode, if there is one.
@@ -107,13 +116,18 @@ impl Lane {
     }
 
     /// Puts a clipped action in front of the past ones.
-    pub fn remember(&mut self, action: [f32; ACT_DIM]) {
+    pub fn remember(&mut self, action: PerJoint) {
         self.actions.rotate_right(1);
         self.actions[0] = action;
     }
 
-    /// What the ended episode reports, except for its reward terms.
-    pub fn stats(&self, lane: usize, reason: Option<TerminationReason>) -> EpisodeStats {
+    /// What the ended episode reports, except for its reward terms; `feet` is how many the robot has.
+    pub fn stats(
+        &self,
+        lane: usize,
+        feet: usize,
+        reason: Option<TerminationReason>,
+    ) -> EpisodeStats {
         let tally = &self.tally;
         let steps = f64::from(self.step.max(1));
         let mean = |sum: f64| (sum / steps) as f32;
@@ -129,7 +143,7 @@ impl Lane {
             mean_velocity_error_mps: mean(tally.velocity_error_mps),
             mean_power_w: mean(tally.power_w),
             trunk_contact_share: mean(f64::from(tally.trunk_contacts)),
-            duty_factor: mean(f64::from(tally.foot_contacts) / FEET as f64),
+            duty_factor: mean(f64::from(tally.foot_contacts) / feet.max(1) as f64),
             mean_slip_mps: (tally.slip_mps / f64::from(tally.foot_contacts.max(1))) as f32,
         }
     }

@@ -1,22 +1,24 @@
 //! One lane out of the engine's state: the truth that rewards look at, and what sensors make of it.
 
-use caudata_model::{ImuParams, ModelError, Pose, RobotModel, ServoParams, Site};
+use caudata_model::{ImuParams, ModelError, Pose, RobotModel, ServoParams, Site, pose};
 use caudata_random::Stream;
 use caudata_sim::{Engine, State, sensors};
 use caudata_task::noise::Readings;
-use caudata_task::{ACT_DIM, FEET};
+use caudata_task::row::Row;
+use caudata_task::{PerFoot, PerJoint, TaskConfig};
 
-/// The true state of one lane after a control step, in the task's order and frames. World frame where nothing else is said.
+/// The true state of one lane after a control step, in the task's order and frames. World frame where nothing
+/// else is said.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Truth {
     /// Actuated joints, policy order.
-    pub joint_pos_rad: [f32; ACT_DIM],
+    pub joint_pos_rad: PerJoint,
     /// Actuated joints, policy order.
-    pub joint_vel_radps: [f32; ACT_DIM],
+    pub joint_vel_radps: PerJoint,
     /// Mean over the control period.
-    pub motor_torque_nm: [f32; ACT_DIM],
+    pub motor_torque_nm: PerJoint,
     /// Mean over the control period, signed.
-    pub mech_power_w: [f32; ACT_DIM],
+    pub mech_power_w: PerJoint,
     /// Of the whole body.
     pub heading_rad: f32,
     /// Whole body, heading frame.
@@ -30,27 +32,30 @@ pub struct Truth {
     /// Unit vector of gravity, IMU frame.
     pub gravity: [f32; 3],
     /// Lowest point of each foot above the ground.
-    pub foot_height_m: [f32; FEET],
+    pub foot_height_m: PerFoot,
     /// Centre of each foot.
-    pub foot_vel_mps: [[f32; 3]; FEET],
+    pub foot_vel_mps: PerFoot<[f32; 3]>,
     /// Contact force on each foot, mean over the control period.
-    pub foot_force_n: [[f32; 3]; FEET],
+    pub foot_force_n: PerFoot<[f32; 3]>,
     /// Contact force on trunk and legs but not the feet, mean over the control period.
     pub trunk_force_n: f32,
     /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
     pub submerged: f32,
-    /// 1 while it is that and farther above the highest ground under a foot or a girdle than `afloat_above_m`, 0 otherwise.
+    /// 1 while it is that and farther above the highest ground under a foot or a girdle than
+    /// `afloat_above_m`, 0 otherwise.
     pub afloat: f32,
     /// Which feet can be asked to walk, 1 or 0: all of them out of the water, and in it those whose girdle has the ground within `feet_reach_m`.
-    pub on_ground: [f32; FEET],
+    pub on_ground: PerFoot,
 }
 
 /// What reading a lane needs to know of the robot.
 #[derive(Clone, Debug)]
 pub(crate) struct Reader {
     /// Model index of each actuated joint.
-    pub actuated: [usize; ACT_DIM],
-    pub foot_radius_m: [f32; FEET],
+    pub actuated: PerJoint<usize>,
+    pub foot_radius_m: PerFoot,
+    /// Which girdle each foot's leg hangs nearer to: 0 the front one, 1 the hind one.
+    pub girdle_of: PerFoot<usize>,
     /// How far ahead of the centre of mass the two girdles are, along the heading.
     pub girdles_ahead_m: [f32; 2],
     /// Of the task.
@@ -59,9 +64,46 @@ pub(crate) struct Reader {
     pub feet_reach_m: f32,
 }
 
+impl Reader {
+    /// What `model` and `task` say.
+    pub fn new(model: &RobotModel, task: &TaskConfig) -> Result<Self, ModelError> {
+        let (actuated, feet) = (model.actuated(), model.feet());
+        Ok(Self {
+            actuated: PerJoint::of(actuated),
+            foot_radius_m: PerFoot::from_fn(feet.len(), |i| feet[i].radius_m as f32),
+            girdle_of: girdle_of(model)?,
+            girdles_ahead_m: girdles_ahead_m(model)?,
+            afloat_above_m: task.afloat_above_m,
+            feet_reach_m: task.feet_reach_m,
+        })
+    }
+}
+
+/// For each foot which girdle its leg hangs nearer to, by the place of the leg's first link in the nominal pose; 0 for a robot whose file names no
+/// girdles.
+fn girdle_of(model: &RobotModel) -> Result<PerFoot<usize>, ModelError> {
+    let feet = model.feet();
+    let Some((hind, front)) = model.heading_sites() else {
+        return Ok(PerFoot::filled(feet.len(), 0));
+    };
+    let pos = model.full_pos_rad(model.nominal_pos_rad())?;
+    let places = model.kinematics(&Pose::IDENTITY, &pos)?;
+    let site = |s: &Site| places.links[s.link].point(s.link_from_site.pos_m);
+    let [hind, front] = [site(hind), site(front)];
+    let girdle = |foot: usize| {
+        let up = |&link: &usize| model.links()[link].parent;
+        let leg = std::iter::successors(Some(feet[foot].link), up)
+            .take_while(|&link| model.leg_of(link) == Some(foot));
+        let hip = leg.last().unwrap_or(feet[foot].link);
+        let from = |girdle| pose::norm(pose::sub(places.links[hip].pos_m, girdle));
+        usize::from(from(hind) < from(front))
+    };
+    Ok(PerFoot::from_fn(feet.len(), girdle))
+}
+
 /// How far ahead of the centre of mass the front and the hind girdle are, along the line that they make, in the nominal pose, m. Both 0 for a robot
 /// whose file names no girdles, or both in one place.
-pub(crate) fn girdles_ahead_m(model: &RobotModel) -> Result<[f32; 2], ModelError> {
+fn girdles_ahead_m(model: &RobotModel) -> Result<[f32; 2], ModelError> {
     let Some((hind, front)) = model.heading_sites() else {
         return Ok([0.0; 2]);
     };
@@ -102,28 +144,46 @@ impl Reader {
                 girdle_ground_m: self.girdles_ahead_m.map(ground),
             }
         });
-        self.read_state(state, water, lane)
+        let body_ground_m = match state.feet {
+            0 => {
+                let [x, y, _]: [f32; 3] = row(&state.com_pos_m, lane);
+                terrain.height_m(x, y)
+            }
+            _ => 0.0,
+        };
+        self.read_state(state, water, body_ground_m, lane)
     }
 
-    fn read_state(&self, state: &State, water: Option<Water>, lane: usize) -> Truth {
+    /// `body_ground_m`: height of the ground under the centre of mass, for robots without feet.
+    fn read_state(
+        &self,
+        state: &State,
+        water: Option<Water>,
+        body_ground_m: f32,
+        lane: usize,
+    ) -> Truth {
         let joints = state.joints;
         let pos = &state.joint_pos_rad[lane * joints..][..joints];
         let vel = &state.joint_vel_radps[lane * joints..][..joints];
-        let foot_pos: [[f32; 3]; FEET] = vectors(&state.foot_pos_m, lane);
-        let foot_height_m = row(&state.foot_height_m, lane);
+        let feet = state.feet;
+        let foot_pos = vectors(&state.foot_pos_m, lane, feet);
+        let foot_height_m: PerFoot = values(&state.foot_height_m, lane, feet);
         let com: [f32; 3] = row(&state.com_pos_m, lane);
-        let mut ground_m = [0.0; FEET];
-        for j in 0..FEET {
-            ground_m[j] = foot_pos[j][2] - self.foot_radius_m[j] - foot_height_m[j];
-        }
-        let mean_ground_m = ground_m.iter().sum::<f32>() / FEET as f32;
+        let ground_m = PerFoot::from_fn(feet, |j| {
+            foot_pos[j][2] - self.foot_radius_m[j] - foot_height_m[j]
+        });
+        let mean_ground_m = match feet {
+            0 => body_ground_m,
+            feet => ground_m.iter().sum::<f32>() / feet as f32,
+        };
         let submerged = water.is_some_and(|water| com[2] < water.surface_m);
-        // The girdles, too: legs that are folded back have their feet over deeper ground than they would stand on.
+        // The girdles, too: legs that are folded back have their feet over deeper ground than they would
+        // stand on.
         let highest_ground_m = water
             .into_iter()
             .flat_map(|water| water.girdle_ground_m)
             .chain(ground_m)
-            .fold(f32::MIN, f32::max);
+            .fold(if feet == 0 { body_ground_m } else { f32::MIN }, f32::max);
         let gravity: [f32; 3] = row(&state.imu_gravity, lane);
         let afloat = submerged && com[2] - highest_ground_m > self.afloat_above_m;
         let on_ground = |foot: usize| {
@@ -133,16 +193,16 @@ impl Reader {
             if afloat {
                 return 0.0;
             }
-            // Feet come as front, front, hind, hind. Gravity leans back in the body where the nose is up.
-            let girdle = foot / 2;
+            // Gravity leans back in the body where the nose is up.
+            let girdle = self.girdle_of[foot];
             let girdle_m = com[2] - self.girdles_ahead_m[girdle] * gravity[0];
             f32::from(girdle_m - water.girdle_ground_m[girdle] <= self.feet_reach_m)
         };
         Truth {
             joint_pos_rad: pick(pos, &self.actuated),
             joint_vel_radps: pick(vel, &self.actuated),
-            motor_torque_nm: row(&state.motor_torque_nm, lane),
-            mech_power_w: row(&state.mech_power_w, lane),
+            motor_torque_nm: values(&state.motor_torque_nm, lane, state.actuated),
+            mech_power_w: values(&state.mech_power_w, lane, state.actuated),
             heading_rad: state.heading_rad[lane],
             com_vel_mps: into_heading(row(&state.com_vel_mps, lane), state.heading_rad[lane]),
             yaw_rate_radps: state.com_angvel_radps[3 * lane + 2],
@@ -150,12 +210,12 @@ impl Reader {
             gyro_radps: row(&state.imu_gyro_radps, lane),
             gravity,
             foot_height_m,
-            foot_vel_mps: vectors(&state.foot_vel_mps, lane),
-            foot_force_n: vectors(&state.foot_force_n, lane),
+            foot_vel_mps: vectors(&state.foot_vel_mps, lane, feet),
+            foot_force_n: vectors(&state.foot_force_n, lane, feet),
             trunk_force_n: state.trunk_force_n[lane],
             submerged: f32::from(submerged),
             afloat: f32::from(afloat),
-            on_ground: std::array::from_fn(on_ground),
+            on_ground: PerFoot::from_fn(feet, on_ground),
         }
     }
 }
@@ -201,7 +261,9 @@ pub(crate) struct Sensors {
 impl Sensors {
     pub fn new(model: &RobotModel, control_period_s: f64) -> Self {
         Self {
-            servos: (0..ACT_DIM).map(|i| model.servo(i).clone()).collect(),
+            servos: (0..model.actuated().len())
+                .map(|i| model.servo(i).clone())
+                .collect(),
             imu: model.sensors().imu.clone(),
             control_period_s,
         }
@@ -215,7 +277,8 @@ impl Sensors {
             .unwrap_or_default()
     }
 
-    /// Turns true values into readings, in place. (Gravity comes from an attitude estimate, not from a sensor.)
+    /// Turns true values into readings, in place. (Gravity comes from an attitude estimate, not from a
+    /// sensor.)
     pub fn measure(&self, readings: &mut Readings, bias: &sensors::ImuBias, stream: &mut Stream) {
         for (i, servo) in self.servos.iter().enumerate() {
             let pos = &mut readings.joint_pos_rad[i];
@@ -236,13 +299,14 @@ fn into_heading(v: [f32; 3], heading_rad: f32) -> [f32; 3] {
     [cos * v[0] + sin * v[1], cos * v[1] - sin * v[0], v[2]]
 }
 
-/// The values at the given places. (A loop: `map` over an array of this length is not inlined.)
-fn pick(values: &[f32], places: &[usize; ACT_DIM]) -> [f32; ACT_DIM] {
-    let mut out = [0.0; ACT_DIM];
-    for i in 0..ACT_DIM {
-        out[i] = values[places[i]];
-    }
-    out
+/// The values at the given places.
+fn pick(values: &[f32], places: &PerJoint<usize>) -> PerJoint {
+    PerJoint::from_fn(places.len(), |i| values[places[i]])
+}
+
+/// Row `lane` of a `[N, count]` array.
+fn values<const MAX: usize>(all: &[f32], lane: usize, count: usize) -> Row<f32, MAX> {
+    Row::of(&all[lane * count..][..count])
 }
 
 /// Row `lane` of a `[N, K]` array.
@@ -252,12 +316,9 @@ fn row<const K: usize>(values: &[f32], lane: usize) -> [f32; K] {
     out
 }
 
-/// Row `lane` of a `[N, K, 3]` array.
-fn vectors<const K: usize>(values: &[f32], lane: usize) -> [[f32; 3]; K] {
-    let mut out = [[0.0; 3]; K];
-    out.as_flattened_mut()
-        .copy_from_slice(&values[lane * K * 3..][..K * 3]);
-    out
+/// Row `lane` of a `[N, count, 3]` array.
+fn vectors(all: &[f32], lane: usize, count: usize) -> PerFoot<[f32; 3]> {
+    PerFoot::of(all[lane * count * 3..][..count * 3].as_chunks::<3>().0)
 }
 
 #[cfg(test)]
@@ -265,13 +326,19 @@ mod tests {
     use super::*;
     use std::f32::consts::FRAC_PI_2;
 
-    const READER: Reader = Reader {
-        actuated: [0, 1, 2, 3, 4, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17],
-        foot_radius_m: [0.02; FEET],
-        girdles_ahead_m: [0.0; 2],
-        afloat_above_m: 0.09,
-        feet_reach_m: 0.09,
-    };
+    const ACT_DIM: usize = 16;
+    const FEET: usize = 4;
+
+    fn reader() -> Reader {
+        Reader {
+            actuated: [0, 1, 2, 3, 4, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17].into(),
+            foot_radius_m: [0.02; FEET].into(),
+            girdle_of: [0, 0, 1, 1].into(),
+            girdles_ahead_m: [0.0; 2],
+            afloat_above_m: 0.09,
+            feet_reach_m: 0.09,
+        }
+    }
 
     fn state() -> State {
         State::zeros(2, 18, ACT_DIM, FEET)
@@ -284,12 +351,15 @@ mod tests {
         state.heading_rad[1] = FRAC_PI_2;
         state.com_vel_mps[3..].copy_from_slice(&[0.1, 0.3, 0.05]);
         state.com_angvel_radps[3..].copy_from_slice(&[7.0, 8.0, 0.4]);
-        let truth = READER.read_state(&state, None, 1);
+        let truth = reader().read_state(&state, None, 0.0, 1);
         for (found, expected) in truth.com_vel_mps.iter().zip([0.3, -0.1, 0.05]) {
             assert!((found - expected).abs() < 1e-6, "{:?}", truth.com_vel_mps);
         }
         assert_eq!(truth.yaw_rate_radps, 0.4);
-        assert_eq!(READER.read_state(&state, None, 0).com_vel_mps, [0.0; 3]);
+        assert_eq!(
+            reader().read_state(&state, None, 0.0, 0).com_vel_mps,
+            [0.0; 3]
+        );
     }
 
     #[test]
@@ -299,7 +369,7 @@ mod tests {
             state.joint_pos_rad[18 + j] = j as f32;
             state.joint_vel_radps[18 + j] = -(j as f32);
         }
-        let truth = READER.read_state(&state, None, 1);
+        let truth = reader().read_state(&state, None, 0.0, 1);
         assert_eq!(truth.joint_pos_rad[5], 6.0);
         assert_eq!(truth.joint_vel_radps[15], -17.0);
         assert_eq!(truth.readings().joint_pos_rad, truth.joint_pos_rad);
@@ -307,15 +377,15 @@ mod tests {
 
     #[test]
     fn height_is_above_the_ground_under_the_feet() {
-        // Feet centres at 0.52, balls of 0.02, the lowest points 0.10, 0.10, 0 and 0 above the ground: ground at
-        // 0.40, 0.40, 0.50, 0.50, mean 0.45. Centre of mass at 0.57: 0.12 above.
+        // Feet centres at 0.52, balls of 0.02, the lowest points 0.10, 0.10, 0 and 0 above the ground: ground
+        // at 0.40, 0.40, 0.50, 0.50, mean 0.45. Centre of mass at 0.57: 0.12 above.
         let mut state = state();
         for foot in 0..FEET {
             state.foot_pos_m[3 * foot + 2] = 0.52;
         }
         state.foot_height_m[..4].copy_from_slice(&[0.1, 0.1, 0.0, 0.0]);
         state.com_pos_m[2] = 0.57;
-        let truth = READER.read_state(&state, None, 0);
+        let truth = reader().read_state(&state, None, 0.0, 0);
         assert!((truth.com_height_m - 0.12).abs() < 1e-6);
     }
 
@@ -332,16 +402,16 @@ mod tests {
             |s| &mut s.foot_force_n[11],
             |s| &mut s.trunk_force_n[0],
         ];
-        assert!(READER.read_state(&state(), None, 0).is_finite());
+        assert!(reader().read_state(&state(), None, 0.0, 0).is_finite());
         for (i, part) in parts.iter().enumerate() {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 let mut state = state();
                 *part(&mut state) = bad;
                 assert!(
-                    !READER.read_state(&state, None, 0).is_finite(),
+                    !reader().read_state(&state, None, 0.0, 0).is_finite(),
                     "part {i} {bad}"
                 );
-                assert!(READER.read_state(&state, None, 1).is_finite());
+                assert!(reader().read_state(&state, None, 0.0, 1).is_finite());
             }
         }
     }
@@ -372,7 +442,7 @@ mod tests {
                 surface_m,
                 girdle_ground_m: [girdle_ground_m, 0.0],
             });
-            let truth = READER.read_state(&state, water, 0);
+            let truth = reader().read_state(&state, water, 0.0, 0);
             (truth.submerged, truth.afloat)
         };
         let read = |com_m, shallow_m, surface_m| read_near(0.3, com_m, shallow_m, surface_m);
@@ -388,7 +458,7 @@ mod tests {
     fn feet_walk_in_water_where_their_girdle_has_the_ground_in_reach() {
         let reader = Reader {
             girdles_ahead_m: [0.16, -0.16],
-            ..READER
+            ..reader()
         };
         let read = |front_ground_m, nose_up_rad: f32, surface_m| {
             let mut state = state();
@@ -399,7 +469,7 @@ mod tests {
                 surface_m,
                 girdle_ground_m: [front_ground_m, 0.2],
             };
-            reader.read_state(&state, Some(water), 0).on_ground
+            reader.read_state(&state, Some(water), 0.0, 0).on_ground
         };
         // The ground 0.08 under the fore girdle and 0.2 under the hind one.
         assert_eq!(read(0.32, 0.0, 0.45), [1.0, 1.0, 0.0, 0.0]);

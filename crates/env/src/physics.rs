@@ -2,7 +2,6 @@
 
 use caudata_model::RobotModel;
 use caudata_sim::{InitialState, LaneParams, MAX_COMMAND_DELAY_S};
-use caudata_task::ACT_DIM;
 use caudata_task::randomise::RandomDraw;
 use caudata_task::reset::ResetDraw;
 
@@ -27,6 +26,7 @@ impl PhysicsDraws {
             init: InitialState::nominal(model),
             draw: RandomDraw::nominal(
                 nominal.link_mass_scale.len(),
+                nominal.kp_nm_per_rad.len(),
                 nominal.backlash_half_width_rad.len(),
             ),
             nominal,
@@ -52,7 +52,7 @@ impl PhysicsDraws {
                     nominal.com_offset_m[link][axis] + draw.com_offset_m[link][axis];
             }
         }
-        for i in 0..ACT_DIM {
+        for i in 0..nominal.kp_nm_per_rad.len() {
             params.joint_friction_nm[i] =
                 nominal.joint_friction_nm[i] * draw.joint_friction_scale[i];
             params.joint_armature_kgm2[i] = nominal.joint_armature_kgm2[i] * draw.armature_scale[i];

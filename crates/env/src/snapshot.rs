@@ -7,7 +7,7 @@ use crate::lane::Lane;
 use crate::{EnvError, VecEnv};
 
 /// Raise when what a snapshot holds changes.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 #[derive(Serialize, Deserialize)]
 struct Saved {
@@ -24,7 +24,8 @@ struct Saved {
 
 impl VecEnv {
     /// Everything that the next steps depend on: streams, episodes, the engine with its contact memory. An
-    /// environment of the same robot, task, lanes, seed and actor that restores it goes on with the same bits.
+    /// environment of the same robot, task, lanes, seed and actor that restores it goes on with the same
+    /// bits.
     ///
     /// # Errors
     /// When the engine cannot save itself.

@@ -8,19 +8,19 @@ use caudata_sim::{Engine, State};
 use caudata_task::observation::ObservationInput;
 use caudata_task::reward::{self, RewardInput, TERM_COUNT};
 use caudata_task::termination::{self, TerminationInput, TerminationReason};
-use caudata_task::{ACT_DIM, FEET, JointTable, ObservationLayout, PolicyContract, TaskConfig};
+use caudata_task::{BodyPlan, JointTable, ObservationLayout, PerFoot, PolicyContract, TaskConfig};
 
 use crate::EnvError;
 use crate::lane::Lane;
-use crate::measure::{Reader, Sensors, Truth, girdles_ahead_m};
+use crate::measure::{Reader, Sensors, Truth};
 use crate::output::{OutputBuffers, StepOutput};
 use crate::physics::PhysicsDraws;
-use crate::steer::StartShift;
+use crate::start::StartShift;
 
 /// How far the engine's control period may be from the task's, s.
 const CONTROL_PERIOD_TOLERANCE_S: f64 = 1e-9;
 
-/// Many environments of one task on one engine. `N` lanes, `D` observation values, 16 actions.
+/// Many environments of one task on one engine. `N` lanes, `D` observation values, `A` actions.
 pub struct VecEnv {
     pub(crate) task: TaskConfig,
     pub(crate) contract: PolicyContract,
@@ -36,14 +36,13 @@ pub struct VecEnv {
     pub(crate) first_lane: u64,
     pub(crate) layout: ObservationLayout,
     joints: JointTable,
-    /// Swimming pose; the nominal one where the robot has none.
-    swimming_rad: [f32; ACT_DIM],
+    body: BodyPlan,
     reader: Reader,
     /// `None`: perfect sensors.
     sensors: Option<Sensors>,
     physics: PhysicsDraws,
     buffers: OutputBuffers,
-    /// `[N, 16]`, rad.
+    /// `[N, A]`, rad.
     targets_rad: Vec<f32>,
     /// `[N, 6]`, force (N) and torque (N·m).
     wrenches: Vec<f32>,
@@ -72,8 +71,8 @@ impl VecEnv {
         Self::from_lane(model, task, engine, seed, actor, 0)
     }
 
-    /// As [`Self::new`], with lanes numbered from `first_lane`: several environments with the same `actor` and lanes that
-    /// follow on one another draw what one environment with all the lanes would.
+    /// As [`Self::new`], with lanes numbered from `first_lane`: several environments with the same `actor`
+    /// and lanes that follow on one another draw what one environment with all the lanes would.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -89,9 +88,7 @@ impl VecEnv {
         let joints = JointTable::from_model(&model)?;
         check_engine(&model, &task, engine.as_ref())?;
         let lanes = engine.lanes();
-        let swimming = model.swimming_pos_rad().unwrap_or(model.nominal_pos_rad());
-        let swimming_rad = std::array::from_fn(|i| swimming[i] as f32);
-        let layout = task.layout();
+        let layout = contract.observation.clone();
         let mut env = Self {
             contract,
             lanes: Vec::with_capacity(lanes),
@@ -101,19 +98,13 @@ impl VecEnv {
             actor,
             first_lane,
             joints,
-            swimming_rad,
-            reader: Reader {
-                actuated: std::array::from_fn(|i| model.actuated()[i]),
-                foot_radius_m: std::array::from_fn(|i| model.feet()[i].radius_m as f32),
-                girdles_ahead_m: girdles_ahead_m(&model)?,
-                afloat_above_m: task.afloat_above_m,
-                feet_reach_m: task.feet_reach_m,
-            },
+            body: BodyPlan::from_model(&model),
+            reader: Reader::new(&model, &task)?,
             sensors: (task.noise.enabled && task.noise.sensor_models)
                 .then(|| Sensors::new(&model, task.control_period_s)),
             physics: PhysicsDraws::new(&model),
             buffers: OutputBuffers::new(lanes),
-            targets_rad: vec![0.0; lanes * ACT_DIM],
+            targets_rad: vec![0.0; lanes * joints.len()],
             wrenches: vec![0.0; lanes * 6],
             ended: Vec::with_capacity(lanes),
             held_commands: Vec::new(),
@@ -142,7 +133,7 @@ impl VecEnv {
 
     /// Length of an action.
     pub fn act_dim(&self) -> usize {
-        ACT_DIM
+        self.joints.len()
     }
 
     /// What a policy for this environment must be made for.
@@ -175,9 +166,9 @@ impl VecEnv {
         self.lanes[lane].command.value
     }
 
-    /// Present phase of each foot of a lane, rad, (−π, π].
-    pub fn phases_rad(&self, lane: usize) -> [f32; FEET] {
-        self.lanes[lane].clock.phases_rad()
+    /// Present phase of each foot of a lane (of its clock without feet), rad, (−π, π].
+    pub fn phases_rad(&self, lane: usize) -> PerFoot {
+        self.lanes[lane].phases_rad()
     }
 
     /// Stride frequency of a lane's gait clock in this episode, Hz.
@@ -215,13 +206,13 @@ impl VecEnv {
         Ok(())
     }
 
-    /// One control step of all lanes. `actions` `[N, 16]`; lanes whose episode ends start the next one.
+    /// One control step of all lanes. `actions` `[N, A]`; lanes whose episode ends start the next one.
     ///
     /// # Errors
     /// When `actions` has the wrong length or a value that is not finite (nothing has changed then), or the
     /// engine refuses (the environments are then of no use until a snapshot is restored).
     pub fn step(&mut self, actions: &[f32]) -> Result<&StepOutput, EnvError> {
-        check_actions(actions, self.lanes.len())?;
+        check_actions(actions, self.lanes.len(), self.act_dim())?;
         self.buffers.clear();
         self.prepare(actions);
         self.engine.step(&self.targets_rad, &self.wrenches)?;
@@ -239,12 +230,13 @@ impl VecEnv {
     fn prepare(&mut self, actions: &[f32]) {
         let control_period_s = self.task.control_period_s as f32;
         let strength = self.task.push.strength(self.progress);
+        let width = self.joints.len();
         for (i, lane) in self.lanes.iter_mut().enumerate() {
-            let mut action = [0.0; ACT_DIM];
-            action.copy_from_slice(&actions[i * ACT_DIM..][..ACT_DIM]);
-            let targets = lane.filter.apply(&self.task.action, &action, &self.joints);
-            self.targets_rad[i * ACT_DIM..][..ACT_DIM].copy_from_slice(&targets);
-            lane.remember(self.task.action.clipped(&action));
+            let row = i * width..(i + 1) * width;
+            let action = &actions[row.clone()];
+            let targets = lane.filter.apply(&self.task.action, action, &self.joints);
+            self.targets_rad[row].copy_from_slice(&targets);
+            lane.remember(self.task.action.clipped(action));
             let force = lane.push.next_force(
                 &self.task.push,
                 strength,
@@ -272,7 +264,7 @@ impl VecEnv {
             let input = reward_input(
                 &self.task,
                 &self.joints,
-                &self.swimming_rad,
+                &self.body,
                 &target_rad,
                 now,
                 &truth,
@@ -312,8 +304,11 @@ impl VecEnv {
             let dim = self.layout.dim();
             let now = &self.lanes[lane];
             let last = &self.observations[lane * dim..][..dim];
-            self.buffers
-                .finish(now.stats(lane, reason), &now.tally.terms, last);
+            self.buffers.finish(
+                now.stats(lane, truth.foot_height_m.len(), reason),
+                &now.tally.terms,
+                last,
+            );
             self.ended.push(lane);
         }
         Ok(())
@@ -348,7 +343,7 @@ impl VecEnv {
         let start = caudata_task::reset::draw(
             &self.task.reset,
             &self.joints,
-            &self.swimming_rad,
+            &self.body.swimming_rad,
             &mut reset_stream,
         );
         let start = self.start_shift.apply(start);
@@ -358,6 +353,7 @@ impl VecEnv {
         let mut started = Lane::start(
             &self.task,
             self.sensors.as_ref(),
+            (self.joints.len(), self.layout.phases()),
             key,
             stagger,
             start.yaw_rad,
@@ -390,7 +386,7 @@ impl VecEnv {
             joint_pos_rad: &readings.joint_pos_rad,
             gyro_radps: readings.gyro_radps,
             gravity: readings.gravity,
-            phase_rad: now.clock.phases_rad(),
+            phase_rad: now.phases_rad(),
             command: now.command.value,
             previous_actions: &now.actions,
             medium: Some(truth.afloat),
@@ -408,8 +404,8 @@ impl VecEnv {
 fn reward_input<'a>(
     task: &TaskConfig,
     joints: &'a JointTable,
-    swimming_rad: &'a [f32; ACT_DIM],
-    target_rad: &'a [f32; ACT_DIM],
+    body: &'a BodyPlan,
+    target_rad: &'a [f32],
     lane: &'a Lane,
     truth: &'a Truth,
 ) -> RewardInput<'a> {
@@ -419,7 +415,7 @@ fn reward_input<'a>(
         swing_height_m: task.phase.swing_height_m,
         command: lane.command.value,
         standing: lane.clock.standing(),
-        phase_rad: lane.clock.phases_rad(),
+        phase_rad: lane.phases_rad(),
         off_course_rad: lane.command.off_course_rad(truth.heading_rad),
         com_vel_mps: truth.com_vel_mps,
         yaw_rate_radps: truth.yaw_rate_radps,
@@ -437,7 +433,8 @@ fn reward_input<'a>(
         submerged: truth.submerged,
         afloat: truth.afloat,
         on_ground: truth.on_ground,
-        swimming_rad,
+        in_leg: &body.in_leg,
+        swimming_rad: &body.swimming_rad,
         target_rad,
         action: &lane.actions[0],
         previous_action: &lane.actions[1],
@@ -468,8 +465,8 @@ fn check_engine(
     Ok(())
 }
 
-fn check_actions(actions: &[f32], lanes: usize) -> Result<(), EnvError> {
-    let expected = lanes * ACT_DIM;
+fn check_actions(actions: &[f32], lanes: usize, width: usize) -> Result<(), EnvError> {
+    let expected = lanes * width;
     if actions.len() != expected {
         return Err(EnvError::Shape {
             what: "actions",
@@ -480,8 +477,8 @@ fn check_actions(actions: &[f32], lanes: usize) -> Result<(), EnvError> {
     match actions.iter().position(|a| !a.is_finite()) {
         None => Ok(()),
         Some(index) => Err(EnvError::Action {
-            lane: index / ACT_DIM,
-            action: index % ACT_DIM,
+            lane: index / width,
+            action: index % width,
             value: actions[index],
         }),
     }

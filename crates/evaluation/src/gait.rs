@@ -1,6 +1,6 @@
 //! What a robot does, measured from its trace.
 
-use caudata_task::{ACT_DIM, FEET};
+use caudata_task::{PerFoot, PerJoint};
 use serde::Serialize;
 
 use crate::envelope::Envelope;
@@ -27,6 +27,8 @@ pub struct Measure {
     pub trunk_force_n: f64,
     /// Mass of the robot, kg.
     pub mass_kg: f64,
+    /// Which of its joints move a leg, policy order.
+    pub in_leg: PerJoint<bool>,
     /// What its servos can give.
     pub envelope: Envelope,
 }
@@ -48,11 +50,10 @@ pub struct Gait {
     /// Frequency that the gait clock asks for, Hz.
     pub clock_hz: f64,
     /// Share of time that each foot is on the ground.
-    pub duty_factor: [f64; FEET],
+    pub duty_factor: PerFoot<f64>,
     /// Height that each foot reaches above the ground, mean over strides, m.
-    pub clearance_m: [f64; FEET],
-    /// Mean horizontal speed of a foot in the middle of its stance (on the ground the step before and after
-    /// as well), m/s.
+    pub clearance_m: PerFoot<f64>,
+    /// Mean horizontal speed of a foot in the middle of its stance (on the ground the step before and after as well), m/s.
     pub slip_mps: f64,
     /// Share of time with the trunk or a leg (but not its foot) on the ground.
     pub trunk_contact_share: f64,
@@ -97,7 +98,7 @@ impl Gait {
             drift_mps: way_m(frames) / (trace.period_s * (frames.len() - 1) as f64),
             stride_hz: stride_hz(frames, &spectrum),
             clock_hz: trace.clock_hz,
-            duty_factor: std::array::from_fn(|foot| {
+            duty_factor: PerFoot::from_fn(feet_of(frames), |foot| {
                 mean(frames, |f| f64::from(on_ground(f, foot, measure)))
             }),
             clearance_m: clearance_m(frames, stride_frames(trace)),
@@ -127,19 +128,20 @@ fn mean(frames: &[Frame], value: impl Fn(&Frame) -> f64) -> f64 {
     frames.iter().map(value).sum::<f64>() / frames.len().max(1) as f64
 }
 
-fn mean_square(values: &[f32; ACT_DIM]) -> f64 {
-    values.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>() / ACT_DIM as f64
+fn mean_square(values: &[f32]) -> f64 {
+    let sum: f64 = values.iter().map(|&v| f64::from(v).powi(2)).sum();
+    sum / values.len().max(1) as f64
 }
 
-fn peak(frames: &[Frame], values: impl Fn(&Frame) -> &[f32; ACT_DIM]) -> f64 {
+fn peak(frames: &[Frame], values: impl Fn(&Frame) -> &[f32]) -> f64 {
     let all = frames.iter().flat_map(|f| values(f).iter());
     all.fold(0.0, |most, v| most.max(f64::from(v.abs())))
 }
 
 fn accel_rms(frames: &[Frame], period_s: f64) -> f64 {
     let squares = frames.windows(2).map(|w| {
-        let change: [f32; ACT_DIM] =
-            std::array::from_fn(|j| w[1].joint_vel_radps[j] - w[0].joint_vel_radps[j]);
+        let (before, after) = (&w[0].joint_vel_radps, &w[1].joint_vel_radps);
+        let change = PerJoint::from_fn(after.len(), |j| after[j] - before[j]);
         mean_square(&change) / (period_s * period_s)
     });
     (squares.sum::<f64>() / (frames.len() - 1) as f64).sqrt()
@@ -149,7 +151,12 @@ fn accel_rms(frames: &[Frame], period_s: f64) -> f64 {
 fn at_limit(frame: &Frame, envelope: &Envelope) -> f64 {
     let motors = frame.torque_nm.iter().zip(&frame.joint_vel_radps);
     let reached = motors.filter(|(t, v)| envelope.is_reached(f64::from(**t), f64::from(**v)));
-    reached.count() as f64 / ACT_DIM as f64
+    reached.count() as f64 / frame.torque_nm.len().max(1) as f64
+}
+
+/// How many feet the robot of these frames has.
+fn feet_of(frames: &[Frame]) -> usize {
+    frames.first().map_or(0, |f| f.foot_height_m.len())
 }
 
 fn on_ground(frame: &Frame, foot: usize, measure: &Measure) -> u8 {
@@ -184,7 +191,7 @@ fn tracking_rmse(frames: &[Frame], stride: usize) -> [f64; 3] {
 
 fn stride_hz(frames: &[Frame], spectrum: &Spectrum) -> f64 {
     let mut power = vec![0.0; spectrum.bins()];
-    for foot in 0..FEET {
+    for foot in 0..feet_of(frames) {
         let heights = spectrum.of(frames.iter().map(|f| f64::from(f.foot_height_m[foot])));
         for (sum, c) in power.iter_mut().zip(&heights) {
             *sum += c.norm_sqr();
@@ -193,8 +200,8 @@ fn stride_hz(frames: &[Frame], spectrum: &Spectrum) -> f64 {
     spectrum.peak_hz(&power, SLOWEST_STRIDE_HZ).unwrap_or(0.0)
 }
 
-fn clearance_m(frames: &[Frame], stride: usize) -> [f64; FEET] {
-    std::array::from_fn(|foot| {
+fn clearance_m(frames: &[Frame], stride: usize) -> PerFoot<f64> {
+    PerFoot::from_fn(feet_of(frames), |foot| {
         let strides = frames.chunks_exact(stride.min(frames.len()));
         let n = strides.len() as f64;
         let highest = |s: &[Frame]| {
@@ -208,7 +215,7 @@ fn clearance_m(frames: &[Frame], stride: usize) -> [f64; FEET] {
 fn slip_mps(frames: &[Frame], measure: &Measure) -> f64 {
     let (mut sum, mut n) = (0.0, 0_u32);
     for w in frames.windows(3) {
-        for foot in 0..FEET {
+        for foot in 0..feet_of(frames) {
             if w.iter().all(|f| on_ground(f, foot, measure) == 1) {
                 sum += f64::from(w[1].foot_speed_mps[foot]);
                 n += 1;
@@ -233,7 +240,7 @@ fn vibration_share(frames: &[Frame], period_s: f64) -> f64 {
     const SECOND_BAND_HZ: f64 = 2.0 * VIBRATION_HZ;
     let welch = Welch::new(frames.len() - 1, 1.0 / period_s, SEGMENT_S);
     let (mut above, mut all) = (0.0, 0.0);
-    for joint in 0..ACT_DIM {
+    for joint in 0..frames[0].joint_pos_rad.len() {
         let pos = |f: &Frame| f64::from(f.joint_pos_rad[joint]);
         let speeds: Vec<f64> = frames
             .windows(2)
@@ -265,16 +272,27 @@ pub(crate) mod tests {
     use caudata_random::{Key, Purpose, Stream};
     use std::f64::consts::{PI, TAU};
 
-    pub(crate) const MEASURE: Measure = Measure {
-        settle_s: 2.0,
-        contact_force_n: 1.0,
-        trunk_force_n: 1.0,
-        mass_kg: 2.6,
-        envelope: W210,
+    const ACT_DIM: usize = 16;
+
+    /// Eight joints of the body, then two of each leg.
+    pub(crate) const IN_LEG: [bool; ACT_DIM] = {
+        let mut in_leg = [false; ACT_DIM];
+        in_leg.split_at_mut(8).1.copy_from_slice(&[true; 8]);
+        in_leg
     };
 
-    /// A robot that trots at `stride_hz` with 0.3 m/s for 12 s, with a vibration of `shake` (0 to 1) of its
-    /// joint speed at 8 Hz.
+    pub(crate) fn measure() -> Measure {
+        Measure {
+            settle_s: 2.0,
+            contact_force_n: 1.0,
+            trunk_force_n: 1.0,
+            mass_kg: 2.6,
+            in_leg: IN_LEG.into(),
+            envelope: W210,
+        }
+    }
+
+    /// A robot that trots at `stride_hz` with 0.3 m/s for 12 s, with a vibration of `shake` (0 to 1) of its joint speed at 8 Hz.
     pub(crate) fn trot(stride_hz: f64, shake: f64) -> Trace {
         let frames = (0..600).map(|i| {
             let t = f64::from(i) * 0.02;
@@ -282,7 +300,7 @@ pub(crate) mod tests {
                 command: [0.3, 0.0, 0.0],
                 velocity_mps: [0.3, 0.02 * (TAU * stride_hz * t).sin() as f32],
                 com_m: [0.3 * t as f32, 0.0, 0.1],
-                ..Frame::default()
+                ..Frame::still(ACT_DIM, 4)
             };
             for foot in 0..4 {
                 let phase = TAU * stride_hz * t + if foot == 1 || foot == 2 { PI } else { 0.0 };
@@ -298,10 +316,10 @@ pub(crate) mod tests {
             };
             let speed = 2.0 * ((1.0 - shake) * (slow * t).cos() + shake * (fast * t).cos());
             let mean_speed = (angle(t) - angle(t - 0.02)) / 0.02;
-            frame.joint_pos_rad = [angle(t) as f32; 16];
-            frame.joint_vel_radps = [speed as f32; 16];
-            frame.torque_nm = [(0.2 * mean_speed) as f32; 16];
-            frame.power_w = [(0.2 * speed * speed) as f32; 16];
+            frame.joint_pos_rad = [angle(t) as f32; ACT_DIM].into();
+            frame.joint_vel_radps = [speed as f32; ACT_DIM].into();
+            frame.torque_nm = [(0.2 * mean_speed) as f32; ACT_DIM].into();
+            frame.power_w = [(0.2 * speed * speed) as f32; ACT_DIM].into();
             frame
         });
         Trace {
@@ -318,7 +336,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_trot_by_hand() {
-        let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let gait = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         near(gait.stride_hz, 1.4, 0.03);
         near(gait.velocity_mps[0], 0.3, 1e-6);
         near(gait.drift_mps, 0.3, 1e-4);
@@ -344,16 +362,16 @@ pub(crate) mod tests {
 
     #[test]
     fn vibration_is_power_above_six_hertz() {
-        // Equal amplitudes; the means over 20 ms of the 8 Hz part are smaller by sin(x)/x, x = π·8·0.02:
-        // 0.9583, so its share is 0.9583²/(1 + 0.9583²) = 0.479
-        let gait = Gait::of(&trot(1.4, 0.5), &MEASURE).unwrap();
+        // Equal amplitudes; the means over 20 ms of the 8 Hz part are smaller by sin(x)/x, x = π·8·0.02: 0.9583, so its share is
+        // 0.9583²/(1 + 0.9583²) = 0.479
+        let gait = Gait::of(&trot(1.4, 0.5), &measure()).unwrap();
         near(gait.vibration_share, 0.479, 0.01);
     }
 
     #[test]
     fn a_small_vibration_on_a_slow_gait_counts_in_full() {
         // A fifth of the speed at 8 Hz, four fifths at 1.25 Hz: (0.2·0.9583)²/(0.8² + (0.2·0.9583)²) = 0.0543
-        let gait = Gait::of(&trot(1.25, 0.2), &MEASURE).unwrap();
+        let gait = Gait::of(&trot(1.25, 0.2), &measure()).unwrap();
         near(gait.vibration_share, 0.0543, 0.002);
     }
 
@@ -370,7 +388,7 @@ pub(crate) mod tests {
                 frame.torque_nm[j] += 0.13 * stream.normal();
             }
         }
-        let gait = Gait::of(&trace, &MEASURE).unwrap();
+        let gait = Gait::of(&trace, &measure()).unwrap();
         assert!(gait.vibration_share < 0.015, "{}", gait.vibration_share);
     }
 
@@ -384,10 +402,10 @@ pub(crate) mod tests {
             let speed = |hz: f64| (TAU * hz * t).cos();
             let way = |hz: f64| (TAU * hz * t).sin() / (TAU * hz);
             let (slow, fast) = (speed(7.5), speed(15.0));
-            frame.joint_pos_rad = [(way(7.5) + way(15.0)) as f32; 16];
-            frame.torque_nm = [(0.2 * slow - 0.2 * fast) as f32; 16];
+            frame.joint_pos_rad = [(way(7.5) + way(15.0)) as f32; ACT_DIM].into();
+            frame.torque_nm = [(0.2 * slow - 0.2 * fast) as f32; ACT_DIM].into();
         }
-        let gait = Gait::of(&trace, &MEASURE).unwrap();
+        let gait = Gait::of(&trace, &measure()).unwrap();
         assert!(gait.vibration_share > 0.95, "{}", gait.vibration_share);
     }
 
@@ -395,6 +413,6 @@ pub(crate) mod tests {
     fn a_short_episode_is_not_measured() {
         let mut trace = trot(1.4, 0.0);
         trace.frames.truncate(150);
-        assert_eq!(Gait::of(&trace, &MEASURE), None);
+        assert_eq!(Gait::of(&trace, &measure()), None);
     }
 }

@@ -74,8 +74,11 @@ impl GateReport {
         let mean = |value: &dyn Fn(&Gait) -> f64| {
             gaits.iter().map(value).sum::<f64>() / gaits.len() as f64
         };
-        let feet: Vec<f64> = (0..4).map(|foot| mean(&|g| g.duty_factor[foot])).collect();
-        let clearance = (0..4).map(|foot| mean(&|g| g.clearance_m[foot]));
+        let feet = gaits[0].duty_factor.len();
+        let clearance = (0..feet).map(|foot| mean(&|g| g.clearance_m[foot]));
+        let feet: Vec<f64> = (0..feet)
+            .map(|foot| mean(&|g| g.duty_factor[foot]))
+            .collect();
         let off_clock = mean(&|g| (g.stride_hz / g.clock_hz - 1.0).abs());
         let lowest = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
         let highest = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -154,10 +157,10 @@ fn gate(name: &'static str, value: f64, at_least: Option<f64>, at_most: Option<f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gait::tests::{MEASURE, trot};
+    use crate::gait::tests::{measure, trot};
 
     fn judged(stride_hz: f64, shake: f64) -> GateReport {
-        let gait = Gait::of(&trot(stride_hz, shake), &MEASURE).unwrap();
+        let gait = Gait::of(&trot(stride_hz, shake), &measure()).unwrap();
         GateReport::of(&[gait], &Limits::default())
     }
 
@@ -176,7 +179,7 @@ mod tests {
 
     #[test]
     fn each_limit_can_fail_alone() {
-        let good = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let good = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         type Spoil = fn(&mut Gait);
         let spoil: [(&str, Spoil); 8] = [
             ("stride frequency off the clock", |g| g.stride_hz = 2.8),

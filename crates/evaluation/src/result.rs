@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use caudata_task::PerFoot;
 use serde::{Deserialize, Serialize};
 
 use crate::gait::Gait;
@@ -110,9 +111,9 @@ pub struct ScenarioResult {
     /// Strongest frequency in the feet's heights, Hz.
     pub stride_hz: Estimate,
     /// Share of time on the ground per foot: FL, FR, HL, HR.
-    pub duty_factor: [f64; 4],
+    pub duty_factor: PerFoot<f64>,
     /// Height that each foot reaches, m.
-    pub clearance_m: [f64; 4],
+    pub clearance_m: PerFoot<f64>,
     /// Speed of feet in stance, m/s.
     pub slip_mps: Estimate,
     /// Share of joint power above 6 Hz.
@@ -150,8 +151,13 @@ pub(crate) struct Episode {
 }
 
 impl ScenarioResult {
-    /// Sums up the episodes of one scenario.
-    pub(crate) fn of(name: &str, episodes: &[Episode], gates: Option<GateReport>) -> Self {
+    /// Sums up the episodes of one scenario of a robot with so many feet.
+    pub(crate) fn of(
+        name: &str,
+        feet: usize,
+        episodes: &[Episode],
+        gates: Option<GateReport>,
+    ) -> Self {
         let gaits: Vec<&Gait> = episodes.iter().filter_map(|e| e.gait.as_ref()).collect();
         let estimate = |value: &dyn Fn(&Gait) -> f64| {
             let values: Vec<f64> = gaits.iter().map(|g| value(g)).collect();
@@ -181,8 +187,8 @@ impl ScenarioResult {
             power_w: estimate(&|g| g.power_w),
             cost_of_transport: estimate(&|g| g.cost_of_transport),
             stride_hz: estimate(&|g| g.stride_hz),
-            duty_factor: std::array::from_fn(|foot| mean(&|g| g.duty_factor[foot])),
-            clearance_m: std::array::from_fn(|foot| mean(&|g| g.clearance_m[foot])),
+            duty_factor: PerFoot::from_fn(feet, |foot| mean(&|g| g.duty_factor[foot])),
+            clearance_m: PerFoot::from_fn(feet, |foot| mean(&|g| g.clearance_m[foot])),
             slip_mps: estimate(&|g| g.slip_mps),
             vibration_share: estimate(&|g| g.vibration_share),
             trunk_contact_share: estimate(&|g| g.trunk_contact_share),
@@ -224,11 +230,11 @@ fn rmse_of_means(episodes: &[Episode]) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gait::tests::{MEASURE, trot};
+    use crate::gait::tests::{measure, trot};
 
     #[test]
     fn falls_and_errors_by_hand() {
-        let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let gait = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         let episode = |command, fell, gait| Episode {
             command,
             fell,
@@ -240,7 +246,7 @@ mod tests {
             episode([0.5, 0.0, 0.1], None, Some(gait)),
             episode([0.3, 0.0, 0.0], Some("tilted"), None),
         ];
-        let result = ScenarioResult::of("x", &episodes, None);
+        let result = ScenarioResult::of("x", 4, &episodes, None);
         assert_eq!((result.episodes, result.falls["tilted"]), (3, 1));
         assert!((result.fall_share.mean - 1.0 / 3.0).abs() < 1e-12);
         // errors 0 and −0.2: √(0.04/2); 0 and −0.1: √(0.01/2)
@@ -251,7 +257,7 @@ mod tests {
 
     #[test]
     fn who_falls_too_often_does_not_walk() {
-        let gait = Gait::of(&trot(1.4, 0.0), &MEASURE).unwrap();
+        let gait = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         let walks = GateReport {
             walks: true,
             gates: Vec::new(),
@@ -266,7 +272,7 @@ mod tests {
             20
         ];
         episodes[0].fell = Some("tilted");
-        let result = |e: &[Episode]| ScenarioResult::of("x", e, Some(walks.clone())).walks();
+        let result = |e: &[Episode]| ScenarioResult::of("x", 4, e, Some(walks.clone())).walks();
         assert_eq!(result(&episodes), Some(true));
         episodes[1].fell = Some("tilted");
         assert_eq!(result(&episodes), Some(false));

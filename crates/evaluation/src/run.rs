@@ -8,6 +8,7 @@ use caudata_env::StartShift;
 use caudata_model::RobotModel;
 use caudata_policy::{Inference, PolicyFile};
 use caudata_sim::Terrain;
+use caudata_task::BodyPlan;
 
 use crate::block::{Block, Round, run_blocks};
 use crate::gait::Measure;
@@ -91,6 +92,7 @@ pub fn run_scenario(
         contact_force_n: f64::from(config.task.reward.contact_force_n),
         trunk_force_n: f64::from(config.task.reward.contact_force_n),
         mass_kg: model.total_mass_kg(),
+        in_leg: BodyPlan::from_model(model).in_leg,
         envelope: Envelope::of(model),
     };
     let run = |block: Block| -> Result<Round, EvaluationError> {
@@ -127,7 +129,7 @@ pub fn run_scenario(
     let gates = scenario
         .judged
         .then(|| judge(&measured, scenario, &settings.limits));
-    let mut result = ScenarioResult::of(&scenario.name, &measured, gates);
+    let mut result = ScenarioResult::of(&scenario.name, model.feet().len(), &measured, gates);
     let passages: Vec<_> = measured.iter().filter_map(|e| e.passage).collect();
     result.transition = shore.map(|_| TransitionResult::of(&passages));
     let waves: Vec<_> = measured.iter().filter_map(|e| e.wave).collect();

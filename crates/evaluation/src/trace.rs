@@ -1,7 +1,7 @@
 //! What is kept of an episode, step by step.
 
 use caudata_env::VecEnv;
-use caudata_task::{ACT_DIM, FEET};
+use caudata_task::{PerFoot, PerJoint};
 
 /// The true state after one control step, and what was asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -17,26 +17,42 @@ pub struct Frame {
     /// Yaw of the line from hind to front girdle, rad.
     pub heading_rad: f32,
     /// Height of each foot's lowest point above the ground, m.
-    pub foot_height_m: [f32; FEET],
+    pub foot_height_m: PerFoot,
     /// Horizontal speed of each foot, m/s.
-    pub foot_speed_mps: [f32; FEET],
+    pub foot_speed_mps: PerFoot,
     /// Vertical contact force on each foot, N.
-    pub foot_force_n: [f32; FEET],
+    pub foot_force_n: PerFoot,
     /// Contact force on trunk and legs but not the feet, N.
     pub trunk_force_n: f32,
     /// Contact force on the tail, N.
     pub tail_force_n: f32,
     /// Position of each actuated joint, rad.
-    pub joint_pos_rad: [f32; ACT_DIM],
+    pub joint_pos_rad: PerJoint,
     /// Velocity of each actuated joint, rad/s.
-    pub joint_vel_radps: [f32; ACT_DIM],
+    pub joint_vel_radps: PerJoint,
     /// Torque of each motor, mean over the step, N·m.
-    pub torque_nm: [f32; ACT_DIM],
+    pub torque_nm: PerJoint,
     /// Mechanical power of each motor, mean over the step, W.
-    pub power_w: [f32; ACT_DIM],
+    pub power_w: PerJoint,
 }
 
 impl Frame {
+    /// All zeros, for a robot with so many actuated joints and feet.
+    #[must_use]
+    pub fn still(joints: usize, feet: usize) -> Self {
+        let (per_joint, per_foot) = (PerJoint::filled(joints, 0.0), PerFoot::filled(feet, 0.0));
+        Self {
+            foot_height_m: per_foot,
+            foot_speed_mps: per_foot,
+            foot_force_n: per_foot,
+            joint_pos_rad: per_joint,
+            joint_vel_radps: per_joint,
+            torque_nm: per_joint,
+            power_w: per_joint,
+            ..Self::default()
+        }
+    }
+
     /// Reads one lane of `env` after a step that did not end its episode.
     #[must_use]
     pub fn read(env: &VecEnv, lane: usize) -> Self {

@@ -1,7 +1,6 @@
 //! From land into water and back: does it get there, and does it swim there rather than walk?
 
 use caudata_sim::Terrain;
-use caudata_task::FEET;
 use serde::{Deserialize, Serialize};
 
 use crate::Estimate;
@@ -16,8 +15,6 @@ pub const BODY_LENGTH_M: f64 = 1.105;
 const SETTLE_S: f64 = 1.0;
 /// Shortest stretch on land or in water that is measured, s: two strides.
 const SHORTEST_S: f64 = 1.6;
-/// The first leg joint in policy order.
-const FIRST_LEG_JOINT: usize = 8;
 /// How far from the origin the waterline is looked for, m, and how finely.
 const WATERLINE_WITHIN_M: f32 = 10.0;
 const WATERLINE_STEP_M: f32 = 0.001;
@@ -114,21 +111,24 @@ impl Motion {
         let mean = |value: &dyn Fn(&Frame) -> f64| {
             frames.iter().map(value).sum::<f64>() / frames.len() as f64
         };
-        let legs = FIRST_LEG_JOINT..caudata_task::ACT_DIM;
+        let legs: Vec<usize> = (0..measure.in_leg.len())
+            .filter(|&j| measure.in_leg[j])
+            .collect();
         let swing = |joint: usize| {
             let middle = mean(&|f| f64::from(f.joint_pos_rad[joint]));
             mean(&|f| (f64::from(f.joint_pos_rad[joint]) - middle).powi(2)).sqrt()
         };
-        let joints = legs.len() as f64;
+        let joints = legs.len().max(1) as f64;
         Some(Self {
             speed_mps: mean(&|f| f64::from(f.velocity_mps[0])),
             power_w: mean(&|f| f.power_w.iter().map(|&p| f64::from(p.abs())).sum()),
-            leg_swing_rad: legs.map(swing).sum::<f64>() / joints,
+            leg_swing_rad: legs.into_iter().map(swing).sum::<f64>() / joints,
             foot_contact: mean(&|f| {
                 let touching = |&&n: &&f32| f64::from(n) > measure.contact_force_n;
-                f.foot_force_n.iter().filter(touching).count() as f64 / FEET as f64
+                f.foot_force_n.iter().filter(touching).count() as f64
+                    / f.foot_force_n.len().max(1) as f64
             }),
-            wave: Wave::of(frames, period_s),
+            wave: Wave::of(frames, period_s, &measure.in_leg),
         })
     }
 }
@@ -195,7 +195,7 @@ impl TransitionResult {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gait::tests::MEASURE;
+    use crate::gait::tests::measure;
     use caudata_sim::{TerrainConfig, TerrainKind};
     use std::f64::consts::TAU;
 
@@ -214,13 +214,13 @@ mod tests {
             let mut frame = Frame {
                 com_m: [x as f32, 0.0, 0.4],
                 velocity_mps: [0.3, 0.0],
-                ..Frame::default()
+                ..Frame::still(16, 4)
             };
             let swing = if wet { 0.1 } else { 0.4 };
             for q in &mut frame.joint_pos_rad {
                 *q = (swing * (TAU * 1.25 * t).sin()) as f32;
             }
-            frame.foot_force_n = [if wet { 0.0 } else { 12.0 }; FEET];
+            frame.foot_force_n = [if wet { 0.0 } else { 12.0 }; 4].into();
             frame
         };
         Trace {
@@ -242,7 +242,7 @@ mod tests {
     #[test]
     fn a_passage_by_hand() {
         let shore = shore(Goal::IntoWater);
-        let passage = shore.passage(&trace(20.0), &MEASURE);
+        let passage = shore.passage(&trace(20.0), &measure());
         // (waterline + 1.105 + 0.5)/0.3
         let expected = (shore.waterline_x_m + 1.105 + 0.5) / 0.3;
         assert!((passage.reached_s.unwrap() - expected).abs() < 0.041);
@@ -255,7 +255,7 @@ mod tests {
 
     #[test]
     fn each_goal_is_reached_in_its_own_way() {
-        let reached = |goal, out_s| shore(goal).passage(&trace(out_s), &MEASURE).reached_s;
+        let reached = |goal, out_s| shore(goal).passage(&trace(out_s), &measure()).reached_s;
         // 9 s out: to 2.2 m, into the water, and back at 0.32 m after 15.3 s
         assert!(reached(Goal::IntoWater, 9.0).is_some());
         let back = reached(Goal::ThereAndBack, 9.0).unwrap();
@@ -270,7 +270,7 @@ mod tests {
     #[test]
     fn episodes_are_summed_up() {
         let shore = shore(Goal::IntoWater);
-        let passage = |out_s| shore.passage(&trace(out_s), &MEASURE);
+        let passage = |out_s| shore.passage(&trace(out_s), &measure());
         let result = TransitionResult::of(&[passage(20.0), passage(6.0)]);
         assert_eq!(result.reached.mean, 0.5);
         assert!((result.swim_speed_mps.unwrap().mean - 0.3).abs() < 1e-6);

@@ -3,6 +3,7 @@
 //! It belongs to one robot on one bench, not to the robot model: two robots of one model differ in it.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use caudata_dynamixel::units::{
@@ -255,20 +256,31 @@ pub struct WaterWiring {
     pub file: PathBuf,
 }
 
+/// Largest wiring file that is read, bytes.
+const FILE_BYTES_MAX: u64 = 1 << 20;
+
 impl Wiring {
     /// Reads and checks a file.
     ///
     /// # Errors
     /// [`WiringError`] with what is wrong.
     pub fn read(path: &Path) -> Result<Self, WiringError> {
-        let text = std::fs::read_to_string(path).map_err(|source| WiringError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        Self::parse(&text).map_err(|reason| WiringError::Wrong {
+        let wrong = |reason| WiringError::Wrong {
             path: path.to_owned(),
             reason,
-        })
+        };
+        let mut bytes = Vec::new();
+        std::fs::File::open(path)
+            .and_then(|file| file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes))
+            .map_err(|source| WiringError::Read {
+                path: path.to_owned(),
+                source,
+            })?;
+        if bytes.len() as u64 > FILE_BYTES_MAX {
+            return Err(wrong(format!("it has more than {FILE_BYTES_MAX} bytes")));
+        }
+        let text = String::from_utf8(bytes).map_err(|error| wrong(error.to_string()))?;
+        Self::parse(&text).map_err(wrong)
     }
 
     /// Parses and checks.

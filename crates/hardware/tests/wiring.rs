@@ -3,6 +3,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use caudata_hardware::WiringError;
 use caudata_hardware::wiring::{JointWiring, ServoModel, Wiring};
 
 const SHIPPED: &str = include_str!("../../../robots/polymander.wiring.toml");
@@ -12,6 +13,19 @@ fn the_shipped_file_is_taken() {
     let wiring = Wiring::parse(SHIPPED).unwrap();
     assert_eq!((wiring.joint.len(), wiring.bus.baud), (16, 1_000_000));
     assert_eq!(wiring.joint["FR_hip"].direction, -1);
+}
+
+#[test]
+fn a_file_that_is_no_text_or_has_no_end_is_wrong_and_not_absent() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("robot.wiring.toml");
+    std::fs::write(&path, b"format = \"caudata.wiring.v1\"\n\xff").unwrap();
+    for path in [path.as_path(), std::path::Path::new("/dev/zero")] {
+        let error = Wiring::read(path).unwrap_err();
+        assert!(matches!(error, WiringError::Wrong { .. }), "{error}");
+    }
+    let error = Wiring::read(&folder.path().join("absent")).unwrap_err();
+    assert!(matches!(error, WiringError::Read { .. }), "{error}");
 }
 
 #[test]

@@ -156,10 +156,22 @@ impl RobotModel {
     /// Whether a foot is on `link` or on a link that it carries: what has to be held up while walking, against what
     /// may trail on the ground (a salamander's tail). Every link of a robot without feet counts as carrying.
     pub fn carries_feet(&self, link: usize) -> bool {
-        let below = |foot: &Foot| {
-            std::iter::successors(Some(foot.link), |&l| self.links[l].parent).any(|l| l == link)
-        };
-        self.feet.is_empty() || self.feet.iter().any(below)
+        self.feet.is_empty() || self.feet.iter().any(|foot| self.carries(link, foot.link))
+    }
+
+    /// The foot of the leg that `link` belongs to: every link beyond whose joint there is exactly one foot is part of a leg, the rest is trunk.
+    pub fn leg_of(&self, link: usize) -> Option<usize> {
+        self.links[link].parent?;
+        let mut feet = (0..self.feet.len()).filter(|&f| self.carries(link, self.feet[f].link));
+        match (feet.next(), feet.next()) {
+            (Some(foot), None) => Some(foot),
+            _ => None,
+        }
+    }
+
+    /// Whether `other` is `link` or hangs on it.
+    fn carries(&self, link: usize, other: usize) -> bool {
+        std::iter::successors(Some(other), |&l| self.links[l].parent).any(|l| l == link)
     }
 
     /// The site called `name`.

@@ -7,7 +7,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use caudata_proto::registry::{Manifest, StreamName};
+use caudata_proto::registry::{
+    Freshness, LabelName, LabelState, Manifest, Overview, QuarantineState, SetLabel, Signature,
+    SignedFreshness, StreamName, WatchChange, WatchEvent,
+};
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::fetch_info::Status as Follows;
 use caudata_proto::wire::registry::fetch_response::Part;
@@ -57,8 +60,60 @@ macro_rules! unknown {
             async fn fetch(&self, request: Request<wire::FetchRequest>) -> Answer<Pieces> {
                 Ok(Response::new(self.0.answer(request.into_inner().offset)))
             }
+            // Whatever is asked, this server speaks of the stream that it likes best.
             async fn watch(&self, _: Request<wire::WatchRequest>) -> Answer<Self::WatchStream> {
-                Err(Status::unimplemented("not of this server"))
+                let event = WatchChange::Published(Box::new(other()));
+                let event = WatchEvent { generation: 1, change: event };
+                Ok(Response::new(Box::pin(tokio_stream::once(Ok(event.into())))))
+            }
+            async fn get_manifest(
+                &self,
+                _: Request<wire::GetManifestRequest>,
+            ) -> Answer<wire::GetManifestResponse> {
+                let manifest = Some(other().into());
+                Ok(Response::new(wire::GetManifestResponse { manifest, generation: 1 }))
+            }
+            async fn list(&self, _: Request<wire::ListRequest>) -> Answer<wire::ListResponse> {
+                let manifests = vec![other().into()];
+                Ok(Response::new(wire::ListResponse { manifests, generation: 1, more: false }))
+            }
+            async fn set_label(&self, _: Request<wire::SetLabelRequest>) -> Answer<wire::LabelState> {
+                Ok(Response::new(label().into()))
+            }
+            async fn quarantine(
+                &self,
+                _: Request<wire::QuarantineRequest>,
+            ) -> Answer<wire::QuarantineState> {
+                Ok(Response::new(quarantined().into()))
+            }
+            async fn overview(
+                &self,
+                _: Request<wire::OverviewRequest>,
+            ) -> Answer<wire::OverviewResponse> {
+                let overview = Overview {
+                    labels: vec![label()],
+                    quarantined: Vec::new(),
+                    reports: Vec::new(),
+                    generation: 1,
+                    read_only: None,
+                };
+                Ok(Response::new(overview.into()))
+            }
+            async fn freshness(
+                &self,
+                request: Request<wire::FreshnessRequest>,
+            ) -> Answer<wire::FreshnessResponse> {
+                let other = other();
+                let said = Freshness {
+                    nonce: request.into_inner().nonce.try_into().unwrap(),
+                    stream: other.stream,
+                    label: LabelName::latest(),
+                    version: other.version,
+                    sha256: other.sha256,
+                };
+                let signature = Signature { key_id: "k".into(), signature: vec![7; 64] };
+                let answer = SignedFreshness { said, signature };
+                Ok(Response::new(answer.into()))
             }
             $(async fn $name(&self, _: Request<$request>) -> Answer<$answer> {
                 Err(Status::unimplemented("not of this server"))
@@ -71,16 +126,57 @@ struct Bridge(Arc<Hostile>);
 
 unknown! {
     publish: Streaming<wire::PublishRequest> => wire::PublishResponse,
-    list: wire::ListRequest => wire::ListResponse,
-    get_manifest: wire::GetManifestRequest => wire::GetManifestResponse,
-    set_label: wire::SetLabelRequest => wire::LabelState,
     revert: wire::RevertRequest => wire::PublishResponse,
-    quarantine: wire::QuarantineRequest => wire::QuarantineState,
     ack: wire::RobotReport => wire::ReportResponse,
     nack: wire::RobotReport => wire::ReportResponse,
-    freshness: wire::FreshnessRequest => wire::FreshnessResponse,
-    overview: wire::OverviewRequest => wire::OverviewResponse,
     audit: wire::AuditRequest => wire::AuditResponse,
+}
+
+fn manifest(stream: &str, version: u64, file: &[u8]) -> Manifest {
+    Manifest {
+        stream: StreamName::new(stream).unwrap(),
+        version,
+        sha256: Sha256::digest(file).into(),
+        size: file.len() as u64,
+        created_unix_ms: 5,
+        run_id: "run".into(),
+        contract_hash: [2; 32],
+        robot_name: "polymander".into(),
+        robot_hash: [3; 32],
+        env_steps: 9,
+        training_commit: String::new(),
+        config_hash: String::new(),
+        evaluation_json: None,
+        reverts_to: None,
+        signatures: Vec::new(),
+    }
+}
+
+fn other() -> Manifest {
+    manifest("experimental/rough", 3510, b"rough")
+}
+
+fn label() -> LabelState {
+    LabelState {
+        stream: other().stream,
+        label: LabelName::new("canary").unwrap(),
+        version: 3510,
+        generation: 1,
+        by: "somebody".into(),
+        override_reason: None,
+        unix_ms: 5,
+    }
+}
+
+fn quarantined() -> QuarantineState {
+    QuarantineState {
+        stream: other().stream,
+        version: 3510,
+        reason: "falls".into(),
+        by: "somebody".into(),
+        generation: 1,
+        unix_ms: 5,
+    }
 }
 
 /// What is sent for one question.
@@ -134,7 +230,11 @@ impl Hostile {
                     tokio::time::sleep(pause).await;
                 }
                 let length = piece.as_ref().map_or(0, Vec::len);
-                if to.send(piece.map(|p| part(Part::Data(p)))).await.is_err() {
+                if to
+                    .send(piece.map(|p| part(Part::Data(p.into()))))
+                    .await
+                    .is_err()
+                {
                     return;
                 }
                 sent.fetch_add(length, Ordering::SeqCst);
@@ -183,23 +283,7 @@ impl Bench {
             tokio::spawn(serving.serve_with_incoming(incoming));
             RegistryClient::new(&address.to_string()).unwrap()
         });
-        let manifest = Manifest {
-            stream: StreamName::new("s").unwrap(),
-            version: 1,
-            sha256: Sha256::digest(&file).into(),
-            size: file.len() as u64,
-            created_unix_ms: 5,
-            run_id: "run".into(),
-            contract_hash: [2; 32],
-            robot_name: "polymander".into(),
-            robot_hash: [3; 32],
-            env_steps: 9,
-            training_commit: String::new(),
-            config_hash: String::new(),
-            evaluation_json: None,
-            reverts_to: None,
-            signatures: Vec::new(),
-        };
+        let manifest = manifest("s", 1, &file);
         Self {
             runtime,
             server,
@@ -300,4 +384,57 @@ fn fault_27_a_server_that_says_nothing_or_takes_for_ever_holds_nobody() {
     let (fetched, _) = long.fetch(Manner::Drips { pause });
     let error = fetched.unwrap_err();
     assert!(matches!(error, ClientError::TimedOut { .. }), "{error}");
+}
+
+/// Its answers are whole and well-formed, and might be signed; they are about something else than was asked.
+#[test]
+fn a_server_that_answers_another_question_is_told_from_one_that_answers() {
+    let mut bench = Bench::new(quick());
+    let client = &mut bench.client;
+    let stream = StreamName::new("release/flat").unwrap();
+    let there = other();
+    let (label, latest) = (LabelName::new("canary").unwrap(), LabelName::latest());
+    let wanted = |stream: &StreamName, version| SetLabel {
+        stream: stream.clone(),
+        label: label.clone(),
+        version,
+        expected_generation: 0,
+        override_reason: None,
+    };
+    bench.runtime.block_on(async {
+        let refused = [
+            client.manifest(&stream, Some(3500)).await.err(),
+            client.manifest(&stream, None).await.err(),
+            client.manifest(&there.stream, Some(3500)).await.err(),
+            client.labelled(&stream, &latest).await.err(),
+            client.list(Some(&stream), 1, None).await.err(),
+            client.overview(Some(&stream)).await.err(),
+            client.set_label(wanted(&stream, 3510)).await.err(),
+            client.set_label(wanted(&there.stream, 3500)).await.err(),
+            client.quarantine(&stream, 3510, "falls").await.err(),
+            client.quarantine(&there.stream, 3500, "falls").await.err(),
+            client.freshness([1; 32], &stream, &latest).await.err(),
+            client.freshness([1; 32], &there.stream, &label).await.err(),
+            client
+                .watch(Some(&stream), 0)
+                .await
+                .unwrap()
+                .next()
+                .await
+                .err(),
+        ];
+        for (index, error) in refused.into_iter().enumerate() {
+            let error = error.unwrap_or_else(|| panic!("answer {index} was taken"));
+            assert!(
+                matches!(error, ClientError::OtherQuestion(_)),
+                "{index}: {error}"
+            );
+            assert!(!error.is_transient(), "{index}");
+        }
+        // To the question that they answer they are good answers.
+        assert!(client.manifest(&there.stream, Some(3510)).await.is_ok());
+        assert!(client.list(None, 1, None).await.is_ok());
+        assert!(client.overview(None).await.is_ok());
+        assert!(client.watch(None, 0).await.unwrap().next().await.is_ok());
+    });
 }

@@ -69,6 +69,7 @@ impl Process {
             false => crate::init_logging(self.name, log.log_format, &log.log),
         }
         .or_exit(ExitCode::BadConfig)?;
+        crate::raise_file_limit();
         crate::stop_on_signals(&self.stop, &self.insistence, DRAIN_DEADLINE)
             .or_exit_with(ExitCode::OsResource, || "cannot install signal handlers")?;
         die_with_parent(&self.stop);

@@ -2,9 +2,7 @@
 
 use std::io;
 use std::net::SocketAddr;
-use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -12,14 +10,11 @@ use axum::Router;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::routing::get;
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
 
+use crate::http::serve_http;
 use crate::{Metrics, Pulse, StopFlag};
-
-/// Connections served at once; further ones wait in the listen queue of the system.
-const CONNECTIONS_MAX: usize = 16;
 
 const TEXT_FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
@@ -49,12 +44,12 @@ pub enum ServeError {
 
 impl MetricsServer {
     /// Binds `addr` (port 0: any free port) and serves `metrics`. `/healthz` answers 200 until `stop` is
-    /// raised, then 503, so that a load balancer sees a draining process.
+    /// raised, then 503, so that a load balancer sees a draining process; `/livez` answers 200 as long as anything does.
     ///
     /// # Errors
     /// [`ServeError::InUse`] when the port is taken, [`ServeError::Io`] otherwise.
     pub fn start(addr: SocketAddr, metrics: Metrics, stop: StopFlag) -> Result<Self, ServeError> {
-        Self::serve(addr, metrics, stop, None)
+        Self::start_with_check(addr, metrics, stop, || None)
     }
 
     /// As [`MetricsServer::start`]; `/healthz` also answers 503 while `pulse` has been silent for longer than `limit`, so that
@@ -69,14 +64,19 @@ impl MetricsServer {
         pulse: Pulse,
         limit: Duration,
     ) -> Result<Self, ServeError> {
-        Self::serve(addr, metrics, stop, Some((pulse, limit)))
+        let hangs = move || (pulse.silent_for() > limit).then(|| "hangs".to_owned());
+        Self::start_with_check(addr, metrics, stop, hangs)
     }
 
-    fn serve(
+    /// As [`MetricsServer::start`]; `/healthz` also answers 503 while `check` says in a line what is wrong.
+    ///
+    /// # Errors
+    /// As [`MetricsServer::start`].
+    pub fn start_with_check(
         addr: SocketAddr,
         metrics: Metrics,
         stop: StopFlag,
-        pulse: Option<(Pulse, Duration)>,
+        check: impl Fn() -> Option<String> + Send + Sync + 'static,
     ) -> Result<Self, ServeError> {
         let failed = |source: io::Error| match source.kind() {
             io::ErrorKind::AddrInUse => ServeError::InUse(addr),
@@ -93,7 +93,11 @@ impl MetricsServer {
         let thread = std::thread::Builder::new()
             .name("metrics".into())
             .spawn(move || {
-                let served = runtime.block_on(serve(listener, router(metrics, stop, pulse), ended));
+                let served = runtime.block_on(async {
+                    let ended = async { _ = ended.await };
+                    let router = router(metrics, stop, Arc::new(check));
+                    serve_http(TcpListener::from_std(listener)?, router, ended).await
+                });
                 if let Err(error) = served {
                     tracing::warn!(%error, "the metrics endpoint ended");
                 }
@@ -122,107 +126,30 @@ impl Drop for MetricsServer {
     }
 }
 
-fn router(metrics: Metrics, stop: StopFlag, pulse: Option<(Pulse, Duration)>) -> Router {
+/// Says what is wrong with a process, in one line; `None`: nothing.
+type Check = Arc<dyn Fn() -> Option<String> + Send + Sync>;
+
+fn router(metrics: Metrics, stop: StopFlag, check: Check) -> Router {
     let page = move || {
         let text = metrics.encode();
         async move { ([(CONTENT_TYPE, TEXT_FORMAT)], text) }
     };
     let health = move || {
-        let draining = stop.is_set();
-        let hangs = pulse
-            .as_ref()
-            .is_some_and(|(pulse, limit)| pulse.silent_for() > *limit);
+        let wrong = match stop.is_set() {
+            true => Some("stopping".to_owned()),
+            false => check(),
+        };
         async move {
-            if draining {
-                (StatusCode::SERVICE_UNAVAILABLE, "stopping\n")
-            } else if hangs {
-                (StatusCode::SERVICE_UNAVAILABLE, "hangs\n")
-            } else {
-                (StatusCode::OK, "ok\n")
+            match wrong {
+                Some(wrong) => (StatusCode::SERVICE_UNAVAILABLE, format!("{wrong}\n")),
+                None => (StatusCode::OK, "ok\n".to_owned()),
             }
         }
     };
     Router::new()
         .route("/metrics", get(page))
         .route("/healthz", get(health))
-}
-
-async fn serve(
-    listener: std::net::TcpListener,
-    router: Router,
-    ended: oneshot::Receiver<()>,
-) -> io::Result<()> {
-    let listener = BoundedListener {
-        listener: TcpListener::from_std(listener)?,
-        permits: Arc::new(Semaphore::new(CONNECTIONS_MAX)),
-    };
-    tokio::select! {
-        result = async { axum::serve(listener, router).await } => result,
-        // A page in flight may be cut off: the process is ending.
-        _ = ended => Ok(()),
-    }
-}
-
-/// A listener that holds at most [`CONNECTIONS_MAX`] connections open.
-struct BoundedListener {
-    listener: TcpListener,
-    permits: Arc<Semaphore>,
-}
-
-/// A connection and its place among the permitted ones.
-struct Connection {
-    stream: TcpStream,
-    _permit: Option<OwnedSemaphorePermit>,
-}
-
-impl axum::serve::Listener for BoundedListener {
-    type Io = Connection;
-    type Addr = SocketAddr;
-
-    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
-        // The semaphore is never closed, so that the permit is always there.
-        let permit = Arc::clone(&self.permits).acquire_owned().await.ok();
-        let (stream, addr) = axum::serve::Listener::accept(&mut self.listener).await;
-        (
-            Connection {
-                stream,
-                _permit: permit,
-            },
-            addr,
-        )
-    }
-
-    fn local_addr(&self) -> io::Result<Self::Addr> {
-        self.listener.local_addr()
-    }
-}
-
-impl AsyncRead for Connection {
-    fn poll_read(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buf: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().stream).poll_read(cx, buf)
-    }
-}
-
-impl AsyncWrite for Connection {
-    fn poll_write(
-        self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buf: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.get_mut().stream).poll_write(cx, buf)
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().stream).poll_flush(cx)
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.get_mut().stream).poll_shutdown(cx)
-    }
+        .route("/livez", get(|| async { "ok\n" }))
 }
 
 #[cfg(test)]
@@ -257,6 +184,34 @@ mod tests {
         stop.request("test");
         assert!(http_get(server.addr(), "/healthz").starts_with("HTTP/1.1 503"));
         assert!(http_get(server.addr(), "/other").starts_with("HTTP/1.1 404"));
+    }
+
+    #[test]
+    fn silent_connections_keep_nobody_from_asking() {
+        let any = "127.0.0.1:0".parse().unwrap();
+        let wrong = || Some("the disk is full".to_owned());
+        let stop = StopFlag::new();
+        let server = MetricsServer::start_with_check(any, Metrics::new(), stop, wrong).unwrap();
+        // More than there are places, some of them in the middle of a header.
+        let silent: Vec<_> = (0..64)
+            .map(|number| {
+                let mut stream = std::net::TcpStream::connect(server.addr()).unwrap();
+                if number % 2 == 0 {
+                    write!(stream, "GET /healthz HTTP/1.1\r\nHo").unwrap();
+                }
+                stream
+            })
+            .collect();
+        let begun = std::time::Instant::now();
+        let answer = http_get(server.addr(), "/healthz");
+        assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
+        assert!(answer.ends_with("the disk is full\n"), "{answer}");
+        assert!(http_get(server.addr(), "/livez").starts_with("HTTP/1.1 200"));
+        assert!(begun.elapsed() < Duration::from_secs(60));
+        // The oldest was ended for it.
+        let mut first = silent.into_iter().next().unwrap();
+        let mut rest = Vec::new();
+        let _ = first.read_to_end(&mut rest);
     }
 
     #[test]

@@ -124,6 +124,8 @@ fn a_node_sees_the_robot_and_drives_it() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("link.key");
     std::fs::write(&file, [7; 32]).unwrap();
+    let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+    std::fs::set_permissions(&file, private).unwrap();
     let key = || LinkKey::read(&file).unwrap();
     let mut robot = UdpLink::listen("127.0.0.1:0".parse().unwrap(), key(), false).unwrap();
     let mut commands = Commands::to(robot.address(), key()).unwrap();

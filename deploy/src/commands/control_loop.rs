@@ -16,7 +16,7 @@ use crate::bus::{BusError, Health, Robot};
 use crate::command_link::random_nonce;
 use crate::commands::run::{BusAddress, RunArgs};
 use crate::commands::{SourceArgs, json_line, load_model, say_within};
-use crate::control::{ControlLoop, READ_DEADLINE, RunPlan};
+use crate::control::{ControlLoop, Counts, READ_DEADLINE, RunPlan};
 use crate::courier::{Courier, Loader};
 use crate::flight_log::{FlightLog, LogCounts, meta, write_rows};
 use crate::gate::HELD_IN_A_ROW_MAX;
@@ -26,11 +26,11 @@ use crate::hardware::{HardwareRobot, open_bus, open_imu, read_wiring};
 use crate::metrics::RobotMetrics;
 use crate::notify::Notifier;
 use crate::pacing::SystemClock;
-use crate::report::{Ended, RunSummary, rounded};
 use crate::runner::PolicyRunner;
 use crate::sim_link::SimLink;
 use crate::state::PolicyRef;
 use crate::store::{PolicyStore, check_trust, check_without_trust};
+use crate::summary::{Ended, RunSummary, rounded};
 use crate::updates::{Slot, Updates};
 use crate::verify::Verified;
 use crate::{DeployError, tap};
@@ -176,7 +176,9 @@ fn walk<R: Robot>(
 /// The trust file, where one is given: not one that is older than another that was in force on this robot, and not none where one was. A state that was
 /// lost says nothing about that.
 fn trust_of(args: &SourceArgs) -> Result<Option<Trust>, DeployError> {
-    let trust = args.trust.as_deref().map(Trust::read).transpose()?;
+    args.check()?;
+    let trust = args.trust.as_deref().map(Trust::read).transpose();
+    let trust = trust.map_err(DeployError::Trust)?;
     let state = match PolicyStore::peek(&args.state) {
         Ok(Some(state)) => state,
         Ok(None) | Err(DeployError::StateDamaged { .. }) => return Ok(trust),
@@ -260,10 +262,25 @@ fn drive<R: Robot>(
         Ok(rows) => (rows.unwrap_or_default(), None),
         Err(error) => (LogCounts::default(), Some(error)),
     };
+    let summary = summary_of(setting.model.name(), policy, ended, counts, rows);
+    Ok(Over {
+        summary,
+        fault,
+        log,
+    })
+}
+
+fn summary_of(
+    robot: &str,
+    policy: PolicyRef,
+    ended: Ended,
+    counts: Counts,
+    rows: LogCounts,
+) -> RunSummary {
     let commanded = counts.mean_command();
     let travel = counts.odometer.result();
-    let summary = RunSummary {
-        robot: setting.model.name().to_owned(),
+    RunSummary {
+        robot: robot.to_owned(),
         policy_stream: policy.stream,
         policy_version: policy.version,
         policy_sha256: policy.sha256,
@@ -289,12 +306,7 @@ fn drive<R: Robot>(
         commanded,
         achieved: travel.map(|(velocity, _)| velocity),
         distance_m: travel.map(|(_, distance)| distance),
-    };
-    Ok(Over {
-        summary,
-        fault,
-        log,
-    })
+    }
 }
 
 /// Writes the last 30 s of a run that ended badly.
@@ -304,7 +316,7 @@ fn record<R: Robot>(
     control: &ControlLoop<'_, R, SystemClock>,
     calm: bool,
 ) -> Result<(), DeployError> {
-    let rows = control.recorder();
+    let rows = control.last_moments();
     let Some(last) = rows.iter().last().filter(|_| !calm) else {
         return Ok(());
     };

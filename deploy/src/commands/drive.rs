@@ -337,6 +337,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("key");
         std::fs::write(&file, [7; 32]).unwrap();
+        let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+        std::fs::set_permissions(&file, private).unwrap();
         let key = LinkKey::read(&file).unwrap();
         sender.hear(&told.encode(&key), &key);
         assert_eq!(sender.next_message().kind, Kind::Velocity);

@@ -18,7 +18,7 @@ use std::time::Duration;
 use caudata_model::RobotModel;
 use caudata_proto::registry::{LabelName, StreamName};
 use caudata_registry_client::RegistryClient;
-use caudata_signing::Trust;
+use caudata_signing::{Trust, check_private};
 use caudata_telemetry::{Failure, LogArgs, Metrics, Process};
 use clap::{Parser, Subcommand};
 use serde::Serialize;
@@ -101,9 +101,51 @@ pub struct SourceArgs {
     /// Folder in which this robot keeps its policies
     #[arg(long, value_name = "DIR")]
     pub state: PathBuf,
-    /// Take only policies that keys of this file signed (`caudata policy release`)
+    /// Take only policies that keys of this file signed (`caudata policy release`). Needed, like https, where the policy server is
+    /// on another computer
     #[arg(long, value_name = "FILE.toml")]
     pub trust: Option<PathBuf>,
+    /// Take policies of another computer without encryption or signatures: whoever is on the network can then move this robot
+    #[arg(long)]
+    pub insecure_accept_unsigned_plaintext: bool,
+}
+
+impl SourceArgs {
+    /// Refuses a policy server on another computer that is not both encrypted and answerable to keys of this robot, and a
+    /// secret that others may read.
+    ///
+    /// # Errors
+    /// [`DeployError::Insecure`], [`DeployError::Key`].
+    pub fn check(&self) -> Result<(), DeployError> {
+        let address = &self.policy_server;
+        let encrypted = address.starts_with("https://");
+        if let Some(folder) = self.tls_dir.as_ref().filter(|_| encrypted) {
+            check_private(&folder.join("tls.key"))?;
+        }
+        let missing = match (encrypted, &self.trust) {
+            (true, Some(_)) => return Ok(()),
+            (false, _) => "the connection is not encrypted",
+            (true, None) => "no trust file says whose policies to take",
+        };
+        if is_loopback(address) || self.insecure_accept_unsigned_plaintext {
+            return Ok(());
+        }
+        Err(DeployError::Insecure {
+            address: address.clone(),
+            missing,
+        })
+    }
+}
+
+/// Whether an address is one of this computer, whatever a name server says.
+fn is_loopback(address: &str) -> bool {
+    let host = address.split_once("://").map_or(address, |(_, host)| host);
+    let host = host.rsplit_once(':').map_or(host, |(host, _)| host);
+    let ip = host.trim_start_matches('[').trim_end_matches(']');
+    host == "localhost"
+        || ip
+            .parse()
+            .is_ok_and(|ip: std::net::IpAddr| ip.is_loopback())
 }
 
 /// Ports instead of those of the wiring file.
@@ -166,13 +208,15 @@ impl Source {
         factory: Option<&Path>,
         metrics: &Metrics,
     ) -> Result<(Self, AgentMetrics), DeployError> {
+        args.check()?;
         let model = load_model(&args.robot)?;
         let stream = StreamName::new(&args.stream).map_err(|source| DeployError::Stream {
             name: args.stream.clone(),
             source,
         })?;
         let metrics = AgentMetrics::register(metrics);
-        let trust = args.trust.as_deref().map(Trust::read).transpose()?;
+        let trust = args.trust.as_deref().map(Trust::read).transpose();
+        let trust = trust.map_err(DeployError::Trust)?;
         let provable = trust.as_ref().is_some_and(Trust::knows_fresh_keys);
         std::fs::create_dir_all(&args.state).map_err(|source| DeployError::Folder {
             path: args.state.clone(),
@@ -268,7 +312,7 @@ fn load_model(path: &Path) -> Result<Arc<RobotModel>, DeployError> {
         source,
     })?;
     // Refuses a robot that the task cannot drive, before anything is fetched.
-    caudata_task::JointTable::from_model(&model).map_err(|source| DeployError::Task {
+    caudata_task::JointTable::for_runtime(&model).map_err(|source| DeployError::Task {
         path: path.to_owned(),
         source,
     })?;
@@ -300,4 +344,57 @@ fn say_within(text: String, limit: Duration) -> bool {
         let _ = taken.send(());
     });
     spawned.is_ok() && waits.recv_timeout(limit).is_ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fault_55_beyond_this_computer_no_policy_is_taken_in_the_open_or_unsigned() {
+        let args = |address: &str, more: &[&str]| {
+            let words = [
+                "pull",
+                "--stream",
+                "s",
+                "--state",
+                "x",
+                "--policy-server",
+                address,
+            ];
+            #[derive(Parser)]
+            struct Flags {
+                #[command(flatten)]
+                source: SourceArgs,
+            }
+            let words = words.iter().chain(more);
+            Flags::try_parse_from(words).unwrap().source.check()
+        };
+        let trust = ["--trust", "trust.toml"];
+        for local in [
+            "127.0.0.1:7401",
+            "localhost:1",
+            "[::1]:7401",
+            "http://127.3.2.1:9",
+        ] {
+            assert!(args(local, &[]).is_ok(), "{local}");
+        }
+        for far in [
+            "policies.lab:7401",
+            "http://10.0.0.7:7401",
+            "https://10.0.0.7:7401",
+            "127.0.0.1.evil.org:7401",
+            "localhost.evil.org:7401",
+            "[fe80::1]:7401",
+        ] {
+            let error = args(far, &[]).unwrap_err();
+            assert!(matches!(error, DeployError::Insecure { .. }), "{error}");
+            assert!(args(far, &["--insecure-accept-unsigned-plaintext"]).is_ok());
+            assert_eq!(
+                args(far, &trust).is_ok(),
+                far.starts_with("https://"),
+                "{far}"
+            );
+        }
+    }
 }

@@ -156,6 +156,7 @@ impl RunArgs {
 pub fn run(args: &RunArgs, process: &Process) -> Result<(), Failure> {
     // What would end a child at once ends this one before anything is fetched.
     args.command_table().map_err(failure)?;
+    args.source.check().map_err(failure)?;
     if let Some(key) = &args.link_key {
         LinkKey::read(key).map_err(failure)?;
     }

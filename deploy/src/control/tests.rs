@@ -5,14 +5,15 @@ use std::cell::Cell;
 use crossbeam_channel::Receiver;
 use sha2::{Digest, Sha256};
 
+use super::plan::STILL_RADPS;
 use super::*;
-use crate::bus::{Imu, ServoBus};
+use crate::bus::{Imu, ImuReading, ServoBus, ServoReadings};
 use crate::command_link::LinkView;
 use crate::state::{PolicyRef, Sha256Digest};
-use crate::testing::{model, policy_file, standing};
+use crate::testing::{model, policy_file, standing, stepping};
 use crate::updates::Slot;
 use crate::verify::{Verified, verify};
-use crate::walk_command::WalkCommand;
+use crate::walk_command::{CommandTable, WalkCommand};
 
 const PERIOD: Duration = Duration::from_millis(20);
 
@@ -40,6 +41,7 @@ enum Blind {
 /// Servos that are where they were sent, and what happens to them.
 struct FakeRobot {
     pos_rad: [f32; ACT_DIM],
+    vel_radps: [f32; ACT_DIM],
     sent: Vec<[f32; ACT_DIM]>,
     torque_off: u32,
     /// From this command on velocities are not finite.
@@ -58,6 +60,7 @@ impl FakeRobot {
     fn new() -> Self {
         Self {
             pos_rad: [0.05; ACT_DIM],
+            vel_radps: [0.0; ACT_DIM],
             sent: Vec::new(),
             torque_off: 0,
             broken_from: usize::MAX,
@@ -79,13 +82,17 @@ impl ServoBus for FakeRobot {
         Ok(ServoReadings {
             time_s: 0.02 * self.sent.len() as f64,
             pos_rad: self.pos_rad,
-            vel_radps: [if broken { f32::NAN } else { 0.0 }; ACT_DIM],
+            vel_radps: match broken {
+                true => [f32::NAN; ACT_DIM],
+                false => self.vel_radps,
+            },
             current_a: [0.0; ACT_DIM],
             supply_v: 12.0,
         })
     }
 
     fn write(&mut self, targets_rad: &[f32; ACT_DIM]) -> Result<(), BusError> {
+        self.vel_radps = std::array::from_fn(|i| (targets_rad[i] - self.pos_rad[i]) / 0.02);
         self.pos_rad = *targets_rad;
         self.sent.push(*targets_rad);
         Ok(())
@@ -152,11 +159,23 @@ fn run_with(
     walk_s: f64,
     stop: &StopFlag,
 ) -> Run {
+    run_at(0.9, robot, policy, slot, walk_s, stop)
+}
+
+/// [`run_with`] at a speed.
+fn run_at(
+    vx_mps: f32,
+    robot: &mut FakeRobot,
+    policy: Verified,
+    slot: Slot,
+    walk_s: f64,
+    stop: &StopFlag,
+) -> Run {
     let clock = FakeClock::default();
     let plan = RunPlan {
         period: PERIOD,
         walk_s: Some(walk_s),
-        commands: CommandTable::constant(WalkCommand([0.9, 0.0, 0.0])),
+        commands: CommandTable::constant(WalkCommand([vx_mps, 0.0, 0.0])),
         step_max_rad: 0.3,
         read_deadline: READ_DEADLINE,
         limits: None,
@@ -176,7 +195,7 @@ fn run_with(
 }
 
 fn run(robot: &mut FakeRobot, walk_s: f64) -> Run {
-    let policy = verified(1, policy_file(1, |_, _| {}));
+    let policy = verified(1, stepping(1));
     run_with(robot, policy, Slot::default(), walk_s, &StopFlag::new())
 }
 
@@ -319,7 +338,22 @@ fn ten_good_seconds_make_a_good_policy() {
         PolicyEvent::Good { walked_s, .. } => Some(*walked_s),
         _ => None,
     });
-    assert!((walked.unwrap() - 9.98).abs() < 0.03, "{walked:?}");
+    assert_eq!(walked, Some(10.0));
+}
+
+#[test]
+fn fault_32_standing_still_passes_no_trial() {
+    let good = |vx_mps: f32, policy: Vec<u8>| {
+        let mut robot = FakeRobot::new();
+        let (policy, stop) = (verified(1, policy), StopFlag::new());
+        let run = run_at(vx_mps, &mut robot, policy, Slot::default(), 30.0, &stop);
+        assert_eq!(run.result.as_ref().unwrap(), &Ended::Time);
+        let good = |event: &PolicyEvent| matches!(event, PolicyEvent::Good { .. });
+        run.told().iter().any(good)
+    };
+    assert!(good(0.3, stepping(1)));
+    assert!(!good(0.0, stepping(1)), "it was told to stand");
+    assert!(!good(0.3, standing(1)), "it was told to move and did not");
 }
 
 #[test]
@@ -645,7 +679,7 @@ fn fault_32_a_fall_in_the_trial_is_the_policys_fault_and_one_after_it_is_not() {
     let fall = |falls_from: usize, proved: bool| {
         let mut robot = FakeRobot::new();
         robot.falls_from = falls_from;
-        let mut policy = verified(1, standing(1));
+        let mut policy = verified(1, stepping(1));
         policy.proved = proved;
         let run = run_with(&mut robot, policy, Slot::default(), 100.0, &StopFlag::new());
         assert_eq!(run.result.as_ref().unwrap(), &Ended::Fallen);

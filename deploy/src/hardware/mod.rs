@@ -4,22 +4,19 @@
 //! that each is looked at within 0.64 s. Goals of all servos go out in one write. Nothing here allocates in a tick.
 
 pub mod inspect;
+mod open;
 
-use std::path::Path;
 use std::time::{Duration, Instant};
 
-use caudata_dynamixel::setup::{TRIES, persistently};
+use caudata_dynamixel::setup::persistently;
 use caudata_dynamixel::units::{
     BUS_WATCHDOG_LSB_MS, CURRENT_LSB_A, VELOCITY_LSB_RADPS, VOLTAGE_LSB_V,
 };
 use caudata_dynamixel::xm430::{self, Register};
-use caudata_dynamixel::{
-    Answer, Bus, BusCounts, BusFault, GroupRead, GroupWrite, Port, SerialPort, let_go,
-};
-use caudata_hardware::i2c::BRIDGE_BAUD;
-use caudata_hardware::{BridgeI2c, I2c, ImuChip, ImuSample, JointWiring, LinuxI2c, Wiring};
-use caudata_model::RobotModel;
+use caudata_dynamixel::{Answer, Bus, BusCounts, BusFault, GroupRead, GroupWrite, Port, let_go};
+use caudata_hardware::{I2c, ImuChip, ImuSample, JointWiring, Wiring};
 use caudata_task::ACT_DIM;
+pub use open::{PortOverrides, open_bus, open_bus_anyway, open_imu, read_wiring};
 
 use crate::DeployError;
 use crate::bus::{BusError, Health, Imu, ImuReading, Robot, ServoBus, ServoReadings};
@@ -34,122 +31,6 @@ pub const ALL_SILENT_MAX: u32 = 10;
 const TORQUE_ON_TIMES: u32 = 3;
 /// Time for all servos to say that their torque is on.
 const ARM_DEADLINE: Duration = Duration::from_millis(200);
-
-/// Where the wiring file's ports are replaced by others, as on an emulated robot.
-#[derive(Clone, Debug, Default)]
-pub struct PortOverrides {
-    /// Serial port of the servo bus.
-    pub servo_port: Option<std::path::PathBuf>,
-    /// IMU bus, as in the wiring file.
-    pub imu_bus: Option<String>,
-    /// Time is counted in goals.
-    pub in_step: bool,
-}
-
-impl PortOverrides {
-    /// Takes the place of `wiring`'s ports.
-    pub fn put_into(&self, wiring: &mut Wiring) {
-        if let Some(port) = &self.servo_port {
-            wiring.bus.port.clone_from(port);
-        }
-        if let Some(bus) = &self.imu_bus {
-            wiring.imu.bus.clone_from(bus);
-        }
-    }
-}
-
-/// Reads a wiring file and puts `overrides` in.
-///
-/// # Errors
-/// [`DeployError::Wiring`], also where its joints are not the model's.
-pub fn read_wiring(
-    path: &Path,
-    model: &RobotModel,
-    overrides: &PortOverrides,
-) -> Result<(Wiring, Vec<JointWiring>), DeployError> {
-    let mut wiring = Wiring::read(path)?;
-    let wrong = |reason: String| caudata_hardware::WiringError::Wrong {
-        path: path.to_owned(),
-        reason,
-    };
-    if wiring.robot != model.name() {
-        let reason = format!(
-            "it is for robot `{}`, this is `{}`",
-            wiring.robot,
-            model.name()
-        );
-        return Err(wrong(reason).into());
-    }
-    let joints = wiring.joints(&model.actuated_names()).map_err(wrong)?;
-    overrides.put_into(&mut wiring);
-    Ok((wiring, joints))
-}
-
-/// Opens the serial port of the servos for this program alone.
-///
-/// # Errors
-/// [`BusError::Connect`], [`BusError::Taken`].
-pub fn open_bus(wiring: &Wiring) -> Result<Bus<SerialPort>, BusError> {
-    let (path, baud) = (&wiring.bus.port, wiring.bus.baud);
-    let port = SerialPort::open(path, baud).map_err(|e| refused(&path.display(), &e))?;
-    Ok(patient(wiring, port))
-}
-
-/// Opens it also where another program has it, for whoever must be obeyed; with `true` where this one has it alone.
-///
-/// # Errors
-/// [`BusError::Connect`].
-pub fn open_bus_anyway(wiring: &Wiring) -> Result<(Bus<SerialPort>, bool), BusError> {
-    let (path, baud) = (&wiring.bus.port, wiring.bus.baud);
-    let opened = SerialPort::open_anyway(path, baud);
-    let (port, alone) = opened.map_err(|e| refused(&path.display(), &e))?;
-    Ok((patient(wiring, port), alone))
-}
-
-fn patient(wiring: &Wiring, port: SerialPort) -> Bus<SerialPort> {
-    let mut bus = Bus::new(port, wiring.bus.baud);
-    bus.be_patient(Duration::from_millis(wiring.bus.read_deadline_ms));
-    bus
-}
-
-fn refused(address: &dyn std::fmt::Display, error: &std::io::Error) -> BusError {
-    let address = address.to_string();
-    match error.kind() {
-        std::io::ErrorKind::ResourceBusy => BusError::Taken { address },
-        _ => BusError::Connect {
-            address,
-            reason: error.to_string(),
-        },
-    }
-}
-
-/// Finds and sets up the IMU.
-///
-/// # Errors
-/// [`BusError::Connect`], [`BusError::Taken`].
-pub fn open_imu(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusError> {
-    let mut tries = 1;
-    loop {
-        match open_imu_once(wiring) {
-            Err(error) if tries < TRIES && !matches!(error, BusError::Taken { .. }) => tries += 1,
-            other => return other,
-        }
-    }
-}
-
-fn open_imu_once(wiring: &Wiring) -> Result<ImuChip<Box<dyn I2c + Send>>, BusError> {
-    let address = &wiring.imu.bus;
-    let connect = |e: std::io::Error| refused(address, &e);
-    let bus: Box<dyn I2c + Send> = match address.strip_prefix("bridge:") {
-        Some(port) => {
-            let port = SerialPort::open(Path::new(port), BRIDGE_BAUD).map_err(connect)?;
-            let deadline = Duration::from_millis(wiring.bus.read_deadline_ms);
-            Box::new(BridgeI2c::new(port, deadline))
-        }
-        None => Box::new(LinuxI2c::open(Path::new(address)).map_err(connect)?),
-    };
-    ImuChip::start(bus, &wiring.imu).map_err(connect)
-}
 
 /// Servos and IMU.
 pub struct HardwareRobot<P, B> {

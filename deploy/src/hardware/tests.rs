@@ -4,6 +4,8 @@ use caudata_dynamixel::HardwareError;
 use caudata_dynamixel::emulator::{EmulatedBus, EmulatedPort, EmulatedServo, Present};
 use caudata_hardware::emulated::EmulatedImu;
 
+use std::path::Path;
+
 use super::*;
 use crate::hardware::inspect::Mark;
 use crate::testing::model;

@@ -15,25 +15,22 @@
 //! What follows what is in [`machine`]; here are the processes, the clocks and the signals. It knows neither policies nor the network, and
 //! waits for nobody: what it waits for has a limit.
 
+mod child;
 pub mod machine;
 
-use std::ffi::OsString;
-use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use caudata_telemetry::{ExitCode, Failure, PARENT_PID_VAR, StopFlag};
+use caudata_telemetry::{ExitCode, Failure, StopFlag};
+use child::{LOOK, UNDYING_MAX, Watched, end_of, pause, reap};
+pub use child::{Plan, died};
 use machine::{Do, End, Event, Limits, Signs, State, Verdict, Why, judge, next};
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 
-use crate::boundary::{LOOP_PAGE, RunFolder};
-use crate::notify::{Ear, Notifier, SOCKET_VAR, Word};
-use crate::{DeployError, failure};
+use crate::boundary::LOOP_PAGE;
+use crate::failure;
+use crate::notify::{Notifier, Word};
 
-/// How often everything is looked at.
-const LOOK: Duration = Duration::from_millis(10);
 /// How long the loop may take to begin: it waits up to a minute for an agent.
 const LOOP_START_MAX: Duration = Duration::from_secs(120);
 /// The same of the agent, which may be fetching a policy over a poor network for ten minutes.
@@ -46,8 +43,6 @@ const STOPPING_MAX: Duration = Duration::from_secs(30);
 const STAND_DOWN_MAX: Duration = Duration::from_secs(50);
 /// How long an agent may take to end when asked: its last reports take two seconds.
 const AGENT_END_MAX: Duration = Duration::from_secs(10);
-/// How long a process may take to be gone after SIGKILL: one that is still there is held by a driver, and may be so for ever.
-const UNDYING_MAX: Duration = Duration::from_secs(3);
 /// How long letting go may take, asking the servos included.
 const LIMP_MAX: Duration = Duration::from_secs(5);
 /// How long a loop that was asked twice may take to let go by itself. With [`LIMP_MAX`], the agent's end and three times [`UNDYING_MAX`] (loop, the
@@ -62,156 +57,6 @@ const BRAKE_SHARE: u32 = 5;
 const CALM: Duration = Duration::from_secs(300);
 /// First and longest pause before the agent is started again.
 const AGENT_PAUSE: [Duration; 2] = [Duration::from_millis(500), Duration::from_secs(30)];
-
-/// What to run.
-#[derive(Clone, Debug)]
-pub struct Plan {
-    /// This program.
-    pub program: PathBuf,
-    /// Arguments before and after the name of the command.
-    pub arguments: [Vec<OsString>; 2],
-    /// Arguments of the command that lets the servos go, whoever has their port; `None`: this robot needs none.
-    pub limp: Option<Vec<OsString>>,
-    /// A loop without a sign of life for this long hangs.
-    pub hang_after: Duration,
-    /// Where sockets are.
-    pub folder: RunFolder,
-}
-
-/// Whether a process that ended like this is worth another try: what a person or another file must set right is not.
-pub fn died(status: ExitStatus) -> bool {
-    let again = [
-        ExitCode::Internal,
-        ExitCode::OsResource,
-        ExitCode::IoError,
-        ExitCode::TempFail,
-        ExitCode::Interrupted,
-    ];
-    match status.code() {
-        None => true,
-        Some(code) => ExitCode::from_number(code).is_none_or(|code| again.contains(&code)),
-    }
-}
-
-/// Pauses that double from `first` to `longest`.
-pub fn pause(first: Duration, longest: Duration, tries: u32) -> Duration {
-    (first * 2_u32.saturating_pow(tries.min(16))).min(longest)
-}
-
-/// One child, and what was heard of it.
-struct Watched {
-    command: &'static str,
-    ear: Ear,
-    socket: PathBuf,
-    child: Option<Child>,
-    began: Instant,
-    heard: Instant,
-    ready: bool,
-    /// When it was ready.
-    ready_at: Option<Instant>,
-    stopping: bool,
-    brakes: bool,
-    /// When it was sent SIGKILL.
-    killed_at: Option<Instant>,
-    /// Starts that ended by themselves, in a row.
-    deaths: u32,
-    again_at: Option<Instant>,
-}
-
-impl Watched {
-    fn new(command: &'static str, folder: &RunFolder) -> Result<Self, DeployError> {
-        let socket = folder.file(&format!("notify-{command}"));
-        let ear = Ear::open(&socket).map_err(|source| DeployError::Folder {
-            path: socket.clone(),
-            source,
-        })?;
-        let now = Instant::now();
-        Ok(Self {
-            command,
-            ear,
-            socket,
-            child: None,
-            began: now,
-            heard: now,
-            ready: false,
-            ready_at: None,
-            stopping: false,
-            brakes: false,
-            killed_at: None,
-            deaths: 0,
-            again_at: Some(now),
-        })
-    }
-
-    fn start(&mut self, plan: &Plan, extra: &[OsString]) -> Result<(), DeployError> {
-        let [before, after] = &plan.arguments;
-        // What an earlier start said does not count for this one.
-        self.ear.listen();
-        let child = Command::new(&plan.program)
-            .args(before)
-            .arg(self.command)
-            .args(after)
-            .args(extra)
-            .env(PARENT_PID_VAR, std::process::id().to_string())
-            .env(SOCKET_VAR, &self.socket)
-            .stdin(Stdio::null())
-            // Ctrl-C reaches the supervisor alone, which then stops the children in order.
-            .process_group(0)
-            .spawn()
-            .map_err(|source| DeployError::System {
-                what: "a child process",
-                source,
-            })?;
-        tracing::info!(part = self.command, pid = child.id(), "started");
-        let now = Instant::now();
-        self.child = Some(child);
-        (self.began, self.heard) = (now, now);
-        (self.ready, self.stopping, self.brakes) = (false, false, false);
-        (self.again_at, self.ready_at, self.killed_at) = (None, None, None);
-        Ok(())
-    }
-
-    /// Takes what the child said; whether it told of a kill.
-    fn listen(&mut self) -> bool {
-        let heard = self.ear.listen();
-        if heard.alive {
-            self.heard = Instant::now();
-        }
-        self.ready |= heard.ready;
-        if self.ready {
-            self.ready_at.get_or_insert_with(Instant::now);
-        }
-        self.stopping |= heard.stopping;
-        self.brakes |= heard.brakes;
-        heard.kill
-    }
-
-    /// How it ended, if it just has.
-    fn ended(&mut self) -> Option<ExitStatus> {
-        let status = self.child.as_mut()?.try_wait().ok().flatten()?;
-        self.child = None;
-        Some(status)
-    }
-
-    fn signal(&mut self, signal: Signal) {
-        if signal == Signal::SIGKILL {
-            self.killed_at.get_or_insert_with(Instant::now);
-        }
-        if let Some(child) = &self.child {
-            let _ = kill(Pid::from_raw(child.id() as i32), signal);
-        }
-    }
-}
-
-impl Drop for Watched {
-    fn drop(&mut self) {
-        // No child outlives an error here, as far as it can be ended at all.
-        if self.child.is_some() {
-            wait_for(self, Duration::ZERO);
-        }
-        let _ = std::fs::remove_file(&self.socket);
-    }
-}
 
 /// Runs both halves until the loop is over. `insisted` is raised by a second signal.
 ///
@@ -232,7 +77,7 @@ pub fn supervise(plan: &Plan, stop: &StopFlag, insisted: &StopFlag) -> Result<()
         _ => AGENT_END_MAX,
     };
     supervisor.agent.signal(Signal::SIGTERM);
-    wait_for(&mut supervisor.agent, patience);
+    supervisor.agent.wait(patience);
     supervisor.said(verdict)
 }
 
@@ -351,7 +196,7 @@ impl<'a> Supervisor<'a> {
             self.agent.deaths = 0;
         }
         let over = matches!(self.state, State::Over(_));
-        if due(&self.agent) && !self.stop_seen && !over {
+        if self.agent.is_due() && !self.stop_seen && !over {
             // That one cannot be started now must not end the walk.
             if let Err(error) = self.agent.start(self.plan, &[]) {
                 if !self.agent_was_ready {
@@ -387,7 +232,7 @@ impl<'a> Supervisor<'a> {
             });
         }
         if self.looper.child.is_none() {
-            return match due(&self.looper) {
+            return match self.looper.is_due() {
                 true => self.handle(Event::PauseOver),
                 false => Ok(()),
             };
@@ -530,50 +375,12 @@ impl<'a> Supervisor<'a> {
     }
 }
 
-fn due(watched: &Watched) -> bool {
-    watched.child.is_none() && watched.again_at.is_some_and(|at| Instant::now() >= at)
-}
-
-fn end_of(status: ExitStatus) -> End {
-    let code = status
-        .code()
-        .map(|code| ExitCode::from_number(code).unwrap_or(ExitCode::Internal));
-    match code {
-        Some(ExitCode::Ok) => End::InOrder,
-        Some(code) if !died(status) => End::Wrong(code),
-        code => End::Died(code),
-    }
-}
-
 /// Its exit code, and what is still to be said: nothing where it said so itself.
 fn passed_on(end: End, who: &str, status: &str) -> (ExitCode, String) {
     match end {
         End::InOrder => (ExitCode::Ok, String::new()),
         End::Wrong(code) | End::Died(Some(code)) => (code, String::new()),
         End::Died(None) => (ExitCode::Internal, format!("{who} was ended by {status}")),
-    }
-}
-
-/// Waits for a child that was asked to end, ends it by force after `limit`, and leaves it where it is still there then.
-fn wait_for(watched: &mut Watched, limit: Duration) {
-    let end = Instant::now() + limit;
-    while watched.child.is_some() && watched.ended().is_none() {
-        match watched.killed_at {
-            Some(at) if at.elapsed() > UNDYING_MAX => {
-                tracing::error!(
-                    part = watched.command,
-                    "does not end, not even by force: left behind"
-                );
-                return;
-            }
-            None if Instant::now() >= end => {
-                watched.signal(Signal::SIGKILL);
-                if !limit.is_zero() {
-                    tracing::error!(part = watched.command, "does not end: killed");
-                }
-            }
-            _ => std::thread::sleep(LOOK),
-        }
     }
 }
 
@@ -616,45 +423,5 @@ fn let_go(plan: &Plan, anyway: bool) -> Torque {
                 return Torque::Unproved;
             }
         }
-    }
-}
-
-/// Takes note of a child's end that must come now; one that does not end is left behind.
-fn reap(child: &mut Child) {
-    let begun = Instant::now();
-    while matches!(child.try_wait(), Ok(None)) && begun.elapsed() < UNDYING_MAX {
-        std::thread::sleep(LOOK);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::os::unix::process::ExitStatusExt;
-
-    use super::*;
-
-    #[test]
-    fn what_a_person_must_set_right_is_not_tried_again() {
-        let by_code = |code: i32| died(ExitStatus::from_raw(code << 8));
-        for code in [0, 64, 65, 66, 69, 73, 76, 77, 79, 86] {
-            assert!(!by_code(code), "{code}");
-        }
-        for code in [1, 70, 71, 74, 75, 101, 130] {
-            assert!(by_code(code), "{code}");
-        }
-        // SIGKILL, SIGSEGV, SIGABRT.
-        for signal in [9, 11, 6] {
-            assert!(died(ExitStatus::from_raw(signal)), "{signal}");
-        }
-    }
-
-    #[test]
-    fn pauses_double_up_to_the_longest() {
-        let [first, longest] = AGENT_PAUSE;
-        let all: Vec<u128> = (0..8)
-            .map(|n| pause(first, longest, n).as_millis())
-            .collect();
-        assert_eq!(all, [500, 1000, 2000, 4000, 8000, 16_000, 30_000, 30_000]);
-        assert_eq!(pause(first, longest, u32::MAX), longest);
     }
 }

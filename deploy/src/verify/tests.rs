@@ -1,6 +1,9 @@
 //! Bad policies, each refused by name.
 
-use caudata_policy::PolicyMetadata;
+use caudata_policy::{Dense, PolicyMetadata};
+use caudata_proto::checks::each_left_out;
+use caudata_proto::registry::StreamName;
+use caudata_proto::registry::question::{ANSWERS, Compare};
 
 use super::*;
 use crate::testing::{model, policy_file};
@@ -98,15 +101,156 @@ fn fault_24_the_same_meaning_in_other_bytes_was_not_signed() {
     let file = read(&bytes).unwrap();
     let mut manifest = caudata_registry_client::manifest_of(stream, &file, 5).unwrap();
     key.sign(&mut manifest);
-    assert!(check_signatures(&manifest, Some(&trust)).is_ok());
+    let here = model();
+    let signed = |manifest: &Manifest| {
+        let announcement = Announcement {
+            manifest,
+            trust: Some(&trust),
+            model: &here,
+        };
+        announcement.check(ANNOUNCEMENT)
+    };
+    assert!(signed(&manifest).is_ok());
     manifest.sha256 = Sha256::digest(&other).into();
-    let refusal = check_signatures(&manifest, Some(&trust)).unwrap_err();
+    let refusal = signed(&manifest).unwrap_err();
     assert!(matches!(refusal, Refusal::Untrusted(_)), "{refusal}");
     // As large as it is, too.
     manifest.sha256 = file.sha256();
-    assert!(check_signatures(&manifest, Some(&trust)).is_ok());
+    assert!(signed(&manifest).is_ok());
     manifest.size = other.len() as u64;
-    assert!(check_signatures(&manifest, Some(&trust)).is_err());
+    assert!(signed(&manifest).is_err());
+}
+
+/// A network of two layers in which sums of millions cancel: what is left depends on how each product is rounded, so that two
+/// correct evaluations differ.
+fn rounding_matters() -> Vec<u8> {
+    policy_file(1, |spec, _| {
+        let (input, out) = (spec.layers[0].input, spec.layers[0].out);
+        let hidden = 128;
+        let sign = |i: usize| if i.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let first = Dense {
+            out: hidden,
+            input,
+            weight: (0..hidden * input)
+                .map(|i| (i as f32 * 0.7).sin())
+                .collect(),
+            bias: vec![1.0e6; hidden],
+        };
+        let second = Dense {
+            out,
+            input: hidden,
+            weight: (0..out * hidden)
+                .map(|i| sign(i) * (0.7 + 1e-3 * (i / hidden) as f32))
+                .collect(),
+            bias: vec![0.0; out],
+        };
+        spec.layers = vec![first, second];
+    })
+}
+
+#[test]
+fn each_step_and_no_other_keeps_its_bad_policy_out() {
+    let overflows = || {
+        policy_file(1, |spec, _| {
+            spec.layers[0].weight.fill(3e38);
+        })
+    };
+    let swapped = || policy_file(1, |_, m| m.contract.joint_names.swap(2, 3));
+    let table = each_left_out(CANDIDATE, |name, checks| {
+        let good = policy_file(1, |_, _| {});
+        let (bytes, policy) = match name {
+            "hash" => (good, reference(1, b"other bytes")),
+            "version" => (good.clone(), reference(2, &good)),
+            "contract" => (swapped(), reference(1, &swapped())),
+            "actions in range" => (overflows(), reference(1, &overflows())),
+            _ => (rounding_matters(), reference(1, &rounding_matters())),
+        };
+        verify_by(checks, bytes.into(), &policy, &model())
+            .map(drop)
+            .map_err(|error| error.to_string())
+    });
+    // Seen with --nocapture: `make mutants`.
+    eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
+}
+
+/// Announcements that a key of the robot really signed; it asked for version 3500 of `release/flat`, and its own robot.
+#[test]
+fn each_step_and_no_other_keeps_its_bad_announcement_out() {
+    let key = caudata_signing::ReleaseKey::from_seed("release", &[7; 32]);
+    let trust = Trust::parse(&key.trust_file()).unwrap();
+    let here = model();
+    let [asked_stream, other_stream] =
+        ["release/flat", "experimental/rough"].map(|name| StreamName::new(name).unwrap());
+    let file =
+        PolicyFile::parse(policy_file(3500, |spec, _| spec.layers[0].weight.fill(0.0)).into());
+    let file = file.unwrap();
+    let announced = |change: &dyn Fn(&mut Manifest)| {
+        let stream = asked_stream.clone();
+        let mut manifest = caudata_registry_client::manifest_of(stream, &file, 5).unwrap();
+        change(&mut manifest);
+        key.sign(&mut manifest);
+        manifest
+    };
+    let asked = Facts {
+        version: Some(3500),
+        sha256: Some(&file.sha256()),
+        ..Facts::of_stream(&asked_stream)
+    };
+    // What a robot asks for by name, then what every announcement must be: as [`crate::keeper::Keeper`] does it.
+    let taken = |answers: &[Check<Compare>], checks: &[_], manifest: &Manifest| {
+        let said = Facts::from(manifest);
+        let answers = answers
+            .iter()
+            .try_for_each(|fact| (fact.refuse)(&asked, &said));
+        let announcement = Announcement {
+            manifest,
+            trust: Some(&trust),
+            model: &here,
+        };
+        let taken = answers.map_err(|other| other.to_string());
+        taken.and_then(|()| {
+            announcement
+                .check(checks)
+                .map_err(|refusal| refusal.to_string())
+        })
+    };
+    let questions: Vec<_> = ANSWERS
+        .iter()
+        .filter(|fact| ["stream", "version", "bytes"].contains(&fact.name))
+        .copied()
+        .collect();
+    let answers = each_left_out(&questions, |name, facts| {
+        let manifest = announced(&|m| match name {
+            "stream" => m.stream = other_stream.clone(),
+            "version" => m.version = 3510,
+            _ => m.sha256 = [1; 32],
+        });
+        taken(facts, ANNOUNCEMENT, &manifest)
+    });
+    let announcements = each_left_out(ANNOUNCEMENT, |name, checks| {
+        let manifest = match name {
+            "signature" => {
+                let mut manifest = announced(&|_| {});
+                manifest.size += 1;
+                manifest
+            }
+            "robot" => announced(&|m| m.robot_name = "newt".to_owned()),
+            _ => announced(&|m| m.robot_hash = [0; 32]),
+        };
+        taken(ANSWERS, checks, &manifest)
+    });
+    // Seen with --nocapture: `make mutants`.
+    for table in [answers, announcements] {
+        eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
+    }
+}
+
+#[test]
+fn weights_of_1e30_do_not_pass_the_probe() {
+    let bytes = policy_file(1, |spec, _| spec.layers[0].weight.fill(1e30));
+    let policy = reference(1, &bytes);
+    let line = refusal(bytes, &policy).to_string();
+    assert!(line.contains("beyond ±1000"), "{line}");
 }
 
 #[test]

@@ -43,6 +43,8 @@ fn fault_28_through_loss_delay_and_reordering_no_older_command_counts_and_the_ne
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("link.key");
     std::fs::write(&path, [7; 32]).unwrap();
+    let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+    std::fs::set_permissions(&path, private).unwrap();
     let key = LinkKey::read(&path).unwrap();
     let here = World::ours();
     let localhost = here.socket().local_addr().unwrap().ip();

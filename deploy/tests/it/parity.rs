@@ -54,8 +54,8 @@ fn the_robot_observes_what_training_observed() {
         let truth = env.truth(0);
         let servos = ServoReadings {
             time_s: 0.02 * f64::from(tick),
-            pos_rad: truth.joint_pos_rad,
-            vel_radps: truth.joint_vel_radps,
+            pos_rad: truth.joint_pos_rad.to_array().unwrap(),
+            vel_radps: truth.joint_vel_radps.to_array().unwrap(),
             current_a: [0.0; ACT_DIM],
             supply_v: 12.0,
         };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::common::policies::{policy_file, standing};
+use crate::common::policies::{policy_file, standing, stepping};
 use crate::common::watchdog::output_within;
 use crate::common::{Server, end_of, output_of, perfect_robot, program, status_of};
 use caudata_chaos_proxy::Wire;
@@ -206,6 +206,8 @@ impl Lab {
     fn link_key(&self) -> PathBuf {
         let key = self.path("link.key");
         std::fs::write(&key, [7; 32]).unwrap();
+        let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+        std::fs::set_permissions(&key, private).unwrap();
         LinkKey::read(&key).unwrap();
         key
     }
@@ -307,9 +309,9 @@ fn fault_49_an_agent_that_is_killed_comes_back_and_the_robot_never_stops() {
 #[test]
 fn fault_49_a_loop_that_is_killed_is_started_again_and_its_third_death_in_a_trial_is_the_policys() {
     // Version 1 is good; version 2 takes the loop down with it.
-    let lab = Lab::with([standing(1)]);
+    let lab = Lab::with([stepping(1)]);
     let state = lab.state();
-    let first = lab.command("60000", &["--seconds", "10.5"]);
+    let first = lab.command("60000", &["--seconds", "10.5", "--command", "0.3,0,0"]);
     let (code, _, errors) = crate::common::outcome(first);
     assert_eq!(code, 0, "{errors}");
     assert_eq!(status_of(&state)["last_good"]["version"], 1);

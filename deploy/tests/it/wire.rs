@@ -436,6 +436,8 @@ fn fault_48_the_kill_button_lets_go_of_servos_whose_loop_hangs() {
     let bench = Bench::by_the_clock();
     let key = bench.folder.path().join("link.key");
     std::fs::write(&key, [7; 32]).unwrap();
+    let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
+    std::fs::set_permissions(&key, private).unwrap();
     // Free a moment ago; a program that took it meanwhile shows as an error.
     let free = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = free.local_addr().unwrap().to_string();

@@ -6,12 +6,13 @@ use std::sync::Arc;
 
 use caudata_gap::plots::Overlay;
 use caudata_gap::replay::{Data, Replayer, Segment, SegmentOptions, Variant};
-use caudata_gap::trial::{Kind, Trial};
+use caudata_gap::trial::Kind;
 use caudata_gap::{GapError, GoOn, Run};
 use caudata_model::RobotModel;
 
 use crate::generate::GenerateError;
-use crate::salamander::{self, Hides, LabFile};
+use crate::hides::{self, Hides};
+use crate::salamander::{self, LabFile};
 use crate::stand;
 
 /// The paper's robot, as far as the paper says: play of 4° each side, and the middle of what a servo's filter and supply can do.
@@ -79,7 +80,7 @@ pub fn on_stand(
     go_on: &dyn Fn() -> bool,
 ) -> Result<(), GenerateError> {
     let (_, _, model) = salamander::lab_file(file)?;
-    let lane = salamander::lane_of(&model, HIDDEN);
+    let lane = hides::lane_of(&model, HIDDEN);
     for (i, (role, trial)) in ON_STAND.iter().enumerate() {
         for r in 0..STAND_REPEATS {
             if !go_on() {
@@ -106,7 +107,7 @@ pub fn pictures(
 ) -> Result<Pictures, GapError> {
     let trials = runs
         .iter()
-        .map(|run| Trial::new(model, run))
+        .map(|run| caudata_gap::reading::trial(model, run))
         .collect::<Result<Vec<_>, _>>()?;
     let options = SegmentOptions {
         free_s: STRETCH_S,

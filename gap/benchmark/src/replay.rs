@@ -21,6 +21,34 @@ pub struct Prediction {
     pub current_a: Vec<Vec<f64>>,
 }
 
+impl Prediction {
+    fn of(servos: usize) -> Self {
+        Self {
+            pos_rad: vec![Vec::new(); servos],
+            vel_radps: vec![Vec::new(); servos],
+            current_a: vec![Vec::new(); servos],
+        }
+    }
+}
+
+/// Position, speed and current of servo `a`.
+fn reading(
+    engine: &dyn caudata_sim::Engine,
+    model: &RobotModel,
+    lane: usize,
+    a: usize,
+) -> [f64; 3] {
+    let state = engine.state();
+    let j = lane * model.joints().len() + model.actuated()[a];
+    let torque_nm = state.motor_torque_nm[lane * model.actuated().len() + a];
+    let constant = engine.params(lane).joints[a].torque_constant_nm_per_a;
+    [
+        f64::from(state.joint_pos_rad[j]),
+        f64::from(state.joint_vel_radps[j]),
+        f64::from(torque_nm) / f64::from(constant),
+    ]
+}
+
 /// Runs every set of parameters on the same commands; the robot stands at the first row for a second before.
 ///
 /// # Errors
@@ -53,14 +81,8 @@ pub fn predict_shifted(
     };
     let lanes = variants.len();
     let servos = model.actuated().len();
-    let mut engine = caudata_sim::build(
-        Arc::clone(model),
-        lanes,
-        &config,
-        &TerrainConfig::default(),
-        1,
-        1,
-    )?;
+    let ground = TerrainConfig::default();
+    let mut engine = caudata_sim::build(Arc::clone(model), lanes, &config, &ground, 1, 1)?;
     let shifted = |row: &[f64]| -> Vec<f32> {
         let shift = |lane: usize, a: usize| shifts_rad.get(lane).map_or(0.0, |s| s[a]);
         (0..lanes)
@@ -84,32 +106,14 @@ pub fn predict_shifted(
     for _ in 0..(1.0 / DT_S) as usize {
         engine.step(&targets, &wrenches)?;
     }
-    let joints = model.joints().len();
-    let mut out = vec![
-        Prediction {
-            pos_rad: vec![Vec::new(); servos],
-            vel_radps: vec![Vec::new(); servos],
-            current_a: vec![Vec::new(); servos],
-        };
-        lanes
-    ];
-    let read = |engine: &dyn caudata_sim::Engine, lane: usize, a: usize| {
-        let state = engine.state();
-        let j = lane * joints + model.actuated()[a];
-        [
-            f64::from(state.joint_pos_rad[j]),
-            f64::from(state.joint_vel_radps[j]),
-            f64::from(state.motor_torque_nm[lane * servos + a])
-                / f64::from(engine.params(lane).joints[a].torque_constant_nm_per_a),
-        ]
+    let mut out = vec![Prediction::of(servos); lanes];
+    let read = |engine: &dyn caudata_sim::Engine| -> Vec<[f64; 3]> {
+        let each = (0..lanes).flat_map(|lane| (0..servos).map(move |a| (lane, a)));
+        each.map(|(lane, a)| reading(engine, model, lane, a))
+            .collect()
     };
+    let mut now = read(engine.as_ref());
     let mut before: Vec<[f64; 3]> = Vec::new();
-    let mut now: Vec<[f64; 3]> = Vec::new();
-    for lane in 0..lanes {
-        for a in 0..servos {
-            now.push(read(engine.as_ref(), lane, a));
-        }
-    }
     let (mut step, mut row) = (0u64, 0usize);
     for (k, &t) in times_s.iter().enumerate() {
         while (step as f64) * DT_S < t {
@@ -124,12 +128,7 @@ pub fn predict_shifted(
             }
             engine.step(&targets, &wrenches)?;
             step += 1;
-            before.clone_from(&now);
-            for lane in 0..lanes {
-                for a in 0..servos {
-                    now[lane * servos + a] = read(engine.as_ref(), lane, a);
-                }
-            }
+            before = std::mem::replace(&mut now, read(engine.as_ref()));
         }
         let back = (step as f64 * DT_S - t) / DT_S;
         for lane in 0..lanes {

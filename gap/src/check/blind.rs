@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::excites::{JointExcitation, RunExcitation};
 use crate::effects;
 use crate::excitation::Excitation;
+use crate::reading;
 use crate::trial::Trial;
 
 /// An effect that cannot show.
@@ -145,7 +146,7 @@ fn unseen(
                 role: crate::trial::Role::Fit,
                 sha256: String::new(),
             };
-            Trial::new(robot, &run).ok()
+            reading::trial(robot, &run).ok()
         })
         .collect();
     if trials.is_empty() {

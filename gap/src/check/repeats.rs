@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::channels::Channels;
 use super::finding::{Finding, Run};
-use super::series::{median, smooth};
+use super::series::{Grid, median, smooth};
 
 /// Commands of repeats may differ by this much, rad.
 const SAME_RAD: f64 = 2e-3;
@@ -102,109 +102,32 @@ pub(super) fn odd_spans(
         return Vec::new();
     }
     let grid = &runs[group[0]].grid;
-    // repeats are compared at equal times: the median step of rows, and with it the grid, differs a little from run to run
-    let span_s = |i: usize| (runs[i].grid.len.saturating_sub(1)) as f64 * runs[i].grid.step_s;
-    let shared_s = group
-        .iter()
-        .map(|&i| span_s(i))
-        .fold(f64::INFINITY, f64::min);
-    let len = (shared_s / grid.step_s + 1e-6).floor() as usize + 1;
-    let width = grid.points(SMOOTH_S);
     let mut found: Vec<OddSpan> = Vec::new();
     for j in 0..channels[group[0]].len() {
-        let all: Option<Vec<Vec<f64>>> = group
-            .iter()
-            .map(|&i| {
-                let own = smooth(channels[i][j].pos.as_ref()?, width);
-                Some(on_grid(&own, grid.step_s / runs[i].grid.step_s, len))
-            })
-            .collect();
-        let Some(all) = all else { continue };
-        let joint = &channels[group[0]][j];
-        let servo = runs[group[0]].robot.servo(joint.index);
-        let meta = &runs[group[0]].log.meta;
-        let kp = meta
-            .kp
-            .unwrap_or(runs[group[0]].robot.kp_nm_per_rad())
-            .max(1e-6);
-        let least = TORQUE_SHARE * servo.tau_max_nm / kp;
-        let middle: Vec<f64> = (0..len)
-            .map(|t| {
-                let here: Vec<f64> = all.iter().map(|x| x[t]).collect();
-                if here.len() == 2 {
-                    here[0]
-                } else {
-                    median(here).unwrap_or(f64::NAN)
-                }
-            })
-            .collect();
-        let off: Vec<Vec<f64>> = all
-            .iter()
-            .map(|x| (0..len).map(|t| (x[t] - middle[t]).abs()).collect())
-            .collect();
-        // what repeats differ by: the middle over everything that is not zero because it is the median itself
-        let usual: Vec<f64> = off.iter().flatten().copied().filter(|d| *d > 0.0).collect();
-        let scale = 1.5 * median(usual).unwrap_or(0.0);
-        let threshold = (TIMES * scale)
-            .max(least)
-            .max(3.0 * servo.encoder_lsb_rad());
-        let nearby = grid.points(NEARBY_S);
-        let mean = smooth(&middle, nearby);
-        let squares: Vec<f64> = middle
-            .iter()
-            .zip(&mean)
-            .map(|(x, m)| (x - m).powi(2))
-            .collect();
-        let motion: Vec<f64> = smooth(&squares, nearby)
-            .iter()
-            .map(|s| MOTION_SHARE * (2.0 * s).sqrt())
-            .collect();
-        let off: Vec<Vec<f64>> = off
-            .iter()
-            .map(|d| {
-                d.iter()
-                    .zip(&motion)
-                    .map(|(d, m)| if d > m { *d } else { 0.0 })
-                    .collect()
-            })
-            .collect();
-        let members: Vec<usize> = if group.len() == 2 {
-            vec![1]
+        let Some(off) = Off::of(runs, channels, group, j) else {
+            continue;
+        };
+        // of two nobody knows which one was disturbed: both
+        let members = if group.len() == 2 {
+            1..2
         } else {
-            (0..group.len()).collect()
+            0..group.len()
         };
         for m in members {
-            spans(
-                &off[m],
-                threshold,
-                grid.points(SHORTEST_S),
-                grid.points(0.3),
-            )
-            .into_iter()
-            .for_each(|(from, to)| {
-                let others = |t: usize| {
-                    off.iter()
-                        .enumerate()
-                        .all(|(k, d)| k == m || d[t].is_nan() || d[t] <= 0.5 * off[m][t])
-                };
-                let alone = (from..to).filter(|&t| others(t)).count() * 3 >= (to - from) * 2;
-                let short = ((to - from) as f64) < LONGEST_SHARE * len as f64;
-                if !alone || !short {
-                    return;
-                }
-                let peak_rad = off[m][from..to].iter().fold(0.0, |a: f64, b| a.max(*b));
+            for (from, to) in off.spans(m, grid) {
+                let peak_rad = off.rad[m][from..to].iter().fold(0.0, |a: f64, b| a.max(*b));
                 let both: &[usize] = if group.len() == 2 { &[0, 1] } else { &[m] };
-                for &m in both {
-                    let start = runs[group[m]].grid.start_s;
-                    found.push(OddSpan {
+                found.extend(both.iter().map(|&m| {
+                    let start_s = runs[group[m]].grid.start_s;
+                    OddSpan {
                         run: runs[group[m]].name.clone(),
-                        from_s: start + from as f64 * grid.step_s,
-                        to_s: start + to as f64 * grid.step_s,
-                        joint: joint.name.clone(),
+                        from_s: start_s + from as f64 * grid.step_s,
+                        to_s: start_s + to as f64 * grid.step_s,
+                        joint: channels[group[0]][j].name.clone(),
                         peak_rad,
-                    });
-                }
-            });
+                    }
+                }));
+            }
         }
     }
     let mut all = merge(found);
@@ -215,6 +138,83 @@ pub(super) fn odd_spans(
     let mut counts = counts.iter();
     all.retain(|_| counts.next().is_some_and(|n| *n <= MOST_SPANS));
     all
+}
+
+/// How far one joint of each repeat is off the middle of them.
+struct Off {
+    /// rad; 0 where it is within what repeats differ by when they move so. `[repeats][N]`
+    rad: Vec<Vec<f64>>,
+    /// From when on it counts, rad.
+    threshold_rad: f64,
+}
+
+impl Off {
+    /// Of joint `j` of the runs in `group`; none where its position is not logged in all of them.
+    fn of(runs: &[Run<'_>], channels: &[Vec<Channels>], group: &[usize], j: usize) -> Option<Self> {
+        let first = &runs[group[0]];
+        let grid = &first.grid;
+        // repeats are compared at equal times: the median step of rows, and with it the grid, differs a little from run to run
+        let span_s = |&i: &usize| runs[i].grid.len.saturating_sub(1) as f64 * runs[i].grid.step_s;
+        let shared_s = group.iter().map(span_s).fold(f64::INFINITY, f64::min);
+        let len = (shared_s / grid.step_s + 1e-6).floor() as usize + 1;
+        let width = grid.points(SMOOTH_S);
+        let position = |&i: &usize| {
+            let own = smooth(channels[i][j].pos.as_ref()?, width);
+            Some(on_grid(&own, grid.step_s / runs[i].grid.step_s, len))
+        };
+        let all: Vec<Vec<f64>> = group.iter().map(position).collect::<Option<_>>()?;
+        let middle = |t: usize| match all.as_slice() {
+            [one, _] => one[t],
+            _ => median(all.iter().map(|x| x[t]).collect()).unwrap_or(f64::NAN),
+        };
+        let middle: Vec<f64> = (0..len).map(middle).collect();
+        let nearby = grid.points(NEARBY_S);
+        let mean = smooth(&middle, nearby);
+        let square = |(x, m): (&f64, &f64)| (x - m).powi(2);
+        let squares: Vec<f64> = middle.iter().zip(&mean).map(square).collect();
+        let motion = smooth(&squares, nearby);
+        let apart =
+            |x: &Vec<f64>| -> Vec<f64> { (0..len).map(|t| (x[t] - middle[t]).abs()).collect() };
+        let apart: Vec<Vec<f64>> = all.iter().map(apart).collect();
+        // what repeats differ by: the middle over everything that is not zero because it is the median itself
+        let usual = apart.iter().flatten().copied().filter(|d| *d > 0.0);
+        let scale = 1.5 * median(usual.collect()).unwrap_or(0.0);
+        let moved = |d: Vec<f64>| {
+            let pairs = d.into_iter().zip(&motion);
+            let moves = |s: &f64| MOTION_SHARE * (2.0 * s).sqrt();
+            pairs
+                .map(|(d, s)| if d > moves(s) { d } else { 0.0 })
+                .collect()
+        };
+        let servo = first.robot.servo(channels[group[0]][j].index);
+        let kp = first.log.meta.kp.unwrap_or(first.robot.kp_nm_per_rad());
+        Some(Self {
+            rad: apart.into_iter().map(moved).collect(),
+            threshold_rad: (TIMES * scale)
+                .max(TORQUE_SHARE * servo.tau_max_nm / kp.max(1e-6))
+                .max(3.0 * servo.encoder_lsb_rad()),
+        })
+    }
+
+    /// Stretches in which repeat `m` is off, and no other is as far: points from, to.
+    fn spans(&self, m: usize, grid: &Grid) -> Vec<(usize, usize)> {
+        let own = &self.rad[m];
+        let alone = |t: usize| {
+            let mut others = self.rad.iter().enumerate();
+            others.all(|(k, d)| k == m || d[t].is_nan() || d[t] <= 0.5 * own[t])
+        };
+        let mut all = spans(
+            own,
+            self.threshold_rad,
+            grid.points(SHORTEST_S),
+            grid.points(0.3),
+        );
+        all.retain(|&(from, to)| {
+            let short = ((to - from) as f64) < LONGEST_SHARE * own.len() as f64;
+            short && (from..to).filter(|&t| alone(t)).count() * 3 >= (to - from) * 2
+        });
+        all
+    }
 }
 
 /// `len` points of `x`, `step` of its points apart, on the line between them.

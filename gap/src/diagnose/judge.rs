@@ -11,57 +11,28 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use caudata_runlog::BaseHold;
-use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
+use super::metric::{Column, TrialMetric};
 use super::noise::Noise;
+use super::nuisances::nuisances;
 use super::pipeline::add_own_misses;
 use super::product::dot;
-use crate::effects::{self, Domain, Place};
+use crate::effects::{Domain, Place};
 use crate::error::GapError;
-use crate::replay::{Data, Piece, Replayer, SegmentOptions, Term, Variant};
+use crate::replay::{Data, Piece, Replayer, SegmentOptions, Term};
 use crate::trial::Kind;
 
 /// Mean square error of one channel in one run, in squared noises, that counts at most.
 const MOST_MISFIT: f64 = 80.0;
-/// Dry and viscous friction may differ by this share from run to run.
-const FRICTION_TOLERANCE: f64 = 0.07;
-/// Before friction slides, its law is a matter of taste: the way to it by this share.
-const PRESLIDING_TOLERANCE: f64 = 0.3;
-/// When in its tick a firmware acts, and its current loop, from joint to joint: s.
-const LOOP_TOLERANCE_S: f64 = 0.000_12;
-/// Rotor inertia by this share.
-const ROTOR_TOLERANCE: f64 = 0.05;
-/// Stamps, integration and bus: s.
-const TIME_TOLERANCE_S: f64 = 0.0007;
-/// Gains by this share (supply and temperature act on them).
-const GAINS_TOLERANCE: f64 = 0.01;
-/// Supply by this share.
-const SUPPLY_TOLERANCE: f64 = 0.015;
-/// When within its loop a servo reads its current, and over how long: s. Between two commands the torque falls as the joint follows, so that this is a current
-/// in proportion to the speed.
-const READING_TOLERANCE_S: f64 = 0.002;
 /// With hinges that nobody drives, engines part by so many times (and not once) what halving the step changes: Rapier at 1 ms from the batch engine at
 /// 2 ms by 1.2 to 4.5 times on one day and 5.2 on another, in the spine of a salamander on a stand in which nothing is hidden. With 5 the second day is a
 /// gap.
 const ENGINES_APART: f32 = 7.0;
 /// Nobody has measured how hard the ground is: what one of a quarter of the file's time constant changes belongs to the floor.
 const HARDER_GROUND: f64 = 4.0;
-/// κ: a nuisance of so many tolerances is as large as the floor. Of a healthy salamander's on a stand one in ten is beyond 0.7
-/// (current) to 3.9 (loop).
-const TOLERANCES: f64 = 4.0;
-/// Ground friction by this share.
-const GROUND_TOLERANCE: f64 = 0.1;
-/// A pool stirs for minutes after somebody has been in it: m/s, along and across.
-const STIR_TOLERANCE_MPS: f64 = 0.005;
-/// Drag by this share: a cable, a wall nearby, bubbles on the skin.
-const DRAG_TOLERANCE: f64 = 0.05;
-/// Buoyancy by this share: temperature, bubbles, what has leaked in.
-const BUOYANCY_TOLERANCE: f64 = 0.005;
 
 /// See [`shown_in`].
 const SHOWS: f64 = 0.01;
-/// A nuisance that does less than this (its share of the floor at κ tolerances) does nothing.
-const LEAST_TRACE: f64 = 1e-5;
 
 /// Runs of one role with their metric.
 pub struct Judge {
@@ -70,67 +41,6 @@ pub struct Judge {
     /// Their noise.
     pub noise: Noise,
     trials: Vec<TrialMetric>,
-}
-
-/// A nuisance's trace in a trial, where it is not zero.
-struct Column {
-    /// Places from the trial's first sample, and values: those of one tolerance times `unit`.
-    parts: Vec<(usize, Vec<f32>)>,
-    /// κ/√n.
-    unit: f32,
-    /// Which nuisance, and of which joint where each has its own: the same in all trials.
-    of: (usize, usize),
-}
-
-impl Column {
-    /// From the trace of one tolerance, which shows in `n` samples.
-    fn new(mut parts: Vec<(usize, Vec<f32>)>, n: usize, of: (usize, usize)) -> Self {
-        let unit = (TOLERANCES / (n.max(1) as f64).sqrt()) as f32;
-        for x in parts.iter_mut().flat_map(|(_, v)| v) {
-            *x *= unit;
-        }
-        Self { parts, unit, of }
-    }
-
-    /// Σ over its places of its values times `x`.
-    fn dot(&self, x: &[f32]) -> f64 {
-        self.parts
-            .iter()
-            .map(|(at, v)| dot(v, &x[*at..at + v.len()]))
-            .sum()
-    }
-
-    /// Σ of products with another.
-    fn times(&self, other: &Self) -> f64 {
-        let mut sum = 0.0;
-        for (a, x) in &self.parts {
-            for (b, y) in &other.parts {
-                let (low, high) = ((*a).max(*b), (a + x.len()).min(b + y.len()));
-                if low < high {
-                    sum += dot(&x[low - a..high - a], &y[low - b..high - b]);
-                }
-            }
-        }
-        sum
-    }
-
-    /// Takes `c` times itself off `x`.
-    fn take_off(&self, c: f32, x: &mut [f32]) {
-        for (at, v) in &self.parts {
-            for (x, v) in x[*at..at + v.len()].iter_mut().zip(v) {
-                *x -= c * v;
-            }
-        }
-    }
-}
-
-/// Whitening of one trial.
-struct TrialMetric {
-    range: Range<usize>,
-    /// Nuisance traces in units of noise. `[K]`
-    columns: Vec<Column>,
-    /// V·diag((1 − 1/√(1+s))/s)·Vᵀ of the Gram matrix V·S·Vᵀ. `[K, K]`
-    shrink: DMatrix<f64>,
 }
 
 impl Judge {
@@ -335,7 +245,6 @@ impl Judge {
                         columns.push(Column::new(whole, n, (number, joints)));
                     }
                 }
-                columns.retain(|c| c.times(c) > LEAST_TRACE);
                 TrialMetric::new(range, columns)
             })
             .collect();
@@ -431,152 +340,6 @@ impl Judge {
     pub fn sound(prediction: &[f32]) -> bool {
         prediction.iter().all(|x| x.is_finite())
     }
-}
-
-impl TrialMetric {
-    fn new(range: Range<usize>, columns: Vec<Column>) -> Self {
-        let k = columns.len();
-        let factor = |s: f64| match s > 1e-9 {
-            true => (1.0 - 1.0 / (1.0 + s).sqrt()) / s,
-            false => 0.5,
-        };
-        // of nothing there is no decomposition
-        let shrink = if k == 0 {
-            DMatrix::zeros(0, 0)
-        } else {
-            let gram = DMatrix::from_fn(k, k, |i, j| columns[i].times(&columns[j]));
-            let eigen = SymmetricEigen::try_new(gram, f64::EPSILON, 100 * k);
-            eigen.map_or_else(
-                || DMatrix::zeros(k, k),
-                |mut eigen| {
-                    eigen.eigenvalues.apply(|s| *s = factor(*s));
-                    eigen.recompose()
-                },
-            )
-        };
-        Self {
-            range,
-            columns,
-            shrink,
-        }
-    }
-
-    fn apply(&self, x: &mut [f32]) {
-        let along = self.columns.iter().map(|c| c.dot(x));
-        let along = DVector::from_iterator(self.columns.len(), along);
-        let shares = &self.shrink * along;
-        for (column, c) in self.columns.iter().zip(shares.iter()) {
-            column.take_off(*c as f32, x);
-        }
-    }
-}
-
-/// A nuisance: a candidate, and which share of its trace is one tolerance.
-struct Nuisance {
-    variant: Variant,
-    share: f32,
-    /// Independent from joint to joint.
-    per_joint: bool,
-}
-
-/// What differs from run to run in a careful lab, and in its pool (`wet`), as candidates on top of `base`.
-fn nuisances(replayer: &Replayer, base: &[Term], wet: bool) -> Vec<Nuisance> {
-    let model = replayer.model();
-    let lane = crate::plant::Plant::nominal(model).lane;
-    let mut plant = crate::plant::Plant::nominal(model);
-    plant.session = 0.5;
-    for term in base {
-        (term.effect.apply)(&mut plant, &term.place, &term.values);
-    }
-    let mean = |x: &[f32]| x.iter().map(|v| f64::from(*v)).sum::<f64>() / x.len().max(1) as f64;
-    let mut out = Vec::new();
-    let mut one = |id: &str, parameter: usize, value: f64, share: f64, per_joint: bool| {
-        let Some(effect) = effects::find(id) else {
-            return;
-        };
-        let Some(place) = effect.places(model).into_iter().next() else {
-            return;
-        };
-        let mut values = effect.neutral(model, &place);
-        values[parameter] = value;
-        let mut variant = base.to_vec();
-        variant.push(Term {
-            effect,
-            place,
-            values,
-        });
-        out.push(Nuisance {
-            variant,
-            share: share as f32,
-            per_joint,
-        });
-    };
-    // a few times the tolerance, scaled back: the trace of a tiny change drowns in rounding
-    if wet {
-        one("water_current", 0, 4.0 * STIR_TOLERANCE_MPS, 0.25, false);
-        one("water_current", 1, 4.0 * STIR_TOLERANCE_MPS, 0.25, false);
-        one(
-            "quadratic_drag",
-            1,
-            1.0 + 3.0 * DRAG_TOLERANCE,
-            1.0 / 3.0,
-            false,
-        );
-        one("buoyancy", 0, 1.0 + 4.0 * BUOYANCY_TOLERANCE, 0.25, false);
-    }
-    let mut add = |id: &str, value: f64, share: f64, per_joint: bool| {
-        one(id, 0, value, share, per_joint);
-    };
-    let friction = mean(&plant.lane.joint_friction_nm).max(0.003 * effective_torque(&lane, model));
-    add(
-        "coulomb_friction",
-        3.0 * FRICTION_TOLERANCE * friction,
-        1.0 / 3.0,
-        true,
-    );
-    let damping = mean(&plant.lane.joint_damping_nms_per_rad);
-    if damping > 0.0 {
-        add(
-            "viscous_friction",
-            3.0 * FRICTION_TOLERANCE * damping,
-            1.0 / 3.0,
-            true,
-        );
-    }
-    let way = mean(
-        &plant
-            .lane
-            .joints
-            .iter()
-            .map(|j| j.presliding_rad)
-            .collect::<Vec<_>>(),
-    );
-    add("pre_sliding", way * (1.0 + PRESLIDING_TOLERANCE), 1.0, true);
-    add("kp_error", 1.0 + 3.0 * GAINS_TOLERANCE, 1.0 / 3.0, true);
-    add("servo_loop_delay", 6.0 * LOOP_TOLERANCE_S, 1.0 / 6.0, true);
-    add(
-        "armature",
-        ROTOR_TOLERANCE * mean(&plant.lane.joint_armature_kgm2).max(1e-4),
-        1.0,
-        true,
-    );
-    add("current_lag", READING_TOLERANCE_S, 1.0, true);
-    add("command_delay", 3.0 * TIME_TOLERANCE_S, 1.0 / 3.0, false);
-    add(
-        "supply_level",
-        1.0 + 3.0 * SUPPLY_TOLERANCE,
-        1.0 / 3.0,
-        false,
-    );
-    if !model.feet().is_empty() {
-        add("contact_friction", 1.0 + GROUND_TOLERANCE, 1.0, false);
-    }
-    out
-}
-
-fn effective_torque(lane: &caudata_sim::LaneParams, model: &caudata_model::RobotModel) -> f64 {
-    let n = lane.torque_scale.len().max(1);
-    (0..n).map(|a| model.servo(a).tau_max_nm).sum::<f64>() / n as f64
 }
 
 fn trial_ranges(data: &Data) -> Vec<Range<usize>> {

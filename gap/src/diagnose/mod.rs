@@ -8,17 +8,22 @@ mod constancy;
 mod divergence;
 mod doubt;
 mod extend;
+mod fits;
 mod floors;
 mod gates;
+mod heard;
 mod judge;
 mod lawful;
 mod leftover;
 mod levels;
+mod lines;
 mod losses;
+mod metric;
 mod motion;
 mod naming;
 mod next;
 mod noise;
+mod nuisances;
 mod pictures;
 mod pipeline;
 mod product;
@@ -31,6 +36,7 @@ mod signature;
 mod spread;
 mod state;
 mod verdict;
+mod words;
 
 use std::sync::Arc;
 
@@ -39,10 +45,10 @@ use caudata_model::RobotModel;
 use crate::effects::{self, DROPPED_FRAMES, Effect};
 use crate::error::GapError;
 use crate::excitation::Excitation;
-use crate::repeats;
 use crate::replay::{Data, Replayer, SegmentOptions};
 use crate::report::{Compute, DataFault, RunUse};
 use crate::trial::{Role, Run, Trial};
+use crate::{reading, repeats};
 
 pub use request::{Diagnosis, Options, Progress, Request, Split, Stage};
 
@@ -71,7 +77,7 @@ pub fn diagnose(
     let mut trials = request
         .runs
         .iter()
-        .map(|run| Trial::new(&model, run))
+        .map(|run| reading::trial(&model, run))
         .collect::<Result<Vec<_>, _>>()?;
     repeats::group(&mut trials);
     let split = hold_out(&mut trials);

@@ -4,10 +4,11 @@ use std::collections::BTreeSet;
 
 use super::alike::{indistinguishable, wider};
 use super::doubt::{much_is_left, one_place};
+use super::fits::{penalised, single, swapped};
 use super::gates::{self, Worth};
 use super::refine::refine;
 use super::screen::{Screened, screen};
-use super::search::{Found, MOST_TERMS, penalised, single, swapped};
+use super::search::{Found, MOST_TERMS};
 use super::state::{Context, State};
 use crate::effects::Domain;
 use crate::error::GapError;
@@ -359,8 +360,8 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
 fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
     let mut chosen: Vec<&Screened> = Vec::new();
     let own = |s: &Screened| s.effect == term.effect;
-    for id in term.effect.look_alikes {
-        let near = screened.iter().filter(|s| s.effect.id == *id);
+    for id in term.effect.look_alikes() {
+        let near = screened.iter().filter(|s| s.effect.id == id);
         // at the same place if it can be there, else wherever it does best
         let mut near: Vec<&Screened> = near.collect();
         near.sort_by_key(|s| s.place != term.place);

@@ -6,7 +6,7 @@ use super::gates;
 use super::naming::Named;
 use super::search::Found;
 use super::signature;
-use super::state::{Context, On, State};
+use super::state::{Context, State};
 use crate::plots::{Horizon, Hypothesis, Overlay, Plots, WaterfallStep};
 use crate::trial::Kind;
 
@@ -65,47 +65,35 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
                     .map(|c| (t.span_s.0 - trial.span_s.0, c))
             })
             .collect();
-        let bands: Vec<(f64, f64)> = range
-            .iter()
-            .map(|&k| {
-                let sigma = f64::from(judge.noise.sigma[k]);
-                let own = data.value[k];
-                let mut band = (own - sigma, own + sigma);
-                for (shift, c) in &repeats {
-                    let v = c.at(data.time_s[k] + shift);
-                    band = (band.0.min(v), band.1.max(v));
-                }
-                band
-            })
-            .collect();
-        let on = |on: &On| {
-            range
+        let band = |&k: &usize| {
+            let (own, sigma) = (data.value[k], f64::from(judge.noise.sigma[k]));
+            let all = repeats
                 .iter()
-                .map(|&k| f64::from(on.prediction[k]))
-                .collect::<Vec<_>>()
+                .map(|(shift, c)| c.at(data.time_s[k] + shift));
+            all.fold((own - sigma, own + sigma), |(low, high), v| {
+                (low.min(v), high.max(v))
+            })
         };
+        let (low, high): (Vec<f64>, Vec<f64>) = range.iter().map(band).unzip();
+        let of = |x: &dyn Fn(usize) -> f64| -> Vec<f64> { range.iter().map(|&k| x(k)).collect() };
+        let some = |x: Vec<f64>| x.into_iter().map(Some).collect();
         out.push(Overlay {
             run: trial.name.clone(),
             signal: piece.kind.name().to_owned(),
             joint: trial.channels[piece.channel].name.clone(),
             unit: piece.kind.unit().to_owned(),
-            time_s: range.iter().map(|&k| data.time_s[k]).collect(),
-            command: if piece.kind == Kind::Position {
-                range
-                    .iter()
-                    .map(|&k| trial.commands[piece.index].at(data.time_s[k]))
-                    .collect()
-            } else {
-                Vec::new()
+            time_s: of(&|k| data.time_s[k]),
+            command: match piece.kind {
+                Kind::Position => of(&|k| trial.commands[piece.index].at(data.time_s[k])),
+                _ => Vec::new(),
             },
-            measured: range.iter().map(|&k| Some(data.value[k])).collect(),
-            measured_low: bands.iter().map(|b| Some(b.0)).collect(),
-            measured_high: bands.iter().map(|b| Some(b.1)).collect(),
-            before: on(&found.base.holdout),
-            after: if found.best.terms.is_empty() && context.losses.is_none() {
-                Vec::new()
-            } else {
-                on(&found.best.holdout)
+            measured: some(of(&|k| data.value[k])),
+            measured_low: some(low),
+            measured_high: some(high),
+            before: of(&|k| f64::from(found.base.holdout.prediction[k])),
+            after: match found.best.terms.is_empty() && context.losses.is_none() {
+                true => Vec::new(),
+                false => of(&|k| f64::from(found.best.holdout.prediction[k])),
             },
         });
     }

@@ -56,8 +56,8 @@ mod tests {
 
     #[test]
     fn a_stiffened_gram_has_an_inverse() {
-        // the second column is twice the first
-        let mut gram = gram(&[vec![1.0, 1.0], vec![2.0, 2.0]]);
+        // two columns that are the same
+        let mut gram = gram(&[vec![1.0, 0.0], vec![1.0, 0.0]]);
         assert!(gram.clone().cholesky().is_none());
         stiffen(&mut gram, 0.0);
         assert!(gram.cholesky().is_some());

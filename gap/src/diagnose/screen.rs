@@ -4,6 +4,8 @@
 //! their own. (Joints of a held robot hardly move each other; whoever passes is fitted in earnest afterwards.)
 
 use super::judge::{Judge, concerns};
+use std::borrow::Cow;
+
 use super::product::dot;
 use super::state::{Context, On, State, builds_up};
 use crate::effects::{Domain, Effect, Place};
@@ -44,14 +46,7 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
             _ => all,
         };
         for place in simulated {
-            if (effect.unseen)(&context.excitation, &place).is_some() {
-                continue;
-            }
-            if state
-                .terms
-                .iter()
-                .any(|t| t.effect == effect && t.place == place)
-            {
+            if !open(context, state, effect, &place) {
                 continue;
             }
             for k in 0..effect.grid.len() {
@@ -107,6 +102,13 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
     Ok(out)
 }
 
+/// Whether the runs can show an effect at a place, and the model does not have it.
+fn open(context: &Context, state: &State, effect: &Effect, place: &Place) -> bool {
+    let mut had = state.terms.iter();
+    (effect.unseen)(&context.excitation, place).is_none()
+        && !had.any(|t| t.effect == effect && t.place == *place)
+}
+
 /// Places that a simulated trace speaks for.
 fn judged_places(context: &Context, effect: &'static Effect, simulated: &Place) -> Vec<Place> {
     if effect.domain == Domain::Joints {
@@ -125,6 +127,35 @@ struct Look<'a> {
     dilution: f64,
 }
 
+/// `change` in the channels of a place's joints, and nothing elsewhere.
+fn in_joints_of(place: &Place, judge: &Judge, change: &[f32]) -> Vec<f32> {
+    let mut trace = change.to_vec();
+    for piece in judge.data.segments.iter().flat_map(|s| &s.pieces) {
+        if !concerns(place, piece.kind, piece.index) || !piece.kind.of_joint() {
+            trace[piece.range.clone()].fill(0.0);
+        }
+    }
+    trace
+}
+
+impl Screened {
+    /// Takes a start that promises `gain`: the best stays first.
+    fn take(&mut self, gain: f64, start: Vec<f64>) {
+        let place = if gain > self.gain {
+            self.gain = gain;
+            0
+        } else {
+            1.min(self.starts.len())
+        };
+        self.starts.insert(place, start);
+        // a smooth effect of one parameter has one way down
+        self.starts.truncate(match self.effect.hinge {
+            true => STARTS,
+            false => self.effect.parameters.len().min(2),
+        });
+    }
+}
+
 fn judge(
     context: &Context,
     look: &Look<'_>,
@@ -136,34 +167,17 @@ fn judge(
     out: &mut Vec<Screened>,
 ) {
     let model = context.replayer.model();
-    if (effect.unseen)(&context.excitation, place).is_some() {
-        return;
-    }
-    if state
-        .terms
-        .iter()
-        .any(|t| t.effect == effect && t.place == *place)
-    {
+    if !open(context, state, effect, place) {
         return;
     }
     let n = change.len().max(1) as f64;
     let whole =
         place.domain != Domain::Joints || place.names.is_empty() || model.actuated().len() == 1;
-    let (mut trace, restricted);
-    let trace: &[f32] = if whole {
-        change
-    } else {
-        trace = change.to_vec();
-        for segment in &look.judge.data.segments {
-            for piece in &segment.pieces {
-                if !concerns(place, piece.kind, piece.index) || !piece.kind.of_joint() {
-                    trace[piece.range.clone()].fill(0.0);
-                }
-            }
-        }
-        restricted = trace;
-        &restricted
+    let trace: Cow<'_, [f32]> = match whole {
+        true => change.into(),
+        false => in_joints_of(place, look.judge, change).into(),
     };
+    let trace: &[f32] = &trace;
     let residual = &look.on.residual;
     let (rd, dd) = (dot(residual, trace), dot(trace, trace));
     if dd < 1e-6 * n {
@@ -198,11 +212,11 @@ fn judge(
             })
             .collect()
     };
-    let entry = match out
-        .iter_mut()
-        .find(|s| s.effect == effect && s.place == *place)
-    {
-        Some(entry) => entry,
+    let known = out
+        .iter()
+        .position(|s| s.effect == effect && s.place == *place);
+    let entry = &mut match known {
+        Some(k) => out[k..].first_mut(),
         None => {
             out.push(Screened {
                 effect,
@@ -211,24 +225,10 @@ fn judge(
                 starts: Vec::new(),
                 traces: Vec::new(),
             });
-            let last = out.len() - 1;
-            &mut out[last]
+            out.last_mut()
         }
     };
+    let Some(entry) = entry else { return };
     entry.traces.push((sizes, look.dilution * dd / n));
-    // starts in order of gain: the first is the best
-    if gain > entry.gain {
-        entry.gain = gain;
-        entry.starts.insert(0, start);
-    } else {
-        let place = 1.min(entry.starts.len());
-        entry.starts.insert(place, start);
-    }
-    // a smooth effect of one parameter has one way down
-    let keep = if effect.hinge {
-        STARTS
-    } else {
-        effect.parameters.len().min(2)
-    };
-    entry.starts.truncate(keep);
+    entry.take(gain, start);
 }

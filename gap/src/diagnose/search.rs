@@ -9,14 +9,14 @@
 
 use std::collections::BTreeSet;
 
-use super::alike::{look_alike, wider};
+use super::fits::{Before, best_fits, penalised, polished, single};
 use super::gates::{self, Worth};
 use super::levels::NOTHING_LEFT;
-use super::refine::{Race, refine};
+use super::lines::{Child, Line, chosen_lines, look_alikes, promising};
 use super::request::{Progress, Stage};
 use super::screen::{Screened, screen};
-use super::state::{Context, State, builds_up};
-use crate::effects::{Effect, Place};
+use super::state::{Context, On, State};
+use crate::effects::Place;
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
 
@@ -24,16 +24,6 @@ use crate::replay::{Term, Variant};
 pub const MOST_TERMS: usize = 8;
 /// Candidates that are kept side by side.
 const BEAM: usize = 2;
-/// Lines with a look-alike in the place of one effect that go on beside them where much is left.
-const LOOK_ALIKES: usize = 3;
-/// Most that a line's misfit may be, in that of the best.
-const LINE_FAR_BEHIND: f64 = 2.5;
-/// Candidates that were fitted to a scout and are fitted to everything as well.
-const POLISHED: usize = 4;
-/// Steps of that.
-const POLISHING: usize = 2;
-/// Steps of the last fit.
-const LAST_STEPS: usize = 12;
 /// Screened candidates that are fitted in earnest, per state.
 const FITTED: usize = 12;
 /// The same once something was found.
@@ -49,17 +39,6 @@ const OF_ALL: f64 = 0.035;
 const MUCH: f64 = 2.5;
 /// … this share of what is left.
 const OF_REST: f64 = 0.12;
-/// What an additional parameter must earn: share of the misfit.
-pub const PER_PARAMETER: f64 = 0.015;
-
-/// A model that goes on beside the best.
-struct Line {
-    state: State,
-    /// What it does without: the effect that a look-alike stands for, and those that say the same and more.
-    without: Vec<&'static Effect>,
-    /// Whether the look-alike is one that says the same and more.
-    says_more: bool,
-}
 
 /// What the search found.
 pub struct Found {
@@ -85,36 +64,87 @@ pub fn search(
     context: &mut Context,
     progress: &mut dyn FnMut(Progress),
 ) -> Result<Found, GapError> {
-    let mut base = single(context, Vec::new())?;
-    let mut beam = vec![base.clone()];
-    let mut lines: Vec<Line> = Vec::new();
-    let mut best = base.clone();
-    let mut first = Vec::new();
-    let mut singles: Vec<(State, Worth)> = Vec::new();
-    let mut refused: Vec<(State, Worth)> = Vec::new();
-    let mut tried = 0;
+    let base = single(context, Vec::new())?;
+    let mut search = Search {
+        beam: vec![base.clone()],
+        lines: Vec::new(),
+        found: Found {
+            best: base.clone(),
+            base,
+            first: Vec::new(),
+            singles: Vec::new(),
+            refused: Vec::new(),
+            tried: 0,
+        },
+    };
     for depth in 1..=MOST_TERMS {
         if depth > 1 {
-            if gates::worst(context, &best) < gates::quiet(context) {
+            if gates::worst(context, &search.found.best) < gates::quiet(context) {
                 break;
             }
-            // what runs differ by grows with what was found: more friction drifts by more
-            rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
-            let of_lines = lines.iter_mut().map(|l| &mut l.state);
-            let mut all: Vec<&mut State> = beam.iter_mut().chain(of_lines).collect();
-            reread(context, &mut all)?;
+            search.rebase(context)?;
         }
-        let mut children: Vec<(State, Worth, usize)> = Vec::new();
+        let children = search.children(context, depth, progress)?;
+        if search.step(context, depth, children)? {
+            progress(Progress::new(
+                Stage::Accepted,
+                depth,
+                &search.found.best.label(),
+            ));
+        } else if search.lines.is_empty() {
+            break;
+        }
+    }
+    let mut found = search.found;
+    if !found.best.terms.is_empty() {
+        let terms = found.best.terms.clone();
+        rebase(context, &terms, &mut [&mut found.base, &mut found.best])?;
+        // the metric has changed: what is deleted is compared with what is fitted by the new one, and must be as well
+        found.best = polished(context, found.best)?;
+        let count = found.best.terms.len();
+        found.best = delete(context, &found.base, found.best)?;
+        if found.best.terms.len() < count {
+            found.best = polished(context, found.best)?;
+        }
+    }
+    Ok(found)
+}
+
+/// A search under way.
+struct Search {
+    beam: Vec<State>,
+    lines: Vec<Line>,
+    found: Found,
+}
+
+impl Search {
+    /// What runs differ by grows with what was found: more friction drifts by more.
+    fn rebase(&mut self, context: &mut Context) -> Result<(), GapError> {
+        let Found { base, best, .. } = &mut self.found;
+        rebase(context, &best.terms.clone(), &mut [base, best])?;
+        let of_lines = self.lines.iter_mut().map(|l| &mut l.state);
+        let mut all: Vec<&mut State> = self.beam.iter_mut().chain(of_lines).collect();
+        reread(context, &mut all)
+    }
+
+    /// Everything that the beam and the lines come to with one more effect, best first.
+    fn children(
+        &mut self,
+        context: &Context,
+        depth: usize,
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<Vec<Child>, GapError> {
+        let mut children: Vec<Child> = Vec::new();
         let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
-        let firsts = beam.len();
-        let parents = beam.iter().chain(lines.iter().map(|l| &l.state));
+        let firsts = self.beam.len();
+        let parents = self.beam.iter().chain(self.lines.iter().map(|l| &l.state));
         for (number, parent) in parents.enumerate() {
             progress(Progress::new(Stage::Screening, depth, &parent.label()));
             let mut screened = screen(context, parent)?;
             if number >= firsts {
-                screened.retain(|s| !lines[number - firsts].without.contains(&s.effect));
+                screened.retain(|s| !self.lines[number - firsts].without.contains(&s.effect));
             }
-            tried += screened.len();
+            self.found.tried += screened.len();
             let chosen = choose(&screened, if depth == 1 { FITTED } else { FITTED_LATER });
             progress(Progress::new(Stage::Fitting, depth, &parent.label()));
             for child in expand(context, parent, &chosen, &mut seen)? {
@@ -123,28 +153,38 @@ pub fn search(
                 children.push((child, worth, number));
             }
             if depth == 1 {
-                first = screened;
+                self.found.first = screened;
             }
         }
         children.sort_by(|a, b| penalised(context, &a.0).total_cmp(&penalised(context, &b.0)));
         if depth == 1 {
-            singles = children.iter().map(|(s, w, _)| (s.clone(), *w)).collect();
+            self.found.singles = children.iter().map(|(s, w, _)| (s.clone(), *w)).collect();
         }
-        let good = |(s, w, _): &&(State, Worth, usize)| {
+        Ok(children)
+    }
+
+    /// Takes the best of `children`. Whether there is a new best; without one, lines that may still overtake it go on.
+    fn step(
+        &mut self,
+        context: &Context,
+        depth: usize,
+        children: Vec<Child>,
+    ) -> Result<bool, GapError> {
+        let firsts = self.beam.len();
+        let base = &self.found.base;
+        let good = |(s, w, _): &&Child| {
             w.passed
-                && enough(context, w, &base, last_place(s))
+                && enough(context, w, base, last_place(s))
                 && s.terms.last().is_some_and(|t| gates::matters(context, t))
         };
-        let passed: Vec<State> = children
-            .iter()
-            .filter(|c| match c.2 < firsts {
-                true => good(c),
-                false => overtakes(context, &base, &best, c, good(c)),
-            })
-            .map(|(s, _, _)| s.clone())
-            .collect();
+        let passes = |c: &&Child| match c.2 < firsts {
+            true => good(c),
+            false => overtakes(context, base, &self.found.best, c, good(c)),
+        };
+        let passed = children.iter().filter(passes).map(|(s, _, _)| s.clone());
+        let passed: Vec<State> = passed.collect();
         let mut going_on: Vec<Line> = Vec::new();
-        for (k, line) in lines.drain(..).enumerate() {
+        for (k, line) in self.lines.drain(..).enumerate() {
             let mut own = children.iter().filter(|c| c.2 == firsts + k);
             if let Some((state, _, _)) = own.find(|c| good(c)) {
                 going_on.push(Line {
@@ -153,32 +193,36 @@ pub fn search(
                 });
             }
         }
-        if gates::worst(context, &best) >= MUCH {
+        if gates::worst(context, &self.found.best) >= MUCH {
             going_on.extend(promising(&children, firsts));
         }
         if firsts > 0 {
-            refused = children
-                .into_iter()
-                .filter(|(_, w, number)| *number < firsts && !w.passed && w.fit > 0.0)
-                .map(|(s, w, _)| (s, w))
-                .take(8)
-                .collect();
+            let refused = |(_, w, number): &Child| *number < firsts && !w.passed && w.fit > 0.0;
+            let refused = children.into_iter().filter(refused).map(|(s, w, _)| (s, w));
+            self.found.refused = refused.take(8).collect();
         }
-        let leader = passed
-            .first()
-            .filter(|s| penalised(context, s) < penalised(context, &best));
-        let Some(leader) = leader else {
-            // the best stays; lines may still overtake it
-            beam.clear();
-            lines = chosen_lines(context, &best, &[], going_on)?;
-            if lines.is_empty() {
-                break;
-            }
-            continue;
-        };
-        best = leader.clone();
-        best = delete(context, &base, best)?;
-        let mut next = passed;
+        let ahead = |s: &&State| penalised(context, s) < penalised(context, &self.found.best);
+        if let Some(leader) = passed.first().filter(ahead) {
+            let leader = leader.clone();
+            self.accept(context, depth, leader, passed, going_on)?;
+            return Ok(true);
+        }
+        self.beam.clear();
+        self.lines = chosen_lines(context, &self.found.best, &[], going_on)?;
+        Ok(false)
+    }
+
+    /// Makes `leader` the best, and decides what goes on beside it.
+    fn accept(
+        &mut self,
+        context: &Context,
+        depth: usize,
+        leader: State,
+        mut next: Vec<State>,
+        mut going_on: Vec<Line>,
+    ) -> Result<(), GapError> {
+        let Found { base, first, .. } = &self.found;
+        let mut best = delete(context, base, leader)?;
         next.truncate(BEAM);
         if best.key() != next[0].key() {
             next.insert(0, best.clone());
@@ -192,12 +236,14 @@ pub fn search(
             let lead = next[0].misfit();
             next.retain(|s| s.misfit() < FAR_BEHIND * lead);
         }
-        if gates::worst(context, &best) < NOTHING_LEFT {
+        let little_left = gates::worst(context, &best) < NOTHING_LEFT;
+        if little_left {
             // what is still to be found is small: one way is enough
             next.truncate(1);
         }
-        if gates::worst(context, &best) >= NOTHING_LEFT && depth < MOST_TERMS {
-            let others = look_alikes(context, &base, &first, &best)?;
+        self.lines.clear();
+        if !little_left && depth < MOST_TERMS {
+            let others = look_alikes(context, base, first, &best)?;
             if let Some(other) = others.first()
                 && !other.says_more
                 && penalised(context, &other.state) < penalised(context, &best)
@@ -210,41 +256,12 @@ pub fn search(
                 context.find_basis(&mut next[0])?;
             }
             going_on.extend(others);
-            lines = chosen_lines(context, &best, &next, going_on)?;
+            self.lines = chosen_lines(context, &best, &next, going_on)?;
         }
-        beam = next;
-        progress(Progress::new(Stage::Accepted, depth, &best.label()));
+        self.found.best = best;
+        self.beam = next;
+        Ok(())
     }
-    if !best.terms.is_empty() {
-        rebase(context, &best.terms.clone(), &mut [&mut base, &mut best])?;
-        // the metric has changed: what is deleted is compared with what is fitted by the new one, and must be as well
-        best = polished(context, best)?;
-        let terms = best.terms.len();
-        best = delete(context, &base, best)?;
-        if best.terms.len() < terms {
-            best = polished(context, best)?;
-        }
-    }
-    Ok(Found {
-        base,
-        best,
-        first,
-        singles,
-        refused,
-        tried,
-    })
-}
-
-/// `state` fitted to everything by the present metric.
-fn polished(context: &Context, state: State) -> Result<State, GapError> {
-    let terms = vec![state.terms.clone()];
-    let mut fitted = refine(context, &context.fit, terms, Some(LAST_STEPS), None)?;
-    let fitted = single(context, fitted.swap_remove(0).0)?;
-    Ok(if fitted.fit.misfit <= state.fit.misfit {
-        fitted
-    } else {
-        state
-    })
 }
 
 /// Where the effect that was added last is.
@@ -291,19 +308,6 @@ fn enough(context: &Context, worth: &Worth, base: &State, place: Option<&Place>)
         || (worth.of > MUCH && worth.holdout > OF_REST * worth.of)
 }
 
-/// The first of `children`, which come best first with their worth and the number of their parent, that gains on all runs and is not sure to on held-out
-/// ones, if it is ahead of every child of the first `firsts` parents that is sure to.
-fn promising(children: &[(State, Worth, usize)], firsts: usize) -> Option<Line> {
-    let (state, _, _) = (children.iter())
-        .take_while(|(_, w, number)| *number >= firsts || !w.passed)
-        .find(|(_, w, _)| !w.passed && w.fit > 0.0 && w.holdout > 0.0)?;
-    Some(Line {
-        state: state.clone(),
-        without: Vec::new(),
-        says_more: false,
-    })
-}
-
 /// Takes the tolerances around `terms`, and judges `states` by them.
 fn rebase(
     context: &mut Context,
@@ -322,38 +326,19 @@ fn rebase(
 fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> {
     for state in states {
         let had_basis = !state.basis.is_empty();
-        state.fit = super::state::On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
-        state.holdout = super::state::On::new(
+        state.fit = On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
+        state.holdout = On::new(
             &context.holdout,
             std::mem::take(&mut state.holdout.prediction),
         );
         if let (Some(scout), Some(on)) = (&context.scout, &mut state.scout) {
-            *on = super::state::On::new(&scout.judge, std::mem::take(&mut on.prediction));
+            *on = On::new(&scout.judge, std::mem::take(&mut on.prediction));
         }
         if had_basis {
             context.find_basis(state)?;
         }
     }
     Ok(())
-}
-
-/// A candidate with its predictions.
-///
-/// # Errors
-/// As [`crate::replay::Replayer::predict`].
-pub fn single(context: &Context, terms: Variant) -> Result<State, GapError> {
-    let mut states = context.states(&[terms])?;
-    Ok(states.swap_remove(0))
-}
-
-/// Misfit with what its parameters must have earned. A parameter of one joint can only earn where that joint is measured, so that it owes
-/// the less the more joints there are.
-#[must_use]
-pub fn penalised(context: &Context, state: &State) -> f64 {
-    let model = context.replayer.model();
-    let joints = model.actuated().len().max(1);
-    gates::misfit(context, state)
-        * (1.0 + PER_PARAMETER * state.parameters(model) as f64 / joints as f64)
 }
 
 /// The most promising, not more than a few places of one effect.
@@ -403,152 +388,6 @@ fn expand(
     best_fits(context, variants, &of, number, Before::of(parent))
 }
 
-/// Misfit that fits begin with.
-#[derive(Clone, Copy)]
-struct Before {
-    /// Where candidates are looked at first.
-    look: f64,
-    /// On all runs to fit to.
-    fit: f64,
-}
-
-impl Before {
-    fn of(state: &State) -> Self {
-        Self {
-            look: state.on_scout().misfit,
-            fit: state.fit.misfit,
-        }
-    }
-}
-
-/// Fits and keeps the best of each group.
-fn best_fits(
-    context: &Context,
-    variants: Vec<Variant>,
-    of: &[usize],
-    groups: usize,
-    before: Before,
-) -> Result<Vec<State>, GapError> {
-    let mut best: Vec<Option<(Variant, f64)>> = vec![None; groups];
-    for (whole, judge, from) in [
-        (false, context.first_look(), before.look),
-        (true, &context.fit, before.fit),
-    ] {
-        let slow = |v: &Variant| context.scout.is_some() && v.iter().any(|t| builds_up(t.effect));
-        let own: Vec<usize> = (0..variants.len())
-            .filter(|&i| slow(&variants[i]) == whole)
-            .collect();
-        if own.is_empty() {
-            continue;
-        }
-        let of: Vec<usize> = own.iter().map(|&i| of[i]).collect();
-        let own = own.iter().map(|&i| variants[i].clone()).collect();
-        let fitted = refine(context, judge, own, None, Some(&Race { of: &of, from }))?;
-        for ((terms, cost), &g) in fitted.into_iter().zip(&of) {
-            if best[g].as_ref().is_none_or(|b| cost < b.1) {
-                best[g] = Some((terms, cost));
-            }
-        }
-    }
-    let variants: Vec<Variant> = best.into_iter().flatten().map(|b| b.0).collect();
-    let mut states = context.states(&variants)?;
-    if context.scout.is_some() {
-        polish(context, &mut states)?;
-    }
-    Ok(states)
-}
-
-/// Fits the best of those that were fitted to a scout to everything.
-fn polish(context: &Context, states: &mut [State]) -> Result<(), GapError> {
-    let mut order: Vec<usize> = (0..states.len()).collect();
-    order.sort_by(|&a, &b| {
-        let of = |i: usize| penalised(context, &states[i]);
-        of(a).total_cmp(&of(b))
-    });
-    order.truncate(POLISHED);
-    let variants: Vec<Variant> = order.iter().map(|&i| states[i].terms.clone()).collect();
-    let fitted = refine(context, &context.fit, variants, Some(POLISHING), None)?;
-    let variants: Vec<Variant> = fitted.into_iter().map(|f| f.0).collect();
-    for (i, state) in order.into_iter().zip(context.states(&variants)?) {
-        if state.fit.misfit < states[i].fit.misfit {
-            states[i] = state;
-        }
-    }
-    Ok(())
-}
-
-/// `best` with a look-alike in the place of one of its effects, refitted, best first.
-fn look_alikes(
-    context: &Context,
-    base: &State,
-    first: &[Screened],
-    best: &State,
-) -> Result<Vec<Line>, GapError> {
-    let mut all: Vec<Line> = Vec::new();
-    for (index, term) in best.terms.iter().enumerate() {
-        let mut terms = best.terms.clone();
-        terms.remove(index);
-        let screened;
-        let (screened, without) = if terms.is_empty() {
-            (first, base.clone())
-        } else {
-            let mut without = single(context, terms)?;
-            context.find_basis(&mut without)?;
-            screened = screen(context, &without)?;
-            (screened.as_slice(), without)
-        };
-        let alike = |s: &&Screened| look_alike(term.effect, s.effect);
-        let here =
-            |s: &Screened| s.place.domain == term.place.domain && s.place.items == term.place.items;
-        let mut rivals: Vec<&Screened> = Vec::new();
-        for s in screened.iter().filter(alike) {
-            // at the same place if it can be there, else where it does best
-            match rivals.iter().position(|r| r.effect == s.effect) {
-                Some(k) if here(s) && !here(rivals[k]) => rivals[k] = s,
-                Some(_) => {}
-                None => rivals.push(s),
-            }
-        }
-        let states = swapped(context, best, index, &rivals, &without)?;
-        for (state, rival) in states.into_iter().zip(&rivals) {
-            let mut without = vec![term.effect];
-            let others = rivals.iter().map(|r| r.effect);
-            without.extend(others.filter(|e| *e != rival.effect && wider(term.effect, e)));
-            all.push(Line {
-                state,
-                without,
-                says_more: wider(term.effect, rival.effect),
-            });
-        }
-    }
-    sort_lines(context, &mut all);
-    Ok(all)
-}
-
-fn sort_lines(context: &Context, lines: &mut [Line]) {
-    let of = |l: &Line| penalised(context, &l.state);
-    lines.sort_by(|a, b| of(a).total_cmp(&of(b)));
-}
-
-/// The best of `lines` that are not too far behind `best` and not in the beam.
-fn chosen_lines(
-    context: &Context,
-    best: &State,
-    beam: &[State],
-    mut lines: Vec<Line>,
-) -> Result<Vec<Line>, GapError> {
-    sort_lines(context, &mut lines);
-    let mut seen: BTreeSet<Vec<String>> = beam.iter().map(State::key).collect();
-    lines.retain(|l| {
-        l.state.misfit() < LINE_FAR_BEHIND * best.misfit() && seen.insert(l.state.key())
-    });
-    lines.truncate(LOOK_ALIKES);
-    for line in &mut lines {
-        context.find_basis(&mut line.state)?;
-    }
-    Ok(lines)
-}
-
 /// Deletes effects that the others make superfluous, one by one: those that would not be added now.
 fn delete(context: &Context, base: &State, mut state: State) -> Result<State, GapError> {
     while state.terms.len() > 1 {
@@ -586,32 +425,4 @@ fn delete(context: &Context, base: &State, mut state: State) -> Result<State, Ga
         state = shorter;
     }
     Ok(state)
-}
-
-/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `without`: the model without the term.
-///
-/// # Errors
-/// As [`crate::replay::Replayer::predict`].
-pub fn swapped(
-    context: &Context,
-    state: &State,
-    index: usize,
-    rivals: &[&Screened],
-    without: &State,
-) -> Result<Vec<State>, GapError> {
-    let mut variants = Vec::new();
-    let mut of = Vec::new();
-    for (number, rival) in rivals.iter().enumerate() {
-        for start in &rival.starts {
-            let mut terms = state.terms.clone();
-            terms[index] = Term {
-                effect: rival.effect,
-                place: rival.place.clone(),
-                values: start.clone(),
-            };
-            variants.push(terms);
-            of.push(number);
-        }
-    }
-    best_fits(context, variants, &of, rivals.len(), Before::of(without))
 }

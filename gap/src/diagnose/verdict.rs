@@ -10,20 +10,19 @@ use super::doubt::{Doubts, meet};
 use super::extend::extended;
 use super::floors::floors;
 use super::levels::NOTHING_LEFT;
-use super::naming::{self, Named, Rival};
+use super::naming::{self, Named};
 use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
+use super::words::{evidence, summary};
 use super::{gates, leftover, next, pictures};
 use crate::effects::Place;
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
 use crate::replay::Term;
-use crate::report::{
-    Cause, Compute, DoubtKind, Gain, Rejected, Report, RunUse, Unexplained, Verdict,
-};
+use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Verdict};
 
 /// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no look-alike came near (set `pr`, laws outside the catalogue
 /// included) at least 112 of 126 were right with the catalogue of seeds 73 and 79, and 57 of 57 with the present one (seed 89) …
@@ -83,27 +82,24 @@ pub fn conclude(
     let spread = spread(context, best, &derivatives);
     let mut order: Vec<&Named> = named.iter().collect();
     order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
-    let mut all: Vec<Cause> = Vec::new();
     let are_leads = naming::leads(context, best, &order);
     let found_causes = order.iter().zip(&are_leads).filter(|(_, lead)| !**lead);
     let found_causes: Vec<usize> = found_causes.map(|(n, _)| n.index).collect();
     let doubts = Doubts::about(context, base, best, &derivatives, &found_causes);
-    let undenied = if doubts.much.is_some() {
-        TRUST_IN_PART
-    } else {
-        TRUST
+    let undenied = match doubts.much {
+        Some(_) => TRUST_IN_PART,
+        None => TRUST,
     };
-    for (n, is_lead) in order.iter().zip(&are_leads) {
-        let place = &best.terms[n.index].place;
-        let trust = if *is_lead {
-            TRUST_LEAD
-        } else if doubts.deny(context, place) {
-            TRUST_DENIED
-        } else {
-            undenied
+    let trusted = |(n, is_lead): (&&Named, &bool)| {
+        let trust = match is_lead {
+            true => TRUST_LEAD,
+            false if doubts.deny(context, &best.terms[n.index].place) => TRUST_DENIED,
+            false => undenied,
         };
-        all.push(cause(context, best, n, &spread, trust)?);
-    }
+        cause(context, best, n, &spread, trust)
+    };
+    let all = order.iter().zip(&are_leads).map(trusted);
+    let all: Vec<Cause> = all.collect::<Result<_, _>>()?;
     let losses = (context.losses.as_ref()).map(|l| l.cause(undenied));
     let extension = extended(request, context, best, &all, &order, losses.as_ref());
     let mut are_leads = are_leads.into_iter();
@@ -112,27 +108,19 @@ pub fn conclude(
         .partition(|_| are_leads.next() == Some(true));
     // first what is measured; the rest is found with it in the simulation
     causes.splice(0..0, losses);
-    let unexplained = leftover::leftover(context, found);
+    let mut unexplained = leftover::leftover(context, found);
     let verdict = verdict(context, found, &causes, &doubts, split);
-    let next_experiment = next::next(context, verdict, &causes, found);
-    let summary = summary(
-        context,
-        verdict,
-        (&causes, &leads),
-        &doubts,
-        &unexplained,
-        split,
-        found,
-    );
-    let judge = &context.holdout;
-    let mut before = divergence(judge, &base.holdout, context.seed);
-    let mut after = if best.terms.is_empty() && context.losses.is_none() {
-        Vec::new()
-    } else {
-        divergence(judge, &best.holdout, context.seed)
+    let said = (&causes[..], &leads[..]);
+    let summary = summary(context, verdict, said, &doubts, &unexplained, split, found);
+    if !matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
+        unexplained.clear();
+    }
+    let cells = |on: &On| {
+        let mut cells = divergence(&context.holdout, on, context.seed);
+        cells.truncate(MOST_CELLS);
+        cells
     };
-    before.truncate(MOST_CELLS);
-    after.truncate(MOST_CELLS);
+    let extended_at_all = !best.terms.is_empty() || context.losses.is_some();
     let floor = floors(context, &found.first, best.misfit());
     let mut plots = pictures::plots(context, found, named);
     plots.correlation = correlation(best, &spread);
@@ -140,24 +128,22 @@ pub fn conclude(
         report: Report {
             verdict,
             summary,
-            divergence: before,
-            divergence_after: after,
-            doubts: if causes.is_empty() {
-                Vec::new()
-            } else {
-                doubts.listed(context)
+            divergence: cells(&base.holdout),
+            divergence_after: match extended_at_all {
+                true => cells(&best.holdout),
+                false => Vec::new(),
             },
-            causes,
-            leads,
+            doubts: match causes.is_empty() {
+                true => Vec::new(),
+                false => doubts.listed(context),
+            },
             gain: gain(context, base, best),
-            unexplained: if matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
-                unexplained
-            } else {
-                Vec::new()
-            },
-            next_experiment,
+            unexplained,
+            next_experiment: next::next(context, verdict, &causes, found),
             detection_floor: floor,
             data_faults: Vec::new(),
+            causes,
+            leads,
             runs,
             compute: Compute::default(),
         },
@@ -237,10 +223,12 @@ fn cause(
             if meet(&term.place, &other.place) && rival.short >= 0.0 {
                 same_name += rival.probability.min(named.probability);
             }
-            rejected.push(Rejected {
-                effect: id,
-                reason: format!("says the same with more parameters, and nothing more: misfit {:.2} against {:.2}", rival.state.misfit(), best.misfit()),
-            });
+            let reason = format!(
+                "says the same with more parameters, and nothing more: misfit {:.2} against {:.2}",
+                rival.state.misfit(),
+                best.misfit()
+            );
+            rejected.push(Rejected { effect: id, reason });
         } else if rival.in_set {
             // two names for the very same motions are one hypothesis, as far as these runs go
             let same = indistinguishable(best, &rival.state);
@@ -255,29 +243,25 @@ fn cause(
                 }
             }
         } else if !alternatives.contains(&id) && !rejected.iter().any(|r| r.effect == id) {
-            rejected.push(Rejected {
-                effect: id,
-                reason: format!(
-                    "in its place, refitted, it leaves {:.0} % of what {} explains (misfit {:.2} against {:.2})",
-                    100.0 * rival.short.min(9.99),
-                    term.effect.id,
-                    rival.state.misfit(),
-                    best.misfit()
-                ),
-            });
+            let reason = format!(
+                "in its place, refitted, it leaves {:.0} % of what {} explains (misfit {:.2} against {:.2})",
+                100.0 * rival.short.min(9.99),
+                term.effect.id,
+                rival.state.misfit(),
+                best.misfit()
+            );
+            rejected.push(Rejected { effect: id, reason });
         }
     }
-    let wider = if open.is_empty() {
-        Vec::new()
-    } else {
-        beside(context, best, named.index, &open, spread)?
+    let wider = match open.is_empty() {
+        true => Vec::new(),
+        false => beside(context, best, named.index, &open, spread)?,
     };
     let parameters = parameters(context, best, named.index, spread, &wider);
     // what wants to be larger than it can plausibly be stands in for something else
-    let trust = if parameters.values().any(|p| p.at_bound) {
-        trust.min(TRUST_IN_PART)
-    } else {
-        trust
+    let trust = match parameters.values().any(|p| p.at_bound) {
+        true => trust.min(TRUST_IN_PART),
+        false => trust,
     };
     Ok(Cause {
         effect: term.effect.id.to_owned(),
@@ -297,46 +281,6 @@ fn another(one: &Place, other: &Place) -> bool {
     one.domain == other.domain
         && one.items.len() == other.items.len()
         && one.items.iter().all(|i| !other.items.contains(i))
-}
-
-fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
-    let w = &named.worth;
-    let mut lines = vec![
-        format!(
-            "takes {:.0} % off the misfit of held-out runs ({:.2} to {:.2} in units of the floor; 95 % interval of the fall {:.2} to {:.2})",
-            100.0 * w.holdout / w.of.max(1e-9),
-            w.of,
-            w.of - w.holdout,
-            w.interval.0,
-            w.interval.1
-        ),
-        format!("and {:.2} off that of the runs it was fitted to", w.fit),
-        format!("its mark: {}", term.effect.signature),
-    ];
-    if let Some(first) = named
-        .rivals
-        .iter()
-        .find(|r| r.state.terms[r.index].effect != term.effect)
-    {
-        let other = &first.state.terms[first.index];
-        lines.push(format!(
-            "the next best name, {}, leaves {:.0} % of it",
-            other.place.label(other.effect.id),
-            100.0 * first.short
-        ));
-    }
-    let elsewhere = |r: &&Rival| r.state.terms[r.index].effect == term.effect;
-    if let Some(other) = named.rivals.iter().find(elsewhere) {
-        lines.push(format!(
-            "as {} it leaves {:.0} % of it",
-            other.state.terms[other.index].place.label(term.effect.id),
-            100.0 * other.short
-        ));
-    }
-    if context.fit.noise.repeated {
-        lines.push("the floor comes from repeats".to_owned());
-    }
-    lines
 }
 
 fn gain(context: &Context, base: &State, best: &State) -> BTreeMap<String, Gain> {
@@ -399,106 +343,6 @@ fn ratio_interval(a: &[f64], b: &[f64], seed: u64) -> (f64, f64) {
         .collect();
     ratios.sort_by(f64::total_cmp);
     (ratios[9], ratios[389])
-}
-
-fn summary(
-    context: &Context,
-    verdict: Verdict,
-    (causes, leads): (&[Cause], &[Cause]),
-    doubts: &Doubts<'_>,
-    unexplained: &[Unexplained],
-    split: Split,
-    found: &Found,
-) -> String {
-    let (base, best) = (&found.base, &found.best);
-    let names = |causes: &[Cause]| {
-        let name = |c: &Cause| {
-            let place = if c.location.is_empty() {
-                String::new()
-            } else {
-                format!(" at {}", c.location.join(", "))
-            };
-            format!("{}{place}", c.effect)
-        };
-        let names: Vec<String> = causes.iter().map(name).collect();
-        names.join(" and ")
-    };
-    let (before, after) = (base.holdout.misfit, best.holdout.misfit);
-    let fall = if best.terms.is_empty() {
-        format!("held-out misfit is {after:.2} floors, and was {before:.2}")
-    } else {
-        format!("held-out misfit falls from {before:.2} to {after:.2} floors")
-    };
-    let mut text = match verdict {
-        Verdict::NoGap => format!(
-            "Simulation and measurement agree within what runs differ by (misfit {:.2}); the table of floors says what would have been seen.",
-            base.misfit()
-        ),
-        Verdict::Explained => format!("Explained by {}: {fall}.", names(causes)),
-        Verdict::Ambiguous => {
-            let open: Vec<String> = causes
-                .iter()
-                .filter(|c| c.is_open())
-                .map(Cause::rivals)
-                .collect();
-            format!(
-                "The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.",
-                open.join("; ")
-            )
-        }
-        Verdict::PartlyExplained => {
-            let left = unexplained
-                .first()
-                .map_or(String::new(), |u| format!(", most of it at {}", u.location));
-            // how much is left is in the figures
-            let others = doubts.listed(context).into_iter();
-            let others: String = (others.filter(|d| d.kind != DoubtKind::MuchLeft))
-                .map(|d| format!(" {}", d.detail))
-                .collect();
-            format!(
-                "{} explain a part: {fall}; {:.0} % of it is left{left}.{others}",
-                names(causes),
-                100.0 * best.misfit() / base.misfit().max(1e-9),
-            )
-        }
-        Verdict::Unexplained => format!(
-            "There is a gap (misfit {:.2} floors) that no effect of the catalogue explains.",
-            base.misfit()
-        ),
-        Verdict::InsufficientData => {
-            let close = found.refused.first().map_or(String::new(), |(s, w)| {
-                let name = s
-                    .terms
-                    .last()
-                    .map_or(String::new(), |t| t.place.label(t.effect.id));
-                format!(
-                    " {name} would explain the runs it was fitted to, but: {}.",
-                    w.why
-                )
-            });
-            format!("These runs cannot decide it.{close} See the next experiment.")
-        }
-        Verdict::DataFault => String::new(),
-    };
-    if !leads.is_empty() {
-        let which = match leads {
-            [_] => "which takes less than it leaves: a lead and no finding",
-            _ => "each of which takes less than it leaves: leads and no findings",
-        };
-        text.push_str(&format!(
-            " The model carries {} as well, {which}.",
-            names(leads)
-        ));
-    }
-    if context.losses.is_some() {
-        text.push_str(" Lost frames show in what repeats differ by, not in their mean.");
-    }
-    match split {
-        Split::Given => {}
-        Split::SetAside => text.push_str(" No hold-out was given: every third trial was set aside."),
-        Split::Same => text.push_str(" No hold-out was given and there are too few trials to set any aside: gains are on the very runs that were fitted."),
-    }
-    text
 }
 
 #[cfg(test)]

@@ -59,6 +59,39 @@ impl Entry {
             self.load
         }
     }
+
+    /// Its time, s, and its values in the order of the columns; what is wrong with it, if anything.
+    fn row(&self) -> Result<(f64, Vec<Option<f64>>), String> {
+        let values = [
+            self.timestamp,
+            self.position,
+            self.speed,
+            self.load,
+            self.input_volts,
+            self.temp,
+            self.goal_position,
+        ];
+        if values.iter().any(|v| !v.is_finite()) {
+            return Err(" has a value that is not finite".to_owned());
+        }
+        let counts = self.pwm_counts();
+        if counts.abs() > 1.01 * FULL_DUTY {
+            return Err(format!(
+                ": `load` is {}, beyond ±{FULL_DUTY} PWM counts",
+                self.load
+            ));
+        }
+        let row = vec![
+            self.torque_enable.then_some(self.goal_position),
+            Some(self.position),
+            Some(self.speed),
+            Some((counts / FULL_DUTY).clamp(-1.0, 1.0)),
+            Some(self.temp),
+            Some(f64::from(u8::from(self.torque_enable))),
+            Some(self.input_volts),
+        ];
+        Ok((self.timestamp, row))
+    }
 }
 
 /// Reads a recording of `robot`, which must have one actuated joint.
@@ -85,39 +118,25 @@ pub fn parse(
     bytes: &[u8],
     robot: &RobotModel,
 ) -> Result<Imported, ImportError> {
-    let wrong = |message: String| ImportError::Format {
-        file: file.to_owned(),
-        message,
-    };
     let run: Recording =
-        serde_json::from_slice(bytes).map_err(|e| wrong(e.to_string().replace('\n', " ")))?;
-    let unfit = |message: String| ImportError::Robot {
-        file: file.to_owned(),
-        robot: robot.name().to_owned(),
-        message,
-    };
+        serde_json::from_slice(bytes).map_err(|e| wrong(file, e.to_string().replace('\n', " ")))?;
     let &[joint] = robot.actuated_names().as_slice() else {
-        return Err(unfit(
-            "the recording has one joint; give the robot file of the rig".to_owned(),
-        ));
+        return Err(ImportError::Robot {
+            file: file.to_owned(),
+            robot: robot.name().to_owned(),
+            message: "the recording has one joint; give the robot file of the rig".to_owned(),
+        });
     };
-    let servo = robot.servo(0);
     let good = |x: f64| x.is_finite() && x > 0.0;
     if !(good(run.kp) && good(run.vin) && good(run.mass) && good(run.length)) {
-        return Err(wrong(
-            "`kp`, `vin`, `mass` and `length` must be above zero".to_owned(),
-        ));
+        let message = "`kp`, `vin`, `mass` and `length` must be above zero".to_owned();
+        return Err(wrong(file, message));
     }
-    if run.entries.len() < MIN_ROWS {
-        return Err(wrong(format!(
-            "has {} entries; a run has at least {MIN_ROWS}",
-            run.entries.len()
-        )));
+    let count = run.entries.len();
+    if count < MIN_ROWS {
+        let message = format!("has {count} entries; a run has at least {MIN_ROWS}");
+        return Err(wrong(file, message));
     }
-    let counts_per_rad = f64::from(servo.encoder_counts_per_turn) / std::f64::consts::TAU;
-    let duty_per_rad = run.kp / GAIN_DIVISOR * counts_per_rad / FULL_DUTY;
-    let stall_nm_per_volt = servo.tau_max_nm / servo.reference_supply_v;
-
     let columns = [
         Signal::Command,
         Signal::Position,
@@ -128,61 +147,14 @@ pub fn parse(
     ];
     let mut signals: Vec<Signal> = columns.iter().map(|of| of(joint.to_owned())).collect();
     signals.push(Signal::Voltage);
-    let mut rows = Vec::with_capacity(run.entries.len());
-    for (i, e) in run.entries.iter().enumerate() {
-        let values = [
-            e.timestamp,
-            e.position,
-            e.speed,
-            e.load,
-            e.input_volts,
-            e.temp,
-            e.goal_position,
-        ];
-        if values.iter().any(|v| !v.is_finite()) {
-            return Err(wrong(format!("entry {i} has a value that is not finite")));
-        }
-        if e.pwm_counts().abs() > 1.01 * FULL_DUTY {
-            return Err(wrong(format!(
-                "entry {i}: `load` is {}, beyond ±{FULL_DUTY} PWM counts",
-                e.load
-            )));
-        }
-        let duty = (e.pwm_counts() / FULL_DUTY).clamp(-1.0, 1.0);
-        let row = vec![
-            e.torque_enable.then_some(e.goal_position),
-            Some(e.position),
-            Some(e.speed),
-            Some(duty),
-            Some(e.temp),
-            Some(f64::from(u8::from(e.torque_enable))),
-            Some(e.input_volts),
-        ];
-        rows.push((e.timestamp, row));
-    }
-
-    let mut meta = LogMeta::new(robot.name(), BaseHold::Fixed, rate_hz(&run.entries));
-    meta.notes = format!("imported from {stem}, trajectory {}", run.trajectory);
-    meta.kp = Some(duty_per_rad * run.vin * stall_nm_per_volt);
-    meta.kd = Some(0.0);
-    meta.supply_v = Some(run.vin);
-    let mut put = |key: &str, value| meta.settings.insert(key.to_owned(), value);
-    put("trial", Setting::Text(run.trajectory.clone()));
-    put("motor", Setting::Text(run.motor.clone()));
-    put("kp_register", Setting::Number(run.kp));
-    put("load_mass_kg", Setting::Number(run.mass));
-    put("load_length_m", Setting::Number(run.length));
-
+    let rows = run.entries.iter().enumerate();
+    let rows = rows.map(|(i, e)| {
+        e.row()
+            .map_err(|what| wrong(file, format!("entry {i}{what}")))
+    });
+    let rows: Vec<(f64, Vec<Option<f64>>)> = rows.collect::<Result<_, _>>()?;
     let mut notes = Vec::new();
-    if let Some(counts) = pwm_per_count(&run.entries, counts_per_rad) {
-        let measured = run.kp / counts;
-        put("gain_divisor_measured", Setting::Number(measured));
-        if (measured / GAIN_DIVISOR - 1.0).abs() > GAIN_TOLERANCE {
-            notes.push(format!(
-                "{file}: the PWM readings follow register/{measured:.0}, not register/{GAIN_DIVISOR:.0}; `kp` in log.toml may be off by as much"
-            ));
-        }
-    }
+    let meta = meta(file, stem, &run, robot, &mut notes);
     let off = run.entries.iter().filter(|e| !e.torque_enable).count();
     if off > 0 {
         notes.push(format!(
@@ -197,6 +169,48 @@ pub fn parse(
         rows,
         notes,
     })
+}
+
+fn wrong(file: &str, message: String) -> ImportError {
+    ImportError::Format {
+        file: file.to_owned(),
+        message,
+    }
+}
+
+/// The circumstances of a recording; what contradicts itself goes to `notes`.
+fn meta(
+    file: &str,
+    stem: &str,
+    run: &Recording,
+    robot: &RobotModel,
+    notes: &mut Vec<String>,
+) -> LogMeta {
+    let servo = robot.servo(0);
+    let counts_per_rad = f64::from(servo.encoder_counts_per_turn) / std::f64::consts::TAU;
+    let duty_per_rad = run.kp / GAIN_DIVISOR * counts_per_rad / FULL_DUTY;
+    let stall_nm_per_volt = servo.tau_max_nm / servo.reference_supply_v;
+    let mut meta = LogMeta::new(robot.name(), BaseHold::Fixed, rate_hz(&run.entries));
+    meta.notes = format!("imported from {stem}, trajectory {}", run.trajectory);
+    meta.kp = Some(duty_per_rad * run.vin * stall_nm_per_volt);
+    meta.kd = Some(0.0);
+    meta.supply_v = Some(run.vin);
+    let mut put = |key: &str, value| meta.settings.insert(key.to_owned(), value);
+    put("trial", Setting::Text(run.trajectory.clone()));
+    put("motor", Setting::Text(run.motor.clone()));
+    put("kp_register", Setting::Number(run.kp));
+    put("load_mass_kg", Setting::Number(run.mass));
+    put("load_length_m", Setting::Number(run.length));
+    if let Some(counts) = pwm_per_count(&run.entries, counts_per_rad) {
+        let measured = run.kp / counts;
+        put("gain_divisor_measured", Setting::Number(measured));
+        if (measured / GAIN_DIVISOR - 1.0).abs() > GAIN_TOLERANCE {
+            notes.push(format!(
+                "{file}: the PWM readings follow register/{measured:.0}, not register/{GAIN_DIVISOR:.0}; `kp` in log.toml may be off by as much"
+            ));
+        }
+    }
+    meta
 }
 
 /// `sin_sin_kp200_2026-01-15_10h28m42`, of letters that any file system takes.

@@ -329,6 +329,19 @@ impl<'a> Seen<'a> {
     }
 }
 
+/// What the sensor of joint `a` says of the current that gives a torque, A.
+fn current(plant: &Plant, a: usize, given_nm: f64) -> f32 {
+    let (joint, errors) = (&plant.lane.joints[a], &plant.sensing.currents[a]);
+    // the current is that of a motor that does not saturate
+    let left = 1.0 - f64::from(joint.torque_saturation_per_nm) * given_nm.abs();
+    let true_a = shown_current(
+        given_nm / left.max(1e-3),
+        f64::from(joint.torque_constant_nm_per_a),
+        f64::from(joint.current_dead_band_a),
+    );
+    (f64::from(1.0 + errors.gain) * true_a + f64::from(errors.bias_a)) as f32
+}
+
 fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut Vec<f32>) {
     let (plant, trace) = (seen.plant, seen.trace);
     let n = trace.joints;
@@ -363,18 +376,7 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
         }
         Kind::Torque => out.extend(stamps.joint(trace, 2, i).iter().map(|&x| x as f32)),
         Kind::Current => {
-            let joint = &plant.lane.joints[i];
-            let errors = &sensing.currents[i];
-            let current = |given: f64| {
-                // the current is that of a motor that does not saturate
-                let left = 1.0 - f64::from(joint.torque_saturation_per_nm) * given.abs();
-                let true_a = shown_current(
-                    given / left.max(1e-3),
-                    f64::from(joint.torque_constant_nm_per_a),
-                    f64::from(joint.current_dead_band_a),
-                );
-                (f64::from(1.0 + errors.gain) * true_a + f64::from(errors.bias_a)) as f32
-            };
+            let current = |given_nm: f64| current(plant, i, given_nm);
             let lag_s = f64::from(sensing.current_lag_s[i]);
             if lag_s > 0.0 {
                 let column = trace.lagged::<1>(2 * n + i, lag_s);

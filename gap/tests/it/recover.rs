@@ -173,7 +173,7 @@ fn a_soft_loop_is_named_and_its_score_comes_again_from_the_file() {
     let plain =
         Arc::new(RobotModel::from_bytes("plain", &request.robot_toml, &request.mjcf).unwrap());
     let mut trials: Vec<Trial> = (request.runs.iter().filter(|r| r.role == Role::Holdout))
-        .map(|r| Trial::new(&plain, r).unwrap())
+        .map(|r| caudata_gap::reading::trial(&plain, r).unwrap())
         .collect();
     repeats::group(&mut trials);
     let data = Data::new(

@@ -51,7 +51,7 @@ fn run(
         role: Role::Fit,
         sha256: String::new(),
     };
-    Trial::new(model, &run).unwrap()
+    caudata_gap::reading::trial(model, &run).unwrap()
 }
 
 #[test]

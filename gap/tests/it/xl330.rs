@@ -165,7 +165,7 @@ fn a_real_servo_is_explained_better_than_by_the_usual_models() {
     assert_eq!(runs.len(), 16);
     let trials = runs
         .iter()
-        .map(|r| Trial::new(&model, r).unwrap())
+        .map(|r| caudata_gap::reading::trial(&model, r).unwrap())
         .collect();
     let bench = Bench {
         replayer: Replayer::new(Arc::clone(&model), 2).unwrap(),

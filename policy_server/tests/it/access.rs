@@ -5,11 +5,11 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use caudata_model::RobotModel;
-use caudata_pki::{Authority, Request, Role};
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
 use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve_tls, tls_config};
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
+use caudata_signing::pki::{Authority, Request, Role};
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::Metrics;
 use tokio::sync::watch;
@@ -92,7 +92,7 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     let file = policy();
     let manifest = manifest_of(stream.clone(), &file, 5).unwrap();
 
-    for role in [Role::Robot, Role::Operator, Role::Actor, Role::Router] {
+    for role in [Role::Robot, Role::Actor, Role::Router] {
         let mut client = client(&certificate(&ours, role, role.name()));
         let published = client.publish(manifest.clone(), file.bytes()).await;
         assert_eq!(
@@ -104,6 +104,14 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     let mut learner = client(&certificate(&ours, Role::Learner, "learner"));
     let published = learner.publish(manifest, file.bytes()).await.unwrap();
     assert!(!published.already_present);
+
+    // What operators released is not a learner's to change.
+    let released = StreamName::new("release/flat").unwrap();
+    let release = manifest_of(released, &file, 5).unwrap();
+    let refused = learner.publish(release.clone(), file.bytes()).await;
+    assert_eq!(code(refused).err(), Some(Code::PermissionDenied));
+    let mut operator = client(&certificate(&ours, Role::Operator, "ana"));
+    operator.publish(release, file.bytes()).await.unwrap();
 
     for (role, reads) in [
         (Role::Robot, true),
@@ -135,7 +143,7 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
         "nothing is served in the open"
     );
 
-    drop((learner, stranger, plain));
+    drop((learner, operator, stranger, plain));
     stop.send(true).unwrap();
     server.await.unwrap();
 }
@@ -187,10 +195,46 @@ async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reaso
 #[test]
 fn certificates_that_are_not_there_are_named() {
     let dir = tempfile::tempdir().unwrap();
-    let (path, _) = tls_config(dir.path()).unwrap_err();
+    let (path, _) = tls_config(dir.path()).err().unwrap();
     assert!(path.ends_with("ca.crt"), "{}", path.display());
     let error = RegistryClient::with_tls("https://localhost:1", Some(dir.path())).unwrap_err();
     assert!(error.to_string().contains("ca.crt"), "{error}");
     let error = RegistryClient::with_tls("https://localhost:1", None).unwrap_err();
     assert!(matches!(error, ClientError::Certificates { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn tls_1_2_is_not_spoken() {
+    use tokio_rustls::TlsConnector;
+    use tokio_rustls::rustls::pki_types::pem::PemObject;
+    use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+    use tokio_rustls::rustls::{ClientConfig, RootCertStore, SupportedProtocolVersion, version};
+
+    let dir = tempfile::tempdir().unwrap();
+    let ours = Authority::create(&dir.path().join("ours"), "lab", SystemTime::now()).unwrap();
+    let folder = certificate(&ours, Role::Robot, "robot");
+    let acceptor = tls_config(&certificate(&ours, Role::Server, "server")).unwrap();
+    let shake = async |version: &'static SupportedProtocolVersion| {
+        let mut roots = RootCertStore::empty();
+        let authority = CertificateDer::from_pem_file(folder.join("ca.crt")).unwrap();
+        roots.add(authority).unwrap();
+        let own = CertificateDer::from_pem_file(folder.join("tls.crt")).unwrap();
+        let key = PrivateKeyDer::from_pem_file(folder.join("tls.key")).unwrap();
+        let provider = tokio_rustls::rustls::crypto::ring::default_provider();
+        let config = ClientConfig::builder_with_provider(provider.into())
+            .with_protocol_versions(&[version])
+            .unwrap()
+            .with_root_certificates(roots)
+            .with_client_auth_cert(vec![own], key)
+            .unwrap();
+        let (here, there) = tokio::io::duplex(1 << 16);
+        let server = tokio::spawn(acceptor.accept(there));
+        let name = "localhost".try_into().unwrap();
+        let client = TlsConnector::from(Arc::new(config))
+            .connect(name, here)
+            .await;
+        (client.is_ok(), server.await.unwrap().is_ok())
+    };
+    assert_eq!(shake(&version::TLS13).await, (true, true));
+    assert_eq!(shake(&version::TLS12).await, (false, false));
 }

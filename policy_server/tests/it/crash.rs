@@ -5,16 +5,18 @@ use std::path::Path;
 use std::sync::Arc;
 
 use caudata_durable::OsDisk;
-use caudata_durable::rehearsal::Rehearsal;
 use caudata_policy_server::{Origin, Store, StoreError, StoreLimits};
 use caudata_proto::registry::{
     LabelName, Manifest, QuarantineState, RobotReport, RobotState, SetLabel, StreamName, reverting,
 };
+use caudata_rehearsal::Rehearsal;
 use sha2::{Digest, Sha256};
 
 /// Numbers of the system: no space left, input/output error.
 const ENOSPC: i32 = 28;
 const EIO: i32 = 5;
+/// Too many open files.
+const EMFILE: i32 = 24;
 
 fn stream() -> StreamName {
     StreamName::new("polymander/flat").unwrap()
@@ -95,7 +97,7 @@ fn shown(store: &mut Store) -> Shown {
     for manifest in &records {
         let found = store.read_blob(&manifest.sha256).unwrap();
         assert_eq!(
-            found,
+            *found,
             bytes(manifest.reverts_to.unwrap_or(manifest.version)),
             "whole"
         );
@@ -250,6 +252,7 @@ fn fault_2_a_full_disk_at_any_step_refuses_the_change_and_harms_nothing() {
             assert_eq!(shown(&mut store), old, "{name} at {step}");
             assert_eq!(stray_files(&root), 0, "{name} at {step}");
             assert!(store.read_only().is_none());
+            assert!(store.trouble().is_some());
             // With space again it works, and a restart finds nothing odd.
             change(&mut store).unwrap();
             let new = shown(&mut store);
@@ -262,7 +265,7 @@ fn fault_2_a_full_disk_at_any_step_refuses_the_change_and_harms_nothing() {
 }
 
 #[test]
-fn fault_3_after_a_failed_sync_nothing_is_changed_any_more_and_what_there_is_is_served() {
+fn fault_3_after_a_failed_sync_nothing_is_changed_until_the_disk_is_sound_and_then_it_goes_on() {
     for (name, change) in CHANGES {
         let mut failed = 0;
         for step in 0.. {
@@ -275,7 +278,6 @@ fn fault_3_after_a_failed_sync_nothing_is_changed_any_more_and_what_there_is_is_
             let mut store = Store::open_on(&root, StoreLimits::default(), disk.clone()).unwrap();
             disk.fail_syncs_at(disk.steps() + step, EIO);
             let result = change(&mut store);
-            disk.heal();
             let Err(error) = result else {
                 break;
             };
@@ -284,17 +286,68 @@ fn fault_3_after_a_failed_sync_nothing_is_changed_any_more_and_what_there_is_is_
                 matches!(&error, StoreError::Durable(e) if e.is_sync_failure()),
                 "{name} at {step}: {error}"
             );
+            assert!(store.recover().is_err(), "not while syncs fail");
+            disk.heal();
             assert!(store.read_only().is_some(), "{name} at {step}");
             assert_eq!(shown(&mut store), old, "{name} at {step}: still served");
-            // Not even when the disk seems well again.
+            // Not even when the disk seems well again: first it is made certain what is on it.
             let again = store.publish(manifest(4), &bytes(4)).unwrap_err();
             assert!(matches!(again, StoreError::ReadOnly { .. }), "{again}");
-            drop(store);
-            let mut store = open(&root);
-            assert!(store.read_only().is_none(), "a person started it again");
+            let generation = store.generation();
+            let late = store.recover().unwrap();
+            assert!(store.trouble().is_none(), "{name} at {step}");
+            let found = shown(&mut store);
+            // What shows now is told to watchers.
+            let is_new = found != old && name != "report";
+            assert_eq!(usize::from(is_new), late.len(), "{name} at {step}");
+            if name != "report" {
+                assert!(record_agrees(&root, found != old), "{name} at {step}");
+            }
             store.publish(manifest(9), &bytes(9)).unwrap();
+            assert!(store.generation() > generation, "{name} at {step}");
+            let found = shown(&mut store);
+            // All of it is on the disk: a power cut takes nothing.
+            let below = folder.path().join("cuts");
+            let cuts = disk.cut(disk.steps(), &below).unwrap();
+            drop(store);
+            for left in &cuts {
+                assert_eq!(shown(&mut open(left)), found, "{name} at {step}");
+            }
         }
         assert!(failed >= 3, "{name}: {failed} syncs");
+    }
+}
+
+#[test]
+fn a_process_without_file_handles_refuses_the_change_and_stays_writable() {
+    for (name, change) in CHANGES {
+        for step in 0.. {
+            let folder = tempfile::tempdir().unwrap();
+            let root = folder.path().join("data");
+            let mut store = begin(&root);
+            let old = shown(&mut store);
+            drop(store);
+            let disk = Arc::new(Rehearsal::new(&root).unwrap());
+            let mut store = Store::open_on(&root, StoreLimits::default(), disk.clone()).unwrap();
+            disk.fail_opens_at(disk.steps() + step, EMFILE);
+            let result = change(&mut store);
+            if result.is_ok() {
+                assert!(step > 2, "{name} opens something");
+                break;
+            }
+            assert!(store.recover().is_err());
+            disk.heal();
+            assert!(store.read_only().is_none(), "{name} at {step}");
+            assert!(store.trouble().is_some(), "{name} at {step}: it says so");
+            assert_eq!(shown(&mut store), old, "{name} at {step}");
+            assert!(store.recover().unwrap().is_empty());
+            assert!(store.trouble().is_none(), "{name} at {step}");
+            change(&mut store).unwrap();
+            let new = shown(&mut store);
+            drop(store);
+            assert_eq!(shown(&mut open(&root)), new, "{name} at {step}");
+            assert!(record_agrees(&root, true), "{name} at {step}");
+        }
     }
 }
 

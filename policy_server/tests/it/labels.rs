@@ -324,9 +324,11 @@ async fn fault_17_the_server_proves_freshness_to_a_nonce() {
         Ok(())
     );
     publish(client, &policy(2)).await.unwrap();
-    assert_eq!(
-        trust.check_fresh(&yesterday, &[2; 32], &stream(), &latest),
-        Err(Stale::OtherQuestion),
+    assert!(
+        matches!(
+            trust.check_fresh(&yesterday, &[2; 32], &stream(), &latest),
+            Err(Stale::OtherQuestion(_))
+        ),
         "replayed"
     );
     let today = client.freshness([2; 32], &stream(), &latest).await.unwrap();

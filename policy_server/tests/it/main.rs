@@ -9,6 +9,7 @@
 
 mod access;
 mod common;
+mod connections;
 mod crash;
 mod labels;
 mod load;

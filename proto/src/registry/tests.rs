@@ -260,7 +260,7 @@ fn manifests_that_cannot_be_are_refused_by_name() {
 fn fetched_pieces_are_bounded_and_never_empty() {
     let data = |bytes| {
         FetchPart::try_from(pb::FetchResponse {
-            part: Some(pb::fetch_response::Part::Data(vec![0; bytes])),
+            part: Some(pb::fetch_response::Part::Data(vec![0; bytes].into())),
         })
     };
     assert!(data(FETCH_CHUNK_BYTES).is_ok());
@@ -299,6 +299,13 @@ fn labels_are_safe_as_file_names_and_reasons_are_one_line() {
     wire.reason = "fell".into();
     wire.walked_s = f64::NAN;
     assert!(RobotReport::try_from(wire).is_err());
+    let mut still = pb::RobotReport::from(RobotReport {
+        state: RobotState::Good,
+        ..report()
+    });
+    assert!(RobotReport::try_from(still.clone()).is_ok());
+    still.walked_s = 0.0;
+    assert!(RobotReport::try_from(still).is_err(), "nobody walked");
     let mut both = pb::GetManifestRequest::from(ManifestRequest {
         stream: manifest().stream,
         version: Some(1),

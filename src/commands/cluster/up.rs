@@ -40,13 +40,14 @@ pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     }
     robot_model::load(&config.robot_path())?;
     let run_id = config.cluster_run_id().to_owned();
-    let folder = RunFolder::of_run(&run_dir(&config), &run_id)?;
+    let view = View::new(args.json);
+    let (root, stop) = (run_dir(&config), &process.stop);
+    let folder = RunFolder::of_run(&root, &run_id, &mut view.wait_for_owner(stop))?;
     config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
     let text = config.to_toml().or_exit(ExitCode::BadConfig)?;
     folder.write("config.toml", text.as_bytes())?;
 
     let programs = Programs::beside_this_one()?;
-    let view = View::new(args.json);
     view.note(&format!("run {run_id} in {}", folder.root().display()));
     if let Some(address) = config.transport.zenoh_listen.first() {
         view.note(&format!(

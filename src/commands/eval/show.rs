@@ -103,8 +103,8 @@ fn body(r: &ScenarioResult) {
     say::line(format!(
         "  stride {:.2} Hz, duty {}, clearance {} cm, slip {:.1} cm/s, vibration {:.1} %, trunk down {:.1} %",
         r.stride_hz.mean,
-        r.duty_factor.map(|d| format!("{d:.2}")).join(" "),
-        r.clearance_m.map(|c| format!("{:.1}", 100.0 * c)).join(" "),
+        each(&r.duty_factor, |d| format!("{d:.2}")),
+        each(&r.clearance_m, |c| format!("{:.1}", 100.0 * c)),
         100.0 * r.slip_mps.mean,
         100.0 * r.vibration_share.mean,
         100.0 * r.trunk_contact_share.mean
@@ -140,12 +140,16 @@ fn shore(t: &TransitionResult) {
     say::line(format!(
         "  in water the body bends at {:.2} Hz, lags behind the head by {}°: {}",
         wave.hz.mean,
-        wave.lag_rad
-            .map(|lag| format!("{:.0}", lag.to_degrees()))
-            .join(" "),
+        each(&wave.lag_rad, |lag| format!("{:.0}", lag.to_degrees())),
         match wave.travels_to_the_tail {
             true => "a wave that travels to the tail",
             false => "no wave that travels to the tail",
         }
     ));
+}
+
+/// Values side by side.
+fn each(values: &[f64], show: impl Fn(f64) -> String) -> String {
+    let shown: Vec<String> = values.iter().map(|&v| show(v)).collect();
+    shown.join(" ")
 }

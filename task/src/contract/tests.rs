@@ -3,6 +3,9 @@
 use super::*;
 use crate::TaskConfig;
 
+const ACT_DIM: usize = 16;
+const FEET: [&str; 4] = ["FL", "FR", "HL", "HR"];
+
 /// The contract of the default task on a made-up robot.
 fn contract() -> PolicyContract {
     let task = TaskConfig::default();
@@ -17,10 +20,10 @@ fn contract() -> PolicyContract {
         kd_nm_s_per_rad: vec![0.15; ACT_DIM],
         control_period_s: task.control_period_s,
         action: task.action,
-        observation: task.layout(),
+        observation: ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), false),
         phase: PhaseContract {
-            feet: ["FL", "FR", "HL", "HR"].map(str::to_owned).to_vec(),
-            offsets_rad: TROT_OFFSETS_RAD.to_vec(),
+            feet: FEET.map(str::to_owned).to_vec(),
+            offsets_rad: (0..4).map(offset_rad).collect(),
             frequency_hz: task.phase.frequency_hz,
             swing_height_m: task.phase.swing_height_m,
             stand_command_norm: task.phase.stand_command_norm,
@@ -84,7 +87,7 @@ fn every_change_is_named_and_changes_the_hash() {
         (D::ControlPeriod, |c| c.control_period_s = 0.01),
         (D::Action, |c| c.action.filter_alpha = 0.15),
         (D::Observation, |c| {
-            c.observation = ObservationLayout::new(true)
+            c.observation = ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), true)
         }),
         (D::Phase, |c| c.phase.swing_height_m = 0.06),
         (D::CommandRange, |c| c.command.vx_mps = [0.0, 0.3]),

@@ -12,7 +12,7 @@ use std::f32::consts::PI;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{checks, require_all};
-use crate::{ACT_DIM, COMMAND_DIM, FEET, JointTable, TaskError};
+use crate::{COMMAND_DIM, JointTable, PerFoot, TaskError};
 
 /// Whether a term pays or costs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -231,29 +231,6 @@ impl Default for RewardConfig {
 }
 
 impl RewardConfig {
-    /// Shapes and weights matched to this robot's speed, with which it learns to walk on flat ground instead of
-    /// vibrating or standing still: narrow tracking kernels (standing must not pay), a strong and narrow phase
-    /// term (steps must pay), and costs on what vibration lives from. To go with
-    /// [`ActionConfig`](crate::action::ActionConfig) `scale = 1.0` and `filter_alpha = 0.15`, a swing of 5 cm,
-    /// and a policy that starts with a standard deviation of 0.6 to 0.8.
-    pub fn matched() -> Self {
-        Self {
-            lin_vel_sigma: 0.05,
-            yaw_rate_sigma: 0.12,
-            phase_sigma: 0.004,
-            weights: RewardWeights {
-                phase: 1.75,
-                power: -3e-3,
-                action_rate: -0.05,
-                slip: -1.0,
-                orientation: -0.5,
-                trunk_contact: -1.0,
-                ..RewardWeights::default()
-            },
-            ..Self::default()
-        }
-    }
-
     /// Factor on all costs after `env_steps` environment steps of the whole run.
     pub fn cost_scale(&self, env_steps: u64) -> f32 {
         if env_steps >= self.costs_full_after_env_steps {
@@ -306,8 +283,8 @@ pub struct RewardInput<'a> {
     pub command: [f32; COMMAND_DIM],
     /// Whether that command is to stand.
     pub standing: bool,
-    /// Phase of each foot after the step, rad, (−π, π].
-    pub phase_rad: [f32; FEET],
+    /// Phase of each foot (of the clock without feet) after the step, rad, (−π, π].
+    pub phase_rad: PerFoot,
     /// How far the heading is to the left of the course that the command holds, rad; 0 where it holds none.
     pub off_course_rad: f32,
     /// Velocity of the whole body's centre of mass, m/s, heading frame.
@@ -319,21 +296,21 @@ pub struct RewardInput<'a> {
     /// Direction of gravity, unit vector, body frame.
     pub gravity: [f32; 3],
     /// Joint positions, rad.
-    pub joint_pos_rad: &'a [f32; ACT_DIM],
+    pub joint_pos_rad: &'a [f32],
     /// Joint velocities, rad/s.
-    pub joint_vel_radps: &'a [f32; ACT_DIM],
+    pub joint_vel_radps: &'a [f32],
     /// Joint velocities after the step before, rad/s.
-    pub previous_joint_vel_radps: &'a [f32; ACT_DIM],
+    pub previous_joint_vel_radps: &'a [f32],
     /// Motor torques, mean over the step, N·m.
-    pub motor_torque_nm: &'a [f32; ACT_DIM],
+    pub motor_torque_nm: &'a [f32],
     /// Mechanical power of each motor, mean over the step, signed, W.
-    pub mech_power_w: &'a [f32; ACT_DIM],
+    pub mech_power_w: &'a [f32],
     /// Height of each foot's lowest point above the ground, m.
-    pub foot_height_m: &'a [f32; FEET],
+    pub foot_height_m: &'a [f32],
     /// Velocity of each foot, m/s, world.
-    pub foot_vel_mps: &'a [[f32; 3]; FEET],
+    pub foot_vel_mps: &'a [[f32; 3]],
     /// Contact force on each foot, mean over the step, N, world.
-    pub foot_force_n: &'a [[f32; 3]; FEET],
+    pub foot_force_n: &'a [[f32; 3]],
     /// Sum of contact forces on everything but the feet, N.
     pub trunk_force_n: f32,
     /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
@@ -341,16 +318,18 @@ pub struct RewardInput<'a> {
     /// 1 while it is that and the ground is out of reach (`task.afloat_above_m`), 0 otherwise.
     pub afloat: f32,
     /// Which feet can be asked to walk, 1 or 0: all of them on land, and in water those with the ground in reach.
-    pub on_ground: [f32; FEET],
+    pub on_ground: PerFoot,
+    /// Which joints move a leg.
+    pub in_leg: &'a [bool],
     /// Joint positions of the swimming pose, rad.
-    pub swimming_rad: &'a [f32; ACT_DIM],
+    pub swimming_rad: &'a [f32],
     /// Position targets of this step before they are cut off at the limits, rad.
-    pub target_rad: &'a [f32; ACT_DIM],
+    pub target_rad: &'a [f32],
     /// The action of this step, clipped.
-    pub action: &'a [f32; ACT_DIM],
+    pub action: &'a [f32],
     /// The action of the step before, clipped.
-    pub previous_action: &'a [f32; ACT_DIM],
+    pub previous_action: &'a [f32],
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,17 +1,11 @@
 //! The value of each term: a pure function, ≥ 0, of one control step.
 
-use std::ops::Range;
-
 use super::{RewardConfig, RewardInput};
 use crate::command::along_course;
 use crate::phase::reference_height_m;
-use crate::{ACT_DIM, FEET};
 
 /// Forward speed at which the wave has the amplitude that is configured, m/s.
 const WAVE_SPEED_MPS: f32 = 0.3;
-
-/// In policy order the legs come last, two joints each.
-const FIRST_LEG_JOINT: usize = ACT_DIM - 2 * crate::FEET;
 
 /// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame (paper), or along the course where one is held.
 pub fn tracking_lin_vel(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
@@ -29,7 +23,7 @@ pub fn tracking_yaw_rate(config: &RewardConfig, input: &RewardInput<'_>) -> f32 
 /// exp(−Σ (z_j − z_ref(φ_j))²/σ_phase), z the height of the foot's lowest point above the ground. Paper;
 /// z_ref of MuJoCo Playground. Feet that cannot reach the ground are left out, so it is 1 afloat.
 pub fn phase(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let error: f32 = (0..FEET)
+    let error: f32 = (0..input.foot_height_m.len())
         .map(|j| {
             let reference_m = reference_height_m(input.phase_rad[j], input.swing_height_m);
             input.on_ground[j] * (input.foot_height_m[j] - reference_m).powi(2)
@@ -62,7 +56,7 @@ pub fn joint_acceleration(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
 /// Σ of how far joints are outside the middle `soft_limit_share` of their range, rad.
 pub fn joint_limits(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let joints = input.joints;
-    (0..ACT_DIM)
+    (0..joints.len())
         .map(|i| {
             let middle = 0.5 * (joints.lower_rad[i] + joints.upper_rad[i]);
             let half = 0.5 * config.soft_limit_share * (joints.upper_rad[i] - joints.lower_rad[i]);
@@ -74,7 +68,7 @@ pub fn joint_limits(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
 /// Σ of how far targets are beyond the joints' limits, rad.
 pub fn target_limits(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let joints = input.joints;
-    (0..ACT_DIM)
+    (0..joints.len())
         .map(|i| {
             let target = input.target_rad[i];
             (target - joints.upper_rad[i])
@@ -129,26 +123,27 @@ pub fn stand_still(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         .sum()
 }
 
-fn squared_distance(a: &[f32; ACT_DIM], b: &[f32; ACT_DIM]) -> f32 {
+fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
 }
 
 /// Mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`) afloat, 1 elsewhere. Not an exponential: that does not pull a leg that hangs, 2.5 rad off.
 pub fn leg_fold(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let folded = |i: usize| {
+    let folded = |i: usize, _| {
         let error = (input.joint_pos_rad[i] - input.swimming_rad[i]).abs();
         (1.0 - error / config.leg_fold_within_rad).max(0.0)
     };
-    judged_afloat(input, || mean(FIRST_LEG_JOINT..ACT_DIM, folded))
+    judged_afloat(input, || mean(input, true, folded))
 }
 
 /// Mean over the body joints, head to tail, of exp(−(q_i − q_wave,i)²/σ) afloat, 1 elsewhere.
 pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let follows = |i: usize| {
-        let error = input.joint_pos_rad[i] - wave_rad(config, input, i);
+    let bodies = input.in_leg.iter().filter(|&&leg| !leg).count();
+    let follows = |i: usize, place: usize| {
+        let error = input.joint_pos_rad[i] - wave_rad(config, input, place, bodies);
         (-error * error / config.wave_sigma).exp()
     };
-    judged_afloat(input, || mean(0..FIRST_LEG_JOINT, follows))
+    judged_afloat(input, || mean(input, false, follows))
 }
 
 /// What asks for swimming pays in full where nobody swims: a robot must not lose by leaving the water. (By entering it, it loses what its style lacks.)
@@ -159,21 +154,30 @@ fn judged_afloat(input: &RewardInput<'_>, value: impl FnOnce() -> f32) -> f32 {
     }
 }
 
-/// Of joints that each earn for themselves: with the exponential of a sum, one leg that is far off hides from the others that they get better.
-fn mean(joints: Range<usize>, value: impl Fn(usize) -> f32) -> f32 {
-    let count = joints.len() as f32;
-    joints.map(value).sum::<f32>() / count
+/// Of the joints that are in a leg, or are not, each of which earns for itself (1 where there is none): with the exponential of a sum, one leg that is
+/// far off hides from the others that they get better. `value` is told a joint and its place among those that count.
+fn mean(input: &RewardInput<'_>, legs: bool, value: impl Fn(usize, usize) -> f32) -> f32 {
+    let all = input.in_leg.iter().enumerate();
+    let (mut sum, mut count) = (0.0, 0);
+    for (joint, _) in all.filter(|&(_, &leg)| leg == legs) {
+        sum += value(joint, count);
+        count += 1;
+    }
+    match count {
+        0 => 1.0,
+        count => sum / count as f32,
+    }
 }
 
-/// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear from head to tail, s the commanded forward speed
+/// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear over the `joints` of the body from head to tail, s the commanded forward speed
 /// over 0.3 m/s, 0 to 1.5. Straight while standing.
-fn wave_rad(config: &RewardConfig, input: &RewardInput<'_>, i: usize) -> f32 {
+fn wave_rad(config: &RewardConfig, input: &RewardInput<'_>, i: usize, joints: usize) -> f32 {
     if input.standing {
         return 0.0;
     }
     let speed = (input.command[0] / WAVE_SPEED_MPS).clamp(0.0, 1.5);
     let [head, tail] = config.wave_amplitude_rad;
-    let along = i as f32 / (FIRST_LEG_JOINT - 1) as f32;
+    let along = i as f32 / (joints.max(2) - 1) as f32;
     let amplitude = head + (tail - head) * along;
     speed * amplitude * (input.phase_rad[0] - i as f32 * config.wave_lag_rad).sin()
 }

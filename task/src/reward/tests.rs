@@ -3,13 +3,46 @@
 use std::f32::consts::PI;
 
 use super::*;
+use crate::PerJoint;
 
+const ACT_DIM: usize = 16;
+const FEET: usize = 4;
 const JOINTS: JointTable = JointTable {
-    nominal_rad: [0.1; ACT_DIM],
-    lower_rad: [-1.0; ACT_DIM],
-    upper_rad: [1.0; ACT_DIM],
+    nominal_rad: PerJoint::filled(ACT_DIM, 0.1),
+    lower_rad: PerJoint::filled(ACT_DIM, -1.0),
+    upper_rad: PerJoint::filled(ACT_DIM, 1.0),
+};
+const NOMINAL: [f32; ACT_DIM] = [0.1; ACT_DIM];
+/// Eight joints of the body, then two of each leg.
+const IN_LEG: [bool; ACT_DIM] = {
+    let mut in_leg = [false; ACT_DIM];
+    let mut i = 8;
+    while i < ACT_DIM {
+        in_leg[i] = true;
+        i += 1;
+    }
+    in_leg
 };
 const ZEROS: [f32; ACT_DIM] = [0.0; ACT_DIM];
+
+/// Shapes and weights other than the defaults, as training on flat ground uses them.
+pub(crate) fn matched() -> RewardConfig {
+    RewardConfig {
+        lin_vel_sigma: 0.05,
+        yaw_rate_sigma: 0.12,
+        phase_sigma: 0.004,
+        weights: RewardWeights {
+            phase: 1.75,
+            power: -3e-3,
+            action_rate: -0.05,
+            slip: -1.0,
+            orientation: -0.5,
+            trunk_contact: -1.0,
+            ..RewardWeights::default()
+        },
+        ..RewardConfig::default()
+    }
+}
 
 /// Standing still in the nominal pose, feet down, with the zero command.
 fn rest() -> RewardInput<'static> {
@@ -19,13 +52,13 @@ fn rest() -> RewardInput<'static> {
         swing_height_m: 0.05,
         command: [0.0; COMMAND_DIM],
         standing: false,
-        phase_rad: [PI; FEET],
+        phase_rad: PerFoot::filled(FEET, PI),
         off_course_rad: 0.0,
         com_vel_mps: [0.0; 3],
         yaw_rate_radps: 0.0,
         gyro_radps: [0.0; 3],
         gravity: [0.0, 0.0, -1.0],
-        joint_pos_rad: &JOINTS.nominal_rad,
+        joint_pos_rad: &NOMINAL,
         joint_vel_radps: &ZEROS,
         previous_joint_vel_radps: &ZEROS,
         motor_torque_nm: &ZEROS,
@@ -36,9 +69,10 @@ fn rest() -> RewardInput<'static> {
         trunk_force_n: 0.0,
         submerged: 0.0,
         afloat: 0.0,
-        on_ground: [1.0; FEET],
+        on_ground: PerFoot::filled(FEET, 1.0),
+        in_leg: &IN_LEG,
         swimming_rad: &ZEROS,
-        target_rad: &JOINTS.nominal_rad,
+        target_rad: &NOMINAL,
         action: &ZEROS,
         previous_action: &ZEROS,
     }
@@ -101,7 +135,7 @@ fn phase_of_the_feet() {
     // φ = 0 asks FL and HR for 5 cm; they are at 2 and 5 cm; FR and HL asked for 0, at 0 and 1 cm:
     // 0.03² + 0 + 0.01² + 0 = 0.001; exp(−0.001/0.01) = 0.904837
     let input = RewardInput {
-        phase_rad: [0.0, PI, PI, 0.0],
+        phase_rad: [0.0, PI, PI, 0.0].into(),
         foot_height_m: &[0.02, 0.0, 0.01, 0.05],
         ..rest()
     };
@@ -110,7 +144,7 @@ fn phase_of_the_feet() {
 
 #[test]
 fn power_counts_braking_as_well() {
-    let power = std::array::from_fn(|i| if i % 2 == 0 { 0.5 } else { -0.25 });
+    let power: [f32; ACT_DIM] = std::array::from_fn(|i| if i % 2 == 0 { 0.5 } else { -0.25 });
     // 8·0.5 + 8·0.25 = 6 W
     check(
         terms::power,
@@ -252,7 +286,7 @@ fn the_reward_is_the_weighted_sum_times_dt() {
     assert!((part("tracking_lin_vel") - 0.013_953_5).abs() < 1e-7);
     assert!((part("power") + 0.000_16).abs() < 1e-9);
     assert_eq!(part("trunk_contact"), 0.0);
-    let _ = evaluate(&RewardConfig::matched(), &input, 0.02, 1.0, &mut parts);
+    let _ = evaluate(&matched(), &input, 0.02, 1.0, &mut parts);
     let part = |name: &str| parts[TERMS.iter().position(|t| t.name == name).unwrap()];
     // Matched: exp(−0.09/0.05) = 0.165299 · 0.02; trunk contact −1·1·0.02.
     assert!((part("tracking_lin_vel") - 0.003_305_98).abs() < 1e-7);
@@ -270,7 +304,7 @@ fn the_table_matches_the_weights() {
             Sense::Cost => weight <= 0.0,
         });
     }
-    RewardConfig::matched().validate().unwrap();
+    matched().validate().unwrap();
 }
 
 #[test]
@@ -328,7 +362,7 @@ fn in_water_legs_fold_instead_of_stepping() {
     };
     check(terms::leg_fold, &input, 0.840_845);
     // One leg that is 2.4 rad off in one joint and 4.4 in the other, (6·0.840845 + 0.236056 + 0)/8 = 0.660141: it hides nothing from the other six.
-    let mut one_off = *input.joint_pos_rad;
+    let mut one_off = input.joint_pos_rad.to_vec();
     (one_off[8], one_off[9]) = (3.0, 5.0);
     let one_leg = RewardInput {
         joint_pos_rad: &one_off,
@@ -337,7 +371,7 @@ fn in_water_legs_fold_instead_of_stepping() {
     check(terms::leg_fold, &one_leg, 0.660_141);
     // Each of the styles pays in full where it is not asked for, so that nothing is lost or won by going from one to the other.
     let input = RewardInput {
-        on_ground: [0.0; FEET],
+        on_ground: [0.0; FEET].into(),
         foot_height_m: &[0.3; FEET],
         ..input
     };
@@ -345,7 +379,7 @@ fn in_water_legs_fold_instead_of_stepping() {
     let on_land = RewardInput {
         submerged: 0.0,
         afloat: 0.0,
-        on_ground: [1.0; FEET],
+        on_ground: PerFoot::filled(FEET, 1.0),
         foot_height_m: &[0.0; FEET],
         ..input
     };
@@ -354,7 +388,7 @@ fn in_water_legs_fold_instead_of_stepping() {
     // Wading, the hind feet over deep water: the fore feet step (2 cm off, exp(−2·0.02²/0.01) = 0.923116), and the belly may touch.
     let wading = RewardInput {
         afloat: 0.0,
-        on_ground: [1.0, 1.0, 0.0, 0.0],
+        on_ground: [1.0, 1.0, 0.0, 0.0].into(),
         foot_height_m: &[0.02, 0.02, 0.3, 0.3],
         trunk_force_n: 100.0,
         ..input
@@ -369,7 +403,7 @@ fn costs_grow_over_the_run_and_rewards_do_not() {
     let config = RewardConfig {
         costs_at_start: 0.2,
         costs_full_after_env_steps: 1000,
-        ..RewardConfig::matched()
+        ..matched()
     };
     // Halfway: 0.2 + 0.8·0.5.
     let scales = [0, 500, 1000, 5000].map(|steps| config.cost_scale(steps));
@@ -409,7 +443,7 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
         submerged: 1.0,
         afloat: 1.0,
         command: [0.15, 0.0, 0.0],
-        phase_rad: [PI / 2.0; FEET],
+        phase_rad: [PI / 2.0; FEET].into(),
         joint_pos_rad: &wave,
         ..rest()
     };

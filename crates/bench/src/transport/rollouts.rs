@@ -10,7 +10,7 @@ use caudata_model::RobotModel;
 use caudata_policy::{Inference, PolicyFile};
 use caudata_proto::{DecodeLimits, Envelope, decode};
 use caudata_studies::{files, flags};
-use caudata_task::{ACT_DIM, PolicyContract};
+use caudata_task::PolicyContract;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Metrics, StopFlag};
 use caudata_transport::Control;
 use serde::Serialize;
@@ -270,8 +270,9 @@ fn bare(
     env.reset_all().or_exit(ExitCode::Internal)?;
     let mut inference = Inference::new(file, 1).or_exit(ExitCode::NoInput)?;
     let lanes = env.lanes();
-    let (mut means, mut actions) = (vec![0.0; lanes * ACT_DIM], vec![0.0; lanes * ACT_DIM]);
-    let std = [1.0_f32; ACT_DIM];
+    let width = env.act_dim();
+    let (mut means, mut actions) = (vec![0.0; lanes * width], vec![0.0; lanes * width]);
+    let std = vec![1.0_f32; width];
     let mut steps_in = |seconds: f64| -> Result<f64, Failure> {
         let mut steps = 0;
         until(seconds, || {
@@ -279,7 +280,7 @@ fn bare(
                 .run(env.observations(), lanes, &mut means)
                 .or_exit(ExitCode::Internal)?;
             for lane in 0..lanes {
-                let row = lane * ACT_DIM..(lane + 1) * ACT_DIM;
+                let row = lane * width..(lane + 1) * width;
                 let action = &mut actions[row.clone()];
                 gaussian::sample(&means[row], &std, env.action_stream(lane), action);
             }

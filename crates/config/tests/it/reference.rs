@@ -153,12 +153,12 @@ fn reference() -> String {
     let defaults: BTreeMap<String, String> = config.entries().into_iter().collect();
     let mut out = String::from(
         "# Configuration\n\n\
-        Made from the doc comments in the code by `crates/config/tests/reference.rs`; edit those, not this file.\n\n\
-        One TOML file describes a run. Layers lie on top of each other, later ones win: the defaults below, a preset\n\
-        (`--preset`), a file (`--config FILE.toml`), single keys (`--set learner.ppo.gamma=0.98`, any number of times). An\n\
+        Made from the doc comments in the code by `crates/config/tests/it/reference.rs`; edit those, not this file.\n\n\
+        One TOML file describes a run. Layers lie on top of each other, later ones win: the defaults below, a preset \
+        (`--preset`), a file (`--config FILE.toml`), single keys (`--set learner.ppo.gamma=0.98`, any number of times). An \
         unknown key is an error that names the nearest known one; every value is checked before anything starts.\n\n\
-        `caudata config show --preset quick` prints every key with its value in effect, `caudata config check --config\n\
-        FILE.toml` only checks. A run folder keeps the configuration in effect as `config.toml`.\n\n\
+        `caudata config show --preset quick` prints every key with its value in effect, \
+        `caudata config check --config FILE.toml` only checks. A run folder keeps the configuration in effect as `config.toml`.\n\n\
         Units are in the names: `_s` seconds, `_m` metres, `_rad` radians, `_nm` N·m, `_mps` m/s, `_radps` rad/s, `_hz` Hz.\n\n\
         Presets:\n\n",
     );
@@ -166,7 +166,30 @@ fn reference() -> String {
         writeln!(out, "- `{}`: {}", preset.name, preset.about).unwrap();
     }
     write_section(&mut out, &described_structs(), "Config", "", &defaults);
-    out
+    let lines: Vec<String> = out.lines().map(wrapped).collect();
+    lines.join("\n") + "\n"
+}
+
+/// `line` in lines of at most 110 characters, unless it is a row of a table.
+fn wrapped(line: &str) -> String {
+    let mut out = String::new();
+    let mut width = 0;
+    for word in line.split(' ').filter(|_| !line.starts_with('|')) {
+        let long = word.chars().count();
+        let (space, more) = match width {
+            0 => ("", 0),
+            _ if width + 1 + long > 110 => ("\n", 0),
+            _ => (" ", width + 1),
+        };
+        out += space;
+        out += word;
+        width = more + long;
+    }
+    if line.starts_with('|') {
+        line.to_owned()
+    } else {
+        out
+    }
 }
 
 #[test]

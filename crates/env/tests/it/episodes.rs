@@ -281,7 +281,7 @@ fn a_course_is_steered_for_observed_and_judged_along() {
         // This engine keeps headings: what is asked for stays, 1/s times the missing angle.
         assert_eq!(env.state().heading_rad[lane], heading_rad[lane]);
         assert!((env.command(lane)[2] - command[2]).abs() < 1e-5);
-        let seen = env.observations()[lane * 97 + caudata_task::layout::COMMAND + 2];
+        let seen = env.observations()[lane * 97 + 46 + 2];
         assert!((seen - command[2]).abs() < 1e-5);
         let course_rad = heading_rad[lane] + command[2];
         let (sin, cos) = course_rad.sin_cos();

@@ -37,9 +37,9 @@ fn mirrored_actions_lead_to_mirrored_observations() {
         )
         .unwrap();
         let mut env = VecEnv::new(Arc::clone(&model), task.clone(), engine, 1, 0).unwrap();
-        let mirror = Mirror::new(&model, &task.layout()).unwrap();
+        let layout = env.contract().observation.clone();
+        let mirror = Mirror::new(&model, &layout).unwrap();
         // Apart for each quantity: large joint velocities must not hide a wrong sign of the gyroscope.
-        let layout = task.layout();
         let parts = [
             "joint_vel",
             "joint_pos_offset",

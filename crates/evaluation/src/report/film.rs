@@ -47,7 +47,7 @@ impl FilmData {
             row.extend([f.trunk_force_n, f.tail_force_n]);
             row
         };
-        let effort = |f: &crate::Frame| [f.torque_nm, f.joint_vel_radps].concat();
+        let effort = |f: &crate::Frame| [&f.torque_nm[..], &f.joint_vel_radps[..]].concat();
         let thinned = frames.iter().step_by(EFFORT_EVERY);
         Some(Self {
             period_s: film.trace.period_s,

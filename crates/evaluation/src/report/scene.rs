@@ -1,6 +1,6 @@
 //! What the replay draws: the robot's shapes and joints, the ground, the water.
 
-use caudata_model::{Geom, JointKind, JointMotion, Link, Pose, RobotModel, Shape};
+use caudata_model::{Geom, JointMotion, Link, Pose, RobotModel, Shape};
 use caudata_sim::Terrain;
 use serde::Serialize;
 
@@ -112,19 +112,14 @@ fn link_scene(model: &RobotModel, index: usize, link: &Link) -> LinkScene {
         pos_m: link.parent_from_link.pos_m,
         quat: link.parent_from_link.quat_wxyz,
         joints: link.joints.clone(),
-        part: if is_leg(model, index) { "leg" } else { "body" },
+        part: if model.leg_of(index).is_some() {
+            "leg"
+        } else {
+            "body"
+        },
         depth: std::iter::successors(link.parent, |&l| up(l)).count(),
         geoms: geoms.collect(),
     }
-}
-
-/// Whether a leg joint is between the link and the base: legs come after spine and tail in policy order.
-fn is_leg(model: &RobotModel, index: usize) -> bool {
-    let chain = std::iter::successors(Some(index), |&l| model.links()[l].parent);
-    let mut joints = chain.flat_map(|l| &model.links()[l].joints);
-    joints.any(|&j| {
-        matches!(model.joints()[j].kind, JointKind::Actuated { index } if index >= crate::wave::YAW_JOINTS)
-    })
 }
 
 fn geom_scene(geom: &Geom, foot: Option<usize>) -> Option<GeomScene> {

@@ -150,7 +150,7 @@ fn a_policy_for_something_else_is_told_apart() {
         refused(|c| c.control_period_s = 0.01),
         part("control period")
     );
-    let medium = caudata_task::ObservationLayout::new(true);
+    let medium = caudata_task::ObservationLayout::new(16, &super::FEET.map(str::to_owned), true);
     let mut expected = contract();
     expected.observation = medium;
     assert_eq!(

@@ -8,9 +8,11 @@ use std::sync::Arc;
 
 use caudata_random::{Key, Purpose, Stream};
 use caudata_task::contract::{CommandContract, PhaseContract};
-use caudata_task::{PolicyContract, TaskConfig};
+use caudata_task::{ObservationLayout, PolicyContract, TaskConfig};
 
 use crate::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
+
+const FEET: [&str; 4] = ["FL", "FR", "HL", "HR"];
 
 /// The contract of the default task on a made-up robot: 97 observations, 16 actions.
 fn contract() -> PolicyContract {
@@ -26,9 +28,9 @@ fn contract() -> PolicyContract {
         kd_nm_s_per_rad: vec![0.15; 16],
         control_period_s: 0.02,
         action: task.action,
-        observation: task.layout(),
+        observation: ObservationLayout::new(16, &FEET.map(str::to_owned), false),
         phase: PhaseContract {
-            feet: ["FL", "FR", "HL", "HR"].map(str::to_owned).to_vec(),
+            feet: FEET.map(str::to_owned).to_vec(),
             offsets_rad: vec![0.0, 3.0, 3.0, 0.0],
             frequency_hz: [1.25, 1.5],
             swing_height_m: 0.05,

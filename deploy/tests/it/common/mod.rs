@@ -165,6 +165,9 @@ fn serve_robot(mut stream: TcpStream) {
                 sensors.tick = command.tick;
                 sensors.time_s = 0.02 * command.tick as f64;
                 if command.torque_enabled {
+                    let before = sensors.joint_pos_rad;
+                    sensors.joint_vel_radps =
+                        std::array::from_fn(|i| (command.targets_rad[i] - before[i]) / 0.02);
                     sensors.joint_pos_rad = command.targets_rad;
                 }
                 let x_m = 0.004 * command.tick as f32;

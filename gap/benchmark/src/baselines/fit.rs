@@ -1,13 +1,11 @@
-//! Fitting turns to a case: least squares, forward selection, evolution.
-
-use caudata_random::{Key, Purpose, Stream};
+//! Fitting turns to a case: least squares, forward selection.
 
 use super::data::{CaseData, DataError};
 use super::setup::{KNOBS, Knob, Setup, Turn, knob_of, turned, turns};
 use crate::truth::linear::solve_spd;
 
 /// Most lanes at once.
-const LANES: usize = 16;
+pub(super) const LANES: usize = 16;
 /// Rounds of least squares.
 const ROUNDS: usize = 6;
 
@@ -34,16 +32,62 @@ impl Fit {
     }
 }
 
-fn square(r: &[f64]) -> f64 {
+pub(super) fn square(r: &[f64]) -> f64 {
     r.iter().map(|x| x * x).sum()
 }
 
-fn in_lanes(data: &CaseData, setups: &[Setup]) -> Result<Vec<Vec<f64>>, DataError> {
+pub(super) fn in_lanes(data: &CaseData, setups: &[Setup]) -> Result<Vec<Vec<f64>>, DataError> {
     let mut all = Vec::new();
     for chunk in setups.chunks(LANES) {
         all.extend(data.residuals(&data.fit, chunk)?);
     }
     Ok(all)
+}
+
+/// JᵀJ (`[n, n]`) and Jᵀr at `x` by differences, `r` the residuals there.
+fn normal_equations(
+    data: &CaseData,
+    turns: &[Turn],
+    x: &[f64],
+    r: &[f64],
+) -> Result<(Vec<f64>, Vec<f64>), DataError> {
+    let n = turns.len();
+    let ahead = |((k, _), x): (&Turn, &f64)| match x + 0.3 * k.scale > k.range.1 {
+        true => -0.3 * k.scale,
+        false => 0.3 * k.scale,
+    };
+    let steps: Vec<f64> = turns.iter().zip(x).map(ahead).collect();
+    let near = |i: usize| {
+        let mut at = x.to_vec();
+        at[i] += steps[i];
+        turned(&data.model, turns, &at)
+    };
+    let near: Vec<Setup> = (0..n).map(near).collect();
+    let moved = in_lanes(data, &near)?;
+    let column = |((m, (k, _)), h): ((&Vec<f64>, &Turn), &f64)| -> Vec<f64> {
+        let pairs = m.iter().zip(r);
+        pairs.map(|(a, b)| (a - b) / (h / k.scale)).collect()
+    };
+    let columns: Vec<Vec<f64>> = moved.iter().zip(turns).zip(&steps).map(column).collect();
+    let (mut normal, mut slope) = (vec![0.0; n * n], vec![0.0; n]);
+    for i in 0..n {
+        slope[i] = columns[i].iter().zip(r).map(|(c, r)| c * r).sum();
+        for j in 0..=i {
+            let dot: f64 = columns[i].iter().zip(&columns[j]).map(|(a, b)| a * b).sum();
+            normal[i * n + j] = dot;
+            normal[j * n + i] = dot;
+        }
+    }
+    Ok((normal, slope))
+}
+
+/// Entry `i` of the diagonal of (JᵀJ)⁻¹, as if residuals were white: what such tools print.
+fn variance(normal: &[f64], n: usize, i: usize) -> Option<f64> {
+    let mut a = normal.to_vec();
+    (0..n).for_each(|k| a[k * n + k] += 1e-9);
+    let mut unit = vec![0.0; n];
+    unit[i] = 1.0;
+    solve_spd(&mut a, &mut unit).then(|| unit[i])
 }
 
 /// Damped Gauss–Newton with differences, from `start`.
@@ -60,45 +104,8 @@ pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<F
     let mut cost = square(&r);
     let mut normal = vec![0.0; n * n];
     for _ in 0..ROUNDS {
-        let steps: Vec<f64> = turns
-            .iter()
-            .zip(&x)
-            .map(|((k, _), &x)| {
-                if x + 0.3 * k.scale > k.range.1 {
-                    -0.3 * k.scale
-                } else {
-                    0.3 * k.scale
-                }
-            })
-            .collect();
-        let near: Vec<Setup> = (0..n)
-            .map(|i| {
-                let mut at = x.clone();
-                at[i] += steps[i];
-                turned(&data.model, turns, &at)
-            })
-            .collect();
-        let moved = in_lanes(data, &near)?;
-        let columns: Vec<Vec<f64>> = moved
-            .iter()
-            .zip(turns)
-            .zip(&steps)
-            .map(|((m, (k, _)), h)| {
-                m.iter()
-                    .zip(&r)
-                    .map(|(a, b)| (a - b) / (h / k.scale))
-                    .collect()
-            })
-            .collect();
-        let mut slope = vec![0.0; n];
-        for i in 0..n {
-            slope[i] = columns[i].iter().zip(&r).map(|(c, r)| c * r).sum();
-            for j in 0..=i {
-                let dot: f64 = columns[i].iter().zip(&columns[j]).map(|(a, b)| a * b).sum();
-                normal[i * n + j] = dot;
-                normal[j * n + i] = dot;
-            }
-        }
+        let (normal_now, slope) = normal_equations(data, turns, &x, &r)?;
+        normal = normal_now;
         let mut tries = Vec::new();
         for d in [damping * 0.1, damping, damping * 10.0, damping * 100.0] {
             let mut a = normal.clone();
@@ -137,23 +144,11 @@ pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<F
         }
         (x, r, cost, damping) = (at, residual, better, d);
     }
-    // (JᵀJ)⁻¹·s², as if residuals were white: what such tools print.
     let white = cost / (r.len().saturating_sub(n)).max(1) as f64;
-    let sd = (0..n)
-        .map(|i| {
-            let mut a = normal.clone();
-            for k in 0..n {
-                a[k * n + k] += 1e-9;
-            }
-            let mut unit = vec![0.0; n];
-            unit[i] = 1.0;
-            if solve_spd(&mut a, &mut unit) {
-                (unit[i] * white).sqrt() * turns[i].0.scale
-            } else {
-                f64::INFINITY
-            }
-        })
-        .collect();
+    let sd = (0..n).map(|i| {
+        variance(&normal, n, i).map_or(f64::INFINITY, |v| (v * white).sqrt() * turns[i].0.scale)
+    });
+    let sd = sd.collect();
     Ok(Fit {
         turns: turns.to_vec(),
         x,
@@ -299,151 +294,4 @@ pub fn forward_selection(data: &CaseData) -> Result<(Fit, Vec<&'static str>), Da
     }
     let names = fit.turns.iter().map(|(k, _)| k.effect).collect();
     Ok((fit, names))
-}
-
-/// Baseline 2: covariance matrix adaptation on delay, armature, viscous and Coulomb friction, and bias (Hansen, "The CMA evolution strategy: a
-/// tutorial", 2016, with its default weights and rates). Names what moved most, in steps that matter.
-///
-/// # Errors
-/// [`DataError`].
-pub fn evolve(data: &CaseData, generations: usize) -> Result<(Fit, Vec<&'static str>), DataError> {
-    const LIST: [&str; 5] = [
-        "command_delay",
-        "armature",
-        "viscous_friction",
-        "coulomb_friction",
-        "encoder_offset",
-    ];
-    let knobs: Vec<&'static Knob> = LIST.iter().filter_map(|id| knob_of(id)).collect();
-    let turns = turns(&knobs, data.model.actuated().len());
-    let n = turns.len();
-    let dim = n as f64;
-    let mut s = Stream::new(Key::for_run(1), Purpose::Action);
-    let parents = LANES / 2;
-    let raw: Vec<f64> = (0..parents)
-        .map(|i| (parents as f64 + 0.5).ln() - (i as f64 + 1.0).ln())
-        .collect();
-    let total: f64 = raw.iter().sum();
-    let weights: Vec<f64> = raw.iter().map(|w| w / total).collect();
-    let mass = 1.0 / weights.iter().map(|w| w * w).sum::<f64>();
-    let cc = (4.0 + mass / dim) / (dim + 4.0 + 2.0 * mass / dim);
-    let cs = (mass + 2.0) / (dim + mass + 5.0);
-    let c1 = 2.0 / ((dim + 1.3).powi(2) + mass);
-    let cmu = (1.0 - c1).min(2.0 * (mass - 2.0 + 1.0 / mass) / ((dim + 2.0).powi(2) + mass));
-    let ds = 1.0 + 2.0 * (((mass - 1.0) / (dim + 1.0)).sqrt() - 1.0).max(0.0) + cs;
-    let expected = dim.sqrt() * (1.0 - 1.0 / (4.0 * dim) + 1.0 / (21.0 * dim * dim));
-    let (mut mean, mut sigma) = (vec![0.0; n], 1.0);
-    let mut cov = vec![0.0; n * n];
-    (0..n).for_each(|i| cov[i * n + i] = 1.0);
-    let (mut pc, mut ps) = (vec![0.0; n], vec![0.0; n]);
-    let place = |y: &[f64]| -> Vec<f64> {
-        y.iter()
-            .zip(&turns)
-            .map(|(y, (k, _))| (y * k.scale).clamp(k.range.0, k.range.1))
-            .collect()
-    };
-    let mut best = (f64::INFINITY, vec![0.0; n], 0usize);
-    for _ in 0..generations {
-        let root = lower(&cov, n);
-        let draws: Vec<Vec<f64>> = (0..LANES)
-            .map(|_| (0..n).map(|_| s.normal_f64()).collect())
-            .collect();
-        let steps: Vec<Vec<f64>> = draws
-            .iter()
-            .map(|z| {
-                (0..n)
-                    .map(|i| (0..=i).map(|k| root[i * n + k] * z[k]).sum())
-                    .collect()
-            })
-            .collect();
-        let points: Vec<Vec<f64>> = steps
-            .iter()
-            .map(|d| (0..n).map(|i| mean[i] + sigma * d[i]).collect())
-            .collect();
-        let setups: Vec<Setup> = points
-            .iter()
-            .map(|y| turned(&data.model, &turns, &place(y)))
-            .collect();
-        let residuals = in_lanes(data, &setups)?;
-        let mut order: Vec<(f64, usize)> = residuals
-            .iter()
-            .enumerate()
-            .map(|(i, r)| (square(r), i))
-            .collect();
-        order.sort_by(|a, b| a.0.total_cmp(&b.0));
-        if order[0].0 < best.0 {
-            best = (order[0].0, place(&points[order[0].1]), residuals[0].len());
-        }
-        let mix = |from: &[Vec<f64>]| -> Vec<f64> {
-            (0..n)
-                .map(|i| {
-                    weights
-                        .iter()
-                        .zip(&order)
-                        .map(|(w, (_, k))| w * from[*k][i])
-                        .sum()
-                })
-                .collect()
-        };
-        let (step, draw) = (mix(&steps), mix(&draws));
-        for i in 0..n {
-            mean[i] += sigma * step[i];
-            // with a triangular root the white step is the mixed draw itself
-            ps[i] = (1.0 - cs) * ps[i] + (cs * (2.0 - cs) * mass).sqrt() * draw[i];
-            pc[i] = (1.0 - cc) * pc[i] + (cc * (2.0 - cc) * mass).sqrt() * step[i];
-        }
-        for i in 0..n {
-            for j in 0..n {
-                let rank: f64 = weights
-                    .iter()
-                    .zip(&order)
-                    .map(|(w, (_, k))| w * steps[*k][i] * steps[*k][j])
-                    .sum();
-                cov[i * n + j] =
-                    (1.0 - c1 - cmu) * cov[i * n + j] + c1 * pc[i] * pc[j] + cmu * rank;
-            }
-        }
-        sigma *= (cs / ds * (square(&ps).sqrt() / expected - 1.0)).exp();
-    }
-    let mut moved: Vec<(f64, &'static str)> = turns
-        .iter()
-        .zip(&best.1)
-        .map(|((k, _), x)| (x.abs() / k.scale, k.effect))
-        .collect();
-    moved.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let names = moved
-        .into_iter()
-        .filter(|m| m.0 > 1.0)
-        .map(|m| m.1)
-        .collect();
-    Ok((
-        Fit {
-            turns,
-            x: best.1,
-            cost: best.0,
-            values: best.2,
-            sd: Vec::new(),
-        },
-        names,
-    ))
-}
-
-/// Lower triangular root of a covariance; what rounding makes negative counts as nothing.
-fn lower(a: &[f64], n: usize) -> Vec<f64> {
-    let mut l = vec![0.0; n * n];
-    for j in 0..n {
-        let mut d = a[j * n + j];
-        for k in 0..j {
-            d -= l[j * n + k] * l[j * n + k];
-        }
-        l[j * n + j] = d.max(1e-12).sqrt();
-        for i in j + 1..n {
-            let mut x = a[i * n + j];
-            for k in 0..j {
-                x -= l[i * n + k] * l[j * n + k];
-            }
-            l[i * n + j] = x / l[j * n + j];
-        }
-    }
-    l
 }

@@ -2,6 +2,7 @@
 //! an unnamed residual; and the oracle, who knows the structure and only fits.
 
 pub mod data;
+pub mod evolve;
 pub mod fit;
 pub mod residual;
 pub mod setup;
@@ -65,7 +66,7 @@ pub fn all(folder: &Path, answer: &Answer) -> Result<Vec<BaselineOutcome>, DataE
         Ok(Some((names, data.holdout_ratio(&fit.setup(&data))?)))
     };
     timed(NAMES[0], &|| judged(fit::fit_all(&data)?))?;
-    timed(NAMES[1], &|| judged(fit::evolve(&data, GENERATIONS)?))?;
+    timed(NAMES[1], &|| judged(evolve::evolve(&data, GENERATIONS)?))?;
     timed(NAMES[2], &|| judged(fit::forward_selection(&data)?))?;
     timed(NAMES[3], &|| {
         Ok(Some((Vec::new(), residual::holdout_ratio(&data)?)))

@@ -117,28 +117,6 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         )
     );
     let wrong_confidence = wrong.iter().map(|c| c.confidence).fold(0.0, f64::max);
-    let right = match answer.block {
-        Block::Null => {
-            verdict == Some(Verdict::NoGap) || (verdict.is_some() && causes.is_empty() && !detected)
-        }
-        Block::Single | Block::Ground | Block::Water => truth.iter().all(|t| t.first),
-        Block::Pair => truth.iter().all(|t| t.named) && !truth.is_empty(),
-        Block::Decoy if answer.fault => {
-            verdict == Some(Verdict::DataFault) || names_fault(answer, given)
-        }
-        Block::Decoy => verdict.is_some() && causes.is_empty(),
-        Block::Outside => matches!(
-            verdict,
-            Some(Verdict::Unexplained | Verdict::PartlyExplained)
-        ),
-        Block::Starved => {
-            // an open question must hold the truth
-            verdict == Some(Verdict::InsufficientData)
-                || (verdict == Some(Verdict::Ambiguous) && truth.iter().any(|t| t.in_set))
-                || truth.iter().all(|t| t.first && t.in_set)
-        }
-        Block::HoldoutChange => causes.is_empty(),
-    };
     let next = given
         .report
         .as_ref()
@@ -180,12 +158,40 @@ pub fn judge(answer: &Answer, given: &Given, joint_links: &[(String, String)]) -
         wrong_confidence,
         confidences: causes.iter().map(|c| (c.confidence, is_true(c))).collect(),
         set_size: (causes.first()).map_or(0, |c| 1 + c.alternatives.len() + c.elsewhere.len()),
-        right,
+        right: right(answer, given, &truth, detected),
         gain_ratio: given.report.as_ref().and_then(gain),
         next_helps,
         truth,
         seconds: given.seconds,
         failure: given.failure.clone(),
+    }
+}
+
+/// Whether the case is answered as it should be, by the rule of its block.
+fn right(answer: &Answer, given: &Given, truth: &[Judged], detected: bool) -> bool {
+    let verdict = given.report.as_ref().map(|r| r.verdict);
+    let unnamed = given.report.as_ref().is_none_or(|r| r.causes.is_empty());
+    match answer.block {
+        Block::Null => {
+            verdict == Some(Verdict::NoGap) || (verdict.is_some() && unnamed && !detected)
+        }
+        Block::Single | Block::Ground | Block::Water => truth.iter().all(|t| t.first),
+        Block::Pair => truth.iter().all(|t| t.named) && !truth.is_empty(),
+        Block::Decoy if answer.fault => {
+            verdict == Some(Verdict::DataFault) || names_fault(answer, given)
+        }
+        Block::Decoy => verdict.is_some() && unnamed,
+        Block::Outside => matches!(
+            verdict,
+            Some(Verdict::Unexplained | Verdict::PartlyExplained)
+        ),
+        Block::Starved => {
+            // an open question must hold the truth
+            verdict == Some(Verdict::InsufficientData)
+                || (verdict == Some(Verdict::Ambiguous) && truth.iter().any(|t| t.in_set))
+                || truth.iter().all(|t| t.first && t.in_set)
+        }
+        Block::HoldoutChange => unnamed,
     }
 }
 

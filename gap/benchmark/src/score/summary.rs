@@ -1,8 +1,10 @@
 //! All cases of a run: the table of the protocol (GAP.md 4.3).
 
+use std::fmt::Display;
+
 use serde::Serialize;
 
-use super::outcome::{CONFIDENT, Outcome};
+use super::outcome::{CONFIDENT, Judged, Outcome};
 use super::wilson::Rate;
 use crate::case::Block;
 
@@ -10,7 +12,7 @@ use crate::case::Block;
 pub const LADDER: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
 /// Id of play at the girdles, and how well it must be found: half a degree, rad.
 const PLAY: &str = "girdle_play";
-const PLAY_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
+const PLAY_WITHIN_RAD: f64 = 0.5 * std::f64::consts::PI / 180.0;
 /// Pairs that make up for each other down to less than this, d, need not be seen.
 const VISIBLE: f64 = 2.0;
 /// Bins of the reliability diagram.
@@ -112,9 +114,6 @@ impl Summary {
     #[must_use]
     pub fn of(all: &[Outcome]) -> Self {
         let block = |b: Block| move |o: &Outcome| o.block == b;
-        let single = block(Block::Single);
-        let first = |o: &Outcome| o.truth.first().is_some_and(|t| t.first);
-        let d = |o: &Outcome| o.truth.first().map_or(0.0, |t| t.d);
         let named = |o: &Outcome| !o.given.is_empty();
         let fault = |o: &Outcome| {
             o.block == Block::Decoy
@@ -122,33 +121,18 @@ impl Summary {
                     .iter()
                     .any(|x| x.name() == o.decoy && x.is_fault())
         };
-        let true_names: Vec<&super::outcome::Judged> = all
+        let true_names: Vec<&Judged> = all
             .iter()
             .filter(|o| single(o) || o.block == Block::Pair)
             .flat_map(|o| &o.truth)
             .collect();
-        let mut errors: Vec<f64> = true_names
-            .iter()
-            .filter(|t| t.d >= 3.0)
-            .filter_map(|t| t.parameter_error)
-            .collect();
-        errors.sort_by(f64::total_cmp);
-        let at = |q: f64| {
-            errors
-                .get(((errors.len() as f64 * q) as usize).min(errors.len().saturating_sub(1)))
-                .copied()
-                .unwrap_or(f64::NAN)
-        };
         let intervals: Vec<bool> = true_names.iter().filter_map(|t| t.interval_holds).collect();
-        let sets: Vec<f64> = all
-            .iter()
-            .filter(|o| single(o) && named(o))
-            .map(|o| o.set_size as f64)
-            .collect();
-        let counted: Vec<&Outcome> = all
-            .iter()
-            .filter(|o| matches!(o.block, Block::Null | Block::Single | Block::Pair))
-            .collect();
+        let counted = |o: &&Outcome| matches!(o.block, Block::Null | Block::Single | Block::Pair);
+        let counted: Vec<&Outcome> = all.iter().filter(counted).collect();
+        let of = |which: &dyn Fn(&Outcome) -> bool, x: &dyn Fn(&Outcome) -> f64| {
+            let mine = all.iter().filter(|o| which(o));
+            mean(&mine.map(x).collect::<Vec<_>>())
+        };
         let (calibration_error, reliability) = calibration(all);
         let seconds: Vec<f64> = all.iter().map(|o| o.seconds).collect();
         Self {
@@ -158,17 +142,7 @@ impl Summary {
             null_gaps: Rate::count(all, block(Block::Null), |o| o.detected && !named(o)),
             decoys_named: Rate::count(all, |o| o.block == Block::Decoy, named),
             faults_found: Rate::count(all, fault, |o| o.right),
-            by_size: LADDER
-                .iter()
-                .map(|&step| {
-                    let here = |o: &Outcome| single(o) && (d(o) / step).ln().abs() < 0.347;
-                    AtSize {
-                        d: step,
-                        detected: Rate::count(all, here, |o| o.detected),
-                        first: Rate::count(all, here, first),
-                    }
-                })
-                .collect(),
+            by_size: LADDER.map(|step| at_size(all, step)).to_vec(),
             first_large: Rate::count(all, |o| single(o) && d(o) >= 3.0, first),
             in_three: Rate::count(all, |o| single(o) && d(o) >= 1.5, |o| o.truth[0].in_three),
             layer: Rate::count(
@@ -182,8 +156,8 @@ impl Summary {
                 |o| o.truth[0].joint_right == Some(true),
             ),
             coverage: Rate::count(all, |o| single(o) && named(o), |o| o.truth[0].in_set),
-            set_size: mean(&sets),
-            parameter_error: (at(0.5), at(0.9)),
+            set_size: of(&|o| single(o) && named(o), &|o| o.set_size as f64),
+            parameter_error: parameter_error(&true_names),
             interval: Rate::new(intervals.iter().filter(|x| **x).count(), intervals.len()),
             pairs_both: Rate::count(all, block(Block::Pair), |o| o.truth.iter().all(|t| t.named)),
             pairs_one: Rate::count(all, block(Block::Pair), |o| o.truth.iter().any(|t| t.named)),
@@ -196,12 +170,7 @@ impl Summary {
             leads: counted.iter().fold((0, 0), |(right, wrong), o| {
                 (right + o.leads.0, wrong + o.leads.1)
             }),
-            wrong_per_single: mean(
-                &all.iter()
-                    .filter(|o| single(o))
-                    .map(|o| o.wrong as f64)
-                    .collect::<Vec<_>>(),
-            ),
+            wrong_per_single: of(&single, &|o| o.wrong as f64),
             outside_flagged: Rate::count(all, block(Block::Outside), |o| o.right),
             outside_wrong: Rate::count(all, block(Block::Outside), |o| {
                 o.wrong_confidence >= CONFIDENT
@@ -210,17 +179,7 @@ impl Summary {
             holdout_change: Rate::count(all, block(Block::HoldoutChange), |o| o.right),
             ground: Rate::count(all, block(Block::Ground), first),
             water: Rate::count(all, block(Block::Water), first),
-            play: Rate::count(
-                all,
-                |o| o.block == Block::Ground && o.truth.iter().any(|t| t.effect == PLAY),
-                |o| {
-                    o.truth.iter().any(|t| {
-                        t.effect == PLAY
-                            && t.joint_right == Some(true)
-                            && t.absolute_error.is_some_and(|e| e <= PLAY_RAD)
-                    })
-                },
-            ),
+            play: play(all),
             calibration_error,
             reliability,
             next_helps: Rate::count(
@@ -235,27 +194,18 @@ impl Summary {
     /// Rows for people: measure, what it came to, what is owed.
     #[must_use]
     pub fn rows(&self) -> Vec<(String, String, &'static str)> {
+        let row =
+            |what: &str, value: &dyn Display, owed| (what.to_owned(), value.to_string(), owed);
+        let percent = |x: f64| format!("{:.1} %", 100.0 * x);
         let mut rows = vec![
-            (
-                "false alarms on nulls (any name)".to_owned(),
-                self.false_alarms.to_string(),
+            row(
+                "false alarms on nulls (any name)",
+                &self.false_alarms,
                 "<= 5 %, upper bound",
             ),
-            (
-                "nulls with a gap but no name".to_owned(),
-                self.null_gaps.to_string(),
-                "",
-            ),
-            (
-                "decoys named as physics".to_owned(),
-                self.decoys_named.to_string(),
-                "<= 5 %",
-            ),
-            (
-                "data faults called so".to_owned(),
-                self.faults_found.to_string(),
-                "",
-            ),
+            row("nulls with a gap but no name", &self.null_gaps, ""),
+            row("decoys named as physics", &self.decoys_named, "<= 5 %"),
+            row("data faults called so", &self.faults_found, ""),
         ];
         for step in &self.by_size {
             let owed = match step.d {
@@ -264,142 +214,94 @@ impl Summary {
                 4.0 => "98 %; name 85 %",
                 _ => "",
             };
-            rows.push((
-                format!("seen at d = {}", step.d),
-                step.detected.to_string(),
+            rows.push(row(
+                &format!("seen at d = {}", step.d),
+                &step.detected,
                 owed,
             ));
-            rows.push((
-                format!("first name right at d = {}", step.d),
-                step.first.to_string(),
+            rows.push(row(
+                &format!("first name right at d = {}", step.d),
+                &step.first,
                 "",
             ));
         }
+        let (median, ninety) = self.parameter_error;
+        let errors = format!("{}, {}", percent(median), percent(ninety));
+        let leads = format!("{}, {}", self.leads.0, self.leads.1);
+        let seconds = format!("{:.1}, {:.1}", self.seconds.0, self.seconds.1);
         rows.extend([
-            (
-                "first name right, d >= 4".to_owned(),
-                self.first_large.to_string(),
-                "85 %",
-            ),
-            (
-                "among the first three, d >= 2".to_owned(),
-                self.in_three.to_string(),
-                "90 %",
-            ),
-            (
-                "layer right, d >= 2".to_owned(),
-                self.layer.to_string(),
-                "93 %",
-            ),
-            (
-                "joint right, d >= 2".to_owned(),
-                self.joint.to_string(),
-                "90 %",
-            ),
-            (
-                "answer set holds the truth".to_owned(),
-                self.coverage.to_string(),
-                "92-98 %",
-            ),
-            (
-                "size of the answer set, mean".to_owned(),
-                format!("{:.2}", self.set_size),
+            row("first name right, d >= 4", &self.first_large, "85 %"),
+            row("among the first three, d >= 2", &self.in_three, "90 %"),
+            row("layer right, d >= 2", &self.layer, "93 %"),
+            row("joint right, d >= 2", &self.joint, "90 %"),
+            row("answer set holds the truth", &self.coverage, "92-98 %"),
+            row(
+                "size of the answer set, mean",
+                &format!("{:.2}", self.set_size),
                 "<= 2",
             ),
-            (
-                "parameter error, median and 90 %, d >= 4".to_owned(),
-                format!(
-                    "{:.1} %, {:.1} %",
-                    100.0 * self.parameter_error.0,
-                    100.0 * self.parameter_error.1
-                ),
+            row(
+                "parameter error, median and 90 %, d >= 4",
+                &errors,
                 "10 %, 30 %",
             ),
-            (
-                "95 % intervals that hold the truth".to_owned(),
-                self.interval.to_string(),
+            row(
+                "95 % intervals that hold the truth",
+                &self.interval,
                 "88-98 %",
             ),
-            (
-                "pairs: both named".to_owned(),
-                self.pairs_both.to_string(),
-                "70 %",
-            ),
-            (
-                "pairs: at least one".to_owned(),
-                self.pairs_one.to_string(),
-                "97 %",
-            ),
-            (
-                "the same, pairs of d >= 2 together".to_owned(),
-                self.pairs_one_visible.to_string(),
+            row("pairs: both named", &self.pairs_both, "70 %"),
+            row("pairs: at least one", &self.pairs_one, "97 %"),
+            row(
+                "the same, pairs of d >= 2 together",
+                &self.pairs_one_visible,
                 "",
             ),
-            (
-                "wrong names per case".to_owned(),
-                format!("{:.3}", self.wrong_per_case),
+            row(
+                "wrong names per case",
+                &format!("{:.3}", self.wrong_per_case),
                 "<= 0.10",
             ),
-            (
-                "leads in the same cases: true, not true".to_owned(),
-                format!("{}, {}", self.leads.0, self.leads.1),
-                "",
-            ),
-            (
-                "outside the catalogue: flagged".to_owned(),
-                self.outside_flagged.to_string(),
+            row("leads in the same cases: true, not true", &leads, ""),
+            row(
+                "outside the catalogue: flagged",
+                &self.outside_flagged,
                 "80 %",
             ),
-            (
-                "outside the catalogue: confident wrong name".to_owned(),
-                self.outside_wrong.to_string(),
+            row(
+                "outside the catalogue: confident wrong name",
+                &self.outside_wrong,
                 "<= 10 %",
             ),
-            (
-                "starved: ambiguous, insufficient or right".to_owned(),
-                self.starved.to_string(),
+            row(
+                "starved: ambiguous, insufficient or right",
+                &self.starved,
                 "",
             ),
-            (
-                "change before the hold-out not sold as a cause".to_owned(),
-                self.holdout_change.to_string(),
+            row(
+                "change before the hold-out not sold as a cause",
+                &self.holdout_change,
                 "",
             ),
-            (
-                "on the ground: first name right".to_owned(),
-                self.ground.to_string(),
-                "",
-            ),
-            (
-                "in water: first name right".to_owned(),
-                self.water.to_string(),
-                "",
-            ),
-            (
-                "girdle play: right hinge, within 0.5 deg".to_owned(),
-                self.play.to_string(),
+            row("on the ground: first name right", &self.ground, ""),
+            row("in water: first name right", &self.water, ""),
+            row(
+                "girdle play: right hinge, within 0.5 deg",
+                &self.play,
                 "found",
             ),
-            (
-                "expected calibration error".to_owned(),
-                format!("{:.3}", self.calibration_error),
+            row(
+                "expected calibration error",
+                &format!("{:.3}", self.calibration_error),
                 "<= 0.07",
             ),
-            (
-                "next experiment separates the truth".to_owned(),
-                self.next_helps.to_string(),
+            row(
+                "next experiment separates the truth",
+                &self.next_helps,
                 "70 %",
             ),
-            (
-                "seconds per case, mean and longest".to_owned(),
-                format!("{:.1}, {:.1}", self.seconds.0, self.seconds.1),
-                "",
-            ),
-            (
-                "diagnoses that failed".to_owned(),
-                self.failed.to_string(),
-                "0",
-            ),
+            row("seconds per case, mean and longest", &seconds, ""),
+            row("diagnoses that failed", &self.failed, "0"),
         ]);
         rows
     }
@@ -417,6 +319,53 @@ pub fn median_gain(all: &[Outcome]) -> f64 {
         .collect();
     ratios.sort_by(f64::total_cmp);
     ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+fn single(o: &Outcome) -> bool {
+    o.block == Block::Single
+}
+
+/// Whether the first name is right.
+fn first(o: &Outcome) -> bool {
+    o.truth.first().is_some_and(|t| t.first)
+}
+
+/// Size of what is hidden first.
+fn d(o: &Outcome) -> f64 {
+    o.truth.first().map_or(0.0, |t| t.d)
+}
+
+/// Singles of about this size.
+fn at_size(all: &[Outcome], step: f64) -> AtSize {
+    let here = |o: &Outcome| single(o) && (d(o) / step).ln().abs() < 0.347;
+    AtSize {
+        d: step,
+        detected: Rate::count(all, here, |o| o.detected),
+        first: Rate::count(all, here, first),
+    }
+}
+
+/// Median and ninetieth percentile at d ≥ 4 (down to 3).
+fn parameter_error(names: &[&Judged]) -> (f64, f64) {
+    let large = names.iter().filter(|t| t.d >= 3.0);
+    let mut errors: Vec<f64> = large.filter_map(|t| t.parameter_error).collect();
+    errors.sort_by(f64::total_cmp);
+    let at = |q: f64| {
+        let k = ((errors.len() as f64 * q) as usize).min(errors.len().saturating_sub(1));
+        errors.get(k).copied().unwrap_or(f64::NAN)
+    };
+    (at(0.5), at(0.9))
+}
+
+/// Play that was found at the right hinge and nearly right.
+fn play(all: &[Outcome]) -> Rate {
+    let has = |o: &Outcome| o.block == Block::Ground && o.truth.iter().any(|t| t.effect == PLAY);
+    let right = |t: &Judged| {
+        t.effect == PLAY
+            && t.joint_right == Some(true)
+            && t.absolute_error.is_some_and(|e| e <= PLAY_WITHIN_RAD)
+    };
+    Rate::count(all, has, |o| o.truth.iter().any(right))
 }
 
 fn mean(x: &[f64]) -> f64 {
@@ -461,7 +410,6 @@ fn calibration(all: &[Outcome]) -> (f64, Vec<Bin>) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::score::outcome::Judged;
 
     fn outcome(block: Block, given: &[&str], truth: Vec<Judged>) -> Outcome {
         Outcome {

@@ -22,6 +22,7 @@ pub struct Server {
     pub address: std::net::SocketAddr,
     pub client: RegistryClient,
     pub metrics: ServerMetrics,
+    pub trouble: watch::Receiver<Option<String>>,
     pub stop: watch::Sender<bool>,
     pub ended: JoinHandle<()>,
 }
@@ -41,13 +42,14 @@ impl Server {
         Self::over(address, store, ServeOptions::default()).await
     }
 
-    async fn over(address: std::net::SocketAddr, store: Store, options: ServeOptions) -> Self {
+    pub async fn over(address: std::net::SocketAddr, store: Store, options: ServeOptions) -> Self {
         let listener = listen(address).await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = watch::channel(false);
         let metrics = ServerMetrics::register(&Metrics::new());
         let counted = metrics.clone();
         let store = SharedStore::new(store);
+        let trouble = store.trouble();
         let ended = tokio::spawn(async move {
             serve_with(listener, store, counted, stopped, options)
                 .await
@@ -57,6 +59,7 @@ impl Server {
             address,
             client: RegistryClient::new(&address.to_string()).unwrap(),
             metrics,
+            trouble,
             stop,
             ended,
         }
@@ -75,20 +78,29 @@ pub fn stream() -> StreamName {
 
 /// A real policy file whose weights depend on `version`.
 pub fn policy(version: u64) -> PolicyFile {
+    policy_of(version, None)
+}
+
+/// As [`policy`], with a hidden layer.
+pub fn policy_of(version: u64, hidden: Option<usize>) -> PolicyFile {
     let robot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots/polymander.robot.toml");
     let model = RobotModel::load(&robot).unwrap();
     let contract = PolicyContract::new(&model, &TaskConfig::default()).unwrap();
     let (obs, act) = (contract.obs_dim(), contract.act_dim());
+    let dense = |out, input| Dense {
+        out,
+        input,
+        weight: vec![version as f32; out * input],
+        bias: vec![0.0; out],
+    };
     let spec = MlpSpec {
         obs_mean: vec![0.0; obs],
         obs_std: vec![1.0; obs],
         obs_clip: None,
-        layers: vec![Dense {
-            out: act,
-            input: obs,
-            weight: vec![version as f32; act * obs],
-            bias: vec![0.0; act],
-        }],
+        layers: match hidden {
+            None => vec![dense(act, obs)],
+            Some(hidden) => vec![dense(hidden, obs), dense(act, hidden)],
+        },
         activation: Activation::Elu,
     };
     let metadata = PolicyMetadata {

@@ -36,11 +36,17 @@ fn modules_do_not_import_in_circles() {
     let packages: BTreeSet<&String> = sources.iter().map(|s| &s.package).collect();
     for package in packages {
         for root in ["lib", "main"] {
-            let folder = if package == "." { "src/".to_owned() } else { format!("{package}/src/") };
+            let folder = if package == "." {
+                "src/".to_owned()
+            } else {
+                format!("{package}/src/")
+            };
             let files: BTreeMap<&str, &Source> = (sources.iter())
                 .filter_map(|s| Some((s.path.strip_prefix(&folder)?.strip_suffix(".rs")?, s)))
                 .collect();
-            let mut whole = Crate { modules: BTreeMap::new() };
+            let mut whole = Crate {
+                modules: BTreeMap::new(),
+            };
             whole.add(&files, root, vec!["crate".into()]);
             for circle in whole.circles() {
                 let what = format!("{}{}", circle.join(" "), whole.story(&circle));
@@ -54,7 +60,9 @@ fn modules_do_not_import_in_circles() {
 impl Crate {
     /// Adds the module in `file` (without `.rs`), and those that it declares.
     fn add(&mut self, files: &BTreeMap<&str, &Source>, file: &str, path: Path) {
-        let Some(source) = files.get(file) else { return };
+        let Some(source) = files.get(file) else {
+            return;
+        };
         let module = Module::read(&source.tokens);
         let folder = match file.rsplit_once('/') {
             _ if file == "lib" || file == "main" => String::new(),
@@ -102,8 +110,12 @@ impl Crate {
                 return self.resolve(at, names, depth + 1);
             }
             for glob in &module.globs {
-                let from = self.resolve(at, &[glob.clone(), vec![name.clone()]].concat(), depth + 1);
-                if from.as_ref().is_some_and(|m| self.modules[m].defined.contains(name)) {
+                let from =
+                    self.resolve(at, &[glob.clone(), vec![name.clone()]].concat(), depth + 1);
+                if from
+                    .as_ref()
+                    .is_some_and(|m| self.modules[m].defined.contains(name))
+                {
                     return from;
                 }
             }
@@ -116,9 +128,10 @@ impl Crate {
         let mut all = BTreeMap::new();
         for (here, module) in &self.modules {
             let mut used = BTreeMap::new();
-            let imported = module.imports.iter().filter(|(name, _)| {
-                module.named.iter().any(|path| path[0] == **name)
-            });
+            let imported = module
+                .imports
+                .iter()
+                .filter(|(name, _)| module.named.iter().any(|path| path[0] == **name));
             let through_globs = module.globs.iter().flat_map(|glob| {
                 let single = module.named.iter().map(|path| &path[0]);
                 single.map(move |name| [glob.clone(), vec![name.clone()]].concat())
@@ -130,7 +143,11 @@ impl Crate {
                     && from.is_some_and(|m| self.modules[&m].defined.contains(name))
             });
             let paths = module.named.iter().filter(|path| path.len() > 1).cloned();
-            for path in imported.map(|(_, path)| path.clone()).chain(paths).chain(through_globs) {
+            for path in imported
+                .map(|(_, path)| path.clone())
+                .chain(paths)
+                .chain(through_globs)
+            {
                 if let Some(from) = self.resolve(here, &path, 0).filter(|from| from != here) {
                     used.entry(from).or_insert_with(|| path.join("::"));
                 }
@@ -154,7 +171,8 @@ impl Crate {
             }
             seen
         };
-        let reach: BTreeMap<&Path, BTreeSet<Path>> = uses.keys().map(|m| (*m, reached(m))).collect();
+        let reach: BTreeMap<&Path, BTreeSet<Path>> =
+            uses.keys().map(|m| (*m, reached(m))).collect();
         let mut circles: BTreeSet<Vec<String>> = BTreeSet::new();
         for (module, far) in &reach {
             let both = far.iter().filter(|other| reach[other].contains(*module));
@@ -172,7 +190,11 @@ impl Crate {
         for (module, used) in self.uses() {
             for (from, name) in used {
                 if circle.contains(&module.join("::")) && circle.contains(&from.join("::")) {
-                    lines += &format!("\n    {} takes {name} from {}", module.join("::"), from.join("::"));
+                    lines += &format!(
+                        "\n    {} takes {name} from {}",
+                        module.join("::"),
+                        from.join("::")
+                    );
                 }
             }
         }
@@ -196,7 +218,9 @@ impl Module {
                 "{" => depth += 1,
                 "}" => depth -= 1,
                 "use" if next != "<" => {
-                    let end = (i..t.len()).find(|&k| t[k].text == ";").unwrap_or(t.len() - 1);
+                    let end = (i..t.len())
+                        .find(|&k| t[k].text == ";")
+                        .unwrap_or(t.len() - 1);
                     module.import(&t[i + 1..end], &[]);
                     i = end;
                 }
@@ -204,7 +228,10 @@ impl Module {
                     module.children.insert(next.to_owned());
                     i += 2;
                 }
-                "fn" | "struct" | "enum" | "trait" | "type" | "const" | "static" | "union" | "mod" if depth == 0 => {
+                "fn" | "struct" | "enum" | "trait" | "type" | "const" | "static" | "union"
+                | "mod"
+                    if depth == 0 =>
+                {
                     module.defined.insert(next.to_owned());
                 }
                 _ if t[i].is_word() && !(i > 0 && t[i - 1].text == ".") => {
@@ -241,7 +268,11 @@ impl Module {
                     while from < end {
                         let mut to = from;
                         while to < end && tree[to].text != "," {
-                            to = if tree[to].text == "{" { tokens::closing(tree, to) + 1 } else { to + 1 };
+                            to = if tree[to].text == "{" {
+                                tokens::closing(tree, to) + 1
+                            } else {
+                                to + 1
+                            };
                         }
                         self.import(&tree[from..to], &path);
                         from = to + 1;
@@ -268,21 +299,38 @@ fn a_circle_is_found_by_whatever_way_it_goes() {
     let files = |list: &[(&str, &str)]| -> Vec<(String, Source)> {
         let source = |(name, text): &(&str, &str)| {
             let tokens = tokens::read(text);
-            let source = Source { package: ".".into(), path: (*name).into(), tokens, lines: 1 };
+            let source = Source {
+                package: ".".into(),
+                path: (*name).into(),
+                tokens,
+                lines: 1,
+            };
             ((*name).to_owned(), source)
         };
         list.iter().map(source).collect()
     };
     let circles = |list: &[(&str, &str)]| {
         let held = files(list);
-        let by_name = held.iter().map(|(name, source)| (name.as_str(), source)).collect();
-        let mut whole = Crate { modules: BTreeMap::new() };
+        let by_name = held
+            .iter()
+            .map(|(name, source)| (name.as_str(), source))
+            .collect();
+        let mut whole = Crate {
+            modules: BTreeMap::new(),
+        };
         whole.add(&by_name, "lib", vec!["crate".into()]);
         whole.circles()
     };
     let root = ("lib", "mod a; mod b; pub use a::A; pub use b::B;");
     // One way only, over the root's other name for it.
-    assert!(circles(&[root, ("a", "pub struct A;"), ("b", "use crate::A; pub struct B(A);")]).is_empty());
+    assert!(
+        circles(&[
+            root,
+            ("a", "pub struct A;"),
+            ("b", "use crate::A; pub struct B(A);")
+        ])
+        .is_empty()
+    );
     let round = circles(&[
         root,
         ("a", "pub struct A(super::b::B);"),

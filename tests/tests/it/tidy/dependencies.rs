@@ -135,7 +135,7 @@ fn what_only_tests_need_is_linked_by_no_program() {
     let metadata = metadata();
     for package in metadata.workspace_packages() {
         let linked = linked_by(&metadata, package.name.as_str());
-        for name in ["caudata-chaos-proxy", "caudata-left-out"] {
+        for name in ["caudata-chaos-proxy", "caudata-rehearsal"] {
             assert!(!linked.contains(name), "{} links {name}", package.name);
         }
     }
@@ -188,9 +188,15 @@ fn nothing_is_declared_that_nobody_uses() {
         let manifest = read_manifest(&folder);
         let mut words = BTreeSet::new();
         for part in ["src", "tests", "benches", "examples"].map(|part| folder.join(part)) {
-            let files = if part.is_dir() { product::files(&part, ".rs") } else { Vec::new() };
+            let files = if part.is_dir() {
+                product::files(&part, ".rs")
+            } else {
+                Vec::new()
+            };
             // Packages below this one's folder count for themselves.
-            let own = files.iter().filter(|file| folder_of_package(file) == folder);
+            let own = files
+                .iter()
+                .filter(|file| folder_of_package(file) == folder);
             words.extend(own.flat_map(|file| words_of(file)));
         }
         if folder.join("build.rs").is_file() {
@@ -199,7 +205,8 @@ fn nothing_is_declared_that_nobody_uses() {
         for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
             for name in names_in(&manifest, section) {
                 if !words.contains(&name.replace('-', "_")) {
-                    let what = format!("[{section}] declares it, and no source of this package names it");
+                    let what =
+                        format!("[{section}] declares it, and no source of this package names it");
                     offences.push(Offence::new(format!("{package} {name}"), what));
                 }
                 wanted.insert(name);
@@ -221,7 +228,9 @@ fn read_manifest(folder: &std::path::Path) -> String {
 
 fn folder_of_package(file: &std::path::Path) -> &std::path::Path {
     let mut above = file.ancestors().skip(1);
-    above.find(|folder| folder.join("Cargo.toml").is_file()).expect("a package")
+    above
+        .find(|folder| folder.join("Cargo.toml").is_file())
+        .expect("a package")
 }
 
 fn words_of(file: &std::path::Path) -> Vec<String> {
@@ -237,6 +246,11 @@ fn names_in(manifest: &str, section: &str) -> Vec<String> {
     lines
         .take_while(|line| !line.starts_with('['))
         .filter(|line| line.starts_with(|c: char| c.is_ascii_alphabetic()))
-        .map(|line| line.split(['.', ' ', '=']).next().unwrap_or_default().to_owned())
+        .map(|line| {
+            line.split(['.', ' ', '='])
+                .next()
+                .unwrap_or_default()
+                .to_owned()
+        })
         .collect()
 }

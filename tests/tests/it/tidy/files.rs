@@ -51,7 +51,10 @@ fn documentation_makes_sense_in_a_hover() {
             // "Of …" hangs in the air where nobody sees the name it belongs to.
             let begins = !before.starts_with("///") && line.starts_with("/// Of ");
             if begins || line.starts_with("//! Of ") {
-                offences.push(Offence::new(below_root(&file), format!("line {}: {line}", number + 1)));
+                offences.push(Offence::new(
+                    below_root(&file),
+                    format!("line {}: {line}", number + 1),
+                ));
             }
             before = line;
         }

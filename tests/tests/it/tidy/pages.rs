@@ -27,13 +27,26 @@ fn lines() -> Vec<Line> {
     let mut out = Vec::new();
     for file in files(&root(), ".md") {
         let mut block: Option<String> = None;
-        for (i, text) in std::fs::read_to_string(&file).expect("UTF-8").lines().enumerate() {
+        for (i, text) in std::fs::read_to_string(&file)
+            .expect("UTF-8")
+            .lines()
+            .enumerate()
+        {
             if let Some(kind) = text.strip_prefix("```") {
-                block = if block.is_some() { None } else { Some(kind.to_owned()) };
+                block = if block.is_some() {
+                    None
+                } else {
+                    Some(kind.to_owned())
+                };
                 continue;
             }
             let (page, block) = (below_root(&file), block.clone());
-            out.push(Line { page, number: i + 1, text: text.to_owned(), block });
+            out.push(Line {
+                page,
+                number: i + 1,
+                text: text.to_owned(),
+                block,
+            });
         }
     }
     out
@@ -57,7 +70,11 @@ fn every_block_says_what_it_is() {
     let known = ["sh", "sh run", "toml", "text", "python"];
     for line in lines() {
         let kind = line.block.as_deref().unwrap_or("text");
-        assert!(known.contains(&kind), "{}: a block of the kind `{kind}`", line.place());
+        assert!(
+            known.contains(&kind),
+            "{}: a block of the kind `{kind}`",
+            line.place()
+        );
     }
 }
 
@@ -66,22 +83,37 @@ fn links_lead_somewhere() {
     let all = lines();
     let mut wrong = Vec::new();
     for line in all.iter().filter(|line| line.block.is_none()) {
-        for link in line.text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+        for link in line
+            .text
+            .split("](")
+            .skip(1)
+            .filter_map(|rest| rest.split(')').next())
+        {
             if link.contains("://") {
                 continue;
             }
             let (path, anchor) = link.split_once('#').unwrap_or((link, ""));
             let folder = Path::new(&line.page).parent().expect("folder");
-            let target = if path.is_empty() { line.page.clone() } else { plain(&folder.join(path)) };
+            let target = if path.is_empty() {
+                line.page.clone()
+            } else {
+                plain(&folder.join(path))
+            };
             let page = all.iter().filter(|other| other.page == target);
-            let mut headings = page.filter(|l| l.block.is_none()).filter_map(|l| anchor_of(&l.text));
+            let mut headings = page
+                .filter(|l| l.block.is_none())
+                .filter_map(|l| anchor_of(&l.text));
             let there = root().join(&target).exists();
             if !there || (!anchor.is_empty() && !headings.any(|heading| heading == anchor)) {
                 wrong.push(format!("{}: {link}", line.place()));
             }
         }
     }
-    assert!(wrong.is_empty(), "links that lead nowhere:\n{}", wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "links that lead nowhere:\n{}",
+        wrong.join("\n")
+    );
 }
 
 /// `a/../b` as `b`.
@@ -100,7 +132,9 @@ fn plain(path: &Path) -> String {
 /// The anchor that readers of markdown give a heading.
 fn anchor_of(line: &str) -> Option<String> {
     let heading = line.strip_prefix('#')?.trim_start_matches('#').trim();
-    let kept = heading.chars().filter(|c| c.is_alphanumeric() || " -_".contains(*c));
+    let kept = heading
+        .chars()
+        .filter(|c| c.is_alphanumeric() || " -_".contains(*c));
     Some(kept.collect::<String>().to_lowercase().replace(' ', "-"))
 }
 
@@ -108,6 +142,8 @@ fn anchor_of(line: &str) -> Option<String> {
 struct Example {
     place: String,
     words: Vec<String>,
+    /// Nothing is left out of it: it stands in a block, without `…`.
+    whole: bool,
 }
 
 /// What pages name as `caudata …`, in blocks of commands, behind the `$` of what was printed, and between back quotes.
@@ -128,11 +164,23 @@ fn examples() -> Vec<Example> {
             }
             found.push(std::mem::take(&mut begun));
         } else if line.block.is_none() {
-            found.extend(line.text.split('`').skip(1).step_by(2).map(str::to_owned));
+            // The last one of an odd number opens what the next line closes.
+            let spans = line.text.matches('`').count() / 2;
+            let between = line.text.split('`').skip(1).step_by(2).take(spans);
+            found.extend(between.map(str::to_owned));
         }
-        for words in found.iter().map(|text| words_of(text)) {
-            if words.first().is_some_and(|program| PROGRAMS.contains(&program.as_str())) {
-                out.push(Example { place: line.place(), words });
+        for text in found {
+            let (place, words) = (line.place(), words_of(&text));
+            let whole = in_block.is_some() && !text.contains('…');
+            if words
+                .first()
+                .is_some_and(|program| PROGRAMS.contains(&program.as_str()))
+            {
+                out.push(Example {
+                    place,
+                    words,
+                    whole,
+                });
             }
         }
     }
@@ -150,7 +198,8 @@ const PROGRAMS: [&str; 6] = [
 
 /// Words as a shell makes them, up to a comment, a pipe or the next command; without the signs of what may be left out.
 fn words_of(text: &str) -> Vec<String> {
-    let (mut words, mut word, mut quote): (Vec<String>, String, Option<char>) = (Vec::new(), String::new(), None);
+    let (mut words, mut word, mut quote): (Vec<String>, String, Option<char>) =
+        (Vec::new(), String::new(), None);
     for c in text.chars().chain([' ']) {
         match (quote, c) {
             (Some(open), c) if c == open => quote = None,
@@ -164,7 +213,10 @@ fn words_of(text: &str) -> Vec<String> {
         }
     }
     // An assignment before a command is the shell's.
-    words.into_iter().skip_while(|word| word.starts_with("CAUDATA_")).collect()
+    words
+        .into_iter()
+        .skip_while(|word| word.starts_with("CAUDATA_"))
+        .collect()
 }
 
 fn run(words: &[String], folder: &Path) -> Output {
@@ -180,19 +232,43 @@ fn commands_in_pages_are_understood() {
     let mut checked = 0;
     for example in examples() {
         // With `--help` at its end a program reads all flags and their values, and does nothing.
-        let number = |word: &String| if word.len() == 1 && word == "N" { "1".to_owned() } else { word.clone() };
+        let number = |word: &String| {
+            if word.len() == 1 && word == "N" {
+                "1".to_owned()
+            } else {
+                word.clone()
+            }
+        };
         let mut words: Vec<String> = example.words.iter().map(number).collect();
         words.push("--help".to_owned());
         let output = run(&words, &root());
+        let (said, help) = (output.stderr, output.stdout);
+        let why = match String::from_utf8_lossy(&said).lines().next() {
+            _ if output.status.success() && example.whole => missing(&example.words, &help),
+            _ if output.status.success() => None,
+            said => Some(said.unwrap_or_default().to_owned()),
+        };
         checked += 1;
-        if !output.status.success() {
-            let why = String::from_utf8_lossy(&output.stderr);
-            let why = why.lines().next().unwrap_or_default();
-            wrong.push(Offence::new(example.place, format!("{}: {why}", example.words.join(" "))));
+        if let Some(why) = why {
+            let page = example.place.split(':').next().expect("a page");
+            let place = format!("{page}: {}", example.words.join(" "));
+            wrong.push(Offence::new(place, format!("{} {why}", example.place)));
         }
     }
-    assert!(checked > 50, "pages should have many examples, found {checked}");
+    assert!(
+        checked > 50,
+        "pages should have many examples, found {checked}"
+    );
     hold("example", wrong);
+}
+
+/// What the usage in `help` asks for and `words` lack.
+fn missing(words: &[String], help: &[u8]) -> Option<String> {
+    let help = String::from_utf8_lossy(help);
+    let usage = help.lines().find_map(|line| line.strip_prefix("Usage: "))?;
+    let mut needed = usage.split(' ').filter(|word| word.starts_with("--"));
+    let lacking = needed.find(|flag| !words.iter().any(|word| word == flag))?;
+    Some(format!("lacks {lacking}"))
 }
 
 #[test]
@@ -207,7 +283,9 @@ fn small_examples_run() {
         .filter(|line| line.block.as_deref() == Some("sh run"))
         .map(|line| line.place())
         .collect();
-    let small = examples().into_iter().filter(|example| places.contains(&example.place));
+    let small = examples()
+        .into_iter()
+        .filter(|example| places.contains(&example.place));
     let mut ran = 0;
     for example in small {
         let output = run(&example.words, scratch.path());
@@ -216,7 +294,10 @@ fn small_examples_run() {
         assert!(output.status.success(), "{}: {line}: {why}", example.place);
         ran += 1;
     }
-    assert!(ran > 3, "pages should have blocks that run (```sh run), found {ran}");
+    assert!(
+        ran > 3,
+        "pages should have blocks that run (```sh run), found {ran}"
+    );
 }
 
 #[test]
@@ -224,7 +305,10 @@ fn settings_in_pages_are_settings() {
     let scratch = tempfile::tempdir().expect("a folder");
     let mut blocks: Vec<(String, String)> = Vec::new();
     let mut last = (String::new(), 0);
-    for line in lines().into_iter().filter(|line| line.block.as_deref() == Some("toml")) {
+    for line in lines()
+        .into_iter()
+        .filter(|line| line.block.as_deref() == Some("toml"))
+    {
         if last != (line.page.clone(), line.number - 1) {
             blocks.push((line.place(), String::new()));
         }
@@ -236,7 +320,14 @@ fn settings_in_pages_are_settings() {
         let file = scratch.path().join("page.toml");
         std::fs::write(&file, text).expect("written");
         let words = ["caudata", "config", "show", "--config"].map(str::to_owned);
-        let output = run(&[&words[..], &[file.display().to_string()]].concat(), &root());
-        assert!(output.status.success(), "{place}: {}", String::from_utf8_lossy(&output.stderr));
+        let output = run(
+            &[&words[..], &[file.display().to_string()]].concat(),
+            &root(),
+        );
+        assert!(
+            output.status.success(),
+            "{place}: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
     }
 }

@@ -7,7 +7,8 @@ use std::sync::Arc;
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::RobotModel;
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
-use caudata_task::{ACT_DIM, PolicyContract, layout};
+use caudata_task::layout::Part;
+use caudata_task::{ACT_DIM, PolicyContract};
 
 pub fn config() -> Config {
     let args = ConfigArgs {
@@ -60,13 +61,14 @@ pub fn layer(out: usize, input: usize) -> Dense {
 pub fn vibrating(contract: &PolicyContract, frequency_hz: f64) -> PolicyFile {
     const GAIN: f32 = 1.3;
     let obs = contract.obs_dim();
+    let actions = contract.observation.range(Part::Actions).start;
     let mut hidden = layer(ACT_DIM, obs);
     let mut output = layer(ACT_DIM, ACT_DIM);
     let turn = (2.0 * (TAU * frequency_hz * 0.02).cos()) as f32;
     for j in 8..ACT_DIM {
         let row = &mut hidden.weight[j * obs..][..obs];
-        row[layout::ACTIONS + j] = GAIN * turn;
-        row[layout::ACTIONS + ACT_DIM + j] = -GAIN;
+        row[actions + j] = GAIN * turn;
+        row[actions + ACT_DIM + j] = -GAIN;
         // pairs of legs in opposition; it also starts the oscillation
         hidden.bias[j] = if (j / 2) % 2 == 0 { 0.05 } else { -0.05 };
         output.weight[j * ACT_DIM + j] = 1.0;
@@ -80,13 +82,14 @@ pub fn swimming(contract: &PolicyContract, lag_rad: f32) -> PolicyFile {
     let model = robot();
     let scale = contract.action.scale;
     let mut output = layer(ACT_DIM, contract.obs_dim());
+    let phase = contract.observation.range(Part::Phase).start;
     for j in 0..YAW_JOINTS {
         let amplitude = (0.1 + 0.4 * j as f32 / 7.0) / scale;
         let (sin, cos) = (lag_rad * j as f32).sin_cos();
         let row = &mut output.weight[j * contract.obs_dim()..];
         // cos(φ − lag) from the clock of the first foot
-        row[layout::PHASE] = amplitude * cos;
-        row[layout::PHASE + 1] = amplitude * sin;
+        row[phase] = amplitude * cos;
+        row[phase + 1] = amplitude * sin;
     }
     let folded = model.swimming_pos_rad().unwrap();
     for j in YAW_JOINTS..ACT_DIM {

@@ -1,0 +1,135 @@
+//! What a call to the policy server can end with.
+
+use caudata_proto::registry::RegistryError;
+use caudata_proto::registry::question::OtherQuestion;
+use tonic::{Code, Status};
+
+use crate::RATE_MIN;
+
+/// What a call to the policy server can end with.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The address is not one.
+    #[error("`{address}` is not an address like 127.0.0.1:7401")]
+    Address {
+        /// What was given.
+        address: String,
+    },
+    /// The certificates are not there, or do not work.
+    #[error("certificates: {reason}")]
+    Certificates {
+        /// What is wrong.
+        reason: String,
+    },
+    /// Nobody answers.
+    #[error("policy server {address} does not answer: {reason}; is it running?")]
+    Unreachable {
+        /// Where it was expected.
+        address: String,
+        /// What the network said.
+        reason: String,
+    },
+    /// The server answered with a refusal.
+    #[error("policy server refuses ({code:?}): {message}")]
+    Refused {
+        /// gRPC status code.
+        code: Code,
+        /// The server's words.
+        message: String,
+    },
+    /// An answer that does not pass the checks.
+    #[error("policy server sent a bad answer: {0}")]
+    BadAnswer(#[from] RegistryError),
+    /// An answer to another question than the one that was asked.
+    #[error("policy server answers another question: {0}")]
+    OtherQuestion(#[from] OtherQuestion),
+    /// A fetch that broke the rules: too many bytes, or bytes of another file.
+    #[error("fetched bytes are not those asked for: {reason}")]
+    WrongBytes {
+        /// What is wrong.
+        reason: String,
+    },
+    /// Bytes come, but too few.
+    #[error("policy server sends less than {RATE_MIN} bytes per second; is the network that slow?")]
+    TooSlow,
+    /// The call took too long.
+    #[error("policy server did not finish {what} in time; try again")]
+    TimedOut {
+        /// Which call.
+        what: &'static str,
+    },
+}
+
+impl ClientError {
+    /// True where the same call may succeed later.
+    #[must_use]
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::Unreachable { .. } | Self::TimedOut { .. } => true,
+            Self::Refused { code, .. } => matches!(
+                code,
+                Code::Unavailable
+                    | Code::DeadlineExceeded
+                    | Code::Aborted
+                    | Code::Cancelled
+                    | Code::Unknown
+            ),
+            _ => false,
+        }
+    }
+
+    /// True where somebody else changed the same thing first: look again and decide anew.
+    #[must_use]
+    pub fn is_lost_race(&self) -> bool {
+        matches!(
+            self,
+            Self::Refused {
+                code: Code::Aborted,
+                ..
+            }
+        )
+    }
+
+    /// True where the server does not hold what was asked for.
+    #[must_use]
+    pub fn is_not_found(&self) -> bool {
+        matches!(
+            self,
+            Self::Refused {
+                code: Code::NotFound,
+                ..
+            }
+        )
+    }
+}
+
+/// A status without a message from the far side is the network's own.
+pub(crate) fn refusal(address: &str, status: &Status) -> ClientError {
+    use std::error::Error;
+    let from_network = status.source().is_some();
+    // A connection that broke under a call is `Unknown`, or `Internal` where HTTP/2 noticed first.
+    let broken = [
+        Code::Unavailable,
+        Code::Unknown,
+        Code::Internal,
+        Code::Cancelled,
+    ];
+    if broken.contains(&status.code()) && from_network {
+        return ClientError::Unreachable {
+            address: address.to_owned(),
+            reason: innermost(status),
+        };
+    }
+    ClientError::Refused {
+        code: status.code(),
+        message: status.message().to_owned(),
+    }
+}
+
+fn innermost(error: &dyn std::error::Error) -> String {
+    let mut last = error;
+    while let Some(source) = last.source() {
+        last = source;
+    }
+    last.to_string()
+}

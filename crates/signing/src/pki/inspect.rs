@@ -1,0 +1,68 @@
+//! Reading the role, the name and the validity out of a certificate.
+
+use std::path::Path;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use x509_parser::prelude::{FromDer, X509Certificate};
+
+use super::error::PkiError;
+use super::role::Role;
+
+/// Who a certificate speaks of. It says nothing about who signed it: that is for TLS to check.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// What the process is.
+    pub role: Role,
+    /// Its name.
+    pub name: String,
+    /// From when on the certificate is valid.
+    pub not_before: SystemTime,
+    /// Until when it is valid.
+    pub not_after: SystemTime,
+}
+
+/// The identity in a certificate in DER, as TLS hands it over.
+///
+/// # Errors
+/// In words: it is no certificate, or has no role of ours.
+pub fn identity_of_der(der: &[u8]) -> Result<Identity, String> {
+    let (_, certificate) =
+        X509Certificate::from_der(der).map_err(|error| format!("not a certificate: {error}"))?;
+    let subject = certificate.subject();
+    // Exactly one: with two, one reader would take the first and another the last.
+    let mut names = subject.iter_common_name();
+    let role = match (names.next(), names.next()) {
+        (Some(name), None) => name.as_str().map_err(|error| error.to_string())?,
+        _ => return Err("the certificate must have exactly one common name".to_owned()),
+    };
+    let role = role.parse().map_err(|error: PkiError| error.to_string())?;
+    let unit = subject.iter_organizational_unit().next();
+    let name = unit.and_then(|unit| unit.as_str().ok()).unwrap_or_default();
+    let validity = certificate.validity();
+    Ok(Identity {
+        role,
+        name: name.to_owned(),
+        not_before: time_of(validity.not_before.timestamp()),
+        not_after: time_of(validity.not_after.timestamp()),
+    })
+}
+
+/// The identity in the first certificate of a PEM file.
+///
+/// # Errors
+/// [`PkiError::File`], [`PkiError::Content`].
+pub fn identity_of_pem(path: &Path) -> Result<Identity, PkiError> {
+    let bytes = std::fs::read(path).map_err(|source| PkiError::file(path, source))?;
+    let content = |reason: String| PkiError::Content {
+        path: path.to_owned(),
+        reason,
+    };
+    let (_, pem) = x509_parser::pem::parse_x509_pem(&bytes)
+        .map_err(|error| content(format!("not a certificate in PEM: {error}")))?;
+    identity_of_der(&pem.contents).map_err(content)
+}
+
+/// Seconds since 1970 as a time; times before count as 1970.
+fn time_of(seconds: i64) -> SystemTime {
+    UNIX_EPOCH + Duration::from_secs(u64::try_from(seconds).unwrap_or(0))
+}

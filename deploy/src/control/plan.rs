@@ -1,0 +1,160 @@
+//! What a control loop is asked to do, what it senses and what it counts.
+
+use std::time::Duration;
+
+use caudata_hardware::wiring::Limits;
+use caudata_task::{ACT_DIM, COMMAND_DIM};
+
+use crate::DeployError;
+use crate::bus::{GroundTruth, Health, ImuReading, Robot, ServoReadings};
+use crate::orientation::GravityFilter;
+use crate::summary::{Latencies, Odometer, Velocity, rounded};
+use crate::walk_command::CommandTable;
+
+/// Mean speed of the joints below which the robot counts as standing still, rad/s. Servos report in steps of 0.024 rad/s.
+pub const STILL_RADPS: f32 = 0.1;
+/// Ticks in a row of that, with the command at zero, before a newer policy is swapped in (0.2 s).
+pub const STILL_TICKS: u32 = 10;
+
+/// Ticks of walking after which a policy that never gave a bad action counts as good (10 s).
+pub const TRIAL_TICKS: u32 = 500;
+
+/// What a policy has shown so far.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Trial {
+    /// Ticks of walking since it took over, or since its last bad action.
+    pub(super) ticks: u32,
+    /// Ticks of walking since it took over.
+    pub(super) walked_ticks: u32,
+    /// Ticks in a row in which the joints stood still.
+    idle_ticks: u32,
+}
+
+impl Trial {
+    pub(super) fn is_over(&self) -> bool {
+        self.ticks >= TRIAL_TICKS
+    }
+
+    /// Counts a tick. It is one of walking where the robot was told to move and its joints do: whoever stands, or is
+    /// held still, shows nothing.
+    pub(super) fn count(&mut self, command: &[f32; COMMAND_DIM], speed_radps: f32) {
+        let still = speed_radps < STILL_RADPS;
+        self.idle_ticks = if still { self.idle_ticks + 1 } else { 0 };
+        if *command != [0.0; COMMAND_DIM] && self.idle_ticks < STILL_TICKS {
+            self.ticks += 1;
+            self.walked_ticks += 1;
+        }
+    }
+}
+
+/// What a run is asked to do.
+#[derive(Clone, Debug)]
+pub struct RunPlan {
+    /// Control period.
+    pub period: Duration,
+    /// How long a policy is in charge, s of the robot's time; `None`: until asked to stop.
+    pub walk_s: Option<f64>,
+    /// Where to go.
+    pub commands: CommandTable,
+    /// How far a target may move per tick, rad.
+    pub step_max_rad: f32,
+    /// How long a tick waits for readings.
+    pub read_deadline: Duration,
+    /// Limits of the hardware; `None` on a simulated robot.
+    pub limits: Option<Limits>,
+    /// How long a newer policy waits for the robot to stand before the robot is made to; `None`: for ever.
+    pub swap_wait: Option<Duration>,
+}
+
+/// Everything sensed at one tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Sensed {
+    /// Servos.
+    pub servos: ServoReadings,
+    /// IMU.
+    pub imu: ImuReading,
+    /// Direction of gravity, IMU frame.
+    pub gravity: [f32; 3],
+    /// What a simulation knows.
+    pub truth: GroundTruth,
+    /// What the hardware says about itself.
+    pub health: Health,
+    /// Whether it is in water.
+    pub in_water: Option<bool>,
+}
+
+/// What the loop counted.
+#[derive(Clone, Debug, Default)]
+pub struct Counts {
+    /// Ticks.
+    pub ticks: u64,
+    /// Ticks without readings.
+    pub late_readings: u64,
+    /// Policies swapped in.
+    pub swaps: u64,
+    /// Largest mean speed of the joints at which that happened, rad/s.
+    pub swap_speed_radps: f32,
+    /// Times that the robot was made to stand for a swap.
+    pub stands_for_swap: u64,
+    /// Periods skipped.
+    pub overruns: u64,
+    /// Actions held.
+    pub held: u64,
+    /// Ticks with a slowed target.
+    pub rate_limited: u64,
+    /// Joint-ticks that a policy wanted at a joint's limit.
+    pub saturated: u64,
+    /// Time that a policy was in charge, s of the robot's time.
+    pub walked_s: f64,
+    /// Sum of the commands over walking ticks, and their number.
+    pub(super) command_sum: [f64; COMMAND_DIM],
+    pub(super) walking_ticks: u64,
+    /// From waking to sent.
+    pub tick_latency: Latencies,
+    /// From due to woken.
+    pub wake_latency: Latencies,
+    /// Observation, inference and action filter.
+    pub inference_latency: Latencies,
+    /// How far it went.
+    pub odometer: Odometer,
+}
+
+impl Counts {
+    /// Mean of the commands given.
+    pub fn mean_command(&self) -> Velocity {
+        let mean = |i: usize| rounded(self.command_sum[i] / self.walking_ticks.max(1) as f64);
+        Velocity {
+            vx_mps: mean(0),
+            vy_mps: mean(1),
+            yaw_rate_radps: mean(2),
+        }
+    }
+}
+
+/// Mean over the joints of their speeds, rad/s. What is not a number is no standing still.
+pub(super) fn mean_speed(servos: &ServoReadings) -> f32 {
+    let sum: f32 = servos.vel_radps.iter().map(|v| v.abs()).sum();
+    match sum.is_finite() {
+        true => sum / ACT_DIM as f32,
+        false => f32::INFINITY,
+    }
+}
+
+/// Adds the IMU and what follows from it to servo readings taken `dt_s` after the last ones.
+pub(super) fn complete<R: Robot>(
+    robot: &mut R,
+    filter: &mut GravityFilter,
+    servos: ServoReadings,
+    dt_s: f32,
+) -> Result<Sensed, DeployError> {
+    let imu = robot.reading()?;
+    let estimate = filter.update(imu.gyro_radps, imu.acc_mps2, dt_s);
+    Ok(Sensed {
+        servos,
+        imu,
+        gravity: imu.gravity.unwrap_or(estimate),
+        truth: robot.ground_truth(),
+        health: robot.health(),
+        in_water: robot.in_water(),
+    })
+}

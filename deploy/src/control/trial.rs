@@ -1,0 +1,84 @@
+//! The trial of a policy: what it must show on this robot before it is trusted.
+
+use caudata_task::{ACT_DIM, COMMAND_DIM};
+
+use super::ControlLoop;
+use super::plan::{Sensed, mean_speed};
+use crate::bus::Robot;
+use crate::gate::{HELD_IN_A_ROW_MAX, Held, PINNED_TICKS_MAX};
+use crate::pacing::Clock;
+use crate::summary::{Ended, rounded};
+use crate::updates::PolicyEvent;
+
+impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
+    /// How long the present policy has walked, s.
+    fn walked_s(&self) -> f64 {
+        rounded(f64::from(self.trial.walked_ticks) * self.plan.period.as_secs_f64())
+    }
+
+    /// A policy that never went through its trial here and falls is not begun with again. One that did may have met a stone.
+    pub(super) fn blame_a_fall(&mut self) {
+        if self.runner.is_proved() || self.trial.is_over() {
+            return;
+        }
+        self.updates.tell(PolicyEvent::Bad {
+            policy: self.runner.policy().clone(),
+            reason: "fell in its trial".to_owned(),
+            walked_s: self.walked_s(),
+            fell: true,
+        });
+    }
+
+    /// A policy that wants many joints at their limits for a second does not pass its trial. One that passed before may be leaning on
+    /// something.
+    pub(super) fn judge_trial(
+        &mut self,
+        sensed: &Sensed,
+        targets: &[f32; ACT_DIM],
+        command: &[f32; COMMAND_DIM],
+    ) {
+        let ticks = self.gate.watch_limits(targets);
+        if self.trial.is_over() {
+            return;
+        }
+        self.trial.count(command, mean_speed(&sensed.servos));
+        let fails = !self.runner.is_proved() && ticks >= PINNED_TICKS_MAX;
+        if !fails && !self.trial.is_over() {
+            return;
+        }
+        let policy = self.runner.policy().clone();
+        let walked_s = self.walked_s();
+        if !fails {
+            self.updates.tell(PolicyEvent::Good { policy, walked_s });
+            return;
+        }
+        let reason = format!("wanted joints at their limits for {ticks} ticks in a row");
+        tracing::error!(%policy, reason, "the policy does not pass its trial: stopping");
+        self.updates.tell(PolicyEvent::Bad {
+            policy,
+            reason,
+            walked_s,
+            fell: false,
+        });
+        self.ended.get_or_insert(Ended::Saturated);
+        self.motion.finish();
+    }
+
+    pub(super) fn bad_action(&mut self) {
+        self.metrics.held_actions.inc();
+        self.trial.ticks = 0;
+        if self.gate.hold() == Held::Stop {
+            let policy = self.runner.policy().clone();
+            tracing::error!(%policy, "actions are not finite: stopping");
+            let reason = format!("gave {HELD_IN_A_ROW_MAX} actions in a row that are not finite");
+            self.updates.tell(PolicyEvent::Bad {
+                policy,
+                reason,
+                walked_s: self.walked_s(),
+                fell: false,
+            });
+            self.ended = Some(Ended::BadActions);
+            self.motion.damp();
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! Models that go on beside the best.
+
+use std::collections::BTreeSet;
+
+use super::alike::{look_alike, wider};
+use super::fits::{penalised, single, swapped};
+use super::gates::Worth;
+use super::screen::{Screened, screen};
+use super::state::{Context, State};
+use crate::effects::Effect;
+use crate::error::GapError;
+
+/// Lines with a look-alike in the place of one effect that go on beside them where much is left.
+const LOOK_ALIKES: usize = 3;
+/// Most that a line's misfit may be, in that of the best.
+const LINE_FAR_BEHIND: f64 = 2.5;
+
+/// A model with one more effect: what that is worth, and the number of its parent, of the beam and then of the lines.
+pub type Child = (State, Worth, usize);
+
+/// A model that goes on beside the best.
+pub struct Line {
+    /// The model.
+    pub state: State,
+    /// What it does without: the effect that a look-alike stands for, and those that say the same and more.
+    pub without: Vec<&'static Effect>,
+    /// Whether the look-alike is one that says the same and more.
+    pub says_more: bool,
+}
+
+/// The first of `children`, which come best first with their worth and the number of their parent, that gains on all runs and is not sure to on held-out
+/// ones, if it is ahead of every child of the first `firsts` parents that is sure to.
+pub fn promising(children: &[(State, Worth, usize)], firsts: usize) -> Option<Line> {
+    let (state, _, _) = (children.iter())
+        .take_while(|(_, w, number)| *number >= firsts || !w.passed)
+        .find(|(_, w, _)| !w.passed && w.fit > 0.0 && w.holdout > 0.0)?;
+    Some(Line {
+        state: state.clone(),
+        without: Vec::new(),
+        says_more: false,
+    })
+}
+
+/// `best` with a look-alike in the place of one of its effects, refitted, best first.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn look_alikes(
+    context: &Context,
+    base: &State,
+    first: &[Screened],
+    best: &State,
+) -> Result<Vec<Line>, GapError> {
+    let mut all: Vec<Line> = Vec::new();
+    for (index, term) in best.terms.iter().enumerate() {
+        let mut terms = best.terms.clone();
+        terms.remove(index);
+        let screened;
+        let (screened, without) = if terms.is_empty() {
+            (first, base.clone())
+        } else {
+            let mut without = single(context, terms)?;
+            context.find_basis(&mut without)?;
+            screened = screen(context, &without)?;
+            (screened.as_slice(), without)
+        };
+        let alike = |s: &&Screened| look_alike(term.effect, s.effect);
+        let here =
+            |s: &Screened| s.place.domain == term.place.domain && s.place.items == term.place.items;
+        let mut rivals: Vec<&Screened> = Vec::new();
+        for s in screened.iter().filter(alike) {
+            // at the same place if it can be there, else where it does best
+            match rivals.iter().position(|r| r.effect == s.effect) {
+                Some(k) if here(s) && !here(rivals[k]) => rivals[k] = s,
+                Some(_) => {}
+                None => rivals.push(s),
+            }
+        }
+        let states = swapped(context, best, index, &rivals, &without)?;
+        for (state, rival) in states.into_iter().zip(&rivals) {
+            let mut without = vec![term.effect];
+            let others = rivals.iter().map(|r| r.effect);
+            without.extend(others.filter(|e| *e != rival.effect && wider(term.effect, e)));
+            all.push(Line {
+                state,
+                without,
+                says_more: wider(term.effect, rival.effect),
+            });
+        }
+    }
+    sort_lines(context, &mut all);
+    Ok(all)
+}
+
+fn sort_lines(context: &Context, lines: &mut [Line]) {
+    let of = |l: &Line| penalised(context, &l.state);
+    lines.sort_by(|a, b| of(a).total_cmp(&of(b)));
+}
+
+/// The best of `lines` that are not too far behind `best` and not in the beam.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn chosen_lines(
+    context: &Context,
+    best: &State,
+    beam: &[State],
+    mut lines: Vec<Line>,
+) -> Result<Vec<Line>, GapError> {
+    sort_lines(context, &mut lines);
+    let mut seen: BTreeSet<Vec<String>> = beam.iter().map(State::key).collect();
+    lines.retain(|l| {
+        l.state.misfit() < LINE_FAR_BEHIND * best.misfit() && seen.insert(l.state.key())
+    });
+    lines.truncate(LOOK_ALIKES);
+    for line in &mut lines {
+        context.find_basis(&mut line.state)?;
+    }
+    Ok(lines)
+}

@@ -1,0 +1,160 @@
+//! A verdict in words.
+
+use super::doubt::Doubts;
+use super::naming::{Named, Rival};
+use super::request::Split;
+use super::search::Found;
+use super::state::Context;
+use crate::replay::Term;
+use crate::report::{Cause, DoubtKind, Unexplained, Verdict};
+
+/// What speaks for a cause.
+pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
+    let w = &named.worth;
+    let mut lines = vec![
+        format!(
+            "takes {:.0} % off the misfit of held-out runs ({:.2} to {:.2} in units of the floor; 95 % interval of the fall {:.2} to {:.2})",
+            100.0 * w.holdout / w.of.max(1e-9),
+            w.of,
+            w.of - w.holdout,
+            w.interval.0,
+            w.interval.1
+        ),
+        format!("and {:.2} off that of the runs it was fitted to", w.fit),
+        format!("its mark: {}", term.effect.signature),
+    ];
+    if let Some(first) = named
+        .rivals
+        .iter()
+        .find(|r| r.state.terms[r.index].effect != term.effect)
+    {
+        let other = &first.state.terms[first.index];
+        lines.push(format!(
+            "the next best name, {}, leaves {:.0} % of it",
+            other.place.label(other.effect.id),
+            100.0 * first.short
+        ));
+    }
+    let elsewhere = |r: &&Rival| r.state.terms[r.index].effect == term.effect;
+    if let Some(other) = named.rivals.iter().find(elsewhere) {
+        lines.push(format!(
+            "as {} it leaves {:.0} % of it",
+            other.state.terms[other.index].place.label(term.effect.id),
+            100.0 * other.short
+        ));
+    }
+    if context.fit.noise.repeated {
+        lines.push("the floor comes from repeats".to_owned());
+    }
+    lines
+}
+
+/// The verdict in a sentence or two, and what the reader must know besides.
+pub fn summary(
+    context: &Context,
+    verdict: Verdict,
+    (causes, leads): (&[Cause], &[Cause]),
+    doubts: &Doubts<'_>,
+    unexplained: &[Unexplained],
+    split: Split,
+    found: &Found,
+) -> String {
+    let mut text = headline(context, verdict, causes, doubts, unexplained, found);
+    if !leads.is_empty() {
+        let which = match leads {
+            [_] => "which takes less than it leaves: a lead and no finding",
+            _ => "each of which takes less than it leaves: leads and no findings",
+        };
+        text.push_str(&format!(
+            " The model carries {} as well, {which}.",
+            names(leads)
+        ));
+    }
+    if context.losses.is_some() {
+        text.push_str(" Lost frames show in what repeats differ by, not in their mean.");
+    }
+    match split {
+        Split::Given => {}
+        Split::SetAside => text.push_str(" No hold-out was given: every third trial was set aside."),
+        Split::Same => text.push_str(" No hold-out was given and there are too few trials to set any aside: gains are on the very runs that were fitted."),
+    }
+    text
+}
+
+/// Causes with their places.
+fn names(causes: &[Cause]) -> String {
+    let name = |c: &Cause| match c.location.as_slice() {
+        [] => c.effect.clone(),
+        places => format!("{} at {}", c.effect, places.join(", ")),
+    };
+    let names: Vec<String> = causes.iter().map(name).collect();
+    names.join(" and ")
+}
+
+fn headline(
+    context: &Context,
+    verdict: Verdict,
+    causes: &[Cause],
+    doubts: &Doubts<'_>,
+    unexplained: &[Unexplained],
+    found: &Found,
+) -> String {
+    let (base, best) = (&found.base, &found.best);
+    let (before, after) = (base.holdout.misfit, best.holdout.misfit);
+    let fall = if best.terms.is_empty() {
+        format!("held-out misfit is {after:.2} floors, and was {before:.2}")
+    } else {
+        format!("held-out misfit falls from {before:.2} to {after:.2} floors")
+    };
+    match verdict {
+        Verdict::NoGap => format!(
+            "Simulation and measurement agree within what runs differ by (misfit {:.2}); the table of floors says what would have been seen.",
+            base.misfit()
+        ),
+        Verdict::Explained => format!("Explained by {}: {fall}.", names(causes)),
+        Verdict::Ambiguous => {
+            let open: Vec<String> = causes
+                .iter()
+                .filter(|c| c.is_open())
+                .map(Cause::rivals)
+                .collect();
+            format!(
+                "The gap is real, its name is open: {}; {fall}. The next experiment tells them apart.",
+                open.join("; ")
+            )
+        }
+        Verdict::PartlyExplained => {
+            let left = unexplained
+                .first()
+                .map_or(String::new(), |u| format!(", most of it at {}", u.location));
+            // how much is left is in the figures
+            let others = doubts.listed(context).into_iter();
+            let others: String = (others.filter(|d| d.kind != DoubtKind::MuchLeft))
+                .map(|d| format!(" {}", d.detail))
+                .collect();
+            format!(
+                "{} explain a part: {fall}; {:.0} % of it is left{left}.{others}",
+                names(causes),
+                100.0 * best.misfit() / base.misfit().max(1e-9),
+            )
+        }
+        Verdict::Unexplained => format!(
+            "There is a gap (misfit {:.2} floors) that no effect of the catalogue explains.",
+            base.misfit()
+        ),
+        Verdict::InsufficientData => {
+            let close = found.refused.first().map_or(String::new(), |(s, w)| {
+                let name = s
+                    .terms
+                    .last()
+                    .map_or(String::new(), |t| t.place.label(t.effect.id));
+                format!(
+                    " {name} would explain the runs it was fitted to, but: {}.",
+                    w.why
+                )
+            });
+            format!("These runs cannot decide it.{close} See the next experiment.")
+        }
+        Verdict::DataFault => String::new(),
+    }
+}

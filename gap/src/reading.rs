@@ -1,0 +1,233 @@
+//! How a log becomes a [`Trial`].
+
+use caudata_model::RobotModel;
+use caudata_runlog::{Axis, QuatPart, Signal, Table};
+
+use crate::error::GapError;
+use crate::trial::{Channel, Kind, Run, Steps, Trial, attitude_of, nearest_turn};
+
+/// Shortest run that can be replayed, s.
+const MIN_DURATION_S: f64 = 1.0;
+
+/// Reads a run of `model`.
+///
+/// # Errors
+/// [`GapError::Run`] where it has no commands, no joint positions, foreign joints, or is too short.
+pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
+    let bad = |message: String| GapError::Run {
+        run: run.name.clone(),
+        message,
+    };
+    let table = &run.log.table;
+    let joints = model.actuated_names();
+    let strange = |s: &&Signal| s.joint().is_some_and(|j| !joints.contains(&j));
+    if let Some(signal) = table.signals().iter().find(strange) {
+        return Err(bad(format!(
+            "`{signal}`: the robot has no actuated joint `{}`; it has {}",
+            signal.joint().unwrap_or_default(),
+            joints.join(", ")
+        )));
+    }
+    let time = table.time_s();
+    let (Some(&first), Some(&last)) = (time.first(), time.last()) else {
+        return Err(bad("has no rows".into()));
+    };
+    if last - first < MIN_DURATION_S {
+        return Err(bad(format!(
+            "lasts {:.2} s; at least {MIN_DURATION_S} s are needed",
+            last - first
+        )));
+    }
+    let commanded = |joint: &&str| steps(table, &Signal::Command((*joint).to_owned()));
+    let commanded: Vec<Option<Steps>> = joints.iter().map(commanded).collect();
+    if commanded.iter().all(Option::is_none) {
+        return Err(bad(
+            "has no `cmd.<joint>` column; what was commanded is needed to replay it".into(),
+        ));
+    }
+    let commands = commanded.into_iter().zip(model.nominal_pos_rad());
+    let commands = commands.map(|(steps, &nominal)| {
+        steps.unwrap_or(Steps {
+            time_s: vec![first],
+            value: vec![nominal],
+            frame_s: 0.0,
+        })
+    });
+    let enabled = |joint: &&str| steps(table, &Signal::Enabled((*joint).to_owned()));
+    let channels = channels(model, table);
+    if !channels.iter().any(|c| c.kind == Kind::Position) {
+        return Err(bad("has no `pos.<joint>` column with values".into()));
+    }
+    let meta = &run.log.meta;
+    let volt = channels.iter().find(|c| c.kind == Kind::Voltage);
+    Ok(Trial {
+        name: run.name.clone(),
+        role: run.role,
+        base: meta.base,
+        span_s: (first, last),
+        commands: commands.collect(),
+        enabled: joints.iter().map(enabled).collect(),
+        supply_v: volt.map_or(meta.supply_v, |v| Some(open_voltage(&v.value))),
+        channels,
+        kp_nm_per_rad: meta.kp,
+        kd_nms_per_rad: meta.kd,
+        group: 0,
+        masked_s: Vec::new(),
+        members: Vec::new(),
+        session: 0.0,
+    })
+}
+
+/// What a column sent, where it changes; none where it has no value.
+fn steps(table: &Table, signal: &Signal) -> Option<Steps> {
+    let (time, column) = (table.time_s(), table.column(signal)?);
+    let sent = time.iter().zip(column).filter(|(_, v)| v.is_some());
+    let mut steps = Steps {
+        frame_s: median_step(sent.map(|(t, _)| *t)),
+        ..Steps::default()
+    };
+    for (t, v) in time.iter().zip(column) {
+        if let Some(v) = *v
+            && steps.value.last() != Some(&v)
+        {
+            steps.time_s.push(*t);
+            steps.value.push(v);
+        }
+    }
+    (!steps.value.is_empty()).then_some(steps)
+}
+
+/// Median time from one stamp to the next, s; 0 where there are fewer than two.
+fn median_step(stamps_s: impl Iterator<Item = f64>) -> f64 {
+    let stamps_s: Vec<f64> = stamps_s.collect();
+    let mut steps_s: Vec<f64> = stamps_s.windows(2).map(|w| w[1] - w[0]).collect();
+    steps_s.sort_by(f64::total_cmp);
+    steps_s.get(steps_s.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Voltage without load: what the upper half of the readings are on average, V.
+fn open_voltage(volt_v: &[f64]) -> f64 {
+    let mut sorted = volt_v.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let upper = &sorted[sorted.len() / 2..];
+    upper.iter().sum::<f64>() / upper.len().max(1) as f64
+}
+
+fn channels(model: &RobotModel, table: &Table) -> Vec<Channel> {
+    let time = table.time_s();
+    let joints = model.actuated_names();
+    let mut channels = Vec::new();
+    let axis = |a: Axis| (a as usize, ["x", "y", "z"][a as usize].to_owned());
+    for signal in table.signals() {
+        let Some(column) = table.column(signal) else {
+            continue;
+        };
+        let joint = |kind: Kind, name: &String| {
+            let index = joints.iter().position(|j| j == name)?;
+            Some((kind, index, name.clone()))
+        };
+        let of_axis = |kind: Kind, a: Axis| {
+            let (index, name) = axis(a);
+            Some((kind, index, name))
+        };
+        let key = match signal {
+            Signal::Position(j) => joint(Kind::Position, j),
+            Signal::Velocity(j) => joint(Kind::Velocity, j),
+            Signal::Current(j) => joint(Kind::Current, j),
+            Signal::Torque(j) => joint(Kind::Torque, j),
+            Signal::Voltage => Some((Kind::Voltage, 0, String::new())),
+            Signal::Gyro(a) => of_axis(Kind::Gyro, *a),
+            Signal::Acceleration(a) => of_axis(Kind::Acceleration, *a),
+            Signal::Gravity(a) => of_axis(Kind::Gravity, *a),
+            Signal::BasePosition(a) => of_axis(Kind::BasePosition, *a),
+            Signal::BaseVelocity(a) => of_axis(Kind::BaseVelocity, *a),
+            Signal::Foot(leg, a) => {
+                let (index, word) = axis(*a);
+                model
+                    .feet()
+                    .iter()
+                    .position(|f| f.name == *leg)
+                    .map(|f| (Kind::Foot, 3 * f + index, format!("{leg}.{word}")))
+            }
+            _ => None,
+        };
+        if let Some((kind, index, name)) = key {
+            push(&mut channels, kind, index, name, time, column);
+        }
+    }
+    if let Some(quaternions) = base_quaternions(table) {
+        let names = ["gravity_x", "gravity_y", "yaw", "gravity_z"];
+        let mut parts = [(); 4].map(|()| vec![None; time.len()]);
+        let mut turned: Option<f64> = None;
+        for (k, wxyz) in quaternions.enumerate() {
+            if let Some(wxyz) = wxyz {
+                let [gx, gy, yaw, gz] = attitude_of(wxyz);
+                turned = Some(turned.map_or(yaw, |last| nearest_turn(yaw, last)));
+                for (part, value) in parts.iter_mut().zip([Some(gx), Some(gy), turned, Some(gz)]) {
+                    part[k] = value;
+                }
+            }
+        }
+        for (index, column) in parts.iter().enumerate() {
+            push(
+                &mut channels,
+                Kind::BaseAttitude,
+                index,
+                names[index].to_owned(),
+                time,
+                column,
+            );
+        }
+    }
+    channels.sort_by_key(|c| (c.kind, c.index));
+    channels
+}
+
+/// Orientation of the base by motion capture in every row, where the log has it.
+fn base_quaternions(table: &Table) -> Option<impl Iterator<Item = Option<[f64; 4]>> + '_> {
+    let column = |part| table.column(&Signal::BaseQuaternion(part));
+    let [w, x, y, z] = [
+        column(QuatPart::W)?,
+        column(QuatPart::X)?,
+        column(QuatPart::Y)?,
+        column(QuatPart::Z)?,
+    ];
+    Some((0..w.len()).map(move |k| Some([w[k]?, x[k]?, y[k]?, z[k]?])))
+}
+
+fn push(
+    channels: &mut Vec<Channel>,
+    kind: Kind,
+    index: usize,
+    name: String,
+    time: &[f64],
+    column: &[Option<f64>],
+) {
+    let (mut time_s, mut value) = (Vec::new(), Vec::new());
+    for (t, v) in time.iter().zip(column) {
+        if let Some(v) = *v {
+            time_s.push(*t);
+            value.push(v);
+        }
+    }
+    if value.len() >= 2 {
+        channels.push(Channel {
+            kind,
+            index,
+            name,
+            time_s,
+            value,
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn open_voltage_ignores_sags() {
+        // upper half of 11, 11.5, 12, 12: 12
+        assert_eq!(open_voltage(&[12.0, 11.0, 11.5, 12.0]), 12.0);
+    }
+}

@@ -1,0 +1,34 @@
+//! How messages look in files: states as words, what is absent as null or empty.
+
+use serde::{Deserialize, Deserializer, Serializer};
+
+use crate::registry::RobotState;
+use crate::wire::registry::robot_report::State;
+
+/// For serde: absent text is empty.
+pub(crate) fn null_as_empty<'de, D: Deserializer<'de>>(from: D) -> Result<String, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or_default())
+}
+
+/// For serde: the state of a report as its word.
+pub(crate) mod state_word {
+    use super::*;
+
+    pub(crate) fn serialize<S: Serializer>(state: &i32, to: S) -> Result<S::Ok, S::Error> {
+        let known = State::try_from(*state).ok().and_then(|s| s.try_into().ok());
+        match known {
+            Some(state) => to.serialize_str(RobotState::word(state)),
+            None => Err(serde::ser::Error::custom("not a state of a report")),
+        }
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<i32, D::Error> {
+        let word = String::deserialize(from)?;
+        match RobotState::of_word(&word) {
+            Some(state) => Ok(State::from(state).into()),
+            None => Err(serde::de::Error::custom(format!(
+                "`{word}` is not a state of a report"
+            ))),
+        }
+    }
+}
