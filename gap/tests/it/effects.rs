@@ -238,7 +238,12 @@ fn the_catalogue_is_whole() {
             // screening tries parts and multiples of a size, never the other way round
             let tried = |way: f64| e.grid.iter().any(|g| way * g[i] > 0.0);
             let either_way = p.low == -p.high && p.neutral == 0.0;
-            assert!(!either_way || tried(1.0) == tried(-1.0), "{}.{}", e.id, p.name);
+            assert!(
+                !either_way || tried(1.0) == tried(-1.0),
+                "{}.{}",
+                e.id,
+                p.name
+            );
         }
         assert!(!e.id.is_empty() && !e.trial.is_empty() && !e.signature.is_empty());
     }
