@@ -4,7 +4,7 @@ use super::effect::Reference::One;
 use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_CONTACT: Effect = Effect {
     layer: Layer::Contact,
     domain: Domain::Feet,
     unseen: |e, _| (!e.on_ground).then_some("the robot never stands on the ground in these runs"),
@@ -20,7 +20,7 @@ pub static CONTACT_FRICTION: Effect = Effect {
     look_alikes: "belly_friction girdle_play torque_limit",
     trial: "gait_two_speeds",
     signature: "feet slide: the body is slow although the joints follow",
-    ..BASE
+    ..OF_CONTACT
 };
 
 pub static BELLY_FRICTION: Effect = Effect {
@@ -35,5 +35,5 @@ pub static BELLY_FRICTION: Effect = Effect {
     look_alikes: "contact_friction",
     trial: "low_gait",
     signature: "resistance in low postures only",
-    ..BASE
+    ..OF_CONTACT
 };

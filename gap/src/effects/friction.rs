@@ -4,7 +4,7 @@ use super::effect::Reference::{Damping, One, Speed, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_FRICTION: Effect = Effect {
     layer: Layer::Transmission,
     domain: Domain::Joints,
     unseen: needs_motion,
@@ -31,7 +31,7 @@ pub static COULOMB_FRICTION: Effect = Effect {
     look_alikes: "stribeck_friction viscous_friction load_dependent_friction controller_dead_band pre_sliding",
     trial: "slow_triangles",
     signature: "a jump of torque at every reversal, the same at any speed and load",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static VISCOUS_FRICTION: Effect = Effect {
@@ -54,7 +54,7 @@ pub static VISCOUS_FRICTION: Effect = Effect {
     look_alikes: "kd_error load_dependent_friction coulomb_friction torque_constant command_low_pass",
     trial: "chirp",
     signature: "torque grows in proportion to speed, with the servo off as well",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static STRIBECK_FRICTION: Effect = Effect {
@@ -84,7 +84,7 @@ pub static STRIBECK_FRICTION: Effect = Effect {
     look_alikes: "load_stiction coulomb_friction pre_sliding controller_dead_band gear_backlash",
     trial: "slow_triangles",
     signature: "more friction at rest than in motion: stick and slip at low speed only",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
@@ -103,7 +103,7 @@ pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
     look_alikes: "load_stiction torque_saturation coulomb_friction viscous_friction drive_asymmetry winding_resistance torque_constant",
     trial: "lift_and_lower",
     signature: "the jump at a reversal grows with the load at the same speed",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static LOAD_STICTION: Effect = Effect {
@@ -132,7 +132,7 @@ pub static LOAD_STICTION: Effect = Effect {
     look_alikes: "stribeck_friction load_dependent_friction coulomb_friction drive_asymmetry",
     trial: "lift_and_lower",
     signature: "a joint sticks the harder the more it carries, and lets go with a jerk; without load it does not stick",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static DRIVE_ASYMMETRY: Effect = Effect {
@@ -161,7 +161,7 @@ pub static DRIVE_ASYMMETRY: Effect = Effect {
     look_alikes: "load_dependent_friction braking_asymmetry torque_constant direction_asymmetry",
     trial: "lift_and_lower",
     signature: "lifting and lowering the same load at the same speed lose differently",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static DIRECTION_ASYMMETRY: Effect = Effect {
@@ -187,7 +187,7 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
     look_alikes: "encoder_offset parallel_spring floor_slope link_com drive_asymmetry",
     trial: "slow_triangles",
     signature: "heavier one way than the other, in every pose",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static PRE_SLIDING: Effect = Effect {
@@ -207,7 +207,7 @@ pub static PRE_SLIDING: Effect = Effect {
     look_alikes: "coulomb_friction stribeck_friction gear_compliance gear_backlash",
     trial: "micro_reversals",
     signature: "friction comes on like a spring after a reversal",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static FRICTION_DRIFT: Effect = Effect {
@@ -247,5 +247,5 @@ pub static FRICTION_DRIFT: Effect = Effect {
     },
     trial: "warm_up_series",
     signature: "friction changes within every run as the joint warms, or from the first to the last run of the session",
-    ..BASE
+    ..OF_FRICTION
 };

@@ -4,7 +4,7 @@ use super::effect::Reference::{One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter, rows};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_GEARS: Effect = Effect {
     layer: Layer::Transmission,
     domain: Domain::Joints,
     unseen: needs_motion,
@@ -26,7 +26,7 @@ pub static GEAR_BACKLASH: Effect = Effect {
     look_alikes: "gear_compliance controller_dead_band pre_sliding servo_loop_delay",
     trial: "micro_reversals",
     signature: "free travel without torque, of the same width at any load; current reverses before the joint does",
-    ..BASE
+    ..OF_GEARS
 };
 
 pub static GEAR_COMPLIANCE: Effect = Effect {
@@ -69,7 +69,7 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
     look_alikes: "gear_backlash pre_sliding servo_loop_delay armature",
     trial: "chirp",
     signature: "deflection in proportion to torque; a resonance that moves with the load's inertia",
-    ..BASE
+    ..OF_GEARS
 };
 
 /// Ripples that are tried: so many in a turn, each a quarter of its period on from the one before.
@@ -105,5 +105,5 @@ pub static COGGING: Effect = Effect {
     look_alikes: "parallel_spring encoder_gain stribeck_friction",
     trial: "slow_turn",
     signature: "a torque that repeats with the angle, at any speed",
-    ..BASE
+    ..OF_GEARS
 };

@@ -13,7 +13,7 @@ fn needs_imu(e: &Excitation, _: &Place) -> Option<&'static str> {
     (!any).then_some("no IMU was recorded")
 }
 
-const BASE: Effect = Effect {
+const OF_THE_IMU: Effect = Effect {
     layer: Layer::Sensing,
     domain: Domain::Robot,
     unseen: needs_imu,
@@ -34,7 +34,7 @@ pub static IMU_TILT: Effect = Effect {
     look_alikes: "floor_slope",
     trial: "stand_headings",
     signature: "constant in the body's frame; no joint reacts",
-    ..BASE
+    ..OF_THE_IMU
 };
 
 pub static GYRO_BIAS: Effect = Effect {
@@ -60,7 +60,7 @@ pub static GYRO_BIAS: Effect = Effect {
     unseen: |e, _| (!e.has(Kind::Gyro)).then_some("no gyroscope was recorded"),
     trial: "rest",
     signature: "a rate at rest",
-    ..BASE
+    ..OF_THE_IMU
 };
 
 pub static IMU_DELAY: Effect = Effect {
@@ -84,7 +84,7 @@ pub static IMU_DELAY: Effect = Effect {
     look_alikes: "measurement_delay",
     trial: "chirp",
     signature: "the IMU alone comes late; joints do not",
-    ..BASE
+    ..OF_THE_IMU
 };
 
 pub static MOCAP_FRAME: Effect = Effect {
@@ -111,5 +111,5 @@ pub static MOCAP_FRAME: Effect = Effect {
     unseen: |e, _| (!e.has(Kind::BasePosition)).then_some("no motion capture was recorded"),
     trial: "chirp",
     signature: "only motion capture is off; all onboard signals are as simulated",
-    ..BASE
+    ..OF_THE_IMU
 };

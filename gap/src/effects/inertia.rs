@@ -4,7 +4,7 @@ use super::effect::Reference::{Armature, One};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_MASSES: Effect = Effect {
     layer: Layer::Inertia,
     domain: Domain::Links,
     ..PLAIN
@@ -18,7 +18,7 @@ pub static LINK_MASS: Effect = Effect {
     look_alikes: "link_com payload torque_constant armature encoder_gain parallel_spring",
     trial: "hold_poses",
     signature: "gravity and inertia of the link grow together",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static LINK_COM: Effect = Effect {
@@ -46,7 +46,7 @@ pub static LINK_COM: Effect = Effect {
     look_alikes: "link_mass armature encoder_offset parallel_spring link_inertia payload",
     trial: "hold_poses",
     signature: "gravity changes with the lever, inertia with its square; the weight stays",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static LINK_INERTIA: Effect = Effect {
@@ -58,7 +58,7 @@ pub static LINK_INERTIA: Effect = Effect {
     unseen: needs_motion,
     trial: "fast_chirp",
     signature: "shows in fast motion only; no gravity",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static ARMATURE: Effect = Effect {
@@ -83,7 +83,7 @@ pub static ARMATURE: Effect = Effect {
     unseen: needs_motion,
     trial: "fast_chirp",
     signature: "inertia of the joint alone: no gravity, nothing passed on to neighbours",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static PAYLOAD: Effect = Effect {
@@ -114,7 +114,7 @@ pub static PAYLOAD: Effect = Effect {
     },
     trial: "stand_heights",
     signature: "weight on the trunk: every leg carries more",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static FLOOR_SLOPE: Effect = Effect {
@@ -138,5 +138,5 @@ pub static FLOOR_SLOPE: Effect = Effect {
     look_alikes: "imu_tilt encoder_offset link_com direction_asymmetry",
     trial: "stand_headings",
     signature: "gravity points elsewhere in the world: all joints with a lever change together, and it turns with the heading",
-    ..BASE
+    ..OF_MASSES
 };

@@ -7,7 +7,7 @@ use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 use crate::trial::Kind;
 
-const BASE: Effect = Effect {
+const OF_SENSORS: Effect = Effect {
     layer: Layer::Sensing,
     domain: Domain::Joints,
     ..PLAIN
@@ -21,7 +21,7 @@ pub static ENCODER_OFFSET: Effect = Effect {
     look_alikes: "link_com parallel_spring floor_slope direction_asymmetry",
     trial: "hold_poses",
     signature: "the gravity curve of current against angle is shifted; independent of speed and direction",
-    ..BASE
+    ..OF_SENSORS
 };
 
 pub static ENCODER_GAIN: Effect = Effect {
@@ -33,7 +33,7 @@ pub static ENCODER_GAIN: Effect = Effect {
     unseen: needs_motion,
     trial: "hold_poses",
     signature: "grows with the angle; shows against motion capture, only weakly against current",
-    ..BASE
+    ..OF_SENSORS
 };
 
 pub static VELOCITY_LAG: Effect = Effect {
@@ -51,7 +51,7 @@ pub static VELOCITY_LAG: Effect = Effect {
     },
     trial: "chirp",
     signature: "the reported velocity lags behind the derivative of the reported position; positions are untouched",
-    ..BASE
+    ..OF_SENSORS
 };
 
 pub static CURRENT_BIAS: Effect = Effect {
@@ -71,7 +71,7 @@ pub static CURRENT_BIAS: Effect = Effect {
     unseen: |e, _| (!e.has(Kind::Current)).then_some("no currents were recorded"),
     trial: "hold_poses",
     signature: "only the current reading is off; the motion is as simulated",
-    ..BASE
+    ..OF_SENSORS
 };
 
 pub static CURRENT_LAG: Effect = Effect {
@@ -89,5 +89,5 @@ pub static CURRENT_LAG: Effect = Effect {
     },
     trial: "chirp",
     signature: "the current lags behind what the motion needs, and its peaks are rounded; positions are untouched",
-    ..BASE
+    ..OF_SENSORS
 };

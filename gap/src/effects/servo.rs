@@ -4,7 +4,7 @@ use super::effect::Reference::{Damping, Gain, One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_SERVOS: Effect = Effect {
     layer: Layer::Actuation,
     domain: Domain::Joints,
     ..PLAIN
@@ -18,7 +18,7 @@ pub static KP_ERROR: Effect = Effect {
     look_alikes: "kd_error winding_resistance torque_constant controller_dead_band stale_gains",
     trial: "hold_poses",
     signature: "the droop under load changes; nothing in time touches it",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static KD_ERROR: Effect = Effect {
@@ -45,7 +45,7 @@ pub static KD_ERROR: Effect = Effect {
     unseen: needs_motion,
     trial: "steps",
     signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static INTEGRAL_ACTION: Effect = Effect {
@@ -63,7 +63,7 @@ pub static INTEGRAL_ACTION: Effect = Effect {
     look_alikes: "kp_error thermal_derating",
     trial: "long_holds",
     signature: "the droop goes away within seconds",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static TORQUE_CONSTANT: Effect = Effect {
@@ -86,7 +86,7 @@ pub static TORQUE_CONSTANT: Effect = Effect {
     look_alikes: "winding_resistance kp_error current_bias load_dependent_friction link_mass",
     trial: "hold_poses",
     signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static WINDING_RESISTANCE: Effect = Effect {
@@ -97,7 +97,7 @@ pub static WINDING_RESISTANCE: Effect = Effect {
     look_alikes: "torque_saturation kp_error torque_constant load_dependent_friction supply_level stale_gains",
     trial: "stalls",
     signature: "more droop at stall with the same current per torque; the speed without load is as it was",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static TORQUE_LIMIT: Effect = Effect {
@@ -151,7 +151,7 @@ pub static TORQUE_LIMIT: Effect = Effect {
     },
     trial: "loaded_steps",
     signature: "current is cut flat, at any speed; where the motor brakes perhaps less, or not at all",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static TORQUE_SATURATION: Effect = Effect {
@@ -173,7 +173,7 @@ pub static TORQUE_SATURATION: Effect = Effect {
     },
     trial: "loaded_steps",
     signature: "torque falls behind in proportion to itself: small errors are answered in full, large ones less and less, at any speed",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static VOLTAGE_LIMIT: Effect = Effect {
@@ -191,7 +191,7 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
     unseen: needs_motion,
     trial: "large_steps",
     signature: "torque is cut along a line that falls with speed",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static CONTROLLER_DEAD_BAND: Effect = Effect {
@@ -230,7 +230,7 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
     look_alikes: "coulomb_friction kp_error gear_backlash stribeck_friction",
     trial: "slow_ramps",
     signature: "a steady error without current, up to the same width whatever the gain",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static BRAKING_ASYMMETRY: Effect = Effect {
@@ -263,7 +263,7 @@ pub static BRAKING_ASYMMETRY: Effect = Effect {
     unseen: needs_motion,
     trial: "fast_reversals",
     signature: "only where torque is against the motion",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static STALE_GAINS: Effect = Effect {
@@ -280,5 +280,5 @@ pub static STALE_GAINS: Effect = Effect {
     look_alikes: "kp_error winding_resistance",
     trial: "steps",
     signature: "both gains by one factor, as of another register",
-    ..BASE
+    ..OF_SERVOS
 };

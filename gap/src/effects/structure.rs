@@ -5,7 +5,7 @@ use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::place::Domain;
 use crate::trial::Kind;
 
-const BASE: Effect = Effect {
+const OF_STRUCTURE: Effect = Effect {
     layer: Layer::Structure,
     domain: Domain::Joints,
     ..PLAIN
@@ -42,7 +42,7 @@ pub static GIRDLE_PLAY: Effect = Effect {
     },
     trial: "girdle_rocking",
     signature: "the body tips between two stops with the sign of its load; joint encoders see nothing",
-    ..BASE
+    ..OF_STRUCTURE
 };
 
 pub static PARALLEL_SPRING: Effect = Effect {
@@ -81,7 +81,7 @@ pub static PARALLEL_SPRING: Effect = Effect {
     look_alikes: "link_com link_mass encoder_offset direction_asymmetry kp_error",
     trial: "hold_poses",
     signature: "torque where gravity has no lever; the same however the robot is turned",
-    ..BASE
+    ..OF_STRUCTURE
 };
 
 pub static HARD_STOP: Effect = Effect {
@@ -125,5 +125,5 @@ pub static HARD_STOP: Effect = Effect {
     look_alikes: "torque_limit parallel_spring",
     trial: "full_range",
     signature: "the joint never passes an angle, and current surges there",
-    ..BASE
+    ..OF_STRUCTURE
 };

@@ -4,7 +4,7 @@ use super::effect::Reference::One;
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_THE_SUPPLY: Effect = Effect {
     layer: Layer::Actuation,
     domain: Domain::Robot,
     unseen: needs_motion,
@@ -19,7 +19,7 @@ pub static SUPPLY_SAG: Effect = Effect {
     look_alikes: "supply_level voltage_limit",
     trial: "all_joints_probe",
     signature: "all joints lose speed when any of them works; follows the total current within milliseconds",
-    ..BASE
+    ..OF_THE_SUPPLY
 };
 
 pub static SUPPLY_LEVEL: Effect = Effect {
@@ -40,7 +40,7 @@ pub static SUPPLY_LEVEL: Effect = Effect {
     look_alikes: "voltage_limit supply_sag profile_limit",
     trial: "large_steps",
     signature: "as a voltage limit, the same in all joints and at any load; the logged voltage shows it",
-    ..BASE
+    ..OF_THE_SUPPLY
 };
 
 pub static THERMAL_DERATING: Effect = Effect {
@@ -73,5 +73,5 @@ pub static THERMAL_DERATING: Effect = Effect {
     },
     trial: "hot_hold",
     signature: "droop grows with the current squared over the past minute",
-    ..BASE
+    ..OF_THE_SUPPLY
 };

@@ -11,7 +11,7 @@ fn needs_commands(e: &Excitation, _: &Place) -> Option<&'static str> {
     (e.fastest_command_radps < 0.2).then_some("commands hardly change in these runs")
 }
 
-const BASE: Effect = Effect {
+const OF_TIMING: Effect = Effect {
     layer: Layer::Timing,
     domain: Domain::Robot,
     unseen: needs_commands,
@@ -32,7 +32,7 @@ pub static COMMAND_DELAY: Effect = Effect {
     look_alikes: "command_low_pass measurement_delay servo_loop_delay bus_skew profile_limit",
     trial: "chirp",
     signature: "phase falls in proportion to frequency with gain 1; what happens without a command is not shifted",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static MEASUREMENT_DELAY: Effect = Effect {
@@ -43,7 +43,7 @@ pub static MEASUREMENT_DELAY: Effect = Effect {
     look_alikes: "command_delay command_low_pass clock_drift",
     trial: "torque_off_drop",
     signature: "as a command delay, but what happens without a command is shifted too",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static BUS_SKEW: Effect = Effect {
@@ -67,7 +67,7 @@ pub static BUS_SKEW: Effect = Effect {
     unseen: |e, _| (e.joints.len() < 2).then_some("one joint alone shows no pattern along the bus"),
     trial: "chirp",
     signature: "the lag grows along the bus",
-    ..BASE
+    ..OF_TIMING
 };
 
 /// Frames of the command that do not arrive, which a diagnosis also measures by what repeats differ by.
@@ -92,7 +92,7 @@ pub static DROPPED_FRAMES: Effect = Effect {
     look_alikes: "command_delay command_low_pass",
     trial: "chirp",
     signature: "the command stands still at single ticks; a delay shifts all of them",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static CLOCK_DRIFT: Effect = Effect {
@@ -107,7 +107,7 @@ pub static CLOCK_DRIFT: Effect = Effect {
     },
     trial: "long_chirp",
     signature: "the lag grows with the time since the start of the run",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static COMMAND_LOW_PASS: Effect = Effect {
@@ -120,7 +120,7 @@ pub static COMMAND_LOW_PASS: Effect = Effect {
     unseen: needs_motion,
     trial: "chirp",
     signature: "gain falls with frequency as well as phase; steps are rounded",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static PROFILE_LIMIT: Effect = Effect {
@@ -164,7 +164,7 @@ pub static PROFILE_LIMIT: Effect = Effect {
     unseen: needs_motion,
     trial: "steps",
     signature: "ramps of one slope after steps of any size, whatever load and voltage",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static SERVO_LOOP_DELAY: Effect = Effect {
@@ -182,5 +182,5 @@ pub static SERVO_LOOP_DELAY: Effect = Effect {
     unseen: needs_motion,
     trial: "steps",
     signature: "damping is lost, the more the higher the gain; a delay outside the loop only shifts",
-    ..BASE
+    ..OF_TIMING
 };

@@ -9,7 +9,7 @@ fn needs_water(e: &Excitation, _: &Place) -> Option<&'static str> {
     (!e.in_water).then_some("the robot is never in the water in these runs")
 }
 
-const BASE: Effect = Effect {
+const OF_WATER: Effect = Effect {
     layer: Layer::Water,
     domain: Domain::AllLinks,
     unseen: needs_water,
@@ -24,7 +24,7 @@ pub static LINEAR_DRAG: Effect = Effect {
     look_alikes: "quadratic_drag viscous_friction heave_damping",
     trial: "coast_down",
     signature: "loss per cycle grows with the amplitude squared",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static QUADRATIC_DRAG: Effect = Effect {
@@ -52,7 +52,7 @@ pub static QUADRATIC_DRAG: Effect = Effect {
     look_alikes: "linear_drag added_mass",
     trial: "three_amplitudes_three_frequencies",
     signature: "loss per cycle grows with the cube of the amplitude",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static ADDED_MASS: Effect = Effect {
@@ -71,7 +71,7 @@ pub static ADDED_MASS: Effect = Effect {
     look_alikes: "quadratic_drag armature link_mass",
     trial: "wet_and_dry_chirp",
     signature: "shifts the phase without net work, in water only",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static BUOYANCY: Effect = Effect {
@@ -82,7 +82,7 @@ pub static BUOYANCY: Effect = Effect {
     look_alikes: "water_level payload link_mass",
     trial: "float",
     signature: "floats higher or deeper at rest",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static BUOYANCY_CENTRE: Effect = Effect {
@@ -102,7 +102,7 @@ pub static BUOYANCY_CENTRE: Effect = Effect {
     look_alikes: "link_com payload",
     trial: "float",
     signature: "the attitude at rest in the water changes",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static HEAVE_DAMPING: Effect = Effect {
@@ -125,7 +125,7 @@ pub static HEAVE_DAMPING: Effect = Effect {
     look_alikes: "linear_drag quadratic_drag",
     trial: "bob",
     signature: "how fast bobbing dies",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static WATER_CURRENT: Effect = Effect {
@@ -143,7 +143,7 @@ pub static WATER_CURRENT: Effect = Effect {
     look_alikes: "quadratic_drag",
     trial: "passive_drift",
     signature: "the robot drifts without doing anything",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static WATER_LEVEL: Effect = Effect {
@@ -155,5 +155,5 @@ pub static WATER_LEVEL: Effect = Effect {
     look_alikes: "buoyancy",
     trial: "slow_dip",
     signature: "everything wet begins at another depth",
-    ..BASE
+    ..OF_WATER
 };
