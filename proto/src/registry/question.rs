@@ -4,6 +4,7 @@
 //! and about something else must not be able to pass it off as the one that was asked for.
 
 use crate::checks::Check;
+use crate::hex::hex;
 use crate::registry::{
     Freshness, LabelName, LabelState, Manifest, NONCE_BYTES, QuarantineState, StreamName,
 };
@@ -91,10 +92,6 @@ fn same<T: PartialEq>(
             said: found.map_or_else(|| "nothing".to_owned(), |found| show(&found)),
         }),
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 impl<'a> Facts<'a> {
