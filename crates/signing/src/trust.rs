@@ -263,7 +263,7 @@ impl Proof<'_> {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+pub mod tests {
     use caudata_proto::checks::each_left_out;
 
     use caudata_proto::hex::hex;

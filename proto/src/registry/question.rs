@@ -7,6 +7,7 @@ use super::error::NONCE_BYTES;
 use super::messages::{Freshness, LabelState, Manifest, QuarantineState};
 use super::names::{LabelName, StreamName};
 use crate::checks::Check;
+use crate::hex::hex;
 
 /// What a question fixes, or what an answer says. Whatever the question fixes, the answer must say likewise.
 #[derive(Clone, Copy, Debug, Default)]
@@ -91,10 +92,6 @@ fn same<T: PartialEq>(
             said: found.map_or_else(|| "nothing".to_owned(), |found| show(&found)),
         }),
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 impl<'a> Facts<'a> {
