@@ -178,7 +178,7 @@ pub enum WatchChange {
 /// Where a label leads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LabelState {
-    /// Of which stream.
+    /// The stream in question.
     pub stream: StreamName,
     /// Which label.
     pub label: LabelName,
@@ -197,7 +197,7 @@ pub struct LabelState {
 /// Asks to move a label.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SetLabel {
-    /// Of which stream.
+    /// The stream in question.
     pub stream: StreamName,
     /// Which label.
     pub label: LabelName,
@@ -212,7 +212,7 @@ pub struct SetLabel {
 /// A version out of use.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct QuarantineState {
-    /// Of which stream.
+    /// The stream in question.
     pub stream: StreamName,
     /// Which version.
     pub version: u64,
@@ -280,7 +280,7 @@ impl RobotState {
 pub struct RobotReport {
     /// Name of the robot.
     pub robot: String,
-    /// Of which stream.
+    /// The stream in question.
     pub stream: StreamName,
     /// Which version.
     pub version: u64,
@@ -305,7 +305,7 @@ pub struct RobotReport {
 pub struct Freshness {
     /// What the asking side made up.
     pub nonce: [u8; NONCE_BYTES],
-    /// Of which stream.
+    /// The stream in question.
     pub stream: StreamName,
     /// Which label.
     pub label: LabelName,
@@ -350,7 +350,7 @@ pub struct AuditEntry {
     pub by: String,
     /// What kind of change.
     pub what: String,
-    /// Of which stream.
+    /// The stream in question.
     pub stream: String,
     /// Which version.
     pub version: u64,
