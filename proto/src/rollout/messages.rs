@@ -1,4 +1,4 @@
-//! What actors tell the learner.
+//! What actors tell the learner, as checked values.
 
 use super::trace::TraceContext;
 
@@ -96,14 +96,16 @@ pub struct RolloutChunk {
     pub episodes: Vec<EpisodeSummary>,
     /// Statistics of the first T rows of `observations`.
     pub moments: Moments,
-    /// Where observations repeat past actions, if they do. Those are then not sent; nothing that is learnt depends on it.
+    /// Where observations repeat past actions, if they do. Those are then not sent; nothing that is learnt
+    /// depends on it.
     pub action_history: Option<ActionHistory>,
     /// Where the chunk belongs in a trace, if it is traced. Nothing that is learnt depends on it.
     pub trace: Option<TraceContext>,
 }
 
-/// Columns of an observation that repeat the actions of the steps before: `steps` times A values from `first` on, newest action first, each within ± `clip`; zeros after
-/// an episode's end. At most half of an observation.
+/// Columns of an observation that repeat the actions of the steps before: `steps` times A values from `first`
+/// on, newest action first, each within ± `clip`; zeros after an episode's end. At most half of an
+/// observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ActionHistory {
     /// First column.
@@ -156,7 +158,7 @@ pub struct Moments {
     pub m2: Vec<f64>,
 }
 
-/// Bounds on what [`decode`] accepts.
+/// Bounds on what [`decode`](super::decode) accepts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DecodeLimits {
     /// Bytes of one frame. Reading a frame takes at most about five times this.

@@ -18,5 +18,8 @@ mod trace;
 pub use codec::{decode, encode, frame_bytes_bound};
 pub use error::{DecodeError, REASON_IDS};
 pub use identity::{ChunkIdentity, chunk_identity};
-pub use messages::*;
+pub use messages::{
+    ActionHistory, ActorBye, ActorHello, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
+    Moments, ROLLOUT_PROTOCOL, RolloutChunk,
+};
 pub use trace::TraceContext;

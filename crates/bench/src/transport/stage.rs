@@ -136,8 +136,9 @@ impl Ends {
 /// # Errors
 /// When they cannot be made.
 fn certificates(folder: &Path) -> Result<(TlsFiles, TlsFiles), Failure> {
-    let made =
-        |error: caudata_signing::pki::PkiError| Failure::message(ExitCode::CannotCreate, error.to_string());
+    let made = |error: caudata_signing::pki::PkiError| {
+        Failure::message(ExitCode::CannotCreate, error.to_string())
+    };
     let now = SystemTime::now();
     let authority = Authority::create(folder, "bench", now).map_err(made)?;
     let issue = |role: Role, name: &str| {
