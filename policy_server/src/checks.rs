@@ -6,8 +6,7 @@ use caudata_proto::hex::hex;
 use caudata_proto::registry::{LabelState, Manifest, SetLabel};
 
 use crate::error::StoreError;
-use crate::notes::Hash;
-use crate::store::Store;
+use crate::notes::{Hash, Quarantined, UsedUp};
 
 /// Looks at the hash that bytes must have and the one that they have; true: they are others.
 pub(crate) type HashCheck = fn(&Hash, &Hash) -> bool;
@@ -20,7 +19,12 @@ pub(crate) const BYTES: &[Check<HashCheck>] = &[Check {
 
 /// A new version, and where it is to be published.
 pub(crate) struct Publication<'a> {
-    pub(crate) store: &'a Store,
+    /// Numbers of its stream that are used up.
+    pub(crate) used_up: Option<&'a UsedUp>,
+    /// The stream's newest version.
+    pub(crate) newest: Option<&'a Manifest>,
+    /// What is out of use in the stream.
+    pub(crate) quarantined: Vec<&'a Quarantined>,
     pub(crate) manifest: &'a Manifest,
 }
 
@@ -32,13 +36,12 @@ pub(crate) const PUBLICATION: &[Check<PublicationCheck>] = &[
     Check {
         name: "number",
         refuse: |new| {
-            let used_up = new.store.used_up.get(&new.manifest.stream);
-            let why =
-                used_up.and_then(|used| used.objection(new.manifest.version, &new.manifest.sha256));
+            let (version, sha256) = (new.manifest.version, &new.manifest.sha256);
+            let why = new.used_up.and_then(|used| used.objection(version, sha256));
             why.map_or(Ok(()), |why| {
                 Err(StoreError::UsedUp {
                     stream: new.manifest.stream.to_string(),
-                    version: new.manifest.version,
+                    version,
                     why,
                 })
             })
@@ -47,11 +50,11 @@ pub(crate) const PUBLICATION: &[Check<PublicationCheck>] = &[
     // A stream keeps to one contract.
     Check {
         name: "contract",
-        refuse: |new| match new.store.newest(&new.manifest.stream) {
-            Some(newest) if newest.manifest.contract_hash != new.manifest.contract_hash => {
+        refuse: |new| match new.newest {
+            Some(newest) if newest.contract_hash != new.manifest.contract_hash => {
                 Err(StoreError::ContractMismatch {
                     stream: new.manifest.stream.to_string(),
-                    expected: hex(&newest.manifest.contract_hash),
+                    expected: hex(&newest.contract_hash),
                     actual: hex(&new.manifest.contract_hash),
                 })
             }
@@ -62,10 +65,8 @@ pub(crate) const PUBLICATION: &[Check<PublicationCheck>] = &[
     Check {
         name: "quarantined bytes",
         refuse: |new| {
-            let found = new.store.quarantined.values().find(|known| {
-                known.state.stream == new.manifest.stream
-                    && known.sha256 == Some(new.manifest.sha256)
-            });
+            let same = |known: &&&Quarantined| known.sha256 == Some(new.manifest.sha256);
+            let found = new.quarantined.iter().find(same);
             found.map_or(Ok(()), |known| {
                 refused(format!(
                     "these bytes are version {} of {}, which is quarantined: {}",
@@ -84,7 +85,12 @@ impl Publication<'_> {
 
 /// A label that is to be moved, and where it is.
 pub(crate) struct Move<'a> {
-    pub(crate) store: &'a Store,
+    /// Its version is there.
+    pub(crate) known: bool,
+    /// Its version is out of use.
+    pub(crate) quarantined: bool,
+    /// Robots that said that the version went well, and how many `stable` needs.
+    pub(crate) good: (usize, usize),
     pub(crate) wanted: &'a SetLabel,
     pub(crate) before: Option<&'a LabelState>,
 }
@@ -114,9 +120,9 @@ pub(crate) const MOVE: &[Check<MoveCheck>] = &[
         name: "label known",
         refuse: |to| {
             let (stream, version) = (&to.wanted.stream, to.wanted.version);
-            match to.store.find(stream, version) {
-                Some(_) => Ok(()),
-                None => refused(format!(
+            match to.known {
+                true => Ok(()),
+                false => refused(format!(
                     "{stream} has no version {version} that a label could lead to"
                 )),
             }
@@ -127,7 +133,7 @@ pub(crate) const MOVE: &[Check<MoveCheck>] = &[
         name: "label usable",
         refuse: |to| {
             let (stream, version) = (&to.wanted.stream, to.wanted.version);
-            match to.store.is_quarantined(stream, version) {
+            match to.quarantined {
                 false => Ok(()),
                 true => refused(format!("{stream} version {version} is quarantined")),
             }
@@ -156,8 +162,7 @@ pub(crate) const MOVE: &[Check<MoveCheck>] = &[
                 override_reason,
                 ..
             } = to.wanted;
-            let good = to.store.good_reports(stream, *version);
-            let needed = to.store.limits.stable_needs;
+            let (good, needed) = to.good;
             match label.needs_proof() && good < needed && override_reason.is_none() {
                 false => Ok(()),
                 true => refused(format!(
@@ -186,7 +191,7 @@ mod tests {
 
     use super::*;
     use crate::audit::Origin;
-    use crate::store::StoreLimits;
+    use crate::store::{Store, StoreLimits};
     use crate::testing::manifest;
 
     fn stream() -> StreamName {
@@ -242,8 +247,7 @@ mod tests {
             if name == "contract" {
                 new.contract_hash = [8; 32];
             }
-            let (store, manifest) = (&store, &new);
-            Publication { store, manifest }.check(checks)
+            store.publication(&new).check(checks)
         });
         let moves = each_left_out(MOVE, |name, checks| {
             let (wanted, before) = match name {
@@ -253,13 +257,7 @@ mod tests {
                 "label up" => (label("canary", 1, canary.generation), Some(&canary)),
                 _ => (label("stable", 2, 0), None),
             };
-            let (store, wanted) = (&store, &wanted);
-            let to = Move {
-                store,
-                wanted,
-                before,
-            };
-            to.check(checks)
+            store.moving(&wanted, before).check(checks)
         });
         // Seen with --nocapture: `make mutants`.
         for table in [bytes, publications, moves] {

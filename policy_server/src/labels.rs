@@ -137,12 +137,7 @@ impl Store {
                 reason: "`latest` moves by itself; publish, or quarantine what is newest".into(),
             });
         }
-        let to = Move {
-            store: self,
-            wanted: &wanted,
-            before,
-        };
-        to.check(MOVE)?;
+        self.moving(&wanted, before).check(MOVE)?;
         let of_stream = |(of, _): &&(StreamName, LabelName)| *of == wanted.stream;
         if before.is_none() && self.labels.keys().filter(of_stream).count() >= LABELS_MAX {
             let stream = &wanted.stream;
@@ -179,6 +174,22 @@ impl Store {
         self.generation = state.generation;
         self.labels.insert(key, state.clone());
         Ok(state)
+    }
+
+    /// What the checks of a label that is to be moved look at.
+    pub(crate) fn moving<'a>(
+        &self,
+        wanted: &'a SetLabel,
+        before: Option<&'a LabelState>,
+    ) -> Move<'a> {
+        let (stream, version) = (&wanted.stream, wanted.version);
+        Move {
+            known: self.find(stream, version).is_some(),
+            quarantined: self.is_quarantined(stream, version),
+            good: (self.good_reports(stream, version), self.limits.stable_needs),
+            wanted,
+            before,
+        }
     }
 
     /// Robots that said that a version went through its trial.

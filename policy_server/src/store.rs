@@ -206,12 +206,7 @@ impl Store {
                 })
             };
         }
-        let (store, new) = (&*self, &manifest);
-        Publication {
-            store,
-            manifest: new,
-        }
-        .check(PUBLICATION)?;
+        self.publication(&manifest).check(PUBLICATION)?;
         self.check_room(&manifest.stream)?;
         let record = Record {
             generation: self.generation + 1,
@@ -335,6 +330,18 @@ impl Store {
         self.withdraw(sha256);
         self.set_aside(&path);
         Err(StoreError::Damaged { path })
+    }
+
+    /// What the checks of a new version look at.
+    pub(crate) fn publication<'a>(&'a self, manifest: &'a Manifest) -> Publication<'a> {
+        let stream = &manifest.stream;
+        let quarantined = self.quarantined.values();
+        Publication {
+            used_up: self.used_up.get(stream),
+            newest: self.newest(stream).map(|newest| &newest.manifest),
+            quarantined: quarantined.filter(|q| q.state.stream == *stream).collect(),
+            manifest,
+        }
     }
 
     pub(crate) fn references(&self, sha256: &[u8; 32]) -> bool {
