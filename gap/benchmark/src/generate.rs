@@ -251,6 +251,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
+    use crate::truth::Spec;
 
     #[test]
     fn gains_that_follow_the_supply_are_no_other_gains_once_it_changes() {

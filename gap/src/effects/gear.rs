@@ -23,12 +23,7 @@ pub static GEAR_BACKLASH: Effect = Effect {
             *rotor = rotor.max(1e-4);
         }
     },
-    look_alikes: &[
-        "gear_compliance",
-        "controller_dead_band",
-        "pre_sliding",
-        "servo_loop_delay",
-    ],
+    look_alikes: "gear_compliance controller_dead_band pre_sliding servo_loop_delay",
     trial: "micro_reversals",
     signature: "free travel without torque, of the same width at any load; current reverses before the joint does",
     ..BASE
@@ -71,12 +66,7 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
             *rotor = rotor.max(1e-4);
         }
     },
-    look_alikes: &[
-        "gear_backlash",
-        "pre_sliding",
-        "servo_loop_delay",
-        "armature",
-    ],
+    look_alikes: "gear_backlash pre_sliding servo_loop_delay armature",
     trial: "chirp",
     signature: "deflection in proportion to torque; a resonance that moves with the load's inertia",
     ..BASE
@@ -112,7 +102,7 @@ pub static COGGING: Effect = Effect {
             joint.ripple_per_turn = v[2] as f32;
         }
     },
-    look_alikes: &["parallel_spring", "encoder_gain", "stribeck_friction"],
+    look_alikes: "parallel_spring encoder_gain stribeck_friction",
     trial: "slow_turn",
     signature: "a torque that repeats with the angle, at any speed",
     ..BASE

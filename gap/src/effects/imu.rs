@@ -31,7 +31,7 @@ pub static IMU_TILT: Effect = Effect {
         plant.sensing.mounting.tilt_rad[0] += v[0] as f32;
         plant.sensing.mounting.tilt_rad[1] += v[1] as f32;
     },
-    look_alikes: &["floor_slope"],
+    look_alikes: "floor_slope",
     trial: "stand_headings",
     signature: "constant in the body's frame; no joint reacts",
     ..BASE
@@ -81,7 +81,7 @@ pub static IMU_DELAY: Effect = Effect {
         plant.sensing.imu_delay_s += v[0] as f32;
         plant.sensing.imu_lag_s += v[1] as f32;
     },
-    look_alikes: &["measurement_delay"],
+    look_alikes: "measurement_delay",
     trial: "chirp",
     signature: "the IMU alone comes late; joints do not",
     ..BASE
@@ -107,7 +107,7 @@ pub static MOCAP_FRAME: Effect = Effect {
         plant.sensing.mocap_yaw_rad += v[1] as f32;
         plant.sensing.mocap_offset_m[2] += v[2] as f32;
     },
-    look_alikes: &["imu_delay"],
+    look_alikes: "imu_delay",
     unseen: |e, _| (!e.has(Kind::BasePosition)).then_some("no motion capture was recorded"),
     trial: "chirp",
     signature: "only motion capture is off; all onboard signals are as simulated",

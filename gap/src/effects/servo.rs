@@ -14,18 +14,8 @@ pub static KP_ERROR: Effect = Effect {
     id: "kp_error",
     parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.04, One)],
     grid: &one(&[0.5, 0.75, 0.9, 1.1, 1.3, 1.7]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.lane.kp_nm_per_rad[a] *= v[0] as f32;
-        }
-    },
-    look_alikes: &[
-        "kd_error",
-        "winding_resistance",
-        "torque_constant",
-        "controller_dead_band",
-        "stale_gains",
-    ],
+    apply: |plant, place, v| place.each(|a| plant.lane.kp_nm_per_rad[a] *= v[0] as f32),
+    look_alikes: "kd_error winding_resistance torque_constant controller_dead_band stale_gains",
     trial: "hold_poses",
     signature: "the droop under load changes; nothing in time touches it",
     ..BASE
@@ -51,14 +41,7 @@ pub static KD_ERROR: Effect = Effect {
             *own = (*own + kd.min(0.0)).max(0.0);
         }
     },
-    look_alikes: &[
-        "viscous_friction",
-        "kp_error",
-        "command_low_pass",
-        "servo_loop_delay",
-        "torque_constant",
-        "supply_level",
-    ],
+    look_alikes: "viscous_friction kp_error command_low_pass servo_loop_delay torque_constant supply_level",
     unseen: needs_motion,
     trial: "steps",
     signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
@@ -76,12 +59,8 @@ pub static INTEGRAL_ACTION: Effect = Effect {
         Gain,
     )],
     grid: &one(&[0.1, 0.3, 1.0, 3.0]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.lane.joints[a].ki_nm_per_rad_s += v[0] as f32;
-        }
-    },
-    look_alikes: &["kp_error", "thermal_derating"],
+    apply: |plant, place, v| place.each(|a| plant.lane.joints[a].ki_nm_per_rad_s += v[0] as f32),
+    look_alikes: "kp_error thermal_derating",
     trial: "long_holds",
     signature: "the droop goes away within seconds",
     ..BASE
@@ -104,13 +83,7 @@ pub static TORQUE_CONSTANT: Effect = Effect {
             joint.torque_constant_nm_per_a *= s;
         }
     },
-    look_alikes: &[
-        "winding_resistance",
-        "kp_error",
-        "current_bias",
-        "load_dependent_friction",
-        "link_mass",
-    ],
+    look_alikes: "winding_resistance kp_error current_bias load_dependent_friction link_mass",
     trial: "hold_poses",
     signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
     ..BASE
@@ -120,19 +93,8 @@ pub static WINDING_RESISTANCE: Effect = Effect {
     id: "winding_resistance",
     parameters: &[parameter("scale", "", 1.0, (0.4, 3.0), 0.04, One)],
     grid: &one(&[0.6, 0.8, 0.9, 1.1, 1.3, 1.7]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.lane.joints[a].winding_scale *= v[0] as f32;
-        }
-    },
-    look_alikes: &[
-        "torque_saturation",
-        "kp_error",
-        "torque_constant",
-        "load_dependent_friction",
-        "supply_level",
-        "stale_gains",
-    ],
+    apply: |plant, place, v| place.each(|a| plant.lane.joints[a].winding_scale *= v[0] as f32),
+    look_alikes: "torque_saturation kp_error torque_constant load_dependent_friction supply_level stale_gains",
     trial: "stalls",
     signature: "more droop at stall with the same current per torque; the speed without load is as it was",
     ..BASE
@@ -183,12 +145,7 @@ pub static TORQUE_LIMIT: Effect = Effect {
             joint.braking_current_limit_a = at(v[0] + v[1] * (unlimited_nm - v[0]));
         }
     },
-    look_alikes: &[
-        "voltage_limit",
-        "supply_level",
-        "profile_limit",
-        "thermal_derating",
-    ],
+    look_alikes: "voltage_limit supply_level profile_limit thermal_derating",
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
     },
@@ -210,14 +167,7 @@ pub static TORQUE_SATURATION: Effect = Effect {
                 (drop / (1.0 - drop) / most_nm.max(1e-6)) as f32;
         }
     },
-    look_alikes: &[
-        "winding_resistance",
-        "torque_constant",
-        "torque_limit",
-        "load_dependent_friction",
-        "supply_sag",
-        "voltage_limit",
-    ],
+    look_alikes: "winding_resistance torque_constant torque_limit load_dependent_friction supply_sag voltage_limit",
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.2).then_some("the servo never works hard in these runs")
     },
@@ -237,12 +187,7 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
             plant.lane.joints[a].speed_scale *= v[0] as f32;
         }
     },
-    look_alikes: &[
-        "supply_level",
-        "torque_limit",
-        "profile_limit",
-        "supply_sag",
-    ],
+    look_alikes: "supply_level torque_limit profile_limit supply_sag",
     unseen: needs_motion,
     trial: "large_steps",
     signature: "torque is cut along a line that falls with speed",
@@ -282,12 +227,7 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
             joint.dead_band_jump = v[1] as f32;
         }
     },
-    look_alikes: &[
-        "coulomb_friction",
-        "kp_error",
-        "gear_backlash",
-        "stribeck_friction",
-    ],
+    look_alikes: "coulomb_friction kp_error gear_backlash stribeck_friction",
     trial: "slow_ramps",
     signature: "a steady error without current, up to the same width whatever the gain",
     ..BASE
@@ -319,7 +259,7 @@ pub static BRAKING_ASYMMETRY: Effect = Effect {
             joint.back_drive_kp_ratio *= v[1] as f32;
         }
     },
-    look_alikes: &["drive_asymmetry", "torque_limit", "viscous_friction"],
+    look_alikes: "drive_asymmetry torque_limit viscous_friction",
     unseen: needs_motion,
     trial: "fast_reversals",
     signature: "only where torque is against the motion",
@@ -337,7 +277,7 @@ pub static STALE_GAINS: Effect = Effect {
             plant.lane.kd_nms_per_rad[a] *= v[0] as f32;
         }
     },
-    look_alikes: &["kp_error", "winding_resistance"],
+    look_alikes: "kp_error winding_resistance",
     trial: "steps",
     signature: "both gains by one factor, as of another register",
     ..BASE

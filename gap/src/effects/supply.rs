@@ -16,7 +16,7 @@ pub static SUPPLY_SAG: Effect = Effect {
     parameters: &[parameter("resistance_ohm", "Ω", 0.0, (0.0, 5.0), 0.1, One)],
     grid: &one(&[0.2, 0.5, 1.0, 2.0]),
     apply: |plant, _, v| plant.lane.supply_resistance_ohm += v[0] as f32,
-    look_alikes: &["supply_level", "voltage_limit"],
+    look_alikes: "supply_level voltage_limit",
     trial: "all_joints_probe",
     signature: "all joints lose speed when any of them works; follows the total current within milliseconds",
     ..BASE
@@ -37,7 +37,7 @@ pub static SUPPLY_LEVEL: Effect = Effect {
             }
         }
     },
-    look_alikes: &["voltage_limit", "supply_sag", "profile_limit"],
+    look_alikes: "voltage_limit supply_sag profile_limit",
     trial: "large_steps",
     signature: "as a voltage limit, the same in all joints and at any load; the logged voltage shows it",
     ..BASE
@@ -63,7 +63,7 @@ pub static THERMAL_DERATING: Effect = Effect {
             plant.lane.joints[a].thermal_time_s = (v[1] as f32).clamp(0.1, 1e5);
         }
     },
-    look_alikes: &["winding_resistance", "friction_drift", "kp_error"],
+    look_alikes: "winding_resistance friction_drift kp_error",
     unseen: |e, place| {
         if e.longest_s < 5.0 {
             Some("the runs are too short to warm anything")

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use caudata_model::RobotModel;
-use caudata_pki::{Authority, Request, Role};
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
 use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve_tls, tls_config};
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
+use caudata_signing::pki::{Authority, Request, Role};
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::Metrics;
 use tokio::sync::watch;

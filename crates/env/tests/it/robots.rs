@@ -23,7 +23,12 @@ struct Body {
 
 const QUADRUPED: Body = Body {
     name: "quadruped",
-    hips: &[("FL", 0.15, 0.08), ("FR", 0.15, -0.08), ("HL", -0.15, 0.08), ("HR", -0.15, -0.08)],
+    hips: &[
+        ("FL", 0.15, 0.08),
+        ("FR", 0.15, -0.08),
+        ("HL", -0.15, 0.08),
+        ("HR", -0.15, -0.08),
+    ],
     spine: 0,
 };
 const BIPED: Body = Body {
@@ -34,7 +39,12 @@ const BIPED: Body = Body {
 const HEXAPOD: Body = Body {
     name: "hexapod",
     hips: &[
-        ("FL", 0.15, 0.1), ("FR", 0.15, -0.1), ("ML", 0.0, 0.1), ("MR", 0.0, -0.1), ("HL", -0.15, 0.1), ("HR", -0.15, -0.1),
+        ("FL", 0.15, 0.1),
+        ("FR", 0.15, -0.1),
+        ("ML", 0.0, 0.1),
+        ("MR", 0.0, -0.1),
+        ("HL", -0.15, 0.1),
+        ("HR", -0.15, -0.1),
     ],
     spine: 0,
 };
@@ -114,8 +124,15 @@ fn runs(body: &Body, joints: usize, feet: usize) -> VecEnv {
         water_level_m: 0.05,
         ..TerrainConfig::default()
     };
-    let engine =
-        caudata_sim::build(Arc::clone(&model), 2, &EngineConfig::default(), &terrain, 1, 1).unwrap();
+    let engine = caudata_sim::build(
+        Arc::clone(&model),
+        2,
+        &EngineConfig::default(),
+        &terrain,
+        1,
+        1,
+    )
+    .unwrap();
     let mut env = VecEnv::new(model, task, engine, 1, 0).unwrap();
     // joint velocities and positions, gyro, gravity, phases, command, three actions
     let dim = 2 * joints + 6 + 2 * feet.max(1) + 3 + 3 * joints;
@@ -146,14 +163,20 @@ fn a_quadruped_of_twelve_joints() {
 #[test]
 fn a_biped() {
     let env = runs(&BIPED, 6, 2);
-    assert_eq!(env.contract().phase.offsets_rad, [0.0, std::f32::consts::PI]);
+    assert_eq!(
+        env.contract().phase.offsets_rad,
+        [0.0, std::f32::consts::PI]
+    );
 }
 
 #[test]
 fn a_hexapod() {
     let env = runs(&HEXAPOD, 18, 6);
     let pi = std::f32::consts::PI;
-    assert_eq!(env.contract().phase.offsets_rad, [0.0, pi, pi, 0.0, 0.0, pi]);
+    assert_eq!(
+        env.contract().phase.offsets_rad,
+        [0.0, pi, pi, 0.0, 0.0, pi]
+    );
 }
 
 #[test]

@@ -4,7 +4,8 @@ use caudata_evaluation::{Leg, Order, Outcome, Scenario, ScenarioResult};
 use caudata_policy::PolicyFile;
 use serde::{Deserialize, Serialize};
 
-/// Forward velocities that are asked for in turn, m/s, each for [`LEG_S`]: what the picture of velocity tracking shows.
+/// Forward velocities that are asked for in turn, m/s, each for [`LEG_S`]: what the picture of velocity
+/// tracking shows.
 const FORWARD_MPS: [f32; 5] = [0.1, 0.2, 0.3, 0.4, 0.2];
 /// s.
 const LEG_S: f64 = 4.0;
@@ -54,7 +55,8 @@ impl Walks {
     }
 }
 
-/// Forward velocity over time, over the episodes of all trainings of a way; each is averaged over a stride of 0.7 s, since a trunk that bends sways.
+/// Forward velocity over time, over the episodes of all trainings of a way; each is averaged over a stride of
+/// 0.7 s, since a trunk that bends sways.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Speed {
     /// s.

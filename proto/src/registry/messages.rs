@@ -1,71 +1,178 @@
-//! What people and robots say about versions: labels, quarantine, reports, freshness, and the record of who changed what.
+//! What is asked and answered: versions, and what people and robots say about them.
 
-use super::{Manifest, RegistryError, Signature, StreamName};
+use prost::Message;
 
-/// Longest reason that is kept, bytes.
-pub const MAX_REASON: usize = 400;
-/// Bytes of a nonce.
-pub const NONCE_BYTES: usize = 32;
+use super::error::{NONCE_BYTES, RegistryError};
+use super::names::{LabelName, StreamName};
 
-/// A label such as `stable`. Safe as a file name.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct LabelName(pub(super) String);
+/// What the registry knows about one published policy file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Manifest {
+    /// Line of policies that a robot follows.
+    pub stream: StreamName,
+    /// Grows along the stream.
+    pub version: u64,
+    /// SHA-256 of the file, its name in the store.
+    pub sha256: [u8; 32],
+    /// Bytes of the file, 1 to [`MAX_POLICY_BYTES`].
+    pub size: u64,
+    /// Milliseconds since 1970-01-01 UTC, by the publisher's clock.
+    pub created_unix_ms: u64,
+    /// The training run.
+    pub run_id: String,
+    /// SHA-256 of the policy contract.
+    pub contract_hash: [u8; 32],
+    /// Name of the robot model.
+    pub robot_name: String,
+    /// SHA-256 over the robot file and its model.
+    pub robot_hash: [u8; 32],
+    /// Environment steps that training had seen.
+    pub env_steps: u64,
+    /// Commit of the program that trained it; empty where unknown.
+    pub training_commit: String,
+    /// Hash of the training configuration; empty where unknown.
+    pub config_hash: String,
+    /// Summary of an evaluation as one JSON object; `None` where there was none.
+    pub evaluation_json: Option<String>,
+    /// The version whose bytes these are, where an older one is published again; always below `version`.
+    pub reverts_to: Option<u64>,
+    /// Detached signatures; empty until policies are signed.
+    pub signatures: Vec<Signature>,
+}
 
-impl LabelName {
-    /// The newest version that is not quarantined; moves by itself.
-    pub const LATEST: &str = "latest";
-    /// Needs robots that say that it went well.
-    pub const STABLE: &str = "stable";
+impl Manifest {
+    /// As it goes over the network, for a file.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        crate::wire::registry::Manifest::from(self.clone()).encode_to_vec()
+    }
 
-    /// A checked name.
+    /// Reads it back, with the same checks as one from the network.
     ///
     /// # Errors
-    /// [`RegistryError::Label`].
-    pub fn new(name: &str) -> Result<Self, RegistryError> {
-        let letter = |b: u8| matches!(b, b'a'..=b'z' | b'0'..=b'9' | b'-');
-        if (1..=32).contains(&name.len()) && name.bytes().all(letter) {
-            return Ok(Self(name.to_owned()));
-        }
-        Err(RegistryError::Label)
-    }
-
-    /// [`LabelName::LATEST`].
-    #[must_use]
-    pub fn latest() -> Self {
-        Self(Self::LATEST.to_owned())
-    }
-
-    /// Whether it moves by itself.
-    #[must_use]
-    pub fn is_latest(&self) -> bool {
-        self.0 == Self::LATEST
-    }
-
-    /// Whether robots must have said that the version went well.
-    #[must_use]
-    pub fn needs_proof(&self) -> bool {
-        self.0 == Self::STABLE
-    }
-
-    /// The name.
-    #[must_use]
-    pub fn as_str(&self) -> &str {
-        &self.0
+    /// [`RegistryError`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, RegistryError> {
+        let decoded = crate::wire::registry::Manifest::decode(bytes);
+        decoded.map_err(|_| RegistryError::Encoding)?.try_into()
     }
 }
 
-impl std::fmt::Display for LabelName {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
+/// A detached signature over a manifest.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Signature {
+    /// Which key; 1 to 64 characters.
+    pub key_id: String,
+    /// 1 to 512 bytes.
+    pub signature: Vec<u8>,
 }
 
-impl std::str::FromStr for LabelName {
-    type Err = RegistryError;
+/// What a publication came to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Published {
+    /// The manifest as stored.
+    pub manifest: Manifest,
+    /// The registry's change counter after this publication.
+    pub generation: u64,
+    /// The very same file was there already.
+    pub already_present: bool,
+}
 
-    fn from_str(text: &str) -> Result<Self, RegistryError> {
-        Self::new(text)
-    }
+/// Asks for manifests, newest first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ListRequest {
+    /// `None`: all streams.
+    pub stream: Option<StreamName>,
+    /// At most this many; 0: the server's limit.
+    pub limit: u32,
+    /// Only versions below this one.
+    pub below_version: Option<u64>,
+}
+
+/// A page of manifests, newest first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ListPage {
+    /// The manifests.
+    pub manifests: Vec<Manifest>,
+    /// The registry's change counter.
+    pub generation: u64,
+    /// Older versions were left off.
+    pub more: bool,
+}
+
+/// Asks for one manifest.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ManifestRequest {
+    /// Which stream.
+    pub stream: StreamName,
+    /// `None`: the newest, or the label's.
+    pub version: Option<u64>,
+    /// The version that this label leads to; not together with `version`.
+    pub label: Option<LabelName>,
+}
+
+/// Asks for a file's bytes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FetchRequest {
+    /// Which file.
+    pub sha256: [u8; 32],
+    /// Where to start.
+    pub offset: u64,
+    /// What the caller holds already.
+    pub if_none_match: Option<[u8; 32]>,
+}
+
+/// One message of the answer to a Fetch.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum FetchPart {
+    /// First message where bytes follow.
+    Info(FetchInfo),
+    /// First and only message where the caller holds the file already.
+    NotModified,
+    /// The next bytes, at most [`FETCH_CHUNK_BYTES`].
+    Data(Vec<u8>),
+}
+
+/// What follows in a Fetch.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FetchInfo {
+    /// Which file.
+    pub sha256: [u8; 32],
+    /// Bytes of the whole file, 1 to [`MAX_POLICY_BYTES`].
+    pub size: u64,
+    /// Where the bytes that follow begin; at most `size`.
+    pub offset: u64,
+}
+
+/// Asks to be told of changes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WatchRequest {
+    /// `None`: all streams.
+    pub stream: Option<StreamName>,
+    /// Generation seen last; 0: begin with a snapshot.
+    pub since_generation: u64,
+}
+
+/// One message of the answer to a Watch.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WatchEvent {
+    /// The registry's change counter at this event.
+    pub generation: u64,
+    /// What happened.
+    pub change: WatchChange,
+}
+
+/// What a [`WatchEvent`] tells.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum WatchChange {
+    /// The newest manifest of each stream asked for.
+    Snapshot(Vec<Manifest>),
+    /// One new version.
+    Published(Box<Manifest>),
+    /// Nothing new; the server is alive.
+    Progress,
+    /// A label moved.
+    LabelMoved(Box<LabelState>),
+    /// A version is out of use.
+    Quarantined(Box<QuarantineState>),
 }
 
 /// Where a label leads.
