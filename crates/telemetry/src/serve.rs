@@ -13,8 +13,11 @@ use axum::routing::get;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 
+use crate::error::ServeError;
 use crate::http::serve_http;
-use crate::{Metrics, Pulse, StopFlag};
+use crate::metrics::Metrics;
+use crate::pulse::Pulse;
+use crate::stop::StopFlag;
 
 const TEXT_FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
@@ -24,22 +27,6 @@ pub struct MetricsServer {
     addr: SocketAddr,
     shutdown: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
-}
-
-/// Why the endpoint could not be opened.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// Another process listens there.
-    #[error("metrics address {0} is in use")]
-    InUse(SocketAddr),
-    /// The system refuses the address or the thread.
-    #[error("cannot serve metrics on {addr}: {source}")]
-    Io {
-        /// The address asked for.
-        addr: SocketAddr,
-        /// What the system said.
-        source: io::Error,
-    },
 }
 
 impl MetricsServer {

@@ -1,7 +1,7 @@
 //! What the learner adds to the traces: chunks that arrive, the batch, the update, and the policy version that comes of it.
 
 use caudata_proto::{RolloutChunk, TraceContext, chunk_identity};
-use caudata_traces::{Kind, Span, Tracer, Value, now_ns};
+use caudata_telemetry::traces::{Kind, Span, Tracer, Value, now_ns};
 
 /// Chunks that a batch names as its origin.
 const LINKS_MAX: usize = 256;
