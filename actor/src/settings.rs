@@ -7,8 +7,8 @@ use std::time::Duration;
 use caudata_config::Config;
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
+use caudata_telemetry::traces::{TraceError, TraceSettings, Tracer};
 use caudata_telemetry::{Metrics, build_info};
-use caudata_traces::{TraceError, TraceSettings, Tracer};
 
 use crate::ActorError;
 

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use caudata_proto::TraceContext;
-use caudata_traces::{Kind, Span, Tracer, now_ns};
+use caudata_telemetry::traces::{Kind, Span, Tracer, now_ns};
 
 use crate::policy::LoadedPolicy;
 

@@ -52,9 +52,6 @@ pub enum LearnerError {
     /// The policy server cannot be addressed.
     #[error(transparent)]
     Registry(#[from] caudata_registry_client::ClientError),
-    /// A picture cannot be drawn.
-    #[error("cannot draw a curve: {0}")]
-    Picture(String),
     /// The link to the actors failed.
     #[error("transport: {0}")]
     Transport(#[from] caudata_transport::TransportError),
@@ -172,9 +169,7 @@ impl LearnerError {
                 ExitCode::of_io(source, true)
             }
             Self::Durable(_) => ExitCode::IoError,
-            Self::Torch(_) | Self::Worker | Self::Picture(_) | Self::Policy(_) => {
-                ExitCode::Internal
-            }
+            Self::Torch(_) | Self::Worker | Self::Policy(_) => ExitCode::Internal,
             Self::Thread(_) => ExitCode::OsResource,
             Self::Transport(TransportError::Config(_) | TransportError::PolicyTooLarge { .. }) => {
                 ExitCode::BadConfig

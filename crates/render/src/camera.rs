@@ -2,7 +2,8 @@
 
 use caudata_model::pose::{add, cross, sub};
 
-use crate::{RenderError, Vec3, scale, unit};
+use crate::error::RenderError;
+use crate::vector::{Vec3, scale, unit};
 
 /// Named directions, relative to the robot's heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,11 +58,7 @@ impl Camera {
             if good {
                 return Ok(());
             }
-            Err(RenderError::Setting {
-                what,
-                value: value.to_string(),
-                reason,
-            })
+            Err(RenderError::setting(what, value, reason))
         };
         let near = (0.1..=200.0).contains(&distance_m);
         check("camera distance", distance_m, near, "must be 0.1 to 200 m")?;

@@ -1,6 +1,7 @@
 //! PNG and GIF bytes.
 
-use crate::{Image, RenderError};
+use crate::error::RenderError;
+use crate::image::Image;
 
 /// Longest animation, frames: a minute at 50 per second.
 const MAX_FRAMES: usize = 3000;
@@ -30,18 +31,13 @@ pub fn png(image: &Image) -> Result<Vec<u8>, RenderError> {
 /// # Errors
 /// [`RenderError`] where there is no frame, there are too many, or their sizes differ.
 pub fn gif(frames: &[Image], frame_s: f64) -> Result<Vec<u8>, RenderError> {
-    let setting = |what, value: String, reason| RenderError::Setting {
-        what,
-        value,
-        reason,
-    };
     let Some(first) = frames.first().filter(|_| frames.len() <= MAX_FRAMES) else {
-        let count = frames.len().to_string();
-        return Err(setting("frames", count, "must be 1 to 3000"));
+        let count = frames.len();
+        return Err(RenderError::setting("frames", count, "must be 1 to 3000"));
     };
     if !(0.01..=10.0).contains(&frame_s) {
-        let value = frame_s.to_string();
-        return Err(setting("frame time", value, "must be 0.01 to 10 s"));
+        let reason = "must be 0.01 to 10 s";
+        return Err(RenderError::setting("frame time", frame_s, reason));
     }
     let edge = |n: u32| u16::try_from(n).map_err(failed);
     let (width, height) = (edge(first.width())?, edge(first.height())?);
@@ -51,7 +47,8 @@ pub fn gif(frames: &[Image], frame_s: f64) -> Result<Vec<u8>, RenderError> {
     for image in frames {
         if (image.width(), image.height()) != (first.width(), first.height()) {
             let size = format!("{} × {}", image.width(), image.height());
-            return Err(setting("frame size", size, "all frames must be alike"));
+            let reason = "all frames must be alike";
+            return Err(RenderError::setting("frame size", size, reason));
         }
         // 10: the encoder's own balance of palette quality (1, slow) and speed (30)
         let mut frame = gif::Frame::from_rgb_speed(width, height, image.rgb(), 10);

@@ -6,7 +6,7 @@ use caudata_sim::terrain::APRON_DROP_M;
 use caudata_sim::{HeightGrid, Terrain};
 
 use crate::solid::{Hit, Ray};
-use crate::{Vec3, mix, unit};
+use crate::vector::{Vec3, mix, unit};
 
 /// Distances of the thin and the strong grid lines, m, their widths, and how far they darken.
 const LINES: [(f64, f64, f64); 2] = [(0.1, 0.003, 0.22), (1.0, 0.010, 0.55)];

@@ -1,6 +1,6 @@
 //! Pixels, and text on them.
 
-use crate::RenderError;
+use crate::error::RenderError;
 use crate::font;
 
 /// Largest edge of a picture, pixels.
@@ -22,11 +22,8 @@ impl Image {
     pub fn new(width: u32, height: u32) -> Result<Self, RenderError> {
         for (what, value) in [("width", width), ("height", height)] {
             if !(16..=MAX_EDGE).contains(&value) {
-                return Err(RenderError::Setting {
-                    what,
-                    value: value.to_string(),
-                    reason: "must be 16 to 4096 pixels",
-                });
+                let reason = "must be 16 to 4096 pixels";
+                return Err(RenderError::setting(what, value, reason));
             }
         }
         Ok(Self {
@@ -58,14 +55,17 @@ impl Image {
         &mut self.rgb
     }
 
+    /// Where the bytes of a pixel begin.
+    fn place(&self, x: u32, y: u32) -> Option<usize> {
+        let inside = x < self.width && y < self.height;
+        inside.then(|| 3 * (y as usize * self.width as usize + x as usize))
+    }
+
     /// The pixel in column `x`, row `y` from the top; black outside.
     #[must_use]
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
-        if x >= self.width || y >= self.height {
-            return [0; 3];
-        }
-        let at = 3 * (y as usize * self.width as usize + x as usize);
-        [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
+        let at = self.place(x, y);
+        at.map_or([0; 3], |at| [0, 1, 2].map(|i| self.rgb[at + i]))
     }
 
     /// Writes one line of text on a dark strip along the lower edge. Characters that the font lacks become blanks; what does not fit is cut.
@@ -93,10 +93,7 @@ impl Image {
     }
 
     fn blend(&mut self, x: u32, y: u32, colour: [u8; 3], share: f64) {
-        if x >= self.width || y >= self.height {
-            return;
-        }
-        let at = 3 * (y as usize * self.width as usize + x as usize);
+        let Some(at) = self.place(x, y) else { return };
         for (old, new) in self.rgb[at..at + 3].iter_mut().zip(colour) {
             let mixed = f64::from(*old) * (1.0 - share) + f64::from(new) * share;
             *old = mixed.round() as u8;

@@ -2,9 +2,10 @@
 
 use caudata_model::pose::{add, dot};
 
+use crate::ground;
 use crate::scene::Scene;
 use crate::solid::Ray;
-use crate::{Vec3, ground, mix, scale, unit};
+use crate::vector::{Vec3, mix, scale, unit};
 
 /// Towards the sun: high, from the front right.
 const SUN: Vec3 = [0.371_390_7, -0.472_679_1, 0.799_110_1];

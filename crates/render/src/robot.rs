@@ -2,7 +2,8 @@
 
 use caudata_model::{Link, Pose, RobotModel, Shape};
 
-use crate::{Item, RenderError};
+use crate::error::RenderError;
+use crate::scene::Item;
 
 /// Trunk and tail, alternating so that joints can be seen; legs; feet; feet on the ground. Linear RGB.
 const TRUNK: [[f64; 3]; 2] = [[0.72, 0.50, 0.06], [0.80, 0.60, 0.12]];

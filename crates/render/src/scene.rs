@@ -6,9 +6,9 @@ use caudata_model::pose::{norm, sub};
 use caudata_model::{Pose, Shape};
 use caudata_sim::Terrain;
 
-use crate::Vec3;
 use crate::ground::Ground;
 use crate::solid::{Hit, Ray, Solid};
+use crate::vector::Vec3;
 
 /// One coloured shape.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,7 +3,7 @@
 use caudata_model::pose::dot;
 use caudata_model::{Pose, Shape};
 
-use crate::{Vec3, unit};
+use crate::vector::{Vec3, unit};
 
 /// Nearest distances that count: a ray that leaves a surface does not meet it again.
 const NEAR_M: f64 = 1e-6;

@@ -1,7 +1,12 @@
 //! Turns a scene into pixels.
 
+use crate::camera::Camera;
+use crate::error::RenderError;
+use crate::image::Image;
+use crate::light;
+use crate::scene::Scene;
 use crate::solid::Ray;
-use crate::{Camera, Image, RenderError, Scene, light, scale};
+use crate::vector::scale;
 use caudata_model::pose::add;
 
 /// Size and smoothness of a picture.
@@ -29,11 +34,8 @@ pub fn render(scene: &Scene, camera: &Camera, quality: &Quality) -> Result<Image
         threads,
     } = *quality;
     if !(1..=4).contains(&rays) {
-        return Err(RenderError::Setting {
-            what: "rays",
-            value: rays.to_string(),
-            reason: "must be 1 to 4 per pixel and edge",
-        });
+        let reason = "must be 1 to 4 per pixel and edge";
+        return Err(RenderError::setting("rays", rays, reason));
     }
     let mut image = Image::new(width, height)?;
     let pixel_rad = camera.pixel_rad(height);

@@ -1,7 +1,7 @@
 //! What can be wrong with a log.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why a log could not be read or written. One line each: what, where, what to do.
 #[derive(Debug, thiserror::Error)]
@@ -61,4 +61,10 @@ pub enum LogError {
     /// A row handed to the writer cannot be part of a log; nothing of it was written.
     #[error("row refused: {0}")]
     Refused(String),
+}
+
+/// The system's error at a file or folder.
+pub(crate) fn io_error(path: &Path) -> impl FnOnce(io::Error) -> LogError + use<> {
+    let path = path.to_owned();
+    |source| LogError::Io { path, source }
 }

@@ -26,5 +26,5 @@ pub use error::LogError;
 pub use log::{CSV_NAME, META_NAME, RunLog, rows_file};
 pub use meta::{BaseHold, LogMeta, Setting};
 pub use signal::{Axis, QuatPart, Signal, SignalError};
-pub use table::{MAX_COLUMNS, MAX_LINE_BYTES, MAX_ROWS, Table};
-pub use writer::{FlushPolicy, LogWriter, TableWriter};
+pub use table::Table;
+pub use writer::{LogWriter, TableWriter};

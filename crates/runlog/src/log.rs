@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::error::LogError;
+use crate::error::{LogError, io_error};
 use crate::meta::LogMeta;
 use crate::ros::parse_mcap;
 use crate::table::Table;
@@ -34,10 +34,7 @@ impl RunLog {
     /// [`LogError`] with file, line and reason.
     pub fn read(dir: &Path) -> Result<Self, LogError> {
         let path = dir.join(META_NAME);
-        let text = fs::read_to_string(&path).map_err(|source| LogError::Io {
-            path: path.clone(),
-            source,
-        })?;
+        let text = fs::read_to_string(&path).map_err(io_error(&path))?;
         let meta = LogMeta::parse(&path.display().to_string(), &text)?;
         let rows = rows_file(dir);
         let table = match rows.extension().is_some_and(|x| x == MCAP) {
@@ -70,11 +67,7 @@ fn mcap_in(dir: &Path) -> Option<PathBuf> {
 }
 
 fn read_mcap(path: &Path) -> Result<Table, LogError> {
-    let io = |source| LogError::Io {
-        path: path.to_owned(),
-        source,
-    };
-    let bytes = fs::metadata(path).map_err(io)?.len();
+    let bytes = fs::metadata(path).map_err(io_error(path))?.len();
     if bytes > MAX_MCAP_BYTES {
         return Err(LogError::Mcap {
             file: path.display().to_string(),
@@ -83,5 +76,8 @@ fn read_mcap(path: &Path) -> Result<Table, LogError> {
             ),
         });
     }
-    parse_mcap(&path.display().to_string(), &fs::read(path).map_err(io)?)
+    parse_mcap(
+        &path.display().to_string(),
+        &fs::read(path).map_err(io_error(path))?,
+    )
 }

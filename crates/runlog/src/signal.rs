@@ -20,6 +20,10 @@ pub enum Axis {
 impl Axis {
     /// x, y, z.
     pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
+
+    fn letter(self) -> &'static str {
+        ["x", "y", "z"][self as usize]
+    }
 }
 
 /// A part of a quaternion.
@@ -38,6 +42,10 @@ pub enum QuatPart {
 impl QuatPart {
     /// w, x, y, z.
     pub const ALL: [Self; 4] = [Self::W, Self::X, Self::Y, Self::Z];
+
+    fn letter(self) -> &'static str {
+        ["w", "x", "y", "z"][self as usize]
+    }
 }
 
 /// What a column holds. The `Display` form is the column's name; `FromStr` reads it back.
@@ -84,42 +92,54 @@ pub enum Signal {
 }
 
 impl Signal {
-    /// Unit of the column's values; empty where there is none.
-    pub fn unit(&self) -> &'static str {
+    /// The parts of the column's name, which dots join: kind, joint or leg or marker, coordinate; empty where there
+    /// is none.
+    fn parts(&self) -> [&str; 3] {
         match self {
-            Self::Command(_) | Self::Position(_) => "rad",
-            Self::Velocity(_) | Self::Gyro(_) => "rad/s",
-            Self::Current(_) => "A",
-            Self::Torque(_) => "N·m",
-            Self::Temperature(_) => "°C",
-            Self::Voltage => "V",
-            Self::Acceleration(_) => "m/s²",
-            Self::BasePosition(_) | Self::Mocap(..) | Self::Foot(..) => "m",
-            Self::BaseVelocity(_) => "m/s",
-            Self::Gravity(_)
-            | Self::BaseQuaternion(_)
-            | Self::Contact(_)
-            | Self::Duty(_)
-            | Self::Enabled(_) => "",
+            Self::Command(j) => ["cmd", j, ""],
+            Self::Position(j) => ["pos", j, ""],
+            Self::Velocity(j) => ["vel", j, ""],
+            Self::Current(j) => ["cur", j, ""],
+            Self::Torque(j) => ["tau", j, ""],
+            Self::Temperature(j) => ["temp", j, ""],
+            Self::Duty(j) => ["pwm", j, ""],
+            Self::Enabled(j) => ["on", j, ""],
+            Self::Voltage => ["volt", "", ""],
+            Self::Gyro(a) => ["imu.gyro", "", a.letter()],
+            Self::Acceleration(a) => ["imu.acc", "", a.letter()],
+            Self::Gravity(a) => ["imu.grav", "", a.letter()],
+            Self::BasePosition(a) => ["base.pos", "", a.letter()],
+            Self::BaseQuaternion(p) => ["base.quat", "", p.letter()],
+            Self::BaseVelocity(a) => ["base.vel", "", a.letter()],
+            Self::Mocap(m, a) => ["mocap", m, a.letter()],
+            Self::Foot(l, a) => ["foot", l, a.letter()],
+            Self::Contact(l) => ["contact", l, ""],
         }
+    }
+
+    /// What is made of a joint's name, by the kind in front of it.
+    fn of_joint(kind: &str) -> Option<fn(String) -> Self> {
+        Some(match kind {
+            "cmd" => Self::Command,
+            "pos" => Self::Position,
+            "vel" => Self::Velocity,
+            "cur" => Self::Current,
+            "tau" => Self::Torque,
+            "temp" => Self::Temperature,
+            "pwm" => Self::Duty,
+            "on" => Self::Enabled,
+            _ => return None,
+        })
     }
 
     /// The joint that the signal belongs to.
     pub fn joint(&self) -> Option<&str> {
-        match self {
-            Self::Command(j)
-            | Self::Position(j)
-            | Self::Velocity(j)
-            | Self::Current(j)
-            | Self::Torque(j)
-            | Self::Temperature(j)
-            | Self::Duty(j)
-            | Self::Enabled(j) => Some(j),
-            _ => None,
-        }
+        let [kind, name, _] = self.parts();
+        Self::of_joint(kind).map(|_| name)
     }
 
-    /// Whether the signal's names can be written and read back; a signal built by hand may hold a name with a dot, comma or blank.
+    /// Whether the signal's names can be written and read back; a signal built by hand may hold a name with a dot,
+    /// comma or blank.
     pub(crate) fn check(&self) -> Result<(), SignalError> {
         match self {
             Self::Mocap(n, _) | Self::Foot(n, _) | Self::Contact(n) => name(n).map(drop),
@@ -128,49 +148,14 @@ impl Signal {
     }
 }
 
-impl fmt::Display for Axis {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::X => "x",
-            Self::Y => "y",
-            Self::Z => "z",
-        })
-    }
-}
-
-impl fmt::Display for QuatPart {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::W => "w",
-            Self::X => "x",
-            Self::Y => "y",
-            Self::Z => "z",
-        })
-    }
-}
-
 impl fmt::Display for Signal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Command(j) => write!(f, "cmd.{j}"),
-            Self::Position(j) => write!(f, "pos.{j}"),
-            Self::Velocity(j) => write!(f, "vel.{j}"),
-            Self::Current(j) => write!(f, "cur.{j}"),
-            Self::Torque(j) => write!(f, "tau.{j}"),
-            Self::Temperature(j) => write!(f, "temp.{j}"),
-            Self::Duty(j) => write!(f, "pwm.{j}"),
-            Self::Enabled(j) => write!(f, "on.{j}"),
-            Self::Voltage => f.write_str("volt"),
-            Self::Gyro(a) => write!(f, "imu.gyro.{a}"),
-            Self::Acceleration(a) => write!(f, "imu.acc.{a}"),
-            Self::Gravity(a) => write!(f, "imu.grav.{a}"),
-            Self::BasePosition(a) => write!(f, "base.pos.{a}"),
-            Self::BaseQuaternion(p) => write!(f, "base.quat.{p}"),
-            Self::BaseVelocity(a) => write!(f, "base.vel.{a}"),
-            Self::Mocap(m, a) => write!(f, "mocap.{m}.{a}"),
-            Self::Foot(l, a) => write!(f, "foot.{l}.{a}"),
-            Self::Contact(l) => write!(f, "contact.{l}"),
+        let [kind, name, coordinate] = self.parts();
+        f.write_str(kind)?;
+        for part in [name, coordinate].iter().filter(|part| !part.is_empty()) {
+            write!(f, ".{part}")?;
         }
+        Ok(())
     }
 }
 
@@ -200,33 +185,22 @@ impl FromStr for Signal {
 
     fn from_str(text: &str) -> Result<Self, SignalError> {
         let unknown = || SignalError::Unknown(text.to_owned());
-        let axis = |t: &str| match t {
-            "x" => Ok(Axis::X),
-            "y" => Ok(Axis::Y),
-            "z" => Ok(Axis::Z),
-            _ => Err(unknown()),
-        };
+        let axis = |t: &str| Axis::ALL.into_iter().find(|a| a.letter() == t);
+        let axis = |t: &str| axis(t).ok_or_else(unknown);
+        let part = |t: &str| QuatPart::ALL.into_iter().find(|p| p.letter() == t);
         let parts: Vec<&str> = text.split('.').collect();
         match parts.as_slice() {
             ["volt"] => Ok(Self::Voltage),
-            ["cmd", j] => Ok(Self::Command(name(j)?)),
-            ["pos", j] => Ok(Self::Position(name(j)?)),
-            ["vel", j] => Ok(Self::Velocity(name(j)?)),
-            ["cur", j] => Ok(Self::Current(name(j)?)),
-            ["tau", j] => Ok(Self::Torque(name(j)?)),
-            ["temp", j] => Ok(Self::Temperature(name(j)?)),
-            ["pwm", j] => Ok(Self::Duty(name(j)?)),
-            ["on", j] => Ok(Self::Enabled(name(j)?)),
             ["contact", l] => Ok(Self::Contact(name(l)?)),
+            [kind, joint] => {
+                name(joint).and_then(|j| Ok(Self::of_joint(kind).ok_or_else(unknown)?(j)))
+            }
             ["imu", "gyro", a] => Ok(Self::Gyro(axis(a)?)),
             ["imu", "acc", a] => Ok(Self::Acceleration(axis(a)?)),
             ["imu", "grav", a] => Ok(Self::Gravity(axis(a)?)),
             ["base", "pos", a] => Ok(Self::BasePosition(axis(a)?)),
             ["base", "vel", a] => Ok(Self::BaseVelocity(axis(a)?)),
-            ["base", "quat", "w"] => Ok(Self::BaseQuaternion(QuatPart::W)),
-            ["base", "quat", "x"] => Ok(Self::BaseQuaternion(QuatPart::X)),
-            ["base", "quat", "y"] => Ok(Self::BaseQuaternion(QuatPart::Y)),
-            ["base", "quat", "z"] => Ok(Self::BaseQuaternion(QuatPart::Z)),
+            ["base", "quat", p] => part(p).map(Self::BaseQuaternion).ok_or_else(unknown),
             ["mocap", m, a] => Ok(Self::Mocap(name(m)?, axis(a)?)),
             ["foot", l, a] => Ok(Self::Foot(name(l)?, axis(a)?)),
             _ => Err(unknown()),
@@ -241,30 +215,29 @@ mod tests {
 
     #[test]
     fn every_form_of_the_format_reads_and_writes_as_listed() {
-        for (text, unit) in [
-            ("cmd.FL_hip", "rad"),
-            ("pos.FL_hip", "rad"),
-            ("vel.spine_1", "rad/s"),
-            ("cur.tail_3", "A"),
-            ("tau.tail_3", "N·m"),
-            ("volt", "V"),
-            ("temp.HR_knee", "°C"),
-            ("pwm.HR_knee", ""),
-            ("on.HR_knee", ""),
-            ("imu.gyro.x", "rad/s"),
-            ("imu.acc.y", "m/s²"),
-            ("imu.grav.z", ""),
-            ("base.pos.x", "m"),
-            ("base.quat.w", ""),
-            ("base.quat.z", ""),
-            ("base.vel.y", "m/s"),
-            ("mocap.head-1.z", "m"),
-            ("foot.FL.x", "m"),
-            ("contact.HR", ""),
+        for text in [
+            "cmd.FL_hip",
+            "pos.FL_hip",
+            "vel.spine_1",
+            "cur.tail_3",
+            "tau.tail_3",
+            "volt",
+            "temp.HR_knee",
+            "pwm.HR_knee",
+            "on.HR_knee",
+            "imu.gyro.x",
+            "imu.acc.y",
+            "imu.grav.z",
+            "base.pos.x",
+            "base.quat.w",
+            "base.quat.z",
+            "base.vel.y",
+            "mocap.head-1.z",
+            "foot.FL.x",
+            "contact.HR",
         ] {
             let signal: Signal = text.parse().unwrap();
             assert_eq!(signal.to_string(), text);
-            assert_eq!(signal.unit(), unit, "{text}");
             assert!(signal.check().is_ok());
         }
         assert_eq!(

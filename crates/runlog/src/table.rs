@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-use crate::error::LogError;
+use crate::error::{LogError, io_error};
 use crate::signal::Signal;
 
 /// Most columns, `t` included.
@@ -30,11 +30,7 @@ impl Table {
     /// # Errors
     /// [`LogError`] with file, line and reason.
     pub fn read(path: &Path) -> Result<Self, LogError> {
-        let failed = |source| LogError::Io {
-            path: path.to_owned(),
-            source,
-        };
-        let file = File::open(path).map_err(failed)?;
+        let file = File::open(path).map_err(io_error(path))?;
         Self::parse(&path.display().to_string(), BufReader::new(file))
     }
 
@@ -257,10 +253,7 @@ impl<R: BufRead> Lines<'_, R> {
         let mut bytes = Vec::new();
         let limit = MAX_LINE_BYTES as u64 + 1;
         let read = (&mut self.reader).take(limit).read_until(b'\n', &mut bytes);
-        let n = read.map_err(|source: io::Error| LogError::Io {
-            path: self.file.into(),
-            source,
-        })?;
+        let n = read.map_err(io_error(Path::new(self.file)))?;
         if n == 0 {
             return Ok(None);
         }

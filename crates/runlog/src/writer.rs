@@ -1,34 +1,18 @@
 //! Writing logs row by row, for a control loop: cheap rows, whole lines, nothing half-written by choice.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use crate::error::LogError;
+use crate::error::{LogError, io_error};
 use crate::log::{CSV_NAME, META_NAME};
 use crate::meta::LogMeta;
 use crate::signal::Signal;
 use crate::table::{MAX_COLUMNS, MAX_LINE_BYTES, check_time, check_value};
 
-/// When rows leave the writer's memory. Times are log time (`t`), not a clock.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FlushPolicy {
-    /// Rows are handed to the operating system at least every so many seconds: what a killed process can lose. 0: every row.
-    pub flush_s: f64,
-    /// The file is forced to the disk every so many seconds: what a power cut can lose. `None`: only at the end, since it can stall a
-    /// loop for tens of milliseconds on an SD card.
-    pub sync_s: Option<f64>,
-}
-
-impl Default for FlushPolicy {
-    fn default() -> Self {
-        Self {
-            flush_s: 0.5,
-            sync_s: None,
-        }
-    }
-}
-
+/// Rows of a log are handed to the operating system at least every so many seconds of log time: what a killed
+/// process can lose. The disk is forced only at the end, since that can stall a loop for tens of milliseconds.
+const FLUSH_S: f64 = 0.5;
 /// Rows are also handed over when this much text waits, whatever the time; beyond it rows are refused, bytes.
 const BUFFER_LIMIT_BYTES: usize = 256 * 1024;
 
@@ -152,10 +136,7 @@ impl<W: Write> TableWriter<W> {
             }
         };
         self.buffer.drain(..written);
-        result.map_err(|source| LogError::Io {
-            path: PathBuf::from(CSV_NAME),
-            source,
-        })
+        result.map_err(io_error(Path::new(CSV_NAME)))
     }
 
     /// Flushes and gives the output back. Rows that still wait in a writer that is dropped instead are lost.
@@ -191,57 +172,27 @@ fn push_number(buffer: &mut Vec<u8>, x: f64) {
 pub struct LogWriter {
     dir: PathBuf,
     table: TableWriter<File>,
-    sync_s: Option<f64>,
-    synced_t: f64,
 }
 
 impl LogWriter {
-    /// Creates the folder with `log.toml` and the header of `log.csv`, with the default [`FlushPolicy`].
+    /// Creates the folder with `log.toml` and the header of `log.csv`.
     ///
     /// # Errors
     /// [`LogError::Exists`] where the folder already has a `log.csv`; [`LogError::Refused`]; [`LogError::Io`].
     pub fn create(dir: &Path, header: &[Signal], meta: &LogMeta) -> Result<Self, LogError> {
-        Self::create_with(dir, header, meta, FlushPolicy::default())
-    }
-
-    /// As [`LogWriter::create`] with another flush policy.
-    ///
-    /// # Errors
-    /// As [`LogWriter::create`].
-    pub fn create_with(
-        dir: &Path,
-        header: &[Signal],
-        meta: &LogMeta,
-        policy: FlushPolicy,
-    ) -> Result<Self, LogError> {
         let text = meta.to_toml()?;
-        let io = |path: &Path| {
-            let path = path.to_owned();
-            move |source: io::Error| LogError::Io { path, source }
-        };
-        fs::create_dir_all(dir).map_err(io(dir))?;
+        fs::create_dir_all(dir).map_err(io_error(dir))?;
         let csv = dir.join(CSV_NAME);
-        let file = OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .open(&csv)
-            .map_err(|e| {
-                if e.kind() == io::ErrorKind::AlreadyExists {
-                    return LogError::Exists { path: csv.clone() };
-                }
-                LogError::Io {
-                    path: csv.clone(),
-                    source: e,
-                }
-            })?;
+        let file = File::create_new(&csv).map_err(|e| match e.kind() {
+            io::ErrorKind::AlreadyExists => LogError::Exists { path: csv.clone() },
+            _ => io_error(&csv)(e),
+        })?;
         let meta_path = dir.join(META_NAME);
-        fs::write(&meta_path, text).map_err(io(&meta_path))?;
-        let table = TableWriter::new(file, header, policy.flush_s).map_err(at(dir))?;
+        fs::write(&meta_path, text).map_err(io_error(&meta_path))?;
+        let table = TableWriter::new(file, header, FLUSH_S).map_err(at(dir))?;
         Ok(Self {
             dir: dir.to_owned(),
             table,
-            sync_s: policy.sync_s,
-            synced_t: f64::NEG_INFINITY,
         })
     }
 
@@ -250,12 +201,7 @@ impl LogWriter {
     /// # Errors
     /// As [`TableWriter::row`].
     pub fn row(&mut self, t_s: f64, values: &[Option<f64>]) -> Result<(), LogError> {
-        self.table.row(t_s, values).map_err(at(&self.dir))?;
-        if self.sync_s.is_some_and(|s| t_s - self.synced_t >= s) {
-            self.sync()?;
-            self.synced_t = t_s;
-        }
-        Ok(())
+        self.table.row(t_s, values).map_err(at(&self.dir))
     }
 
     /// Rows accepted so far.
@@ -263,24 +209,14 @@ impl LogWriter {
         self.table.rows()
     }
 
-    /// Forces everything to the disk.
-    ///
-    /// # Errors
-    /// [`LogError::Io`].
-    pub fn sync(&mut self) -> Result<(), LogError> {
-        self.table.flush().map_err(at(&self.dir))?;
-        self.table.out.sync_data().map_err(|source| LogError::Io {
-            path: self.dir.join(CSV_NAME),
-            source,
-        })
-    }
-
     /// Ends the log: everything is on the disk. A writer that is dropped instead keeps what was accepted, without forcing it there.
     ///
     /// # Errors
     /// [`LogError::Io`].
     pub fn finish(mut self) -> Result<(), LogError> {
-        self.sync()
+        self.table.flush().map_err(at(&self.dir))?;
+        let synced = self.table.out.sync_data();
+        synced.map_err(io_error(&self.dir.join(CSV_NAME)))
     }
 }
 

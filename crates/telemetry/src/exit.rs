@@ -4,7 +4,7 @@ use std::error::Error;
 use std::fmt;
 use std::io::{self, Write};
 
-use crate::http::ServeError;
+use crate::error::ServeError;
 
 /// How a process ended. The numbers follow `sysexits.h` where it has a word for the case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

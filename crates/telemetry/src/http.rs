@@ -25,22 +25,6 @@ const CONNECTION_MAX: Duration = Duration::from_secs(20);
 /// Pause after the system refused a connection, for instance because the process has no file handle left.
 pub const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
-/// Why an endpoint could not be opened.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// Another process listens there.
-    #[error("metrics address {0} is in use")]
-    InUse(SocketAddr),
-    /// The system refuses the address or the thread.
-    #[error("cannot serve metrics on {addr}: {source}")]
-    Io {
-        /// The address asked for.
-        addr: SocketAddr,
-        /// What the system said.
-        source: io::Error,
-    },
-}
-
 /// Connections at present, the oldest first.
 #[derive(Default)]
 struct Places(VecDeque<(IpAddr, AbortHandle)>);

@@ -1,6 +1,6 @@
 //! A child process must not outlive the supervisor that started it.
 
-use crate::StopFlag;
+use crate::stop::StopFlag;
 
 /// Environment variable in which a supervisor tells a child its own process id.
 pub const PARENT_PID_VAR: &str = "CAUDATA_PARENT_PID";

@@ -2,9 +2,10 @@
 
 use std::process::ExitCode as OsExitCode;
 
-use crate::{
-    DRAIN_DEADLINE, ExitCode, Failure, FailureExt, Insistence, LogArgs, StopFlag, die_with_parent,
-};
+use crate::exit::{ExitCode, Failure, FailureExt};
+use crate::logging::LogArgs;
+use crate::parent::die_with_parent;
+use crate::stop::{DRAIN_DEADLINE, Insistence, StopFlag};
 
 /// What a running process has in its hands.
 #[derive(Clone, Debug)]
@@ -66,11 +67,11 @@ impl Process {
     fn set_up(&self, log: &LogArgs, queued: bool) -> Result<(), Failure> {
         match queued {
             true => crate::logging::init_queued_logging(self.name, log.log_format, &log.log),
-            false => crate::init_logging(self.name, log.log_format, &log.log),
+            false => crate::logging::init_logging(self.name, log.log_format, &log.log),
         }
         .or_exit(ExitCode::BadConfig)?;
-        crate::raise_file_limit();
-        crate::stop_on_signals(&self.stop, &self.insistence, DRAIN_DEADLINE)
+        crate::files::raise_file_limit();
+        crate::stop::stop_on_signals(&self.stop, &self.insistence, DRAIN_DEADLINE)
             .or_exit_with(ExitCode::OsResource, || "cannot install signal handlers")?;
         die_with_parent(&self.stop);
         Ok(())

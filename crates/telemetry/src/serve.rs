@@ -13,8 +13,11 @@ use axum::routing::get;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 
-use crate::http::{ServeError, serve_http};
-use crate::{Metrics, Pulse, StopFlag};
+use crate::error::ServeError;
+use crate::http::serve_http;
+use crate::metrics::Metrics;
+use crate::pulse::Pulse;
+use crate::stop::StopFlag;
 
 const TEXT_FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::ExitCode;
+use crate::exit::ExitCode;
 
 /// How long a process may take to drain after the first signal before it is ended with
 /// [`ExitCode::TempFail`]. Larger than any single time limit inside (checkpoint, flush, upload).

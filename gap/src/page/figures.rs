@@ -2,9 +2,9 @@
 
 use std::fmt::Write;
 
-use super::svg::{Axis, Chart, escape, number};
 use crate::plots::{Correlation, Horizon, Hypothesis, Overlay, Signature, WaterfallStep};
 use crate::report::Report;
+use caudata_chart::{Axis, Chart, escape, number};
 
 const WIDE: (f64, f64) = (470.0, 240.0);
 

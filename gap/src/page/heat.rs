@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use super::svg::{escape, number};
 use crate::report::{Divergence, Report};
+use caudata_chart::{escape, number};
 
 /// Ratios to the noise floor at which the colour changes: within the floor, seen, clear, strong, very strong.
 const STEPS: [f64; 5] = [1.2, 2.0, 4.0, 8.0, 16.0];

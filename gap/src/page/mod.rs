@@ -4,13 +4,13 @@ mod figures;
 mod heat;
 mod sections;
 mod style;
-mod svg;
 
 use std::fmt::Write;
 
+use caudata_chart::{escape, number};
+
 use crate::plots::{Overlay, Plots, Signature};
 use crate::report::{Report, Verdict};
-use svg::escape;
 
 /// The page of a diagnosis of `robot`. `plots`: what there is to draw beyond the report itself.
 #[must_use]
@@ -90,7 +90,7 @@ pub fn render(robot: &str, report: &Report, plots: Option<&Plots>) -> String {
         "<footer>{} hypotheses, {} simulated runs, {} s simulated. Everything here is in <code>report.json</code> beside this page.</footer>",
         c.candidates,
         c.rollouts,
-        svg::number(c.simulated_s)
+        number(c.simulated_s)
     );
     document(&format!("{word}: {}", escape(robot)), &body)
 }
@@ -130,8 +130,9 @@ pub fn curves(title: &str, lead: &str, overlays: &[Overlay], chapters: &[Chapter
 
 fn document(title: &str, body: &str) -> String {
     format!(
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><title>{title}</title><style>{}</style></head><body><main>{body}</main></body></html>\n",
-        style::CSS
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\"><title>{title}</title><style>{}{}</style></head><body><main>{body}</main></body></html>\n",
+        style::CSS,
+        caudata_chart::style()
     )
 }
 

@@ -3,9 +3,9 @@
 use std::fmt::Write;
 
 use super::figures;
-use super::svg::{escape, number};
 use crate::plots::Plots;
 use crate::report::{Cause, Parameter, Report, Verdict};
+use caudata_chart::{escape, number};
 
 /// The verdict in words, and how it is coloured.
 pub fn verdict(v: Verdict) -> (&'static str, &'static str) {

@@ -1,12 +1,12 @@
 //! The page's style sheet: light and dark, screen, telephone and paper.
 
-/// CSS.
+/// CSS of the page; that of its pictures is [`caudata_chart::style`].
 pub const CSS: &str = r#"
-:root{color-scheme:light dark;--bg:#fbfaf8;--card:#fff;--ink:#1c1f23;--soft:#5d646e;--line:#e2e0da;--grid:#eceae4;
---before:#c8500a;--after:#0b6fb3;--meas:#23272d;--band:#8a93a055;--ok:#1d7f4e;--warn:#a86400;--bad:#b3261e;--note:#4a5560;
+:root{color-scheme:light dark;--bg:#fbfaf8;--card:#fff;--line:#e2e0da;
+--warn:#a86400;--bad:#b3261e;--note:#4a5560;
 --h0:#f3f1ec;--h1:#f6dfc0;--h2:#f0b27a;--h3:#dd7a45;--h4:#b8432a;--h5:#7a1f1f}
-@media (prefers-color-scheme:dark){:root{--bg:#14171b;--card:#1c2026;--ink:#e8e6e1;--soft:#9aa3ad;--line:#2d333b;--grid:#262b32;
---before:#ff9a57;--after:#62b5f0;--meas:#f1efe9;--band:#aab4c055;--ok:#5fcf97;--warn:#f0b350;--bad:#ff7b72;--note:#aab4c0;
+@media (prefers-color-scheme:dark){:root{--bg:#14171b;--card:#1c2026;--line:#2d333b;
+--warn:#f0b350;--bad:#ff7b72;--note:#aab4c0;
 --h0:#22272e;--h1:#4a3a24;--h2:#7d4d22;--h3:#b0602b;--h4:#dd7045;--h5:#ff9d7a}}
 *{box-sizing:border-box}
 body{margin:0;background:var(--bg);color:var(--ink);font:16px/1.5 system-ui,-apple-system,"Segoe UI",Roboto,"Helvetica Neue",sans-serif}
@@ -28,18 +28,7 @@ p{margin:.3em 0 .7em;max-width:72ch}
 .grid>.card{margin:0}
 .cause .grid{grid-template-columns:repeat(auto-fill,minmax(min(100%,430px),1fr))}
 figure{margin:0} figcaption{font-size:.86rem;color:var(--soft);margin:0 0 4px} figcaption b{color:var(--ink);font-weight:620}
-svg{display:block;width:100%;height:auto;font:11.5px system-ui,sans-serif}
-svg text{fill:var(--soft)} svg .l{font-size:11.5px} svg .v{fill:var(--ink);font-variant-numeric:tabular-nums} svg .n{fill:var(--ink)}
-.g{stroke:var(--grid);stroke-width:1}
-.before,.after,.measured,.command,.other{fill:none;stroke-width:1.6;stroke-linejoin:round}
-.before{stroke:var(--before)}.after{stroke:var(--after)}.measured{stroke:var(--meas);stroke-width:2.8;opacity:.5}
-.command{stroke:var(--soft);stroke-width:1;stroke-dasharray:4 3;opacity:.75}.other{stroke:var(--ok)}
-.p-before{fill:var(--before)}.p-after{fill:var(--after)}.p-measured{fill:var(--meas);opacity:.55}.p-other{fill:var(--ok)}
-.band{fill:var(--band);stroke:none}
-.b-before{fill:var(--before);opacity:.16}.b-after{fill:var(--after);opacity:.16}.b-measured{fill:var(--band)}.b-other{fill:var(--ok);opacity:.14}
-.floor{stroke:var(--soft);stroke-width:1.2;stroke-dasharray:2 3}
-.bar-before{fill:var(--before)}.bar-after{fill:var(--after)}.bar-set{fill:var(--after)}.bar-out{fill:var(--soft);opacity:.45}
-.whisk{stroke:var(--ink);stroke-width:1.4;fill:none}
+svg{display:block;width:100%;height:auto}
 .key{display:flex;flex-wrap:wrap;gap:4px 16px;font-size:.84rem;color:var(--soft);margin:2px 0 10px}
 .key i{display:inline-block;width:20px;height:0;border-top:2.5px solid;vertical-align:middle;margin-right:6px}
 .key .kb{height:11px;border:0;background:var(--band)} .key .kc{border-top:1.5px dashed var(--soft)}
@@ -58,7 +47,7 @@ code{font:.9em ui-monospace,SFMono-Regular,Menlo,monospace;background:var(--grid
 .next{border-left:4px solid var(--ok)}
 footer{margin-top:40px;color:var(--soft);font-size:.82rem;border-top:1px solid var(--line);padding-top:10px}
 @media (max-width:560px){main{padding:14px 11px 40px}h1{font-size:1.22rem}.card{padding:11px 11px}}
-@media print{:root{color-scheme:light;--bg:#fff;--card:#fff;--ink:#000;--soft:#444;--line:#bbb;--grid:#e6e6e6;--before:#b8460a;--after:#0a5f9c;--meas:#000;--band:#0000002b;
---ok:#14603a;--warn:#7a4900;--bad:#8f1d17;--h0:#f3f1ec;--h1:#f6dfc0;--h2:#f0b27a;--h3:#dd7a45;--h4:#b8432a;--h5:#7a1f1f}
+@media print{:root{color-scheme:light;--bg:#fff;--card:#fff;--line:#bbb;
+--warn:#7a4900;--bad:#8f1d17;--h0:#f3f1ec;--h1:#f6dfc0;--h2:#f0b27a;--h3:#dd7a45;--h4:#b8432a;--h5:#7a1f1f}
 body{font-size:11pt}.card,.tile,figure,tr{break-inside:avoid}h2{break-after:avoid}details>*{display:block}main{max-width:none;padding:0}}
 "#;

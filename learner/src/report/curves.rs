@@ -2,16 +2,15 @@
 
 use std::path::Path;
 
-use plotters::coord::Shift;
-use plotters::prelude::*;
+use caudata_chart::{Axis, Chart, sheet};
 
 use super::history::History;
 use crate::LearnerError;
 
 /// Size of one chart, pixels.
-const CHART_PX: (u32, u32) = (760, 420);
+const CHART_PX: (f64, f64) = (720.0, 390.0);
 /// Size of one chart among several in a picture, pixels.
-const PANEL_PX: (u32, u32) = (480, 280);
+const PANEL_PX: (f64, f64) = (480.0, 250.0);
 const PANELS_PER_ROW: usize = 2;
 /// Units of the horizontal axis: from how many steps on, how many steps each, and their name.
 const UNITS: [(f64, f64, &str); 3] = [
@@ -74,115 +73,53 @@ pub fn draw_curves(folder: &Path, history: &History) -> Result<(), LearnerError>
     for (file, name, title, label) in CHARTS {
         let series = history.series(name);
         if !series.is_empty() {
-            let svg = picture(CHART_PX, |area| chart(area, title, label, &series))?;
-            save(folder, file, &svg)?;
+            save(folder, file, &[chart(CHART_PX, title, label, &series)])?;
         }
     }
     // A term without weight is zero throughout and has no curve worth a panel.
     let mut terms = history.names(TERM_PREFIX);
     terms.retain(|name| history.series(name).iter().any(|point| point.1 != 0.0));
     if !terms.is_empty() {
-        save(folder, "reward_terms", &term_panels(history, &terms)?)?;
+        let panel = |name: &String| {
+            let title = name.trim_start_matches(TERM_PREFIX);
+            chart(
+                PANEL_PX,
+                title,
+                "sum over an episode",
+                &history.series(name),
+            )
+        };
+        let panels: Vec<Chart> = terms.iter().map(panel).collect();
+        save(folder, "reward_terms", &panels)?;
     }
     Ok(())
 }
 
-fn save(folder: &Path, file: &str, svg: &str) -> Result<(), LearnerError> {
+fn save(folder: &Path, file: &str, charts: &[Chart]) -> Result<(), LearnerError> {
     let path = folder.join(format!("{file}.svg"));
+    let svg = sheet(charts, PANELS_PER_ROW);
     caudata_durable::replace(&path, svg.as_bytes()).map_err(LearnerError::from)
 }
 
-fn term_panels(history: &History, terms: &[String]) -> Result<String, LearnerError> {
-    let columns = PANELS_PER_ROW.min(terms.len());
-    let rows = terms.len().div_ceil(columns);
-    let size = (PANEL_PX.0 * columns as u32, PANEL_PX.1 * rows as u32);
-    picture(size, |area| {
-        for (panel, name) in area.split_evenly((rows, columns)).iter().zip(terms) {
-            let title = name.trim_start_matches(TERM_PREFIX);
-            chart(panel, title, "sum over an episode", &history.series(name))?;
-        }
-        Ok(())
-    })
-}
-
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-fn picture(size: (u32, u32), draw: impl FnOnce(&Area) -> Drawn) -> Result<String, LearnerError> {
-    let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        let drawn = area.fill(&WHITE).map_err(Into::into);
-        let drawn = drawn.and_then(|()| draw(&area));
-        drawn
-            .and_then(|()| area.present().map_err(Into::into))
-            .map_err(|error| LearnerError::Picture(error.to_string()))?;
-    }
-    Ok(svg)
-}
-
-fn chart(area: &Area, title: &str, label: &str, series: &[(f64, f64)]) -> Drawn {
+fn chart(size: (f64, f64), title: &str, label: &str, series: &[(f64, f64)]) -> Chart {
     let x_max = series.last().map_or(1.0, |last| last.0);
     let (_, unit, x_label) = UNITS
         .into_iter()
         .find(|unit| x_max >= unit.0)
         .unwrap_or(UNITS[2]);
-    let (low, high) = vertical_range(series);
-    let mut context = ChartBuilder::on(area)
-        .caption(title, ("sans-serif", 20))
-        .margin(12)
-        .x_label_area_size(42)
-        .y_label_area_size(72)
-        .build_cartesian_2d(0.0..(x_max / unit).max(f64::MIN_POSITIVE), low..high)?;
-    context
-        .configure_mesh()
-        .x_desc(x_label)
-        .y_desc(label)
-        .x_labels(6)
-        .y_labels(6)
-        .light_line_style(WHITE)
-        .x_label_formatter(&|x| number(*x))
-        .y_label_formatter(&|y| {
-            number(if y.abs() < 1e-6 * (high - low) {
-                0.0
-            } else {
-                *y
-            })
-        })
-        .label_style(("sans-serif", 13))
-        .axis_desc_style(("sans-serif", 14))
-        .draw()?;
-    let points = series.iter().map(|&(x, y)| (x / unit, y));
-    context.draw_series(LineSeries::new(points, BLUE.stroke_width(2)))?;
-    Ok(())
-}
-
-/// The values with a twentieth of room above and below; never empty.
-fn vertical_range(series: &[(f64, f64)]) -> (f64, f64) {
-    let finite = || series.iter().map(|point| point.1).filter(|y| y.is_finite());
-    let low = finite().fold(f64::INFINITY, f64::min);
-    let high = finite().fold(f64::NEG_INFINITY, f64::max);
-    if low > high {
-        return (0.0, 1.0);
-    }
-    let room = ((high - low) * 0.05)
-        .max(high.abs().max(low.abs()) * 0.01)
-        .max(1e-9);
-    (low - room, high + room)
-}
-
-/// A number in three or four digits.
-fn number(x: f64) -> String {
-    let size = x.abs();
-    if size >= 1e5 || (size > 0.0 && size < 1e-3) {
-        format!("{x:.1e}")
-    } else if size >= 100.0 || x.fract() == 0.0 {
-        format!("{x:.0}")
-    } else if size >= 1.0 {
-        format!("{x:.2}")
-    } else {
-        format!("{x:.4}").trim_end_matches('0').to_owned()
-    }
+    let x: Vec<f64> = series.iter().map(|point| point.0 / unit).collect();
+    let y: Vec<f64> = series.iter().map(|point| point.1).collect();
+    let horizontal = Axis::exact(x.iter().copied().chain([0.0]));
+    let mut chart = Chart::new(
+        size,
+        horizontal,
+        Axis::over(y.iter().copied()),
+        title,
+        label,
+    );
+    chart.line("after", &x, &y);
+    chart.labels(x_label, label);
+    chart
 }
 
 #[cfg(test)]
@@ -235,25 +172,6 @@ mod tests {
         assert!(
             !dir.path().join("episode_length.svg").exists(),
             "nothing known of it yet"
-        );
-    }
-
-    #[test]
-    fn flat_and_strange_values_have_a_range() {
-        let (low, high) = vertical_range(&[(0.0, 2.0), (1.0, 2.0)]);
-        assert!(low < 2.0 && high > 2.0);
-        assert_eq!(vertical_range(&[(0.0, f64::NAN)]), (0.0, 1.0));
-    }
-
-    #[test]
-    fn numbers_are_short() {
-        let shown: Vec<String> = [0.0, 3.0, 0.25, 12.5, 1234.5, 2.5e6, 1e-5]
-            .map(number)
-            .into_iter()
-            .collect();
-        assert_eq!(
-            shown,
-            ["0", "3", "0.25", "12.50", "1234", "2.5e6", "1.0e-5"]
         );
     }
 }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use caudata_config::LearnerConfig;
 use caudata_proto::RolloutChunk;
 use caudata_telemetry::StopFlag;
-use caudata_traces::now_ns;
+use caudata_telemetry::traces::now_ns;
 use caudata_transport::LearnerLink;
 
 use super::fleet::Fleet;

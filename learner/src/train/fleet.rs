@@ -10,7 +10,7 @@ use caudata_actor::{
 };
 use caudata_model::RobotModel;
 use caudata_telemetry::StopFlag;
-use caudata_traces::Tracer;
+use caudata_telemetry::traces::Tracer;
 use caudata_transport::InprocHub;
 
 use super::settings::{TrainSettings, ledger_folder};

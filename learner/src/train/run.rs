@@ -10,7 +10,7 @@ use caudata_proto::RolloutChunk;
 use caudata_random::Stream;
 use caudata_telemetry::StopFlag;
 use caudata_telemetry::progress::{Checkpoint, Event, Finished};
-use caudata_traces::now_ns;
+use caudata_telemetry::traces::now_ns;
 use caudata_transport::{Control, LearnerLink, PolicyUpdate};
 
 use super::collect::{Collected, collect};

@@ -11,8 +11,8 @@ use caudata_proto::DecodeLimits;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_task::PolicyContract;
 use caudata_telemetry::progress::{Event, Finished, Started};
+use caudata_telemetry::traces::Tracer;
 use caudata_telemetry::{DRAIN_DEADLINE, StopFlag, build_info};
-use caudata_traces::Tracer;
 use caudata_transport::{InprocHub, TransportConfig, learner_link};
 use tch::Device;
 

@@ -2,7 +2,7 @@
 //! that comes of it.
 
 use caudata_proto::{RolloutChunk, TraceContext, chunk_identity};
-use caudata_traces::{Kind, Span, Tracer, Value, now_ns};
+use caudata_telemetry::traces::{Kind, Span, Tracer, Value, now_ns};
 
 use crate::hex;
 

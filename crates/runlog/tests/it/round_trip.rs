@@ -4,8 +4,8 @@ use std::fs;
 use std::io;
 
 use caudata_runlog::{
-    Axis, BaseHold, CSV_NAME, FlushPolicy, LogError, LogMeta, LogWriter, META_NAME, QuatPart,
-    RunLog, Signal, Table, TableWriter,
+    Axis, BaseHold, CSV_NAME, LogError, LogMeta, LogWriter, META_NAME, QuatPart, RunLog, Signal,
+    Table, TableWriter,
 };
 use proptest::prelude::*;
 
@@ -120,17 +120,13 @@ fn headers_and_folders_that_cannot_be() {
 #[test]
 fn rows_leave_the_writer_by_log_time() {
     let dir = tempfile::tempdir().unwrap();
-    let policy = FlushPolicy {
-        flush_s: 1.0,
-        sync_s: Some(2.0),
-    };
-    let mut w = LogWriter::create_with(dir.path(), &[Signal::Voltage], &meta(), policy).unwrap();
+    let mut w = LogWriter::create(dir.path(), &[Signal::Voltage], &meta()).unwrap();
     let on_disk = || Table::read(&dir.path().join(CSV_NAME)).unwrap().len();
     assert_eq!(on_disk(), 0, "the header is there at once");
     for i in 0..=5 {
-        w.row(f64::from(i) * 0.5, &[Some(14.0)]).unwrap();
+        w.row(f64::from(i) * 0.25, &[Some(14.0)]).unwrap();
     }
-    // t = 0 goes at once, then 0.5 waits for 1.0, 1.5 for 2.0; 2.5 still waits
+    // t = 0 goes at once, then 0.25 waits for 0.5, 0.75 for 1.0; 1.25 still waits
     assert_eq!(on_disk(), 5);
     drop(w);
     assert_eq!(on_disk(), 6, "a dropped writer keeps what it accepted");

@@ -13,34 +13,16 @@ mod export;
 mod span;
 
 use std::hash::{BuildHasher, RandomState};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
 use caudata_proto::TraceContext;
-use caudata_telemetry::{Counter, Metrics};
 
+use crate::metrics::Metrics;
 use export::Exporter;
-pub use export::{QUEUE_MAX, TraceError};
+pub use export::{QUEUE_MAX, TraceError, TraceSettings};
 pub use span::{Kind, Span, Value};
-
-/// What a process needs to know to trace.
-#[derive(Clone, Debug)]
-pub struct TraceSettings {
-    /// `http://host:port` or `https://host:port` of the collector's OTLP/gRPC port.
-    pub endpoint: String,
-    /// Every so many policy versions one is traced. At least 1.
-    pub every: u64,
-    /// Folder with `ca.crt`, `tls.crt` and `tls.key`, for `https://`.
-    pub tls_dir: Option<PathBuf>,
-    /// The program: `caudata-actor`.
-    pub service: &'static str,
-    /// Which one of them: `actor 3, incarnation 0`.
-    pub instance: String,
-    /// The training run.
-    pub run_id: String,
-}
 
 /// Takes spans. Cheap to clone; all clones share the queue. When the last one goes, what waits is still exported, for at most a few seconds.
 #[derive(Clone, Debug, Default)]
@@ -57,13 +39,6 @@ struct Inner {
     exporter: Exporter,
 }
 
-/// What a process counts about its traces.
-#[derive(Clone, Debug)]
-pub(crate) struct Counters {
-    pub exported: Counter,
-    pub dropped: Counter,
-}
-
 impl Tracer {
     /// Traces nothing.
     pub fn off() -> Self {
@@ -75,17 +50,7 @@ impl Tracer {
     /// # Errors
     /// An address that is none, certificates that do not work, or the system refuses the thread.
     pub fn start(settings: &TraceSettings, metrics: &Metrics) -> Result<Self, TraceError> {
-        let counters = Counters {
-            exported: metrics.counter(
-                "caudata_trace_spans_exported_total",
-                "Spans that the collector took",
-            ),
-            dropped: metrics.counter(
-                "caudata_trace_spans_dropped_total",
-                "Spans given up because the collector is away, slow, or refuses them",
-            ),
-        };
-        let exporter = Exporter::start(settings, counters)?;
+        let exporter = Exporter::start(settings, metrics)?;
         let base = RandomState::new().hash_one((std::process::id(), SystemTime::now()));
         Ok(Self {
             inner: Some(Arc::new(Inner {

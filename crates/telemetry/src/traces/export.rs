@@ -1,6 +1,6 @@
 //! The queue of spans and the thread that empties it towards the collector.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -10,8 +10,8 @@ use caudata_proto::wire::otlp::trace_service_client::TraceServiceClient;
 use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
 
-use crate::span::{self, Span, Value};
-use crate::{Counters, TraceSettings};
+use super::span::{self, Span, Value};
+use crate::metrics::{Counter, Metrics};
 
 /// Spans that may wait. One is about half a kilobyte.
 pub const QUEUE_MAX: usize = 4096;
@@ -27,6 +27,23 @@ const EXPORT_MAX: Duration = Duration::from_secs(3);
 const PAUSE: Duration = Duration::from_millis(500);
 /// Longest pause.
 const PAUSE_MAX: Duration = Duration::from_secs(10);
+
+/// What a process needs to know to trace.
+#[derive(Clone, Debug)]
+pub struct TraceSettings {
+    /// `http://host:port` or `https://host:port` of the collector's OTLP/gRPC port.
+    pub endpoint: String,
+    /// Every so many policy versions one is traced. At least 1.
+    pub every: u64,
+    /// Folder with `ca.crt`, `tls.crt` and `tls.key`, for `https://`.
+    pub tls_dir: Option<PathBuf>,
+    /// The program: `caudata-actor`.
+    pub service: &'static str,
+    /// Which one of them: `actor 3, incarnation 0`.
+    pub instance: String,
+    /// The training run.
+    pub run_id: String,
+}
 
 /// Why traces cannot be exported.
 #[derive(Debug, thiserror::Error)]
@@ -45,6 +62,13 @@ pub enum TraceError {
     Thread(std::io::Error),
 }
 
+/// What a process counts about its traces.
+#[derive(Clone, Debug)]
+struct Counters {
+    exported: Counter,
+    dropped: Counter,
+}
+
 /// The near end of the queue. Dropped, it waits for the thread, which then gives up at the first failure.
 #[derive(Debug)]
 pub(crate) struct Exporter {
@@ -54,7 +78,17 @@ pub(crate) struct Exporter {
 }
 
 impl Exporter {
-    pub fn start(settings: &TraceSettings, counters: Counters) -> Result<Self, TraceError> {
+    pub fn start(settings: &TraceSettings, metrics: &Metrics) -> Result<Self, TraceError> {
+        let counters = Counters {
+            exported: metrics.counter(
+                "caudata_trace_spans_exported_total",
+                "Spans that the collector took",
+            ),
+            dropped: metrics.counter(
+                "caudata_trace_spans_dropped_total",
+                "Spans given up because the collector is away, slow, or refuses them",
+            ),
+        };
         let endpoint = endpoint(settings)?;
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()

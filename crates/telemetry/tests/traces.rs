@@ -9,7 +9,7 @@ use caudata_proto::TraceContext;
 use caudata_proto::wire::otlp as wire;
 use caudata_proto::wire::otlp::trace_service_server::{TraceService, TraceServiceServer};
 use caudata_telemetry::Metrics;
-use caudata_traces::{Kind, QUEUE_MAX, Span, TraceError, TraceSettings, Tracer};
+use caudata_telemetry::traces::{Kind, QUEUE_MAX, Span, TraceError, TraceSettings, Tracer};
 use tokio_stream::wrappers::TcpListenerStream;
 use tonic::{Request, Response, Status};
 
