@@ -23,7 +23,7 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Behind the encapsulation header.
+    /// Begins behind the encapsulation header.
     ///
     /// # Errors
     /// [`CdrError`] where there is none.
@@ -43,96 +43,22 @@ impl<'a> Reader<'a> {
         })
     }
 
-    fn take<const N: usize>(&mut self, align: usize) -> Result<[u8; N], CdrError> {
-        let start = self.at.next_multiple_of(align);
+    /// The next value.
+    ///
+    /// # Errors
+    /// Where the bytes end before it does; a text that is not UTF-8.
+    pub fn get<T: Cdr>(&mut self) -> Result<T, CdrError> {
+        T::read(self)
+    }
+
+    /// The bytes of a number, which is aligned to its own size, little end first.
+    fn number<const N: usize>(&mut self) -> Result<[u8; N], CdrError> {
+        let start = self.at.next_multiple_of(N);
         let found = self.bytes.get(start..).and_then(<[u8]>::first_chunk::<N>);
         let mut out = *found.ok_or(CdrError::Short(self.bytes.len()))?;
         self.at = start + N;
         if !self.little {
             out.reverse();
-        }
-        Ok(out)
-    }
-
-    /// A byte.
-    ///
-    /// # Errors
-    /// At the end.
-    pub fn u8(&mut self) -> Result<u8, CdrError> {
-        Ok(self.take::<1>(1)?[0])
-    }
-
-    /// An unsigned number of 32 bits.
-    ///
-    /// # Errors
-    /// At the end.
-    pub fn u32(&mut self) -> Result<u32, CdrError> {
-        Ok(u32::from_le_bytes(self.take(4)?))
-    }
-
-    /// A signed number of 32 bits.
-    ///
-    /// # Errors
-    /// At the end.
-    pub fn i32(&mut self) -> Result<i32, CdrError> {
-        Ok(i32::from_le_bytes(self.take(4)?))
-    }
-
-    /// A number of 32 bits.
-    ///
-    /// # Errors
-    /// At the end.
-    pub fn f32(&mut self) -> Result<f32, CdrError> {
-        Ok(f32::from_le_bytes(self.take(4)?))
-    }
-
-    /// A number of 64 bits.
-    ///
-    /// # Errors
-    /// At the end.
-    pub fn f64(&mut self) -> Result<f64, CdrError> {
-        Ok(f64::from_le_bytes(self.take(8)?))
-    }
-
-    /// `N` numbers without a length.
-    ///
-    /// # Errors
-    /// At the end.
-    pub fn f64s<const N: usize>(&mut self) -> Result<[f64; N], CdrError> {
-        let mut out = [0.0; N];
-        for x in &mut out {
-            *x = self.f64()?;
-        }
-        Ok(out)
-    }
-
-    /// A text.
-    ///
-    /// # Errors
-    /// At the end; where it is not UTF-8.
-    pub fn text(&mut self) -> Result<String, CdrError> {
-        let length = self.u32()? as usize;
-        let end = self.at.checked_add(length);
-        let bytes = end.and_then(|end| self.bytes.get(self.at..end));
-        let bytes = bytes.ok_or(CdrError::Short(self.bytes.len()))?;
-        self.at += length;
-        // the length counts the zero at the end; some writers leave out both for an empty text
-        let bytes = bytes.strip_suffix(&[0]).unwrap_or(bytes);
-        String::from_utf8(bytes.to_vec()).map_err(|_| CdrError::Text)
-    }
-
-    /// A list; `one` reads an element. A length that the bytes cannot hold ends at their end, not in memory.
-    ///
-    /// # Errors
-    /// Those of `one`.
-    pub fn list<T>(
-        &mut self,
-        mut one: impl FnMut(&mut Self) -> Result<T, CdrError>,
-    ) -> Result<Vec<T>, CdrError> {
-        let length = self.u32()? as usize;
-        let mut out = Vec::with_capacity(length.min(1024));
-        for _ in 0..length {
-            out.push(one(self)?);
         }
         Ok(out)
     }
@@ -158,58 +84,106 @@ impl Writer {
         self.bytes
     }
 
-    fn put(&mut self, align: usize, bytes: &[u8]) {
-        while !(self.bytes.len() - 4).is_multiple_of(align) {
-            self.bytes.push(0);
+    /// Appends a value.
+    pub fn put<T: Cdr>(&mut self, value: &T) -> &mut Self {
+        value.write(self);
+        self
+    }
+}
+
+/// A value that stands in a message.
+pub trait Cdr: Sized {
+    /// From where the reader stands.
+    ///
+    /// # Errors
+    /// Where the bytes end before the value does; a text that is not UTF-8.
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError>;
+
+    /// To the end of what is written.
+    fn write(&self, w: &mut Writer);
+}
+
+macro_rules! numbers {
+    ($($number:ty),*) => {$(
+        impl Cdr for $number {
+            fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+                Ok(Self::from_le_bytes(r.number()?))
+            }
+
+            fn write(&self, w: &mut Writer) {
+                let bytes = self.to_le_bytes();
+                let aligned = (w.bytes.len() - 4).next_multiple_of(bytes.len()) + 4;
+                w.bytes.resize(aligned, 0);
+                w.bytes.extend_from_slice(&bytes);
+            }
         }
-        self.bytes.extend_from_slice(bytes);
+    )*};
+}
+numbers!(u8, u32, i32, f32, f64);
+
+/// Numbers without a length.
+impl<const N: usize> Cdr for [f64; N] {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let mut out = [0.0; N];
+        for x in &mut out {
+            *x = r.get()?;
+        }
+        Ok(out)
     }
 
-    /// A byte.
-    pub fn u8(&mut self, x: u8) {
-        self.put(1, &[x]);
-    }
-
-    /// An unsigned number of 32 bits.
-    pub fn u32(&mut self, x: u32) {
-        self.put(4, &x.to_le_bytes());
-    }
-
-    /// A signed number of 32 bits.
-    pub fn i32(&mut self, x: i32) {
-        self.put(4, &x.to_le_bytes());
-    }
-
-    /// A number of 32 bits.
-    pub fn f32(&mut self, x: f32) {
-        self.put(4, &x.to_le_bytes());
-    }
-
-    /// A number of 64 bits.
-    pub fn f64(&mut self, x: f64) {
-        self.put(8, &x.to_le_bytes());
-    }
-
-    /// Numbers without a length.
-    pub fn f64s(&mut self, all: &[f64]) {
-        for x in all {
-            self.f64(*x);
+    fn write(&self, w: &mut Writer) {
+        for x in self {
+            w.put(x);
         }
     }
+}
 
-    /// A text with its closing zero.
-    pub fn text(&mut self, text: &str) {
-        self.u32(text.len() as u32 + 1);
-        self.put(1, text.as_bytes());
-        self.put(1, &[0]);
+/// Its length, with the zero at its end, and its bytes.
+impl Cdr for String {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let length = u32::read(r)? as usize;
+        let end = r.at.checked_add(length);
+        let bytes = end.and_then(|end| r.bytes.get(r.at..end));
+        let bytes = bytes.ok_or(CdrError::Short(r.bytes.len()))?;
+        r.at += length;
+        // the length counts the zero at the end; some writers leave out both for an empty text
+        let bytes = bytes.strip_suffix(&[0]).unwrap_or(bytes);
+        Self::from_utf8(bytes.to_vec()).map_err(|_| CdrError::Text)
     }
 
-    /// A list.
-    pub fn list<T>(&mut self, all: &[T], mut one: impl FnMut(&mut Self, &T)) {
-        self.u32(all.len() as u32);
-        for x in all {
-            one(self, x);
+    fn write(&self, w: &mut Writer) {
+        w.put(&(self.len() as u32 + 1));
+        w.bytes.extend_from_slice(self.as_bytes());
+        w.bytes.push(0);
+    }
+}
+
+/// A list with its length in front. A length that the bytes cannot hold ends at their end, not in memory.
+impl<T: Cdr> Cdr for Vec<T> {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let length = u32::read(r)? as usize;
+        let mut out = Self::with_capacity(length.min(1024));
+        for _ in 0..length {
+            out.push(r.get()?);
         }
+        Ok(out)
+    }
+
+    fn write(&self, w: &mut Writer) {
+        w.put(&(self.len() as u32));
+        for x in self {
+            w.put(x);
+        }
+    }
+}
+
+impl<A: Cdr, B: Cdr> Cdr for (A, B) {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+        Ok((r.get()?, r.get()?))
+    }
+
+    fn write(&self, w: &mut Writer) {
+        w.put(&self.0).put(&self.1);
     }
 }
 
@@ -221,10 +195,7 @@ mod tests {
     #[test]
     fn alignment_counts_from_behind_the_header() {
         let mut w = Writer::default();
-        w.u8(7);
-        w.u32(1);
-        w.text("ab");
-        w.f64(1.0);
+        w.put(&7u8).put(&1u32).put(&"ab".to_owned()).put(&1.0);
         // header, 7, three of padding, 1, length 3, "ab\0", five of padding to 16, 1.0
         #[rustfmt::skip]
         let want = [
@@ -237,16 +208,16 @@ mod tests {
         assert_eq!(w.finish(), want);
         let mut r = Reader::new(&want).unwrap();
         assert_eq!(
-            (r.u8(), r.u32(), r.text(), r.f64()),
-            (Ok(7), Ok(1), Ok("ab".to_owned()), Ok(1.0))
+            (r.get::<u8>(), r.get::<u32>(), r.get(), r.get()),
+            (Ok(7), Ok(1), Ok("ab".to_owned()), Ok(1.0f64))
         );
-        assert_eq!(r.u8(), Err(CdrError::Short(24)));
+        assert_eq!(r.get::<u8>(), Err(CdrError::Short(24)));
     }
 
     #[test]
     fn the_other_byte_order_and_wrong_heads() {
         let mut r = Reader::new(&[0, 0, 0, 0, 0, 0, 1, 2]).unwrap();
-        assert_eq!(r.u32(), Ok(0x0102));
+        assert_eq!(r.get(), Ok(0x0102u32));
         assert!(matches!(
             Reader::new(&[9, 9, 0, 0]),
             Err(CdrError::Encapsulation(_))
@@ -254,35 +225,30 @@ mod tests {
         assert!(matches!(Reader::new(&[0, 1]), Err(CdrError::Short(2))));
         // a list that claims four thousand million elements ends where the bytes end
         let mut r = Reader::new(&[0, 1, 0, 0, 255, 255, 255, 255, 0, 0]).unwrap();
-        assert!(r.list(Reader::f64).is_err());
+        assert!(r.get::<Vec<f64>>().is_err());
     }
 
     proptest! {
         #[test]
         fn what_is_written_is_read(a: u8, b: i32, c: f64, text in "[a-z é]{0,20}", list: Vec<f32>) {
             let mut w = Writer::default();
-            w.u8(a);
-            w.i32(b);
-            w.text(&text);
-            w.f64(c);
-            w.list(&list, |w, x| w.f32(*x));
-            w.u8(a);
+            w.put(&a).put(&b).put(&text).put(&c).put(&list).put(&a);
             let bytes = w.finish();
             let mut r = Reader::new(&bytes).unwrap();
-            prop_assert_eq!(r.u8().unwrap(), a);
-            prop_assert_eq!(r.i32().unwrap(), b);
-            prop_assert_eq!(r.text().unwrap(), text);
-            prop_assert_eq!(r.f64().unwrap().to_bits(), c.to_bits());
-            let back = r.list(Reader::f32).unwrap();
+            prop_assert_eq!(r.get::<u8>().unwrap(), a);
+            prop_assert_eq!(r.get::<i32>().unwrap(), b);
+            prop_assert_eq!(r.get::<String>().unwrap(), text);
+            prop_assert_eq!(r.get::<f64>().unwrap().to_bits(), c.to_bits());
+            let back = r.get::<Vec<f32>>().unwrap();
             prop_assert_eq!(back.iter().map(|x| x.to_bits()).collect::<Vec<_>>(), list.iter().map(|x| x.to_bits()).collect::<Vec<_>>());
-            prop_assert_eq!(r.u8().unwrap(), a);
+            prop_assert_eq!(r.get::<u8>().unwrap(), a);
         }
 
         #[test]
         fn no_bytes_panic(bytes: Vec<u8>) {
             if let Ok(mut r) = Reader::new(&bytes) {
-                while r.text().is_ok() && r.list(Reader::f64).is_ok() {}
-                let _ = r.f64s::<9>();
+                while r.get::<String>().is_ok() && r.get::<Vec<f64>>().is_ok() {}
+                let _ = r.get::<[f64; 9]>();
             }
         }
     }

@@ -1,21 +1,22 @@
-//! The MCAP container (mcap.dev/spec): records of an opcode, a length and fields, between two magic words. Only what a log needs: schemas,
-//! channels and messages, also inside chunks that are not compressed. Everything else is passed over.
+//! The MCAP container (mcap.dev/spec): the schemas, channels and messages of a file, also those inside chunks.
+//!
+//! The `mcap` crate cuts a file into records and unpacks chunks. Files come from anywhere, so what they say of
+//! lengths is held to bounds here: a chunk is gone through record by record, never unpacked at once.
 
-/// First and last bytes of a file.
-const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+use std::borrow::Cow;
 
-/// Opcodes.
-const HEADER: u8 = 0x01;
-const FOOTER: u8 = 0x02;
-const SCHEMA: u8 = 0x03;
-const CHANNEL: u8 = 0x04;
-const MESSAGE: u8 = 0x05;
-const CHUNK: u8 = 0x06;
-const DATA_END: u8 = 0x0f;
+use mcap::records::op;
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{MAGIC, McapError};
+
+/// Largest record inside a compressed chunk, bytes.
+const MAX_RECORD_BYTES: usize = 64 * 1024 * 1024;
+/// Most that the compressed chunks of one file may hold together, bytes.
+const MAX_UNPACKED_BYTES: u64 = 4 * 1024 * 1024 * 1024;
 
 /// What a reader meets.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Record<'a> {
+pub enum Record {
     /// A message type.
     Schema {
         /// Number that channels refer to.
@@ -39,7 +40,7 @@ pub enum Record<'a> {
         /// When it was recorded, nanoseconds.
         log_time_ns: u64,
         /// Its bytes.
-        data: &'a [u8],
+        data: Vec<u8>,
     },
 }
 
@@ -49,23 +50,24 @@ pub enum ContainerError {
     /// Another kind of file.
     #[error("is not an MCAP file: it does not begin with its magic word")]
     Magic,
-    /// It ends in the middle of a record.
-    #[error("ends in the middle of a record, {0} bytes from its beginning")]
-    Torn(usize),
-    /// A record's fields go beyond its length.
-    #[error("has a damaged record {0} bytes from its beginning")]
-    Damaged(usize),
-    /// A chunk that needs a decompressor.
-    #[error("is compressed with {0}; write it again without (`mcap compress --compression none`)")]
-    Compressed(String),
+    /// A recorder was killed while it wrote.
+    #[error("the file ends in the middle of a record")]
+    Torn,
+    /// What it says of itself cannot be.
+    #[error("is damaged: {0}")]
+    Damaged(String),
+    /// Its chunks hold more than is unpacked.
+    #[error("unpacks to {0} bytes; at most {MAX_UNPACKED_BYTES} are read: leave out camera topics")]
+    Large(u64),
 }
 
 /// Goes through the records of a file.
 pub struct Records<'a> {
-    bytes: &'a [u8],
-    at: usize,
-    /// End of the chunk that is being read.
-    chunk_end: Option<usize>,
+    file: Source<'a>,
+    /// The chunk that is being read.
+    chunk: Option<Source<'static>>,
+    /// What the compressed chunks so far hold, bytes.
+    unpacked: u64,
     done: bool,
 }
 
@@ -78,100 +80,71 @@ impl<'a> Records<'a> {
         if !bytes.starts_with(MAGIC) {
             return Err(ContainerError::Magic);
         }
+        let options = LinearReaderOptions::default().with_emit_chunks(true);
         Ok(Self {
-            bytes,
-            at: MAGIC.len(),
-            chunk_end: None,
+            file: Source::new(Cow::Borrowed(&bytes[MAGIC.len()..]), options, bytes.len()),
+            chunk: None,
+            unpacked: 0,
             done: false,
         })
     }
 
     /// The next schema, channel or message; `None` at the end of the data.
-    fn step(&mut self) -> Result<Option<Record<'a>>, ContainerError> {
+    fn step(&mut self) -> Result<Option<Record>, ContainerError> {
         loop {
-            if self.chunk_end.is_some_and(|end| self.at >= end) {
-                self.chunk_end = None;
-            }
-            let start = self.at;
-            let Some(head) = self.bytes.get(start..start + 9) else {
-                // a recorder that was killed leaves a file without an end: that is as good as one
-                return if start >= self.bytes.len() {
-                    Ok(None)
-                } else {
-                    Err(ContainerError::Torn(start))
-                };
+            let inside = self.chunk.is_some();
+            let next = match &mut self.chunk {
+                Some(chunk) => chunk.next().map_err(|e| damaged(&e)),
+                None => self.file.next().map_err(|e| match e {
+                    McapError::UnexpectedEof | McapError::RecordTooLarge { .. } => {
+                        ContainerError::Torn
+                    }
+                    other => damaged(&other),
+                }),
             };
-            let mut length = [0; 8];
-            length.copy_from_slice(&head[1..]);
-            let end = usize::try_from(u64::from_le_bytes(length))
-                .ok()
-                .and_then(|n| n.checked_add(start + 9));
-            let body = end.and_then(|end| self.bytes.get(start + 9..end));
-            let (Some(end), Some(body)) = (end, body) else {
-                return Err(ContainerError::Torn(start));
-            };
-            if self.chunk_end.is_some_and(|chunk| end > chunk) {
-                return Err(ContainerError::Damaged(start));
-            }
-            let damaged = || ContainerError::Damaged(start);
-            let mut fields = Fields(body);
-            self.at = end;
-            match head[0] {
-                SCHEMA => {
-                    let id = fields.u16().ok_or_else(damaged)?;
-                    let name = fields.text().ok_or_else(damaged)?;
-                    return Ok(Some(Record::Schema { id, name }));
-                }
-                CHANNEL => {
-                    let id = fields.u16().ok_or_else(damaged)?;
-                    let schema = fields.u16().ok_or_else(damaged)?;
-                    let topic = fields.text().ok_or_else(damaged)?;
-                    return Ok(Some(Record::Channel { id, schema, topic }));
-                }
-                MESSAGE => {
-                    let channel = fields.u16().ok_or_else(damaged)?;
-                    fields.u32().ok_or_else(damaged)?; // sequence
-                    let log_time_ns = fields.u64().ok_or_else(damaged)?;
-                    fields.u64().ok_or_else(damaged)?; // publish time
-                    return Ok(Some(Record::Message {
-                        channel,
-                        log_time_ns,
-                        data: fields.0,
-                    }));
-                }
-                CHUNK if self.chunk_end.is_none() => {
-                    for _ in 0..3 {
-                        fields.u64().ok_or_else(damaged)?; // start and end time, uncompressed size
-                    }
-                    fields.u32().ok_or_else(damaged)?; // checksum
-                    let compression = fields.text().ok_or_else(damaged)?;
-                    if !compression.is_empty() {
-                        return Err(ContainerError::Compressed(compression));
-                    }
-                    let size = fields
-                        .u64()
-                        .and_then(|n| usize::try_from(n).ok())
-                        .ok_or_else(damaged)?;
-                    if size > fields.0.len() {
-                        return Err(damaged());
-                    }
-                    let inside = end - fields.0.len();
-                    // go through what the chunk holds as if it lay in the file itself
-                    self.at = inside;
-                    self.chunk_end = Some(inside + size);
-                    if fields.0.len() != size {
-                        return Err(damaged());
+            match next? {
+                Some((op::CHUNK, _)) if inside => return Err(damaged(&"a chunk inside a chunk")),
+                Some((op::CHUNK, body)) => self.chunk = Some(self.enter(&body)?),
+                Some((op::DATA_END | op::FOOTER, _)) if !inside => return Ok(None),
+                Some((opcode, body)) => {
+                    let record = parse(opcode, &body).ok_or(damaged(&"a record is too short"))?;
+                    if record.is_some() {
+                        return Ok(record);
                     }
                 }
-                DATA_END | FOOTER => return Ok(None),
-                _ => {}
+                None if inside => self.chunk = None,
+                None => return Ok(None),
             }
         }
     }
+
+    /// The records of a chunk.
+    fn enter(&mut self, body: &[u8]) -> Result<Source<'static>, ContainerError> {
+        let mut fields = Fields(body);
+        let head = fields.chunk_head();
+        let (unpacked, compression, packed) = head.ok_or(damaged(&"a chunk is too short"))?;
+        if compression.is_empty() {
+            if packed != fields.0.len() as u64 {
+                return Err(damaged(&"a chunk has another length than it says"));
+            }
+            let options = LinearReaderOptions::default().with_emit_chunks(true);
+            let records = Cow::Owned(fields.0.to_vec());
+            return Ok(Source::new(records, options, packed as usize));
+        }
+        self.unpacked = self.unpacked.saturating_add(unpacked);
+        if self.unpacked > MAX_UNPACKED_BYTES {
+            return Err(ContainerError::Large(self.unpacked));
+        }
+        let options = LinearReaderOptions::default().with_validate_chunk_crcs(true);
+        let mut framed = vec![op::CHUNK];
+        framed.extend_from_slice(&(body.len() as u64).to_le_bytes());
+        framed.extend_from_slice(body);
+        Ok(Source::new(Cow::Owned(framed), options, MAX_RECORD_BYTES))
+    }
 }
 
-impl<'a> Iterator for Records<'a> {
-    type Item = Result<Record<'a>, ContainerError>;
+impl Iterator for Records<'_> {
+    type Item = Result<Record, ContainerError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.done {
@@ -184,193 +157,252 @@ impl<'a> Iterator for Records<'a> {
     }
 }
 
-/// The fields of a record, little-endian, from the front.
+fn damaged(why: &dyn std::fmt::Display) -> ContainerError {
+    ContainerError::Damaged(why.to_string())
+}
+
+/// Bytes, and the reader that they are fed to.
+struct Source<'a> {
+    reader: LinearReader,
+    bytes: Cow<'a, [u8]>,
+    at: usize,
+}
+
+impl<'a> Source<'a> {
+    /// Records without magic words around them, none longer than `longest`.
+    fn new(bytes: Cow<'a, [u8]>, options: LinearReaderOptions, longest: usize) -> Self {
+        let options = options
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_record_length_limit(longest);
+        Self {
+            reader: LinearReader::new_with_options(options),
+            bytes,
+            at: 0,
+        }
+    }
+
+    fn next(&mut self) -> Result<Option<(u8, Vec<u8>)>, McapError> {
+        while let Some(event) = self.reader.next_event() {
+            match event? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let rest = &self.bytes[self.at..];
+                    let n = wanted.min(rest.len());
+                    self.reader.insert(n).copy_from_slice(&rest[..n]);
+                    self.reader.notify_read(n);
+                    self.at += n;
+                }
+                LinearReadEvent::Record { opcode, data } => {
+                    return Ok(Some((opcode, data.to_vec())));
+                }
+            }
+        }
+        Ok(None)
+    }
+}
+
+/// `None` for a record whose fields go beyond its end, `Some(None)` for one that a log does not need.
+fn parse(opcode: u8, body: &[u8]) -> Option<Option<Record>> {
+    let mut fields = Fields(body);
+    Some(Some(match opcode {
+        op::SCHEMA => Record::Schema {
+            id: fields.u16()?,
+            name: fields.text()?,
+        },
+        op::CHANNEL => Record::Channel {
+            id: fields.u16()?,
+            schema: fields.u16()?,
+            topic: fields.text()?,
+        },
+        op::MESSAGE => {
+            let channel = fields.u16()?;
+            fields.u32()?; // sequence
+            let log_time_ns = fields.u64()?;
+            fields.u64()?; // publish time
+            Record::Message {
+                channel,
+                log_time_ns,
+                data: fields.0.to_vec(),
+            }
+        }
+        _ => return Some(None),
+    }))
+}
+
+/// The fields of a record, little-endian, from the front. The crate's own parser makes room for a text before it
+/// looks whether there is one of that length.
 struct Fields<'a>(&'a [u8]);
 
-impl<'a> Fields<'a> {
-    fn take(&mut self, n: usize) -> Option<&'a [u8]> {
-        let (head, rest) = self.0.split_at_checked(n)?;
+impl Fields<'_> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (head, rest) = self.0.split_first_chunk()?;
         self.0 = rest;
-        Some(head)
+        Some(*head)
     }
 
     fn u16(&mut self) -> Option<u16> {
-        Some(u16::from_le_bytes(self.take(2)?.try_into().ok()?))
+        self.take().map(u16::from_le_bytes)
     }
 
     fn u32(&mut self) -> Option<u32> {
-        Some(u32::from_le_bytes(self.take(4)?.try_into().ok()?))
+        self.take().map(u32::from_le_bytes)
     }
 
     fn u64(&mut self) -> Option<u64> {
-        Some(u64::from_le_bytes(self.take(8)?.try_into().ok()?))
+        self.take().map(u64::from_le_bytes)
     }
 
     fn text(&mut self) -> Option<String> {
         let n = self.u32()? as usize;
-        String::from_utf8(self.take(n)?.to_vec()).ok()
-    }
-}
-
-/// Writes a file record by record, without chunks: valid as far as it was written, readable by every MCAP reader.
-pub struct Writer {
-    out: Vec<u8>,
-}
-
-impl Writer {
-    /// With the magic word and a header of this profile (`ros2`).
-    #[must_use]
-    pub fn new(profile: &str) -> Self {
-        let mut writer = Self {
-            out: MAGIC.to_vec(),
-        };
-        let mut body = Vec::new();
-        text(&mut body, profile);
-        text(&mut body, "caudata");
-        writer.record(HEADER, &body);
-        writer
+        let (text, rest) = self.0.split_at_checked(n)?;
+        self.0 = rest;
+        String::from_utf8(text.to_vec()).ok()
     }
 
-    fn record(&mut self, opcode: u8, body: &[u8]) {
-        self.out.push(opcode);
-        self.out
-            .extend_from_slice(&(body.len() as u64).to_le_bytes());
-        self.out.extend_from_slice(body);
+    /// Length unpacked, compression, length packed; what is left are the records.
+    fn chunk_head(&mut self) -> Option<(u64, String, u64)> {
+        let [_first_ns, _last_ns, unpacked] = [self.u64()?, self.u64()?, self.u64()?];
+        self.u32()?; // checksum
+        Some((unpacked, self.text()?, self.u64()?))
     }
-
-    /// A message type with its definition.
-    pub fn schema(&mut self, id: u16, name: &str, encoding: &str, definition: &str) {
-        let mut body = id.to_le_bytes().to_vec();
-        text(&mut body, name);
-        text(&mut body, encoding);
-        text(&mut body, definition);
-        self.record(SCHEMA, &body);
-    }
-
-    /// A topic.
-    pub fn channel(&mut self, id: u16, schema: u16, topic: &str, encoding: &str) {
-        let mut body = id.to_le_bytes().to_vec();
-        body.extend_from_slice(&schema.to_le_bytes());
-        text(&mut body, topic);
-        text(&mut body, encoding);
-        body.extend_from_slice(&0u32.to_le_bytes()); // no metadata
-        self.record(CHANNEL, &body);
-    }
-
-    /// A message, recorded when it was published.
-    pub fn message(&mut self, channel: u16, sequence: u32, time_ns: u64, data: &[u8]) {
-        let mut body = channel.to_le_bytes().to_vec();
-        body.extend_from_slice(&sequence.to_le_bytes());
-        body.extend_from_slice(&time_ns.to_le_bytes());
-        body.extend_from_slice(&time_ns.to_le_bytes());
-        body.extend_from_slice(data);
-        self.record(MESSAGE, &body);
-    }
-
-    /// The whole file: end of data, a footer without a summary, the magic word.
-    #[must_use]
-    pub fn finish(mut self) -> Vec<u8> {
-        self.record(DATA_END, &[0; 4]); // no checksum
-        self.record(FOOTER, &[0; 20]);
-        self.out.extend_from_slice(MAGIC);
-        self.out
-    }
-}
-
-fn text(out: &mut Vec<u8>, text: &str) {
-    out.extend_from_slice(&(text.len() as u32).to_le_bytes());
-    out.extend_from_slice(text.as_bytes());
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use mcap::{Compression, WriteOptions};
+    use std::io::Cursor;
 
-    fn file() -> Vec<u8> {
-        let mut w = Writer::new("ros2");
-        w.schema(1, "a/msg/B", "ros2msg", "float64 x");
-        w.channel(3, 1, "/b", "cdr");
-        w.message(3, 0, 17, &[1, 2, 3]);
-        w.finish()
+    fn file(compression: Option<Compression>, chunks: bool) -> Vec<u8> {
+        let options = WriteOptions::new()
+            .compression(compression)
+            .use_chunks(chunks);
+        let mut w = options.create(Cursor::new(Vec::new())).unwrap();
+        let schema = w.add_schema("a/msg/B", "ros2msg", b"float64 x").unwrap();
+        let channel = w
+            .add_channel(schema, "/b", "cdr", &Default::default())
+            .unwrap();
+        for log_time in 17..20 {
+            let header = mcap::records::MessageHeader {
+                channel_id: channel,
+                sequence: 0,
+                log_time,
+                publish_time: log_time,
+            };
+            w.write_to_known_channel(&header, &[1, 2, 3]).unwrap();
+        }
+        w.finish().unwrap();
+        w.into_inner().into_inner()
     }
 
-    fn want() -> Vec<Record<'static>> {
-        vec![
-            Record::Schema {
-                id: 1,
-                name: "a/msg/B".to_owned(),
-            },
+    fn all(bytes: &[u8]) -> Result<Vec<Record>, ContainerError> {
+        Records::new(bytes)?.collect()
+    }
+
+    fn want() -> Vec<Record> {
+        let (name, topic) = ("a/msg/B".to_owned(), "/b".to_owned());
+        let mut records = vec![
+            Record::Schema { id: 1, name },
             Record::Channel {
-                id: 3,
+                id: 1,
                 schema: 1,
-                topic: "/b".to_owned(),
+                topic,
             },
-            Record::Message {
-                channel: 3,
-                log_time_ns: 17,
-                data: &[1, 2, 3],
-            },
-        ]
+        ];
+        records.extend((17..20).map(|log_time_ns| Record::Message {
+            channel: 1,
+            log_time_ns,
+            data: vec![1, 2, 3],
+        }));
+        records
     }
 
-    /// Laid out by hand after the specification.
-    #[test]
-    fn golden_bytes() {
-        let bytes = file();
-        assert_eq!(&bytes[..8], b"\x89MCAP0\r\n");
-        // header: opcode, 19 bytes, "ros2", "caudata"
-        assert_eq!(&bytes[8..17], &[1, 19, 0, 0, 0, 0, 0, 0, 0]);
-        assert_eq!(&bytes[17..36], b"\x04\0\0\0ros2\x07\0\0\0caudata");
-        let message =
-            b"\x05\x19\0\0\0\0\0\0\0\x03\0\0\0\0\0\x11\0\0\0\0\0\0\0\x11\0\0\0\0\0\0\0\x01\x02\x03";
-        assert!(bytes.windows(message.len()).any(|w| w == message));
-        assert!(bytes.ends_with(
-            b"\x02\x14\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x89MCAP0\r\n"
-        ));
-        assert_eq!(
-            Records::new(&bytes)
-                .unwrap()
-                .collect::<Result<Vec<_>, _>>()
-                .unwrap(),
-            want()
-        );
+    /// A file of one chunk, with what it says of itself.
+    fn chunk(unpacked: u64, compression: &str, records: &[u8]) -> Vec<u8> {
+        let mut body = vec![0; 16];
+        body.extend(unpacked.to_le_bytes());
+        body.extend([0; 4]);
+        body.extend((compression.len() as u32).to_le_bytes());
+        body.extend(compression.as_bytes());
+        body.extend((records.len() as u64).to_le_bytes());
+        body.extend(records);
+        let mut out = MAGIC.to_vec();
+        out.push(op::CHUNK);
+        out.extend((body.len() as u64).to_le_bytes());
+        out.extend(body);
+        out
     }
 
     #[test]
-    fn chunks_are_entered_and_compressed_ones_named() {
-        let plain = file();
-        let inner = &plain[36..plain.len() - 8 - 29 - 13]; // without magic, header, end of data (13), footer (29), magic
-        let chunk = |compression: &str| {
-            let mut body = vec![0; 28];
-            text(&mut body, compression);
-            body.extend_from_slice(&(inner.len() as u64).to_le_bytes());
-            body.extend_from_slice(inner);
-            let mut w = Writer::new("ros2");
-            w.record(CHUNK, &body);
-            w.finish()
-        };
-        assert_eq!(
-            Records::new(&chunk(""))
-                .unwrap()
-                .collect::<Result<Vec<_>, _>>()
-                .unwrap(),
-            want()
-        );
-        let zipped = chunk("zstd");
-        let error = Records::new(&zipped).unwrap().next().unwrap().unwrap_err();
-        assert!(error.to_string().contains("compressed with zstd"));
+    fn files_are_read_however_they_are_packed() {
+        for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+            assert_eq!(all(&file(compression, true)).unwrap(), want());
+        }
+        assert_eq!(all(&file(None, false)).unwrap(), want());
+        let strange = all(&chunk(9, "brotli", &[0; 9])).unwrap_err();
+        assert!(strange.to_string().contains("brotli"), "{strange}");
     }
 
     #[test]
     fn torn_files_give_what_they_have() {
-        let bytes = file();
-        for cut in 8..bytes.len() {
-            let all: Vec<_> = Records::new(&bytes[..cut]).unwrap().collect();
-            assert!(
-                all.len() <= 4 && all.iter().rev().skip(1).all(Result::is_ok),
-                "{cut}"
-            );
+        for chunks in [false, true] {
+            let bytes = file(Some(Compression::Zstd), chunks);
+            for cut in MAGIC.len()..bytes.len() {
+                let all: Vec<_> = Records::new(&bytes[..cut]).unwrap().collect();
+                let good = all.iter().take_while(|r| r.is_ok()).count();
+                assert!(good <= 5 && all.len() <= good + 1, "{cut}");
+                assert!(all[good..].iter().all(|r| *r == Err(ContainerError::Torn)));
+            }
         }
-        assert!(matches!(Records::new(b"PK"), Err(ContainerError::Magic)));
+        assert_eq!(all(b"PK"), Err(ContainerError::Magic));
+    }
+
+    #[test]
+    fn nothing_is_believed_of_lengths() {
+        // a chunk that says that it holds ten gigabytes
+        let ten = 10_000_000_000;
+        let zipped = chunk(ten, "zstd", &[0; 40]);
+        assert_eq!(all(&zipped), Err(ContainerError::Large(ten)));
+        assert!(matches!(
+            all(&chunk(u64::MAX, "lz4", &[0; 40])),
+            Err(ContainerError::Large(_))
+        ));
+        // a message that says so, in a plain chunk: it ends beyond it
+        let mut message = vec![op::MESSAGE];
+        message.extend(ten.to_le_bytes());
+        message.extend([0; 40]);
+        let plain = chunk(message.len() as u64, "", &message);
+        assert!(matches!(all(&plain), Err(ContainerError::Damaged(_))));
+        // a text of four gigabytes
+        let mut schema = vec![op::SCHEMA, 10, 0, 0, 0, 0, 0, 0, 0, 1, 0];
+        schema.extend([255; 4]);
+        schema.extend([0; 4]);
+        let plain = chunk(schema.len() as u64, "", &schema);
+        assert!(matches!(all(&plain), Err(ContainerError::Damaged(_))));
+        // a chunk in a chunk
+        let nested = chunk(9, "", &chunk(0, "", &[])[MAGIC.len()..]);
+        assert!(all(&nested).unwrap_err().to_string().contains("inside"));
+    }
+
+    #[test]
+    fn a_long_message_in_a_small_chunk_is_refused() {
+        // 70 MB of zeros: some kilobytes as zstd
+        let mut w = WriteOptions::new()
+            .compression(Some(Compression::Zstd))
+            .create(Cursor::new(Vec::new()))
+            .unwrap();
+        let channel = w.add_channel(0, "/b", "cdr", &Default::default()).unwrap();
+        let header = mcap::records::MessageHeader {
+            channel_id: channel,
+            sequence: 0,
+            log_time: 1,
+            publish_time: 1,
+        };
+        w.write_to_known_channel(&header, &vec![0; MAX_RECORD_BYTES + 1])
+            .unwrap();
+        w.finish().unwrap();
+        let bytes = w.into_inner().into_inner();
+        assert!(bytes.len() < 100_000);
+        assert!(matches!(all(&bytes), Err(ContainerError::Damaged(_))));
     }
 }

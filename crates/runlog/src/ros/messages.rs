@@ -1,6 +1,55 @@
 //! The ROS 2 messages that a robot's log is made of, field by field as `common_interfaces` defines them.
 
-use super::cdr::{CdrError, Reader, Writer};
+use super::cdr::{Cdr, CdrError, Reader, Writer};
+
+/// `decode` and `encode` of a message, and the name of its type.
+macro_rules! whole {
+    ($message:ident $(= $name:literal)?) => {
+        impl $message {
+            $(
+                /// Type name in MCAP files.
+                pub const TYPE: &'static str = $name;
+            )?
+
+            /// Reads the CDR form.
+            ///
+            /// # Errors
+            /// [`CdrError`].
+            pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
+                Reader::new(bytes)?.get()
+            }
+
+            /// Writes the CDR form.
+            #[must_use]
+            pub fn encode(&self) -> Vec<u8> {
+                let mut w = Writer::default();
+                self.write(&mut w);
+                w.finish()
+            }
+        }
+    };
+}
+
+/// A struct whose fields stand in the message one after another.
+macro_rules! plain {
+    ($(#[$about:meta])* $name:ident { $($(#[$field_about:meta])* $field:ident: $kind:ty,)* }) => {
+        $(#[$about])*
+        #[derive(Clone, Debug, Default, PartialEq)]
+        pub struct $name {
+            $($(#[$field_about])* pub $field: $kind,)*
+        }
+
+        impl Cdr for $name {
+            fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+                Ok(Self { $($field: r.get()?,)* })
+            }
+
+            fn write(&self, w: &mut Writer) {
+                $(w.put(&self.$field);)*
+            }
+        }
+    };
+}
 
 /// `builtin_interfaces/Time` in nanoseconds, and the frame: `std_msgs/Header`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -11,68 +60,38 @@ pub struct Header {
     pub frame: String,
 }
 
-impl Header {
+impl Cdr for Header {
     fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
-        let (s, ns) = (r.i32()?, r.u32()?);
+        let (s, ns): (i32, u32) = r.get()?;
         Ok(Self {
             stamp_ns: i64::from(s) * 1_000_000_000 + i64::from(ns),
-            frame: r.text()?,
+            frame: r.get()?,
         })
     }
 
     fn write(&self, w: &mut Writer) {
-        w.i32(self.stamp_ns.div_euclid(1_000_000_000) as i32);
-        w.u32(self.stamp_ns.rem_euclid(1_000_000_000) as u32);
-        w.text(&self.frame);
+        w.put(&(self.stamp_ns.div_euclid(1_000_000_000) as i32));
+        w.put(&(self.stamp_ns.rem_euclid(1_000_000_000) as u32));
+        w.put(&self.frame);
     }
 }
 
-/// `sensor_msgs/msg/JointState`. Lists are as long as `name`, or empty.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct JointState {
-    /// Stamp.
-    pub header: Header,
-    /// Joints.
-    pub name: Vec<String>,
-    /// rad.
-    pub position: Vec<f64>,
-    /// rad/s.
-    pub velocity: Vec<f64>,
-    /// N·m.
-    pub effort: Vec<f64>,
-}
-
-impl JointState {
-    /// Type name in MCAP files.
-    pub const TYPE: &'static str = "sensor_msgs/msg/JointState";
-
-    /// From CDR.
-    ///
-    /// # Errors
-    /// [`CdrError`].
-    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
-        let r = &mut Reader::new(bytes)?;
-        Ok(Self {
-            header: Header::read(r)?,
-            name: r.list(Reader::text)?,
-            position: r.list(Reader::f64)?,
-            velocity: r.list(Reader::f64)?,
-            effort: r.list(Reader::f64)?,
-        })
-    }
-
-    /// To CDR.
-    #[must_use]
-    pub fn encode(&self) -> Vec<u8> {
-        let mut w = Writer::default();
-        self.header.write(&mut w);
-        w.list(&self.name, |w, n| w.text(n));
-        for all in [&self.position, &self.velocity, &self.effort] {
-            w.list(all, |w, x| w.f64(*x));
-        }
-        w.finish()
+plain! {
+    /// `sensor_msgs/msg/JointState`. Lists are as long as `name`, or empty.
+    JointState {
+        /// Stamp.
+        header: Header,
+        /// Joints.
+        name: Vec<String>,
+        /// rad.
+        position: Vec<f64>,
+        /// rad/s.
+        velocity: Vec<f64>,
+        /// N·m.
+        effort: Vec<f64>,
     }
 }
+whole!(JointState = "sensor_msgs/msg/JointState");
 
 /// `sensor_msgs/msg/Imu`; covariances are not kept, but for "no orientation".
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -86,24 +105,17 @@ pub struct Imu {
     /// m/s².
     pub acc_mps2: [f64; 3],
 }
+whole!(Imu = "sensor_msgs/msg/Imu");
 
-impl Imu {
-    /// Type name in MCAP files.
-    pub const TYPE: &'static str = "sensor_msgs/msg/Imu";
-
-    /// From CDR.
-    ///
-    /// # Errors
-    /// [`CdrError`].
-    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
-        let r = &mut Reader::new(bytes)?;
-        let header = Header::read(r)?;
-        let [x, y, z, w] = r.f64s()?;
-        let covariance: [f64; 9] = r.f64s()?;
-        let gyro_radps = r.f64s()?;
-        let _: [f64; 9] = r.f64s()?;
-        let acc_mps2 = r.f64s()?;
-        let _: [f64; 9] = r.f64s()?;
+impl Cdr for Imu {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let header = r.get()?;
+        let [x, y, z, w]: [f64; 4] = r.get()?;
+        let covariance: [f64; 9] = r.get()?;
+        let gyro_radps = r.get()?;
+        r.get::<[f64; 9]>()?;
+        let acc_mps2 = r.get()?;
+        r.get::<[f64; 9]>()?;
         let unit = (x * x + y * y + z * z + w * w - 1.0).abs() < 0.1;
         Ok(Self {
             header,
@@ -113,23 +125,15 @@ impl Imu {
         })
     }
 
-    /// To CDR.
-    #[must_use]
-    pub fn encode(&self) -> Vec<u8> {
-        let mut out = Writer::default();
-        self.header.write(&mut out);
+    fn write(&self, out: &mut Writer) {
         let [w, x, y, z] = self.orientation_wxyz.unwrap_or([1.0, 0.0, 0.0, 0.0]);
-        out.f64s(&[x, y, z, w]);
         let mut covariance = [0.0; 9];
         if self.orientation_wxyz.is_none() {
             covariance[0] = -1.0;
         }
-        out.f64s(&covariance);
-        out.f64s(&self.gyro_radps);
-        out.f64s(&[0.0; 9]);
-        out.f64s(&self.acc_mps2);
-        out.f64s(&[0.0; 9]);
-        out.finish()
+        out.put(&self.header).put(&[x, y, z, w]).put(&covariance);
+        out.put(&self.gyro_radps).put(&[0.0; 9]);
+        out.put(&self.acc_mps2).put(&[0.0; 9]);
     }
 }
 
@@ -141,41 +145,27 @@ pub struct BatteryState {
     /// V.
     pub voltage_v: f32,
 }
+whole!(BatteryState = "sensor_msgs/msg/BatteryState");
 
-impl BatteryState {
-    /// Type name in MCAP files.
-    pub const TYPE: &'static str = "sensor_msgs/msg/BatteryState";
-
-    /// From CDR.
-    ///
-    /// # Errors
-    /// [`CdrError`].
-    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
-        let r = &mut Reader::new(bytes)?;
+impl Cdr for BatteryState {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
         Ok(Self {
-            header: Header::read(r)?,
-            voltage_v: r.f32()?,
+            header: r.get()?,
+            voltage_v: r.get()?,
         })
     }
 
-    /// To CDR; what is not known is NaN, as the message asks for.
-    #[must_use]
-    pub fn encode(&self) -> Vec<u8> {
-        let mut w = Writer::default();
-        self.header.write(&mut w);
-        w.f32(self.voltage_v);
+    /// What is not known is NaN, as the message asks for.
+    fn write(&self, w: &mut Writer) {
+        w.put(&self.header).put(&self.voltage_v);
         for _ in 0..6 {
-            w.f32(f32::NAN); // temperature, current, charge, capacity, design capacity, percentage
+            w.put(&f32::NAN); // temperature, current, charge, capacity, design capacity, percentage
         }
-        for _ in 0..3 {
-            w.u8(0); // status, health, technology: unknown
+        for status in [0u8, 0, 0, 1] {
+            w.put(&status); // status, health, technology: unknown; present
         }
-        w.u8(1); // present
-        w.list::<f32>(&[], |w, x| w.f32(*x));
-        w.list::<f32>(&[], |w, x| w.f32(*x));
-        w.text("");
-        w.text("");
-        w.finish()
+        let (cells, text) = (Vec::<f32>::new(), String::new());
+        w.put(&cells).put(&cells).put(&text).put(&text);
     }
 }
 
@@ -189,20 +179,12 @@ pub struct PoseStamped {
     /// w, x, y, z.
     pub orientation_wxyz: [f64; 4],
 }
+whole!(PoseStamped = "geometry_msgs/msg/PoseStamped");
 
-impl PoseStamped {
-    /// Type name in MCAP files.
-    pub const TYPE: &'static str = "geometry_msgs/msg/PoseStamped";
-
-    /// From CDR.
-    ///
-    /// # Errors
-    /// [`CdrError`].
-    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
-        let r = &mut Reader::new(bytes)?;
-        let header = Header::read(r)?;
-        let position_m = r.f64s()?;
-        let [x, y, z, w] = r.f64s()?;
+impl Cdr for PoseStamped {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+        let (header, position_m) = r.get()?;
+        let [x, y, z, w] = r.get()?;
         Ok(Self {
             header,
             position_m,
@@ -210,102 +192,51 @@ impl PoseStamped {
         })
     }
 
-    /// To CDR.
-    #[must_use]
-    pub fn encode(&self) -> Vec<u8> {
-        let mut out = Writer::default();
-        self.header.write(&mut out);
-        out.f64s(&self.position_m);
+    fn write(&self, out: &mut Writer) {
         let [w, x, y, z] = self.orientation_wxyz;
-        out.f64s(&[x, y, z, w]);
-        out.finish()
+        out.put(&self.header).put(&self.position_m);
+        out.put(&[x, y, z, w]);
     }
 }
 
-/// `geometry_msgs/msg/TwistStamped`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct TwistStamped {
-    /// Stamp.
-    pub header: Header,
-    /// m/s.
-    pub linear_mps: [f64; 3],
-    /// rad/s.
-    pub angular_radps: [f64; 3],
-}
-
-impl TwistStamped {
-    /// Type name in MCAP files.
-    pub const TYPE: &'static str = "geometry_msgs/msg/TwistStamped";
-
-    /// From CDR.
-    ///
-    /// # Errors
-    /// [`CdrError`].
-    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
-        let r = &mut Reader::new(bytes)?;
-        Ok(Self {
-            header: Header::read(r)?,
-            linear_mps: r.f64s()?,
-            angular_radps: r.f64s()?,
-        })
-    }
-
-    /// To CDR.
-    #[must_use]
-    pub fn encode(&self) -> Vec<u8> {
-        let mut w = Writer::default();
-        self.header.write(&mut w);
-        w.f64s(&self.linear_mps);
-        w.f64s(&self.angular_radps);
-        w.finish()
+plain! {
+    /// `geometry_msgs/msg/TwistStamped`.
+    TwistStamped {
+        /// Stamp.
+        header: Header,
+        /// m/s.
+        linear_mps: [f64; 3],
+        /// rad/s.
+        angular_radps: [f64; 3],
     }
 }
+whole!(TwistStamped = "geometry_msgs/msg/TwistStamped");
 
-/// `geometry_msgs/msg/Twist`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Twist {
-    /// m/s.
-    pub linear_mps: [f64; 3],
-    /// rad/s.
-    pub angular_radps: [f64; 3],
-}
-
-impl Twist {
-    /// From CDR.
-    ///
-    /// # Errors
-    /// [`CdrError`].
-    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
-        let r = &mut Reader::new(bytes)?;
-        Ok(Self {
-            linear_mps: r.f64s()?,
-            angular_radps: r.f64s()?,
-        })
-    }
-
-    /// To CDR.
-    #[must_use]
-    pub fn encode(&self) -> Vec<u8> {
-        let mut w = Writer::default();
-        w.f64s(&self.linear_mps);
-        w.f64s(&self.angular_radps);
-        w.finish()
+plain! {
+    /// `geometry_msgs/msg/Twist`.
+    Twist {
+        /// m/s.
+        linear_mps: [f64; 3],
+        /// rad/s.
+        angular_radps: [f64; 3],
     }
 }
+whole!(Twist);
 
-/// `diagnostic_msgs/msg/DiagnosticStatus`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct DiagnosticStatus {
-    /// [`DiagnosticStatus::OK`] and following.
-    pub level: u8,
-    /// What it is about.
-    pub name: String,
-    /// How it is, in words.
-    pub message: String,
-    /// Which robot.
-    pub hardware_id: String,
-    /// Figures, name and value.
-    pub values: Vec<(String, String)>,
+plain! {
+    /// `diagnostic_msgs/msg/DiagnosticStatus`.
+    DiagnosticStatus {
+        /// [`DiagnosticStatus::OK`] and following.
+        level: u8,
+        /// What it is about.
+        name: String,
+        /// How it is, in words.
+        message: String,
+        /// Which robot.
+        hardware_id: String,
+        /// Figures, name and value.
+        values: Vec<(String, String)>,
+    }
 }
 
 impl DiagnosticStatus {
@@ -315,54 +246,16 @@ impl DiagnosticStatus {
     pub const ERROR: u8 = 2;
 }
 
-/// `diagnostic_msgs/msg/DiagnosticArray`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct DiagnosticArray {
-    /// Stamp.
-    pub header: Header,
-    /// One for each part.
-    pub status: Vec<DiagnosticStatus>,
-}
-
-impl DiagnosticArray {
-    /// From CDR.
-    ///
-    /// # Errors
-    /// [`CdrError`].
-    pub fn decode(bytes: &[u8]) -> Result<Self, CdrError> {
-        let r = &mut Reader::new(bytes)?;
-        Ok(Self {
-            header: Header::read(r)?,
-            status: r.list(|r| {
-                Ok(DiagnosticStatus {
-                    level: r.u8()?,
-                    name: r.text()?,
-                    message: r.text()?,
-                    hardware_id: r.text()?,
-                    values: r.list(|r| Ok((r.text()?, r.text()?)))?,
-                })
-            })?,
-        })
-    }
-
-    /// To CDR.
-    #[must_use]
-    pub fn encode(&self) -> Vec<u8> {
-        let mut w = Writer::default();
-        self.header.write(&mut w);
-        w.list(&self.status, |w, status| {
-            w.u8(status.level);
-            for text in [&status.name, &status.message, &status.hardware_id] {
-                w.text(text);
-            }
-            w.list(&status.values, |w, (key, value)| {
-                w.text(key);
-                w.text(value);
-            });
-        });
-        w.finish()
+plain! {
+    /// `diagnostic_msgs/msg/DiagnosticArray`.
+    DiagnosticArray {
+        /// Stamp.
+        header: Header,
+        /// One for each part.
+        status: Vec<DiagnosticStatus>,
     }
 }
+whole!(DiagnosticArray);
 
 const HEADER: &str = "
 ================================================================================

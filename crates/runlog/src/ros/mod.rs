@@ -19,8 +19,9 @@ pub mod messages;
 mod read;
 mod write;
 
+pub use mcap::Compression;
 pub use read::parse_mcap;
-pub use write::{topics, write_mcap};
+pub use write::write_mcap;
 
 /// Direction of gravity in a frame that stands in the world as `q` (world_from_frame, w, x, y, z).
 fn gravity_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {

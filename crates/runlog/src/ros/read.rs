@@ -18,7 +18,7 @@ type Row = Vec<(Signal, f64)>;
 /// Topics of other types are passed over. A file that ends in the middle gives what came before, with a note.
 ///
 /// # Errors
-/// [`LogError::Mcap`] for a file that is not MCAP, is compressed, or holds a message that is not what its type says.
+/// [`LogError::Mcap`] for a file that is not MCAP or is damaged, or holds a message that is not what its type says.
 pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
     let wrong = |message: String| LogError::Mcap {
         file: file.to_owned(),
@@ -46,7 +46,7 @@ pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
                 log_time_ns,
                 data,
             }) => (channel, log_time_ns, data),
-            Err(e @ ContainerError::Torn(_)) if messages > 0 => {
+            Err(e @ ContainerError::Torn) if messages > 0 => {
                 notes.push(format!(
                     "{file}: dropped what follows message {messages}: {e}"
                 ));
@@ -60,7 +60,7 @@ pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
                 "message {messages} is on channel {channel}, which was not announced"
             )));
         };
-        let (header, row) = samples(kind, topic, data)
+        let (header, row) = samples(kind, topic, &data)
             .map_err(|e| wrong(format!("message {messages} on {topic} ({kind}): {e}")))?;
         if row.is_empty() {
             continue;

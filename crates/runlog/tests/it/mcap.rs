@@ -1,6 +1,6 @@
 //! MCAP files: what is written is read, and nothing panics.
 
-use caudata_runlog::ros::{parse_mcap, write_mcap};
+use caudata_runlog::ros::{Compression, parse_mcap, write_mcap};
 use caudata_runlog::{RunLog, Signal, Table};
 use proptest::prelude::*;
 
@@ -12,7 +12,12 @@ imu.grav.x,imu.grav.y,imu.grav.z,base.pos.x,base.pos.y,base.pos.z,base.quat.w,ba
 ";
 
 fn bytes(table: &Table) -> Vec<u8> {
-    let (bytes, left_out) = write_mcap(table, 1_700_000_000_000_000_000).unwrap();
+    packed(table, None)
+}
+
+fn packed(table: &Table, compression: Option<Compression>) -> Vec<u8> {
+    let start_ns = 1_700_000_000_000_000_000;
+    let (bytes, left_out) = write_mcap(table, start_ns, compression).unwrap();
     assert_eq!(left_out, [Signal::Temperature("FL_hip".to_owned())]);
     bytes
 }
@@ -23,8 +28,13 @@ fn log() -> Table {
 
 #[test]
 fn a_log_comes_back_through_mcap() {
-    let table = log();
-    let back = parse_mcap("run.mcap", &bytes(&table)).unwrap();
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+        comes_back(&log(), compression);
+    }
+}
+
+fn comes_back(table: &Table, compression: Option<Compression>) {
+    let back = parse_mcap("run.mcap", &packed(table, compression)).unwrap();
     assert_eq!(back.len(), 3);
     for (got, want) in back.time_s().iter().zip([0.0, 0.02, 0.04]) {
         assert!((got - want).abs() < 1e-9, "{got}");
@@ -85,16 +95,16 @@ fn files_that_are_none_say_so() {
         torn.notes()
     );
     // stamps that no message can hold
-    assert!(write_mcap(&log(), 0).is_err());
-    assert!(write_mcap(&log(), u64::MAX).is_err());
+    assert!(write_mcap(&log(), 0, None).is_err());
+    assert!(write_mcap(&log(), u64::MAX, None).is_err());
 }
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn no_damage_panics(at in 0usize..6000, with: u8, cut in 0usize..6000) {
-        let mut all = bytes(&log());
+    fn no_damage_panics(at in 0usize..6000, with: u8, cut in 0usize..6000, pack in 0usize..3) {
+        let mut all = packed(&log(), [None, Some(Compression::Zstd), Some(Compression::Lz4)][pack]);
         let n = all.len();
         all[at % n] = with;
         if let Ok(table) = parse_mcap("run.mcap", &all) {
