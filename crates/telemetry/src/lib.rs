@@ -53,4 +53,4 @@ pub use parent::PARENT_PID_VAR;
 pub use process::{Process, parse_args};
 pub use pulse::Pulse;
 pub use serve::MetricsServer;
-pub use stop::{INSIST_DEADLINE, Insistence, StopFlag};
+pub use stop::{DRAIN_DEADLINE, INSIST_DEADLINE, Insistence, StopFlag};
