@@ -15,7 +15,6 @@ use caudata_gap_benchmark::sets::{self, SetName};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use serde_json::json;
 
 /// Which cases, and how they are diagnosed.
 #[derive(Clone, Debug, Args)]
