@@ -27,7 +27,7 @@ Exit codes: 0 done · 64 configuration or flag · 65 bad input file · 66 input 
   70 internal · 71 port in use or system resource · 73 output cannot be made · 74 disk full or I/O
   75 starved or timed out · 76 protocol · 77 policy refused · 78 checkpoint damaged · 79 target missed
   80 ambiguous · 81 partly explained · 82 unexplained · 83 insufficient data · 84 data fault
-  85 learner rank lost · 86 torque may be on · 130 interrupted twice";
+  86 torque may be on · 87 run folder in use · 130 interrupted twice";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -59,7 +59,8 @@ enum Command {
     /// Show what the simulation gets wrong, name the cause, extend the model
     #[command(subcommand)]
     Gap(commands::gap::GapCommand),
-    /// From measured logs to a policy for the robot as it is: diagnose, train in the extended model, evaluate, publish
+    /// From measured logs to a policy for the robot as it is: diagnose, train in the extended model,
+    /// evaluate, publish
     Adapt(commands::adapt::AdaptArgs),
     /// Measure how fast the parts are on this machine
     #[command(subcommand)]
@@ -123,8 +124,8 @@ mod tests {
         }
     }
 
-    /// `docs/reference/command-line.md` is what `-h` prints. When this fails, run it with `CAUDATA_WRITE_DOCS=1`, read what has
-    /// changed, and commit it.
+    /// `docs/reference/command-line.md` is what `-h` prints. When this fails, run it with
+    /// `CAUDATA_WRITE_DOCS=1`, read what has changed, and commit it.
     #[test]
     fn the_help_reads_as_it_is_documented() {
         let path = concat!(

@@ -56,30 +56,67 @@ pub fn records<T: Serialize>(records: &[T], keys: &str) {
     let keys: Vec<&str> = keys.split_whitespace().collect();
     let row = |record: &T| {
         let record = serde_json::to_value(record).unwrap_or_default();
-        keys.iter().map(|key| cell(&record[*key])).collect()
+        keys.iter().map(|key| cell(key, &record[*key])).collect()
     };
     table(&keys, records.iter().map(row));
 }
 
 /// One record on a line: the fields that `keys` names.
 pub fn record(record: &impl Serialize, keys: &str) {
-    let record = serde_json::to_value(record).unwrap_or_default();
-    let fields = keys.split_whitespace();
-    let fields = fields.map(|key| format!("{key} {}", cell(&record[key])));
-    line(fields.collect::<Vec<_>>().join(", "));
+    line(named(record, keys).collect::<Vec<_>>().join(", "));
 }
 
-/// A field of a record, short: a hash by its beginning, a dash where there is nothing.
-fn cell(value: &Value) -> String {
+/// One record, a line for each field that `keys` names.
+pub fn fields(record: &impl Serialize, keys: &str) {
+    named(record, keys).for_each(line);
+}
+
+fn named(record: &impl Serialize, keys: &str) -> impl Iterator<Item = String> {
+    let record = serde_json::to_value(record).unwrap_or_default();
+    let field = move |key: &str| format!("{key} {}", cell(key, &record[key]));
+    keys.split_whitespace().map(field)
+}
+
+/// A field of a record, short: a hash by its beginning, a time in words, a dash where there is nothing.
+fn cell(key: &str, value: &Value) -> String {
     const HASH: usize = 64;
     match value {
         Value::Null => "-".to_owned(),
         Value::String(text) if text.len() == HASH => text.chars().take(12).collect(),
         Value::String(text) => text.clone(),
+        Value::Number(number) if key.ends_with("unix_ms") => utc(number.as_u64().unwrap_or(0)),
         Value::Number(number) if number.is_f64() => short(number.as_f64().unwrap_or(f64::NAN)),
-        Value::Array(list) => list.iter().map(cell).collect::<Vec<_>>().join(" "),
+        Value::Array(list) if list.is_empty() => "-".to_owned(),
+        Value::Array(list) => {
+            let cells = list.iter().map(|value| cell(key, value));
+            cells.collect::<Vec<_>>().join(" ")
+        }
         other => other.to_string(),
     }
+}
+
+/// Date and time of day, to the second.
+fn utc(unix_ms: u64) -> String {
+    let (days, second) = (unix_ms / 86_400_000, unix_ms / 1000 % 86_400);
+    // Days to a date of the Gregorian calendar, with years that begin in March.
+    let shifted = days + 719_468;
+    let (era, day) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
+    let day_of_year = day - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month + 2) / 5 + 1;
+    let (month, carry) = if month < 10 {
+        (month + 3, 0)
+    } else {
+        (month - 9, 1)
+    };
+    let year = year_of_era + era * 400 + carry;
+    format!(
+        "{year}-{month:02}-{day:02} {:02}:{:02}:{:02}",
+        second / 3600,
+        second / 60 % 60,
+        second % 60
+    )
 }
 
 /// Four significant digits.
@@ -132,7 +169,12 @@ mod tests {
             ["a", "b"],
             true
         ]);
-        let cells: Vec<String> = cells.as_array().unwrap().iter().map(cell).collect();
+        let cells: Vec<String> = cells
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|value| cell("", value))
+            .collect();
         let wanted = [
             "0.3333",
             "123457",
@@ -144,5 +186,13 @@ mod tests {
             "true",
         ];
         assert_eq!(cells, wanted);
+    }
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        assert_eq!(utc(0), "1970-01-01 00:00:00");
+        // `date -u -d @1709210096` and `date -u -d @4107542399`.
+        assert_eq!(utc(1_709_210_096_789), "2024-02-29 12:34:56");
+        assert_eq!(utc(4_107_542_399_000), "2100-02-28 23:59:59");
     }
 }

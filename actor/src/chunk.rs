@@ -12,7 +12,8 @@ use crate::policy::LoadedPolicy;
 use crate::trace::ChunkTrace;
 use crate::{ActorError, ActorMetrics, ActorSettings, gaussian};
 
-/// Memory of a chunk that has been sent, for the next one: fresh memory would be given back to the system and asked for again each time.
+/// Memory of a chunk that has been sent, for the next one: fresh memory would be given back to the system and
+/// asked for again each time.
 #[derive(Default)]
 pub(crate) struct Spare {
     observations: Vec<f32>,
@@ -38,8 +39,8 @@ impl From<RolloutChunk> for Spare {
     }
 }
 
-/// Collects a chunk, with its times where it is traced; or `None` when asked to stop in the middle of it (its steps are then lost, and
-/// were never sent).
+/// Collects a chunk, with its times where it is traced; or `None` when asked to stop in the middle of it (its
+/// steps are then lost, and were never sent).
 pub(crate) fn collect(
     settings: &ActorSettings,
     env: &mut VecEnv,

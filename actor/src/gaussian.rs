@@ -5,7 +5,8 @@ use caudata_random::Stream;
 /// ½·ln 2π.
 const HALF_LN_TAU: f64 = 0.918_938_533_204_672_8;
 
-/// Draws `action[i] = mean[i] + exp(log_std[i])·z`, `z ~ N(0, 1)` from `noise`, one draw per component in order.
+/// Draws `action[i] = mean[i] + exp(log_std[i])·z`, `z ~ N(0, 1)` from `noise`, one draw per component in
+/// order.
 pub fn sample(mean: &[f32], std: &[f32], noise: &mut Stream, action: &mut [f32]) {
     for ((action, &mean), &std) in action.iter_mut().zip(mean).zip(std) {
         *action = mean + std * noise.normal();
@@ -21,8 +22,8 @@ pub fn log_prob(action: &[f32], mean: &[f32], log_std: &[f32]) -> f32 {
 
 /// [`log_prob`] for many actions of one policy: what depends on the spread alone is worked out once.
 ///
-/// Computed in f64 from the f32 values that travel in the chunk, so that the learner, who has the same values,
-/// finds the same number to the last bits of f32.
+/// Computed in f64 from the f32 values that travel in the chunk, so that the learner, who has the same
+/// values, finds the same number to the last bits of f32.
 #[derive(Clone, Debug)]
 pub struct Density {
     /// `(1/σ_i, ln σ_i)`.
@@ -30,7 +31,7 @@ pub struct Density {
 }
 
 impl Density {
-    /// Of the distributions with these `ln σ_i`.
+    /// The density of the distributions with these `ln σ_i`.
     pub fn new(log_std: &[f32]) -> Self {
         let component = |&log_std: &f32| {
             let log_std = f64::from(log_std);

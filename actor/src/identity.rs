@@ -7,8 +7,8 @@ use sha2::{Digest, Sha256};
 /// Numbers out of names have this bit, so that they never meet the numbers that a supervisor counts from 0.
 const NAMED: u32 = 1 << 31;
 
-/// The number of an actor with this name: the same on every start. Of 1,000 names two share a number with a probability of
-/// 0.02 %; such actors share one quota, and every chunk still counts once.
+/// The number of an actor with this name: the same on every start. Of 1,000 names two share a number with a
+/// probability of 0.02 %; such actors share one quota, and every chunk still counts once.
 #[must_use]
 pub fn named_actor_id(name: &str) -> u32 {
     let digest: [u8; 32] = Sha256::digest(name.as_bytes()).into();
@@ -16,8 +16,8 @@ pub fn named_actor_id(name: &str) -> u32 {
     u32::from_be_bytes([a, b, c, d]) | NAMED
 }
 
-/// The incarnation of an actor that starts at `now`, seconds since 1970: a later start has a larger number, on whichever host.
-/// Whoever starts actors must leave a second between two starts of one.
+/// The incarnation of an actor that starts at `now`, seconds since 1970: a later start has a larger number,
+/// on whichever host. Whoever starts actors must leave a second between two starts of one.
 #[must_use]
 pub fn clock_incarnation(now: SystemTime) -> u64 {
     now.duration_since(UNIX_EPOCH)

@@ -1,7 +1,8 @@
 //! How many chunks an actor has sent, on disk, so that the count survives `kill -9`.
 //!
-//! Eight bytes, little endian, at offset 0. They are written in place before each chunk is handed over: a killed
-//! process leaves a count that is right or one too high (the chunk it was about to hand over), never too low.
+//! Eight bytes, little endian, at offset 0. They are written in place before each chunk is handed over: a
+//! killed process leaves a count that is right or one too high (the chunk it was about to hand over), never
+//! too low.
 
 use std::fs::{File, OpenOptions};
 use std::io;
@@ -73,18 +74,19 @@ pub struct LedgerCount {
     pub actor_id: u32,
     /// How many times it was started before.
     pub incarnation: u64,
-    /// Chunks that it sent.
-    pub sent: u64,
+    /// Chunks that it sent; `None` where the file is torn. An empty one was just made by an actor that was
+    /// killed before it sent anything.
+    pub sent: Option<u64>,
 }
 
-/// All ledgers in a folder, in order; none where there is no folder. One that cannot be read was just made by an actor
-/// that was killed before it sent anything: it counts 0.
+/// All ledgers in a folder, in order; none where there is no folder.
 pub fn ledgers_in(folder: &Path) -> Vec<LedgerCount> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut found: Vec<LedgerCount> = entries
         .filter_map(|entry| {
             let (actor_id, incarnation) = key_of(entry.file_name().to_str()?)?;
-            let sent = read_ledger(&entry.path()).unwrap_or(0);
+            let empty = entry.metadata().is_ok_and(|metadata| metadata.len() == 0);
+            let sent = read_ledger(&entry.path()).ok().or(empty.then_some(0));
             Some(LedgerCount {
                 actor_id,
                 incarnation,
@@ -128,12 +130,15 @@ mod tests {
             ledger.write(sent).unwrap();
         }
         std::fs::write(ledger_path(dir.path(), 1, 0), [1, 2]).unwrap();
+        std::fs::write(ledger_path(dir.path(), 1, 1), []).unwrap();
         std::fs::write(dir.path().join("actor-x-0.ledger"), [0; 8]).unwrap();
         let found: Vec<_> = ledgers_in(dir.path())
             .iter()
             .map(|l| (l.actor_id, l.incarnation, l.sent))
             .collect();
-        assert_eq!(found, [(1, 0, 0), (2, 9, 7), (2, 11, 5), (10, 0, 3)]);
+        let whole = [(2, 9, 7), (2, 11, 5), (10, 0, 3)].map(|(a, i, n)| (a, i, Some(n)));
+        assert_eq!(found[..2], [(1, 0, None), (1, 1, Some(0))]);
+        assert_eq!(found[2..], whole);
         assert!(ledgers_in(&dir.path().join("none")).is_empty());
     }
 

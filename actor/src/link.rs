@@ -1,4 +1,5 @@
-//! From the `[transport]` section to the transport's own configuration, and to a word on a command line and back.
+//! From the `[transport]` section to the transport's own configuration, and to a word on a command line and
+//! back.
 
 use caudata_config::{Config, TransportKind, TransportSection};
 use caudata_transport::{
@@ -46,7 +47,8 @@ pub fn with_certificates(mut transport: TransportConfig, config: &Config) -> Tra
     transport
 }
 
-/// One word for a command line: JSON. The learner prints it in its `started` event, actors take it as `--transport`.
+/// One word for a command line: JSON. The learner prints it in its `started` event, actors take it as
+/// `--transport`.
 pub fn encode_transport(config: &TransportConfig) -> String {
     // Plain data without map keys: it always has a JSON form.
     serde_json::to_string(config).unwrap_or_default()

@@ -29,7 +29,8 @@ struct Args {
     /// Number of this actor within the run, from 0
     #[arg(long, default_value_t = 0)]
     actor_id: u32,
-    /// Instead of a number: a name that no other actor of the run has, for instance a pod's; `@host` takes this host's
+    /// Instead of a number: a name that no other actor of the run has, for instance a pod's; `@host` takes
+    /// this host's
     #[arg(
         long,
         value_name = "NAME",

@@ -2,7 +2,8 @@
 
 use caudata_proto::Moments;
 
-/// Moments of `rows` (`[n, dim]`, row-major) by Welford's method in f64 (Welford 1962; Knuth, TAOCP 2, 4.2.2).
+/// Moments of `rows` (`[n, dim]`, row-major) by Welford's method in f64 (Welford 1962; Knuth, TAOCP 2,
+/// 4.2.2).
 ///
 /// The learner merges chunks exactly with Chan's formula, so that raw sums are not needed.
 pub fn moments_of(rows: &[f32], dim: usize) -> Moments {

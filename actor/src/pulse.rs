@@ -1,4 +1,5 @@
-//! The pulse of an actor: every time that its loop turns to the link, it is alive.
+//! The pulse of an actor: every time that its loop turns to the link, it is alive. The learner says so in the
+//! same word.
 
 use std::io::Write;
 use std::time::Duration;
@@ -6,11 +7,13 @@ use std::time::Duration;
 use caudata_telemetry::{Pulse, StopFlag};
 use caudata_transport::{ActorLink, LinkStats, PolicyUpdate, SendError, TransportError};
 
-/// How often an actor that is watched says that it lives.
-pub const BEAT_EVERY: Duration = Duration::from_millis(500);
+/// What a process that is watched says on a line of its own.
+pub const ALIVE: &str = "alive";
+/// How often it does.
+const BEAT_EVERY: Duration = Duration::from_millis(500);
 
-/// A link that beats with each use. The loop of an actor asks it at every control step, and at least every 20 ms while it
-/// waits.
+/// A link that beats with each use. The loop of an actor asks it at every control step, and at least every 20
+/// ms while it waits.
 pub struct PulsedLink {
     inner: Box<dyn ActorLink>,
     pulse: Pulse,
@@ -53,11 +56,11 @@ impl ActorLink for PulsedLink {
     }
 }
 
-/// Says `alive` on `out` every [`BEAT_EVERY`] while the loop beats, until `stop` is raised or nobody reads. Runs on a thread of its
-/// own; a process that stands still (SIGSTOP, swapping) says nothing either.
+/// Says [`ALIVE`] on `out` twice a second while the loop beats, until `stop` is raised or nobody reads. Runs
+/// on a thread of its own; a process that stands still (SIGSTOP, swapping) says nothing either.
 pub fn say_alive(pulse: &Pulse, stop: &StopFlag, mut out: impl Write) {
     loop {
-        if pulse.silent_for() < 2 * BEAT_EVERY && writeln!(out, "alive").is_err() {
+        if pulse.silent_for() < 2 * BEAT_EVERY && out.write_all(b"alive\n").is_err() {
             return;
         }
         if stop.wait(BEAT_EVERY) {

@@ -1,11 +1,12 @@
 //! How much an actor may collect before it has to wait for the next policy. A pure state machine.
 
-/// Credits of one actor: each chunk costs one, each new policy version pays for one quota, and never more than
-/// `1 + max_lead` quotas are held.
+/// Credits of one actor: each chunk costs one, each new policy version pays for one quota, and never more
+/// than `1 + max_lead` quotas are held.
 ///
-/// `max_lead = 0`: one quota per version, then wait (every chunk is from the newest policy). `max_lead = 1`: one quota
-/// more than the versions seen, so that the actor collects while the learner learns and its data is one version old.
-/// Versions that were skipped pay nothing above the cap: after a pause there is no burst of old data.
+/// `max_lead = 0`: one quota per version, then wait (every chunk is from the newest policy). `max_lead = 1`:
+/// one quota more than the versions seen, so that the actor collects while the learner learns and its data is
+/// one version old. Versions that were skipped pay nothing above the cap: after a pause there is no burst of
+/// old data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quota {
     per_version: u32,
@@ -31,9 +32,9 @@ impl Quota {
             .saturating_mul(self.max_lead.saturating_add(1))
     }
 
-    /// A policy arrived. The first one fills the account; later ones pay per version, a repeated one nothing. A link never goes back to an
-    /// older policy of the same learner, so that an older one is the first of another learner: it fills the account again, or
-    /// this actor and that learner would wait for each other.
+    /// A policy arrived. The first one fills the account; later ones pay per version, a repeated one nothing.
+    /// A link never goes back to an older policy of the same learner, so that an older one is the first of
+    /// another learner: it fills the account again, or this actor and that learner would wait for each other.
     pub fn policy_arrived(&mut self, version: u64) {
         let versions = match self.newest.and_then(|newest| version.checked_sub(newest)) {
             None => u64::from(self.max_lead) + 1,

@@ -29,9 +29,9 @@ pub struct ActorReport {
 
 /// Runs one actor until the learner says stop ([`Control::Stop`]), `stop` is raised, or something fails.
 ///
-/// However it ends, it says goodbye with its count of chunks and waits, at most `flush_timeout`, until the learner has
-/// everything. `snapshots` lets a learner in the same process save the actor; `resume` goes on from such a state,
-/// with an `env` that was made with its `actor_key`.
+/// However it ends, it says goodbye with its count of chunks and waits, at most `flush_timeout`, until the
+/// learner has everything. `snapshots` lets a learner in the same process save the actor; `resume` goes on
+/// from such a state, with an `env` that was made with its `actor_key`.
 ///
 /// # Errors
 /// [`ActorError`]; the learner has been told before it is returned, if it could be.
@@ -290,8 +290,8 @@ impl Actor<'_> {
         Ok(())
     }
 
-    /// The last frame, and the wait until everything is with the learner. Failure changes nothing: the learner counts
-    /// what it has, and the ledger says what was sent.
+    /// The last frame, and the wait until everything is with the learner. Failure changes nothing: the
+    /// learner counts what it has, and the ledger says what was sent.
     fn say_goodbye(&mut self, reason: &str) {
         let deadline = Instant::now() + self.settings.flush_timeout;
         let bye = ActorBye {

@@ -7,8 +7,8 @@ use std::time::Duration;
 use caudata_config::Config;
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
-use caudata_telemetry::{Metrics, build_info};
 use caudata_telemetry::traces::{TraceError, TraceSettings, Tracer};
+use caudata_telemetry::{Metrics, build_info};
 
 use crate::ActorError;
 
@@ -92,14 +92,14 @@ pub fn tracer_of(
     Tracer::start(&settings, metrics)
 }
 
-/// The actor number in the keys of the random streams: every incarnation draws its own episodes, so that a restarted
-/// actor does not collect the same ones again.
+/// The actor number in the keys of the random streams: every incarnation draws its own episodes, so that a
+/// restarted actor does not collect the same ones again.
 pub fn actor_key(actor_id: u32, incarnation: u64) -> u64 {
     (incarnation << 32) | u64::from(actor_id)
 }
 
-/// Actor and first lane in the keys of the random streams. In lockstep the lanes of all actors are numbered through and the actor's
-/// number tells nothing apart, so that it does not matter which actor steps a lane.
+/// Actor and first lane in the keys of the random streams. In lockstep the lanes of all actors are numbered
+/// through and the actor's number tells nothing apart, so that it does not matter which actor steps a lane.
 fn stream_keys(config: &Config, actor_key: u64) -> (u64, u64) {
     if !config.actors.lockstep {
         return (actor_key, 0);
@@ -108,8 +108,8 @@ fn stream_keys(config: &Config, actor_key: u64) -> (u64, u64) {
     (incarnation << 32, id * u64::from(config.actors.lanes))
 }
 
-/// The environments of one actor: engine, terrain and task as configured. `actor_key` comes from [`actor_key`], or
-/// from a saved actor that goes on.
+/// The environments of one actor: engine, terrain and task as configured. `actor_key` comes from
+/// [`actor_key`], or from a saved actor that goes on.
 ///
 /// All actors share the run's terrain, which is drawn from the run's seed.
 ///

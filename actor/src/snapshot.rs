@@ -66,8 +66,8 @@ fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
 
 /// Where a learner in the same process asks an actor for its state. Cloning shares it.
 ///
-/// The actor answers between two chunks. With `max_lead = 0` and a full batch in the learner's hands, every actor is
-/// between two chunks, and the answers of all actors belong together.
+/// The actor answers between two chunks. With `max_lead = 0` and a full batch in the learner's hands, every
+/// actor is between two chunks, and the answers of all actors belong together.
 #[derive(Clone, Debug, Default)]
 pub struct SnapshotPort {
     shared: Arc<(Mutex<Request>, Condvar)>,

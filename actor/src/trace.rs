@@ -1,5 +1,5 @@
-//! What one chunk adds to the trace of its policy: when it was collected and handed over, its first simulator step and inference as
-//! samples of all of them, and what all took.
+//! What one chunk adds to the trace of its policy: when it was collected and handed over, its first simulator
+//! step and inference as samples of all of them, and what all took.
 
 use std::time::Duration;
 

@@ -1,4 +1,5 @@
-//! The loop of an actor against a learner in the same process: real environments, a real policy file, real frames.
+//! The loop of an actor against a learner in the same process: real environments, a real policy file, real
+//! frames.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::Path;
@@ -244,7 +245,8 @@ fn a_chunk_says_what_happened() {
             "exploration noise"
         );
     }
-    // Read back, a chunk names its past actions only where they were left out: these follow from the actions, over the ends of episodes too.
+    // Read back, a chunk names its past actions only where they were left out: these follow from the actions,
+    // over the ends of episodes too.
     assert!(chunks.iter().all(|c| c.action_history.is_some()));
     // Episodes last 4 steps: within 15 steps of 3 lanes some end by the time limit.
     let truncated = chunks

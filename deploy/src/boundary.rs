@@ -46,7 +46,7 @@ const NEVER_US: u64 = u64::MAX;
 const KILLED: u8 = 1;
 const RELEASED: u8 = 2;
 /// Datagrams looked at in one tick.
-const AT_ONCE: usize = 16;
+const COMMANDS_AT_ONCE: usize = 16;
 
 /// The folder of sockets and of `staged.json`, for this user only. Nothing in it outlives a restart of the computer.
 #[derive(Clone, Debug)]
@@ -280,7 +280,7 @@ pub struct Told {
 }
 
 impl Told {
-    /// Of these folders, whether or not they are there yet.
+    /// Watches the folders of this state and run, whether or not they are there yet.
     pub fn of(state: &Path, run: &RunFolder) -> Self {
         Self {
             folders: told(state, run),
@@ -410,7 +410,7 @@ impl LocalLink {
 impl CommandLink for LocalLink {
     fn view(&mut self) -> LinkView {
         let mut buffer = [0; COMMAND_BYTES + 1];
-        for _ in 0..AT_ONCE {
+        for _ in 0..COMMANDS_AT_ONCE {
             let Ok(length) = self.socket.recv(&mut buffer) else {
                 break;
             };

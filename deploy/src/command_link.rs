@@ -28,9 +28,9 @@ pub const LINK_STOP: Duration = Duration::from_millis(200);
 /// Age beyond which it stands.
 pub const LINK_STAND: Duration = Duration::from_secs(1);
 /// How often the listener looks whether it is still wanted; and how much older than it is a command may be taken for.
-const LOOK: Duration = Duration::from_millis(20);
+const LISTEN_LOOK: Duration = Duration::from_millis(20);
 /// Datagrams taken before it is looked whether the listener is still wanted.
-const AT_ONCE: u32 = 1024;
+const TAKEN_AT_ONCE: u32 = 1024;
 /// Largest command, m/s and rad/s.
 const COMMAND_MAX: f32 = 20.0;
 
@@ -330,7 +330,7 @@ struct Door {
 
 impl Door {
     fn open(socket: UdpSocket, start: Instant) -> io::Result<Self> {
-        socket.set_read_timeout(Some(LOOK))?;
+        socket.set_read_timeout(Some(LISTEN_LOOK))?;
         Ok(Self {
             socket,
             start,
@@ -338,11 +338,11 @@ impl Door {
         })
     }
 
-    /// Waits for a datagram, for [`LOOK`] at most, and takes all that are there. `each` gets its bytes and the earliest time, since the
+    /// Waits for a datagram, for [`LISTEN_LOOK`] at most, and takes all that are there. `each` gets its bytes and the earliest time, since the
     /// start, that it can have come; what it answers goes back to the sender.
     fn take_all(&mut self, mut each: impl FnMut(&[u8], Duration) -> Option<[u8; DATAGRAM]>) {
         let mut buffer = [0; 2 * DATAGRAM];
-        for look in 0..AT_ONCE {
+        for look in 0..TAKEN_AT_ONCE {
             // Before looking: what comes between the look and the clock is not taken for older than it is, but never for younger.
             let looked_at = self.start.elapsed();
             let _ = self.socket.set_nonblocking(look > 0);

@@ -20,7 +20,7 @@ use crate::updates::{PolicyEvent, Slot};
 use crate::verify::{Refusal, Verified, VerifyError, verify};
 
 /// How often it looks whether something is staged.
-const LOOK: Duration = Duration::from_millis(100);
+const COURIER_LOOK: Duration = Duration::from_millis(100);
 /// How often the page of metrics is written.
 const METRICS_EVERY: Duration = Duration::from_secs(1);
 /// How long the first policy is waited for.
@@ -123,7 +123,7 @@ impl Courier {
                     return Err(DeployError::NoAgent { waited_s });
                 }
                 None => {
-                    stop.wait(LOOK / 4);
+                    stop.wait(COURIER_LOOK / 4);
                 }
             }
         }
@@ -143,7 +143,7 @@ impl Courier {
             let mut written = Instant::now();
             let mut looked = Instant::now();
             loop {
-                match events.recv_timeout(LOOK) {
+                match events.recv_timeout(COURIER_LOOK) {
                     // Taking it apart takes longer than the loop has.
                     Ok(PolicyEvent::Replaced(runner)) => drop(runner),
                     Ok(event) => {
@@ -159,7 +159,7 @@ impl Courier {
                         return;
                     }
                 }
-                if looked.elapsed() >= LOOK {
+                if looked.elapsed() >= COURIER_LOOK {
                     looked = Instant::now();
                     match self.look() {
                         Some(Ok(verified)) => slot.put(verified),

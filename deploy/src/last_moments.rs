@@ -7,7 +7,7 @@ use crate::flight_log::LogRow;
 /// How much is remembered, s.
 pub const REMEMBERED_S: f64 = 30.0;
 /// Rows that fit at the fastest sensible control rate.
-const ROWS_MAX: usize = 30_000;
+const REMEMBERED_ROWS_MAX: usize = 30_000;
 
 /// A ring of rows; its memory is taken once.
 #[derive(Debug)]
@@ -22,7 +22,7 @@ impl LastMoments {
     /// A ring for [`REMEMBERED_S`] at one row per `period`.
     pub fn new(period: Duration) -> Self {
         let rows = (REMEMBERED_S / period.as_secs_f64().max(1e-3)).round() as usize;
-        let capacity = rows.clamp(1, ROWS_MAX);
+        let capacity = rows.clamp(1, REMEMBERED_ROWS_MAX);
         Self {
             rows: Vec::with_capacity(capacity),
             capacity,

@@ -58,9 +58,9 @@ impl Word {
 }
 
 /// Room for every line at once.
-const DATAGRAM_MAX: usize = 96;
+const WORD_BYTES_MAX: usize = 96;
 /// Datagrams looked at in one go: a child that floods must not hold its supervisor.
-const AT_ONCE: usize = 64;
+const WORDS_AT_ONCE: usize = 64;
 
 /// Speaks to whoever watches this process, if anybody does. Never waits, but for its last word.
 #[derive(Debug, Default)]
@@ -136,7 +136,7 @@ impl Notifier {
         // Whoever begins lives: a watcher that heard of the beginning alone would take it for silent since its start.
         let lives = matches!(word, Word::Alive | Word::Ready);
         let first = lives.then_some(&Word::Alive);
-        let (mut text, mut length) = ([0; DATAGRAM_MAX], 0);
+        let (mut text, mut length) = ([0; WORD_BYTES_MAX], 0);
         for line in first.into_iter().chain(states).map(|w| w.line().as_bytes()) {
             text[length..length + line.len()].copy_from_slice(line);
             length += line.len();
@@ -177,7 +177,7 @@ impl Ear {
     pub fn listen(&self) -> Heard {
         let mut heard = Heard::default();
         let mut buffer = [0; 256];
-        for _ in 0..AT_ONCE {
+        for _ in 0..WORDS_AT_ONCE {
             let Ok(length) = self.0.recv(&mut buffer) else {
                 break;
             };

@@ -15,7 +15,7 @@ use crate::DeployError;
 use crate::state::PolicyRef;
 
 /// Reports that wait; with more, the newest is dropped with a line in the log.
-const WAITING_MAX: usize = 64;
+const REPORTS_WAITING_MAX: usize = 64;
 /// How long the last reports of a run may take.
 const FLUSH_MAX: Duration = Duration::from_secs(2);
 /// First pause before a server that is away is tried again; doubles.
@@ -71,7 +71,7 @@ impl Reporter {
             let _context = runtime.enter();
             RegistryClient::with_tls(&to.address, to.tls_dir.as_deref())?
         };
-        let (queue, reports) = bounded(WAITING_MAX);
+        let (queue, reports) = bounded(REPORTS_WAITING_MAX);
         let over = Arc::new(AtomicBool::new(false));
         let seen = over.clone();
         let thread = std::thread::Builder::new()

@@ -21,7 +21,7 @@ pub struct Stage {
 
 #[derive(Debug)]
 struct Inner {
-    /// Of the newest `staged.json`.
+    /// Number of the newest `staged.json`.
     number: u64,
     /// The start of the loop that asked last.
     run: Option<u64>,

@@ -10,6 +10,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use caudata_proto::checks::Check;
+use caudata_proto::hex::{from_hex, hex};
 use caudata_proto::registry::Manifest;
 use serde::{Deserialize, Serialize};
 
@@ -32,7 +33,7 @@ pub struct Sha256Digest(pub [u8; 32]);
 
 impl fmt::Display for Sha256Digest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+        f.write_str(&hex(&self.0))
     }
 }
 
@@ -46,17 +47,12 @@ impl FromStr for Sha256Digest {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let digit = |b: u8| match b {
-            b'0'..=b'9' => Some(b - b'0'),
-            b'a'..=b'f' => Some(b - b'a' + 10),
-            _ => None,
-        };
-        let wrong = || format!("`{text}` is not a SHA-256 of 64 lower-case hexadecimal digits");
-        let digits: Option<Vec<u8>> = text.bytes().map(digit).collect();
-        let digits = digits.filter(|d| d.len() == 64).ok_or_else(wrong)?;
-        Ok(Self(std::array::from_fn(|i| {
-            digits[2 * i] << 4 | digits[2 * i + 1]
-        })))
+        let lower = |text: &&str| !text.contains(char::is_uppercase);
+        let bytes = Some(text).filter(lower).and_then(from_hex);
+        let digest = bytes.and_then(|bytes| bytes.try_into().ok());
+        digest
+            .map(Self)
+            .ok_or_else(|| format!("`{text}` is not a SHA-256 of 64 lower-case hexadecimal digits"))
     }
 }
 

@@ -16,9 +16,9 @@ use crate::motion::Stage;
 use crate::notify;
 
 /// Ticks that wait for the thread; a further one is left out.
-const WAITING_MAX: usize = 4;
+const TICKS_WAITING_MAX: usize = 4;
 /// Largest datagram, bytes.
-const DATAGRAM_MAX: usize = 8 << 10;
+const TICK_BYTES_MAX: usize = 8 << 10;
 
 /// One tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -65,7 +65,7 @@ pub fn start(folder: &RunFolder) -> Result<Sender<Tick>, DeployError> {
     let socket = UnixDatagram::unbound().map_err(refused("a socket"))?;
     socket.set_nonblocking(true).map_err(refused("a socket"))?;
     let to = folder.file("tap.sock");
-    let (sender, ticks) = bounded::<Tick>(WAITING_MAX);
+    let (sender, ticks) = bounded::<Tick>(TICKS_WAITING_MAX);
     let work = move || {
         for tick in ticks {
             if let Ok(bytes) = serde_json::to_vec(&tick) {
@@ -107,7 +107,7 @@ impl Tap {
     /// What the system says.
     pub fn next(&self, timeout: Duration) -> io::Result<Option<Tick>> {
         self.0.set_read_timeout(Some(timeout))?;
-        let mut buffer = [0; DATAGRAM_MAX];
+        let mut buffer = [0; TICK_BYTES_MAX];
         match self.0.recv(&mut buffer) {
             Ok(length) => Ok(serde_json::from_slice(&buffer[..length]).ok()),
             Err(error)

@@ -8,7 +8,7 @@ use caudata_task::COMMAND_DIM;
 use crate::DeployError;
 
 /// Most rows of a command file.
-pub const ROWS_MAX: usize = 100_000;
+pub const TABLE_ROWS_MAX: usize = 100_000;
 /// Header of a command file.
 pub const HEADER: &str = "t,vx,vy,yaw_rate";
 /// Largest command in either direction, m/s and rad/s.
@@ -85,8 +85,8 @@ impl CommandTable {
             if !(time.is_finite() && time >= 0.0 && after_last) {
                 return Err(at("t must be at least 0 and increase".to_owned()));
             }
-            if rows.len() == ROWS_MAX {
-                return Err(at(format!("more than {ROWS_MAX} rows")));
+            if rows.len() == TABLE_ROWS_MAX {
+                return Err(at(format!("more than {TABLE_ROWS_MAX} rows")));
             }
             rows.push((time, command.parse().map_err(at)?));
         }

@@ -31,6 +31,11 @@ pub struct Place {
 }
 
 impl Place {
+    /// Does `change` to each item.
+    pub fn each(&self, change: impl FnMut(usize)) {
+        self.items.iter().copied().for_each(change);
+    }
+
     /// `effect@name`, for people and for keys.
     #[must_use]
     pub fn label(&self, effect: &str) -> String {

@@ -92,7 +92,7 @@ pub struct Horizon {
     pub horizon_s: Vec<f64>,
     /// Root mean square error of the model given. `[N]`
     pub before: Vec<f64>,
-    /// Of the extended model; empty where it was not extended. `[N]`
+    /// The same in the extended model; empty where it was not extended. `[N]`
     pub after: Vec<f64>,
     /// What repeats differ by. `[N]`
     pub floor: Vec<f64>,

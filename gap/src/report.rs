@@ -185,7 +185,7 @@ pub enum DoubtKind {
 pub struct Gain {
     /// Root mean square error of the model given, SI.
     pub before: f64,
-    /// Of the extended model.
+    /// The same for the extended model.
     pub after: f64,
     /// `after / before`.
     pub ratio: f64,

@@ -1,5 +1,5 @@
-//! Adam (Kingma & Ba 2015) over the flat parameter vector. libtorch's own optimiser cannot save its state through
-//! tch, and a run that resumes without its moments is not the same run.
+//! Adam (Kingma & Ba 2015) over the flat parameter vector. libtorch's own optimiser cannot save its state
+//! through tch, and a run that resumes without its moments is not the same run.
 
 use tch::{Device, Tensor};
 
@@ -33,9 +33,9 @@ impl Adam {
         }
     }
 
-    /// One step on `parameters` `[P]`, in place, with torch's order of operations:
-    /// m = β₁m + (1−β₁)g, v = β₂v + (1−β₂)g², p −= lr/(1−β₁ᵗ) · m / (√v/√(1−β₂ᵗ) + ε). `rates`: number of parameters and their learning rate,
-    /// part after part, P in all.
+    /// One step on `parameters` `[P]`, in place, with torch's order of operations: m = β₁m + (1−β₁)g, v = β₂v
+    /// + (1−β₂)g², p −= lr/(1−β₁ᵗ) · m / (√v/√(1−β₂ᵗ) + ε). `rates`: number of parameters and their learning
+    /// rate, part after part, P in all.
     pub fn step(&mut self, parameters: &Tensor, gradient: &Tensor, rates: &[(usize, f64)]) {
         debug_assert_eq!(
             rates.iter().map(|part| part.0).sum::<usize>(),
@@ -115,8 +115,8 @@ mod tests {
 
     #[test]
     fn the_first_two_steps_by_hand() {
-        // g = 2 twice, lr 0.1. Step 1: m = 0.2, v = 0.004; m/(1−0.9) = 2, v/(1−0.999) = 4, change 0.1·2/2 = 0.1.
-        // Step 2: m = 0.38, v = 0.007996; 0.38/0.19 = 2, 0.007996/0.001999 = 4: again 0.1.
+        // g = 2 twice, lr 0.1. Step 1: m = 0.2, v = 0.004; m/(1−0.9) = 2, v/(1−0.999) = 4, change 0.1·2/2 =
+        // 0.1. Step 2: m = 0.38, v = 0.007996; 0.38/0.19 = 2, 0.007996/0.001999 = 4: again 0.1.
         let p = Tensor::from_slice(&[1.0_f32]);
         let g = Tensor::from_slice(&[2.0_f32]);
         let mut adam = Adam::new(1, Device::Cpu);

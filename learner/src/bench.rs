@@ -1,17 +1,12 @@
 //! How fast the update is on this machine, beside what libtorch's matrix product reaches in the same run.
 //!
-//! The batch is noise in the shape of the configuration: the time of an update does not depend on what is in it.
+//! The batch is noise in the shape of the configuration: the time of an update does not depend on what is in
+//! it.
 
-use std::net::TcpListener;
-use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use caudata_config::Config;
-use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
-use caudata_task::PolicyContract;
-use caudata_telemetry::{PARENT_PID_VAR, StopFlag};
 use serde::Serialize;
 use tch::{Device, Kind, Tensor};
 
@@ -20,19 +15,17 @@ use crate::batch::{Batch, Segment};
 use crate::network::{ActorCritic, NetworkSpec};
 use crate::normaliser::Scaling;
 use crate::ppo::{Ppo, PpoSettings, SHARD_ROWS};
-use crate::ranks::{RankSettings, Ranks};
+use crate::task::Task;
 
 /// Side of the large square matrices whose product is the machine's ceiling.
 const LARGE: i64 = 1024;
 /// Measured updates at most, whatever the time allows.
 const ROUNDS_MAX: usize = 10_000;
 
-/// What one number of threads, in one or several processes, reaches.
+/// What one number of threads reaches.
 #[derive(Clone, Debug, Serialize)]
 pub struct LearnerSpeed {
-    /// Processes.
-    pub ranks: usize,
-    /// Threads of the update in each of them.
+    /// Threads of the update.
     pub threads: usize,
     /// Environment steps learnt from per second, all epochs of them.
     pub samples_per_s: f64,
@@ -59,23 +52,21 @@ pub struct LearnerBench {
     pub policy_hidden: Vec<u32>,
     /// Hidden layers of the value function.
     pub value_hidden: Vec<u32>,
-    /// By number of threads: one, and as many as configured where that is more; then the same in as many ranks as configured.
+    /// By number of threads: one, and as many as configured where that is more.
     pub speeds: Vec<LearnerSpeed>,
 }
 
-/// Measures for about `seconds` per number of threads. Ranks are processes of this program on this host.
+/// Measures for about `seconds` per number of threads.
 ///
 /// # Errors
 /// When the configuration does not fit the robot, or libtorch refuses.
 pub fn bench(config: &Config, seconds: f64) -> Result<LearnerBench, LearnerError> {
-    let robot = config.robot_path();
-    let model = RobotModel::load(&robot).map_err(|source| LearnerError::Robot {
-        path: robot.clone(),
-        source,
-    })?;
-    let contract = PolicyContract::new(&model, &config.task)?;
+    let Task {
+        model,
+        contract,
+        networks: spec,
+    } = Task::new(config)?;
     let network = &config.learner.network;
-    let spec = NetworkSpec::new(network, contract.obs_dim(), contract.act_dim())?;
     tch::set_num_threads(1);
     let batch = noise(config, &spec);
     let settings = PpoSettings::new(config, &model, &contract)?;
@@ -85,15 +76,7 @@ pub fn bench(config: &Config, seconds: f64) -> Result<LearnerBench, LearnerError
     let mut speeds = Vec::new();
     for &threads in &thread_counts {
         let ppo = Ppo::new(net(), settings.clone(), threads)?;
-        speeds.push(speed(ppo, &spec, &batch, [1, threads], seconds)?);
-    }
-    let ranks = config.cluster.learner_ranks as usize;
-    for &threads in thread_counts.iter().filter(|_| ranks > 1) {
-        let net = net();
-        let (others, gathered) = Others::start(config, contract.hash_hex(), threads, &net)?;
-        let ppo = Ppo::with_reduction(net, settings.clone(), Box::new(gathered));
-        speeds.push(speed(ppo, &spec, &batch, [ranks, threads], seconds)?);
-        drop(others);
+        speeds.push(speed(ppo, &spec, &batch, threads, seconds)?);
     }
     Ok(LearnerBench {
         benchmark: "learner",
@@ -141,80 +124,11 @@ fn noise(config: &Config, spec: &NetworkSpec) -> Batch {
     }
 }
 
-/// The other ranks, killed when dropped.
-struct Others {
-    children: Vec<Child>,
-    config: PathBuf,
-}
-
-impl Others {
-    fn start(
-        config: &Config,
-        contract_hash: String,
-        threads: usize,
-        net: &ActorCritic,
-    ) -> Result<(Self, Ranks), LearnerError> {
-        let listener = TcpListener::bind("127.0.0.1:0")
-            .and_then(|listener| listener.set_nonblocking(true).map(|()| listener));
-        let address = listener
-            .as_ref()
-            .ok()
-            .and_then(|listener| listener.local_addr().ok());
-        let (listener, address) = match (listener, address) {
-            (Ok(listener), Some(address)) => (listener, address.to_string()),
-            (other, _) => {
-                let source = other.err().unwrap_or_else(std::io::Error::last_os_error);
-                let address = config.cluster.rank_address.clone();
-                return Err(LearnerError::RankAddress { address, source });
-            }
-        };
-        let mut config = config.clone();
-        config.cluster.rank_address = address;
-        config.learner.threads = u32::try_from(threads).unwrap_or(1);
-        config.learner.device = caudata_config::Device::Cpu;
-        let file = format!("caudata-bench-{}-{threads}.toml", std::process::id());
-        let file = std::env::temp_dir().join(file);
-        let text = config
-            .to_toml()
-            .map_err(|error| LearnerError::setting(error.to_string()))?;
-        std::fs::write(&file, text).map_err(|source| LearnerError::write(&file, source))?;
-        let mut others = Self {
-            children: Vec::new(),
-            config: file,
-        };
-        let cannot_start = |error| LearnerError::setting(format!("cannot start a rank: {error}"));
-        let program = std::env::current_exe().map_err(cannot_start)?;
-        for rank in 1..config.cluster.learner_ranks {
-            let mut command = Command::new(&program);
-            command.arg("--config").arg(&others.config);
-            command.args(["--run-id", "bench", "--log-filter", "warn"]);
-            command.args(["--rank", &rank.to_string()]);
-            command.env(PARENT_PID_VAR, std::process::id().to_string());
-            command.stdin(Stdio::null()).stdout(Stdio::null());
-            others.children.push(command.spawn().map_err(cannot_start)?);
-        }
-        let settings = RankSettings::new(&config, "bench", contract_hash);
-        let stop = StopFlag::new();
-        let ranks = Ranks::gather_at(&listener, false, &settings, net, threads, &stop)?;
-        Ok((others, ranks))
-    }
-}
-
-impl Drop for Others {
-    fn drop(&mut self) {
-        for child in &mut self.children {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-        let _ = std::fs::remove_file(&self.config);
-    }
-}
-
 fn speed(
     mut ppo: Ppo,
     spec: &NetworkSpec,
     batch: &Batch,
-    [ranks, threads]: [usize; 2],
+    threads: usize,
     seconds: f64,
 ) -> Result<LearnerSpeed, LearnerError> {
     let epochs = ppo.settings().ppo.epochs;
@@ -234,20 +148,19 @@ fn speed(
     let flops = flops_per_update(spec, batch.rows, epochs);
     let width = spec.policy_hidden.iter().copied().max().unwrap_or(1) as i64;
     let share = seconds / 4.0;
-    let all = ranks * threads;
     Ok(LearnerSpeed {
-        ranks,
         threads,
         samples_per_s: batch.rows as f64 / median_s,
         update_median_s: median_s,
         gflops: flops / median_s / 1e9,
-        ceiling_same_shape_gflops: ceiling(all, [SHARD_ROWS as i64, width, width], share),
-        ceiling_large_gflops: ceiling(all, [LARGE; 3], share),
+        ceiling_same_shape_gflops: ceiling(threads, [SHARD_ROWS as i64, width, width], share),
+        ceiling_large_gflops: ceiling(threads, [LARGE; 3], share),
     })
 }
 
-/// Multiplications and additions of the dense layers: one forward pass before the epochs; in each epoch forward, gradients of the weights,
-/// and gradients of the inputs of all layers but the first. Activations, loss and optimiser are not counted.
+/// Multiplications and additions of the dense layers: one forward pass before the epochs; in each epoch
+/// forward, gradients of the weights, and gradients of the inputs of all layers but the first. Activations,
+/// loss and optimiser are not counted.
 fn flops_per_update(spec: &NetworkSpec, rows: usize, epochs: u32) -> f64 {
     let products = |sizes: &[usize]| -> (usize, usize) {
         let all = sizes.windows(2).map(|pair| pair[0] * pair[1]).sum();
@@ -291,8 +204,8 @@ mod tests {
 
     #[test]
     fn arithmetic_is_counted_as_by_hand() {
-        // Policy 3→2→1: 6 + 2 = 8, its first layer 6; value 3→1→1: 3 + 1 = 4, first 3. One pass forward, two epochs:
-        // 2·10·(12 + 2·(36 − 9)) = 1320.
+        // Policy 3→2→1: 6 + 2 = 8, its first layer 6; value 3→1→1: 3 + 1 = 4, first 3. One pass forward, two
+        // epochs: 2·10·(12 + 2·(36 − 9)) = 1320.
         let spec = NetworkSpec {
             obs_dim: 3,
             act_dim: 1,

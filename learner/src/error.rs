@@ -26,42 +26,6 @@ pub enum LearnerError {
     /// The operating system refuses a thread.
     #[error("cannot start a thread: {0}")]
     Thread(std::io::Error),
-    /// The address of the ranks cannot be had or found.
-    #[error("cluster.rank_address {address}: {source}")]
-    RankAddress {
-        /// As configured.
-        address: String,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Ranks that did not come.
-    #[error("rank {missing} of the learner did not join at {address} {why}")]
-    RanksMissing {
-        /// Their numbers.
-        missing: String,
-        /// Where they were waited for.
-        address: String,
-        /// How long they were.
-        why: String,
-    },
-    /// A rank that was there is not any more.
-    #[error("rank {rank} of the learner ({peer}) is lost: {reason}")]
-    RankLost {
-        /// Which.
-        rank: u32,
-        /// Its address.
-        peer: String,
-        /// What was seen of it.
-        reason: String,
-    },
-    /// Rank 0 does not want this rank.
-    #[error("the learner does not take rank {rank}: {reason}")]
-    RankRefused {
-        /// Which.
-        rank: u32,
-        /// Why.
-        reason: String,
-    },
     /// A file or folder cannot be written.
     #[error("cannot write {path}: {source}")]
     Write {
@@ -73,6 +37,15 @@ pub enum LearnerError {
     /// A file that must survive a crash cannot be written.
     #[error(transparent)]
     Durable(#[from] caudata_durable::DurableError),
+    /// The run folder is another process's.
+    #[error(transparent)]
+    Owner(#[from] caudata_durable::OwnerError),
+    /// A run is to go on, and what it would go on from is gone.
+    #[error("{path} holds no checkpoint, though this run has got further than its start")]
+    CheckpointsGone {
+        /// The folder of checkpoints.
+        path: PathBuf,
+    },
     /// The policy cannot become a file.
     #[error("policy: {0}")]
     Policy(#[from] caudata_policy::PolicyError),
@@ -101,24 +74,12 @@ pub enum LearnerError {
         /// Why.
         source: caudata_actor::ActorError,
     },
-    /// An actor of this process has left although the run goes on.
-    #[error("actor {id} has ended before the run")]
-    ActorEnded {
+    /// An actor of this process is gone, or cannot be saved.
+    #[error("actor {id} {reason}")]
+    ActorLost {
         /// Which.
         id: u32,
-    },
-    /// An actor of this process has panicked.
-    #[error("actor {id} has died; its message is above")]
-    ActorPanicked {
-        /// Which.
-        id: u32,
-    },
-    /// An actor of this process could not be saved.
-    #[error("actor {id} cannot be saved: {reason}")]
-    Snapshot {
-        /// Which.
-        id: u32,
-        /// Why.
+        /// What was seen of it.
         reason: String,
     },
     /// Too few rollouts for too long.
@@ -199,7 +160,9 @@ impl LearnerError {
             Self::Setting(_) | Self::NoCuda | Self::Registry(_) | Self::CheckpointConfig { .. } => {
                 ExitCode::BadConfig
             }
-            Self::Write { source, .. } => ExitCode::of_io(source, true),
+            Self::Owner(caudata_durable::OwnerError::Taken { .. }) => ExitCode::InUse,
+            Self::Owner(caudata_durable::OwnerError::Io { source, .. })
+            | Self::Write { source, .. } => ExitCode::of_io(source, true),
             Self::Read { source, .. } => ExitCode::of_io(source, false),
             Self::WarmStart { .. } => ExitCode::PolicyRefused,
             Self::Durable(caudata_durable::DurableError::Io { source, .. }) => {
@@ -207,22 +170,19 @@ impl LearnerError {
             }
             Self::Durable(_) => ExitCode::IoError,
             Self::Torch(_) | Self::Worker | Self::Policy(_) => ExitCode::Internal,
-            Self::Thread(_) | Self::RankAddress { .. } => ExitCode::OsResource,
-            Self::RanksMissing { .. } | Self::RankLost { .. } => ExitCode::RankLost,
-            Self::RankRefused { .. } => ExitCode::BadConfig,
+            Self::Thread(_) => ExitCode::OsResource,
             Self::Transport(TransportError::Config(_) | TransportError::PolicyTooLarge { .. }) => {
                 ExitCode::BadConfig
             }
             Self::Transport(_) => ExitCode::OsResource,
             Self::Robot { .. } | Self::Task(_) => ExitCode::BadInput,
             Self::Actor { source, .. } => source.exit_code(),
-            Self::ActorEnded { .. } | Self::ActorPanicked { .. } | Self::Snapshot { .. } => {
-                ExitCode::Internal
-            }
-            Self::NotFinite { .. } => ExitCode::Internal,
+            Self::ActorLost { .. } | Self::NotFinite { .. } => ExitCode::Internal,
             Self::Starved { .. } => ExitCode::TempFail,
             Self::CheckpointContract { .. } => ExitCode::PolicyRefused,
-            Self::CheckpointDamaged { .. } => ExitCode::CheckpointDamaged,
+            Self::CheckpointDamaged { .. } | Self::CheckpointsGone { .. } => {
+                ExitCode::CheckpointDamaged
+            }
         }
     }
 
@@ -240,18 +200,13 @@ impl LearnerError {
             Self::Durable(error) if error.is_disk_full() => Some(
                 "free some space and resume; the checkpoints saved before are whole".to_owned(),
             ),
-            Self::RanksMissing { .. } => Some(
-                "start `caudata-learner --rank R` with the same configuration, where this address leads here; its log says why it did not come".to_owned(),
+            Self::Owner(_) => Some(
+                "wait until that process has ended, or stop it; kill -9 where it stands still"
+                    .to_owned(),
             ),
-            Self::RankLost { rank: 0, .. } => Some(
-                "the log of rank 0, the learner itself, says why; start both again".to_owned(),
-            ),
-            Self::RankLost { .. } => Some(
-                "its log says why; the run goes on with --resume once all ranks are there".to_owned(),
-            ),
-            Self::RankRefused { .. } => Some(
-                "give every rank the learner's configuration and run id".to_owned(),
-            ),
+            Self::CheckpointsGone { .. } => {
+                Some("put the checkpoints back, or begin a new run in another folder".to_owned())
+            }
             Self::Starved { .. } => {
                 Some("the logs of the actors say what they were doing".to_owned())
             }

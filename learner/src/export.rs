@@ -27,11 +27,12 @@ pub struct PolicyIdentity {
     pub seed: u64,
 }
 
-/// The policy with its frozen normaliser as a file. No clock goes in: the same weights give the same bytes, so that a
-/// resumed run publishes what the run before it has published.
+/// The policy with its frozen normaliser as a file. No clock goes in: the same weights give the same bytes,
+/// so that a resumed run publishes what the run before it has published.
 ///
 /// # Errors
-/// [`LearnerError::Policy`] when a weight is not finite, [`LearnerError::Torch`] when the device does not hand them over.
+/// [`LearnerError::Policy`] when a weight is not finite, [`LearnerError::Torch`] when the device does not
+/// hand them over.
 pub fn export(
     net: &ActorCritic,
     scaling: &Scaling,

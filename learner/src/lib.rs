@@ -11,10 +11,15 @@ pub mod network;
 pub mod normaliser;
 pub mod ppo;
 pub mod publish;
-pub mod ranks;
 pub mod report;
 pub mod returns;
+mod task;
 pub mod train;
 pub mod warm_start;
 
 pub use error::LearnerError;
+
+/// Lower-case hexadecimal digits.
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,20 +1,24 @@
-//! `caudata-learner`: PPO on libtorch as a process. Started by `caudata train`, by hand, or by a cluster's scheduler.
+//! `caudata-learner`: PPO on libtorch as a process. Started by `caudata train`, by hand, or by a cluster's
+//! scheduler.
 
 use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
-use caudata_actor::decode_transport;
+use caudata_actor::{decode_transport, say_alive};
 use caudata_config::{ConfigArgs, TransportKind};
 use caudata_learner::LearnerError;
 use caudata_learner::bench::bench;
-use caudata_learner::train::{Resume, TrainSettings, train, train_as_rank};
+use caudata_learner::train::{Resume, TrainSettings, train};
 use caudata_telemetry::{
-    ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, parse_args,
+    ExitCode, Failure, FailureExt, LogArgs, Metrics, MetricsServer, Process, Pulse, StopFlag,
+    parse_args,
 };
 use clap::{Parser, Subcommand};
 
-/// Learns from the rollouts of actors and hands out policies. Progress goes to standard output, one JSON object per line.
+/// Learns from the rollouts of actors and hands out policies. Progress goes to standard output, one JSON
+/// object per line.
 #[derive(Debug, Parser)]
 #[command(
     version,
@@ -28,7 +32,7 @@ struct Args {
     #[command(flatten)]
     config: ConfigArgs,
     /// Folder of the run: checkpoints, policy, curves, TensorBoard files
-    #[arg(long, value_name = "DIR", required_unless_present = "rank")]
+    #[arg(long, value_name = "DIR", required = true)]
     run_dir: Option<PathBuf>,
     /// Identifier of the run, the same for learner and actors
     #[arg(long, value_name = "ID", required = true)]
@@ -48,12 +52,12 @@ struct Args {
     /// Run the actors as threads of this process
     #[arg(long)]
     inproc: bool,
-    /// Work on shards for the learner of this run as rank R, 1 to cluster.learner_ranks − 1, until it ends; it listens at cluster.rank_address
-    #[arg(long, value_name = "R", conflicts_with_all = ["run_dir", "resume", "resume_from", "policy_server", "transport", "inproc", "metrics_addr"])]
-    rank: Option<u32>,
     /// Serve /metrics and /healthz here (port 0: any free port), instead of where [telemetry] says
     #[arg(long, value_name = "ADDR")]
     metrics_addr: Option<SocketAddr>,
+    /// Say `alive` on standard output, between the events, twice a second while the run makes progress
+    #[arg(long)]
+    heartbeat: bool,
     #[command(flatten)]
     log: LogArgs,
 }
@@ -91,10 +95,6 @@ fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
     let missing = |flag| Failure::message(ExitCode::BadConfig, format!("{flag} is missing"));
     let run_id = args.run_id.clone().ok_or_else(|| missing("--run-id"))?;
     let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
-    if let Some(rank) = args.rank {
-        return train_as_rank(&config, &run_id, rank, &process.stop)
-            .map_err(LearnerError::into_failure);
-    }
     let run_dir = args.run_dir.clone().ok_or_else(|| missing("--run-dir"))?;
     if args.inproc {
         config.transport.kind = TransportKind::Inproc;
@@ -113,6 +113,8 @@ fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
     })?;
 
     let metrics = Metrics::new();
+    let pulse = Pulse::new();
+    let patience = Duration::from_secs_f64(config.cluster.hang_timeout_s);
     let configured = config
         .telemetry
         .metrics
@@ -120,8 +122,19 @@ fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
     let server = args
         .metrics_addr
         .or(configured)
-        .map(|addr| MetricsServer::start(addr, metrics.clone(), process.stop.clone()))
+        .map(|addr| {
+            let (metrics, stop) = (metrics.clone(), process.stop.clone());
+            MetricsServer::start_with_pulse(addr, metrics, stop, pulse.clone(), patience)
+        })
         .transpose()?;
+    if args.heartbeat {
+        // Not until a stop is asked for: the end of a run makes progress, too.
+        let (pulse, until) = (pulse.clone(), StopFlag::new());
+        std::thread::Builder::new()
+            .name("heartbeat".into())
+            .spawn(move || say_alive(&pulse, &until, std::io::stdout()))
+            .or_exit(ExitCode::OsResource)?;
+    }
     let resume = match &args.resume_from {
         Some(name) => Resume::Named(name.clone()),
         None if args.resume => Resume::Latest,
@@ -137,6 +150,7 @@ fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
         metrics,
         metrics_addr: server.as_ref().map(|server| server.addr().to_string()),
         events: Box::new(std::io::stdout()),
+        pulse,
     };
     train(settings, &process.stop).map_err(LearnerError::into_failure)?;
     Ok(())

@@ -1,8 +1,8 @@
 //! Running mean and variance of the observations, merged exactly, and the transformation made from them.
 //!
-//! The statistics grow with every accepted chunk, in the batch's order. The transformation that a policy is trained and
-//! run with is a snapshot of them that changes only with the policy version: [`Scaling`] travels inside the ONNX
-//! graph, so actor, learner and robot can never disagree about it.
+//! The statistics grow with every accepted chunk, in the batch's order. The transformation that a policy is
+//! trained and run with is a snapshot of them that changes only with the policy version: [`Scaling`] travels
+//! inside the ONNX graph, so actor, learner and robot can never disagree about it.
 
 use serde::{Deserialize, Serialize};
 
@@ -69,7 +69,8 @@ impl Moments {
         self.count = n;
     }
 
-    /// The transformation that these statistics give; the identity while fewer than two observations are counted.
+    /// The transformation that these statistics give; the identity while fewer than two observations are
+    /// counted.
     pub fn scaling(&self, clip: f32) -> Scaling {
         if self.count < 2 {
             return Scaling::identity(self.mean.len(), clip);

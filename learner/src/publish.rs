@@ -36,8 +36,8 @@ pub enum Notice {
     },
 }
 
-/// The background task. Latest wins: a policy that waits is replaced by the next one. Ends when dropped, at once
-/// unless [`Publisher::finish`] was called before.
+/// The background task. Latest wins: a policy that waits is replaced by the next one. Ends when dropped, at
+/// once unless [`Publisher::finish`] was called before.
 #[derive(Debug)]
 pub struct Publisher {
     shared: Arc<Shared>,
@@ -60,28 +60,21 @@ struct State {
 }
 
 impl Publisher {
-    /// Publishes to the server at `address` (`host:port`) as `stream`. Nothing is sent yet, and the server need not
-    /// be there.
+    /// Publishes to the server at `address` (`host:port`, or `https://` with the certificates in `tls_dir`)
+    /// as `stream`. Nothing is sent yet, and the server need not be there.
     ///
     /// # Errors
-    /// An address or stream name that is none, or the system refuses the thread.
-    pub fn start(address: &str, stream: &str) -> Result<Self, LearnerError> {
-        Self::start_with(address, stream, None)
-    }
-
-    /// As [`Publisher::start`], to an `https://` address with the certificates in `tls_dir`.
-    ///
-    /// # Errors
-    /// As [`Publisher::start`], and certificates that do not work.
-    pub fn start_with(
+    /// An address or stream name that is none, certificates that do not work, or the system refuses the
+    /// thread.
+    pub fn start(
         address: &str,
         stream: &str,
         tls_dir: Option<&Path>,
     ) -> Result<Self, LearnerError> {
         let stream = StreamName::new(stream)
             .map_err(|error| LearnerError::setting(format!("policy_server.stream: {error}")))?;
-        // With a thread of its own: between two publications the connection still answers the server's questions
-        // whether it is alive.
+        // With a thread of its own: between two publications the connection still answers the server's
+        // questions whether it is alive.
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .thread_name("publish-io")
@@ -217,7 +210,8 @@ impl Worker {
         }
     }
 
-    /// One try; on failure one line and whether trying again can help. Ends early when the publisher is closed.
+    /// One try; on failure one line and whether trying again can help. Ends early when the publisher is
+    /// closed.
     fn attempt(&mut self, policy: &PolicyFile) -> Result<(), (String, bool)> {
         let now = SystemTime::now()
             .duration_since(UNIX_EPOCH)

@@ -1,14 +1,17 @@
-//! Value targets and advantages: V-trace (Espeholt et al. 2018, "IMPALA", section 4.1) with time limits told apart
-//! from failures.
+//! Value targets and advantages: V-trace (Espeholt et al. 2018, "IMPALA", section 4.1) with time limits told
+//! apart from failures.
 //!
-//! With δ_t = r_t + γ·V'_t − V_t, where V'_t is 0 after a termination, the value of the final observation after
-//! a truncation and V_{t+1} otherwise, the correction of a value is D_t = ρ_t·δ_t + γ·c_t·D_{t+1} (no D_{t+1} across the end of an
-//! episode), and the target is V_t + D_t. ρ_t = min(ρ̄, π/μ), c_t = λ·min(c̄, π/μ).
+//! With δ_t = r_t + γ·V'_t − V_t, where V'_t is 0 after a termination, the value of the final observation
+//! after a truncation and V_{t+1} otherwise, the correction of a value is D_t = ρ_t·δ_t + γ·c_t·D_{t+1} (no
+//! D_{t+1} across the end of an episode), and the target is V_t + D_t. ρ_t = min(ρ̄, π/μ), c_t = λ·min(c̄,
+//! π/μ).
 //!
-//! The advantage is that of the action that was taken, A_t = δ_t + γ·λ·D_{t+1}: what followed is corrected for the policy's age, the action itself is not,
-//! since the loss weighs it by π/μ. (With D_t in its place that ratio would count twice.) Where the behaviour is the current
-//! policy, π/μ = 1 and A_t = D_t is GAE(λ) (Schulman et al. 2016) exactly. So it is where nobody says what the ratios are, which is how older data is taken unless
-//! `learner.staleness.returns = "vtrace"`: min(1, π/μ) of sixteen joints is 0.83 in the mean after four iterations, and a trace of λ·0.83 hardly looks ahead.
+//! The advantage is that of the action that was taken, A_t = δ_t + γ·λ·D_{t+1}: what followed is corrected
+//! for the policy's age, the action itself is not, since the loss weighs it by π/μ. (With D_t in its place
+//! that ratio would count twice.) Where the behaviour is the current policy, π/μ = 1 and A_t = D_t is GAE(λ)
+//! (Schulman et al. 2016) exactly. So it is where nobody says what the ratios are, which is how older data is
+//! taken unless `learner.staleness.returns = "vtrace"`: min(1, π/μ) of sixteen joints is 0.83 in the mean
+//! after four iterations, and a trace of λ·0.83 hardly looks ahead.
 
 /// Discounts and caps.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Starting from a policy that somebody has trained before, instead of from random weights.
 //!
-//! A policy file holds the actor, its exploration noise and the frozen normaliser, but no critic; `learner.warm_start` says for how many
-//! iterations only the critic learns.
+//! A policy file holds the actor, its exploration noise and the frozen normaliser, but no critic;
+//! `learner.warm_start` says for how many iterations only the critic learns.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,17 +14,18 @@ use crate::export::activation;
 use crate::network::ActorCritic;
 use crate::normaliser::Moments;
 
-/// How many observations the normaliser of the old policy counts as: a fresh batch then moves it by a few per cent, not at once.
+/// How many observations the normaliser of the old policy counts as: a fresh batch then moves it by a few per
+/// cent, not at once.
 const OBSERVATIONS: u64 = 200_000;
 
-/// Gives `net` the actor of the policy file at `path`, and answers its normaliser as moments. Its action noise becomes at
-/// least `least_std`.
+/// Gives `net` the actor of the policy file at `path`, and answers its normaliser as moments. Its action
+/// noise becomes at least `least_std`.
 ///
 /// The old task may lack observations that the new one appends (the medium bit): they begin with weight zero.
 ///
 /// # Errors
-/// [`LearnerError::Read`] when the file cannot be read, [`LearnerError::Policy`] when it is no policy, [`LearnerError::WarmStart`] when it
-/// does not fit the network or the robot's joints.
+/// [`LearnerError::Read`] when the file cannot be read, [`LearnerError::Policy`] when it is no policy,
+/// [`LearnerError::WarmStart`] when it does not fit the network or the robot's joints.
 pub fn warm_start(
     net: &ActorCritic,
     path: &Path,

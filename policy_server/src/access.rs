@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::task::{Context, Poll};
 
-use caudata_pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
 use caudata_proto::registry::StreamName;
+use caudata_signing::pki::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, Role, identity_of_der};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::pem::PemObject;

@@ -62,7 +62,7 @@ impl Origin {
 pub struct Deed<'a> {
     /// `publish`, `revert`, `label`, `quarantine`, `ack`, `nack`.
     pub what: &'a str,
-    /// Of which stream.
+    /// The stream that it belongs to.
     pub stream: &'a str,
     /// Which version.
     pub version: u64,

@@ -104,7 +104,7 @@ pub enum StoreError {
     /// There are as many of something as may be.
     #[error("{reason}")]
     Full {
-        /// Of what, and what to do.
+        /// What there is too much of, and what to do.
         reason: String,
     },
     /// A stored file is there and cannot be read now.

@@ -9,11 +9,11 @@ use caudata_proto::registry::{
 use caudata_proto::wire::registry as wire;
 
 use crate::audit::{Deed, Origin};
+use crate::checks::{MOVE, Move};
 use crate::error::StoreError;
 use crate::files::{clipped, stream_folder};
 use crate::notes::{QuarantineFile, Quarantined, Reports, ReportsFile};
 use crate::record::Record;
-use crate::steps::Step;
 use crate::store::{Published, Store};
 
 /// Labels of one stream at most.
@@ -132,17 +132,20 @@ impl Store {
     ) -> Result<LabelState, StoreError> {
         let key = (wanted.stream.clone(), wanted.label.clone());
         let before = self.labels.get(&key);
-        let found = before.map_or(0, |state| state.generation);
-        if Step::LabelMoved.on() && found != wanted.expected_generation {
-            return Err(StoreError::LabelMoved {
-                stream: wanted.stream.to_string(),
-                label: wanted.label.to_string(),
-                found,
-                expected: wanted.expected_generation,
+        if wanted.label.is_latest() {
+            return Err(StoreError::NotAllowed {
+                reason: "`latest` moves by itself; publish, or quarantine what is newest".into(),
+            });
+        }
+        self.moving(&wanted, before).check(MOVE)?;
+        let of_stream = |(of, _): &&(StreamName, LabelName)| *of == wanted.stream;
+        if before.is_none() && self.labels.keys().filter(of_stream).count() >= LABELS_MAX {
+            let stream = &wanted.stream;
+            return Err(StoreError::Full {
+                reason: format!("{stream} has its limit of {LABELS_MAX} labels; use one of them"),
             });
         }
         let from = before.map(|state| state.version);
-        self.check_label(&wanted, from)?;
         let state = LabelState {
             generation: self.generation + 1,
             by: origin.by.clone(),
@@ -173,44 +176,20 @@ impl Store {
         Ok(state)
     }
 
-    fn check_label(&self, wanted: &SetLabel, from: Option<u64>) -> Result<(), StoreError> {
-        let (stream, label, version) = (&wanted.stream, &wanted.label, wanted.version);
-        let refused = |reason: String| Err(StoreError::NotAllowed { reason });
-        if label.is_latest() {
-            return refused(
-                "`latest` moves by itself; publish, or quarantine what is newest".into(),
-            );
+    /// What the checks of a label that is to be moved look at.
+    pub(crate) fn moving<'a>(
+        &self,
+        wanted: &'a SetLabel,
+        before: Option<&'a LabelState>,
+    ) -> Move<'a> {
+        let (stream, version) = (&wanted.stream, wanted.version);
+        Move {
+            known: self.find(stream, version).is_some(),
+            quarantined: self.is_quarantined(stream, version),
+            good: (self.good_reports(stream, version), self.limits.stable_needs),
+            wanted,
+            before,
         }
-        if Step::LabelKnown.on() && self.find(stream, version).is_none() {
-            return refused(format!(
-                "{stream} has no version {version} that a label could lead to"
-            ));
-        }
-        if Step::LabelUsable.on() && self.is_quarantined(stream, version) {
-            return refused(format!("{stream} version {version} is quarantined"));
-        }
-        if let Some(from) = from.filter(|from| Step::LabelUp.on() && *from > version) {
-            return refused(format!(
-                "{label} leads to version {from}, and robots never go back to a lower one; `caudata policy revert` publishes \
-                 version {version} again under a higher number"
-            ));
-        }
-        let good = self.good_reports(stream, version);
-        let needed = self.limits.stable_needs;
-        let unproved = label.needs_proof() && good < needed && wanted.override_reason.is_none();
-        if Step::LabelProof.on() && unproved {
-            return refused(format!(
-                "{good} robots ran {stream} version {version} through its trial, {label} needs {needed}; let robots follow another \
-                 label first, or give a reason to override"
-            ));
-        }
-        let labels = self.labels.keys().filter(|(of, _)| of == stream).count();
-        if from.is_none() && labels >= LABELS_MAX {
-            return Err(StoreError::Full {
-                reason: format!("{stream} has its limit of {LABELS_MAX} labels; use one of them"),
-            });
-        }
-        Ok(())
     }
 
     /// Robots that said that a version went through its trial.
@@ -265,23 +244,6 @@ impl Store {
         self.generation = state.generation;
         self.quarantined.insert(key, quarantined);
         Ok(state)
-    }
-
-    /// Bytes that are out of use under one number must not come back under another.
-    pub(crate) fn check_not_quarantined(&self, manifest: &Manifest) -> Result<(), StoreError> {
-        let same = |known: &&Quarantined| {
-            known.state.stream == manifest.stream && known.sha256 == Some(manifest.sha256)
-        };
-        let found = self.quarantined.values().find(same);
-        match found.filter(|_| Step::QuarantinedBytes.on()) {
-            None => Ok(()),
-            Some(Quarantined { state, .. }) => Err(StoreError::NotAllowed {
-                reason: format!(
-                    "these bytes are version {} of {}, which is quarantined: {}",
-                    state.version, state.stream, state.reason
-                ),
-            }),
-        }
     }
 
     /// Publishes the bytes of an older version again, as `manifest` says.

@@ -5,13 +5,17 @@
 
 mod access;
 mod audit;
+mod checks;
+mod damage;
 mod error;
+mod fetches;
 mod files;
 mod labels;
 mod limits;
 mod load;
 mod metrics;
 mod notes;
+mod options;
 mod page;
 mod quota;
 mod record;
@@ -19,7 +23,6 @@ mod replies;
 mod server;
 mod service;
 mod shared;
-mod steps;
 mod store;
 #[cfg(test)]
 mod testing;
@@ -32,12 +35,11 @@ pub use error::{RecordError, StoreError};
 pub use labels::{Change, LABELS_MAX, QUARANTINED_MAX};
 pub use limits::{CONNECTIONS_MAX, ConnectionLimits, PEER_CONNECTIONS_MAX};
 pub use metrics::ServerMetrics;
+pub use options::{Keepalive, REPLY_IDLE_MAX, ServeOptions};
 pub use page::serve_page;
 pub use record::{RECORD_FORMAT, Record};
-pub use server::{
-    DRAIN_MAX, Keepalive, ServeError, ServeOptions, listen, serve, serve_tls, serve_with,
-};
-pub use service::{LIST_MAX, REPLY_IDLE_MAX, RegistryService};
+pub use server::{DRAIN_MAX, ServeError, listen, serve, serve_tls, serve_with};
+pub use service::{LIST_MAX, RegistryService};
 pub use shared::SharedStore;
 pub use store::{Published, Store, StoreLimits};
 pub use uploads::UPLOAD_IDLE_MAX;

@@ -8,7 +8,7 @@ use std::io;
 use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
@@ -84,47 +84,31 @@ impl ConnectionLimits {
 #[derive(Debug)]
 pub struct Shares {
     limits: ConnectionLimits,
-    taken: Arc<Mutex<BTreeMap<IpAddr, usize>>>,
+    taken: Mutex<Vec<(IpAddr, Weak<()>)>>,
 }
+
+/// See [`Shares::take`].
+pub type Share = Arc<()>;
 
 impl Shares {
     pub fn new(limits: ConnectionLimits) -> Self {
         Self {
             limits,
-            taken: Arc::default(),
+            taken: Mutex::default(),
         }
     }
 
     /// A share of `peer`, given back when dropped; `None`: there is none left.
     pub fn take(&self, peer: IpAddr) -> Option<Share> {
         let mut taken = locked(&self.taken);
-        let of_peer = taken.get(&peer).copied().unwrap_or(0);
-        if taken.values().sum::<usize>() >= self.limits.total || self.limits.is_full(peer, of_peer)
-        {
+        taken.retain(|(_, share)| share.strong_count() > 0);
+        let of_peer = taken.iter().filter(|(host, _)| *host == peer).count();
+        if taken.len() >= self.limits.total || self.limits.is_full(peer, of_peer) {
             return None;
         }
-        taken.insert(peer, of_peer + 1);
-        Some(Share {
-            taken: Arc::clone(&self.taken),
-            peer,
-        })
-    }
-}
-
-/// See [`Shares::take`].
-#[derive(Debug)]
-pub struct Share {
-    taken: Arc<Mutex<BTreeMap<IpAddr, usize>>>,
-    peer: IpAddr,
-}
-
-impl Drop for Share {
-    fn drop(&mut self) {
-        let mut taken = locked(&self.taken);
-        if let Some(count) = taken.get_mut(&self.peer) {
-            *count -= 1;
-        }
-        taken.retain(|_, count| *count > 0);
+        let share = Share::default();
+        taken.push((peer, Arc::downgrade(&share)));
+        Some(share)
     }
 }
 

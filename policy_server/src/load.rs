@@ -6,14 +6,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_durable::{Disk, OsDisk};
-use caudata_proto::registry::{LabelState, QuarantineState, StreamName};
+use caudata_proto::registry::{LabelState, QuarantineState};
 use caudata_proto::wire::registry as wire;
 
-use crate::audit::{AuditLog, Deed, Origin};
+use crate::audit::AuditLog;
+use crate::damage::Damage;
 use crate::error::{RecordError, StoreError};
 use crate::files::{entries, files_below, read, unusable, version_of};
 use crate::labels::Change;
-use crate::notes::{Hash, QuarantineFile, Quarantined, Reports, ReportsFile, UsedUpFile};
+use crate::notes::{QuarantineFile, Quarantined, Reports, ReportsFile, UsedUpFile};
 use crate::record::Record;
 use crate::store::{Store, StoreLimits};
 
@@ -145,23 +146,6 @@ impl Store {
         self.audit.write_undone("the server ended before")
     }
 
-    /// A line for each damaged file, so that the record says what became of it.
-    fn write_down_damage(&mut self, damaged: &[Damage]) {
-        for damage in damaged {
-            let file = damage.path.strip_prefix(&self.root).unwrap_or(&damage.path);
-            let deed = Deed {
-                what: "damaged",
-                stream: damage.stream.as_str(),
-                version: damage.version,
-                generation: None,
-                detail: format!("{} was found damaged", file.display()),
-            };
-            if let Err(error) = self.audit.write(&Origin::of("server"), &deed) {
-                tracing::error!(%error, "the record does not say what was found damaged");
-            }
-        }
-    }
-
     fn load_used_up(&mut self, damaged: &mut Vec<Damage>) -> Result<(), StoreError> {
         let folder = self.root.join("used_up");
         caudata_durable::remove_leftovers(&folder)?;
@@ -174,18 +158,6 @@ impl Store {
             }
         }
         Ok(())
-    }
-
-    /// Where the file of used-up numbers is damaged, all below the newest version count as such.
-    fn guess_used_up(&mut self, damaged: &[Damage]) {
-        for Damage { stream, path, .. } in damaged {
-            let newest = self.newest(stream).map(|record| record.manifest.version);
-            if let Some(newest) = newest.filter(|_| path.starts_with(self.root.join("used_up")))
-                && let Err(error) = self.use_up(stream, |used| used.retire(newest))
-            {
-                tracing::error!(%error, %stream, "numbers of retired versions are free again");
-            }
-        }
     }
 
     fn load_record(&mut self, path: &Path, damaged: &mut Vec<Damage>) -> Result<(), StoreError> {
@@ -235,49 +207,6 @@ impl Store {
             Ok(Err(error)) => tracing::warn!(path = %path.display(), %error, "has no checksum yet"),
             Err(error) => tracing::warn!(path = %path.display(), %error, "has no checksum yet"),
         }
-    }
-
-    /// Sets a version's record aside once its number is used up; until then it stays where it is.
-    fn damaged_version(
-        &mut self,
-        path: &Path,
-        sha256: Option<Hash>,
-        why: &dyn std::fmt::Display,
-    ) -> Option<Damage> {
-        tracing::error!(path = %path.display(), %why, "damaged record, set aside; its number stays used up");
-        let (stream, version) = version_of(path)?;
-        match self.use_up(&stream, |used| used.damage(version, sha256)) {
-            Ok(()) => self.set_aside(path),
-            Err(error) => tracing::error!(%error, "stays where it is"),
-        }
-        Some(Damage {
-            stream,
-            version,
-            path: path.to_owned(),
-        })
-    }
-
-    fn note_damage(&self, path: &Path, error: &RecordError) -> Option<Damage> {
-        tracing::error!(path = %path.display(), %error, "damaged, set aside");
-        self.set_aside(path);
-        let in_folder = version_of(path);
-        let (stream, version) = match in_folder {
-            Some(found) => found,
-            // A label, or what is kept once a stream.
-            None => {
-                let name = path.parent()?.file_name()?.to_str()?;
-                let name = match name {
-                    "used_up" => path.file_stem()?.to_str()?,
-                    folder => folder,
-                };
-                (StreamName::new(&name.replace('@', "/")).ok()?, 0)
-            }
-        };
-        Some(Damage {
-            stream,
-            version,
-            path: path.to_owned(),
-        })
     }
 
     /// Reads labels, quarantine and reports; a damaged file is set aside, but a damaged quarantine file still keeps its version
@@ -367,13 +296,6 @@ impl Store {
         }
         Ok(())
     }
-}
-
-/// A file that was found damaged.
-struct Damage {
-    stream: StreamName,
-    version: u64,
-    path: PathBuf,
 }
 
 fn lock(root: &Path) -> Result<fs::File, StoreError> {

@@ -8,7 +8,7 @@ const BURST: f64 = 60.0;
 /// One more of a robot in this time.
 const PAUSE: Duration = Duration::from_secs(5);
 /// Robots whose quota is kept at once.
-const ROBOTS_MAX: usize = 1024;
+const QUOTAS_MAX: usize = 1024;
 
 /// What a robot may still say, as of a time.
 #[derive(Clone, Copy, Debug)]
@@ -28,10 +28,10 @@ pub struct Quota(BTreeMap<String, Left>);
 impl Quota {
     /// Counts a report of `robot`. False: it has said too much for now.
     pub fn take(&mut self, robot: &str, now: Instant) -> bool {
-        if self.0.len() >= ROBOTS_MAX && !self.0.contains_key(robot) {
+        if self.0.len() >= QUOTAS_MAX && !self.0.contains_key(robot) {
             // Who may say everything again need not be remembered.
             self.0.retain(|_, left| left.at(now) < BURST);
-            if self.0.len() >= ROBOTS_MAX {
+            if self.0.len() >= QUOTAS_MAX {
                 return false;
             }
         }
@@ -65,7 +65,7 @@ mod tests {
         let taken = (0..5000)
             .filter(|n| quota.take(&n.to_string(), now))
             .count();
-        assert_eq!((taken, quota.0.len()), (ROBOTS_MAX, ROBOTS_MAX));
+        assert_eq!((taken, quota.0.len()), (QUOTAS_MAX, QUOTAS_MAX));
         let later = now + PAUSE * 2;
         assert!(quota.take("new", later));
     }

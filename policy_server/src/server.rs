@@ -1,24 +1,22 @@
 //! Puts the registry, health and reflection services on one port and stops them in order.
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::time::Duration;
 
 use caudata_proto::wire::FILE_DESCRIPTOR_SET;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistryServer;
-use caudata_signing::ReleaseKey;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio_rustls::TlsAcceptor;
 use tonic::transport::Server;
 
 use crate::access::GuardLayer;
-use crate::limits::{ConnectionLimits, incoming};
+use crate::limits::incoming;
 use crate::metrics::ServerMetrics;
-use crate::service::{REPLY_IDLE_MAX, RegistryService};
+use crate::options::ServeOptions;
+use crate::service::RegistryService;
 use crate::shared::SharedStore;
 use crate::store::Store;
-use crate::uploads::UPLOAD_IDLE_MAX;
 
 /// Requests served at once on one connection; further ones wait.
 const STREAMS_PER_CONNECTION: u32 = 32;
@@ -28,8 +26,6 @@ const MESSAGE_SIZE_MAX: usize = 256 << 10;
 const HEADERS_MAX: u32 = 8 << 10;
 /// Calls that a client may take back before the server has looked at them; beyond that its connection is closed.
 const RESETS_MAX: usize = 20;
-/// How often a store that cannot write looks whether it can again.
-const PROBE_PAUSE: Duration = Duration::from_secs(5);
 /// A call that has not begun to be answered by then is given up; streams of answers go on.
 const CALL_MAX: Duration = Duration::from_secs(60);
 
@@ -38,24 +34,6 @@ struct AbortOnDrop(tokio::task::JoinHandle<()>);
 impl Drop for AbortOnDrop {
     fn drop(&mut self) {
         self.0.abort();
-    }
-}
-
-/// When a silent connection is given up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Keepalive {
-    /// A connection that is silent for this long is asked for a sign of life.
-    pub interval: Duration,
-    /// Without one for this long it is closed.
-    pub timeout: Duration,
-}
-
-impl Default for Keepalive {
-    fn default() -> Self {
-        Self {
-            interval: Duration::from_secs(30),
-            timeout: Duration::from_secs(20),
-        }
     }
 }
 
@@ -95,41 +73,6 @@ pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
             std::io::ErrorKind::AddrInUse => ServeError::InUse(addr),
             _ => ServeError::Listen { addr, source },
         })
-}
-
-/// How to serve.
-#[derive(Clone)]
-pub struct ServeOptions {
-    /// When a silent connection is given up.
-    pub keepalive: Keepalive,
-    /// Clients show a certificate, and its role decides what they may do; `None`: plain, for this host only.
-    pub tls: Option<TlsAcceptor>,
-    /// Signs where labels lead; `None`: the server cannot say so.
-    pub fresh_key: Option<Arc<ReleaseKey>>,
-    /// How many connections.
-    pub connections: ConnectionLimits,
-    /// A publisher must send its next piece within this time, [`UPLOAD_IDLE_MAX`] unless told otherwise. Too short: publishers behind a poor network are
-    /// cut off; too long: one that died holds its place and the bytes that came.
-    pub upload_idle: Duration,
-    /// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time, [`REPLY_IDLE_MAX`] unless told otherwise. Too short:
-    /// robots behind a poor network are cut off and have to ask again; too long: one that hangs holds its place and what waits for it.
-    pub reply_idle: Duration,
-    /// How often a store that cannot write looks whether it can again.
-    pub probe_pause: Duration,
-}
-
-impl Default for ServeOptions {
-    fn default() -> Self {
-        Self {
-            keepalive: Keepalive::default(),
-            tls: None,
-            fresh_key: None,
-            connections: ConnectionLimits::default(),
-            upload_idle: UPLOAD_IDLE_MAX,
-            reply_idle: REPLY_IDLE_MAX,
-            probe_pause: PROBE_PAUSE,
-        }
-    }
 }
 
 /// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish for
@@ -176,9 +119,7 @@ pub async fn serve_with(
     stop: watch::Receiver<bool>,
     options: ServeOptions,
 ) -> Result<(), ServeError> {
-    let registry = RegistryService::new(store, stop.clone(), metrics, options.fresh_key)
-        .with_upload_idle(options.upload_idle)
-        .with_reply_idle(options.reply_idle);
+    let registry = RegistryService::new(store, stop.clone(), metrics, &options);
     let (health, health_service) = tonic_health::server::health_reporter();
     health
         .set_serving::<PolicyRegistryServer<RegistryService>>()

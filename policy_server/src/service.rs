@@ -15,12 +15,9 @@
 //! | no key to sign freshness with | `UNIMPLEMENTED` |
 
 use std::net::{IpAddr, Ipv4Addr};
-use std::pin::Pin;
 use std::sync::{Arc, MutexGuard};
 use std::time::Duration;
 
-use bytes::Bytes;
-use caudata_pki::Role;
 use caudata_proto::hex::hex;
 use caudata_proto::registry::{
     FetchRequest, Freshness, LabelName, ListRequest, Manifest, ManifestRequest, NONCE_BYTES,
@@ -29,30 +26,28 @@ use caudata_proto::registry::{
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_server::PolicyRegistry;
 use caudata_signing::ReleaseKey;
+use caudata_signing::pki::Role;
 use tokio::sync::{broadcast, watch};
-use tokio_stream::Stream;
 use tonic::{Code, Request, Response, Status, Streaming};
 
 use crate::access::Caller;
 use crate::audit::{ENTRIES_KEPT, Origin};
 use crate::error::StoreError;
+use crate::fetches::{ReplyStream, send_file};
 use crate::labels::Change;
-use crate::limits::{FETCHES_MAX, Peer, Share, Shares};
+use crate::limits::{FETCHES_MAX, Peer, Shares};
 use crate::metrics::ServerMetrics;
+use crate::options::ServeOptions;
 use crate::replies::replies;
 use crate::shared::SharedStore;
 use crate::store::{Published, Store};
-use crate::uploads::{UPLOAD_IDLE_MAX, check_against_file, checked, receive_upload};
+use crate::uploads::{check_against_file, checked, receive_upload};
 use crate::watches::{Watcher, first_events};
 
 /// Manifests in one list answer at most.
 pub const LIST_MAX: usize = 500;
 /// Changes that a slow watcher may lag behind before it is cut off.
 const WATCH_BACKLOG: usize = 64;
-/// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time.
-pub const REPLY_IDLE_MAX: Duration = Duration::from_secs(60);
-/// Bytes in one piece of a file: what the HTTP/2 layer holds of an answer that nobody reads.
-const FETCH_PIECE_BYTES: usize = 16 << 10;
 /// Audit entries in one answer at most.
 const AUDIT_MAX: usize = 500;
 
@@ -69,43 +64,26 @@ pub struct RegistryService {
     fetches: Arc<Shares>,
 }
 
-type ReplyStream<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
-
 impl RegistryService {
     /// A service over `store` that refuses new work once `draining` turns true.
     pub fn new(
         store: SharedStore,
         draining: watch::Receiver<bool>,
         metrics: ServerMetrics,
-        fresh_key: Option<Arc<ReleaseKey>>,
+        options: &ServeOptions,
     ) -> Self {
         let (changes, _) = broadcast::channel(WATCH_BACKLOG);
-        let service = Self {
+        metrics.show(&store.lock());
+        Self {
             store,
             changes,
             draining,
             metrics,
-            fresh_key,
-            upload_idle: UPLOAD_IDLE_MAX,
-            reply_idle: REPLY_IDLE_MAX,
+            fresh_key: options.fresh_key.clone(),
+            upload_idle: options.upload_idle,
+            reply_idle: options.reply_idle,
             fetches: Arc::new(Shares::new(FETCHES_MAX)),
-        };
-        service.metrics.show(&service.store());
-        service
-    }
-
-    /// A publisher must send its next piece within `limit`.
-    #[must_use]
-    pub fn with_upload_idle(mut self, limit: Duration) -> Self {
-        self.upload_idle = limit;
-        self
-    }
-
-    /// A client must take a piece of an answer that waits for it within `limit`.
-    #[must_use]
-    pub fn with_reply_idle(mut self, limit: Duration) -> Self {
-        self.reply_idle = limit;
-        self
+        }
     }
 
     /// Why the store cannot be changed; `None`: it can.
@@ -360,8 +338,7 @@ impl PolicyRegistry for RegistryService {
         };
         self.metrics.fetched.inc();
         let from = if not_modified { size } else { offset };
-        let rest = Bytes::from_owner(Shared(bytes)).slice(usize::try_from(from).unwrap_or(0)..);
-        let answer = send_file(info, rest, self.reply_idle, share);
+        let answer = send_file(info, bytes, from, self.reply_idle, share);
         Ok(Response::new(answer))
     }
 
@@ -504,44 +481,4 @@ impl PolicyRegistry for RegistryService {
             entries: entries.cloned().map(Into::into).collect(),
         }))
     }
-}
-
-/// A stored file that several fetches share.
-struct Shared(Arc<[u8]>);
-
-impl AsRef<[u8]> for Shared {
-    fn as_ref(&self) -> &[u8] {
-        &self.0
-    }
-}
-
-fn send_file(
-    info: wire::FetchInfo,
-    mut bytes: Bytes,
-    idle: Duration,
-    share: Share,
-) -> ReplyStream<wire::FetchResponse> {
-    // As for an upload that stalls: it may go on where it stopped.
-    let (replies, answer) = replies(idle, Code::DeadlineExceeded);
-    tokio::spawn(async move {
-        let first = wire::FetchResponse {
-            part: Some(wire::fetch_response::Part::Info(info)),
-        };
-        if !replies.send(first).await {
-            return;
-        }
-        while !bytes.is_empty() {
-            let piece = bytes.split_to(bytes.len().min(FETCH_PIECE_BYTES));
-            let data = wire::FetchResponse {
-                part: Some(wire::fetch_response::Part::Data(piece)),
-            };
-            if !replies.send(data).await {
-                return;
-            }
-        }
-        drop(bytes);
-        replies.finish().await;
-        drop(share);
-    });
-    Box::pin(answer)
 }

@@ -27,12 +27,12 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::audit::{AuditLog, Deed, Origin};
+use crate::checks::{BYTES, PUBLICATION, Publication};
 use crate::error::StoreError;
 use crate::files::{clipped, seal, stream_folder, unusable};
 use crate::notes::{Hash, Quarantined, Reports, UsedUp, UsedUpFile};
 use crate::quota::Quota;
 use crate::record::Record;
-use crate::steps::Step;
 
 /// Limits of the store.
 #[derive(Clone, Copy, Debug)]
@@ -186,7 +186,7 @@ impl Store {
         bytes: &[u8],
     ) -> Result<Published, StoreError> {
         let actual: [u8; 32] = Sha256::digest(bytes).into();
-        if Step::Hash.on() && actual != manifest.sha256 {
+        if BYTES.iter().any(|c| (c.refuse)(&manifest.sha256, &actual)) {
             return Err(StoreError::HashMismatch {
                 announced: hex(&manifest.sha256),
                 actual: hex(&actual),
@@ -206,9 +206,8 @@ impl Store {
                 })
             };
         }
-        self.check_number(&manifest)?;
-        self.check_stream(&manifest)?;
-        self.check_not_quarantined(&manifest)?;
+        self.publication(&manifest).check(PUBLICATION)?;
+        self.check_room(&manifest.stream)?;
         let record = Record {
             generation: self.generation + 1,
             manifest,
@@ -322,7 +321,8 @@ impl Store {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Err(missing()),
             Err(source) => return Err(StoreError::Unreadable { path, source }),
         };
-        if !Step::StoredHash.on() || Hash::from(Sha256::digest(&bytes)) == *sha256 {
+        let actual = Hash::from(Sha256::digest(&bytes));
+        if !BYTES.iter().any(|c| (c.refuse)(sha256, &actual)) {
             self.held.retain(|_, held| held.strong_count() > 0);
             self.held.insert(*sha256, Arc::downgrade(&bytes));
             return Ok(bytes);
@@ -330,6 +330,18 @@ impl Store {
         self.withdraw(sha256);
         self.set_aside(&path);
         Err(StoreError::Damaged { path })
+    }
+
+    /// What the checks of a new version look at.
+    pub(crate) fn publication<'a>(&'a self, manifest: &'a Manifest) -> Publication<'a> {
+        let stream = &manifest.stream;
+        let quarantined = self.quarantined.values();
+        Publication {
+            used_up: self.used_up.get(stream),
+            newest: self.newest(stream).map(|newest| &newest.manifest),
+            quarantined: quarantined.filter(|q| q.state.stream == *stream).collect(),
+            manifest,
+        }
     }
 
     pub(crate) fn references(&self, sha256: &[u8; 32]) -> bool {
@@ -343,38 +355,14 @@ impl Store {
         self.streams.get(stream)?.get(&version)
     }
 
-    fn check_number(&self, manifest: &Manifest) -> Result<(), StoreError> {
-        let used_up = self.used_up.get(&manifest.stream);
-        match used_up.and_then(|used| used.objection(manifest.version, &manifest.sha256)) {
-            None => Ok(()),
-            Some(why) => Err(StoreError::UsedUp {
-                stream: manifest.stream.to_string(),
-                version: manifest.version,
-                why,
-            }),
+    fn check_room(&self, stream: &StreamName) -> Result<(), StoreError> {
+        let limit = self.limits.streams_max;
+        if self.streams.contains_key(stream) || self.streams.len() < limit {
+            return Ok(());
         }
-    }
-
-    fn check_stream(&self, manifest: &Manifest) -> Result<(), StoreError> {
-        match self.newest(&manifest.stream) {
-            Some(newest)
-                if Step::Contract.on()
-                    && newest.manifest.contract_hash != manifest.contract_hash =>
-            {
-                Err(StoreError::ContractMismatch {
-                    stream: manifest.stream.to_string(),
-                    expected: hex(&newest.manifest.contract_hash),
-                    actual: hex(&manifest.contract_hash),
-                })
-            }
-            None if self.streams.len() >= self.limits.streams_max => Err(StoreError::Full {
-                reason: format!(
-                    "the store holds its limit of {} streams; use one of them",
-                    self.limits.streams_max
-                ),
-            }),
-            _ => Ok(()),
-        }
+        Err(StoreError::Full {
+            reason: format!("the store holds its limit of {limit} streams; use one of them"),
+        })
     }
 
     fn write_blob(&self, sha256: &[u8; 32], bytes: &[u8]) -> Result<(), StoreError> {
@@ -458,48 +446,6 @@ impl Store {
             }
             self.forget_reports(stream, version);
         }
-    }
-
-    /// Takes away the versions of a damaged blob; their numbers wait for the same bytes.
-    fn withdraw(&mut self, sha256: &Hash) {
-        let of_it = |record: &&Record| record.manifest.sha256 == *sha256;
-        let lost: Vec<Record> = self.records(None).filter(of_it).cloned().collect();
-        for Record { manifest, .. } in lost {
-            let (stream, version) = (manifest.stream, manifest.version);
-            tracing::error!(%stream, version, "blob damaged, version withdrawn");
-            if let Err(error) = self.use_up(&stream, |used| used.damage(version, Some(*sha256))) {
-                tracing::error!(%error, %stream, version, "its number is free after a restart");
-            }
-            self.set_aside(&self.record_path(&stream, version));
-            if let Some(versions) = self.streams.get_mut(&stream) {
-                versions.remove(&version);
-            }
-        }
-        self.streams.retain(|_, versions| !versions.is_empty());
-    }
-
-    /// Moves a damaged file away; one of the same name that was moved before stays.
-    pub(crate) fn set_aside(&self, path: &Path) {
-        let parts: Vec<_> = path.components().collect();
-        let last = parts.iter().skip(parts.len().saturating_sub(2));
-        let name: Vec<_> = last
-            .map(|part| part.as_os_str().to_string_lossy())
-            .collect();
-        let damaged = self.root.join("damaged").join(name.join("_"));
-        let mut names = (1..1000).map(|number| damaged.with_extension(format!("{number}.json")));
-        let to = match damaged.exists() {
-            false => Some(damaged),
-            true => names.find(|name| !name.exists()),
-        };
-        if let Some(Err(error)) = to.map(|to| self.disk.rename(path, &to)) {
-            tracing::error!(path = %path.display(), %error, "cannot be set aside");
-        }
-    }
-
-    /// Files that were set aside.
-    #[must_use]
-    pub fn damaged_files(&self) -> usize {
-        fs::read_dir(self.root.join("damaged")).map_or(0, Iterator::count)
     }
 
     pub(crate) fn blob_path(&self, sha256: &[u8; 32]) -> PathBuf {

@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, Matrix3};
 use crate::{EngineConfig, SimError};
 
 /// Smallest inverse inertia that is used: MuJoCo's `mjMINVAL`.
-const LEAST: f64 = 1e-15;
+const LEAST_INVERSE: f64 = 1e-15;
 
 /// Inverse inertias in the zero pose.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,7 +23,7 @@ pub(crate) struct Mobility {
 }
 
 impl Mobility {
-    /// Of `model` as `config` lets it move.
+    /// The mobility of `model` as `config` lets it move.
     ///
     /// # Errors
     /// [`SimError::Model`] where its inertia is singular: a joint that moves nothing.
@@ -61,14 +61,18 @@ impl Mobility {
         let inverse = inertia.cholesky().ok_or_else(singular)?.inverse();
         let joints = (columns
             .iter()
-            .map(|c| c.map_or(0.0, |c| inverse[(c, c)].max(LEAST))))
+            .map(|c| c.map_or(0.0, |c| inverse[(c, c)].max(LEAST_INVERSE))))
         .collect();
         let links = jacobians
             .iter()
             .map(|jacobian| {
                 let lin = jacobian.rows(0, 3);
                 let give = (lin * &inverse * lin.transpose()).trace() / 3.0;
-                if give > 0.0 { give.max(LEAST) } else { 0.0 }
+                if give > 0.0 {
+                    give.max(LEAST_INVERSE)
+                } else {
+                    0.0
+                }
             })
             .collect();
         Ok(Self { joints, links })

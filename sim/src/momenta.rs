@@ -12,14 +12,14 @@ pub struct Momenta {
     pub linear_ns: [f64; 3],
     /// About the centre of mass, world, N·m·s.
     pub angular_nms: [f64; 3],
-    /// Of the links and of the rotors (½·armature·q̇²), J.
+    /// Kinetic energy of the links and of the rotors (½·armature·q̇²), J.
     pub kinetic_j: f64,
     /// In the springs of joints, J.
     pub elastic_j: f64,
 }
 
 impl Momenta {
-    /// Of lane `lane` of `state`, with the lane's `params`.
+    /// The momenta and energies of lane `lane` of `state`, with the lane's `params`.
     ///
     /// # Errors
     /// [`SimError`] where the lane does not exist or the state belongs to another model.

@@ -19,7 +19,8 @@ use crate::say::{self, WithJson};
 pub struct AdaptArgs {
     #[command(flatten)]
     asked: WithJson<adapt::Plan>,
-    /// Policy server to publish the new policy to, if it is better in the extended model; without it, it is not published
+    /// Policy server to publish the new policy to, if it is better in the extended model; without it, it is
+    /// not published
     #[arg(long, value_name = "HOST:PORT")]
     publish: Option<String>,
     /// Stream to publish under

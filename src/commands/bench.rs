@@ -11,11 +11,13 @@ use crate::say::{self, WithJson};
 
 #[derive(Debug, Subcommand)]
 pub enum BenchCommand {
-    /// Physics steps per second by engine, scene and lane width, with MuJoCo beside; and environment steps: physics, task, resets
+    /// Physics steps per second by engine, scene and lane width, with MuJoCo beside; and environment steps:
+    /// physics, task, resets
     Sim(WithJson<sim::Plan>),
     /// Inferences per second of a network of the configured size, on ONNX Runtime
     Policy(WithJson<parts::PolicyPlan>),
-    /// Updates of the learner on made-up data: samples/s, GFLOP/s, and what matrix products reach in the same run
+    /// Updates of the learner on made-up data: samples/s, GFLOP/s, and what matrix products reach in the same
+    /// run
     Learner(WithJson<learner::Plan>),
     /// Diagnosis against hidden effects: false alarms, power, names, intervals, beside other methods
     Gap {
@@ -25,13 +27,16 @@ pub enum BenchCommand {
         #[arg(long)]
         each: bool,
     },
-    /// Trainings from nothing: wall time until the policy walks at a commanded speed with every gate met, median of seeds
+    /// Trainings from nothing: wall time until the policy walks at a commanded speed with every gate met,
+    /// median of seeds
     Skill(WithJson<skill::Plan>),
-    /// Rollouts from actors to a learner on this machine, by transport: rate, latency, CPU, beside memcpy and a bare TCP socket
+    /// Rollouts from actors to a learner on this machine, by transport: rate, latency, CPU, beside memcpy and
+    /// a bare TCP socket
     Transport(WithJson<transport::Plan>),
     /// Many light actors against one learner: what arrives, how fast it is acknowledged, what it takes
     Ingest(WithJson<ingest::Plan>),
-    /// Trainings whose data is a forced number of iterations old: the final return against fresh data, with and without correction
+    /// Trainings whose data is a forced number of iterations old: the final return against fresh data, with
+    /// and without correction
     Lag(WithJson<lag::Plan>),
 }
 

@@ -55,7 +55,7 @@ pub fn learner(found: &Value) {
     if let Some(speeds) = found["speeds"].as_array() {
         say::records(
             speeds,
-            "ranks threads samples_per_s update_median_s gflops ceiling_same_shape_gflops ceiling_large_gflops",
+            "threads samples_per_s update_median_s gflops ceiling_same_shape_gflops ceiling_large_gflops",
         );
     }
 }

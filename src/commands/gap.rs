@@ -21,10 +21,11 @@ pub enum GapCommand {
     Report(gap_report::ReportArgs),
     /// Write the experiment battery as command files for the robot
     Excite(gap_excite::ExciteArgs),
-    /// What an extended model is worth to a policy: trains in it, in the model as given, and in that with wide randomisation, and runs all on the robot
+    /// What an extended model is worth to a policy: trains in it, in the model as given, and in that with
+    /// wide randomisation, and runs all on the robot
     Policies(gap_policies::PoliciesArgs),
-    /// The pipeline of the paper on logs of a simulated robot: play, low-pass and weaker servos are found and drawn as the paper draws them, and policies
-    /// trained without and with them are run on that robot
+    /// The pipeline of the paper on logs of a simulated robot: play, low-pass and weaker servos are found and
+    /// drawn as the paper draws them, and policies trained without and with them are run on that robot
     Paper(gap_policies::PaperArgs),
 }
 

@@ -69,7 +69,8 @@ fn verdict(report: &Report) -> Result<(), Failure> {
     })
 }
 
-/// Where progress of a diagnosis goes: a line that changes on a terminal, lines elsewhere, JSON with `--json`.
+/// Where progress of a diagnosis goes: a line that changes on a terminal, lines elsewhere, JSON with
+/// `--json`.
 struct View {
     started: Instant,
     json: bool,

@@ -1,5 +1,5 @@
-//! `caudata gap policies` and `caudata gap paper`: what an extended model is worth to a policy. The work is in
-//! `crates/studies`.
+//! `caudata gap policies` and `caudata gap paper`: what an extended model is worth to a policy. The work is
+//! in `crates/studies`.
 
 use std::path::PathBuf;
 
@@ -17,8 +17,8 @@ use crate::say;
 pub struct PoliciesArgs {
     #[command(flatten)]
     robots: Robots,
-    /// Folder for runs, evaluations, policies.json and policies.html. What is finished in it is not done again: the same command goes on where it was stopped,
-    /// and takes more seeds
+    /// Folder for runs, evaluations, policies.json and policies.html. What is finished in it is not done
+    /// again: the same command goes on where it was stopped, and takes more seeds
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     #[command(flatten)]

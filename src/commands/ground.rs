@@ -1,31 +1,17 @@
 //! Terrains and places on the command line.
 
 use caudata_sim::TerrainKind;
-use clap::ValueEnum;
-use clap::builder::PossibleValue;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 
-/// A [`TerrainKind`] that clap can read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ground(pub TerrainKind);
-
-const ALL: [Ground; TerrainKind::ALL.len()] = {
-    let mut all = [Ground(TerrainKind::Flat); TerrainKind::ALL.len()];
-    let mut i = 0;
-    while i < all.len() {
-        all[i] = Ground(TerrainKind::ALL[i]);
-        i += 1;
-    }
-    all
-};
-
-impl ValueEnum for Ground {
-    fn value_variants<'a>() -> &'a [Self] {
-        &ALL
-    }
-
-    fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.0.name()))
-    }
+/// The kinds of terrain, as words on the command line.
+pub fn terrain_parser() -> impl TypedValueParser<Value = TerrainKind> {
+    PossibleValuesParser::new(TerrainKind::ALL.map(TerrainKind::name)).map(|name| {
+        let named = |kind: &TerrainKind| kind.name() == name;
+        TerrainKind::ALL
+            .into_iter()
+            .find(named)
+            .unwrap_or(TerrainKind::Flat)
+    })
 }
 
 /// Reads `X,Y`.

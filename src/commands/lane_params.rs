@@ -1,13 +1,13 @@
 //! `--set lane.KEY=VALUE`: one robot's physical parameters on the command line.
 //!
-//! `KEY` is a field of `LaneParams`. A number given for a list fills it; `KEY.NAME` is one joint's, link's or foot's value in it. Of the effects of joints, hinges and links
-//! `joints.FIELD` is all joints', `joints.NAME.FIELD` one joint's.
+//! `KEY` is a path of `LaneParams`, as in the `[extension.lane]` of a robot file:
+//! `joints.FL_hip.dead_band_rad`. Names in its middle or at its end may be left out, and stand for all:
+//! `kp_nm_per_rad`, `joints.dead_band_rad`. `VALUE` is a number, or a list of as many as there are.
 
 use caudata_config::ConfigArgs;
-use caudata_model::{JointKind, RobotModel};
+use caudata_model::RobotModel;
 use caudata_sim::LaneParams;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
-use serde_json::Value;
 
 /// What `--set` keys of this module begin with.
 const PREFIX: &str = "lane.";
@@ -28,94 +28,50 @@ pub fn split(flags: &ConfigArgs) -> (ConfigArgs, Vec<String>) {
 /// # Errors
 /// `BadConfig` with the key, where it is unknown or its value does not fit.
 pub fn changed(model: &RobotModel, changes: &[String]) -> Result<LaneParams, Failure> {
-    let nominal = LaneParams::nominal(model);
-    let mut fields = serde_json::to_value(&nominal).or_exit(ExitCode::Internal)?;
+    let mut params = LaneParams::nominal(model);
     for change in changes {
-        apply(&mut fields, model, change).map_err(|reason| {
+        apply(&mut params, model, change).map_err(|reason| {
             let message = format!("--set {PREFIX}{change}: {reason}");
             Failure::message(ExitCode::BadConfig, message)
         })?;
     }
-    let params: LaneParams = serde_json::from_value(fields)
-        .or_exit_with(ExitCode::BadConfig, || format!("--set {PREFIX}…"))?;
     params.validate(model, 0).or_exit(ExitCode::BadConfig)?;
     Ok(params)
 }
 
-fn apply(fields: &mut Value, model: &RobotModel, change: &str) -> Result<(), String> {
+fn apply(params: &mut LaneParams, model: &RobotModel, change: &str) -> Result<(), String> {
     let (key, text) = change.split_once('=').ok_or("must be KEY=VALUE")?;
-    let path: Vec<&str> = key.trim().split('.').collect();
-    let value: Value =
-        serde_json::from_str(text.trim()).map_err(|_| format!("`{text}` is not a value"))?;
-    set(fields, model, &path, &value)
-}
-
-/// Sets what `path` leads to: fields by name, values of lists by the name of their joint, link or foot. A field of a list's values without such
-/// a name is set in all of them.
-fn set(slot: &mut Value, model: &RobotModel, path: &[&str], value: &Value) -> Result<(), String> {
-    match (slot, path) {
-        (Value::Array(list), []) if !value.is_array() => list.fill(value.clone()),
-        (slot, []) => *slot = value.clone(),
-        (Value::Object(fields), [field, rest @ ..]) => {
-            let known = fields.keys().cloned().collect::<Vec<_>>().join(", ");
-            let slot = fields
-                .get_mut(*field)
-                .ok_or_else(|| format!("there is no `{field}`; known: {known}"))?;
-            set(slot, model, rest, value).map_err(|reason| {
-                match reason.strip_prefix(ONE_VALUE) {
-                    Some(_) => format!("`{field}` is {ONE_VALUE}, not a list"),
-                    None => reason,
-                }
-            })?;
+    let (key, text) = (key.trim(), text.trim());
+    let not_a_value = |_| format!("`{text}` is not a value");
+    let values: Vec<f32> = match text.starts_with('[') {
+        true => serde_json::from_str(text).map_err(not_a_value)?,
+        false => vec![serde_json::from_str(text).map_err(not_a_value)?],
+    };
+    let (mut meant, mut known) = (0, Vec::new());
+    params.visit(model, &mut |path, x| {
+        if leads_to(key, path) {
+            *x = *values.get(meant).or(values.first()).unwrap_or(x);
+            meant += 1;
         }
-        (Value::Array(list), [name, rest @ ..]) => {
-            let len = list.len();
-            if list.first().is_some_and(|first| first.get(*name).is_some()) {
-                for one in list {
-                    set(one, model, path, value)?;
-                }
-            } else {
-                set(&mut list[index_of(model, len, name)?], model, rest, value)?;
-            }
+        let head = path.split('.').next().unwrap_or_default();
+        if known.last().is_none_or(|last| last != head) {
+            known.push(head.to_owned());
         }
-        _ => return Err(ONE_VALUE.to_owned()),
+    });
+    match meant {
+        0 => Err(format!("there is no `{key}`; known: {}", known.join(", "))),
+        _ if values.len() == 1 || values.len() == meant => Ok(()),
+        _ => Err(format!("`{key}` is {meant} values, not {}", values.len())),
     }
-    Ok(())
 }
 
-/// Why a path ends too late.
-const ONE_VALUE: &str = "one value";
-
-/// Where `name` is in a list of `len` values: of actuated joints, links, hinges without a servo, backlash hinges or feet, whichever has that many.
-fn index_of(model: &RobotModel, len: usize, name: &str) -> Result<usize, String> {
-    let joints = model.joints().iter();
-    let backlash = joints
-        .filter(|j| j.kind == JointKind::Backlash)
-        .map(|j| j.name.as_str());
-    let hinges = (model.joints().iter())
-        .filter(|j| !matches!(j.kind, JointKind::Actuated { .. }))
-        .map(|j| j.name.as_str());
-    let lists: [(&str, Vec<&str>); 5] = [
-        ("actuated joint", model.actuated_names()),
-        (
-            "link",
-            model.links().iter().map(|l| l.name.as_str()).collect(),
-        ),
-        ("hinge", hinges.collect()),
-        ("backlash hinge", backlash.collect()),
-        (
-            "foot",
-            model.feet().iter().map(|f| f.name.as_str()).collect(),
-        ),
-    ];
-    let mut fitting = lists
-        .iter()
-        .filter(|(_, names)| names.len() == len)
-        .peekable();
-    let what = fitting.peek().map_or("value", |(what, _)| *what);
-    fitting
-        .find_map(|(_, names)| names.iter().position(|n| *n == name))
-        .ok_or_else(|| format!("there is no {what} `{name}`"))
+/// Whether `path` is `key` with names put in.
+fn leads_to(key: &str, path: &str) -> bool {
+    let mut path = path.split('.');
+    key.split('.').enumerate().all(|(at, name)| match at {
+        0 => path.next() == Some(name),
+        _ => path.any(|part| part == name),
+    })
 }
 
 #[cfg(test)]
@@ -182,16 +138,27 @@ mod tests {
             ("foot_friction", "KEY=VALUE"),
             ("foot_friction=high", "not a value"),
             ("foot_friction=-1", "foot_friction"),
-            ("foot_friction.FL=1", "one value"),
-            ("kp_nm_per_rad.wing=1", "no actuated joint `wing`"),
-            ("kp_nm_per_rad=[1,2]", "kp_nm_per_rad"),
-            ("joints.FL_hip.slack=1", "no `slack`"),
-            ("joints.wing.dead_band_rad=1", "no actuated joint `wing`"),
+            ("foot_friction.FL=1", "no `foot_friction.FL`"),
+            ("kp_nm_per_rad.wing=1", "no `kp_nm_per_rad.wing`"),
+            ("kp_nm_per_rad=[1,2]", "is 16 values, not 2"),
+            ("joints.FL_hip.slack=1", "no `joints.FL_hip.slack`"),
+            (
+                "joints.wing.dead_band_rad=1",
+                "no `joints.wing.dead_band_rad`",
+            ),
             ("joints.FL_hip.dead_band_rad=-1", "dead_band_rad"),
         ] {
             let message = with(change).unwrap_err();
             assert!(message.contains(reason), "{change}: {message}");
         }
+    }
+
+    #[test]
+    fn a_list_gives_each_its_own() {
+        let moon = with("gravity_mps2=[0, 0.5, -1.62]").unwrap();
+        assert_eq!(moon.gravity_mps2, [0.0, 0.5, -1.62]);
+        let down = with("com_offset_m.z=-0.01").unwrap().com_offset_m;
+        assert!(down.iter().all(|offset| *offset == [0.0, 0.0, -0.01]));
     }
 
     #[test]

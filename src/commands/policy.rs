@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use caudata_evaluation::{Line, Summary};
+use caudata_evaluation::Summary;
 use caudata_policy::PolicyFile;
 use caudata_proto::registry::{LabelName, Manifest, QuarantineState};
 use caudata_studies::files;
@@ -28,7 +28,8 @@ pub enum PolicyCommand {
         #[arg(long)]
         json: bool,
     },
-    /// Show what a policy file says about itself (joints, gains, observation layout, origin), or what a server knows about a version
+    /// Show what a policy file says about itself (joints, gains, observation layout, origin), or what a
+    /// server knows about a version
     Show {
         /// The policy; a version on the server when absent
         #[arg(value_name = "P.onnx")]
@@ -198,25 +199,10 @@ fn show(path: &Path, policy: &PolicyFile, json: bool) -> Result<(), Failure> {
 }
 
 fn show_evaluation(summary: &Summary) {
-    let velocity = |v: [f64; 3]| v.map(|x| format!("{x:.2}")).join(" ");
-    let row = |line: &Line| {
-        let verdict = match (line.walks, line.reached) {
-            (Some(true), _) => "walks".to_owned(),
-            (Some(false), _) => format!("does not walk: {}", line.missed.join("; ")),
-            (None, Some(reached)) => format!("gets there in {:.1} %", 100.0 * reached),
-            (None, None) => String::new(),
-        };
-        vec![
-            line.name.clone(),
-            velocity(line.command),
-            velocity(line.achieved),
-            format!("{:.1} %", 100.0 * line.fall_share),
-            format!("{:.1}", line.power_w),
-            verdict,
-        ]
-    };
-    let head = ["evaluated", "command", "achieved", "falls", "power W", ""];
-    say::table(&head, summary.scenarios.iter().map(row));
+    say::records(
+        &summary.scenarios,
+        "name command achieved fall_share power_w walks missed reached",
+    );
     if let Some([met, of]) = summary.targets_met {
         say::line(format!("{met} of {of} targets met"));
     }

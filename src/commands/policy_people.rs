@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use caudata_proto::registry::{AuditEntry, LabelName, Manifest, Overview, SetLabel, reverting};
+use caudata_proto::registry::{LabelName, Manifest, Overview, SetLabel, reverting};
 use caudata_registry_client::ClientError;
 use caudata_signing::ReleaseKey;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use serde_json::json;
 
-use crate::commands::policy_calls::{ServerArgs, as_json, block_on, hex};
+use crate::commands::policy_calls::{ServerArgs, as_json, block_on};
 use crate::say;
 
 /// Flags of `label`.
@@ -204,31 +204,19 @@ pub fn audit(args: &AuditArgs) -> Result<(), Failure> {
         let mut client = args.server.client()?;
         client.audit(args.limit, args.before).await
     })?;
-    if args.json {
-        let entries: Vec<_> = entries
-            .iter()
-            .map(|e| {
-                json!({
-                    "number": e.number, "unix_ms": e.unix_ms, "by": e.by, "what": e.what, "stream": e.stream,
-                    "version": e.version, "detail": e.detail,
-                })
+    let entries: Vec<_> = entries
+        .iter()
+        .map(|e| {
+            json!({
+                "number": e.number, "unix_ms": e.unix_ms, "by": e.by, "what": e.what, "stream": e.stream,
+                "version": e.version, "detail": e.detail,
             })
-            .collect();
+        })
+        .collect();
+    if args.json {
         return say::json(&json!({ "entries": entries }));
     }
-    let row = |e: &AuditEntry| {
-        vec![
-            e.number.to_string(),
-            utc(e.unix_ms),
-            e.by.clone(),
-            e.what.clone(),
-            e.stream.clone(),
-            e.version.to_string(),
-            e.detail.clone(),
-        ]
-    };
-    let head = ["#", "when, UTC", "who", "what", "stream", "version", ""];
-    say::table(&head, entries.iter().map(row));
+    say::records(&entries, "number unix_ms by what stream version detail");
     Ok(())
 }
 
@@ -257,61 +245,22 @@ pub fn show_version(
         .map(|s| s.label.to_string())
         .collect();
     let quarantined = overview.quarantined.iter().find(|q| of(q.version));
-    if json {
-        let mut object = as_json(&manifest);
-        object["labels"] = json!(labels);
-        object["quarantined"] = json!(quarantined.map(|q| &q.reason));
-        object["reverts_to"] = json!(manifest.reverts_to);
-        let signatures = manifest.signatures.iter().map(|s| s.key_id.clone());
-        object["signed_by"] = json!(signatures.collect::<Vec<_>>());
-        object["reports"] = reports_json(&overview, &manifest);
-        return say::json(&object);
-    }
-    say::line(format!(
-        "{stream} version {}, published {} by run {}, {} environment steps",
-        manifest.version,
-        utc(manifest.created_unix_ms),
-        manifest.run_id,
-        manifest.env_steps
-    ));
-    say::line(format!(
-        "sha256 {}, {} bytes",
-        hex(&manifest.sha256),
-        manifest.size
-    ));
-    if let Some(old) = manifest.reverts_to {
-        say::line(format!("the bytes of version {old}, published again"));
-    }
-    let keys: Vec<&str> = manifest
-        .signatures
-        .iter()
-        .map(|s| s.key_id.as_str())
-        .collect();
-    let keys = if keys.is_empty() {
-        "nobody".to_owned()
-    } else {
-        keys.join(", ")
-    };
-    say::line(format!("signed by {keys}"));
-    if !labels.is_empty() {
-        say::line(format!("labels {}", labels.join(", ")));
-    }
-    if let Some(state) = quarantined {
-        say::line(format!("out of use: {} ({})", state.reason, state.by));
-    }
-    for report in overview.reports.iter().filter(|r| of(r.version)) {
-        let reason = if report.reason.is_empty() { "" } else { ": " };
-        say::line(format!(
-            "robot {} {}{reason}{} (walked {:.0} s, {} attempts, {})",
-            report.robot,
-            report.state.word(),
-            report.reason,
-            report.walked_s,
-            report.attempts,
-            utc(report.unix_ms)
-        ));
-    }
-    Ok(())
+    let signatures = manifest.signatures.iter().map(|s| s.key_id.clone());
+    let mut object = as_json(&manifest);
+    object["labels"] = json!(labels);
+    object["quarantined"] = json!(quarantined.map(|q| &q.reason));
+    object["reverts_to"] = json!(manifest.reverts_to);
+    object["signed_by"] = json!(signatures.collect::<Vec<_>>());
+    object["reports"] = reports_json(&overview, &manifest);
+    say::either(json, &object, |object| {
+        say::fields(
+            object,
+            "stream version created_unix_ms run_id env_steps sha256 bytes reverts_to signed_by labels quarantined",
+        );
+        if let Some(reports) = object["reports"].as_array().filter(|r| !r.is_empty()) {
+            say::records(reports, "robot state reason walked_s attempts unix_ms");
+        }
+    })
 }
 
 fn reports_json(overview: &Overview, manifest: &Manifest) -> serde_json::Value {
@@ -328,41 +277,4 @@ fn reports_json(overview: &Overview, manifest: &Manifest) -> serde_json::Value {
         })
         .collect();
     json!(reports)
-}
-
-/// Date and time of day, to the second.
-fn utc(unix_ms: u64) -> String {
-    let (days, second) = (unix_ms / 86_400_000, unix_ms / 1000 % 86_400);
-    // Days to a date of the Gregorian calendar, with years that begin in March.
-    let shifted = days + 719_468;
-    let (era, day) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
-    let day_of_year = day - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month + 2) / 5 + 1;
-    let (month, carry) = if month < 10 {
-        (month + 3, 0)
-    } else {
-        (month - 9, 1)
-    };
-    let year = year_of_era + era * 400 + carry;
-    format!(
-        "{year}-{month:02}-{day:02} {:02}:{:02}:{:02}",
-        second / 3600,
-        second / 60 % 60,
-        second % 60
-    )
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn dates_are_those_of_the_calendar() {
-        assert_eq!(utc(0), "1970-01-01 00:00:00");
-        // `date -u -d @1709210096` and `date -u -d @4107542399`.
-        assert_eq!(utc(1_709_210_096_789), "2024-02-29 12:34:56");
-        assert_eq!(utc(4_107_542_399_000), "2100-02-28 23:59:59");
-    }
 }

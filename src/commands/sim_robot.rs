@@ -1,7 +1,8 @@
 //! `caudata sim robot`: a simulated robot as a process of its own, for `caudata-robot`.
 //!
-//! It runs in lock-step with its client: each command is answered with what the sensors read at the end of that control
-//! period. Between commands its time stands still. Each client finds it anew in its starting pose.
+//! It runs in lock-step with its client: each command is answered with what the sensors read at the end of
+//! that control period. Between commands its time stands still. Each client finds it anew in its starting
+//! pose.
 
 use std::io::ErrorKind;
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -25,7 +26,7 @@ use crate::commands::robot_model;
 use crate::commands::sim_robot_pty::{self, PtyArgs};
 
 /// How often a wait looks at the stop flag.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const STOP_SEEN_WITHIN: Duration = Duration::from_millis(50);
 /// A client that says nothing for this long is gone.
 const SILENCE_MAX: Duration = Duration::from_secs(60);
 /// Standard gravity, m/s².
@@ -97,12 +98,13 @@ pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
                 }
             }
             Err(e) if e.kind() == ErrorKind::WouldBlock => {
-                stop.wait(LOOK_EVERY);
+                stop.wait(STOP_SEEN_WITHIN);
             }
-            // A client that was gone before it was accepted, or too many open files: the next one may go well.
+            // A client that was gone before it was accepted, or too many open files: the next one may go
+            // well.
             Err(error) => {
                 tracing::warn!(%error, "cannot accept");
-                stop.wait(LOOK_EVERY);
+                stop.wait(STOP_SEEN_WITHIN);
             }
         }
     }
@@ -114,7 +116,9 @@ fn serve(robot: &mut SimulatedRobot, mut stream: TcpStream, stop: &StopFlag) -> 
     let refused = |e: std::io::Error| e.to_string();
     stream.set_nonblocking(false).map_err(refused)?;
     stream.set_nodelay(true).map_err(refused)?;
-    stream.set_read_timeout(Some(LOOK_EVERY)).map_err(refused)?;
+    stream
+        .set_read_timeout(Some(STOP_SEEN_WITHIN))
+        .map_err(refused)?;
     stream.set_write_timeout(Some(WRITE_MAX)).map_err(refused)?;
     let mut reader = FrameReader::new(MAX_MESSAGE_BYTES);
     let own = robot.hello();
@@ -312,6 +316,7 @@ fn three(values: &[f32]) -> [f32; 3] {
 mod tests {
     use super::*;
     use std::path::Path;
+    use std::sync::Arc;
 
     fn robot() -> SimulatedRobot {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/polymander.robot.toml");

@@ -1,4 +1,5 @@
-//! `caudata sim robot --bus pty`: the simulated robot behind emulated servos and an emulated IMU on pseudo-terminals.
+//! `caudata sim robot --bus pty`: the simulated robot behind emulated servos and an emulated IMU on
+//! pseudo-terminals.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -26,7 +27,8 @@ pub struct PtyArgs {
     /// Folder for the links `servos` and `imu` to the pseudo-terminals (`--bus pty`)
     #[arg(long, value_name = "DIR", default_value = "emulated-robot")]
     links: PathBuf,
-    /// Let each write of goals move time by one control period instead of the clock (`--bus pty`): for slow machines
+    /// Let each write of goals move time by one control period instead of the clock (`--bus pty`): for slow
+    /// machines
     #[arg(long)]
     in_step: bool,
     /// Chance that an answer of the servos is damaged, lost in part, preceded by noise (`--bus pty`)

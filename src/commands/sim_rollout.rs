@@ -8,7 +8,7 @@ use std::sync::Arc;
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::{BaseKind, RobotModel};
 use caudata_runlog::{Axis, BaseHold, LogMeta, QuatPart, Setting, Signal, Table, TableWriter};
-use caudata_sim::{Engine, InitialState, LaneParams, State};
+use caudata_sim::{Engine, InitialState, LaneParams, State, TerrainKind};
 use caudata_studies::failures::stopped;
 use caudata_studies::files;
 use caudata_studies::flags::EngineName;
@@ -16,7 +16,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::commands::ground::{Ground, pair};
+use crate::commands::ground::{pair, terrain_parser};
 use crate::commands::lane_params;
 use crate::commands::robot_model;
 use crate::say;
@@ -45,8 +45,8 @@ pub struct RolloutArgs {
     #[arg(long, value_enum, default_value_t = Base::Free)]
     base: Base,
     /// Shape of the ground; default: `terrain.kind` of the configuration
-    #[arg(long, value_enum)]
-    terrain: Option<Ground>,
+    #[arg(long, value_parser = terrain_parser())]
+    terrain: Option<TerrainKind>,
     /// Seed of the ground
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -62,8 +62,8 @@ pub struct RolloutArgs {
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
-    /// Step sizes and solver come from `[engine]`; `--set lane.KEY=VALUE` changes the robot's physical parameters, for instance
-    /// lane.foot_friction=0.5, lane.kp_nm_per_rad=12, lane.kp_nm_per_rad.FL_hip=9
+    /// Step sizes and solver come from `[engine]`; `--set lane.KEY=VALUE` changes the robot's physical
+    /// parameters, for instance lane.foot_friction=0.5, lane.kp_nm_per_rad=12, lane.kp_nm_per_rad.FL_hip=9
     #[command(flatten)]
     config: ConfigArgs,
 }
@@ -83,7 +83,7 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
         config.engine.kind = engine.into();
     }
     config.engine.fixed_base = args.base == Base::Fixed;
-    if let Some(Ground(kind)) = args.terrain {
+    if let Some(kind) = args.terrain {
         config.terrain.kind = kind;
     }
     config.run.seed = args.seed;
@@ -297,7 +297,8 @@ impl Commands {
         })
     }
 
-    /// Refuses commands that come faster than the engine takes them: every one but the last of a control period would be lost.
+    /// Refuses commands that come faster than the engine takes them: every one but the last of a control
+    /// period would be lost.
     fn fit(&self, period_s: f64) -> Result<(), Failure> {
         const ROUNDING: f64 = 1e-6;
         let fast = |pair: &&[f64]| pair[1] - pair[0] < period_s * (1.0 - ROUNDING);
@@ -324,8 +325,8 @@ impl Commands {
     }
 }
 
-/// Steps through the commands and writes one row per control period: the command from that time on, and the state at
-/// that time.
+/// Steps through the commands and writes one row per control period: the command from that time on, and the
+/// state at that time.
 fn simulate(
     engine: &mut dyn Engine,
     commands: &Commands,

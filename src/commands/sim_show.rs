@@ -10,12 +10,12 @@ use caudata_render::{Camera, Image, Quality, Scene, View, encode, render, robot_
 use caudata_runlog::{Axis, QuatPart, RunLog, Setting, Signal, Table};
 use caudata_sim::{InitialState, Terrain, TerrainConfig, TerrainKind};
 use caudata_studies::failures::stopped;
-use caudata_studies::files;
+use caudata_studies::{files, flags};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 
-use crate::commands::ground::{Ground, pair};
+use crate::commands::ground::{pair, terrain_parser};
 use crate::commands::robot_model;
 use crate::say;
 
@@ -29,7 +29,8 @@ const WATERLINE_M: [f32; 2] = [1.6, 0.0];
 
 #[derive(Debug, Args)]
 pub struct ShowArgs {
-    /// Where the picture goes: `.png`, or `.gif` for an animation (of a log: all of it; otherwise one turn around)
+    /// Where the picture goes: `.png`, or `.gif` for an animation (of a log: all of it; otherwise one turn
+    /// around)
     #[arg(long, value_name = "FRAME.png|CLIP.gif")]
     out: PathBuf,
     /// Robot file; default: the configuration's
@@ -39,8 +40,8 @@ pub struct ShowArgs {
     #[arg(long, value_enum, default_value_t = PoseName::Nominal)]
     pose: PoseName,
     /// Shape of the ground; default: the log's, or `[terrain]`
-    #[arg(long, value_enum)]
-    terrain: Option<Ground>,
+    #[arg(long, value_parser = terrain_parser())]
+    terrain: Option<TerrainKind>,
     /// Seed of the ground; default: the log's, or 1
     #[arg(long)]
     seed: Option<u64>,
@@ -189,13 +190,14 @@ fn choose_terrain(
             _ => {}
         }
     }
-    if let Some(Ground(kind)) = args.terrain {
+    if let Some(kind) = args.terrain {
         config.terrain.kind = kind;
     }
     Ok(args.seed.unwrap_or(seed))
 }
 
-/// The terrain that `caudata sim rollout` wrote into a log: its kind, and each key that is not the default as `terrain_<key>`.
+/// The terrain that `caudata sim rollout` wrote into a log: its kind, and each key that is not the default as
+/// `terrain_<key>`.
 fn logged_terrain(log: &RunLog, kind: TerrainKind) -> Result<TerrainConfig, Failure> {
     let mut table = serde_json::Map::new();
     table.insert("kind".into(), kind.name().into());
@@ -373,7 +375,7 @@ fn draw(
         width,
         height: args.height.unwrap_or(width * 9 / 16),
         rays: if animated { 2 } else { 3 },
-        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        threads: flags::cores(),
     };
     let turn = animated && moments.len() == 1;
     let count = if turn {

@@ -1,11 +1,12 @@
-//! `caudata sim verify`: the engines against MuJoCo, closed forms, conservation laws and each other, as one table.
+//! `caudata sim verify`: the engines against MuJoCo, closed forms, conservation laws and each other, as one
+//! table.
 
 use std::path::PathBuf;
 
-use caudata_bench::verify::{CHECKS, Row, Settings, Subject, VerifyError, run as verify};
+use caudata_bench::verify::{CHECKS, Settings, Subject, VerifyError, run as verify};
 use caudata_config::ConfigArgs;
 use caudata_sim::{EngineConfig, EngineKind};
-use caudata_studies::flags::EngineName;
+use caudata_studies::flags::{self, EngineName};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
 use serde_json::json;
@@ -20,7 +21,8 @@ pub struct VerifyArgs {
     /// Engines to check; default: all. May be given several times
     #[arg(long, value_enum)]
     engine: Vec<EngineName>,
-    /// Checks to run: accelerations, conservation, standing, incline, travel, water; default: all. May be given several times
+    /// Checks to run: accelerations, conservation, standing, incline, travel, water; default: all. May be
+    /// given several times
     #[arg(long, value_parser = CHECKS)]
     only: Vec<String>,
     /// Draws states and gaits
@@ -69,7 +71,7 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
         states: args.states as usize,
         gaits: args.gaits as usize,
         gait_s: args.gait_s,
-        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        threads: flags::cores(),
         only: args.only.clone(),
     };
     let mut progress = |check: &str| tracing::info!(check, "checking");
@@ -90,7 +92,7 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
         .count();
     let found = json!({ "rows": rows, "passed": passed, "failed": failed, "skipped": skipped });
     say::either(args.json, &found, |_| {
-        print(&rows);
+        say::records(&rows, "check engine what value unit target pass note");
         say::line(format!(
             "{passed} passed, {failed} failed, {skipped} skipped"
         ));
@@ -102,31 +104,4 @@ pub fn run(args: &VerifyArgs) -> Result<(), Failure> {
         ExitCode::TargetMissed,
         format!("{failed} of {} figures miss their target", passed + failed),
     ))
-}
-
-fn print(rows: &[Row]) {
-    let cells = |row: &Row| {
-        let number = |x: f64| match x != 0.0 && !(1e-2..1e5).contains(&x.abs()) {
-            true => format!("{x:.1e} {}", row.unit),
-            false => format!("{x:.2} {}", row.unit),
-        };
-        let verdict = match (row.pass, row.value) {
-            (Some(true), _) => "ok",
-            (Some(false), _) => "MISSED",
-            (None, Some(_)) => "",
-            (None, None) => "-",
-        };
-        let target = row.target.map(|t| format!("≤ {}", number(t)));
-        vec![
-            row.check.to_owned(),
-            row.engine.clone(),
-            row.what.clone(),
-            row.value.map_or("-".into(), number),
-            target.unwrap_or_default(),
-            verdict.to_owned(),
-            row.note.clone(),
-        ]
-    };
-    let head = ["check", "engine", "figure", "value", "target", "", "note"];
-    say::table(&head, rows.iter().map(cells));
 }

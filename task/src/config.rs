@@ -158,7 +158,7 @@ mod tests {
     #[test]
     fn survives_toml_unchanged() {
         let config = TaskConfig {
-            reward: RewardConfig::matched(),
+            reward: crate::reward::tests::matched(),
             ..TaskConfig::default()
         };
         let text = toml::to_string(&config).unwrap();

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::action::ActionConfig;
+use crate::layout::Part;
 use crate::phase::{PhaseConfig, offset_rad};
 use crate::row::{MAX_FEET, MAX_JOINTS};
 use crate::{JointTable, ObservationLayout, PerJoint, TaskConfig, TaskError};
@@ -181,13 +182,16 @@ impl PolicyContract {
     /// action or phase.
     pub fn validate(&self) -> Result<(), TaskError> {
         let refuse = |what, reason: String| Err(TaskError::Contract { what, reason });
-        let (joints, feet) = (self.joint_names.len(), self.phase.feet.len());
-        if !(1..=MAX_JOINTS).contains(&joints) {
-            let reason = format!("has {joints} entries, expected 1 to {MAX_JOINTS}");
+        // what the observation has room for is the yardstick
+        let joints = self.observation.range(Part::JointVel).len();
+        let (names, feet) = (self.joint_names.len(), self.phase.feet.len());
+        if names != joints || !(1..=MAX_JOINTS).contains(&names) {
+            let reason = format!("has {names} entries, expected {joints}, at most {MAX_JOINTS}");
             return refuse("joint_names", reason);
         }
-        if feet > MAX_FEET {
-            let reason = format!("has {feet} entries, expected at most {MAX_FEET}");
+        let phases = self.observation.phases();
+        if feet.max(1) != phases || feet > MAX_FEET {
+            let reason = format!("has {feet} entries, expected {phases}, at most {MAX_FEET}");
             return refuse("phase.feet", reason);
         }
         let arrays = [

@@ -91,7 +91,7 @@ impl ObservationLayout {
     pub fn range(&self, part: Part) -> Range<usize> {
         self.slices
             .get(part as usize)
-            .map_or(0..0, |s| s.start..s.start + s.len)
+            .map_or(0..0, |s| s.start..s.start.saturating_add(s.len))
     }
 
     /// Number of phases: one per foot, one of the clock for a robot without feet.

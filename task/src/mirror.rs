@@ -46,9 +46,9 @@ impl SignedPermutation {
 /// The mirror images of observations and actions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mirror {
-    /// Of an observation, `[D]`.
+    /// How an observation is mirrored, `[D]`.
     pub observation: SignedPermutation,
-    /// Of an action, `[A]`.
+    /// How an action is mirrored, `[A]`.
     pub action: SignedPermutation,
 }
 

@@ -1,5 +1,5 @@
-//! The actor's end of a link between processes: the delivery protocol, a transmitting thread, the policy cell.
-//! What carries the messages is behind [`Uplink`].
+//! The actor's end of a link between processes: the delivery protocol, a transmitting thread, the policy
+//! cell. What carries the messages is behind [`Uplink`].
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -71,8 +71,8 @@ impl ActorCore {
         self.wake_everyone();
     }
 
-    /// For a carrier's thread: rests until the learner speaks of a policy that is news to `have`, the link closes, or
-    /// `time` has passed. Returns the news.
+    /// For a carrier's thread: rests until the learner speaks of a policy that is news to `have`, the link
+    /// closes, or `time` has passed. Returns the news.
     pub(crate) fn wait_for_policy_news(
         &self,
         have: Option<PolicyId>,

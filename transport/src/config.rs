@@ -16,7 +16,8 @@ pub enum TransportConfig {
     Inproc(InprocConfig),
     /// Actors are processes on the learner's host: shared memory.
     Iceoryx2(Iceoryx2Config),
-    /// Actors are anywhere that reaches the learner, or a common router, by TCP on one host, by QUIC between hosts.
+    /// Actors are anywhere that reaches the learner, or a common router, by TCP on one host, by QUIC between
+    /// hosts.
     Zenoh(ZenohConfig),
 }
 
@@ -29,15 +30,15 @@ pub struct Limits {
     pub max_frame_bytes: usize,
     /// Largest policy, bytes. Default 8 MiB; at most 256 MiB. iceoryx2 reserves four of them.
     pub max_policy_bytes: usize,
-    /// Frames of one actor that may wait unread at the learner. Default 4; 1 to 1024. Smaller: actors
-    /// stall while the learner learns. Larger: more memory (`max_actors * window_frames * frame`), older data.
+    /// Frames of one actor that may wait unread at the learner. Default 4; 1 to 1024. Smaller: actors stall
+    /// while the learner learns. Larger: more memory (`max_actors * window_frames * frame`), older data.
     pub window_frames: usize,
     /// Actors connected at once. Default 64; 1 to 1024. One more is refused and keeps getting
     /// [`SendError::Disconnected`](crate::SendError::Disconnected).
     pub max_actors: usize,
-    /// Rollout frames that the learner takes from one actor per second, in the long run; up to `window_frames` at once. Default 0:
-    /// as many as it can read. 1 to 100,000 otherwise. Lower than what an actor makes: it waits (back-pressure), nothing is lost.
-    /// In-process actors are not limited.
+    /// Rollout frames that the learner takes from one actor per second, in the long run; up to
+    /// `window_frames` at once. Default 0: as many as it can read. 1 to 100,000 otherwise. Lower than what an
+    /// actor makes: it waits (back-pressure), nothing is lost. In-process actors are not limited.
     pub max_frames_per_s: u32,
     /// How often the sides tell each other that they live, ms. Default 250; 10 to 60,000.
     pub heartbeat_ms: u64,
@@ -122,16 +123,17 @@ pub struct Iceoryx2Config {
 pub struct ZenohConfig {
     /// Bounds.
     pub limits: Limits,
-    /// Where the learner listens, zenoh endpoints. Default `["tcp/127.0.0.1:0"]`: this host only, the
-    /// system chooses the port, and [`LearnerLink::actor_config`](crate::LearnerLink::actor_config) says which.
-    /// `tcp/` is plain and accepted on loopback only; other addresses are `quic/` (UDP) and need [`tls`](Self::tls).
+    /// Where the learner listens, zenoh endpoints. Default `["tcp/127.0.0.1:0"]`: this host only, the system
+    /// chooses the port, and [`LearnerLink::actor_config`](crate::LearnerLink::actor_config) says which.
+    /// `tcp/` is plain and accepted on loopback only; other addresses are `quic/` (UDP) and need
+    /// [`tls`](Self::tls).
     pub listen: Vec<String>,
     /// What to connect to: for actors the learner's address or routers; for a learner behind a router
     /// the routers (then `listen` may be empty). Default empty.
     pub connect: Vec<String>,
-    /// Own certificate and key, and the authority that the other side's must come from. Needed for `quic/` endpoints. What the
-    /// other side may do follows from its certificate's common name: an actor may send rollouts and ask for policies, a learner
-    /// and a router may do everything, nobody else anything.
+    /// Own certificate and key, and the authority that the other side's must come from. Needed for `quic/`
+    /// endpoints. What the other side may do follows from its certificate's common name: an actor may send
+    /// rollouts and ask for policies, a learner and a router may do everything, nobody else anything.
     pub tls: Option<TlsFiles>,
 }
 

@@ -3,8 +3,41 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use crate::TransportError;
+
+/// First and longest pause between attempts to reach the other side.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(5));
+/// How soon a pause ends when the end closes.
+const CLOSING_SEEN: Duration = Duration::from_millis(50);
+
+/// Attempts in a row that failed. They come more and more rarely, and so do the lines about them.
+#[derive(Default)]
+pub(crate) struct Failures(u32);
+
+impl Failures {
+    /// One more: whether to say so, and how long to wait.
+    fn count(&mut self) -> (bool, Duration) {
+        self.0 = self.0.saturating_add(1);
+        let doublings = (self.0 - 1).min(16);
+        let pause = (PAUSE.0 * 2_u32.pow(doublings)).min(PAUSE.1);
+        (self.0.is_power_of_two(), pause)
+    }
+
+    /// Says that `what` has failed once more, the 1st, 2nd, 4th, … time, and waits before the next attempt.
+    pub(crate) fn pause(&mut self, crew: &Crew, what: &str, error: &dyn std::fmt::Display) {
+        let (say, pause) = self.count();
+        if say {
+            tracing::warn!(attempts = self.0, %error, "{what}");
+        }
+        let until = Instant::now() + pause;
+        while !crew.is_closing() && Instant::now() < until {
+            let left = until.saturating_duration_since(Instant::now());
+            std::thread::sleep(left.min(CLOSING_SEEN));
+        }
+    }
+}
 
 /// Whether the end is closing, and what broke it.
 #[derive(Default)]
@@ -33,7 +66,8 @@ impl Crew {
         slot.get_or_insert(failure);
     }
 
-    /// Starts a thread. Should it end (panic) before the end closes, that is its failure, and `alarm` is raised.
+    /// Starts a thread. Should it end (panic) before the end closes, that is its failure, and `alarm` is
+    /// raised.
     pub(crate) fn spawn(
         self: &Arc<Self>,
         name: &'static str,
@@ -76,6 +110,18 @@ impl<A: Fn()> Drop for EndGuard<A> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn attempts_that_fail_come_more_rarely_and_are_told_more_rarely() {
+        let mut failures = Failures::default();
+        let counted: Vec<_> = (0..10).map(|_| failures.count()).collect();
+        let pauses = counted.iter().map(|(_, pause)| pause.as_millis());
+        // From 50 ms to 5 s.
+        let doubled = [50, 100, 200, 400, 800, 1_600, 3_200, 5_000, 5_000, 5_000];
+        assert!(pauses.eq(doubled));
+        let told: Vec<_> = (1..).zip(counted).filter(|(_, (say, _))| *say).collect();
+        assert!(told.iter().map(|(number, _)| *number).eq([1, 2, 4, 8]));
+    }
 
     #[test]
     fn a_thread_that_ends_early_is_the_failure_of_its_end() {

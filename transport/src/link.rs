@@ -46,7 +46,8 @@ pub trait LearnerLink: Send {
     /// After [`Control::Stop`] nothing more can be published.
     fn publish_policy(&mut self, update: PolicyUpdate) -> Result<(), TransportError>;
 
-    /// What actors must be given to reach this learner: the configuration it was made with, chosen port filled in.
+    /// What actors must be given to reach this learner: the configuration it was made with, chosen port
+    /// filled in.
     fn actor_config(&self) -> TransportConfig;
 
     /// Counters of this end.

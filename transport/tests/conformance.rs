@@ -1,7 +1,7 @@
 //! One suite, every transport: what `ActorLink` and `LearnerLink` promise.
 //!
-//! Cases are generic functions; the macro makes a test of each for each transport. Deaths and restarts happen to real
-//! processes. No case asserts a time; all wait for conditions.
+//! Cases are generic functions; the macro makes a test of each for each transport. Deaths and restarts happen
+//! to real processes. No case asserts a time; all wait for conditions.
 
 #![allow(
     clippy::unwrap_used,

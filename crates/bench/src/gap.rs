@@ -1,4 +1,5 @@
-//! `caudata bench gap`: how well diagnosis finds what was hidden. Cases by other numerics, answers sealed, each diagnosis a process of its own.
+//! `caudata bench gap`: how well diagnosis finds what was hidden. Cases by other numerics, answers sealed,
+//! each diagnosis a process of its own.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -14,6 +15,7 @@ use caudata_gap_benchmark::sets::{self, SetName};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use serde_json::json;
 
 /// Which cases, and how they are diagnosed.
 #[derive(Clone, Debug, Args)]
@@ -21,7 +23,8 @@ pub struct Plan {
     /// Which cases
     #[arg(long, value_enum, default_value_t = Set::Quick)]
     set: Set,
-    /// Only cases of these blocks: null, single, pair, decoy, outside, starved, ground, water, holdout_change; default: all
+    /// Only cases of these blocks: null, single, pair, decoy, outside, starved, ground, water,
+    /// holdout_change; default: all
     #[arg(long, value_name = "BLOCK", value_delimiter = ',', value_parser = block)]
     block: Vec<Block>,
     /// Only so many of them; default: all
@@ -36,7 +39,8 @@ pub struct Plan {
     /// Leave cases, reports and sealed answers in this folder; default: a temporary one
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
-    /// Also what least squares, evolution, forward selection and an unnamed residual make of the same logs (slow)
+    /// Also what least squares, evolution, forward selection and an unnamed residual make of the same logs
+    /// (slow)
     #[arg(long)]
     baselines: bool,
     /// Diagnose one case folder into the current folder: what the benchmark starts for each case
@@ -93,8 +97,8 @@ pub struct Finding {
     pub answers: Vec<Answer>,
 }
 
-/// Makes the cases, has each diagnosed by `program` in a process of its own, and opens the answers; nothing where this
-/// process is such a one.
+/// Makes the cases, has each diagnosed by `program` in a process of its own, and opens the answers; nothing
+/// where this process is such a one.
 ///
 /// # Errors
 /// Where a folder cannot be written or a baseline cannot run; a diagnosis that fails is an outcome.

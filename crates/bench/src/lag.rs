@@ -1,5 +1,5 @@
-//! `caudata bench lag`: trainings whose data is a forced number of iterations old (`actors.lockstep`), with the decoupled loss and
-//! with plain PPO; the final return of each beside that of fresh data.
+//! `caudata bench lag`: trainings whose data is a forced number of iterations old (`actors.lockstep`), with
+//! the decoupled loss and with plain PPO; the final return of each beside that of fresh data.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -20,7 +20,8 @@ const LOSSES: [(&str, &str); 2] = [("decoupled", "decoupled"), ("none", "plain")
 /// Which trainings.
 #[derive(Clone, Debug, Args)]
 pub struct Plan {
-    /// Iterations that the data is old, separated by commas; each at most 8. 0 is what others are compared with
+    /// Iterations that the data is old, separated by commas; each at most 8. 0 is what others are compared
+    /// with
     #[arg(long, value_delimiter = ',', default_values_t = [0, 1, 2, 4, 8], value_parser = clap::value_parser!(u32).range(0..=8))]
     lags: Vec<u32>,
     /// Trainings of each, with seeds 1, 2, …
@@ -62,7 +63,7 @@ pub struct Row {
     pub loss: &'static str,
     /// Mean over the seeds.
     pub last_tenth_return: f64,
-    /// Of the mean at lag 0 with the same loss; null where that was not run.
+    /// Share of the mean at lag 0 with the same loss; null where that was not run.
     pub share_of_fresh: Option<f64>,
 }
 
@@ -79,7 +80,8 @@ pub struct Finding {
     pub runs: Vec<Run>,
 }
 
-/// Trains with each lag, loss and seed by the program `learner`; `tell` hears of each training when it has ended.
+/// Trains with each lag, loss and seed by the program `learner`; `tell` hears of each training when it has
+/// ended.
 ///
 /// # Errors
 /// Where a training fails, is too short, or did not have its lag.
@@ -105,32 +107,22 @@ pub fn run(plan: &Plan, learner: &Path, tell: &mut dyn FnMut(&Run)) -> Result<Fi
 
 fn rows(runs: &[Run]) -> Vec<Row> {
     let mean = |lag: u32, loss: &str| {
-        let of: Vec<f64> = runs
-            .iter()
-            .filter(|run| run.lag == lag && run.loss == loss)
-            .map(|run| run.last_tenth_return.mean)
-            .collect();
+        let of = runs.iter().filter(|run| (run.lag, run.loss) == (lag, loss));
+        let of: Vec<f64> = of.map(|run| run.last_tenth_return.mean).collect();
         (!of.is_empty()).then(|| of.iter().sum::<f64>() / of.len() as f64)
     };
-    let mut rows: Vec<Row> = Vec::new();
-    for run in runs {
-        if rows
-            .iter()
-            .any(|row| (row.lag, row.loss) == (run.lag, run.loss))
-        {
-            continue;
-        }
-        let Some(of_all) = mean(run.lag, run.loss) else {
-            continue;
-        };
-        rows.push(Row {
-            lag: run.lag,
-            loss: run.loss,
-            last_tenth_return: of_all,
-            share_of_fresh: mean(0, run.loss).map(|fresh| of_all / fresh),
-        });
-    }
-    rows
+    let mut kinds: Vec<(u32, &'static str)> = runs.iter().map(|run| (run.lag, run.loss)).collect();
+    kinds.dedup();
+    let row = |(lag, loss)| {
+        let last_tenth_return = mean(lag, loss)?;
+        Some(Row {
+            lag,
+            loss,
+            last_tenth_return,
+            share_of_fresh: mean(0, loss).map(|fresh| last_tenth_return / fresh),
+        })
+    };
+    kinds.into_iter().filter_map(row).collect()
 }
 
 fn train(

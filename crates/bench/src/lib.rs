@@ -1,8 +1,8 @@
 //! How fast the parts are on this machine, and how near the truth the engines are.
 //!
-//! Each benchmark is a `Plan` (the flags of its command) and what it found (what `--json` prints). All measure alike:
-//! after a warm-up, in rounds, side by side with what they are compared with ([`measure`]). [`verify`] holds the engines
-//! against MuJoCo, closed forms and conservation laws.
+//! Each benchmark is a `Plan` (the flags of its command) and what it found (what `--json` prints). All
+//! measure alike: after a warm-up, in rounds, side by side with what they are compared with ([`measure`]).
+//! [`verify`] holds the engines against MuJoCo, closed forms and conservation laws.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod gap;

@@ -106,7 +106,7 @@ pub struct Cost {
 }
 
 impl Cost {
-    /// Of `work`, by what `cpu_s` says before and after it.
+    /// Measures the cost of `work`, by what `cpu_s` says before and after it.
     ///
     /// # Errors
     /// Those of `work`, and where the system does not tell.

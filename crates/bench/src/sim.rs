@@ -1,7 +1,8 @@
-//! `caudata bench sim`: physics steps per second by engine, scene and lane width, MuJoCo beside it in the same run; and environment steps.
+//! `caudata bench sim`: physics steps per second by engine, scene and lane width, MuJoCo beside it in the
+//! same run; and environment steps.
 //!
-//! Rounds of an engine and of MuJoCo alternate, so that both see the same machine. Nothing is pinned here: started under `taskset -c N`,
-//! the program and its MuJoCo share that core.
+//! Rounds of an engine and of MuJoCo alternate, so that both see the same machine. Nothing is pinned here:
+//! started under `taskset -c N`, the program and its MuJoCo share that core.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use caudata_sim::{
     TerrainKind, build,
 };
 use caudata_studies::files;
-use caudata_studies::flags::EngineName;
+use caudata_studies::flags::{self, EngineName};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -92,7 +93,8 @@ pub struct Plan {
     /// No MuJoCo beside
     #[arg(long)]
     no_mujoco: bool,
-    /// The robot file's drive-line as it is, without delay, low-pass, Stribeck and load-dependent friction, gear play and sag of the supply
+    /// The robot file's drive-line as it is, without delay, low-pass, Stribeck and load-dependent friction,
+    /// gear play and sag of the supply
     #[arg(long)]
     bare: bool,
     /// Robot, engine, terrain and task; the preset `quick` without these flags
@@ -235,14 +237,7 @@ impl Theirs<'_> {
             options["gravity_mps2"] = json!([0.0, 0.0, 0.0]);
             height = f64::from(level);
         }
-        let width = model.actuated().len();
-        let targets: Vec<Vec<f32>> = (0..PERIODS)
-            .map(|k| {
-                let mut row = vec![0.0; width];
-                Gait::TROT.targets(model, k as f64 * 0.02, &mut row);
-                row
-            })
-            .collect();
+        let targets = Gait::TROT.rows(model, PERIODS);
         let angles: Vec<f64> = start.joint_pos_rad.iter().map(|&q| f64::from(q)).collect();
         let full = model.full_pos_rad(&angles)?;
         let grid = ground.grid().map(
@@ -284,7 +279,7 @@ fn one(
             format!("--lane-width {width} is not 0 (the widest), 1, 4, 8 or 16"),
         ));
     }
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let threads = flags::cores();
     let lanes = plan.lanes as usize;
     let make = |threads: usize| -> Result<Ours<dyn Engine>, SimError> {
         let model = Arc::clone(model);
@@ -387,8 +382,8 @@ struct Ours<E: Engine + ?Sized> {
     diverged: usize,
 }
 
-/// The robot with every effect of its drive-line and supply switched on, of the size that the catalogue expects in such servos: the
-/// time of a step with all of them is what counts. (MuJoCo has none of them.)
+/// The robot with every effect of its drive-line and supply switched on, of the size that the catalogue
+/// expects in such servos: the time of a step with all of them is what counts. (MuJoCo has none of them.)
 fn walking(model: &RobotModel) -> LaneParams {
     let mut params = LaneParams::nominal(model);
     params.command_delay_s = 0.007;
@@ -435,7 +430,8 @@ impl<E: Engine + ?Sized> Ours<E> {
         })
     }
 
-    /// Everybody back to the start, as MuJoCo's rollout begins anew: a robot that walked into a hole would measure lying still.
+    /// Everybody back to the start, as MuJoCo's rollout begins anew: a robot that walked into a hole would
+    /// measure lying still.
     fn restart(&mut self) -> Result<(), SimError> {
         let broken = &self.engine.state().diverged;
         self.diverged += broken.iter().filter(|d| **d).count();

@@ -1,7 +1,8 @@
 //! How long a training takes, from nothing, until its policy walks.
 //!
-//! Trains with each seed, publishing often, and afterwards evaluates every published policy in order: the first one that is fast enough and
-//! passes every gate of walking gives the time, taken from the start of the command to that policy's arrival on the policy server.
+//! Trains with each seed, publishing often, and afterwards evaluates every published policy in order: the
+//! first one that is fast enough and passes every gate of walking gives the time, taken from the start of the
+//! command to that policy's arrival on the policy server.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -78,7 +79,8 @@ pub struct Finding {
     pub seeds: Vec<Skill>,
 }
 
-/// Trains with each seed by `program train`; `tell` hears of each training when its policies have been looked at.
+/// Trains with each seed by `program train`; `tell` hears of each training when its policies have been looked
+/// at.
 ///
 /// # Errors
 /// Where a training fails or a policy cannot be evaluated.

@@ -53,7 +53,8 @@ fn find_unknown(given: &Table, known: &Table, prefix: &str) -> Option<String> {
     })
 }
 
-/// The known key that `key` most likely means: the same last word somewhere else, or the fewest letters changed.
+/// The known key that `key` most likely means: the same last word somewhere else, or the fewest letters
+/// changed.
 pub(crate) fn nearest(key: &str, known: &Table) -> Option<String> {
     /// Below this similarity (0 to 1, Jaro–Winkler) a suggestion confuses more than it helps.
     const SIMILAR_ENOUGH: f64 = 0.8;

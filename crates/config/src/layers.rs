@@ -1,10 +1,14 @@
 //! Defaults, preset, file and overrides, laid on top of each other.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
 
 use crate::{Config, ConfigError, PRESETS, Preset, keys};
+
+/// Largest file that is read, bytes; all keys with their values take 8,000.
+const FILE_BYTES_MAX: u64 = 1 << 20;
 
 /// Where a configuration comes from. Later fields win over earlier ones.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -84,7 +88,7 @@ fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
         layers.push((origin.clone(), parse(&origin, preset.text)?));
     }
     if let Some(path) = &source.file {
-        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        let text = read_bounded(path).map_err(|source| ConfigError::Read {
             path: path.clone(),
             source,
         })?;
@@ -98,6 +102,19 @@ fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
         ));
     }
     Ok(layers)
+}
+
+/// The text of a file that is no larger than [`FILE_BYTES_MAX`], whatever it says about its size.
+fn read_bounded(path: &Path) -> std::io::Result<String> {
+    let mut text = String::new();
+    let mut file = std::fs::File::open(path)?.take(FILE_BYTES_MAX + 1);
+    file.read_to_string(&mut text)?;
+    match text.len() as u64 {
+        0..=FILE_BYTES_MAX => Ok(text),
+        _ => Err(std::io::Error::other(format!(
+            "it is larger than {FILE_BYTES_MAX} bytes, so it is no configuration"
+        ))),
+    }
 }
 
 fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {

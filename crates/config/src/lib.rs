@@ -1,11 +1,12 @@
-//! The one configuration of a run: typed, checked as a whole, with presets, a file and `--set` on top of each other.
+//! The one configuration of a run: typed, checked as a whole, with presets, a file and `--set` on top of each
+//! other.
 //!
-//! Later layers win: built-in defaults, then a preset, then a file, then overrides. A key that nothing knows is an
-//! error with the nearest known key in it; so is a value outside its range. Everything is checked before any
-//! process starts or any port is bound.
+//! Later layers win: built-in defaults, then a preset, then a file, then overrides. A key that nothing knows
+//! is an error with the nearest known key in it; so is a value outside its range. Everything is checked
+//! before any process starts or any port is bound.
 //!
-//! *Invariant:* plain data. Neither libtorch nor a network library is linked, so that the command line can check
-//! everything.
+//! *Invariant:* plain data. Neither libtorch nor a network library is linked, so that the command line can
+//! check everything.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod args;
@@ -100,8 +101,8 @@ impl Config {
 
     /// SHA-256 of what decides how training goes: seed, actors, learner, engine, terrain and task.
     ///
-    /// Left out are the names of things, how long the run is, how it is watched, and the robot (which has its own
-    /// hash), so that a longer or moved run keeps its hash.
+    /// Left out are the names of things, how long the run is, how it is watched, and the robot (which has its
+    /// own hash), so that a longer or moved run keeps its hash.
     pub fn hash(&self) -> [u8; 32] {
         let decisive = (
             self.run.seed,

@@ -39,6 +39,23 @@ fn word(key: &'static str, value: &str, longest: usize, extra: &str) -> Check {
     broken(key, format!("{value:?}"), rule)
 }
 
+/// The range that the value of a key lies in: `a.b in low, high`, or `a.b to high`, which is above 0.
+macro_rules! rule {
+    ($config:ident, $($key:ident).+ in $low:expr, $high:expr) => {
+        within(key!($($key).+), $config.$($key).+, $low, $high)?
+    };
+    ($config:ident, $($key:ident).+ to $high:expr) => {
+        positive(key!($($key).+), $config.$($key).+, $high)?
+    };
+}
+
+/// The path of a field as the key that it has in the file.
+macro_rules! key {
+    ($first:ident $(. $rest:ident)*) => {
+        concat!(stringify!($first) $(, ".", stringify!($rest))*)
+    };
+}
+
 impl Config {
     /// Checks every value's range and that the sections fit each other.
     ///
@@ -62,97 +79,45 @@ impl Config {
         if !cluster.run_id.is_empty() {
             word("cluster.run_id", &cluster.run_id, 64, "-_.")?;
         }
-        within(
-            "cluster.hang_timeout_s",
-            cluster.hang_timeout_s,
-            1.0,
-            3_600.0,
-        )?;
-        within("cluster.learner_ranks", cluster.learner_ranks, 1, 64)?;
-        let address = cluster.rank_address.rsplit_once(':');
-        if !address.is_some_and(|(host, port)| {
-            !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port > 0)
-        }) {
-            let value = format!("{:?}", cluster.rank_address);
-            return broken("cluster.rank_address", value, "must be host:port");
-        }
-        let (join, answer) = (cluster.rank_join_timeout_s, cluster.rank_timeout_s);
-        positive("cluster.rank_join_timeout_s", join, 86_400.0)?;
-        positive("cluster.rank_timeout_s", answer, 3_600.0)
+        rule!(self, cluster.hang_timeout_s in 1.0, 3_600.0);
+        Ok(())
     }
 
     fn check_run(&self) -> Check {
-        let run = &self.run;
-        word("run.name", &run.name, 40, "-_")?;
-        within("run.seed", run.seed, 0, i64::MAX as u64)?;
-        within("run.iterations", run.iterations, 1, 10_000_000)?;
-        let evaluation = &self.evaluation;
-        within("evaluation.episodes", evaluation.episodes, 0, 10_000)?;
-        within("evaluation.robot_run_s", evaluation.robot_run_s, 0.0, 600.0)?;
-        within(
-            "evaluation.robot_command_mps",
-            evaluation.robot_command_mps,
-            -1.0,
-            1.0,
-        )
+        word("run.name", &self.run.name, 40, "-_")?;
+        rule!(self, run.seed in 0, i64::MAX as u64);
+        rule!(self, run.iterations in 1, 10_000_000);
+        rule!(self, evaluation.episodes in 0, 10_000);
+        rule!(self, evaluation.robot_run_s in 0.0, 600.0);
+        rule!(self, evaluation.robot_command_mps in -1.0, 1.0);
+        Ok(())
     }
 
     fn check_actors(&self) -> Check {
-        let actors = &self.actors;
-        within("actors.count", actors.count, 1, 1_024)?;
-        within("actors.lanes", actors.lanes, 1, 65_536)?;
-        within("actors.chunk_steps", actors.chunk_steps, 1, 1_024)?;
-        within(
-            "actors.chunks_per_version",
-            actors.chunks_per_version,
-            1,
-            64,
-        )?;
-        within("actors.max_lead", actors.max_lead, 0, 8)?;
-        within("actors.threads", actors.threads, 1, 256)?;
-        within("actors.inference_threads", actors.inference_threads, 1, 64)?;
-        positive("actors.policy_timeout_s", actors.policy_timeout_s, 86_400.0)?;
-        positive("actors.flush_timeout_s", actors.flush_timeout_s, 600.0)?;
-        within(
-            "actors.restarts_per_minute",
-            actors.restarts_per_minute,
-            0,
-            60,
-        )
+        rule!(self, actors.count in 1, 1_024);
+        rule!(self, actors.lanes in 1, 65_536);
+        rule!(self, actors.chunk_steps in 1, 1_024);
+        rule!(self, actors.chunks_per_version in 1, 64);
+        rule!(self, actors.max_lead in 0, 8);
+        rule!(self, actors.threads in 1, 256);
+        rule!(self, actors.inference_threads in 1, 64);
+        rule!(self, actors.policy_timeout_s to 86_400.0);
+        rule!(self, actors.flush_timeout_s to 600.0);
+        rule!(self, actors.restarts_per_minute in 0, 60);
+        Ok(())
     }
 
     fn check_learner(&self) -> Check {
-        let learner = &self.learner;
-        within("learner.threads", learner.threads, 1, 256)?;
-        within("learner.publish_every", learner.publish_every, 1, 1_000_000)?;
-        within(
-            "learner.checkpoint_every",
-            learner.checkpoint_every,
-            1,
-            1_000_000,
-        )?;
-        within(
-            "learner.keep_checkpoints",
-            learner.keep_checkpoints,
-            1,
-            10_000,
-        )?;
-        within(
-            "learner.warm_start.value_only_iterations",
-            learner.warm_start.value_only_iterations,
-            0,
-            100_000,
-        )?;
-        within(
-            "learner.warm_start.least_std",
-            learner.warm_start.least_std,
-            0.0,
-            5.0,
-        )?;
-        positive("learner.batch_timeout_s", learner.batch_timeout_s, 86_400.0)?;
-        positive("learner.min_batch_share", learner.min_batch_share, 1.0)?;
-        let (shortest, starve) = (learner.batch_timeout_s, learner.starve_timeout_s);
-        within("learner.starve_timeout_s", starve, shortest, 86_400.0)
+        rule!(self, learner.threads in 1, 256);
+        rule!(self, learner.publish_every in 1, 1_000_000);
+        rule!(self, learner.checkpoint_every in 1, 1_000_000);
+        rule!(self, learner.keep_checkpoints in 1, 10_000);
+        rule!(self, learner.warm_start.value_only_iterations in 0, 100_000);
+        rule!(self, learner.warm_start.least_std in 0.0, 5.0);
+        rule!(self, learner.batch_timeout_s to 86_400.0);
+        rule!(self, learner.min_batch_share to 1.0);
+        rule!(self, learner.starve_timeout_s in self.learner.batch_timeout_s, 86_400.0);
+        Ok(())
     }
 
     fn check_network(&self) -> Check {
@@ -169,31 +134,17 @@ impl Config {
         };
         layers("learner.network.policy_hidden", &network.policy_hidden)?;
         layers("learner.network.value_hidden", &network.value_hidden)?;
-        positive("learner.network.std_min", network.std_min, 10.0)?;
-        within(
-            "learner.network.std_max",
-            network.std_max,
-            network.std_min,
-            10.0,
-        )?;
-        within(
-            "learner.network.init_std",
-            network.init_std,
-            network.std_min,
-            network.std_max,
-        )?;
-        within(
-            "learner.network.observation_clip",
-            network.observation_clip,
-            1.0,
-            100.0,
-        )
+        rule!(self, learner.network.std_min to 10.0);
+        rule!(self, learner.network.std_max in network.std_min, 10.0);
+        rule!(self, learner.network.init_std in network.std_min, network.std_max);
+        rule!(self, learner.network.observation_clip in 1.0, 100.0);
+        Ok(())
     }
 
     fn check_ppo(&self) -> Check {
         let ppo = &self.learner.ppo;
-        within("learner.ppo.epochs", ppo.epochs, 1, 100)?;
-        within("learner.ppo.minibatches", ppo.minibatches, 1, 1_024)?;
+        rule!(self, learner.ppo.epochs in 1, 100);
+        rule!(self, learner.ppo.minibatches in 1, 1_024);
         if !(0.0..1.0).contains(&ppo.gamma) {
             return broken(
                 "learner.ppo.gamma",
@@ -201,31 +152,19 @@ impl Config {
                 "must be at least 0 and below 1",
             );
         }
-        within("learner.ppo.lambda", ppo.lambda, 0.0, 1.0)?;
+        rule!(self, learner.ppo.lambda in 0.0, 1.0);
         if !(ppo.clip > 0.0 && ppo.clip < 1.0) {
             return broken("learner.ppo.clip", ppo.clip, "must be above 0 and below 1");
         }
-        within(
-            "learner.ppo.value_loss_weight",
-            ppo.value_loss_weight,
-            0.0,
-            100.0,
-        )?;
-        within("learner.ppo.entropy_weight", ppo.entropy_weight, 0.0, 1.0)?;
-        positive("learner.ppo.max_grad_norm", ppo.max_grad_norm, 1_000.0)?;
-        positive("learner.ppo.learning_rate_min", ppo.learning_rate_min, 1.0)?;
-        let (low, high) = (ppo.learning_rate_min, ppo.learning_rate_max);
-        within("learner.ppo.learning_rate_max", high, low, 1.0)?;
-        within("learner.ppo.learning_rate", ppo.learning_rate, low, high)?;
-        within("learner.ppo.target_kl", ppo.target_kl, 0.0, 1.0)?;
-        within(
-            "learner.ppo.target_kl_final",
-            ppo.target_kl_final,
-            0.0,
-            ppo.target_kl,
-        )?;
-        let value_rate = ppo.value_learning_rate;
-        within("learner.ppo.value_learning_rate", value_rate, 0.0, 1.0)?;
+        rule!(self, learner.ppo.value_loss_weight in 0.0, 100.0);
+        rule!(self, learner.ppo.entropy_weight in 0.0, 1.0);
+        rule!(self, learner.ppo.max_grad_norm to 1_000.0);
+        rule!(self, learner.ppo.learning_rate_min to 1.0);
+        rule!(self, learner.ppo.learning_rate_max in ppo.learning_rate_min, 1.0);
+        rule!(self, learner.ppo.learning_rate in ppo.learning_rate_min, ppo.learning_rate_max);
+        rule!(self, learner.ppo.target_kl in 0.0, 1.0);
+        rule!(self, learner.ppo.target_kl_final in 0.0, ppo.target_kl);
+        rule!(self, learner.ppo.value_learning_rate in 0.0, 1.0);
         let samples = self.actors.steps_per_iteration();
         if u64::from(ppo.minibatches) > samples {
             let rule = format!("must not exceed the {samples} steps of an iteration");
@@ -242,17 +181,12 @@ impl Config {
                 format!("must be at least actors.max_lead = {lead}, or all early work is dropped");
             return broken("learner.staleness.max_lag", staleness.max_lag, rule);
         }
-        within("learner.staleness.max_lag", staleness.max_lag, 0, 1_000)?;
-        within("learner.staleness.rho_max", staleness.rho_max, 0.1, 10.0)?;
-        within("learner.staleness.c_max", staleness.c_max, 0.1, 10.0)?;
-        within(
-            "learner.staleness.weight_max",
-            staleness.weight_max,
-            1.0,
-            100.0,
-        )?;
-        let share = staleness.min_effective_share;
-        within("learner.staleness.min_effective_share", share, 0.0, 1.0)
+        rule!(self, learner.staleness.max_lag in 0, 1_000);
+        rule!(self, learner.staleness.rho_max in 0.1, 10.0);
+        rule!(self, learner.staleness.c_max in 0.1, 10.0);
+        rule!(self, learner.staleness.weight_max in 1.0, 100.0);
+        rule!(self, learner.staleness.min_effective_share in 0.0, 1.0);
+        Ok(())
     }
 
     fn check_physics(&self) -> Check {
@@ -263,6 +197,9 @@ impl Config {
         self.engine
             .validate()
             .map_err(|error| section("engine", &error))?;
+        self.terrain
+            .validate()
+            .map_err(|error| section("terrain", &error))?;
         self.task
             .validate()
             .map_err(|error| section("task", &error))?;
@@ -280,48 +217,18 @@ impl Config {
         /// 256 MiB, the transports' own bound.
         const BYTES_MAX: u64 = 256 << 20;
         let transport = &self.transport;
-        within(
-            "transport.max_frame_bytes",
-            transport.max_frame_bytes,
-            1,
-            BYTES_MAX,
-        )?;
-        within(
-            "transport.max_policy_bytes",
-            transport.max_policy_bytes,
-            1,
-            BYTES_MAX,
-        )?;
-        within("transport.window_frames", transport.window_frames, 1, 1_024)?;
-        within(
-            "transport.max_actors",
-            transport.max_actors,
-            self.actors.count,
-            1_024,
-        )?;
-        within(
-            "transport.max_frames_per_s",
-            transport.max_frames_per_s,
-            0,
-            100_000,
-        )?;
-        within("transport.heartbeat_ms", transport.heartbeat_ms, 10, 60_000)?;
-        let silence = transport.peer_timeout_ms;
-        within(
-            "transport.peer_timeout_ms",
-            silence,
-            3 * transport.heartbeat_ms,
-            3_600_000,
-        )
+        rule!(self, transport.max_frame_bytes in 1, BYTES_MAX);
+        rule!(self, transport.max_policy_bytes in 1, BYTES_MAX);
+        rule!(self, transport.window_frames in 1, 1_024);
+        rule!(self, transport.max_actors in self.actors.count, 1_024);
+        rule!(self, transport.max_frames_per_s in 0, 100_000);
+        rule!(self, transport.heartbeat_ms in 10, 60_000);
+        rule!(self, transport.peer_timeout_ms in 3 * transport.heartbeat_ms, 3_600_000);
+        Ok(())
     }
 
     fn check_services(&self) -> Check {
-        within(
-            "policy_server.keep_versions",
-            self.policy_server.keep_versions,
-            1,
-            100_000,
-        )?;
+        rule!(self, policy_server.keep_versions in 1, 100_000);
         let stream = self.policy_server.stream.as_str();
         if !stream.is_empty() {
             word("policy_server.stream", stream, 64, "-_.")?;
@@ -331,7 +238,7 @@ impl Config {
 
     fn check_telemetry(&self) -> Check {
         let telemetry = &self.telemetry;
-        within("telemetry.trace_every", telemetry.trace_every, 1, 1_000_000)?;
+        rule!(self, telemetry.trace_every in 1, 1_000_000);
         let endpoint = telemetry.otlp_endpoint.as_str();
         let rule = match endpoint.split_once("://") {
             _ if endpoint.is_empty() => return Ok(()),

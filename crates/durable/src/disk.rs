@@ -37,7 +37,8 @@ pub trait Disk: Debug + Send + Sync {
     /// Which part failed, and what the system says.
     fn write_synced(&self, path: &Path, bytes: &[u8]) -> Result<(), WriteFault>;
 
-    /// Adds `bytes` to the end of a file, which is made where it is absent, and waits until they are on the disk.
+    /// Adds `bytes` to the end of a file, which is made where it is absent, and waits until they are on the
+    /// disk.
     ///
     /// # Errors
     /// As [`Disk::write_synced`].

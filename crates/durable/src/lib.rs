@@ -1,17 +1,19 @@
 //! Files that are whole or absent: write to a temporary file, sync, rename, sync the folder.
 //!
-//! Everything that must survive a crash or a power cut (policies, checkpoints, the robot's state) is written through
-//! this crate, so that the order of operations is right in one place: the bytes reach the disk before the name does,
-//! and the name reaches the disk before the caller goes on.
+//! Everything that must survive a crash or a power cut (policies, checkpoints, the robot's state) is written
+//! through this crate, so that the order of operations is right in one place: the bytes reach the disk before
+//! the name does, and the name reaches the disk before the caller goes on.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod disk;
+mod owner;
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 pub use disk::{Disk, Folder, OsDisk, WriteFault};
+pub use owner::{Owner, OwnerError};
 
 /// Why a durable write failed. The file's earlier content, if any, is untouched.
 #[derive(Debug, thiserror::Error)]
@@ -58,8 +60,8 @@ impl DurableError {
         }
     }
 
-    /// True where the system would not say that the bytes are on the disk. What is on it then is not known: writing on could build on
-    /// sand, so that whoever keeps a store stops changing it.
+    /// True where the system would not say that the bytes are on the disk. What is on it then is not known:
+    /// writing on could build on sand, so that whoever keeps a store stops changing it.
     #[must_use]
     pub fn is_sync_failure(&self) -> bool {
         matches!(self, Self::Io { action: "sync", .. })
@@ -121,7 +123,8 @@ pub fn create_new_on(disk: &dyn Disk, path: &Path, bytes: &[u8]) -> Result<(), D
     sync(disk, &folder)
 }
 
-/// Makes a folder and syncs the one above it, so that it survives a power cut. One that is there already is fine.
+/// Makes a folder and syncs the one above it, so that it survives a power cut. One that is there already is
+/// fine.
 ///
 /// # Errors
 /// [`DurableError`].

@@ -9,10 +9,12 @@ use std::time::{Duration, Instant};
 use crate::frame::{BROADCAST_ID, FRAME_MAX, Framer, Instruction, STATUS, encode, unstuff};
 use crate::group::{Answer, GroupRead, GroupWrite};
 use crate::port::Port;
-use crate::setup::SETUP_DEADLINE;
 use crate::status::{ErrorNumber, StatusError};
 use crate::units::wire_us;
 use crate::xm430::Register;
+
+/// Time for one answer during set-up: 500 µs of return delay at 57,600 baud fit.
+pub const SETUP_DEADLINE: Duration = Duration::from_millis(50);
 
 /// How long answers that are too late are waited for before the next question.
 pub const QUIET: Duration = Duration::from_millis(1);

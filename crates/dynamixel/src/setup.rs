@@ -9,8 +9,6 @@ use crate::status::HardwareError;
 use crate::units::{register_of_baud, wire_us};
 use crate::xm430::{self, Register};
 
-/// Time for one answer during set-up: 500 µs of return delay at 57,600 baud fit.
-pub const SETUP_DEADLINE: Duration = Duration::from_millis(50);
 /// Tries for each question during set-up.
 pub const TRIES: u32 = 3;
 /// Speeds at which a servo is looked for, likely ones first.

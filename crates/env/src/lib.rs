@@ -1,7 +1,8 @@
 //! Vectorised environments: the task run on a physics engine, many lanes at a time.
 //!
-//! [`VecEnv`] takes actions and gives observations and rewards for all lanes; a lane whose episode ends starts
-//! the next one in the same step, and its last observation is handed out beside the first of the new episode.
+//! [`VecEnv`] takes actions and gives observations and rewards for all lanes; a lane whose episode ends
+//! starts the next one in the same step, and its last observation is handed out beside the first of the new
+//! episode.
 //!
 //! Random numbers come from streams keyed by (seed, actor, lane, episode), so that an episode is the same
 //! whatever happened in other lanes or episodes, and on any number of threads.

@@ -7,7 +7,8 @@ use caudata_task::noise::Readings;
 use caudata_task::row::Row;
 use caudata_task::{PerFoot, PerJoint, TaskConfig};
 
-/// The true state of one lane after a control step, in the task's order and frames. World frame where nothing else is said.
+/// The true state of one lane after a control step, in the task's order and frames. World frame where nothing
+/// else is said.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Truth {
     /// Actuated joints, policy order.
@@ -18,7 +19,7 @@ pub struct Truth {
     pub motor_torque_nm: PerJoint,
     /// Mean over the control period, signed.
     pub mech_power_w: PerJoint,
-    /// Of the whole body.
+    /// Heading of the whole body, rad.
     pub heading_rad: f32,
     /// Whole body, heading frame.
     pub com_vel_mps: [f32; 3],
@@ -40,7 +41,8 @@ pub struct Truth {
     pub trunk_force_n: f32,
     /// 1 while the whole body's centre of mass is below the water's surface, 0 otherwise.
     pub submerged: f32,
-    /// 1 while it is that and farther above the highest ground under a foot or a girdle than `afloat_above_m`, 0 otherwise.
+    /// 1 while it is that and farther above the highest ground under a foot or a girdle than
+    /// `afloat_above_m`, 0 otherwise.
     pub afloat: f32,
     /// Which feet can be asked to walk, 1 or 0: all of them out of the water, and in it those whose girdle has the ground within `feet_reach_m`.
     pub on_ground: PerFoot,
@@ -56,9 +58,9 @@ pub(crate) struct Reader {
     pub girdle_of: PerFoot<usize>,
     /// How far ahead of the centre of mass the two girdles are, along the heading.
     pub girdles_ahead_m: [f32; 2],
-    /// Of the task.
+    /// The task's `afloat_above_m`, m.
     pub afloat_above_m: f32,
-    /// Of the task.
+    /// The task's `feet_reach_m`, m.
     pub feet_reach_m: f32,
 }
 
@@ -175,7 +177,8 @@ impl Reader {
             feet => ground_m.iter().sum::<f32>() / feet as f32,
         };
         let submerged = water.is_some_and(|water| com[2] < water.surface_m);
-        // The girdles, too: legs that are folded back have their feet over deeper ground than they would stand on.
+        // The girdles, too: legs that are folded back have their feet over deeper ground than they would
+        // stand on.
         let highest_ground_m = water
             .into_iter()
             .flat_map(|water| water.girdle_ground_m)
@@ -274,7 +277,8 @@ impl Sensors {
             .unwrap_or_default()
     }
 
-    /// Turns true values into readings, in place. (Gravity comes from an attitude estimate, not from a sensor.)
+    /// Turns true values into readings, in place. (Gravity comes from an attitude estimate, not from a
+    /// sensor.)
     pub fn measure(&self, readings: &mut Readings, bias: &sensors::ImuBias, stream: &mut Stream) {
         for (i, servo) in self.servos.iter().enumerate() {
             let pos = &mut readings.joint_pos_rad[i];
@@ -373,8 +377,8 @@ mod tests {
 
     #[test]
     fn height_is_above_the_ground_under_the_feet() {
-        // Feet centres at 0.52, balls of 0.02, the lowest points 0.10, 0.10, 0 and 0 above the ground: ground at
-        // 0.40, 0.40, 0.50, 0.50, mean 0.45. Centre of mass at 0.57: 0.12 above.
+        // Feet centres at 0.52, balls of 0.02, the lowest points 0.10, 0.10, 0 and 0 above the ground: ground
+        // at 0.40, 0.40, 0.50, 0.50, mean 0.45. Centre of mass at 0.57: 0.12 above.
         let mut state = state();
         for foot in 0..FEET {
             state.foot_pos_m[3 * foot + 2] = 0.52;

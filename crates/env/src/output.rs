@@ -12,9 +12,9 @@ pub struct StepOutput {
     pub terminated: Vec<bool>,
     /// Whether the episode ended by its time limit in this step; never together with `terminated`. `[N]`
     pub truncated: Vec<bool>,
-    /// For each lane whose episode ended, in lane order: the last observation of the episode that ended `[D]`.
-    /// (`VecEnv::observations` has the first of the next one.) A lane that diverged has the observation
-    /// before the step, the last one that can be trusted.
+    /// For each lane whose episode ended, in lane order: the last observation of the episode that ended
+    /// `[D]`. (`VecEnv::observations` has the first of the next one.) A lane that diverged has the
+    /// observation before the step, the last one that can be trusted.
     pub final_observations: Vec<(usize, Vec<f32>)>,
     /// The episodes that ended, in lane order.
     pub episodes: Vec<EpisodeStats>,
@@ -46,8 +46,8 @@ pub struct EpisodeStats {
     pub mean_power_w: f32,
     /// Share of steps in which the contact force on anything but the feet was above `contact_force_n`.
     pub trunk_contact_share: f32,
-    /// Share of foot-steps with the foot in contact, that is with more than `contact_force_n` on it (mean duty
-    /// factor of the four feet).
+    /// Share of foot-steps with the foot in contact, that is with more than `contact_force_n` on it (mean
+    /// duty factor of the four feet).
     pub duty_factor: f32,
     /// Mean horizontal speed of feet in contact, m/s.
     pub mean_slip_mps: f32,

@@ -24,7 +24,8 @@ struct Saved {
 
 impl VecEnv {
     /// Everything that the next steps depend on: streams, episodes, the engine with its contact memory. An
-    /// environment of the same robot, task, lanes, seed and actor that restores it goes on with the same bits.
+    /// environment of the same robot, task, lanes, seed and actor that restores it goes on with the same
+    /// bits.
     ///
     /// # Errors
     /// When the engine cannot save itself.

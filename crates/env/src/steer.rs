@@ -1,4 +1,5 @@
-//! Taking over from the draws: which command a lane follows, and where it starts. Evaluation needs both, training neither.
+//! Taking over from the draws: which command a lane follows, and where it starts. Evaluation needs both,
+//! training neither.
 
 use caudata_task::layout::Part;
 
@@ -6,8 +7,8 @@ use crate::start::StartShift;
 use crate::{EnvError, VecEnv};
 
 impl VecEnv {
-    /// Makes each lane follow the one command given for it, from now on and in later episodes, instead of drawing commands.
-    /// Not part of a snapshot. `[N]`
+    /// Makes each lane follow the one command given for it, from now on and in later episodes, instead of
+    /// drawing commands. Not part of a snapshot. `[N]`
     ///
     /// # Errors
     /// When there is not one command per lane.
@@ -27,8 +28,8 @@ impl VecEnv {
         Ok(())
     }
 
-    /// Gives one running lane another command; its next observation has it. It lasts until the lane's episode ends, or until the time at
-    /// which a drawn command would be replaced (never, where commands are held).
+    /// Gives one running lane another command; its next observation has it. It lasts until the lane's episode
+    /// ends, or until the time at which a drawn command would be replaced (never, where commands are held).
     pub fn set_command(&mut self, lane: usize, command: [f32; 3]) {
         let dim = self.layout.dim();
         let now = &mut self.lanes[lane];
@@ -45,7 +46,8 @@ impl VecEnv {
         }
     }
 
-    /// Starts every lane's present episode again, and from now on each one, with its drawn start shifted. Not part of a snapshot.
+    /// Starts every lane's present episode again, and from now on each one, with its drawn start shifted. Not
+    /// part of a snapshot.
     ///
     /// # Errors
     /// When the engine refuses.

@@ -71,8 +71,8 @@ impl VecEnv {
         Self::from_lane(model, task, engine, seed, actor, 0)
     }
 
-    /// As [`Self::new`], with lanes numbered from `first_lane`: several environments with the same `actor` and lanes that
-    /// follow on one another draw what one environment with all the lanes would.
+    /// As [`Self::new`], with lanes numbered from `first_lane`: several environments with the same `actor`
+    /// and lanes that follow on one another draw what one environment with all the lanes would.
     ///
     /// # Errors
     /// As [`Self::new`].

@@ -1,6 +1,7 @@
 //! Episodes side by side: blocks of lanes, each with its own environments, spread over threads.
 //!
-//! A block's size does not depend on the number of threads, and a block depends on nothing but its number; so neither do the results.
+//! A block's size does not depend on the number of threads, and a block depends on nothing but its number; so
+//! neither do the results.
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
@@ -40,8 +41,8 @@ fn blocks(episodes: usize) -> Vec<Block> {
         .collect()
 }
 
-/// Runs every block, at most `threads` at a time, and gives their results in order. After an error no further block is begun; of several
-/// errors that of the first block is given.
+/// Runs every block, at most `threads` at a time, and gives their results in order. After an error no further
+/// block is begun; of several errors that of the first block is given.
 pub(crate) fn run_blocks<T: Send>(
     episodes: usize,
     threads: usize,

@@ -6,7 +6,8 @@ use serde::Serialize;
 /// Share of the limit from which a torque counts as at it: means over a step hardly ever reach it wholly.
 const AT_THE_LIMIT: f64 = 0.95;
 
-/// The torque envelope of the first joint's servo at the supply that simulations use (`caudata_sim::drive::servo`).
+/// The torque envelope of the first joint's servo at the supply that simulations use
+/// (`caudata_sim::drive::servo`).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Envelope {
     /// Largest torque at low speed, N·m.
@@ -24,7 +25,7 @@ pub struct Envelope {
 }
 
 impl Envelope {
-    /// Of a robot.
+    /// The envelope of a robot's servos.
     #[must_use]
     pub fn of(model: &RobotModel) -> Self {
         let servo = model.servo(0);
@@ -40,7 +41,8 @@ impl Envelope {
         }
     }
 
-    /// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m; negative beyond the no-load speed.
+    /// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m; negative beyond the no-load
+    /// speed.
     #[must_use]
     pub fn driving_limit_nm(&self, speed_radps: f64) -> f64 {
         let fall =

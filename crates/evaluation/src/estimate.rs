@@ -17,7 +17,8 @@ pub struct Estimate {
 const Z_95: f64 = 1.96;
 
 impl Estimate {
-    /// Mean of the values and its standard error `s/√n`, with `s² = Σ(x − mean)²/(n − 1)`. No width for a single value.
+    /// Mean of the values and its standard error `s/√n`, with `s² = Σ(x − mean)²/(n − 1)`. No width for a
+    /// single value.
     #[must_use]
     pub fn of(values: &[f64]) -> Self {
         if values.is_empty() {
@@ -38,7 +39,8 @@ impl Estimate {
         }
     }
 
-    /// A share of `count` out of `total`, with Wilson's interval, which also holds near 0 and 1; it lies within them.
+    /// A share of `count` out of `total`, with Wilson's interval, which also holds near 0 and 1; it lies
+    /// within them.
     #[must_use]
     pub fn share(count: usize, total: usize) -> Self {
         if total == 0 {

@@ -12,12 +12,14 @@ use crate::result::Referee;
 use crate::run::{Outcome, Settings, run_scenario};
 use crate::{EvaluationError, Scenario, ScenarioResult, Suite, SuiteResult, suite};
 
-/// Episodes on the second engine for the suite `acceptance`: it is a hundred times slower, and its row needs a speed to a few per cent.
+/// Episodes on the second engine for the suite `acceptance`: it is a hundred times slower, and its row needs
+/// a speed to a few per cent.
 const REFEREE_EPISODES: u32 = 32;
 
 /// What is evaluated, and how.
 pub struct Evaluation<'a> {
-    /// The configuration that the policy was trained with: robot, engine, action and observation come from it.
+    /// The configuration that the policy was trained with: robot, engine, action and observation come from
+    /// it.
     pub config: &'a Config,
     /// The robot.
     pub model: &'a Arc<RobotModel>,
@@ -32,7 +34,8 @@ pub struct Evaluation<'a> {
 }
 
 impl Evaluation<'_> {
-    /// Runs it. `go_on` is asked before every control step; `done` is told about every scenario, with the name of the engine.
+    /// Runs it. `go_on` is asked before every control step; `done` is told about every scenario, with the
+    /// name of the engine.
     ///
     /// # Errors
     /// When the policy does not fit the robot, the simulation cannot be built, or `go_on` says no.

@@ -40,7 +40,8 @@ pub struct Gait {
     pub velocity_mps: [f64; 2],
     /// Mean yaw rate, rad/s.
     pub yaw_rate_radps: f64,
-    /// Root mean square of velocity x, y (m/s) and yaw rate (rad/s), each averaged over whole strides, minus the command.
+    /// Root mean square of velocity x, y (m/s) and yaw rate (rad/s), each averaged over whole strides, minus
+    /// the command.
     pub tracking_rmse: [f64; 3],
     /// Speed over the ground in a straight line: way from first to last frame over time, m/s.
     pub drift_mps: f64,
@@ -70,7 +71,8 @@ pub struct Gait {
     pub servo_limit_share: f64,
     /// Largest speed of any joint, rad/s.
     pub joint_speed_peak_radps: f64,
-    /// Root mean square of the acceleration of all joints (difference of velocities), rad/s²: how smooth the motion is.
+    /// Root mean square of the acceleration of all joints (difference of velocities), rad/s²: how smooth the
+    /// motion is.
     pub joint_accel_rms_radps2: f64,
 }
 
@@ -223,15 +225,16 @@ fn slip_mps(frames: &[Frame], measure: &Measure) -> f64 {
     sum / f64::from(n.max(1))
 }
 
-/// The share of joint power above [`VIBRATION_HZ`], from Welch's cross-spectrum P of speed and torque of each joint, in segments of 2 s:
-/// Σ_joints Σ_fast bands │Σ_band P│ over the same plus Σ_joints Σ_slow bins │P│.
+/// The share of joint power above [`VIBRATION_HZ`], from Welch's cross-spectrum P of speed and torque of each
+/// joint, in segments of 2 s: Σ_joints Σ_fast bands │Σ_band P│ over the same plus Σ_joints Σ_slow bins │P│.
 ///
-/// Below the limit a joint may drive at one harmonic of its stride and be driven at another; both are work, so each bin counts by itself.
-/// Above it the sign is kept within each of two bands: speed and torque that have nothing in common cancel there instead of adding up, which a
-/// vibration (one line that drives) does not. Two bands, so that a joint that drives at 7 Hz and brakes at 14 Hz does not cancel either.
+/// Below the limit a joint may drive at one harmonic of its stride and be driven at another; both are work,
+/// so each bin counts by itself. Above it the sign is kept within each of two bands: speed and torque that
+/// have nothing in common cancel there instead of adding up, which a vibration (one line that drives) does
+/// not. Two bands, so that a joint that drives at 7 Hz and brakes at 14 Hz does not cancel either.
 ///
-/// Speeds are means over each step, as torques are: the speed at the end of a step would fold motion faster than half the control rate (a foot
-/// that touches down) into the bins that are looked at.
+/// Speeds are means over each step, as torques are: the speed at the end of a step would fold motion faster
+/// than half the control rate (a foot that touches down) into the bins that are looked at.
 fn vibration_share(frames: &[Frame], period_s: f64) -> f64 {
     const SEGMENT_S: f64 = 2.0;
     const SECOND_BAND_HZ: f64 = 2.0 * VIBRATION_HZ;
@@ -374,8 +377,9 @@ pub(crate) mod tests {
 
     #[test]
     fn noise_on_a_quiet_gait_is_not_vibration() {
-        // White noise of its own on each position and each torque, which has no power in common. The mean over many bins of |Re| of single
-        // bins does not know that: it gives over 5 % here. With signs kept what is left is a tenth of that, and falls with the length.
+        // White noise of its own on each position and each torque, which has no power in common. The mean
+        // over many bins of |Re| of single bins does not know that: it gives over 5 % here. With signs kept
+        // what is left is a tenth of that, and falls with the length.
         let mut stream = Stream::new(Key::for_run(3), Purpose::Sensor);
         let mut trace = trot(1.4, 0.0);
         for frame in &mut trace.frames {
@@ -390,15 +394,16 @@ pub(crate) mod tests {
 
     #[test]
     fn a_joint_that_drives_and_brakes_at_fast_harmonics_still_vibrates() {
-        // 7.5 Hz driven with torque along the speed, 15 Hz braked: the signed sum is near 0, the bands are not
+        // 7.5 Hz driven with torque along the speed, 15 Hz braked: the signed sum is near 0, the bands are
+        // not
         let mut trace = trot(1.4, 0.0);
         for (i, frame) in trace.frames.iter_mut().enumerate() {
             let t = i as f64 * 0.02;
             let speed = |hz: f64| (TAU * hz * t).cos();
             let way = |hz: f64| (TAU * hz * t).sin() / (TAU * hz);
             let (slow, fast) = (speed(7.5), speed(15.0));
-            frame.joint_pos_rad = [(way(7.5) + way(15.0)) as f32; 16];
-            frame.torque_nm = [(0.2 * slow - 0.2 * fast) as f32; 16];
+            frame.joint_pos_rad = [(way(7.5) + way(15.0)) as f32; ACT_DIM].into();
+            frame.torque_nm = [(0.2 * slow - 0.2 * fast) as f32; ACT_DIM].into();
         }
         let gait = Gait::of(&trace, &measure()).unwrap();
         assert!(gait.vibration_share > 0.95, "{}", gait.vibration_share);

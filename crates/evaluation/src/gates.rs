@@ -1,4 +1,5 @@
-//! What counts as walking. Rewards for velocity can be had by vibrating, in any simulator; these gates cannot.
+//! What counts as walking. Rewards for velocity can be had by vibrating, in any simulator; these gates
+//! cannot.
 
 use std::borrow::Cow;
 

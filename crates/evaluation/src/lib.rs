@@ -1,10 +1,11 @@
 //! How well a policy walks.
 //!
-//! A [`Suite`] is a list of [`Scenario`]s (ground, command, disturbances). [`Evaluation`] runs the mean of a policy in each; [`gait`]
-//! measures every episode; [`gates`] says whether that is walking at all, since the rewards of walking can also be had by vibrating;
-//! [`report`] makes a page of it that people look at.
+//! A [`Suite`] is a list of [`Scenario`]s (ground, command, disturbances). [`Evaluation`] runs the mean of a
+//! policy in each; [`gait`] measures every episode; [`gates`] says whether that is walking at all, since the
+//! rewards of walking can also be had by vibrating; [`report`] makes a page of it that people look at.
 //!
-//! Invariant: the same policy, configuration and seed give the same figures, on any number of threads; nothing here looks at a clock.
+//! Invariant: the same policy, configuration and seed give the same figures, on any number of threads;
+//! nothing here looks at a clock.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod acceptance;
@@ -36,7 +37,7 @@ pub use result::{Referee, Row, ScenarioResult, SuiteResult};
 pub use run::{Outcome, Settings, run_scenario};
 pub use scenario::{Corner, Goal, Leg, Order, Scenario, Start};
 pub use suite::Suite;
-pub use summary::{Line, Summary, SummaryError, summary_path};
+pub use summary::{Summary, SummaryError, summary_path};
 pub use trace::{Film, Frame, RobotPose, Trace, Track};
 pub use transition::TransitionResult;
 pub use wave::WaveResult;

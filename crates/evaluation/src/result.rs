@@ -97,7 +97,8 @@ pub struct ScenarioResult {
     pub vy_mps: Estimate,
     /// Mean yaw rate, rad/s.
     pub yaw_rate_radps: Estimate,
-    /// Root mean square over episodes of (mean velocity or yaw rate − command): vx, vy (m/s), yaw rate (rad/s).
+    /// Root mean square over episodes of (mean velocity or yaw rate − command): vx, vy (m/s), yaw rate
+    /// (rad/s).
     pub rmse_of_means: [f64; 3],
     /// Mean over episodes of the root mean square error of whole strides.
     pub rmse_of_strides: [f64; 3],
@@ -202,7 +203,8 @@ impl ScenarioResult {
         }
     }
 
-    /// Whether it walks by the gates and without falling in more than 5 % of the episodes; `None` where it is not about walking.
+    /// Whether it walks by the gates and without falling in more than 5 % of the episodes; `None` where it is
+    /// not about walking.
     #[must_use]
     pub fn walks(&self) -> Option<bool> {
         const FALLS_MOST: f64 = 0.05;

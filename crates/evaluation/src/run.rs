@@ -17,8 +17,8 @@ use crate::transition::{Shore, TransitionResult};
 use crate::wave::WaveResult;
 use crate::{Envelope, EvaluationError, Film, GateReport, Limits, Scenario, ScenarioResult, Track};
 
-/// Actor number in the keys of the evaluation's random streams, less the number of the block: no actor of a training run has it, so that the
-/// episodes are new to the policy.
+/// Actor number in the keys of the evaluation's random streams, less the number of the block: no actor of a
+/// training run has it, so that the episodes are new to the policy.
 const EVALUATION_KEY: u64 = u64::MAX;
 
 /// How to evaluate.
@@ -68,8 +68,8 @@ pub struct Outcome {
     pub film: Option<Film>,
 }
 
-/// Runs one scenario. `config` is the one that the policy was trained with: robot, engine, action and observation come from it. `go_on` is
-/// asked before every control step.
+/// Runs one scenario. `config` is the one that the policy was trained with: robot, engine, action and
+/// observation come from it. `go_on` is asked before every control step.
 ///
 /// # Errors
 /// When the policy does not fit the robot, the simulation cannot be built, or `go_on` says no.

@@ -87,8 +87,8 @@ pub struct Leg {
 pub enum Order {
     /// This command: vx, vy (m/s), yaw rate (rad/s).
     Command([f32; 3]),
-    /// To keep a heading (world, rad), as a person with a joystick would ([`yaw_rate_towards`]): the episode's vx and vy, and a yaw rate
-    /// within [`Leg::MOST_RADPS`].
+    /// To keep a heading (world, rad), as a person with a joystick would ([`yaw_rate_towards`]): the
+    /// episode's vx and vy, and a yaw rate within [`Leg::MOST_RADPS`].
     Heading(f32),
 }
 

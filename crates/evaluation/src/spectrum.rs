@@ -44,8 +44,8 @@ impl Spectrum {
         values
     }
 
-    /// The frequency of the largest value of `power` (one per bin) between `low_hz` and half the sampling rate, refined by a parabola
-    /// through the peak and its neighbours. `None` where nothing moves.
+    /// The frequency of the largest value of `power` (one per bin) between `low_hz` and half the sampling
+    /// rate, refined by a parabola through the peak and its neighbours. `None` where nothing moves.
     pub fn peak_hz(&self, power: &[f64], low_hz: f64) -> Option<f64> {
         let first = (0..self.bins()).find(|&k| self.frequency_hz(k) >= low_hz)?;
         let last = self.bins().checked_sub(1)?;
@@ -65,11 +65,12 @@ impl Spectrum {
     }
 }
 
-/// Welch's estimate of the cross-spectrum of two signals: segments with a Hann window that overlap by half, averaged as complex numbers.
+/// Welch's estimate of the cross-spectrum of two signals: segments with a Hann window that overlap by half,
+/// averaged as complex numbers.
 ///
-/// P. D. Welch, "The use of fast Fourier transform for the estimation of power spectra", IEEE Trans. Audio Electroacoust. 15 (1967). Averaging
-/// before taking any modulus lets what two noises have in common by chance fall with the number of segments; the window keeps a strong slow
-/// line from leaking into fast bins.
+/// P. D. Welch, "The use of fast Fourier transform for the estimation of power spectra", IEEE Trans. Audio
+/// Electroacoust. 15 (1967). Averaging before taking any modulus lets what two noises have in common by
+/// chance fall with the number of segments; the window keeps a strong slow line from leaking into fast bins.
 pub(crate) struct Welch {
     spectrum: Spectrum,
     window: Vec<f64>,
@@ -93,7 +94,8 @@ impl Welch {
         self.spectrum.frequency_hz(k)
     }
 
-    /// Re of the mean over segments of conj(A)·B, one value per bin: the power that `b` does on `a` at that frequency, up to a common factor.
+    /// Re of the mean over segments of conj(A)·B, one value per bin: the power that `b` does on `a` at that
+    /// frequency, up to a common factor.
     pub fn in_phase(&self, a: &[f64], b: &[f64]) -> Vec<f64> {
         let mut sums = vec![0.0; self.spectrum.bins()];
         let hop = (self.segment / 2).max(1);
@@ -122,8 +124,8 @@ mod tests {
 
     #[test]
     fn in_phase_power_by_hand() {
-        // a = cos, b = cos(· − 60°) at 5 Hz: the mean product is cos(60°)/2 = 1/4, in quadrature it is 0. With a Hann window the line is in
-        // three bins: 4.5, 5 and 5.5 Hz for 2 s.
+        // a = cos, b = cos(· − 60°) at 5 Hz: the mean product is cos(60°)/2 = 1/4, in quadrature it is 0.
+        // With a Hann window the line is in three bins: 4.5, 5 and 5.5 Hz for 2 s.
         let wave = |shift: f64| -> Vec<f64> {
             let at = |i| (TAU * 5.0 * f64::from(i) / 50.0 - shift).cos();
             (0..500).map(at).collect()

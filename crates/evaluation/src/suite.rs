@@ -252,7 +252,8 @@ const SHORE_YAW_RANGE_RAD: f32 = 0.1;
 
 /// The beach, degrees: the paper's steepest hills.
 const STEEP_BEACH_DEG: f64 = 15.0;
-/// An easier one to come out by, degrees: on a steeper one than about 14° the nose, 20 cm ahead of the fore legs, touches before they can.
+/// An easier one to come out by, degrees: on a steeper one than about 14° the nose, 20 cm ahead of the fore
+/// legs, touches before they can.
 const GENTLE_BEACH_DEG: f64 = 10.0;
 
 fn transition() -> Vec<Scenario> {

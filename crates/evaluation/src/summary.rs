@@ -1,7 +1,8 @@
 //! What an evaluation comes to, in a small file beside the policy.
 //!
-//! A policy's bytes are named by their SHA-256, and the evaluation comes after them: it cannot be inside without making another policy. So it
-//! lies beside (`policy.onnx` → `policy.evaluation.json`) and names the bytes that it is about; a summary of other bytes is refused.
+//! A policy's bytes are named by their SHA-256, and the evaluation comes after them: it cannot be inside
+//! without making another policy. So it lies beside (`policy.onnx` → `policy.evaluation.json`) and names the
+//! bytes that it is about; a summary of other bytes is refused.
 
 use std::path::{Path, PathBuf};
 
@@ -70,7 +71,8 @@ pub struct Summary {
     pub seed: u64,
     /// One line per scenario.
     pub scenarios: Vec<Line>,
-    /// Rows of the table of targets that are met, and how many there are; null for other suites than `acceptance`.
+    /// Rows of the table of targets that are met, and how many there are; null for other suites than
+    /// `acceptance`.
     pub targets_met: Option<[usize; 2]>,
 }
 
@@ -116,7 +118,7 @@ impl Line {
 }
 
 impl Summary {
-    /// Of a result for a robot with files of this SHA-256.
+    /// Summarises a result for a robot whose files have this SHA-256.
     #[must_use]
     pub fn of(result: &SuiteResult, robot_hash: String, seed: u64) -> Self {
         let rows = &result.acceptance;

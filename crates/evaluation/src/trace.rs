@@ -85,7 +85,8 @@ pub struct Trace {
     pub period_s: f64,
     /// Stride frequency of the gait clock, Hz.
     pub clock_hz: f64,
-    /// The steps, oldest first. The last step of an episode is missing: the next one had begun when it could be read.
+    /// The steps, oldest first. The last step of an episode is missing: the next one had begun when it could
+    /// be read.
     pub frames: Vec<Frame>,
     /// Why the episode ended before its time; `None`: it lasted.
     pub fell: Option<&'static str>,

@@ -133,8 +133,9 @@ impl Motion {
     }
 }
 
-/// All episodes of a scenario at the shore. On land: the centre of mass half a body length before the waterline; in water: a whole one beyond
-/// it; of each the longest stretch after the first second. Null where no episode had one.
+/// All episodes of a scenario at the shore. On land: the centre of mass half a body length before the
+/// waterline; in water: a whole one beyond it; of each the longest stretch after the first second. Null where
+/// no episode had one.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TransitionResult {
     /// Share of the episodes that got where they were to go.
@@ -203,7 +204,8 @@ mod tests {
         Shore::of(&terrain, goal).unwrap()
     }
 
-    /// 20 s: out at 0.3 m/s from −0.5 m for `out_s`, then back. Legs swing 0.4 rad on land and 0.1 rad in water, feet touch on land only.
+    /// 20 s: out at 0.3 m/s from −0.5 m for `out_s`, then back. Legs swing 0.4 rad on land and 0.1 rad in
+    /// water, feet touch on land only.
     fn trace(out_s: f64) -> Trace {
         let frame = |i: i32| {
             let t = f64::from(i) * 0.02;

@@ -45,7 +45,8 @@ impl Wave {
         let peak = (1..frames.len() / 2)
             .filter(inside)
             .max_by(|&a, &b| power(a).total_cmp(&power(b)))?;
-        // a Hann window spreads a line over three bins and passes half of its height; of those the power is 3/2 of the middle one's
+        // a Hann window spreads a line over three bins and passes half of its height; of those the power is
+        // 3/2 of the middle one's
         let line = peak.saturating_sub(1).max(1)..=peak + 1;
         let scale = 4.0 / frames.len() as f64 / 1.5_f64.sqrt();
         let amplitude_rad = PerJoint::from_fn(body.len(), |joint| {

@@ -12,12 +12,11 @@ use caudata_proto::registry::{
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity};
-use tonic::{Response, Status};
 
-use crate::error::refusal;
-use crate::fetch::Patience;
+use crate::call::{all_of, answer, within};
+use crate::error::ClientError;
+use crate::limits::{CALL_TIMEOUT, CONNECT_TIMEOUT, Patience};
 use crate::watch::Watch;
-use crate::{CALL_TIMEOUT, CONNECT_TIMEOUT, ClientError};
 
 fn certificates(folder: &Path) -> Result<ClientTlsConfig, ClientError> {
     let read = |name: &str| {
@@ -354,39 +353,6 @@ impl RegistryClient {
 /// An empty name asks for all streams.
 fn name(stream: Option<&StreamName>) -> String {
     stream.map(ToString::to_string).unwrap_or_default()
-}
-
-/// Refuses a list of which an entry is not of the stream that was asked for.
-pub(crate) fn all_of<'a>(
-    stream: Option<&StreamName>,
-    said: impl IntoIterator<Item = impl Into<Facts<'a>>>,
-) -> Result<(), ClientError> {
-    let asked = Facts::of_stream(stream);
-    let mut said = said.into_iter();
-    Ok(said.try_for_each(|entry| asked.answered_by(entry))?)
-}
-
-/// The checked answer to a call that is not a stream.
-async fn answer<W, T: TryFrom<W, Error = RegistryError>>(
-    what: &'static str,
-    address: &str,
-    call: impl Future<Output = Result<Response<W>, Status>>,
-) -> Result<T, ClientError> {
-    let answer = within(what, CALL_TIMEOUT, address, call).await?;
-    Ok(answer.into_inner().try_into()?)
-}
-
-pub(crate) async fn within<T>(
-    what: &'static str,
-    limit: Duration,
-    address: &str,
-    call: impl Future<Output = Result<T, Status>>,
-) -> Result<T, ClientError> {
-    match tokio::time::timeout(limit, call).await {
-        Err(_) => Err(ClientError::TimedOut { what }),
-        Ok(Err(status)) => Err(refusal(address, &status)),
-        Ok(Ok(answer)) => Ok(answer),
-    }
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use caudata_proto::registry::RegistryError;
 use caudata_proto::registry::question::OtherQuestion;
 use tonic::{Code, Status};
 
-use crate::RATE_MIN;
+use crate::limits::RATE_MIN;
 
 /// What a call to the policy server can end with.
 #[derive(Debug, thiserror::Error)]

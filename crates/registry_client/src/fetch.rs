@@ -7,35 +7,10 @@ use caudata_proto::registry::{FetchPart, Manifest};
 use caudata_proto::wire::registry as wire;
 use sha2::{Digest, Sha256};
 
-use crate::client::{RegistryClient, within};
-use crate::{
-    CALL_TIMEOUT, ClientError, FETCH_IDLE_MAX, FETCH_MAX, FETCH_RETRIES, RATE_MIN, RATE_WINDOW,
-    RETRY_PAUSE, RETRY_PAUSE_MAX,
-};
-
-/// How long a fetch bears with a server, and how fast that one must be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Patience {
-    /// See [`FETCH_IDLE_MAX`].
-    pub idle_max: Duration,
-    /// See [`FETCH_MAX`].
-    pub whole_max: Duration,
-    /// See [`RATE_WINDOW`].
-    pub rate_window: Duration,
-    /// See [`RETRY_PAUSE`].
-    pub retry_pause: Duration,
-}
-
-impl Default for Patience {
-    fn default() -> Self {
-        Self {
-            idle_max: FETCH_IDLE_MAX,
-            whole_max: FETCH_MAX,
-            rate_window: RATE_WINDOW,
-            retry_pause: RETRY_PAUSE,
-        }
-    }
-}
+use crate::call::within;
+use crate::client::RegistryClient;
+use crate::error::ClientError;
+use crate::limits::{CALL_TIMEOUT, FETCH_RETRIES, RATE_MIN, RETRY_PAUSE_MAX};
 
 /// One message of a fetch, and what came before it.
 struct Piece<'a> {
@@ -257,6 +232,7 @@ impl Rate {
 
 #[cfg(test)]
 mod tests {
+    use crate::limits::RATE_WINDOW;
     use caudata_proto::checks::each_left_out;
     use caudata_proto::registry::{FetchInfo, StreamName};
 

@@ -5,37 +5,20 @@
 //! what was asked for.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod call;
 mod client;
 mod error;
 mod fetch;
+mod limits;
 mod manifest;
 mod watch;
 
 pub use client::RegistryClient;
 pub use error::ClientError;
-pub use fetch::{Patience, jittered};
+pub use fetch::jittered;
+pub use limits::{
+    CALL_TIMEOUT, CONNECT_TIMEOUT, FETCH_IDLE_MAX, FETCH_MAX, FETCH_RETRIES, Patience, RATE_MIN,
+    RATE_WINDOW, RETRY_PAUSE, RETRY_PAUSE_MAX, WATCH_IDLE_MAX,
+};
 pub use manifest::manifest_of;
 pub use watch::Watch;
-
-use std::time::Duration;
-
-/// Time to reach the server.
-pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time for one call that is not a stream.
-pub const CALL_TIMEOUT: Duration = Duration::from_secs(30);
-/// Longest silence within a fetch.
-pub const FETCH_IDLE_MAX: Duration = Duration::from_secs(15);
-/// How often a cut fetch is taken up again.
-pub const FETCH_RETRIES: u32 = 5;
-/// First pause before a retry; doubles each time.
-pub const RETRY_PAUSE: Duration = Duration::from_millis(200);
-/// Longest pause before a retry.
-pub const RETRY_PAUSE_MAX: Duration = Duration::from_secs(5);
-/// Least bytes per second of a fetch, over [`RATE_WINDOW`]: a server that drips holds nobody for ever.
-pub const RATE_MIN: u64 = 4 << 10;
-/// Over how long the rate is judged.
-pub const RATE_WINDOW: Duration = Duration::from_secs(30);
-/// Longest time for one file, whatever the rate.
-pub const FETCH_MAX: Duration = Duration::from_secs(600);
-/// A watch that is silent for this long is dead: the server sends progress every 10 s.
-pub const WATCH_IDLE_MAX: Duration = Duration::from_secs(35);

@@ -1,6 +1,7 @@
 //! Announcements of policy files.
 
 use caudata_policy::PolicyFile;
+use caudata_proto::hex::from_hex;
 use caudata_proto::registry::{Manifest, RegistryError, StreamName};
 
 /// The manifest under which `file` is published on `stream`: everything that the file says about itself.
@@ -33,16 +34,9 @@ pub fn manifest_of(
 }
 
 fn hash_from_hex(text: &str) -> Result<[u8; 32], RegistryError> {
-    let wrong = RegistryError::HashLength {
+    let bytes = from_hex(text).and_then(|bytes| bytes.try_into().ok());
+    bytes.ok_or(RegistryError::HashLength {
         field: "robot_hash",
         found: text.len() / 2,
-    };
-    let mut hash = [0; 32];
-    if text.len() != 64 || !text.is_ascii() {
-        return Err(wrong);
-    }
-    for (byte, at) in hash.iter_mut().zip((0..64).step_by(2)) {
-        *byte = u8::from_str_radix(&text[at..at + 2], 16).map_err(|_| wrong.clone())?;
-    }
-    Ok(hash)
+    })
 }

@@ -3,8 +3,9 @@
 use caudata_proto::registry::{StreamName, WatchChange, WatchEvent};
 use caudata_proto::wire::registry as wire;
 
-use crate::client::{all_of, within};
-use crate::{ClientError, WATCH_IDLE_MAX};
+use crate::call::{all_of, within};
+use crate::error::ClientError;
+use crate::limits::WATCH_IDLE_MAX;
 
 /// An open watch.
 #[derive(Debug)]

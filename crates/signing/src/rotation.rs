@@ -4,20 +4,20 @@
 //! `trust.toml` (version 1), `trust.toml.2` and `trust.toml.2.sig`, `trust.toml.3`, … The exact bytes of a file are signed. A signature file has one
 //! line for each signature: the key's name, a space, 128 hexadecimal digits.
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use caudata_proto::hex::hex;
 use ed25519_dalek::Signer;
 
-use crate::{ReleaseKey, SigningError, Trust, file_error, hex};
+use crate::error::{SigningError, file_error, from_hex, read_small};
+use crate::key::ReleaseKey;
+use crate::trust::Trust;
 
 /// First bytes of what is signed.
 const DOMAIN: &[u8] = b"caudata.trust.v1\0";
 /// Successors that are followed.
 const CHAIN_MAX: usize = 1024;
-/// Largest trust file, and largest file of signatures, bytes.
-const FILE_MAX: u64 = 64 << 10;
-
 /// Why a trust file does not follow on another.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NoSuccessor {
@@ -35,7 +35,7 @@ pub enum NoSuccessor {
     /// Keys that may say so did not sign it.
     #[error("{whose} root keys signed it {valid} times, {needed} are needed")]
     Unsigned {
-        /// Of which file.
+        /// Which file lacks signatures.
         whose: &'static str,
         /// Distinct root keys with a valid signature.
         valid: usize,
@@ -239,20 +239,6 @@ fn signatures_path(file: &Path) -> PathBuf {
     name.into()
 }
 
-pub(crate) fn read_small(path: &Path) -> Result<String, SigningError> {
-    let mut text = String::new();
-    std::fs::File::open(path)
-        .and_then(|file| file.take(FILE_MAX + 1).read_to_string(&mut text))
-        .map_err(file_error(path))?;
-    if text.len() as u64 > FILE_MAX {
-        return Err(SigningError::Content {
-            path: path.to_owned(),
-            reason: format!("more than {FILE_MAX} bytes"),
-        });
-    }
-    Ok(text)
-}
-
 /// The signatures over the trust file `file`; none where there is no file of them.
 ///
 /// # Errors
@@ -266,7 +252,7 @@ pub fn read_signatures(file: &Path) -> Result<Vec<TrustSignature>, SigningError>
     let parse = |line: &str| {
         let (key_id, digits) = line.rsplit_once(' ')?;
         let (first, second) = digits.split_at_checked(64)?;
-        let halves = [crate::from_hex(first)?, crate::from_hex(second)?];
+        let halves = [from_hex(first)?, from_hex(second)?];
         Some(TrustSignature {
             key_id: key_id.to_owned(),
             signature: std::array::from_fn(|i| halves[i / 32][i % 32]),
@@ -304,7 +290,7 @@ pub fn add_signature(file: &Path, signature: &TrustSignature) -> Result<(), Sign
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::tests::key;
+    use crate::trust::tests::key;
 
     /// Release key `release`, root keys `roots`, of which `threshold` must sign.
     fn file(version: u64, release: u8, roots: &[u8], threshold: usize) -> String {
@@ -345,7 +331,7 @@ mod tests {
                 add_signature(&path, &signature).unwrap();
             }
         };
-        let mut manifest = crate::tests::manifest();
+        let mut manifest = crate::trust::tests::manifest();
         key(101).sign(&mut manifest);
         assert_eq!(Trust::read(&first).unwrap().check(&manifest), Ok(()));
         // To root key 2 and release key 102.

@@ -1,5 +1,5 @@
-//! From measured logs to a policy for the robot as it is: diagnose, train in the extended model from the policy that the
-//! robot has, evaluate before and after.
+//! From measured logs to a policy for the robot as it is: diagnose, train in the extended model from the
+//! policy that the robot has, evaluate before and after.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,10 +21,11 @@ use crate::{diagnosis, files, flags};
 
 /// Share of the episodes that a new policy may fall in more often: less than that is chance.
 const FALLS_TOLERANCE: f64 = 0.01;
-/// Errors of velocity that nobody would notice, added to each before they are compared: forward and sideways m/s, turning
-/// rad/s. Without them a hair's breadth more in what was nearly right outweighs much less in what was not.
+/// Errors of velocity that nobody would notice, added to each before they are compared: forward and sideways
+/// m/s, turning rad/s. Without them a hair's breadth more in what was nearly right outweighs much less in
+/// what was not.
 const UNNOTICED: [f64; 3] = [0.005, 0.005, 0.01];
-/// Of the error before, mean of the three axes, that may be left: less gain than that is chance.
+/// Share of the error before, mean of the three axes, that may be left: less gain than that is chance.
 const LEFT_AT_MOST: f64 = 0.95;
 /// No axis may get worse than this many times.
 const WORSE_AT_MOST: f64 = 1.25;
@@ -35,7 +36,7 @@ const WORTH_IT: [Verdict; 3] = [
     Verdict::PartlyExplained,
 ];
 /// Keys that flags and the diagnosis set.
-const OWN: [&str; 2] = ["robot", "run.iterations"];
+const OWN_KEYS: [&str; 2] = ["robot", "run.iterations"];
 
 /// What to adapt to what.
 #[derive(Clone, Debug, Args)]
@@ -49,8 +50,8 @@ pub struct Plan {
     /// The policy that the robot has
     #[arg(long, value_name = "P.onnx")]
     pub policy: PathBuf,
-    /// Folder for everything that is made: diagnosis, run, evaluations, adapt.json. What is finished in it is not done again: the same command goes on where it was
-    /// stopped
+    /// Folder for everything that is made: diagnosis, run, evaluations, adapt.json. What is finished in it is
+    /// not done again: the same command goes on where it was stopped
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Effects that the diagnosis does not try, by id
@@ -59,7 +60,8 @@ pub struct Plan {
     /// Only these effects are tried, by id
     #[arg(long, value_name = "ID")]
     pub only: Vec<String>,
-    /// Robot file of the robot that the logs come from, where it is known (a simulated robot): both policies are evaluated on it as well
+    /// Robot file of the robot that the logs come from, where it is known (a simulated robot): both policies
+    /// are evaluated on it as well
     #[arg(long, value_name = "R.robot.toml")]
     pub truth: Option<PathBuf>,
     /// Iterations of training
@@ -130,8 +132,8 @@ impl From<&Cause> for Named {
     }
 }
 
-/// Adapts as `plan` says, and leaves everything in its output folder. `publish` is called with a new policy that is
-/// better, and gives its version.
+/// Adapts as `plan` says, and leaves everything in its output folder. `publish` is called with a new policy
+/// that is better, and gives its version.
 ///
 /// # Errors
 /// Where a file cannot be read or written, the folder was made with something else or is another process's, or a step
@@ -223,10 +225,10 @@ fn evaluate(
     Ok(())
 }
 
-/// Whether the second of two evaluations of the same suite is the better one: no more falls (a hundredth of the episodes,
-/// all told), and less off the commanded velocity: the errors forward, sideways and in turning, root mean square over all
-/// scenarios, as shares of those before, come to at most [`LEFT_AT_MOST`] in the mean, none to more than
-/// [`WORSE_AT_MOST`].
+/// Whether the second of two evaluations of the same suite is the better one: no more falls (a hundredth of
+/// the episodes, all told), and less off the commanded velocity: the errors forward, sideways and in turning,
+/// root mean square over all scenarios, as shares of those before, come to at most [`LEFT_AT_MOST`] in the
+/// mean, none to more than [`WORSE_AT_MOST`].
 fn improves(old: &Run, new: &Run) -> bool {
     let left = |axis: usize| (new.off[axis] + UNNOTICED[axis]) / (old.off[axis] + UNNOTICED[axis]);
     let left = [0, 1, 2].map(left);
@@ -284,7 +286,7 @@ fn asked(plan: &Plan, config: &Config, policy: &str) -> Result<Asked, Failure> {
         ("--suite", plan.suite.name().to_owned()),
         ("--episodes", plan.episodes.to_string()),
     ];
-    let mut asked = out_folder::asked(config, &OWN, flags);
+    let mut asked = out_folder::asked(config, &OWN_KEYS, flags);
     for (flag, dirs) in [("--log", &plan.logs), ("--holdout", &plan.holdouts)] {
         for (number, dir) in (1..).zip(diagnosis::log_folders(dirs)?) {
             let rows = files::sha256(&rows_file(&dir))?;
@@ -313,7 +315,8 @@ mod tests {
         };
         let before = run(&[(0.0, 0.045, 0.09), (0.1, 0.045, 0.09)]); // falls 5 %
         let better = |scenarios: &[(f64, f64, f64)]| improves(&before, &run(scenarios));
-        // (0.02 + 0.005)/(0.045 + 0.005) = 0.5 forward, 1 sideways, (0.11 + 0.01)/(0.09 + 0.01) = 1.2 in turning: 0.9 in the mean
+        // (0.02 + 0.005)/(0.045 + 0.005) = 0.5 forward, 1 sideways, (0.11 + 0.01)/(0.09 + 0.01) = 1.2 in
+        // turning: 0.9 in the mean
         assert!(better(&[(0.0, 0.02, 0.11), (0.1, 0.02, 0.11)]));
         // 0.13 in turning: 0.933 in the mean, and 1.4 there
         assert!(!better(&[(0.0, 0.015, 0.13), (0.1, 0.015, 0.13)]));
@@ -321,7 +324,8 @@ mod tests {
         assert!(!better(&[(0.0, 0.04, 0.09), (0.1, 0.04, 0.09)]));
         assert!(better(&[(0.02, 0.02, 0.09), (0.1, 0.02, 0.09)])); // falls 6 %: chance
         assert!(!better(&[(0.05, 0.02, 0.09), (0.1, 0.02, 0.09)])); // 7.5 %
-        // root mean square of 0 and 0.05: 0.0354, so 0.807 forward and 0.936 in the mean; the mean would be less as well at 0 and 0.08, and 0.0566 is not
+        // root mean square of 0 and 0.05: 0.0354, so 0.807 forward and 0.936 in the mean; the mean would be
+        // less as well at 0 and 0.08, and 0.0566 is not
         assert!(better(&[(0.0, 0.0, 0.09), (0.1, 0.05, 0.09)]));
         assert!(!better(&[(0.0, 0.0, 0.09), (0.1, 0.08, 0.09)]));
         assert!(!improves(&before, &before));

@@ -16,6 +16,7 @@ use clap::Args;
 
 use crate::failures::stopped;
 use crate::files::{self, write_json, write_whole};
+use crate::flags;
 
 /// The report, written last: in a new folder everything is there where it is.
 pub const REPORT: &str = "report.json";
@@ -67,7 +68,6 @@ pub fn diagnose(
     let (runs, data_faults) = runs(plan, &robot)?;
     files::make_folder(&plan.out)?;
     let until = stop.clone();
-    let cores = || std::thread::available_parallelism().map_or(1, usize::from);
     let request = Request {
         robot_toml: robot_toml.clone(),
         mjcf: mjcf.clone(),
@@ -75,7 +75,7 @@ pub fn diagnose(
         runs,
         data_faults,
         options: Options {
-            threads: plan.threads.unwrap_or_else(cores).max(1),
+            threads: plan.threads.unwrap_or_else(flags::cores).max(1),
             seed: plan.seed,
             without: plan.without.clone(),
             only: plan.only.clone(),
@@ -93,7 +93,8 @@ pub fn diagnose(
     Ok(found.report)
 }
 
-/// The runs to use, and what a check says of them. A log that cannot be read is a fault; with none left, an error.
+/// The runs to use, and what a check says of them. A log that cannot be read is a fault; with none left, an
+/// error.
 fn runs(plan: &Plan, robot: &RobotModel) -> Result<(Vec<Run>, Vec<DataFault>), Failure> {
     let mut dirs = Vec::new();
     for (given, role) in [(&plan.logs, Role::Fit), (&plan.holdouts, Role::Holdout)] {

@@ -46,6 +46,12 @@ impl EngineName {
     }
 }
 
+/// Threads that this machine has.
+#[must_use]
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// The flags as given, else this preset.
 #[must_use]
 pub fn or_preset(flags: &ConfigArgs, preset: &str) -> ConfigArgs {

@@ -1,9 +1,10 @@
-//! What takes hours and is made of steps: a diagnosis into a folder, a policy adapted to a robot, ways to train compared.
+//! What takes hours and is made of steps: a diagnosis into a folder, a policy adapted to a robot, ways to
+//! train compared.
 //!
-//! A study leaves everything in its output folder and goes on there when it was stopped. Diagnosis and evaluation are
-//! called; a training is a child process, `caudata train`, since learner and actors are programs of their own. Plans are
-//! flags of the command line, results are what `--json` prints. Errors are [`Failure`](caudata_telemetry::Failure)s:
-//! a study is what a command does, exit code included.
+//! A study leaves everything in its output folder and goes on there when it was stopped. Diagnosis and
+//! evaluation are called; a training is a child process, `caudata train`, since learner and actors are
+//! programs of their own. Plans are flags of the command line, results are what `--json` prints. Errors are
+//! [`Failure`](caudata_telemetry::Failure)s: a study is what a command does, exit code included.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod adapt;

@@ -1,5 +1,5 @@
-//! The output folder of a study: it is one process's at a time, and a call goes on in it only if it asks for what the
-//! folder was made with.
+//! The output folder of a study: it is one process's at a time, and a call goes on in it only if it asks for
+//! what the folder was made with.
 
 use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
@@ -18,10 +18,12 @@ const LOCK: &str = "lock";
 /// So many differences are named.
 const NAMED: usize = 3;
 
-/// Keys and flags that decide what is made, with their values; of files their SHA-256: one that has changed is another.
+/// Keys and flags that decide what is made, with their values; of files their SHA-256: one that has changed
+/// is another.
 pub type Asked = BTreeMap<String, String>;
 
-/// The keys of `config` but for `own`, which the command sets itself, and `flags`; a program of another version makes something else too.
+/// The keys of `config` but for `own`, which the command sets itself, and `flags`; a program of another
+/// version makes something else too.
 pub fn asked<'a>(
     config: &Config,
     own: &[&str],
@@ -54,7 +56,8 @@ impl Drop for OutFolder {
 }
 
 impl OutFolder {
-    /// Takes the folder `out`, which is made where it is absent. Whatever is in it was made by an earlier call, which must have asked for the same.
+    /// Takes the folder `out`, which is made where it is absent. Whatever is in it was made by an earlier
+    /// call, which must have asked for the same.
     ///
     /// # Errors
     /// Exit code 73 where another process has it, it was made with something else, or it does not say with what; then nothing is changed in it.

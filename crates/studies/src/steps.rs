@@ -1,7 +1,8 @@
 //! The steps of a study: each is announced, timed, and not done again where it is complete.
 //!
-//! A training is a child process. A signal to stop is passed on to it, and no other step is begun. It is started from the
-//! main thread: on Linux the death of the thread that started a child is what the child is told of.
+//! A training is a child process. A signal to stop is passed on to it, and no other step is begun. It is
+//! started from the main thread: on Linux the death of the thread that started a child is what the child is
+//! told of.
 
 use std::fs::OpenOptions;
 use std::os::unix::process::CommandExt;
@@ -49,8 +50,8 @@ pub struct Steps<'a> {
 }
 
 impl<'a> Steps<'a> {
-    /// None yet. `program` is what `train` is a command of; `quiet`: what it prints is not wanted; `after_stop` is what can
-    /// be done after a stop. No step begins once `stop` is raised.
+    /// None yet. `program` is what `train` is a command of; `quiet`: what it prints is not wanted;
+    /// `after_stop` is what can be done after a stop. No step begins once `stop` is raised.
     pub fn new(
         program: PathBuf,
         quiet: bool,
@@ -176,7 +177,8 @@ impl<'a> Steps<'a> {
         }
     }
 
-    /// Evaluates a policy as `test` says; `file` keeps the result, and what it says of this very policy is not asked again.
+    /// Evaluates a policy as `test` says; `file` keeps the result, and what it says of this very policy is
+    /// not asked again.
     ///
     /// # Errors
     /// As [`refused`].
@@ -259,7 +261,8 @@ pub struct Training<'a> {
     pub progress: Option<PathBuf>,
 }
 
-/// For a policy that walks already: small steps from the first on, a critic that keeps up (docs/reference/learning.md), costs and pushes that count from the start.
+/// For a policy that walks already: small steps from the first on, a critic that keeps up
+/// (docs/reference/learning.md), costs and pushes that count from the start.
 const GOES_ON: [&str; 6] = [
     "learner.ppo.learning_rate=5e-5",
     "learner.ppo.value_learning_rate=1e-3",
@@ -272,7 +275,8 @@ const GOES_ON: [&str; 6] = [
 const NO_EVALUATION: [&str; 2] = ["evaluation.episodes=0", "evaluation.robot_run_s=0"];
 
 impl Training<'_> {
-    /// The policy, where the run folder holds a training that has come to its end: one that was stopped has no report.
+    /// The policy, where the run folder holds a training that has come to its end: one that was stopped has
+    /// no report.
     pub fn finished(&self) -> Option<PathBuf> {
         let policy = self.out.join("policy.onnx");
         (policy.is_file() && self.out.join("report.json").is_file()).then_some(policy)

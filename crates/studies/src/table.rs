@@ -5,7 +5,7 @@ use std::fmt::Write;
 /// Words in rows; the first column names the row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    /// Of each column. The first one says what the table is of.
+    /// The heading of each column. The first one says what the table is of.
     pub head: Vec<String>,
     /// The rows.
     pub rows: Vec<Vec<String>>,

@@ -45,7 +45,7 @@ pub struct IterationLoad {
     pub lag_allowed: u64,
     /// Chunks that came since the iteration before.
     pub received: u64,
-    /// Of these, those that were too old or too many.
+    /// Those among them that were too old or too many.
     pub dropped: u64,
 }
 

@@ -48,10 +48,10 @@ pub enum ExitCode {
     InsufficientData = 83,
     /// Diagnosis: the logs contradict themselves.
     DataFault = 84,
-    /// One of several processes that learn together is gone, or never came.
-    RankLost = 85,
     /// Servos do not say that they let go: their torque may still be on.
     TorqueOn = 86,
+    /// Another process is at work in the run folder.
+    InUse = 87,
     /// Interrupted by a second Ctrl-C: nothing was drained.
     Interrupted = 130,
 }
@@ -78,8 +78,8 @@ impl ExitCode {
         ExitCode::Unexplained,
         ExitCode::InsufficientData,
         ExitCode::DataFault,
-        ExitCode::RankLost,
         ExitCode::TorqueOn,
+        ExitCode::InUse,
         ExitCode::Interrupted,
     ];
 

@@ -241,8 +241,10 @@ impl<W: Write> EventWriter<W> {
     /// # Errors
     /// When `out` refuses it, for instance because the reader is gone.
     pub fn write(&mut self, event: &Event) -> io::Result<()> {
-        serde_json::to_writer(&mut self.out, event)?;
-        self.out.write_all(b"\n")?;
+        // In one piece: another thread may write lines of its own.
+        let mut line = serde_json::to_vec(event)?;
+        line.push(b'\n');
+        self.out.write_all(&line)?;
         self.out.flush()
     }
 }

@@ -7,8 +7,8 @@ use caudata_telemetry::{Metrics, MetricsServer, Process, StopFlag};
 use crate::DeployError;
 use crate::boundary::{CommandSender, LOOP_PAGE, RunFolder, Told, alone};
 use crate::command_link::{CommandLink, LinkKey, UdpLink};
-use crate::commands::Source;
 use crate::commands::run::RunArgs;
+use crate::commands::source::Source;
 use crate::follower::Follower;
 use crate::notify::{Notifier, Word};
 use crate::stage::Stage;
@@ -16,7 +16,7 @@ use crate::state::PolicyRef;
 use crate::updates::PolicyEvent;
 
 /// How often it looks whether the loop told something.
-const LOOK: Duration = Duration::from_millis(50);
+const TOLD_LOOK: Duration = Duration::from_millis(50);
 /// How often commands are passed on.
 const COMMANDS_EVERY: Duration = Duration::from_millis(20);
 
@@ -63,7 +63,7 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         pass_on(link, CommandSender::new(&folder)?, process.stop.clone())?;
     }
     notifier.say(Word::Ready);
-    while !process.stop.wait(LOOK) {
+    while !process.stop.wait(TOLD_LOOK) {
         told.take(|event| stage.hear(event));
         notifier.say(Word::Alive);
     }

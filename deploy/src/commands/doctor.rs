@@ -12,13 +12,14 @@ use serde::Serialize;
 use crate::DeployError;
 use crate::bus::BusError;
 use crate::commands::control_loop::fit;
-use crate::commands::{PortArgs, load_model, say, say_json};
+use crate::commands::say::{say, say_json};
+use crate::commands::source::{PortArgs, load_model};
 use crate::hardware::inspect::{self, Check, Inspection, Mark};
 use crate::hardware::{open_bus, open_imu, read_wiring};
 
 /// Round trips that are timed.
-const TIMED: u32 = 50;
-/// Of a tick of 20 ms, this much is the bus's.
+const TIMED_TICKS: u32 = 50;
+/// How much of a tick of 20 ms is the bus's.
 const BUS_BUDGET: Duration = Duration::from_millis(7);
 /// A joint that was moved by hand moved at least this far, rad.
 const MOVED_RAD: f64 = 0.15;
@@ -135,7 +136,7 @@ fn timing<P: Port>(
     let fast = wiring.bus.fast_sync_read;
     let mut group = GroupRead::new(&ids, xm430::TICK_ADDRESS, xm430::TICK_BYTES, fast);
     let (mut worst, mut missing) = (Duration::ZERO, 0);
-    for _ in 0..TIMED {
+    for _ in 0..TIMED_TICKS {
         let begun = Instant::now();
         bus.read_group(&mut group, Duration::from_millis(100))?;
         worst = worst.max(begun.elapsed());
@@ -151,7 +152,7 @@ fn timing<P: Port>(
         wiring.bus.baud,
     );
     let text = format!(
-        "worst of {TIMED}: {:.1} ms; a tick is {:.1} ms on the wire",
+        "worst of {TIMED_TICKS}: {:.1} ms; a tick is {:.1} ms on the wire",
         worst.as_secs_f64() * 1e3,
         wire_us as f64 * 1e-3
     );
@@ -160,7 +161,7 @@ fn timing<P: Port>(
         check(
             "bus",
             "answers missing",
-            format!("{missing} of {}", TIMED as usize * ids.len()),
+            format!("{missing} of {}", TIMED_TICKS as usize * ids.len()),
             missing == 0,
         ),
     ])

@@ -20,7 +20,7 @@ const SEND_EVERY: Duration = Duration::from_millis(50);
 /// Messages after the end of the input: the last line, a kill most of all, arrives although some are lost.
 const LAST_MESSAGES: u32 = 20;
 /// Lines, keys or events that wait.
-const WAITING_MAX: usize = 64;
+const INPUTS_WAITING_MAX: usize = 64;
 /// One key press changes the speed by this, m/s and rad/s.
 const STEP: f32 = 0.05;
 /// A key that is held is heard again within this time: keyboards begin to repeat after 0.25 to 0.7 s. As much longer the robot goes on
@@ -88,7 +88,7 @@ pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
     socket.connect(args.robot).map_err(refused)?;
     // What the robot answers is looked at after every message.
     socket.set_nonblocking(true).map_err(refused)?;
-    let (inputs, came) = sync_channel::<Input>(WAITING_MAX);
+    let (inputs, came) = sync_channel::<Input>(INPUTS_WAITING_MAX);
     let mut driver = Driver::new(args);
     let _keys = match (&args.gamepad, args.hold) {
         (Some(path), _) => {

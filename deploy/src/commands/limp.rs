@@ -7,7 +7,8 @@ use caudata_hardware::Wiring;
 
 use crate::DeployError;
 use crate::bus::BusError;
-use crate::commands::{PortArgs, say};
+use crate::commands::say::say;
+use crate::commands::source::PortArgs;
 use crate::hardware::open_bus_anyway;
 
 #[derive(Debug, clap::Args)]

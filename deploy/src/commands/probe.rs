@@ -7,13 +7,13 @@ use std::time::Instant;
 use caudata_policy::MAX_FILE_BYTES;
 
 use crate::DeployError;
-use crate::commands::load_model;
+use crate::commands::source::load_model;
 use crate::probe::limit_this_process;
 use crate::state::{PolicyRef, Sha256Digest};
 use crate::verify::{Refusal, VerifyError, verify};
 
 /// Runs whose time is taken.
-const TIMED: usize = 200;
+const TIMED_RUNS: usize = 200;
 /// Half of them must be faster: a quarter of a tick.
 const MEDIAN_MAX_US: u128 = 5_000;
 
@@ -59,15 +59,15 @@ pub fn run(args: &ProbeArgs) -> Result<(), DeployError> {
     })?;
     let obs = verified.file.spec().obs_mean.clone();
     let mut actions = [0.0; caudata_task::ACT_DIM];
-    let mut took = Vec::with_capacity(TIMED);
-    for _ in 0..TIMED {
+    let mut took = Vec::with_capacity(TIMED_RUNS);
+    for _ in 0..TIMED_RUNS {
         let begun = Instant::now();
         let ran = verified.inference.run(&obs, 1, &mut actions);
         ran.map_err(|error| refuse(error.into()))?;
         took.push(begun.elapsed().as_micros());
     }
     took.sort_unstable();
-    let median_us = took[TIMED / 2];
+    let median_us = took[TIMED_RUNS / 2];
     if median_us > MEDIAN_MAX_US {
         return Err(refuse(Refusal::TooSlow { median_us }));
     }

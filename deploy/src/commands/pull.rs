@@ -4,7 +4,8 @@ use caudata_telemetry::Metrics;
 use serde::Serialize;
 
 use crate::DeployError;
-use crate::commands::{Source, SourceArgs, say, say_json};
+use crate::commands::say::{say, say_json};
+use crate::commands::source::{Source, SourceArgs};
 use crate::state::PolicyRef;
 
 #[derive(Debug, clap::Args)]

@@ -10,7 +10,7 @@ use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 
 use crate::boundary::{RunFolder, Staged, alone};
 use crate::command_link::LinkKey;
-use crate::commands::{PortArgs, SourceArgs};
+use crate::commands::source::{PortArgs, SourceArgs};
 use crate::supervisor::{Plan, supervise};
 use crate::walk_command::{CommandTable, WalkCommand};
 use crate::{DeployError, failure};

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::DeployError;
-use crate::commands::{say, say_json};
+use crate::commands::say::{say, say_json};
 use crate::state::{PolicyRef, RobotState};
 use crate::store::PolicyStore;
 

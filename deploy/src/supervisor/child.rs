@@ -16,7 +16,7 @@ use crate::boundary::RunFolder;
 use crate::notify::{Ear, SOCKET_VAR};
 
 /// How often everything is looked at.
-pub(super) const LOOK: Duration = Duration::from_millis(10);
+pub(super) const WATCH_LOOK: Duration = Duration::from_millis(10);
 /// How long a process may take to be gone after SIGKILL: one that is still there is held by a driver, and may be so for ever.
 pub(super) const UNDYING_MAX: Duration = Duration::from_secs(3);
 
@@ -184,7 +184,7 @@ impl Watched {
                         tracing::error!(part = self.command, "does not end: killed");
                     }
                 }
-                _ => std::thread::sleep(LOOK),
+                _ => std::thread::sleep(WATCH_LOOK),
             }
         }
     }
@@ -213,7 +213,7 @@ impl Drop for Watched {
 pub(super) fn reap(child: &mut Child) {
     let begun = Instant::now();
     while matches!(child.try_wait(), Ok(None)) && begun.elapsed() < UNDYING_MAX {
-        std::thread::sleep(LOOK);
+        std::thread::sleep(WATCH_LOOK);
     }
 }
 

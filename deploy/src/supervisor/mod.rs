@@ -22,8 +22,8 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use caudata_telemetry::{ExitCode, Failure, StopFlag};
-use child::{LOOK, UNDYING_MAX, Watched, end_of, pause, reap};
 pub use child::{Plan, died};
+use child::{UNDYING_MAX, WATCH_LOOK, Watched, end_of, pause, reap};
 use machine::{Do, End, Event, Limits, Signs, State, Verdict, Why, judge, next};
 use nix::sys::signal::Signal;
 
@@ -147,7 +147,7 @@ impl<'a> Supervisor<'a> {
 
     fn until_over(&mut self, stop: &StopFlag, insisted: &StopFlag) -> Result<Verdict, Failure> {
         loop {
-            std::thread::sleep(LOOK);
+            std::thread::sleep(WATCH_LOOK);
             self.above.say(Word::Alive);
             self.look_at_agent()?;
             self.looper.listen();
@@ -412,7 +412,7 @@ fn let_go(plan: &Plan, anyway: bool) -> Torque {
                 tracing::warn!(took = ?begun.elapsed(), "the servos were let go");
                 return Torque::Off;
             }
-            Ok(None) if begun.elapsed() < LIMP_MAX => std::thread::sleep(LOOK),
+            Ok(None) if begun.elapsed() < LIMP_MAX => std::thread::sleep(WATCH_LOOK),
             other => {
                 let _ = child.kill();
                 reap(&mut child);

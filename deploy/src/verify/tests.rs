@@ -4,6 +4,9 @@ use caudata_policy::{Dense, PolicyMetadata};
 use caudata_proto::checks::each_left_out;
 use caudata_proto::registry::StreamName;
 use caudata_proto::registry::question::{ANSWERS, Compare};
+use caudata_task::ACT_DIM;
+
+use caudata_task::ACT_DIM;
 
 use super::*;
 use crate::testing::{model, policy_file};

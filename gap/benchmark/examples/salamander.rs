@@ -6,8 +6,10 @@
 use caudata_gap_benchmark::salamander::{self, Hides, LabFile, SalamanderPlan};
 use caudata_gap_benchmark::truth::free::Channels;
 use caudata_runlog::BaseHold;
-fn main() {
-    let out = std::path::PathBuf::from(std::env::args().nth(1).unwrap());
+/// Robot file, place, name, what is hidden, what is recorded.
+type Case = (LabFile, BaseHold, (&'static str, Hides, Channels));
+
+fn cases() -> Vec<Case> {
     let all = Channels {
         imu: true,
         mocap: true,
@@ -68,11 +70,16 @@ fn main() {
         ("water_weak_leg", Hides::WeakLeg(0.5), all),
         ("water_null_again", Hides::Nothing, all),
     ];
-    let plans = (plans
+    (plans
         .map(|p| (LabFile::Stiff, BaseHold::Free, p))
         .into_iter())
     .chain(shipped.map(|p| (LabFile::AsShipped, BaseHold::Free, p)))
-    .chain(swims.map(|p| (LabFile::Stiff, BaseHold::Water, p)));
+    .chain(swims.map(|p| (LabFile::Stiff, BaseHold::Water, p)))
+    .collect()
+}
+
+fn main() {
+    let out = std::path::PathBuf::from(std::env::args().nth(1).unwrap());
     let mut wanted: Vec<String> = std::env::args().skip(2).collect();
     let mut first_seed = 300;
     if let Some(at) = wanted.iter().position(|w| w == "--seed") {
@@ -84,7 +91,7 @@ fn main() {
     std::fs::create_dir_all(&truth).unwrap();
     let mjcf = salamander::lab_file(LabFile::Stiff).unwrap().1;
     std::fs::write(truth.join("polymander.xml"), mjcf).unwrap();
-    for (i, (lab, place, (name, hidden, channels))) in plans.enumerate() {
+    for (i, (lab, place, (name, hidden, channels))) in cases().into_iter().enumerate() {
         if !wanted.is_empty() && !wanted.iter().any(|w| w == name) {
             continue;
         }

@@ -10,7 +10,7 @@ use crate::battery::{self, Amount, RATE_HZ, Trial};
 use crate::case::{Answer, Block, TrueEffect, TrueValue};
 use crate::decoy::Decoy;
 use crate::hidden::{Hidden, Scope, World};
-use crate::lab::{FIRST_HELD_OUT, HOLDOUT, SIGNS, run, stream};
+use crate::lab::{FIRST_HELD_OUT, HELD_OUT, SIGNS, run, stream};
 use crate::sizing::{detectability, size_for};
 use crate::truth::sensors::Row;
 
@@ -169,7 +169,7 @@ fn runs(
             fit.push(one_run(request, fit_world, trial, index, "fit", r)?);
         }
     }
-    let mut s = stream(seed, HOLDOUT, 0);
+    let mut s = stream(seed, HELD_OUT, 0);
     let mut holdout = Vec::new();
     for (i, trial) in battery::holdout(&rig.model, request.amount, &mut s)
         .iter()
@@ -251,6 +251,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
 
     use super::*;
+    use crate::truth::Spec;
 
     #[test]
     fn gains_that_follow_the_supply_are_no_other_gains_once_it_changes() {

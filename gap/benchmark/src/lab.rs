@@ -101,7 +101,7 @@ const JITTER: u64 = 1;
 const READING: u64 = 2;
 const PER_RUN: u64 = 3;
 const ROBOT: u64 = 4;
-pub(crate) const HOLDOUT: u64 = 5;
+pub(crate) const HELD_OUT: u64 = 5;
 pub(crate) const SIGNS: u64 = 6;
 
 pub(crate) fn stream(seed: u64, what: u64, run: u64) -> Stream {

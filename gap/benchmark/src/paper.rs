@@ -36,7 +36,7 @@ const STAND_RUNS: u64 = 1000;
 /// Stretches that are simulated from what was measured at their start, s: two strides.
 const STRETCH_S: f64 = 2.0;
 /// What does not count at the beginning of a stretch, s: nobody measures where play hangs, so that a simulated robot falls into it first.
-const SETTLE_S: f64 = 0.3;
+const SETTLED_AFTER_S: f64 = 0.3;
 /// Which stretch is drawn: the first one begins at rest.
 const DRAWN_STRETCH: usize = 1;
 /// Joints that are drawn: the paper draws two.
@@ -195,7 +195,10 @@ fn row(
 /// Places of a channel's samples in the flat vector, stretch by stretch, without the beginnings that do not count.
 fn stretches(data: &Data, kind: Kind, index: usize) -> Vec<std::ops::Range<usize>> {
     let own = data.segments.iter().flat_map(|s| {
-        let pieces = s.pieces.iter().map(move |p| (s.start_s + SETTLE_S, p));
+        let pieces = s
+            .pieces
+            .iter()
+            .map(move |p| (s.start_s + SETTLED_AFTER_S, p));
         pieces.filter(|(_, p)| p.kind == kind && p.index == index)
     });
     own.map(|(from_s, p)| {

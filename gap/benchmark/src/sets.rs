@@ -54,6 +54,40 @@ struct Counts {
     water: usize,
 }
 
+impl Counts {
+    /// Those of a set, and how long its runs are.
+    fn of(set: SetName) -> (Self, Amount) {
+        let (counts, amount) = match set {
+            SetName::Quick => ([3, 1, 2, 1, 0, 0, 0, 0, 0], Amount::Short),
+            SetName::Pr => ([20, 20, 16, 12, 4, 8, 4, 4, 7], Amount::Full),
+            SetName::Nightly => ([200, 120, 96, 60, 60, 48, 24, 60, 28], Amount::Full),
+        };
+        let [
+            nulls,
+            pairs,
+            decoys,
+            outside,
+            left_out,
+            starved,
+            changes,
+            ground,
+            water,
+        ] = counts;
+        let counts = Self {
+            nulls,
+            pairs,
+            decoys,
+            outside,
+            left_out,
+            starved,
+            changes,
+            ground,
+            water,
+        };
+        (counts, amount)
+    }
+}
+
 /// Pairs that look alike in poor data (GAP.md 2.7).
 const LOOK_ALIKE: &[(&str, &str)] = &[
     ("command_low_pass", "command_delay"),
@@ -103,50 +137,7 @@ const DECOYS: [Decoy; 8] = Decoy::ALL;
 #[must_use]
 pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     let mut s = Stream::new(Key::for_run(seed), Purpose::Command);
-    let (counts, amount) = match set {
-        SetName::Quick => (
-            Counts {
-                nulls: 3,
-                pairs: 1,
-                decoys: 2,
-                outside: 1,
-                left_out: 0,
-                starved: 0,
-                changes: 0,
-                ground: 0,
-                water: 0,
-            },
-            Amount::Short,
-        ),
-        SetName::Pr => (
-            Counts {
-                nulls: 20,
-                pairs: 20,
-                decoys: 16,
-                outside: 12,
-                left_out: 4,
-                starved: 8,
-                changes: 4,
-                ground: 4,
-                water: 7,
-            },
-            Amount::Full,
-        ),
-        SetName::Nightly => (
-            Counts {
-                nulls: 200,
-                pairs: 120,
-                decoys: 96,
-                outside: 60,
-                left_out: 60,
-                starved: 48,
-                changes: 24,
-                ground: 60,
-                water: 28,
-            },
-            Amount::Full,
-        ),
-    };
+    let (counts, amount) = Counts::of(set);
     let mut plans = singles(set, amount, &mut s);
     let case = |block, rig, s: &mut Stream| Plan {
         block,
@@ -183,55 +174,13 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
         let mut p = case(Block::Outside, rig(i), &mut s);
         let h = any(&mut s, |h| h.scope == Scope::Joint && h.layer != "sensing");
         p.effects = vec![(h, joint(p.rig, &mut s), 4.0)];
-        p.without = vec![h.id.to_owned()];
-        p.without.extend(
-            h.equivalent
-                .0
-                .iter()
-                .chain(h.equivalent.1)
-                .map(|e| (*e).to_owned()),
-        );
-        let of_one: &[(&str, &str)] = if p.rig == "pendulum" {
-            WIDER_OF_ONE
-        } else {
-            &[]
-        };
-        p.without.extend(
-            WIDER
-                .iter()
-                .chain(of_one)
-                .filter(|(id, _)| *id == h.id)
-                .map(|(_, wider)| (*wider).to_owned()),
-        );
+        p.without = left_out_with(h, p.rig);
         plans.push(p);
     }
     for i in 0..counts.pairs {
         let mut p = case(Block::Pair, rig(i), &mut s);
-        let first_joint = joint(p.rig, &mut s);
-        let (a, b) = match i % 10 {
-            0..3 => {
-                let (a, b) = LOOK_ALIKE[s.below(LOOK_ALIKE.len() as u64) as usize];
-                (find(a), find(b))
-            }
-            _ => {
-                let a = any(&mut s, |h| h.scope == Scope::Joint);
-                (
-                    Some(a),
-                    Some(any(&mut s, |h| {
-                        h.scope != Scope::Chain && h.id != a.id && !h.equivalent.0.contains(&a.id)
-                    })),
-                )
-            }
-        };
-        let second_joint = if i % 10 < 6 {
-            first_joint
-        } else {
-            joint(p.rig, &mut s)
-        };
-        if let (Some(a), Some(b)) = (a, b) {
-            p.effects = vec![(a, first_joint, 4.0), (b, second_joint, 4.0)];
-            plans.push(p);
-        }
+        p.effects = pair(i, p.rig, &mut s);
+        plans.push(p);
     }
     for i in 0..counts.starved {
         let mut p = case(Block::Starved, rig(i), &mut s);
@@ -264,6 +213,38 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
         plans.truncate(most);
     }
     plans
+}
+
+/// What the diagnosis has to do without where `h` is left out of its catalogue: it, and whatever says the same or more.
+fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
+    let of_one: &[(&str, &str)] = if rig == "pendulum" { WIDER_OF_ONE } else { &[] };
+    let wider = WIDER.iter().chain(of_one).filter(|(id, _)| *id == h.id);
+    let same = h.equivalent.0.iter().chain(h.equivalent.1).copied();
+    let all = std::iter::once(h.id)
+        .chain(same)
+        .chain(wider.map(|(_, wider)| *wider));
+    all.map(str::to_owned).collect()
+}
+
+/// Two effects of d = 4: three in ten pairs look alike, six in ten are at one joint.
+fn pair(i: usize, rig: &str, s: &mut Stream) -> Vec<(&'static Hidden, usize, f64)> {
+    let first_joint = joint(rig, s);
+    let (a, b) = match i % 10 {
+        0..3 => LOOK_ALIKE[s.below(LOOK_ALIKE.len() as u64) as usize],
+        _ => {
+            let a = any(s, |h| h.scope == Scope::Joint);
+            let apart = |h: &Hidden| {
+                h.scope != Scope::Chain && h.id != a.id && !h.equivalent.0.contains(&a.id)
+            };
+            (a.id, any(s, apart).id)
+        }
+    };
+    let second_joint = match i % 10 < 6 {
+        true => first_joint,
+        false => joint(rig, s),
+    };
+    let both = [(find(a), first_joint), (find(b), second_joint)].into_iter();
+    both.filter_map(|(h, j)| Some((h?, j, 4.0))).collect()
 }
 
 fn singles(set: SetName, amount: Amount, s: &mut Stream) -> Vec<Plan> {

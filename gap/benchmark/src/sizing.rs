@@ -38,7 +38,7 @@ fn predicted(p: &Prediction, kind: usize, a: usize) -> &[f64] {
 /// What a robot without effects looks like in this lab: its rows per trial, how far repeats are apart (noise), and how far the nominal
 /// simulation is off (null discrepancy).
 pub struct NullView {
-    rows: Vec<Vec<Row>>,
+    pub(crate) rows: Vec<Vec<Row>>,
     sigma: Vec<Vec<f64>>,
     /// Whitened norm of measured minus nominal simulation, per value.
     pub discrepancy: f64,

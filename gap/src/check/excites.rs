@@ -43,7 +43,7 @@ pub struct JointExcitation {
     pub longest_hold_s: f64,
     /// Changes of direction of the command (of the position, where there is none).
     pub reversals: usize,
-    /// Of these, after less than 15 mrad on both sides.
+    /// Those among the reversals that come after less than 15 mrad on both sides.
     pub small_reversals: usize,
     /// Band that the command fills, Hz: from the lowest to the highest half-octave with a real share of its motion; 0 where there is none.
     pub band_hz: [f64; 2],

@@ -34,6 +34,8 @@ const FOLLOWS_FAR: f64 = 0.5;
 const LAG_STEP_S: f64 = 0.02;
 /// Motion below this (standard deviation) is not told from noise, rad.
 const RESOLVED_RAD: f64 = 0.004;
+/// A servo that is asked for this share of its torque at rest draws a current that shows.
+const PULLS: f64 = 0.05;
 /// An error that no servo leaves on both sides of a reading that does not change, rad.
 const STUCK_RAD: f64 = 0.15;
 
@@ -141,6 +143,11 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         .collect();
     let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
     let unsigned = cur.iter().all(|i| i.is_nan() || *i >= 0.0);
+    if unsigned && cur.iter().any(|i| *i > 0.0) && pulls_both_ways(run, joint, &error) {
+        let detail = "is never negative although the servo pulls both ways: log it with its sign";
+        let at = format!("cur.{}", joint.name);
+        return out.push(Finding::fatal("sign", at, detail.to_owned()));
+    }
     // an error that hardly leaves its count, and a current that wanders meanwhile, tell nothing
     let told = t.first_sd > run.robot.servo(joint.index).encoder_lsb_rad();
     if told && t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) && !unsigned {
@@ -153,6 +160,16 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
             ),
         ));
     }
+}
+
+/// Whether what is left of the command at rest (rad) asks the servo for much torque one way and, as long, the other.
+fn pulls_both_ways(run: &Run<'_>, joint: &Channels, error_rad: &[f64]) -> bool {
+    let servo = run.robot.servo(joint.index);
+    let kp = run.log.meta.kp.unwrap_or(run.robot.kp_nm_per_rad());
+    let much = |x: f64| kp * x > PULLS * servo.tau_max_nm && x > 3.0 * servo.encoder_lsb_rad();
+    let long = run.grid.points(LONG_ENOUGH_S);
+    let ways = [1.0, -1.0].map(|way| error_rad.iter().filter(|x| much(way * **x)).count());
+    ways.iter().all(|n| *n >= long)
 }
 
 /// A reading that stays the same to the last bit while the command asks for both sides of it.
@@ -169,6 +186,16 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         .unwrap_or(run.robot.kp_nm_per_rad())
         .max(1e-6);
     let far = STUCK_RAD.max(0.3 * servo.tau_max_nm / kp);
+    let asked = cmd.iter().filter(|u| (*u - pos[0]).abs() > far).count();
+    if pos.iter().all(|q| *q == pos[0]) && asked >= run.grid.points(LONG_ENOUGH_S) {
+        let detail = format!(
+            "reads {:.4} rad in the whole run while the command moves {:.2} rad away: is the encoder read at all?",
+            pos[0],
+            cmd.iter().map(|u| (u - pos[0]).abs()).fold(0.0, f64::max)
+        );
+        let at = format!("pos.{}", joint.name);
+        return out.push(Finding::fatal("stuck", at, detail));
+    }
     let mut from = 0;
     for i in 1..=pos.len() {
         if i < pos.len() && pos[i] == pos[from] {

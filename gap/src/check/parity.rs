@@ -7,7 +7,7 @@ use super::finding::{Finding, Run};
 use super::series::{Together, best_lag, median, slope, smooth, together};
 
 /// Speeds are compared as means over so long, s: encoder steps vanish.
-const WINDOW_S: f64 = 0.15;
+const PARITY_WINDOW_S: f64 = 0.15;
 /// Longest lag of a speed estimate, s.
 const LAG_S: f64 = 0.12;
 /// Speeds below this (standard deviation, rad/s or m/s) tell nothing.
@@ -53,7 +53,7 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
 /// The change of `pos` per time against `speed`, at the lag where they go best together; `None` where nothing moves.
 fn speed_parity(run: &Run<'_>, pos: &[f64], speed: &[f64]) -> Option<Together> {
     let grid = &run.grid;
-    let width = grid.points(WINDOW_S).max(2);
+    let width = grid.points(PARITY_WINDOW_S).max(2);
     let half = width / 2;
     let change = slope(pos, half, grid.step_s);
     let mean = smooth(speed, 2 * half);
@@ -198,7 +198,7 @@ fn along(a: &[Vec<f64>; 3], g: &[Vec<f64>; 3]) -> Option<f64> {
 
 /// Gravity seen from a turning body turns the other way: d(grav)/dt = −ω × grav.
 fn turning(run: &Run<'_>, gyro: &[Vec<f64>; 3], grav: &[Vec<f64>; 3], out: &mut Vec<Finding>) {
-    let half = (run.grid.points(WINDOW_S) / 2).max(1);
+    let half = (run.grid.points(PARITY_WINDOW_S) / 2).max(1);
     let smooth3 = |v: &[Vec<f64>; 3]| [0, 1, 2].map(|k| smooth(&v[k], 2 * half));
     let (w, g) = (smooth3(gyro), smooth3(grav));
     let change: Vec<f64> = (0..3)

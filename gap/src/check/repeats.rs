@@ -13,7 +13,7 @@ const SMOOTH_S: f64 = 0.3;
 /// A deviation counts from so many times what repeats otherwise differ by.
 const TIMES: f64 = 8.0;
 /// And from so large a share of the servo's greatest torque, as the error would ask for.
-const TORQUE_SHARE: f64 = 0.2;
+const ODD_TORQUE_SHARE: f64 = 0.2;
 /// And from so large a share of how far the joint moves about that time: where it moves most, repeats differ most.
 const MOTION_SHARE: f64 = 0.2;
 /// "About that time", s.
@@ -149,7 +149,7 @@ struct Off {
 }
 
 impl Off {
-    /// Of joint `j` of the runs in `group`; none where its position is not logged in all of them.
+    /// How far joint `j` is off among the runs in `group`; none where its position is not logged in all of them.
     fn of(runs: &[Run<'_>], channels: &[Vec<Channels>], group: &[usize], j: usize) -> Option<Self> {
         let first = &runs[group[0]];
         let grid = &first.grid;
@@ -191,7 +191,7 @@ impl Off {
         Some(Self {
             rad: apart.into_iter().map(moved).collect(),
             threshold_rad: (TIMES * scale)
-                .max(TORQUE_SHARE * servo.tau_max_nm / kp.max(1e-6))
+                .max(ODD_TORQUE_SHARE * servo.tau_max_nm / kp.max(1e-6))
                 .max(3.0 * servo.encoder_lsb_rad()),
         })
     }

@@ -12,6 +12,7 @@ const FEWEST_ROWS: usize = 50;
 pub(super) fn usable(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> bool {
     let before = out.len();
     columns(run, joints, out);
+    misspelt(run, out);
     let table = &run.log.table;
     let span_s = table.time_s().last().unwrap_or(&0.0) - table.time_s().first().unwrap_or(&0.0);
     if table.len() < FEWEST_ROWS || span_s < SHORTEST_RUN_S {
@@ -30,6 +31,31 @@ pub(super) fn usable(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
         }
     }
     usable
+}
+
+/// Keys of `log.toml` that count.
+const KEYS: [&str; 9] = [
+    "robot",
+    "base",
+    "terrain",
+    "rate_hz",
+    "notes",
+    "kp",
+    "kd",
+    "supply_v",
+    "water_level_m",
+];
+
+/// Settings that nobody reads because their keys are spelt a little otherwise than those that count.
+fn misspelt(run: &Run<'_>, out: &mut Vec<Finding>) {
+    let plain = |key: &str| key.replace(['_', '-', ' '], "").to_lowercase();
+    for key in run.log.meta.settings.keys() {
+        let like = |k: &&&str| plain(k) == plain(key) && *k != key;
+        if let Some(meant) = KEYS.iter().find(like) {
+            let detail = format!("`{key}` is not read; write `{meant}`");
+            out.push(Finding::fatal("meta", "log.toml".to_owned(), detail));
+        }
+    }
 }
 
 /// Whether the log has commands and positions of this robot's joints, and of no others.

@@ -29,5 +29,5 @@ pub fn wider(one: &Effect, other: &Effect) -> bool {
 
 /// Whether either is declared to look like the other.
 pub fn look_alike(one: &Effect, other: &Effect) -> bool {
-    one.look_alikes.contains(&other.id) || other.look_alikes.contains(&one.id)
+    one.look_alikes().any(|id| id == other.id) || other.look_alikes().any(|id| id == one.id)
 }

@@ -51,7 +51,7 @@ pub enum Along {
 }
 
 /// Arguments besides runs.
-const ARGUMENTS: usize = Along::ALL.len() - 1;
+const ARGUMENT_COUNT: usize = Along::ALL.len() - 1;
 
 impl Along {
     /// All of them.
@@ -152,7 +152,7 @@ struct Side<'a> {
     /// Which run each sample is of. `[N]`
     run: Vec<usize>,
     /// Arguments of each sample, in the order of [`Along::ALL`] without runs; none for channels that belong to no joint. `[N]`
-    arguments: Vec<Option<[f64; ARGUMENTS]>>,
+    arguments: Vec<Option<[f64; ARGUMENT_COUNT]>>,
 }
 
 impl<'a> Side<'a> {

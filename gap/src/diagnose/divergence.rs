@@ -9,8 +9,10 @@ use super::state::On;
 use crate::report::Divergence;
 use crate::trial::{Channel, Kind, Trial};
 
+/// Cells that are reported.
+const MOST_CELLS: usize = 400;
 /// Resamplings of the null.
-const RESAMPLES: usize = 300;
+const CELL_RESAMPLES: usize = 300;
 /// Slow: below this, rad/s.
 const SLOW_RADPS: f64 = 0.3;
 /// Fast: above this share of the joint's 95th percentile.
@@ -89,6 +91,7 @@ pub fn divergence(judge: &Judge, on: &On, seed: u64) -> Vec<Divergence> {
         })
         .collect();
     out.sort_by(|a, b| b.ratio.total_cmp(&a.ratio));
+    out.truncate(MOST_CELLS);
     out
 }
 
@@ -96,12 +99,12 @@ pub fn divergence(judge: &Judge, on: &On, seed: u64) -> Vec<Divergence> {
 /// replacement; a cell's statistic is its mean square, in standard deviations of that under the null.
 fn family_wise(cells: &BTreeMap<(Kind, String, usize), Cell>, seed: u64) -> Vec<f64> {
     let mut stream = Stream::new(Key::for_run(seed), Purpose::Sensor);
-    let mut worst = vec![f64::NEG_INFINITY; RESAMPLES];
+    let mut worst = vec![f64::NEG_INFINITY; CELL_RESAMPLES];
     let mut scores = Vec::with_capacity(cells.len());
     for cell in cells.values() {
         let blocks: Vec<&(f64, f64, usize)> = cell.blocks.values().collect();
-        let mut means = Vec::with_capacity(RESAMPLES);
-        for _ in 0..RESAMPLES {
+        let mut means = Vec::with_capacity(CELL_RESAMPLES);
+        for _ in 0..CELL_RESAMPLES {
             let (mut sum, mut count) = (0.0, 0);
             for _ in 0..blocks.len() {
                 let k = (f64::from(stream.uniform(0.0, 1.0)) * blocks.len() as f64) as usize;
@@ -125,7 +128,7 @@ fn family_wise(cells: &BTreeMap<(Kind, String, usize), Cell>, seed: u64) -> Vec<
         .into_iter()
         .map(|s| {
             let above = worst.iter().filter(|w| **w >= s).count();
-            (above as f64 + 1.0) / (RESAMPLES as f64 + 1.0)
+            (above as f64 + 1.0) / (CELL_RESAMPLES as f64 + 1.0)
         })
         .collect()
 }

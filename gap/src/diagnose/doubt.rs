@@ -25,7 +25,7 @@ const INCONSTANT: f64 = 0.12;
 
 /// What a model leaves, where it is most, floors.
 pub struct Left {
-    /// Of the runs that it was fitted to, or of held-out ones.
+    /// Whether these are held-out runs, and not those that it was fitted to.
     held_out: bool,
     before: f64,
     after: f64,

@@ -9,7 +9,7 @@ use crate::trial::{Kind, Steps, Trial};
 const LEAST_STEP_RAD: f64 = 0.008;
 /// … and those that ask for less than so many times what repeats differ by where next to nothing is asked for.
 const TIMES_NOISE: f64 = 8.0;
-/// Of the samples those with the smallest frames, which noise is told by.
+/// Share of the samples, those with the smallest frames, by which noise is told.
 const QUIET_SHARE: f64 = 0.25;
 /// A run is behind from this share of the last frame on, …
 const BEHIND_FRAMES: f64 = 0.5;
@@ -21,10 +21,12 @@ const ONE_STROKE: f64 = 0.75;
 const MOST_ROWS: usize = 4;
 /// Samples of two runs that are compared lie no farther apart than this share of a frame.
 const NEAR: f64 = 0.45;
-/// Of the times that a run falls behind at least this share are at one stroke where frames are lost: on bench rigs 0.58 to 0.76 of them, 0.5 where gears have play, 0.1
+/// Where frames are lost, a run falls behind at one stroke in at least this share of the times: on bench rigs
+/// 0.58 to 0.76 of them, 0.5 where gears have play, 0.1
 /// where all commands are late by nearly a row, so that jitter of stamps decides which one is heard.
 const LEAST_AT_ONE_STROKE: f64 = 0.4;
-/// Of the samples at which one run parts from the others, it is behind them at this share: 0.64 (a third of all frames lost) to 0.95 on bench rigs, and 0.2 to 0.57
+/// A run with losses is behind the others in this share of the samples at which it parts from them: 0.64 (a
+/// third of all frames lost) to 0.95 on bench rigs, and 0.2 to 0.57
 /// of those without losses (203 cases of seeds 101 to 113) …
 const LEAST_BEHIND_MOST: f64 = 0.6;
 /// … and more often than ahead by so many standard deviations of chance.

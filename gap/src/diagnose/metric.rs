@@ -76,7 +76,7 @@ pub struct TrialMetric {
 }
 
 impl TrialMetric {
-    /// Of the trial whose samples are in `range`.
+    /// The metric of the trial whose samples are in `range`.
     #[must_use]
     pub fn new(range: Range<usize>, mut columns: Vec<Column>) -> Self {
         columns.retain(|c| c.times(c) > LEAST_TRACE);

@@ -360,8 +360,8 @@ fn rivals_of(context: &Context, found: &Found, index: usize) -> Result<Named, Ga
 fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a Screened> {
     let mut chosen: Vec<&Screened> = Vec::new();
     let own = |s: &Screened| s.effect == term.effect;
-    for id in term.effect.look_alikes {
-        let near = screened.iter().filter(|s| s.effect.id == *id);
+    for id in term.effect.look_alikes() {
+        let near = screened.iter().filter(|s| s.effect.id == id);
         // at the same place if it can be there, else wherever it does best
         let mut near: Vec<&Screened> = near.collect();
         near.sort_by_key(|s| s.place != term.place);

@@ -30,11 +30,12 @@ const LEAST_RAD: f64 = 0.004;
 /// Noise of a set of runs.
 #[derive(Debug, Clone, Default)]
 pub struct Noise {
-    /// Of each sample, standard deviation, SI. `[N]`
+    /// Standard deviation of each sample, SI. `[N]`
     pub sigma: Vec<f32>,
-    /// Of what repeats differ by alone, by (trial, kind, index), SI.
+    /// Standard deviation of what repeats differ by alone, by (trial, kind, index), SI.
     pub repeat: BTreeMap<(usize, Kind, usize), f64>,
-    /// Of what a sensor adds from one sample to the next alone, by (trial, kind, index), SI: counts and jitter.
+    /// Standard deviation of what a sensor adds from one sample to the next alone, by (trial, kind, index), SI:
+    /// counts and jitter.
     pub white: BTreeMap<(usize, Kind, usize), f64>,
     /// One run less the mean of its repeats, in units of `sigma`; 0 where there are no repeats. `[N]`
     pub difference: Vec<f32>,
@@ -43,7 +44,7 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// Of `data`.
+    /// Measures the noise of `data`.
     #[must_use]
     pub fn of(model: &RobotModel, data: &Data) -> Self {
         let mut noise = Self {

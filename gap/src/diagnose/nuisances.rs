@@ -34,7 +34,7 @@ const BUOYANCY_TOLERANCE: f64 = 0.005;
 pub struct Nuisance {
     /// The candidate.
     pub variant: Variant,
-    /// Of its trace.
+    /// Share of its trace that is one tolerance.
     pub share: f32,
     /// Independent from joint to joint.
     pub per_joint: bool,

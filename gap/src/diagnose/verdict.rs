@@ -34,8 +34,6 @@ const TRUST_IN_PART: f64 = 0.8;
 const TRUST_DENIED: f64 = 0.15;
 /// … and of a lead ([`naming::leads`]) this: of 25 such names two were right.
 const TRUST_LEAD: f64 = 0.1;
-/// Cells of the divergence map that are reported.
-const MOST_CELLS: usize = 400;
 
 /// The report of a diagnosis that stops at its data.
 pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> Diagnosis {
@@ -115,11 +113,7 @@ pub fn conclude(
     if !matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
         unexplained.clear();
     }
-    let cells = |on: &On| {
-        let mut cells = divergence(&context.holdout, on, context.seed);
-        cells.truncate(MOST_CELLS);
-        cells
-    };
+    let cells = |on: &On| divergence(&context.holdout, on, context.seed);
     let extended_at_all = !best.terms.is_empty() || context.losses.is_some();
     let floor = floors(context, &found.first, best.misfit());
     let mut plots = pictures::plots(context, found, named);

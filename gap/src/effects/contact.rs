@@ -4,7 +4,7 @@ use super::effect::Reference::One;
 use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_CONTACT: Effect = Effect {
     layer: Layer::Contact,
     domain: Domain::Feet,
     unseen: |e, _| (!e.on_ground).then_some("the robot never stands on the ground in these runs"),
@@ -16,15 +16,11 @@ pub static CONTACT_FRICTION: Effect = Effect {
     parameters: &[parameter("scale", "", 1.0, (0.05, 5.0), 0.07, One)],
     grid: &one(&[0.2, 0.35, 0.5, 0.7, 0.85, 1.2, 1.6]),
     hinge: true,
-    apply: |plant, place, v| {
-        for &f in &place.items {
-            plant.lane.foot_friction_scale[f] *= v[0] as f32;
-        }
-    },
-    look_alikes: &["belly_friction", "girdle_play", "torque_limit"],
+    apply: |plant, place, v| place.each(|f| plant.lane.foot_friction_scale[f] *= v[0] as f32),
+    look_alikes: "belly_friction girdle_play torque_limit",
     trial: "gait_two_speeds",
     signature: "feet slide: the body is slow although the joints follow",
-    ..BASE
+    ..OF_CONTACT
 };
 
 pub static BELLY_FRICTION: Effect = Effect {
@@ -36,8 +32,8 @@ pub static BELLY_FRICTION: Effect = Effect {
     apply: |plant, _, v| {
         plant.lane.body_friction = (plant.lane.body_friction * v[0] as f32).clamp(0.0, 10.0);
     },
-    look_alikes: &["contact_friction"],
+    look_alikes: "contact_friction",
     trial: "low_gait",
     signature: "resistance in low postures only",
-    ..BASE
+    ..OF_CONTACT
 };

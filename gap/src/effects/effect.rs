@@ -96,8 +96,8 @@ pub struct Effect {
     pub hinge: bool,
     /// Puts it into a plant. `values` in SI, one per parameter.
     pub apply: fn(&mut Plant, &Place, &[f64]),
-    /// Effects that look like it.
-    pub look_alikes: &'static [&'static str],
+    /// Effects that look like it: ids, with spaces between.
+    pub look_alikes: &'static str,
     /// Why the runs cannot show it, if so.
     pub unseen: fn(&Excitation, &Place) -> Option<&'static str>,
     /// A trial that shows it.
@@ -123,6 +123,11 @@ impl Effect {
     #[must_use]
     pub fn places(&self, model: &RobotModel) -> Vec<Place> {
         places(model, self.domain)
+    }
+
+    /// Ids of the effects that look like it.
+    pub fn look_alikes(&self) -> impl Iterator<Item = &'static str> + use<> {
+        self.look_alikes.split_ascii_whitespace()
     }
 
     /// Value of parameter `index` that is `units` references at `place`.
@@ -232,7 +237,7 @@ pub(super) const PLAIN: Effect = Effect {
     grid: &[],
     hinge: false,
     apply: |_, _, _| {},
-    look_alikes: &[],
+    look_alikes: "",
     unseen: |_, _| None,
     trial: "",
     signature: "",

@@ -4,7 +4,7 @@ use super::effect::Reference::{Damping, One, Speed, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_FRICTION: Effect = Effect {
     layer: Layer::Transmission,
     domain: Domain::Joints,
     unseen: needs_motion,
@@ -28,16 +28,10 @@ pub static COULOMB_FRICTION: Effect = Effect {
             *friction = (*friction + v[0] as f32).max(0.0);
         }
     },
-    look_alikes: &[
-        "stribeck_friction",
-        "viscous_friction",
-        "load_dependent_friction",
-        "controller_dead_band",
-        "pre_sliding",
-    ],
+    look_alikes: "stribeck_friction viscous_friction load_dependent_friction controller_dead_band pre_sliding",
     trial: "slow_triangles",
     signature: "a jump of torque at every reversal, the same at any speed and load",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static VISCOUS_FRICTION: Effect = Effect {
@@ -57,16 +51,10 @@ pub static VISCOUS_FRICTION: Effect = Effect {
             plant.lane.joint_damping_nms_per_rad[a] = damping.max(0.0);
         }
     },
-    look_alikes: &[
-        "kd_error",
-        "load_dependent_friction",
-        "coulomb_friction",
-        "torque_constant",
-        "command_low_pass",
-    ],
+    look_alikes: "kd_error load_dependent_friction coulomb_friction torque_constant command_low_pass",
     trial: "chirp",
     signature: "torque grows in proportion to speed, with the servo off as well",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static STRIBECK_FRICTION: Effect = Effect {
@@ -93,16 +81,10 @@ pub static STRIBECK_FRICTION: Effect = Effect {
             plant.lane.joints[a].stribeck_speed_radps = (v[1] as f32).clamp(1e-3, 100.0);
         }
     },
-    look_alikes: &[
-        "load_stiction",
-        "coulomb_friction",
-        "pre_sliding",
-        "controller_dead_band",
-        "gear_backlash",
-    ],
+    look_alikes: "load_stiction coulomb_friction pre_sliding controller_dead_band gear_backlash",
     trial: "slow_triangles",
     signature: "more friction at rest than in motion: stick and slip at low speed only",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
@@ -118,18 +100,10 @@ pub static LOAD_DEPENDENT_FRICTION: Effect = Effect {
                 (joint.load_friction_driven + v[0] as f32).clamp(0.0, 0.95);
         }
     },
-    look_alikes: &[
-        "load_stiction",
-        "torque_saturation",
-        "coulomb_friction",
-        "viscous_friction",
-        "drive_asymmetry",
-        "winding_resistance",
-        "torque_constant",
-    ],
+    look_alikes: "load_stiction torque_saturation coulomb_friction viscous_friction drive_asymmetry winding_resistance torque_constant",
     trial: "lift_and_lower",
     signature: "the jump at a reversal grows with the load at the same speed",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static LOAD_STICTION: Effect = Effect {
@@ -155,15 +129,10 @@ pub static LOAD_STICTION: Effect = Effect {
             joint.stribeck_speed_radps = (v[1] as f32).clamp(1e-3, 100.0);
         }
     },
-    look_alikes: &[
-        "stribeck_friction",
-        "load_dependent_friction",
-        "coulomb_friction",
-        "drive_asymmetry",
-    ],
+    look_alikes: "stribeck_friction load_dependent_friction coulomb_friction drive_asymmetry",
     trial: "lift_and_lower",
     signature: "a joint sticks the harder the more it carries, and lets go with a jerk; without load it does not stick",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static DRIVE_ASYMMETRY: Effect = Effect {
@@ -189,15 +158,10 @@ pub static DRIVE_ASYMMETRY: Effect = Effect {
                 (joint.load_friction_driven + v[1] as f32).clamp(0.0, 0.95);
         }
     },
-    look_alikes: &[
-        "load_dependent_friction",
-        "braking_asymmetry",
-        "torque_constant",
-        "direction_asymmetry",
-    ],
+    look_alikes: "load_dependent_friction braking_asymmetry torque_constant direction_asymmetry",
     trial: "lift_and_lower",
     signature: "lifting and lowering the same load at the same speed lose differently",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static DIRECTION_ASYMMETRY: Effect = Effect {
@@ -220,16 +184,10 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
             *mean = mean.max(joint.friction_asymmetry_nm.abs());
         }
     },
-    look_alikes: &[
-        "encoder_offset",
-        "parallel_spring",
-        "floor_slope",
-        "link_com",
-        "drive_asymmetry",
-    ],
+    look_alikes: "encoder_offset parallel_spring floor_slope link_com drive_asymmetry",
     trial: "slow_triangles",
     signature: "heavier one way than the other, in every pose",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static PRE_SLIDING: Effect = Effect {
@@ -244,19 +202,12 @@ pub static PRE_SLIDING: Effect = Effect {
     )],
     grid: &one(&[0.0006, 0.006, 0.012, 0.025, 0.05, 0.1]),
     apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.lane.joints[a].presliding_rad = (v[0] as f32).clamp(1e-5, 1.0);
-        }
+        place.each(|a| plant.lane.joints[a].presliding_rad = (v[0] as f32).clamp(1e-5, 1.0))
     },
-    look_alikes: &[
-        "coulomb_friction",
-        "stribeck_friction",
-        "gear_compliance",
-        "gear_backlash",
-    ],
+    look_alikes: "coulomb_friction stribeck_friction gear_compliance gear_backlash",
     trial: "micro_reversals",
     signature: "friction comes on like a spring after a reversal",
-    ..BASE
+    ..OF_FRICTION
 };
 
 pub static FRICTION_DRIFT: Effect = Effect {
@@ -284,7 +235,7 @@ pub static FRICTION_DRIFT: Effect = Effect {
             run_in.time_s = v[2].max(0.05);
         }
     },
-    look_alikes: &["thermal_derating", "coulomb_friction"],
+    look_alikes: "thermal_derating coulomb_friction",
     unseen: |e, place| {
         if e.runs < 3 && e.longest_s < 5.0 {
             Some(
@@ -296,5 +247,5 @@ pub static FRICTION_DRIFT: Effect = Effect {
     },
     trial: "warm_up_series",
     signature: "friction changes within every run as the joint warms, or from the first to the last run of the session",
-    ..BASE
+    ..OF_FRICTION
 };

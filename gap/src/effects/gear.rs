@@ -4,7 +4,7 @@ use super::effect::Reference::{One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter, rows};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_GEARS: Effect = Effect {
     layer: Layer::Transmission,
     domain: Domain::Joints,
     unseen: needs_motion,
@@ -23,15 +23,10 @@ pub static GEAR_BACKLASH: Effect = Effect {
             *rotor = rotor.max(1e-4);
         }
     },
-    look_alikes: &[
-        "gear_compliance",
-        "controller_dead_band",
-        "pre_sliding",
-        "servo_loop_delay",
-    ],
+    look_alikes: "gear_compliance controller_dead_band pre_sliding servo_loop_delay",
     trial: "micro_reversals",
     signature: "free travel without torque, of the same width at any load; current reverses before the joint does",
-    ..BASE
+    ..OF_GEARS
 };
 
 pub static GEAR_COMPLIANCE: Effect = Effect {
@@ -71,15 +66,10 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
             *rotor = rotor.max(1e-4);
         }
     },
-    look_alikes: &[
-        "gear_backlash",
-        "pre_sliding",
-        "servo_loop_delay",
-        "armature",
-    ],
+    look_alikes: "gear_backlash pre_sliding servo_loop_delay armature",
     trial: "chirp",
     signature: "deflection in proportion to torque; a resonance that moves with the load's inertia",
-    ..BASE
+    ..OF_GEARS
 };
 
 /// Ripples that are tried: so many in a turn, each a quarter of its period on from the one before.
@@ -112,8 +102,8 @@ pub static COGGING: Effect = Effect {
             joint.ripple_per_turn = v[2] as f32;
         }
     },
-    look_alikes: &["parallel_spring", "encoder_gain", "stribeck_friction"],
+    look_alikes: "parallel_spring encoder_gain stribeck_friction",
     trial: "slow_turn",
     signature: "a torque that repeats with the angle, at any speed",
-    ..BASE
+    ..OF_GEARS
 };

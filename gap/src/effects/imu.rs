@@ -13,7 +13,7 @@ fn needs_imu(e: &Excitation, _: &Place) -> Option<&'static str> {
     (!any).then_some("no IMU was recorded")
 }
 
-const BASE: Effect = Effect {
+const OF_THE_IMU: Effect = Effect {
     layer: Layer::Sensing,
     domain: Domain::Robot,
     unseen: needs_imu,
@@ -31,10 +31,10 @@ pub static IMU_TILT: Effect = Effect {
         plant.sensing.mounting.tilt_rad[0] += v[0] as f32;
         plant.sensing.mounting.tilt_rad[1] += v[1] as f32;
     },
-    look_alikes: &["floor_slope"],
+    look_alikes: "floor_slope",
     trial: "stand_headings",
     signature: "constant in the body's frame; no joint reacts",
-    ..BASE
+    ..OF_THE_IMU
 };
 
 pub static GYRO_BIAS: Effect = Effect {
@@ -60,7 +60,7 @@ pub static GYRO_BIAS: Effect = Effect {
     unseen: |e, _| (!e.has(Kind::Gyro)).then_some("no gyroscope was recorded"),
     trial: "rest",
     signature: "a rate at rest",
-    ..BASE
+    ..OF_THE_IMU
 };
 
 pub static IMU_DELAY: Effect = Effect {
@@ -81,10 +81,10 @@ pub static IMU_DELAY: Effect = Effect {
         plant.sensing.imu_delay_s += v[0] as f32;
         plant.sensing.imu_lag_s += v[1] as f32;
     },
-    look_alikes: &["measurement_delay"],
+    look_alikes: "measurement_delay",
     trial: "chirp",
     signature: "the IMU alone comes late; joints do not",
-    ..BASE
+    ..OF_THE_IMU
 };
 
 pub static MOCAP_FRAME: Effect = Effect {
@@ -107,9 +107,9 @@ pub static MOCAP_FRAME: Effect = Effect {
         plant.sensing.mocap_yaw_rad += v[1] as f32;
         plant.sensing.mocap_offset_m[2] += v[2] as f32;
     },
-    look_alikes: &["imu_delay"],
+    look_alikes: "imu_delay",
     unseen: |e, _| (!e.has(Kind::BasePosition)).then_some("no motion capture was recorded"),
     trial: "chirp",
     signature: "only motion capture is off; all onboard signals are as simulated",
-    ..BASE
+    ..OF_THE_IMU
 };

@@ -4,7 +4,7 @@ use super::effect::Reference::{Armature, One};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_MASSES: Effect = Effect {
     layer: Layer::Inertia,
     domain: Domain::Links,
     ..PLAIN
@@ -14,22 +14,11 @@ pub static LINK_MASS: Effect = Effect {
     id: "link_mass",
     parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.03, One)],
     grid: &one(&[0.7, 0.9, 1.1, 1.3, 1.7]),
-    apply: |plant, place, v| {
-        for &l in &place.items {
-            plant.lane.link_mass_scale[l] *= v[0] as f32;
-        }
-    },
-    look_alikes: &[
-        "link_com",
-        "payload",
-        "torque_constant",
-        "armature",
-        "encoder_gain",
-        "parallel_spring",
-    ],
+    apply: |plant, place, v| place.each(|l| plant.lane.link_mass_scale[l] *= v[0] as f32),
+    look_alikes: "link_com payload torque_constant armature encoder_gain parallel_spring",
     trial: "hold_poses",
     signature: "gravity and inertia of the link grow together",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static LINK_COM: Effect = Effect {
@@ -54,33 +43,22 @@ pub static LINK_COM: Effect = Effect {
             }
         }
     },
-    look_alikes: &[
-        "link_mass",
-        "armature",
-        "encoder_offset",
-        "parallel_spring",
-        "link_inertia",
-        "payload",
-    ],
+    look_alikes: "link_mass armature encoder_offset parallel_spring link_inertia payload",
     trial: "hold_poses",
     signature: "gravity changes with the lever, inertia with its square; the weight stays",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static LINK_INERTIA: Effect = Effect {
     id: "link_inertia",
     parameters: &[parameter("scale", "", 1.0, (0.05, 20.0), 0.1, One)],
     grid: &one(&[0.4, 1.7, 3.0, 6.0, 12.0]),
-    apply: |plant, place, v| {
-        for &l in &place.items {
-            plant.lane.link_inertia_scale[l] *= v[0] as f32;
-        }
-    },
-    look_alikes: &["armature", "link_com", "link_mass"],
+    apply: |plant, place, v| place.each(|l| plant.lane.link_inertia_scale[l] *= v[0] as f32),
+    look_alikes: "armature link_com link_mass",
     unseen: needs_motion,
     trial: "fast_chirp",
     signature: "shows in fast motion only; no gravity",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static ARMATURE: Effect = Effect {
@@ -101,11 +79,11 @@ pub static ARMATURE: Effect = Effect {
             plant.lane.joint_armature_kgm2[a] = rotor.max(1e-4);
         }
     },
-    look_alikes: &["link_inertia", "link_com", "link_mass", "added_mass"],
+    look_alikes: "link_inertia link_com link_mass added_mass",
     unseen: needs_motion,
     trial: "fast_chirp",
     signature: "inertia of the joint alone: no gravity, nothing passed on to neighbours",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static PAYLOAD: Effect = Effect {
@@ -123,19 +101,20 @@ pub static PAYLOAD: Effect = Effect {
         &[0.3, 0.1, 0.0],
         &[0.3, -0.1, 0.0],
         &[0.3, 0.0, 0.1],
+        &[0.3, 0.0, -0.1],
     ],
     apply: |plant, _, v| {
         plant.lane.payload_kg += v[0] as f32;
         plant.lane.payload_m[0] += v[1] as f32;
         plant.lane.payload_m[2] += v[2] as f32;
     },
-    look_alikes: &["link_mass", "link_com", "buoyancy"],
+    look_alikes: "link_mass link_com buoyancy",
     unseen: |e, _| {
         (!e.on_ground && !e.in_water).then_some("a held trunk does not show what it carries")
     },
     trial: "stand_heights",
     signature: "weight on the trunk: every leg carries more",
-    ..BASE
+    ..OF_MASSES
 };
 
 pub static FLOOR_SLOPE: Effect = Effect {
@@ -156,13 +135,8 @@ pub static FLOOR_SLOPE: Effect = Effect {
         &[-0.1, 0.0],
     ],
     apply: |plant, _, v| plant.lane.tilt_floor(v[0] as f32, v[1] as f32),
-    look_alikes: &[
-        "imu_tilt",
-        "encoder_offset",
-        "link_com",
-        "direction_asymmetry",
-    ],
+    look_alikes: "imu_tilt encoder_offset link_com direction_asymmetry",
     trial: "stand_headings",
     signature: "gravity points elsewhere in the world: all joints with a lever change together, and it turns with the heading",
-    ..BASE
+    ..OF_MASSES
 };

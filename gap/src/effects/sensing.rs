@@ -7,7 +7,7 @@ use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 use crate::trial::Kind;
 
-const BASE: Effect = Effect {
+const OF_SENSORS: Effect = Effect {
     layer: Layer::Sensing,
     domain: Domain::Joints,
     ..PLAIN
@@ -17,53 +17,31 @@ pub static ENCODER_OFFSET: Effect = Effect {
     id: "encoder_offset",
     parameters: &[parameter("offset_rad", "rad", 0.0, (-0.6, 0.6), 0.005, One)],
     grid: &one(&[-0.25, -0.05, -0.02, 0.02, 0.05, 0.25]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.sensing.encoders[a].offset_rad += v[0] as f32;
-        }
-    },
-    look_alikes: &[
-        "link_com",
-        "parallel_spring",
-        "floor_slope",
-        "direction_asymmetry",
-    ],
+    apply: |plant, place, v| place.each(|a| plant.sensing.encoders[a].offset_rad += v[0] as f32),
+    look_alikes: "link_com parallel_spring floor_slope direction_asymmetry",
     trial: "hold_poses",
     signature: "the gravity curve of current against angle is shifted; independent of speed and direction",
-    ..BASE
+    ..OF_SENSORS
 };
 
 pub static ENCODER_GAIN: Effect = Effect {
     id: "encoder_gain",
     parameters: &[parameter("gain", "", 0.0, (-0.35, 0.35), 0.005, One)],
     grid: &one(&[-0.15, -0.05, -0.02, 0.02, 0.05, 0.15]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.sensing.encoders[a].gain += v[0] as f32;
-        }
-    },
-    look_alikes: &[
-        "link_mass",
-        "link_com",
-        "viscous_friction",
-        "torque_constant",
-    ],
+    apply: |plant, place, v| place.each(|a| plant.sensing.encoders[a].gain += v[0] as f32),
+    look_alikes: "link_mass link_com viscous_friction torque_constant",
     unseen: needs_motion,
     trial: "hold_poses",
     signature: "grows with the angle; shows against motion capture, only weakly against current",
-    ..BASE
+    ..OF_SENSORS
 };
 
 pub static VELOCITY_LAG: Effect = Effect {
     id: "velocity_lag",
     parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.2), 0.003, One)],
     grid: &one(&[0.005, 0.01, 0.02, 0.04, 0.08]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.sensing.velocity_lag_s[a] += v[0] as f32;
-        }
-    },
-    look_alikes: &["measurement_delay"],
+    apply: |plant, place, v| place.each(|a| plant.sensing.velocity_lag_s[a] += v[0] as f32),
+    look_alikes: "measurement_delay",
     unseen: |e, place| {
         if e.has(Kind::Velocity) {
             needs_motion(e, place)
@@ -73,7 +51,7 @@ pub static VELOCITY_LAG: Effect = Effect {
     },
     trial: "chirp",
     signature: "the reported velocity lags behind the derivative of the reported position; positions are untouched",
-    ..BASE
+    ..OF_SENSORS
 };
 
 pub static CURRENT_BIAS: Effect = Effect {
@@ -89,23 +67,19 @@ pub static CURRENT_BIAS: Effect = Effect {
             plant.sensing.currents[a].gain += v[1] as f32;
         }
     },
-    look_alikes: &["torque_constant"],
+    look_alikes: "torque_constant",
     unseen: |e, _| (!e.has(Kind::Current)).then_some("no currents were recorded"),
     trial: "hold_poses",
     signature: "only the current reading is off; the motion is as simulated",
-    ..BASE
+    ..OF_SENSORS
 };
 
 pub static CURRENT_LAG: Effect = Effect {
     id: "current_lag",
     parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.2), 0.005, One)],
     grid: &one(&[0.005, 0.01, 0.02, 0.04, 0.08]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.sensing.current_lag_s[a] += v[0] as f32;
-        }
-    },
-    look_alikes: &["torque_constant", "current_bias", "measurement_delay"],
+    apply: |plant, place, v| place.each(|a| plant.sensing.current_lag_s[a] += v[0] as f32),
+    look_alikes: "torque_constant current_bias measurement_delay",
     unseen: |e, place| {
         if e.has(Kind::Current) {
             needs_motion(e, place)
@@ -115,5 +89,5 @@ pub static CURRENT_LAG: Effect = Effect {
     },
     trial: "chirp",
     signature: "the current lags behind what the motion needs, and its peaks are rounded; positions are untouched",
-    ..BASE
+    ..OF_SENSORS
 };

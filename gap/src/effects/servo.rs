@@ -4,7 +4,7 @@ use super::effect::Reference::{Damping, Gain, One, Torque};
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_SERVOS: Effect = Effect {
     layer: Layer::Actuation,
     domain: Domain::Joints,
     ..PLAIN
@@ -14,21 +14,11 @@ pub static KP_ERROR: Effect = Effect {
     id: "kp_error",
     parameters: &[parameter("scale", "", 1.0, (0.2, 4.0), 0.04, One)],
     grid: &one(&[0.5, 0.75, 0.9, 1.1, 1.3, 1.7]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.lane.kp_nm_per_rad[a] *= v[0] as f32;
-        }
-    },
-    look_alikes: &[
-        "kd_error",
-        "winding_resistance",
-        "torque_constant",
-        "controller_dead_band",
-        "stale_gains",
-    ],
+    apply: |plant, place, v| place.each(|a| plant.lane.kp_nm_per_rad[a] *= v[0] as f32),
+    look_alikes: "kd_error winding_resistance torque_constant controller_dead_band stale_gains",
     trial: "hold_poses",
     signature: "the droop under load changes; nothing in time touches it",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static KD_ERROR: Effect = Effect {
@@ -51,18 +41,11 @@ pub static KD_ERROR: Effect = Effect {
             *own = (*own + kd.min(0.0)).max(0.0);
         }
     },
-    look_alikes: &[
-        "viscous_friction",
-        "kp_error",
-        "command_low_pass",
-        "servo_loop_delay",
-        "torque_constant",
-        "supply_level",
-    ],
+    look_alikes: "viscous_friction kp_error command_low_pass servo_loop_delay torque_constant supply_level",
     unseen: needs_motion,
     trial: "steps",
     signature: "overshoot changes and the droop does not; friction adds current at constant speed instead",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static INTEGRAL_ACTION: Effect = Effect {
@@ -76,15 +59,11 @@ pub static INTEGRAL_ACTION: Effect = Effect {
         Gain,
     )],
     grid: &one(&[0.1, 0.3, 1.0, 3.0]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.lane.joints[a].ki_nm_per_rad_s += v[0] as f32;
-        }
-    },
-    look_alikes: &["kp_error", "thermal_derating"],
+    apply: |plant, place, v| place.each(|a| plant.lane.joints[a].ki_nm_per_rad_s += v[0] as f32),
+    look_alikes: "kp_error thermal_derating",
     trial: "long_holds",
     signature: "the droop goes away within seconds",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static TORQUE_CONSTANT: Effect = Effect {
@@ -104,38 +83,21 @@ pub static TORQUE_CONSTANT: Effect = Effect {
             joint.torque_constant_nm_per_a *= s;
         }
     },
-    look_alikes: &[
-        "winding_resistance",
-        "kp_error",
-        "current_bias",
-        "load_dependent_friction",
-        "link_mass",
-    ],
+    look_alikes: "winding_resistance kp_error current_bias load_dependent_friction link_mass",
     trial: "hold_poses",
     signature: "torque per ampere changes in loaded holds, and the speed without load the other way",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static WINDING_RESISTANCE: Effect = Effect {
     id: "winding_resistance",
     parameters: &[parameter("scale", "", 1.0, (0.4, 3.0), 0.04, One)],
     grid: &one(&[0.6, 0.8, 0.9, 1.1, 1.3, 1.7]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.lane.joints[a].winding_scale *= v[0] as f32;
-        }
-    },
-    look_alikes: &[
-        "torque_saturation",
-        "kp_error",
-        "torque_constant",
-        "load_dependent_friction",
-        "supply_level",
-        "stale_gains",
-    ],
+    apply: |plant, place, v| place.each(|a| plant.lane.joints[a].winding_scale *= v[0] as f32),
+    look_alikes: "torque_saturation kp_error torque_constant load_dependent_friction supply_level stale_gains",
     trial: "stalls",
     signature: "more droop at stall with the same current per torque; the speed without load is as it was",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static TORQUE_LIMIT: Effect = Effect {
@@ -183,18 +145,13 @@ pub static TORQUE_LIMIT: Effect = Effect {
             joint.braking_current_limit_a = at(v[0] + v[1] * (unlimited_nm - v[0]));
         }
     },
-    look_alikes: &[
-        "voltage_limit",
-        "supply_level",
-        "profile_limit",
-        "thermal_derating",
-    ],
+    look_alikes: "voltage_limit supply_level profile_limit thermal_derating",
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.1).then_some("the servo never works hard in these runs")
     },
     trial: "loaded_steps",
     signature: "current is cut flat, at any speed; where the motor brakes perhaps less, or not at all",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static TORQUE_SATURATION: Effect = Effect {
@@ -210,20 +167,13 @@ pub static TORQUE_SATURATION: Effect = Effect {
                 (drop / (1.0 - drop) / most_nm.max(1e-6)) as f32;
         }
     },
-    look_alikes: &[
-        "winding_resistance",
-        "torque_constant",
-        "torque_limit",
-        "load_dependent_friction",
-        "supply_sag",
-        "voltage_limit",
-    ],
+    look_alikes: "winding_resistance torque_constant torque_limit load_dependent_friction supply_sag voltage_limit",
     unseen: |e, place| {
         (e.most_torque_share(place) < 0.2).then_some("the servo never works hard in these runs")
     },
     trial: "loaded_steps",
     signature: "torque falls behind in proportion to itself: small errors are answered in full, large ones less and less, at any speed",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static VOLTAGE_LIMIT: Effect = Effect {
@@ -237,16 +187,11 @@ pub static VOLTAGE_LIMIT: Effect = Effect {
             plant.lane.joints[a].speed_scale *= v[0] as f32;
         }
     },
-    look_alikes: &[
-        "supply_level",
-        "torque_limit",
-        "profile_limit",
-        "supply_sag",
-    ],
+    look_alikes: "supply_level torque_limit profile_limit supply_sag",
     unseen: needs_motion,
     trial: "large_steps",
     signature: "torque is cut along a line that falls with speed",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static CONTROLLER_DEAD_BAND: Effect = Effect {
@@ -282,15 +227,10 @@ pub static CONTROLLER_DEAD_BAND: Effect = Effect {
             joint.dead_band_jump = v[1] as f32;
         }
     },
-    look_alikes: &[
-        "coulomb_friction",
-        "kp_error",
-        "gear_backlash",
-        "stribeck_friction",
-    ],
+    look_alikes: "coulomb_friction kp_error gear_backlash stribeck_friction",
     trial: "slow_ramps",
     signature: "a steady error without current, up to the same width whatever the gain",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static BRAKING_ASYMMETRY: Effect = Effect {
@@ -319,11 +259,11 @@ pub static BRAKING_ASYMMETRY: Effect = Effect {
             joint.back_drive_kp_ratio *= v[1] as f32;
         }
     },
-    look_alikes: &["drive_asymmetry", "torque_limit", "viscous_friction"],
+    look_alikes: "drive_asymmetry torque_limit viscous_friction",
     unseen: needs_motion,
     trial: "fast_reversals",
     signature: "only where torque is against the motion",
-    ..BASE
+    ..OF_SERVOS
 };
 
 pub static STALE_GAINS: Effect = Effect {
@@ -337,8 +277,8 @@ pub static STALE_GAINS: Effect = Effect {
             plant.lane.kd_nms_per_rad[a] *= v[0] as f32;
         }
     },
-    look_alikes: &["kp_error", "winding_resistance"],
+    look_alikes: "kp_error winding_resistance",
     trial: "steps",
     signature: "both gains by one factor, as of another register",
-    ..BASE
+    ..OF_SERVOS
 };

@@ -5,7 +5,7 @@ use super::effect::{Effect, Layer, PLAIN, one, parameter};
 use crate::place::Domain;
 use crate::trial::Kind;
 
-const BASE: Effect = Effect {
+const OF_STRUCTURE: Effect = Effect {
     layer: Layer::Structure,
     domain: Domain::Joints,
     ..PLAIN
@@ -25,11 +25,9 @@ pub static GIRDLE_PLAY: Effect = Effect {
     grid: &one(&[0.0, 0.008, 0.017, 0.035, 0.052, 0.07, 0.09, 0.12, 0.16, 0.2]),
     hinge: true,
     apply: |plant, place, v| {
-        for &b in &place.items {
-            plant.lane.backlash_half_width_rad[b] = (v[0] as f32).clamp(0.0, 1.0);
-        }
+        place.each(|b| plant.lane.backlash_half_width_rad[b] = (v[0] as f32).clamp(0.0, 1.0))
     },
-    look_alikes: &["imu_tilt", "contact_friction", "payload"],
+    look_alikes: "imu_tilt contact_friction payload",
     unseen: |e, _| {
         let sees = [
             Kind::Gyro,
@@ -44,7 +42,7 @@ pub static GIRDLE_PLAY: Effect = Effect {
     },
     trial: "girdle_rocking",
     signature: "the body tips between two stops with the sign of its load; joint encoders see nothing",
-    ..BASE
+    ..OF_STRUCTURE
 };
 
 pub static PARALLEL_SPRING: Effect = Effect {
@@ -80,16 +78,10 @@ pub static PARALLEL_SPRING: Effect = Effect {
             joint.spring_nm_per_rad = both;
         }
     },
-    look_alikes: &[
-        "link_com",
-        "link_mass",
-        "encoder_offset",
-        "direction_asymmetry",
-        "kp_error",
-    ],
+    look_alikes: "link_com link_mass encoder_offset direction_asymmetry kp_error",
     trial: "hold_poses",
     signature: "torque where gravity has no lever; the same however the robot is turned",
-    ..BASE
+    ..OF_STRUCTURE
 };
 
 pub static HARD_STOP: Effect = Effect {
@@ -130,8 +122,8 @@ pub static HARD_STOP: Effect = Effect {
             joint.high_rad = joint.high_rad.min(v[1] as f32).max(joint.low_rad);
         }
     },
-    look_alikes: &["torque_limit", "parallel_spring"],
+    look_alikes: "torque_limit parallel_spring",
     trial: "full_range",
     signature: "the joint never passes an angle, and current surges there",
-    ..BASE
+    ..OF_STRUCTURE
 };

@@ -4,7 +4,7 @@ use super::effect::Reference::One;
 use super::effect::{Effect, Layer, PLAIN, needs_motion, one, parameter};
 use crate::place::Domain;
 
-const BASE: Effect = Effect {
+const OF_THE_SUPPLY: Effect = Effect {
     layer: Layer::Actuation,
     domain: Domain::Robot,
     unseen: needs_motion,
@@ -16,10 +16,10 @@ pub static SUPPLY_SAG: Effect = Effect {
     parameters: &[parameter("resistance_ohm", "Ω", 0.0, (0.0, 5.0), 0.1, One)],
     grid: &one(&[0.2, 0.5, 1.0, 2.0]),
     apply: |plant, _, v| plant.lane.supply_resistance_ohm += v[0] as f32,
-    look_alikes: &["supply_level", "voltage_limit"],
+    look_alikes: "supply_level voltage_limit",
     trial: "all_joints_probe",
     signature: "all joints lose speed when any of them works; follows the total current within milliseconds",
-    ..BASE
+    ..OF_THE_SUPPLY
 };
 
 pub static SUPPLY_LEVEL: Effect = Effect {
@@ -37,10 +37,10 @@ pub static SUPPLY_LEVEL: Effect = Effect {
             }
         }
     },
-    look_alikes: &["voltage_limit", "supply_sag", "profile_limit"],
+    look_alikes: "voltage_limit supply_sag profile_limit",
     trial: "large_steps",
     signature: "as a voltage limit, the same in all joints and at any load; the logged voltage shows it",
-    ..BASE
+    ..OF_THE_SUPPLY
 };
 
 pub static THERMAL_DERATING: Effect = Effect {
@@ -63,7 +63,7 @@ pub static THERMAL_DERATING: Effect = Effect {
             plant.lane.joints[a].thermal_time_s = (v[1] as f32).clamp(0.1, 1e5);
         }
     },
-    look_alikes: &["winding_resistance", "friction_drift", "kp_error"],
+    look_alikes: "winding_resistance friction_drift kp_error",
     unseen: |e, place| {
         if e.longest_s < 5.0 {
             Some("the runs are too short to warm anything")
@@ -73,5 +73,5 @@ pub static THERMAL_DERATING: Effect = Effect {
     },
     trial: "hot_hold",
     signature: "droop grows with the current squared over the past minute",
-    ..BASE
+    ..OF_THE_SUPPLY
 };

@@ -11,7 +11,7 @@ fn needs_commands(e: &Excitation, _: &Place) -> Option<&'static str> {
     (e.fastest_command_radps < 0.2).then_some("commands hardly change in these runs")
 }
 
-const BASE: Effect = Effect {
+const OF_TIMING: Effect = Effect {
     layer: Layer::Timing,
     domain: Domain::Robot,
     unseen: needs_commands,
@@ -29,16 +29,10 @@ pub static COMMAND_DELAY: Effect = Effect {
         let lane = &mut plant.lane;
         lane.command_delay_s = (lane.command_delay_s + v[0] as f32).clamp(0.0, MAX_COMMAND_DELAY_S);
     },
-    look_alikes: &[
-        "command_low_pass",
-        "measurement_delay",
-        "servo_loop_delay",
-        "bus_skew",
-        "profile_limit",
-    ],
+    look_alikes: "command_low_pass measurement_delay servo_loop_delay bus_skew profile_limit",
     trial: "chirp",
     signature: "phase falls in proportion to frequency with gain 1; what happens without a command is not shifted",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static MEASUREMENT_DELAY: Effect = Effect {
@@ -46,10 +40,10 @@ pub static MEASUREMENT_DELAY: Effect = Effect {
     parameters: &[parameter("delay_s", "s", 0.0, (0.0, 0.1), 0.002, One)],
     grid: &one(&DELAYS_S),
     apply: |plant, _, v| plant.sensing.measurement_delay_s += v[0] as f32,
-    look_alikes: &["command_delay", "command_low_pass", "clock_drift"],
+    look_alikes: "command_delay command_low_pass clock_drift",
     trial: "torque_off_drop",
     signature: "as a command delay, but what happens without a command is shifted too",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static BUS_SKEW: Effect = Effect {
@@ -69,11 +63,11 @@ pub static BUS_SKEW: Effect = Effect {
                 (joint.command_skew_s + a as f32 * v[0] as f32).clamp(0.0, MAX_COMMAND_DELAY_S);
         }
     },
-    look_alikes: &["command_delay"],
+    look_alikes: "command_delay",
     unseen: |e, _| (e.joints.len() < 2).then_some("one joint alone shows no pattern along the bus"),
     trial: "chirp",
     signature: "the lag grows along the bus",
-    ..BASE
+    ..OF_TIMING
 };
 
 /// Frames of the command that do not arrive, which a diagnosis also measures by what repeats differ by.
@@ -95,10 +89,10 @@ pub static DROPPED_FRAMES: Effect = Effect {
         plant.lane.command_loss.share = (v[0] as f32).clamp(0.0, 0.9);
         plant.lane.command_loss.burst = (v[1] as f32).clamp(1.0, 100.0);
     },
-    look_alikes: &["command_delay", "command_low_pass"],
+    look_alikes: "command_delay command_low_pass",
     trial: "chirp",
     signature: "the command stands still at single ticks; a delay shifts all of them",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static CLOCK_DRIFT: Effect = Effect {
@@ -106,14 +100,14 @@ pub static CLOCK_DRIFT: Effect = Effect {
     parameters: &[parameter("drift", "", 0.0, (-0.02, 0.02), 0.000_1, One)],
     grid: &one(&[-0.003, -0.001, -0.0003, 0.0003, 0.001, 0.003]),
     apply: |plant, _, v| plant.sensing.clock_drift += v[0] as f32,
-    look_alikes: &["measurement_delay", "command_delay"],
+    look_alikes: "measurement_delay command_delay",
     unseen: |e, place| {
         let short = || (e.longest_s < 5.0).then_some("the runs are too short for a drift");
         needs_commands(e, place).or_else(short)
     },
     trial: "long_chirp",
     signature: "the lag grows with the time since the start of the run",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static COMMAND_LOW_PASS: Effect = Effect {
@@ -121,22 +115,12 @@ pub static COMMAND_LOW_PASS: Effect = Effect {
     domain: Domain::Joints,
     parameters: &[parameter("time_s", "s", 0.0, (0.0, 0.5), 0.003, One)],
     grid: &one(&[0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2]),
-    apply: |plant, place, v| {
-        for &a in &place.items {
-            plant.lane.joints[a].command_low_pass_s += v[0] as f32;
-        }
-    },
-    look_alikes: &[
-        "command_delay",
-        "measurement_delay",
-        "profile_limit",
-        "kd_error",
-        "servo_loop_delay",
-    ],
+    apply: |plant, place, v| place.each(|a| plant.lane.joints[a].command_low_pass_s += v[0] as f32),
+    look_alikes: "command_delay measurement_delay profile_limit kd_error servo_loop_delay",
     unseen: needs_motion,
     trial: "chirp",
     signature: "gain falls with frequency as well as phase; steps are rounded",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static PROFILE_LIMIT: Effect = Effect {
@@ -176,16 +160,11 @@ pub static PROFILE_LIMIT: Effect = Effect {
             plant.lane.joints[a].profile_acceleration_radps2 = (v[1] as f32).clamp(0.0, 1e6);
         }
     },
-    look_alikes: &[
-        "voltage_limit",
-        "torque_limit",
-        "command_low_pass",
-        "supply_level",
-    ],
+    look_alikes: "voltage_limit torque_limit command_low_pass supply_level",
     unseen: needs_motion,
     trial: "steps",
     signature: "ramps of one slope after steps of any size, whatever load and voltage",
-    ..BASE
+    ..OF_TIMING
 };
 
 pub static SERVO_LOOP_DELAY: Effect = Effect {
@@ -199,14 +178,9 @@ pub static SERVO_LOOP_DELAY: Effect = Effect {
             joint.loop_delay_s = (joint.loop_delay_s + v[0] as f32).clamp(0.0, MAX_LOOP_DELAY_S);
         }
     },
-    look_alikes: &[
-        "kd_error",
-        "command_low_pass",
-        "gear_compliance",
-        "gear_backlash",
-    ],
+    look_alikes: "kd_error command_low_pass gear_compliance gear_backlash",
     unseen: needs_motion,
     trial: "steps",
     signature: "damping is lost, the more the higher the gain; a delay outside the loop only shifts",
-    ..BASE
+    ..OF_TIMING
 };

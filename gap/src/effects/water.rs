@@ -9,7 +9,7 @@ fn needs_water(e: &Excitation, _: &Place) -> Option<&'static str> {
     (!e.in_water).then_some("the robot is never in the water in these runs")
 }
 
-const BASE: Effect = Effect {
+const OF_WATER: Effect = Effect {
     layer: Layer::Water,
     domain: Domain::AllLinks,
     unseen: needs_water,
@@ -20,15 +20,11 @@ pub static LINEAR_DRAG: Effect = Effect {
     id: "linear_drag",
     parameters: &[parameter("scale", "", 1.0, (0.0, 90.0), 1.0, One)],
     grid: &one(&[5.0, 20.0, 60.0]),
-    apply: |plant, place, v| {
-        for &l in &place.items {
-            plant.lane.water[l].linear_drag_scale *= v[0] as f32;
-        }
-    },
-    look_alikes: &["quadratic_drag", "viscous_friction", "heave_damping"],
+    apply: |plant, place, v| place.each(|l| plant.lane.water[l].linear_drag_scale *= v[0] as f32),
+    look_alikes: "quadratic_drag viscous_friction heave_damping",
     trial: "coast_down",
     signature: "loss per cycle grows with the amplitude squared",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static QUADRATIC_DRAG: Effect = Effect {
@@ -53,10 +49,10 @@ pub static QUADRATIC_DRAG: Effect = Effect {
             water.quadratic_torque_scale *= v[1] as f32;
         }
     },
-    look_alikes: &["linear_drag", "added_mass"],
+    look_alikes: "linear_drag added_mass",
     trial: "three_amplitudes_three_frequencies",
     signature: "loss per cycle grows with the cube of the amplitude",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static ADDED_MASS: Effect = Effect {
@@ -72,25 +68,21 @@ pub static ADDED_MASS: Effect = Effect {
             water.added_inertia_z += v[0] as f32;
         }
     },
-    look_alikes: &["quadratic_drag", "armature", "link_mass"],
+    look_alikes: "quadratic_drag armature link_mass",
     trial: "wet_and_dry_chirp",
     signature: "shifts the phase without net work, in water only",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static BUOYANCY: Effect = Effect {
     id: "buoyancy",
     parameters: &[parameter("scale", "", 1.0, (0.3, 3.0), 0.03, One)],
     grid: &one(&[0.75, 0.9, 1.1, 1.3]),
-    apply: |plant, place, v| {
-        for &l in &place.items {
-            plant.lane.water[l].buoyancy_scale *= v[0] as f32;
-        }
-    },
-    look_alikes: &["water_level", "payload", "link_mass"],
+    apply: |plant, place, v| place.each(|l| plant.lane.water[l].buoyancy_scale *= v[0] as f32),
+    look_alikes: "water_level payload link_mass",
     trial: "float",
     signature: "floats higher or deeper at rest",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static BUOYANCY_CENTRE: Effect = Effect {
@@ -107,10 +99,10 @@ pub static BUOYANCY_CENTRE: Effect = Effect {
             water.buoyancy_z_m += v[1] as f32;
         }
     },
-    look_alikes: &["link_com", "payload"],
+    look_alikes: "link_com payload",
     trial: "float",
     signature: "the attitude at rest in the water changes",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static HEAVE_DAMPING: Effect = Effect {
@@ -130,10 +122,10 @@ pub static HEAVE_DAMPING: Effect = Effect {
             *damping = (*damping + v[0] as f32).max(0.0);
         }
     },
-    look_alikes: &["linear_drag", "quadratic_drag"],
+    look_alikes: "linear_drag quadratic_drag",
     trial: "bob",
     signature: "how fast bobbing dies",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static WATER_CURRENT: Effect = Effect {
@@ -148,10 +140,10 @@ pub static WATER_CURRENT: Effect = Effect {
         plant.lane.water_current_mps[0] += v[0] as f32;
         plant.lane.water_current_mps[1] += v[1] as f32;
     },
-    look_alikes: &["quadratic_drag"],
+    look_alikes: "quadratic_drag",
     trial: "passive_drift",
     signature: "the robot drifts without doing anything",
-    ..BASE
+    ..OF_WATER
 };
 
 pub static WATER_LEVEL: Effect = Effect {
@@ -160,8 +152,8 @@ pub static WATER_LEVEL: Effect = Effect {
     parameters: &[parameter("offset_m", "m", 0.0, (-0.3, 0.3), 0.004, One)],
     grid: &one(&[-0.03, -0.01, 0.01, 0.03]),
     apply: |plant, _, v| plant.lane.water_level_offset_m += v[0] as f32,
-    look_alikes: &["buoyancy"],
+    look_alikes: "buoyancy",
     trial: "slow_dip",
     signature: "everything wet begins at another depth",
-    ..BASE
+    ..OF_WATER
 };

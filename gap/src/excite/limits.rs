@@ -3,7 +3,7 @@
 use caudata_model::{Pose, RobotModel};
 
 /// Distance kept from the ends of the range, share of the range.
-const MARGIN: f64 = 0.05;
+const LIMIT_MARGIN: f64 = 0.05;
 /// Commands stay below this share of the speed without load.
 const SPEED_SHARE: f64 = 0.6;
 /// Commands ask for accelerations that take at most this share of the greatest torque.
@@ -56,7 +56,7 @@ impl JointLimits {
 
     fn of(robot: &RobotModel, index: usize) -> Self {
         let (low, high) = robot.joint_limits_rad()[index];
-        let margin = MARGIN * (high - low);
+        let margin = LIMIT_MARGIN * (high - low);
         let servo = robot.servo(index);
         let inertia_kgm2 = inertia(robot, index) + servo.armature_kgm2;
         let points = ((high - low) / SEARCH_RAD).ceil() as usize;
@@ -103,7 +103,8 @@ impl JointLimits {
     /// Torque that holds position `q_rad` against gravity, N·m.
     #[must_use]
     pub fn gravity_nm(&self, q_rad: f64) -> f64 {
-        let margin = (self.range_rad.1 - self.range_rad.0) / (1.0 - 2.0 * MARGIN) * MARGIN;
+        let margin =
+            (self.range_rad.1 - self.range_rad.0) / (1.0 - 2.0 * LIMIT_MARGIN) * LIMIT_MARGIN;
         self.at(q_rad - (self.range_rad.0 - margin))
     }
 

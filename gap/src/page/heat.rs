@@ -98,6 +98,39 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
         columns.len(),
         escape(title)
     );
+    write_head(&mut out, left, &columns);
+    for (r, joint) in rows.iter().enumerate() {
+        let y = HEAD + CELL_H * r as f64;
+        let name = if joint.is_empty() { "robot" } else { joint };
+        let _ = write!(
+            out,
+            r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end">{}</text>"#,
+            left - 7.0,
+            y + 15.0,
+            escape(name)
+        );
+        for (c, (signal, regime)) in columns.iter().enumerate() {
+            let x = left + CELL_W * c as f64;
+            let Some(d) = cells.get(&(*joint, *signal, *regime)) else {
+                let _ = write!(
+                    out,
+                    r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" fill="none" class="g"/>"#,
+                    x + 1.0,
+                    y + 1.0,
+                    CELL_W - 2.0,
+                    CELL_H - 2.0
+                );
+                continue;
+            };
+            write_cell(&mut out, (x, y), name, d);
+        }
+    }
+    out.push_str("</svg>");
+    out
+}
+
+/// Signals, each over its regimes.
+fn write_head(out: &mut String, left: f64, columns: &[(&str, &str)]) {
     let mut from = 0;
     while from < columns.len() {
         let to = columns[from..]
@@ -125,62 +158,41 @@ fn map(cells: &Cells<'_>, frame: &Cells<'_>, title: &str) -> String {
             escape(regime)
         );
     }
-    for (r, joint) in rows.iter().enumerate() {
-        let y = HEAD + CELL_H * r as f64;
-        let name = if joint.is_empty() { "robot" } else { joint };
-        let _ = write!(
-            out,
-            r#"<text class="n" x="{:.1}" y="{:.1}" text-anchor="end">{}</text>"#,
-            left - 7.0,
-            y + 15.0,
-            escape(name)
-        );
-        for (c, (signal, regime)) in columns.iter().enumerate() {
-            let x = left + CELL_W * c as f64;
-            let Some(d) = cells.get(&(*joint, *signal, *regime)) else {
-                let _ = write!(
-                    out,
-                    r#"<rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" fill="none" class="g"/>"#,
-                    x + 1.0,
-                    y + 1.0,
-                    CELL_W - 2.0,
-                    CELL_H - 2.0
-                );
-                continue;
-            };
-            let level = STEPS.iter().filter(|s| d.ratio >= **s).count();
-            let about = format!(
-                "{name} {signal}, {regime}: {} rms, noise floor {}, ratio {}, p {}",
-                number(d.rmse),
-                number(d.noise_floor),
-                number(d.ratio),
-                number(d.p)
-            );
-            let ink = if level >= 4 {
-                " style=\"fill:var(--bg)\""
-            } else {
-                ""
-            };
-            let _ = write!(
-                out,
-                r#"<g><title>{}</title><rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" style="fill:var(--h{level})"/><text class="v" x="{:.1}" y="{:.1}" text-anchor="middle"{ink}>{}</text></g>"#,
-                escape(&about),
-                x + 1.0,
-                y + 1.0,
-                CELL_W - 2.0,
-                CELL_H - 2.0,
-                x + 0.5 * CELL_W,
-                y + 15.0,
-                number(if d.ratio >= 10.0 {
-                    d.ratio.round()
-                } else {
-                    (10.0 * d.ratio).round() / 10.0
-                })
-            );
-        }
-    }
-    out.push_str("</svg>");
-    out
+}
+
+/// What is known of one cell, at its place.
+fn write_cell(out: &mut String, (x, y): (f64, f64), name: &str, d: &Divergence) {
+    let level = STEPS.iter().filter(|s| d.ratio >= **s).count();
+    let about = format!(
+        "{name} {}, {}: {} rms, noise floor {}, ratio {}, p {}",
+        d.signal,
+        d.regime,
+        number(d.rmse),
+        number(d.noise_floor),
+        number(d.ratio),
+        number(d.p)
+    );
+    let ink = if level >= 4 {
+        " style=\"fill:var(--bg)\""
+    } else {
+        ""
+    };
+    let _ = write!(
+        out,
+        r#"<g><title>{}</title><rect x="{:.1}" y="{:.1}" width="{:.1}" height="{:.1}" rx="3" style="fill:var(--h{level})"/><text class="v" x="{:.1}" y="{:.1}" text-anchor="middle"{ink}>{}</text></g>"#,
+        escape(&about),
+        x + 1.0,
+        y + 1.0,
+        CELL_W - 2.0,
+        CELL_H - 2.0,
+        x + 0.5 * CELL_W,
+        y + 15.0,
+        number(if d.ratio >= 10.0 {
+            d.ratio.round()
+        } else {
+            (10.0 * d.ratio).round() / 10.0
+        })
+    );
 }
 
 fn legend() -> String {

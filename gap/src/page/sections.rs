@@ -170,29 +170,7 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
                 place(other)
             );
         }
-        if !cause.evidence.is_empty() {
-            out.push_str("<ul>");
-            for e in &cause.evidence {
-                let _ = write!(out, "<li>{}</li>", escape(e));
-            }
-            out.push_str("</ul>");
-        }
-        if !cause.rejected.is_empty() {
-            let _ = write!(
-                out,
-                "<details><summary>{} look-alikes tried and rejected</summary><table><tbody>",
-                cause.rejected.len()
-            );
-            for r in &cause.rejected {
-                let _ = write!(
-                    out,
-                    "<tr><td>{}</td><td>{}</td></tr>",
-                    escape(&effect_name(&r.effect)),
-                    escape(&r.reason)
-                );
-            }
-            out.push_str("</tbody></table></details>");
-        }
+        out.push_str(&evidence(cause));
         let own = |s: &&crate::plots::Signature| {
             s.effect == cause.effect
                 && (s.joint.is_empty()
@@ -208,6 +186,35 @@ pub fn causes(report: &Report, plots: Option<&Plots>) -> String {
             let _ = write!(out, "<div class=\"grid\">{}</div>", marks.concat());
         }
         out.push_str("</div>");
+    }
+    out
+}
+
+/// What speaks for a cause, and what was rejected in its place.
+fn evidence(cause: &Cause) -> String {
+    let mut out = String::new();
+    if !cause.evidence.is_empty() {
+        out.push_str("<ul>");
+        for e in &cause.evidence {
+            let _ = write!(out, "<li>{}</li>", escape(e));
+        }
+        out.push_str("</ul>");
+    }
+    if !cause.rejected.is_empty() {
+        let _ = write!(
+            out,
+            "<details><summary>{} look-alikes tried and rejected</summary><table><tbody>",
+            cause.rejected.len()
+        );
+        for r in &cause.rejected {
+            let _ = write!(
+                out,
+                "<tr><td>{}</td><td>{}</td></tr>",
+                escape(&effect_name(&r.effect)),
+                escape(&r.reason)
+            );
+        }
+        out.push_str("</tbody></table></details>");
     }
     out
 }

@@ -187,7 +187,7 @@ impl Trace {
 struct Place {
     row: u32,
     next: u32,
-    /// Of the way from one to the other.
+    /// Share of the way from one to the other.
     share: f64,
 }
 

@@ -93,7 +93,7 @@ pub(super) fn start(model: &RobotModel, trial: &Trial, t_s: f64) -> Start {
 /// Where the IMU is and how its link turns against the base, by the joints between the two.
 pub(super) struct ImuPlace {
     pub base_from_imu: Pose,
-    /// Of the IMU's link less the base, in the base, rad/s.
+    /// Angular velocity of the IMU's link less that of the base, in the base, rad/s.
     pub angvel_radps: [f64; 3],
 }
 

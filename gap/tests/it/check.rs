@@ -4,7 +4,7 @@ use crate::common::{Touch, changed, rebuilt, record, robot, simulate};
 use caudata_gap::check::{CheckVerdict, Checked, check};
 use caudata_gap::excite;
 use caudata_model::RobotModel;
-use caudata_runlog::{Axis, RunLog, Signal, Table, TableWriter};
+use caudata_runlog::{Axis, RunLog, Setting, Signal, Table, TableWriter};
 use proptest::prelude::*;
 
 /// Logs of a trial, one per seed.
@@ -253,6 +253,39 @@ fn stuck_channels_are_found() {
     let at = Signal::Velocity("FL_hip".to_owned());
     let stuck = changed(log, |s, _, _, v| if *s == at { Some(0.0) } else { v });
     found(&one(&robot, &stuck), "parity", "vel.FL_hip");
+    // an encoder that is not read, of a joint that is asked to go one way only
+    let rig = crate::common::robot("xl330_pendulum");
+    let log = &logs(&rig, "steps_large", &[7])[0];
+    let dead = changed(log, |s, _, _, v| match s {
+        Signal::Position(_) => Some(0.0),
+        Signal::Command(_) => v.map(f64::abs),
+        _ => v,
+    });
+    found(&one(&rig, &dead), "stuck", "pos.swing");
+}
+
+#[test]
+fn a_current_without_its_sign_is_found() {
+    let robot = robot("polymander");
+    let log = &logs(&robot, "holds", &[3])[0];
+    let unsigned = changed(log, |s, _, _, v| match s {
+        Signal::Current(_) => v.map(f64::abs),
+        _ => v,
+    });
+    let checked = one(&robot, &unsigned);
+    let all = checked.faults.iter().filter(|f| f.kind == "sign").count();
+    assert!(all > 0, "{:#?}", checked.faults);
+}
+
+#[test]
+fn a_misspelt_key_is_found() {
+    let robot = robot("xl330_pendulum");
+    let mut log = logs(&robot, "holds", &[3]).remove(0);
+    let kp = Setting::Number(log.meta.kp.take().unwrap_or(1.0));
+    log.meta.settings.insert("Kp".to_owned(), kp);
+    let checked = one(&robot, &log);
+    found(&checked, "meta", "log.toml");
+    assert_eq!(checked.verdict, CheckVerdict::DataFault);
 }
 
 #[test]

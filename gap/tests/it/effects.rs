@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use caudata_gap::effects::{self, Effect, Place};
 use caudata_gap::replay::{Data, Replayer, SegmentOptions, Term};
-use caudata_gap::trial::{Role, Run, Trial};
+use caudata_gap::trial::{Role, Run};
 use caudata_model::RobotModel;
 use caudata_runlog::{RunLog, Table};
 
@@ -226,15 +226,24 @@ fn the_catalogue_is_whole() {
             "{}",
             e.id
         );
-        for other in e.look_alikes {
+        for other in e.look_alikes() {
             assert!(
                 effects::find(other).is_some(),
                 "{}: look-alike {other} does not exist",
                 e.id
             );
         }
-        for p in e.parameters {
+        for (i, p) in e.parameters.iter().enumerate() {
             assert!(p.low < p.high && p.scale > 0.0, "{}.{}", e.id, p.name);
+            // screening tries parts and multiples of a size, never the other way round
+            let tried = |way: f64| e.grid.iter().any(|g| way * g[i] > 0.0);
+            let either_way = p.low == -p.high && p.neutral == 0.0;
+            assert!(
+                !either_way || tried(1.0) == tried(-1.0),
+                "{}.{}",
+                e.id,
+                p.name
+            );
         }
         assert!(!e.id.is_empty() && !e.trial.is_empty() && !e.signature.is_empty());
     }

@@ -1,16 +1,17 @@
-//! Decides about each frame, and when a batch is complete. Pure: bytes and versions in, batches out; the caller
-//! has the link and the clock.
+//! Decides about each frame, and when a batch is complete. Pure: bytes and versions in, batches out; the
+//! caller has the link and the clock.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use caudata_proto::{DecodeLimits, Envelope, RolloutChunk, chunk_identity, decode};
 
-use super::accounting::{Accounting, ActorKey, Arrival, DropReason};
+use super::account::{Arrival, DropReason};
+use super::accounting::{Accounting, ActorKey};
 
 /// Refused chunks after which an incarnation is not listened to any more.
 pub const STRIKES_MAX: u32 = 3;
-/// Share of a batch that is not waited for where actors may be ahead (`max_lead` above 0): one slow actor among many would otherwise
-/// set the pace of all. Their chunks count in the next batch.
+/// Share of a batch that is not waited for where actors may be ahead (`max_lead` above 0): one slow actor
+/// among many would otherwise set the pace of all. Their chunks count in the next batch.
 const STRAGGLERS: f64 = 0.05;
 
 /// What the collector checks chunks against.
@@ -34,7 +35,8 @@ pub struct CollectorSettings {
     pub chunks_per_version: u32,
     /// Quotas that an actor may be ahead. 0: a batch consists of chunks of the current version only.
     pub max_lead: u32,
-    /// Batches of equal share per actor, whose lag is exactly `max_lead`; lanes lie side by side, whoever stepped them.
+    /// Batches of equal share per actor, whose lag is exactly `max_lead`; lanes lie side by side, whoever
+    /// stepped them.
     pub lockstep: bool,
     /// Versions that a chunk may be old when it is used.
     pub max_lag: u64,
@@ -189,7 +191,8 @@ impl Collector {
 
     /// Whether a batch is complete: full, or everything that the actors that are there will send.
     ///
-    /// In lockstep: when every actor has sent all that it may before the next policy comes, so that none of them can miss a version.
+    /// In lockstep: when every actor has sent all that it may before the next policy comes, so that none of
+    /// them can miss a version.
     pub fn is_ready(&self) -> bool {
         let per_actor = self.settings.chunks_per_version as usize;
         if self.settings.lockstep {
@@ -214,9 +217,9 @@ impl Collector {
         self.waiting.len()
     }
 
-    /// Takes at most a full batch, oldest policy first, then by actor, incarnation and sequence: the order does not
-    /// depend on the order of arrival. Actors of which nothing has come are not waited for until they are
-    /// heard again.
+    /// Takes at most a full batch, oldest policy first, then by actor, incarnation and sequence: the order
+    /// does not depend on the order of arrival. Actors of which nothing has come are not waited for until
+    /// they are heard again.
     pub fn take(&mut self) -> Vec<RolloutChunk> {
         self.waiting.sort_by_key(order);
         let batch = match self.settings.lockstep {
@@ -264,7 +267,8 @@ impl Collector {
         self.drop_waiting_if(DropReason::AtShutdown, |_| true);
     }
 
-    /// Whether every actor that was there has said goodbye. One that was expected and never heard of has nothing to say.
+    /// Whether every actor that was there has said goodbye. One that was expected and never heard of has
+    /// nothing to say.
     pub fn all_gone(&self) -> bool {
         let silent = |actor: &u32| !self.newest.contains_key(actor);
         self.present.iter().all(silent)

@@ -14,8 +14,8 @@ pub struct Batch {
     pub act_dim: usize,
     /// B.
     pub rows: usize,
-    /// Raw, row-major `[B + extra, D]`: per chunk `[T, N]` first, then per chunk the N observations after the last
-    /// step and the final observations of truncated steps.
+    /// Raw, row-major `[B + extra, D]`: per chunk `[T, N]` first, then per chunk the N observations after the
+    /// last step and the final observations of truncated steps.
     pub observations: Vec<f32>,
     /// `[B, A]`.
     pub actions: Vec<f32>,

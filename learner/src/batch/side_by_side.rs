@@ -1,5 +1,5 @@
-//! Lockstep: the chunks that actors collected at the same time become one chunk with all lanes, so that a batch does not show how
-//! many actors stepped them.
+//! Lockstep: the chunks that actors collected at the same time become one chunk with all lanes, so that a
+//! batch does not show how many actors stepped them.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,11 @@ use caudata_proto::{FinalObservation, RolloutChunk};
 
 use crate::normaliser::Moments;
 
-/// The first chunks of all actors side by side, then the second ones, and so on; `chunks` are in the order of each actor's work.
+/// The first chunks of all actors side by side, then the second ones, and so on; `chunks` are in the order of
+/// each actor's work.
 ///
-/// Lanes follow one another by actor. The statistics of the observations are counted anew over all lanes: sums over parts, added
-/// up, would differ in the last bits from actor count to actor count.
+/// Lanes follow one another by actor. The statistics of the observations are counted anew over all lanes:
+/// sums over parts, added up, would differ in the last bits from actor count to actor count.
 pub fn side_by_side(chunks: Vec<RolloutChunk>) -> Vec<RolloutChunk> {
     let mut rounds: Vec<BTreeMap<u32, RolloutChunk>> = Vec::new();
     let mut seen: BTreeMap<u32, usize> = BTreeMap::new();
@@ -102,7 +103,8 @@ mod tests {
 
     const STEPS: usize = 2;
 
-    /// What actor `actor` with `lanes` lanes from `first` on sends: every value tells step and lane. D = 1, A = 1.
+    /// What actor `actor` with `lanes` lanes from `first` on sends: every value tells step and lane. D = 1, A
+    /// = 1.
     fn chunk(actor: u32, sequence: u64, first: usize, lanes: usize) -> RolloutChunk {
         let value = |step: usize, lane: usize| {
             (1000 * sequence as usize + 10 * (first + lane) + step) as f32

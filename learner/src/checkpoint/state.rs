@@ -1,15 +1,14 @@
 //! What a checkpoint holds, and its form as files.
 //!
-//! `state.safetensors`: parameters, both moments of Adam, the normaliser and the learning rate, under the names that a
-//! PyTorch user expects. `meta.json`: everything else that decides how the run goes on. `history.json`: the curves.
-//! `actor_000.state`: one saved actor each, in-process runs only.
+//! `state.safetensors`: parameters, both moments of Adam, the normaliser and the learning rate, under the
+//! names that a PyTorch user expects. `meta.json`: everything else that decides how the run goes on.
+//! `history.json`: the curves. `actor_000.state`: one saved actor each, in-process runs only.
 
-use std::borrow::Cow;
 use std::collections::VecDeque;
 
 use caudata_actor::ActorSnapshot;
 use caudata_random::Stream;
-use safetensors::tensor::{Dtype, SafeTensors, View, serialize};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize};
 
 use super::store::{FORMAT, Files};
@@ -61,8 +60,8 @@ pub struct Saved {
     pub run_id: String,
     /// Iterations done.
     pub iteration: u64,
-    /// Version of the current policy, less the iterations done: not 0 in a run that went on from a checkpoint after
-    /// it had published later versions.
+    /// Version of the current policy, less the iterations done: not 0 in a run that went on from a checkpoint
+    /// after it had published later versions.
     #[serde(default)]
     pub version_offset: u64,
     /// What the policies of the run say was checked out when it began.
@@ -188,11 +187,10 @@ impl CheckpointState {
         let tensors =
             SafeTensors::deserialize(bytes).map_err(|error| format!("{STATE}: {error}"))?;
         let reader = Reader { tensors };
-        let count = reader
-            .u64s("normaliser.count")?
-            .first()
-            .copied()
-            .unwrap_or(0);
+        let (count, _) = reader.bytes("normaliser.count", Dtype::U64)?;
+        let count = count
+            .first_chunk()
+            .map_or(0, |bytes| u64::from_le_bytes(*bytes));
         let (mean, m2) = (
             reader.f64s("normaliser.mean")?,
             reader.f64s("normaliser.m2")?,
@@ -222,7 +220,7 @@ impl CheckpointState {
     }
 
     fn tensors(&self, layout: &Layout) -> Result<Vec<u8>, String> {
-        let mut tensors = Vec::new();
+        let mut tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
         let groups = [
             ("", &self.parameters),
             ("adam.m.", &self.adam_m),
@@ -241,26 +239,12 @@ impl CheckpointState {
                 let shape = parameter.shape.iter().map(|&n| n as usize).collect();
                 let data = values.iter().flat_map(|x| x.to_le_bytes()).collect();
                 let name = format!("{prefix}{}", parameter.name);
-                tensors.push((
-                    name,
-                    Stored {
-                        dtype: Dtype::F32,
-                        shape,
-                        data,
-                    },
-                ));
+                tensors.push((name, Dtype::F32, shape, data));
             }
         }
         let mut add = |name: &str, values: &[f64]| {
             let data = values.iter().flat_map(|x| x.to_le_bytes()).collect();
-            tensors.push((
-                name.into(),
-                Stored {
-                    dtype: Dtype::F64,
-                    shape: vec![values.len()],
-                    data,
-                },
-            ));
+            tensors.push((name.into(), Dtype::F64, vec![values.len()], data));
         };
         add("normaliser.mean", &self.moments.mean);
         add("normaliser.m2", &self.moments.m2);
@@ -268,15 +252,13 @@ impl CheckpointState {
         add("mean_step_reward", &self.step_rewards);
         add("returns", &ReturnSums::to_rows(&self.returns));
         let data = self.moments.count.to_le_bytes().to_vec();
-        tensors.push((
-            "normaliser.count".into(),
-            Stored {
-                dtype: Dtype::U64,
-                shape: vec![1],
-                data,
-            },
-        ));
-        serialize(tensors, None).map_err(|error| error.to_string())
+        tensors.push(("normaliser.count".into(), Dtype::U64, vec![1], data));
+        let views = tensors.iter().map(|(name, dtype, shape, data)| {
+            let view = TensorView::new(*dtype, shape.clone(), data);
+            Ok((name.as_str(), view.map_err(|error| error.to_string())?))
+        });
+        let views = views.collect::<Result<Vec<_>, String>>()?;
+        serialize(views, None).map_err(|error| error.to_string())
     }
 }
 
@@ -290,28 +272,6 @@ fn actors(files: &Files) -> Result<Vec<ActorSnapshot>, String> {
     }
     actors.sort_by_key(|actor| actor.actor_id);
     Ok(actors)
-}
-
-/// A tensor that owns its bytes, little endian.
-struct Stored {
-    dtype: Dtype,
-    shape: Vec<usize>,
-    data: Vec<u8>,
-}
-
-impl View for Stored {
-    fn dtype(&self) -> Dtype {
-        self.dtype
-    }
-    fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-    fn data(&self) -> Cow<'_, [u8]> {
-        Cow::Borrowed(&self.data)
-    }
-    fn data_len(&self) -> usize {
-        self.data.len()
-    }
 }
 
 struct Reader<'a> {
@@ -361,23 +321,8 @@ impl Reader<'_> {
     }
 
     fn f64s(&self, name: &str) -> Result<Vec<f64>, String> {
-        let (bytes, _) = self.bytes(name, Dtype::F64)?;
-        Ok(bytes
-            .as_chunks()
-            .0
-            .iter()
-            .map(|bytes| f64::from_le_bytes(*bytes))
-            .collect())
-    }
-
-    fn u64s(&self, name: &str) -> Result<Vec<u64>, String> {
-        let (bytes, _) = self.bytes(name, Dtype::U64)?;
-        Ok(bytes
-            .as_chunks()
-            .0
-            .iter()
-            .map(|bytes| u64::from_le_bytes(*bytes))
-            .collect())
+        let chunks = self.bytes(name, Dtype::F64)?.0.as_chunks().0.iter();
+        Ok(chunks.map(|bytes| f64::from_le_bytes(*bytes)).collect())
     }
 }
 

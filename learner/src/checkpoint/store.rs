@@ -1,7 +1,7 @@
 //! Folders of files that are whole or absent.
 //!
-//! `checkpoints/iter_000123/` holds the files of one checkpoint and `SHA256SUMS` (as `sha256sum -c` reads it), which
-//! names them all. A folder is filled under a temporary name, synced, renamed, and only then does
+//! `checkpoints/iter_000123/` holds the files of one checkpoint and `SHA256SUMS` (as `sha256sum -c` reads
+//! it), which names them all. A folder is filled under a temporary name, synced, renamed, and only then does
 //! `checkpoints/latest` point to it; so after a crash at any point `latest` names a whole checkpoint.
 
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use caudata_durable::{DurableError, replace, sync_folder};
 use sha2::{Digest, Sha256};
 
-use crate::LearnerError;
+use crate::{LearnerError, hex};
 
 /// Version of the meaning of the files.
 pub const FORMAT: u32 = 1;
@@ -49,7 +49,8 @@ impl CheckpointStore {
         &self.root
     }
 
-    /// Saves `files` as the checkpoint of `iteration` and answers its folder. One of the same iteration is replaced.
+    /// Saves `files` as the checkpoint of `iteration` and answers its folder. One of the same iteration is
+    /// replaced.
     ///
     /// # Errors
     /// [`LearnerError::Durable`] when the disk is full or fails; what was saved before is untouched.
@@ -183,11 +184,6 @@ impl CheckpointStore {
             }
         }
     }
-}
-
-/// Lower-case hexadecimal digits.
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn name_of(iteration: u64) -> String {

@@ -3,8 +3,9 @@
 
 use caudata_random::Stream;
 
-/// An orthogonal matrix `[rows, columns]`, row-major, times `gain` (Saxe et al. 2014): its rows are orthonormal
-/// when `rows ≤ columns`, its columns otherwise, so that signals neither grow nor fade from layer to layer.
+/// An orthogonal matrix `[rows, columns]`, row-major, times `gain` (Saxe et al. 2014): its rows are
+/// orthonormal when `rows ≤ columns`, its columns otherwise, so that signals neither grow nor fade from layer
+/// to layer.
 ///
 /// Normal draws, orthonormalised by Gram–Schmidt applied twice, which is orthogonal to rounding in f64.
 pub fn orthogonal(stream: &mut Stream, rows: usize, columns: usize, gain: f64) -> Vec<f32> {

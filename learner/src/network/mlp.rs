@@ -1,15 +1,15 @@
 //! A multilayer perceptron with its backward pass written out.
 //!
-//! Autograd is not used: with networks of this size its bookkeeping, and above all libtorch's slow `elu`, cost
-//! more than the matrix products. Tests compare every gradient with autograd's.
+//! Autograd is not used: with networks of this size its bookkeeping, and above all libtorch's slow `elu`,
+//! cost more than the matrix products. Tests compare every gradient with autograd's.
 
 use caudata_config::Activation;
 use tch::{Kind, Tensor};
 
 use super::layout::Layout;
 
-/// Linear layers with a non-linearity between them and none at the end. The tensors are views of a flat vector;
-/// cloning the struct does not copy weights.
+/// Linear layers with a non-linearity between them and none at the end. The tensors are views of a flat
+/// vector; cloning the struct does not copy weights.
 #[derive(Debug)]
 pub struct Mlp {
     layers: Vec<Layer>,

@@ -1,5 +1,5 @@
-//! The actor-critic: a policy network for the mean of the actions, a value network, and a standard deviation per
-//! action that does not depend on the state.
+//! The actor-critic: a policy network for the mean of the actions, a value network, and a standard deviation
+//! per action that does not depend on the state.
 //!
 //! N observations of size D go in, normalised; A is the number of actions.
 
@@ -22,8 +22,8 @@ use mlp::LayerIndices;
 /// Gain of the policy's last layer: actions near zero at first, so that the noise explores around the nominal
 /// pose (Andrychowicz et al. 2021, "What matters in on-policy reinforcement learning", section 3.2).
 const POLICY_OUTPUT_GAIN: f64 = 0.01;
-/// How far inside its bounds the initial std must lie, as a share of their distance on the log scale; at a bound
-/// itself the map below would be flat and the parameter stuck.
+/// How far inside its bounds the initial std must lie, as a share of their distance on the log scale; at a
+/// bound itself the map below would be flat and the parameter stuck.
 const STD_MARGIN: f64 = 0.01;
 
 /// Sizes, non-linearity and bounds of an [`ActorCritic`].
@@ -98,8 +98,8 @@ fn sizes(input: usize, hidden: &[usize], output: usize) -> Vec<usize> {
 
 /// Policy and value networks over one flat vector of parameters.
 ///
-/// The log-std is `lo + (hi − lo)·σ(raw)` with the bounds' logarithms `lo`, `hi` and the learnt parameter `raw`:
-/// it cannot leave its bounds, and unlike a hard clamp it always has a gradient that leads back.
+/// The log-std is `lo + (hi − lo)·σ(raw)` with the bounds' logarithms `lo`, `hi` and the learnt parameter
+/// `raw`: it cannot leave its bounds, and unlike a hard clamp it always has a gradient that leads back.
 #[derive(Debug)]
 pub struct ActorCritic {
     spec: NetworkSpec,
@@ -120,8 +120,8 @@ struct Indices {
 }
 
 impl ActorCritic {
-    /// A network with fresh weights: orthogonal, gain √2 in hidden layers, 1 at the value, 0.01 at the actions;
-    /// biases zero. The same seed gives the same weights, on every device and machine.
+    /// A network with fresh weights: orthogonal, gain √2 in hidden layers, 1 at the value, 0.01 at the
+    /// actions; biases zero. The same seed gives the same weights, on every device and machine.
     pub fn new(spec: NetworkSpec, seed: u64, device: Device) -> Self {
         let (layout, indices) = lay_out(&spec);
         let values = initial_values(&spec, &layout, &indices, seed);
@@ -129,8 +129,8 @@ impl ActorCritic {
         Self::over(spec, layout, indices, flat)
     }
 
-    /// The same network, sharing the memory of the parameters: for another thread. Whoever changes them must see
-    /// to it that nobody reads at the same time.
+    /// The same network, sharing the memory of the parameters: for another thread. Whoever changes them must
+    /// see to it that nobody reads at the same time.
     pub fn share(&self) -> Self {
         self.with_flat(self.flat.shallow_clone())
     }
@@ -181,7 +181,8 @@ impl ActorCritic {
         self.flat.device()
     }
 
-    /// Length of the part of [`ActorCritic::flat`] that the policy has, its log-std included; the value function's comes behind it.
+    /// Length of the part of [`ActorCritic::flat`] that the policy has, its log-std included; the value
+    /// function's comes behind it.
     pub fn policy_len(&self) -> usize {
         let first = self.indices.value.first().map(|&(weight, _)| weight);
         first.map_or(self.layout.len(), |index| {
@@ -244,8 +245,8 @@ impl ActorCritic {
         self.raw_log_std.sigmoid() * (hi - lo) + lo
     }
 
-    /// Turns a gradient with respect to the log-std, `[A]`, into one with respect to its parameter and writes it
-    /// into `gradient`: d log_std / d raw = (log_std − lo)(hi − log_std)/(hi − lo).
+    /// Turns a gradient with respect to the log-std, `[A]`, into one with respect to its parameter and writes
+    /// it into `gradient`: d log_std / d raw = (log_std − lo)(hi − log_std)/(hi − lo).
     pub fn log_std_backward(&self, grad_log_std: &Tensor, gradient: &ActorCritic) {
         let (lo, hi) = self.log_std_bounds();
         let log_std = self.log_std();

@@ -1,5 +1,5 @@
-//! The loss of decoupled PPO (Hilton, Cobbe, Schulman 2022, "Batch size-invariance for policy optimization") and its
-//! gradient, in closed form.
+//! The loss of decoupled PPO (Hilton, Cobbe, Schulman 2022, "Batch size-invariance for policy optimization")
+//! and its gradient, in closed form.
 //!
 //! With r = π_θ/π_prox, the policy before the update π_prox, the behaviour μ and w = min(w_max, π_prox/μ):
 //! `L = −E[w·min(r·A, clip(r, 1−ε, 1+ε)·A)] + c_v·¼·E[(V − target)²] − c_e·H`.
@@ -9,8 +9,8 @@ use std::f64::consts::PI;
 
 use tch::{Kind, Tensor};
 
-/// The log of the ratio is kept within ± this, so that one absurd sample cannot make the whole sum infinite; PPO's
-/// clipping acts at |log r| ≈ 0.2.
+/// The log of the ratio is kept within ± this, so that one absurd sample cannot make the whole sum infinite;
+/// PPO's clipping acts at |log r| ≈ 0.2.
 const LOG_RATIO_MAX: f64 = 20.0;
 
 /// Weights and ranges of the loss.
@@ -63,11 +63,11 @@ pub struct OutputGradient {
 
 /// Indices into the sums that [`loss_and_gradient`] answers.
 pub mod sums {
-    /// Of −w·min(r·A, clip(r)·A).
+    /// Sum of −w·min(r·A, clip(r)·A).
     pub const SURROGATE: usize = 0;
-    /// Of ¼(V − target)².
+    /// Sum of ¼(V − target)².
     pub const VALUE: usize = 1;
-    /// Of KL(π_prox ‖ π_θ), nats.
+    /// Sum of KL(π_prox ‖ π_θ), nats.
     pub const KL: usize = 2;
     /// Samples whose ratio lies outside 1 ± ε.
     pub const CLIPPED: usize = 3;
@@ -112,7 +112,8 @@ pub fn loss_and_gradient(
     let grad_log_std = (z_squared - 1.0)
         .g_mul_(&slope)
         .sum_dim_intlist([0].as_slice(), false, Kind::Float)
-        // The entropy is Σ(log σ + ½ log 2πe): its derivative is 1 per action, here in proportion to the rows.
+        // The entropy is Σ(log σ + ½ log 2πe): its derivative is 1 per action, here in proportion to the
+        // rows.
         .g_sub_scalar_(settings.entropy_weight * share);
 
     // Value.

@@ -2,12 +2,12 @@
 
 mod loss;
 mod pool;
-mod reduction;
+mod shards;
+mod targets;
 mod update;
 
 pub use loss::{
     LossSettings, OutputGradient, Outputs, Samples, entropy, log_prob, loss_and_gradient, sums,
 };
 pub use pool::{Pool, SHARD_ROWS, Worker};
-pub use reduction::{Drawn, Head, InProcess, Local, Minibatch, Reduction, Total, host};
 pub use update::{Ppo, PpoSettings, UpdateStats};

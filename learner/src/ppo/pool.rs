@@ -2,8 +2,8 @@
 //!
 //! libtorch's own threads gain little on networks of this size, since each of its many small operations would
 //! have to be split and joined. Here each shard goes through forward and backward on one core without waiting
-//! for others. How a batch is cut into shards does not depend on the number of threads, and results are combined
-//! in the order of the shards: *the bits of an update do not depend on the number of threads.*
+//! for others. How a batch is cut into shards does not depend on the number of threads, and results are
+//! combined in the order of the shards: *the bits of an update do not depend on the number of threads.*
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -16,7 +16,8 @@ use crate::network::ActorCritic;
 
 /// Rows of one shard on the CPU: its activations stay in a core's second-level cache.
 pub const SHARD_ROWS: usize = 512;
-/// Shards of a minibatch come in multiples of this: 1,536 rows as three shards would keep one of two threads waiting for a third of the time.
+/// Shards of a minibatch come in multiples of this: 1,536 rows as three shards would keep one of two threads
+/// waiting for a third of the time.
 const SHARD_MULTIPLE: usize = 4;
 /// Jobs that may wait for one thread; callers hand over fewer at a time than this per call.
 const QUEUE_LIMIT: usize = 4096;
@@ -28,7 +29,8 @@ type Job = Box<dyn FnOnce(&mut Worker) + Send>;
 pub struct Worker {
     /// The network; its parameters are shared by all threads and change only while no job runs.
     pub net: ActorCritic,
-    /// Room for gradients, reused from minibatch to minibatch: one per shard that the thread does in one call.
+    /// Room for gradients, reused from minibatch to minibatch: one per shard that the thread does in one
+    /// call.
     gradients: Vec<ActorCritic>,
     used: usize,
 }
@@ -70,8 +72,8 @@ struct Remote {
 }
 
 impl Pool {
-    /// A pool of `threads` threads (at least one) that work on `net`. Sets libtorch to one thread per operation
-    /// for the whole process where there is more than one.
+    /// A pool of `threads` threads (at least one) that work on `net`. Sets libtorch to one thread per
+    /// operation for the whole process where there is more than one.
     ///
     /// # Errors
     /// When the operating system refuses a thread.
@@ -184,8 +186,8 @@ impl Drop for Remote {
     }
 }
 
-/// Cuts `rows` into shards of about equal size and at most `shard_rows`: (first row, rows). More than one shard are a multiple of
-/// [`SHARD_MULTIPLE`], so that two or four threads have the same to do.
+/// Cuts `rows` into shards of about equal size and at most `shard_rows`: (first row, rows). More than one
+/// shard are a multiple of [`SHARD_MULTIPLE`], so that two or four threads have the same to do.
 pub fn shards(rows: usize, shard_rows: usize) -> Vec<(usize, usize)> {
     let needed = rows.div_ceil(shard_rows.max(1));
     let count = if needed > 1 {

@@ -1,28 +1,25 @@
 //! One update: values and log-probabilities of the batch, advantages, then epochs of minibatches.
 
-use caudata_config::{AdvantageScale, Config, Correction, PpoConfig, Returns, StalenessConfig};
+use caudata_config::{Config, Correction, PpoConfig, StalenessConfig};
 use caudata_model::RobotModel;
 use caudata_random::Stream;
 use caudata_task::mirror::SignedPermutation;
 use caudata_task::{Mirror, PolicyContract};
+use caudata_telemetry::Pulse;
 use tch::Tensor;
 
 use super::loss::{LossSettings, entropy, log_prob, sums};
 use super::pool::rows;
-use super::reduction::{
-    COLUMNS, Column, Drawn, Head, InProcess, Minibatch, Reduction, host, scales_minibatch,
-};
+use super::shards::{Draws, Head, Minibatch, SAMPLE_COLUMNS, Shards, host};
+use super::targets::{Targets, effective_share, explained_variance, image_weights};
 use crate::LearnerError;
 use crate::adam::Adam;
-use crate::batch::{Batch, Segment};
+use crate::batch::Batch;
 use crate::network::ActorCritic;
 use crate::normaliser::Scaling;
-use crate::returns::{Trajectories, VtraceSettings, mean_and_std, vtrace, weighted_mean_and_std};
 
 /// Factor of rsl_rl's rule for the learning rate.
 const RATE_FACTOR: f64 = 1.5;
-/// Keeps divisions by a spread or a norm finite.
-const TINY: f64 = 1e-8;
 
 /// The hyper-parameters of an update.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,24 +89,19 @@ pub struct UpdateStats {
 pub struct Ppo {
     net: ActorCritic,
     adam: Adam,
-    reduction: Box<dyn Reduction>,
+    shards: Shards,
     settings: PpoSettings,
     learning_rate: f64,
-    /// Of the whole run so far.
+    /// Environment steps of the whole run so far.
     env_steps: u64,
+    pulse: Pulse,
 }
 
 /// What is known of the batch before the epochs.
 struct Prepared {
+    draws: Draws,
     effective_share: f64,
     explained_variance: f64,
-}
-
-/// Host-side results of the pass before the update.
-struct Targets {
-    advantages: Vec<f32>,
-    targets: Vec<f32>,
-    weights: Vec<f32>,
 }
 
 /// How a minibatch's gradient is used.
@@ -141,34 +133,20 @@ impl Ppo {
         settings: PpoSettings,
         threads: usize,
     ) -> Result<Self, LearnerError> {
-        let reduction = Box::new(InProcess::new(&net, threads)?);
-        Ok(Self::with_reduction(net, settings, reduction))
-    }
-
-    /// The start, with somebody else to work on the shards of `net`.
-    pub fn with_reduction(
-        net: ActorCritic,
-        settings: PpoSettings,
-        reduction: Box<dyn Reduction>,
-    ) -> Self {
-        Self {
+        Ok(Self {
             adam: Adam::new(net.layout().len(), net.device()),
-            reduction,
+            shards: Shards::new(&net, threads)?,
             learning_rate: settings.ppo.learning_rate,
             env_steps: 0,
+            pulse: Pulse::new(),
             net,
             settings,
-        }
+        })
     }
 
-    /// The run ends in good order: other ranks may go.
-    pub fn finish(&mut self) {
-        self.reduction.finish();
-    }
-
-    /// A rank of this learner that was asked to stop, if there is one.
-    pub fn leaving_rank(&self) -> Option<u32> {
-        self.reduction.leaving()
+    /// From now on `pulse` beats with each minibatch.
+    pub fn beat(&mut self, pulse: Pulse) {
+        self.pulse = pulse;
     }
 
     /// The hyper-parameters.
@@ -196,13 +174,15 @@ impl Ppo {
         self.learning_rate
     }
 
-    /// Environment steps of the whole run before the next update, on which the target of the KL divergence depends.
+    /// Environment steps of the whole run before the next update, on which the target of the KL divergence
+    /// depends.
     pub fn set_progress(&mut self, env_steps: u64) {
         self.env_steps = env_steps;
     }
 
-    /// After iterations with `value_only`: the optimiser forgets them. The policy had no gradient in them, and the second moments' correction for
-    /// the first steps would be long gone: its first real steps would be three times as long as they should.
+    /// After iterations with `value_only`: the optimiser forgets them. The policy had no gradient in them,
+    /// and the second moments' correction for the first steps would be long gone: its first real steps would
+    /// be three times as long as they should.
     pub fn begin_policy(&mut self) {
         self.adam.reset();
     }
@@ -212,13 +192,16 @@ impl Ppo {
         self.learning_rate = rate;
     }
 
-    /// Learns from `batch`, whose observations the current policy (version `policy_version`) sees through `scaling`.
-    /// `order` decides which samples meet in a minibatch. With `value_only` the policy stays as it is.
+    /// Learns from `batch`, whose observations the current policy (version `policy_version`) sees through
+    /// `scaling`. `order` decides which samples meet in a minibatch. With `value_only` the policy stays as it
+    /// is.
     ///
-    /// A minibatch whose loss or gradient is not finite changes nothing and is counted. An update that fails changes nothing at all.
+    /// A minibatch whose loss or gradient is not finite changes nothing and is counted. An update that fails
+    /// changes nothing at all.
     ///
     /// # Errors
-    /// [`LearnerError::Setting`] for a batch of other dimensions, an error of libtorch, or that a thread or a rank is lost.
+    /// [`LearnerError::Setting`] for a batch of other dimensions, an error of libtorch, or that a thread has
+    /// died.
     pub fn update(
         &mut self,
         batch: &Batch,
@@ -258,16 +241,16 @@ impl Ppo {
         let mut indices: Vec<i64> = (0..batch.rows as i64).collect();
         for epoch in 0..self.settings.ppo.epochs {
             order.shuffle(&mut indices);
-            match self.settings.mirror {
-                None => self.reduction.shuffle(&indices)?,
-                Some(_) => self.reduction.shuffle(&half_mirrored(&indices, epoch))?,
-            }
+            let pass = match self.settings.mirror {
+                None => prepared.draws.shuffled(&indices),
+                Some(_) => prepared.draws.shuffled(&half_mirrored(&indices, epoch)),
+            };
             for part in self.minibatches(batch.rows) {
                 let step = Step {
                     rate_guard: guard,
                     value_only,
                 };
-                self.minibatch(part, step, &mut tally)?;
+                self.minibatch(&pass, part, step, &mut tally)?;
             }
         }
         Ok(self.stats(&tally, &prepared))
@@ -315,19 +298,14 @@ impl Ppo {
         );
         let raw = Tensor::from_slice(&batch.observations).view([rows_all as i64, obs_dim]);
         let all = scaling.apply(&raw.to_device(device));
-        let mut tables = vec![all];
-        let mirror = self.settings.mirror.clone();
-        if let Some(mirror) = &mirror {
-            let images = exchange(&rows(&raw, (0, batch.rows)), &mirror.observation);
-            tables.push(scaling.apply(&images.to_device(device)));
-        }
-        self.reduction.begin(tables)?;
+        let own = (0, batch.rows);
+        let mut observations = rows(&all, own);
         let actions = Tensor::from_slice(&batch.actions)
             .view([batch.rows as i64, batch.act_dim as i64])
             .to_device(device);
 
-        let values = host(&self.reduction.forward(Head::Value, 0, rows_all)?)?;
-        let prox_means = self.reduction.forward(Head::Policy, 0, batch.rows)?;
+        let values = host(&self.shards.forward(Head::Value, &all)?)?;
+        let prox_means = self.shards.forward(Head::Policy, &observations)?;
         let prox_log_std = self.net.log_std();
         // Plain PPO clips against the policy that acted, whatever its age: then every ratio below is 1.
         let prox_log_probs: Vec<f32> = match self.settings.staleness.correction {
@@ -335,33 +313,45 @@ impl Ppo {
             Correction::None => batch.behaviour_log_probs.clone(),
         };
 
-        let mut targets = self.targets(batch, &values, &prox_log_probs, policy_version);
+        let (ppo, staleness) = (&self.settings.ppo, &self.settings.staleness);
+        let mut targets = Targets::new(
+            ppo,
+            staleness,
+            batch,
+            &values,
+            &prox_log_probs,
+            policy_version,
+        );
         let effective_share = effective_share(&targets.weights);
         let explained_variance = explained_variance(&values[..batch.rows], &targets.targets);
         let mut samples = self.samples(&actions, &prox_means, &prox_log_probs, &targets);
-        if let Some(mirror) = mirror {
-            // Values and advantages of a mirror image are the sample's own. Its weight is how likely the policy is to act so: without it an action that
-            // a lopsided policy would not take pushes the mean about, and the robot ends up standing.
+        if let Some(mirror) = &self.settings.mirror {
+            // Values and advantages of a mirror image are the sample's own. Its weight is how likely the
+            // policy is to act so: without it an action that a lopsided policy would not take pushes the mean
+            // about, and the robot ends up standing.
+            let images = exchange(&rows(&raw, own), &mirror.observation);
+            let images = scaling.apply(&images.to_device(device));
             let actions = exchange(&actions, &mirror.action);
-            let means = self.reduction.forward(Head::Policy, 1, batch.rows)?;
+            let means = self.shards.forward(Head::Policy, &images)?;
+            observations = Tensor::cat(&[observations, images], 0);
             let log_probs: Vec<f32> = host(&log_prob(&actions, &means, &prox_log_std))?;
             let cap = self.settings.staleness.weight_max as f32;
             targets.weights = image_weights(&log_probs, &batch.behaviour_log_probs, cap);
             let image_samples = self.samples(&actions, &means, &log_probs, &targets);
             samples = Tensor::cat(&[samples, image_samples], 0);
         }
-        self.reduction.load(Drawn {
-            samples,
-            prox_log_std,
-            rows: batch.rows,
-        })?;
         Ok(Prepared {
+            draws: Draws {
+                observations,
+                samples,
+                prox_log_std,
+            },
             effective_share,
             explained_variance,
         })
     }
 
-    /// The columns of [`Drawn::samples`].
+    /// As [`Draws::samples`].
     fn samples(
         &self,
         actions: &Tensor,
@@ -369,113 +359,33 @@ impl Ppo {
         prox_log_probs: &[f32],
         targets: &Targets,
     ) -> Tensor {
-        let columns = Tensor::from_slice(&interleave(prox_log_probs, targets))
-            .view([-1, COLUMNS as i64])
+        let columns = Tensor::from_slice(&targets.columns(prox_log_probs))
+            .view([-1, SAMPLE_COLUMNS as i64])
             .to_device(self.net.device());
         Tensor::cat(&[actions, prox_means, &columns], 1)
-    }
-
-    /// Advantages (scaled over the batch if so configured), value targets and importance weights.
-    fn targets(
-        &self,
-        batch: &Batch,
-        values: &[f32],
-        prox_log_probs: &[f32],
-        policy_version: u64,
-    ) -> Targets {
-        let mut out = Targets {
-            advantages: vec![0.0; batch.rows],
-            targets: vec![0.0; batch.rows],
-            weights: vec![1.0; batch.rows],
-        };
-        for segment in &batch.segments {
-            self.segment_targets(
-                batch,
-                segment,
-                values,
-                prox_log_probs,
-                policy_version,
-                &mut out,
-            );
-        }
-        if self.settings.ppo.advantage_scale == AdvantageScale::Batch {
-            // Of the policy before the update: by the weights that samples have in the loss, which are 1 where they are its own.
-            let (mean, std) = weighted_mean_and_std(&out.advantages, &out.weights);
-            let scaled = |a: f32| ((f64::from(a) - mean) / (std + TINY)) as f32;
-            out.advantages.iter_mut().for_each(|a| *a = scaled(*a));
-        }
-        out
-    }
-
-    fn segment_targets(
-        &self,
-        batch: &Batch,
-        segment: &Segment,
-        values: &[f32],
-        prox_log_probs: &[f32],
-        policy_version: u64,
-        out: &mut Targets,
-    ) {
-        let cells = segment.first_row..segment.first_row + segment.steps * segment.lanes;
-        let finals_row = segment.bootstrap_row + segment.lanes;
-        // The same policy computed by ONNX Runtime and by libtorch differs in the last bits; that is no staleness.
-        let ratios: Option<Vec<f32>> = (segment.policy_version != policy_version).then(|| {
-            let ratio = |i: usize| (prox_log_probs[i] - batch.behaviour_log_probs[i]).exp();
-            cells.clone().map(ratio).collect()
-        });
-        if let Some(ratios) = &ratios {
-            let cap = self.settings.staleness.weight_max as f32;
-            let weights = &mut out.weights[cells.clone()];
-            weights
-                .iter_mut()
-                .zip(ratios)
-                .for_each(|(w, r)| *w = r.min(cap));
-        }
-        let chunk = Trajectories {
-            lanes: segment.lanes,
-            rewards: &batch.rewards[cells.clone()],
-            terminated: &batch.terminated[cells.clone()],
-            truncated: &batch.truncated[cells.clone()],
-            values: &values[cells.clone()],
-            bootstrap_values: &values[segment.bootstrap_row..finals_row],
-            final_values: &values[finals_row..finals_row + segment.finals],
-            ratios: match self.settings.staleness.returns {
-                Returns::Gae => None,
-                Returns::Vtrace => ratios.as_deref(),
-            },
-        };
-        let settings = VtraceSettings {
-            gamma: self.settings.ppo.gamma as f32,
-            lambda: self.settings.ppo.lambda as f32,
-            rho_max: self.settings.staleness.rho_max as f32,
-            c_max: self.settings.staleness.c_max as f32,
-        };
-        vtrace(
-            &settings,
-            &chunk,
-            &mut out.advantages[cells.clone()],
-            &mut out.targets[cells],
-        );
     }
 
     /// Gradient of one minibatch, and the step that it gives.
     fn minibatch(
         &mut self,
+        pass: &Draws,
         part: (usize, usize),
         step: Step,
         tally: &mut Tally,
     ) -> Result<(), LearnerError> {
+        self.pulse.beat();
         let minibatch_rows = part.1;
         let ppo = &self.settings.ppo;
-        let total = self.reduction.gradient(&Minibatch {
+        let minibatch = Minibatch {
             part,
             loss: LossSettings {
                 clip: ppo.clip,
                 value_weight: ppo.value_loss_weight,
                 entropy_weight: ppo.entropy_weight,
             },
-            scale_advantages: scales_minibatch(ppo.advantage_scale),
-        })?;
+            scale: ppo.advantage_scale,
+        };
+        let total = self.shards.gradient(pass, &minibatch)?;
         let sums = total.sums;
         let Some(gradient) = total.gradient else {
             return Ok(());
@@ -562,19 +472,12 @@ fn adapted_rate(ppo: &PpoConfig, target_kl: f64, rate: f64, kl: f64) -> f64 {
     }
 }
 
-/// In each pass every other sample as it is and the others as their mirror images, which follow B rows later; the other way round in the next pass.
+/// In each pass every other sample as it is and the others as their mirror images, which follow B rows later;
+/// the other way round in the next pass.
 fn half_mirrored(indices: &[i64], epoch: u32) -> Vec<i64> {
     let rows = indices.len() as i64;
     let image = |&i: &i64| i + rows * ((i + i64::from(epoch)) & 1);
     indices.iter().map(image).collect()
-}
-
-/// min(π_prox(image)/μ, `cap`) for each sample.
-fn image_weights(images: &[f32], acted: &[f32], cap: f32) -> Vec<f32> {
-    let pairs = images.iter().zip(acted);
-    pairs
-        .map(|(image, acted)| (image - acted).exp().min(cap))
-        .collect()
 }
 
 /// The mirror image of each row.
@@ -583,42 +486,6 @@ fn exchange(values: &Tensor, by: &SignedPermutation) -> Tensor {
     let device = values.device();
     let sign = Tensor::from_slice(&by.sign).to_device(device);
     values.index_select(1, &Tensor::from_slice(&source).to_device(device)) * sign
-}
-
-/// (Σw)²/(N·Σw²): 1 when all weights are equal.
-fn effective_share(weights: &[f32]) -> f64 {
-    let (mut sum, mut squares) = (0.0, 0.0);
-    for &w in weights {
-        sum += f64::from(w);
-        squares += f64::from(w).powi(2);
-    }
-    if squares > 0.0 {
-        sum * sum / (weights.len() as f64 * squares)
-    } else {
-        0.0
-    }
-}
-
-/// 1 − Var(target − V)/Var(target); 0 where the targets do not vary.
-fn explained_variance(values: &[f32], targets: &[f32]) -> f64 {
-    let errors: Vec<f32> = targets.iter().zip(values).map(|(t, v)| t - v).collect();
-    let (spread, left) = (mean_and_std(targets).1, mean_and_std(&errors).1);
-    if spread > 0.0 {
-        1.0 - (left / spread).powi(2)
-    } else {
-        0.0
-    }
-}
-
-fn interleave(prox_log_probs: &[f32], targets: &Targets) -> Vec<f32> {
-    let mut columns = vec![0.0; prox_log_probs.len() * COLUMNS];
-    for (i, row) in columns.chunks_exact_mut(COLUMNS).enumerate() {
-        row[Column::ProxLogProb as usize] = prox_log_probs[i];
-        row[Column::Advantage as usize] = targets.advantages[i];
-        row[Column::Target as usize] = targets.targets[i];
-        row[Column::Weight as usize] = targets.weights[i];
-    }
-    columns
 }
 
 #[cfg(test)]

@@ -63,8 +63,8 @@ const CHARTS: [(&str, &str, &str, &str); 8] = [
     ),
 ];
 
-/// Writes the pictures into `folder`: `return.svg`, `reward_terms.svg`, …. Quantities that have no points yet are
-/// left out.
+/// Writes the pictures into `folder`: `return.svg`, `reward_terms.svg`, …. Quantities that have no points yet
+/// are left out.
 ///
 /// # Errors
 /// When a picture cannot be drawn or written.

@@ -1,9 +1,10 @@
 //! Returns that can be compared from the first iteration on.
 //!
-//! Environments start at different ages, so the first episodes to end are cut short by their time limit, and the plain
-//! mean of their returns says nothing about the robot. Here such an episode counts as the share of a whole one that it
-//! lasted; one that ended by failure is whole, since nothing would have followed. The mean return is the sum of returns
-//! over the sum of shares, which is the plain mean as soon as no episode is cut short any more.
+//! Environments start at different ages, so the first episodes to end are cut short by their time limit, and
+//! the plain mean of their returns says nothing about the robot. Here such an episode counts as the share of
+//! a whole one that it lasted; one that ended by failure is whole, since nothing would have followed. The
+//! mean return is the sum of returns over the sum of shares, which is the plain mean as soon as no episode is
+//! cut short any more.
 
 use caudata_proto::EpisodeSummary;
 use caudata_telemetry::progress::MeanSe;
@@ -50,8 +51,8 @@ impl ReturnSums {
         Self::of_row(&total)
     }
 
-    /// Mean return R = Σr/Σs of a whole episode, and its standard error √(n/(n−1)·Σ(r − R·s)²)/Σs (Cochran, "Sampling
-    /// Techniques", section 6.4: the ratio estimator). `None` with fewer than two episodes.
+    /// Mean return R = Σr/Σs of a whole episode, and its standard error √(n/(n−1)·Σ(r − R·s)²)/Σs (Cochran,
+    /// "Sampling Techniques", section 6.4: the ratio estimator). `None` with fewer than two episodes.
     pub fn mean(&self) -> Option<MeanSe> {
         if self.n < 2.0 || self.shares <= 0.0 {
             return None;

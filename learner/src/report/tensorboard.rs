@@ -1,6 +1,7 @@
 //! TensorBoard event files: TFRecord frames around protobuf events, scalars only.
 //!
-//! Formats: TensorFlow `core/util/event.proto`, `core/framework/summary.proto`, `core/lib/io/record_writer.h`.
+//! Formats: TensorFlow `core/util/event.proto`, `core/framework/summary.proto`,
+//! `core/lib/io/record_writer.h`.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write};
@@ -19,8 +20,8 @@ pub struct EventFile {
 }
 
 impl EventFile {
-    /// Creates `events.out.tfevents.<seconds>.<host>.<process id>` in `folder`. TensorBoard shows all such files of
-    /// a folder as one run, so each start of the learner has its own.
+    /// Creates `events.out.tfevents.<seconds>.<host>.<process id>` in `folder`. TensorBoard shows all such
+    /// files of a folder as one run, so each start of the learner has its own.
     ///
     /// # Errors
     /// When the file cannot be created or written.
@@ -155,9 +156,11 @@ mod tests {
             .unwrap();
         events.flush().unwrap();
         let bytes = std::fs::read(events.path()).unwrap();
-        // Event 1: field 1 double 2.0, field 3 "brain.Event:2"; step 0 is proto3's default and left out. 24 bytes.
+        // Event 1: field 1 double 2.0, field 3 "brain.Event:2"; step 0 is proto3's default and left out. 24
+        // bytes.
         let version = "090000000000000040".to_owned() + "1a0d" + &hex(b"brain.Event:2");
-        // Event 2: double 3.0, step 7, summary { value { tag "a/b" simple 0.5 } value { tag "z" simple 0.0 } }.
+        // Event 2: double 3.0, step 7, summary { value { tag "a/b" simple 0.5 } value { tag "z" simple 0.0 }
+        // }.
         let first = "0a0a".to_owned() + "0a03" + &hex(b"a/b") + "150000003f";
         let second = "0a08".to_owned() + "0a01" + &hex(b"z") + "1500000000";
         let scalars = "090000000000000840".to_owned() + "1007" + "2a16" + &first + &second;

@@ -83,7 +83,8 @@ fn old_data_is_capped_by_hand() {
         final_values: &[],
         ratios: Some(&[0.5, 4.0]),
     };
-    // Both δ are 1. Step 1: A = 1, ρ = min(1, 4) = 1, D = 1. Step 0: A = 1 + 0.5·0.5·1 = 1.25; ρ = 0.5, trace λ·0.5 = 0.25, D = 0.5 + 0.5·0.25·1 = 0.625.
+    // Both δ are 1. Step 1: A = 1, ρ = min(1, 4) = 1, D = 1. Step 0: A = 1 + 0.5·0.5·1 = 1.25; ρ = 0.5, trace
+    // λ·0.5 = 0.25, D = 0.5 + 0.5·0.25·1 = 0.625.
     let (advantages, targets) = run(&SETTINGS, &chunk);
     assert_eq!(advantages, [1.25, 1.0]);
     assert_eq!(targets, [0.625, 1.0]);
@@ -99,8 +100,9 @@ fn old_data_is_capped_by_hand() {
 
 #[test]
 fn the_policys_step_is_that_of_fresh_data_in_the_mean() {
-    // One state, two actions with rewards 1 and 0, V = 0. μ takes them 3 : 1, π half and half: π/μ is 2/3 and 2. Weighted by π/μ, μ's advantages must
-    // have the mean that π's own have: 3/4·2/3·A(1) + 1/4·2·A(0) = 1/2·1 + 1/2·0.
+    // One state, two actions with rewards 1 and 0, V = 0. μ takes them 3 : 1, π half and half: π/μ is 2/3 and
+    // 2. Weighted by π/μ, μ's advantages must have the mean that π's own have: 3/4·2/3·A(1) + 1/4·2·A(0) =
+    // 1/2·1 + 1/2·0.
     let advantage = |reward: f32, ratio: f32| {
         let chunk = Trajectories {
             lanes: 1,

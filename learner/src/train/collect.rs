@@ -43,6 +43,7 @@ pub(super) fn collect(
     let starved = Duration::from_secs_f64(config.starve_timeout_s);
     let mut stopping: Option<Instant> = None;
     loop {
+        metrics.pulse.beat();
         if collector.is_ready() {
             return Ok(Collected::Batch(collector.take()));
         }
@@ -84,6 +85,7 @@ pub(super) fn drain(
     let deadline = Instant::now() + BYE_PATIENCE;
     collector.close();
     while Instant::now() < deadline {
+        metrics.pulse.beat();
         match link.recv(SLICE) {
             Ok(Some(frame)) => {
                 let outcome = collector.offer(&frame.bytes);

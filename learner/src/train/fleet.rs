@@ -13,7 +13,7 @@ use caudata_telemetry::StopFlag;
 use caudata_telemetry::traces::Tracer;
 use caudata_transport::InprocHub;
 
-use super::setup::{TrainSettings, ledger_folder};
+use super::settings::{TrainSettings, ledger_folder};
 use crate::LearnerError;
 use crate::batch::Accounting;
 
@@ -90,11 +90,13 @@ impl Fleet {
                 continue;
             }
             let id = slot.id;
-            match slot.thread.take().map(JoinHandle::join) {
+            let reason = match slot.thread.take().map(JoinHandle::join) {
                 Some(Ok(Err(source))) => return Err(LearnerError::Actor { id, source }),
-                Some(Ok(Ok(_))) | None => return Err(LearnerError::ActorEnded { id }),
-                Some(Err(_)) => return Err(LearnerError::ActorPanicked { id }),
-            }
+                Some(Ok(Ok(_))) | None => "has ended before the run",
+                Some(Err(_)) => "has died; its message is above",
+            };
+            let reason = reason.to_owned();
+            return Err(LearnerError::ActorLost { id, reason });
         }
         Ok(())
     }
@@ -102,12 +104,11 @@ impl Fleet {
     /// The state of every actor. They belong together when all of them wait for the next policy.
     pub fn snapshots(&self) -> Result<Vec<ActorSnapshot>, LearnerError> {
         let take = |slot: &Slot| {
-            slot.port
-                .take(SNAPSHOT_PATIENCE)
-                .map_err(|reason| LearnerError::Snapshot {
-                    id: slot.id,
-                    reason,
-                })
+            let taken = slot.port.take(SNAPSHOT_PATIENCE);
+            taken.map_err(|reason| LearnerError::ActorLost {
+                id: slot.id,
+                reason: format!("cannot be saved: {reason}"),
+            })
         };
         self.actors.iter().map(take).collect()
     }

@@ -1,6 +1,6 @@
 //! What the learner reports to Prometheus.
 
-use caudata_telemetry::{Counter, Gauge, Histogram, IntGauge, Metrics};
+use caudata_telemetry::{Counter, Gauge, Histogram, IntGauge, Metrics, Pulse};
 use prometheus_client::metrics::family::Family;
 
 type Labels = Vec<(String, String)>;
@@ -28,10 +28,12 @@ pub(super) struct LearnerMetrics {
     pub learn: Histogram,
     pub checkpoint: Histogram,
     frames: Family<Labels, Counter>,
+    /// Beats while the run makes progress, or waits for what it needs.
+    pub pulse: Pulse,
 }
 
 impl LearnerMetrics {
-    pub fn register(metrics: &Metrics) -> Self {
+    pub fn register(metrics: &Metrics, pulse: Pulse) -> Self {
         let frames = Family::<Labels, Counter>::default();
         metrics.register(
             "caudata_learner_frames",
@@ -95,11 +97,12 @@ impl LearnerMetrics {
             learn: metrics.seconds("caudata_learner_update_seconds", "One update"),
             checkpoint: metrics.seconds("caudata_learner_checkpoint_seconds", "One checkpoint"),
             frames,
+            pulse,
         }
     }
 
-    /// Counts a frame under `outcome`: `waiting`, `duplicate`, `hello`, `bye`, or the reason why it was not taken.
-    /// Answers the count.
+    /// Counts a frame under `outcome`: `waiting`, `duplicate`, `hello`, `bye`, or the reason why it was not
+    /// taken. Answers the count.
     pub fn frame(&self, outcome: &str) -> u64 {
         let labels = vec![("outcome".to_owned(), outcome.to_owned())];
         let counter = self.frames.get_or_create(&labels).clone();

@@ -2,7 +2,6 @@
 //!
 //! None of it decides anything: what cannot be written is counted and said once, and training goes on.
 
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -12,6 +11,7 @@ use caudata_telemetry::progress::{self, Event, EventWriter};
 use caudata_telemetry::{Advisor, IterationLoad};
 
 use super::metrics::LearnerMetrics;
+use super::settings::ACCOUNT_FILE;
 use crate::batch::Accounting;
 use crate::checkpoint::EpisodeWindow;
 use crate::ppo::UpdateStats;
@@ -96,7 +96,7 @@ impl Reporter {
         if let Err(error) = draw_curves(&self.run_dir.join("curves"), history) {
             self.failed("curves", &error.to_string());
         }
-        let path = self.run_dir.join("accounting.json");
+        let path = self.run_dir.join(ACCOUNT_FILE);
         let json = serde_json::to_vec_pretty(&accounting.report()).unwrap_or_default();
         if let Err(error) = caudata_durable::replace(&path, &json) {
             self.failed("accounting.json", &error.to_string());
@@ -247,34 +247,25 @@ fn scalars(report: &IterationReport, event: &progress::Iteration) -> Vec<(String
 }
 
 fn point_of(report: &IterationReport, event: &progress::Iteration) -> Point {
-    let mut values: BTreeMap<String, f64> = [
-        ("mean_step_reward", event.mean_step_reward),
-        ("kl", event.kl),
-        ("mean_std", event.mean_std),
-        ("steps_per_s", event.steps_per_s),
-        ("value_loss", event.value_loss),
-        ("learning_rate", event.learning_rate),
-    ]
-    .into_iter()
-    .map(|(name, value)| (name.to_owned(), value))
-    .collect();
-    let late = [
+    let known = [
+        ("mean_step_reward", Some(event.mean_step_reward)),
+        ("kl", Some(event.kl)),
+        ("mean_std", Some(event.mean_std)),
+        ("steps_per_s", Some(event.steps_per_s)),
+        ("value_loss", Some(event.value_loss)),
+        ("learning_rate", Some(event.learning_rate)),
         ("mean_return", event.mean_return),
         ("mean_episode_length", event.mean_episode_length),
     ];
-    for (name, value) in late {
-        values.extend(value.map(|value| (name.to_owned(), value)));
-    }
-    values.extend(
-        event
-            .reward_terms
-            .iter()
-            .map(|(name, sum)| (format!("{TERM_PREFIX}{name}"), *sum)),
-    );
+    let known = known
+        .into_iter()
+        .filter_map(|(name, value)| Some((name.to_owned(), value?)));
+    let terms = event.reward_terms.iter();
+    let terms = terms.map(|(name, sum)| (format!("{TERM_PREFIX}{name}"), *sum));
     Point {
         iterations: 1,
         steps: report.steps_total as f64,
-        values,
+        values: known.chain(terms).collect(),
     }
 }
 

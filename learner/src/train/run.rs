@@ -2,22 +2,21 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use caudata_config::Config;
 use caudata_policy::PolicyFile;
 use caudata_proto::RolloutChunk;
 use caudata_random::Stream;
 use caudata_telemetry::StopFlag;
-use caudata_telemetry::progress::{Checkpoint, Event, Finished, MeanSe};
+use caudata_telemetry::progress::{Checkpoint, Event, Finished};
 use caudata_telemetry::traces::now_ns;
 use caudata_transport::{Control, LearnerLink, PolicyUpdate};
 
-use super::collect::{Collected, collect, drain};
+use super::collect::{Collected, collect};
 use super::fleet::Fleet;
 use super::report::{IterationReport, Reporter};
 use super::seen::PoliciesSeen;
-use super::setup::ledger_folder;
 use super::traces::Traces;
 use super::versions::Versions;
 use crate::LearnerError;
@@ -31,10 +30,6 @@ use crate::report::{History, ReturnSums, share_of_whole};
 
 /// Iterations in a row without any finite update after which the run ends.
 const NOT_FINITE_MAX: u32 = 10;
-/// How long the last policy may take to reach the policy server.
-const PUBLISH_PATIENCE: Duration = Duration::from_secs(10);
-/// Iterations below which the first and the last tenth say nothing.
-const TENTHS_MIN: usize = 20;
 
 /// What changes from iteration to iteration besides the network and the accounts.
 pub(super) struct Progress {
@@ -81,18 +76,19 @@ pub(super) struct Run<'a> {
 }
 
 /// What the end needs to know about the loop.
-struct LoopState {
-    policy: PolicyFile,
-    scaling: Scaling,
+pub(super) struct LoopState {
+    pub policy: PolicyFile,
+    pub scaling: Scaling,
     /// Iteration and folder of the newest checkpoint.
-    saved: Option<(u64, PathBuf)>,
-    /// Whether every actor waits for the policy of the current iteration, so that their states belong together.
-    actors_wait: bool,
-    not_finite: u32,
+    pub saved: Option<(u64, PathBuf)>,
+    /// Whether every actor waits for the policy of the current iteration, so that their states belong
+    /// together.
+    pub actors_wait: bool,
+    pub not_finite: u32,
     /// The first iteration of this process.
-    first: u64,
+    pub first: u64,
     /// What actors ran.
-    seen: PoliciesSeen,
+    pub seen: PoliciesSeen,
 }
 
 impl Run<'_> {
@@ -120,8 +116,7 @@ impl Run<'_> {
     }
 
     fn iterate(&mut self, state: &mut LoopState) -> Result<String, LearnerError> {
-        self.announce(&state.policy)?;
-        state.seen.made(&state.policy);
+        self.announce(state)?;
         // In lockstep a policy goes out when everything that older ones were to collect is there.
         let holds_back = self.config.actors.lockstep && self.config.actors.max_lead > 0;
         let mut held_back = false;
@@ -147,8 +142,7 @@ impl Run<'_> {
             let collection_s = started.elapsed().as_secs_f64();
             state.actors_wait = true;
             if std::mem::take(&mut held_back) {
-                self.announce(&state.policy)?;
-                state.seen.made(&state.policy);
+                self.announce(state)?;
             }
             self.traces.batch(&chunks, waiting_ns);
             self.learn(chunks, state, started, collection_s)?;
@@ -186,8 +180,14 @@ impl Run<'_> {
             true => side_by_side(chunks),
             false => chunks,
         });
-        let value_only = self.value_only();
-        if self.policy_begins() {
+        // The first iterations after a warm start only teach the critic of a policy that was trained before.
+        let warm = &self.config.learner.warm_start;
+        let critic_first = match warm.policy.as_os_str().is_empty() {
+            true => None,
+            false => Some(warm.value_only_iterations),
+        };
+        let value_only = critic_first.is_some_and(|first| self.progress.iteration < first);
+        if critic_first == Some(self.progress.iteration) {
             self.ppo.begin_policy();
         }
         self.ppo.set_progress(self.progress.steps_total);
@@ -205,10 +205,6 @@ impl Run<'_> {
         let learning_s = learning.elapsed().as_secs_f64();
         let samples = vec![("caudata.samples", batch.rows.into())];
         self.traces.done("update", learning_ns, samples);
-        if let Some(rank) = self.ppo.leaving_rank() {
-            // Its host wants it to go: the whole run ends in good order, instead of losing it in the middle of an update.
-            self.stop.request(&format!("rank {rank} was asked to stop"));
-        }
         self.watch_finite(&stats, state)?;
         // The policy that acted saw the old normaliser; the next one sees this batch as well.
         batch
@@ -244,9 +240,8 @@ impl Run<'_> {
         // Before the actors go on; the file is written while they are at work.
         let checkpoint = if save { Some(self.state(state)?) } else { None };
         if !held_back {
-            self.announce(&state.policy)?;
+            self.announce(state)?;
             state.actors_wait = false;
-            state.seen.made(&state.policy);
         }
         if iteration.is_multiple_of(learner.publish_every) {
             self.publish(&state.policy)?;
@@ -255,18 +250,6 @@ impl Run<'_> {
             state.saved = Some((iteration, self.save(&checkpoint)?));
         }
         Ok(())
-    }
-
-    /// Whether this iteration only teaches the critic of a policy that was trained before.
-    fn value_only(&self) -> bool {
-        let warm = &self.config.learner.warm_start;
-        !warm.policy.as_os_str().is_empty() && self.progress.iteration < warm.value_only_iterations
-    }
-
-    /// Whether the policy learns from this iteration on.
-    fn policy_begins(&self) -> bool {
-        let warm = &self.config.learner.warm_start;
-        !warm.policy.as_os_str().is_empty() && self.progress.iteration == warm.value_only_iterations
     }
 
     fn watch_finite(
@@ -359,8 +342,9 @@ impl Run<'_> {
         export(self.ppo.net(), scaling, &self.identity, version, steps)
     }
 
-    /// The policy to begin with. Bytes under a version never change: where the run folder holds a later version than
-    /// the checkpoint that the run goes on from, or other bytes of the same one, numbers go on behind it.
+    /// The policy to begin with. Bytes under a version never change: where the run folder holds a later
+    /// version than the checkpoint that the run goes on from, or other bytes of the same one, numbers go on
+    /// behind it.
     fn first_policy(&mut self, scaling: &Scaling) -> Result<PolicyFile, LearnerError> {
         let policy = self.export(scaling)?;
         let before = std::fs::read(self.policy_path()).ok();
@@ -386,9 +370,9 @@ impl Run<'_> {
         self.export(scaling)
     }
 
-    /// Makes `policy` the one that actors use.
-    fn announce(&mut self, policy: &PolicyFile) -> Result<(), LearnerError> {
-        let began_ns = now_ns();
+    /// Makes the current policy the one that actors use.
+    fn announce(&mut self, state: &mut LoopState) -> Result<(), LearnerError> {
+        let (began_ns, policy) = (now_ns(), &state.policy);
         let (version, sha256) = (policy.metadata().version, policy.sha256());
         if let Some(versions) = &mut self.versions {
             versions.before(version)?;
@@ -402,11 +386,12 @@ impl Run<'_> {
             control: Control::Run,
         })?;
         self.traces.handed_out(version, sha256, began_ns);
+        state.seen.made(policy);
         Ok(())
     }
 
     /// To the run folder and, in the background, to the policy server.
-    fn publish(&self, policy: &PolicyFile) -> Result<(), LearnerError> {
+    pub(super) fn publish(&self, policy: &PolicyFile) -> Result<(), LearnerError> {
         write_policy(&self.policy_path(), policy)?;
         if let Some(publisher) = &self.publisher {
             publisher.publish(policy.clone());
@@ -414,12 +399,12 @@ impl Run<'_> {
         Ok(())
     }
 
-    fn policy_path(&self) -> PathBuf {
+    pub(super) fn policy_path(&self) -> PathBuf {
         self.run_dir.join("policy.onnx")
     }
 
     /// Passes on what the background task has said.
-    fn tell_published(&mut self, seen: &mut PoliciesSeen) {
+    pub(super) fn tell_published(&mut self, seen: &mut PoliciesSeen) {
         let notices = self
             .publisher
             .as_ref()
@@ -450,9 +435,9 @@ impl Run<'_> {
         }
     }
 
-    /// The whole state between two iterations. The actors' states go in where they belong together: in one process,
-    /// in turns.
-    fn state(&self, state: &LoopState) -> Result<CheckpointState, LearnerError> {
+    /// The whole state between two iterations. The actors' states go in where they belong together: in one
+    /// process, in turns.
+    pub(super) fn state(&self, state: &LoopState) -> Result<CheckpointState, LearnerError> {
         let in_turns = self.config.actors.max_lead == 0 && state.actors_wait;
         let actors = match self.fleet.as_ref().filter(|_| in_turns) {
             Some(fleet) => fleet.snapshots()?,
@@ -489,7 +474,7 @@ impl Run<'_> {
         })
     }
 
-    fn save(&mut self, checkpoint: &CheckpointState) -> Result<PathBuf, LearnerError> {
+    pub(super) fn save(&mut self, checkpoint: &CheckpointState) -> Result<PathBuf, LearnerError> {
         let _span = tracing::info_span!("checkpoint").entered();
         let started = Instant::now();
         let files = checkpoint
@@ -508,134 +493,7 @@ impl Run<'_> {
         Ok(folder)
     }
 
-    /// Saves, publishes the last policy, stops the actors, accounts for everything. Does all of it even where a part
-    /// fails; answers the first failure. `healthy`: the loop ended as it should.
-    fn wind_down(&mut self, state: &mut LoopState, healthy: bool) -> Result<(), LearnerError> {
-        let mut first_failure = Ok(());
-        let mut note = |result: Result<(), LearnerError>| {
-            if let Err(error) = result {
-                tracing::error!(%error, "while winding down");
-                if first_failure.is_ok() {
-                    first_failure = Err(error);
-                }
-            }
-        };
-        let iteration = self.progress.iteration;
-        if state
-            .saved
-            .as_ref()
-            .is_none_or(|(saved, _)| *saved != iteration)
-            && iteration > state.first
-        {
-            // An actor that failed cannot be saved any more; the weights can.
-            state.actors_wait &= healthy;
-            let saved = self
-                .state(state)
-                .and_then(|checkpoint| self.save(&checkpoint));
-            note(saved.map(|folder| state.saved = Some((iteration, folder))));
-        }
-        self.traces.complete();
-        note(self.publish(&state.policy));
-        let stop = PolicyUpdate {
-            version: state.policy.metadata().version,
-            sha256: state.policy.sha256(),
-            bytes: state.policy.bytes().clone(),
-            control: Control::Stop,
-        };
-        note(self.link.publish_policy(stop).map_err(LearnerError::from));
-        let (link, metrics) = (self.link.as_mut(), &self.reporter.metrics);
-        drain(&mut self.collector, link, self.fleet.as_ref(), metrics);
-        self.fleet = None;
-        if let Some(versions) = &mut self.versions {
-            note(versions.at_the_end(state.policy.metadata().version));
-        }
-        for ledger in caudata_actor::ledgers_in(&ledger_folder(&self.run_dir)) {
-            let actor = (ledger.actor_id, ledger.incarnation);
-            self.collector.accounting_mut().ledger(actor, ledger.sent);
-        }
-        if !self.collector.accounting().holds() {
-            self.reporter
-                .warn("the accounts of the chunks do not add up; see accounting.json".into());
-        }
-        self.reporter
-            .pictures(&self.progress.history, self.collector.accounting());
-        if self
-            .publisher
-            .as_ref()
-            .is_some_and(|publisher| !publisher.finish(PUBLISH_PATIENCE))
-        {
-            self.reporter
-                .warn("the policy server did not take the last policy in time".into());
-        }
-        self.tell_published(&mut state.seen);
-        if healthy {
-            self.ppo.finish();
-        }
-        first_failure
-    }
-
     fn stop_reason(&self) -> String {
         self.stop.reason().unwrap_or_else(|| "stopped".to_owned())
-    }
-
-    fn finished(mut self, state: &LoopState, reason: String) -> Finished {
-        let progress = &self.progress;
-        let tenth = progress.step_rewards.len() / 10;
-        let enough = progress.step_rewards.len() >= TENTHS_MIN;
-        let rewards = &progress.step_rewards;
-        let (early, late) = (
-            &progress.returns[..tenth],
-            &progress.returns[progress.returns.len() - tenth..],
-        );
-        let finished = Finished {
-            reason,
-            iteration: progress.iteration,
-            steps_total: progress.steps_total,
-            wall_s: self.began.elapsed().as_secs_f64(),
-            policy_version: state.policy.metadata().version,
-            policy_sha256: state.policy.sha256_hex(),
-            policy_path: self.policy_path().display().to_string(),
-            checkpoint_path: state
-                .saved
-                .as_ref()
-                .map(|(_, folder)| folder.display().to_string())
-                .unwrap_or_default(),
-            first_tenth: enough.then(|| mean_se(&rewards[..tenth])),
-            last_tenth: enough.then(|| mean_se(&rewards[rewards.len() - tenth..])),
-            first_tenth_return: ReturnSums::total(early).mean().filter(|_| enough),
-            last_tenth_return: ReturnSums::total(late).mean().filter(|_| enough),
-            actors_policy: state.seen.best(),
-            accounting: self.collector.accounting().summary(),
-            actors: self.collector.accounting().per_actor(),
-        };
-        self.reporter
-            .event(&Event::Finished(Box::new(finished.clone())));
-        finished
-    }
-}
-
-/// Mean and standard error of the mean (sample standard deviation over √n).
-fn mean_se(values: &[f64]) -> MeanSe {
-    let n = values.len().max(1) as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let squares = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
-    let standard_error = (squares / (n - 1.0).max(1.0) / n).sqrt();
-    MeanSe {
-        mean,
-        standard_error,
-        n: values.len() as u64,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn mean_and_standard_error_by_hand() {
-        // {1, 2, 6}: mean 3, squares 4 + 1 + 9 = 14, variance 7, standard error √(7/3).
-        let found = mean_se(&[1.0, 2.0, 6.0]);
-        assert_eq!((found.mean, found.n), (3.0, 3));
-        assert!((found.standard_error - (7.0_f64 / 3.0).sqrt()).abs() < 1e-12);
     }
 }

@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 use caudata_policy::PolicyFile;
 use caudata_telemetry::progress::ActorsPolicy;
 
+use crate::hex;
+
 /// Versions that chunks and the policy server may still name.
 const VERSIONS_MAX: usize = 64;
 
@@ -44,7 +46,8 @@ impl PoliciesSeen {
         }
     }
 
-    /// The newest policy that actors ran and that the policy server has; without one, the newest that they ran.
+    /// The newest policy that actors ran and that the policy server has; without one, the newest that they
+    /// ran.
     pub fn best(&self) -> Option<ActorsPolicy> {
         let ran = || {
             self.made
@@ -82,10 +85,6 @@ fn told(version: u64, made: &Made) -> Option<ActorsPolicy> {
         learner_sha256: hex(&made.sha256),
         published: made.published,
     })
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

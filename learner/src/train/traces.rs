@@ -1,7 +1,10 @@
-//! What the learner adds to the traces: chunks that arrive, the batch, the update, and the policy version that comes of it.
+//! What the learner adds to the traces: chunks that arrive, the batch, the update, and the policy version
+//! that comes of it.
 
 use caudata_proto::{RolloutChunk, TraceContext, chunk_identity};
 use caudata_telemetry::traces::{Kind, Span, Tracer, Value, now_ns};
+
+use crate::hex;
 
 /// Chunks that a batch names as its origin.
 const LINKS_MAX: usize = 256;
@@ -148,8 +151,4 @@ impl Traces {
             links: current.origin.into_iter().collect(),
         });
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

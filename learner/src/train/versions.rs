@@ -1,11 +1,13 @@
-//! Which policy versions may have been handed out, on disk before they are. A learner that is killed goes on from a checkpoint that is
-//! older than what its actors have; its versions must go on behind theirs, because bytes under a version never change.
+//! Which policy versions may have been handed out, on disk before they are. A learner that is killed goes on
+//! from a checkpoint that is older than what its actors have; its versions must go on behind theirs, because
+//! bytes under a version never change.
 
 use std::path::{Path, PathBuf};
 
 use crate::LearnerError;
 
-/// Versions that are noted at once, so that not every one costs a write. A learner that was killed leaves out at most so many.
+/// Versions that are noted at once, so that not every one costs a write. A learner that was killed leaves out
+/// at most so many.
 const AHEAD: u64 = 64;
 
 /// The note in the run folder: run id and version.

@@ -72,8 +72,8 @@ fn explore(ppo: &Ppo, means: &[f32], noise: &mut Stream) -> (Vec<f32>, Vec<f32>)
     (actions, log_probs)
 }
 
-/// One-step problem: for a context s ∈ [−1, 1]², the reward is −‖a − (s₀ + s₁, s₀ − 0.5)‖². The best return is 0;
-/// doing nothing earns −E[(s₀+s₁)² + (s₀−½)²] = −(⅔ + ⅓ + ¼) = −1.25.
+/// One-step problem: for a context s ∈ [−1, 1]², the reward is −‖a − (s₀ + s₁, s₀ − 0.5)‖². The best return
+/// is 0; doing nothing earns −E[(s₀+s₁)² + (s₀−½)²] = −(⅔ + ⅓ + ¼) = −1.25.
 fn bandit_return(ppo: &Ppo, scaling: &Scaling) -> f64 {
     let mut contexts = stream(99, Purpose::Reset);
     let observations: Vec<f32> = (0..2000).map(|_| contexts.uniform(-1.0, 1.0)).collect();
@@ -128,9 +128,9 @@ fn one_step_episodes(
 
 #[test]
 fn what_is_learnt_on_one_side_holds_on_the_other() {
-    // Contexts of the left side only, s ∈ [0, 1]: reward −(a₀ − s)² − (a₁ − 1 + s)². A world that is its own mirror image asks on the other side, −s,
-    // for actions exchanged and negated: a₀ = −(1 − s), a₁ = −s. At s = −¾ that is (−¼, −¾); a policy that only goes on in a straight
-    // line from what it saw says (−¾, 1¾).
+    // Contexts of the left side only, s ∈ [0, 1]: reward −(a₀ − s)² − (a₁ − 1 + s)². A world that is its own
+    // mirror image asks on the other side, −s, for actions exchanged and negated: a₀ = −(1 − s), a₁ = −s. At
+    // s = −¾ that is (−¼, −¾); a policy that only goes on in a straight line from what it saw says (−¾, 1¾).
     let flip = |source: &[usize]| SignedPermutation {
         source: source.to_vec(),
         sign: vec![-1.0; source.len()],
@@ -209,8 +209,9 @@ fn a_contextual_bandit_is_solved_in_fifty_updates() {
     }
 }
 
-/// A mass on a line: x' = x + v·dt, v' = v + a·dt, reward −(x² + 0.1·v² + 0.01·a²), 40 steps of 0.1 s. An action costs
-/// at once and pays later, so that credit has to travel through time, across chunks and the time limit.
+/// A mass on a line: x' = x + v·dt, v' = v + a·dt, reward −(x² + 0.1·v² + 0.01·a²), 40 steps of 0.1 s. An
+/// action costs at once and pays later, so that credit has to travel through time, across chunks and the time
+/// limit.
 struct PointMasses {
     x: Vec<f32>,
     v: Vec<f32>,
@@ -254,8 +255,8 @@ impl PointMasses {
     }
 }
 
-/// Cost-to-go of the best linear feedback over `LIMIT` steps from (x, 0): Riccati's recursion on the 2×2 matrix
-/// [p, q; q, r] of the cost, and E[x²] = ⅓.
+/// Cost-to-go of the best linear feedback over `LIMIT` steps from (x, 0): Riccati's recursion on the 2×2
+/// matrix [p, q; q, r] of the cost, and E[x²] = ⅓.
 fn best_return() -> f64 {
     let dt = f64::from(DT);
     let (mut p, mut q, mut r) = (0.0, 0.0, 0.0);

@@ -98,8 +98,8 @@ fn train(config: Config) -> (Tensors, Finished, Vec<u64>) {
     (state(dir.path()), finished, lags)
 }
 
-/// The tensors of the last checkpoint by name. Without the sums of returns: episodes are added up in the order in which they come,
-/// which tells how many actors there are in the last digits of what is printed.
+/// The tensors of the last checkpoint by name. Without the sums of returns: episodes are added up in the
+/// order in which they come, which tells how many actors there are in the last digits of what is printed.
 fn state(folder: &Path) -> Tensors {
     let name = format!("checkpoints/iter_{ITERATIONS:06}/state.safetensors");
     let bytes = std::fs::read(folder.join(name)).unwrap();

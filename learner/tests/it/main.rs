@@ -13,6 +13,5 @@ mod learning;
 mod lockstep;
 mod program;
 mod publish;
-mod ranks;
 mod resume;
 mod slow_actor;

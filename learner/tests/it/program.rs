@@ -106,6 +106,61 @@ fn a_signal_ends_the_run_in_good_order_and_it_can_be_resumed() {
     }
 }
 
+/// As after `kill -9` of a supervisor and `--resume` at once: the first learner still saves when the second
+/// comes.
+#[test]
+fn a_second_learner_of_a_folder_waits_for_the_first_and_goes_on_where_that_ended() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut first = start(&arguments(dir.path(), 100_000));
+    let pid = Pid::from_raw(first.id() as i32);
+    let mut heard = events(&mut first);
+    heard
+        .find(|event| matches!(event, Event::Iteration(done) if done.iteration == 3))
+        .unwrap();
+    let mut more = arguments(dir.path(), 1_000_000);
+    more.push("--resume".into());
+    let mut second = start(&more);
+    let stopper = std::thread::spawn(move || {
+        std::thread::sleep(std::time::Duration::from_millis(500));
+        kill(pid, Signal::SIGTERM).unwrap();
+    });
+    let Some(Event::Finished(ended)) = heard.last() else {
+        panic!("no last word")
+    };
+    stopper.join().unwrap();
+    assert_eq!(first.wait().unwrap().code(), Some(0));
+    let Some(Event::Started(started)) = events(&mut second).next() else {
+        panic!("it did not start")
+    };
+    assert_eq!(started.iteration, ended.iteration);
+    second.kill().unwrap();
+    second.wait().unwrap();
+}
+
+#[test]
+fn a_learner_that_is_watched_says_between_its_events_that_it_is_alive() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut watched = arguments(dir.path(), 100_000);
+    watched.push("--heartbeat".into());
+    let mut child = start(&watched);
+    let out = BufReader::new(child.stdout.take().unwrap());
+    let (mut alive, mut iterations) = (0, 0);
+    for line in out.lines().map(Result::unwrap) {
+        match line.as_str() {
+            caudata_actor::ALIVE => alive += 1,
+            line => {
+                let event: Event = serde_json::from_str(line).unwrap();
+                iterations += u32::from(matches!(event, Event::Iteration(_)));
+            }
+        }
+        if alive >= 2 && iterations >= 2 {
+            break;
+        }
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
 #[test]
 fn each_kind_of_bad_input_has_its_line_and_code() {
     let dir = tempfile::tempdir().unwrap();

@@ -115,7 +115,7 @@ fn the_latest_policy_arrives_once_the_server_is_there() {
     let runtime = Runtime::new().unwrap();
     let data = tempfile::tempdir().unwrap();
     let addr = free_address();
-    let publisher = Publisher::start(&addr.to_string(), "test").unwrap();
+    let publisher = Publisher::start(&addr.to_string(), "test", None).unwrap();
     publisher.publish(policy(1));
     let failed = |heard: &[Notice]| !heard.is_empty();
     let heard = wait_for(&publisher, failed);
@@ -160,7 +160,7 @@ fn a_long_pause_between_two_policies_costs_nothing() {
         timeout: Duration::from_secs(1),
     };
     let _stop = server_with(&runtime, addr, data.path(), keepalive);
-    let publisher = Publisher::start(&addr.to_string(), "test").unwrap();
+    let publisher = Publisher::start(&addr.to_string(), "test", None).unwrap();
     publisher.publish(policy(1));
     assert!(publisher.finish(PATIENCE));
     std::thread::sleep(Duration::from_millis(2500));
@@ -178,7 +178,7 @@ fn a_refusal_is_not_tried_again_and_nothing_waits_for_ever() {
     let data = tempfile::tempdir().unwrap();
     let addr = free_address();
     let _stop = server(&runtime, addr, data.path());
-    let publisher = Publisher::start(&addr.to_string(), "test").unwrap();
+    let publisher = Publisher::start(&addr.to_string(), "test", None).unwrap();
     publisher.publish(policy(5));
     assert!(publisher.finish(PATIENCE));
     // The same version with other bytes: another learner was there first.
@@ -196,11 +196,11 @@ fn a_refusal_is_not_tried_again_and_nothing_waits_for_ever() {
     assert!(publisher.finish(PATIENCE));
     assert_eq!(versions(&runtime, addr), [(5, policy(5).sha256())]);
 
-    let nobody = Publisher::start(&free_address().to_string(), "test").unwrap();
+    let nobody = Publisher::start(&free_address().to_string(), "test", None).unwrap();
     nobody.publish(policy(1));
     assert!(!nobody.finish(Duration::from_millis(300)));
     // Dropping it gives up what could not be delivered.
     drop(nobody);
-    assert!(Publisher::start("nowhere", "test").is_err());
-    assert!(Publisher::start("127.0.0.1:1", "Not A Stream").is_err());
+    assert!(Publisher::start("nowhere", "test", None).is_err());
+    assert!(Publisher::start("127.0.0.1:1", "Not A Stream", None).is_err());
 }

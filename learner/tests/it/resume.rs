@@ -81,6 +81,24 @@ fn a_stopped_and_resumed_run_ends_in_the_same_bits() {
 }
 
 #[test]
+fn a_run_whose_checkpoints_are_gone_does_not_begin_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    let quiet = Listener::default();
+    run(folder, config(4, &[]), Resume::No, &quiet, None).unwrap();
+    let before = policy(folder);
+    fs::remove_dir_all(folder.join("checkpoints")).unwrap();
+    let error = run(folder, config(6, &[]), Resume::Latest, &quiet, None).unwrap_err();
+    assert_eq!(error.exit_code().number(), 78, "{error}");
+    assert!(error.to_string().contains("holds no checkpoint"), "{error}");
+    assert_eq!(policy(folder), before);
+
+    // One that was killed before its first checkpoint begins again.
+    let fresh = tempfile::tempdir().unwrap();
+    run(fresh.path(), config(2, &[]), Resume::Latest, &quiet, None).unwrap();
+}
+
+#[test]
 fn a_truncated_checkpoint_is_refused_and_the_good_one_named() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path();
@@ -151,7 +169,7 @@ fn going_back_rolls_back_the_account_and_leaves_published_versions_alone() {
     assert_eq!(report["actors"][0]["dropped"]["rolled_back"], 2);
     let sent: u64 = ledgers_in(&folder.join("ledgers"))
         .iter()
-        .map(|l| l.sent)
+        .filter_map(|l| l.sent)
         .sum();
     assert_eq!(sent, 12, "the actors' own count");
     let received: u64 = finished.actors.iter().map(|actor| actor.received).sum();

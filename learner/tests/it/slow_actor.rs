@@ -96,7 +96,8 @@ fn publish(collector: &mut Collector, link: &mut dyn LearnerLink, version: u64) 
     link.publish_policy(update).unwrap();
 }
 
-/// Chunks per second that are used of all actors but [`SLOW`], which takes `slowness` times as long as the others.
+/// Chunks per second that are used of all actors but [`SLOW`], which takes `slowness` times as long as the
+/// others.
 fn rate(slowness: u32) -> f64 {
     let config = InprocConfig {
         limits: Limits {

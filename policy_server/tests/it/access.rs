@@ -5,11 +5,11 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use caudata_model::RobotModel;
-use caudata_pki::{Authority, Request, Role};
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
 use caudata_policy_server::{ServerMetrics, Store, StoreLimits, listen, serve_tls, tls_config};
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::{ClientError, RegistryClient, manifest_of};
+use caudata_signing::pki::{Authority, Request, Role};
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::Metrics;
 use tokio::sync::watch;
@@ -111,6 +111,13 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     let refused = learner.publish(release.clone(), file.bytes()).await;
     assert_eq!(code(refused).err(), Some(Code::PermissionDenied));
     let mut operator = client(&certificate(&ours, Role::Operator, "ana"));
+    let unsigned = operator.publish(release.clone(), file.bytes()).await;
+    assert_eq!(code(unsigned).err(), Some(Code::PermissionDenied));
+    let mut release = release;
+    release.signatures = vec![caudata_proto::registry::Signature {
+        key_id: "release-1".into(),
+        signature: vec![1; 64],
+    }];
     operator.publish(release, file.bytes()).await.unwrap();
 
     for (role, reads) in [

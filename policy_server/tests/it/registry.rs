@@ -246,7 +246,7 @@ async fn fault_10_a_watcher_that_stops_reading_is_told_that_it_lags_and_others_m
                     assert_eq!(manifest.version, last + 1);
                     last = manifest.version;
                 }
-                WatchChange::Snapshot(_) => {}
+                WatchChange::Snapshot(_) | WatchChange::Progress => {}
                 other => panic!("after version {last}: {other:?}"),
             },
             Ok(None) => panic!("it is not told why, after version {last}"),

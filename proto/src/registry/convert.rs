@@ -2,186 +2,207 @@
 
 use serde::de::IgnoredAny;
 
-use super::{
-    FETCH_CHUNK_BYTES, FetchInfo, FetchPart, FetchRequest, LabelName, ListPage, ListRequest,
-    MAX_EVALUATION_BYTES, MAX_POLICY_BYTES, MAX_SIGNATURES, Manifest, ManifestRequest, Published,
-    RegistryError, Signature, StreamName, WatchChange, WatchEvent, WatchRequest,
+use super::error::{
+    FETCH_CHUNK_BYTES, MAX_EVALUATION_BYTES, MAX_POLICY_BYTES, MAX_REASON, MAX_SIGNATURES,
+    NONCE_BYTES, RegistryError,
 };
+use super::field::{Field, both_ways, read_all};
+use super::messages::*;
+use super::names::{LabelName, StreamName};
 use crate::wire::registry as pb;
 
-impl TryFrom<pb::Manifest> for Manifest {
+both_ways!(Manifest = Manifest, check_manifest, {
+    stream, version, sha256, size, created_unix_ms, run_id: ascii::<1, 128>, contract_hash,
+    robot_name: ascii::<1, 64>, robot_hash, env_steps, training_commit: ascii::<0, 64>,
+    config_hash: ascii::<0, 64>, evaluation_json: evaluation, reverts_to; signatures
+});
+both_ways!(Signature = Signature, |s| range("signature", s.signature.len() as u64, 1, 512), {
+    key_id: ascii::<1, 64>, signature
+});
+both_ways!(Published = PublishResponse, |_| Ok(()), { manifest, generation, already_present });
+both_ways!(ListRequest = ListRequest, |_| Ok(()), { stream, limit, below_version });
+both_ways!(ListPage = ListResponse, |_| Ok(()), { generation, more; manifests });
+both_ways!(ManifestRequest = GetManifestRequest, check_one_question, { stream, version, label });
+both_ways!(FetchRequest = FetchRequest, |r| range("offset", r.offset, 0, MAX_POLICY_BYTES), {
+    sha256, offset, if_none_match
+});
+both_ways!(WatchRequest = WatchRequest, |_| Ok(()), { stream, since_generation });
+both_ways!(LabelState = LabelState, |_| Ok(()), {
+    stream, label, version, generation, by: words, override_reason: maybe, unix_ms
+});
+both_ways!(SetLabel = SetLabelRequest, |_| Ok(()), {
+    stream, label, version, expected_generation, override_reason: maybe
+});
+both_ways!(QuarantineState = QuarantineState, |_| Ok(()), {
+    stream, version, reason: reason, by: words, generation, unix_ms
+});
+both_ways!(RobotReport = RobotReport, check_report, {
+    robot: ascii::<1, 64>, stream, version, sha256, state, reason: words, walked_s, falls, attempts,
+    unix_ms
+});
+both_ways!(Overview = OverviewResponse, |_| Ok(()), {
+    generation, read_only: maybe; labels, quarantined, reports
+});
+both_ways!(AuditEntry = AuditEntry, |_| Ok(()), {
+    number, unix_ms, by: words, what: ascii::<1, 32>, stream, version, detail: words
+});
+
+fn check_manifest(m: &pb::Manifest) -> Result<(), RegistryError> {
+    range("size", m.size, 1, MAX_POLICY_BYTES)?;
+    let most = MAX_SIGNATURES as u64;
+    range("signatures", m.signatures.len() as u64, 0, most)?;
+    if m.reverts_to.is_some_and(|old| old >= m.version) {
+        return Err(RegistryError::Together(
+            "`reverts_to` must be below `version`",
+        ));
+    }
+    Ok(())
+}
+
+fn check_one_question(r: &pb::GetManifestRequest) -> Result<(), RegistryError> {
+    if !r.label.is_empty() && r.version.is_some() {
+        return Err(RegistryError::Together("a version or a label, not both"));
+    }
+    Ok(())
+}
+
+fn check_report(r: &pb::RobotReport) -> Result<(), RegistryError> {
+    let state = RobotState::try_from(r.state())?;
+    if !(r.walked_s.is_finite() && r.walked_s >= 0.0) {
+        return Err(RegistryError::Together(
+            "`walked_s` must be a number of seconds",
+        ));
+    }
+    // Standing still is no trial: `stable` would follow a robot that never moved.
+    if state == RobotState::Good && r.walked_s == 0.0 {
+        return Err(RegistryError::Together(
+            "`good` needs seconds walked: `walked_s` is 0",
+        ));
+    }
+    let least = u64::from(!state.went_well());
+    range("reason", r.reason.len() as u64, least, MAX_REASON as u64)
+}
+
+/// Both ways between a report's state and its number on the wire.
+macro_rules! states {
+    ($($state:ident),*) => {
+        impl TryFrom<pb::robot_report::State> for RobotState {
+            type Error = RegistryError;
+
+            fn try_from(state: pb::robot_report::State) -> Result<Self, RegistryError> {
+                match state {
+                    $(pb::robot_report::State::$state => Ok(Self::$state),)*
+                    pb::robot_report::State::Unspecified => {
+                        Err(RegistryError::Missing { field: "state" })
+                    }
+                }
+            }
+        }
+
+        impl From<RobotState> for pb::robot_report::State {
+            fn from(state: RobotState) -> Self {
+                match state {
+                    $(RobotState::$state => Self::$state,)*
+                }
+            }
+        }
+    };
+}
+states!(Armed, Trial, Good, Refused, Failed);
+
+impl Field<i32> for RobotState {
+    fn read(name: &'static str, wire: i32) -> Result<Self, RegistryError> {
+        let state = pb::robot_report::State::try_from(wire);
+        let state = state.map_err(|_| RegistryError::Missing { field: name })?;
+        state.try_into()
+    }
+    fn write(self) -> i32 {
+        pb::robot_report::State::from(self).into()
+    }
+}
+
+/// What to publish again, and why.
+impl TryFrom<pb::RevertRequest> for (Manifest, String) {
     type Error = RegistryError;
 
-    fn try_from(m: pb::Manifest) -> Result<Self, RegistryError> {
-        range("size", m.size, 1, MAX_POLICY_BYTES)?;
-        range(
-            "signatures",
-            m.signatures.len() as u64,
-            0,
-            MAX_SIGNATURES as u64,
-        )?;
-        if m.reverts_to.is_some_and(|old| old >= m.version) {
-            return Err(RegistryError::Together(
-                "`reverts_to` must be below `version`",
-            ));
+    fn try_from(r: pb::RevertRequest) -> Result<Self, RegistryError> {
+        let manifest: Manifest = Field::read("manifest", r.manifest)?;
+        if manifest.reverts_to.is_none() {
+            return Err(RegistryError::Missing {
+                field: "reverts_to",
+            });
         }
-        Ok(Self {
-            stream: StreamName::new(&m.stream)?,
-            version: m.version,
-            sha256: hash("sha256", &m.sha256)?,
-            size: m.size,
-            created_unix_ms: m.created_unix_ms,
-            run_id: text("run_id", m.run_id, 1, 128)?,
-            contract_hash: hash("contract_hash", &m.contract_hash)?,
-            robot_name: text("robot_name", m.robot_name, 1, 64)?,
-            robot_hash: hash("robot_hash", &m.robot_hash)?,
-            env_steps: m.env_steps,
-            training_commit: text("training_commit", m.training_commit, 0, 64)?,
-            config_hash: text("config_hash", m.config_hash, 0, 64)?,
-            evaluation_json: evaluation(m.evaluation_json)?,
-            reverts_to: m.reverts_to,
-            signatures: m
-                .signatures
-                .into_iter()
-                .map(Signature::try_from)
-                .collect::<Result<_, _>>()?,
-        })
+        Ok((manifest, reason("reason", r.reason)?))
     }
 }
 
-impl From<Manifest> for pb::Manifest {
-    fn from(m: Manifest) -> Self {
-        Self {
-            stream: m.stream.0,
-            version: m.version,
-            sha256: m.sha256.to_vec(),
-            size: m.size,
-            created_unix_ms: m.created_unix_ms,
-            run_id: m.run_id,
-            contract_hash: m.contract_hash.to_vec(),
-            robot_name: m.robot_name,
-            robot_hash: m.robot_hash.to_vec(),
-            env_steps: m.env_steps,
-            training_commit: m.training_commit,
-            config_hash: m.config_hash,
-            evaluation_json: m.evaluation_json.unwrap_or_default(),
-            reverts_to: m.reverts_to,
-            signatures: m
-                .signatures
-                .into_iter()
-                .map(|s| pb::Signature {
-                    key_id: s.key_id,
-                    signature: s.signature,
-                })
-                .collect(),
-        }
-    }
-}
-
-impl TryFrom<pb::Signature> for Signature {
+impl TryFrom<pb::QuarantineRequest> for QuarantineState {
     type Error = RegistryError;
 
-    fn try_from(s: pb::Signature) -> Result<Self, RegistryError> {
-        range("signature", s.signature.len() as u64, 1, 512)?;
-        Ok(Self {
-            key_id: text("key_id", s.key_id, 1, 64)?,
-            signature: s.signature,
-        })
-    }
-}
-
-impl TryFrom<pb::PublishResponse> for Published {
-    type Error = RegistryError;
-
-    fn try_from(p: pb::PublishResponse) -> Result<Self, RegistryError> {
-        Ok(Self {
-            manifest: manifest(p.manifest)?,
-            generation: p.generation,
-            already_present: p.already_present,
-        })
-    }
-}
-
-impl From<Published> for pb::PublishResponse {
-    fn from(p: Published) -> Self {
-        Self {
-            manifest: Some(p.manifest.into()),
-            generation: p.generation,
-            already_present: p.already_present,
-        }
-    }
-}
-
-impl TryFrom<pb::ListRequest> for ListRequest {
-    type Error = RegistryError;
-
-    fn try_from(r: pb::ListRequest) -> Result<Self, RegistryError> {
-        Ok(Self {
-            stream: optional_stream(&r.stream)?,
-            limit: r.limit,
-            below_version: r.below_version,
-        })
-    }
-}
-
-impl From<ListRequest> for pb::ListRequest {
-    fn from(r: ListRequest) -> Self {
-        Self {
-            stream: r.stream.map(|s| s.0).unwrap_or_default(),
-            limit: r.limit,
-            below_version: r.below_version,
-        }
-    }
-}
-
-impl TryFrom<pb::ListResponse> for ListPage {
-    type Error = RegistryError;
-
-    fn try_from(r: pb::ListResponse) -> Result<Self, RegistryError> {
-        Ok(Self {
-            manifests: manifests(r.manifests)?,
-            generation: r.generation,
-            more: r.more,
-        })
-    }
-}
-
-impl From<ListPage> for pb::ListResponse {
-    fn from(p: ListPage) -> Self {
-        Self {
-            manifests: p.manifests.into_iter().map(Into::into).collect(),
-            generation: p.generation,
-            more: p.more,
-        }
-    }
-}
-
-impl TryFrom<pb::GetManifestRequest> for ManifestRequest {
-    type Error = RegistryError;
-
-    fn try_from(r: pb::GetManifestRequest) -> Result<Self, RegistryError> {
-        let label = match r.label.as_str() {
-            "" => None,
-            name => Some(LabelName::new(name)?),
-        };
-        if label.is_some() && r.version.is_some() {
-            return Err(RegistryError::Together("a version or a label, not both"));
-        }
+    fn try_from(r: pb::QuarantineRequest) -> Result<Self, RegistryError> {
         Ok(Self {
             stream: StreamName::new(&r.stream)?,
             version: r.version,
-            label,
+            reason: reason("reason", r.reason)?,
+            by: String::new(),
+            generation: 0,
+            unix_ms: 0,
         })
     }
 }
 
-impl From<ManifestRequest> for pb::GetManifestRequest {
-    fn from(r: ManifestRequest) -> Self {
+/// The nonce, the stream and the label that are asked for.
+impl TryFrom<pb::FreshnessRequest> for ([u8; NONCE_BYTES], StreamName, LabelName) {
+    type Error = RegistryError;
+
+    fn try_from(r: pb::FreshnessRequest) -> Result<Self, RegistryError> {
+        let label = match r.label.as_str() {
+            "" => LabelName::latest(),
+            name => LabelName::new(name)?,
+        };
+        Ok((nonce(r.nonce)?, StreamName::new(&r.stream)?, label))
+    }
+}
+
+impl TryFrom<pb::FreshnessResponse> for SignedFreshness {
+    type Error = RegistryError;
+
+    fn try_from(r: pb::FreshnessResponse) -> Result<Self, RegistryError> {
+        let signature = r
+            .signature
+            .ok_or(RegistryError::Missing { field: "signature" })?;
+        Ok(Self {
+            said: Freshness {
+                nonce: nonce(r.nonce)?,
+                stream: StreamName::new(&r.stream)?,
+                label: LabelName::new(&r.label)?,
+                version: r.version,
+                sha256: Field::read("sha256", r.sha256)?,
+            },
+            signature: Signature::try_from(signature)?,
+        })
+    }
+}
+
+impl From<SignedFreshness> for pb::FreshnessResponse {
+    fn from(f: SignedFreshness) -> Self {
         Self {
-            stream: r.stream.0,
-            version: r.version,
-            label: r.label.map(|label| label.0).unwrap_or_default(),
+            nonce: f.said.nonce.to_vec(),
+            stream: f.said.stream.0,
+            label: f.said.label.0,
+            version: f.said.version,
+            sha256: f.said.sha256.to_vec(),
+            signature: Some(f.signature.into()),
         }
+    }
+}
+
+/// `None`: all streams.
+impl TryFrom<pb::OverviewRequest> for Option<StreamName> {
+    type Error = RegistryError;
+
+    fn try_from(r: pb::OverviewRequest) -> Result<Self, RegistryError> {
+        Field::read("stream", r.stream)
     }
 }
 
@@ -190,36 +211,7 @@ impl TryFrom<pb::GetManifestResponse> for (Manifest, u64) {
     type Error = RegistryError;
 
     fn try_from(r: pb::GetManifestResponse) -> Result<Self, RegistryError> {
-        Ok((manifest(r.manifest)?, r.generation))
-    }
-}
-
-impl TryFrom<pb::FetchRequest> for FetchRequest {
-    type Error = RegistryError;
-
-    fn try_from(r: pb::FetchRequest) -> Result<Self, RegistryError> {
-        range("offset", r.offset, 0, MAX_POLICY_BYTES)?;
-        let held = &r.if_none_match;
-        let if_none_match = if held.is_empty() {
-            None
-        } else {
-            Some(hash("if_none_match", held)?)
-        };
-        Ok(Self {
-            sha256: hash("sha256", &r.sha256)?,
-            offset: r.offset,
-            if_none_match,
-        })
-    }
-}
-
-impl From<FetchRequest> for pb::FetchRequest {
-    fn from(r: FetchRequest) -> Self {
-        Self {
-            sha256: r.sha256.to_vec(),
-            offset: r.offset,
-            if_none_match: r.if_none_match.map(|h| h.to_vec()).unwrap_or_default(),
-        }
+        Ok((Field::read("manifest", r.manifest)?, r.generation))
     }
 }
 
@@ -237,7 +229,7 @@ impl TryFrom<pb::FetchResponse> for FetchPart {
                 pb::fetch_info::Status::ContentFollows => {
                     range("size", info.size, 1, MAX_POLICY_BYTES)?;
                     range("offset", info.offset, 0, info.size)?;
-                    let sha256 = hash("sha256", &info.sha256)?;
+                    let sha256 = Field::read("sha256", info.sha256)?;
                     Ok(Self::Info(FetchInfo {
                         sha256,
                         size: info.size,
@@ -271,32 +263,12 @@ impl From<FetchPart> for pb::FetchResponse {
     }
 }
 
-impl TryFrom<pb::WatchRequest> for WatchRequest {
-    type Error = RegistryError;
-
-    fn try_from(r: pb::WatchRequest) -> Result<Self, RegistryError> {
-        Ok(Self {
-            stream: optional_stream(&r.stream)?,
-            since_generation: r.since_generation,
-        })
-    }
-}
-
-impl From<WatchRequest> for pb::WatchRequest {
-    fn from(r: WatchRequest) -> Self {
-        Self {
-            stream: r.stream.map(|s| s.0).unwrap_or_default(),
-            since_generation: r.since_generation,
-        }
-    }
-}
-
 impl TryFrom<pb::WatchEvent> for WatchEvent {
     type Error = RegistryError;
 
     fn try_from(e: pb::WatchEvent) -> Result<Self, RegistryError> {
         let change = match e.event.ok_or(RegistryError::Missing { field: "event" })? {
-            pb::watch_event::Event::Snapshot(s) => WatchChange::Snapshot(manifests(s.manifests)?),
+            pb::watch_event::Event::Snapshot(s) => WatchChange::Snapshot(read_all(s.manifests)?),
             pb::watch_event::Event::Published(m) => {
                 WatchChange::Published(Box::new(Manifest::try_from(m)?))
             }
@@ -333,48 +305,57 @@ impl From<WatchEvent> for pb::WatchEvent {
     }
 }
 
-fn manifest(m: Option<pb::Manifest>) -> Result<Manifest, RegistryError> {
-    Manifest::try_from(m.ok_or(RegistryError::Missing { field: "manifest" })?)
-}
+impl TryFrom<pb::AuditResponse> for AuditPage {
+    type Error = RegistryError;
 
-fn manifests(list: Vec<pb::Manifest>) -> Result<Vec<Manifest>, RegistryError> {
-    list.into_iter().map(Manifest::try_from).collect()
-}
-
-/// An empty name means all streams.
-pub(super) fn optional_stream(name: &str) -> Result<Option<StreamName>, RegistryError> {
-    if name.is_empty() {
-        Ok(None)
-    } else {
-        StreamName::new(name).map(Some)
+    fn try_from(r: pb::AuditResponse) -> Result<Self, RegistryError> {
+        read_all(r.entries)
     }
 }
 
-pub(super) fn hash(field: &'static str, bytes: &[u8]) -> Result<[u8; 32], RegistryError> {
-    bytes.try_into().map_err(|_| RegistryError::HashLength {
-        field,
-        found: bytes.len(),
-    })
+fn nonce(bytes: Vec<u8>) -> Result<[u8; NONCE_BYTES], RegistryError> {
+    let exactly = NONCE_BYTES as u64;
+    range("nonce", bytes.len() as u64, exactly, exactly)?;
+    Field::read("nonce", bytes)
 }
 
-pub(super) fn text(
+/// Text of so many characters.
+fn ascii<const MIN: usize, const MAX: usize>(
     field: &'static str,
     text: String,
-    min: usize,
-    max: usize,
 ) -> Result<String, RegistryError> {
-    if (min..=max).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic()) {
+    if (MIN..=MAX).contains(&text.len()) && text.bytes().all(|b| b.is_ascii_graphic()) {
         return Ok(text);
     }
+    let (min, max) = (MIN, MAX);
     Err(RegistryError::Text { field, min, max })
 }
 
-pub(super) fn range(
-    field: &'static str,
-    found: u64,
-    min: u64,
-    max: u64,
-) -> Result<(), RegistryError> {
+/// One line of any language, which may be empty.
+fn words(field: &'static str, words: String) -> Result<String, RegistryError> {
+    line(field, words, 0)
+}
+
+/// The same, not empty.
+fn reason(field: &'static str, words: String) -> Result<String, RegistryError> {
+    line(field, words, 1)
+}
+
+/// The same, or nothing.
+fn maybe(field: &'static str, words: String) -> Result<Option<String>, RegistryError> {
+    let words = line(field, words, 0)?;
+    Ok(Some(words).filter(|words| !words.is_empty()))
+}
+
+fn line(field: &'static str, words: String, min: usize) -> Result<String, RegistryError> {
+    if (min..=MAX_REASON).contains(&words.len()) && !words.chars().any(char::is_control) {
+        return Ok(words);
+    }
+    let max = MAX_REASON;
+    Err(RegistryError::Words { field, min, max })
+}
+
+fn range(field: &'static str, found: u64, min: u64, max: u64) -> Result<(), RegistryError> {
     if (min..=max).contains(&found) {
         return Ok(());
     }
@@ -387,7 +368,7 @@ pub(super) fn range(
 }
 
 /// Empty, or the text of one JSON object.
-fn evaluation(json: String) -> Result<Option<String>, RegistryError> {
+fn evaluation(_: &'static str, json: String) -> Result<Option<String>, RegistryError> {
     if json.is_empty() {
         return Ok(None);
     }

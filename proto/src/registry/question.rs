@@ -3,10 +3,11 @@
 //! A signature says who said something, not to whom. A server that holds an announcement which is genuinely signed
 //! and about something else must not be able to pass it off as the one that was asked for.
 
+use super::error::NONCE_BYTES;
+use super::messages::{Freshness, LabelState, Manifest, QuarantineState};
+use super::names::{LabelName, StreamName};
 use crate::checks::Check;
-use crate::registry::{
-    Freshness, LabelName, LabelState, Manifest, NONCE_BYTES, QuarantineState, StreamName,
-};
+use crate::hex::hex;
 
 /// What a question fixes, or what an answer says. Whatever the question fixes, the answer must say likewise.
 #[derive(Clone, Copy, Debug, Default)]
@@ -91,10 +92,6 @@ fn same<T: PartialEq>(
             said: found.map_or_else(|| "nothing".to_owned(), |found| show(&found)),
         }),
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 impl<'a> Facts<'a> {

@@ -1,6 +1,7 @@
 //! What makes a chunk right, apart from how it is written.
 
-use super::{DecodeError, DecodeLimits, EpisodeSummary, Moments, RolloutChunk};
+use super::error::DecodeError;
+use super::messages::{DecodeLimits, EpisodeSummary, Moments, RolloutChunk};
 
 /// Longest run id, in bytes.
 pub(super) const MAX_RUN_ID: usize = 128;

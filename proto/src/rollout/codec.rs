@@ -3,12 +3,14 @@
 use prost::Message;
 
 use super::check::{self, dimension, length, product};
+use super::error::DecodeError;
 use super::history;
-use super::tensors::{self, Tensors};
-use super::{
-    ActionHistory, ActorBye, ActorHello, DecodeError, DecodeLimits, Envelope, EpisodeSummary,
-    FinalObservation, Moments, ROLLOUT_PROTOCOL, RolloutChunk, TraceContext,
+use super::messages::{
+    ActionHistory, ActorBye, ActorHello, DecodeLimits, Envelope, EpisodeSummary, FinalObservation,
+    Moments, ROLLOUT_PROTOCOL, RolloutChunk,
 };
+use super::tensors::{self, Tensors};
+use super::trace::TraceContext;
 use crate::wire::rollout as pb;
 
 /// Bytes of a frame beside its tensors: identifiers, hashes, dimensions, field headers.

@@ -4,7 +4,8 @@
 //! 97 values. What is left out follows bit for bit from what is sent, or nothing is left out.
 
 use super::check::product;
-use super::{ActionHistory, DecodeError, RolloutChunk};
+use super::error::DecodeError;
+use super::messages::{ActionHistory, RolloutChunk};
 
 impl ActionHistory {
     /// Values of an observation that are past actions.

@@ -2,7 +2,8 @@
 
 use prost::Message;
 
-use super::{TraceContext, check};
+use super::check;
+use super::trace::TraceContext;
 
 /// Which chunk of which actor a frame says it is.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -10,7 +10,7 @@ use prost::encoding::{
     encoded_len_varint, key_len, skip_field,
 };
 
-use super::{ROLLOUT_PROTOCOL, RolloutChunk};
+use super::messages::{ROLLOUT_PROTOCOL, RolloutChunk};
 
 /// Field of `Envelope` that holds the chunk.
 const CHUNK: u32 = 3;

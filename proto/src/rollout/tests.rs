@@ -503,7 +503,8 @@ proptest! {
     }
 }
 
-/// [`chunk`] with the last action in columns 1 and 2 of every observation, within ± 1: 1.375 and 1.25 are cut off.
+/// [`chunk`] with the last action in columns 1 and 2 of every observation, within ± 1: 1.375 and 1.25 are cut
+/// off.
 fn with_history() -> RolloutChunk {
     let mut chunk = chunk();
     chunk.action_history = Some(ActionHistory {
@@ -531,7 +532,8 @@ fn past_actions_are_left_out_and_put_back() {
     let envelope = Envelope::Chunk(Box::new(chunk.clone()));
     let frame = encode(&envelope);
     assert_eq!(decode(&frame, &DecodeLimits::default()).unwrap(), envelope);
-    // Six observations without two floats each, and 9 bytes (two headers, 1, 1, 1.0) that say so: the lengths of the tensor, the chunk have one byte or two either way.
+    // Six observations without two floats each, and 9 bytes (two headers, 1, 1, 1.0) that say so: the lengths
+    // of the tensor, the chunk have one byte or two either way.
     let plain = RolloutChunk {
         action_history: None,
         ..chunk
@@ -670,8 +672,9 @@ fn a_small_frame_with_past_actions_cannot_ask_for_a_large_chunk() {
     }
 }
 
-/// The observations of `chunk` with its past actions where `history` says, straight from the definition: value `a` of the action `k` steps before, unless an
-/// episode ended since; before the chunk, whatever is there in its first observation.
+/// The observations of `chunk` with its past actions where `history` says, straight from the definition:
+/// value `a` of the action `k` steps before, unless an episode ended since; before the chunk, whatever is
+/// there in its first observation.
 fn remember(chunk: &mut RolloutChunk, history: ActionHistory) {
     let (n, d, act) = (chunk.lanes, chunk.obs_dim, chunk.act_dim);
     let ended =

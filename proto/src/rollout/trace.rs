@@ -1,6 +1,6 @@
 //! Where something belongs in a trace: the identifiers that travel with a chunk.
 
-use super::DecodeError;
+use super::error::DecodeError;
 
 /// Bytes on the wire.
 const LEN: usize = 24;
@@ -15,8 +15,8 @@ pub struct TraceContext {
 }
 
 impl TraceContext {
-    /// The root span of the trace of one policy version: whoever has the policy's SHA-256 finds its trace, which is the first 16 bytes of
-    /// it; the next 8 are the root span.
+    /// The root span of the trace of one policy version: whoever has the policy's SHA-256 finds its trace,
+    /// which is the first 16 bytes of it; the next 8 are the root span.
     pub fn of_policy(sha256: &[u8; 32]) -> Self {
         let (mut trace, mut span) = ([0; 16], [0; 8]);
         trace.copy_from_slice(&sha256[..16]);

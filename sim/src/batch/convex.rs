@@ -15,7 +15,7 @@ use crate::simd::Lanes;
 /// MuJoCo's `impratio` in its converged setting.
 const RATIO: f64 = 100.0;
 /// Slips below this are none, m/s².
-const LEAST: f64 = 1e-6;
+const LEAST_SLIP: f64 = 1e-6;
 
 /// The force `f0 − m·Δ` of a contact `depth` deep, Δ the acceleration of the point beyond its bias; m symmetric.
 ///
@@ -48,7 +48,7 @@ pub(super) fn force<R: Lanes>(
     let along_n = dot(wish, normal);
     let wish_t = add_scaled(wish, normal, -along_n);
     let wish_n = spring.mul_add(depth, along_n);
-    let length = dot(wish_t, wish_t).sqrt().max(R::splat(LEAST));
+    let length = dot(wish_t, wish_t).sqrt().max(R::splat(LEAST_SLIP));
     let lifted = friction.mul_add(length, wish_n);
     let on = touching & o.lt(lifted);
     let weight_t = weight * R::splat(RATIO);
@@ -61,7 +61,7 @@ pub(super) fn force<R: Lanes>(
     let softer = square.mul_add(R::splat(1.0 / RATIO), one);
     let normal_nm = lifted / (give * (one + square) + softer / weight);
     let limit = friction * normal_nm.max(o);
-    let across = (limit / (length - limit * give).max(R::splat(LEAST))).min(weight_t);
+    let across = (limit / (length - limit * give).max(R::splat(LEAST_SLIP))).min(weight_t);
     let weight_e = weight / softer;
     let push = spring * (depth - half * mid_n);
     let damped = damper.mul_add(half, one);

@@ -53,7 +53,7 @@ use crate::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Ter
 pub const MAX_LANES: usize = 1 << 20;
 
 /// Changes whenever what a snapshot holds does.
-const FORMAT: &str = "caudata-batch-4";
+const BATCH_FORMAT: &str = "caudata-batch-4";
 
 /// The batch engine.
 pub struct BatchEngine {
@@ -150,7 +150,7 @@ impl BatchEngine {
 
     fn owner(&self) -> Owner<'_> {
         Owner {
-            format: FORMAT,
+            format: BATCH_FORMAT,
             model_hash: self.model.hash(),
             config: &self.config,
             terrain: self.terrain_mark,

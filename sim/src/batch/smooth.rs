@@ -34,7 +34,7 @@ pub struct Motion {
 /// What it accelerates with.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Accelerations {
-    /// Of the base link's origin, world, m/s².
+    /// Acceleration of the base link's origin, world, m/s².
     pub base_mps2: [f64; 3],
     /// World, rad/s².
     pub base_radps2: [f64; 3],

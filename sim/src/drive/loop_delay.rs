@@ -45,7 +45,7 @@ pub struct WantedTorques<R> {
 }
 
 impl<R: Real> WantedTorques<R> {
-    /// Of `width` joints, none of them late.
+    /// Torques of `width` joints, none of them late.
     #[must_use]
     pub fn new(width: usize) -> Self {
         Self {

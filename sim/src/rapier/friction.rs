@@ -74,7 +74,7 @@ struct Touch {
 /// one, and so on until the foot hops.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(super) struct Owed {
-    /// Of each of the robot's colliders, N·s.
+    /// Impulse owed to each of the robot's colliders, N·s.
     impulse_ns: Vec<Real>,
 }
 
@@ -83,7 +83,7 @@ pub(super) struct Skin {
     colliders: Vec<ColliderHandle>,
     /// Acceleration of the collider's link per force on it, mean over directions, 1/kg.
     give_per_kg: Vec<Real>,
-    /// Of the whole robot, kg.
+    /// Mass of the whole robot, kg.
     mass_kg: Real,
     /// Where it touches the ground, in the order of colliders.
     touches: Vec<Touch>,

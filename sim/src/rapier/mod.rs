@@ -55,7 +55,7 @@ use lane::Lane;
 use shared::Shared;
 
 /// Most lanes one engine takes; each needs about 0.25 MB of memory.
-pub const MAX_LANES: usize = 65_536;
+pub const MAX_RAPIER_LANES: usize = 65_536;
 
 /// The Rapier engine.
 pub struct RapierEngine {
@@ -79,7 +79,7 @@ impl RapierEngine {
         terrain: Arc<Terrain>,
         threads: usize,
     ) -> Result<Self, SimError> {
-        check_new(&model, &config, lanes, MAX_LANES)?;
+        check_new(&model, &config, lanes, MAX_RAPIER_LANES)?;
         let params = LaneParams::nominal(&model);
         let init = InitialState::nominal(&model);
         let state = State::of(&model, lanes);

@@ -43,19 +43,6 @@ pub struct CurrentErrors {
     pub bias_a: f32,
 }
 
-impl CurrentErrors {
-    /// Reading for a motor torque, A.
-    #[must_use]
-    pub fn read_a(&self, servo: &ServoParams, torque_nm: f32) -> f32 {
-        let exact = ServoParams {
-            current_lsb_a: 0.0,
-            ..servo.clone()
-        };
-        let shown = (1.0 + self.gain) * current_a(&exact, torque_nm) + self.bias_a;
-        quantise(shown, servo.current_lsb_a)
-    }
-}
-
 /// How an IMU sits and scales, besides its [`ImuBias`](super::ImuBias).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -157,18 +144,6 @@ mod tests {
             0.099_708_8,
             1e-6,
         ); // 65 counts
-    }
-
-    #[test]
-    fn current_gain_and_bias() {
-        let e = CurrentErrors {
-            gain: 0.1,
-            bias_a: 0.03,
-        };
-        // 1.11 N·m: 1.145 A; 1.1·1.145 + 0.03 = 1.2895 A is 479.4 steps of 2.69 mA
-        near(e.read_a(&w210(), 1.11), 479.0 * 0.002_69, 1e-6);
-        // no torque: the bias, 11.15 steps
-        near(e.read_a(&w210(), 0.0), 11.0 * 0.002_69, 1e-6);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::SimError;
 use crate::config::{check_range, check_ranges};
 
 /// Largest number of grid points along one edge: 16 MiB of heights.
-const MAX_POINTS: f64 = 2048.0;
+const MAX_GRID_POINTS: f64 = 2048.0;
 
 /// Coarsest cell of `steps`: their risers are one cell wide.
 const STEPS_CELL_M: f64 = 0.02;
@@ -160,7 +160,7 @@ impl TerrainConfig {
             "cell_m",
             self.size_m / self.grid_cell_m(),
             1.0,
-            MAX_POINTS,
+            MAX_GRID_POINTS,
             "gives more than 2048 grid points along an edge; use a larger cell or a smaller field",
         )
     }

@@ -1,21 +1,24 @@
 //! `caudata actors`: the actors of one host, for a learner elsewhere; started, watched, started again.
 
+use std::ffi::OsString;
+use std::fs::DirBuilder;
+use std::io::ErrorKind;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant, SystemTime};
 
 use caudata_config::{Config, ConfigArgs};
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, Pulse, StopFlag};
+use caudata_studies::{files, flags};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Process, StopFlag};
 use clap::Args;
-use nix::sys::signal::Signal;
 
-use crate::commands::train::backoff::{Backoff, Verdict};
-use crate::commands::train::children::{self, LineSink, Process as Child, Programs};
-use crate::commands::train::supervise::is_permanent;
+use crate::commands::train::children::Programs;
+use crate::commands::train::watched::{Watched, stop_all};
 use crate::say;
 
 /// How often the actors are looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const WATCH_EVERY: Duration = Duration::from_millis(100);
 /// How long actors have to end besides `actors.flush_timeout_s`.
 const STOP_MAX: Duration = Duration::from_secs(5);
 
@@ -42,10 +45,12 @@ pub struct ActorsArgs {
 
 /// Runs until the learner says stop, until asked to, or until an actor cannot work at all.
 pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
-    let mut source = args.config.source();
+    let mut flags = args.config.clone();
     let endpoints = format!("transport.zenoh_connect={:?}", args.connect);
-    source = source.set("transport.kind=zenoh").set(&endpoints);
-    let config = Config::load(&source).or_exit(ExitCode::BadConfig)?;
+    flags
+        .overrides
+        .extend(["transport.kind=zenoh".to_owned(), endpoints]);
+    let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let run_id = args.run_id.as_deref().unwrap_or(config.cluster_run_id());
     let name = match &args.name {
         Some(name) => name.clone(),
@@ -53,12 +58,16 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
     };
     let count = args.count.unwrap_or_else(cores);
     let logs = match &args.logs {
-        Some(folder) => folder.clone(),
-        None => std::env::temp_dir().join(format!("caudata-actors-{run_id}")),
+        Some(folder) => {
+            files::make_folder(folder)?;
+            folder.clone()
+        }
+        None => {
+            let folder = std::env::temp_dir().join(format!("caudata-actors-{run_id}"));
+            private_folder(&folder)?;
+            folder
+        }
     };
-    std::fs::create_dir_all(&logs).or_exit_with(ExitCode::CannotCreate, || {
-        format!("cannot make {}", logs.display())
-    })?;
     say::line(format!(
         "{count} actors of `{name}` for the run {run_id} at {}; logs in {}",
         args.connect.join(", "),
@@ -66,7 +75,7 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
     ));
     let mut host = Host {
         programs: Programs::beside_this_one()?,
-        arguments: arguments(&source, run_id),
+        arguments: arguments(&flags, run_id),
         config: &config,
         logs: &logs,
         began: Instant::now(),
@@ -75,57 +84,47 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
             .collect(),
     };
     let result = host.watch(&process.stop);
-    host.stop();
+    let patience = STOP_MAX + Duration::from_secs_f64(config.actors.flush_timeout_s);
+    let mut actors: Vec<Watched> = host.slots.into_iter().map(|slot| slot.actor).collect();
+    stop_all(&mut actors, patience);
     result
 }
 
 fn cores() -> u32 {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    u32::try_from(cores).unwrap_or(1)
+    u32::try_from(flags::cores()).unwrap_or(1)
 }
 
 /// The arguments that all actors of this host share.
-fn arguments(source: &caudata_config::Source, run_id: &str) -> Vec<String> {
-    let mut arguments = vec!["--run-id".to_owned(), run_id.to_owned()];
-    if let Some(preset) = &source.preset {
-        arguments.extend(["--preset".to_owned(), preset.clone()]);
-    }
-    if let Some(file) = &source.file {
-        arguments.extend(["--config".to_owned(), file.display().to_string()]);
-    }
-    for set in &source.overrides {
-        arguments.extend(["--set".to_owned(), set.clone()]);
-    }
+fn arguments(flags: &ConfigArgs, run_id: &str) -> Vec<OsString> {
+    let mut arguments = vec!["--run-id".into(), run_id.into()];
+    arguments.extend(flags::as_words(flags));
     arguments
 }
 
 struct Host<'a> {
     programs: Programs,
-    arguments: Vec<String>,
+    arguments: Vec<OsString>,
     config: &'a Config,
     logs: &'a Path,
     began: Instant,
     slots: Vec<Slot>,
 }
 
-/// One actor over all its incarnations.
 struct Slot {
     name: String,
-    process: Option<Child>,
-    pulse: Pulse,
-    backoff: Backoff,
-    due: Option<Instant>,
+    actor: Watched,
     last_incarnation: u64,
 }
 
 impl Slot {
     fn new(config: &Config, host: &str, index: u32) -> Self {
+        let name = format!("{host}-{index}");
+        let restarts = config.actors.restarts_per_minute;
+        let mut actor = Watched::new(format!("actor {name}"), restarts);
+        actor.call(true);
         Self {
-            name: format!("{host}-{index}"),
-            process: None,
-            pulse: Pulse::new(),
-            backoff: Backoff::new(config.actors.restarts_per_minute),
-            due: Some(Instant::now()),
+            name,
+            actor,
             last_incarnation: 0,
         }
     }
@@ -140,117 +139,60 @@ impl Slot {
 
 impl Host<'_> {
     fn watch(&mut self, stop: &StopFlag) -> Result<(), Failure> {
+        let patience_s = self.config.cluster.hang_timeout_s;
+        let is_down = |slot: &mut Slot| slot.actor.is_down();
         loop {
             for index in 0..self.slots.len() {
-                self.look_at(index)?;
-                let slot = &self.slots[index];
-                if slot.due.is_some_and(|due| Instant::now() >= due) {
+                let since = self.began.elapsed();
+                let slot = &mut self.slots[index];
+                let gave_up = slot.actor.look(patience_s, since, |text| say::line(text))?;
+                if gave_up.is_some() && self.slots.iter_mut().all(is_down) {
+                    let failure = Failure::message(ExitCode::TempFail, "no actor is left");
+                    return Err(failure.hint(format!("see {}", self.logs.display())));
+                }
+                if self.slots[index].actor.is_due() {
                     self.start(index)?;
                 }
             }
-            if self
-                .slots
-                .iter()
-                .all(|slot| slot.process.is_none() && slot.due.is_none())
-            {
-                return Ok(());
-            }
-            if stop.wait(LOOK_EVERY) {
+            // Each has been told to stop: the run is complete, or its learner ended for good.
+            if self.slots.iter_mut().all(is_down) || stop.wait(WATCH_EVERY) {
                 return Ok(());
             }
         }
     }
 
     fn start(&mut self, index: usize) -> Result<(), Failure> {
-        let program = self.programs.find("caudata-actor")?;
+        let mut command = Command::new(self.programs.find("caudata-actor")?);
         let slot = &mut self.slots[index];
-        slot.due = None;
         let incarnation = slot.next_incarnation(SystemTime::now());
-        let mut command = Command::new(program);
         command.args(&self.arguments);
         command.args(["--actor-name", &slot.name]);
-        command.args(["--incarnation", &incarnation.to_string(), "--heartbeat"]);
-        slot.pulse.beat();
-        let pulse = slot.pulse.clone();
-        let sink: LineSink = Box::new(move |_| pulse.beat());
+        command.args(["--incarnation", &incarnation.to_string()]);
         let log = self.logs.join(format!("{}.log", slot.name));
-        let name = format!("actor {}", slot.name);
-        slot.process = Some(Child::start(&name, command, &log, Some(sink))?);
-        Ok(())
+        slot.actor.start(command, &log)
     }
+}
 
-    fn look_at(&mut self, index: usize) -> Result<(), Failure> {
-        let slot = &mut self.slots[index];
-        let Some(process) = &mut slot.process else {
-            return Ok(());
-        };
-        let silent = slot.pulse.silent_for().as_secs_f64();
-        if process.ended().is_none() && silent > self.config.cluster.hang_timeout_s {
-            say::line(format!(
-                "actor {} gives no sign of life for {silent:.0} s; it is killed",
-                slot.name
-            ));
-            process.finish(Duration::ZERO);
+/// A folder in the system's folder for temporary files, where everybody may write: made for this user alone.
+/// What another user has put there, a folder or a link to elsewhere, is refused.
+fn private_folder(path: &Path) -> Result<(), Failure> {
+    let cannot = || format!("cannot make {}", path.display());
+    match DirBuilder::new().mode(0o700).create(path) {
+        Err(error) if error.kind() != ErrorKind::AlreadyExists => {
+            return Err(error).or_exit_with(ExitCode::CannotCreate, cannot);
         }
-        let Some(status) = process.ended() else {
-            return Ok(());
-        };
-        let how = children::describe(status);
-        let why = process
-            .last_error()
-            .map_or(String::new(), |words| format!(": {}", words.error));
-        slot.process = None;
-        if status.success() {
-            // The learner said stop: the run is complete, or its learner ended for good.
-            return Ok(());
-        }
-        let code = children::exit_code(status);
-        if status.code().is_some() && is_permanent(code) {
-            let message = format!("actor {} cannot work ({how}){why}", slot.name);
-            return Err(Failure::message(code, message));
-        }
-        match slot.backoff.died(self.began.elapsed()) {
-            Verdict::RestartAfter(pause) => {
-                slot.due = Some(Instant::now() + pause);
-                say::line(format!(
-                    "actor {} {how}; it is started again in {:.2} s{why}",
-                    slot.name,
-                    pause.as_secs_f64()
-                ));
-            }
-            Verdict::GiveUp => {
-                say::line(format!(
-                    "actor {} {how} too often and stays down{why}",
-                    slot.name
-                ));
-                if self
-                    .slots
-                    .iter()
-                    .all(|slot| slot.process.is_none() && slot.due.is_none())
-                {
-                    return Err(Failure::message(
-                        ExitCode::TempFail,
-                        "no actor is left".to_owned(),
-                    )
-                    .hint(format!("see {}", self.logs.display())));
-                }
-            }
-        }
-        Ok(())
+        _ => {}
     }
-
-    /// All at once, then each with what is left of the patience.
-    fn stop(&mut self) {
-        let patience = STOP_MAX + Duration::from_secs_f64(self.config.actors.flush_timeout_s);
-        let running = || self.slots.iter().filter_map(|slot| slot.process.as_ref());
-        running().for_each(|process| process.signal(Signal::SIGTERM));
-        let deadline = Instant::now() + patience;
-        for slot in &mut self.slots {
-            if let Some(mut process) = slot.process.take() {
-                process.finish(deadline.saturating_duration_since(Instant::now()));
-            }
-        }
+    let owner =
+        |path: &Path| std::fs::symlink_metadata(path).map(|found| (found.is_dir(), found.uid()));
+    let found = owner(path).or_exit_with(ExitCode::CannotCreate, cannot)?;
+    let own = std::fs::metadata("/proc/self").or_exit(ExitCode::OsResource)?;
+    if found == (true, own.uid()) {
+        return Ok(());
     }
+    let message = format!("{} is a link, or another user's", path.display());
+    Err(Failure::message(ExitCode::CannotCreate, message)
+        .hint("give a folder of your own with --logs"))
 }
 
 #[cfg(test)]
@@ -273,12 +215,34 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_that_another_user_put_there_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let dir = tempfile::tempdir().unwrap();
+        let (own, link) = (dir.path().join("own"), dir.path().join("link"));
+        private_folder(&own).unwrap();
+        private_folder(&own).unwrap();
+        let mode = std::fs::metadata(&own).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o700);
+        std::os::unix::fs::symlink(&own, &link).unwrap();
+        // The root folder is another user's, unless the tests run as that user.
+        for refused in [link.as_path(), Path::new("/proc/1/fd")] {
+            if refused.exists() || refused == link {
+                let failure = private_folder(refused).unwrap_err();
+                assert_eq!(failure.code(), ExitCode::CannotCreate, "{failure}");
+            }
+        }
+    }
+
+    #[test]
     fn actors_get_the_configuration_of_the_command_and_where_to_connect() {
-        let source = Source::file(Path::new("cluster.toml"))
-            .set("actors.lanes=8")
-            .set("transport.kind=zenoh");
+        let set = |change: &str| change.to_owned();
+        let flags = ConfigArgs {
+            config: Some("cluster.toml".into()),
+            overrides: vec![set("actors.lanes=8"), set("transport.kind=zenoh")],
+            ..ConfigArgs::default()
+        };
         assert_eq!(
-            arguments(&source, "walk"),
+            arguments(&flags, "walk"),
             [
                 "--run-id",
                 "walk",

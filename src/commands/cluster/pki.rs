@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use caudata_pki::{
+use caudata_signing::pki::{
     Authority, CERTIFICATE_FILE, PkiError, Request, Role, VALID_DAYS, identity_of_pem,
 };
 use caudata_telemetry::{ExitCode, Failure};

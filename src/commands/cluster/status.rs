@@ -52,9 +52,10 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     })?;
     let status = Status::of(&page);
     say::either(args.json, &status.json(&address), |status| {
-        for (key, value) in status.as_object().into_iter().flatten() {
-            say::line(format!("{key:<24} {value}"));
-        }
+        say::fields(
+            status,
+            "metrics iteration policy_version episode_return actors chunks_waiting lag effective_sample_share steps frames advice",
+        );
     })
 }
 

@@ -26,7 +26,8 @@ pub struct UpArgs {
     config: ConfigArgs,
 }
 
-/// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at Ctrl-C.
+/// Starts what the run of this configuration needs, or goes on with it; ends when the run is complete or at
+/// Ctrl-C.
 pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     let mut config = args.config.load().or_exit(ExitCode::BadConfig)?;
     if config.transport.kind != TransportKind::Zenoh {
@@ -39,13 +40,14 @@ pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
     }
     robot_model::load(&config.robot_path())?;
     let run_id = config.cluster_run_id().to_owned();
-    let folder = RunFolder::of_run(&run_dir(&config), &run_id)?;
+    let view = View::new(args.json);
+    let (root, stop) = (run_dir(&config), &process.stop);
+    let folder = RunFolder::of_run(&root, &run_id, &mut view.wait_for_owner(stop))?;
     config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
     let text = config.to_toml().or_exit(ExitCode::BadConfig)?;
     folder.write("config.toml", text.as_bytes())?;
 
     let programs = Programs::beside_this_one()?;
-    let view = View::new(args.json);
     view.note(&format!("run {run_id} in {}", folder.root().display()));
     if let Some(address) = config.transport.zenoh_listen.first() {
         view.note(&format!(
@@ -97,8 +99,9 @@ pub fn run_dir(config: &Config) -> PathBuf {
 
 /// One core stays for the learner.
 fn spare_cores() -> u32 {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    u32::try_from(cores.saturating_sub(1)).unwrap_or(1).max(1)
+    u32::try_from(caudata_studies::flags::cores().saturating_sub(1))
+        .unwrap_or(1)
+        .max(1)
 }
 
 /// An endpoint with this host's name instead of "any address", for others to connect to.

@@ -31,9 +31,9 @@ pub struct EvalArgs {
     /// The policy
     #[arg(long, value_name = "P.onnx")]
     policy: PathBuf,
-    /// Under what conditions: flat (0.3 m/s, standing, faster), rough (the paper's three grades), omni (75 commands),
-    /// push, robust (corners of the randomisation), transition (land and water), paper (all that walk), acceptance (the
-    /// project's targets; exit code 79 where one is missed)
+    /// Under what conditions: flat (0.3 m/s, standing, faster), rough (the paper's three grades), omni (75
+    /// commands), push, robust (corners of the randomisation), transition (land and water), paper (all that
+    /// walk), acceptance (the project's targets; exit code 79 where one is missed)
     #[arg(long, default_value = "flat", value_parser = flags::suite_parser())]
     suite: Suite,
     /// On which engine; without it, the one of the configuration
@@ -54,7 +54,8 @@ pub struct EvalArgs {
     /// Writes a page with tables, curves and a replay in three dimensions; it needs nothing but a browser
     #[arg(long, value_name = "OUT.html")]
     report: Option<PathBuf>,
-    /// Writes a summary beside the policy (P.evaluation.json), bound to the policy's bytes; `caudata policy show` shows it
+    /// Writes a summary beside the policy (P.evaluation.json), bound to the policy's bytes; `caudata policy
+    /// show` shows it
     #[arg(long)]
     write_summary: bool,
     /// One JSON object on the last line

@@ -140,9 +140,7 @@ fn shore(t: &TransitionResult) {
     say::line(format!(
         "  in water the body bends at {:.2} Hz, lags behind the head by {}°: {}",
         wave.hz.mean,
-        wave.lag_rad
-            .map(|lag| format!("{:.0}", lag.to_degrees()))
-            .join(" "),
+        each(&wave.lag_rad, |lag| format!("{:.0}", lag.to_degrees())),
         match wave.travels_to_the_tail {
             true => "a wave that travels to the tail",
             false => "no wave that travels to the tail",

@@ -21,10 +21,12 @@ pub struct Balance {
     pub holds: bool,
     /// Where it does not, one line each.
     pub problems: Vec<String>,
+    /// Actors whose own count is torn, one line each: what they lost is not known.
+    pub incomplete: Vec<String>,
 }
 
-/// Checks the learner's account of each actor against the actor's own count. An actor that said goodbye has lost
-/// nothing; one that was killed may have lost what was on its way.
+/// Checks the learner's account of each actor against the actor's own count. An actor that said goodbye has
+/// lost nothing; one that was killed may have lost what was on its way.
 pub fn balance(accounts: &[ActorAccount], ledgers: &[LedgerCount]) -> Balance {
     let mut total = Balance::default();
     for account in accounts {
@@ -40,6 +42,15 @@ pub fn balance(accounts: &[ActorAccount], ledgers: &[LedgerCount]) -> Balance {
             .iter()
             .find(|l| (l.actor_id, l.incarnation) == (account.actor_id, account.incarnation))
             .map(|l| l.sent);
+        // A ledger is written before its chunk is sent: 0 after a chunk has arrived is what a power cut
+        // leaves.
+        let torn = |sent: &Option<u64>| sent.is_none_or(|sent| sent == 0 && account.received > 0);
+        if ledger.as_ref().is_some_and(torn) {
+            total.incomplete.push(format!(
+                "{name}: its ledger is torn, so what it lost on the way is not known"
+            ));
+        }
+        let ledger = ledger.filter(|sent| !torn(sent)).flatten();
         if let (Some(ledger), Some(bye)) = (ledger, account.sent)
             && ledger != bye
         {
@@ -63,14 +74,15 @@ pub fn balance(accounts: &[ActorAccount], ledgers: &[LedgerCount]) -> Balance {
         total.rejected += account.rejected;
         total.dropped += account.dropped;
     }
-    for ledger in ledgers.iter().filter(|ledger| ledger.sent > 0) {
+    for ledger in ledgers {
         let heard = accounts
             .iter()
             .any(|a| (a.actor_id, a.incarnation) == (ledger.actor_id, ledger.incarnation));
         if !heard {
             // Killed before the learner heard of it: all of it is lost.
-            total.sent += ledger.sent;
-            total.lost += ledger.sent;
+            let sent = ledger.sent.unwrap_or(0);
+            total.sent += sent;
+            total.lost += sent;
         }
     }
     total.holds = total.problems.is_empty()
@@ -99,8 +111,21 @@ mod tests {
         LedgerCount {
             actor_id,
             incarnation,
-            sent,
+            sent: Some(sent),
         }
+    }
+
+    #[test]
+    fn a_torn_ledger_leaves_the_books_incomplete_and_the_training_whole() {
+        // Two bytes of eight in one, eight zeros in the other: both actors were killed.
+        let mut ledgers = [ledger(0, 0, 0), ledger(1, 0, 0)];
+        ledgers[0].sent = None;
+        let found = balance(&[account(0, 0, None, 4), account(1, 0, None, 5)], &ledgers);
+        assert!(found.holds && found.problems.is_empty(), "{found:?}");
+        assert_eq!((found.sent, found.lost, found.incomplete.len()), (9, 0, 2));
+        // Its goodbye says as much as the ledger would.
+        let parted = balance(&[account(0, 0, Some(4), 4)], &ledgers[..1]);
+        assert!(parted.holds && parted.incomplete.len() == 1, "{parted:?}");
     }
 
     #[test]

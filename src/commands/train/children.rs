@@ -13,7 +13,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 
 /// How often a child that shall end is looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const END_LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// Where the other executables are.
 #[derive(Clone, Debug)]
@@ -65,7 +65,8 @@ pub struct Process {
 pub type LineSink = Box<dyn FnMut(String) + Send>;
 
 impl Process {
-    /// Starts `command`; standard error is appended to `log`, lines of standard output go to `lines`, or to the log too.
+    /// Starts `command`; standard error is appended to `log`, lines of standard output go to `lines`, or to
+    /// the log too.
     ///
     /// Called from the main thread only: on Linux the parent-death signal follows the starting thread.
     pub fn start(
@@ -159,7 +160,7 @@ impl Process {
                 let _ = self.child.kill();
                 let _ = self.child.wait();
             } else {
-                std::thread::sleep(LOOK_EVERY);
+                std::thread::sleep(END_LOOK_EVERY);
             }
         }
         self.status

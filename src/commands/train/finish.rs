@@ -34,6 +34,8 @@ pub struct Report {
     first_iteration: u64,
     /// Actors that were started again.
     actor_restarts: usize,
+    /// How often the learner gave no sign of life for longer than `cluster.hang_timeout_s`.
+    learner_silences: usize,
     /// What became of every chunk.
     accounting: Balance,
     /// The policy's SHA-256 wherever it lies.
@@ -58,8 +60,9 @@ struct PolicyHashes {
     same: bool,
 }
 
-/// The newest policy that actors ran and that was published too (else the newest that they ran), with its SHA-256 in
-/// their memory, as the learner made it, and on the server (null where the server does not hold that version).
+/// The newest policy that actors ran and that was published too (else the newest that they ran), with its
+/// SHA-256 in their memory, as the learner made it, and on the server (null where the server does not hold
+/// that version).
 #[derive(Debug, Serialize)]
 struct ActorsHash {
     version: u64,
@@ -122,6 +125,7 @@ pub fn evaluate(
         folder: folder.root().to_owned(),
         first_iteration: outcome.first_iteration,
         actor_restarts: outcome.restarts,
+        learner_silences: outcome.learner_silences,
         accounting: balance(&finished.actors, &outcome.ledgers),
         policy: PolicyHashes {
             version: finished.policy_version,
@@ -171,7 +175,8 @@ impl ActorsHash {
 }
 
 impl Report {
-    /// An error when the run broke a promise: a chunk unaccounted for, or a policy that is not the same everywhere.
+    /// An error when the run broke a promise: a chunk unaccounted for, or a policy that is not the same
+    /// everywhere.
     pub fn verdict(&self) -> Result<(), Failure> {
         if let Some(problem) = self.accounting.problems.first() {
             return Err(Failure::message(
@@ -215,6 +220,13 @@ pub fn print(report: &Report) {
             "does NOT add up"
         }
     ));
+    for line in &account.incomplete {
+        say::line(format!("warning: rollouts: {line}"));
+    }
+    if report.learner_silences > 0 {
+        let times = report.learner_silences;
+        say::line(format!("the learner stood still: {times} times"));
+    }
     if report.actor_restarts > 0 {
         say::line(format!("actors started again: {}", report.actor_restarts));
     }
@@ -341,6 +353,7 @@ mod tests {
             finished: Finished::default(),
             first_iteration: 0,
             actor_restarts: 0,
+            learner_silences: 0,
             accounting: Balance::default(),
             policy: PolicyHashes {
                 version: 0,

@@ -3,19 +3,30 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use caudata_telemetry::{ExitCode, Failure, FailureExt};
+use caudata_durable::{Owner, OwnerError};
+use caudata_telemetry::{DRAIN_DEADLINE, ExitCode, Failure, FailureExt};
 
 /// Longest `git.diff` that is kept, bytes. A larger one is cut, and says so.
 const DIFF_BYTES_MAX: usize = 4 << 20;
 
-/// `runs/<time>_<name>/`.
+/// How long the processes of an earlier command may take to end whose supervisor was killed: they have
+/// [`DRAIN_DEADLINE`] to save.
+const OWNER_PATIENCE: Duration = Duration::from_secs(15).saturating_add(DRAIN_DEADLINE);
+
+/// `runs/<time>_<name>/`. One process has it at a time: whoever holds `supervisor.lock`, and of the learners
+/// whoever holds [`caudata_actor::LEARNER_LOCK`].
 #[derive(Clone, Debug)]
 pub struct RunFolder {
     root: PathBuf,
     run_id: String,
+    _owner: Arc<Owner>,
 }
+
+/// Called while another process has the folder: waits a moment and answers whether to try again.
+pub type Wait<'a> = &'a mut dyn FnMut(&OwnerError) -> bool;
 
 impl RunFolder {
     /// Makes the folder of a new run: at `out`, or `<out_dir>/<time>_<name>`.
@@ -32,12 +43,12 @@ impl RunFolder {
         Self::make(&root, run_id)
     }
 
-    /// The folder of a run with a given id at `root`: made, or taken up again.
-    pub fn of_run(root: &Path, run_id: &str) -> Result<Self, Failure> {
+    /// The folder of a run with a given id at `root`: made, or taken up again as by [`RunFolder::reopen`].
+    pub fn of_run(root: &Path, run_id: &str, wait: Wait<'_>) -> Result<Self, Failure> {
         if !root.join("run_id.txt").exists() {
             return Self::make(root, run_id.to_owned());
         }
-        let folder = Self::reopen(Some(root), root)?;
+        let folder = Self::reopen(Some(root), root, wait)?;
         if folder.run_id != run_id {
             let message = format!("{} holds the run `{}`", root.display(), folder.run_id);
             return Err(
@@ -50,9 +61,14 @@ impl RunFolder {
     }
 
     fn make(root: &Path, run_id: String) -> Result<Self, Failure> {
+        let root = absolute(root)?;
+        let cannot = || format!("cannot make {}", root.display());
+        fs::create_dir_all(&root).or_exit_with(ExitCode::CannotCreate, cannot)?;
+        let owner = owned(&root, Duration::ZERO, &mut |_| false)?;
         let folder = Self {
-            root: absolute(root)?,
+            root,
             run_id,
+            _owner: owner,
         };
         for part in [
             folder.logs(),
@@ -69,8 +85,9 @@ impl RunFolder {
         Ok(folder)
     }
 
-    /// The folder of an earlier run: `out`, or the newest one under `out_dir`.
-    pub fn reopen(out: Option<&Path>, out_dir: &Path) -> Result<Self, Failure> {
+    /// The folder of an earlier run: `out`, or the newest one under `out_dir`. Processes of an earlier
+    /// command that are still ending in it are waited for.
+    pub fn reopen(out: Option<&Path>, out_dir: &Path, wait: Wait<'_>) -> Result<Self, Failure> {
         let root = match out {
             Some(out) => out.to_owned(),
             None => newest(out_dir).ok_or_else(|| {
@@ -87,6 +104,7 @@ impl RunFolder {
             )
         })?;
         let folder = Self {
+            _owner: owned(&root, OWNER_PATIENCE, wait)?,
             root: absolute(&root)?,
             run_id: run_id.trim().to_owned(),
         };
@@ -199,6 +217,26 @@ impl RunFolder {
     }
 }
 
+/// Takes a run folder for this process and the learner that it starts.
+fn owned(root: &Path, patience: Duration, wait: Wait<'_>) -> Result<Arc<Owner>, Failure> {
+    let began = Instant::now();
+    let mut take = |name: &str| {
+        let left = patience.saturating_sub(began.elapsed());
+        Owner::take(&root.join(name), left, &mut *wait).map_err(|error| {
+            let code = match &error {
+                OwnerError::Taken { .. } => ExitCode::InUse,
+                OwnerError::Io { source, .. } => ExitCode::of_io(source, true),
+            };
+            Failure::new(code, error).hint("wait until it has ended, or stop it")
+        })
+    };
+    let owner = take("supervisor.lock")?;
+    // A supervisor that was killed is outlived by its learner, which saves first. The next learner takes this
+    // lock itself.
+    drop(take(caudata_actor::LEARNER_LOCK)?);
+    Ok(Arc::new(owner))
+}
+
 /// What git says about the checkout around this executable, else around the current directory.
 fn git(arguments: &[&str]) -> Option<String> {
     let beside = std::env::current_exe().ok()?;
@@ -277,6 +315,11 @@ mod tests {
         assert_eq!(at(1_767_225_599), "20251231-235959");
     }
 
+    fn locked(root: &Path) -> Owner {
+        let path = root.join(caudata_actor::LEARNER_LOCK);
+        Owner::take(&path, Duration::ZERO, |_| false).unwrap()
+    }
+
     #[test]
     fn a_folder_is_made_once_and_found_again() {
         let dir = tempfile::tempdir().unwrap();
@@ -284,8 +327,21 @@ mod tests {
         fs::write(made.config(), "").unwrap();
         assert_eq!(made.next_incarnation(3), 0);
         fs::write(made.ledger(3, 4), [0; 8]).unwrap();
-        let again = RunFolder::reopen(None, dir.path()).unwrap();
-        assert_eq!((again.run_id(), again.root()), (made.run_id(), made.root()));
+        let (run_id, root) = (made.run_id().to_owned(), made.root().to_owned());
+        let refused = RunFolder::reopen(None, dir.path(), &mut |_| false).unwrap_err();
+        assert_eq!(refused.code(), ExitCode::InUse, "one owner at a time");
+        drop(made);
+        // A learner that outlives its supervisor is waited for.
+        let mut learner = Some(locked(&root));
+        let made = RunFolder::reopen(None, dir.path(), &mut |_| learner.take().is_some()).unwrap();
+        assert!(learner.is_none());
+        drop(made);
+        let again = RunFolder::reopen(None, dir.path(), &mut |_| false).unwrap();
+        assert_eq!(
+            (again.run_id(), again.root()),
+            (run_id.as_str(), root.as_path())
+        );
+        let made = again.clone();
         assert_eq!(
             (again.next_incarnation(3), again.next_incarnation(30)),
             (5, 0)
@@ -293,13 +349,14 @@ mod tests {
         let taken = RunFolder::create(Some(made.root()), dir.path(), "walk").unwrap_err();
         assert_eq!(taken.code(), ExitCode::CannotCreate);
         made.disown();
-        RunFolder::create(Some(made.root()), dir.path(), "walk").unwrap();
+        drop((made, again));
+        RunFolder::create(Some(&root), dir.path(), "walk").unwrap();
     }
 
     #[test]
     fn nothing_to_resume_is_said() {
         let dir = tempfile::tempdir().unwrap();
-        let failure = RunFolder::reopen(None, dir.path()).unwrap_err();
+        let failure = RunFolder::reopen(None, dir.path(), &mut |_| false).unwrap_err();
         assert_eq!(failure.code(), ExitCode::NoInput);
     }
 }

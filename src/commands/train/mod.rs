@@ -5,10 +5,11 @@ pub mod backoff;
 pub mod children;
 mod finish;
 pub mod folder;
-mod ranks;
 mod robot;
+mod start;
 pub mod supervise;
 pub mod view;
+pub mod watched;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,6 +22,7 @@ use crate::commands::robot_model;
 use crate::say;
 pub use children::Programs;
 use folder::RunFolder;
+pub use start::Resume;
 use supervise::{Plan, Supervisor};
 use view::View;
 
@@ -55,17 +57,6 @@ pub struct TrainArgs {
     config: ConfigArgs,
 }
 
-/// Whether a run starts anew or goes on.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Resume {
-    /// From the start.
-    No,
-    /// From the newest checkpoint.
-    Latest,
-    /// From the checkpoint with this name.
-    Named(String),
-}
-
 impl TrainArgs {
     fn resume(&self) -> Resume {
         match &self.resume_from {
@@ -98,10 +89,10 @@ impl From<Transport> for TransportKind {
 }
 
 pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
-    let (config, folder) = prepare(args)?;
+    let view = View::new(args.json);
+    let (config, folder) = prepare(args, &mut view.wait_for_owner(&process.stop))?;
     let model = Arc::new(robot_model::load(&config.robot_path())?);
     let programs = programs()?;
-    let view = View::new(args.json);
     view.note(&format!("run folder {}", folder.root().display()));
     let resume = args.resume();
     let plan = Plan {
@@ -153,11 +144,11 @@ pub fn programs() -> Result<Programs, Failure> {
 }
 
 /// The configuration in effect and the run folder that it lies in.
-fn prepare(args: &TrainArgs) -> Result<(Config, RunFolder), Failure> {
+fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolder), Failure> {
     let mut config = Config::load(&source(args, None)).or_exit(ExitCode::BadConfig)?;
     let out = args.out.as_deref();
     let folder = if args.resume() != Resume::No {
-        let folder = RunFolder::reopen(out, &config.run.out_dir)?;
+        let folder = RunFolder::reopen(out, &config.run.out_dir, wait)?;
         if !folder.config().is_file() {
             let message = format!("{} is missing", folder.config().display());
             return Err(Failure::message(ExitCode::NoInput, message)

@@ -1,4 +1,5 @@
-//! The robot client at the end of a run: pulls the policy from the server and walks the simulated robot with it.
+//! The robot client at the end of a run: pulls the policy from the server and walks the simulated robot with
+//! it.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -7,15 +8,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use caudata_config::Config;
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Listening, StopFlag};
-use crossbeam_channel::bounded;
+use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag};
 use nix::sys::signal::Signal;
 use serde::Serialize;
 use serde_json::Value;
 
 use super::children::{self, LineSink, Process, Programs};
 use super::folder::RunFolder;
-use super::supervise::{failed_child, patience_after};
+use super::start::{failed_child, start_service};
 use crate::say;
 
 /// How long the simulated robot may take to start.
@@ -23,7 +23,7 @@ const SIMULATOR_START_MAX: Duration = Duration::from_secs(30);
 /// Time for pulling, standing up and lying down, on top of the walk itself.
 const AROUND_THE_WALK_MAX: Duration = Duration::from_secs(60);
 /// How often the client is looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const CLIENT_LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// What the robot client reported.
 #[derive(Clone, Debug, Serialize)]
@@ -71,23 +71,14 @@ fn start_simulator(folder: &RunFolder) -> Result<(Process, SocketAddr), Failure>
         "info",
     ]);
     command.arg("--config").arg(folder.config());
-    let (sender, announced) = bounded(1);
-    let sink: LineSink = Box::new(move |line| {
-        if let Ok(listening) = serde_json::from_str::<Listening>(&line) {
-            let _ = sender.try_send(listening.address);
-        }
-    });
     let log = folder.logs().join("sim_robot.log");
-    let mut simulator = Process::start("the simulated robot", command, &log, Some(sink))?;
-    match announced.recv_timeout(SIMULATOR_START_MAX) {
-        Ok(addr) => Ok((simulator, addr)),
-        Err(error) => {
-            let code = simulator
-                .finish(patience_after(error))
-                .map_or(ExitCode::TempFail, children::exit_code);
-            Err(failed_child(&simulator, code, "did not start"))
-        }
-    }
+    start_service(
+        "the simulated robot",
+        "robot_link",
+        command,
+        &log,
+        SIMULATOR_START_MAX,
+    )
 }
 
 fn run_client(
@@ -122,7 +113,7 @@ fn run_client(
     let mut client = Process::start("the robot client", command, &log, Some(sink))?;
     let limit = Duration::from_secs_f64(evaluation.robot_run_s) + AROUND_THE_WALK_MAX;
     let deadline = Instant::now() + limit;
-    while client.ended().is_none() && Instant::now() < deadline && !stop.wait(LOOK_EVERY) {}
+    while client.ended().is_none() && Instant::now() < deadline && !stop.wait(CLIENT_LOOK_EVERY) {}
     client.signal(Signal::SIGTERM);
     let status = client.finish(Duration::from_secs(10));
     if let Some(status) = status.filter(|status| !status.success()) {

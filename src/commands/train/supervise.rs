@@ -1,31 +1,32 @@
 //! Starting, watching and stopping the processes of a run.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use caudata_actor::LedgerCount;
 use caudata_config::Config;
 use caudata_telemetry::progress::{Event, Finished};
-use caudata_telemetry::{ExitCode, Failure, FailureExt, Listening, Pulse, StopFlag};
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use caudata_telemetry::{ExitCode, Failure, FailureExt, Pulse, StopFlag};
+use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use nix::sys::signal::Signal;
 
-use super::Resume;
 use super::backoff::{Backoff, Verdict};
-use super::children::{self, LineSink, Process, Programs};
+use super::children::{self, Process, Programs};
 use super::folder::RunFolder;
-use super::ranks::Ranks;
+use super::start::{
+    Resume, add_telemetry, failed_child, is_permanent, start_learner, start_server,
+};
 use super::view::View;
+use super::watched::{Watched, stop_all};
 
 /// Lines of the learner that may wait to be shown; then the learner waits.
 const LINES_WAITING_MAX: usize = 256;
 /// How long the loop sleeps at most between two looks at the children.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// How long the policy server may take to start.
-const SERVER_START_MAX: Duration = Duration::from_secs(15);
-/// How long the learner may take to finish its iteration, save, and say goodbye. Shorter than the deadline of the
-/// supervisor itself, so that it is the supervisor who tells.
+const WATCH_EVERY: Duration = Duration::from_millis(100);
+/// How long the learner may take to finish its iteration, save, and say goodbye. Shorter than the deadline of
+/// the supervisor itself, so that it is the supervisor who tells.
 const LEARNER_STOP_MAX: Duration = Duration::from_secs(45);
 /// How long other children may take to stop.
 const CHILD_STOP_MAX: Duration = Duration::from_secs(5);
@@ -41,7 +42,8 @@ pub struct Plan {
     pub resume: Resume,
     /// Actors on this host, numbered from 0.
     pub actors: u32,
-    /// Whether a learner that died goes on from its newest checkpoint while the actors wait, instead of ending the run.
+    /// Whether a learner that died goes on from its newest checkpoint while the actors wait, instead of
+    /// ending the run.
     pub restart_learner: bool,
 }
 
@@ -59,10 +61,16 @@ pub struct Supervisor<'a> {
     plan: Plan,
     learner: Process,
     learner_backoff: Backoff,
-    ranks: Ranks<'a>,
+    /// Beats with everything that the learner says.
+    learner_pulse: Pulse,
+    /// Whether it has been said that the learner stands still.
+    learner_silent: bool,
+    /// How often it stood still.
+    learner_silences: usize,
     lines: Receiver<String>,
     progress: std::fs::File,
-    actors: Vec<ActorSlot>,
+    /// By number.
+    actors: Vec<Watched>,
     /// Endpoint for actors, once the learner has said it.
     transport: Option<String>,
     /// By actor, the first incarnation that the learner listens to.
@@ -76,19 +84,6 @@ pub struct Supervisor<'a> {
     stopping_since: Option<Instant>,
 }
 
-/// One actor over all its incarnations.
-struct ActorSlot {
-    id: u32,
-    process: Option<Process>,
-    backoff: Backoff,
-    /// Beats when the process says that it is alive.
-    pulse: Pulse,
-    /// When it shall be started (again).
-    due: Option<Instant>,
-    /// Incarnations started by this supervisor.
-    started: Vec<u64>,
-}
-
 /// How a run went.
 pub struct Outcome {
     /// The learner's last word.
@@ -99,6 +94,8 @@ pub struct Outcome {
     pub ledgers: Vec<LedgerCount>,
     /// Actors that were started again.
     pub restarts: usize,
+    /// How often the learner gave no sign of life for longer than an actor may.
+    pub learner_silences: usize,
     /// The policy server, still running.
     pub server: Process,
     /// Where it listens.
@@ -123,17 +120,19 @@ impl<'a> Supervisor<'a> {
         let (server, server_addr) =
             start_server(programs, config, folder, config.policy_server.addr)?;
         let (sender, lines) = bounded(LINES_WAITING_MAX);
-        let learner = start_learner(programs, config, folder, server_addr, &plan.resume, sender)?;
-        let ranks = Ranks::start(programs, config, folder)?;
+        let learner_pulse = Pulse::new();
+        let learner = start_learner(
+            programs,
+            config,
+            folder,
+            server_addr,
+            &plan.resume,
+            sender,
+            learner_pulse.clone(),
+        )?;
+        let restarts = config.actors.restarts_per_minute;
         let actors = (0..plan.actors)
-            .map(|id| ActorSlot {
-                id,
-                process: None,
-                backoff: Backoff::new(config.actors.restarts_per_minute),
-                pulse: Pulse::new(),
-                due: None,
-                started: Vec::new(),
-            })
+            .map(|id| Watched::new(format!("actor {id}"), restarts))
             .collect();
         Ok(Self {
             programs,
@@ -148,7 +147,9 @@ impl<'a> Supervisor<'a> {
             plan,
             learner,
             learner_backoff: Backoff::new(LEARNER_RESTARTS_PER_MINUTE),
-            ranks,
+            learner_pulse,
+            learner_silent: false,
+            learner_silences: 0,
             lines,
             progress,
             actors,
@@ -161,13 +162,14 @@ impl<'a> Supervisor<'a> {
         })
     }
 
-    /// Watches until the learner has ended, then stops the actors. The policy server stays up for the evaluation.
+    /// Watches until the learner has ended, then stops the actors. The policy server stays up for the
+    /// evaluation.
     pub fn watch(mut self) -> Result<Outcome, Failure> {
         while self.learner.ended().is_none() || self.restart_learner() {
             // Whatever fails here ends the run in good order: the learner saves, the transport is cleaned up.
-            self.take_lines(LOOK_EVERY);
+            self.take_lines(WATCH_EVERY);
+            self.watch_learner();
             let watched = self.watch_actors().and_then(|()| self.watch_server());
-            let watched = watched.and_then(|()| self.watch_ranks());
             if let Err(failure) = watched {
                 self.end_early(failure);
             }
@@ -175,8 +177,8 @@ impl<'a> Supervisor<'a> {
         }
         self.take_lines(Duration::ZERO);
         self.view.done();
-        self.stop_actors();
-        self.ranks.finish(CHILD_STOP_MAX);
+        let patience = CHILD_STOP_MAX + Duration::from_secs_f64(self.config.actors.flush_timeout_s);
+        stop_all(&mut self.actors, patience);
         let status = self.learner.ended();
         if !status.is_some_and(|status| status.success()) {
             self.clean_up_transport();
@@ -185,31 +187,10 @@ impl<'a> Supervisor<'a> {
             return Err(fatal);
         }
         let clean = status.is_some_and(|status| status.success());
-        let Some(finished) = self.finished.filter(|_| clean) else {
-            let (code, how) = match status {
-                Some(status) if !status.success() => {
-                    (children::exit_code(status), children::describe(status))
-                }
-                _ => (ExitCode::Internal, "ended without a last word".into()),
-            };
-            let failure = failed_child(&self.learner, code, &how);
-            let killed = status.is_some_and(|status| status.code().is_none());
-            return Err(match killed {
-                true if self.plan.restart_learner => {
-                    failure.hint("the same command goes on from its last checkpoint")
-                }
-                true => failure.hint(format!(
-                    "go on from its last checkpoint with: caudata train --resume --out {}",
-                    self.folder.root().display()
-                )),
-                false => failure,
-            });
+        let Some(finished) = self.finished.take().filter(|_| clean) else {
+            return Err(self.learner_failure());
         };
-        let restarts = self
-            .actors
-            .iter()
-            .map(|actor| actor.started.len().saturating_sub(1))
-            .sum();
+        let restarts = self.actors.iter().map(Watched::restarts).sum();
         // Of the whole run, as the learner's account is.
         let ledgers = caudata_actor::ledgers_in(&self.folder.ledgers());
         let (server, server_addr) = (self.server, self.server_addr);
@@ -218,9 +199,50 @@ impl<'a> Supervisor<'a> {
             first_iteration: self.first_iteration,
             ledgers,
             restarts,
+            learner_silences: self.learner_silences,
             server,
             server_addr,
         })
+    }
+
+    /// What the end of a learner that did not finish amounts to.
+    fn learner_failure(&mut self) -> Failure {
+        let status = self.learner.ended();
+        let (code, how) = match status {
+            Some(status) if !status.success() => {
+                (children::exit_code(status), children::describe(status))
+            }
+            _ => (ExitCode::Internal, "ended without a last word".into()),
+        };
+        let failure = failed_child(&self.learner, code, &how);
+        let killed = status.is_some_and(|status| status.code().is_none());
+        match killed {
+            true if self.plan.restart_learner => {
+                failure.hint("the same command goes on from its last checkpoint")
+            }
+            true => failure.hint(format!(
+                "go on from its last checkpoint with: caudata train --resume --out {}",
+                self.folder.root().display()
+            )),
+            false => failure,
+        }
+    }
+
+    /// Says once that the learner stands still, and when it goes on. It is not killed: whoever stopped it may
+    /// let it go on, with everything it has, and a batch that is long to learn from is no fault.
+    fn watch_learner(&mut self) {
+        let silent_s = self.learner_pulse.silent_for().as_secs_f64();
+        let silent = silent_s > self.config.cluster.hang_timeout_s;
+        if silent && !self.learner_silent {
+            self.learner_silences += 1;
+            self.view.warn(&format!(
+                "the learner (process {}) has given no sign of life for {silent_s:.0} s; training stands still until it goes on, or is killed",
+                self.learner.pid()
+            ));
+        } else if !silent && self.learner_silent {
+            self.view.warn("the learner gives signs of life again");
+        }
+        self.learner_silent = silent;
     }
 
     /// Starts a learner that died again, if that is the plan and may help; true when one runs.
@@ -256,8 +278,8 @@ impl<'a> Supervisor<'a> {
             self.server_addr,
             &Resume::Latest,
             sender,
+            self.learner_pulse.clone(),
         );
-        let started = started.and_then(|learner| self.ranks.start_anew().map(|()| learner));
         match started {
             Ok(learner) => {
                 (self.learner, self.lines) = (learner, lines);
@@ -306,15 +328,7 @@ impl<'a> Supervisor<'a> {
                 self.transport = Some(started.transport);
                 self.next_incarnations = started.next_incarnations;
                 // Actors that run find a learner that is back at its address by themselves.
-                let now = Instant::now();
-                for actor in &mut self.actors {
-                    if moved {
-                        actor.process = None;
-                    }
-                    if actor.process.is_none() {
-                        actor.due = Some(now);
-                    }
-                }
+                self.actors.iter_mut().for_each(|actor| actor.call(moved));
             }
             Event::Finished(finished) => self.finished = Some(*finished),
             _ => {}
@@ -322,126 +336,48 @@ impl<'a> Supervisor<'a> {
     }
 
     fn watch_actors(&mut self) -> Result<(), Failure> {
-        let winding_down = self.stopping_since.is_some() || self.finished.is_some();
-        for index in 0..self.actors.len() {
-            self.look_at_actor(index, winding_down);
-            let due = self.actors[index]
-                .due
-                .is_some_and(|due| Instant::now() >= due);
-            if due && !winding_down {
-                self.start_actor(index)?;
+        if self.stopping_since.is_some() || self.finished.is_some() {
+            return Ok(());
+        }
+        for id in 0..self.actors.len() {
+            let patience_s = self.config.cluster.hang_timeout_s;
+            let since = self.began.elapsed();
+            let down = self.actors[id].look(patience_s, since, |text| self.view.warn(text))?;
+            if let Some(text) = down
+                && self.actors.iter_mut().all(Watched::is_down)
+            {
+                let failure =
+                    Failure::message(ExitCode::TempFail, format!("no actor is left: {text}"));
+                return Err(failure.hint(format!("see {}", self.actor_log(id).display())));
+            }
+            if self.actors[id].is_due() {
+                self.start_actor(id)?;
             }
         }
         Ok(())
     }
 
-    /// Notices that an actor has ended and decides what follows.
-    fn look_at_actor(&mut self, index: usize, winding_down: bool) {
-        let actor = &mut self.actors[index];
-        let Some(process) = &mut actor.process else {
-            return;
-        };
-        let silent = actor.pulse.silent_for();
-        let hung = silent.as_secs_f64() > self.config.cluster.hang_timeout_s;
-        if process.ended().is_none() && hung && !winding_down {
-            self.view.warn(&format!(
-                "actor {} (process {}) has given no sign of life for {:.0} s; it is killed",
-                actor.id,
-                process.pid(),
-                silent.as_secs_f64()
-            ));
-            process.finish(Duration::ZERO);
-        }
-        let Some(status) = process.ended() else {
-            return;
-        };
-        let (pid, log) = (process.pid(), process.log().to_owned());
-        if winding_down || status.success() {
-            return;
-        }
-        let how = children::describe(status);
-        let reason = match status.code().and_then(|_| process.last_error()) {
-            Some(words) => format!(": {}", words.error),
-            None => String::new(),
-        };
-        actor.process = None;
-        if status
-            .code()
-            .and_then(ExitCode::from_number)
-            .is_some_and(is_permanent)
-        {
-            let message = format!("actor {} cannot work ({how}){reason}", actor.id);
-            self.end_early(Failure::message(children::exit_code(status), message));
-            return;
-        }
-        match actor.backoff.died(self.began.elapsed()) {
-            Verdict::RestartAfter(pause) => {
-                actor.due = Some(Instant::now() + pause);
-                let text = format!(
-                    "actor {} (process {pid}) {how}; it is started again in {:.2} s{reason}",
-                    actor.id,
-                    pause.as_secs_f64()
-                );
-                self.view.warn(&text);
-            }
-            Verdict::GiveUp => {
-                actor.due = None;
-                let text = format!("actor {} {how} too often and stays down{reason}", actor.id);
-                self.view.warn(&text);
-                let any_left = self
-                    .actors
-                    .iter()
-                    .any(|other| other.process.is_some() || other.due.is_some());
-                if !any_left {
-                    let failure =
-                        Failure::message(ExitCode::TempFail, format!("no actor is left: {text}"));
-                    self.end_early(failure.hint(format!("see {}", log.display())));
-                }
-            }
-        }
+    fn actor_log(&self, id: usize) -> PathBuf {
+        self.folder.logs().join(format!("actor-{id}.log"))
     }
 
     fn start_actor(&mut self, index: usize) -> Result<(), Failure> {
-        let Some(transport) = self.transport.clone() else {
+        let (Some(transport), Ok(id)) = (&self.transport, u32::try_from(index)) else {
             return Ok(());
         };
         let (config, folder) = (self.config, self.folder);
-        let actor = &mut self.actors[index];
-        actor.due = None;
-        let known = usize::try_from(actor.id).ok();
-        let known = known.and_then(|id| self.next_incarnations.get(id).copied());
-        let incarnation = folder.next_incarnation(actor.id).max(known.unwrap_or(0));
-        let ledger = folder.ledger(actor.id, incarnation);
+        let known = self.next_incarnations.get(index).copied();
+        let incarnation = folder.next_incarnation(id).max(known.unwrap_or(0));
         let mut command = Command::new(self.programs.find("caudata-actor")?);
         command.arg("--config").arg(folder.config());
         command.args(["--run-id", folder.run_id()]);
-        command.args(["--actor-id", &actor.id.to_string()]);
+        command.args(["--actor-id", &id.to_string()]);
         command.args(["--incarnation", &incarnation.to_string()]);
-        command.args(["--transport", &transport]);
-        command.arg("--ledger").arg(ledger);
-        command.arg("--heartbeat");
+        command.args(["--transport", transport]);
+        command.arg("--ledger").arg(folder.ledger(id, incarnation));
         add_telemetry(&mut command, config, true);
-        actor.pulse.beat();
-        let pulse = actor.pulse.clone();
-        let sink: LineSink = Box::new(move |_| pulse.beat());
-        let log = folder.logs().join(format!("actor-{}.log", actor.id));
-        actor.started.push(incarnation);
-        actor.process = Some(Process::start(
-            &format!("actor {}", actor.id),
-            command,
-            &log,
-            Some(sink),
-        )?);
-        Ok(())
-    }
-
-    /// Ranks that died are started again, unless the learner that they worked for ends, which its own end decides about.
-    fn watch_ranks(&mut self) -> Result<(), Failure> {
-        let ending = self.stopping_since.is_some() || self.fatal.is_some();
-        if ending || self.finished.is_some() || self.learner.ended().is_some() {
-            return Ok(());
-        }
-        self.ranks.watch(&self.view, self.began.elapsed())
+        let log = self.actor_log(index);
+        self.actors[index].start(command, &log)
     }
 
     /// A policy server that died is started again at its old address; training goes on meanwhile.
@@ -505,21 +441,6 @@ impl<'a> Supervisor<'a> {
             tracing::warn!(%error, "something of the transport may be left behind");
         }
     }
-
-    fn stop_actors(&mut self) {
-        let patience = CHILD_STOP_MAX + Duration::from_secs_f64(self.config.actors.flush_timeout_s);
-        let processes = || {
-            self.actors
-                .iter()
-                .filter_map(|actor| actor.process.as_ref())
-        };
-        processes().for_each(|process| process.signal(Signal::SIGTERM));
-        for actor in &mut self.actors {
-            if let Some(mut process) = actor.process.take() {
-                process.finish(patience);
-            }
-        }
-    }
 }
 
 impl Outcome {
@@ -527,140 +448,6 @@ impl Outcome {
     pub fn stop_server(&mut self) {
         self.server.signal(Signal::SIGTERM);
         self.server.finish(CHILD_STOP_MAX);
-    }
-}
-
-/// Exit codes that starting again does not cure.
-pub fn is_permanent(code: ExitCode) -> bool {
-    matches!(
-        code,
-        ExitCode::BadConfig
-            | ExitCode::BadInput
-            | ExitCode::NoInput
-            | ExitCode::Protocol
-            | ExitCode::PolicyRefused
-            | ExitCode::CannotCreate
-    )
-}
-
-/// The failure that a child's end amounts to: its own error line and hint; without them, `how` it ended and its log.
-pub fn failed_child(child: &Process, code: ExitCode, how: &str) -> Failure {
-    let log = format!("its log is {}", child.log().display());
-    match child.last_error() {
-        Some(words) => Failure::message(code, format!("{}: {}", child.name(), words.error))
-            .hint(words.hint.unwrap_or(log)),
-        None => Failure::message(code, format!("{} {how}", child.name())).hint(log),
-    }
-}
-
-fn start_server(
-    programs: &Programs,
-    config: &Config,
-    folder: &RunFolder,
-    addr: SocketAddr,
-) -> Result<(Process, SocketAddr), Failure> {
-    let mut command = Command::new(programs.find("caudata-policy-server")?);
-    command
-        .arg("--data")
-        .arg(folder.root().join(&config.policy_server.dir));
-    command.args(["--addr", &addr.to_string()]);
-    command.args(["--keep", &config.policy_server.keep_versions.to_string()]);
-    if let Some(certificates) = server_certificates(config) {
-        command.arg("--tls-dir").arg(certificates);
-    }
-    add_telemetry(&mut command, config, true);
-    let (sender, announced) = bounded(1);
-    let sink: LineSink = Box::new(move |line| {
-        if let Ok(listening) = serde_json::from_str::<Listening>(&line)
-            && listening.listening == "policy_server"
-        {
-            let _ = sender.try_send(listening.address);
-        }
-    });
-    let log = folder.logs().join("policy_server.log");
-    let mut server = Process::start("the policy server", command, &log, Some(sink))?;
-    match announced.recv_timeout(SERVER_START_MAX) {
-        Ok(addr) => Ok((server, addr)),
-        Err(error) => Err(match server.finish(patience_after(error)) {
-            Some(status) if status.code().is_some() => failed_child(
-                &server,
-                children::exit_code(status),
-                &children::describe(status),
-            ),
-            _ => failed_child(&server, ExitCode::TempFail, "did not start in time"),
-        }),
-    }
-}
-
-/// How long a child may take to end that has announced nothing: one that has closed its standard output is about to.
-pub fn patience_after(error: RecvTimeoutError) -> Duration {
-    match error {
-        RecvTimeoutError::Disconnected => CHILD_STOP_MAX,
-        RecvTimeoutError::Timeout => Duration::ZERO,
-    }
-}
-
-/// The certificates of a policy server that others than this host reach.
-fn server_certificates(config: &Config) -> Option<&std::path::Path> {
-    let open = !config.policy_server.addr.ip().is_loopback();
-    config.cluster.certificates().filter(|_| open)
-}
-
-fn start_learner(
-    programs: &Programs,
-    config: &Config,
-    folder: &RunFolder,
-    server: SocketAddr,
-    resume: &Resume,
-    lines: Sender<String>,
-) -> Result<Process, Failure> {
-    let mut command = Command::new(programs.find("caudata-learner")?);
-    command.arg("--config").arg(folder.config());
-    command.arg("--run-dir").arg(folder.root());
-    command.args(["--run-id", folder.run_id()]);
-    let server = match server_certificates(config) {
-        // Its certificate is for a name, not for "any address".
-        Some(_) if config.cluster.policy_server.is_empty() => {
-            format!("https://localhost:{}", server.port())
-        }
-        Some(_) => config.cluster.policy_server.clone(),
-        None => server.to_string(),
-    };
-    command.args(["--policy-server", &server]);
-    match resume {
-        Resume::No => {}
-        Resume::Latest => {
-            command.arg("--resume");
-        }
-        Resume::Named(name) => {
-            command.args(["--resume-from", name]);
-        }
-    }
-    add_telemetry(&mut command, config, false);
-    let sink: LineSink = Box::new(move |line| {
-        // Blocks while the queue is full; nobody reads any more when the supervisor ends.
-        let _ = lines.send(line);
-    });
-    Process::start(
-        "the learner",
-        command,
-        &folder.logs().join("learner.log"),
-        Some(sink),
-    )
-}
-
-/// Log flags, and with `own_metrics` a metrics endpoint on any free port of the configured address.
-pub fn add_telemetry(command: &mut Command, config: &Config, own_metrics: bool) {
-    let telemetry = &config.telemetry;
-    command.args([
-        "--log-format",
-        telemetry.log_format.name(),
-        "--log-filter",
-        &telemetry.log,
-    ]);
-    if own_metrics && telemetry.metrics {
-        let any_port = SocketAddr::new(telemetry.metrics_addr.ip(), 0);
-        command.args(["--metrics-addr", &any_port.to_string()]);
     }
 }
 

@@ -3,6 +3,8 @@
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
+use caudata_durable::OwnerError;
+use caudata_telemetry::StopFlag;
 use caudata_telemetry::progress::{Event, Iteration, Started, Warning};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -10,6 +12,8 @@ use crate::say;
 
 /// Plain lines come no faster than this, except the last one.
 const PLAIN_EVERY: Duration = Duration::from_secs(1);
+/// Pause between two looks at a run folder that another process has.
+const OWNER_PAUSE: Duration = Duration::from_millis(100);
 
 /// Where progress goes.
 pub enum View {
@@ -58,6 +62,20 @@ impl View {
             View::Bar(bar) => bar.println(text),
             View::Plain { .. } => say::line(text),
             View::Json => tracing::info!("{text}"),
+        }
+    }
+
+    /// For a run folder that another process still has: says once whom it waits for, until `stop` is raised.
+    pub fn wait_for_owner<'a>(
+        &'a self,
+        stop: &'a StopFlag,
+    ) -> impl FnMut(&OwnerError) -> bool + 'a {
+        let mut said = false;
+        move |taken| {
+            if !std::mem::replace(&mut said, true) {
+                self.note(&format!("{taken}; waiting for its end"));
+            }
+            !stop.wait(OWNER_PAUSE)
         }
     }
 

@@ -231,29 +231,6 @@ impl Default for RewardConfig {
 }
 
 impl RewardConfig {
-    /// Shapes and weights matched to this robot's speed, with which it learns to walk on flat ground instead of
-    /// vibrating or standing still: narrow tracking kernels (standing must not pay), a strong and narrow phase
-    /// term (steps must pay), and costs on what vibration lives from. To go with
-    /// [`ActionConfig`](crate::action::ActionConfig) `scale = 1.0` and `filter_alpha = 0.15`, a swing of 5 cm,
-    /// and a policy that starts with a standard deviation of 0.6 to 0.8.
-    pub fn matched() -> Self {
-        Self {
-            lin_vel_sigma: 0.05,
-            yaw_rate_sigma: 0.12,
-            phase_sigma: 0.004,
-            weights: RewardWeights {
-                phase: 1.75,
-                power: -3e-3,
-                action_rate: -0.05,
-                slip: -1.0,
-                orientation: -0.5,
-                trunk_contact: -1.0,
-                ..RewardWeights::default()
-            },
-            ..Self::default()
-        }
-    }
-
     /// Factor on all costs after `env_steps` environment steps of the whole run.
     pub fn cost_scale(&self, env_steps: u64) -> f32 {
         if env_steps >= self.costs_full_after_env_steps {
@@ -355,4 +332,4 @@ pub struct RewardInput<'a> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -154,7 +154,8 @@ fn judged_afloat(input: &RewardInput<'_>, value: impl FnOnce() -> f32) -> f32 {
     }
 }
 
-/// Of the joints that are in a leg, or are not, each of which earns for itself (1 where there is none): with the exponential of a sum, one leg that is
+/// Mean over the joints that are in a leg, or are not, each of which earns for itself (1 where there is none): with
+/// the exponential of a sum, one leg that is
 /// far off hides from the others that they get better. `value` is told a joint and its place among those that count.
 fn mean(input: &RewardInput<'_>, legs: bool, value: impl Fn(usize, usize) -> f32) -> f32 {
     let all = input.in_leg.iter().enumerate();

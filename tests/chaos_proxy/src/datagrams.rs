@@ -101,11 +101,11 @@ fn link(state: &str) -> Result<(), String> {
 pub struct Weather {
     /// Nothing passes.
     pub cut: AtomicBool,
-    /// Of a hundred, so many are lost.
+    /// How many of a hundred are lost.
     pub loss_percent: AtomicU64,
     /// One way, ms.
     pub delay_ms: AtomicU64,
-    /// Of a hundred, so many are overtaken by the next one.
+    /// How many of a hundred are overtaken by the next one.
     pub reorder_percent: AtomicU64,
     /// Datagrams that were taken.
     pub passed: AtomicU64,

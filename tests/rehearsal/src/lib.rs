@@ -1,8 +1,8 @@
-//! A disk for tests: it does what it is told on a real folder, writes every step down, can fail at any of them, and can afterwards
-//! show what a power cut at any point could have left.
+//! A disk for tests: it does what it is told on a real folder, writes every step down, can fail at any of
+//! them, and can afterwards show what a power cut at any point could have left.
 //!
-//! What a file system promises, and no more: bytes are on the disk once the file was synced, names once their folder was. Before
-//! that each of them may be there or not, in any combination; bytes may be there by half.
+//! What a file system promises, and no more: bytes are on the disk once the file was synced, names once their
+//! folder was. Before that each of them may be there or not, in any combination; bytes may be there by half.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
@@ -108,8 +108,8 @@ impl Rehearsal {
         self.notes().steps.len()
     }
 
-    /// From step number `step` on (counted from the beginning, 0 the first) bytes and names are refused with `error`, a number of the
-    /// system; half of the bytes of a write that is refused are there.
+    /// From step number `step` on (counted from the beginning, 0 the first) bytes and names are refused with
+    /// `error`, a number of the system; half of the bytes of a write that is refused are there.
     pub fn fail_writes_at(&self, step: usize, error: i32) {
         self.fail(step, [true, false, false], error);
     }
@@ -139,8 +139,8 @@ impl Rehearsal {
         self.notes().fail = None;
     }
 
-    /// Writes into new folders below `below` what a power cut after `step` steps could have left: each combination of what was not
-    /// synced then. Answers the folders, at most [`COMBINATIONS_MAX`].
+    /// Writes into new folders below `below` what a power cut after `step` steps could have left: each
+    /// combination of what was not synced then. Answers the folders, at most [`COMBINATIONS_MAX`].
     ///
     /// # Errors
     /// What the system says.

@@ -109,7 +109,7 @@ const TASK: [&str; 16] = [
     "telemetry.metrics=false",
 ];
 
-/// Of a full batch of [`TASK`].
+/// Environment steps of a full batch of [`TASK`].
 const STEPS_PER_ITERATION: u64 = 4 * 8 * 16;
 
 /// The cluster's flags, for both commands.
@@ -618,14 +618,14 @@ struct Yardstick {
     early: f64,
     /// At the end.
     late: f64,
-    /// Of a single run at the end.
+    /// Standard deviation of a single run at the end.
     deviation: f64,
     /// What a run as good as these falls below once in a thousand times, less [`COST_OF_CHAOS`].
     least: f64,
 }
 
 impl Yardstick {
-    /// Of [`SEEDS`] runs, late and early.
+    /// The yardstick from [`SEEDS`] runs, late and early.
     fn of(calm: &[[f64; 2]]) -> Self {
         assert_eq!(calm.len() as u64, SEEDS);
         let runs = calm.len() as f64;

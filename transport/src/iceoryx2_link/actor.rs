@@ -1,5 +1,5 @@
-//! The actor's end over iceoryx2: one thread joins the learner's services, reads answers and policies, and joins
-//! anew when another learner has taken the run over.
+//! The actor's end over iceoryx2: one thread joins the learner's services, reads answers and policies, and
+//! joins anew when another learner has taken the run over.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -9,10 +9,12 @@ use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 
-use super::WAKE;
 use super::run_dir::{Note, RunPaths, sweep_segments};
-use super::services::{DataHead, Ipc, PolicyHeadBytes, Services, backend, check_room_for_actor};
+use super::services::{
+    DataHead, Ipc, PolicyHeadBytes, Services, WAKE, backend, check_room_for_actor,
+};
 use crate::actor_core::{ActorCore, RemoteActor, Uplink};
+use crate::crew::Failures;
 use crate::reliable::{PolicyHead, PolicyId, Status, UpHead};
 use crate::{ActorLink, Iceoryx2Config, Limits, TransportError, identity};
 
@@ -143,9 +145,11 @@ struct Reader {
 
 impl Reader {
     fn run_until_closed(&self) {
+        let mut failures = Failures::default();
         while !self.core.crew.is_closing() {
             match self.join() {
                 Ok(Some(session)) => {
+                    failures = Failures::default();
                     *self.uplink.session() = Some(Arc::clone(&session));
                     self.follow(&session);
                     if !self.core.crew.is_closing() {
@@ -160,8 +164,11 @@ impl Reader {
                 }
                 // The services may be half made, or all ports taken.
                 Err(error) => {
-                    tracing::debug!(%error, "joining the learner's services");
-                    std::thread::sleep(WAKE);
+                    failures.pause(
+                        &self.core.crew,
+                        "cannot join the learner's services",
+                        &error,
+                    );
                 }
             }
         }

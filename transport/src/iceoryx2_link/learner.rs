@@ -1,4 +1,5 @@
-//! The learner's end over iceoryx2: one thread reads, answers, hands out policies and cleans up after the dead.
+//! The learner's end over iceoryx2: one thread reads, answers, hands out policies and cleans up after the
+//! dead.
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -10,9 +11,10 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 
-use super::WAKE;
 use super::run_dir::RunDir;
-use super::services::{DataHead, Ipc, PolicyHeadBytes, Services, backend, check_room_for_learner};
+use super::services::{
+    DataHead, Ipc, PolicyHeadBytes, Services, WAKE, backend, check_room_for_learner,
+};
 use crate::learner_core::{Downlink, LearnerCore, RemoteLearner};
 use crate::reliable::PolicyHead;
 use crate::{Iceoryx2Config, LearnerLink, Limits, TransportConfig, TransportError, identity};
@@ -34,8 +36,8 @@ pub(crate) fn learner(
     let ports = Ports::new(&run_dir, &tag, limits)?;
     let wake = ports.services.up.notifier_builder().create();
     let wake = wake.map_err(backend)?;
-    // Posted before the thread starts: an error here leaves no thread behind. Actors that come at once find the
-    // services, and are read from a moment later.
+    // Posted before the thread starts: an error here leaves no thread behind. Actors that come at once find
+    // the services, and are read from a moment later.
     run_dir.post(&tag, limits)?;
     let body = Arc::clone(&core);
     let thread = core.spawn("caudata-shm", move || ports.run_until_closed(&body))?;
@@ -124,8 +126,8 @@ impl Ports {
         }
     }
 
-    /// Takes over everything that has arrived. A frame is whole once it is here: a writer that dies before has
-    /// not handed it over. It is copied before it is looked at, so nothing can change under the check.
+    /// Takes over everything that has arrived. A frame is whole once it is here: a writer that dies before
+    /// has not handed it over. It is copied before it is looked at, so nothing can change under the check.
     fn read(&self, core: &LearnerCore) {
         loop {
             match self.data.receive() {

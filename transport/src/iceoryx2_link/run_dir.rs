@@ -1,5 +1,5 @@
-//! Who owns a run's files on this host: a directory per run, a lock that dies with its holder, and a note that
-//! tells actors where the learner's services are.
+//! Who owns a run's files on this host: a directory per run, a lock that dies with its holder, and a note
+//! that tells actors where the learner's services are.
 //!
 //! ```text
 //! <root>/                      mode 0700, ours

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::path::Path;
+use std::time::Duration;
 
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::{
@@ -17,6 +18,9 @@ use super::run_dir::{RunPaths, SHM_DIR, io_error, prefix, segments};
 use crate::reliable::{PolicyHead, Status, UpHead};
 use crate::{Limits, TransportError};
 
+/// Longest wait for a wake-up event before looking anyway.
+pub(super) const WAKE: Duration = Duration::from_millis(50);
+
 pub(super) type Ipc = ipc_threadsafe::Service;
 /// The head of a message travels beside the frame, as iceoryx2's user header.
 pub(super) type DataHead = [u8; UpHead::LEN];
@@ -27,12 +31,13 @@ pub(super) type PolicyHeadBytes = [[u8; 16]; PolicyHead::LEN / 16];
 const SPARE_PORTS: usize = 8;
 /// Messages that may lie in a connection besides the window's frames: a probe and a farewell.
 const SPARE_MESSAGES: usize = 2;
-/// Policies in shared memory at once: the newest, the next, and those that actors are copying right now. Should
-/// stopped actors hold all others, publishing waits for one of them.
+/// Policies in shared memory at once: the newest, the next, and those that actors are copying right now.
+/// Should stopped actors hold all others, publishing waits for one of them.
 const POLICY_SAMPLES: usize = 4;
 /// Status tables in shared memory at once.
 const STATUS_SAMPLES: usize = 8;
-/// What iceoryx2 puts before each payload, and what its management segments take, rounded up generously, bytes.
+/// What iceoryx2 puts before each payload, and what its management segments take, rounded up generously,
+/// bytes.
 const SAMPLE_OVERHEAD: usize = 256;
 const MANAGEMENT_BYTES: u64 = 4 << 20;
 
@@ -229,8 +234,8 @@ fn check_room(needed: u64) -> Result<(), TransportError> {
     Ok(())
 }
 
-/// Has the system set the pages of a publisher's segment aside now: a full file system is an error here, not a
-/// bus error at the first write.
+/// Has the system set the pages of a publisher's segment aside now: a full file system is an error here, not
+/// a bus error at the first write.
 fn reserve(tag: &str, publisher: u128) -> Result<(), TransportError> {
     let ending = format!("_{publisher}.data");
     for path in segments(tag)? {

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
-use super::{Status, UpHead, UpKind};
+use super::message::{Status, UpHead, UpKind};
 use crate::Limits;
 
 /// Links whose counters are remembered, those that are gone included, so that a link that comes back after
@@ -167,8 +167,9 @@ impl Inbox {
         self.duplicates
     }
 
-    /// Whether the link has one of the `max_actors` seats: it is there, or what it sent is still unread. So there are
-    /// never more than `max_actors * window_frames` unread frames, however often actors are replaced.
+    /// Whether the link has one of the `max_actors` seats: it is there, or what it sent is still unread. So
+    /// there are never more than `max_actors * window_frames` unread frames, however often actors are
+    /// replaced.
     fn is_seated(&self, link: u64, now: Instant) -> bool {
         self.links
             .get(&link)
@@ -221,7 +222,8 @@ impl Inbox {
 }
 
 impl Link {
-    /// Raises what it may send: the window beyond what has been read, and no more than the rate allows beyond what has come.
+    /// Raises what it may send: the window beyond what has been read, and no more than the rate allows beyond
+    /// what has come.
     fn grant(&mut self, window: u64, rate: Option<f64>, now: Instant) {
         let by_window = self.received - self.waiting + window;
         let Some(rate) = rate else {
@@ -333,7 +335,8 @@ mod tests {
         assert_eq!(inbox.answers(false, later).len(), 1);
     }
 
-    /// Ten frames a second, windows of two: after the first two one more every 100 ms, however fast they are read.
+    /// Ten frames a second, windows of two: after the first two one more every 100 ms, however fast they are
+    /// read.
     #[test]
     fn a_rate_holds_back_grants_and_refuses_what_was_not_granted() {
         let start = Instant::now();
@@ -364,7 +367,8 @@ mod tests {
         assert_eq!(granted(&mut inbox, 2_900), 5);
     }
 
-    /// Two seats, windows of two: a killed actor's unread frames keep its seat, so no more than four are ever unread.
+    /// Two seats, windows of two: a killed actor's unread frames keep its seat, so no more than four are ever
+    /// unread.
     #[test]
     fn unread_frames_keep_the_seat_of_an_actor_that_has_gone() {
         let now = Instant::now();

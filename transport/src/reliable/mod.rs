@@ -18,5 +18,5 @@ mod outbox;
 mod simulation;
 
 pub(crate) use inbox::Inbox;
-pub(crate) use message::{PolicyHead, Status, UpHead, UpKind};
+pub(crate) use message::{PolicyHead, Status, UpHead};
 pub(crate) use outbox::{Outbox, PolicyId, Step};

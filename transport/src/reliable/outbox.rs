@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::{Status, UpHead, UpKind};
+use super::message::{Status, UpHead, UpKind};
 use crate::{Limits, SendError};
 
 /// While no learner answers, probes go out this many times per heartbeat.
@@ -115,7 +115,8 @@ impl Outbox {
         (id.generation > 0).then_some(id)
     }
 
-    /// Takes the frame if the learner is there and has granted its number. `Full` and `Disconnected` pass with time.
+    /// Takes the frame if the learner is there and has granted its number. `Full` and `Disconnected` pass
+    /// with time.
     pub(crate) fn take(&mut self, frame: &[u8], now: Instant) -> Result<(), SendError> {
         if frame.len() > self.max_frame_bytes {
             return Err(SendError::TooLarge {

@@ -1,4 +1,5 @@
-//! Who may connect and do what: plain connections stay on this host, all others show certificates, and a role allows what it needs.
+//! Who may connect and do what: plain connections stay on this host, all others show certificates, and a role
+//! allows what it needs.
 
 use std::net::SocketAddr;
 
@@ -6,7 +7,7 @@ use zenoh::Config;
 
 use crate::{TlsFiles, TransportError};
 
-/// Common names of certificates (`caudata-pki`, `Role`) that may do everything within `caudata/`.
+/// Common names of certificates (`caudata_signing::pki::Role`) that may do everything within `caudata/`.
 const TRUSTED: [&str; 2] = ["learner", "router"];
 /// The common name of actors.
 const ACTOR: &str = "actor";
@@ -60,8 +61,8 @@ fn is_loopback(address: &str) -> bool {
     }
 }
 
-/// Certificates on both sides, and what each role may do. A link without a certificate is a plain one on loopback
-/// ([`check_endpoints`]), and trusted like this user.
+/// Certificates on both sides, and what each role may do. A link without a certificate is a plain one on
+/// loopback ([`check_endpoints`]), and trusted like this user.
 pub(super) fn insert(config: &mut Config, tls: &TlsFiles) -> Result<(), zenoh::Error> {
     let path = |path: &std::path::Path| format!("{:?}", path.display().to_string());
     let settings = [
@@ -80,8 +81,8 @@ pub(super) fn insert(config: &mut Config, tls: &TlsFiles) -> Result<(), zenoh::E
     config.insert_json5("access_control", &access_control())
 }
 
-/// zenoh's access control, as JSON. `ingress` is what the other side says to us. The same rules are in the router's file,
-/// `docker/kubernetes/components/router/zenohd.json5`.
+/// zenoh's access control, as JSON. `ingress` is what the other side says to us. The same rules are in the
+/// router's file, `docker/kubernetes/components/router/zenohd.json5`.
 fn access_control() -> String {
     let rule = |id: &str, flow: &str, messages: &str, key: &str| {
         format!(
@@ -201,7 +202,8 @@ mod tests {
         check("quic/learner:7447", Some(&files)).unwrap();
     }
 
-    /// The router's file must be one that this version of zenoh reads, and must give actors what the learner gives them.
+    /// The router's file must be one that this version of zenoh reads, and must give actors what the learner
+    /// gives them.
     #[test]
     fn the_router_of_the_cluster_has_a_file_that_zenoh_reads_and_our_rules() {
         let path = concat!(

@@ -1,4 +1,5 @@
-//! The actor's end over zenoh: one thread opens the session, opens another beside it when nobody answers, and pulls policies.
+//! The actor's end over zenoh: one thread opens the session, opens another beside it when nobody answers, and
+//! pulls policies.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -8,15 +9,18 @@ use zenoh::qos::CongestionControl;
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
+use super::keys::{PieceRequest, down_key, policy_key, up_key};
 use super::reconnect::Reconnect;
-use super::{PieceRequest, access, down_key, policy_key, session, up_key};
+use super::{access, session};
 use crate::actor_core::{ActorCore, RemoteActor, Uplink};
+use crate::crew::Failures;
 use crate::reliable::{PolicyHead, PolicyId, Status, UpHead};
 use crate::{ActorLink, PolicyUpdate, TransportError, ZenohConfig, identity};
 
-/// Pause between attempts to open the session while nobody answers, and after a piece that did not come.
-const RETRY: Duration = Duration::from_millis(100);
-/// Sessions that may be closing at once. Each takes zenoh some seconds at most; more of them than this means that it does not let go.
+/// Pause after a piece that did not come.
+const PIECE_RETRY: Duration = Duration::from_millis(100);
+/// Sessions that may be closing at once. Each takes zenoh some seconds at most; more of them than this means
+/// that it does not let go.
 const CLOSING_MAX: usize = 16;
 
 /// An actor's end of `run_id`.
@@ -131,26 +135,26 @@ impl Puller {
                     have = Some(got);
                     self.core.policy.replace(update);
                 }
-                Ok(None) => std::thread::sleep(RETRY),
+                Ok(None) => std::thread::sleep(PIECE_RETRY),
                 Err(failure) => self.core.fail(failure),
             }
         }
     }
 
     fn open_until_closed(&self, endpoints: &[String]) -> Option<Session> {
+        let mut failures = Failures::default();
         while !self.core.crew.is_closing() {
             match self.open(endpoints) {
                 Ok(session) => return Some(session),
-                Err(error) => tracing::debug!(%error, "no learner or router yet"),
+                Err(error) => failures.pause(&self.core.crew, "no learner or router yet", &error),
             }
-            std::thread::sleep(RETRY);
         }
         None
     }
 
-    /// Another session beside the one that nobody answers on. zenoh reconnects by itself, but over QUIC only after the lease, and it has
-    /// open faults there (eclipse-zenoh/zenoh#1876, #1886). The old session stays until this one is open: a learner that
-    /// merely stands still answers on it when it goes on.
+    /// Another session beside the one that nobody answers on. zenoh reconnects by itself, but over QUIC only
+    /// after the lease, and it has open faults there (eclipse-zenoh/zenoh#1876, #1886). The old session stays
+    /// until this one is open: a learner that merely stands still answers on it when it goes on.
     fn open_beside(&self, endpoints: &[String]) -> Option<Session> {
         match self.open(endpoints) {
             Ok(session) => {
@@ -222,7 +226,8 @@ impl Puller {
         Ok(None)
     }
 
-    /// A piece of the policy; `None` when it does not come within the peer time-out, or the learner has fallen silent.
+    /// A piece of the policy; `None` when it does not come within the peer time-out, or the learner has
+    /// fallen silent.
     fn ask(&self, session: &Session, request: &PieceRequest) -> Option<(PolicyHead, Vec<u8>)> {
         let limits = &self.core.limits;
         let replies = session

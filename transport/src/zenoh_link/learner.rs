@@ -6,17 +6,23 @@ use std::time::{Duration, Instant};
 
 use zenoh::handlers::{RingChannel, RingChannelHandler};
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::{Query, Queryable};
+use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable};
 use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
-use super::{PIECE_BYTES, PieceRequest, down_key, policy_key, session, up_key};
+use super::keys::{PIECE_BYTES, PieceRequest, down_key, policy_key, up_key};
+use super::session;
 use crate::learner_core::{Downlink, LearnerCore, RemoteLearner};
 use crate::reliable::{PolicyHead, Status};
 use crate::{LearnerLink, TransportConfig, TransportError, ZenohConfig, identity};
 
-/// How long a starting learner looks for another one of its run behind a router.
-const LOOK_AROUND: Duration = Duration::from_millis(500);
+/// How long another learner of the run may take to answer behind a router. One that was killed answers
+/// nothing until the router has noticed.
+const ANSWER_WAIT: Duration = Duration::from_secs(3);
+/// How often the learner that stays asks whether one that started in the same moment has given way.
+const GIVE_WAY_TRIES: u32 = 10;
+/// Pause between two of these questions.
+const GIVE_WAY_PAUSE: Duration = Duration::from_millis(100);
 /// How often the policy thread looks whether the link is closing.
 const POLICY_TICK: Duration = Duration::from_millis(50);
 
@@ -30,20 +36,18 @@ pub(crate) fn learner(
 
 fn open(config: &ZenohConfig, run_id: &str) -> Result<Box<dyn LearnerLink>, TransportError> {
     let (session, connect) = session::open_learner(config)?;
-    if !config.connect.is_empty() {
-        check_alone(&session, run_id)?;
-    }
     let core = LearnerCore::new(identity::fresh(), &config.limits);
     let mut downlink = ZenohDownlink {
         owed: Arc::default(),
         threads: Vec::new(),
         session: Some(session.clone()),
     };
-    if let Err(error) = downlink.start(&session, &core, run_id) {
+    let routed = !config.connect.is_empty();
+    if let Err(error) = downlink.start(&session, &core, run_id, routed) {
         // Whatever has started already ends.
         core.crew.close();
         downlink.close();
-        return Err(TransportError::Backend(error.to_string()));
+        return Err(error);
     }
     let actor_config = TransportConfig::Zenoh(ZenohConfig {
         limits: config.limits.clone(),
@@ -55,9 +59,38 @@ fn open(config: &ZenohConfig, run_id: &str) -> Result<Box<dyn LearnerLink>, Tran
     Ok(Box::new(RemoteLearner::new(core, downlink, actor_config)))
 }
 
-/// Asks behind the router whether the run has a learner. (Without a router the port itself tells.)
-fn check_alone(session: &Session, run_id: &str) -> Result<(), TransportError> {
-    let backend = |e: zenoh::Error| TransportError::Backend(e.to_string());
+fn backend(error: zenoh::Error) -> TransportError {
+    TransportError::Backend(error.to_string())
+}
+
+fn already_running(run_id: &str) -> TransportError {
+    TransportError::AlreadyRunning {
+        run_id: run_id.to_owned(),
+        detail: "it answers through the router".to_owned(),
+    }
+}
+
+/// After this learner has declared itself: no other one has done so in the same moment, or the others give
+/// way.
+///
+/// The router takes the messages of a connection in their order. With the end of the answers to a question it
+/// has therefore also the declaration that was sent before: of two learners at least one sees the other, and
+/// a learner that starts from now on finds this one. Of two that see each other the one with the higher
+/// number gives way.
+fn stay_alone(session: &Session, run_id: &str, epoch: u64) -> Result<(), TransportError> {
+    for _ in 0..GIVE_WAY_TRIES {
+        let others = others(session, run_id, epoch)?;
+        match others.iter().min() {
+            None => return Ok(()),
+            Some(&lowest) if lowest < epoch => break,
+            Some(_) => std::thread::sleep(GIVE_WAY_PAUSE),
+        }
+    }
+    Err(already_running(run_id))
+}
+
+/// The numbers of other learners of the run that answer behind the router.
+fn others(session: &Session, run_id: &str, epoch: u64) -> Result<Vec<u64>, TransportError> {
     let request = PieceRequest {
         generation: 0,
         offset: 0,
@@ -65,16 +98,22 @@ fn check_alone(session: &Session, run_id: &str) -> Result<(), TransportError> {
     let replies = session
         .get(policy_key(run_id))
         .payload(request.encode())
-        .timeout(LOOK_AROUND)
+        .target(QueryTarget::All)
+        // All answers have one key.
+        .consolidation(ConsolidationMode::None)
+        .timeout(ANSWER_WAIT)
         .wait()
         .map_err(backend)?;
-    match replies.recv() {
-        Ok(_) => Err(TransportError::AlreadyRunning {
-            run_id: run_id.to_owned(),
-            detail: "it answers through the router".to_owned(),
-        }),
-        Err(_) => Ok(()),
+    let mut epochs = Vec::new();
+    while let Ok(reply) = replies.recv() {
+        // A time-out is an error among the replies.
+        let Ok(sample) = reply.into_result() else {
+            continue;
+        };
+        let head = PolicyHead::decode(&sample.payload().to_bytes()).map(|(head, _)| head.epoch);
+        epochs.extend(head.filter(|&other| other != epoch));
     }
+    Ok(epochs)
 }
 
 /// Wakes the answering thread.
@@ -113,7 +152,25 @@ impl ZenohDownlink {
         session: &Session,
         core: &Arc<LearnerCore>,
         run_id: &str,
-    ) -> Result<(), zenoh::Error> {
+        routed: bool,
+    ) -> Result<(), TransportError> {
+        // Without a router the port itself tells that there is no other learner.
+        if routed && !others(session, run_id, core.epoch)?.is_empty() {
+            return Err(already_running(run_id));
+        }
+        // Each actor asks one piece at a time; what does not fit is dropped and asked again.
+        let queryable = session
+            .declare_queryable(policy_key(run_id))
+            .complete(true)
+            .with(RingChannel::new(2 * core.limits.max_actors))
+            .wait()
+            .map_err(backend)?;
+        let pieces = Arc::clone(core);
+        let server = move || serve_pieces_until_closed(&pieces, &queryable);
+        self.threads.push(core.spawn("caudata-policy", server)?);
+        if routed {
+            stay_alone(session, run_id, core.epoch)?;
+        }
         let (arrivals, owed) = (Arc::clone(core), Arc::clone(&self.owed));
         let on_message = move |sample: Sample| {
             let head = sample.attachment().map(|head| head.to_bytes());
@@ -125,20 +182,13 @@ impl ZenohDownlink {
             .declare_subscriber(up_key(run_id, "*"))
             .callback(on_message)
             .background()
-            .wait()?;
-        // Each actor asks one piece at a time; what does not fit is dropped and asked again.
-        let queryable = session
-            .declare_queryable(policy_key(run_id))
-            .complete(true)
-            .with(RingChannel::new(2 * core.limits.max_actors))
-            .wait()?;
-        let (answers, pieces) = (Arc::clone(core), Arc::clone(core));
+            .wait()
+            .map_err(backend)?;
+        let answers = Arc::clone(core);
         let (owed, session) = (Arc::clone(&self.owed), session.clone());
         let run_id = run_id.to_owned();
         let answerer = move || answer_until_closed(&answers, &owed, &session, &run_id);
         self.threads.push(core.spawn("caudata-answer", answerer)?);
-        let server = move || serve_pieces_until_closed(&pieces, &queryable);
-        self.threads.push(core.spawn("caudata-policy", server)?);
         Ok(())
     }
 }

@@ -7,8 +7,8 @@ use crate::Limits;
 /// Pauses between attempts grow to so many times the first one.
 const PAUSE_GROWS: u32 = 16;
 
-/// Whether nothing has been heard for so long that another connection is worth a try: half the peer time-out, so that a learner that is
-/// killed and back is found not long after its absence counts as one.
+/// Whether nothing has been heard for so long that another connection is worth a try: half the peer time-out,
+/// so that a learner that is killed and back is found not long after its absence counts as one.
 pub(super) fn is_silent(limits: &Limits, heard: Option<Instant>) -> bool {
     heard.is_none_or(|heard| heard.elapsed() >= patience(limits))
 }
@@ -27,8 +27,8 @@ pub(super) struct Reconnect {
 }
 
 impl Reconnect {
-    /// For link number `link`, connected at `now`. Links wait for different times, up to a half longer, so that the actors of a
-    /// learner do not all come back in one moment.
+    /// For link number `link`, connected at `now`. Links wait for different times, up to a half longer, so
+    /// that the actors of a learner do not all come back in one moment.
     pub fn new(limits: &Limits, link: u64, now: Instant) -> Self {
         let patience = patience(limits);
         let spread = patience.mul_f64((link % 1024) as f64 / 2048.0);

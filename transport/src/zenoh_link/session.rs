@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use zenoh::{Config, Session, Wait};
 
-use super::PIECE_BYTES;
 use super::access;
+use super::keys::PIECE_BYTES;
 use crate::{Limits, TlsFiles, TransportError, ZenohConfig};
 
 /// Connections that may exist besides one per actor: actors that are being replaced.
@@ -21,15 +21,15 @@ const CLOSE_WAIT: Duration = Duration::from_secs(2);
 /// Ports tried when another process takes the one that the system had offered.
 const PORT_ATTEMPTS: usize = 8;
 
-/// Does something that waits for zenoh on a thread of its own: zenoh panics when asked to wait on a thread that
-/// drives a single-threaded tokio runtime, and a caller may be one.
+/// Does something that waits for zenoh on a thread of its own: zenoh panics when asked to wait on a thread
+/// that drives a single-threaded tokio runtime, and a caller may be one.
 pub(super) fn aside<T: Send>(body: impl FnOnce() -> T + Send) -> Result<T, TransportError> {
     let result = std::thread::scope(|scope| scope.spawn(body).join());
     result.map_err(|_| TransportError::Backend("zenoh panicked".to_owned()))
 }
 
-/// Closes a session, waiting for at most [`CLOSE_WAIT`]; zenoh itself would wait 10 s for another side that stands still.
-/// Takes the session, because dropping the last handle waits as well.
+/// Closes a session, waiting for at most [`CLOSE_WAIT`]; zenoh itself would wait 10 s for another side that
+/// stands still. Takes the session, because dropping the last handle waits as well.
 pub(super) fn close(session: Session) {
     let (done, closed) = mpsc::sync_channel(1);
     let body = move || {
@@ -47,7 +47,8 @@ pub(super) fn close(session: Session) {
     }
 }
 
-/// Closes a session that another one has taken the place of, without waiting. `count` is held until it is closed.
+/// Closes a session that another one has taken the place of, without waiting. `count` is held until it is
+/// closed.
 pub(super) fn close_in_background(session: Session, count: Arc<()>) {
     let body = move || {
         if let Err(error) = session.close().wait() {
@@ -197,8 +198,8 @@ fn settings(
     Ok(config)
 }
 
-/// A QUIC endpoint with one stream for everything. With zenoh's default of one per priority a message can overtake the declaration of its
-/// key, and is then lost.
+/// A QUIC endpoint with one stream for everything. With zenoh's default of one per priority a message can
+/// overtake the declaration of its key, and is then lost.
 fn single_stream(endpoint: &str) -> String {
     match endpoint.starts_with("quic/") && !endpoint.contains('?') {
         true => format!("{endpoint}?multistream=0"),
@@ -236,8 +237,8 @@ fn with_port(endpoint: &str) -> Result<String, TransportError> {
     Ok(format!("{scheme}/{host}:{port}"))
 }
 
-/// The endpoints as this host can connect to them: "any address" becomes the loopback address, or with certificates the name
-/// `localhost`, which the certificate then has to have.
+/// The endpoints as this host can connect to them: "any address" becomes the loopback address, or with
+/// certificates the name `localhost`, which the certificate then has to have.
 fn reachable(endpoints: &[String]) -> Vec<String> {
     endpoints
         .iter()

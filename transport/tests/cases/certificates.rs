@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
-use caudata_pki::{Authority, Request, Role};
+use caudata_signing::pki::{Authority, Request, Role};
 use caudata_transport::{
     Control, LearnerLink, TlsFiles, TransportConfig, ZenohConfig, actor_link, learner_link,
 };
@@ -71,7 +71,8 @@ fn an_actor_with_a_certificate_works_as_without() {
     assert_eq!(learner.stats().peers, 1);
 }
 
-/// A robot's certificate is genuine and opens the policy server; here it opens nothing. Nor does an actor's of another lab.
+/// A robot's certificate is genuine and opens the policy server; here it opens nothing. Nor does an actor's
+/// of another lab.
 #[test]
 fn other_roles_and_strangers_get_nothing_in_and_nothing_out() {
     let dir = tempfile::tempdir().unwrap();
@@ -100,7 +101,8 @@ fn other_roles_and_strangers_get_nothing_in_and_nothing_out() {
     assert_eq!(learner.stats().frames, 0);
 }
 
-/// Whoever has an actor's certificate cannot speak for the learner: neither answers nor a policy of its own reach other actors.
+/// Whoever has an actor's certificate cannot speak for the learner: neither answers nor a policy of its own
+/// reach other actors.
 #[test]
 fn an_actor_cannot_pose_as_the_learner() {
     let dir = tempfile::tempdir().unwrap();
@@ -173,8 +175,8 @@ fn an_actor_cannot_pose_as_the_learner() {
     drop((actor, learner));
 }
 
-/// What the TLS link of zenoh 1.10 did not survive (eclipse-zenoh/zenoh#2557): both directions busy at once, for long. Every frame
-/// carries a checksum over all its bytes, every policy is compared whole.
+/// What the TLS link of zenoh 1.10 did not survive (eclipse-zenoh/zenoh#2557): both directions busy at once,
+/// for long. Every frame carries a checksum over all its bytes, every policy is compared whole.
 #[test]
 fn both_directions_at_once_for_long() {
     both_directions(2_000);

@@ -39,7 +39,8 @@ pub fn ten_thousand_frames_arrive_once_and_in_order(kind: Kind) {
     rig.finish();
 }
 
-/// A learner that does not read: the window fills, `Full` comes back, nothing grows; the frame tried again arrives once.
+/// A learner that does not read: the window fills, `Full` comes back, nothing grows; the frame tried again
+/// arrives once.
 pub fn a_slow_learner_pushes_back_and_nothing_is_lost(kind: Kind) {
     let mut rig = Rig::new(kind, limits());
     let window = limits().window_frames;
@@ -71,7 +72,8 @@ pub fn a_slow_learner_pushes_back_and_nothing_is_lost(kind: Kind) {
     rig.finish();
 }
 
-/// A 1 MB rollout and a 4 MB policy pass whole; one byte over the limit is refused with both sizes in the text.
+/// A 1 MB rollout and a 4 MB policy pass whole; one byte over the limit is refused with both sizes in the
+/// text.
 pub fn large_messages_pass_and_larger_ones_are_refused(kind: Kind) {
     const FRAME: usize = 1 << 20;
     const POLICY: usize = 4 << 20;
@@ -183,7 +185,8 @@ pub fn a_late_joiner_gets_the_newest_policy(kind: Kind) {
     rig.finish();
 }
 
-/// The stop signal reaches an idle actor, one that is stuck behind a full window, and one that comes later; it is final.
+/// The stop signal reaches an idle actor, one that is stuck behind a full window, and one that comes later;
+/// it is final.
 pub fn stop_reaches_every_actor(kind: Kind) {
     let mut rig = Rig::new(kind, limits());
     let mut idle = rig.actor(0);

@@ -11,8 +11,8 @@ use crate::support::frames::{Ledger, flush, frame, recv, send, wait_until};
 use crate::support::policies::{label, next_policy, policy, read};
 use crate::support::rig::{Kind, Rig, limits};
 
-/// However much one actor sends, it has no more than its window waiting at the learner: of two full windows the learner reads the
-/// polite actor's whole one.
+/// However much one actor sends, it has no more than its window waiting at the learner: of two full windows
+/// the learner reads the polite actor's whole one.
 pub fn fault_62_a_flood_of_one_actor_holds_up_nobody(kind: Kind) {
     const ROUNDS: u64 = 20;
     let mut rig = Rig::new(kind, limits());
@@ -50,8 +50,8 @@ pub fn fault_62_a_flood_of_one_actor_holds_up_nobody(kind: Kind) {
     });
 }
 
-/// How long a polite actor waits until its frame is known to be with the learner, while another floods, beside the same wait at
-/// rest. Printed; the bound is far above both and below any time-out.
+/// How long a polite actor waits until its frame is known to be with the learner, while another floods,
+/// beside the same wait at rest. Printed; the bound is far above both and below any time-out.
 pub fn fault_62_latency_under_a_flood(kind: Kind) {
     const FRAMES: u64 = 200;
     let mut rig = Rig::new(kind, limits());
@@ -118,8 +118,8 @@ pub fn fault_62_latency_under_a_flood(kind: Kind) {
     rig.finish();
 }
 
-/// Connections that say nothing take neither memory nor places for ever: who is connected works on meanwhile, and an actor that
-/// comes later gets in when they have been given up.
+/// Connections that say nothing take neither memory nor places for ever: who is connected works on meanwhile,
+/// and an actor that comes later gets in when they have been given up.
 #[test]
 fn fault_62_silent_connections_lock_nobody_out() {
     silent_connections(400);

@@ -37,8 +37,8 @@ pub fn one_actor_too_many_waits_for_its_turn(kind: Kind) {
     rig.finish();
 }
 
-/// Of three actors one is killed in mid-stream, again and again: no torn frame, the others lose nothing, and each new
-/// incarnation works.
+/// One of three actors is killed in mid-stream, again and again: no torn frame, the others lose nothing, and
+/// each new incarnation works.
 pub fn a_killed_actor_harms_nobody(kind: Kind) {
     // More of them than shared memory has ports: those of the killed must be reclaimed.
     killing(kind, 16, 300);
@@ -83,8 +83,8 @@ pub fn killing(kind: Kind, kills: u64, others: u64) {
     rig.finish();
 }
 
-/// An actor that stands still in mid-stream, longer than the peer time-out, holds up neither the others' frames nor their
-/// policies; when it goes on it loses nothing.
+/// An actor that stands still in mid-stream, longer than the peer time-out, holds up neither the others'
+/// frames nor their policies; when it goes on it loses nothing.
 pub fn an_actor_that_stands_still_holds_up_nobody(kind: Kind) {
     const FRAMES: u64 = 400;
     let mut rig = Rig::new(kind, limits());
@@ -116,8 +116,8 @@ pub fn an_actor_that_stands_still_holds_up_nobody(kind: Kind) {
     rig.finish();
 }
 
-/// The learner is killed and another takes the run over: the actor is told, reconnects by itself, and everything the
-/// first one did not acknowledge goes to the second, in order. Nothing of the first is left.
+/// The learner is killed and another takes the run over: the actor is told, reconnects by itself, and
+/// everything the first one did not acknowledge goes to the second, in order. Nothing of the first is left.
 pub fn actors_find_a_restarted_learner(kind: Kind) {
     let config = remote(kind, limits());
     let run_id = fresh_run_id();
@@ -166,8 +166,9 @@ pub fn actors_find_a_restarted_learner(kind: Kind) {
     }
 }
 
-/// The learner is killed while three actors send as fast as they can, and another is there at once, before anyone has missed it: three times
-/// over every actor finds the next one, and each frame that is read follows the one before.
+/// The learner is killed while three actors send as fast as they can, and another is there at once, before
+/// anyone has missed it: three times over every actor finds the next one, and each frame that is read follows
+/// the one before.
 pub fn actors_find_a_learner_that_is_killed_under_load_and_back_at_once(kind: Kind) {
     const ACTORS: u64 = 3;
     let config = remote(kind, limits());
@@ -227,8 +228,8 @@ pub fn same_address(config: &TransportConfig, actor_config: &TransportConfig) ->
     }
 }
 
-/// The learner stands still for longer than the peer time-out: the actor's sends come back at their deadline, and when it
-/// goes on every frame arrives once.
+/// The learner stands still for longer than the peer time-out: the actor's sends come back at their deadline,
+/// and when it goes on every frame arrives once.
 pub fn a_learner_that_stands_still_loses_nothing(kind: Kind) {
     let config = remote(kind, limits());
     let run_id = fresh_run_id();

@@ -20,7 +20,8 @@ pub struct Label {
     pub number: u64,
 }
 
-/// A frame of `bytes` bytes (at least 32) with this label, a body that depends on it, and a checksum over both.
+/// A frame of `bytes` bytes (at least 32) with this label, a body that depends on it, and a checksum over
+/// both.
 pub fn frame(label: Label, bytes: usize) -> Vec<u8> {
     let mut out = vec![0; bytes.max(HEAD)];
     for (i, byte) in out[HEAD..].iter_mut().enumerate() {

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::SystemTime;
 
-use caudata_pki::{Authority, Request, Role};
+use caudata_signing::pki::{Authority, Request, Role};
 use caudata_transport::{
     ActorLink, Iceoryx2Config, InprocConfig, InprocHub, LearnerLink, Limits, TlsFiles,
     TransportConfig, ZenohConfig, actor_link, learner_link,

@@ -1,5 +1,5 @@
-//! Rate, latency and CPU of every link, beside memcpy and a bare TCP socket in the same run; and what collecting rollouts
-//! costs over each link, beside the bare simulator and policy.
+//! Rate, latency and CPU of every link, beside memcpy and a bare TCP socket in the same run; and what
+//! collecting rollouts costs over each link, beside the bare simulator and policy.
 
 pub mod ingest;
 mod link;
@@ -32,7 +32,8 @@ pub struct Finding {
     pub links: Vec<Speed>,
     /// Simulator and policy alone, and over each link.
     pub rollouts: Vec<Rollouts>,
-    /// What the actor of the in-process link spends its time on, as shares; empty where that link was not measured.
+    /// What the actor of the in-process link spends its time on, as shares; empty where that link was not
+    /// measured.
     pub phases: Vec<Phase>,
 }
 

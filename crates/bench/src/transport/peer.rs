@@ -1,4 +1,5 @@
-//! The other ends of measured links: this program again, in processes of their own, told by a variable what to do.
+//! The other ends of measured links: this program again, in processes of their own, told by a variable what
+//! to do.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -25,7 +26,8 @@ const ACK_MAX: Duration = Duration::from_secs(60);
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Order {
-    /// An actor that streams time-stamped frames (policy version 1) or sends one at a time (2), until the stop.
+    /// An actor that streams time-stamped frames (policy version 1) or sends one at a time (2), until the
+    /// stop.
     Stream {
         transport: TransportConfig,
         run_id: String,
@@ -88,7 +90,8 @@ impl Peer {
         let child = command
             .stdin(Stdio::null())
             .env(PARENT_PID_VAR, std::process::id().to_string())
-            // zenoh warns about every QUIC session that its access control does not tell network interfaces apart; ours does not ask.
+            // zenoh warns about every QUIC session that its access control does not tell network interfaces
+            // apart; ours does not ask.
             .env("CAUDATA_LOG", "error")
             .spawn()
             .or_exit(ExitCode::OsResource)?;

@@ -36,7 +36,8 @@ pub struct Plan {
     /// Only what collecting rollouts costs
     #[arg(long, conflicts_with = "no_rollouts")]
     pub(super) rollouts_only: bool,
-    /// How often that is measured over each link, in turns with the bare simulator and policy; medians are printed
+    /// How often that is measured over each link, in turns with the bare simulator and policy; medians are
+    /// printed
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub(super) rounds: u32,
     /// Robot, task and network of the rollouts; the preset `quick` without these flags

@@ -33,7 +33,7 @@ pub struct Rollouts {
     pub steps_per_s: f64,
     /// CPU time of the actor and of the learner's receiving and checking.
     pub steps_per_cpu_s: f64,
-    /// Of the bare simulator and policy.
+    /// Share of what the bare simulator and policy do.
     pub share_of_bare: f64,
 }
 
@@ -46,7 +46,8 @@ pub struct Phase {
     pub share: f64,
 }
 
-/// Parts of an actor's time, by the metric that counts its seconds. The rest is exploration, copies and writing the frame.
+/// Parts of an actor's time, by the metric that counts its seconds. The rest is exploration, copies and
+/// writing the frame.
 const PHASES: [(&str, &str); 5] = [
     ("simulator", "caudata_actor_env_seconds_total"),
     ("inference", "caudata_inference_latency_seconds_sum"),
@@ -55,8 +56,9 @@ const PHASES: [(&str, &str); 5] = [
     ("waiting", "caudata_actor_wait_seconds_total"),
 ];
 
-/// What one actor collects over each link when it never waits, and what it takes, beside simulator and policy alone. Each link is measured
-/// between two measurements of these, several times in turns, so that what else the machine does falls on both; medians.
+/// What one actor collects over each link when it never waits, and what it takes, beside simulator and policy
+/// alone. Each link is measured between two measurements of these, several times in turns, so that what else
+/// the machine does falls on both; medians.
 pub fn all(
     kinds: &[Kind],
     plan: &Plan,
@@ -243,8 +245,8 @@ impl Scene {
             let checked = decode(&frame.bytes, &DecodeLimits::default());
             if let Envelope::Chunk(chunk) = checked.or_exit(ExitCode::Internal)? {
                 steps += chunk.steps * chunk.lanes;
-                // As in training: a policy per quota, here of made-up weights. Making it is the learner's work, not
-                // that of collecting.
+                // As in training: a policy per quota, here of made-up weights. Making it is the learner's
+                // work, not that of collecting.
                 *version += 1;
                 let before = thread_cpu_s()?;
                 let policy = self.policy(&stage.run_id, *version)?;

@@ -7,7 +7,7 @@ use std::time::{Instant, SystemTime};
 
 use caudata_actor::transport_config;
 use caudata_config::TransportSection;
-use caudata_pki::{Authority, Request, Role};
+use caudata_signing::pki::{Authority, Request, Role};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use caudata_transport::{
     Control, InprocHub, LearnerLink, PolicyUpdate, TlsFiles, TransportConfig, ZenohConfig,
@@ -136,8 +136,9 @@ impl Ends {
 /// # Errors
 /// When they cannot be made.
 fn certificates(folder: &Path) -> Result<(TlsFiles, TlsFiles), Failure> {
-    let made =
-        |error: caudata_pki::PkiError| Failure::message(ExitCode::CannotCreate, error.to_string());
+    let made = |error: caudata_signing::pki::PkiError| {
+        Failure::message(ExitCode::CannotCreate, error.to_string())
+    };
     let now = SystemTime::now();
     let authority = Authority::create(folder, "bench", now).map_err(made)?;
     let issue = |role: Role, name: &str| {

@@ -1,11 +1,13 @@
-//! Smooth accelerations (no contact, stops, dry friction or servos) at random states, free and fixed base, against MuJoCo.
+//! Smooth accelerations (no contact, stops, dry friction or servos) at random states, free and fixed base,
+//! against MuJoCo.
 //!
 //! The batch engine's own equations are asked directly, in both precisions, with random joint torques.
 //!
-//! Through the [`Engine`](caudata_sim::Engine) trait: an engine that steps semi-implicitly changes its velocities by dt·a in one step, but for
-//! terms of order dt. From one step of 0.4 ms and one of 0.2 ms these are extrapolated away (2·a(½dt) − a(dt)). These rows find wrong dynamics, not
-//! the last digits: the batch engine takes Coriolis forces at predicted velocities, and reports are rounded to f32 (about 1e-3 rad/s² here). How the rest of
-//! the difference divides between these has not been isolated.
+//! Through the [`Engine`](caudata_sim::Engine) trait: an engine that steps semi-implicitly changes its
+//! velocities by dt·a in one step, but for terms of order dt. From one step of 0.4 ms and one of 0.2 ms these
+//! are extrapolated away (2·a(½dt) − a(dt)). These rows find wrong dynamics, not the last digits: the batch
+//! engine takes Coriolis forces at predicted velocities, and reports are rounded to f32 (about 1e-3 rad/s²
+//! here). How the rest of the difference divides between these has not been isolated.
 
 use std::sync::Arc;
 
@@ -22,8 +24,9 @@ use super::error::VerifyError;
 use super::row::{Bench, Row, Subject, largest};
 
 /// Longer and shorter step, s.
-const DT_S: [f64; 2] = [0.0004, 0.0002];
-/// Relative error that a step may show; set after seeing both engines (2.3e-3 and 7e-4), it guards against getting worse.
+const STEPS_BESIDE_S: [f64; 2] = [0.0004, 0.0002];
+/// Relative error that a step may show; set after seeing both engines (2.3e-3 and 7e-4), it guards against
+/// getting worse.
 const TARGET: f64 = 5e-3;
 
 /// What MuJoCo answers for one state.
@@ -65,8 +68,8 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         let mut theirs: Option<Vec<Answer>> = None;
         for subject in bench.settings.subjects.clone() {
             let name = &subject.name;
-            let (_, coarse) = measured(bench, &subject, &states, fixed, DT_S[0])?;
-            let (starts, fine) = measured(bench, &subject, &states, fixed, DT_S[1])?;
+            let (_, coarse) = measured(bench, &subject, &states, fixed, STEPS_BESIDE_S[0])?;
+            let (starts, fine) = measured(bench, &subject, &states, fixed, STEPS_BESIDE_S[1])?;
             let ours: Vec<Vec<f64>> = coarse
                 .iter()
                 .zip(&fine)
@@ -275,7 +278,8 @@ fn random_state(bench: &Bench<'_>, index: u64, fixed: bool) -> InitialState {
     init
 }
 
-/// The states as the script wants them, and the engine's accelerations (base linear, base angular in its own frame, joints).
+/// The states as the script wants them, and the engine's accelerations (base linear, base angular in its own
+/// frame, joints).
 fn measured(
     bench: &Bench<'_>,
     subject: &Subject,

@@ -14,7 +14,8 @@ const FLIGHT_S: f64 = 2.0;
 /// Lanes, each with its own tumble.
 const LANES: usize = 16;
 
-/// Largest relative change of momentum, angular momentum and energy over the flight, over all lanes; at 2 ms and at 1 ms.
+/// Largest relative change of momentum, angular momentum and energy over the flight, over all lanes; at 2 ms
+/// and at 1 ms.
 pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     let model = Arc::clone(&bench.model);
     let mut rows = Vec::new();

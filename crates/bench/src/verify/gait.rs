@@ -52,6 +52,17 @@ impl Gait {
         }
     }
 
+    /// Position commands, a row per control period of 20 ms.
+    #[must_use]
+    pub fn rows(&self, model: &RobotModel, periods: usize) -> Vec<Vec<f32>> {
+        let row = |k: usize| {
+            let mut row = vec![0.0; model.actuated().len()];
+            self.targets(model, k as f64 * 0.02, &mut row);
+            row
+        };
+        (0..periods).map(row).collect()
+    }
+
     /// Position commands at `t_s`, policy order, rad.
     pub fn targets(&self, model: &RobotModel, t_s: f64, out: &mut [f32]) {
         let phase = TAU * self.rate_hz * t_s;

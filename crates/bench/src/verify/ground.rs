@@ -59,8 +59,8 @@ pub(crate) fn standing(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     Ok(rows)
 }
 
-/// The angle from which the robot slides down, every contact with friction 0.5, against atan 0.5. The floor stays level and gravity leans; one
-/// lane per angle, a quarter of a degree apart.
+/// The angle from which the robot slides down, every contact with friction 0.5, against atan 0.5. The floor
+/// stays level and gravity leans; one lane per angle, a quarter of a degree apart.
 pub(crate) fn incline(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     const FRICTION: f32 = 0.5;
     const EACH_DEG: f64 = 0.25;
@@ -125,7 +125,8 @@ pub(crate) fn incline(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
     Ok(rows)
 }
 
-/// Whether each lane's centre of mass moves downhill after 2.5 s: a robot a quarter of a degree too steep is then at 0.1 m/s.
+/// Whether each lane's centre of mass moves downhill after 2.5 s: a robot a quarter of a degree too steep is
+/// then at 0.1 m/s.
 fn sliding(
     engine: &mut dyn Engine,
     targets: &[f32],

@@ -1,7 +1,9 @@
-//! Ground truth for the engines: MuJoCo, closed forms, conservation laws, and each other. The table of `caudata sim verify`.
+//! Ground truth for the engines: MuJoCo, closed forms, conservation laws, and each other. The table of
+//! `caudata sim verify`.
 //!
-//! Every check runs on every engine given, through the [`Engine`](caudata_sim::Engine) trait, and yields [`Row`]s: a figure, its
-//! target, whether it is met. Rows that need MuJoCo say `skipped: …` where there is none. `docs/simulation.md` says what each row means.
+//! Every check runs on every engine given, through the [`Engine`](caudata_sim::Engine) trait, and yields
+//! [`Row`]s: a figure, its target, whether it is met. Rows that need MuJoCo say `skipped: …` where there is
+//! none. `docs/reference/simulation.md` says what each row means.
 
 mod accelerations;
 mod drift;

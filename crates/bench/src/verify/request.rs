@@ -79,7 +79,8 @@ fn servos(model: &RobotModel) -> Vec<Value> {
         .collect()
 }
 
-/// MuJoCo's converged setting, which the travel and standing rows are held against. Stops and contacts are as soft as the MJCF has them.
+/// MuJoCo's converged setting, which the travel and standing rows are held against. Stops and contacts are as
+/// soft as the MJCF has them.
 pub(crate) fn converged() -> Value {
     json!({ "dt_s": 0.0005, "cone": "elliptic", "impratio": 100.0 })
 }

@@ -1,4 +1,5 @@
-//! Twenty seconds of random open-loop gaits: where they lead, against MuJoCo's converged setting, and how that depends on the step.
+//! Twenty seconds of random open-loop gaits: where they lead, against MuJoCo's converged setting, and how
+//! that depends on the step.
 
 use std::sync::Arc;
 
@@ -8,7 +9,9 @@ use serde_json::{Value, json};
 
 use super::error::VerifyError;
 use super::gait::Gait;
+use super::mujoco::Mujoco;
 use super::request;
+use super::request::RobotRequest;
 use super::row::{Bench, Row, largest};
 
 /// Steps whose travel is compared, s; the second is the one that is judged.
@@ -40,17 +43,6 @@ pub(crate) fn start_of(engine: &dyn Engine, lane: usize) -> Start {
 
 /// Distance, m, and change of heading, rad, of several paths.
 type Outcomes = Vec<(f64, f64)>;
-
-/// A gait's commands, one row per control period.
-fn targets(model: &RobotModel, gait: &Gait, periods: usize) -> Vec<Vec<f32>> {
-    (0..periods)
-        .map(|k| {
-            let mut row = vec![0.0; model.actuated().len()];
-            gait.targets(model, k as f64 * 0.02, &mut row);
-            row
-        })
-        .collect()
-}
 
 /// The paths in an answer of the script.
 pub(crate) fn paths(answer: &Value) -> Result<Vec<Path>, VerifyError> {
@@ -108,32 +100,14 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
             }
         };
         if reference.is_none() {
-            let start = &by_step[JUDGED].0;
-            let mut nudged = start.joint_pos.clone();
-            nudged[model.actuated()[0]] += NUDGE_RAD;
-            let runs = |joint_pos: &[f32]| -> Vec<Value> {
-                (gaits.iter())
-                    .map(|gait| {
-                        let rows = targets(&model, gait, periods);
-                        json!({ "joint_pos": joint_pos, "base": start.base, "targets": rows })
-                    })
-                    .collect()
+            let runs = Runs {
+                model: &model,
+                robot: &bench.robot,
+                gaits: &gaits,
+                periods,
+                start: &by_step[JUDGED].0,
             };
-            let mut outcomes = |options: Value, from: &[f32]| -> Result<Outcomes, VerifyError> {
-                let more = json!({ "runs": runs(from), "control_period_s": 0.02 });
-                let ask = bench.robot.task("gaits", &model, options, more);
-                Ok(paths(&mujoco.ask(&ask)?)?.iter().map(outcome).collect())
-            };
-            let converged = outcomes(request::converged(), &start.joint_pos)?;
-            let mut coarse = request::converged();
-            coarse["dt_s"] = json!(0.001);
-            let step = "its own {} at 1 ms against 0.5 ms, mean change";
-            let other = outcomes(coarse, &start.joint_pos)?;
-            rows.extend(own_change(step, &converged, &other));
-            let nudge = "its own {} from a start 0.1 mrad beside, mean change";
-            let other = outcomes(request::converged(), &nudged)?;
-            rows.extend(own_change(nudge, &converged, &other));
-            reference = Some(converged);
+            reference = Some(runs.converged(mujoco, &mut rows)?);
         }
         let theirs = reference.as_deref().unwrap_or_default();
         rows.extend(against(name, &by_step[JUDGED].1, theirs));
@@ -152,6 +126,50 @@ pub(crate) fn check(bench: &mut Bench<'_>) -> Result<Vec<Row>, VerifyError> {
         }
     }
     Ok(rows)
+}
+
+/// The gaits as MuJoCo walks them.
+struct Runs<'a> {
+    model: &'a RobotModel,
+    robot: &'a RobotRequest,
+    gaits: &'a [Gait],
+    periods: usize,
+    start: &'a Start,
+}
+
+impl Runs<'_> {
+    /// With its converged setting; `rows` gain how much its answers scatter.
+    fn converged(&self, mujoco: &mut Mujoco, rows: &mut Vec<Row>) -> Result<Outcomes, VerifyError> {
+        let from = &self.start.joint_pos;
+        let converged = self.outcomes(mujoco, request::converged(), from)?;
+        let mut coarse = request::converged();
+        coarse["dt_s"] = json!(0.001);
+        let other = self.outcomes(mujoco, coarse, from)?;
+        let step = "its own {} at 1 ms against 0.5 ms, mean change";
+        rows.extend(own_change(step, &converged, &other));
+        let mut nudged = from.clone();
+        nudged[self.model.actuated()[0]] += NUDGE_RAD;
+        let other = self.outcomes(mujoco, request::converged(), &nudged)?;
+        let nudge = "its own {} from a start 0.1 mrad beside, mean change";
+        rows.extend(own_change(nudge, &converged, &other));
+        Ok(converged)
+    }
+
+    fn outcomes(
+        &self,
+        mujoco: &mut Mujoco,
+        options: Value,
+        from: &[f32],
+    ) -> Result<Outcomes, VerifyError> {
+        let run = |gait: &Gait| {
+            let rows = gait.rows(self.model, self.periods);
+            json!({ "joint_pos": from, "base": self.start.base, "targets": rows })
+        };
+        let runs: Vec<Value> = self.gaits.iter().map(run).collect();
+        let more = json!({ "runs": runs, "control_period_s": 0.02 });
+        let ask = self.robot.task("gaits", self.model, options, more);
+        Ok(paths(&mujoco.ask(&ask)?)?.iter().map(outcome).collect())
+    }
 }
 
 /// How much MuJoCo's own answers change with its settings: below that nothing can be told apart.

@@ -1,8 +1,10 @@
 //! A raft in deep water, against closed forms.
 //!
-//! A box of 0.4 × 0.2 × 0.1 m with the inertia of a solid one, 5.6 kg, displacing 8 kg, heave damping 12 N·s/m (each number in the model below).
+//! A box of 0.4 × 0.2 × 0.1 m with the inertia of a solid one, 5.6 kg, displacing 8 kg, heave damping 12
+//! N·s/m (each number in the model below).
 //! - float line: 0.7 of it is under water, so its middle is 2 cm below the surface;
-//! - bobbing by 5 mm: ω² = ρ·A·g/m − δ², δ = 0.7·k_d/(2m) (the damping acts in proportion to the immersed share);
+//! - bobbing by 5 mm: ω² = ρ·A·g/m − δ², δ = 0.7·k_d/(2m) (the damping acts in proportion to the immersed
+//!   share);
 //! - sinking with buoyancy 2.8 kg and quadratic drag ½·ρ·b_x·b_y = 40 N·s²/m² only: v² = 2.8·g/40.
 
 use std::sync::Arc;

@@ -17,12 +17,14 @@ pub struct ActorsConfig {
     pub chunk_steps: u32,
     /// Chunks that an actor sends for each policy version. 1 to 64.
     pub chunks_per_version: u32,
-    /// Quotas that an actor may collect ahead with an old policy while it waits for the next version. 0 (`sync`): actors
-    /// and learner take turns and runs repeat bit for bit. 1 and more (`async`): they overlap, data is so many versions old. 0 to 8.
+    /// Quotas that an actor may collect ahead with an old policy while it waits for the next version. 0
+    /// (`sync`): actors and learner take turns and runs repeat bit for bit. 1 and more (`async`): they
+    /// overlap, data is so many versions old. 0 to 8.
     pub max_lead: u32,
-    /// The lag is always exactly `max_lead` (in the first iterations less), and the work is split by lane: for the same `count × lanes`
-    /// any number of actors gives the same weights, bit for bit, over any transport, as long as none dies. Costs waiting: with 1 nobody
-    /// is ahead of the slowest by more than one quota. Actors are numbered from 0 to `count` − 1; names are refused.
+    /// The lag is always exactly `max_lead` (in the first iterations less), and the work is split by lane:
+    /// for the same `count × lanes` any number of actors gives the same weights, bit for bit, over any
+    /// transport, as long as none dies. Costs waiting: with 1 nobody is ahead of the slowest by more than one
+    /// quota. Actors are numbered from 0 to `count` − 1; names are refused.
     pub lockstep: bool,
     /// Threads that step one actor's environments. 1 to 256. Results do not depend on it.
     pub threads: u32,
@@ -62,10 +64,5 @@ impl ActorsConfig {
             * u64::from(self.chunks_per_version)
             * u64::from(self.chunk_steps)
             * u64::from(self.lanes)
-    }
-
-    /// Chunks in a full batch of the learner.
-    pub fn chunks_per_iteration(&self) -> u64 {
-        u64::from(self.count) * u64::from(self.chunks_per_version)
     }
 }

@@ -13,15 +13,16 @@ pub struct LearnerConfig {
     /// Threads of libtorch on the CPU. 1 to 256. Small networks gain little above 1. Results do
     /// not depend on it.
     pub threads: u32,
-    /// Every how many iterations a policy goes to the policy server (the last one always does). 1 to 1,000,000.
-    /// Actors get every version regardless.
+    /// Every how many iterations a policy goes to the policy server (the last one always does). 1 to
+    /// 1,000,000. Actors get every version regardless.
     pub publish_every: u64,
-    /// Every how many iterations the full state goes to disk (also at the end and when stopped). 1 to 1,000,000.
+    /// Every how many iterations the full state goes to disk (also at the end and when stopped). 1 to
+    /// 1,000,000.
     pub checkpoint_every: u64,
     /// Checkpoints that are kept, newest first. 1 to 10,000.
     pub keep_checkpoints: u32,
-    /// Seconds to wait for a full batch before going on with what has come. Above 0, to 86,400. Too short: a slow
-    /// actor's work is lost; too long: a dead one holds everybody up.
+    /// Seconds to wait for a full batch before going on with what has come. Above 0, to 86,400. Too short: a
+    /// slow actor's work is lost; too long: a dead one holds everybody up.
     pub batch_timeout_s: f64,
     /// Share of a full batch without which the learner does not learn. Above 0, to 1. Below it after
     /// `starve_timeout_s` the run ends with exit code 75.
@@ -61,15 +62,18 @@ impl Default for LearnerConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WarmStartConfig {
-    /// Policy file (ONNX) to begin with; empty begins with random weights. A relative path is looked for in the current directory, then in the
-    /// folders above the executable. Same joints, layers and activation; observations that this task
-    /// appends to that policy's begin with weight zero. Its exploration noise is taken over, its critic is not in the file.
+    /// Policy file (ONNX) to begin with; empty begins with random weights. A relative path is looked for in
+    /// the current directory, then in the folders above the executable. Same joints, layers and activation;
+    /// observations that this task appends to that policy's begin with weight zero. Its exploration noise is
+    /// taken over, its critic is not in the file.
     pub policy: PathBuf,
-    /// Iterations in which only the value function learns. 0 to 100,000. Default 20. Too few: advantages from a critic that knows nothing yet
-    /// spoil the policy; more only cost time. Without a policy file it has no effect.
+    /// Iterations in which only the value function learns. 0 to 100,000. Default 20. Too few: advantages from
+    /// a critic that knows nothing yet spoil the policy; more only cost time. Without a policy file it has no
+    /// effect.
     pub value_only_iterations: u64,
-    /// Smallest standard deviation of the action noise to begin with, 0 to 5. Default 0: that of the file, which is small where a policy was
-    /// trained to its end. Too small: nothing new is found out; too large: what it knew is forgotten.
+    /// Smallest standard deviation of the action noise to begin with, 0 to 5. Default 0: that of the file,
+    /// which is small where a policy was trained to its end. Too small: nothing new is found out; too large:
+    /// what it knew is forgotten.
     pub least_std: f32,
 }
 
@@ -120,8 +124,8 @@ pub struct NetworkConfig {
     /// Standard deviation of the action noise at the start, in units of the action. 0.01 to 5. A slow
     /// action filter needs a large one.
     pub init_std: f64,
-    /// Smallest standard deviation that the policy may learn. Above 0, below `std_max`. Too small: exploration
-    /// dies and log-probabilities explode.
+    /// Smallest standard deviation that the policy may learn. Above 0, below `std_max`. Too small:
+    /// exploration dies and log-probabilities explode.
     pub std_min: f64,
     /// Largest standard deviation that the policy may learn. To 10.
     pub std_max: f64,
@@ -162,8 +166,8 @@ pub enum Activation {
     Relu,
 }
 
-/// `[learner.ppo]`. The objective is decoupled PPO (Hilton et al. 2022): clipping against the policy before the
-/// update, importance weights against the one that acted.
+/// `[learner.ppo]`. The objective is decoupled PPO (Hilton et al. 2022): clipping against the policy before
+/// the update, importance weights against the one that acted.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PpoConfig {
@@ -185,12 +189,13 @@ pub struct PpoConfig {
     pub max_grad_norm: f64,
     /// Learning rate of Adam at the start. Above 0, to 1.
     pub learning_rate: f64,
-    /// KL divergence per update that the learning rate is adapted to, nats (rsl_rl's rule: above twice it the rate
-    /// falls by 1.5, below half of it it rises by 1.5). 0 keeps the rate. 0 to 1.
+    /// KL divergence per update that the learning rate is adapted to, nats (rsl_rl's rule: above twice it the
+    /// rate falls by 1.5, below half of it it rises by 1.5). 0 keeps the rate. 0 to 1.
     pub target_kl: f64,
-    /// What the target falls to, evenly in its logarithm, over `target_kl_final_after_env_steps` of the whole run. 0 to `target_kl`. Default 0: it
-    /// stays. Large steps find a gait, and then shake the policy about it, for a batch of some thousand samples is noisy; a fifth of `target_kl` at
-    /// the end lets it settle. Too small too early: it stops learning.
+    /// What the target falls to, evenly in its logarithm, over `target_kl_final_after_env_steps` of the whole
+    /// run. 0 to `target_kl`. Default 0: it stays. Large steps find a gait, and then shake the policy about
+    /// it, for a batch of some thousand samples is noisy; a fifth of `target_kl` at the end lets it settle.
+    /// Too small too early: it stops learning.
     pub target_kl_final: f64,
     /// Environment steps after which `target_kl_final` is reached. Default 0: from the start.
     pub target_kl_final_after_env_steps: u64,
@@ -198,13 +203,16 @@ pub struct PpoConfig {
     pub learning_rate_min: f64,
     /// Bounds of the adapted learning rate.
     pub learning_rate_max: f64,
-    /// Learning rate of the value function, 0 to 1. Default 0: that of the policy (rsl_rl), adapted like it; any other stays as it is. Where small
-    /// batches keep the policy's below 1e-4, a critic that falls behind misleads it; 1e-3 keeps it up.
+    /// Learning rate of the value function, 0 to 1. Default 0: that of the policy (rsl_rl), adapted like it;
+    /// any other stays as it is. Where small batches keep the policy's below 1e-4, a critic that falls behind
+    /// misleads it; 1e-3 keeps it up.
     pub value_learning_rate: f64,
     /// Over what advantages are shifted and scaled to mean 0 and variance 1.
     pub advantage_scale: AdvantageScale,
-    /// Learns from every sample and from its mirror image, left and right exchanged, in turn from pass to pass: with two passes each is seen once, with one only half of either.
-    /// Default false (paper). Costs one forward pass; needs a robot that is its own mirror image. A gait that is learnt so treats both sides alike.
+    /// Learns from every sample and from its mirror image, left and right exchanged, in turn from pass to
+    /// pass: with two passes each is seen once, with one only half of either. Default false (paper). Costs
+    /// one forward pass; needs a robot that is its own mirror image. A gait that is learnt so treats both
+    /// sides alike.
     pub mirror: bool,
 }
 
@@ -274,23 +282,28 @@ pub enum Returns {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StalenessConfig {
-    /// Policy versions after which a chunk is dropped and counted. 0 to 1,000. 0 uses only the newest policy's.
+    /// Policy versions after which a chunk is dropped and counted. 0 to 1,000. 0 uses only the newest
+    /// policy's.
     pub max_lag: u64,
-    /// `decoupled`: data of older policies counts with the weight π_prox/μ (Hilton et al. 2022).
-    /// `none`: plain PPO, whose ratio is π_θ/μ and whose targets take all data for the newest policy's; for comparison.
+    /// `decoupled`: data of older policies counts with the weight π_prox/μ (Hilton et al. 2022). `none`:
+    /// plain PPO, whose ratio is π_θ/μ and whose targets take all data for the newest policy's; for
+    /// comparison.
     pub correction: Correction,
-    /// What older data says of values, with `decoupled`. `gae`: what newer data would; its mistake is what the policies differ by in the steps that λ looks ahead. `vtrace`:
-    /// each step corrected by its ratio (Espeholt et al. 2018), which is exact in the mean, and in sixteen dimensions cuts traces short: four iterations of lag make λ = 0.95 look
-    /// ahead as far as 0.79 does (docs/reference/learning.md).
+    /// What older data says of values, with `decoupled`. `gae`: what newer data would; its mistake is what
+    /// the policies differ by in the steps that λ looks ahead. `vtrace`: each step corrected by its ratio
+    /// (Espeholt et al. 2018), which is exact in the mean, and in sixteen dimensions cuts traces short: four
+    /// iterations of lag make λ = 0.95 look ahead as far as 0.79 does (docs/reference/learning.md).
     pub returns: Returns,
-    /// ρ̄ of V-trace (Espeholt et al. 2018): cap of the ratio in the correction of values. 0.1 to 10; 1 is the paper's. Only with `returns = "vtrace"`.
+    /// ρ̄ of V-trace (Espeholt et al. 2018): cap of the ratio in the correction of values. 0.1 to 10; 1 is
+    /// the paper's. Only with `returns = "vtrace"`.
     pub rho_max: f64,
-    /// c̄ of V-trace: cap of the trace, multiplied by λ. 0.1 to 10; 1 makes it GAE at lag 0. Only with `returns = "vtrace"`.
+    /// c̄ of V-trace: cap of the trace, multiplied by λ. 0.1 to 10; 1 makes it GAE at lag 0. Only with
+    /// `returns = "vtrace"`.
     pub c_max: f64,
     /// Cap of the weight π_prox/μ in the loss. 1 to 100. Large: noisy; 1: biased towards the old policy.
     pub weight_max: f64,
-    /// Effective sample size, as a share of the batch, below which the learning rate is halved for this batch and
-    /// a warning is given. 0 to 1.
+    /// Effective sample size, as a share of the batch, below which the learning rate is halved for this batch
+    /// and a warning is given. 0 to 1.
     pub min_effective_share: f64,
 }
 

@@ -1,5 +1,5 @@
-//! The sections of the configuration that belong to no other crate. Each field says its unit, its range, and what
-//! happens when it is too small or too large.
+//! The sections of the configuration that belong to no other crate. Each field says its unit, its range, and
+//! what happens when it is too small or too large.
 
 mod actors;
 mod cluster;

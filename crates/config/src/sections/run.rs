@@ -36,7 +36,8 @@ pub struct EvaluationConfig {
     /// Episodes of the deterministic policy in the environment. 0 to 10,000; 0 leaves the evaluation out.
     /// Fewer: a wider standard error.
     pub episodes: u32,
-    /// Seconds that the robot client runs the pulled policy on the simulated robot. 0 to 600; 0 leaves it out.
+    /// Seconds that the robot client runs the pulled policy on the simulated robot. 0 to 600; 0 leaves it
+    /// out.
     pub robot_run_s: f64,
     /// Forward velocity that the robot client is told to walk with, m/s. −1 to 1.
     pub robot_command_mps: f64,

@@ -16,22 +16,24 @@ pub struct TransportSection {
     pub max_frame_bytes: u64,
     /// Largest policy, bytes. 1 to 268,435,456.
     pub max_policy_bytes: u64,
-    /// Frames of one actor that may wait unread at the learner. 1 to 1,024. Few: actors stall while the learner
-    /// learns; many: memory, and older data.
+    /// Frames of one actor that may wait unread at the learner. 1 to 1,024. Few: actors stall while the
+    /// learner learns; many: memory, and older data.
     pub window_frames: u32,
     /// Actors connected at once. 1 to 1,024. One more is refused.
     pub max_actors: u32,
-    /// Rollout frames that the learner takes from one actor per second, in the long run. 0: as many as it can read; else 1 to 100,000. A cap
-    /// against an actor that floods; lower than what an honest one makes, it waits and the run is slower. Not in-process.
+    /// Rollout frames that the learner takes from one actor per second, in the long run. 0: as many as it can
+    /// read; else 1 to 100,000. A cap against an actor that floods; lower than what an honest one makes, it
+    /// waits and the run is slower. Not in-process.
     pub max_frames_per_s: u32,
     /// How often the sides tell each other that they live, ms. 10 to 60,000.
     pub heartbeat_ms: u64,
     /// Silence after which the other side counts as gone, ms. At least three heartbeats, to 3,600,000.
     pub peer_timeout_ms: u64,
-    /// iceoryx2: folder for its bookkeeping files; empty takes one in the system's temporary folder. Keep it short.
+    /// iceoryx2: folder for its bookkeeping files; empty takes one in the system's temporary folder. Keep it
+    /// short.
     pub iceoryx2_root: PathBuf,
-    /// zenoh: where the learner listens. `tcp/HOST:PORT` is plain and accepted on loopback only; `quic/HOST:PORT` needs certificates
-    /// (`cluster.tls_dir`).
+    /// zenoh: where the learner listens. `tcp/HOST:PORT` is plain and accepted on loopback only;
+    /// `quic/HOST:PORT` needs certificates (`cluster.tls_dir`).
     pub zenoh_listen: Vec<String>,
     /// zenoh: what to connect to (a router, or the learner).
     pub zenoh_connect: Vec<String>,
@@ -89,8 +91,8 @@ pub struct PolicyServerConfig {
     pub dir: PathBuf,
     /// Versions kept, newest first. 1 to 100,000.
     pub keep_versions: u32,
-    /// Stream under which the policies of this run are published. Letters, digits, `-`, `_` and `.`, at most 64 of them;
-    /// empty takes the run's id, so that runs never compete for a version number.
+    /// Stream under which the policies of this run are published. Letters, digits, `-`, `_` and `.`, at most
+    /// 64 of them; empty takes the run's id, so that runs never compete for a version number.
     pub stream: String,
 }
 
@@ -122,16 +124,19 @@ impl PolicyServerConfig {
 pub struct TelemetryConfig {
     /// Whether processes serve `/metrics` and `/healthz`.
     pub metrics: bool,
-    /// Where the learner serves them; the other processes take any free port of the same address. Port 0 takes any.
+    /// Where the learner serves them; the other processes take any free port of the same address. Port 0
+    /// takes any.
     pub metrics_addr: SocketAddr,
     /// How the logs of child processes look in `logs/`.
     pub log_format: LogStyle,
     /// What they log, for instance `info` or `warn,caudata_learner=debug`.
     pub log: String,
-    /// Where traces go: an OpenTelemetry collector's OTLP/gRPC port, `http://HOST:PORT` on this host (usually 4317), or `https://HOST:PORT` with
-    /// the certificates of `cluster.tls_dir`. Empty: nothing is traced. A collector that is away costs spans, not time.
+    /// Where traces go: an OpenTelemetry collector's OTLP/gRPC port, `http://HOST:PORT` on this host (usually
+    /// 4317), or `https://HOST:PORT` with the certificates of `cluster.tls_dir`. Empty: nothing is traced. A
+    /// collector that is away costs spans, not time.
     pub otlp_endpoint: String,
-    /// Every so many policy versions one is traced. 1 to 1,000,000. A traced version makes a handful of spans per chunk.
+    /// Every so many policy versions one is traced. 1 to 1,000,000. A traced version makes a handful of spans
+    /// per chunk.
     pub trace_every: u32,
 }
 

@@ -35,6 +35,28 @@ fn defaults_and_presets_are_valid_and_survive_being_written() {
 }
 
 #[test]
+fn a_file_without_an_end_is_not_read_to_it() {
+    let endless = complaint(Config::load(&Source::file("/dev/zero".as_ref())));
+    assert!(endless.contains("larger than 1048576 bytes"), "{endless}");
+}
+
+#[test]
+fn terrain_that_is_not_finite_is_refused() {
+    for key in [
+        "size_m",
+        "cell_m",
+        "height_m",
+        "wavelength_m",
+        "patch_friction",
+    ] {
+        for value in ["inf", "-inf", "nan"] {
+            let found = complaint(load_with(&format!("terrain.{key}={value}")));
+            assert!(found.contains(&format!("terrain.{key}")), "{found}");
+        }
+    }
+}
+
+#[test]
 fn later_layers_win() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("my.toml");

@@ -7,4 +7,5 @@ mod episodes;
 mod mirror;
 mod physics;
 mod rapier;
+mod robots;
 mod support;

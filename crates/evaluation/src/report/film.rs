@@ -6,7 +6,8 @@ use super::pack::Packed;
 use super::scene::GroundScene;
 use crate::{Outcome, Track};
 
-/// Time over which velocities of single episodes are averaged before bands are drawn, s: a stride, in which a salamander's trunk sways.
+/// Time over which velocities of single episodes are averaged before bands are drawn, s: a stride, in which a
+/// salamander's trunk sways.
 const STRIDE_S: f64 = 0.7;
 /// Time between two points of a curve, s.
 const CURVE_STEP_S: f64 = 0.1;
@@ -21,7 +22,8 @@ pub struct FilmData {
     ground: GroundScene,
     /// Base position (3) and quaternion (4), then all joints.
     pose: Packed,
-    /// Commanded vx, vy, yaw rate; achieved; centre of mass (3); heading; power; foot heights (4); foot forces (4); trunk and tail force.
+    /// Commanded vx, vy, yaw rate; achieved; centre of mass (3); heading; power; foot heights (4); foot
+    /// forces (4); trunk and tail force.
     motion: Packed,
     /// Torque (16), then speed (16) of the actuated joints, every [`EFFORT_EVERY`] frames.
     effort: Packed,
@@ -125,7 +127,8 @@ impl Curves {
     }
 }
 
-/// Commanded and achieved velocity per command, mean over its episodes after settling, where there are several.
+/// Commanded and achieved velocity per command, mean over its episodes after settling, where there are
+/// several.
 #[must_use]
 pub fn grid(tracks: &[Track], commands: usize, period_s: f64, settle_s: f64) -> Vec<[f32; 6]> {
     if commands < 2 {
@@ -142,7 +145,8 @@ pub fn grid(tracks: &[Track], commands: usize, period_s: f64, settle_s: f64) -> 
     (0..commands).map(of_command).collect()
 }
 
-/// Means over `half` rows on both sides (of as many as there are), of every `every`-th row; commands as they are.
+/// Means over `half` rows on both sides (of as many as there are), of every `every`-th row; commands as they
+/// are.
 fn smoothed(rows: &[[f32; 6]], half: usize, every: usize) -> Vec<[f32; 6]> {
     let around = |k: usize| {
         let near = &rows[k.saturating_sub(half)..rows.len().min(k + half + 1)];

@@ -1,7 +1,7 @@
 //! An evaluation as one page that is opened in a browser: tables, curves, and a replay in three dimensions.
 //!
-//! The page needs nothing but itself: style, script and data are inside, and it asks no network for anything. [`page`] is a pure function;
-//! the script is `page/*.js`, in the order of [`SCRIPT`].
+//! The page needs nothing but itself: style, script and data are inside, and it asks no network for anything.
+//! [`page`] is a pure function; the script is `page/*.js`, in the order of [`SCRIPT`].
 
 mod film;
 mod pack;
@@ -163,7 +163,8 @@ fn paper_row(row: &(&'static str, &str, f64), result: &SuiteResult) -> PaperRow 
     }
 }
 
-/// Puts style, script and data into the frame. `<` never appears in the data as itself: a name in it cannot close the element it is in.
+/// Puts style, script and data into the frame. `<` never appears in the data as itself: a name in it cannot
+/// close the element it is in.
 fn fill(title: &str, data: &str) -> String {
     let escaped = data.replace('<', "\\u003c");
     let plain = title

@@ -1,4 +1,5 @@
-//! Tables of numbers, made small: 16-bit steps between the least and the greatest value of each column, base64.
+//! Tables of numbers, made small: 16-bit steps between the least and the greatest value of each column,
+//! base64.
 
 use serde::Serialize;
 
@@ -19,7 +20,8 @@ pub struct Packed {
 }
 
 impl Packed {
-    /// Packs rows of one length. What is not finite counts as the column's least value: a page must not break on a broken robot.
+    /// Packs rows of one length. What is not finite counts as the column's least value: a page must not break
+    /// on a broken robot.
     #[must_use]
     pub fn of(rows: &[Vec<f32>]) -> Self {
         let columns = rows.first().map_or(0, Vec::len);

@@ -65,7 +65,8 @@ struct FootScene {
 }
 
 impl RobotScene {
-    /// The shapes that are to be looked at: shells (they collide with nothing) and feet; a link without shells shows all it has.
+    /// The shapes that are to be looked at: shells (they collide with nothing) and feet; a link without
+    /// shells shows all it has.
     #[must_use]
     pub fn of(model: &RobotModel) -> Self {
         let links = model.links().iter().enumerate();

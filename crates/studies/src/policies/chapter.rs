@@ -11,33 +11,13 @@ use super::ways::Way;
 use crate::Table;
 
 impl Way {
-    /// What people read.
-    fn words(self) -> &'static str {
+    /// What people read, the class of its curve, and its colour on the page.
+    fn look(self) -> (&'static str, &'static str, &'static str) {
         match self {
-            Self::AsGiven => "model as given",
-            Self::Extended => "extended model",
-            Self::Wide => "as given, wide randomisation",
-            Self::Truth => "the robot's own model",
-        }
-    }
-
-    /// Class of its curve.
-    fn class(self) -> &'static str {
-        match self {
-            Self::AsGiven => "before",
-            Self::Extended => "after",
-            Self::Wide => "wide randomisation",
-            Self::Truth => "measured",
-        }
-    }
-
-    /// Its colour on the page.
-    fn colour(self) -> &'static str {
-        match self {
-            Self::AsGiven => "--before",
-            Self::Extended => "--after",
-            Self::Wide => "--ok",
-            Self::Truth => "--meas",
+            Self::AsGiven => ("model as given", "before", "--before"),
+            Self::Extended => ("extended model", "after", "--after"),
+            Self::Wide => ("as given, wide randomisation", "wide randomisation", "--ok"),
+            Self::Truth => ("the robot's own model", "measured", "--meas"),
         }
     }
 }
@@ -94,7 +74,7 @@ fn cells(figures: &Figures) -> [String; 5] {
 pub fn tables(compared: &Compared) -> Vec<Table> {
     let table = |of: String, figures: &dyn Fn(&Trained) -> Option<&Figures>| {
         let row = |way: &Trained| {
-            let name = std::iter::once(way.way.words().to_owned());
+            let name = std::iter::once(way.way.look().0.to_owned());
             Some(name.chain(cells(figures(way)?)).collect())
         };
         let head = std::iter::once(of).chain(HEAD.map(str::to_owned));
@@ -145,7 +125,7 @@ pub fn chapter(compared: &Compared) -> Chapter {
     lead.extend(tables(compared).iter().map(Table::html));
     lead.push_str("<div class=\"key\"><span>trained in:</span>");
     for way in &compared.ways {
-        let (colour, words) = (way.way.colour(), way.way.words());
+        let (words, _, colour) = way.way.look();
         let _ = write!(
             lead,
             "<span><i style=\"border-color:var({colour})\"></i>{words}</span>"
@@ -179,16 +159,16 @@ fn pictures(compared: &Compared) -> Vec<Signature> {
     )];
     let mut against = Vec::new();
     for way in &compared.ways {
-        let speed = &way.speed;
+        let (speed, (_, class, _)) = (&way.speed, way.way.look());
         over_time.push(Series {
             spread: speed.sd_mps.clone(),
-            ..line(way.way.class(), &speed.time_s, &speed.mean_mps)
+            ..line(class, &speed.time_s, &speed.mean_mps)
         });
         let (commands, held) = way.speed.held();
         if against.is_empty() {
             against.push(line("command", &commands, &commands));
         }
-        against.push(line(way.way.class(), &commands, &held));
+        against.push(line(class, &commands, &held));
     }
     vec![
         signature(

@@ -19,10 +19,10 @@ use crate::{Steps, files};
 /// The page of a comparison.
 pub const PAGE: &str = "policies.html";
 /// Keys that every training sets for itself.
-const OWN: [&str; 3] = ["robot", "run.seed", "run.iterations"];
+const SET_BY_EACH: [&str; 3] = ["robot", "run.seed", "run.iterations"];
 
-/// Trains and tests, and leaves everything in `out`, `policies.json` and `policies.html` among it, which hold the seeds that are complete. What is finished in
-/// `out` is taken up.
+/// Trains and tests, and leaves everything in `out`, `policies.json` and `policies.html` among it, which hold
+/// the seeds that are complete. What is finished in `out` is taken up.
 ///
 /// # Errors
 /// Where a file cannot be read or written, the robots have not the same joints, `out` was made with something else or another process is at work in it, or a step
@@ -84,7 +84,7 @@ fn asked(effort: &Effort, given: &Given, models: &[Arc<RobotModel>; 3]) -> Asked
         ("--episodes", effort.episodes.to_string()),
         ("--referee-episodes", effort.referee_episodes.to_string()),
     ];
-    out_folder::asked(&given.config, &OWN, flags)
+    out_folder::asked(&given.config, &SET_BY_EACH, flags)
 }
 
 /// The models of the three robots, which the same policies must run on.

@@ -1,9 +1,11 @@
-//! What policies do on a robot, over several trainings: means with intervals, and what one way of training gains over another.
+//! What policies do on a robot, over several trainings: means with intervals, and what one way of training
+//! gains over another.
 
 use caudata_evaluation::{Estimate, ScenarioResult};
 use serde::Serialize;
 
-/// Two-sided 95 % points of Student's distribution for 1, 2, … degrees of freedom; the last one for all more (it is a little too wide for them).
+/// Two-sided 95 % points of Student's distribution for 1, 2, … degrees of freedom; the last one for all more
+/// (it is a little too wide for them).
 const T_95: [f64; 10] = [
     12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228,
 ];
@@ -98,7 +100,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// Of the runs of several trainings.
+    /// Figures over the runs of several trainings.
     pub fn of(runs: &[Run]) -> Self {
         let falls = runs.iter().map(|r| r.falls).sum();
         let episodes = runs.iter().map(|r| r.episodes).sum();

@@ -1,7 +1,8 @@
 //! `caudata gap policies`: what an extended model is worth to a policy.
 //!
-//! The same training, with the same seeds and the same number of samples, in the model as given, in the extended one, and in the model as given with wide
-//! randomisation; all policies are run on the robot that the extended model was made for, which is known where it is simulated.
+//! The same training, with the same seeds and the same number of samples, in the model as given, in the
+//! extended one, and in the model as given with wide randomisation; all policies are run on the robot that
+//! the extended model was made for, which is known where it is simulated.
 
 mod chapter;
 mod compare;

@@ -4,7 +4,8 @@ use caudata_evaluation::{Leg, Order, Outcome, Scenario, ScenarioResult};
 use caudata_policy::PolicyFile;
 use serde::{Deserialize, Serialize};
 
-/// Forward velocities that are asked for in turn, m/s, each for [`LEG_S`]: what the picture of velocity tracking shows.
+/// Forward velocities that are asked for in turn, m/s, each for [`LEG_S`]: what the picture of velocity
+/// tracking shows.
 const FORWARD_MPS: [f32; 5] = [0.1, 0.2, 0.3, 0.4, 0.2];
 /// s.
 const LEG_S: f64 = 4.0;
@@ -28,7 +29,7 @@ pub fn scenario() -> Scenario {
 /// `NAME_in_rapier.json`: a policy with forward velocities that change.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Walks {
-    /// Of the policy.
+    /// SHA-256 of the policy's file.
     pub policy_sha256: String,
     /// A scenario of `caudata eval --json`.
     pub result: ScenarioResult,
@@ -39,7 +40,7 @@ pub struct Walks {
 }
 
 impl Walks {
-    /// Of an evaluation of a policy that kept velocities.
+    /// What an evaluation that kept velocities says of a policy.
     pub fn of(policy: &PolicyFile, outcome: Outcome) -> Self {
         let forward = |row: &[f32; 6]| [row[0], row[3]];
         let tracks = outcome.tracks.iter();
@@ -54,7 +55,8 @@ impl Walks {
     }
 }
 
-/// Forward velocity over time, over the episodes of all trainings of a way; each is averaged over a stride of 0.7 s, since a trunk that bends sways.
+/// Forward velocity over time, over the episodes of all trainings of a way; each is averaged over a stride of
+/// 0.7 s, since a trunk that bends sways.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Speed {
     /// s.
@@ -68,7 +70,7 @@ pub struct Speed {
 }
 
 impl Speed {
-    /// Of the episodes of all of them; where some have ended, of those that go on.
+    /// The mean over the episodes of all of them; where some have ended, over those that go on.
     pub fn of<'a>(all: impl Iterator<Item = &'a Walks>) -> Self {
         const STRIDE_S: f64 = 0.7;
         let mut speed = Self::default();

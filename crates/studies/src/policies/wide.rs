@@ -1,12 +1,14 @@
 //! Plain wide randomisation: what one does who knows that the robot differs and not how.
 //!
-//! The ranges hold a robot with servos of half their torque, a lag of 50 ms, half or twice as much of what is hardest to measure; what the model has no
-//! parameter for (play that the file does not have) they cannot hold.
+//! The ranges hold a robot with servos of half their torque, a lag of 50 ms, half or twice as much of what is
+//! hardest to measure; what the model has no parameter for (play that the file does not have) they cannot
+//! hold.
 
 use caudata_config::Config;
 use caudata_telemetry::{ExitCode, Failure};
 
-/// Keys of `task.randomisation`, and their ranges at least: where the configuration's own reach further, they stay.
+/// Keys of `task.randomisation`, and their ranges at least: where the configuration's own reach further, they
+/// stay.
 const WIDE: [(&str, f64, f64); 14] = [
     ("foot_friction_scale", 0.4, 1.5),
     ("body_friction_scale", 0.4, 1.6),

@@ -110,7 +110,7 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Of all outcomes.
+    /// Summarises all outcomes.
     #[must_use]
     pub fn of(all: &[Outcome]) -> Self {
         let block = |b: Block| move |o: &Outcome| o.block == b;
@@ -193,9 +193,7 @@ impl Summary {
 
     /// Rows for people: measure, what it came to, what is owed.
     #[must_use]
-    pub fn rows(&self) -> Vec<(String, String, &'static str)> {
-        let row =
-            |what: &str, value: &dyn Display, owed| (what.to_owned(), value.to_string(), owed);
+    pub fn rows(&self) -> Vec<Row> {
         let percent = |x: f64| format!("{:.1} %", 100.0 * x);
         let mut rows = vec![
             row(
@@ -227,8 +225,6 @@ impl Summary {
         }
         let (median, ninety) = self.parameter_error;
         let errors = format!("{}, {}", percent(median), percent(ninety));
-        let leads = format!("{}, {}", self.leads.0, self.leads.1);
-        let seconds = format!("{:.1}, {:.1}", self.seconds.0, self.seconds.1);
         rows.extend([
             row("first name right, d >= 4", &self.first_large, "85 %"),
             row("among the first three, d >= 2", &self.in_three, "90 %"),
@@ -262,6 +258,16 @@ impl Summary {
                 &format!("{:.3}", self.wrong_per_case),
                 "<= 0.10",
             ),
+        ]);
+        rows.extend(self.rows_of_blocks());
+        rows
+    }
+
+    /// Those of single blocks, and of all cases together.
+    fn rows_of_blocks(&self) -> Vec<Row> {
+        let leads = format!("{}, {}", self.leads.0, self.leads.1);
+        let seconds = format!("{:.1}, {:.1}", self.seconds.0, self.seconds.1);
+        vec![
             row("leads in the same cases: true, not true", &leads, ""),
             row(
                 "outside the catalogue: flagged",
@@ -302,8 +308,7 @@ impl Summary {
             ),
             row("seconds per case, mean and longest", &seconds, ""),
             row("diagnoses that failed", &self.failed, "0"),
-        ]);
-        rows
+        ]
     }
 }
 
@@ -319,6 +324,13 @@ pub fn median_gain(all: &[Outcome]) -> f64 {
         .collect();
     ratios.sort_by(f64::total_cmp);
     ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Measure, what it came to, what is owed.
+type Row = (String, String, &'static str);
+
+fn row(what: &str, value: &dyn Display, owed: &'static str) -> Row {
+    (what.to_owned(), value.to_string(), owed)
 }
 
 fn single(o: &Outcome) -> bool {

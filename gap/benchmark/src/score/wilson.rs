@@ -10,7 +10,7 @@ const Z: f64 = 1.959_963_985;
 pub struct Rate {
     /// How many.
     pub hits: usize,
-    /// Of how many.
+    /// How many there were in all.
     pub of: usize,
     /// hits/of; 0 of 0 is 0.
     pub rate: f64,
@@ -43,7 +43,7 @@ impl Rate {
         }
     }
 
-    /// Of those for which `among` holds, how many have `hit`.
+    /// Counts how many of those for which `among` holds have `hit`.
     pub fn count<T>(all: &[T], among: impl Fn(&T) -> bool, hit: impl Fn(&T) -> bool) -> Self {
         let of: Vec<&T> = all.iter().filter(|x| among(x)).collect();
         Self::new(of.iter().filter(|x| hit(x)).count(), of.len())

@@ -17,7 +17,7 @@ use caudata_sim::{
 use super::sensors::Row;
 
 /// Step of the engine, s.
-const STEP_S: f64 = 0.001;
+const ENGINE_STEP_S: f64 = 0.001;
 /// Steps per row (100 Hz).
 const STEPS_PER_ROW: u32 = 10;
 /// How long the robot stands before the run begins, s, and how long it floats: bobbing dies within a second.
@@ -184,7 +184,7 @@ pub fn run(
 ) -> Result<Vec<Row>, SimError> {
     let config = EngineConfig {
         kind: EngineKind::Rapier,
-        dt_s: STEP_S,
+        dt_s: ENGINE_STEP_S,
         // torque is reported as the mean over a period: a servo reads its current at an instant, not over a whole row
         substeps: 1,
         fixed_base: begins.place == BaseHold::Fixed,
@@ -209,7 +209,7 @@ pub fn run(
         },
     )?;
     let period_s = config.control_period_s() * f64::from(STEPS_PER_ROW);
-    for _ in 0..(settle_s / STEP_S) as usize {
+    for _ in 0..(settle_s / ENGINE_STEP_S) as usize {
         engine.step(&narrow(&rows_rad[0]), &begins.hand)?;
     }
     let mut out = Vec::with_capacity(rows_rad.len());

@@ -301,8 +301,8 @@ fn a_run_without_the_bad_actor_is_the_same_run() {
     assert_eq!(dirty.accounting().summary().reasons["quarantined"], 3);
 }
 
-/// FAULTS.md, 61: 63 of 64 actors have sent. Without a lead all are waited for, with one the batch goes ahead, and the slow actor's chunk
-/// is used when it comes.
+/// FAULTS.md, 61: 63 of 64 actors have sent. Without a lead all are waited for, with one the batch goes
+/// ahead, and the slow actor's chunk is used when it comes.
 #[test]
 fn fault_61_one_slow_actor_of_sixty_four_holds_up_nobody() {
     for (max_lead, ready) in [(0, false), (1, true)] {

@@ -55,9 +55,9 @@ fn nothing_has_changed_yet() {
 
 #[test]
 fn clipping_cuts_the_gradient_on_the_winning_side_only() {
-    // μ = 1 at a = 1: log r = ½, r = 1.6487 > 1.2.
-    // A = +1: min(1.6487, 1.2) = 1.2, no gradient. A = −1: min(−1.6487, −1.2) = −1.6487, gradient passes, but z = 0
-    // there, so look at log σ: slope·(z² − 1) = (1.6487/2)·(−1), once for the two rows, minus c_e.
+    // μ = 1 at a = 1: log r = ½, r = 1.6487 > 1.2. A = +1: min(1.6487, 1.2) = 1.2, no gradient. A = −1:
+    // min(−1.6487, −1.2) = −1.6487, gradient passes, but z = 0 there, so look at log σ: slope·(z² − 1) =
+    // (1.6487/2)·(−1), once for the two rows, minus c_e.
     let (sums, gradient) = one_action(&[1.0, 1.0], &[1.0, -1.0], &[1.0, 1.0]);
     let r = 0.5_f32.exp();
     assert!((sums[sums::SURROGATE] - (-1.2 + r)).abs() < 1e-6);
@@ -70,7 +70,8 @@ fn clipping_cuts_the_gradient_on_the_winning_side_only() {
 
 #[test]
 fn log_probability_and_entropy_of_known_gaussians() {
-    // N(0, 1) at 0 and N(0, 2) at 2: −½ln2π − 0 and −½ln2π − ln2 − ½; sum −2·0.918939 − 0.693147 − 0.5 = −3.031024.
+    // N(0, 1) at 0 and N(0, 2) at 2: −½ln2π − 0 and −½ln2π − ln2 − ½; sum −2·0.918939 − 0.693147 − 0.5 =
+    // −3.031024.
     let log_std = Tensor::from_slice(&[0.0_f32, 2.0_f32.ln()]);
     let actions = Tensor::from_slice(&[0.0_f32, 2.0]).view([1, 2]);
     let means = Tensor::zeros([1, 2], (Kind::Float, Device::Cpu));

@@ -1,8 +1,9 @@
 //! Updates as a whole: determinism, guards, rules.
 
 use super::*;
+use crate::batch::Segment;
 use crate::network::NetworkSpec;
-use caudata_config::NetworkConfig;
+use caudata_config::{AdvantageScale, NetworkConfig, Returns};
 use caudata_random::{Key, Purpose};
 use tch::Device;
 
@@ -155,6 +156,17 @@ fn stale_data_with_wild_weights_halves_the_step() {
     assert!((guarded - 0.5e-3).abs() < 1e-5);
 }
 
+fn targets_of(
+    ppo: &Ppo,
+    batch: &Batch,
+    values: &[f32],
+    log_probs: &[f32],
+    version: u64,
+) -> Targets {
+    let PpoSettings { ppo, staleness, .. } = ppo.settings();
+    Targets::new(ppo, staleness, batch, values, log_probs, version)
+}
+
 #[test]
 fn older_data_has_the_returns_of_fresh_data_unless_v_trace_is_asked_for() {
     let batch = batch(8, 8);
@@ -168,7 +180,7 @@ fn older_data_has_the_returns_of_fresh_data_unless_v_trace_is_asked_for() {
             },
             1,
         );
-        ppo.targets(&batch, &values, &prox_log_probs, version)
+        targets_of(&ppo, &batch, &values, &prox_log_probs, version)
     };
     let fresh = targets(Returns::Gae, 0);
     assert!(fresh.weights.iter().all(|&w| w == 1.0));
@@ -189,7 +201,7 @@ fn older_data_has_the_returns_of_fresh_data_unless_v_trace_is_asked_for() {
             },
             1,
         );
-        ppo.targets(&batch, &values, &prox_log_probs, 1)
+        targets_of(&ppo, &batch, &values, &prox_log_probs, 1)
     };
     assert_eq!(capped.targets, fresh.targets, "caps are V-trace's");
     // Fresh data has ratios of 1, with which V-trace is GAE; older data has not.
@@ -310,7 +322,8 @@ fn an_image_weighs_as_much_as_the_policy_would_act_so() {
 
 #[test]
 fn the_critic_has_its_own_rate() {
-    // One epoch, one minibatch, from rest: Adam's first step has the size of the rate wherever there is a gradient.
+    // One epoch, one minibatch, from rest: Adam's first step has the size of the rate wherever there is a
+    // gradient.
     let largest = |value_rate: f64| {
         let mut ppo = ppo(
             |s| {

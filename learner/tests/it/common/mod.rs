@@ -8,7 +8,7 @@ use caudata_config::{Config, Source};
 use caudata_learner::LearnerError;
 use caudata_learner::train::{Resume, TrainSettings, train};
 use caudata_telemetry::progress::{Event, Finished};
-use caudata_telemetry::{Metrics, StopFlag};
+use caudata_telemetry::{Metrics, Pulse, StopFlag};
 
 #[path = "tiny.rs"]
 pub mod tiny;
@@ -86,6 +86,7 @@ pub fn run(
         metrics: Metrics::new(),
         metrics_addr: None,
         events: Box::new(listener.clone()),
+        pulse: Pulse::new(),
     };
     train(settings, &listener.stop)
 }

@@ -167,7 +167,7 @@ fn a_killed_actor_is_started_again_as_its_next_incarnation() {
         .iter()
         .map(|l| (l.incarnation, l.sent))
         .collect();
-    assert_eq!(counts, [(0, 5), (1, 6)]);
+    assert_eq!(counts, [(0, Some(5)), (1, Some(6))]);
     assert_eq!(outcome.finished.reason, "completed");
 }
 
@@ -191,6 +191,17 @@ fn an_actor_that_hangs_is_killed_and_started_again() {
     assert_eq!(outcome.finished.reason, "completed");
 }
 
+#[test]
+fn a_learner_that_stands_still_is_told_of_and_may_go_on() {
+    let still = "echo alive; (sleep 2.5; kill -CONT $$) & kill -STOP $$; echo alive; sleep 0.5";
+    let learner = format!("{STARTED}; {still}; {}", finished("completed"));
+    let mut stage = Stage::new(&learner, "while :; do echo alive; sleep 0.1; done");
+    stage.config.cluster.hang_timeout_s = 1.0;
+    let outcome = stage.run().unwrap();
+    assert_eq!(outcome.learner_silences, 1);
+    assert_eq!(outcome.finished.reason, "completed");
+}
+
 /// The actor waits meanwhile: it is the same process before and after.
 #[test]
 fn a_killed_learner_of_a_cluster_goes_on_from_its_checkpoint() {
@@ -206,67 +217,6 @@ fn a_killed_learner_of_a_cluster_goes_on_from_its_checkpoint() {
     assert_eq!(outcome.finished.reason, "completed");
     let starts = fs::read_to_string(stage.folder.root().join("actor-pid")).unwrap();
     assert_eq!((outcome.restarts, starts.lines().count()), (0, 1));
-}
-
-/// The learner's program, which is that of its ranks, too: `rank` is what these do after they have noted that they are here.
-fn with_ranks(learner: &str, rank: &str) -> Stage {
-    let learner = format!(
-        "case \"$*\" in *'--rank 1'*) echo $$ >> $RUN/ranks; {rank}; exit;; esac; {STARTED}; {learner}"
-    );
-    let mut stage = Stage::new(&learner, "exec sleep 600");
-    stage.config.cluster.learner_ranks = 2;
-    stage
-}
-
-/// Waits until ranks were started `count` times.
-fn wait_for_ranks(count: u32) -> String {
-    format!("while [ \"$(wc -l < $RUN/ranks)\" != {count} ]; do sleep 0.02; done")
-}
-
-#[test]
-fn a_rank_that_dies_is_started_again() {
-    let learner = format!(
-        "{}; {}; {}",
-        wait_for("$RUN/ranks"),
-        wait_for_ranks(2),
-        finished("completed")
-    );
-    let first = "[ \"$(wc -l < $RUN/ranks)\" = 1 ] && kill -9 $$";
-    let stage = with_ranks(&learner, &format!("{first}; exec sleep 600"));
-    assert_eq!(stage.run().unwrap().finished.reason, "completed");
-    let starts = fs::read_to_string(stage.folder.root().join("ranks")).unwrap();
-    for pid in starts.lines().map(|pid| pid.parse::<u32>().unwrap()) {
-        assert!(!still_runs(pid), "rank {pid} was left behind");
-    }
-}
-
-#[test]
-fn a_new_learner_gets_new_ranks() {
-    // The rank stays, as one that hangs would: the learner that has lost it goes, and both are there anew.
-    let learner = format!(
-        "{}; case \"$*\" in *--resume*) {}; {};; *) exit 85;; esac",
-        wait_for("$RUN/ranks"),
-        wait_for_ranks(2),
-        finished("completed")
-    );
-    let mut stage = with_ranks(&learner, "exec sleep 600");
-    stage.restart_learner = true;
-    assert_eq!(stage.run().unwrap().finished.reason, "completed");
-}
-
-#[test]
-fn a_rank_that_cannot_work_ends_the_run_with_its_exit_code() {
-    let learner = "trap 'exit 0' TERM; while :; do sleep 0.02; done";
-    let stage = with_ranks(learner, "echo 'error: no such robot' >&2; exit 66");
-    let failure = stage.run().err().unwrap();
-    assert_eq!(failure.code(), ExitCode::NoInput);
-    assert_eq!(failure.to_string(), "rank 1 of the learner: no such robot");
-}
-
-/// Whether there is a process with this number that still runs.
-fn still_runs(pid: u32) -> bool {
-    let status = fs::read_to_string(format!("/proc/{pid}/stat"));
-    status.is_ok_and(|line| !line.contains(") Z "))
 }
 
 #[test]

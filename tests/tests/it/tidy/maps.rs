@@ -45,6 +45,32 @@ fn every_path_that_the_maps_name_exists() {
 }
 
 #[test]
+fn what_the_map_says_to_be_in_a_file_is_there() {
+    let root = root();
+    let map = std::fs::read_to_string(root.join("ARCHITECTURE.md")).expect("map");
+    let mut checked = 0;
+    // `path` (`Name`…
+    for (before, after) in map
+        .match_indices("` (`")
+        .map(|(at, sign)| (&map[..at], &map[at + sign.len()..]))
+    {
+        let path = before.rsplit('`').next().unwrap_or_default();
+        let name = after.split('`').next().unwrap_or_default();
+        if !path.ends_with(".rs") || name.contains('/') {
+            continue;
+        }
+        let text = std::fs::read_to_string(root.join(path)).unwrap_or_default();
+        let there = name.split("::").all(|part| text.contains(part));
+        assert!(there, "ARCHITECTURE.md says that `{name}` is in `{path}`");
+        checked += 1;
+    }
+    assert!(
+        checked > 3,
+        "the map should name what is in files, found {checked}"
+    );
+}
+
+#[test]
 fn every_top_level_folder_is_on_the_map() {
     let root = root();
     let map = std::fs::read_to_string(root.join("ARCHITECTURE.md")).expect("map");

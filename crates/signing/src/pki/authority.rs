@@ -11,13 +11,9 @@ use rcgen::{
     Issuer, KeyPair, KeyUsagePurpose,
 };
 
-use crate::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, PkiError, Role};
+use super::error::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, PkiError, VALID_DAYS_MAX};
+use super::role::Role;
 
-/// How long a certificate is valid by default, days. There is no revocation, so a stolen one is worth that long; too short, and
-/// a long training must be restarted with new ones.
-pub const VALID_DAYS: u32 = 7;
-/// The longest validity, days.
-pub const VALID_DAYS_MAX: u32 = 397;
 /// How long the authority is valid, days.
 const AUTHORITY_DAYS: u32 = 3_650;
 /// Clocks of a lab may differ by this much.
@@ -228,7 +224,7 @@ mod tests {
     use std::time::UNIX_EPOCH;
 
     use super::*;
-    use crate::{identity_of_der, identity_of_pem};
+    use crate::pki::{identity_of_der, identity_of_pem};
 
     /// 2026-01-01T00:00:00Z.
     fn new_year() -> SystemTime {

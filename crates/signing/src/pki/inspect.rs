@@ -5,7 +5,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use x509_parser::prelude::{FromDer, X509Certificate};
 
-use crate::{PkiError, Role};
+use super::error::PkiError;
+use super::role::Role;
 
 /// Who a certificate speaks of. It says nothing about who signed it: that is for TLS to check.
 #[derive(Clone, Debug, PartialEq, Eq)]

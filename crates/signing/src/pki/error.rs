@@ -1,21 +1,12 @@
-//! The certificates of a lab: one authority, one certificate per process, and the role of a process in its certificate.
-//!
-//! A certificate's common name is the [`Role`], its organisational unit the name of the process. Servers decide by the role what
-//! the other side may do. Certificates are short-lived (there is no revocation): a leaked one is worth days.
-//!
-//! *Invariant:* a private key is written once, readable by its owner alone, and never printed.
-#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
-
-mod authority;
-mod inspect;
-mod role;
-
-pub use authority::{Authority, Request, VALID_DAYS, VALID_DAYS_MAX};
-pub use inspect::{Identity, identity_of_der, identity_of_pem};
-pub use role::Role;
+//! Why certificates cannot be made or read, and what their files are called.
 
 use std::path::PathBuf;
 
+/// How long a certificate is valid by default, days. There is no revocation, so a stolen one is worth that long; too short, and
+/// a long training must be restarted with new ones.
+pub const VALID_DAYS: u32 = 7;
+/// The longest validity, days.
+pub const VALID_DAYS_MAX: u32 = 397;
 /// File with the certificate of the authority, in every folder of certificates. The names are those of Kubernetes'
 /// TLS secrets, so that a folder can be mounted as it is.
 pub const CA_FILE: &str = "ca.crt";
@@ -61,7 +52,7 @@ pub enum PkiError {
 }
 
 impl PkiError {
-    fn file(path: &std::path::Path, source: std::io::Error) -> Self {
+    pub(super) fn file(path: &std::path::Path, source: std::io::Error) -> Self {
         Self::File {
             path: path.to_owned(),
             source,

@@ -1,0 +1,105 @@
+//! Who may write into a folder: one process, for as long as it lives.
+
+use std::fs::{File, TryLockError};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// A lock file that this process holds. The operating system lets go of it when the process ends, however it
+/// ends.
+#[derive(Debug)]
+pub struct Owner {
+    _lock: File,
+}
+
+/// Why a folder is not this process's own.
+#[derive(Debug, thiserror::Error)]
+pub enum OwnerError {
+    /// Another process holds the lock.
+    #[error("process {process} holds {path} and is at work in this folder")]
+    Taken {
+        /// The lock file.
+        path: PathBuf,
+        /// Its number, as it has written it down.
+        process: String,
+    },
+    /// The lock file cannot be used.
+    #[error("cannot lock {path}: {source}")]
+    Io {
+        /// The lock file.
+        path: PathBuf,
+        /// The operating system's answer.
+        source: io::Error,
+    },
+}
+
+impl Owner {
+    /// Takes the lock file `path`. While another process holds it `wait` is called, which waits a moment and
+    /// answers whether to try again, until `patience` is used up.
+    ///
+    /// # Errors
+    /// [`OwnerError`].
+    pub fn take(
+        path: &Path,
+        patience: Duration,
+        mut wait: impl FnMut(&OwnerError) -> bool,
+    ) -> Result<Self, OwnerError> {
+        let until = Instant::now() + patience;
+        loop {
+            match Self::try_take(path) {
+                Err(taken @ OwnerError::Taken { .. }) if Instant::now() < until && wait(&taken) => {
+                }
+                other => return other,
+            }
+        }
+    }
+
+    fn try_take(path: &Path) -> Result<Self, OwnerError> {
+        let failed = |source| OwnerError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        // Not truncated: the number in it is the other one's.
+        let mut options = File::options();
+        options.create(true).truncate(false).read(true).write(true);
+        let mut lock = options.open(path).map_err(failed)?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                let number = std::fs::read_to_string(path).unwrap_or_default();
+                return Err(OwnerError::Taken {
+                    path: path.to_owned(),
+                    process: number.trim().to_owned(),
+                });
+            }
+            Err(TryLockError::Error(source)) => return Err(failed(source)),
+        }
+        // Only for people: a full disk does not keep a process from its own folder.
+        let _ = lock
+            .set_len(0)
+            .and_then(|()| writeln!(lock, "{}", std::process::id()));
+        Ok(Self { _lock: lock })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_has_one_owner_until_that_lets_go() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("lock");
+        let first = Owner::take(&path, Duration::ZERO, |_| true).unwrap();
+        let refused = Owner::take(&path, Duration::ZERO, |_| true).unwrap_err();
+        let own = format!("process {} holds", std::process::id());
+        assert!(refused.to_string().starts_with(&own), "{refused}");
+
+        // Asked again until it is free, or until the caller has enough.
+        let mut held = Some(first);
+        let patience = Duration::from_secs(600);
+        let second = Owner::take(&path, patience, |_| held.take().is_some()).unwrap();
+        Owner::take(&path, patience, |_| false).unwrap_err();
+        drop(second);
+    }
+}

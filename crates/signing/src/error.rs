@@ -1,0 +1,78 @@
+//! What is wrong with a file of keys, and reading such files.
+
+use std::io::Read;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+/// Largest trust file, and largest file of signatures, bytes.
+const FILE_MAX: u64 = 64 << 10;
+
+/// What is wrong with a key or trust file.
+#[derive(Debug, thiserror::Error)]
+pub enum SigningError {
+    /// It cannot be read or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// Which file.
+        path: PathBuf,
+        /// The system's words.
+        source: std::io::Error,
+    },
+    /// It holds a secret, and others may use it.
+    #[error("{}: others may use this secret (mode {mode:o}); `chmod 600` it", path.display())]
+    Exposed {
+        /// Which file.
+        path: PathBuf,
+        /// Its mode.
+        mode: u32,
+    },
+    /// Its content is not what it must be.
+    #[error("{}: {reason}", path.display())]
+    Content {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// Refuses a file with a secret that others than its owner and its group may read, or others than its owner may write.
+///
+/// # Errors
+/// [`SigningError::Exposed`]; [`SigningError::File`] where it is not there.
+pub fn check_private(path: &Path) -> Result<(), SigningError> {
+    let mode = std::fs::metadata(path).map_err(file_error(path))?.mode() & 0o777;
+    if mode & 0o027 == 0 {
+        return Ok(());
+    }
+    Err(SigningError::Exposed {
+        path: path.to_owned(),
+        mode,
+    })
+}
+
+pub(crate) fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningError + '_ {
+    move |source| SigningError::File {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+pub(crate) fn read_small(path: &Path) -> Result<String, SigningError> {
+    let mut text = String::new();
+    std::fs::File::open(path)
+        .and_then(|file| file.take(FILE_MAX + 1).read_to_string(&mut text))
+        .map_err(file_error(path))?;
+    if text.len() as u64 > FILE_MAX {
+        return Err(SigningError::Content {
+            path: path.to_owned(),
+            reason: format!("more than {FILE_MAX} bytes"),
+        });
+    }
+    Ok(text)
+}
+
+/// 64 hexadecimal digits.
+pub(crate) fn from_hex(text: &str) -> Option<[u8; 32]> {
+    caudata_proto::hex::from_hex(text)?.try_into().ok()
+}

@@ -1,0 +1,33 @@
+//! The robot of a configuration, what is learnt on it, and the networks for that.
+
+use caudata_config::Config;
+use caudata_model::RobotModel;
+use caudata_task::PolicyContract;
+
+use crate::LearnerError;
+use crate::network::NetworkSpec;
+
+pub(crate) struct Task {
+    pub model: RobotModel,
+    pub contract: PolicyContract,
+    pub networks: NetworkSpec,
+}
+
+impl Task {
+    pub fn new(config: &Config) -> Result<Self, LearnerError> {
+        let path = config.robot_path();
+        let model =
+            RobotModel::load(&path).map_err(|source| LearnerError::Robot { path, source })?;
+        let contract = PolicyContract::new(&model, &config.task)?;
+        let (network, dims) = (
+            &config.learner.network,
+            (contract.obs_dim(), contract.act_dim()),
+        );
+        let networks = NetworkSpec::new(network, dims.0, dims.1)?;
+        Ok(Self {
+            model,
+            contract,
+            networks,
+        })
+    }
+}
