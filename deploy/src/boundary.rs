@@ -6,8 +6,9 @@
 //! agent ◀── told/<number>.json (what became of it) ─ loop    <state folder>, on the disk before it counts
 //! ```
 //!
-//! Files under names that stay, and one socket: either end may die and come back, and neither ever waits for the other while the
-//! robot moves. A policy's bytes are read by the loop's process itself from the store, and checked again there.
+//! Files under names that stay, and one socket: either end may die and come back, and neither ever waits for
+//! the other while the robot moves. A policy's bytes are read by the loop's process itself from the store,
+//! and checked again there.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -48,12 +49,14 @@ const RELEASED: u8 = 2;
 /// Datagrams looked at in one tick.
 const COMMANDS_AT_ONCE: usize = 16;
 
-/// The folder of sockets and of `staged.json`, for this user only. Nothing in it outlives a restart of the computer.
+/// The folder of sockets and of `staged.json`, for this user only. Nothing in it outlives a restart of the
+/// computer.
 #[derive(Clone, Debug)]
 pub struct RunFolder(PathBuf);
 
 impl RunFolder {
-    /// Makes the folder where it is absent. Whoever may write in it can command the robot, so that it must be this user's alone.
+    /// Makes the folder where it is absent. Whoever may write in it can command the robot, so that it must be
+    /// this user's alone.
     ///
     /// # Errors
     /// [`DeployError::Folder`]; [`DeployError::Exposed`] where others may use it.
@@ -96,7 +99,8 @@ impl RunFolder {
     }
 }
 
-/// Keeps a second process of the same kind out as long as it lives; the system lets go of it however the process ends.
+/// Keeps a second process of the same kind out as long as it lives; the system lets go of it however the
+/// process ends.
 ///
 /// # Errors
 /// [`DeployError::Folder`], also where another one is there.
@@ -183,7 +187,8 @@ impl Staged {
     }
 }
 
-/// The loop's end of `told/`: in the state folder, and in the run folder where the state's disk takes nothing.
+/// The loop's end of `told/`: in the state folder, and in the run folder where the state's disk takes
+/// nothing.
 #[derive(Debug)]
 pub struct Teller {
     places: Vec<Place>,
@@ -288,8 +293,8 @@ impl Told {
         }
     }
 
-    /// Takes what the loop told, oldest first: each event goes to `note` and is then forgotten. What cannot be understood is put aside.
-    /// Answers how many there were.
+    /// Takes what the loop told, oldest first: each event goes to `note` and is then forgotten. What cannot
+    /// be understood is put aside. Answers how many there were.
     pub fn take(&mut self, mut note: impl FnMut(PolicyEvent)) -> usize {
         let all = self.folders.iter().flat_map(|folder| waiting(folder));
         let new: Vec<PathBuf> = all
@@ -421,7 +426,8 @@ impl CommandLink for LocalLink {
                 self.came = came;
             }
         }
-        // By when it came to this computer, not by when it is read: what has waited here since the loop was down is old.
+        // By when it came to this computer, not by when it is read: what has waited here since the loop was
+        // down is old.
         let age = |came: Duration| now().saturating_sub(came);
         LinkView {
             age: self.came.map_or(Duration::MAX, age),
@@ -432,7 +438,8 @@ impl CommandLink for LocalLink {
 
 /// Time since this computer was started: the same in all its processes. Looking at it takes no system call.
 fn now() -> Duration {
-    // This clock cannot be refused on Linux; a time of 0 would make every command look fresh, so that the end of time stands in.
+    // This clock cannot be refused on Linux; a time of 0 would make every command look fresh, so that the end
+    // of time stands in.
     clock_gettime(ClockId::CLOCK_BOOTTIME).map_or(Duration::MAX, Duration::from)
 }
 

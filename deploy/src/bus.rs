@@ -1,4 +1,5 @@
-//! What the control loop needs of a robot: a servo bus and an IMU. The simulated robot is one implementation; hardware is another.
+//! What the control loop needs of a robot: a servo bus and an IMU. The simulated robot is one implementation;
+//! hardware is another.
 
 use std::time::Duration;
 
@@ -78,7 +79,8 @@ pub enum BusError {
         /// Why not.
         reason: String,
     },
-    /// Another program has the port: two that speak on one bus take each other's answers, and one may let go of what the other moves.
+    /// Another program has the port: two that speak on one bus take each other's answers, and one may let go
+    /// of what the other moves.
     #[error("another program has {address}: is a `run` or `doctor` on it?")]
     Taken {
         /// Which port.

@@ -1,13 +1,16 @@
 //! Velocity commands over the network: authenticated, fresh, newest wins, and silence stops the robot.
 //!
-//! UDP, one datagram per command: `CDL1 | kind | nonce (8) | sequence (8) | vx, vy, yaw rate (3 × f32) | tag (16)`, little endian.
-//! The tag is the first half of HMAC-SHA-256 over everything before it, with a key that both ends hold. The nonce is drawn by the
-//! robot when it starts and told to whoever asks (kind 0); with it in every command, and sequence numbers that only grow, nothing
-//! recorded earlier counts, not after a restart of the robot either. A kill needs the nonce only: whoever holds the key may stop the robot, whatever
-//! others have sent, and to repeat a kill does no harm.
+//! UDP, one datagram per command:
+//! `CDL1 | kind | nonce (8) | sequence (8) | vx, vy, yaw rate (3 × f32) | tag (16)`, little endian. The tag
+//! is the first half of HMAC-SHA-256 over everything before it, with a key that both ends hold. The nonce is
+//! drawn by the robot when it starts and told to whoever asks (kind 0); with it in every command, and
+//! sequence numbers that only grow, nothing recorded earlier counts, not after a restart of the robot either.
+//! A kill needs the nonce only: whoever holds the key may stop the robot, whatever others have sent, and to
+//! repeat a kill does no harm.
 //!
-//! A velocity says whether a dead-man's button is held. One with the button let go makes the robot stand at once. One from a sender that has
-//! no such button (kind 2) moves the robot only where the robot does not ask for the button.
+//! A velocity says whether a dead-man's button is held. One with the button let go makes the robot stand at
+//! once. One from a sender that has no such button (kind 2) moves the robot only where the robot does not ask
+//! for the button.
 
 mod message;
 
@@ -27,7 +30,8 @@ use crate::DeployError;
 pub const LINK_STOP: Duration = Duration::from_millis(200);
 /// Age beyond which it stands.
 pub const LINK_STAND: Duration = Duration::from_secs(1);
-/// How often the listener looks whether it is still wanted; and how much older than it is a command may be taken for.
+/// How often the listener looks whether it is still wanted; and how much older than it is a command may be
+/// taken for.
 const LISTEN_LOOK: Duration = Duration::from_millis(20);
 /// Datagrams taken before it is looked whether the listener is still wanted.
 const TAKEN_AT_ONCE: u32 = 1024;
@@ -70,12 +74,14 @@ pub struct Commander {
 
 /// Every so many messages the nonce is asked for again: a robot whose agent was restarted has another one.
 const ASK_EVERY: u64 = 10;
-/// An answer to a question that was asked more messages ago does not count: five seconds of `drive`, longer than a network takes for it. (Counting
-/// the newest question only, none would ever be answered over a network that takes longer than a sender pauses.)
+/// An answer to a question that was asked more messages ago does not count: five seconds of `drive`, longer
+/// than a network takes for it. (Counting the newest question only, none would ever be answered over a
+/// network that takes longer than a sender pauses.)
 const ANSWER_WITHIN: u64 = 100;
 
 impl Commander {
-    /// A sender whose sequence numbers begin at the clock's milliseconds: above those of one that began earlier, which counts up more slowly.
+    /// A sender whose sequence numbers begin at the clock's milliseconds: above those of one that began
+    /// earlier, which counts up more slowly.
     pub fn begin() -> Self {
         let since = std::time::UNIX_EPOCH.elapsed().unwrap_or_default();
         Self {
@@ -89,7 +95,8 @@ impl Commander {
         self.nonce != 0
     }
 
-    /// Takes what the robot answered. Answers to questions of long ago do not count, nor do those that came late, behind one to a newer question.
+    /// Takes what the robot answered. Answers to questions of long ago do not count, nor do those that came
+    /// late, behind one to a newer question.
     pub fn hear(&mut self, bytes: &[u8], key: &LinkKey) {
         if let Some(message) = Message::decode(bytes, key)
             && message.kind == Kind::Tell
@@ -323,8 +330,8 @@ impl UdpLink {
 struct Door {
     socket: UdpSocket,
     start: Instant,
-    /// When nothing was left in the socket, last. What is found in it came after that: how long after nobody knows, where this process was
-    /// held up meanwhile.
+    /// When nothing was left in the socket, last. What is found in it came after that: how long after nobody
+    /// knows, where this process was held up meanwhile.
     empty_at: Duration,
 }
 
@@ -338,12 +345,14 @@ impl Door {
         })
     }
 
-    /// Waits for a datagram, for [`LISTEN_LOOK`] at most, and takes all that are there. `each` gets its bytes and the earliest time, since the
-    /// start, that it can have come; what it answers goes back to the sender.
+    /// Waits for a datagram, for [`LISTEN_LOOK`] at most, and takes all that are there. `each` gets its bytes
+    /// and the earliest time, since the start, that it can have come; what it answers goes back to the
+    /// sender.
     fn take_all(&mut self, mut each: impl FnMut(&[u8], Duration) -> Option<[u8; DATAGRAM]>) {
         let mut buffer = [0; 2 * DATAGRAM];
         for look in 0..TAKEN_AT_ONCE {
-            // Before looking: what comes between the look and the clock is not taken for older than it is, but never for younger.
+            // Before looking: what comes between the look and the clock is not taken for older than it is,
+            // but never for younger.
             let looked_at = self.start.elapsed();
             let _ = self.socket.set_nonblocking(look > 0);
             match self.socket.recv_from(&mut buffer) {
@@ -353,7 +362,8 @@ impl Door {
                         let _ = self.socket.send_to(&answer, from);
                     }
                 }
-                // An answer that could not be delivered is told with the next look; it says nothing about what waits here.
+                // An answer that could not be delivered is told with the next look; it says nothing about
+                // what waits here.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
                 Err(_) => {
                     self.empty_at = looked_at;
@@ -435,8 +445,8 @@ mod tests {
         message.encode(&key())
     }
 
-    /// One command counted; whether the next one moves the robot, which somebody without the key, of another start of the robot or of a moment
-    /// ago sends.
+    /// One command counted; whether the next one moves the robot, which somebody without the key, of another
+    /// start of the robot or of a moment ago sends.
     #[test]
     fn each_step_and_no_other_keeps_its_command_out() {
         let table = each_left_out(DATAGRAM_CHECKS, |name, checks| {
@@ -468,7 +478,8 @@ mod tests {
         link.take(&velocity(77, 5, 0.2), &key(), 100 * MS);
         let view = link.view(150 * MS);
         assert_eq!((view.command, view.age), ([0.2, 0.0, 0.0], 50 * MS));
-        // Replayed, older, of an earlier start, of another key, not a number, too fast, cut short: none of them counts.
+        // Replayed, older, of an earlier start, of another key, not a number, too fast, cut short: none of
+        // them counts.
         let other = LinkKey(b"another key of 16+".to_vec());
         let forged = Message::decode(&velocity(77, 6, 0.9), &key())
             .unwrap()

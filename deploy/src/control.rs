@@ -274,7 +274,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             None => sent,
         };
         let targets = self.gate.pass(targets);
-        // A robot that is not held yet is not taken hold of in order to let it go: a kill or a stop that came while the loop started leaves it alone.
+        // A robot that is not held yet is not taken hold of in order to let it go: a kill or a stop that came
+        // while the loop started leaves it alone.
         if self.ended.is_some() && !self.written {
             return Ok(());
         }
@@ -368,7 +369,8 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let sane = finite(&sensed.imu.gyro_radps) && finite(&sensed.imu.acc_mps2);
         let lies = sensed.gravity[2] > FALLEN_GRAVITY_Z || !sane || !finite(&sensed.gravity);
         self.fallen_ticks = if lies { self.fallen_ticks + 1 } else { 0 };
-        // Whatever it does: one that tips over while it stands must not walk on its back when the link returns.
+        // Whatever it does: one that tips over while it stands must not walk on its back when the link
+        // returns.
         let stage = self.motion.stage();
         let braking = matches!(stage, Stage::Damped | Stage::Off);
         if self.fallen_ticks >= FALLEN_TICKS && !braking {
@@ -381,8 +383,9 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         }
     }
 
-    /// The command of this tick. A link that is silent stops the robot: speed 0 after 200 ms, standing after 1 s. A dead-man's button that
-    /// is let go of stands it at once; a kill brakes at once, whatever the policy does.
+    /// The command of this tick. A link that is silent stops the robot: speed 0 after 200 ms, standing after
+    /// 1 s. A dead-man's button that is let go of stands it at once; a kill brakes at once, whatever the
+    /// policy does.
     fn wanted_command(&mut self, sensed: &Sensed) -> [f32; COMMAND_DIM] {
         let Some(link) = &mut self.link else {
             let start_s = self.walk_start_s.unwrap_or(sensed.servos.time_s);

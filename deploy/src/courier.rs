@@ -1,5 +1,5 @@
-//! The loop's process beside the loop: a thread that loads what the agent stages, checks it again, and writes down what the loop
-//! tells. It may wait for the disk; the loop does not wait for it.
+//! The loop's process beside the loop: a thread that loads what the agent stages, checks it again, and writes
+//! down what the loop tells. It may wait for the disk; the loop does not wait for it.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -1,4 +1,5 @@
-//! The flight log, written by a thread of its own: the control loop hands rows over and never waits for a disk.
+//! The flight log, written by a thread of its own: the control loop hands rows over and never waits for a
+//! disk.
 //!
 //! Row `t`: what was sensed at the start of that control tick, and what was then sent.
 
@@ -43,7 +44,8 @@ pub struct LogCounts {
     pub dropped: u64,
 }
 
-/// The loop's end of the log. Dropped without [`FlightLog::finish`], the thread writes what is queued and ends by itself.
+/// The loop's end of the log. Dropped without [`FlightLog::finish`], the thread writes what is queued and
+/// ends by itself.
 #[derive(Debug)]
 pub struct FlightLog {
     rows: Sender<LogRow>,
@@ -174,7 +176,8 @@ fn write(mut log: LogWriter, columns: &Columns, queue: &Receiver<LogRow>) -> Res
     let mut values = Vec::with_capacity(columns.signals.len());
     for row in queue {
         columns.fill(&row, &mut values);
-        // A row that cannot be part of a log (time that stands still, a number that is not finite) is left out.
+        // A row that cannot be part of a log (time that stands still, a number that is not finite) is left
+        // out.
         match log.row(row.servos.time_s, &values) {
             Err(LogError::Refused(reason)) => tracing::debug!(reason, "log row left out"),
             other => other?,

@@ -1,4 +1,5 @@
-//! Follows a stream while the robot walks: newer policies are fetched and verified here, and staged for the loop.
+//! Follows a stream while the robot walks: newer policies are fetched and verified here, and staged for the
+//! loop.
 
 use std::path::PathBuf;
 use std::thread::JoinHandle;
@@ -19,7 +20,8 @@ use crate::verify::Refusal;
 pub const RETRY_FIRST: Duration = Duration::from_millis(500);
 /// Longest pause between tries.
 pub const RETRY_MAX: Duration = Duration::from_secs(30);
-/// How often the server is asked where the label leads, also where it tells of no change: one that was made to forget shows then.
+/// How often the server is asked where the label leads, also where it tells of no change: one that was made
+/// to forget shows then.
 pub const PROOF_EVERY: Duration = Duration::from_secs(60);
 /// Without an answer that counts for this long, an alarm is raised; what runs goes on.
 pub const STALE_AFTER: Duration = Duration::from_secs(600);
@@ -186,7 +188,8 @@ impl Following {
         Ok(())
     }
 
-    /// What runs is out of use: the last good one takes over, unless the label leads to something better in a moment.
+    /// What runs is out of use: the last good one takes over, unless the label leads to something better in a
+    /// moment.
     async fn withdraw(&mut self, reason: &str) {
         let policy = self.offered.clone();
         if policy.stream != self.follow.stream.as_str() {
@@ -236,8 +239,8 @@ impl Following {
         }
     }
 
-    /// Tells of a refusal once, however many versions come that must be refused for the same: what follows would only hide it. Each of
-    /// them is reported to the server.
+    /// Tells of a refusal once, however many versions come that must be refused for the same: what follows
+    /// would only hide it. Each of them is reported to the server.
     fn refused(&mut self, policy: &PolicyRef, refusal: Refusal) {
         let reason = match refusal {
             Refusal::Before(reason) => reason,
@@ -372,7 +375,8 @@ mod tests {
         runtime.block_on(async {
             let folder = tempfile::tempdir().unwrap();
             let begun = Instant::now();
-            // One that is nobody's, one that signs with a key which this robot does not know, one that signs as it should.
+            // One that is nobody's, one that signs with a key which this robot does not know, one that signs
+            // as it should.
             let stranger = ReleaseKey::from_seed("server", &[8; 32]);
             let (forged, stop) = server(&folder.path().join("forged"), stranger).await;
             let (good, stop_good) = server(&folder.path().join("good"), server_key()).await;

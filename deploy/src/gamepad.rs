@@ -1,13 +1,16 @@
-//! A gamepad as Linux shows it (`/dev/input/js0`): eight bytes per event, of which the newest of each axis and button counts.
+//! A gamepad as Linux shows it (`/dev/input/js0`): eight bytes per event, of which the newest of each axis
+//! and button counts.
 //!
-//! The form of an event (time in ms, value, type, number) is that of the kernel's joystick interface, `Documentation/input/joydev/joystick-api.rst`;
-//! numbers of axes and buttons are those of its driver for common pads (`xpad`): left stick 0 and 1, right stick 3, left shoulder 4.
+//! The form of an event (time in ms, value, type, number) is that of the kernel's joystick interface,
+//! `Documentation/input/joydev/joystick-api.rst`; numbers of axes and buttons are those of its driver for
+//! common pads (`xpad`): left stick 0 and 1, right stick 3, left shoulder 4.
 
 /// Bytes of one event.
 pub const EVENT_BYTES: usize = 8;
 /// Axes and buttons that are looked at; further ones are left out.
 const MANY: usize = 32;
-/// How far a stick must be from its middle to count, as a share of its way: sticks do not come back to exactly 0.
+/// How far a stick must be from its middle to count, as a share of its way: sticks do not come back to
+/// exactly 0.
 const DEAD_ZONE: f32 = 0.1;
 /// Full deflection.
 const FULL: f32 = 32_767.0;
@@ -42,7 +45,8 @@ pub struct Speeds {
 }
 
 impl Gamepad {
-    /// Takes an event. What a button does on its own when the device is opened does not count as pressed: it must be pressed once more.
+    /// Takes an event. What a button does on its own when the device is opened does not count as pressed: it
+    /// must be pressed once more.
     pub fn take(&mut self, event: [u8; EVENT_BYTES]) {
         let [_, _, _, _, low, high, kind, number] = event;
         let (value, number) = (i16::from_le_bytes([low, high]), usize::from(number));
@@ -53,7 +57,8 @@ impl Gamepad {
             AXIS => self.axes[number] = deflection(value),
             _ if kind == AXIS | INITIAL => self.axes[number] = deflection(value),
             BUTTON => self.buttons[number] = value != 0,
-            // The kernel tells how things stand anew after its queue ran over: a button that is up was let go of.
+            // The kernel tells how things stand anew after its queue ran over: a button that is up was let go
+            // of.
             _ if kind == BUTTON | INITIAL && value == 0 => self.buttons[number] = false,
             _ => {}
         }
@@ -64,8 +69,8 @@ impl Gamepad {
         self.buttons.get(usize::from(number)) == Some(&true)
     }
 
-    /// Velocity forward and to the left, m/s, and yaw rate, rad/s. Sticks count to the right and downwards, the robot to the left and
-    /// forwards.
+    /// Velocity forward and to the left, m/s, and yaw rate, rad/s. Sticks count to the right and downwards,
+    /// the robot to the left and forwards.
     pub fn command(&self, full: Speeds) -> [f32; 3] {
         let along = |axis: usize, speed: f32| match self.axes[axis] {
             0.0 => 0.0,

@@ -1,4 +1,5 @@
-//! The last thing between a policy and the servos: finite, within the joint limits, not too far from what was sent last.
+//! The last thing between a policy and the servos: finite, within the joint limits, not too far from what was
+//! sent last.
 
 use caudata_task::{ACT_DIM, JointTable, PerJoint};
 
@@ -7,7 +8,8 @@ pub const HELD_IN_A_ROW_MAX: u32 = 3;
 
 /// Ticks in a row that a policy on trial may want [`PINNED_JOINTS`] joints or more at their limits (1 s).
 pub const PINNED_TICKS_MAX: u32 = 50;
-/// A quarter of the joints. Single joints lie at a limit in good gaits: of the joint-ticks of `policies/flat.onnx` 9 % do.
+/// A quarter of the joints. Single joints lie at a limit in good gaits: of the joint-ticks of
+/// `policies/flat.onnx` 9 % do.
 pub const PINNED_JOINTS: usize = ACT_DIM / 4;
 /// A target this near to a limit lies at it, rad.
 const AT_LIMIT_RAD: f32 = 1e-5;
@@ -36,7 +38,8 @@ pub struct OutputGate {
 }
 
 impl OutputGate {
-    /// A gate for the limits of `joints`; targets move by at most `step_max_rad` per tick, from `start_rad` on.
+    /// A gate for the limits of `joints`; targets move by at most `step_max_rad` per tick, from `start_rad`
+    /// on.
     pub fn new(joints: &JointTable, step_max_rad: f32, start_rad: [f32; ACT_DIM]) -> Self {
         Self {
             lower_rad: joints.lower_rad,
@@ -69,7 +72,8 @@ impl OutputGate {
         self.last_rad
     }
 
-    /// Counts the joints that a policy wants at a limit or beyond it; for how many ticks in a row these were [`PINNED_JOINTS`] or more.
+    /// Counts the joints that a policy wants at a limit or beyond it; for how many ticks in a row these were
+    /// [`PINNED_JOINTS`] or more.
     pub fn watch_limits(&mut self, policy_rad: &[f32; ACT_DIM]) -> u32 {
         let inside = |i: &usize| {
             policy_rad[*i] > self.lower_rad[*i] + AT_LIMIT_RAD

@@ -1,4 +1,5 @@
-//! When the robot must stop walking by itself: servos that fall silent, alerts, reboots, heat, supply, current, a stale IMU.
+//! When the robot must stop walking by itself: servos that fall silent, alerts, reboots, heat, supply,
+//! current, a stale IMU.
 //!
 //! Pure: one call per tick with what the hardware reports; the verdicts go down the ladder stand → damped.
 

@@ -54,7 +54,8 @@ impl Keeper {
         self
     }
 
-    /// Falls back on the policy that came with the program, where nothing else may run. It is checked here, long before it is needed.
+    /// Falls back on the policy that came with the program, where nothing else may run. It is checked here,
+    /// long before it is needed.
     ///
     /// # Errors
     /// [`DeployError::BlobMissing`], [`DeployError::Refused`], [`DeployError::Runtime`].
@@ -77,12 +78,13 @@ impl Keeper {
         self
     }
 
-    /// The policy that `label` of `stream` leads to: fetched and verified, or read back where this robot has it. Where the trust file knows
-    /// servers' keys, the server must prove that this is where the label leads now.
+    /// The policy that `label` of `stream` leads to: fetched and verified, or read back where this robot has
+    /// it. Where the trust file knows servers' keys, the server must prove that this is where the label leads
+    /// now.
     ///
     /// # Errors
-    /// [`DeployError::Refused`] with the reason, which is also recorded; [`DeployError::Server`], [`DeployError::NoPolicy`],
-    /// [`DeployError::Stale`]; what the disk says.
+    /// [`DeployError::Refused`] with the reason, which is also recorded; [`DeployError::Server`],
+    /// [`DeployError::NoPolicy`], [`DeployError::Stale`]; what the disk says.
     pub async fn pull(
         &self,
         client: &mut RegistryClient,
@@ -122,7 +124,8 @@ impl Keeper {
                 .map_err(|why| stale(why.to_string()))?;
             return Ok(manifest);
         };
-        // The proof first: what it names is then asked for by its number, so that a label that moves meanwhile does no harm.
+        // The proof first: what it names is then asked for by its number, so that a label that moves
+        // meanwhile does no harm.
         let nonce = new_nonce()?;
         let answer = client
             .freshness(nonce, stream, label)
@@ -194,7 +197,8 @@ impl Keeper {
             Err(refusal @ Refusal::Untrusted(_)) => return Err(self.refused(policy, refusal)),
             Err(refusal) => return Err(self.quarantine(policy, refusal)),
         }
-        // A disk that will not take it is asked before the network is: or it would be fetched again and again.
+        // A disk that will not take it is asked before the network is: or it would be fetched again and
+        // again.
         self.store().reserve(&policy, manifest.size)?;
         let bytes = client.fetch(manifest).await?;
         let verified = self.tried(bytes.into(), &policy)?;
@@ -207,7 +211,8 @@ impl Keeper {
         Ok(verified)
     }
 
-    /// Counts, on the disk, that `policy` is made ready to drive the robot; whether it went through its trial here before.
+    /// Counts, on the disk, that `policy` is made ready to drive the robot; whether it went through its trial
+    /// here before.
     ///
     /// # Errors
     /// [`DeployError::Refused`] where that was too often already; what the disk says.
@@ -274,7 +279,8 @@ impl Keeper {
         Ok(policy.or_else(|| self.factory.clone()))
     }
 
-    /// The best policy that went through its trial on this robot, else the one that came with the program: neither needs a count on the disk.
+    /// The best policy that went through its trial on this robot, else the one that came with the program:
+    /// neither needs a count on the disk.
     pub fn proved(&self) -> Option<PolicyRef> {
         let last_good = match self.is_torn() {
             true => None,
@@ -290,8 +296,8 @@ impl Keeper {
         last_good.filter(runs).or_else(|| self.factory.clone())
     }
 
-    /// The best policy on this robot's disk; `None` where there is none that may run. Damaged files and policies that no
-    /// longer pass are passed over with a warning.
+    /// The best policy on this robot's disk; `None` where there is none that may run. Damaged files and
+    /// policies that no longer pass are passed over with a warning.
     ///
     /// # Errors
     /// [`DeployError::Runtime`] where nothing can be run at all; what the disk says.
@@ -447,7 +453,8 @@ impl Keeper {
     }
 }
 
-/// The policy that came with the program, completely checked. Nobody announced it, so that its own bytes say which it is.
+/// The policy that came with the program, completely checked. Nobody announced it, so that its own bytes say
+/// which it is.
 ///
 /// # Errors
 /// As [`Keeper::falling_back_on`].

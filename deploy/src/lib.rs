@@ -1,10 +1,11 @@
 //! The on-robot client: pulls, verifies and runs the policy at 50 Hz.
 //!
-//! Two processes and one that watches them ([`supervisor`]). The agent gets policies from the policy server ([`keeper`]), checks
-//! them ([`verify`]), stores them ([`store`], [`state`]) and stages them ([`stage`]); it never opens the bus. The loop loads what is
-//! staged ([`courier`]) and drives the robot ([`control`]) through [`bus`] traits, which the robot's own servos and IMU
-//! ([`hardware`]) and a simulated robot in another process ([`sim_link`]) implement; it knows no network. [`boundary`] is all that
-//! passes between the two. `docs/reference/robot-client.md` describes the whole from outside.
+//! Two processes and one that watches them ([`supervisor`]). The agent gets policies from the policy server
+//! ([`keeper`]), checks them ([`verify`]), stores them ([`store`], [`state`]) and stages them ([`stage`]); it
+//! never opens the bus. The loop loads what is staged ([`courier`]) and drives the robot ([`control`])
+//! through [`bus`] traits, which the robot's own servos and IMU ([`hardware`]) and a simulated robot in
+//! another process ([`sim_link`]) implement; it knows no network. [`boundary`] is all that passes between the
+//! two. `docs/reference/robot-client.md` describes the whole from outside.
 //!
 //! *Invariant:* nothing that was not verified here runs here, and neither libtorch nor a simulator is linked.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]

@@ -110,8 +110,8 @@ impl Motion {
         self.blend_tick = 0;
     }
 
-    /// The targets of this tick. `policy_rad` counts in [`Stage::Walk`] only; `sent_rad` went out in the tick before (the
-    /// measured pose before the first), `measured_rad` is the present pose.
+    /// The targets of this tick. `policy_rad` counts in [`Stage::Walk`] only; `sent_rad` went out in the tick
+    /// before (the measured pose before the first), `measured_rad` is the present pose.
     pub fn targets(
         &mut self,
         policy_rad: [f32; ACT_DIM],

@@ -1,10 +1,11 @@
-//! Signs of life between a process and whoever watches it: systemd's protocol (sd_notify), so that the same program runs under
-//! `caudata-robot run` and under systemd.
+//! Signs of life between a process and whoever watches it: systemd's protocol (sd_notify), so that the same
+//! program runs under `caudata-robot run` and under systemd.
 //!
-//! A datagram holds lines `KEY=value`. Ours: `READY=1` (the work has begun), `WATCHDOG=1` (it still goes on), `STOPPING=1` (it is
-//! over, what follows is tidying up), and two that systemd ignores: `X_KILL=1` (the kill button was pressed) and `X_BRAKES=1` (the
-//! loop brakes, or has let go). All but the sign of life are states, not events: each datagram repeats those that were ever said, so that one
-//! that found no room is made good by the next.
+//! A datagram holds lines `KEY=value`. Ours: `READY=1` (the work has begun), `WATCHDOG=1` (it still goes on),
+//! `STOPPING=1` (it is over, what follows is tidying up), and two that systemd ignores: `X_KILL=1` (the kill
+//! button was pressed) and `X_BRAKES=1` (the loop brakes, or has let go). All but the sign of life are
+//! states, not events: each datagram repeats those that were ever said, so that one that found no room is
+//! made good by the next.
 
 use std::ffi::OsString;
 use std::io;
@@ -18,7 +19,8 @@ use crate::DeployError;
 
 /// Environment variable with the socket of whoever watches.
 pub const SOCKET_VAR: &str = "NOTIFY_SOCKET";
-/// How long the last word of a process waits for room: a watcher that gets no processor for seconds has a queue of ten datagrams, all full.
+/// How long the last word of a process waits for room: a watcher that gets no processor for seconds has a
+/// queue of ten datagrams, all full.
 const LAST_WORD_MAX: Duration = Duration::from_secs(5);
 /// How often it is tried.
 const LAST_WORD_EVERY: Duration = Duration::from_millis(5);
@@ -74,7 +76,8 @@ impl Notifier {
     /// By [`SOCKET_VAR`]; mute where nobody asked to be told.
     ///
     /// # Errors
-    /// Where the socket cannot be reached: a loop that cannot say that it has taken hold of the servos would be taken for one that has not.
+    /// Where the socket cannot be reached: a loop that cannot say that it has taken hold of the servos would
+    /// be taken for one that has not.
     pub fn from_environment() -> Result<Self, DeployError> {
         Self::named(std::env::var_os(SOCKET_VAR))
     }
@@ -104,12 +107,14 @@ impl Notifier {
         })
     }
 
-    /// Says `word`, and every state of before once more. A watcher that is gone or busy misses the datagram, not the state. Allocates nothing.
+    /// Says `word`, and every state of before once more. A watcher that is gone or busy misses the datagram,
+    /// not the state. Allocates nothing.
     pub fn say(&self, word: Word) {
         let _ = self.send(word);
     }
 
-    /// Says `word` until there is room for it, at most for five seconds: nothing is said after it that would repeat it. Whether it was taken.
+    /// Says `word` until there is room for it, at most for five seconds: nothing is said after it that would
+    /// repeat it. Whether it was taken.
     pub fn say_last(&self, word: Word) -> bool {
         let begun = Instant::now();
         loop {
@@ -133,7 +138,8 @@ impl Notifier {
         }
         let said = self.said.load(Ordering::Relaxed);
         let states = Word::STATES.iter().filter(|w| said & w.bit() != 0);
-        // Whoever begins lives: a watcher that heard of the beginning alone would take it for silent since its start.
+        // Whoever begins lives: a watcher that heard of the beginning alone would take it for silent since
+        // its start.
         let lives = matches!(word, Word::Alive | Word::Ready);
         let first = lives.then_some(&Word::Alive);
         let (mut text, mut length) = ([0; WORD_BYTES_MAX], 0);

@@ -1,11 +1,13 @@
 //! The direction of gravity in the IMU frame, from gyroscope and accelerometer.
 //!
-//! A complementary filter in the manner of Mahony, Hamel and Pflimlin ("Nonlinear complementary filters on the special
-//! orthogonal group", 2008), reduced to the one direction that the policy sees. With ω the angular velocity, g the
-//! estimate (unit vector, IMU frame) and m the direction that the accelerometer shows:
-//! e = m × g, ġ = g × (ω − b + k_p·e), ḃ = −k_i·e. Gravity is fixed in the world, so in the body it turns against ω.
+//! A complementary filter in the manner of Mahony, Hamel and Pflimlin ("Nonlinear complementary filters on
+//! the special orthogonal group", 2008), reduced to the one direction that the policy sees. With ω the
+//! angular velocity, g the estimate (unit vector, IMU frame) and m the direction that the accelerometer
+//! shows: e = m × g, ġ = g × (ω − b + k_p·e), ḃ = −k_i·e. Gravity is fixed in the world, so in the body it
+//! turns against ω.
 
-/// How fast the accelerometer pulls the estimate, 1/s. Larger: gait accelerations leak in; smaller: gyro offsets do.
+/// How fast the accelerometer pulls the estimate, 1/s. Larger: gait accelerations leak in; smaller: gyro
+/// offsets do.
 const KP_PER_S: f32 = 1.0;
 /// How fast the gyro offset is learnt, 1/s².
 const KI_PER_S2: f32 = 0.1;
@@ -13,7 +15,8 @@ const KI_PER_S2: f32 = 0.1;
 const BIAS_MAX_RADPS: f32 = 0.1;
 /// Standard gravity, m/s².
 const G_MPS2: f32 = 9.806_65;
-/// An accelerometer reading whose size is off by this share of gravity or more is not believed at all; in between, in proportion.
+/// An accelerometer reading whose size is off by this share of gravity or more is not believed at all; in
+/// between, in proportion.
 const TRUST_ZERO_AT: f32 = 0.5;
 
 /// Estimates the direction of gravity.
@@ -29,8 +32,8 @@ impl GravityFilter {
         Self::default()
     }
 
-    /// Takes one pair of readings, `dt_s` after the last one, and gives the direction of gravity (unit vector, IMU frame;
-    /// level: 0, 0, −1). The specific force at rest points up, so gravity is its opposite.
+    /// Takes one pair of readings, `dt_s` after the last one, and gives the direction of gravity (unit
+    /// vector, IMU frame; level: 0, 0, −1). The specific force at rest points up, so gravity is its opposite.
     pub fn update(&mut self, gyro_radps: [f32; 3], acc_mps2: [f32; 3], dt_s: f32) -> [f32; 3] {
         let trust = (1.0 - (norm(acc_mps2) / G_MPS2 - 1.0).abs() / TRUST_ZERO_AT).max(0.0);
         let shown = unit(acc_mps2.map(|a| -a)).filter(|_| trust > 0.0);
@@ -137,8 +140,9 @@ mod tests {
 
     #[test]
     fn a_quarter_roll_is_followed_by_the_gyro_alone() {
-        // Rolling to the right about x at π/2 per second for 1 s, without an accelerometer that could help (free fall: not
-        // believed). Level gravity (0, 0, −1); after +90° about x the body's y axis points to the old z, so gravity is (0, −1, 0).
+        // Rolling to the right about x at π/2 per second for 1 s, without an accelerometer that could help
+        // (free fall: not believed). Level gravity (0, 0, −1); after +90° about x the body's y axis points to
+        // the old z, so gravity is (0, −1, 0).
         let mut filter = GravityFilter::new();
         filter.update([0.0; 3], [0.0, 0.0, G_MPS2], DT);
         let mut gravity = [0.0; 3];
@@ -163,7 +167,8 @@ mod tests {
 
     #[test]
     fn a_gyro_offset_is_learnt_and_does_not_tilt_the_estimate() {
-        // 1 °/s about y at rest. Without the integral term the estimate would stay off by 0.01745/k_p = 0.017 rad.
+        // 1 °/s about y at rest. Without the integral term the estimate would stay off by 0.01745/k_p = 0.017
+        // rad.
         let mut filter = GravityFilter::new();
         let mut gravity = [0.0; 3];
         for _ in 0..3000 {
@@ -185,7 +190,8 @@ mod tests {
         filter.update([0.0; 3], [0.0, 0.0, G_MPS2], DT);
         let gravity = filter.update([0.0; 3], [0.0, 3.0 * G_MPS2, G_MPS2], DT);
         close(gravity, [0.0, 0.0, -1.0], 1e-6);
-        // 0.3 g sideways: size 1.044, trust 0.912, error sin 16.7° = 0.287: turned by 0.912·0.287·0.02·k_p = 0.0052 rad.
+        // 0.3 g sideways: size 1.044, trust 0.912, error sin 16.7° = 0.287: turned by 0.912·0.287·0.02·k_p =
+        // 0.0052 rad.
         let gravity = filter.update([0.0; 3], [0.0, 0.3 * G_MPS2, G_MPS2], DT);
         close(gravity, [0.0, -0.0052, -1.0], 3e-4);
     }

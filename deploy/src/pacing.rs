@@ -1,4 +1,5 @@
-//! When the next control tick is due: an absolute grid of times, so that delays never add up and missed ticks are never replayed.
+//! When the next control tick is due: an absolute grid of times, so that delays never add up and missed ticks
+//! are never replayed.
 
 use std::time::{Duration, Instant};
 
@@ -54,8 +55,9 @@ pub struct Due {
 
 /// The grid `start + k·period`.
 ///
-/// A tick that is late by less than half a period still runs in its slot; a later one is skipped and the loop waits for
-/// the next slot. So two ticks are never closer than half a period, however long the loop was held up.
+/// A tick that is late by less than half a period still runs in its slot; a later one is skipped and the loop
+/// waits for the next slot. So two ticks are never closer than half a period, however long the loop was held
+/// up.
 #[derive(Clone, Copy, Debug)]
 pub struct Pacer {
     period: Duration,

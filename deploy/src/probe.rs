@@ -1,5 +1,5 @@
-//! A candidate is first loaded and run in a child process with little memory and little time: what crashes or hangs there never
-//! reaches the process that moves the robot.
+//! A candidate is first loaded and run in a child process with little memory and little time: what crashes or
+//! hangs there never reaches the process that moves the robot.
 
 use std::io::{Read, Write};
 use std::path::PathBuf;
@@ -25,7 +25,8 @@ const LOOK: Duration = Duration::from_millis(10);
 /// Most of what a child says that is kept, bytes.
 const WORDS_MAX: u64 = 16 << 10;
 
-/// Holds this process to the memory and the processor time of a child that tries a candidate, for good; what goes beyond ends it.
+/// Holds this process to the memory and the processor time of a child that tries a candidate, for good; what
+/// goes beyond ends it.
 ///
 /// # Errors
 /// [`DeployError::System`].
@@ -222,7 +223,8 @@ mod tests {
 
     const LONG: Duration = Duration::from_secs(60);
 
-    /// Not a test: what a child does that wants more than it may have, where the variable says what. Run as one it has nothing to do.
+    /// Not a test: what a child does that wants more than it may have, where the variable says what. Run as
+    /// one it has nothing to do.
     #[test]
     fn greedy_child() {
         let Ok(wants) = std::env::var(GREEDY) else {

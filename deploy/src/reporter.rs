@@ -1,5 +1,5 @@
-//! Tells the policy server what became of versions on this robot, from a thread of its own: nobody waits for it, and a server that is
-//! away gets the news later.
+//! Tells the policy server what became of versions on this robot, from a thread of its own: nobody waits for
+//! it, and a server that is away gets the news later.
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -50,7 +50,8 @@ pub struct View<'a> {
 }
 
 impl PolicyRunner {
-    /// Takes over a policy that passed every check. `carry_on` is the clock of the policy before it, whose phase goes on.
+    /// Takes over a policy that passed every check. `carry_on` is the clock of the policy before it, whose
+    /// phase goes on.
     ///
     /// # Errors
     /// [`DeployError::Internal`] where the contract lacks joints, which verification excludes.
@@ -126,8 +127,8 @@ impl PolicyRunner {
         }
     }
 
-    /// Position targets, rad, within the joint limits. `None` where inference failed or gave a number that is not finite;
-    /// history and filter are then as before.
+    /// Position targets, rad, within the joint limits. `None` where inference failed or gave a number that is
+    /// not finite; history and filter are then as before.
     pub fn act(&mut self, view: &View) -> Option<[f32; ACT_DIM]> {
         self.clock.set_command(&self.phase_config, &view.command);
         let observation = ObservationInput {

@@ -1,7 +1,8 @@
 //! The simulated robot in another process, over TCP: servo bus and IMU in one.
 //!
-//! The two sides run in lock-step: the robot answers each command with the readings at the end of that control period.
-//! Reads have deadlines; a reading that comes late is taken by a later tick, and the robot's time stands still meanwhile.
+//! The two sides run in lock-step: the robot answers each command with the readings at the end of that
+//! control period. Reads have deadlines; a reading that comes late is taken by a later tick, and the robot's
+//! time stands still meanwhile.
 
 use std::io::ErrorKind;
 use std::net::{TcpStream, ToSocketAddrs};
@@ -162,7 +163,8 @@ impl ServoBus for SimLink {
 
     fn torque_off(&mut self) -> Result<(), BusError> {
         self.command([0.0; JOINTS], false)?;
-        // Takes the answers that are still on their way: to hang up on them looks like a broken connection over there.
+        // Takes the answers that are still on their way: to hang up on them looks like a broken connection
+        // over there.
         while self.newest()?.tick < self.tick {
             match self.receive_sensors(LAST_ANSWER_TIMEOUT) {
                 Ok(sensors) => self.sensors = Some((sensors, false)),
@@ -198,8 +200,8 @@ impl Robot for SimLink {
     }
 }
 
-/// What this side says about the robot. A robot with other than 16 joints has no hello; its missing names stay empty and
-/// the far side refuses them.
+/// What this side says about the robot. A robot with other than 16 joints has no hello; its missing names
+/// stay empty and the far side refuses them.
 fn hello_of(model: &RobotModel, control_period_s: f64) -> Hello {
     let names = model.actuated_names();
     Hello {

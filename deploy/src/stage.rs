@@ -1,4 +1,5 @@
-//! The agent's end of staging: which policy the loop is to run, counted on the disk before the loop may load it.
+//! The agent's end of staging: which policy the loop is to run, counted on the disk before the loop may load
+//! it.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -89,8 +90,8 @@ impl Stage {
         }
     }
 
-    /// A loop asks: it gets what was chosen, or the next best that may run; where there is none, it is told that, so that it does not wait
-    /// and does not ask again.
+    /// A loop asks: it gets what was chosen, or the next best that may run; where there is none, it is told
+    /// that, so that it does not wait and does not ask again.
     fn answer(&self, run: u64, unfit: Option<&(PolicyRef, String)>) {
         let mut inner = self.lock();
         inner.run = Some(run);

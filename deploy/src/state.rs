@@ -18,12 +18,14 @@ use serde::{Deserialize, Serialize};
 pub const STATE_FORMAT: &str = "caudata.robot_state.v1";
 /// Quarantined policies that are remembered; older ones are forgotten.
 pub const QUARANTINE_MAX: usize = 64;
-/// How far a version may be above the highest one seen: a jump to the end of all numbers would shut every later policy out.
+/// How far a version may be above the highest one seen: a jump to the end of all numbers would shut every
+/// later policy out.
 pub const VERSION_JUMP_MAX: u64 = 1_000_000;
-/// How often a policy may be begun with before it must have gone through its trial: one that takes the program down with it is not
-/// tried for ever.
+/// How often a policy may be begun with before it must have gone through its trial: one that takes the
+/// program down with it is not tried for ever.
 pub const ATTEMPTS_MAX: u32 = 3;
-/// Streams whose highest version is remembered; with more, the ones that nothing on this robot is from are forgotten.
+/// Streams whose highest version is remembered; with more, the ones that nothing on this robot is from are
+/// forgotten.
 pub const STREAMS_MAX: usize = 256;
 
 /// A SHA-256, written as 64 lower-case hexadecimal digits.
@@ -130,7 +132,8 @@ pub struct Quarantined {
     pub reason: String,
     /// False: the bytes were damaged on their way or wrongly announced, another try may bring the right ones.
     pub for_good: bool,
-    /// Hash of the robot model that it does not fit; another robot file may take it. Absent: it is the policy itself.
+    /// Hash of the robot model that it does not fit; another robot file may take it. Absent: it is the policy
+    /// itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub robot: Option<Sha256Digest>,
 }
@@ -303,14 +306,15 @@ pub struct RobotState {
     pub last_good: Option<PolicyRef>,
     /// Refused, oldest first.
     pub quarantined: Vec<Quarantined>,
-    /// Highest version of each stream that was taken or found bad: nothing older is taken any more, also where the robot went back.
+    /// Highest version of each stream that was taken or found bad: nothing older is taken any more, also
+    /// where the robot went back.
     #[serde(default)]
     pub seen: BTreeMap<String, u64>,
     /// The policy on trial, if there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trial: Option<Trial>,
-    /// Highest version of a trust file that was in force here; 0 where none above version 1 was, see [`RobotState::saw_trust`]. A lower one would bring
-    /// back keys that were given up.
+    /// Highest version of a trust file that was in force here; 0 where none above version 1 was, see
+    /// [`RobotState::saw_trust`]. A lower one would bring back keys that were given up.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub trust_version: u64,
 }
@@ -364,8 +368,8 @@ impl RobotState {
         self.generation += 1;
     }
 
-    /// Counts that the policy with these bytes is made ready to drive the robot; one that ran well before needs no counting. Answers
-    /// how often that was, with this time.
+    /// Counts that the policy with these bytes is made ready to drive the robot; one that ran well before
+    /// needs no counting. Answers how often that was, with this time.
     pub fn begin(&mut self, sha256: Sha256Digest) -> u32 {
         if self.is_proved(sha256) {
             return 0;
@@ -377,7 +381,8 @@ impl RobotState {
         attempts
     }
 
-    /// How often the policy with these bytes was made ready to drive the robot and had not yet gone through its trial.
+    /// How often the policy with these bytes was made ready to drive the robot and had not yet gone through
+    /// its trial.
     pub fn attempts(&self, sha256: Sha256Digest) -> u32 {
         let same = self.trial.as_ref().filter(|trial| trial.sha256 == sha256);
         same.map_or(0, |trial| trial.attempts)
@@ -408,8 +413,8 @@ impl RobotState {
             .any(|check| (check.refuse)(self.trust_version, version))
     }
 
-    /// The trust file of this version is in force. Version 1 is not written down: there is none below it, and programs that do not know
-    /// `trust_version` take no state that has one.
+    /// The trust file of this version is in force. Version 1 is not written down: there is none below it, and
+    /// programs that do not know `trust_version` take no state that has one.
     pub fn saw_trust(&mut self, version: u64) {
         if version > self.trust_version.max(1) {
             self.trust_version = version;
@@ -417,7 +422,8 @@ impl RobotState {
         }
     }
 
-    /// Begins anew after everything was forgotten: nothing below `floor` is taken from `stream`, and no trust file below `trust_version`.
+    /// Begins anew after everything was forgotten: nothing below `floor` is taken from `stream`, and no trust
+    /// file below `trust_version`.
     pub fn recovered(stream: &str, floor: u64, trust_version: u64) -> Self {
         let mut state = Self {
             seen: BTreeMap::from([(stream.to_owned(), floor)]),
@@ -437,8 +443,8 @@ impl RobotState {
         }
     }
 
-    /// `policy` must not run. Where it is to blame itself and was active, the last good one is active again; a robot
-    /// file that does not fit it takes nothing away from what its own robot holds.
+    /// `policy` must not run. Where it is to blame itself and was active, the last good one is active again;
+    /// a robot file that does not fit it takes nothing away from what its own robot holds.
     pub fn quarantine(&mut self, policy: PolicyRef, reason: String, blame: Blame) {
         let sha256 = policy.sha256;
         if blame == Blame::Policy {
@@ -668,7 +674,8 @@ mod tests {
     #[test]
     fn fault_14_an_older_version_stays_refused_after_going_back() {
         let mut state = state();
-        // Version 2 turns out bad: back to 1. Neither 1 under other bytes nor anything below 2 is taken again.
+        // Version 2 turns out bad: back to 1. Neither 1 under other bytes nor anything below 2 is taken
+        // again.
         state.quarantine(policy(2), "falls".into(), Blame::Policy);
         assert_eq!(state.active, Some(policy(1)));
         let older = PolicyRef {

@@ -1,5 +1,6 @@
-//! The robot's folder: `state.json` with its copy `state.copy.json`, `blobs/<sha256>.onnx`, and beside each of these its signed
-//! announcement, `blobs/<sha256>.<version>.<stream>.manifest`, where the stream is the first half of its name's SHA-256. What is read from it is checked as if it came from outside.
+//! The robot's folder: `state.json` with its copy `state.copy.json`, `blobs/<sha256>.onnx`, and beside each
+//! of these its signed announcement, `blobs/<sha256>.<version>.<stream>.manifest`, where the stream is the
+//! first half of its name's SHA-256. What is read from it is checked as if it came from outside.
 
 mod state_file;
 
@@ -28,8 +29,9 @@ pub struct PolicyStore {
     state: RobotState,
     /// The state was lost.
     torn: bool,
-    /// Version of the trust file that this process goes by, 0 without one. Every state that is written says it: one that could not be written down at
-    /// once is then not forgotten, nor written over where one of the two copies has it already.
+    /// Version of the trust file that this process goes by, 0 without one. Every state that is written says
+    /// it: one that could not be written down at once is then not forgotten, nor written over where one of
+    /// the two copies has it already.
     trust_version: u64,
 }
 
@@ -37,8 +39,9 @@ impl PolicyStore {
     /// Opens the folder, making it where it is absent.
     ///
     /// # Errors
-    /// [`DeployError::StateDamaged`] where `state.json` cannot be understood (it then says nothing about what may run, so
-    /// nothing does), [`DeployError::Folder`] and [`DeployError::Durable`] where the disk refuses.
+    /// [`DeployError::StateDamaged`] where `state.json` cannot be understood (it then says nothing about what
+    /// may run, so nothing does), [`DeployError::Folder`] and [`DeployError::Durable`] where the disk
+    /// refuses.
     pub fn open(folder: &Path) -> Result<Self, DeployError> {
         Self::open_on(Arc::new(OsDisk), folder)
     }
@@ -64,8 +67,9 @@ impl PolicyStore {
         })
     }
 
-    /// Opens the folder although no copy of the state can be read: nothing is known, so that nothing may be taken until
-    /// [`PolicyStore::recover`] said what is too old. The damaged copies are kept aside for a person.
+    /// Opens the folder although no copy of the state can be read: nothing is known, so that nothing may be
+    /// taken until [`PolicyStore::recover`] said what is too old. The damaged copies are kept aside for a
+    /// person.
     ///
     /// # Errors
     /// As [`PolicyStore::open`], but not for damage.
@@ -89,13 +93,14 @@ impl PolicyStore {
         self.torn
     }
 
-    /// Begins a new state after a server proved, freshly, that `stream` is at `floor`: nothing older is taken, and no trust file older than the one of
-    /// `trust_version`, by which it was proved. Each damaged copy is kept aside and then replaced: at no time is there a folder without any, which would
-    /// look like that of a robot that never had a state.
+    /// Begins a new state after a server proved, freshly, that `stream` is at `floor`: nothing older is
+    /// taken, and no trust file older than the one of `trust_version`, by which it was proved. Each damaged
+    /// copy is kept aside and then replaced: at no time is there a folder without any, which would look like
+    /// that of a robot that never had a state.
     ///
     /// # Errors
-    /// [`DeployError::Durable`], [`DeployError::Folder`]; it is then as torn as before, here. On the disk one copy may be the new one already: the next
-    /// start goes on from it.
+    /// [`DeployError::Durable`], [`DeployError::Folder`]; it is then as torn as before, here. On the disk one
+    /// copy may be the new one already: the next start goes on from it.
     pub fn recover(
         &mut self,
         stream: &str,
@@ -119,8 +124,8 @@ impl PolicyStore {
         Ok(())
     }
 
-    /// Copies the damaged file at `path`, of one that is too large the beginning, to where a person finds it: beside what
-    /// was damaged before. Past [`ASIDE_MAX`] of them the newest gives way.
+    /// Copies the damaged file at `path`, of one that is too large the beginning, to where a person finds it:
+    /// beside what was damaged before. Past [`ASIDE_MAX`] of them the newest gives way.
     fn keep_aside(&self, path: &Path) -> Result<(), DeployError> {
         let bytes = read_beginning(path)?;
         let aside = (1..=ASIDE_MAX).map(|number| {
@@ -143,7 +148,8 @@ impl PolicyStore {
         Ok(durable::replace_on(&*self.disk, &last, &bytes)?)
     }
 
-    /// The trust file at `path`, of which `version` is in force, is what this robot goes by: from now on no older one is.
+    /// The trust file at `path`, of which `version` is in force, is what this robot goes by: from now on no
+    /// older one is.
     ///
     /// # Errors
     /// [`DeployError::OlderTrust`] where a newer one was in force here before.
@@ -155,7 +161,8 @@ impl PolicyStore {
             return Ok(());
         }
         if let Err(error) = self.update(|state| state.saw_trust(version)) {
-            // A card that takes nothing more must not keep a robot from running what is on it. The next change says it again.
+            // A card that takes nothing more must not keep a robot from running what is on it. The next
+            // change says it again.
             tracing::error!(%error, version, "cannot write down which trust file is in force");
         }
         Ok(())
@@ -261,8 +268,8 @@ impl PolicyStore {
         read_policy(&self.folder, policy, trust)
     }
 
-    /// Failing here costs nothing but space. Of announcements only those of what is on the disk stay: the same bytes can be announced in many streams
-    /// and under many numbers.
+    /// Failing here costs nothing but space. Of announcements only those of what is on the disk stay: the
+    /// same bytes can be announced in many streams and under many numbers.
     fn remove_unneeded(&self) {
         let on_disk = self.state.on_disk();
         let announced = on_disk.iter().flat_map(|policy| {
@@ -337,12 +344,12 @@ pub const STORED: &[Check<StoredCheck>] = &[
     },
 ];
 
-/// The bytes of a policy, as they were put into the robot's folder. With `trust`, keys of it must have signed the announcement that
-/// was kept beside them.
+/// The bytes of a policy, as they were put into the robot's folder. With `trust`, keys of it must have signed
+/// the announcement that was kept beside them.
 ///
 /// # Errors
-/// [`DeployError::BlobMissing`], also for a missing announcement; [`DeployError::BlobDamaged`] where the bytes have another hash,
-/// [`DeployError::NotSigned`] where nobody trusted announced them as this policy.
+/// [`DeployError::BlobMissing`], also for a missing announcement; [`DeployError::BlobDamaged`] where the
+/// bytes have another hash, [`DeployError::NotSigned`] where nobody trusted announced them as this policy.
 pub fn read_policy(
     folder: &Path,
     policy: &PolicyRef,
@@ -389,8 +396,8 @@ fn blob(folder: &Path, sha256: Sha256Digest) -> PathBuf {
     folder.join("blobs").join(format!("{sha256}.onnx"))
 }
 
-/// Where the announcement of `policy` lies. By its stream too: the same bytes may bear the same version in two streams, and neither announcement
-/// may take the place of the other, whenever the power goes.
+/// Where the announcement of `policy` lies. By its stream too: the same bytes may bear the same version in
+/// two streams, and neither announcement may take the place of the other, whenever the power goes.
 pub(crate) fn manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
     let stream = Sha256Digest(Sha256::digest(&policy.stream).into()).to_string();
     let (sha256, version) = (policy.sha256, policy.version);
@@ -404,7 +411,8 @@ fn older_manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
     folder.join("blobs").join(name)
 }
 
-/// The older one where there is only that, so that what is said about the announcement names the file that was looked at, or should be there.
+/// The older one where there is only that, so that what is said about the announcement names the file that
+/// was looked at, or should be there.
 fn kept_manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
     let (file, older) = (
         manifest_file(folder, policy),
@@ -416,7 +424,8 @@ fn kept_manifest_file(folder: &Path, policy: &PolicyRef) -> PathBuf {
     }
 }
 
-/// Refuses the trust file at `path`, of which `version` is in force, where a newer one was in force on the robot of `state`.
+/// Refuses the trust file at `path`, of which `version` is in force, where a newer one was in force on the
+/// robot of `state`.
 ///
 /// # Errors
 /// [`DeployError::OlderTrust`].
@@ -431,8 +440,8 @@ pub fn check_trust(state: &RobotState, path: &Path, version: u64) -> Result<(), 
     })
 }
 
-/// Refuses to go without any trust file where one was in force on the robot of `state`, which is kept in `folder`: whoever left it out would take what
-/// nobody signed.
+/// Refuses to go without any trust file where one was in force on the robot of `state`, which is kept in
+/// `folder`: whoever left it out would take what nobody signed.
 ///
 /// # Errors
 /// [`DeployError::TrustLeftOut`].

@@ -37,8 +37,8 @@ impl Latencies {
         self.total += 1;
     }
 
-    /// The latency, µs, that the given share (0 to 1) of all stays at or below: the upper edge of its bucket. 0 where there
-    /// are none.
+    /// The latency, µs, that the given share (0 to 1) of all stays at or below: the upper edge of its bucket.
+    /// 0 where there are none.
     pub fn quantile_us(&self, share: f64) -> u64 {
         let wanted = (share * self.total as f64).ceil() as u64;
         let mut seen = 0;
@@ -52,12 +52,14 @@ impl Latencies {
     }
 }
 
-/// Ticks over which a direction of travel is taken: more than one stride, so that the sway of the head averages out.
+/// Ticks over which a direction of travel is taken: more than one stride, so that the sway of the head
+/// averages out.
 const WINDOW_TICKS: u32 = 50;
 
 /// How far and how fast the base went, from its true poses.
 ///
-/// The displacement over each window of a second is turned by the mean heading (yaw of the base) in that window.
+/// The displacement over each window of a second is turned by the mean heading (yaw of the base) in that
+/// window.
 #[derive(Clone, Debug, Default)]
 pub struct Odometer {
     last_yaw_rad: Option<f64>,
@@ -125,8 +127,8 @@ impl Odometer {
         };
     }
 
-    /// Mean forward and sideways velocity (m/s) and yaw rate (rad/s), and the distance from start to end as the crow flies,
-    /// m. `None` where there were no poses.
+    /// Mean forward and sideways velocity (m/s) and yaw rate (rad/s), and the distance from start to end as
+    /// the crow flies, m. `None` where there were no poses.
     pub fn result(mut self) -> Option<(Velocity, f64)> {
         let start = self.start_m?;
         if self.duration_s <= 0.0 {
@@ -268,7 +270,8 @@ mod tests {
 
     #[test]
     fn straight_on_under_another_heading() {
-        // Facing world +y, 2 mm per tick of 20 ms along +y and 1 mm along −x (to the left): 0.1 m/s, 0.05 m/s.
+        // Facing world +y, 2 mm per tick of 20 ms along +y and 1 mm along −x (to the left): 0.1 m/s, 0.05
+        // m/s.
         let mut odometer = Odometer::default();
         for k in 0..201 {
             let k = k as f32;

@@ -1,5 +1,6 @@
-//! What other programs on this computer may see of every tick, such as the door to ROS 2: one datagram each, to whoever has opened
-//! `tap.sock` in the run folder. The loop hands a copy to a thread and never waits; a reader that is slow misses ticks.
+//! What other programs on this computer may see of every tick, such as the door to ROS 2: one datagram each,
+//! to whoever has opened `tap.sock` in the run folder. The loop hands a copy to a thread and never waits; a
+//! reader that is slow misses ticks.
 
 use std::io;
 use std::os::unix::net::UnixDatagram;

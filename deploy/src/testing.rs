@@ -18,8 +18,8 @@ pub fn model() -> Arc<RobotModel> {
     Arc::new(RobotModel::load(Path::new(ROBOT_FILE)).unwrap())
 }
 
-/// A policy file of one layer: every action is `0.01 · version` of the sum of the observation, plus 0.1. `change` makes it
-/// what a test needs.
+/// A policy file of one layer: every action is `0.01 · version` of the sum of the observation, plus 0.1.
+/// `change` makes it what a test needs.
 pub fn policy_file(
     version: u64,
     change: impl FnOnce(&mut MlpSpec, &mut PolicyMetadata),

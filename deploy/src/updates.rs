@@ -1,4 +1,5 @@
-//! What passes between the control loop and the threads that fetch and keep policies: nothing of it makes the loop wait.
+//! What passes between the control loop and the threads that fetch and keep policies: nothing of it makes the
+//! loop wait.
 
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 
@@ -113,7 +114,8 @@ impl Updates {
         self.slot.try_take()
     }
 
-    /// Reports an event. Full means that the disk hangs; the loop goes on and the event is lost with a line in the log.
+    /// Reports an event. Full means that the disk hangs; the loop goes on and the event is lost with a line
+    /// in the log.
     pub fn tell(&self, event: PolicyEvent) {
         if self.events.try_send(event).is_err() {
             tracing::error!("an event about a policy is lost: nobody takes it");

@@ -21,8 +21,8 @@ pub const PROBE_COUNT: usize = 32;
 const PROBE_STRIDE: usize = 137;
 /// How far ONNX Runtime and the plain evaluation may be apart, per unit of action (and of 1).
 pub const PROBE_TOLERANCE: f32 = 1e-4;
-/// Largest action, in its own unit, on observations like those of training: trained policies stay within some tens, and
-/// this is many turns of a servo. What goes beyond would pin every joint at a limit.
+/// Largest action, in its own unit, on observations like those of training: trained policies stay within some
+/// tens, and this is many turns of a servo. What goes beyond would pin every joint at a limit.
 pub const ACTION_MAX: f32 = 1e3;
 
 /// A policy that passed every check, ready to run.
@@ -119,8 +119,8 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// What is to blame, found on the robot model with hash `robot`: only what would be found everywhere else as well is
-    /// the policy's own fault.
+    /// What is to blame, found on the robot model with hash `robot`: only what would be found everywhere else
+    /// as well is the policy's own fault.
     pub fn blame(&self, robot: Sha256Digest) -> Blame {
         match self {
             Self::Contract(_)
@@ -168,8 +168,8 @@ pub struct Announcement<'a> {
 /// Looks at an announcement.
 pub type AnnouncementCheck = fn(&Announcement<'_>) -> Result<(), Refusal>;
 
-/// What an announcement must be before anything is downloaded. That it answers the question is looked at before
-/// ([`caudata_proto::registry::question::ANSWERS`]).
+/// What an announcement must be before anything is downloaded. That it answers the question is looked at
+/// before ([`caudata_proto::registry::question::ANSWERS`]).
 pub const ANNOUNCEMENT: &[Check<AnnouncementCheck>] = &[
     // Trusted keys signed it.
     Check {
@@ -264,8 +264,8 @@ pub const CANDIDATE: &[Check<CandidateCheck>] = &[
             }
         },
     },
-    // What the policy may not choose itself is as on this robot. (What it may choose is in range: reading the file
-    // checks that.)
+    // What the policy may not choose itself is as on this robot. (What it may choose is in range: reading the
+    // file checks that.)
     Check {
         name: "contract",
         refuse: |candidate| {
@@ -355,7 +355,8 @@ impl Candidate<'_> {
         Ok(self.file.get_or_init(|| file))
     }
 
-    /// What it does on a few observations, in ONNX Runtime and worked out plainly; tried when it is asked for first.
+    /// What it does on a few observations, in ONNX Runtime and worked out plainly; tried when it is asked for
+    /// first.
     fn actions(&self) -> Result<&[Action], VerifyError> {
         if self.tried.get().is_none() {
             let _ = self.tried.set(try_out(self.file()?)?);
@@ -380,8 +381,9 @@ impl Candidate<'_> {
     }
 }
 
-/// The contract that a policy must have here: the robot file's values, and this program's observation and control rate.
-/// Only what a policy chooses itself (meaning of actions, stride, trained commands) is taken from it, checked.
+/// The contract that a policy must have here: the robot file's values, and this program's observation and
+/// control rate. Only what a policy chooses itself (meaning of actions, stride, trained commands) is taken
+/// from it, checked.
 ///
 /// # Errors
 /// [`TaskError`] where one of its choices is out of range.
@@ -440,8 +442,9 @@ fn probe(spec: &MlpSpec, inference: &mut Inference) -> Result<Vec<Action>, Polic
     Ok(tried)
 }
 
-/// Observation `index`: around the policy's mean observation, from 0 up to ±3 of its standard deviations, which is what it was
-/// trained on; far outside, rounding alone may set two correct evaluations apart. The same on every machine.
+/// Observation `index`: around the policy's mean observation, from 0 up to ±3 of its standard deviations,
+/// which is what it was trained on; far outside, rounding alone may set two correct evaluations apart. The
+/// same on every machine.
 fn probe_observation(index: usize, spec: &MlpSpec, obs: &mut [f32]) {
     let size = 3.0 * index as f32 / (PROBE_COUNT - 1) as f32;
     for (i, value) in obs.iter_mut().enumerate() {

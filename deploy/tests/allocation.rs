@@ -1,4 +1,5 @@
-//! A tick of the loop asks the allocator for nothing, but for the two small pieces that the binding of ONNX Runtime makes for every run.
+//! A tick of the loop asks the allocator for nothing, but for the two small pieces that the binding of ONNX
+//! Runtime makes for every run.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -69,7 +70,8 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Ticks between which allocations count: walking has begun, and the trial has not ended (which is told once, by name).
+/// Ticks between which allocations count: walking has begun, and the trial has not ended (which is told once,
+/// by name).
 const FROM: u32 = 200;
 const TO: u32 = 600;
 
@@ -133,7 +135,8 @@ impl Clock for NoTime {
     }
 }
 
-/// Allocations of the loop's thread in 400 walking ticks of the shipped policy, flight log and recorder included.
+/// Allocations of the loop's thread in 400 walking ticks of the shipped policy, flight log and recorder
+/// included.
 fn allocations(leaks: bool) -> usize {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let model = Arc::new(RobotModel::load(&root.join("robots/polymander.robot.toml")).unwrap());

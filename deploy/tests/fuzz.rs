@@ -1,7 +1,9 @@
-//! Every door through which bytes come in from outside, with bytes that somebody has spoilt: no panic, no more memory than a limit, and
-//! nothing accepted that must not be. `make test` knocks for two seconds each, `make fuzz` for a minute.
+//! Every door through which bytes come in from outside, with bytes that somebody has spoilt: no panic, no
+//! more memory than a limit, and nothing accepted that must not be. `make test` knocks for two seconds each,
+//! `make fuzz` for a minute.
 //!
-//! An input that breaks a rule is kept in `deploy/tests/fuzz_seeds/<target>/` and is the first to be tried ever after.
+//! An input that breaks a rule is kept in `deploy/tests/fuzz_seeds/<target>/` and is the first to be tried
+//! ever after.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -149,8 +151,8 @@ fn kept(target: &str) -> PathBuf {
         .join(target)
 }
 
-/// Knocks with spoilt `seeds`. `check` answers in words what came of it (new words make an input a seed) and panics where a rule is broken.
-/// At most `memory` bytes may be held at once.
+/// Knocks with spoilt `seeds`. `check` answers in words what came of it (new words make an input a seed) and
+/// panics where a rule is broken. At most `memory` bytes may be held at once.
 fn fuzz(target: &str, seeds: Vec<Vec<u8>>, memory: usize, mut check: impl FnMut(&[u8]) -> String) {
     let mut dice = Dice::new(0x9E37_79B9_7F4A_7C15 ^ target.len() as u64);
     let old = std::fs::read_dir(kept(target)).into_iter().flatten();

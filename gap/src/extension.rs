@@ -1,7 +1,9 @@
-//! What a diagnosis adds to a robot file: `[extension]`, with effects by id, evidence, and the ranges that training should draw from.
+//! What a diagnosis adds to a robot file: `[extension]`, with effects by id, evidence, and the ranges that
+//! training should draw from.
 //!
-//! The extended robot file is the nominal one, word for word, with this table at its end. [`terms`] turns it back into the very candidate
-//! that was judged, so that the reported score can be had again from the file, to the bit.
+//! The extended robot file is the nominal one, word for word, with this table at its end. [`terms`] turns it
+//! back into the very candidate that was judged, so that the reported score can be had again from the file,
+//! to the bit.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use crate::error::GapError;
 
-/// Asked between simulations of seconds each, from any thread. Where nobody is asked, work goes on to its end.
+/// Asked between simulations of seconds each, from any thread. Where nobody is asked, work goes on to its
+/// end.
 #[derive(Clone, Default)]
 pub struct GoOn(Option<Arc<dyn Fn() -> bool + Send + Sync>>);
 

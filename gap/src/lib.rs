@@ -1,7 +1,8 @@
 //! Diagnosis: where simulation and measurement part, why, and what it is worth to know.
 //!
-//! Measured runs and a robot file go in; a [`Report`] comes out: the divergence, named causes with intervals and look-alikes, the gain on
-//! runs that were not used for fitting, what could not have been seen, and what to record next.
+//! Measured runs and a robot file go in; a [`Report`] comes out: the divergence, named causes with intervals
+//! and look-alikes, the gain on runs that were not used for fitting, what could not have been seen, and what
+//! to record next.
 //!
 //! Invariant: no clock, no network; same logs, same seed, same report, whatever the thread count.
 

@@ -123,7 +123,8 @@ pub fn places(model: &RobotModel, domain: Domain) -> Vec<Place> {
     }
 }
 
-/// Joints whose names differ only in numbers and in the leg they stand for, where there are at least two of them and others as well.
+/// Joints whose names differ only in numbers and in the leg they stand for, where there are at least two of
+/// them and others as well.
 fn groups(names: &[String]) -> Vec<Vec<usize>> {
     let stem = |name: &str| -> String {
         let leg = |part: &str| part.len() == 2 && part.chars().all(|c| c.is_ascii_uppercase());

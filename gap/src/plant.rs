@@ -1,4 +1,5 @@
-//! A candidate robot: physical parameters of a lane, what its sensors do wrong, and what happens to its commands and clocks.
+//! A candidate robot: physical parameters of a lane, what its sensors do wrong, and what happens to its
+//! commands and clocks.
 
 use std::sync::Arc;
 
@@ -115,11 +116,13 @@ impl Plant {
         plant
     }
 
-    /// Torque limits of joint `a` where the motor gets `share` of its voltage: the line through stall torque and speed without
-    /// load moves in parallel (the speeds are the caller's). Against the motion, back-EMF helps the bridge, so that the motor
-    /// brakes harder than it drives, but not harder than its current limit for braking allows.
+    /// Torque limits of joint `a` where the motor gets `share` of its voltage: the line through stall torque
+    /// and speed without load moves in parallel (the speeds are the caller's). Against the motion, back-EMF
+    /// helps the bridge, so that the motor brakes harder than it drives, but not harder than its current
+    /// limit for braking allows.
     pub(crate) fn less_voltage(&mut self, a: usize, share: f32) {
-        /// Braking torque over stall torque: back-EMF is about half the voltage where a joint begins to brake.
+        /// Braking torque over stall torque: back-EMF is about half the voltage where a joint begins to
+        /// brake.
         const BRAKING: f64 = 1.5;
         let servo = self.model.servo(a);
         let before = self.lane.torque_scale[a];

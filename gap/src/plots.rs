@@ -1,4 +1,5 @@
-//! What the report page draws: plain numbers, in SI units, that serialise to JSON. Nothing here is needed to read the verdict.
+//! What the report page draws: plain numbers, in SI units, that serialise to JSON. Nothing here is needed to
+//! read the verdict.
 
 use std::collections::BTreeMap;
 
@@ -48,7 +49,8 @@ pub struct Overlay {
     pub after: Vec<f64>,
 }
 
-/// A picture that shows a cause by its own mark: friction map, lag against frequency, plateau, work per cycle, ….
+/// A picture that shows a cause by its own mark: friction map, lag against frequency, plateau, work per
+/// cycle, ….
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Signature {
     /// Effect id.
@@ -98,7 +100,8 @@ pub struct Horizon {
     pub floor: Vec<f64>,
 }
 
-/// One step of the misfit's way down. Misfit: mean squared error in units of the noise floor, 1 = floor, on held-out runs.
+/// One step of the misfit's way down. Misfit: mean squared error in units of the noise floor, 1 = floor, on
+/// held-out runs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WaterfallStep {
     /// `as given`, an effect id (with `@joint`), or `floor`.

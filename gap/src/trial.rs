@@ -47,8 +47,8 @@ pub enum Kind {
     BasePosition,
     /// Velocity of the base, world, m/s.
     BaseVelocity,
-    /// Orientation of the base: roll and pitch by the direction of gravity in it, and yaw. `index` 0, 1, 3: x, y, z of gravity in the base; 2: yaw, rad,
-    /// on past π where the base turns on.
+    /// Orientation of the base: roll and pitch by the direction of gravity in it, and yaw. `index` 0, 1, 3:
+    /// x, y, z of gravity in the base; 2: yaw, rad, on past π where the base turns on.
     BaseAttitude,
     /// Position of a foot's ball, world, m. `index`: foot·3 + axis.
     Foot,
@@ -93,7 +93,8 @@ impl Kind {
         }
     }
 
-    /// Whether component `index` says where the robot is in the world, which no two runs of a free robot agree on.
+    /// Whether component `index` says where the robot is in the world, which no two runs of a free robot
+    /// agree on.
     #[must_use]
     pub fn of_place(self, index: usize) -> bool {
         match self {
@@ -152,7 +153,8 @@ pub struct Steps {
     pub time_s: Vec<f64>,
     /// From that time on.
     pub value: Vec<f64>,
-    /// Time from one frame to the next, s (one row of the log that has a value, one frame): in between, what holds is sent again. 0: nobody knows, nothing is.
+    /// Time from one frame to the next, s (one row of the log that has a value, one frame): in between, what
+    /// holds is sent again. 0: nobody knows, nothing is.
     pub frame_s: f64,
 }
 
@@ -237,7 +239,8 @@ impl Trial {
     }
 }
 
-/// x and y of the direction of gravity in the body (level: 0, 0), yaw (rad), and its z (level: −1), of world_from_body `[w, x, y, z]`.
+/// x and y of the direction of gravity in the body (level: 0, 0), yaw (rad), and its z (level: −1), of
+/// world_from_body `[w, x, y, z]`.
 #[must_use]
 pub fn attitude_of([w, x, y, z]: [f64; 4]) -> [f64; 4] {
     let n = (w * w + x * x + y * y + z * z).sqrt().max(1e-12);

@@ -40,7 +40,8 @@ const READERS: &[Role] = &[Role::Learner, Role::Operator, Role::Robot];
 /// Streams that begin so are what an operator released.
 const RELEASES: &str = "release/";
 
-/// Reads `ca.crt`, `tls.crt` and `tls.key` of `folder`; clients must show a certificate of the same authority, and speak TLS 1.3.
+/// Reads `ca.crt`, `tls.crt` and `tls.key` of `folder`; clients must show a certificate of the same
+/// authority, and speak TLS 1.3.
 ///
 /// # Errors
 /// The file that cannot be read, or does not hold what it should.
@@ -81,7 +82,8 @@ pub fn tls_config(folder: &Path) -> Result<TlsAcceptor, (PathBuf, io::Error)> {
     Ok(TlsAcceptor::from(Arc::new(config)))
 }
 
-/// Whether `role` may make the call with this path. Health and reflection are open to every certificate of the lab.
+/// Whether `role` may make the call with this path. Health and reflection are open to every certificate of
+/// the lab.
 fn allowed(path: &str, role: Role) -> bool {
     let Some(call) = path.strip_prefix(REGISTRY) else {
         return path.starts_with("/grpc.");
@@ -113,8 +115,8 @@ impl Caller {
         }
     }
 
-    /// Whether it may publish into `stream`: a learner's machine is not trusted with what operators release, and an
-    /// operator releases nothing that is not signed.
+    /// Whether it may publish into `stream`: a learner's machine is not trusted with what operators release,
+    /// and an operator releases nothing that is not signed.
     ///
     /// # Errors
     /// `PERMISSION_DENIED`.
@@ -152,8 +154,8 @@ impl<S> tower_layer::Layer<S> for GuardLayer {
     }
 }
 
-/// Lets a call through when the certificate of its connection has a role that may make it; answers `UNAUTHENTICATED` or
-/// `PERMISSION_DENIED` otherwise.
+/// Lets a call through when the certificate of its connection has a role that may make it; answers
+/// `UNAUTHENTICATED` or `PERMISSION_DENIED` otherwise.
 #[derive(Clone, Debug)]
 pub struct Guard<S> {
     inner: S,

@@ -1,7 +1,8 @@
-//! The record of who changed what: one line of JSON per change, appended, each bound to the one before it by its hash.
+//! The record of who changed what: one line of JSON per change, appended, each bound to the one before it by
+//! its hash.
 //!
-//! A line is on the disk before the change that it announces, so that nothing changes without one. What was announced and did not
-//! happen (a crash, a full disk) gets a line `undone`.
+//! A line is on the disk before the change that it announces, so that nothing changes without one. What was
+//! announced and did not happen (a crash, a full disk) gets a line `undone`.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -101,7 +102,8 @@ pub struct AuditLog {
     last_hash: String,
     last: Option<Line>,
     entries: VecDeque<AuditEntry>,
-    /// The last line announces what did not happen, and there was no space to say so; the next line says it first.
+    /// The last line announces what did not happen, and there was no space to say so; the next line says it
+    /// first.
     owed: Option<String>,
     /// Half a line may be at the end of the file, and could not be cut off.
     torn: bool,
@@ -159,7 +161,8 @@ impl AuditLog {
         Ok(files)
     }
 
-    /// Writes the file anew, so that all of it is on the disk for certain: what a failed sync left of it nobody knows.
+    /// Writes the file anew, so that all of it is on the disk for certain: what a failed sync left of it
+    /// nobody knows.
     ///
     /// # Errors
     /// What the disk says.
@@ -305,7 +308,8 @@ impl AuditLog {
         }
     }
 
-    /// The highest change counter that was announced before this start: no other change may get it, or watchers miss that one.
+    /// The highest change counter that was announced before this start: no other change may get it, or
+    /// watchers miss that one.
     pub fn generation(&self) -> u64 {
         self.generation
     }
@@ -316,7 +320,8 @@ impl AuditLog {
         Some((&line.stream, line.generation?))
     }
 
-    /// Writes that what the last line announces did not happen; where that fails, the next line is written only after it.
+    /// Writes that what the last line announces did not happen; where that fails, the next line is written
+    /// only after it.
     ///
     /// # Errors
     /// As [`AuditLog::write`].

@@ -1,5 +1,5 @@
-//! What stands between a wrong request and the store, as tables. That a version is never published twice with other bytes is not
-//! among them: the disk refuses the second file as well.
+//! What stands between a wrong request and the store, as tables. That a version is never published twice with
+//! other bytes is not among them: the disk refuses the second file as well.
 
 use caudata_proto::checks::Check;
 use caudata_proto::hex::hex;

@@ -16,7 +16,8 @@ const HEAD: (&[u8], &[u8]) = (b"{\n  \"checksum\": \"", b"\",\n");
 /// What its content begins with without the checksum.
 const BODY: &[u8] = b"{\n";
 
-/// The bytes of a file: `content` as an object whose first entry is the SHA-256 of the others as they stand there.
+/// The bytes of a file: `content` as an object whose first entry is the SHA-256 of the others as they stand
+/// there.
 ///
 /// # Errors
 /// [`RecordError::Json`], which would be a bug.

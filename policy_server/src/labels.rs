@@ -99,7 +99,8 @@ impl Store {
         })
     }
 
-    /// All labels of `stream` (`None`: of all), `latest` first of each. One whose version is out of use is among them.
+    /// All labels of `stream` (`None`: of all), `latest` first of each. One whose version is out of use is
+    /// among them.
     #[must_use]
     pub fn labels(&self, stream: Option<&StreamName>) -> Vec<LabelState> {
         let wanted = |name: &&StreamName| stream.is_none_or(|s| s == *name);
@@ -124,7 +125,8 @@ impl Store {
     /// Moves a label, where it is still as the caller knows it.
     ///
     /// # Errors
-    /// [`StoreError::LabelMoved`], [`StoreError::NotAllowed`], [`StoreError::Full`], [`StoreError::ReadOnly`]; what the disk says.
+    /// [`StoreError::LabelMoved`], [`StoreError::NotAllowed`], [`StoreError::Full`],
+    /// [`StoreError::ReadOnly`]; what the disk says.
     pub fn set_label(
         &mut self,
         origin: &Origin,
@@ -249,8 +251,8 @@ impl Store {
     /// Publishes the bytes of an older version again, as `manifest` says.
     ///
     /// # Errors
-    /// As [`Store::publish_by`]; [`StoreError::NotFound`] where the old version is gone, [`StoreError::NotAllowed`] where the manifest is not
-    /// one of it or the number not the highest.
+    /// As [`Store::publish_by`]; [`StoreError::NotFound`] where the old version is gone,
+    /// [`StoreError::NotAllowed`] where the manifest is not one of it or the number not the highest.
     pub fn revert(
         &mut self,
         origin: &Origin,
@@ -292,8 +294,8 @@ impl Store {
     /// Keeps what a robot says about a version. True where it is news.
     ///
     /// # Errors
-    /// [`StoreError::NotFound`] for a version that is not here, or has other bytes; [`StoreError::Full`] for a robot that says too
-    /// much; [`StoreError::ReadOnly`]; what the disk says.
+    /// [`StoreError::NotFound`] for a version that is not here, or has other bytes; [`StoreError::Full`] for
+    /// a robot that says too much; [`StoreError::ReadOnly`]; what the disk says.
     pub fn report(&mut self, origin: &Origin, mut report: RobotReport) -> Result<bool, StoreError> {
         let record = self.manifest(&report.stream, Some(report.version))?;
         if record.manifest.sha256 != report.sha256 {
@@ -358,7 +360,8 @@ impl Store {
         folder.join(format!("{version:020}.json"))
     }
 
-    /// Forgets what was said about a version that is gone. Its quarantine stays: neither its number nor its bytes come back.
+    /// Forgets what was said about a version that is gone. Its quarantine stays: neither its number nor its
+    /// bytes come back.
     pub(crate) fn forget_reports(&mut self, stream: &StreamName, version: u64) {
         if self.reports.remove(&(stream.clone(), version)).is_some() {
             let _ = self

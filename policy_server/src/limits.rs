@@ -1,7 +1,8 @@
 //! How many connections are served at once, altogether and from one host, and how they come in.
 //!
-//! Where no place is left, the oldest connection that made no call yet gives up its own: whoever only holds connections keeps nobody
-//! out. Where all of them made calls, the new one is closed at once: whoever waits in a queue holds a place there too.
+//! Where no place is left, the oldest connection that made no call yet gives up its own: whoever only holds
+//! connections keeps nobody out. Where all of them made calls, the new one is closed at once: whoever waits
+//! in a queue holds a place there too.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -22,10 +23,11 @@ use tonic::transport::server::Connected;
 
 /// Connections altogether, unless told otherwise. Each costs some tens of kilobytes and a file handle.
 pub const CONNECTIONS_MAX: usize = 2048;
-/// Connections from one other host, unless told otherwise. Too small: actors of a cluster node behind one address are shut out; too
-/// large: one host can take all places.
+/// Connections from one other host, unless told otherwise. Too small: actors of a cluster node behind one
+/// address are shut out; too large: one host can take all places.
 pub const PEER_CONNECTIONS_MAX: usize = 256;
-/// Fetches at once, altogether and from one other host: each holds a few pieces of a file, and all hold one file together.
+/// Fetches at once, altogether and from one other host: each holds a few pieces of a file, and all hold one
+/// file together.
 pub const FETCHES_MAX: ConnectionLimits = ConnectionLimits {
     total: 256,
     per_peer: 64,
@@ -182,8 +184,8 @@ impl Drop for Place {
     }
 }
 
-/// The connections that come in, have a place, and finished their handshake where there is one. The listener is closed when the
-/// stream is dropped.
+/// The connections that come in, have a place, and finished their handshake where there is one. The listener
+/// is closed when the stream is dropped.
 pub fn incoming(
     listener: TcpListener,
     limits: ConnectionLimits,

@@ -29,11 +29,13 @@ const FOLDERS: [&str; 7] = [
 ];
 
 impl Store {
-    /// Opens the store at `root`, makes it where it is absent, and repairs what a crash left: temporary files and
-    /// unreferenced blobs are removed, damaged records and those whose blob is missing or of another size are set aside.
+    /// Opens the store at `root`, makes it where it is absent, and repairs what a crash left: temporary files
+    /// and unreferenced blobs are removed, damaged records and those whose blob is missing or of another size
+    /// are set aside.
     ///
     /// # Errors
-    /// [`StoreError::Unusable`] where the folder cannot be made, is locked by another server, or holds a newer format.
+    /// [`StoreError::Unusable`] where the folder cannot be made, is locked by another server, or holds a
+    /// newer format.
     pub fn open(root: &Path, limits: StoreLimits) -> Result<Self, StoreError> {
         fs::create_dir_all(root).map_err(|error| unusable(root, &error.to_string()))?;
         Self::open_on(root, limits, Arc::new(OsDisk))
@@ -93,11 +95,11 @@ impl Store {
         Ok(store)
     }
 
-    /// Looks whether the disk takes changes again after it refused one, and goes on if so; answers the changes that show by now
-    /// although their makers were told that they failed.
+    /// Looks whether the disk takes changes again after it refused one, and goes on if so; answers the
+    /// changes that show by now although their makers were told that they failed.
     ///
-    /// After a failed sync nobody knows what is on the disk. So it is made certain: the record is written anew, every folder is
-    /// synced, and the store is read from the disk, as a restart would do it.
+    /// After a failed sync nobody knows what is on the disk. So it is made certain: the record is written
+    /// anew, every folder is synced, and the store is read from the disk, as a restart would do it.
     ///
     /// # Errors
     /// What the disk says now.
@@ -209,8 +211,8 @@ impl Store {
         }
     }
 
-    /// Reads labels, quarantine and reports; a damaged file is set aside, but a damaged quarantine file still keeps its version
-    /// out of use.
+    /// Reads labels, quarantine and reports; a damaged file is set aside, but a damaged quarantine file still
+    /// keeps its version out of use.
     fn load_notes(&mut self, damaged: &mut Vec<Damage>) -> Result<(), StoreError> {
         for path in files_below(&self.root.join("labels"))? {
             match read::<wire::LabelState, LabelState>(&path)? {
@@ -276,8 +278,8 @@ impl Store {
         Ok(())
     }
 
-    /// Removes temporary files and blobs that no record names (a crash between blob and record). Where a record was found damaged,
-    /// nobody knows whose blob it is: then all stay.
+    /// Removes temporary files and blobs that no record names (a crash between blob and record). Where a
+    /// record was found damaged, nobody knows whose blob it is: then all stay.
     fn remove_unreferenced(&mut self) -> Result<(), StoreError> {
         let folder = self.root.join("blobs");
         caudata_durable::remove_leftovers(&folder)?;

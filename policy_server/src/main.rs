@@ -30,13 +30,15 @@ struct Args {
     /// Address to listen on; port 0 takes any free one
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7401")]
     addr: SocketAddr,
-    /// Folder with ca.crt, tls.crt and tls.key (`caudata pki`): clients must show a certificate. Needed beyond loopback
+    /// Folder with ca.crt, tls.crt and tls.key (`caudata pki`): clients must show a certificate. Needed
+    /// beyond loopback
     #[arg(long, value_name = "DIR")]
     tls_dir: Option<PathBuf>,
     /// Address of /metrics and /healthz; none when absent
     #[arg(long, value_name = "ADDR")]
     metrics_addr: Option<SocketAddr>,
-    /// Address of the page for people (versions, labels, robots); none when absent. Whoever can reach it can read it
+    /// Address of the page for people (versions, labels, robots); none when absent. Whoever can reach it can
+    /// read it
     #[arg(long, value_name = "ADDR")]
     page_addr: Option<SocketAddr>,
     /// Versions kept per stream, newest first; those that a label leads to stay

@@ -1,4 +1,5 @@
-//! What stands beside the versions on disk: what is out of use, which numbers are used up, and what robots said.
+//! What stands beside the versions on disk: what is out of use, which numbers are used up, and what robots
+//! said.
 
 use std::collections::BTreeMap;
 
@@ -11,13 +12,15 @@ use crate::error::RecordError;
 
 /// Robots whose word about one version is kept; with more, the one that spoke first is forgotten.
 pub const ROBOTS_MAX: usize = 256;
-/// Damaged versions of one stream whose numbers are kept one by one; with more, all numbers up to the lowest are used up.
+/// Damaged versions of one stream whose numbers are kept one by one; with more, all numbers up to the lowest
+/// are used up.
 const DAMAGED_MAX: usize = 256;
 
 /// A SHA-256.
 pub type Hash = [u8; 32];
 
-/// A version out of use, and the bytes that are out of use with it: kept for good, also when the version itself is gone.
+/// A version out of use, and the bytes that are out of use with it: kept for good, also when the version
+/// itself is gone.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quarantined {
     /// What is told of it.

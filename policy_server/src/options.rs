@@ -43,11 +43,13 @@ pub struct ServeOptions {
     pub fresh_key: Option<Arc<ReleaseKey>>,
     /// How many connections.
     pub connections: ConnectionLimits,
-    /// A publisher must send its next piece within this time, [`UPLOAD_IDLE_MAX`] unless told otherwise. Too short: publishers behind a poor network are
-    /// cut off; too long: one that died holds its place and the bytes that came.
+    /// A publisher must send its next piece within this time, [`UPLOAD_IDLE_MAX`] unless told otherwise. Too
+    /// short: publishers behind a poor network are cut off; too long: one that died holds its place and the
+    /// bytes that came.
     pub upload_idle: Duration,
-    /// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time, [`REPLY_IDLE_MAX`] unless told otherwise. Too short:
-    /// robots behind a poor network are cut off and have to ask again; too long: one that hangs holds its place and what waits for it.
+    /// A client must take a piece of an answer that waits for it (a watch, a fetch) within this time,
+    /// [`REPLY_IDLE_MAX`] unless told otherwise. Too short: robots behind a poor network are cut off and have
+    /// to ask again; too long: one that hangs holds its place and what waits for it.
     pub reply_idle: Duration,
     /// How often a store that cannot write looks whether it can again.
     pub probe_pause: Duration,

@@ -1,5 +1,5 @@
-//! The page for people: versions, how they did, where labels lead, which robot runs what. Plain HTML, nothing from elsewhere, nothing
-//! that changes anything.
+//! The page for people: versions, how they did, where labels lead, which robot runs what. Plain HTML, nothing
+//! from elsewhere, nothing that changes anything.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::RecordError;
 use crate::files::{seal, unseal};
 
-/// Format of the record files; a store with a newer one is refused rather than misread. Those of format 1 have no
-/// checksum, and are written anew when they are found.
+/// Format of the record files; a store with a newer one is refused rather than misread. Those of format 1
+/// have no checksum, and are written anew when they are found.
 pub const RECORD_FORMAT: u32 = 2;
 
 /// One version: the manifest, and the change counter at which it was published.

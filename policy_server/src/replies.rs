@@ -1,7 +1,8 @@
 //! Answers in pieces towards one client, who may read them slowly, late or never.
 //!
-//! A few pieces wait for the client; then the server waits, but not for ever. Whoever takes none of them in time is cut off: what waited is
-//! given up at once, although the client's connection may stay, and what it finds when it reads on says why.
+//! A few pieces wait for the client; then the server waits, but not for ever. Whoever takes none of them in
+//! time is cut off: what waited is given up at once, although the client's connection may stay, and what it
+//! finds when it reads on says why.
 
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -42,7 +43,8 @@ pub struct Replies<T> {
 /// The client's end, as the answer to its call.
 pub struct ReplyStream<T>(Ends<T>);
 
-/// Both ends. The client must take one of the pieces that wait for it within `idle`; one that does not finds `late` when it reads on.
+/// Both ends. The client must take one of the pieces that wait for it within `idle`; one that does not finds
+/// `late` when it reads on.
 pub fn replies<T>(idle: Duration, late: Code) -> (Replies<T>, ReplyStream<T>) {
     let (pieces, waiting) = mpsc::channel(WAITING_MAX);
     let ends = Arc::new(Mutex::new(Shared {
@@ -61,7 +63,8 @@ pub fn replies<T>(idle: Duration, late: Code) -> (Replies<T>, ReplyStream<T>) {
 }
 
 impl<T> Replies<T> {
-    /// Hands `piece` on. False where nobody takes it: the client went, or read nothing for too long and is cut off.
+    /// Hands `piece` on. False where nobody takes it: the client went, or read nothing for too long and is
+    /// cut off.
     pub async fn send(&self, piece: T) -> bool {
         match tokio::time::timeout(self.idle, self.pieces.send(piece)).await {
             Ok(sent) => sent.is_ok(),
@@ -77,14 +80,16 @@ impl<T> Replies<T> {
         self.pieces.closed().await;
     }
 
-    /// Ends the answer with `status`, which the client finds behind what waits for it; waits as [`Replies::finish`] does.
+    /// Ends the answer with `status`, which the client finds behind what waits for it; waits as
+    /// [`Replies::finish`] does.
     pub async fn end(self, status: Status) {
         lock(&self.ends).end = Some(status);
         self.finish().await;
     }
 
-    /// Ends an answer that is whole. Waits until the client took all of it: an answer that fits into what may wait would otherwise be kept for a client
-    /// that reads nothing for as long as its connection stays. False where it went, or took no piece for too long and is cut off.
+    /// Ends an answer that is whole. Waits until the client took all of it: an answer that fits into what may
+    /// wait would otherwise be kept for a client that reads nothing for as long as its connection stays.
+    /// False where it went, or took no piece for too long and is cut off.
     pub async fn finish(self) -> bool {
         loop {
             let free = self.pieces.capacity();

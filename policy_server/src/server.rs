@@ -24,7 +24,8 @@ const STREAMS_PER_CONNECTION: u32 = 32;
 const MESSAGE_SIZE_MAX: usize = 256 << 10;
 /// Headers of one call at most, bytes.
 const HEADERS_MAX: u32 = 8 << 10;
-/// Calls that a client may take back before the server has looked at them; beyond that its connection is closed.
+/// Calls that a client may take back before the server has looked at them; beyond that its connection is
+/// closed.
 const RESETS_MAX: usize = 20;
 /// A call that has not begun to be answered by then is given up; streams of answers go on.
 const CALL_MAX: Duration = Duration::from_secs(60);
@@ -75,8 +76,8 @@ pub async fn listen(addr: SocketAddr) -> Result<TcpListener, ServeError> {
         })
 }
 
-/// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish for
-/// [`DRAIN_MAX`].
+/// Serves until `stop` turns true, then reports NOT_SERVING, refuses new work, and lets open requests finish
+/// for [`DRAIN_MAX`].
 ///
 /// # Errors
 /// [`ServeError::Transport`], [`ServeError::Reflection`].
@@ -179,7 +180,8 @@ pub async fn serve_with(
     }
 }
 
-/// Says on the health service whether the store takes changes; while it does not, looks again and again whether it does.
+/// Says on the health service whether the store takes changes; while it does not, looks again and again
+/// whether it does.
 async fn watch_over(
     registry: RegistryService,
     health: tonic_health::server::HealthReporter,

@@ -1,4 +1,5 @@
-//! The gRPC service: checks what comes in, asks the store, and answers with the status codes that clients act on.
+//! The gRPC service: checks what comes in, asks the store, and answers with the status codes that clients act
+//! on.
 //!
 //! | case | status |
 //! |---|---|
@@ -92,7 +93,8 @@ impl RegistryService {
         self.store.trouble()
     }
 
-    /// Looks whether a store that could not be changed can be again ([`Store::recover`]), and tells watchers what shows then.
+    /// Looks whether a store that could not be changed can be again ([`Store::recover`]), and tells watchers
+    /// what shows then.
     pub async fn recover(&self) {
         match self.change(Store::recover).await {
             Ok(changes) => changes.into_iter().for_each(|change| self.tell(change)),

@@ -1,4 +1,5 @@
-//! The store on disk: blobs named by their SHA-256, one small record per published version, and what people and robots say of it.
+//! The store on disk: blobs named by their SHA-256, one small record per published version, and what people
+//! and robots say of it.
 //!
 //! ```text
 //! <data>/blobs/<sha256>.onnx                 written once, never changed
@@ -11,9 +12,9 @@
 //! <data>/damaged/                            what was found damaged, set aside for a person to look at
 //! ```
 //!
-//! *Invariant:* a version is whole or absent, and so is every other change. The file that makes it visible is written last and
-//! atomically, so a crash at any point leaves at most an unreferenced blob and an announcement, which the next start removes
-//! and takes back.
+//! *Invariant:* a version is whole or absent, and so is every other change. The file that makes it visible is
+//! written last and atomically, so a crash at any point leaves at most an unreferenced blob and an
+//! announcement, which the next start removes and takes back.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -39,11 +40,13 @@ use crate::record::Record;
 pub struct StoreLimits {
     /// Streams at most; protects the disk from a publisher that invents names.
     pub streams_max: usize,
-    /// Versions kept per stream, newest first; older ones are removed after each publication. Too small: robots that
-    /// were offline find their version gone; too large: disk (about 0.2 MB each for a 128-128 network).
+    /// Versions kept per stream, newest first; older ones are removed after each publication. Too small:
+    /// robots that were offline find their version gone; too large: disk (about 0.2 MB each for a 128-128
+    /// network).
     pub versions_kept: usize,
-    /// Robots that must have run a version through its trial before `stable` may lead to it. 0: none. Too small: one lucky walk
-    /// makes a policy everybody's; too large: a small lab never gets there without an override.
+    /// Robots that must have run a version through its trial before `stable` may lead to it. 0: none. Too
+    /// small: one lucky walk makes a policy everybody's; too large: a small lab never gets there without an
+    /// override.
     pub stable_needs: usize,
 }
 
@@ -90,7 +93,8 @@ pub struct Store {
 #[derive(Clone, Debug)]
 pub(crate) struct Trouble {
     pub(crate) reason: String,
-    /// After a failed sync nobody knows what is on the disk: nothing is changed until it was made certain again.
+    /// After a failed sync nobody knows what is on the disk: nothing is changed until it was made certain
+    /// again.
     pub(crate) read_only: bool,
 }
 
@@ -167,8 +171,9 @@ impl Store {
     /// Idempotent: the same version with the same bytes answers with the record that is there.
     ///
     /// # Errors
-    /// [`StoreError::VersionTaken`], [`StoreError::UsedUp`], [`StoreError::HashMismatch`], [`StoreError::ContractMismatch`],
-    /// [`StoreError::Full`], or [`StoreError::Durable`] (disk full); nothing becomes visible then.
+    /// [`StoreError::VersionTaken`], [`StoreError::UsedUp`], [`StoreError::HashMismatch`],
+    /// [`StoreError::ContractMismatch`], [`StoreError::Full`], or [`StoreError::Durable`] (disk full);
+    /// nothing becomes visible then.
     pub fn publish(&mut self, manifest: Manifest, bytes: &[u8]) -> Result<Published, StoreError> {
         self.publish_by(&Origin::local(), "publish", "", manifest, bytes)
     }
@@ -176,7 +181,8 @@ impl Store {
     /// As [`Store::publish`], for the record: by whom, as what (`publish`, `revert`), with which words.
     ///
     /// # Errors
-    /// As [`Store::publish`]; [`StoreError::NotAllowed`] for bytes that are quarantined, [`StoreError::ReadOnly`].
+    /// As [`Store::publish`]; [`StoreError::NotAllowed`] for bytes that are quarantined,
+    /// [`StoreError::ReadOnly`].
     pub fn publish_by(
         &mut self,
         origin: &Origin,
@@ -300,8 +306,8 @@ impl Store {
         self.generation
     }
 
-    /// The bytes under a hash, verified; whoever asks while others hold them shares theirs. A file that no longer matches its
-    /// name is set aside.
+    /// The bytes under a hash, verified; whoever asks while others hold them shares theirs. A file that no
+    /// longer matches its name is set aside.
     ///
     /// # Errors
     /// [`StoreError::NotFound`], [`StoreError::Damaged`], [`StoreError::Unreadable`].
@@ -410,8 +416,8 @@ impl Store {
         Ok(())
     }
 
-    /// Removes versions beyond the limit, unless a label leads there: first their numbers are used up, then the records go, so
-    /// that no visible version ever lacks its blob.
+    /// Removes versions beyond the limit, unless a label leads there: first their numbers are used up, then
+    /// the records go, so that no visible version ever lacks its blob.
     fn retire_old(&mut self, stream: &StreamName) {
         let held: BTreeSet<u64> = self
             .labels

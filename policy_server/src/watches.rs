@@ -59,7 +59,8 @@ pub struct Watcher {
 }
 
 impl Watcher {
-    /// Ends when the client goes, when it reads nothing for too long, when it falls too far behind, or when the server drains.
+    /// Ends when the client goes, when it reads nothing for too long, when it falls too far behind, or when
+    /// the server drains.
     pub async fn run(mut self, first: Vec<wire::WatchEvent>) {
         for event in first {
             if !self.replies.send(event).await {

@@ -1,7 +1,8 @@
 //! Tables of named checks: what stands between a bad answer, policy or request and whoever would act on it.
 //!
-//! A caller folds over its table and stops at the first refusal. Because the table is a value, a test can hand over
-//! one with an entry less and show that exactly what this entry refuses then gets through ([`each_left_out`]).
+//! A caller folds over its table and stops at the first refusal. Because the table is a value, a test can
+//! hand over one with an entry less and show that exactly what this entry refuses then gets through
+//! ([`each_left_out`]).
 
 use std::fmt::Debug;
 
@@ -14,12 +15,13 @@ pub struct Check<F> {
     pub refuse: F,
 }
 
-/// Tries to get past each check of `table`, with it and without it. `attempt` brings what the named check alone
-/// refuses to the table that it is given, and says whether it was taken or why not. Gives a line for each check.
+/// Tries to get past each check of `table`, with it and without it. `attempt` brings what the named check
+/// alone refuses to the table that it is given, and says whether it was taken or why not. Gives a line for
+/// each check.
 ///
 /// # Errors
-/// The same lines, where a check refuses nothing, where another one refuses the same, or where the table is empty or
-/// has a name twice.
+/// The same lines, where a check refuses nothing, where another one refuses the same, or where the table is
+/// empty or has a name twice.
 pub fn each_left_out<F: Copy, E: Debug>(
     table: &[Check<F>],
     attempt: impl Fn(&str, &[Check<F>]) -> Result<(), E>,

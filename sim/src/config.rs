@@ -40,51 +40,61 @@ pub enum Precision {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EngineConfig {
-    /// The engine, `batch` or `rapier`. Default `batch`. `rapier` is the independent referee, about a hundred times slower; it is tuned for
-    /// `dt_s` = 0.004 and `substeps` = 5.
+    /// The engine, `batch` or `rapier`. Default `batch`. `rapier` is the independent referee, about a hundred
+    /// times slower; it is tuned for `dt_s` = 0.004 and `substeps` = 5.
     pub kind: EngineKind,
-    /// Physics step, s, 0.0002..=0.01. Default 0.002: an open-loop trot then travels within 2 % of its small-step limit. Smaller is more
-    /// accurate and proportionally slower; above about 5 ms foot contact gets coarse, and with `rapier` the servo loop soft (it is explicit there).
+    /// Physics step, s, 0.0002..=0.01. Default 0.002: an open-loop trot then travels within 2 % of its
+    /// small-step limit. Smaller is more accurate and proportionally slower; above about 5 ms foot contact
+    /// gets coarse, and with `rapier` the servo loop soft (it is explicit there).
     pub dt_s: f64,
-    /// Physics steps per control period, 1..=200; `substeps * dt_s` is the control period. Default 10 (20 ms).
+    /// Physics steps per control period, 1..=200; `substeps * dt_s` is the control period. Default 10 (20
+    /// ms).
     pub substeps: u32,
     /// `rapier`: solver iterations per physics step, 1..=16. Each costs nearly a whole step. Default 1.
     pub solver_iterations: u32,
-    /// `rapier`: natural frequency of the contact constraint, Hz, 1..=1000. Higher is stiffer: less sinking in, harder impacts. Default 60 (Rapier's
-    /// value against fixed ground).
+    /// `rapier`: natural frequency of the contact constraint, Hz, 1..=1000. Higher is stiffer: less sinking
+    /// in, harder impacts. Default 60 (Rapier's value against fixed ground).
     pub contact_frequency_hz: f64,
-    /// `rapier`: damping ratio of the contact constraint, 0.1..=50. Higher pushes penetration out more slowly. Default 10 (Rapier's).
+    /// `rapier`: damping ratio of the contact constraint, 0.1..=50. Higher pushes penetration out more
+    /// slowly. Default 10 (Rapier's).
     pub contact_damping_ratio: f64,
-    /// `rapier`: gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink in before they are
-    /// noticed. Too large: more contact points to solve. Default 0.005.
+    /// `rapier`: gap at which contacts are prepared ahead of touching, m, 0..=0.05. Too small: fast feet sink
+    /// in before they are noticed. Too large: more contact points to solve. Default 0.005.
     pub contact_margin_m: f64,
-    /// Whether backlash hinges are held at zero although the model has them. Default false. True is about 1.5 times as fast (four of
-    /// the Polymander's 28 degrees of freedom less) and walks like a stiffer robot: farther, with less power.
+    /// Whether backlash hinges are held at zero although the model has them. Default false. True is about 1.5
+    /// times as fast (four of the Polymander's 28 degrees of freedom less) and walks like a stiffer robot:
+    /// farther, with less power.
     pub lock_backlash: bool,
-    /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default false.
+    /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default
+    /// false.
     pub fixed_base: bool,
-    /// Whether legs touch the trunk and other legs. `rapier`: with the shapes that touch the ground; `batch`: with those of their contact points that
-    /// are balls (ends of capsules, feet), corners of boxes and rims of cylinders pass through one another. Default false: gaits on land do not need it
-    /// (legs of the Polymander meet only when it bends its spine with hips at their ends), and every pair costs.
+    /// Whether legs touch the trunk and other legs. `rapier`: with the shapes that touch the ground; `batch`:
+    /// with those of their contact points that are balls (ends of capsules, feet), corners of boxes and rims
+    /// of cylinders pass through one another. Default false: gaits on land do not need it (legs of the
+    /// Polymander meet only when it bends its spine with hips at their ends), and every pair costs.
     pub self_collision: bool,
-    /// Joint speed, and spin of the base, beyond which a lane counts as diverged, rad/s. Default 200 (the servos end at 8).
+    /// Joint speed, and spin of the base, beyond which a lane counts as diverged, rad/s. Default 200 (the
+    /// servos end at 8).
     pub max_joint_speed_radps: f64,
     /// Base speed beyond which a lane counts as diverged, m/s. Default 50.
     pub max_base_speed_mps: f64,
-    /// `batch`: lanes per vector register, 0 (the widest the processor has), 1, 4, 8 or 16. Default 0. Others are for measuring.
+    /// `batch`: lanes per vector register, 0 (the widest the processor has), 1, 4, 8 or 16. Default 0. Others
+    /// are for measuring.
     pub lane_width: u32,
     /// `batch`: `single` or `double`. Default `single`.
     pub precision: Precision,
-    /// `batch`: friction as MuJoCo's elliptic cone has it, instead of Coulomb's on a bristle. Default false. True: open-loop gaits go as in MuJoCo, but a
-    /// sliding foot lifts itself, and sticking sets in over the contact's time constant.
+    /// `batch`: friction as MuJoCo's elliptic cone has it, instead of Coulomb's on a bristle. Default false.
+    /// True: open-loop gaits go as in MuJoCo, but a sliding foot lifts itself, and sticking sets in over the
+    /// contact's time constant.
     pub convex_friction: bool,
-    /// `batch`: stiffness of a contact point's friction bristle, N/m, 100..=1e6. Default 30000. Softer: feet give way sideways before they
-    /// hold. Stiffer: sticking needs smaller steps.
+    /// `batch`: stiffness of a contact point's friction bristle, N/m, 100..=1e6. Default 30000. Softer: feet
+    /// give way sideways before they hold. Stiffer: sticking needs smaller steps.
     pub bristle_stiffness_n_per_m: f64,
-    /// `batch`: damping of that bristle, N·s/m, 0..=1e4. Default 100: sticking feet come to rest within a step or two. Zero: they ring.
+    /// `batch`: damping of that bristle, N·s/m, 0..=1e4. Default 100: sticking feet come to rest within a
+    /// step or two. Zero: they ring.
     pub bristle_damping_ns_per_m: f64,
-    /// `batch`: how many times faster contacts push back than the MJCF's `solref` says, 0.1..=10. Default 1. Harder: feet land with a jolt, and small steps
-    /// are needed. Softer: they sink in.
+    /// `batch`: how many times faster contacts push back than the MJCF's `solref` says, 0.1..=10. Default 1.
+    /// Harder: feet land with a jolt, and small steps are needed. Softer: they sink in.
     pub contact_hardness: f64,
 }
 

@@ -1,7 +1,8 @@
-//! Per-lane parameters of single joints, hinges and links, each field with its range: what a lane's robot does differently.
+//! Per-lane parameters of single joints, hinges and links, each field with its range: what a lane's robot
+//! does differently.
 //!
-//! Every struct also knows its fields by name ([`JointEffects::FIELDS`], [`JointEffects::get`], [`JointEffects::set`]), so that a search over parameters needs no list of its
-//! own.
+//! Every struct also knows its fields by name ([`JointEffects::FIELDS`], [`JointEffects::get`],
+//! [`JointEffects::set`]), so that a search over parameters needs no list of its own.
 
 use caudata_model::{Joint, ServoParams, WaterParams};
 use serde::{Deserialize, Serialize};
@@ -61,7 +62,8 @@ macro_rules! effects {
                 }
             }
 
-            /// Sets the field called `name`; whether there is one. (Its range is checked where the lane's parameters are.)
+            /// Sets the field called `name`; whether there is one. (Its range is checked where the lane's
+            /// parameters are.)
             pub fn set(&mut self, name: &str, value: f32) -> bool {
                 match name {
                     $(stringify!($field) => self.$field = value,)+
@@ -86,10 +88,11 @@ macro_rules! effects {
 effects! {
     /// The joint as the model has it.
     (servo: &ServoParams, joint: &Joint)
-    /// Drive-line of one actuated joint, beyond what [`LaneParams`](crate::LaneParams) has as arrays. Formulas: [`crate::drive`].
+    /// Drive-line of one actuated joint, beyond what [`LaneParams`](crate::LaneParams) has as arrays.
+    /// Formulas: [`crate::drive`].
     pub struct JointEffects {
-        /// Delay of this joint's commands on top of the lane's `command_delay_s`, s (sampling skew along the bus). Together at most
-        /// [`MAX_COMMAND_DELAY_S`]. Nominal 0.
+        /// Delay of this joint's commands on top of the lane's `command_delay_s`, s (sampling skew along the
+        /// bus). Together at most [`MAX_COMMAND_DELAY_S`]. Nominal 0.
         command_skew_s: 0.0, MAX_COMMAND_DELAY_S => 0.0;
         /// Time constant of a first-order low-pass on the command, s. Nominal 0: none.
         command_low_pass_s: 0.0, 10.0 => 0.0;
@@ -99,17 +102,20 @@ effects! {
         profile_acceleration_radps2: 0.0, 1e6 => 0.0;
         /// Errors within ± this give no torque, and larger ones that much less, rad. Nominal 0.
         dead_band_rad: 0.0, 1.0 => 0.0;
-        /// Share of that by which larger errors are not less: 1 where a controller acts on the whole error as soon as it is outside. Nominal 0.
+        /// Share of that by which larger errors are not less: 1 where a controller acts on the whole error as
+        /// soon as it is outside. Nominal 0.
         dead_band_jump: 0.0, 1.0 => 0.0;
         /// Integral gain, N·m/(rad·s); stands still while the motor saturates. Nominal 0.
         ki_nm_per_rad_s: 0.0, 1000.0 => 0.0;
-        /// Delay between what the loop wants and what the motor gives, s (computing time). At most [`MAX_LOOP_DELAY_S`]. Nominal 0.
+        /// Delay between what the loop wants and what the motor gives, s (computing time). At most
+        /// [`MAX_LOOP_DELAY_S`]. Nominal 0.
         loop_delay_s: 0.0, MAX_LOOP_DELAY_S => 0.0;
         /// Factor on both speeds of the envelope (a lower back-EMF constant is a faster motor). Nominal 1.
         speed_scale: 0.05, 20.0 => 1.0;
         /// Factor on the limit of torque against the motion, on top of `torque_scale`. Nominal 1.
         brake_scale: 0.0, 100.0 => 1.0;
-        /// Winding resistance over the nominal one: divides the loop's torque and the sloping part of the envelope. Nominal 1.
+        /// Winding resistance over the nominal one: divides the loop's torque and the sloping part of the
+        /// envelope. Nominal 1.
         winding_scale: 0.05, 20.0 => 1.0;
         /// Damping that the motor has beyond the Kd gain (back-EMF), N·m·s/rad. Nominal: the servo's.
         kd_min_nms_per_rad: 0.0, 100.0 => servo.kd_min_nm_s_per_rad;
@@ -121,8 +127,9 @@ effects! {
         current_dead_band_a: 0.0, 100.0 => servo.current_dead_band_a;
         /// Largest motor current, A. 0: none. Nominal: the servo's.
         current_limit_a: 0.0, 1000.0 => servo.current_limit_a;
-        /// Largest motor current against the motion where it is another one (a bridge that is limited as it drives brakes through its diodes), A.
-        /// Comes with the speed, over 0.1 rad/s. 0: `current_limit_a`. Nominal 0.
+        /// Largest motor current against the motion where it is another one (a bridge that is limited as it
+        /// drives brakes through its diodes), A. Comes with the speed, over 0.1 rad/s. 0: `current_limit_a`.
+        /// Nominal 0.
         braking_current_limit_a: 0.0, 1000.0 => 0.0;
         /// Friction at rest beyond Coulomb's, N·m (Stribeck). Nominal: the servo's.
         stribeck_nm: 0.0, 100.0 => servo.stribeck_nm;
@@ -132,10 +139,11 @@ effects! {
         load_friction_driving: 0.0, 0.95 => servo.load_friction_driving;
         /// Friction per load torque while the load drives the motor. Nominal: the servo's.
         load_friction_driven: 0.0, 0.95 => servo.load_friction_driven;
-        /// Friction per load torque at rest on top of that; falls with speed as Stribeck's does, at the same speed. Nominal 0.
+        /// Friction per load torque at rest on top of that; falls with speed as Stribeck's does, at the same
+        /// speed. Nominal 0.
         load_stribeck: 0.0, 0.95 => 0.0;
-        /// How fast torque falls behind the current: a motor that would give τ gives τ/(1 + s·|τ|), 1/(N·m) (iron that saturates, brushes and
-        /// bridge that drop more). Nominal 0.
+        /// How fast torque falls behind the current: a motor that would give τ gives τ/(1 + s·|τ|), 1/(N·m)
+        /// (iron that saturates, brushes and bridge that drop more). Nominal 0.
         torque_saturation_per_nm: 0.0, 100.0 => 0.0;
         /// Friction more in the positive and less in the negative direction, N·m. Nominal 0.
         friction_asymmetry_nm: -100.0, 100.0 => 0.0;
@@ -174,7 +182,8 @@ effects! {
 effects! {
     /// The hinge as the model has it.
     (joint: &Joint)
-    /// A hinge without a servo: passive, or play at a connection (whose stops are the lane's `backlash_half_width_rad`).
+    /// A hinge without a servo: passive, or play at a connection (whose stops are the lane's
+    /// `backlash_half_width_rad`).
     pub struct HingeEffects {
         /// Spring, N·m/rad. Nominal: the model's.
         spring_nm_per_rad: 0.0, 1e4 => joint.stiffness_nm_per_rad;

@@ -46,7 +46,8 @@ pub trait Engine: Send {
     /// the lane's `command_delay_s`). `wrenches` `[N, 6]`: force (N) and torque (N·m), both world frame,
     /// on the torso link at its centre of mass, held over the period.
     ///
-    /// A lane whose targets or state turn non-finite is marked in [`State::diverged`] and stands still until reset.
+    /// A lane whose targets or state turn non-finite is marked in [`State::diverged`] and stands still until
+    /// reset.
     ///
     /// # Errors
     /// When an array has the wrong length.

@@ -1,6 +1,7 @@
 //! Every number of a lane's parameters by path, for robot files that a diagnosis extended.
 //!
-//! `kp_nm_per_rad.FL_hip`, `joints.FL_hip.dead_band_rad`, `link_mass_scale.body_01`, `com_offset_m.body_01.x`, `payload_kg`, ….
+//! `kp_nm_per_rad.FL_hip`, `joints.FL_hip.dead_band_rad`, `link_mass_scale.body_01`,
+//! `com_offset_m.body_01.x`, `payload_kg`, ….
 
 use caudata_model::RobotModel;
 
@@ -84,7 +85,8 @@ impl LaneParams {
         }
     }
 
-    /// Takes over what the robot file's `[extension]` has; paths that do not exist are in [`check_extension`].
+    /// Takes over what the robot file's `[extension]` has; paths that do not exist are in
+    /// [`check_extension`].
     pub(crate) fn extend(&mut self, model: &RobotModel) {
         let Some(extension) = model.extension() else {
             return;

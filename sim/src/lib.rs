@@ -1,8 +1,9 @@
 //! Physics: engines behind one batch-first trait, servo, terrain, sensors.
 //!
-//! [`Engine`] steps `N` independent lanes, each one robot in its own world, by one control period
-//! at a time. [`build`] is the one factory. Around it, formulas over [`real::Real`]: [`drive`] (from command to joint torque),
-//! [`water`] (a link in water); and pure functions: [`terrain`] (ground height), [`sensors`] (what encoders, IMU and current sensing make of a state).
+//! [`Engine`] steps `N` independent lanes, each one robot in its own world, by one control period at a time.
+//! [`build`] is the one factory. Around it, formulas over [`real::Real`]: [`drive`] (from command to joint
+//! torque), [`water`] (a link in water); and pure functions: [`terrain`] (ground height), [`sensors`] (what
+//! encoders, IMU and current sensing make of a state).
 //!
 //! Invariant: nothing here knows a network, a clock or a file being watched; the same seed, lane
 //! parameters and commands give the same bits for any number of threads.

@@ -1,8 +1,10 @@
-//! How easily the robot gives way at its joints and links: diagonals of the inverse of its inertia, in the zero pose.
+//! How easily the robot gives way at its joints and links: diagonals of the inverse of its inertia, in the
+//! zero pose.
 //!
-//! MuJoCo calls them `dof_invweight0` and `body_invweight0` and scales soft constraints with them (its documentation, "Computation", "Constraint
-//! model"), so that one time constant suits a fin and a trunk. Worked out once per engine, from the model's own masses: a stop belongs to the
-//! joint as it was built, and a payload does not change it.
+//! MuJoCo calls them `dof_invweight0` and `body_invweight0` and scales soft constraints with them (its
+//! documentation, "Computation", "Constraint model"), so that one time constant suits a fin and a trunk.
+//! Worked out once per engine, from the model's own masses: a stop belongs to the joint as it was built, and
+//! a payload does not change it.
 
 use caudata_model::pose::{cross, sub};
 use caudata_model::{JointMotion, Kinematics, Pose, RobotModel};
@@ -16,9 +18,11 @@ const LEAST_INVERSE: f64 = 1e-15;
 /// Inverse inertias in the zero pose.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Mobility {
-    /// Acceleration of each joint per torque on it, 1/(kg·m²) (slides: 1/kg), model order; 0 where it is held.
+    /// Acceleration of each joint per torque on it, 1/(kg·m²) (slides: 1/kg), model order; 0 where it is
+    /// held.
     pub joints: Vec<f64>,
-    /// Acceleration of each link's centre of mass per force on it, mean over directions, 1/kg; 0 where it is held.
+    /// Acceleration of each link's centre of mass per force on it, mean over directions, 1/kg; 0 where it is
+    /// held.
     pub links: Vec<f64>,
 }
 
@@ -79,7 +83,8 @@ impl Mobility {
     }
 }
 
-/// How the coordinates move link `i`. Rows: velocity of its centre of mass, angular velocity; columns: `base` of the base, then the joints' `columns`.
+/// How the coordinates move link `i`. Rows: velocity of its centre of mass, angular velocity; columns: `base`
+/// of the base, then the joints' `columns`.
 fn jacobian(
     model: &RobotModel,
     places: &Kinematics,

@@ -1,4 +1,5 @@
-//! Momentum and energy of a lane's robot, for conservation checks. In f64, from what an engine reports in f32.
+//! Momentum and energy of a lane's robot, for conservation checks. In f64, from what an engine reports in
+//! f32.
 
 use caudata_model::{Pose, RobotModel};
 
@@ -95,7 +96,8 @@ impl Momenta {
 mod tests {
     use super::*;
 
-    /// The Polymander, joints still, moving at 2 m/s along x and turning at 3 rad/s about z: p = m·v, T = ½·m·v_com² + ½·I·ω².
+    /// The Polymander, joints still, moving at 2 m/s along x and turning at 3 rad/s about z: p = m·v, T =
+    /// ½·m·v_com² + ½·I·ω².
     #[test]
     fn a_stiff_robot_is_one_rigid_body() {
         let path = concat!(

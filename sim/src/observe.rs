@@ -174,8 +174,8 @@ impl WholeBody {
     }
 }
 
-/// Fills the kinematic fields of `out` (one lane): base, joints, centre of mass, heading, feet, gyro and gravity.
-/// Returns the IMU point's velocity (world, m/s), which the caller differentiates.
+/// Fills the kinematic fields of `out` (one lane): base, joints, centre of mass, heading, feet, gyro and
+/// gravity. Returns the IMU point's velocity (world, m/s), which the caller differentiates.
 pub(crate) fn write_kinematics(
     out: &mut State,
     model: &RobotModel,
@@ -313,8 +313,8 @@ impl Coordinates {
 /// How high above touching height a held robot hangs unless told otherwise, m.
 const HELD_CLEARANCE_M: f64 = 0.2;
 
-/// Height of the base's origin that `init` asks for, m: touching the ground, a held robot (`hung`) a little higher, and either at the surface of
-/// water that is deeper.
+/// Height of the base's origin that `init` asks for, m: touching the ground, a held robot (`hung`) a little
+/// higher, and either at the surface of water that is deeper.
 pub(crate) fn start_height_m(
     model: &RobotModel,
     terrain: &Terrain,
@@ -334,7 +334,9 @@ pub(crate) fn start_height_m(
     Ok(standing.max(floating))
 }
 
-/// Height of the base's origin at which the lowest colliding geom just touches the terrain, m. Exact on flat ground; elsewhere each geom is kept above the highest ground under its bounding square, so it may hang a little.
+/// Height of the base's origin at which the lowest colliding geom just touches the terrain, m. Exact on flat
+/// ground; elsewhere each geom is kept above the highest ground under its bounding square, so it may hang a
+/// little.
 fn touching_height_m(
     model: &RobotModel,
     terrain: &Terrain,

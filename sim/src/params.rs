@@ -18,7 +18,8 @@ const MIN_ROTOR_KGM2: f32 = 1e-4;
 
 /// One lane's physical parameters. Start from [`LaneParams::nominal`] and change what should differ.
 ///
-/// `L` links, `A` actuated joints (policy order), `B` backlash hinges, `H` hinges without a servo (both model order), `F` feet.
+/// `L` links, `A` actuated joints (policy order), `B` backlash hinges, `H` hinges without a servo (both model
+/// order), `F` feet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LaneParams {
     /// Gravity, world, m/s². Nominal: the model's.
@@ -31,7 +32,8 @@ pub struct LaneParams {
     pub body_friction: f32,
     /// Factor on each link's mass and inertia, 0.01..=100. `[L]`
     pub link_mass_scale: Vec<f32>,
-    /// Factor on each link's inertia about its centre of mass, on top of `link_mass_scale`, 0.01..=100. Nominal 1. `[L]`
+    /// Factor on each link's inertia about its centre of mass, on top of `link_mass_scale`, 0.01..=100.
+    /// Nominal 1. `[L]`
     pub link_inertia_scale: Vec<f32>,
     /// Shift of each link's centre of mass in its own frame, m, each within ±1. `[L]`
     pub com_offset_m: Vec<[f32; 3]>,
@@ -53,12 +55,13 @@ pub struct LaneParams {
     pub torque_scale: Vec<f32>,
     /// Supply voltage, V, 0.1..=1000. The speeds of the servo envelope scale with it.
     pub supply_v: f32,
-    /// Resistance of battery and wiring, Ω, 0..=100: all motors' currents together lower the voltage of all. Nominal: the model's.
+    /// Resistance of battery and wiring, Ω, 0..=100: all motors' currents together lower the voltage of all.
+    /// Nominal: the model's.
     pub supply_resistance_ohm: f32,
     /// Time constant with which the voltage follows, s, 0..=10. Nominal: the model's.
     pub supply_lag_s: f32,
-    /// Delay from [`Engine::step`](crate::Engine::step)'s targets to the servo, s, 0..=[`MAX_COMMAND_DELAY_S`]; fractions of a
-    /// physics step count.
+    /// Delay from [`Engine::step`](crate::Engine::step)'s targets to the servo, s,
+    /// 0..=[`MAX_COMMAND_DELAY_S`]; fractions of a physics step count.
     pub command_delay_s: f32,
     /// Command frames that never arrive. Nominal: none.
     pub command_loss: CommandLoss,
@@ -77,7 +80,8 @@ pub struct LaneParams {
 }
 
 impl LaneParams {
-    /// The robot file's values: no scaling, no offset, no delay, default supply; with what its `[extension]` has, where it has one.
+    /// The robot file's values: no scaling, no offset, no delay, default supply; with what its `[extension]`
+    /// has, where it has one.
     #[must_use]
     pub fn nominal(model: &RobotModel) -> Self {
         let mut params = Self::bare(model);
@@ -128,7 +132,8 @@ impl LaneParams {
         }
     }
 
-    /// Tilts the floor by turning gravity instead: a floor that rises by `pitch_rad` towards +x and by `roll_rad` towards +y.
+    /// Tilts the floor by turning gravity instead: a floor that rises by `pitch_rad` towards +x and by
+    /// `roll_rad` towards +y.
     pub fn tilt_floor(&mut self, roll_rad: f32, pitch_rad: f32) {
         let g = self.gravity_mps2.iter().map(|g| g * g).sum::<f32>().sqrt();
         let (x, y) = (pitch_rad.tan(), roll_rad.tan());
@@ -200,8 +205,8 @@ impl LaneParams {
 pub struct InitialState {
     /// Position of the base link's origin on the ground plane, world, m.
     pub base_xy_m: [f32; 2],
-    /// Height of the base link's origin, world, m. `None`: found so that the lowest geom just touches the terrain; in
-    /// deeper water, the surface.
+    /// Height of the base link's origin, world, m. `None`: found so that the lowest geom just touches the
+    /// terrain; in deeper water, the surface.
     pub base_z_m: Option<f32>,
     /// Roll, pitch, yaw of the base (R = Rz(yaw)·Ry(pitch)·Rx(roll)), rad.
     pub base_rpy_rad: [f32; 3],
@@ -209,8 +214,8 @@ pub struct InitialState {
     pub base_vel_mps: [f32; 3],
     /// Angular velocity of the base link, body frame, rad/s.
     pub base_angvel_radps: [f32; 3],
-    /// Actuated joint positions, policy order, rad; also what the servos hold until a delayed command arrives. `[A]`
-    /// (Passive and backlash hinges start at 0.)
+    /// Actuated joint positions, policy order, rad; also what the servos hold until a delayed command
+    /// arrives. `[A]` (Passive and backlash hinges start at 0.)
     pub joint_pos_rad: Vec<f32>,
     /// Actuated joint velocities, policy order, rad/s. `[A]`
     pub joint_vel_radps: Vec<f32>,

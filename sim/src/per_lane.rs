@@ -44,7 +44,8 @@ impl<R: Real> PerLane<[f64; 3]> for [R; 3] {
     }
 }
 
-/// Declares a struct generic over [`Real`], each field `R` or `[R; 3]`, with [`PerLane`] between it and its one-lane `f64` form.
+/// Declares a struct generic over [`Real`], each field `R` or `[R; 3]`, with [`PerLane`] between it and its
+/// one-lane `f64` form.
 macro_rules! per_lane {
     ($(#[$meta:meta])* pub struct $name:ident<R> { $($(#[$field_meta:meta])* pub $field:ident: $kind:ty,)+ }) => {
         $(#[$meta])*

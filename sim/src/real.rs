@@ -1,7 +1,8 @@
 //! The number type that physics is written over, so that one source serves one robot or sixteen side by side.
 //!
-//! [`Real`] is one value per lane: `f64` (the reference) and `f32` are one lane, the batch engine adds vectors of 4, 8 and 16.
-//! Code over it has no branch that depends on a value: both sides are computed and [`Real::select`] takes one.
+//! [`Real`] is one value per lane: `f64` (the reference) and `f32` are one lane, the batch engine adds
+//! vectors of 4, 8 and 16. Code over it has no branch that depends on a value: both sides are computed and
+//! [`Real::select`] takes one.
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, BitAnd, BitOr, Div, Mul, Neg, Not, Sub, SubAssign};
@@ -152,7 +153,8 @@ macro_rules! one_lane {
             }
             #[inline(always)]
             fn mul_add(self, a: Self, b: Self) -> Self {
-                // Two roundings: a fused one is a call into the C library where the target has no such instruction.
+                // Two roundings: a fused one is a call into the C library where the target has no such
+                // instruction.
                 self * a + b
             }
             #[inline(always)]

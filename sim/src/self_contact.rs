@@ -1,7 +1,7 @@
 //! Which parts of a robot may touch each other: legs with the trunk, and legs with other legs.
 //!
-//! The shapes are those that touch the ground. Legs are those of [`RobotModel::leg_of`]; trunk is the rest. A leg
-//! never touches itself or the trunk link it hangs on: their shapes overlap at the hip by construction.
+//! The shapes are those that touch the ground. Legs are those of [`RobotModel::leg_of`]; trunk is the rest. A
+//! leg never touches itself or the trunk link it hangs on: their shapes overlap at the hip by construction.
 
 use caudata_model::RobotModel;
 

@@ -90,7 +90,8 @@ state! {
         com_pos_m: 3,
         /// Velocity of that centre of mass, world, m/s. `[N, 3]`
         com_vel_mps: 3,
-        /// Equivalent angular velocity I⁻¹L of the whole robot about its centre of mass, world, rad/s. `[N, 3]`
+        /// Equivalent angular velocity I⁻¹L of the whole robot about its centre of mass, world, rad/s.
+        /// `[N, 3]`
         com_angvel_radps: 3,
         /// Yaw of the horizontal line from the hind girdle to the front girdle, rad, (−π, π]. `[N, 1]`
         heading_rad: 1,
@@ -103,14 +104,17 @@ state! {
         /// Contact force on each foot from everything it touches, mean over the period, world, N. `[N, F, 3]`
         foot_force_n: 3 * feet,
         /// Sum of normal contact forces on links that carry feet, the feet themselves left out
-        /// ([`RobotModel::carries_feet`](caudata_model::RobotModel::carries_feet)), mean over the period, N. `[N, 1]`
+        /// ([`RobotModel::carries_feet`](caudata_model::RobotModel::carries_feet)), mean over the period, N.
+        /// `[N, 1]`
         trunk_force_n: 1,
-        /// Sum of normal contact forces on links that carry no feet (the tail), mean over the period, N. `[N, 1]`
+        /// Sum of normal contact forces on links that carry no feet (the tail), mean over the period, N.
+        /// `[N, 1]`
         tail_force_n: 1,
         /// Angular velocity in the IMU frame, rad/s. `[N, 3]`
         imu_gyro_radps: 3,
         /// Specific force in the IMU frame (at rest: +g along up), m/s². Mean over the period: the change of
-        /// the IMU point's velocity divided by the period, minus gravity, turned by the final orientation. `[N, 3]`
+        /// the IMU point's velocity divided by the period, minus gravity, turned by the final orientation.
+        /// `[N, 3]`
         imu_acc_mps2: 3,
         /// Unit vector of gravity in the IMU frame (level: 0, 0, −1). `[N, 3]`
         imu_gravity: 3,

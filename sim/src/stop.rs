@@ -1,9 +1,10 @@
 //! End stops of joints, as soft as the MJCF says.
 //!
-//! The law is MuJoCo's (see [`Softness`]), so that both speak of the same stop. Beyond the limit by r, moving out at v:
-//! `τ = W·(k·r − b·v − a)` with `W = d(r) / ((1 − d(r))·A)`: a spring, a damper and an inertia W, many times the joint's own, that has
-//! to be pushed out of the way. It never pulls. MuJoCo takes r and v at the start of a step and the acceleration a over it; here spring and damper are
-//! taken in the middle of it, which has the same limit for small steps and is nearer to it at 2 ms.
+//! The law is MuJoCo's (see [`Softness`]), so that both speak of the same stop. Beyond the limit by r, moving
+//! out at v: `τ = W·(k·r − b·v − a)` with `W = d(r) / ((1 − d(r))·A)`: a spring, a damper and an inertia W,
+//! many times the joint's own, that has to be pushed out of the way. It never pulls. MuJoCo takes r and v at
+//! the start of a step and the acceleration a over it; here spring and damper are taken in the middle of it,
+//! which has the same limit for small steps and is nearer to it at 2 ms.
 
 use caudata_model::{RobotModel, Softness};
 
@@ -28,7 +29,8 @@ pub struct Stop {
     span: f64,
     /// 1 / width, 1/rad.
     per_width: f64,
-    /// Share of the width below which the first branch holds: `x·(first.0 + first.1·x)`, beyond `1 − (1 − x)·(second.0 + second.1·(1 − x))`.
+    /// Share of the width below which the first branch holds: `x·(first.0 + first.1·x)`, beyond
+    /// `1 − (1 − x)·(second.0 + second.1·(1 − x))`.
     middle: f64,
     first: (f64, f64),
     second: (f64, f64),
@@ -50,8 +52,9 @@ impl Stop {
             .collect())
     }
 
-    /// `inverse_inertia`: A, 1/(kg·m²); 0 where nothing moves. Time constants of less than two steps are not lengthened to two as MuJoCo's `refsafe`
-    /// does: taken in the middle of the step, they need not be, and play would open farther in larger steps.
+    /// `inverse_inertia`: A, 1/(kg·m²); 0 where nothing moves. Time constants of less than two steps are not
+    /// lengthened to two as MuJoCo's `refsafe` does: taken in the middle of the step, they need not be, and
+    /// play would open farther in larger steps.
     #[must_use]
     pub fn new(softness: &Softness, inverse_inertia: f64) -> Self {
         let impedance = |d: f64| d.clamp(IMPEDANCE.0, IMPEDANCE.1);
@@ -126,8 +129,9 @@ impl Stop {
         y.mul_add(s(self.span), s(self.low))
     }
 
-    /// The torque at `beyond_rad` past a limit (signed: above the upper one is positive), at `qd_radps`. It pushes only where the joint would
-    /// accelerate outwards more than the law wants without it: `free_radps2`, as it was in the last step.
+    /// The torque at `beyond_rad` past a limit (signed: above the upper one is positive), at `qd_radps`. It
+    /// pushes only where the joint would accelerate outwards more than the law wants without it:
+    /// `free_radps2`, as it was in the last step.
     #[must_use]
     #[inline(always)]
     pub fn torque<R: Real>(&self, beyond_rad: R, qd_radps: R, free_radps2: R) -> ImplicitTorque<R> {
@@ -155,7 +159,8 @@ impl Stop {
 mod tests {
     use super::*;
 
-    /// MuJoCo's impedance: 0.9 at the limit, halfway between at half the width, 0.95 from the width on; a parabola in between.
+    /// MuJoCo's impedance: 0.9 at the limit, halfway between at half the width, 0.95 from the width on; a
+    /// parabola in between.
     #[test]
     fn impedance_grows_over_the_width() {
         let stop = Stop::new(&Softness::default(), 1.0);
@@ -177,7 +182,8 @@ mod tests {
         assert!((d - 0.9125).abs() < 1e-12);
     }
 
-    /// τ = 20 ms, ζ = 1, d_max = 0.95: b = 2/(0.95·0.02), k = d/(0.95·0.02)²; negative numbers are stiffness and damping themselves.
+    /// τ = 20 ms, ζ = 1, d_max = 0.95: b = 2/(0.95·0.02), k = d/(0.95·0.02)²; negative numbers are stiffness
+    /// and damping themselves.
     #[test]
     fn reference_is_mujocos() {
         let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9 * b, "{a} and {b}");

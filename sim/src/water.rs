@@ -1,7 +1,8 @@
 //! A link in water, written once over [`Real`]: buoyancy, heave damping, drag, added mass.
 //!
-//! All of it acts at the link's centre of mass (buoyancy at its own centre) and in proportion to how much of the link is below the
-//! surface, a level plane. With s that share, axes i of the link, v and ω relative to the water:
+//! All of it acts at the link's centre of mass (buoyancy at its own centre) and in proportion to how much of
+//! the link is below the surface, a level plane. With s that share, axes i of the link, v and ω relative to
+//! the water:
 //!
 //! | effect | formula | source |
 //! |---|---|---|
@@ -11,13 +12,17 @@
 //! | quadratic drag | −s·½ρ·b_j·b_k·│v_i│·v_i, −s·ρ·b_i(b_j⁴+b_k⁴)/64·│ω_i│·ω_i | the same |
 //! | added mass | s·c_i·k_b·m per axis, s·c'_i·k_b·I_ii about each | Newman, "Marine Hydrodynamics", chapter 4 |
 //!
-//! each axis with its factors from the robot file and the lane. The box has the edges b_i = √(6(I_j+I_k−I_i)/m), the same second moments as the link.
-//! Mass and inertia here are those of the *model*: water displaced does not change when a lane's robot is heavier inside.
+//! each axis with its factors from the robot file and the lane. The box has the edges b_i =
+//! √(6(I_j+I_k−I_i)/m), the same second moments as the link. Mass and inertia here are those of the *model*:
+//! water displaced does not change when a lane's robot is heavier inside.
 //!
-//! How an engine takes it: [`LinkForces`] holds force and torque now; `damping` is the secant damping D(v) (drag = −D·v), which an engine may take implicitly by
-//! adding dt·D to the link's inertia: then no step can overshoot. Added mass goes to the articulated inertia of the link as the diagonal
-//! spatial inertia diag(I_a, m_a) in link axes about its centre of mass, on top of the link's own, without weight; its gyroscopic part
-//! v ×* (M_a·v) is in the force already. (It multiplies the *spatial* acceleration; from a classical one, ω × v has to be taken off.) (Changing s also changes M_a; the force M_a'·v is left out: it acts only while crossing the surface.)
+//! How an engine takes it: [`LinkForces`] holds force and torque now; `damping` is the secant damping D(v)
+//! (drag = −D·v), which an engine may take implicitly by adding dt·D to the link's inertia: then no step can
+//! overshoot. Added mass goes to the articulated inertia of the link as the diagonal spatial inertia
+//! diag(I_a, m_a) in link axes about its centre of mass, on top of the link's own, without weight; its
+//! gyroscopic part v ×* (M_a·v) is in the force already. (It multiplies the *spatial* acceleration; from a
+//! classical one, ω × v has to be taken off.) (Changing s also changes M_a; the force M_a'·v is left out: it
+//! acts only while crossing the surface.)
 
 use caudata_model::{RobotModel, Shape};
 
@@ -35,7 +40,8 @@ per_lane! {
         pub centre_m: [R; 3],
         /// Half its extents along the link's axes, m.
         pub half_m: [R; 3],
-        /// How the share under water grows with depth: 0 like an upright box (in proportion), 1 like a ball (3x² − 2x³).
+        /// How the share under water grows with depth: 0 like an upright box (in proportion), 1 like a ball
+        /// (3x² − 2x³).
         pub roundness: R,
         /// Buoyancy of the whole link, as the mass of the displaced water, kg.
         pub displaced_kg: R,
@@ -150,8 +156,8 @@ pub fn forces<R: Real>(p: &WaterLink<R>, at: &LinkMotion<R>, water: &Surface<R>)
     }
 }
 
-/// Share of the link's volume below `level_m`: exact for a ball or an ellipsoid in any attitude and for an upright box; a lying
-/// cylinder within 1 % of its volume.
+/// Share of the link's volume below `level_m`: exact for a ball or an ellipsoid in any attitude and for an
+/// upright box; a lying cylinder within 1 % of its volume.
 #[inline(always)]
 fn immersed_share<R: Real>(p: &WaterLink<R>, at: &LinkMotion<R>, level_m: R) -> R {
     let up = at.rotation[2];
@@ -302,7 +308,8 @@ fn box_edges_m(mass_kg: f64, inertia_kgm2: [f64; 3]) -> [f64; 3] {
     })
 }
 
-/// Centre, half extents along the link's axes and roundness of a link's shapes together; of its inertia box where it has none.
+/// Centre, half extents along the link's axes and roundness of a link's shapes together; of its inertia box
+/// where it has none.
 fn extents(
     geoms: &[caudata_model::Geom],
     com_m: [f64; 3],
@@ -336,8 +343,8 @@ fn extents(
     )
 }
 
-/// See [`WaterLink::roundness`]. A lying cylinder's share is (acos(1−2x) − (1−2x)·√(4x−4x²))/π: 0.196 at a quarter of its height, between 0.25 of a
-/// box and 0.156 of a ball, at 0.58 of the way.
+/// See [`WaterLink::roundness`]. A lying cylinder's share is (acos(1−2x) − (1−2x)·√(4x−4x²))/π: 0.196 at a
+/// quarter of its height, between 0.25 of a box and 0.156 of a ball, at 0.58 of the way.
 fn roundness(shape: Shape) -> f64 {
     match shape {
         Shape::Sphere { .. } | Shape::Ellipsoid { .. } => 1.0,

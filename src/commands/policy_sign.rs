@@ -1,4 +1,5 @@
-//! `caudata policy keygen`, `caudata policy trust-next` and `caudata policy release`: signed policies for robots that trust keys.
+//! `caudata policy keygen`, `caudata policy trust-next` and `caudata policy release`: signed policies for
+//! robots that trust keys.
 
 use std::path::{Path, PathBuf};
 
@@ -25,10 +26,12 @@ pub struct KeygenArgs {
     /// Where to write a trust file for robots
     #[arg(long, value_name = "FILE.toml")]
     trust: PathBuf,
-    /// A key by which a policy server says where labels lead; it releases nothing. Added to the trust file, which must be there
+    /// A key by which a policy server says where labels lead; it releases nothing. Added to the trust file,
+    /// which must be there
     #[arg(long, conflicts_with = "root")]
     fresh: bool,
-    /// A key that may name the next trust file (`trust-next`); it releases nothing. Added to the trust file, which must be there
+    /// A key that may name the next trust file (`trust-next`); it releases nothing. Added to the trust file,
+    /// which must be there
     #[arg(long)]
     root: bool,
 }
@@ -67,8 +70,8 @@ pub struct ReleaseArgs {
     /// Name of the key
     #[arg(long, value_name = "ID")]
     key_id: String,
-    /// Summary of an evaluation of exactly this policy (`caudata eval` writes it beside the policy); it is signed with it and people
-    /// see it on the server's page
+    /// Summary of an evaluation of exactly this policy (`caudata eval` writes it beside the policy); it is
+    /// signed with it and people see it on the server's page
     #[arg(long, value_name = "FILE.json")]
     evaluation: Option<PathBuf>,
     /// One JSON object on the last line
@@ -109,8 +112,8 @@ pub fn keygen(args: &KeygenArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Puts the next trust file beside the first one, and adds one signature to it. It is in force once enough root keys of the file before it, and of
-/// its own, have signed.
+/// Puts the next trust file beside the first one, and adds one signature to it. It is in force once enough
+/// root keys of the file before it, and of its own, have signed.
 pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
     let key = ReleaseKey::read(&args.key, &args.key_id).or_exit(ExitCode::NoInput)?;
     let text = std::fs::read_to_string(&args.next).or_exit_with(ExitCode::NoInput, || {
@@ -179,7 +182,8 @@ pub fn trust_next(args: &TrustNextArgs) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Publishes a policy of one stream into another, signed. The bytes are fetched and checked; only the announcement is new.
+/// Publishes a policy of one stream into another, signed. The bytes are fetched and checked; only the
+/// announcement is new.
 pub fn release(args: &ReleaseArgs) -> Result<(), Failure> {
     let key = ReleaseKey::read(&args.key, &args.key_id).or_exit(ExitCode::NoInput)?;
     let to = StreamName::new(&args.to).or_exit(ExitCode::BadConfig)?;
@@ -273,7 +277,8 @@ mod tests {
         std::fs::write(&next, &text).unwrap();
         let in_force = || Trust::read(&trust).map(|t| t.version()).ok();
         assert_eq!(in_force(), Some(1));
-        // A release key may not say so, nor may another key under the name of one that may; neither leaves a trace.
+        // A release key may not say so, nor may another key under the name of one that may; neither leaves a
+        // trace.
         for stranger in ["release-1", "release-2"] {
             let refused = sign(stranger).unwrap_err();
             assert_eq!(refused.code(), ExitCode::BadInput);

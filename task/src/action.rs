@@ -9,11 +9,11 @@ use crate::{JointTable, PerJoint, TaskError};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ActionConfig {
-    /// Radians of joint offset per unit of action, > 0. Default 0.5 (MuJoCo Playground; the paper gives none).
-    /// Too small: the legs cannot reach. Too large: a network's small errors become large motions.
+    /// Radians of joint offset per unit of action, > 0. Default 0.5 (MuJoCo Playground; the paper gives
+    /// none). Too small: the legs cannot reach. Too large: a network's small errors become large motions.
     pub scale: f32,
-    /// First-order low pass at the control rate: y ← y + α(a − y), in (0, 1]; 1 is no filter. Default 0.5.
-    /// At 50 Hz α = 0.15 passes up to about 1.3 Hz, 0.5 up to about 6 Hz. Too large: policies learn to vibrate;
+    /// First-order low pass at the control rate: y ← y + α(a − y), in (0, 1]; 1 is no filter. Default 0.5. At
+    /// 50 Hz α = 0.15 passes up to about 1.3 Hz, 0.5 up to about 6 Hz. Too large: policies learn to vibrate;
     /// too small: they cannot react to a push.
     pub filter_alpha: f32,
     /// Actions beyond ± this are cut off before the filter, > 0. Default 5. Far outside what a policy

@@ -9,7 +9,8 @@ use crate::error::{checks, within};
 use crate::phase::wrap_angle;
 use crate::{COMMAND_DIM, TaskError};
 
-/// Yaw rate that is asked for per radian off the course, 1/s: slow against a stride, in which the trunk sways.
+/// Yaw rate that is asked for per radian off the course, 1/s: slow against a stride, in which the trunk
+/// sways.
 pub const COURSE_GAIN_PER_S: f32 = 1.0;
 
 /// Table `[task.command]`: what the robot is asked to do, in the heading frame.
@@ -28,9 +29,11 @@ pub struct CommandConfig {
     pub resample_s: [f32; 2],
     /// Probability that a command is zero (stand), 0 to 1. Default 0.1 (MuJoCo Playground).
     pub zero_share: f32,
-    /// Probability that a command other than zero holds a course, as a person with a joystick would, 0 to 1: a heading is drawn, the yaw rate is
-    /// 1 s⁻¹ times the missing angle within `yaw_rate_radps` (which must hold 0 then), and `tracking_lin_vel` looks at the velocity along that course and across it, whatever the robot's heading. Default 0. Without it a
-    /// robot that a beach has turned aside follows its command perfectly, in its own frame; too large: free turns are trained too little.
+    /// Probability that a command other than zero holds a course, as a person with a joystick would, 0 to 1:
+    /// a heading is drawn, the yaw rate is 1 s⁻¹ times the missing angle within `yaw_rate_radps` (which must
+    /// hold 0 then), and `tracking_lin_vel` looks at the velocity along that course and across it, whatever
+    /// the robot's heading. Default 0. Without it a robot that a beach has turned aside follows its command
+    /// perfectly, in its own frame; too large: free turns are trained too little.
     pub course_share: f32,
     /// Courses are drawn within ± this of the present heading, rad, 0 to π. Default π/3.
     pub course_within_rad: f32,
@@ -84,14 +87,16 @@ pub struct CommandState {
     pub course_rad: Option<f32>,
 }
 
-/// A velocity in the heading frame as it is along the course and to the left of it, `off_course_rad` being how far the heading is to the left of the course.
+/// A velocity in the heading frame as it is along the course and to the left of it, `off_course_rad` being
+/// how far the heading is to the left of the course.
 #[must_use]
 pub fn along_course([x, y, _]: [f32; 3], off_course_rad: f32) -> [f32; 2] {
     let (sin, cos) = off_course_rad.sin_cos();
     [cos * x - sin * y, sin * x + cos * y]
 }
 
-/// Yaw rate that a person with a joystick would ask for to come from `heading_rad` to `course_rad`, within `range_radps`.
+/// Yaw rate that a person with a joystick would ask for to come from `heading_rad` to `course_rad`, within
+/// `range_radps`.
 #[must_use]
 pub fn yaw_rate_towards(course_rad: f32, heading_rad: f32, [least, most]: [f32; 2]) -> f32 {
     (COURSE_GAIN_PER_S * wrap_angle(course_rad - heading_rad))
@@ -100,7 +105,8 @@ pub fn yaw_rate_towards(course_rad: f32, heading_rad: f32, [least, most]: [f32; 
 }
 
 impl CommandState {
-    /// Draws a command and how long it holds (at least one control step), for a robot that heads `heading_rad`.
+    /// Draws a command and how long it holds (at least one control step), for a robot that heads
+    /// `heading_rad`.
     pub fn draw(
         config: &CommandConfig,
         control_period_s: f32,
@@ -108,7 +114,8 @@ impl CommandState {
         stream: &mut Stream,
     ) -> Self {
         let [vx, vy, yaw] = [config.vx_mps, config.vy_mps, config.yaw_rate_radps];
-        // Always the same number of draws, so that `zero_share` does not shift later commands. (A `course_share` above 0 does: at 0 tasks without courses keep their bits.)
+        // Always the same number of draws, so that `zero_share` does not shift later commands. (A
+        // `course_share` above 0 does: at 0 tasks without courses keep their bits.)
         let drawn = [vx, vy, yaw].map(|[lo, hi]| stream.uniform(lo, hi));
         let zero = stream.chance(config.zero_share);
         let hold_s = stream.uniform(config.resample_s[0], config.resample_s[1]);

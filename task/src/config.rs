@@ -20,20 +20,23 @@ use crate::termination::TerminationConfig;
 pub struct TaskConfig {
     /// Time between two actions, s; must be a whole number of physics steps. Default 0.02 (50 Hz, paper).
     pub control_period_s: f64,
-    /// Time limit of an episode, control steps. Default 1000 (20 s, paper). Reaching it is truncation, not failure.
+    /// Time limit of an episode, control steps. Default 1000 (20 s, paper). Reaching it is truncation, not
+    /// failure.
     pub episode_steps: u32,
     /// Gives the first episode of each environment a random length, so that later they do not all end at the
     /// same step (which would make some batches all starts and others none). Default true.
     pub stagger_first_episode: bool,
     /// Appends the medium bit (1 afloat, 0 otherwise) to the observation. Default false.
     pub observe_medium: bool,
-    /// Height of the centre of mass above the highest ground under a foot or a girdle from which on a robot in water counts as afloat, m: the
-    /// medium bit and the rewards of swimming begin there. Default 0.09 (it stands at 0.073). Smaller: a robot that swims ashore keeps its
-    /// legs folded and never stands up; larger: it must get along without swimming where its feet find no ground.
+    /// Height of the centre of mass above the highest ground under a foot or a girdle from which on a robot
+    /// in water counts as afloat, m: the medium bit and the rewards of swimming begin there. Default 0.09 (it
+    /// stands at 0.073). Smaller: a robot that swims ashore keeps its legs folded and never stands up;
+    /// larger: it must get along without swimming where its feet find no ground.
     pub afloat_above_m: f32,
-    /// Height of a girdle above the ground under it up to which, in water, its feet are asked to step (the reward `phase`), m. Default 0.09. Not afloat (the centre of mass is near the
-    /// highest ground) and with a girdle higher than this (the other one is over deep water) its feet are asked for nothing. Larger: feet are judged that reach no ground; smaller: a robot
-    /// that wades need not step.
+    /// Height of a girdle above the ground under it up to which, in water, its feet are asked to step (the
+    /// reward `phase`), m. Default 0.09. Not afloat (the centre of mass is near the highest ground) and with
+    /// a girdle higher than this (the other one is over deep water) its feet are asked for nothing. Larger:
+    /// feet are judged that reach no ground; smaller: a robot that wades need not step.
     pub feet_reach_m: f32,
     /// What an action means.
     pub action: ActionConfig,

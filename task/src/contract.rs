@@ -241,8 +241,8 @@ impl PolicyContract {
         self.joint_names.len()
     }
 
-    /// Nominal pose and limits in the form that the action filter takes; `None` unless there is one of each per joint
-    /// (a contract that passed [`Self::validate`] has them).
+    /// Nominal pose and limits in the form that the action filter takes; `None` unless there is one of each
+    /// per joint (a contract that passed [`Self::validate`] has them).
     pub fn joint_table(&self) -> Option<JointTable> {
         let row = |values: &[f32]| {
             let fits = values.len() == self.act_dim() && values.len() <= MAX_JOINTS;

@@ -81,7 +81,8 @@ pub(crate) fn within([lo, hi]: [f32; 2], lowest: f32, highest: f32) -> bool {
     lo.is_finite() && hi.is_finite() && lo <= hi && lo >= lowest && hi <= highest
 }
 
-/// Refuses the first field of a table of the configuration that is not right: field, whether it is, what would be right.
+/// Refuses the first field of a table of the configuration that is not right: field, whether it is, what
+/// would be right.
 macro_rules! checks {
     ($config:ident, $table:literal; $($field:ident: $right:expr, $reason:expr;)+) => {
         $crate::error::require_all(&[

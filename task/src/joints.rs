@@ -20,7 +20,8 @@ impl JointTable {
     /// Reads the table out of a robot model.
     ///
     /// # Errors
-    /// [`TaskError::Robot`] for a robot without actuated joints, or with more joints or feet than the task takes.
+    /// [`TaskError::Robot`] for a robot without actuated joints, or with more joints or feet than the task
+    /// takes.
     pub fn from_model(model: &RobotModel) -> Result<Self, TaskError> {
         let count = |what, found, least, most| {
             if (least..=most).contains(&found) {

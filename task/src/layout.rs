@@ -51,7 +51,8 @@ pub struct ObservationLayout {
 }
 
 impl ObservationLayout {
-    /// The layout for a robot with that many actuated joints and these feet; with the medium bit of amphibious tasks where `medium` asks for it.
+    /// The layout for a robot with that many actuated joints and these feet; with the medium bit of
+    /// amphibious tasks where `medium` asks for it.
     pub fn new(joints: usize, feet: &[String], medium: bool) -> Self {
         let phases = match feet {
             [] => "cos sin of the clock".to_owned(),

@@ -7,7 +7,8 @@
 //!
 //! Frames: *body* is the IMU's frame on the base link (x forward, y left, z up); *heading* is the world frame
 //! turned about z into the line from the hind to the front girdle. SI units and radians. Joint arrays are in
-//! policy order, feet in the order of the robot file, from front to hind and left before right. Nothing here knows how many there are.
+//! policy order, feet in the order of the robot file, from front to hind and left before right. Nothing here
+//! knows how many there are.
 //!
 //! *Invariant:* nothing here knows an engine, a network, a clock or a file.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]

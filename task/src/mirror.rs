@@ -1,7 +1,7 @@
 //! Left and right exchanged: what a robot that is its own mirror image sees and does on the other side.
 //!
-//! Reflection in the robot's plane y = 0 maps a vector (x, y, z) to (x, −y, z) and a rotation vector to (−x, y, −z). Each joint has a
-//! counterpart: for a joint in the plane itself, for a leg that of the other side.
+//! Reflection in the robot's plane y = 0 maps a vector (x, y, z) to (x, −y, z) and a rotation vector to (−x,
+//! y, −z). Each joint has a counterpart: for a joint in the plane itself, for a leg that of the other side.
 
 use caudata_model::{Foot, Kinematics, Pose, RobotModel, pose};
 
@@ -53,8 +53,8 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// The mirror of a robot in the plane y = 0 of its base, from where its joints are and how they turn. Masses, limits and gains are taken to be
-    /// alike on both sides.
+    /// The mirror of a robot in the plane y = 0 of its base, from where its joints are and how they turn.
+    /// Masses, limits and gains are taken to be alike on both sides.
     ///
     /// # Errors
     /// [`TaskError::NotSymmetric`] names a joint that has no counterpart, or one with another nominal angle.

@@ -17,7 +17,8 @@ use crate::{PerJoint, TaskError};
 pub struct ObservationNoiseConfig {
     /// Whether observations carry any noise, that of the sensor models included. Default true.
     pub enabled: bool,
-    /// Whether encoders and IMU are modelled as the robot file describes them (steps, noise, bias). Default true.
+    /// Whether encoders and IMU are modelled as the robot file describes them (steps, noise, bias). Default
+    /// true.
     pub sensor_models: bool,
     /// On joint velocities, rad/s. Default 0.1 (four steps of the servo's velocity reading).
     pub joint_vel_std_radps: f32,

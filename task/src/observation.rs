@@ -20,7 +20,8 @@ pub struct ObservationInput<'a> {
     pub command: [f32; COMMAND_DIM],
     /// Past actions, newest first: a(t−1), a(t−2), a(t−3).
     pub previous_actions: &'a [PerJoint; ACTION_HISTORY],
-    /// 1 afloat (in water that is too deep for the feet), 0 otherwise; only used where the layout has the medium bit (0 where it is not given).
+    /// 1 afloat (in water that is too deep for the feet), 0 otherwise; only used where the layout has the
+    /// medium bit (0 where it is not given).
     pub medium: Option<f32>,
 }
 

@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 use crate::error::{checks, within};
 use crate::{COMMAND_DIM, PerFoot, TaskError};
 
-/// Phase of a foot relative to the clock, rad. Feet come in pairs, left and right, from front to hind, and each is half a cycle from those next to it:
-/// a biped's walk, a quadruped's trot (the first foot with the fourth, the second with the third), a hexapod's tripod.
+/// Phase of a foot relative to the clock, rad. Feet come in pairs, left and right, from front to hind, and
+/// each is half a cycle from those next to it: a biped's walk, a quadruped's trot (the first foot with the
+/// fourth, the second with the third), a hexapod's tripod.
 #[must_use]
 pub fn offset_rad(foot: usize) -> f32 {
     if (foot + foot / 2).is_multiple_of(2) {
@@ -26,8 +27,8 @@ pub struct PhaseConfig {
     /// Stride frequency, Hz: each episode draws its own, uniformly. Default 1.25 to 1.5 (MuJoCo Playground).
     /// Too low: speed needs long strides; too high: the servos cannot follow and power rises.
     pub frequency_hz: [f32; 2],
-    /// Height h of the foot reference at the top of the swing, m. Default 0.05; 0.06 to 0.07 suits rough ground.
-    /// Too low: feet drag; too high: the trunk has to roll to lift them.
+    /// Height h of the foot reference at the top of the swing, m. Default 0.05; 0.06 to 0.07 suits rough
+    /// ground. Too low: feet drag; too high: the trunk has to roll to lift them.
     pub swing_height_m: f32,
     /// Commands whose norm (m/s and rad/s together) is at most this stop the clock: every phase is then π
     /// (foot reference 0), so that the robot stands instead of trotting on the spot. Default 0.01 (MuJoCo

@@ -190,7 +190,8 @@ impl RandomDraw {
     }
 }
 
-/// Draws the physics of one episode for a robot with `links` links, `joints` servos and `backlash_joints` joints with play.
+/// Draws the physics of one episode for a robot with `links` links, `joints` servos and `backlash_joints`
+/// joints with play.
 pub fn draw(
     config: &RandomisationConfig,
     stream: &mut Stream,

@@ -24,8 +24,9 @@ pub struct ResetConfig {
     /// The base starts within ± this along x and y, m. Default 0; on uneven ground choose it so that
     /// different episodes meet different ground.
     pub spawn_half_extent_m: f32,
-    /// Share of the episodes that start in the robot file's swimming pose, on land too, 0 to 1. Default 0. A policy that swims must learn to unfold its
-    /// legs where the ground comes up, and meets that too rarely when every episode begins on its feet; too large: little else is trained.
+    /// Share of the episodes that start in the robot file's swimming pose, on land too, 0 to 1. Default 0. A
+    /// policy that swims must learn to unfold its legs where the ground comes up, and meets that too rarely
+    /// when every episode begins on its feet; too large: little else is trained.
     pub swimming_pose_share: f32,
 }
 

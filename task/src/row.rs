@@ -1,4 +1,5 @@
-//! Rows of as many values as a robot has joints or feet, kept in place: they are copied like a number and allocate nothing.
+//! Rows of as many values as a robot has joints or feet, kept in place: they are copied like a number and
+//! allocate nothing.
 
 use std::ops::{Deref, DerefMut};
 

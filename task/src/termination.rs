@@ -10,8 +10,9 @@ use crate::error::{checks, within};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TerminationConfig {
-    /// Largest angle between the body's z axis and the vertical, rad, above 0 to π. Default 1.0 (57°): steeper
-    /// than the hardest terrain (25°) plus the trunk's roll in a step. Too small: episodes end on slopes.
+    /// Largest angle between the body's z axis and the vertical, rad, above 0 to π. Default 1.0 (57°):
+    /// steeper than the hardest terrain (25°) plus the trunk's roll in a step. Too small: episodes end on
+    /// slopes.
     pub max_tilt_rad: f32,
     /// Allowed height of the whole-body centre of mass above the ground under the feet, m, [min, max].
     /// Default −0.1 to 1.0, which catches falling through the ground and flying off; lying on the belly

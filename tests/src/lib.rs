@@ -66,8 +66,8 @@ pub const TINY: &[&str] = &[
     "--json",
 ];
 
-/// Flags of whatever trains, for iterations of milliseconds: few samples each. The network is as it is elsewhere, since a training may begin with a policy that is
-/// there.
+/// Flags of whatever trains, for iterations of milliseconds: few samples each. The network is as it is
+/// elsewhere, since a training may begin with a policy that is there.
 pub const FEW_SAMPLES: [&str; 8] = [
     "--set",
     "actors.lanes=3",

@@ -50,8 +50,8 @@ pub trait Disk: Debug + Send + Sync {
     /// As [`Disk::write_synced`].
     fn cut_synced(&self, path: &Path, length: u64) -> Result<(), WriteFault>;
 
-    /// Opens a folder for [`Disk::sync_folder`]. Done before anything changes: a process that has no file handle left
-    /// then fails harmlessly, and does not take that for a disk that lost something.
+    /// Opens a folder for [`Disk::sync_folder`]. Done before anything changes: a process that has no file
+    /// handle left then fails harmlessly, and does not take that for a disk that lost something.
     ///
     /// # Errors
     /// What the system says.

@@ -1,7 +1,7 @@
 //! Transactions with servos: one question, its answers, a deadline.
 //!
-//! The protocol numbers nothing, so a late answer looks like one to the next question. Input is thrown away before every
-//! question, and after a question that missed answers the bus is left quiet first ([`QUIET`]).
+//! The protocol numbers nothing, so a late answer looks like one to the next question. Input is thrown away
+//! before every question, and after a question that missed answers the bus is left quiet first ([`QUIET`]).
 
 use std::io;
 use std::time::{Duration, Instant};
@@ -106,7 +106,8 @@ impl<P: Port> Bus<P> {
         }
     }
 
-    /// Waits at least `deadline` for each answer during set-up, where nothing moves: for a far end that is slow.
+    /// Waits at least `deadline` for each answer during set-up, where nothing moves: for a far end that is
+    /// slow.
     pub fn be_patient(&mut self, deadline: Duration) {
         self.setup_deadline = SETUP_DEADLINE.max(deadline);
     }
@@ -377,8 +378,9 @@ impl<P: Port> Bus<P> {
         Ok(())
     }
 
-    /// Takes what arrives; false at the deadline. What is there already is taken after it too, for a machine that was busy, but
-    /// only as much as one question can bring: a bus that babbles without end must not hold the caller.
+    /// Takes what arrives; false at the deadline. What is there already is taken after it too, for a machine
+    /// that was busy, but only as much as one question can bring: a bus that babbles without end must not
+    /// hold the caller.
     fn listen(&mut self, end: Instant) -> Result<bool, BusFault> {
         if self.late_bytes > FRAME_MAX {
             return Ok(false);

@@ -1,7 +1,8 @@
-//! Frames on the wire: `FF FF FD 00 | id | length (2) | instruction, parameters | CRC (2)`, written and found in a stream.
+//! Frames on the wire: `FF FF FD 00 | id | length (2) | instruction, parameters | CRC (2)`, written and found
+//! in a stream.
 //!
-//! Length counts everything after itself. Within instruction and parameters, `FF FF FD` is followed by one more `FD`
-//! (byte stuffing), which length and CRC include. Only the answer to Fast Sync Read is not stuffed.
+//! Length counts everything after itself. Within instruction and parameters, `FF FF FD` is followed by one
+//! more `FD` (byte stuffing), which length and CRC include. Only the answer to Fast Sync Read is not stuffed.
 
 use crate::crc::crc16;
 
@@ -11,7 +12,8 @@ pub const HEADER: [u8; 4] = [0xFF, 0xFF, 0xFD, 0x00];
 pub const BROADCAST_ID: u8 = 0xFE;
 /// Highest id of a single servo.
 pub const ID_MAX: u8 = 252;
-/// Longest frame taken from the wire, bytes. The largest answer here is that of 16 servos to Fast Sync Read of 35 bytes: 636.
+/// Longest frame taken from the wire, bytes. The largest answer here is that of 16 servos to Fast Sync Read
+/// of 35 bytes: 636.
 pub const FRAME_MAX: usize = 1024;
 /// Header, id and length.
 pub const PREFIX: usize = 7;
@@ -71,7 +73,8 @@ impl Instruction {
     }
 }
 
-/// Appends one frame to `out`. Parameters beyond what a length of 16 bits holds are a bug of the caller; nothing here makes any.
+/// Appends one frame to `out`. Parameters beyond what a length of 16 bits holds are a bug of the caller;
+/// nothing here makes any.
 pub fn encode(id: u8, instruction: u8, parameters: &[u8], out: &mut Vec<u8>) {
     let start = out.len();
     out.extend_from_slice(&HEADER);

@@ -1,4 +1,5 @@
-//! The same registers of many servos at once: what is prepared once and used at every tick, without allocating.
+//! The same registers of many servos at once: what is prepared once and used at every tick, without
+//! allocating.
 
 use crate::frame::{BROADCAST_ID, HEADER, Instruction, encode, finish};
 use crate::status::StatusError;
@@ -95,8 +96,8 @@ impl GroupRead {
         true
     }
 
-    /// Takes the common answer of Fast Sync Read: per servo error, id, data, and (but for the last) the CRC of all so far,
-    /// which the CRC of the whole makes superfluous. `body` begins after the instruction byte.
+    /// Takes the common answer of Fast Sync Read: per servo error, id, data, and (but for the last) the CRC
+    /// of all so far, which the CRC of the whole makes superfluous. `body` begins after the instruction byte.
     pub(crate) fn take_common(&mut self, body: &[u8]) -> bool {
         let stride = self.length + 4;
         if body.len() + 2 != stride * self.ids.len() {
@@ -167,8 +168,8 @@ impl GroupWrite {
     }
 }
 
-/// The common answer of several servos to Fast Sync Read, as they send it: not stuffed, each servo's share followed by the
-/// CRC of everything before.
+/// The common answer of several servos to Fast Sync Read, as they send it: not stuffed, each servo's share
+/// followed by the CRC of everything before.
 pub fn common_answer(shares: &[(u8, StatusError, Vec<u8>)], out: &mut Vec<u8>) {
     let start = out.len();
     out.extend_from_slice(&HEADER);

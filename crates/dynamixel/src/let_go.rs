@@ -1,4 +1,5 @@
-//! Letting servos go, and whether they did: the order goes to all at once and nobody answers it, so that each is asked afterwards.
+//! Letting servos go, and whether they did: the order goes to all at once and nobody answers it, so that each
+//! is asked afterwards.
 
 use std::fmt;
 use std::time::Duration;
@@ -49,8 +50,9 @@ impl fmt::Display for LetGo {
     }
 }
 
-/// Lets all servos of the bus go, those of other ids too, and asks `ids` whether they did, each question for at most `patience`. The
-/// order is repeated: [`ORDERS_MAX`] times for one that holds, [`TRIES`] times for one that is silent.
+/// Lets all servos of the bus go, those of other ids too, and asks `ids` whether they did, each question for
+/// at most `patience`. The order is repeated: [`ORDERS_MAX`] times for one that holds, [`TRIES`] times for
+/// one that is silent.
 ///
 /// # Errors
 /// [`BusFault::Port`] where no order left and no answer came: nobody knows then.

@@ -1,11 +1,11 @@
-//! Dynamixel protocol 2.0 for the robot's servos: packets, the XM430 control table, a bus with a deadline per transaction,
-//! and an emulated bus that answers byte for byte as servos do.
+//! Dynamixel protocol 2.0 for the robot's servos: packets, the XM430 control table, a bus with a deadline per
+//! transaction, and an emulated bus that answers byte for byte as servos do.
 //!
-//! Facts (packet layout, CRC, byte stuffing, register addresses, units) are those of the ROBOTIS e-manual, "DYNAMIXEL
-//! Protocol 2.0" and "XM430-W210 / XM430-W350"; the packets of its examples are the golden tests.
+//! Facts (packet layout, CRC, byte stuffing, register addresses, units) are those of the ROBOTIS e-manual,
+//! "DYNAMIXEL Protocol 2.0" and "XM430-W210 / XM430-W350"; the packets of its examples are the golden tests.
 //!
-//! *Invariant:* whatever bytes arrive, nothing here panics, allocates without bound or waits beyond its deadline, and the
-//! error byte of a status packet reaches the caller.
+//! *Invariant:* whatever bytes arrive, nothing here panics, allocates without bound or waits beyond its
+//! deadline, and the error byte of a status packet reaches the caller.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod bus;

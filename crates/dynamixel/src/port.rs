@@ -41,8 +41,8 @@ pub trait Port {
 /// A serial port: raw bytes, 8 bits, no parity, one stop bit, no flow control.
 ///
 /// USB adapters with an FTDI chip hold bytes back for 16 ms unless their latency timer is 1 ms
-/// (`/sys/bus/usb-serial/devices/ttyUSB0/latency_timer`); a tick of 20 ms does not work otherwise. `caudata-robot doctor`
-/// measures the round trip.
+/// (`/sys/bus/usb-serial/devices/ttyUSB0/latency_timer`); a tick of 20 ms does not work otherwise.
+/// `caudata-robot doctor` measures the round trip.
 #[derive(Debug)]
 pub struct SerialPort {
     path: PathBuf,
@@ -50,11 +50,13 @@ pub struct SerialPort {
 }
 
 impl SerialPort {
-    /// Opens the port at `path` for this program alone: two that speak on one bus take each other's answers. Nothing about the port is
-    /// changed where another program has it. The system lets go of the lock however the program ends.
+    /// Opens the port at `path` for this program alone: two that speak on one bus take each other's answers.
+    /// Nothing about the port is changed where another program has it. The system lets go of the lock however
+    /// the program ends.
     ///
     /// # Errors
-    /// `ResourceBusy` where another program has it; what the system says; a file that is no terminal cannot be set up.
+    /// `ResourceBusy` where another program has it; what the system says; a file that is no terminal cannot
+    /// be set up.
     pub fn open(path: &Path, baud: u32) -> io::Result<Self> {
         let (port, alone) = Self::open_whoever_has_it(path)?;
         if !alone {
@@ -66,8 +68,8 @@ impl SerialPort {
         port.at(baud)
     }
 
-    /// Opens the port at `path` also where another program has it, for orders that count whatever others do; with `true` where this
-    /// program has it alone.
+    /// Opens the port at `path` also where another program has it, for orders that count whatever others do;
+    /// with `true` where this program has it alone.
     ///
     /// # Errors
     /// As [`SerialPort::open`], but for `ResourceBusy`.

@@ -1,4 +1,5 @@
-//! What every servo must hold before its torque goes on: found, compared, and set right where that is asked for.
+//! What every servo must hold before its torque goes on: found, compared, and set right where that is asked
+//! for.
 
 use std::fmt;
 use std::time::Duration;
@@ -66,7 +67,8 @@ pub fn persistently<T>(mut ask: impl FnMut() -> Result<T, BusFault>) -> Result<T
     }
 }
 
-/// Compares registers of one servo, and writes those that differ where `fix` is set. The torque must be off for that.
+/// Compares registers of one servo, and writes those that differ where `fix` is set. The torque must be off
+/// for that.
 ///
 /// # Errors
 /// [`BusFault`]; a refusal too, since nothing can be said about the servo then.
@@ -101,8 +103,8 @@ pub fn compare<P: Port>(
     Ok(findings)
 }
 
-/// Looks for servo `id` at all usual speeds, the present one first; the speed it answers at, which the bus then has. The bus
-/// is as before where it does not answer.
+/// Looks for servo `id` at all usual speeds, the present one first; the speed it answers at, which the bus
+/// then has. The bus is as before where it does not answer.
 ///
 /// # Errors
 /// [`BusFault`] of the present speed where none works, so that it says what matters.
@@ -156,7 +158,8 @@ pub fn hardware_error<P: Port>(bus: &mut Bus<P>, id: u8) -> Result<HardwareError
     Ok(HardwareError(bits as u8))
 }
 
-/// How long a tick's reading and writing takes on the wire, µs: `servos` answers of `bytes`, then goals of 4 bytes each.
+/// How long a tick's reading and writing takes on the wire, µs: `servos` answers of `bytes`, then goals of 4
+/// bytes each.
 pub fn tick_us(servos: usize, bytes: usize, fast: bool, return_delay_us: u64, baud: u32) -> u64 {
     let frame = |parameters: usize| crate::frame::PREFIX + 1 + parameters + 2;
     let request = wire_us(frame(4 + servos), baud);

@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-/// The error byte of a status packet: an alert (a hardware error is latched) and the number of what went wrong.
+/// The error byte of a status packet: an alert (a hardware error is latched) and the number of what went
+/// wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StatusError(pub u8);
 

@@ -1,4 +1,5 @@
-//! Register values and SI units, both ways. Conversions to registers saturate; what is not a number stays at the centre.
+//! Register values and SI units, both ways. Conversions to registers saturate; what is not a number stays at
+//! the centre.
 
 use std::f64::consts::TAU;
 

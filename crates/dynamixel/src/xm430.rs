@@ -1,4 +1,5 @@
-//! The control table of XM430-W210 and XM430-W350: addresses, sizes, who may write, and what a new servo holds.
+//! The control table of XM430-W210 and XM430-W350: addresses, sizes, who may write, and what a new servo
+//! holds.
 
 /// Where a register lives, and so when it can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -150,7 +151,8 @@ pub fn register_at(address: u16) -> Option<&'static Register> {
 }
 
 impl Register {
-    /// Its value within `block`, which begins at `block_address`; signed by size. `None` where it is not in there.
+    /// Its value within `block`, which begins at `block_address`; signed by size. `None` where it is not in
+    /// there.
     pub fn value_in(&self, block: &[u8], block_address: u16) -> Option<i32> {
         let start = usize::from(self.address.checked_sub(block_address)?);
         let bytes = block.get(start..start + usize::from(self.size))?;

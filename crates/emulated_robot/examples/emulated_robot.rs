@@ -1,5 +1,5 @@
-//! An emulated robot on pseudo-terminals without the rest of the command line, for measuring: ROBOT.robot.toml WIRING.toml
-//! FOLDER [in-step]. The same as `caudata sim robot --bus pty`.
+//! An emulated robot on pseudo-terminals without the rest of the command line, for measuring:
+//! ROBOT.robot.toml WIRING.toml FOLDER [in-step]. The same as `caudata sim robot --bus pty`.
 #![allow(clippy::print_stdout)]
 
 use std::error::Error;

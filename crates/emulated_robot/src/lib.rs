@@ -1,7 +1,8 @@
-//! A simulated robot behind emulated servos and an emulated IMU, on pseudo-terminals: the robot program drives it through the
-//! real wire protocol, byte for byte, and cannot tell it from a robot but by its speed.
+//! A simulated robot behind emulated servos and an emulated IMU, on pseudo-terminals: the robot program
+//! drives it through the real wire protocol, byte for byte, and cannot tell it from a robot but by its speed.
 //!
-//! [`robot`] couples the physics with the control tables and the IMU's registers, [`serve`] puts both on pseudo-terminals.
+//! [`robot`] couples the physics with the control tables and the IMU's registers, [`serve`] puts both on
+//! pseudo-terminals.
 //!
 //! *Invariant:* the far end learns nothing that a real servo or IMU would not say.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
@@ -12,8 +13,8 @@ pub mod serve;
 pub use robot::{EmulatedRobot, Travel};
 pub use serve::{Pace, Terminals, serve};
 
-/// Physics steps per step of the emulated robot: 4 ms at the usual step of 2 ms, so that servos get goals and sensors change in
-/// between control ticks.
+/// Physics steps per step of the emulated robot: 4 ms at the usual step of 2 ms, so that servos get goals and
+/// sensors change in between control ticks.
 pub const SUBSTEPS: u32 = 2;
 
 /// Why an emulated robot does not work.

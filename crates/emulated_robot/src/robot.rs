@@ -20,7 +20,8 @@ const TEMPERATURE_C: u8 = 32;
 const FIELD_WORLD_T: [f64; 3] = [2.0e-5, 0.0, -4.3e-5];
 /// Standard gravity, m/s².
 const G_MPS2: f32 = 9.806_65;
-/// Time over which a direction of travel is taken, s: more than a stride, so that the sway of the head averages out.
+/// Time over which a direction of travel is taken, s: more than a stride, so that the sway of the head
+/// averages out.
 const WINDOW_S: f64 = 1.0;
 /// Beginning and end of a walk that do not count: standing up and returning, s.
 const LEAD_IN_S: f64 = 5.0;
@@ -33,7 +34,8 @@ pub struct Travel {
     pub torque_on_s: f64,
     /// Distance along its own heading, m.
     pub forward_m: f64,
-    /// Mean speed along its own heading without the first 5 s and the last 3 s, m/s; null where it was on for less.
+    /// Mean speed along its own heading without the first 5 s and the last 3 s, m/s; null where it was on for
+    /// less.
     pub forward_mps: Option<f64>,
     /// Lowest height of the base, m.
     pub height_min_m: f64,
@@ -114,7 +116,8 @@ pub struct EmulatedRobot {
 }
 
 impl EmulatedRobot {
-    /// Servos at the bus's speed and otherwise as from the factory, around lane 0 of `engine`, which stands in the nominal pose.
+    /// Servos at the bus's speed and otherwise as from the factory, around lane 0 of `engine`, which stands
+    /// in the nominal pose.
     ///
     /// # Errors
     /// [`EmulationError::Wiring`] where the joints are not the robot's, [`EmulationError::Sim`].
@@ -324,7 +327,8 @@ mod tests {
 
     #[test]
     fn speed_is_along_the_own_heading_without_beginning_and_end() {
-        // 2 s of standing, 16 s at 0.25 m/s along world y facing y, 2 s of standing: 5 s and 3 s are left out, 12 s of walking count.
+        // 2 s of standing, 16 s at 0.25 m/s along world y facing y, 2 s of standing: 5 s and 3 s are left
+        // out, 12 s of walking count.
         let mut trace = Trace::default();
         for step in 0..=5000_u32 {
             let time_s = 0.004 * f64::from(step);

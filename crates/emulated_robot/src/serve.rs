@@ -9,7 +9,8 @@ use crate::{EmulatedRobot, EmulationError};
 
 /// How long one look at a terminal waits.
 const LOOK: Duration = Duration::from_micros(300);
-/// Steps that are made up for at once when the machine was busy; beyond that the robot's time stands still instead.
+/// Steps that are made up for at once when the machine was busy; beyond that the robot's time stands still
+/// instead.
 const CATCH_UP_STEPS: u32 = 25;
 /// Control period that one write of goals lets pass at [`Pace::Goals`], s.
 const CONTROL_PERIOD_S: f64 = 0.02;
@@ -19,8 +20,8 @@ const CONTROL_PERIOD_S: f64 = 0.02;
 pub enum Pace {
     /// The clock.
     RealTime,
-    /// Each write of goals lets one control period pass: a slow machine makes it slow, not wrong. Answers come at once, and
-    /// watchdogs run by this time.
+    /// Each write of goals lets one control period pass: a slow machine makes it slow, not wrong. Answers
+    /// come at once, and watchdogs run by this time.
     Goals,
 }
 
@@ -32,7 +33,8 @@ pub struct Terminals {
 }
 
 impl Terminals {
-    /// Opens both and makes `folder/servos` and `folder/imu` links to them; links that are there already are replaced.
+    /// Opens both and makes `folder/servos` and `folder/imu` links to them; links that are there already are
+    /// replaced.
     ///
     /// # Errors
     /// What the system says.
@@ -79,7 +81,8 @@ pub fn serve(
         if pace == Pace::RealTime {
             robot.bus.hear(&buffer[..count], now_us);
         }
-        // Byte by byte: on a busy machine goals and the next question may come together, and the question is about what the goals did.
+        // Byte by byte: on a busy machine goals and the next question may come together, and the question is
+        // about what the goals did.
         for byte in buffer[..count].iter().filter(|_| pace == Pace::Goals) {
             robot.bus.hear(&[*byte], (robot.time_s() * 1e6) as u64);
             let new = robot.bus.goal_writes() - goals;

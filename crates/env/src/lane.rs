@@ -45,8 +45,9 @@ pub(crate) struct Lane {
 }
 
 impl Lane {
-    /// The state at the start of the episode of `key`, except for its start pose, for a robot with so many joints whose policy sees so many phases.
-    /// `reset_stream` gives the clock's start and, where `stagger` asks for it, a random length.
+    /// The state at the start of the episode of `key`, except for its start pose, for a robot with so many
+    /// joints whose policy sees so many phases. `reset_stream` gives the clock's start and, where `stagger`
+    /// asks for it, a random length.
     pub fn start(
         task: &TaskConfig,
         sensors: Option<&Sensors>,

@@ -44,7 +44,8 @@ pub struct Truth {
     /// 1 while it is that and farther above the highest ground under a foot or a girdle than
     /// `afloat_above_m`, 0 otherwise.
     pub afloat: f32,
-    /// Which feet can be asked to walk, 1 or 0: all of them out of the water, and in it those whose girdle has the ground within `feet_reach_m`.
+    /// Which feet can be asked to walk, 1 or 0: all of them out of the water, and in it those whose girdle
+    /// has the ground within `feet_reach_m`.
     pub on_ground: PerFoot,
 }
 
@@ -79,8 +80,8 @@ impl Reader {
     }
 }
 
-/// For each foot which girdle its leg hangs nearer to, by the place of the leg's first link in the nominal pose; 0 for a robot whose file names no
-/// girdles.
+/// For each foot which girdle its leg hangs nearer to, by the place of the leg's first link in the nominal
+/// pose; 0 for a robot whose file names no girdles.
 fn girdle_of(model: &RobotModel) -> Result<PerFoot<usize>, ModelError> {
     let feet = model.feet();
     let Some((hind, front)) = model.heading_sites() else {
@@ -101,8 +102,8 @@ fn girdle_of(model: &RobotModel) -> Result<PerFoot<usize>, ModelError> {
     Ok(PerFoot::from_fn(feet.len(), girdle))
 }
 
-/// How far ahead of the centre of mass the front and the hind girdle are, along the line that they make, in the nominal pose, m. Both 0 for a robot
-/// whose file names no girdles, or both in one place.
+/// How far ahead of the centre of mass the front and the hind girdle are, along the line that they make, in
+/// the nominal pose, m. Both 0 for a robot whose file names no girdles, or both in one place.
 fn girdles_ahead_m(model: &RobotModel) -> Result<[f32; 2], ModelError> {
     let Some((hind, front)) = model.heading_sites() else {
         return Ok([0.0; 2]);

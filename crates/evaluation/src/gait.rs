@@ -53,7 +53,8 @@ pub struct Gait {
     pub duty_factor: PerFoot<f64>,
     /// Height that each foot reaches above the ground, mean over strides, m.
     pub clearance_m: PerFoot<f64>,
-    /// Mean horizontal speed of a foot in the middle of its stance (on the ground the step before and after as well), m/s.
+    /// Mean horizontal speed of a foot in the middle of its stance (on the ground the step before and after
+    /// as well), m/s.
     pub slip_mps: f64,
     /// Share of time with the trunk or a leg (but not its foot) on the ground.
     pub trunk_contact_share: f64,
@@ -292,7 +293,8 @@ pub(crate) mod tests {
         }
     }
 
-    /// A robot that trots at `stride_hz` with 0.3 m/s for 12 s, with a vibration of `shake` (0 to 1) of its joint speed at 8 Hz.
+    /// A robot that trots at `stride_hz` with 0.3 m/s for 12 s, with a vibration of `shake` (0 to 1) of its
+    /// joint speed at 8 Hz.
     pub(crate) fn trot(stride_hz: f64, shake: f64) -> Trace {
         let frames = (0..600).map(|i| {
             let t = f64::from(i) * 0.02;
@@ -362,8 +364,8 @@ pub(crate) mod tests {
 
     #[test]
     fn vibration_is_power_above_six_hertz() {
-        // Equal amplitudes; the means over 20 ms of the 8 Hz part are smaller by sin(x)/x, x = π·8·0.02: 0.9583, so its share is
-        // 0.9583²/(1 + 0.9583²) = 0.479
+        // Equal amplitudes; the means over 20 ms of the 8 Hz part are smaller by sin(x)/x, x = π·8·0.02:
+        // 0.9583, so its share is 0.9583²/(1 + 0.9583²) = 0.479
         let gait = Gait::of(&trot(1.4, 0.5), &measure()).unwrap();
         near(gait.vibration_share, 0.479, 0.01);
     }

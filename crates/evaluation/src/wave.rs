@@ -75,8 +75,8 @@ pub struct WaveResult {
     pub hz: Estimate,
     /// Amplitude of each yaw joint at that frequency, head to tail, rad.
     pub amplitude_rad: PerJoint<f64>,
-    /// How far each yaw joint lags behind the first, rad: differences of neighbours (each within ±π, from cross-spectra averaged over
-    /// episodes) added up.
+    /// How far each yaw joint lags behind the first, rad: differences of neighbours (each within ±π, from
+    /// cross-spectra averaged over episodes) added up.
     pub lag_rad: PerJoint<f64>,
     /// Whether it grows at every joint: a wave that travels to the tail.
     pub travels_to_the_tail: bool,

@@ -1,4 +1,5 @@
-//! Emulated chips: register maps that answer as LSM6DSOX and LIS3MDL do, directly or behind an emulated serial bridge.
+//! Emulated chips: register maps that answer as LSM6DSOX and LIS3MDL do, directly or behind an emulated
+//! serial bridge.
 
 use std::collections::VecDeque;
 use std::io;
@@ -6,7 +7,8 @@ use std::io;
 use crate::i2c::{BRIDGE_BYTES_MAX, I2c};
 use crate::registers::*;
 
-/// The second low-pass filter as the mean of this many samples: five of 4 ms let through half the power at 22 Hz, the chip's does at 21 Hz.
+/// The second low-pass filter as the mean of this many samples: five of 4 ms let through half the power at 22
+/// Hz, the chip's does at 21 Hz.
 const FILTER_SAMPLES: usize = 5;
 /// Longest request that a bridge understands.
 const REQUEST_MAX: usize = 64;

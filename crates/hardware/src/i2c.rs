@@ -35,8 +35,9 @@ impl<T: I2c + ?Sized> I2c for Box<T> {
     }
 }
 
-/// A serial bridge in the manner of NXP's SC18IM700 (data sheet, "ASCII command protocol"): `S`, address and direction, count,
-/// bytes, `P`; a read is answered with its bytes. It lets a computer without an I²C bus, or an emulated robot, take part.
+/// A serial bridge in the manner of NXP's SC18IM700 (data sheet, "ASCII command protocol"): `S`, address and
+/// direction, count, bytes, `P`; a read is answered with its bytes. It lets a computer without an I²C bus, or
+/// an emulated robot, take part.
 #[derive(Debug)]
 pub struct BridgeI2c<P> {
     port: P,

@@ -1,9 +1,11 @@
-//! The robot's hardware as both ends see it: how it is wired ([`wiring`]), and its IMU ([`imu`]) behind an I²C bus ([`i2c`]),
-//! which may be a Linux one, a serial bridge, or emulated registers ([`emulated`]).
+//! The robot's hardware as both ends see it: how it is wired ([`wiring`]), and its IMU ([`imu`]) behind an
+//! I²C bus ([`i2c`]), which may be a Linux one, a serial bridge, or emulated registers ([`emulated`]).
 //!
-//! The robot program drives it; the emulated robot answers with the same register maps, so that one wiring file serves both.
+//! The robot program drives it; the emulated robot answers with the same register maps, so that one wiring
+//! file serves both.
 //!
-//! *Invariant:* knows neither a simulator nor a control loop; whatever bytes arrive, nothing here panics or waits without end.
+//! *Invariant:* knows neither a simulator nor a control loop; whatever bytes arrive, nothing here panics or
+//! waits without end.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod emulated;

@@ -1,4 +1,5 @@
-//! A Linux I²C bus (`/dev/i2c-N`). The only `unsafe` code of this crate: the one ioctl that names the chip to talk to.
+//! A Linux I²C bus (`/dev/i2c-N`). The only `unsafe` code of this crate: the one ioctl that names the chip to
+//! talk to.
 #![allow(unsafe_code)]
 
 use std::fs::{File, OpenOptions};

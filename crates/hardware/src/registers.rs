@@ -1,4 +1,5 @@
-//! Registers and scales of the LSM6DSOX (gyroscope, accelerometer) and the LIS3MDL (magnetometer), from ST's data sheets.
+//! Registers and scales of the LSM6DSOX (gyroscope, accelerometer) and the LIS3MDL (magnetometer), from ST's
+//! data sheets.
 
 /// Standard gravity, m/s².
 pub const G_MPS2: f32 = 9.806_65;
@@ -12,8 +13,9 @@ pub const LSM6_ADDRESS: u8 = 0x6A;
 pub const LSM6_ID: u8 = 0x6C;
 /// CTRL1_XL: rate and range of the accelerometer.
 pub const LSM6_CTRL1_XL: u8 = 0x10;
-/// 208 Hz, ±4 g, second low-pass filter on: a foot that strikes is a spike of a few milliseconds, of which reading once per 20 ms
-/// would take a random part. Without the filter the direction of gravity was 18° off on the emulated robot.
+/// 208 Hz, ±4 g, second low-pass filter on: a foot that strikes is a spike of a few milliseconds, of which
+/// reading once per 20 ms would take a random part. Without the filter the direction of gravity was 18° off
+/// on the emulated robot.
 pub const LSM6_CTRL1_XL_VALUE: u8 = 0b0101_1010;
 /// The bit of CTRL1_XL that switches that filter on.
 pub const LSM6_LPF2: u8 = 0b10;

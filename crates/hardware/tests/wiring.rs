@@ -30,7 +30,8 @@ fn a_file_that_is_no_text_or_has_no_end_is_wrong_and_not_absent() {
 
 #[test]
 fn angles_by_hand() {
-    // Reversed, zero at a quarter turn: at 3072 counts (a quarter) the joint is at 0, at 4096 (half a turn) at −π/2.
+    // Reversed, zero at a quarter turn: at 3072 counts (a quarter) the joint is at 0, at 4096 (half a turn)
+    // at −π/2.
     let joint = JointWiring {
         id: 1,
         model: ServoModel::Xm430W210,

@@ -1,6 +1,7 @@
 //! `[extension]` of a robot file: what a diagnosis found that the nominal robot lacks.
 //!
-//! The effects are for people and for diagnosis; `lane` is what they come to in the simulator's parameters, and what training and evaluation use.
+//! The effects are for people and for diagnosis; `lane` is what they come to in the simulator's parameters,
+//! and what training and evaluation use.
 
 use std::collections::BTreeMap;
 
@@ -18,8 +19,8 @@ pub struct Extension {
     /// Standard deviation of observation noise by kind of signal, SI: what repeats showed. For training.
     #[serde(default)]
     pub observation_noise: BTreeMap<String, f64>,
-    /// The simulator's parameters that differ from the nominal robot's, by path (`kp_nm_per_rad.FL_hip`, `joints.FL_hip.dead_band_rad`).
-    /// Engines refuse paths that they do not know.
+    /// The simulator's parameters that differ from the nominal robot's, by path (`kp_nm_per_rad.FL_hip`,
+    /// `joints.FL_hip.dead_band_rad`). Engines refuse paths that they do not know.
     #[serde(default)]
     pub lane: BTreeMap<String, f64>,
     /// Effects, in the order in which they act.

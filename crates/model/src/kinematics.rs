@@ -26,8 +26,8 @@ pub struct Kinematics {
 impl RobotModel {
     /// World poses of all links and joint axes.
     ///
-    /// `world_from_base`: pose of the root link's frame (a free base); for a fixed base, a shift of the whole robot (identity as in the MJCF).
-    /// `joint_pos_rad`: `[J]`, model order (m for slides).
+    /// `world_from_base`: pose of the root link's frame (a free base); for a fixed base, a shift of the whole
+    /// robot (identity as in the MJCF). `joint_pos_rad`: `[J]`, model order (m for slides).
     ///
     /// # Errors
     /// [`ModelError::Length`] where `joint_pos_rad` has the wrong length.
@@ -97,7 +97,8 @@ impl RobotModel {
         }
     }
 
-    /// Positions of all joints `[J]` (model order) from those of the actuated ones (policy order); the others are 0.
+    /// Positions of all joints `[J]` (model order) from those of the actuated ones (policy order); the others
+    /// are 0.
     ///
     /// # Errors
     /// [`ModelError::Length`] where `actuated_pos_rad` has the wrong length.

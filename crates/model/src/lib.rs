@@ -1,9 +1,11 @@
 //! The robot model: MJCF subset plus robot file, checked and hashed.
 //!
-//! A robot is two files side by side: the MJCF (bodies, joints, shapes; plain MuJoCo loads it) and the `*.robot.toml` that names it (servos,
-//! sensors, play, contact, water, poses). [`RobotModel::load`] reads both, refuses what is wrong with file and line, and gives one checked value.
+//! A robot is two files side by side: the MJCF (bodies, joints, shapes; plain MuJoCo loads it) and the
+//! `*.robot.toml` that names it (servos, sensors, play, contact, water, poses). [`RobotModel::load`] reads
+//! both, refuses what is wrong with file and line, and gives one checked value.
 //!
-//! Where both files carry a number (friction, springs, servo friction, gains) the robot file wins: it is the one that diagnosis extends.
+//! Where both files carry a number (friction, springs, servo friction, gains) the robot file wins: it is the
+//! one that diagnosis extends.
 //!
 //! Frames: world x forward, y left, z up. SI units and radians. Quaternions w, x, y, z.
 

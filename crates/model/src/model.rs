@@ -8,7 +8,8 @@ use crate::types::{BaseKind, Foot, Geom, Joint, Link, Site};
 
 /// A robot, loaded from `*.robot.toml` and the MJCF beside it, and checked: a value that exists is valid.
 ///
-/// Two orders are used everywhere: *model order* (all joints, depth first as in the MJCF) and *policy order* (the actuated joints).
+/// Two orders are used everywhere: *model order* (all joints, depth first as in the MJCF) and *policy order*
+/// (the actuated joints).
 #[derive(Clone, Debug)]
 pub struct RobotModel {
     pub(crate) name: String,
@@ -84,7 +85,8 @@ readers! {
     /// Pairs of links that never collide.
     excluded_pairs: &[(usize, usize)],
     ;
-    /// SHA-256 over both files, each preceded by its length (u64, little-endian): robot file first, then the MJCF.
+    /// SHA-256 over both files, each preceded by its length (u64, little-endian): robot file first, then the
+    /// MJCF.
     hash: [u8; 32],
     /// Free or fixed base.
     base: BaseKind,
@@ -132,7 +134,8 @@ impl RobotModel {
         &self.limits_rad
     }
 
-    /// The servo of an actuated joint (index in policy order; an index beyond the last joint gives the last joint's servo).
+    /// The servo of an actuated joint (index in policy order; an index beyond the last joint gives the last
+    /// joint's servo).
     pub fn servo(&self, actuated_index: usize) -> &ServoParams {
         let preset = self.servo_of[actuated_index.min(self.servo_of.len() - 1)];
         &self.servo_presets[preset].1
@@ -153,13 +156,15 @@ impl RobotModel {
         self.water.as_ref()
     }
 
-    /// Whether a foot is on `link` or on a link that it carries: what has to be held up while walking, against what
-    /// may trail on the ground (a salamander's tail). Every link of a robot without feet counts as carrying.
+    /// Whether a foot is on `link` or on a link that it carries: what has to be held up while walking,
+    /// against what may trail on the ground (a salamander's tail). Every link of a robot without feet counts
+    /// as carrying.
     pub fn carries_feet(&self, link: usize) -> bool {
         self.feet.is_empty() || self.feet.iter().any(|foot| self.carries(link, foot.link))
     }
 
-    /// The foot of the leg that `link` belongs to: every link beyond whose joint there is exactly one foot is part of a leg, the rest is trunk.
+    /// The foot of the leg that `link` belongs to: every link beyond whose joint there is exactly one foot is
+    /// part of a leg, the rest is trunk.
     pub fn leg_of(&self, link: usize) -> Option<usize> {
         self.links[link].parent?;
         let mut feet = (0..self.feet.len()).filter(|&f| self.carries(link, self.feet[f].link));

@@ -1,12 +1,13 @@
-//! Parameters from the robot file: servos, sensors, supply, play, contact, water. SI units; the file says where each value is from.
+//! Parameters from the robot file: servos, sensors, supply, play, contact, water. SI units; the file says
+//! where each value is from.
 
 use serde::{Deserialize, Serialize};
 
 /// One servo type: torque envelope, friction, and how it measures.
 ///
-/// Envelope after ToddlerBot v2: the motor torque is limited to `tau_max_nm` up to the speed `qd_tau_max_radps`, then linearly down to
-/// `tau_qd_max_nm` at `qd_max_radps`; torque against the motion is limited to `tau_brake_max_nm`. Speeds are those at `reference_supply_v` and
-/// scale with the supply.
+/// Envelope after ToddlerBot v2: the motor torque is limited to `tau_max_nm` up to the speed
+/// `qd_tau_max_radps`, then linearly down to `tau_qd_max_nm` at `qd_max_radps`; torque against the motion is
+/// limited to `tau_brake_max_nm`. Speeds are those at `reference_supply_v` and scale with the supply.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ServoParams {
@@ -148,7 +149,8 @@ pub struct ContactParams {
 
 /// Water. Forces act per link in proportion to how much of it is below the surface.
 ///
-/// Drag is that of the link's equivalent inertia box (edges b_i = √(6(I_j+I_k−I_i)/m), d their mean), times the link's [`DragScale`].
+/// Drag is that of the link's equivalent inertia box (edges b_i = √(6(I_j+I_k−I_i)/m), d their mean), times
+/// the link's [`DragScale`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct WaterParams {
     /// Density ρ, kg/m³.
@@ -169,7 +171,8 @@ pub struct WaterParams {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AddedShare {
-    /// Added mass as a share of the mass of the displaced water (1: a cylinder moved across its axis; ½: a ball).
+    /// Added mass as a share of the mass of the displaced water (1: a cylinder moved across its axis; ½: a
+    /// ball).
     pub mass: [f64; 3],
     /// Added inertia as a share of the displaced water's own.
     pub inertia: [f64; 3],

@@ -1,6 +1,7 @@
 //! Rigid transforms in plain arrays: what forward kinematics works with.
 //!
-//! Quaternions are `[w, x, y, z]`, right-handed, active: `rotate` takes a vector from the inner frame to the outer one.
+//! Quaternions are `[w, x, y, z]`, right-handed, active: `rotate` takes a vector from the inner frame to the
+//! outer one.
 
 /// A rigid transform `outer_from_inner`: rotate by `quat_wxyz`, then shift by `pos_m`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -200,7 +201,8 @@ mod tests {
     fn a_tensor_turned_a_quarter_about_z_swaps_its_x_and_y_parts() {
         let q = quat_from_axis_angle([0.0, 0.0, 1.0], FRAC_PI_2);
         let m = [[1.0, 0.1, 0.2], [0.1, 2.0, 0.3], [0.2, 0.3, 3.0]];
-        // x' = y, y' = -x: xx' = yy... worked: new xx = old yy, new xy = -old xy, new xz = -old yz, new yz = old xz
+        // x' = y, y' = -x: xx' = yy... worked: new xx = old yy, new xy = -old xy, new xz = -old yz, new yz =
+        // old xz
         let t = rotate_tensor(q, m);
         close(t[0], [2.0, -0.1, -0.3]);
         close(t[1], [-0.1, 1.0, 0.2]);

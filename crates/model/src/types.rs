@@ -1,7 +1,7 @@
 //! What a robot is made of: links, joints, geoms, sites, feet.
 //!
-//! Frames: every link has its own frame; at zero joint positions `Link::parent_from_link` places it in its parent.
-//! Units are SI; positions m, angles rad, inertia kg·m².
+//! Frames: every link has its own frame; at zero joint positions `Link::parent_from_link` places it in its
+//! parent. Units are SI; positions m, angles rad, inertia kg·m².
 
 use crate::pose::Pose;
 
@@ -29,7 +29,8 @@ pub struct Link {
     pub com_m: [f64; 3],
     /// Inertia about the centre of mass in link axes, kg·m², full symmetric matrix, rows first.
     pub inertia_kgm2: [[f64; 3]; 3],
-    /// Model indices of the joints between the parent and this link, outermost (at the parent) first. Empty only for the root.
+    /// Model indices of the joints between the parent and this link, outermost (at the parent) first. Empty
+    /// only for the root.
     pub joints: Vec<usize>,
     /// Shapes fixed to the link, in file order.
     pub geoms: Vec<Geom>,
@@ -91,20 +92,23 @@ pub struct Joint {
     pub armature_kgm2: f64,
     /// Coulomb friction, N·m.
     pub friction_loss_nm: f64,
-    /// Held at zero by the robot file (`[passive] locked`, `[backlash] enabled = false`); the joint keeps its place in model order.
+    /// Held at zero by the robot file (`[passive] locked`, `[backlash] enabled = false`); the joint keeps its
+    /// place in model order.
     pub locked: bool,
 }
 
-/// How a limit or a contact gives way, as MJCF writes it (`solref`, `solimp`; MuJoCo's documentation, "Computation", "Solver parameters").
+/// How a limit or a contact gives way, as MJCF writes it (`solref`, `solimp`; MuJoCo's documentation,
+/// "Computation", "Solver parameters").
 ///
 /// Beyond the limit by `r`, moving out at `v` with acceleration `a`, the constraint pushes back with
-/// `f = (k·r − b·v − a)·d / ((1 − d)·A)`, where `A` is the inverse of the inertia that it meets in the model's zero pose, `d(r)` the impedance, and
-/// `b = 2 / (d_max·τ)`, `k = d(r) / (d_max·τ·ζ)²`.
+/// `f = (k·r − b·v − a)·d / ((1 − d)·A)`, where `A` is the inverse of the inertia that it meets in the
+/// model's zero pose, `d(r)` the impedance, and `b = 2 / (d_max·τ)`, `k = d(r) / (d_max·τ·ζ)²`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Softness {
     /// Time constant τ (s) and damping ratio ζ; or, both negative, −stiffness (1/s²) and −damping (1/s).
     pub solref: [f64; 2],
-    /// Impedance: d at the limit, d from `width` on, width (rad or m), midpoint (share of the width), power (1 or 2).
+    /// Impedance: d at the limit, d from `width` on, width (rad or m), midpoint (share of the width), power
+    /// (1 or 2).
     pub solimp: [f64; 5],
 }
 
@@ -155,7 +159,8 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// Half the extent of the shape along the unit direction `dir` (in the shape's own frame), m; infinite for a plane.
+    /// Half the extent of the shape along the unit direction `dir` (in the shape's own frame), m; infinite
+    /// for a plane.
     ///
     /// This is the support function of a shape that is symmetric about its centre.
     pub fn half_extent_m(&self, dir: [f64; 3]) -> f64 {
@@ -187,13 +192,16 @@ pub struct Geom {
     pub shape: Shape,
     /// Pose of the shape in the link frame.
     pub link_from_geom: Pose,
-    /// Sliding friction coefficient against the ground: on a link from the robot file's `[contact]`, in the world from the MJCF.
+    /// Sliding friction coefficient against the ground: on a link from the robot file's `[contact]`, in the
+    /// world from the MJCF.
     pub friction: f64,
-    /// MuJoCo collision bits: two geoms collide where `contype & other.conaffinity` or the reverse is not zero.
+    /// MuJoCo collision bits: two geoms collide where `contype & other.conaffinity` or the reverse is not
+    /// zero.
     pub contype: u32,
     /// See `contype`.
     pub conaffinity: u32,
-    /// How a contact of this shape gives way (MuJoCo mixes it with the other shape's unless `priority` decides; here it is this shape's alone).
+    /// How a contact of this shape gives way (MuJoCo mixes it with the other shape's unless `priority`
+    /// decides; here it is this shape's alone).
     pub soft: Softness,
 }
 

@@ -1,8 +1,8 @@
 //! The policy file: ONNX graph, metadata, strict checks, inference with ONNX Runtime.
 //!
 //! The learner writes one with [`build_onnx`]; actors, evaluation and the robot read it with
-//! [`PolicyFile::parse`] and run it with [`Inference`], all on the same bytes. `docs/reference/policy-file.md`
-//! describes the format.
+//! [`PolicyFile::parse`] and run it with [`Inference`], all on the same bytes.
+//! `docs/reference/policy-file.md` describes the format.
 //!
 //! *Invariant*: bytes from outside reach ONNX Runtime only as a [`PolicyFile`]; the runtime is no
 //! sandbox.

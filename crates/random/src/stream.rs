@@ -88,8 +88,8 @@ impl Stream {
         StandardNormal.sample(&mut self.rng)
     }
 
-    /// Adds bell-shaped noise of standard deviation `std` to every value: much faster than [`Self::normal`], for
-    /// sensor noise.
+    /// Adds bell-shaped noise of standard deviation `std` to every value: much faster than [`Self::normal`],
+    /// for sensor noise.
     ///
     /// Each draw is the sum of the four bytes of one word (Irwin–Hall distribution), so it is at most 3.45
     /// standard deviations from 0, and comes in steps of 0.007 standard deviations.

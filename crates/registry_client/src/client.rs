@@ -40,8 +40,8 @@ pub struct RegistryClient {
 }
 
 impl RegistryClient {
-    /// A client for `address` (`host:port`) on this host, without encryption. Connects with the first call, so a server that
-    /// starts later is fine.
+    /// A client for `address` (`host:port`) on this host, without encryption. Connects with the first call,
+    /// so a server that starts later is fine.
     ///
     /// # Errors
     /// [`ClientError::Address`].
@@ -49,8 +49,9 @@ impl RegistryClient {
         Self::with_tls(address, None)
     }
 
-    /// A client for `address`: `https://host:port` is encrypted and both sides show certificates, ours from `tls_dir`, a folder with
-    /// `ca.crt`, `tls.crt` and `tls.key` (`caudata pki`); `host:port` is plain, which servers accept on their own host only.
+    /// A client for `address`: `https://host:port` is encrypted and both sides show certificates, ours from
+    /// `tls_dir`, a folder with `ca.crt`, `tls.crt` and `tls.key` (`caudata pki`); `host:port` is plain,
+    /// which servers accept on their own host only.
     ///
     /// # Errors
     /// [`ClientError::Address`], also for `https://` without certificates; [`ClientError::Certificates`].
@@ -217,7 +218,8 @@ impl RegistryClient {
         Ok(state)
     }
 
-    /// Publishes the bytes of an older version again, as `manifest` says ([`caudata_proto::registry::reverting`]).
+    /// Publishes the bytes of an older version again, as `manifest` says
+    /// ([`caudata_proto::registry::reverting`]).
     ///
     /// # Errors
     /// See [`ClientError`].
@@ -276,7 +278,8 @@ impl RegistryClient {
         Ok(())
     }
 
-    /// Asks where a label leads, bound to `nonce`. The answer is one to this question; the caller checks who signed it.
+    /// Asks where a label leads, bound to `nonce`. The answer is one to this question; the caller checks who
+    /// signed it.
     ///
     /// # Errors
     /// See [`ClientError`].

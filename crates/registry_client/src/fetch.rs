@@ -109,7 +109,8 @@ fn check_whole(
 }
 
 impl RegistryClient {
-    /// The bytes that `manifest` names: exactly its size, hashing to its SHA-256. A cut transfer goes on by offset.
+    /// The bytes that `manifest` names: exactly its size, hashing to its SHA-256. A cut transfer goes on by
+    /// offset.
     ///
     /// # Errors
     /// See [`ClientError`]; the last one after [`FETCH_RETRIES`] retries.
@@ -188,11 +189,13 @@ impl RegistryClient {
     }
 }
 
-/// `pause` made up to half longer or shorter by chance, so that clients that lost the same server do not all come back at once.
+/// `pause` made up to half longer or shorter by chance, so that clients that lost the same server do not all
+/// come back at once.
 #[must_use]
 pub fn jittered(pause: Duration) -> Duration {
     use std::hash::{BuildHasher, Hasher};
-    // Keyed anew in each process and each time, from the system's random source; nothing depends on its quality.
+    // Keyed anew in each process and each time, from the system's random source; nothing depends on its
+    // quality.
     let draw = std::collections::hash_map::RandomState::new()
         .build_hasher()
         .finish();

@@ -1,8 +1,8 @@
 //! Typed client of the policy server: publish, list, fetch with resume, watch.
 //!
-//! Every answer is checked (`caudata-proto`) before a caller sees it, and held against its question; every call has a
-//! deadline, and a fetch that is cut goes on where it stopped. The bytes that [`RegistryClient::fetch`] returns hash to
-//! what was asked for.
+//! Every answer is checked (`caudata-proto`) before a caller sees it, and held against its question; every
+//! call has a deadline, and a fetch that is cut goes on where it stopped. The bytes that
+//! [`RegistryClient::fetch`] returns hash to what was asked for.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod call;

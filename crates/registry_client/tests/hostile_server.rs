@@ -1,5 +1,5 @@
-//! Faults 25, 26 and 27: a server that cuts, sends too much, drips, or says nothing. What comes out of a fetch is the file that was asked
-//! for, or an error in time; never anything else.
+//! Faults 25, 26 and 27: a server that cuts, sends too much, drips, or says nothing. What comes out of a
+//! fetch is the file that was asked for, or an error in time; never anything else.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::pin::Pin;
@@ -316,7 +316,8 @@ fn fault_25_a_fetch_that_is_cut_anywhere_goes_on_there_and_is_whole() {
     let whole = bench.server.file.clone();
     let (fetched, asked) = bench.fetch(Manner::Honest { piece: 333 });
     assert_eq!((fetched.unwrap(), asked), (whole.clone(), vec![0]));
-    // Every boundary of a piece, and a thousand bytes of the file at random, the same ones each time (xorshift64).
+    // Every boundary of a piece, and a thousand bytes of the file at random, the same ones each time
+    // (xorshift64).
     let boundaries = (0..10).map(|piece| 1000 * piece);
     let mut dice = 20_261_122_u64;
     let random = std::iter::repeat_with(|| {

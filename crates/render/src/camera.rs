@@ -43,11 +43,12 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// At `distance_m` from `target_m`, seen from `azimuth_rad` (from world +x towards +y) and `elevation_rad` above the horizon, with
-    /// a vertical field of view of 36°.
+    /// At `distance_m` from `target_m`, seen from `azimuth_rad` (from world +x towards +y) and
+    /// `elevation_rad` above the horizon, with a vertical field of view of 36°.
     ///
     /// # Errors
-    /// [`RenderError::Setting`] where the distance is not 0.1 to 200 m, the elevation beyond ±89.9°, or something not finite.
+    /// [`RenderError::Setting`] where the distance is not 0.1 to 200 m, the elevation beyond ±89.9°, or
+    /// something not finite.
     pub fn orbit(
         target_m: Vec3,
         distance_m: f64,
@@ -112,8 +113,8 @@ impl Camera {
         self.eye_m
     }
 
-    /// Unit direction through `(x, y)` of a picture of `width × height` pixels, from its upper left corner; whole numbers are
-    /// pixels' corners.
+    /// Unit direction through `(x, y)` of a picture of `width × height` pixels, from its upper left corner;
+    /// whole numbers are pixels' corners.
     #[must_use]
     pub fn direction(&self, x: f64, y: f64, width: u32, height: u32) -> Vec3 {
         let per_pixel = self.pixel_rad(height);
@@ -128,7 +129,8 @@ impl Camera {
         2.0 * self.half_height / f64::from(height)
     }
 
-    /// Column and row (from the upper left corner, fractions count) at which a point of the world appears; `None` behind the camera.
+    /// Column and row (from the upper left corner, fractions count) at which a point of the world appears;
+    /// `None` behind the camera.
     #[must_use]
     pub fn project(&self, point_m: Vec3, width: u32, height: u32) -> Option<[f64; 2]> {
         let to = sub(point_m, self.eye_m);

@@ -25,8 +25,8 @@ pub fn png(image: &Image) -> Result<Vec<u8>, RenderError> {
     Ok(bytes)
 }
 
-/// Pictures of one size as an endless animated GIF, `frame_s` each (rounded to hundredths of a second; many viewers show less than 0.02 s
-/// slower). Every frame has its own palette of 256 colours.
+/// Pictures of one size as an endless animated GIF, `frame_s` each (rounded to hundredths of a second; many
+/// viewers show less than 0.02 s slower). Every frame has its own palette of 256 colours.
 ///
 /// # Errors
 /// [`RenderError`] where there is no frame, there are too many, or their sizes differ.

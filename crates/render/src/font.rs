@@ -5,7 +5,8 @@ pub(crate) const WIDTH: u32 = 5;
 /// Rows of a character.
 pub(crate) const HEIGHT: u32 = 7;
 
-/// Rows of a character from the top, the leftmost pixel in bit 4; capitals look like small letters, unknown characters are blank.
+/// Rows of a character from the top, the leftmost pixel in bit 4; capitals look like small letters, unknown
+/// characters are blank.
 #[rustfmt::skip]
 pub(crate) fn glyph(c: char) -> [u8; HEIGHT as usize] {
     match c.to_ascii_lowercase() {

@@ -68,7 +68,8 @@ impl Image {
         at.map_or([0; 3], |at| [0, 1, 2].map(|i| self.rgb[at + i]))
     }
 
-    /// Writes one line of text on a dark strip along the lower edge. Characters that the font lacks become blanks; what does not fit is cut.
+    /// Writes one line of text on a dark strip along the lower edge. Characters that the font lacks become
+    /// blanks; what does not fit is cut.
     pub fn caption(&mut self, text: &str) {
         let zoom = (self.width / 400).max(1);
         let strip = (font::HEIGHT + 4) * zoom;

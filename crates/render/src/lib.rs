@@ -1,8 +1,9 @@
 //! Pictures of robots, terrain and water, so that a person can check a model, a scene or a log by eye.
 //!
-//! A small ray caster: every shape of the model is met exactly, with a sun, its shadows, a sky and ambient occlusion. Pure functions: the
-//! same scene gives the same bytes, for any number of threads. [`Scene`] says what is there, [`Camera`] from where, [`render`] makes an
-//! [`Image`], which [`encode`] turns into PNG, and a row of them into an animated GIF.
+//! A small ray caster: every shape of the model is met exactly, with a sun, its shadows, a sky and ambient
+//! occlusion. Pure functions: the same scene gives the same bytes, for any number of threads. [`Scene`] says
+//! what is there, [`Camera`] from where, [`render`] makes an [`Image`], which [`encode`] turns into PNG, and
+//! a row of them into an animated GIF.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod camera;

@@ -103,7 +103,8 @@ fn openness(scene: &Scene, from: Vec3, normal: Vec3) -> f64 {
     1.0 - 0.9 * hidden / RAYS as f64
 }
 
-/// What is `seen` at `distance`, through the water in between; also how far away the haze begins to count. `None`: no water in between.
+/// What is `seen` at `distance`, through the water in between; also how far away the haze begins to count.
+/// `None`: no water in between.
 fn water(scene: &Scene, ray: &Ray, seen: Vec3, distance: f64) -> Option<(Vec3, f64)> {
     let level = f64::from(scene.ground.terrain.water_level_m()?);
     let surface = ground::plane(ray, level, distance).map(|hit| hit.t);

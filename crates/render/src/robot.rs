@@ -11,9 +11,9 @@ const LEG: [f64; 3] = [0.10, 0.20, 0.34];
 const FOOT: [f64; 3] = [0.03, 0.03, 0.035];
 const FOOT_DOWN: [f64; 3] = [0.65, 0.06, 0.03];
 
-/// The shapes of `model` with its base at `world_from_base` and its joints at `joint_pos_rad` (`[J]`, model order). A link shows
-/// its shells (shapes that collide with nothing) and feet; one without shells shows all it has. `contacts` (one per foot, or empty) colours
-/// feet that stand on something red.
+/// The shapes of `model` with its base at `world_from_base` and its joints at `joint_pos_rad` (`[J]`, model
+/// order). A link shows its shells (shapes that collide with nothing) and feet; one without shells shows all
+/// it has. `contacts` (one per foot, or empty) colours feet that stand on something red.
 ///
 /// # Errors
 /// [`RenderError::Model`] where the number of joints is wrong.

@@ -67,7 +67,8 @@ pub enum Signal {
     Temperature(String),
     /// `pwm.<joint>`: what the servo puts on its motor, share of the supply, −1 to 1.
     Duty(String),
-    /// `on.<joint>`: whether the servo gives torque (1) or is switched off and lets go (0); holds until the next sample.
+    /// `on.<joint>`: whether the servo gives torque (1) or is switched off and lets go (0); holds until the
+    /// next sample.
     Enabled(String),
     /// `volt`: supply voltage, V.
     Voltage,
@@ -92,8 +93,8 @@ pub enum Signal {
 }
 
 impl Signal {
-    /// The parts of the column's name, which dots join: kind, joint or leg or marker, coordinate; empty where there
-    /// is none.
+    /// The parts of the column's name, which dots join: kind, joint or leg or marker, coordinate; empty where
+    /// there is none.
     fn parts(&self) -> [&str; 3] {
         match self {
             Self::Command(j) => ["cmd", j, ""],
@@ -138,8 +139,8 @@ impl Signal {
         Self::of_joint(kind).map(|_| name)
     }
 
-    /// Whether the signal's names can be written and read back; a signal built by hand may hold a name with a dot,
-    /// comma or blank.
+    /// Whether the signal's names can be written and read back; a signal built by hand may hold a name with a
+    /// dot, comma or blank.
     pub(crate) fn check(&self) -> Result<(), SignalError> {
         match self {
             Self::Mocap(n, _) | Self::Foot(n, _) | Self::Contact(n) => name(n).map(drop),

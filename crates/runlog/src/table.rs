@@ -140,7 +140,8 @@ impl Table {
         self.time_s.is_empty()
     }
 
-    /// The values of a signal, one per row, `None` where not sampled; `None` where the log has no such column.
+    /// The values of a signal, one per row, `None` where not sampled; `None` where the log has no such
+    /// column.
     pub fn column(&self, signal: &Signal) -> Option<&[Option<f64>]> {
         let i = self.signals.iter().position(|s| s == signal)?;
         Some(&self.columns[i])

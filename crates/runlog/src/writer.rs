@@ -11,7 +11,8 @@ use crate::signal::Signal;
 use crate::table::{MAX_COLUMNS, MAX_LINE_BYTES, check_time, check_value};
 
 /// Rows of a log are handed to the operating system at least every so many seconds of log time: what a killed
-/// process can lose. The disk is forced only at the end, since that can stall a loop for tens of milliseconds.
+/// process can lose. The disk is forced only at the end, since that can stall a loop for tens of
+/// milliseconds.
 const FLUSH_S: f64 = 0.5;
 /// Rows are also handed over when this much text waits, whatever the time; beyond it rows are refused, bytes.
 const BUFFER_LIMIT_BYTES: usize = 256 * 1024;
@@ -31,7 +32,8 @@ impl<W: Write> TableWriter<W> {
     /// Writes the header (`t` and the signals) and keeps rows for up to `flush_s` seconds of log time.
     ///
     /// # Errors
-    /// [`LogError::Refused`] for a signal that stands twice or has a name that cannot be written; [`LogError::Io`].
+    /// [`LogError::Refused`] for a signal that stands twice or has a name that cannot be written;
+    /// [`LogError::Io`].
     pub fn new(out: W, signals: &[Signal], flush_s: f64) -> Result<Self, LogError> {
         if signals.len() + 1 > MAX_COLUMNS {
             return Err(LogError::Refused(format!(
@@ -68,11 +70,13 @@ impl<W: Write> TableWriter<W> {
         Ok(writer)
     }
 
-    /// Appends a row: one value per signal in the header's order, `None` where there is no sample. A refused row leaves no trace.
+    /// Appends a row: one value per signal in the header's order, `None` where there is no sample. A refused
+    /// row leaves no trace.
     ///
     /// # Errors
-    /// [`LogError::Refused`] for a wrong number of values, a time that does not increase, a value that is not finite, or too many rows
-    /// waiting for a disk that fails; [`LogError::Io`] when a flush fails: the row was accepted and waits for the next try.
+    /// [`LogError::Refused`] for a wrong number of values, a time that does not increase, a value that is not
+    /// finite, or too many rows waiting for a disk that fails; [`LogError::Io`] when a flush fails: the row
+    /// was accepted and waits for the next try.
     pub fn row(&mut self, t_s: f64, values: &[Option<f64>]) -> Result<(), LogError> {
         if values.len() != self.signals.len() {
             return Err(LogError::Refused(format!(
@@ -118,7 +122,8 @@ impl<W: Write> TableWriter<W> {
         self.rows
     }
 
-    /// Hands everything to the operating system. After an error the rest waits for the next try: no byte is lost or written twice.
+    /// Hands everything to the operating system. After an error the rest waits for the next try: no byte is
+    /// lost or written twice.
     ///
     /// # Errors
     /// [`LogError::Io`].
@@ -178,7 +183,8 @@ impl LogWriter {
     /// Creates the folder with `log.toml` and the header of `log.csv`.
     ///
     /// # Errors
-    /// [`LogError::Exists`] where the folder already has a `log.csv`; [`LogError::Refused`]; [`LogError::Io`].
+    /// [`LogError::Exists`] where the folder already has a `log.csv`; [`LogError::Refused`];
+    /// [`LogError::Io`].
     pub fn create(dir: &Path, header: &[Signal], meta: &LogMeta) -> Result<Self, LogError> {
         let text = meta.to_toml()?;
         fs::create_dir_all(dir).map_err(io_error(dir))?;
@@ -209,7 +215,8 @@ impl LogWriter {
         self.table.rows()
     }
 
-    /// Ends the log: everything is on the disk. A writer that is dropped instead keeps what was accepted, without forcing it there.
+    /// Ends the log: everything is on the disk. A writer that is dropped instead keeps what was accepted,
+    /// without forcing it there.
     ///
     /// # Errors
     /// [`LogError::Io`].

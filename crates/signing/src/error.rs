@@ -36,7 +36,8 @@ pub enum SigningError {
     },
 }
 
-/// Refuses a file with a secret that others than its owner and its group may read, or others than its owner may write.
+/// Refuses a file with a secret that others than its owner and its group may read, or others than its owner
+/// may write.
 ///
 /// # Errors
 /// [`SigningError::Exposed`]; [`SigningError::File`] where it is not there.

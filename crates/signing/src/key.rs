@@ -129,7 +129,8 @@ impl ReleaseKey {
         )
     }
 
-    /// The lines of a trust file by which robots take this key as one that says where labels lead. It releases nothing.
+    /// The lines of a trust file by which robots take this key as one that says where labels lead. It
+    /// releases nothing.
     pub fn fresh_trust_lines(&self) -> String {
         let public = hex(self.key.verifying_key().as_bytes());
         let id = &self.id;

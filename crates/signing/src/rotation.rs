@@ -1,8 +1,10 @@
-//! How a robot comes to trust other keys: each trust file may have a successor beside it, numbered, signed by the root keys of the one before and
-//! by its own. Whoever stole an old root key can name no successor any more once a newer file is in force, and a release key never can.
+//! How a robot comes to trust other keys: each trust file may have a successor beside it, numbered, signed by
+//! the root keys of the one before and by its own. Whoever stole an old root key can name no successor any
+//! more once a newer file is in force, and a release key never can.
 //!
-//! `trust.toml` (version 1), `trust.toml.2` and `trust.toml.2.sig`, `trust.toml.3`, … The exact bytes of a file are signed. A signature file has one
-//! line for each signature: the key's name, a space, 128 hexadecimal digits.
+//! `trust.toml` (version 1), `trust.toml.2` and `trust.toml.2.sig`, `trust.toml.3`, … The exact bytes of a
+//! file are signed. A signature file has one line for each signature: the key's name, a space, 128
+//! hexadecimal digits.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -58,7 +60,8 @@ fn signed(text: &str) -> Vec<u8> {
 }
 
 impl ReleaseKey {
-    /// The lines of a trust file by which robots take this key as one that may name the next trust file. It releases nothing.
+    /// The lines of a trust file by which robots take this key as one that may name the next trust file. It
+    /// releases nothing.
     pub fn root_trust_lines(&self) -> String {
         let public = hex(self.key.verifying_key().as_bytes());
         let id = &self.id;
@@ -114,8 +117,8 @@ impl Trust {
         Ok(next)
     }
 
-    /// The trust file after which `version` is the next one: the first one at `path`, or one of its successors. Whoever signs `version` must be one of
-    /// its root keys.
+    /// The trust file after which `version` is the next one: the first one at `path`, or one of its
+    /// successors. Whoever signs `version` must be one of its root keys.
     ///
     /// # Errors
     /// [`SigningError`], also where the chain does not reach that far.
@@ -149,8 +152,8 @@ impl Trust {
             .any(|(id, known)| *id == key.id && *known == public)
     }
 
-    /// The successor beside `path`; `None` where no file is there. One that is there and does not follow is an error: a robot that passed over it would
-    /// go on trusting what was given up.
+    /// The successor beside `path`; `None` where no file is there. One that is there and does not follow is
+    /// an error: a robot that passed over it would go on trusting what was given up.
     fn next(&self, path: &Path) -> Result<Option<Self>, SigningError> {
         let Some(next) = self.version.checked_add(1) else {
             return Ok(None);
@@ -190,7 +193,8 @@ impl Trust {
 }
 
 impl Trust {
-    /// Refuses a successor beyond the missing `next`: a file that was lost must not bring back the keys that it gave up.
+    /// Refuses a successor beyond the missing `next`: a file that was lost must not bring back the keys that
+    /// it gave up.
     fn nothing_beyond(&self, path: &Path, next: u64) -> Result<(), SigningError> {
         let folder = match path.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -353,7 +357,8 @@ mod tests {
         }
         put(3, &third, &[2, 3]);
         assert_eq!(Trust::read(&first).unwrap().version(), 3);
-        // The first file again, as the fourth, by the first key: neither its number nor its signature is right.
+        // The first file again, as the fourth, by the first key: neither its number nor its signature is
+        // right.
         put(4, &file(1, 101, &[1], 1), &[1]);
         assert!(Trust::read(&first).is_err());
         put(4, &file(4, 101, &[1], 1), &[1]);
@@ -398,7 +403,8 @@ mod tests {
                 "{version}: {refused:?}"
             );
         }
-        // Without root keys there is no successor, whoever signs it; and none that could have no successor itself.
+        // Without root keys there is no successor, whoever signs it; and none that could have no successor
+        // itself.
         let plain = Trust::parse(&key(101).trust_file()).unwrap();
         assert_eq!(plain.version(), 1);
         let refused = plain.successor(&text, &by(&text, &[101, 4, 5])).err();

@@ -136,8 +136,8 @@ impl From<&Cause> for Named {
 /// that is better, and gives its version.
 ///
 /// # Errors
-/// Where a file cannot be read or written, the folder was made with something else or is another process's, or a step
-/// fails or is stopped.
+/// Where a file cannot be read or written, the folder was made with something else or is another process's,
+/// or a step fails or is stopped.
 pub fn adapt(
     plan: &Plan,
     mut steps: Steps<'_>,

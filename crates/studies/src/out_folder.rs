@@ -60,7 +60,8 @@ impl OutFolder {
     /// call, which must have asked for the same.
     ///
     /// # Errors
-    /// Exit code 73 where another process has it, it was made with something else, or it does not say with what; then nothing is changed in it.
+    /// Exit code 73 where another process has it, it was made with something else, or it does not say with
+    /// what; then nothing is changed in it.
     pub fn take(out: &Path, asked: &Asked) -> Result<Self, Failure> {
         let taken = Self::lock(out)?;
         let path = out.join(ASKED);

@@ -59,8 +59,8 @@ pub struct Advisor {
 impl Advisor {
     /// The advice after one more iteration.
     ///
-    /// More actors make data older, because a batch is full of others' chunks before a slow actor's comes. So they are not advised while
-    /// data is as old as is allowed, or is dropped for its age.
+    /// More actors make data older, because a batch is full of others' chunks before a slow actor's comes. So
+    /// they are not advised while data is as old as is allowed, or is dropped for its age.
     pub fn after(&mut self, load: &IterationLoad) -> Advice {
         let total_s = load.waiting_s + load.learning_s;
         let waiting = if total_s > 0.0 {

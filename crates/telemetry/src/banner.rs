@@ -19,7 +19,8 @@ pub struct BuildInfo {
 pub enum Code {
     /// Commit that the executable was compiled from.
     BuiltFrom(String),
-    /// The executable lies in a checkout, and this is what is checked out *now*: it may have been compiled before.
+    /// The executable lies in a checkout, and this is what is checked out *now*: it may have been compiled
+    /// before.
     CheckedOut(String),
     /// Neither.
     Unknown,
@@ -37,9 +38,9 @@ impl fmt::Display for Code {
 
 /// Version and commit of this executable.
 ///
-/// A packaged build sets `CAUDATA_GIT_COMMIT` when it compiles. Without it, an executable that lies inside a checkout
-/// (`target/release/…`) can only say what is checked out there: baking the commit in would rebuild every crate at
-/// every commit.
+/// A packaged build sets `CAUDATA_GIT_COMMIT` when it compiles. Without it, an executable that lies inside a
+/// checkout (`target/release/…`) can only say what is checked out there: baking the commit in would rebuild
+/// every crate at every commit.
 pub fn build_info() -> &'static BuildInfo {
     static INFO: OnceLock<BuildInfo> = OnceLock::new();
     INFO.get_or_init(|| {
@@ -59,9 +60,9 @@ pub fn build_info() -> &'static BuildInfo {
 }
 
 impl BuildInfo {
-    /// The commit in one word, for files that name what trained a policy: of a packaged build the commit it was compiled
-    /// from, else what is checked out, with `-dirty` where files differ from it and `-unchecked` where git cannot be
-    /// asked. Empty where nothing is known.
+    /// The commit in one word, for files that name what trained a policy: of a packaged build the commit it
+    /// was compiled from, else what is checked out, with `-dirty` where files differ from it and `-unchecked`
+    /// where git cannot be asked. Empty where nothing is known.
     pub fn commit_word(&self) -> String {
         match &self.code {
             Code::BuiltFrom(commit) => commit.clone(),

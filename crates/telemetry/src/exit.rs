@@ -1,4 +1,5 @@
-//! Exit codes, and the one error type that leaves a binary: a code, a line, and a hint where the user can act.
+//! Exit codes, and the one error type that leaves a binary: a code, a line, and a hint where the user can
+//! act.
 
 use std::error::Error;
 use std::fmt;
@@ -146,8 +147,8 @@ impl Failure {
         }
     }
 
-    /// The outcome of a command that did all it was asked to, where the outcome has an exit code of its own (a verdict, a missed target): it is
-    /// printed as `result: …`, not as an error.
+    /// The outcome of a command that did all it was asked to, where the outcome has an exit code of its own
+    /// (a verdict, a missed target): it is printed as `result: …`, not as an error.
     pub fn outcome(code: ExitCode, message: impl fmt::Display) -> Self {
         Self {
             label: "result",
@@ -155,7 +156,8 @@ impl Failure {
         }
     }
 
-    /// The failure of a child process that has said itself what went wrong: only the code is passed on, nothing is printed again.
+    /// The failure of a child process that has said itself what went wrong: only the code is passed on,
+    /// nothing is printed again.
     pub fn said_already(code: ExitCode) -> Self {
         Self {
             label: "",

@@ -5,8 +5,9 @@ use nix::sys::resource::{Resource, getrlimit, setrlimit};
 /// More are not asked for, whatever the system would give.
 const FILES_MAX: u64 = 1 << 16;
 
-/// Raises the soft limit of open files to the hard one, and answers what it then is. Systems begin processes with
-/// about a thousand for programs that cannot deal with more; connections alone can be twice as many here.
+/// Raises the soft limit of open files to the hard one, and answers what it then is. Systems begin processes
+/// with about a thousand for programs that cannot deal with more; connections alone can be twice as many
+/// here.
 pub fn raise_file_limit() -> u64 {
     let Ok((soft, hard)) = getrlimit(Resource::RLIMIT_NOFILE) else {
         return 1024;

@@ -1,5 +1,5 @@
-//! HTTP for probes and people: one request a connection, each part of it with a time limit, and places that silent
-//! connections cannot hold.
+//! HTTP for probes and people: one request a connection, each part of it with a time limit, and places that
+//! silent connections cannot hold.
 
 use std::collections::VecDeque;
 use std::io;
@@ -13,8 +13,8 @@ use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::AbortHandle;
 
-/// Connections served at once. One more ends the oldest of the host that has the most: whoever asks is answered at
-/// once, and nobody waits behind connections that say nothing.
+/// Connections served at once. One more ends the oldest of the host that has the most: whoever asks is
+/// answered at once, and nobody waits behind connections that say nothing.
 const CONNECTIONS_MAX: usize = 32;
 /// Connections of one host at once; one more ends its oldest.
 const PEER_CONNECTIONS_MAX: usize = 8;

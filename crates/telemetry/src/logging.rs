@@ -88,8 +88,9 @@ pub fn init_logging(
     )
 }
 
-/// As [`init_logging`], for a process that moves something: no line ever waits for whoever reads standard error. Where that one sleeps, the first
-/// and the newest lines are kept, and how many are missing between them is told where they are missing.
+/// As [`init_logging`], for a process that moves something: no line ever waits for whoever reads standard
+/// error. Where that one sleeps, the first and the newest lines are kept, and how many are missing between
+/// them is told where they are missing.
 ///
 /// # Errors
 /// As [`init_logging`], and [`LoggingError::Thread`].

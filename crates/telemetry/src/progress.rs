@@ -60,8 +60,8 @@ pub struct Iteration {
     pub steps_total: u64,
     /// Environment steps per second of this iteration, all included.
     pub steps_per_s: f64,
-    /// Mean return of a whole episode over those that ended lately; absent before the first one. One that was cut
-    /// short at the start of the run counts as the part that it lasted.
+    /// Mean return of a whole episode over those that ended lately; absent before the first one. One that was
+    /// cut short at the start of the run counts as the part that it lasted.
     pub mean_return: Option<f64>,
     /// Mean length of those episodes likewise, steps.
     pub mean_episode_length: Option<f64>,
@@ -189,8 +189,8 @@ pub struct MeanSe {
     pub n: u64,
 }
 
-/// Chunks by what became of them. `received = accepted + rejected + dropped` and those that wait for a batch; what
-/// actors sent on top of that was lost with a process or a link.
+/// Chunks by what became of them. `received = accepted + rejected + dropped` and those that wait for a batch;
+/// what actors sent on top of that was lost with a process or a link.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Accounting {
     /// Chunks that reached the learner, or were rolled back when the run went on from a checkpoint.

@@ -1,11 +1,13 @@
-//! Log lines through a queue: whoever logs never waits for whoever reads. A control loop must not stand still because a terminal does.
+//! Log lines through a queue: whoever logs never waits for whoever reads. A control loop must not stand still
+//! because a terminal does.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Lines that wait for a reader. Where there are more, the first half of them and the newest ones are kept: how it began and how it ends.
+/// Lines that wait for a reader. Where there are more, the first half of them and the newest ones are kept:
+/// how it began and how it ends.
 pub(crate) const LINES_MAX: usize = 4096;
 /// How often a flush looks whether everything is out.
 const LOOK: Duration = Duration::from_millis(2);
@@ -76,8 +78,8 @@ impl Lines {
 }
 
 impl LineQueue {
-    /// A queue of `lines_max` lines (at least two) to `out`, written by a thread that lives as long as the process. `loss` makes a line of how
-    /// many were lost.
+    /// A queue of `lines_max` lines (at least two) to `out`, written by a thread that lives as long as the
+    /// process. `loss` makes a line of how many were lost.
     ///
     /// # Errors
     /// Where the system refuses the thread.
@@ -197,7 +199,8 @@ mod tests {
         drop(asleep);
         assert!(queue.flush(PATIENCE));
         let taken = std::mem::take(&mut *reader.taken.lock().unwrap());
-        // One may have been in the writer's hands beside the eight that waited. The beginning, the gap where it was, and the end.
+        // One may have been in the writer's hands beside the eight that waited. The beginning, the gap where
+        // it was, and the end.
         let begin = taken
             .iter()
             .position(|line| line.ends_with("lost"))

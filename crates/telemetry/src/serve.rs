@@ -31,7 +31,8 @@ pub struct MetricsServer {
 
 impl MetricsServer {
     /// Binds `addr` (port 0: any free port) and serves `metrics`. `/healthz` answers 200 until `stop` is
-    /// raised, then 503, so that a load balancer sees a draining process; `/livez` answers 200 as long as anything does.
+    /// raised, then 503, so that a load balancer sees a draining process; `/livez` answers 200 as long as
+    /// anything does.
     ///
     /// # Errors
     /// [`ServeError::InUse`] when the port is taken, [`ServeError::Io`] otherwise.
@@ -39,8 +40,8 @@ impl MetricsServer {
         Self::start_with_check(addr, metrics, stop, || None)
     }
 
-    /// As [`MetricsServer::start`]; `/healthz` also answers 503 while `pulse` has been silent for longer than `limit`, so that
-    /// whoever watches this process sees a loop that hangs, not only one that has ended.
+    /// As [`MetricsServer::start`]; `/healthz` also answers 503 while `pulse` has been silent for longer than
+    /// `limit`, so that whoever watches this process sees a loop that hangs, not only one that has ended.
     ///
     /// # Errors
     /// As [`MetricsServer::start`].

@@ -13,8 +13,8 @@ pub const DRAIN_DEADLINE: Duration = Duration::from_secs(60);
 /// How long a process that deals with a second signal itself may take before it is ended.
 pub const INSIST_DEADLINE: Duration = Duration::from_secs(20);
 
-/// What a second signal does: it ends the process at once, unless the process said that it deals with it itself, because something would
-/// be left in an unsafe state. Cloning shares it.
+/// What a second signal does: it ends the process at once, unless the process said that it deals with it
+/// itself, because something would be left in an unsafe state. Cloning shares it.
 #[derive(Clone, Debug, Default)]
 pub struct Insistence {
     flag: StopFlag,
@@ -22,7 +22,8 @@ pub struct Insistence {
 }
 
 impl Insistence {
-    /// From now on a second signal raises the flag that is answered, and the process has [`INSIST_DEADLINE`] to end by itself.
+    /// From now on a second signal raises the flag that is answered, and the process has [`INSIST_DEADLINE`]
+    /// to end by itself.
     pub fn claim(&self) -> StopFlag {
         self.claimed.store(true, Ordering::SeqCst);
         self.flag.clone()
@@ -112,9 +113,10 @@ impl StopFlag {
 /// Signals that come together are one.
 const ONE_SIGNAL: Duration = Duration::from_millis(100);
 
-/// From now on SIGINT, SIGTERM and SIGHUP (a terminal that closes; not where it is ignored, as under `nohup`) raise `stop`; a second signal ends the process at once with
-/// [`ExitCode::Interrupted`], and draining longer than `drain_deadline` ends it with [`ExitCode::TempFail`]; where `insistence` was claimed, both
-/// wait [`INSIST_DEADLINE`] for the process to end by itself.
+/// From now on SIGINT, SIGTERM and SIGHUP (a terminal that closes; not where it is ignored, as under `nohup`)
+/// raise `stop`; a second signal ends the process at once with [`ExitCode::Interrupted`], and draining longer
+/// than `drain_deadline` ends it with [`ExitCode::TempFail`]; where `insistence` was claimed, both wait
+/// [`INSIST_DEADLINE`] for the process to end by itself.
 ///
 /// The handler runs on a thread of its own that lives as long as the process.
 ///

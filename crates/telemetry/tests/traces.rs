@@ -156,7 +156,8 @@ fn without_a_collector_everything_is_dropped_and_counted() {
     );
 }
 
-/// A collector that accepts the connection and says nothing holds up neither recording nor, for longer than one request, the end.
+/// A collector that accepts the connection and says nothing holds up neither recording nor, for longer than
+/// one request, the end.
 #[test]
 fn a_collector_that_hangs_holds_nobody_up() {
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();

@@ -207,7 +207,8 @@ impl Door {
         }
     }
 
-    /// The newest velocity that ROS commands, vx, vy (m/s), yaw rate (rad/s); `None` where it is too old to count.
+    /// The newest velocity that ROS commands, vx, vy (m/s), yaw rate (rad/s); `None` where it is too old to
+    /// count.
     pub fn velocity(&self) -> Option<[f32; 3]> {
         let newest = *self.velocity.lock().unwrap_or_else(PoisonError::into_inner);
         newest

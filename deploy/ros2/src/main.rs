@@ -17,9 +17,11 @@ use clap::Parser;
 /// How long a tick is waited for before commands are looked at again.
 const TICK_MAX: Duration = Duration::from_millis(25);
 
-/// Shows a robot that runs with `caudata-robot run --tap` to ROS 2 nodes on rmw_zenoh_cpp, and passes their velocities on to it.
+/// Shows a robot that runs with `caudata-robot run --tap` to ROS 2 nodes on rmw_zenoh_cpp, and passes their
+/// velocities on to it.
 ///
-/// Topics: /joint_states, /imu/data, /diagnostics out; /cmd_vel (geometry_msgs/Twist) in, with --link-addr only.
+/// Topics: /joint_states, /imu/data, /diagnostics out; /cmd_vel (geometry_msgs/Twist) in, with --link-addr
+/// only.
 #[derive(Debug, Parser)]
 #[command(name = "caudata-ros2", version, max_term_width = 100, after_help = EXIT_CODES)]
 struct Args {
@@ -33,7 +35,8 @@ struct Args {
     /// The robot's --run-dir; without one, `run` in its state folder
     #[arg(long, value_name = "DIR")]
     run_dir: PathBuf,
-    /// zenoh endpoint of the ROS router (`ros2 run rmw_zenoh_cpp rmw_zenohd`) or of another peer; may be given more than once
+    /// zenoh endpoint of the ROS router (`ros2 run rmw_zenoh_cpp rmw_zenohd`) or of another peer; may be
+    /// given more than once
     #[arg(long, value_name = "ENDPOINT", default_value = "tcp/localhost:7447")]
     connect: Vec<String>,
     /// ROS domain; other domains see nothing of this robot

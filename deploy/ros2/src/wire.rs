@@ -1,8 +1,9 @@
-//! What `rmw_zenoh_cpp` (0.2 and later: Jazzy, Kilted, Rolling) puts on zenoh: key expressions, attachments, liveliness tokens.
+//! What `rmw_zenoh_cpp` (0.2 and later: Jazzy, Kilted, Rolling) puts on zenoh: key expressions, attachments,
+//! liveliness tokens.
 //!
-//! Sources: github.com/ros2/rmw_zenoh, `docs/design.md` (key expressions, tokens) and `rmw_zenoh_cpp/src/detail/attachment_helpers.cpp`,
-//! `liveliness_utils.cpp`; type hashes by REP 2016 (github.com/ros-infrastructure/rep, `rep-2016.rst`). The tests work all of it out by
-//! hand once more.
+//! Sources: github.com/ros2/rmw_zenoh, `docs/design.md` (key expressions, tokens) and
+//! `rmw_zenoh_cpp/src/detail/attachment_helpers.cpp`, `liveliness_utils.cpp`; type hashes by REP 2016
+//! (github.com/ros-infrastructure/rep, `rep-2016.rst`). The tests work all of it out by hand once more.
 
 /// A message type: its name in ROS, and the hash of its definition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -206,8 +207,9 @@ mod tests {
         assert_eq!(attachment(42, 1_234_567, gid), want);
     }
 
-    /// REP 2016: the SHA-256 of the definition as JSON, with everything it refers to, sorted by name. `fields` are (name, type id,
-    /// capacity, nested type): 1 nested, 6 int32, 7 uint32, 11 float64, 16 byte, 17 string; +48 an array, +144 a sequence.
+    /// REP 2016: the SHA-256 of the definition as JSON, with everything it refers to, sorted by name.
+    /// `fields` are (name, type id, capacity, nested type): 1 nested, 6 int32, 7 uint32, 11 float64, 16 byte,
+    /// 17 string; +48 an array, +144 a sequence.
     fn definition(name: &str) -> Value {
         let fields: &[(&str, u32, u32, &str)] = match name {
             "std_msgs/msg/String" => &[("data", 17, 0, "")],

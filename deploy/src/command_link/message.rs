@@ -21,7 +21,8 @@ const MAGIC: &[u8; 4] = b"CDL1";
 pub struct LinkKey(pub(super) Vec<u8>);
 
 impl LinkKey {
-    /// The bytes of a file, which must be at least [`KEY_MIN`], and which only its owner may write and only its group read.
+    /// The bytes of a file, which must be at least [`KEY_MIN`], and which only its owner may write and only
+    /// its group read.
     ///
     /// # Errors
     /// [`DeployError::LinkKey`], [`DeployError::Key`].

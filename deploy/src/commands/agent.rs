@@ -1,4 +1,5 @@
-//! `caudata-robot agent`: fetches, verifies, tries and stages policies, and takes commands from the network. It never opens the bus.
+//! `caudata-robot agent`: fetches, verifies, tries and stages policies, and takes commands from the network.
+//! It never opens the bus.
 
 use std::time::Duration;
 
@@ -33,7 +34,8 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
         None => None,
     };
     let stage = Stage::open(source.keeper.clone(), folder.clone());
-    // What became of policies while nobody listened counts before the next one is chosen; who asks is answered after that.
+    // What became of policies while nobody listened counts before the next one is chosen; who asks is
+    // answered after that.
     let mut told = Told::of(&args.source.state, &folder);
     let mut asks = None;
     told.take(|event| match event {
@@ -100,8 +102,8 @@ fn choose(source: &Source) -> Result<PolicyRef, DeployError> {
     }
 }
 
-/// Commands from the network to the loop, from a thread of its own. A kill is also told to the supervisor, which does not depend on
-/// the loop's heeding it.
+/// Commands from the network to the loop, from a thread of its own. A kill is also told to the supervisor,
+/// which does not depend on the loop's heeding it.
 fn pass_on(mut link: UdpLink, sender: CommandSender, stop: StopFlag) -> Result<(), DeployError> {
     let notifier = Notifier::from_environment()?;
     let work = move || {

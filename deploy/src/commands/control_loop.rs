@@ -1,4 +1,5 @@
-//! `caudata-robot rt`: the control loop. It opens the bus and the IMU, asks for a policy, and drives; it knows no network.
+//! `caudata-robot rt`: the control loop. It opens the bus and the IMU, asks for a policy, and drives; it
+//! knows no network.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -36,11 +37,12 @@ use crate::updates::{Slot, Updates};
 use crate::verify::Verified;
 use crate::{DeployError, tap};
 
-/// How long the end of a run waits for whoever reads what it prints. Its supervisor would end it after thirty seconds.
+/// How long the end of a run waits for whoever reads what it prints. Its supervisor would end it after thirty
+/// seconds.
 const SAY_MAX: Duration = Duration::from_secs(5);
 
-/// Targets may move this many times as fast as the fastest servo turns without load: what a policy of training asks for
-/// passes, a jump does not.
+/// Targets may move this many times as fast as the fastest servo turns without load: what a policy of
+/// training asks for passes, a jump does not.
 const RATE_LIMIT_FACTOR: f64 = 2.0;
 
 /// What every start of the loop needs.
@@ -57,7 +59,8 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     let commands = args.command_table()?;
     let folder = RunFolder::open(&args.run_folder())?;
     let _alone = alone(folder.file("rt.lock"))?;
-    // And on the state, which another run folder may share: two loops would tell their agents under the same numbers.
+    // And on the state, which another run folder may share: two loops would tell their agents under the same
+    // numbers.
     let teller = Teller::open(&args.source.state, &folder)?;
     let setting = Setting {
         args,
@@ -174,8 +177,8 @@ fn walk<R: Robot>(
     finish(args, over)
 }
 
-/// The trust file, where one is given: not one that is older than another that was in force on this robot, and not none where one was. A state that was
-/// lost says nothing about that.
+/// The trust file, where one is given: not one that is older than another that was in force on this robot,
+/// and not none where one was. A state that was lost says nothing about that.
 fn trust_of(args: &SourceArgs) -> Result<Option<Trust>, DeployError> {
     args.check()?;
     let trust = args.trust.as_deref().map(Trust::read).transpose();

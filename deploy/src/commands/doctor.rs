@@ -48,7 +48,8 @@ pub struct DoctorArgs {
     /// The robot stands in its nominal pose: compare every joint with it, which shows zero offsets
     #[arg(long)]
     nominal: bool,
-    /// Watch for this long, s, while one joint after the other is moved by hand in its positive direction, which shows directions
+    /// Watch for this long, s, while one joint after the other is moved by hand in its positive direction,
+    /// which shows directions
     #[arg(long, value_name = "N", default_value_t = 0)]
     watch: u64,
     /// One JSON object as the last line of standard output

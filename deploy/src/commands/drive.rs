@@ -1,4 +1,5 @@
-//! `caudata-robot drive`: velocity commands from a keyboard, a gamepad, or lines of another program, to a robot.
+//! `caudata-robot drive`: velocity commands from a keyboard, a gamepad, or lines of another program, to a
+//! robot.
 
 use std::fs::File;
 use std::io::{BufRead, IsTerminal, Read};
@@ -23,8 +24,8 @@ const LAST_MESSAGES: u32 = 20;
 const INPUTS_WAITING_MAX: usize = 64;
 /// One key press changes the speed by this, m/s and rad/s.
 const STEP: f32 = 0.05;
-/// A key that is held is heard again within this time: keyboards begin to repeat after 0.25 to 0.7 s. As much longer the robot goes on
-/// after it was let go of.
+/// A key that is held is heard again within this time: keyboards begin to repeat after 0.25 to 0.7 s. As much
+/// longer the robot goes on after it was let go of.
 const REPEATS_WITHIN: Duration = Duration::from_millis(800);
 
 #[derive(Debug, clap::Args)]
@@ -35,11 +36,13 @@ pub struct DriveArgs {
     /// File with the key that both ends share
     #[arg(long, value_name = "FILE")]
     link_key: PathBuf,
-    /// A key moves the robot while it is held, and nothing does otherwise (a dead-man's button): w s forward and back, q e left and right,
-    /// a d turn, k kills. Needs a terminal; 0.8 s after the last key the robot stands
+    /// A key moves the robot while it is held, and nothing does otherwise (a dead-man's button): w s forward
+    /// and back, q e left and right, a d turn, k kills. Needs a terminal; 0.8 s after the last key the robot
+    /// stands
     #[arg(long, conflicts_with = "gamepad")]
     hold: bool,
-    /// Gamepad, as Linux shows it (`/dev/input/js0`): left stick velocity, right stick turning, while --held-button is held
+    /// Gamepad, as Linux shows it (`/dev/input/js0`): left stick velocity, right stick turning, while
+    /// --held-button is held
     #[arg(long, value_name = "DEVICE")]
     gamepad: Option<PathBuf>,
     /// Button of the gamepad that must be held for the robot to move: the left shoulder
@@ -48,7 +51,8 @@ pub struct DriveArgs {
     /// Button of the gamepad that kills
     #[arg(long, value_name = "N", default_value_t = 1)]
     kill_button: u8,
-    /// Speed of a key that is held, and of a stick all the way, m/s. Lower than the fastest trained command: fingers slip
+    /// Speed of a key that is held, and of a stick all the way, m/s. Lower than the fastest trained command:
+    /// fingers slip
     #[arg(long, value_name = "N", default_value_t = 0.2, value_parser = speed)]
     speed: f32,
     /// The same of turning, rad/s
@@ -70,10 +74,12 @@ enum Input {
     Event([u8; EVENT_BYTES]),
 }
 
-/// Sends what is typed, pressed or read, until the input ends or the process is asked to stop. The robot then stops by itself.
+/// Sends what is typed, pressed or read, until the input ends or the process is asked to stop. The robot then
+/// stops by itself.
 ///
 /// # Errors
-/// [`DeployError::NotHeard`] where the robot never answered; [`DeployError::Folder`] where there is no gamepad or terminal.
+/// [`DeployError::NotHeard`] where the robot never answered; [`DeployError::Folder`] where there is no
+/// gamepad or terminal.
 pub fn run(args: &DriveArgs, process: &Process) -> Result<(), DeployError> {
     let key = LinkKey::read(&args.link_key)?;
     let refused = |source| DeployError::System {
@@ -278,8 +284,8 @@ fn held_key(key: u8, full: Speeds) -> Option<[f32; 3]> {
     }
 }
 
-/// A line of the person, or of another program: `vx,vy,yaw_rate`, or with a fourth number that says whether a dead-man's button is held
-/// (1) or not (0); or letters that change the speed.
+/// A line of the person, or of another program: `vx,vy,yaw_rate`, or with a fourth number that says whether a
+/// dead-man's button is held (1) or not (0); or letters that change the speed.
 fn obey_line(to: &mut Commander, line: &str) {
     let (numbers, held) = match line.trim().rsplit_once(',') {
         Some((numbers, "1")) => (numbers, Some(true)),

@@ -1,4 +1,5 @@
-//! `caudata-robot limp`: lets all servos go, whatever they do, and asks whether they did. What a supervisor calls when the loop is gone.
+//! `caudata-robot limp`: lets all servos go, whatever they do, and asks whether they did. What a supervisor
+//! calls when the loop is gone.
 
 use std::path::PathBuf;
 
@@ -22,8 +23,8 @@ pub struct LimpArgs {
     wiring: PathBuf,
     #[command(flatten)]
     ports: PortArgs,
-    /// Do nothing where another program has the servo port (exit code 73): for supervisors, whose own loop is gone by then. Without it
-    /// the servos of a robot that walks are let go too
+    /// Do nothing where another program has the servo port (exit code 73): for supervisors, whose own loop is
+    /// gone by then. Without it the servos of a robot that walks are let go too
     #[arg(long)]
     unless_taken: bool,
 }

@@ -37,9 +37,11 @@ Exit codes: 0 done · 64 flag · 65 bad input file or state · 66 input missing 
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Pull the newest policy and run it at 50 Hz: starts `agent` and `rt`, watches both, and lets the robot go where one hangs
+    /// Pull the newest policy and run it at 50 Hz: starts `agent` and `rt`, watches both, and lets the robot
+    /// go where one hangs
     Run(Box<RunArgs>),
-    /// One half of `run`: fetch, verify, try and stage policies, take commands; never opens the bus. Flags as of `run`
+    /// One half of `run`: fetch, verify, try and stage policies, take commands; never opens the bus. Flags as
+    /// of `run`
     Agent(Box<RunArgs>),
     /// The other half: the control loop on what is staged; no network. Flags as of `run`
     Rt(Box<RunArgs>),

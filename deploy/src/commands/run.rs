@@ -24,14 +24,17 @@ const HANG_SIMULATED: Duration = Duration::from_secs(10);
 pub struct RunArgs {
     #[command(flatten)]
     pub(super) source: SourceArgs,
-    /// Policy that came with the program, an ONNX file: runs where nothing else may, a lost state included. It needs no signature
+    /// Policy that came with the program, an ONNX file: runs where nothing else may, a lost state included.
+    /// It needs no signature
     #[arg(long, value_name = "FILE.onnx")]
     pub(super) factory: Option<PathBuf>,
-    /// Folder for what `agent` and `rt` tell each other, this user's alone; `run` in the state folder when absent
+    /// Folder for what `agent` and `rt` tell each other, this user's alone; `run` in the state folder when
+    /// absent
     #[arg(long, value_name = "DIR")]
     run_dir: Option<PathBuf>,
-    /// A loop without a sign of life for this long is ended and the torque switched off, ms. When absent 300 with a wiring file (lower:
-    /// a busy computer is taken for a hang; higher: a hang lasts longer) and 10000 with a simulated robot
+    /// A loop without a sign of life for this long is ended and the torque switched off, ms. When absent 300
+    /// with a wiring file (lower: a busy computer is taken for a hang; higher: a hang lasts longer) and 10000
+    /// with a simulated robot
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(60..=600_000))]
     hang_ms: Option<u64>,
     /// Show every tick to other programs of this user on this computer (`caudata-ros2`)
@@ -40,7 +43,8 @@ pub struct RunArgs {
     /// Which start of the loop this is.
     #[arg(long, hide = true, default_value_t = 1)]
     start: u32,
-    /// The robot: `sim:HOST:PORT` is a simulated one (`caudata sim robot`), `wiring:FILE.toml` real servos, or emulated ones
+    /// The robot: `sim:HOST:PORT` is a simulated one (`caudata sim robot`), `wiring:FILE.toml` real servos,
+    /// or emulated ones
     #[arg(long, value_name = "BUS")]
     pub(super) bus: BusAddress,
     #[command(flatten)]
@@ -57,8 +61,9 @@ pub struct RunArgs {
     /// File with the key that both ends of the command link share
     #[arg(long, value_name = "FILE")]
     pub(super) link_key: Option<PathBuf>,
-    /// Only velocities whose sender says that a dead-man's button is held move the robot (`drive --hold`, `drive --gamepad`); it stands when
-    /// the button is let go of. Without it a sender that has no such button moves it too
+    /// Only velocities whose sender says that a dead-man's button is held move the robot (`drive --hold`,
+    /// `drive --gamepad`); it stands when the button is let go of. Without it a sender that has no such
+    /// button moves it too
     #[arg(long, requires = "link_addr")]
     pub(super) dead_man: bool,
     /// What the robot stands on, for the log
@@ -82,7 +87,8 @@ pub struct RunArgs {
     /// Swap in what the label comes to lead to, at safe moments: standing, or before walking
     #[arg(long)]
     pub(super) follow: bool,
-    /// How long a newer policy waits for such a moment, s, before the robot is made to stand for it; 0: for ever
+    /// How long a newer policy waits for such a moment, s, before the robot is made to stand for it; 0: for
+    /// ever
     #[arg(long, value_name = "N", default_value_t = 30.0, value_parser = not_negative)]
     pub(super) swap_wait: f64,
     /// Address of /metrics and /healthz; none when absent

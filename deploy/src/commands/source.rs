@@ -41,24 +41,26 @@ pub struct SourceArgs {
     /// Certificates for an https:// address: folder with ca.crt, tls.crt and tls.key
     #[arg(long, value_name = "DIR", env = "CAUDATA_TLS_DIR")]
     pub tls_dir: Option<PathBuf>,
-    /// Name under which this robot reports to the policy server; over TLS that of its certificate. The host's name when absent
+    /// Name under which this robot reports to the policy server; over TLS that of its certificate. The host's
+    /// name when absent
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
     /// Folder in which this robot keeps its policies
     #[arg(long, value_name = "DIR")]
     pub state: PathBuf,
-    /// Take only policies that keys of this file signed (`caudata policy release`). Needed, like https, where the policy server is
-    /// on another computer
+    /// Take only policies that keys of this file signed (`caudata policy release`). Needed, like https, where
+    /// the policy server is on another computer
     #[arg(long, value_name = "FILE.toml")]
     pub trust: Option<PathBuf>,
-    /// Take policies of another computer without encryption or signatures: whoever is on the network can then move this robot
+    /// Take policies of another computer without encryption or signatures: whoever is on the network can then
+    /// move this robot
     #[arg(long)]
     pub insecure_accept_unsigned_plaintext: bool,
 }
 
 impl SourceArgs {
-    /// Refuses a policy server on another computer that is not both encrypted and answerable to keys of this robot, and a
-    /// secret that others may read.
+    /// Refuses a policy server on another computer that is not both encrypted and answerable to keys of this
+    /// robot, and a secret that others may read.
     ///
     /// # Errors
     /// [`DeployError::Insecure`], [`DeployError::Key`].
@@ -103,8 +105,8 @@ pub struct PortArgs {
     /// IMU bus instead of the wiring file's: a Linux I²C bus, or `bridge:` and the serial port of a bridge
     #[arg(long, value_name = "BUS")]
     imu_bus: Option<String>,
-    /// The emulated robot runs in step with the goals (`caudata sim robot --bus pty --in-step`): time is counted in goals too, so that a
-    /// busy computer makes the robot slow, not wrong. Never with a real robot
+    /// The emulated robot runs in step with the goals (`caudata sim robot --bus pty --in-step`): time is
+    /// counted in goals too, so that a busy computer makes the robot slow, not wrong. Never with a real robot
     #[arg(long)]
     in_step: bool,
 }

@@ -11,7 +11,8 @@ use crate::orientation::GravityFilter;
 use crate::summary::{Latencies, Odometer, Velocity, rounded};
 use crate::walk_command::CommandTable;
 
-/// Mean speed of the joints below which the robot counts as standing still, rad/s. Servos report in steps of 0.024 rad/s.
+/// Mean speed of the joints below which the robot counts as standing still, rad/s. Servos report in steps of
+/// 0.024 rad/s.
 pub const STILL_RADPS: f32 = 0.1;
 /// Ticks in a row of that, with the command at zero, before a newer policy is swapped in (0.2 s).
 pub const STILL_TICKS: u32 = 10;
@@ -35,8 +36,8 @@ impl Trial {
         self.ticks >= TRIAL_TICKS
     }
 
-    /// Counts a tick. It is one of walking where the robot was told to move and its joints do: whoever stands, or is
-    /// held still, shows nothing.
+    /// Counts a tick. It is one of walking where the robot was told to move and its joints do: whoever
+    /// stands, or is held still, shows nothing.
     pub(super) fn count(&mut self, command: &[f32; COMMAND_DIM], speed_radps: f32) {
         let still = speed_radps < STILL_RADPS;
         self.idle_ticks = if still { self.idle_ticks + 1 } else { 0 };

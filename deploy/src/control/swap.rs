@@ -10,12 +10,13 @@ use crate::pacing::Clock;
 use crate::runner::PolicyRunner;
 use crate::updates::PolicyEvent;
 
-/// A robot that was made to stand for a swap and does not come to rest by then gets it all the same (2 s): its targets stand still.
+/// A robot that was made to stand for a swap and does not come to rest by then gets it all the same (2 s):
+/// its targets stand still.
 pub const STAND_TICKS_MAX: u32 = 100;
 
 impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
-    /// A newer policy gets in only at a safe moment: before walking has begun, or standing. While the robot walks it waits; where that
-    /// takes too long, the robot is made to stand.
+    /// A newer policy gets in only at a safe moment: before walking has begun, or standing. While the robot
+    /// walks it waits; where that takes too long, the robot is made to stand.
     pub(super) fn look_for_swap(&mut self, sensed: &Sensed, wanted: &[f32; COMMAND_DIM]) {
         if self.walk_on && self.motion.resume(self.gate.last_rad()) {
             self.walk_on = false;

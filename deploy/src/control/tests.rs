@@ -358,7 +358,8 @@ fn fault_32_standing_still_passes_no_trial() {
 
 #[test]
 fn fault_37_a_policy_that_pins_joints_at_their_limits_does_not_pass_its_trial() {
-    // Every joint is wanted 2.5 rad from its nominal angle, which is beyond every limit; the filter takes three ticks to get there.
+    // Every joint is wanted 2.5 rad from its nominal angle, which is beyond every limit; the filter takes
+    // three ticks to get there.
     let pinned = || {
         let bytes = policy_file(1, |spec, _| {
             spec.layers[0].weight.fill(0.0);
@@ -375,7 +376,8 @@ fn fault_37_a_policy_that_pins_joints_at_their_limits_does_not_pass_its_trial() 
         &StopFlag::new(),
     );
     assert_eq!(run.result.as_ref().unwrap(), &Ended::Saturated);
-    // The filter takes a few ticks to bring all joints to their limits; fifty with a quarter of them there are a second.
+    // The filter takes a few ticks to bring all joints to their limits; fifty with a quarter of them there
+    // are a second.
     let ticks = run.counts.walking_ticks;
     assert!((50..=60).contains(&ticks), "{ticks}");
     assert!(run.counts.saturated > 16 * 45, "{}", run.counts.saturated);
@@ -393,7 +395,8 @@ fn fault_37_a_policy_that_pins_joints_at_their_limits_does_not_pass_its_trial() 
     assert_eq!(run.result.as_ref().unwrap(), &Ended::Time);
 }
 
-/// A run of the policy that stands, with `change` made to the robot: why it ended, the number of targets sent, and its counts.
+/// A run of the policy that stands, with `change` made to the robot: why it ended, the number of targets
+/// sent, and its counts.
 fn stopped(change: impl FnOnce(&mut FakeRobot)) -> (Ended, usize, u32) {
     let mut robot = FakeRobot::new();
     change(&mut robot);
@@ -442,18 +445,20 @@ fn fault_39_41_42_43_hardware_faults_stand_or_brake_and_let_go() {
 
 #[test]
 fn fault_45_an_imu_without_numbers_counts_as_fallen() {
-    // Accelerations that are no numbers: the policy does not see them, and its actions are good. Only that nobody knows which way is up
-    // speaks against going on: 25 ticks until that is believed, 50 of braking.
+    // Accelerations that are no numbers: the policy does not see them, and its actions are good. Only that
+    // nobody knows which way is up speaks against going on: 25 ticks until that is believed, 50 of braking.
     let (why, sent, off) = stopped(|robot| robot.blind_from = (150, Blind::Accelerations));
     assert_eq!((why, off), (Ended::Fallen, 1));
     assert!((220..=230).contains(&sent), "{sent}");
-    // Rates that are no numbers: the policy sees them, and its actions are none. Three of these stop it first, 50 ticks of braking.
+    // Rates that are no numbers: the policy sees them, and its actions are none. Three of these stop it
+    // first, 50 ticks of braking.
     let (why, sent, off) = stopped(|robot| robot.blind_from = (150, Blind::Rates));
     assert_eq!((why, off), (Ended::BadActions, 1));
     assert!((200..=205).contains(&sent), "{sent}");
 }
 
-/// A link whose newest command came at `heard`, by the number of views so far; a kill from view `kill_from` on.
+/// A link whose newest command came at `heard`, by the number of views so far; a kill from view `kill_from`
+/// on.
 struct FakeLink {
     views: u32,
     heard: fn(u32) -> Option<u32>,
@@ -569,7 +574,8 @@ fn fault_47_a_dead_mans_button_that_is_let_go_of_stands_the_robot_at_once() {
         let far = sent[tick].iter().zip(&nominal).map(|(a, b)| (a - b).abs());
         far.fold(0.0, f32::max)
     };
-    // From the very next target on the robot goes back, at 0.01 rad per tick; silence alone would take a second (50 ticks).
+    // From the very next target on the robot goes back, at 0.01 rad per tick; silence alone would take a
+    // second (50 ticks).
     assert!(far(198) > 0.02, "walks: {}", far(198));
     for tick in 200..240 {
         let moved = far(tick) - far(tick - 1);
@@ -692,8 +698,8 @@ fn fault_32_a_fall_in_the_trial_is_the_policys_fault_and_one_after_it_is_not() {
     assert!(!fall(900, false), "after its trial");
 }
 
-/// A run under `commands` whose slot gets a standing policy after `after` targets; the number of targets sent when the new one
-/// took over, and the counts.
+/// A run under `commands` whose slot gets a standing policy after `after` targets; the number of targets sent
+/// when the new one took over, and the counts.
 fn swapped(commands: &str, after: usize, swap_wait: Option<Duration>) -> (Option<usize>, Counts) {
     /// Puts the policy there when the robot has been sent enough.
     struct Late {
@@ -779,7 +785,8 @@ fn fault_34_a_newer_policy_waits_for_the_robot_to_stand() {
         counts.swap_speed_radps
     );
     let seen = seen.unwrap();
-    // A second of waiting (50 ticks), the way to the nominal pose at 0.01 rad per tick, a fifth of a second of rest.
+    // A second of waiting (50 ticks), the way to the nominal pose at 0.01 rad per tick, a fifth of a second
+    // of rest.
     assert!((255..400).contains(&seen), "{seen}");
     assert!((counts.walked_s - 8.0).abs() < 0.5, "{}", counts.walked_s);
     // Before walking it gets in at once.

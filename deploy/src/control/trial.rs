@@ -16,7 +16,8 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         rounded(f64::from(self.trial.walked_ticks) * self.plan.period.as_secs_f64())
     }
 
-    /// A policy that never went through its trial here and falls is not begun with again. One that did may have met a stone.
+    /// A policy that never went through its trial here and falls is not begun with again. One that did may
+    /// have met a stone.
     pub(super) fn blame_a_fall(&mut self) {
         if self.runner.is_proved() || self.trial.is_over() {
             return;
@@ -29,8 +30,8 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
         });
     }
 
-    /// A policy that wants many joints at their limits for a second does not pass its trial. One that passed before may be leaning on
-    /// something.
+    /// A policy that wants many joints at their limits for a second does not pass its trial. One that passed
+    /// before may be leaning on something.
     pub(super) fn judge_trial(
         &mut self,
         sensed: &Sensed,

@@ -1,4 +1,5 @@
-//! What must be right before any torque goes on: every servo and what it holds, the supply, the pose, the IMU.
+//! What must be right before any torque goes on: every servo and what it holds, the supply, the pose, the
+//! IMU.
 
 use caudata_dynamixel::setup::{
     TRIES, Want, compare, find_baud, hardware_error, move_to_baud, persistently,
@@ -201,7 +202,8 @@ fn wants(wiring: &Wiring, joint: &JointWiring, limits_rad: [f64; 2]) -> Vec<Want
     ]
 }
 
-/// Inspects the IMU of a robot that rests on its feet or belly: it feels gravity, upwards along z, and does not turn.
+/// Inspects the IMU of a robot that rests on its feet or belly: it feels gravity, upwards along z, and does
+/// not turn.
 pub fn imu<B: I2c>(chip: &mut ImuChip<B>) -> Inspection {
     let mut inspection = Inspection::default();
     let (mut acc, mut gyro) = ([0.0; 3], [0.0; 3]);

@@ -1,7 +1,9 @@
-//! The robot itself: sixteen Dynamixel servos on a serial bus, and an IMU on I²C, behind the traits of [`crate::bus`].
+//! The robot itself: sixteen Dynamixel servos on a serial bus, and an IMU on I²C, behind the traits of
+//! [`crate::bus`].
 //!
-//! A tick reads all servos in one question, then looks after one servo in turn (torque, alert, watchdog; or supply and heat), so
-//! that each is looked at within 0.64 s. Goals of all servos go out in one write. Nothing here allocates in a tick.
+//! A tick reads all servos in one question, then looks after one servo in turn (torque, alert, watchdog; or
+//! supply and heat), so that each is looked at within 0.64 s. Goals of all servos go out in one write.
+//! Nothing here allocates in a tick.
 
 pub mod inspect;
 mod open;
@@ -62,7 +64,8 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
     /// Takes over a bus and an IMU that [`inspect`] found in order. Nothing moves yet.
     ///
     /// # Errors
-    /// [`DeployError::Internal`] where there are other than 16 joints, [`DeployError::Bus`] where the first does not answer.
+    /// [`DeployError::Internal`] where there are other than 16 joints, [`DeployError::Bus`] where the first
+    /// does not answer.
     pub fn new(
         mut bus: Bus<P>,
         imu: ImuChip<B>,
@@ -230,7 +233,8 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         }
     }
 
-    /// Goals first, then torque, then the watchdog: a servo whose torque comes on with an old goal would jump.
+    /// Goals first, then torque, then the watchdog: a servo whose torque comes on with an old goal would
+    /// jump.
     fn arm(&mut self) -> Result<(), BusError> {
         let write = |bus: &mut Bus<P>, ids: &[u8], register: &Register, value: i32| {
             let mut group = GroupWrite::new(ids, register.address, register.size);

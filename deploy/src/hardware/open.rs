@@ -72,7 +72,8 @@ pub fn open_bus(wiring: &Wiring) -> Result<Bus<SerialPort>, BusError> {
     Ok(patient(wiring, port))
 }
 
-/// Opens it also where another program has it, for whoever must be obeyed; with `true` where this one has it alone.
+/// Opens it also where another program has it, for whoever must be obeyed; with `true` where this one has it
+/// alone.
 ///
 /// # Errors
 /// [`BusError::Connect`].

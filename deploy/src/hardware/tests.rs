@@ -1,4 +1,5 @@
-//! The hardware layer over emulated servos and an emulated IMU: what each fault on the bus looks like to the control loop.
+//! The hardware layer over emulated servos and an emulated IMU: what each fault on the bus looks like to the
+//! control loop.
 
 use caudata_dynamixel::HardwareError;
 use caudata_dynamixel::emulator::{EmulatedBus, EmulatedPort, EmulatedServo, Present};

@@ -90,7 +90,8 @@ fn adopted() -> tempfile::TempDir {
 fn fault_15_one_damaged_copy_forgets_nothing() {
     for name in COPIES {
         let whole = fs::read(adopted().path().join(name)).unwrap();
-        // Cut anywhere, or any single bit flipped: the other copy speaks, or the damaged one still says the same.
+        // Cut anywhere, or any single bit flipped: the other copy speaks, or the damaged one still says the
+        // same.
         for at in (0..whole.len()).step_by(7) {
             let mut flipped = whole.clone();
             flipped[at] ^= 0x10;
@@ -184,7 +185,8 @@ fn fault_16_what_was_damaged_later_does_not_replace_what_was_damaged_before() {
     assert_eq!(kept("state.json.damaged").as_deref(), Some("{first"));
 }
 
-/// Whether a robot that starts with this folder is still torn; else it goes by the new state. It never takes itself for a new one.
+/// Whether a robot that starts with this folder is still torn; else it goes by the new state. It never takes
+/// itself for a new one.
 fn torn_or_recovered(folder: &Path) -> bool {
     match PolicyStore::open(folder) {
         Err(DeployError::StateDamaged { .. }) => true,
@@ -304,7 +306,8 @@ const CHANGES: [(&str, Change); 4] = [
     }),
 ];
 
-/// What a robot that starts with this folder finds: its state, with every policy that it names there and whole.
+/// What a robot that starts with this folder finds: its state, with every policy that it names there and
+/// whole.
 fn found(folder: &Path) -> RobotState {
     let store = PolicyStore::open(folder).unwrap();
     let state = store.state().clone();
@@ -478,7 +481,8 @@ fn announcements_that_no_policy_needs_are_removed_although_its_bytes_are() {
         paths.sort();
         paths
     };
-    // The same bytes under one number after the other, as a robot gets them whose operators go back again and again.
+    // The same bytes under one number after the other, as a robot gets them whose operators go back again and
+    // again.
     for version in 1..10 {
         let of = |version| PolicyRef {
             version,

@@ -17,7 +17,8 @@ use crate::notify::{Ear, SOCKET_VAR};
 
 /// How often everything is looked at.
 pub(super) const WATCH_LOOK: Duration = Duration::from_millis(10);
-/// How long a process may take to be gone after SIGKILL: one that is still there is held by a driver, and may be so for ever.
+/// How long a process may take to be gone after SIGKILL: one that is still there is held by a driver, and may
+/// be so for ever.
 pub(super) const UNDYING_MAX: Duration = Duration::from_secs(3);
 
 /// What to run.
@@ -27,7 +28,8 @@ pub struct Plan {
     pub program: PathBuf,
     /// Arguments before and after the name of the command.
     pub arguments: [Vec<OsString>; 2],
-    /// Arguments of the command that lets the servos go, whoever has their port; `None`: this robot needs none.
+    /// Arguments of the command that lets the servos go, whoever has their port; `None`: this robot needs
+    /// none.
     pub limp: Option<Vec<OsString>>,
     /// A loop without a sign of life for this long hangs.
     pub hang_after: Duration,
@@ -35,7 +37,8 @@ pub struct Plan {
     pub folder: RunFolder,
 }
 
-/// Whether a process that ended like this is worth another try: what a person or another file must set right is not.
+/// Whether a process that ended like this is worth another try: what a person or another file must set right
+/// is not.
 pub fn died(status: ExitStatus) -> bool {
     let again = [
         ExitCode::Internal,
@@ -166,7 +169,8 @@ impl Watched {
         self.child.is_none() && self.again_at.is_some_and(|at| Instant::now() >= at)
     }
 
-    /// Waits for one that was asked to end, ends it by force after `limit`, and leaves it where it is still there then.
+    /// Waits for one that was asked to end, ends it by force after `limit`, and leaves it where it is still
+    /// there then.
     pub(super) fn wait(&mut self, limit: Duration) {
         let end = Instant::now() + limit;
         while self.child.is_some() && self.ended().is_none() {

@@ -1,5 +1,5 @@
-//! What the supervisor does when, as a function: a state, an event, the next state and what to do. It knows no clock, no process and no
-//! signal; [`super`] tells it what happened.
+//! What the supervisor does when, as a function: a state, an event, the next state and what to do. It knows
+//! no clock, no process and no signal; [`super`] tells it what happened.
 //!
 //! ```text
 //!            agent ready            the loop died, at most three times in a row
@@ -10,8 +10,9 @@
 //!    └────────────────────────────────────────────────────▲
 //! ```
 //!
-//! *Invariant:* wherever a loop that may have had torque is gone and did not end in order, or does not end at all, the servos are let go;
-//! after the kill button or a stop no loop is started, and the end does not wait for what may never come.
+//! *Invariant:* wherever a loop that may have had torque is gone and did not end in order, or does not end at
+//! all, the servos are let go; after the kill button or a stop no loop is started, and the end does not wait
+//! for what may never come.
 
 use std::time::Duration;
 
@@ -80,8 +81,8 @@ pub enum Event {
         touched: bool,
         /// Whether it ran for so long that earlier deaths do not count any more.
         calm: bool,
-        /// Whether it had said that it came to its end and let go: what went wrong after that (a full disk for its log, a signal) is no
-        /// reason to walk again.
+        /// Whether it had said that it came to its end and let go: what went wrong after that (a full disk
+        /// for its log, a signal) is no reason to walk again.
         stopping: bool,
     },
     /// The loop was ended by force, and is still there: a driver holds it.
@@ -515,7 +516,8 @@ mod tests {
         }
     }
 
-    /// A world in which a process behaves as processes do: what it may say and when it may end depends on what became of it.
+    /// A world in which a process behaves as processes do: what it may say and when it may end depends on
+    /// what became of it.
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct World {
         state: State,
@@ -529,7 +531,8 @@ mod tests {
         killed: bool,
         /// A loop of this run has ticked.
         touched: bool,
-        /// A loop that may have had torque is gone without order, or stays without end, and the servos were not let go since.
+        /// A loop that may have had torque is gone without order, or stays without end, and the servos were
+        /// not let go since.
         held: bool,
         /// Somebody asked for the end.
         asked: bool,
@@ -628,7 +631,8 @@ mod tests {
         after
     }
 
-    /// Every world that can be reached, none twice: what must never happen does not, and no end waits for what may never come.
+    /// Every world that can be reached, none twice: what must never happen does not, and no end waits for
+    /// what may never come.
     #[test]
     fn whatever_happens_servos_are_let_go_and_nothing_starts_after_a_kill_or_a_stop() {
         let begin = World {
@@ -787,7 +791,8 @@ mod tests {
                 UP,
                 None,
             ),
-            // Pressed long before the first tick, which was 60 ms, then 61 ms ago: it has the same time from there on.
+            // Pressed long before the first tick, which was 60 ms, then 61 ms ago: it has the same time from
+            // there on.
             (
                 Signs {
                     pressed: Some(ms(5_000)),

@@ -12,8 +12,8 @@
 //! | a second signal | the loop lets go at once, or is ended; the servos are let go once more |
 //! | the supervisor dies | both children are told to stop by the system: the loop stands down in order |
 //!
-//! What follows what is in [`machine`]; here are the processes, the clocks and the signals. It knows neither policies nor the network, and
-//! waits for nobody: what it waits for has a limit.
+//! What follows what is in [`machine`]; here are the processes, the clocks and the signals. It knows neither
+//! policies nor the network, and waits for nobody: what it waits for has a limit.
 
 mod child;
 pub mod machine;
@@ -45,13 +45,14 @@ const STAND_DOWN_MAX: Duration = Duration::from_secs(50);
 const AGENT_END_MAX: Duration = Duration::from_secs(10);
 /// How long letting go may take, asking the servos included.
 const LIMP_MAX: Duration = Duration::from_secs(5);
-/// How long a loop that was asked twice may take to let go by itself. With [`LIMP_MAX`], the agent's end and three times [`UNDYING_MAX`] (loop, the
-/// one that lets go, agent) it must stay below [`caudata_telemetry::INSIST_DEADLINE`].
+/// How long a loop that was asked twice may take to let go by itself. With [`LIMP_MAX`], the agent's end and
+/// three times [`UNDYING_MAX`] (loop, the one that lets go, agent) it must stay below
+/// [`caudata_telemetry::INSIST_DEADLINE`].
 const INSIST_MAX: Duration = Duration::from_secs(2);
 /// How long an agent may take to end where a person has no patience.
 const AGENT_END_INSISTED: Duration = Duration::from_secs(1);
-/// The loop must brake within this part of the time after which it counts as hanging, once the kill button is pressed: three ticks of
-/// a real robot.
+/// The loop must brake within this part of the time after which it counts as hanging, once the kill button is
+/// pressed: three ticks of a real robot.
 const BRAKE_SHARE: u32 = 5;
 /// A loop that ran for this long begins to count anew.
 const CALM: Duration = Duration::from_secs(300);
@@ -165,7 +166,8 @@ impl<'a> Supervisor<'a> {
         }
     }
 
-    /// The robot walks on without an agent, so that it is only ever started again; but for one that never was ready.
+    /// The robot walks on without an agent, so that it is only ever started again; but for one that never was
+    /// ready.
     fn look_at_agent(&mut self) -> Result<(), Failure> {
         if self.agent.listen() && self.pressed_at.is_none() {
             self.pressed_at = Some(Instant::now());
@@ -268,7 +270,8 @@ impl<'a> Supervisor<'a> {
             end: End::InOrder, ..
         } = event
         {
-            // It has let go itself, and asked whether the servos did: what was not proved of an earlier loop is now.
+            // It has let go itself, and asked whether the servos did: what was not proved of an earlier loop
+            // is now.
             self.torque = Torque::Untouched;
         }
         // Also after the kill button the end is not waited for without limit.
@@ -384,8 +387,8 @@ fn passed_on(end: End, who: &str, status: &str) -> (ExitCode, String) {
     }
 }
 
-/// Lets the servos go, in a process of its own: a port that hangs does not hold this one. It asks them whether they did. `anyway`: also where
-/// another program has the port.
+/// Lets the servos go, in a process of its own: a port that hangs does not hold this one. It asks them
+/// whether they did. `anyway`: also where another program has the port.
 fn let_go(plan: &Plan, anyway: bool) -> Torque {
     let Some(arguments) = &plan.limp else {
         return Torque::Untouched;

@@ -77,8 +77,8 @@ fn bytes_with_another_hash_are_refused_but_may_come_again() {
     assert_eq!(refusal.blame(HERE), Blame::Transfer);
 }
 
-/// The same file in other bytes: a field of protobuf that comes twice counts by its last value. `ir_version` (field 1) once more at the
-/// end, with the value that it has.
+/// The same file in other bytes: a field of protobuf that comes twice counts by its last value. `ir_version`
+/// (field 1) once more at the end, with the value that it has.
 fn same_meaning(bytes: &[u8]) -> Vec<u8> {
     assert_eq!(bytes[0], 0x08, "ir_version comes first");
     assert!(bytes[1] < 0x80, "in one byte");
@@ -124,8 +124,8 @@ fn fault_24_the_same_meaning_in_other_bytes_was_not_signed() {
     assert!(signed(&manifest).is_err());
 }
 
-/// A network of two layers in which sums of millions cancel: what is left depends on how each product is rounded, so that two
-/// correct evaluations differ.
+/// A network of two layers in which sums of millions cancel: what is left depends on how each product is
+/// rounded, so that two correct evaluations differ.
 fn rounding_matters() -> Vec<u8> {
     policy_file(1, |spec, _| {
         let (input, out) = (spec.layers[0].input, spec.layers[0].out);
@@ -176,7 +176,8 @@ fn each_step_and_no_other_keeps_its_bad_policy_out() {
     eprintln!("{}", table.unwrap_or_else(|wrong| panic!("\n{wrong}")));
 }
 
-/// Announcements that a key of the robot really signed; it asked for version 3500 of `release/flat`, and its own robot.
+/// Announcements that a key of the robot really signed; it asked for version 3500 of `release/flat`, and its
+/// own robot.
 #[test]
 fn each_step_and_no_other_keeps_its_bad_announcement_out() {
     let key = caudata_signing::ReleaseKey::from_seed("release", &[7; 32]);
@@ -199,7 +200,8 @@ fn each_step_and_no_other_keeps_its_bad_announcement_out() {
         sha256: Some(&file.sha256()),
         ..Facts::of_stream(&asked_stream)
     };
-    // What a robot asks for by name, then what every announcement must be: as [`crate::keeper::Keeper`] does it.
+    // What a robot asks for by name, then what every announcement must be: as [`crate::keeper::Keeper`] does
+    // it.
     let taken = |answers: &[Check<Compare>], checks: &[_], manifest: &Manifest| {
         let said = Facts::from(manifest);
         let answers = answers

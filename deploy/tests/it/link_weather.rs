@@ -1,4 +1,5 @@
-//! Fault 28, the command link: datagrams that are lost, late and overtaken by others, between `drive` and the robot.
+//! Fault 28, the command link: datagrams that are lost, late and overtaken by others, between `drive` and the
+//! robot.
 
 use std::net::UdpSocket;
 use std::sync::Arc;
@@ -63,8 +64,9 @@ fn fault_28_through_loss_delay_and_reordering_no_older_command_counts_and_the_ne
     weather.delay_ms.store(40, Relaxed);
     weather.reorder_percent.store(30, Relaxed);
 
-    // Each command is a little faster than the one before: one that is older shows as slower. On until the weather has done what it can do to
-    // datagrams, and what was left moved the robot, however slow this machine is.
+    // Each command is a little faster than the one before: one that is older shows as slower. On until the
+    // weather has done what it can do to datagrams, and what was left moved the robot, however slow this
+    // machine is.
     let end = Instant::now() + PATIENCE;
     let (mut fastest, mut steps, mut number) = (0.0, 0, 0);
     let happened = || (weather.lost.load(Relaxed), weather.overtaken.load(Relaxed));

@@ -1,4 +1,5 @@
-//! The robot's observation is the trainer's: the same states give the same numbers, over two hundred control periods of motion.
+//! The robot's observation is the trainer's: the same states give the same numbers, over two hundred control
+//! periods of motion.
 
 use crate::common::policies::{model, policy_file};
 use caudata_deploy::bus::ServoReadings;

@@ -435,7 +435,8 @@ fn fault_23_a_robot_whose_trust_file_was_followed_by_another_takes_what_the_new_
     server.stop();
 }
 
-/// A library that, preloaded, gives a program a wrong wall clock. The C compiler is the one that this repository needs anyway.
+/// A library that, preloaded, gives a program a wrong wall clock. The C compiler is the one that this
+/// repository needs anyway.
 fn moved_clock(folder: &Path) -> std::path::PathBuf {
     let library = folder.join("moved_clock.so");
     let compiler = std::env::var("CXX").unwrap_or_else(|_| "c++".to_owned());
@@ -510,10 +511,12 @@ fn fault_18_in_1970_in_2100_and_a_day_back_the_same_is_taken_and_the_same_refuse
     servers.into_iter().for_each(Server::stop);
 }
 
-/// A command whose files, each, may hold `kib` KiB, as on a disk that is nearly full: writing on is refused with an error.
+/// A command whose files, each, may hold `kib` KiB, as on a disk that is nearly full: writing on is refused
+/// with an error.
 fn on_a_small_disk(command: &std::process::Command, kib: u32) -> std::process::Command {
     let mut small = std::process::Command::new("sh");
-    // POSIX counts in halves of a KiB. The signal that comes with the error is for programs that do not look at errors.
+    // POSIX counts in halves of a KiB. The signal that comes with the error is for programs that do not look
+    // at errors.
     let blocks = 2 * kib;
     small
         .arg("-c")

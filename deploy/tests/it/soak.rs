@@ -1,4 +1,5 @@
-//! A publisher that never pauses, a robot that follows `latest`, a server that is killed and a network that is cut, at random.
+//! A publisher that never pauses, a robot that follows `latest`, a server that is killed and a network that
+//! is cut, at random.
 
 use std::collections::BTreeMap;
 use std::io::BufReader;
@@ -43,7 +44,8 @@ fn server(data: &Path, address: Option<SocketAddr>) -> (Killed, SocketAddr) {
     let mut child = Command::new(program)
         .arg("--data")
         .arg(data)
-        // three versions a second: what a robot has said of one must still be there when it has been cut off for a while
+        // three versions a second: what a robot has said of one must still be there when it has been cut off
+        // for a while
         .args(["--addr", &address.to_string(), "--keep", "64"])
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
@@ -85,7 +87,8 @@ fn soak(seconds: u64) {
     let (mut child, address) = server(&data, None);
     let wire = Wire::to(address);
     let published = Mutex::new(BTreeMap::new());
-    // Two seconds of walking, a second and a half of standing, and so on; twice it walks for longer than a policy may wait.
+    // Two seconds of walking, a second and a half of standing, and so on; twice it walks for longer than a
+    // policy may wait.
     let mut table = String::from("t,vx,vy,yaw_rate\n");
     let mut t = 0.0;
     while t < seconds as f64 + 10.0 {

@@ -1,6 +1,8 @@
-//! The supervisor over children that behave as this file wants: what it does where one dies, hangs or cannot be started.
+//! The supervisor over children that behave as this file wants: what it does where one dies, hangs or cannot
+//! be started.
 //!
-//! This test program is its own child: `child` plays the agent, the loop and the one that lets go, as the scenario says.
+//! This test program is its own child: `child` plays the agent, the loop and the one that lets go, as the
+//! scenario says.
 
 use std::fmt::Debug;
 use std::io::Write;
@@ -68,7 +70,8 @@ struct Scene {
 }
 
 impl Scene {
-    /// Children play `scenario`. `hang_after` is beyond any test, so that silence shows only where a test is about it.
+    /// Children play `scenario`. `hang_after` is beyond any test, so that silence shows only where a test is
+    /// about it.
     fn new(scenario: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("program");
@@ -278,7 +281,8 @@ fn a_loop_that_dies_after_its_end_does_not_rise_again() {
     );
     assert_eq!(code, ExitCode::Internal);
     assert_eq!((scene.starts("rt"), scene.starts("limp")), (1, 1));
-    // One that could not finish its log has a code by which it would be tried again, had it not come to its end.
+    // One that could not finish its log has a code by which it would be tried again, had it not come to its
+    // end.
     let scene = Scene::new("full_disk_after_its_end");
     assert_eq!(failed(scene.run()).0, ExitCode::IoError);
     assert_eq!((scene.starts("rt"), scene.starts("limp")), (1, 1));

@@ -212,8 +212,8 @@ impl Lab {
         key
     }
 
-    /// `run` on a perfect robot, with `flags`, until stopped. Silence of its loop for `hang_ms` is a hang; where that is not what a test is
-    /// about, a minute: machines that run tests are busy.
+    /// `run` on a perfect robot, with `flags`, until stopped. Silence of its loop for `hang_ms` is a hang;
+    /// where that is not what a test is about, a minute: machines that run tests are busy.
     fn command(&self, hang_ms: &str, flags: &[&str]) -> Command {
         let mut command = program("run", self.server.address, &self.state());
         command
@@ -365,7 +365,8 @@ fn fault_38_a_loop_that_hangs_is_ended_and_started_again() {
     let mut robot = Robot::start(lab.command("3000", &[]));
     let looper = robot.started("rt");
     robot.hears_message("rising");
-    // Neither dead nor alive: what a policy that never comes back, or a port that never returns, looks like from outside.
+    // Neither dead nor alive: what a policy that never comes back, or a port that never returns, looks like
+    // from outside.
     kill(looper, Signal::SIGSTOP).unwrap();
     robot.hears_message("the loop hangs: ended");
     robot.started("rt");
@@ -552,7 +553,8 @@ fn fault_16_a_robot_without_state_or_with_a_lost_one_runs_the_factory_policy() {
         (0, &3.into()),
         "{errors}"
     );
-    // Both copies of the state lost: nothing that a server says counts without proof, the factory policy runs.
+    // Both copies of the state lost: nothing that a server says counts without proof, the factory policy
+    // runs.
     for copy in ["state.json", "state.copy.json"] {
         std::fs::write(state.join(copy), "{").unwrap();
     }

@@ -1,4 +1,5 @@
-//! The unmodified program over the real wire protocol: emulated servos and IMU on pseudo-terminals, physics behind them.
+//! The unmodified program over the real wire protocol: emulated servos and IMU on pseudo-terminals, physics
+//! behind them.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -59,7 +60,8 @@ struct Emulated {
 }
 
 impl Emulated {
-    /// `change` is made before the robot is served, `later` after so many seconds of its time (only in step with the goals).
+    /// `change` is made before the robot is served, `later` after so many seconds of its time (only in step
+    /// with the goals).
     fn start(
         folder: &Path,
         change: impl FnOnce(&mut EmulatedRobot),
@@ -140,7 +142,8 @@ impl Emulated {
         self.torque.lock().unwrap().clone()
     }
 
-    /// Waits until its torque has changed like this. Nothing is asserted about time: the limit is for what never comes.
+    /// Waits until its torque has changed like this. Nothing is asserted about time: the limit is for what
+    /// never comes.
     #[track_caller]
     fn torque_comes_to(&self, changes: &[bool]) {
         let end = Instant::now() + PATIENCE;
@@ -191,8 +194,8 @@ impl Bench {
         }
     }
 
-    /// By the clock: a robot that is let go comes to rest although nobody sends goals. Its servos' own watchdogs, which would hold it, leave a busy
-    /// machine two and a half seconds.
+    /// By the clock: a robot that is let go comes to rest although nobody sends goals. Its servos' own
+    /// watchdogs, which would hold it, leave a busy machine two and a half seconds.
     fn by_the_clock() -> Self {
         let (folder, server) = Self::place(standing(1));
         let robot = Emulated::start_at(Pace::RealTime, &folder.path().join("robot"), |_| {}, None);
@@ -362,7 +365,8 @@ fn a_log_of_the_flight_recorder_goes_straight_through_check_and_diagnosis() {
         .arg(bench.folder.path().join("diagnosis"));
     let (code, found, errors) = outcome(diagnose);
     let verdict = found["verdict"].as_str().unwrap_or_default();
-    // What a diagnosis that is complete can come to (docs/reference/exit-codes.md); a data fault or a flag that is wrong is none of them.
+    // What a diagnosis that is complete can come to (docs/reference/exit-codes.md); a data fault or a flag
+    // that is wrong is none of them.
     let fits = match verdict {
         "no_gap" | "explained" => code == 0,
         "ambiguous" => code == 80,
@@ -491,8 +495,8 @@ fn a_second_signal_leaves_no_torque_on_a_robot_whose_loop_hangs() {
     assert!(!Path::new(&format!("/proc/{looper}/status")).exists());
 }
 
-/// Holds `pid` where it cannot be ended: stopped on its way out, its files open, as by a driver that does not come back. Until this thread lets
-/// it go, or ends. False where this machine does not allow that.
+/// Holds `pid` where it cannot be ended: stopped on its way out, its files open, as by a driver that does not
+/// come back. Until this thread lets it go, or ends. False where this machine does not allow that.
 fn held_at_its_end(pid: nix::unistd::Pid) -> bool {
     use nix::sys::ptrace::{Options, seize};
     match seize(pid, Options::PTRACE_O_TRACEEXIT) {
@@ -604,7 +608,8 @@ fn what_has_the_port_keeps_a_second_run_and_doctor_out_but_not_limp() {
     let (code, _, errors) = doctor(robot, &["--fix"]);
     assert_eq!(code, 73, "{errors}");
     assert!(errors.contains("another program has"), "{errors}");
-    // Another state, another run folder, the same robot. What it leaves behind must not let the first one's servos go.
+    // Another state, another run folder, the same robot. What it leaves behind must not let the first one's
+    // servos go.
     let other = bench.folder.path().join("other");
     let (code, _, errors) = outcome(bench.run_in(&other, &[]));
     assert_eq!(code, 73, "{errors}");

@@ -1,7 +1,9 @@
-//! Writes cases of the salamander, `salamander OUT [--seed N] [NAME…]`; the robot that each comes from goes to `OUT/truth/NAME.robot.toml`.
+//! Writes cases of the salamander, `salamander OUT [--seed N] [NAME…]`; the robot that each comes from goes
+//! to `OUT/truth/NAME.robot.toml`.
 //!
-//! Those whose names begin with `shipped_` come with the robot file of this repository, in which policies are trained, and are for `caudata adapt`; the
-//! others with one of stiff girdles. `water_…` swim, the others walk.
+//! Those whose names begin with `shipped_` come with the robot file of this repository, in which policies are
+//! trained, and are for `caudata adapt`; the others with one of stiff girdles. `water_…` swim, the others
+//! walk.
 #![allow(clippy::print_stdout, clippy::unwrap_used, clippy::expect_used)]
 use caudata_gap_benchmark::salamander::{self, Hides, LabFile, SalamanderPlan};
 use caudata_gap_benchmark::truth::free::Channels;

@@ -102,7 +102,8 @@ impl Track {
         }
     }
 
-    /// Frequency from `f0` to `f1` in proportion to time's exponential; amplitude falls with it above `f_knee`.
+    /// Frequency from `f0` to `f1` in proportion to time's exponential; amplitude falls with it above
+    /// `f_knee`.
     fn chirp(&mut self, centre: f64, size: f64, f0: f64, f1: f64, f_knee: f64, s: f64) {
         self.ramp(centre, 0.4);
         let n = self.rows(s);

@@ -37,7 +37,8 @@ pub struct TrueEffect {
     pub joint: String,
     /// Size in the generator's own measure.
     pub size: f64,
-    /// Size in detectability units: whitened norm of the effect over that of the null discrepancy, on the fit runs.
+    /// Size in detectability units: whitened norm of the effect over that of the null discrepancy, on the fit
+    /// runs.
     pub d: f64,
     /// Ids that fit these data exactly as well.
     pub equivalent: Vec<String>,
@@ -74,7 +75,8 @@ pub struct Answer {
     pub seed: u64,
     /// Target size asked for, d; 0 where there is none.
     pub target_d: f64,
-    /// Size of all true effects together, d: two that make up for each other are less than either; 0 where it was not measured.
+    /// Size of all true effects together, d: two that make up for each other are less than either; 0 where it
+    /// was not measured.
     #[serde(default)]
     pub together_d: f64,
     /// True effects, none for nulls and decoys.

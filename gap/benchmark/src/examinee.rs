@@ -39,7 +39,8 @@ pub enum ExamineeError {
     Report(#[from] serde_json::Error),
 }
 
-/// Checks and diagnoses the case in `folder`, as the command line does with a robot file, runs and held-out runs.
+/// Checks and diagnoses the case in `folder`, as the command line does with a robot file, runs and held-out
+/// runs.
 ///
 /// # Errors
 /// [`ExamineeError`].

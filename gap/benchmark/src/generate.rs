@@ -62,7 +62,8 @@ pub fn make(request: &Request<'_>, parent: &Path) -> Result<Answer, GenerateErro
     let mut effects = Vec::new();
     let mut together_d = 0.0;
     if !request.effects.is_empty() {
-        // d is measured on the whole battery also for starved cases: the effect is there, the data do not show it
+        // d is measured on the whole battery also for starved cases: the effect is there, the data do not
+        // show it
         let view = null_view(rig, &full_fit, seed)?;
         let mut signs = stream(seed, SIGNS, 0);
         for &(hidden, joint, d) in &request.effects {

@@ -26,7 +26,8 @@ pub enum Hides {
     Slope(f64),
     /// The joints of the left front leg have so much of their gain.
     WeakLeg(f64),
-    /// The paper's robot: play of so many degrees at all girdle hinges, a command low-pass (s) and a weaker envelope (factor).
+    /// The paper's robot: play of so many degrees at all girdle hinges, a command low-pass (s) and a weaker
+    /// envelope (factor).
     Paper {
         /// Degrees, each side.
         half_width_deg: f64,

@@ -94,7 +94,8 @@ impl Rig {
     }
 }
 
-/// Index of the first held-out run; the three repeats of a fit trial have indices from ten times its number on.
+/// Index of the first held-out run; the three repeats of a fit trial have indices from ten times its number
+/// on.
 pub(crate) const FIRST_HELD_OUT: u64 = 1000;
 
 const JITTER: u64 = 1;

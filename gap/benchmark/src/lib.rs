@@ -1,8 +1,9 @@
-//! The benchmark of diagnosis: logs with an effect hidden in them by other numerics than the diagnosing simulator's, answers sealed away
-//! from it, and scores.
+//! The benchmark of diagnosis: logs with an effect hidden in them by other numerics than the diagnosing
+//! simulator's, answers sealed away from it, and scores.
 //!
-//! [`truth`] is an independent simulator; [`hidden`] what it can hide; [`generate`] makes a case (a folder of logs and a nominal robot file)
-//! and its answer ([`mod@case`]), which [`seal`] keeps from the process that diagnoses.
+//! [`truth`] is an independent simulator; [`hidden`] what it can hide; [`generate`] makes a case (a folder of
+//! logs and a nominal robot file) and its answer ([`mod@case`]), which [`seal`] keeps from the process that
+//! diagnoses.
 
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 

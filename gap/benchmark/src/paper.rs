@@ -1,5 +1,6 @@
-//! The paper's pipeline on synthetic logs: play of 4° at the girdles, a low-pass on commands, a weaker servo and noise are hidden in logs of another
-//! engine; how joints track, how high feet go and how fast the robot is, measured, in the robot file's robot and in the extended one.
+//! The paper's pipeline on synthetic logs: play of 4° at the girdles, a low-pass on commands, a weaker servo
+//! and noise are hidden in logs of another engine; how joints track, how high feet go and how fast the robot
+//! is, measured, in the robot file's robot and in the extended one.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,15 +16,17 @@ use crate::hides::{self, Hides};
 use crate::salamander::{self, LabFile};
 use crate::stand;
 
-/// The paper's robot, as far as the paper says: play of 4° each side, and the middle of what a servo's filter and supply can do.
+/// The paper's robot, as far as the paper says: play of 4° each side, and the middle of what a servo's filter
+/// and supply can do.
 pub const HIDDEN: Hides = Hides::Paper {
     half_width_deg: 4.0,
     low_pass_s: 0.03,
     torque: 0.7,
 };
-/// Trials of the battery that the lab records on a stand as well, and what they are for. Walking, rocking and lifting hardly ever ask a servo for the
-/// 1.36 N·m that it has left, and at one tempo a filter is as good as a delay: neither could be named from them. Weaker servos are 23 and 17 mrad in these fit
-/// trials and 81 in the one that is held out; in `steps_medium` they are nothing, so that it could not speak for them.
+/// Trials of the battery that the lab records on a stand as well, and what they are for. Walking, rocking and
+/// lifting hardly ever ask a servo for the 1.36 N·m that it has left, and at one tempo a filter is as good as
+/// a delay: neither could be named from them. Weaker servos are 23 and 17 mrad in these fit trials and 81 in
+/// the one that is held out; in `steps_medium` they are nothing, so that it could not speak for them.
 const ON_STAND: [(&str, &str); 3] = [
     ("fit", "chirp_medium"),
     ("fit", "steps_large"),
@@ -31,11 +34,13 @@ const ON_STAND: [(&str, &str); 3] = [
 ];
 /// Repeats of each.
 const STAND_REPEATS: u64 = 2;
-/// Recordings of the stand are counted from here: each has its own friction and noise, and so do those of the ground, from 0.
+/// Recordings of the stand are counted from here: each has its own friction and noise, and so do those of the
+/// ground, from 0.
 const STAND_RUNS: u64 = 1000;
 /// Stretches that are simulated from what was measured at their start, s: two strides.
 const STRETCH_S: f64 = 2.0;
-/// What does not count at the beginning of a stretch, s: nobody measures where play hangs, so that a simulated robot falls into it first.
+/// What does not count at the beginning of a stretch, s: nobody measures where play hangs, so that a
+/// simulated robot falls into it first.
 const SETTLED_AFTER_S: f64 = 0.3;
 /// Which stretch is drawn: the first one begins at rest.
 const DRAWN_STRETCH: usize = 1;
@@ -68,8 +73,8 @@ pub struct Pictures {
     pub overlays: Vec<Overlay>,
 }
 
-/// Records the trials on a stand beside the logs of the ground in `folder`, of the same robot on the same day, as long as `go_on` says so, which is asked before
-/// each run.
+/// Records the trials on a stand beside the logs of the ground in `folder`, of the same robot on the same
+/// day, as long as `go_on` says so, which is asked before each run.
 ///
 /// # Errors
 /// [`GenerateError`].
@@ -192,7 +197,8 @@ fn row(
     }
 }
 
-/// Places of a channel's samples in the flat vector, stretch by stretch, without the beginnings that do not count.
+/// Places of a channel's samples in the flat vector, stretch by stretch, without the beginnings that do not
+/// count.
 fn stretches(data: &Data, kind: Kind, index: usize) -> Vec<std::ops::Range<usize>> {
     let own = data.segments.iter().flat_map(|s| {
         let pieces = s

@@ -1,4 +1,5 @@
-//! The nominal robot in the diagnosing engine: what it predicts for a run. Measures the null discrepancy, and carries the baselines.
+//! The nominal robot in the diagnosing engine: what it predicts for a run. Measures the null discrepancy, and
+//! carries the baselines.
 
 use std::sync::Arc;
 
@@ -62,7 +63,8 @@ pub fn predict(
     predict_shifted(model, variants, &[], commands, times_s)
 }
 
-/// As [`predict`], with `shifts_rad` `[variants][A]` added to the commands of each variant (none: an empty slice).
+/// As [`predict`], with `shifts_rad` `[variants][A]` added to the commands of each variant (none: an empty
+/// slice).
 ///
 /// # Errors
 /// As [`predict`].

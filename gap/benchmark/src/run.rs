@@ -1,4 +1,5 @@
-//! Running a set: make the cases, seal the answers, diagnose each in a process of its own that sees its folder only, judge, sum up.
+//! Running a set: make the cases, seal the answers, diagnose each in a process of its own that sees its
+//! folder only, judge, sum up.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -45,8 +46,8 @@ pub const DEFAULT_LIMIT_S: f64 = 900.0;
 /// How often a running diagnosis is looked after, ms.
 const POLL_MS: u64 = 20;
 
-/// How a diagnosis is started: a program that takes a case folder as its last argument and writes `report.json` into
-/// its current folder. It sees no environment variables.
+/// How a diagnosis is started: a program that takes a case folder as its last argument and writes
+/// `report.json` into its current folder. It sees no environment variables.
 #[derive(Clone, Debug)]
 pub struct Diagnoser {
     /// Program.
@@ -57,8 +58,8 @@ pub struct Diagnoser {
     pub limit_s: f64,
 }
 
-/// Makes the cases of `plans` under `root/cases` and seals their answers beside them. Returns (made, left out because they cannot be as large as
-/// asked for, with the reason).
+/// Makes the cases of `plans` under `root/cases` and seals their answers beside them. Returns (made, left out
+/// because they cannot be as large as asked for, with the reason).
 ///
 /// # Errors
 /// [`BenchError`].
@@ -138,7 +139,8 @@ pub fn diagnose(
     jobs: usize,
     mut each: impl FnMut(usize, usize) + Send,
 ) -> Result<(Vec<Outcome>, Answers), BenchError> {
-    // What has to be left out of the catalogue must be known before; nothing else of the answers is looked at.
+    // What has to be left out of the catalogue must be known before; nothing else of the answers is looked
+    // at.
     let known = answers(root, secret)?;
     let orders: Vec<(String, Vec<String>)> = known
         .answers

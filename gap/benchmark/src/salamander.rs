@@ -1,5 +1,6 @@
-//! Cases of the salamander. On the ground: play at a girdle, slippery feet, a payload, a slope. In water: drag, added mass, buoyancy and its centre, a
-//! current, bobbing that dies faster. Seen by joints alone, with an IMU, or with motion capture.
+//! Cases of the salamander. On the ground: play at a girdle, slippery feet, a payload, a slope. In water:
+//! drag, added mass, buoyancy and its centre, a current, bobbing that dies faster. Seen by joints alone, with
+//! an IMU, or with motion capture.
 
 use std::fs;
 use std::path::Path;
@@ -73,7 +74,8 @@ pub fn lab_file(file: LabFile) -> Result<(String, String, Arc<RobotModel>), Gene
     Ok((toml, mjcf, Arc::new(model)))
 }
 
-/// Text of a robot file whose robot is the true one of `hidden` on top of `file`, to evaluate policies on; it needs the salamander's MJCF beside it.
+/// Text of a robot file whose robot is the true one of `hidden` on top of `file`, to evaluate policies on; it
+/// needs the salamander's MJCF beside it.
 ///
 /// # Errors
 /// [`GenerateError::Rig`].
@@ -95,7 +97,8 @@ pub fn true_salamander(file: LabFile, hidden: Hides) -> Result<String, GenerateE
     ))
 }
 
-/// Makes a case under `parent/<name>` and returns its answer, as long as `go_on` says so, which is asked before each run.
+/// Makes a case under `parent/<name>` and returns its answer, as long as `go_on` says so, which is asked
+/// before each run.
 ///
 /// # Errors
 /// [`GenerateError`].

@@ -87,7 +87,8 @@ pub(crate) fn walks(model: &RobotModel, tempo: f64) -> Vec<Script> {
 const PRESS_N: f32 = 6.0;
 const ROLL_NM: f32 = 0.03;
 
-/// Swimming waves of three sizes at three tempos, a turn, swimming and coasting, and bobbing after a hand lets go.
+/// Swimming waves of three sizes at three tempos, a turn, swimming and coasting, and bobbing after a hand
+/// lets go.
 pub(crate) fn swims(model: &RobotModel, tempo: f64) -> Vec<Script> {
     let names = model.actuated_names();
     let spine: Vec<&str> = (names.iter().copied())

@@ -1,7 +1,8 @@
 //! Sealing answers: a text that only the holder of the key can read, and that shows if it was changed.
 //!
-//! The diagnosing process gets a case folder and nothing else; answers lie elsewhere, encrypted (ChaCha8 as in `crates/random`, the key a
-//! hash of a secret), so that a process with all of a machine's permissions still cannot read them by accident or design.
+//! The diagnosing process gets a case folder and nothing else; answers lie elsewhere, encrypted (ChaCha8 as
+//! in `crates/random`, the key a hash of a secret), so that a process with all of a machine's permissions
+//! still cannot read them by accident or design.
 
 use caudata_random::{Key, Purpose, Stream};
 use sha2::{Digest, Sha256};

@@ -100,9 +100,10 @@ const LOOK_ALIKE: &[(&str, &str)] = &[
     ("coulomb_friction", "controller_dead_band"),
 ];
 
-/// Effects that another one holds as a special case: who is left out takes the wider one along. (`stale_gains` and `kp_error` together are any two gains: a
-/// `kd_error` that was left out would still be explained exactly. `link_com` goes with an inertia because a mass and its centre together are any inertia with the same
-/// moment of gravity.)
+/// Effects that another one holds as a special case: who is left out takes the wider one along.
+/// (`stale_gains` and `kp_error` together are any two gains: a `kd_error` that was left out would still be
+/// explained exactly. `link_com` goes with an inertia because a mass and its centre together are any inertia
+/// with the same moment of gravity.)
 const WIDER: &[(&str, &str)] = &[
     ("kd_error", "stale_gains"),
     ("load_dependent_friction", "drive_asymmetry"),
@@ -110,8 +111,8 @@ const WIDER: &[(&str, &str)] = &[
     ("link_inertia", "link_com"),
 ];
 
-/// The same on a rig with one joint. Of a hanging link two numbers show, its moment of gravity and its inertia about the hinge: any two of its mass, its centre and an
-/// inertia are the third one.
+/// The same on a rig with one joint. Of a hanging link two numbers show, its moment of gravity and its
+/// inertia about the hinge: any two of its mass, its centre and an inertia are the third one.
 const WIDER_OF_ONE: &[(&str, &str)] = &[
     ("armature", "link_com"),
     ("link_mass", "link_com"),
@@ -215,7 +216,8 @@ pub fn plan(set: SetName, seed: u64, most: Option<usize>) -> Vec<Plan> {
     plans
 }
 
-/// What the diagnosis has to do without where `h` is left out of its catalogue: it, and whatever says the same or more.
+/// What the diagnosis has to do without where `h` is left out of its catalogue: it, and whatever says the
+/// same or more.
 fn left_out_with(h: &Hidden, rig: &str) -> Vec<String> {
     let of_one: &[(&str, &str)] = if rig == "pendulum" { WIDER_OF_ONE } else { &[] };
     let wider = WIDER.iter().chain(of_one).filter(|(id, _)| *id == h.id);
@@ -310,7 +312,8 @@ const ALL: Channels = Channels {
     mocap: true,
 };
 
-/// Cases on the ground in turn: play at each hinge, the paper's robot, slippery feet, a payload, a slope, nothing.
+/// Cases on the ground in turn: play at each hinge, the paper's robot, slippery feet, a payload, a slope,
+/// nothing.
 fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     let half_width_deg = s.uniform_f64(2.0, 5.0);
     let paper = Hides::Paper {
@@ -338,7 +341,8 @@ fn on_ground(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     (BaseHold::Free, hidden, channels)
 }
 
-/// Cases in water in turn (a current below 0.1 m/s is within what is allowed of a pool that stirs): drag, buoyancy, added mass, a current, heave damping, the centre of buoyancy, nothing.
+/// Cases in water in turn (a current below 0.1 m/s is within what is allowed of a pool that stirs): drag,
+/// buoyancy, added mass, a current, heave damping, the centre of buoyancy, nothing.
 fn in_water(i: usize, s: &mut Stream) -> (BaseHold, Hides, Channels) {
     let hidden = match i % 7 {
         0 => Hides::Drag(s.uniform_f64(1.4, 2.0)),

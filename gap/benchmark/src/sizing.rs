@@ -35,8 +35,8 @@ fn predicted(p: &Prediction, kind: usize, a: usize) -> &[f64] {
     }
 }
 
-/// What a robot without effects looks like in this lab: its rows per trial, how far repeats are apart (noise), and how far the nominal
-/// simulation is off (null discrepancy).
+/// What a robot without effects looks like in this lab: its rows per trial, how far repeats are apart
+/// (noise), and how far the nominal simulation is off (null discrepancy).
 pub struct NullView {
     pub(crate) rows: Vec<Vec<Row>>,
     sigma: Vec<Vec<f64>>,

@@ -13,8 +13,8 @@ use crate::battery::RATE_HZ;
 use crate::generate::GenerateError;
 use crate::truth::free::{self, Channels, Session};
 
-/// Records `trial` of the battery for a robot with `lane` on the day of `seed` into the log folder `dir`. `run` counts the recordings of that day: each has
-/// its own friction and noise.
+/// Records `trial` of the battery for a robot with `lane` on the day of `seed` into the log folder `dir`.
+/// `run` counts the recordings of that day: each has its own friction and noise.
 ///
 /// # Errors
 /// [`GenerateError`].

@@ -1,7 +1,7 @@
 //! Which effects a set of runs cannot tell, and what to record so that it can.
 //!
-//! A table of needs: each row names effects of the catalogue and what must have been recorded for them to show at all. Being able to show
-//! is not being told apart; that is for the diagnosis.
+//! A table of needs: each row names effects of the catalogue and what must have been recorded for them to
+//! show at all. Being able to show is not being told apart; that is for the diagnosis.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,8 @@ use crate::trial::Trial;
 pub struct Blind {
     /// What is missing.
     pub missing: String,
-    /// A trial of the battery that would show it (`caudata gap excite`); empty where the battery has none for this robot.
+    /// A trial of the battery that would show it (`caudata gap excite`); empty where the battery has none for
+    /// this robot.
     pub record: String,
 }
 
@@ -131,7 +132,8 @@ const NEEDS: &[Need] = &[
     (&["linear_drag", "quadratic_drag", "added_mass", "buoyancy", "buoyancy_centre", "heave_damping", "water_current", "water_level"], |e| unless(e.wet(), "runs in water (base = \"water\")"), "swim"),
 ];
 
-/// Effects that the catalogue's own predicates call unseen at every place, and that the table above does not list.
+/// Effects that the catalogue's own predicates call unseen at every place, and that the table above does not
+/// list.
 fn unseen(
     logs: &[(&str, &RunLog)],
     robot: &RobotModel,
@@ -175,7 +177,8 @@ fn unseen(
     out
 }
 
-/// Effects that these runs cannot show, by id. Effects that the robot cannot have (water without water, feet without feet) are left out.
+/// Effects that these runs cannot show, by id. Effects that the robot cannot have (water without water, feet
+/// without feet) are left out.
 #[must_use]
 pub fn blind(
     logs: &[(&str, &RunLog)],

@@ -45,7 +45,8 @@ pub struct JointExcitation {
     pub reversals: usize,
     /// Those among the reversals that come after less than 15 mrad on both sides.
     pub small_reversals: usize,
-    /// Band that the command fills, Hz: from the lowest to the highest half-octave with a real share of its motion; 0 where there is none.
+    /// Band that the command fills, Hz: from the lowest to the highest half-octave with a real share of its
+    /// motion; 0 where there is none.
     pub band_hz: [f64; 2],
     /// Jumps of the command: below 0.1 rad, to 0.5 rad, above.
     pub steps: [usize; 3],

@@ -1,4 +1,5 @@
-//! Joint channels: sign, unit, order, stuck and doubled channels, and whether a reading comes before its cause.
+//! Joint channels: sign, unit, order, stuck and doubled channels, and whether a reading comes before its
+//! cause.
 
 use caudata_runlog::Signal;
 
@@ -20,7 +21,8 @@ const LAG_RANGE_S: f64 = 0.6;
 const BEYOND: (f64, f64) = (1.3, 0.2);
 /// A reading of which its command leaves less than this share follows it.
 const FOLLOWS: f64 = 0.02;
-/// Each of two readings must leave at most this share with the other's command of what it leaves with its own.
+/// Each of two readings must leave at most this share with the other's command of what it leaves with its
+/// own.
 const BETTER: f64 = 0.5;
 /// The same where only one of them can be told …
 const MUCH_BETTER: f64 = 0.2;
@@ -125,7 +127,8 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         ));
         return;
     }
-    // At rest the motor pulls towards the command: current follows the error where the sign is right. (In motion the error is the lag.)
+    // At rest the motor pulls towards the command: current follows the error where the sign is right. (In
+    // motion the error is the lag.)
     let (Some(cmd), Some(pos), Some(cur)) = (&joint.slow_cmd, &joint.slow_pos, &joint.cur) else {
         return;
     };
@@ -162,7 +165,8 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     }
 }
 
-/// Whether what is left of the command at rest (rad) asks the servo for much torque one way and, as long, the other.
+/// Whether what is left of the command at rest (rad) asks the servo for much torque one way and, as long, the
+/// other.
 fn pulls_both_ways(run: &Run<'_>, joint: &Channels, error_rad: &[f64]) -> bool {
     let servo = run.robot.servo(joint.index);
     let kp = run.log.meta.kp.unwrap_or(run.robot.kp_nm_per_rad());
@@ -250,8 +254,9 @@ fn counts(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 
 /// Two joints' readings in each other's place. Returns which joints are in another's.
 ///
-/// A reading is compared with what a servo may make of a command: late, smaller, shifted. Alike commands (a wave that travels down a spine) make a
-/// reading go well with a neighbour's command too, but only one way: readings that were exchanged each go better with the other's command.
+/// A reading is compared with what a servo may make of a command: late, smaller, shifted. Alike commands (a
+/// wave that travels down a spine) make a reading go well with a neighbour's command too, but only one way:
+/// readings that were exchanged each go better with the other's command.
 fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool> {
     let n = joints.len();
     // joints that another's reading is in the place of, and readings that are in another's place
@@ -274,14 +279,15 @@ fn order(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) -> Vec<bool
         let best = follower(&left, a, |b| !taken[b] && ahead(a, b, BETTER));
         let Some((b, ab)) = best else { continue };
         let exchanged = ahead(b, a, BETTER);
-        // without a way back (the other command hardly moves, or three are in each other's place) only a good fit to a command that is not alike
-        // proves anything, or one as good as a servo's own: a limp tail follows a trunk that bends
+        // without a way back (the other command hardly moves, or three are in each other's place) only a good
+        // fit to a command that is not alike proves anything, or one as good as a servo's own: a limp tail
+        // follows a trunk that bends
         let not_alike = ab.left < FOLLOWS_WELL
             && ahead(a, b, MUCH_BETTER)
             && !alike(run, &joints[a], &joints[b]);
         let as_its_own = ab.left < FOLLOWS && ahead(a, b, FAR_BETTER);
-        // and then, what that reading leaves must be another's as well, round to the first: in a trunk with worn joints two servos follow neither
-        // their own command nor anybody's
+        // and then, what that reading leaves must be another's as well, round to the first: in a trunk with
+        // worn joints two servos follow neither their own command nor anybody's
         let alone = ab.slope > FOLLOWS_FAR
             && (not_alike || as_its_own)
             && comes_round(&left, a, b, |a, b| ahead(a, b, BETTER));
@@ -325,8 +331,9 @@ fn follower(
         .min_by(|x, y| x.1.left.total_cmp(&y.1.left))
 }
 
-/// Whether the readings of `a`, whose place `b` is in, `b`, and those after it are in each other's places: the command of `b` is followed by a third
-/// reading, and so on, until one is followed by that of `a`, or hardly moves, so that nobody can tell.
+/// Whether the readings of `a`, whose place `b` is in, `b`, and those after it are in each other's places:
+/// the command of `b` is followed by a third reading, and so on, until one is followed by that of `a`, or
+/// hardly moves, so that nobody can tell.
 fn comes_round(
     left: &[Vec<Option<Missed>>],
     a: usize,
@@ -357,8 +364,8 @@ struct Missed {
     slope: f64,
 }
 
-/// How a reading follows a command that acts late by what a servo needs at most, and at any size of the same sign. `None` where the command
-/// does not move enough to tell.
+/// How a reading follows a command that acts late by what a servo needs at most, and at any size of the same
+/// sign. `None` where the command does not move enough to tell.
 fn missed(run: &Run<'_>, cmd: &Channels, pos: &Channels) -> Option<Missed> {
     follows(run, cmd, pos)?;
     let (u, q) = (cmd.fine_cmd.as_ref()?, pos.fine_pos.as_ref()?);
@@ -443,7 +450,8 @@ fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding
         moving += 1;
         let (lag, at_lag) = best_lag(&u, &q, -most..=most);
         let lag_s = lag as f64 * grid.step_s;
-        // The best among the lags that a servo can have must be clearly worse: a periodic motion fits a period off, too.
+        // The best among the lags that a servo can have must be clearly worse: a periodic motion fits a
+        // period off, too.
         let late = grid.points(LONGEST_LAG_S) as isize;
         let possible = best_lag(&u, &q, 0..=late).1;
         let impossible = lag_s < -(2.5 * grid.step_s).max(0.02) || lag_s > LONGEST_LAG_S;

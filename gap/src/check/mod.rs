@@ -1,7 +1,9 @@
-//! Looking at logs before any physics: what is wrong with the data themselves, what they excite, and what they cannot tell.
+//! Looking at logs before any physics: what is wrong with the data themselves, what they excite, and what
+//! they cannot tell.
 //!
-//! Everything here is a relation that holds whatever the robot is like (a command goes before its effect, speed is the change of position,
-//! gravity is 9.81 m/s², repeats repeat), so it needs no simulation and no effect of the catalogue makes it fail.
+//! Everything here is a relation that holds whatever the robot is like (a command goes before its effect,
+//! speed is the change of position, gravity is 9.81 m/s², repeats repeat), so it needs no simulation and no
+//! effect of the catalogue makes it fail.
 
 mod blind;
 mod channels;

@@ -1,4 +1,5 @@
-//! Relations that hold whatever the robot does: speed is the change of position, gravity is 9.81 m/s² down, turning turns gravity.
+//! Relations that hold whatever the robot does: speed is the change of position, gravity is 9.81 m/s² down,
+//! turning turns gravity.
 
 use caudata_runlog::{Axis, QuatPart, Signal};
 
@@ -12,7 +13,8 @@ const PARITY_WINDOW_S: f64 = 0.15;
 const LAG_S: f64 = 0.12;
 /// Speeds below this (standard deviation, rad/s or m/s) tell nothing.
 const MOVES: f64 = 0.08;
-/// The ratio of a speed to the change of position may be off one by this factor: a filter takes some of it away.
+/// The ratio of a speed to the change of position may be off one by this factor: a filter takes some of it
+/// away.
 const RATIO: f64 = 1.5;
 /// Least correlation of a speed with the change of position.
 const LEAST_R: f64 = 0.6;
@@ -50,7 +52,8 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
     plain_ranges(run, joints, out);
 }
 
-/// The change of `pos` per time against `speed`, at the lag where they go best together; `None` where nothing moves.
+/// The change of `pos` per time against `speed`, at the lag where they go best together; `None` where nothing
+/// moves.
 fn speed_parity(run: &Run<'_>, pos: &[f64], speed: &[f64]) -> Option<Together> {
     let grid = &run.grid;
     let width = grid.points(PARITY_WINDOW_S).max(2);

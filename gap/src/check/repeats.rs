@@ -8,13 +8,15 @@ use super::series::{Grid, median, smooth};
 
 /// Commands of repeats may differ by this much, rad.
 const SAME_RAD: f64 = 2e-3;
-/// Deviations are looked at as means over so long, s: a hand pushes to one side, what differs in fast motion swings about zero.
+/// Deviations are looked at as means over so long, s: a hand pushes to one side, what differs in fast motion
+/// swings about zero.
 const SMOOTH_S: f64 = 0.3;
 /// A deviation counts from so many times what repeats otherwise differ by.
 const TIMES: f64 = 8.0;
 /// And from so large a share of the servo's greatest torque, as the error would ask for.
 const ODD_TORQUE_SHARE: f64 = 0.2;
-/// And from so large a share of how far the joint moves about that time: where it moves most, repeats differ most.
+/// And from so large a share of how far the joint moves about that time: where it moves most, repeats differ
+/// most.
 const MOTION_SHARE: f64 = 0.2;
 /// "About that time", s.
 const NEARBY_S: f64 = 1.0;
@@ -72,7 +74,8 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
         let mut off = 0usize;
         for (i, &u) in u.iter().enumerate() {
             let k = (i as f64 * ratio).round() as usize;
-            // a row may fall between two grid points of one run and not of the other: compare with what is passed through near by
+            // a row may fall between two grid points of one run and not of the other: compare with what is
+            // passed through near by
             let near = &v[k.saturating_sub(2).min(v.len())..(k + 3).min(v.len())];
             let (low, high) = near
                 .iter()
@@ -89,7 +92,8 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
     })
 }
 
-/// A run with more odd spans than this is not one that was touched: play and stiction let repeats come to rest in different places.
+/// A run with more odd spans than this is not one that was touched: play and stiction let repeats come to
+/// rest in different places.
 const MOST_SPANS: usize = 1;
 
 /// Odd spans of a group of repeats: with three or more, of the run that is off; with two, of both.
@@ -149,11 +153,13 @@ struct Off {
 }
 
 impl Off {
-    /// How far joint `j` is off among the runs in `group`; none where its position is not logged in all of them.
+    /// How far joint `j` is off among the runs in `group`; none where its position is not logged in all of
+    /// them.
     fn of(runs: &[Run<'_>], channels: &[Vec<Channels>], group: &[usize], j: usize) -> Option<Self> {
         let first = &runs[group[0]];
         let grid = &first.grid;
-        // repeats are compared at equal times: the median step of rows, and with it the grid, differs a little from run to run
+        // repeats are compared at equal times: the median step of rows, and with it the grid, differs a
+        // little from run to run
         let span_s = |&i: &usize| runs[i].grid.len.saturating_sub(1) as f64 * runs[i].grid.step_s;
         let shared_s = group.iter().map(span_s).fold(f64::INFINITY, f64::min);
         let len = (shared_s / grid.step_s + 1e-6).floor() as usize + 1;

@@ -21,7 +21,8 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// The grid of a log with rows at `time_s`: its median step, not finer than 5 ms and not coarser than 50 ms.
+    /// The grid of a log with rows at `time_s`: its median step, not finer than 5 ms and not coarser than 50
+    /// ms.
     #[must_use]
     pub fn of(time_s: &[f64]) -> Self {
         let start_s = time_s.first().copied().unwrap_or(0.0);
@@ -43,7 +44,8 @@ impl Grid {
         ((s / self.step_s).round() as usize).max(1)
     }
 
-    /// The signal at every grid point: between two samples on the line through them, NaN in holes longer than 0.25 s. `None` without such a column.
+    /// The signal at every grid point: between two samples on the line through them, NaN in holes longer than
+    /// 0.25 s. `None` without such a column.
     #[must_use]
     pub fn linear(&self, table: &Table, signal: &Signal) -> Option<Vec<f64>> {
         let samples = samples(table, signal)?;

@@ -6,13 +6,15 @@ use super::channels::Channels;
 use super::finding::{Finding, Run};
 use super::series::median_step_s;
 
-/// The median rate may be off the one that `log.toml` claims by this share; a loop never keeps its rate exactly.
+/// The median rate may be off the one that `log.toml` claims by this share; a loop never keeps its rate
+/// exactly.
 const RATE_TOLERANCE: f64 = 0.2;
 /// A step longer than so many median steps, and than [`GAP_S`], is a gap.
 const GAP_STEPS: f64 = 10.0;
 /// See [`GAP_STEPS`], s.
 const GAP_S: f64 = 0.2;
-/// Steps shorter than this share of the median are bunched rows: stamps taken from a buffer, not when the sample was.
+/// Steps shorter than this share of the median are bunched rows: stamps taken from a buffer, not when the
+/// sample was.
 const BUNCHED: f64 = 0.2;
 /// So large a share of bunched rows is said.
 const BUNCHED_SHARE: f64 = 0.02;
@@ -103,7 +105,8 @@ format!(
     }
 }
 
-/// How many channels go on across the gap of `step_s` after `at_s` as if no time had passed; 0 where any shows that time did pass.
+/// How many channels go on across the gap of `step_s` after `at_s` as if no time had passed; 0 where any
+/// shows that time did pass.
 fn clock_jumped(run: &Run<'_>, joints: &[Channels], at_s: f64, step_s: f64) -> usize {
     let table = &run.log.table;
     let signals = joints.iter().flat_map(|j| {

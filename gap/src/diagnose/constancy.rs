@@ -1,9 +1,11 @@
 //! Whether a cause has one size.
 //!
-//! A right law has the same size in every part of the data. One that stands in for another fits each part with another size: the gain that is named in place of
-//! one that grows with the error is the larger the larger the error. So the data are parted along what laws depend on, each part is asked for how much of the cause
-//! it wants, and the scatter of these amounts is held against what was found. What more of the cause does is told to first order, less what the
-//! parameters of all other causes can do in its place over all runs.
+//! A right law has the same size in every part of the data. One that stands in for another fits each part
+//! with another size: the gain that is named in place of one that grows with the error is the larger the
+//! larger the error. So the data are parted along what laws depend on, each part is asked for how much of the
+//! cause it wants, and the scatter of these amounts is held against what was found. What more of the cause
+//! does is told to first order, less what the parameters of all other causes can do in its place over all
+//! runs.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -21,14 +23,16 @@ use crate::trial::Kind;
 const PARTS: usize = 4;
 /// A part with less than this share of the information says nothing.
 const LEAST_PART: f64 = 1e-3;
-/// Share of what a cause does that must show in joints' channels for these to be parted by what joints do: of a buoyancy the base's height tells most.
+/// Share of what a cause does that must show in joints' channels for these to be parted by what joints do: of
+/// a buoyancy the base's height tells most.
 const IN_JOINTS: f64 = 0.5;
 
 /// A trace of which the others can do all but this share says nothing by itself.
 const LEAST_ALONE: f64 = 0.03;
 /// Scatter that is no more than this, in floors, is too small to tell a law …
 const LEAST_FLOORS: f64 = 0.01;
-/// … and from run to run, where drag, friction and supply differ in any lab (one tolerance is 0.06 floors), this.
+/// … and from run to run, where drag, friction and supply differ in any lab (one tolerance is 0.06 floors),
+/// this.
 const LEAST_FLOORS_RUNS: f64 = 0.1;
 
 /// What the data are parted along.
@@ -127,8 +131,9 @@ pub fn scatter(
     out
 }
 
-/// For each term, how many steps each of its parameters is away from no effect. More or less of a term is all of them in these proportions: the whole trace of a gap
-/// or a ripple would count every shift of it as another size.
+/// For each term, how many steps each of its parameters is away from no effect. More or less of a term is all
+/// of them in these proportions: the whole trace of a gap or a ripple would count every shift of it as
+/// another size.
 fn amounts(context: &Context, best: &State, steps: &[f64]) -> Vec<(Range<usize>, Vec<f64>)> {
     let model = context.replayer.model();
     let mut first = 0;
@@ -151,7 +156,8 @@ struct Side<'a> {
     columns: &'a [Vec<f32>],
     /// Which run each sample is of. `[N]`
     run: Vec<usize>,
-    /// Arguments of each sample, in the order of [`Along::ALL`] without runs; none for channels that belong to no joint. `[N]`
+    /// Arguments of each sample, in the order of [`Along::ALL`] without runs; none for channels that belong
+    /// to no joint. `[N]`
     arguments: Vec<Option<[f64; ARGUMENT_COUNT]>>,
 }
 
@@ -212,8 +218,8 @@ struct Part {
     variance: f64,
 }
 
-/// What more of a term does (its parameters `own` in proportion to `amount`), less what the parameters of other terms can do in its place; none if that is nearly all
-/// of it. `[S][N]`
+/// What more of a term does (its parameters `own` in proportion to `amount`), less what the parameters of
+/// other terms can do in its place; none if that is nearly all of it. `[S][N]`
 fn alone(sides: &[Side], own: &Range<usize>, amount: &[f64]) -> Option<Vec<Vec<f32>>> {
     let count = sides.first()?.columns.len();
     let of_side = |s: &Side| {
@@ -318,7 +324,8 @@ fn samples(sides: &[Side], trace: &[Vec<f32>], along: Along) -> Vec<Sample> {
     samples
 }
 
-/// Sums over `count` parts. `part`: that of a sample, by itself and by the share of all information that comes before it.
+/// Sums over `count` parts. `part`: that of a sample, by itself and by the share of all information that
+/// comes before it.
 fn sums(samples: &[Sample], count: usize, part: impl Fn(&Sample, f64) -> usize) -> Vec<Part> {
     let total: f64 = samples.iter().map(|s| s.information).sum();
     let mut before = 0.0;
@@ -337,8 +344,9 @@ fn sums(samples: &[Sample], count: usize, part: impl Fn(&Sample, f64) -> usize) 
     parts
 }
 
-/// Scatter of the amounts that `parts` ask for, less what noise makes of it; and each part's amount, 1 being what was found. None where all information is in one
-/// part, or where what is scattered has a square of less than `least`.
+/// Scatter of the amounts that `parts` ask for, less what noise makes of it; and each part's amount, 1 being
+/// what was found. None where all information is in one part, or where what is scattered has a square of less
+/// than `least`.
 fn apart(parts: &[Part], least: f64) -> Option<(f64, Vec<f64>)> {
     let all: f64 = parts.iter().map(|p| p.information).sum();
     let parts: Vec<&Part> = (parts.iter())
@@ -383,14 +391,16 @@ mod tests {
         let parts = sums(&samples, 2, |_, before| (2.0 * before) as usize);
         let (share, sizes) = apart(&parts, 0.0).unwrap();
         assert_eq!(sizes, [0.8, 1.2]);
-        // blocks of one sample do not know that they hang together: a score is 80, 40 of them have a variance of 40·80² in an information of 16,000, that is 16, half of
-        // which the mean of two parts leaves of either. The square of what is apart is 16,000·0.2² of either: (1280 − 16)/32,000 = 0.0395
+        // blocks of one sample do not know that they hang together: a score is 80, 40 of them have a variance
+        // of 40·80² in an information of 16,000, that is 16, half of which the mean of two parts leaves of
+        // either. The square of what is apart is 16,000·0.2² of either: (1280 − 16)/32,000 = 0.0395
         assert!((share - 0.0395_f64.sqrt()).abs() < 1e-12, "{share}");
     }
 
     #[test]
     fn what_noise_makes_of_a_size_is_no_scatter() {
-        // two parts of 16 blocks of one sample each; in one nine ask for more and seven for less, in the other the reverse
+        // two parts of 16 blocks of one sample each; in one nine ask for more and seven for less, in the
+        // other the reverse
         let samples: Vec<Sample> = (0..32)
             .map(|k: u32| {
                 let (part, number) = (k / 16, k % 16);
@@ -399,7 +409,8 @@ mod tests {
             })
             .collect();
         let parts = sums(&samples, 2, |s, _| s.argument as usize);
-        // a part's score is ±2·60 in an information of 6,400: 2.25 each. Its variance is 16·60², 9 in that information, of which half
+        // a part's score is ±2·60 in an information of 6,400: 2.25 each. Its variance is 16·60², 9 in that
+        // information, of which half
         let square: f64 = parts.iter().map(|p| p.score.powi(2) / p.information).sum();
         assert!((square - 4.5).abs() < 1e-12, "{square}");
         assert_eq!(apart(&parts, 0.0).unwrap().0, 0.0);

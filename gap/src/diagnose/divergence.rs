@@ -95,8 +95,9 @@ pub fn divergence(judge: &Judge, on: &On, seed: u64) -> Vec<Divergence> {
     out
 }
 
-/// Probability, per cell, that the worst cell of the family is as bad where only repeats differ. Blocks of the null are drawn with
-/// replacement; a cell's statistic is its mean square, in standard deviations of that under the null.
+/// Probability, per cell, that the worst cell of the family is as bad where only repeats differ. Blocks of
+/// the null are drawn with replacement; a cell's statistic is its mean square, in standard deviations of that
+/// under the null.
 fn family_wise(cells: &BTreeMap<(Kind, String, usize), Cell>, seed: u64) -> Vec<f64> {
     let mut stream = Stream::new(Key::for_run(seed), Purpose::Sensor);
     let mut worst = vec![f64::NEG_INFINITY; CELL_RESAMPLES];

@@ -1,4 +1,5 @@
-//! What speaks against a model although each of its causes passed every gate: something is missing, and what was found may stand in for it.
+//! What speaks against a model although each of its causes passed every gate: something is missing, and what
+//! was found may stand in for it.
 
 use super::constancy::{self, Scatter};
 use super::gates;
@@ -11,16 +12,18 @@ use crate::report::{Doubt, DoubtKind};
 
 /// Misfit that an explained gap may leave in any case (of many joints: [`gates::quiet`]), …
 const LEFT: f64 = 0.5;
-/// … and, where it is more, its product with its share of the misfit before: 1.2 floors of ten, half a floor of 1.7. Of the benchmark's causes the right ones
-/// leave less (their laws are not quite nature's), wrong ones more.
+/// … and, where it is more, its product with its share of the misfit before: 1.2 floors of ten, half a floor
+/// of 1.7. Of the benchmark's causes the right ones leave less (their laws are not quite nature's), wrong
+/// ones more.
 const LEFT_OF_SHARE: f64 = 0.15;
-/// Share of what is left of a joint's current that a law may foretell, where more is left of it than careful labs have ([`gates::quiet`]): right names of the
-/// benchmark (bench rigs) have up to 0.10, the drag of a sail that is called viscous friction 0.34 and 0.63, a spring that hardens and is called a spring and
+/// Share of what is left of a joint's current that a law may foretell, where more is left of it than careful
+/// labs have ([`gates::quiet`]): right names of the benchmark (bench rigs) have up to 0.10, the drag of a
+/// sail that is called viscous friction 0.34 and 0.63, a spring that hardens and is called a spring and
 /// ripple 0.91; but a cable that rubs and is called friction 0.19.
 const LAWFUL_SHARE: f64 = 0.2;
 
-/// Scatter of a cause's size along anything, as a share of it: of 140 right names on bench rigs (seeds 103 and 107) 139 have less, half of them less than 0.025, and of
-/// 32 wrong ones 15.
+/// Scatter of a cause's size along anything, as a share of it: of 140 right names on bench rigs (seeds 103
+/// and 107) 139 have less, half of them less than 0.025, and of 32 wrong ones 15.
 const INCONSTANT: f64 = 0.12;
 
 /// What a model leaves, where it is most, floors.
@@ -139,7 +142,8 @@ impl<'a> Doubts<'a> {
             .collect()
     }
 
-    /// Whether they say of a cause at `place` that its law is another one: what is missing elsewhere does not make it less sure.
+    /// Whether they say of a cause at `place` that its law is another one: what is missing elsewhere does not
+    /// make it less sure.
     pub fn deny(&self, context: &Context, place: &Place) -> bool {
         self.outgrown.iter().any(|t| meet(&t.place, place))
             || (self.lawful.iter()).any(|l| acts_on(place, l.joint, few_joints(context)))
@@ -155,7 +159,8 @@ fn capitalised(words: &str) -> String {
     })
 }
 
-/// Whether a model leaves more than is known of the floor, of the runs that it was fitted to or of held-out ones, where it is most.
+/// Whether a model leaves more than is known of the floor, of the runs that it was fitted to or of held-out
+/// ones, where it is most.
 pub fn much_is_left(context: &Context, base: &State, best: &State) -> bool {
     left(context, base, best).is_some()
 }
@@ -181,22 +186,25 @@ fn left(context: &Context, base: &State, best: &State) -> Option<Left> {
     parts.map(of).find(much)
 }
 
-/// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and what acts at the same place makes up for where it differs. Of a
-/// cause that is a finding the same goes for what else its law counts, a speed at which friction bends, a number of ripples in a turn.
+/// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and
+/// what acts at the same place makes up for where it differs. Of a cause that is a finding the same goes for
+/// what else its law counts, a speed at which friction bends, a number of ripples in a turn.
 fn outgrown(context: &Context, term: &Term, finding: bool) -> bool {
     let model = context.replayer.model();
     let at_bound = |p: usize| (term.effect).at_bound(model, &term.place, p, term.values[p]);
     sizes(term.effect).any(at_bound) || (finding && (0..term.values.len()).any(at_bound))
 }
 
-/// Parameters of an effect that say how large it is: the first, and those of the same unit (a centre of mass has three).
+/// Parameters of an effect that say how large it is: the first, and those of the same unit (a centre of mass
+/// has three).
 pub fn sizes(effect: &Effect) -> impl Iterator<Item = usize> + '_ {
     let unit = |p: usize| effect.parameters[p].unit;
     (0..effect.parameters.len())
         .filter(move |&p| p == 0 || (!unit(0).is_empty() && unit(p) == unit(0)))
 }
 
-/// Whether two effects act at one joint (link, foot, hinge), or on what cannot be told apart so: a link and a joint, the whole robot and a part of it.
+/// Whether two effects act at one joint (link, foot, hinge), or on what cannot be told apart so: a link and a
+/// joint, the whole robot and a part of it.
 pub fn meet(one: &Place, other: &Place) -> bool {
     let whole = |p: &Place| p.items.is_empty();
     one.domain != other.domain
@@ -205,8 +213,8 @@ pub fn meet(one: &Place, other: &Place) -> bool {
         || one.items.iter().any(|i| other.items.contains(i))
 }
 
-/// Whether what is wrong with an effect at one place may be made up for by one at the other: of many joints a link's mass and another joint's gain have nothing to do
-/// with each other.
+/// Whether what is wrong with an effect at one place may be made up for by one at the other: of many joints a
+/// link's mass and another joint's gain have nothing to do with each other.
 pub fn one_place(context: &Context, one: &Place, other: &Place) -> bool {
     (few_joints(context) || one.domain == other.domain) && meet(one, other)
 }
@@ -215,8 +223,8 @@ fn few_joints(context: &Context) -> bool {
     context.replayer.model().actuated().len() < MANY_JOINTS
 }
 
-/// Whether a law in the current of `joint` may be that of an effect at `place`: at the joint, and of `few` joints at whatever it may carry. What is left of a knee does not
-/// deny play at a girdle.
+/// Whether a law in the current of `joint` may be that of an effect at `place`: at the joint, and of `few`
+/// joints at whatever it may carry. What is left of a knee does not deny play at a girdle.
 fn acts_on(place: &Place, joint: usize, few: bool) -> bool {
     match place.domain {
         Domain::Joints => place.items.is_empty() || place.items.contains(&joint),

@@ -8,7 +8,8 @@ use super::state::{Context, State};
 use crate::extension::{self, Extension, ExtensionEffect, ExtensionParameter};
 use crate::report::{Cause, Parameter};
 
-/// The extension that the best model comes to: frames that are lost, and `causes`, which are in the order of `order`.
+/// The extension that the best model comes to: frames that are lost, and `causes`, which are in the order of
+/// `order`.
 pub fn extended(
     request: &Request,
     context: &Context,

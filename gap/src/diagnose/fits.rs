@@ -25,8 +25,8 @@ pub fn single(context: &Context, terms: Variant) -> Result<State, GapError> {
     Ok(states.swap_remove(0))
 }
 
-/// Misfit with what its parameters must have earned. A parameter of one joint can only earn where that joint is measured, so that it owes
-/// the less the more joints there are.
+/// Misfit with what its parameters must have earned. A parameter of one joint can only earn where that joint
+/// is measured, so that it owes the less the more joints there are.
 #[must_use]
 pub fn penalised(context: &Context, state: &State) -> f64 {
     let model = context.replayer.model();
@@ -129,7 +129,8 @@ pub fn polished(context: &Context, state: State) -> Result<State, GapError> {
     })
 }
 
-/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `without`: the model without the term.
+/// `state` with its term `index` replaced by each of `rivals`, refitted; the best fit of each. `without`: the
+/// model without the term.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].

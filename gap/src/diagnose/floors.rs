@@ -70,7 +70,8 @@ pub fn floors(context: &Context, screened: &[Screened], misfit: f64) -> BTreeMap
     out
 }
 
-/// The parameter that a grid point moves: of those that say how large the effect is, or, where none of them moves, of all.
+/// The parameter that a grid point moves: of those that say how large the effect is, or, where none of them
+/// moves, of all.
 fn main_parameter(effect: &Effect, point: &[f64], neutral: &[f64]) -> usize {
     let moved = |i: usize| (point[i] - neutral[i]).abs() / neutral[i].abs().max(1.0);
     let most = |of: &mut dyn Iterator<Item = usize>| {

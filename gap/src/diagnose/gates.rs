@@ -25,10 +25,11 @@ const FAR_GAIN: f64 = 0.03;
 const SEVERAL_BLOCKS: f64 = 2.0;
 /// … nor one that takes so much off held-out runs, to which nothing was fitted.
 const NEARLY_ALL: f64 = 0.8;
-/// Gain on the runs it was fitted to that leaves no doubt there, in what careful labs have to explain ([`quiet`]) …
+/// Gain on the runs it was fitted to that leaves no doubt there, in what careful labs have to explain
+/// ([`quiet`]) …
 const BEYOND_DOUBT: f64 = 0.9;
-/// … and as a share of what there was: held-out runs that hardly ask for an effect (an integral part, in a run that never stands) need only speak for it then, not
-/// prove it by themselves once more.
+/// … and as a share of what there was: held-out runs that hardly ask for an effect (an integral part, in a
+/// run that never stands) need only speak for it then, not prove it by themselves once more.
 const BEYOND_DOUBT_SHARE: f64 = 0.25;
 
 /// What a step is worth.
@@ -54,7 +55,8 @@ pub struct Worth {
     pub why: &'static str,
 }
 
-/// What going from `from` to `to` is worth, on the channels that `place` concerns: an effect of one joint is judged by that joint.
+/// What going from `from` to `to` is worth, on the channels that `place` concerns: an effect of one joint is
+/// judged by that joint.
 #[must_use]
 pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>) -> Worth {
     let joints = context.replayer.model().actuated().len();
@@ -79,7 +81,8 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let beyond_doubt = !context.same_runs
         && fit > BEYOND_DOUBT * quiet(context)
         && fit > BEYOND_DOUBT_SHARE * before;
-    // what held-out runs ask for in one second only is no incident if the others ask for it time and again, or if it is foretold there nearly to the end
+    // what held-out runs ask for in one second only is no incident if the others ask for it time and again,
+    // or if it is foretold there nearly to the end
     let fitted_blocks = || blocks(&falls(&context.fit, &own, &from.fit, &to.fit));
     let again = beyond_doubt && (holdout > NEARLY_ALL * of || fitted_blocks() >= SEVERAL_BLOCKS);
     let (sure, absolute) = if beyond_doubt {
@@ -119,8 +122,9 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     }
 }
 
-/// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain much, in two blocks or more (unless what it does
-/// there is what it did in the runs that were fitted: `again`), and lose nearly nowhere.
+/// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain
+/// much, in two blocks or more (unless what it does there is what it did in the runs that were fitted:
+/// `again`), and lose nearly nowhere.
 fn rare(gains: &[f64], holdout: f64, of: f64, again: bool) -> bool {
     let total: f64 = gains.iter().sum();
     let lost: f64 = gains.iter().filter(|g| **g < 0.0).map(|g| -g).sum();
@@ -139,7 +143,8 @@ fn falls(judge: &Judge, mask: &[bool], from: &On, to: &On) -> Vec<f64> {
     })
 }
 
-/// In how many blocks a gain is: their participation number, (Σg)²/Σg². 1: all in one; as many as there are: in all alike.
+/// In how many blocks a gain is: their participation number, (Σg)²/Σg². 1: all in one; as many as there are:
+/// in all alike.
 fn blocks(gains: &[f64]) -> f64 {
     let positive = || gains.iter().map(|g| g.max(0.0));
     let square: f64 = positive().map(|g| g * g).sum();
@@ -193,8 +198,8 @@ fn mean_of(mask: &[bool], on: &On) -> f64 {
     sum / f64::max(n, 1.0)
 }
 
-/// Samples by which an effect at `place` is judged: those that it concerns. Of a robot with many joints, an effect of all of it is judged where
-/// something is left to explain, if it is anywhere.
+/// Samples by which an effect at `place` is judged: those that it concerns. Of a robot with many joints, an
+/// effect of all of it is judged where something is left to explain, if it is anywhere.
 fn masked(joints: usize, judge: &Judge, from: &On, place: Option<&Place>) -> Vec<bool> {
     let mut mask = mask(judge, place);
     if joints < MANY_JOINTS || mask.contains(&false) {
@@ -230,8 +235,9 @@ fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
     sums
 }
 
-/// Mean of both misfits, by samples. Of a robot with many joints, each joint counts as [`CAREFUL_LAB`] at least: with one joint far off, a little of
-/// what every careful lab has in all the others must not weigh more than that joint.
+/// Mean of both misfits, by samples. Of a robot with many joints, each joint counts as [`CAREFUL_LAB`] at
+/// least: with one joint far off, a little of what every careful lab has in all the others must not weigh
+/// more than that joint.
 #[must_use]
 pub fn misfit(context: &Context, state: &State) -> f64 {
     let joints = context.replayer.model().actuated().len();
@@ -248,8 +254,8 @@ pub fn misfit(context: &Context, state: &State) -> f64 {
     clipped.sum::<f64>() / samples.max(1.0)
 }
 
-/// Misfit where it is greatest: of the channels of each joint by themselves, and of those of the body. A single bad joint of many hardly shows in
-/// the mean over all.
+/// Misfit where it is greatest: of the channels of each joint by themselves, and of those of the body. A
+/// single bad joint of many hardly shows in the mean over all.
 #[must_use]
 pub fn worst(context: &Context, state: &State) -> f64 {
     let both = [

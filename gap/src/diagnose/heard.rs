@@ -1,4 +1,5 @@
-//! Which command each servo acts on, told by current, angle and speed together, and how often a run is behind its repeats by it.
+//! Which command each servo acts on, told by current, angle and speed together, and how often a run is behind
+//! its repeats by it.
 
 use caudata_runlog::BaseHold;
 
@@ -7,7 +8,8 @@ use crate::trial::{Kind, Steps, Trial};
 
 /// Frames that ask for less are too small to be missed, rad …
 const LEAST_STEP_RAD: f64 = 0.008;
-/// … and those that ask for less than so many times what repeats differ by where next to nothing is asked for.
+/// … and those that ask for less than so many times what repeats differ by where next to nothing is asked
+/// for.
 const TIMES_NOISE: f64 = 8.0;
 /// Share of the samples, those with the smallest frames, by which noise is told.
 const QUIET_SHARE: f64 = 0.25;
@@ -15,7 +17,8 @@ const QUIET_SHARE: f64 = 0.25;
 const BEHIND_FRAMES: f64 = 0.5;
 /// … it was not before below this one, …
 const ABREAST: f64 = 0.3;
-/// … and it fell behind at one stroke if it is this far behind at once: what two runs drift apart by goes past the first one slowly.
+/// … and it fell behind at one stroke if it is this far behind at once: what two runs drift apart by goes
+/// past the first one slowly.
 const ONE_STROKE: f64 = 0.75;
 /// Rows by which what is measured may come after its command.
 const MOST_ROWS: usize = 4;
@@ -68,7 +71,8 @@ impl Tally {
         self.behind as f64 / self.times.max(1) as f64
     }
 
-    /// Whether a run that parts from its repeats is behind them and not as often ahead: what friction, play and supply make of repeats has no direction.
+    /// Whether a run that parts from its repeats is behind them and not as often ahead: what friction, play
+    /// and supply make of repeats has no direction.
     pub(super) fn lags(&self) -> bool {
         let (behind, ahead) = (self.behind_most as f64, self.ahead_of_most as f64);
         // samples of one burst are one
@@ -83,7 +87,8 @@ impl Tally {
     }
 }
 
-/// Runs that repeat each other, and the joint that tells most: the bus loses a frame of all joints at once, so that more of them would say the same again.
+/// Runs that repeat each other, and the joint that tells most: the bus loses a frame of all joints at once,
+/// so that more of them would say the same again.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Group<'a> {
     pub runs: &'a [Trial],
@@ -208,7 +213,8 @@ impl<'a> Together<'a> {
         })
     }
 
-    /// What was commanded so many rows before sample `k`, rad; none before the run began. Half a row on, so that stamps that jitter do not matter.
+    /// What was commanded so many rows before sample `k`, rad; none before the run began. Half a row on, so
+    /// that stamps that jitter do not matter.
     fn sent(&self, k: usize, rows: usize) -> Option<f64> {
         let before_s = (rows as f64 - 0.5) * self.command.frame_s;
         (self.since_s[k] >= before_s).then(|| self.command.at(self.time_s[k] - before_s))
@@ -220,7 +226,8 @@ impl<'a> Together<'a> {
         (sent(rows).zip(sent(rows + 1))).map_or(0.0, |(now, before)| now - before)
     }
 
-    /// Sum of squares of what was heard on the whole less what was sent so many rows before, and how many there are.
+    /// Sum of squares of what was heard on the whole less what was sent so many rows before, and how many
+    /// there are.
     fn off(&self, rows: usize) -> (f64, f64) {
         let mut sum = (0.0, 0.0);
         for (k, heard) in self.heard_rad.iter().enumerate() {
@@ -236,7 +243,8 @@ impl<'a> Together<'a> {
         sum
     }
 
-    /// What repeats differ by where next to nothing is asked for, rad: the quarter where they differ least, since after a burst they still do.
+    /// What repeats differ by where next to nothing is asked for, rad: the quarter where they differ least,
+    /// since after a burst they still do.
     fn noise_rad(&self, rows: usize) -> f64 {
         let mut by_step: Vec<(f64, f64)> = Vec::new();
         for (k, heard) in self.heard_rad.iter().enumerate() {

@@ -1,10 +1,13 @@
-//! The metric: how far a prediction is from what was measured, in units of what cannot be held against a model.
+//! The metric: how far a prediction is from what was measured, in units of what cannot be held against a
+//! model.
 //!
-//! A residual is divided by its noise ([`super::noise`]), and directions in which careful labs differ from run to run (a little more friction, a
-//! little less voltage, half a step of time) are taken as random with their tolerances: with N the traces of these nuisances at one tolerance
-//! each, the residual r is whitened to (I + κ²·N·n⁻¹·Nᵀ)^(−½)·r, run by run, n the number of samples of those joints that a nuisance shows at. The misfit
-//! is the mean square of that: 1 is the floor. What no nuisance explains stays. k tolerances of one come to at most (k/κ)²: one tolerance is little, many
-//! are a gap although a nuisance explains them. (With I + N·Nᵀ, which is what independent Gaussian noise would ask for, they come to k²/n: nothing,
+//! A residual is divided by its noise ([`super::noise`]), and directions in which careful labs differ from
+//! run to run (a little more friction, a little less voltage, half a step of time) are taken as random with
+//! their tolerances: with N the traces of these nuisances at one tolerance each, the residual r is whitened
+//! to (I + κ²·N·n⁻¹·Nᵀ)^(−½)·r, run by run, n the number of samples of those joints that a nuisance shows at.
+//! The misfit is the mean square of that: 1 is the floor. What no nuisance explains stays. k tolerances of
+//! one come to at most (k/κ)²: one tolerance is little, many are a gap although a nuisance explains them.
+//! (With I + N·Nᵀ, which is what independent Gaussian noise would ask for, they come to k²/n: nothing,
 //! whatever k.)
 
 use std::collections::BTreeMap;
@@ -24,11 +27,12 @@ use crate::trial::Kind;
 
 /// Mean square error of one channel in one run, in squared noises, that counts at most.
 const MOST_MISFIT: f64 = 80.0;
-/// With hinges that nobody drives, engines part by so many times (and not once) what halving the step changes: Rapier at 1 ms from the batch engine at
-/// 2 ms by 1.2 to 4.5 times on one day and 5.2 on another, in the spine of a salamander on a stand in which nothing is hidden. With 5 the second day is a
-/// gap.
+/// With hinges that nobody drives, engines part by so many times (and not once) what halving the step
+/// changes: Rapier at 1 ms from the batch engine at 2 ms by 1.2 to 4.5 times on one day and 5.2 on another,
+/// in the spine of a salamander on a stand in which nothing is hidden. With 5 the second day is a gap.
 const ENGINES_APART: f32 = 7.0;
-/// Nobody has measured how hard the ground is: what one of a quarter of the file's time constant changes belongs to the floor.
+/// Nobody has measured how hard the ground is: what one of a quarter of the file's time constant changes
+/// belongs to the floor.
 const HARDER_GROUND: f64 = 4.0;
 
 /// See [`shown_in`].
@@ -64,8 +68,8 @@ impl Judge {
         Ok(judge)
     }
 
-    /// Adds what the simulator's own settings do, beyond what nuisances explain, to the noise: of held runs what half its step does, of runs on the ground what
-    /// harder ground does. Whether that is anything.
+    /// Adds what the simulator's own settings do, beyond what nuisances explain, to the noise: of held runs
+    /// what half its step does, of runs on the ground what harder ground does. Whether that is anything.
     fn add_numerics(&mut self, replayer: &Replayer) -> Result<bool, GapError> {
         if self.data.trials.iter().all(|t| t.base == BaseHold::Water) {
             return Ok(false);
@@ -108,8 +112,8 @@ impl Judge {
         Ok(true)
     }
 
-    /// Only the stretches `keep` of `data`, which holds the same runs as `whole` cut otherwise, with the noise that they have there, around the robot
-    /// as given.
+    /// Only the stretches `keep` of `data`, which holds the same runs as `whole` cut otherwise, with the
+    /// noise that they have there, around the robot as given.
     ///
     /// # Errors
     /// As [`Replayer::predict`].
@@ -153,8 +157,8 @@ impl Judge {
         Ok(judge)
     }
 
-    /// What one tolerance of each nuisance does in each of `count` windows, sums of squares by nuisance and joint. `window`: that of each sample, or
-    /// anything from `count` on. `[N]` to `[count]`
+    /// What one tolerance of each nuisance does in each of `count` windows, sums of squares by nuisance and
+    /// joint. `window`: that of each sample, or anything from `count` on. `[N]` to `[count]`
     #[must_use]
     pub fn sensitivities(
         &self,
@@ -178,7 +182,8 @@ impl Judge {
         sums
     }
 
-    /// Raises the noise of channels in which the robot as given is hopelessly far off, so that no single one of them rules the fit.
+    /// Raises the noise of channels in which the robot as given is hopelessly far off, so that no single one
+    /// of them rules the fit.
     fn cap(&mut self, replayer: &Replayer) -> Result<(), GapError> {
         let base = replayer.predict(&self.data, &[Vec::new()])?.swap_remove(0);
         for piece in self.data.segments.iter().flat_map(|s| &s.pieces) {
@@ -360,8 +365,9 @@ fn pieces<'a>(data: &'a Data, range: &'a Range<usize>) -> impl Iterator<Item = &
         .flat_map(|s| &s.pieces)
 }
 
-/// Samples of those joints, and of the body, at which `trace` shows: whose mean square of it is at least [`SHOWS`] times the greatest. Misfits are judged
-/// joint by joint, and a delay of all commands must not count the more the fewer joints move.
+/// Samples of those joints, and of the body, at which `trace` shows: whose mean square of it is at least
+/// [`SHOWS`] times the greatest. Misfits are judged joint by joint, and a delay of all commands must not
+/// count the more the fewer joints move.
 fn shown_in(
     data: &Data,
     range: &Range<usize>,
@@ -382,7 +388,8 @@ fn shown_in(
     shown.map(|s| s.1).sum()
 }
 
-/// Whose misfit a piece belongs to: that of its joint, or, in the place after the last joint, that of the body.
+/// Whose misfit a piece belongs to: that of its joint, or, in the place after the last joint, that of the
+/// body.
 #[must_use]
 pub fn group(joints: usize, piece: &Piece) -> usize {
     if piece.kind.of_joint() {

@@ -1,9 +1,11 @@
-//! Whether what is left obeys a law: a model that has the right causes leaves what differs from run to run; one in which a cause stands in for another leaves
-//! the difference of two laws, and that comes again in every run.
+//! Whether what is left obeys a law: a model that has the right causes leaves what differs from run to run;
+//! one in which a cause stands in for another leaves the difference of two laws, and that comes again in
+//! every run.
 //!
-//! Motor currents say it, because they show forces where they act; what is left of angles has gone through the servo's loop, and comes again for right
-//! models too. Generic terms in angle, speed and error, which name nothing, are fitted to the whitened currents that are left of the runs that were fitted.
-//! What they foretell of held-out runs is lawful.
+//! Motor currents say it, because they show forces where they act; what is left of angles has gone through
+//! the servo's loop, and comes again for right models too. Generic terms in angle, speed and error, which
+//! name nothing, are fitted to the whitened currents that are left of the runs that were fitted. What they
+//! foretell of held-out runs is lawful.
 
 use nalgebra::DVector;
 
@@ -53,7 +55,8 @@ fn of_joint(context: &Context, state: &State, joint: usize) -> Option<Lawful> {
     })
 }
 
-/// Share of what is left in `held` that the terms foretell with weights fitted to what is left in `fitted`; none where they have no weights.
+/// Share of what is left in `held` that the terms foretell with weights fitted to what is left in `fitted`;
+/// none where they have no weights.
 fn foretold(fitted: &Rows, held: &Rows) -> Option<f64> {
     let mut gram = gram(&fitted.terms);
     stiffen(&mut gram, RIDGE);
@@ -171,7 +174,8 @@ mod tests {
 
     #[test]
     fn a_spring_a_drag_and_a_rub_are_among_the_terms() {
-        // a joint that goes from −1 to 1 rad: at 0.2 rad, 7 knots' widths of 2/7 rad, place (0.2 + 1)/2·7 = 4.2, so 0.8 of knot 4 and 0.2 of knot 5
+        // a joint that goes from −1 to 1 rad: at 0.2 rad, 7 knots' widths of 2/7 rad, place (0.2 + 1)/2·7 =
+        // 4.2, so 0.8 of knot 4 and 0.2 of knot 5
         let at = Motion {
             q_rad: 0.2,
             qd_radps: -3.0,

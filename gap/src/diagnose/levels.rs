@@ -1,8 +1,10 @@
 //! Misfits that mean something everywhere, in units of the floor (1 is what the tolerances allow).
 
-/// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the benchmark).
+/// Misfit below which the search ends. Tolerances are wide: careful labs stay at 0.1 to 0.3 (nulls of the
+/// benchmark).
 pub const CAREFUL_LAB: f64 = 0.4;
 /// A robot with so many joints is judged joint by joint, and first looked at on a scout.
 pub const MANY_JOINTS: usize = 5;
-/// Misfit below which nothing is left to explain. 1 is what the tolerances allow; careful labs stay below 0.3 (nulls of the benchmark).
+/// Misfit below which nothing is left to explain. 1 is what the tolerances allow; careful labs stay below 0.3
+/// (nulls of the benchmark).
 pub const NOTHING_LEFT: f64 = 0.8;

@@ -15,7 +15,8 @@ const LOOK_ALIKES: usize = 3;
 /// Most that a line's misfit may be, in that of the best.
 const LINE_FAR_BEHIND: f64 = 2.5;
 
-/// A model with one more effect: what that is worth, and the number of its parent, of the beam and then of the lines.
+/// A model with one more effect: what that is worth, and the number of its parent, of the beam and then of
+/// the lines.
 pub type Child = (State, Worth, usize);
 
 /// A model that goes on beside the best.
@@ -28,8 +29,9 @@ pub struct Line {
     pub says_more: bool,
 }
 
-/// The first of `children`, which come best first with their worth and the number of their parent, that gains on all runs and is not sure to on held-out
-/// ones, if it is ahead of every child of the first `firsts` parents that is sure to.
+/// The first of `children`, which come best first with their worth and the number of their parent, that gains
+/// on all runs and is not sure to on held-out ones, if it is ahead of every child of the first `firsts`
+/// parents that is sure to.
 pub fn promising(children: &[(State, Worth, usize)], firsts: usize) -> Option<Line> {
     let (state, _, _) = (children.iter())
         .take_while(|(_, w, number)| *number >= firsts || !w.passed)

@@ -1,10 +1,12 @@
 //! Frames of the command that did not arrive, told by what repeats differ by.
 //!
-//! Every run loses other frames, so that the mean of repeats shows next to nothing of it, and what repeats differ by is what noise is told by: a third of all frames
-//! may be lost, and simulation and measurement agree within what runs differ by. But current, angle and speed of a servo together say which command it acts on,
-//! whatever load it carries: its own law, solved for the command. Where that of one run falls behind that of its repeats at one stroke, by just what the last frame
-//! asked for, that frame did not arrive. Of three repeats two say which one is behind; what else they differ by puts a run ahead as
-//! often. How many did not, and how many in a row, is what the simulation must lose to fall behind as often and for as long.
+//! Every run loses other frames, so that the mean of repeats shows next to nothing of it, and what repeats
+//! differ by is what noise is told by: a third of all frames may be lost, and simulation and measurement
+//! agree within what runs differ by. But current, angle and speed of a servo together say which command it
+//! acts on, whatever load it carries: its own law, solved for the command. Where that of one run falls behind
+//! that of its repeats at one stroke, by just what the last frame asked for, that frame did not arrive. Of
+//! three repeats two say which one is behind; what else they differ by puts a run ahead as often. How many
+//! did not, and how many in a row, is what the simulation must lose to fall behind as often and for as long.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +19,8 @@ use crate::replay::{Data, Replayer, SegmentOptions, Term};
 use crate::report::{Cause, Parameter, Rejected};
 use crate::trial::{Steps, Trial};
 
-/// Share of samples that are behind where frames are lost; a lab that loses one frame in a thousand has 0.001 to 0.003, play up to 0.014.
+/// Share of samples that are behind where frames are lost; a lab that loses one frame in a thousand has 0.001
+/// to 0.003, play up to 0.014.
 const LEAST_BEHIND: f64 = 0.015;
 /// The same in held-out runs.
 const LEAST_BEHIND_HELD_OUT: f64 = 0.008;
@@ -46,8 +49,9 @@ pub struct Losses {
     held_out: Option<Tally>,
 }
 
-/// Looks for frames that were lost in the runs `fit` and `held_out` (none: the same runs) of a robot on a stand. None where none are, where repeats, speeds or
-/// currents are missing, or where the robot file says already that it loses some.
+/// Looks for frames that were lost in the runs `fit` and `held_out` (none: the same runs) of a robot on a
+/// stand. None where none are, where repeats, speeds or currents are missing, or where the robot file says
+/// already that it loses some.
 ///
 /// # Errors
 /// As [`Replayer::predict`].
@@ -106,7 +110,8 @@ impl Losses {
     pub fn cause(&self, confidence: f64) -> Cause {
         let n = self.fit.times as f64;
         let [share, burst] = [self.term.values[0], self.term.values[1]];
-        // n bursts whose lengths are those of a coin that is tossed: a length varies by 1 − 1/burst of itself squared, their number by chance
+        // n bursts whose lengths are those of a coin that is tossed: a length varies by 1 − 1/burst of itself
+        // squared, their number by chance
         let of_lengths = (1.0 - 1.0 / burst) / n;
         let half_share = 1.96 * share * (1.0 / n + of_lengths).sqrt();
         let half_burst = 1.96 * burst * of_lengths.sqrt();
@@ -163,13 +168,15 @@ impl Losses {
     }
 }
 
-/// The share of frames, and their mean number in a row, that the simulation must lose to be behind as often as `measured` and for as long; none where it never is.
+/// The share of frames, and their mean number in a row, that the simulation must lose to be behind as often
+/// as `measured` and for as long; none where it never is.
 fn like(
     replayer: &Replayer,
     groups: &[Group],
     measured: &Tally,
 ) -> Result<Option<(f64, f64)>, GapError> {
-    // for each length of bursts: the share at which the simulation is behind as often, and for how long it is then
+    // for each length of bursts: the share at which the simulation is behind as often, and for how long it is
+    // then
     let mut rows: Vec<(f64, f64, f64)> = Vec::new();
     for burst in BURSTS {
         let mut often = Vec::new();
@@ -193,7 +200,8 @@ fn like(
     Ok(burst.and_then(|burst| Some((between(&shares, burst)?, burst))))
 }
 
-/// On the line through `points` (x, y) where it passes `x` first; at an end where it does not. None without points.
+/// On the line through `points` (x, y) where it passes `x` first; at an end where it does not. None without
+/// points.
 fn between(points: &[(f64, f64)], x: f64) -> Option<f64> {
     let passes = |w: &&[(f64, f64)]| (w[0].0..=w[1].0).contains(&x);
     if let Some(w) = points.windows(2).find(passes) {
@@ -271,7 +279,8 @@ fn simulated(
     Ok(Some(tally))
 }
 
-/// Which of so many frames are lost, by a bus with two states. `share` is at most that of single frames between such that arrive, one half, if `burst` is 1.
+/// Which of so many frames are lost, by a bus with two states. `share` is at most that of single frames
+/// between such that arrive, one half, if `burst` is 1.
 fn drawn(frames: usize, share: f64, burst: f64, stream: &mut Stream) -> Vec<bool> {
     let mut lost = false;
     (0..frames)
@@ -286,7 +295,8 @@ fn drawn(frames: usize, share: f64, burst: f64, stream: &mut Stream) -> Vec<bool
         .collect()
 }
 
-/// `sent` as it is heard where the frames that `lost` says, counted from `from_s`, do not arrive: what holds is sent again with the next one.
+/// `sent` as it is heard where the frames that `lost` says, counted from `from_s`, do not arrive: what holds
+/// is sent again with the next one.
 fn lose(sent: &Steps, from_s: f64, lost: &[bool]) -> Steps {
     let mut heard = Steps {
         frame_s: sent.frame_s,
@@ -318,7 +328,8 @@ mod tests {
 
     #[test]
     fn runs_that_part_from_their_repeats_lose_frames_if_they_fall_behind() {
-        // 4 % of the samples are behind in bursts of 4; where one of three parts from the others it is behind them 150 times
+        // 4 % of the samples are behind in bursts of 4; where one of three parts from the others it is behind
+        // them 150 times
         let lossy = Tally {
             samples: 4000,
             behind: 160,
@@ -328,7 +339,8 @@ mod tests {
             ahead_of_most: 10,
         };
         assert!(shown(&lossy, None));
-        // friction lets go sooner in one run and later in another: ahead as often; √(160·4)·3 = 76 is what chance may give
+        // friction lets go sooner in one run and later in another: ahead as often; √(160·4)·3 = 76 is what
+        // chance may give
         let either_way = Tally {
             behind_most: 100,
             ahead_of_most: 60,

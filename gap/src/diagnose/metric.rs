@@ -6,8 +6,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::product::dot;
 
-/// κ: a nuisance of so many tolerances is as large as the floor. Of a healthy salamander's on a stand one in ten is beyond 0.7
-/// (current) to 3.9 (loop).
+/// κ: a nuisance of so many tolerances is as large as the floor. Of a healthy salamander's on a stand one in
+/// ten is beyond 0.7 (current) to 3.9 (loop).
 const TOLERANCES: f64 = 4.0;
 /// A nuisance that does less than this (its share of the floor at κ tolerances) does nothing.
 const LEAST_TRACE: f64 = 1e-5;

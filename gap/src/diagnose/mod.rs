@@ -1,7 +1,8 @@
 //! From runs to a verdict.
 //!
-//! Noise floor, divergence, screening, refinement, greedy extension with deletion and swaps, gates on held-out runs, answer sets, detection floors,
-//! leftovers, the next experiment. Deterministic: the only randomness is resampling, from a seed.
+//! Noise floor, divergence, screening, refinement, greedy extension with deletion and swaps, gates on
+//! held-out runs, answer sets, detection floors, leftovers, the next experiment. Deterministic: the only
+//! randomness is resampling, from a seed.
 
 mod alike;
 mod constancy;
@@ -55,8 +56,8 @@ pub use request::{Diagnosis, Options, Progress, Request, Split, Stage};
 /// Diagnoses.
 ///
 /// # Errors
-/// [`GapError`] where the robot or a run cannot be used at all; [`GapError::Stopped`] soon after [`Options::go_on`] says so. Whatever the data say about
-/// themselves is a verdict, not an error.
+/// [`GapError`] where the robot or a run cannot be used at all; [`GapError::Stopped`] soon after
+/// [`Options::go_on`] says so. Whatever the data say about themselves is a verdict, not an error.
 pub fn diagnose(
     request: &Request,
     progress: &mut dyn FnMut(Progress),

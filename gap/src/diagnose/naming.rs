@@ -1,4 +1,5 @@
-//! Naming: which effects would explain as much in a cause's place. A cause is a set of names with probabilities, not a name.
+//! Naming: which effects would explain as much in a cause's place. A cause is a set of names with
+//! probabilities, not a name.
 
 use std::collections::BTreeSet;
 
@@ -28,14 +29,17 @@ const UNNAMED: f64 = 0.2;
 const LAYER_KNOWN: f64 = 0.6;
 /// Where much is left unexplained, a cause must take this share off the misfit of its joint, …
 const LEAST_SHARE_IN_PART: f64 = 0.08;
-/// … and where it takes less than this one off, be sure to take any. What takes less off than this beside a greater cause ([`takes_most`]) is a lead and no finding
-/// ([`leads`]): of the benchmark's second names (seeds 73, 79 and 83) 23 such were wrong and 2 right; of those with more, 13 (8 of them beside what is not in the
-/// catalogue) and 29.
+/// … and where it takes less than this one off, be sure to take any. What takes less off than this beside a
+/// greater cause ([`takes_most`]) is a lead and no finding ([`leads`]): of the benchmark's second names
+/// (seeds 73, 79 and 83) 23 such were wrong and 2 right; of those with more, 13 (8 of them beside what is not
+/// in the catalogue) and 29.
 const GREAT_SHARE: f64 = 0.5;
-/// The same of the runs that are fitted, where they ask for it more: of 19 wrong leads (pairs and laws outside the catalogue, seeds 101 to 113) none took more than
-/// 0.51 off those, and three of four right ones 0.69 to 0.82.
+/// The same of the runs that are fitted, where they ask for it more: of 19 wrong leads (pairs and laws
+/// outside the catalogue, seeds 101 to 113) none took more than 0.51 off those, and three of four right ones
+/// 0.69 to 0.82.
 const GREAT_SHARE_OF_FIT: f64 = 0.6;
-/// Two look-alikes are both there if together they take this share off what the cause alone leaves of the runs that are fitted …
+/// Two look-alikes are both there if together they take this share off what the cause alone leaves of the
+/// runs that are fitted …
 const MORE_TOGETHER: f64 = 0.25;
 /// … and this one off what it leaves of held-out runs.
 const MORE_TOGETHER_HELD_OUT: f64 = 0.2;
@@ -74,12 +78,14 @@ pub struct Named {
     pub probability: f64,
 }
 
-/// Finds the rivals of every cause. Causes that turn out to be none, or to have a better name, are put right on the way.
+/// Finds the rivals of every cause. Causes that turn out to be none, or to have a better name, are put right
+/// on the way.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
 pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError> {
-    // Ends: a step either makes the model smaller or leads to one that was not the best before, and after some steps only causes are dropped.
+    // Ends: a step either makes the model smaller or leads to one that was not the best before, and after
+    // some steps only causes are dropped.
     let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
     let mut steps = 0;
     'again: loop {
@@ -106,7 +112,8 @@ pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError
     }
 }
 
-/// The model that should be the best instead, by what the rivals of one of its causes are and unless it was before; none where that cause stands.
+/// The model that should be the best instead, by what the rivals of one of its causes are and unless it was
+/// before; none where that cause stands.
 fn put_right(
     context: &Context,
     found: &Found,
@@ -124,8 +131,9 @@ fn put_right(
     Ok(both(context, best, named)?.filter(new))
 }
 
-/// The one of `rivals` that says the same as the cause in `named` with less, which is the first to be believed: with fewer parameters, or, where nothing at all tells them
-/// apart, without several joints that have the same size of an effect by chance.
+/// The one of `rivals` that says the same as the cause in `named` with less, which is the first to be
+/// believed: with fewer parameters, or, where nothing at all tells them apart, without several joints that
+/// have the same size of an effect by chance.
 fn simpler(context: &Context, best: &State, named: &Named, rivals: &[&Rival]) -> Option<State> {
     let model = context.replayer.model();
     let size = |s: &State| (s.parameters(model), chances(s));
@@ -135,7 +143,8 @@ fn simpler(context: &Context, best: &State, named: &Named, rivals: &[&Rival]) ->
             return indistinguishable(best, &r.state);
         }
         if wider(r.state.terms[r.index].effect, own.effect) {
-            // what the wider law has beyond its special case must earn its place as a further cause beside it would
+            // what the wider law has beyond its special case must earn its place as a further cause beside it
+            // would
             let more = gates::worth(context, &r.state, best, Some(&own.place));
             return !more.passed || is_a_lead(context, &more);
         }
@@ -153,7 +162,8 @@ fn simpler(context: &Context, best: &State, named: &Named, rivals: &[&Rival]) ->
     Some(first.state.clone())
 }
 
-/// How many joints have the size of another one by chance: places of effects of joints that are several joints.
+/// How many joints have the size of another one by chance: places of effects of joints that are several
+/// joints.
 fn chances(state: &State) -> usize {
     let of_joints = state
         .terms
@@ -164,7 +174,8 @@ fn chances(state: &State) -> usize {
         .sum()
 }
 
-/// The one of `rivals` that is far more probable than the cause in `named`, says it with as little, and would be a cause in its place.
+/// The one of `rivals` that is far more probable than the cause in `named`, says it with as little, and would
+/// be a cause in its place.
 fn more_probable(
     context: &Context,
     found: &Found,
@@ -198,8 +209,8 @@ fn is_a_cause(context: &Context, found: &Found, named: &Named) -> bool {
     enough_in_part(context, found, &found.best, &named.worth)
 }
 
-/// Whether a cause that is worth `worth` in `best` explains enough: what takes little off where much is left, or is not sure to take any off a joint of which much is left,
-/// stands in for what is not in the catalogue.
+/// Whether a cause that is worth `worth` in `best` explains enough: what takes little off where much is left,
+/// or is not sure to take any off a joint of which much is left, stands in for what is not in the catalogue.
 fn enough_in_part(context: &Context, found: &Found, best: &State, worth: &Worth) -> bool {
     if worth.holdout <= 0.0 {
         return false;
@@ -213,8 +224,9 @@ fn enough_in_part(context: &Context, found: &Found, best: &State, worth: &Worth)
     share >= LEAST_SHARE_IN_PART && sure
 }
 
-/// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says far more than alone: two look-alikes that are both there leave
-/// little of each other, less than what ends the search.
+/// The model with a rival of the answer set beside the cause in `named`, if there is one with which it says
+/// far more than alone: two look-alikes that are both there leave little of each other, less than what ends
+/// the search.
 fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>, GapError> {
     let term = &best.terms[named.index];
     let other = |r: &&Rival| {
@@ -264,13 +276,15 @@ fn takes_most(worth: &Worth) -> bool {
     worth.holdout >= GREAT_SHARE * worth.of || worth.fit >= GREAT_SHARE_OF_FIT * worth.fit_of
 }
 
-/// Whether what is worth `worth` on top of a greater cause at its place makes the model better and may as well make up for what that one's law lacks: it takes less off
-/// than it leaves. Of what careful labs leave in any case a share says nothing.
+/// Whether what is worth `worth` on top of a greater cause at its place makes the model better and may as
+/// well make up for what that one's law lacks: it takes less off than it leaves. Of what careful labs leave
+/// in any case a share says nothing.
 fn is_a_lead(context: &Context, worth: &Worth) -> bool {
     worth.of > gates::quiet(context) && !takes_most(worth)
 }
 
-/// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`], with all others in the model).
+/// Which of the causes in `order`, greatest first, are leads and no findings ([`is_a_lead`], with all others
+/// in the model).
 pub fn leads(context: &Context, best: &State, order: &[&Named]) -> Vec<bool> {
     let mut out: Vec<bool> = Vec::new();
     for (k, n) in order.iter().enumerate() {

@@ -1,4 +1,5 @@
-//! What cannot be reproduced: noise of each channel in each run, from repeats where there are some, else from counts and jitter.
+//! What cannot be reproduced: noise of each channel in each run, from repeats where there are some, else from
+//! counts and jitter.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +9,8 @@ use caudata_runlog::BaseHold;
 use crate::replay::{Data, Piece};
 use crate::trial::{Channel, Kind, Trial};
 
-/// Share of a signal's own size that no simulation is expected to hit. Speeds come from a servo's own estimator, currents from its driver.
+/// Share of a signal's own size that no simulation is expected to hit. Speeds come from a servo's own
+/// estimator, currents from its driver.
 fn relative(kind: Kind) -> f64 {
     match kind {
         Kind::Velocity | Kind::Gyro => 0.03,
@@ -18,7 +20,8 @@ fn relative(kind: Kind) -> f64 {
     }
 }
 
-/// A servo that gives next to no torque reads its idle current, one way or the other: up to so many times that, a reading tells no more than that.
+/// A servo that gives next to no torque reads its idle current, one way or the other: up to so many times
+/// that, a reading tells no more than that.
 const IDLE: f64 = 1.3;
 /// Repeats that differ this many times more than usual in a block have been disturbed.
 const DISTURBED: f64 = 10.0;
@@ -34,8 +37,8 @@ pub struct Noise {
     pub sigma: Vec<f32>,
     /// Standard deviation of what repeats differ by alone, by (trial, kind, index), SI.
     pub repeat: BTreeMap<(usize, Kind, usize), f64>,
-    /// Standard deviation of what a sensor adds from one sample to the next alone, by (trial, kind, index), SI:
-    /// counts and jitter.
+    /// Standard deviation of what a sensor adds from one sample to the next alone, by (trial, kind, index),
+    /// SI: counts and jitter.
     pub white: BTreeMap<(usize, Kind, usize), f64>,
     /// One run less the mean of its repeats, in units of `sigma`; 0 where there are no repeats. `[N]`
     pub difference: Vec<f32>,
@@ -99,7 +102,8 @@ impl Noise {
                 ))
             })
             .collect();
-        // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes from there
+        // where a swimmer was when the stretch began is known of each run: repeats differ by where it goes
+        // from there
         let swims = own.base == BaseHold::Water && piece.kind.of_place(piece.index);
         let began: Vec<f64> = (members.iter())
             .map(|(shift, c)| {
@@ -151,7 +155,8 @@ impl Noise {
     }
 }
 
-/// What the repeat `channel`, `shift_s` later, reads where the stretch of `piece` begins: the mean of a few samples.
+/// What the repeat `channel`, `shift_s` later, reads where the stretch of `piece` begins: the mean of a few
+/// samples.
 fn began_at(data: &Data, piece: &Piece, shift_s: f64, channel: &Channel) -> f64 {
     let stamps = &data.time_s[piece.range.clone()];
     let few = &stamps[..stamps.len().min(BEGINS)];
@@ -169,7 +174,8 @@ fn in_all_stretches(data: &Data, trial: usize, piece: &Piece) -> Vec<f64> {
         .collect()
 }
 
-/// Stretches in which one of at least three repeats departs from the others far more than usual: (trial, from, to), s.
+/// Stretches in which one of at least three repeats departs from the others far more than usual: (trial,
+/// from, to), s.
 #[must_use]
 pub fn disturbed(trials: &[Trial]) -> Vec<(usize, f64, f64)> {
     let mut levels: Vec<(f64, usize, f64, f64)> = Vec::new();

@@ -18,8 +18,8 @@ const TIME_TOLERANCE_S: f64 = 0.0007;
 const GAINS_TOLERANCE: f64 = 0.01;
 /// Supply by this share.
 const SUPPLY_TOLERANCE: f64 = 0.015;
-/// When within its loop a servo reads its current, and over how long: s. Between two commands the torque falls as the joint follows, so that this is a current
-/// in proportion to the speed.
+/// When within its loop a servo reads its current, and over how long: s. Between two commands the torque
+/// falls as the joint follows, so that this is a current in proportion to the speed.
 const READING_TOLERANCE_S: f64 = 0.002;
 /// Ground friction by this share.
 const GROUND_TOLERANCE: f64 = 0.1;

@@ -1,8 +1,10 @@
-//! What putting a free robot back to its measured state costs, over and over: measured on the simulator itself.
+//! What putting a free robot back to its measured state costs, over and over: measured on the simulator
+//! itself.
 //!
-//! A free robot is replayed in short stretches, each from what was measured at its start. Counts, noise, and what nobody measures (how hard each
-//! foot presses, where play hangs) make even a perfect model miss. So the model's own long run is taken for a recording, counted and sampled like
-//! the real one, and replayed in the same stretches: by how much it misses itself is no fault of a model.
+//! A free robot is replayed in short stretches, each from what was measured at its start. Counts, noise, and
+//! what nobody measures (how hard each foot presses, where play hangs) make even a perfect model miss. So the
+//! model's own long run is taken for a recording, counted and sampled like the real one, and replayed in the
+//! same stretches: by how much it misses itself is no fault of a model.
 
 use std::collections::BTreeMap;
 
@@ -14,9 +16,11 @@ use crate::error::GapError;
 use crate::replay::{Data, Piece, Replayer, SegmentOptions};
 use crate::trial::Kind;
 
-/// So many times its own miss is what a model of a free robot may be off: its misfit is then that of a careful lab on a stand (0.2 to 0.3), so that the same
-/// thresholds hold for all. A healthy swimmer that another engine simulates is off by 1.5 to 3.5 times its own miss. On the ground what is not known of its
-/// hardness comes on top; with 1.5 and that, two healthy robots of stiff girdles ended as `insufficient_data`.
+/// So many times its own miss is what a model of a free robot may be off: its misfit is then that of a
+/// careful lab on a stand (0.2 to 0.3), so that the same thresholds hold for all. A healthy swimmer that
+/// another engine simulates is off by 1.5 to 3.5 times its own miss. On the ground what is not known of its
+/// hardness comes on top; with 1.5 and that, two healthy robots of stiff girdles ended as
+/// `insufficient_data`.
 fn misses_allowed(base: BaseHold) -> f64 {
     match base {
         BaseHold::Water => 2.5,
@@ -101,9 +105,11 @@ pub fn add_own_misses(
     Ok(())
 }
 
-/// Noise of the channel of `piece` in a run, from the quietest of its samples in its first stretch that counts. It is more than a sensor adds from sample to
-/// sample (no noise is believed to be finer than a millimetre, 0.05 rad/s, …), and on the ground it must be: there it stands for what two engines make of the
-/// same contact. With a sensor's own noise, which is enough in water, two healthy robots are 0.9 and 1.9 floors off, by how body and tail drag along.
+/// Noise of the channel of `piece` in a run, from the quietest of its samples in its first stretch that
+/// counts. It is more than a sensor adds from sample to sample (no noise is believed to be finer than a
+/// millimetre, 0.05 rad/s, …), and on the ground it must be: there it stands for what two engines make of the
+/// same contact. With a sensor's own noise, which is enough in water, two healthy robots are 0.9 and 1.9
+/// floors off, by how body and tail drag along.
 fn quietest(noise: &Noise, data: &Data, trial: usize, piece: &Piece) -> f64 {
     data.segments
         .iter()

@@ -36,7 +36,8 @@ pub fn gram(columns: &[Vec<f32>]) -> DMatrix<f64> {
     out
 }
 
-/// Adds `of_own` of itself, and a share of the largest entry that keeps the matrix definite, to each entry of the diagonal.
+/// Adds `of_own` of itself, and a share of the largest entry that keeps the matrix definite, to each entry of
+/// the diagonal.
 pub fn stiffen(gram: &mut DMatrix<f64>, of_own: f64) {
     let most = gram.diagonal().iter().copied().fold(1e-12, f64::max);
     for i in 0..gram.nrows() {

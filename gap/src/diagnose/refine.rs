@@ -1,4 +1,5 @@
-//! Refinement: least squares (Levenberg–Marquardt with bounds) of many candidates in step with each other, so that their simulations share lanes.
+//! Refinement: least squares (Levenberg–Marquardt with bounds) of many candidates in step with each other, so
+//! that their simulations share lanes.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -42,7 +43,8 @@ struct Fit {
     done: bool,
 }
 
-/// Fits every parameter of every candidate to the runs of `judge`. Gives the fitted candidates with their misfits, in the same order.
+/// Fits every parameter of every candidate to the runs of `judge`. Gives the fitted candidates with their
+/// misfits, in the same order.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].

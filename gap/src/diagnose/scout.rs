@@ -1,9 +1,9 @@
-//! A scout: the few stretches of long recordings that tell most. Screening and the first fits of many candidates look at these alone; whoever does
-//! well there is fitted to everything.
+//! A scout: the few stretches of long recordings that tell most. Screening and the first fits of many
+//! candidates look at these alone; whoever does well there is fitted to everything.
 //!
-//! Stretches are chosen one by one so that together they show as much as possible of every nuisance at every joint, and of what the robot as given
-//! fails to explain: each adds the logarithm of what it shows to what the others show already, so that ten stretches of the same motion are not
-//! worth ten times one.
+//! Stretches are chosen one by one so that together they show as much as possible of every nuisance at every
+//! joint, and of what the robot as given fails to explain: each adds the logarithm of what it shows to what
+//! the others show already, so that ten stretches of the same motion are not worth ten times one.
 
 use super::judge::{Judge, group};
 use super::levels::MANY_JOINTS;
@@ -72,7 +72,8 @@ impl Scout {
     }
 }
 
-/// What each window shows: of each nuisance at each joint, and, in the last places, of what is left at each joint and at the body. `[W][F]`
+/// What each window shows: of each nuisance at each joint, and, in the last places, of what is left at each
+/// joint and at the body. `[W][F]`
 fn shown(replayer: &Replayer, whole: &Judge, windows: &Data) -> Result<Vec<Vec<f64>>, GapError> {
     let joints = replayer.model().actuated().len();
     let count = windows.segments.len();
@@ -168,8 +169,8 @@ mod tests {
 
     #[test]
     fn what_nobody_shows_yet_comes_before_more_of_the_same() {
-        // eleven windows shake one joint, each as hard as can be; one moves the other joint a little: ln(1 + 20/1) = 3.0 for it against
-        // ln(1 + 1000/1001) = 0.7 for the second of the loud ones
+        // eleven windows shake one joint, each as hard as can be; one moves the other joint a little: ln(1 +
+        // 20/1) = 3.0 for it against ln(1 + 1000/1001) = 0.7 for the second of the loud ones
         let mut shown = vec![vec![1000.0, 0.0]; 12];
         shown[6] = vec![0.0, 20.0];
         let keep = chosen(&windows(12), &shown);

@@ -1,7 +1,8 @@
 //! Screening: what would each effect at each place explain of what is left, by its traces at a grid of sizes.
 //!
-//! One trace per size serves for all places of a joint effect at once: all joints get it together, and each joint's channels are judged on
-//! their own. (Joints of a held robot hardly move each other; whoever passes is fitted in earnest afterwards.)
+//! One trace per size serves for all places of a joint effect at once: all joints get it together, and each
+//! joint's channels are judged on their own. (Joints of a held robot hardly move each other; whoever passes
+//! is fitted in earnest afterwards.)
 
 use super::judge::{Judge, concerns};
 use std::borrow::Cow;
@@ -71,7 +72,8 @@ pub fn screen(context: &Context, state: &State) -> Result<Vec<Screened>, GapErro
         basis: &state.basis,
         dilution: context.scout.as_ref().map_or(1.0, |s| s.dilution),
     };
-    // what takes long to build up shows in whole runs only (what other parameters can do there is not known, and not asked)
+    // what takes long to build up shows in whole runs only (what other parameters can do there is not known,
+    // and not asked)
     let whole = Look {
         judge: &context.fit,
         on: &state.fit,
@@ -118,7 +120,8 @@ fn judged_places(context: &Context, effect: &'static Effect, simulated: &Place) 
     }
 }
 
-/// Where candidates are looked at: runs, how the present model does on them, and what its parameters can do there.
+/// Where candidates are looked at: runs, how the present model does on them, and what its parameters can do
+/// there.
 struct Look<'a> {
     judge: &'a Judge,
     on: &'a On,

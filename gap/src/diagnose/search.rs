@@ -1,11 +1,14 @@
-//! The search for causes: add the best, refit all, try to delete, try look-alikes; a beam of candidates side by side.
+//! The search for causes: add the best, refit all, try to delete, try look-alikes; a beam of candidates side
+//! by side.
 //!
-//! Which of several look-alikes it is may show only when the next cause, or the one after it, stands beside it. So where much is left, look-alikes of what
-//! was found go on beside it as lines of their own, each in the place of what it looks like; what a line adds must be worth it there, and a line takes
-//! over when it has become better than the best so far by the same gates.
+//! Which of several look-alikes it is may show only when the next cause, or the one after it, stands beside
+//! it. So where much is left, look-alikes of what was found go on beside it as lines of their own, each in
+//! the place of what it looks like; what a line adds must be worth it there, and a line takes over when it
+//! has become better than the best so far by the same gates.
 //!
-//! Two causes that make up for each other (a motor that is stronger than its manual says, and saturates) each do little alone. So where much is left, the
-//! candidate that explains most of those whose gain on held-out runs is not certain yet goes on as a line too.
+//! Two causes that make up for each other (a motor that is stronger than its manual says, and saturates) each
+//! do little alone. So where much is left, the candidate that explains most of those whose gain on held-out
+//! runs is not certain yet goes on as a line too.
 
 use std::collections::BTreeSet;
 
@@ -32,8 +35,8 @@ const FITTED_LATER: usize = 6;
 const PLACES: usize = 2;
 /// A candidate whose misfit is so many times that of the best is given up.
 const FAR_BEHIND: f64 = 1.5;
-/// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail grows with what it has
-/// (unless the misfit is still far from the floor).
+/// A further effect must explain this share of what the robot as given fails to: what a model lacks in detail
+/// grows with what it has (unless the misfit is still far from the floor).
 const OF_ALL: f64 = 0.035;
 /// … and where the misfit is above this many floors, which no detail of a law comes to, …
 const MUCH: f64 = 2.5;
@@ -48,7 +51,8 @@ pub struct Found {
     pub best: State,
     /// Screening on top of the robot as given.
     pub first: Vec<Screened>,
-    /// Single effects that were fitted to what the robot as given leaves, best first, with what they are worth.
+    /// Single effects that were fitted to what the robot as given leaves, best first, with what they are
+    /// worth.
     pub singles: Vec<(State, Worth)>,
     /// Effects whose gates failed only on held-out runs, on top of the best.
     pub refused: Vec<(State, Worth)>,
@@ -99,7 +103,8 @@ pub fn search(
     if !found.best.terms.is_empty() {
         let terms = found.best.terms.clone();
         rebase(context, &terms, &mut [&mut found.base, &mut found.best])?;
-        // the metric has changed: what is deleted is compared with what is fitted by the new one, and must be as well
+        // the metric has changed: what is deleted is compared with what is fitted by the new one, and must be
+        // as well
         found.best = polished(context, found.best)?;
         let count = found.best.terms.len();
         found.best = delete(context, &found.base, found.best)?;
@@ -163,7 +168,8 @@ impl Search {
         Ok(children)
     }
 
-    /// Takes the best of `children`. Whether there is a new best; without one, lines that may still overtake it go on.
+    /// Takes the best of `children`. Whether there is a new best; without one, lines that may still overtake
+    /// it go on.
     fn step(
         &mut self,
         context: &Context,
@@ -269,8 +275,9 @@ fn last_place(state: &State) -> Option<&Place> {
     state.terms.last().map(|t| &t.place)
 }
 
-/// Whether the child of a line, whose parent was not better than `best`, is: by what it adds to its parent (`good`) and certainly ahead of the best, or by
-/// all gates between the best and itself, whatever its steps were worth one by one.
+/// Whether the child of a line, whose parent was not better than `best`, is: by what it adds to its parent
+/// (`good`) and certainly ahead of the best, or by all gates between the best and itself, whatever its steps
+/// were worth one by one.
 fn overtakes(
     context: &Context,
     base: &State,

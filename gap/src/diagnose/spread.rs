@@ -11,10 +11,11 @@ use crate::plots::Correlation;
 use crate::replay::Term;
 use crate::report::Parameter;
 
-/// Half an interval is at least this part of the smallest change that matters: labs differ by more than the noise of one session …
+/// Half an interval is at least this part of the smallest change that matters: labs differ by more than the
+/// noise of one session …
 const FINEST: f64 = 0.35;
-/// … and this part of the effect: the law that is fitted is not quite nature's (on the benchmark, whose laws are others, one error in two is
-/// larger than 4 %) …
+/// … and this part of the effect: the law that is fitted is not quite nature's (on the benchmark, whose laws
+/// are others, one error in two is larger than 4 %) …
 const LAW: f64 = 0.1;
 /// … and more where the model fits worse than careful labs do (misfit of nulls of the benchmark).
 const GOOD_MISFIT: f64 = 0.2;
@@ -26,11 +27,13 @@ const FEWEST_RUNS: usize = 3;
 pub struct Spread {
     /// `[P, P]`, SI.
     pub covariance: DMatrix<f64>,
-    /// Variances with residuals that hang together within a second, or within a whole run: the larger. `[P]`, SI².
+    /// Variances with residuals that hang together within a second, or within a whole run: the larger. `[P]`,
+    /// SI².
     variance: Vec<f64>,
 }
 
-/// The parameters of one term with their 95 % intervals. `wider`: variances of them that are larger than `spread` says, SI², if any (see [`beside`]).
+/// The parameters of one term with their 95 % intervals. `wider`: variances of them that are larger than
+/// `spread` says, SI², if any (see [`beside`]).
 pub fn parameters(
     context: &Context,
     best: &State,
@@ -49,7 +52,8 @@ pub fn parameters(
         let variance = spread.variance.get(offset + p).copied().unwrap_or(0.0);
         let wider = wider.get(p).copied().unwrap_or(0.0);
         let sd = variance.max(wider).max(0.0).sqrt();
-        // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a part of what matters
+        // what the model still gets wrong pulls at its parameters as well; and no interval is finer than a
+        // part of what matters
         let poor = (best.fit.misfit / GOOD_MISFIT).max(1.0).sqrt();
         let half = (1.96 * sd * poor)
             .hypot(FINEST * term.effect.scale(model, &term.place, p).abs())
@@ -68,8 +72,9 @@ pub fn parameters(
     out
 }
 
-/// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block. Friction and supply differ from run to run
-/// and hold for all of it, so that whole runs are taken for blocks too.
+/// (JᵀJ)⁻¹·(Σ over blocks of score·scoreᵀ)·(JᵀJ)⁻¹: holds where residuals hang together within a block.
+/// Friction and supply differ from run to run and hold for all of it, so that whole runs are taken for blocks
+/// too.
 pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spread {
     let none = Spread {
         covariance: DMatrix::zeros(0, 0),
@@ -117,8 +122,9 @@ pub fn spread(context: &Context, best: &State, derivatives: &Derivatives) -> Spr
     }
 }
 
-/// Variances of the parameters of term `index`, SI², if `rivals`, which explain the runs about as well in its place, may be there beside it: each with
-/// the size that it would need alone as the standard deviation of what is known of it beforehand. Empty where that says nothing.
+/// Variances of the parameters of term `index`, SI², if `rivals`, which explain the runs about as well in its
+/// place, may be there beside it: each with the size that it would need alone as the standard deviation of
+/// what is known of it beforehand. Empty where that says nothing.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].

@@ -68,7 +68,8 @@ pub struct State {
     pub scout: Option<On>,
     /// On held-out runs.
     pub holdout: On,
-    /// Orthonormal basis of what its parameters can do on the scout (without one: on the runs it is fitted to), whitened. `[≤ P][N]`
+    /// Orthonormal basis of what its parameters can do on the scout (without one: on the runs it is fitted
+    /// to), whitened. `[≤ P][N]`
     pub basis: Vec<Vec<f32>>,
 }
 
@@ -89,7 +90,8 @@ impl State {
         self.scout.as_ref().unwrap_or(&self.fit)
     }
 
-    /// Number of parameters that are not where they are without the effect: one that leaves no trace stays there.
+    /// Number of parameters that are not where they are without the effect: one that leaves no trace stays
+    /// there.
     #[must_use]
     pub fn parameters(&self, model: &RobotModel) -> usize {
         let moved = |t: &Term| {
@@ -233,7 +235,8 @@ impl Context {
         Ok(())
     }
 
-    /// Whitened derivatives by each parameter on the runs of `judge`, per step; and the steps, SI. `([P][N], [P])`
+    /// Whitened derivatives by each parameter on the runs of `judge`, per step; and the steps, SI.
+    /// `([P][N], [P])`
     ///
     /// # Errors
     /// As [`Replayer::predict`].

@@ -24,13 +24,16 @@ use crate::plots::Plots;
 use crate::replay::Term;
 use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Verdict};
 
-/// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no look-alike came near (set `pr`, laws outside the catalogue
-/// included) at least 112 of 126 were right with the catalogue of seeds 73 and 79, and 57 of 57 with the present one (seed 89) …
+/// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no
+/// look-alike came near (set `pr`, laws outside the catalogue included) at least 112 of 126 were right with
+/// the catalogue of seeds 73 and 79, and 57 of 57 with the present one (seed 89) …
 const TRUST: f64 = 0.95;
-/// … where much is left, or a parameter is at its bound, this: of names of seeds 83 to 107 that nothing else speaks against, 46 of 53 were right, and where much is
-/// left the next robot has more that no catalogue knows than the benchmark has …
+/// … where much is left, or a parameter is at its bound, this: of names of seeds 83 to 107 that nothing else
+/// speaks against, 46 of 53 were right, and where much is left the next robot has more that no catalogue
+/// knows than the benchmark has …
 const TRUST_IN_PART: f64 = 0.8;
-/// … where something says that the law is another one ([`Doubts::deny`]), this: of such names of seeds 61 to 101 4 of 66 were right …
+/// … where something says that the law is another one ([`Doubts::deny`]), this: of such names of seeds 61 to
+/// 101 4 of 66 were right …
 const TRUST_DENIED: f64 = 0.15;
 /// … and of a lead ([`naming::leads`]) this: of 25 such names two were right.
 const TRUST_LEAD: f64 = 0.1;
@@ -270,7 +273,8 @@ fn cause(
     })
 }
 
-/// Whether two places of one effect are alike and have nothing in common: one hinge and another one, not one and all.
+/// Whether two places of one effect are alike and have nothing in common: one hinge and another one, not one
+/// and all.
 fn another(one: &Place, other: &Place) -> bool {
     one.domain == other.domain
         && one.items.len() == other.items.len()

@@ -92,7 +92,8 @@ pub struct Effect {
     pub parameters: &'static [ParameterSpec],
     /// Sizes to try, one value per parameter, in units of the references.
     pub grid: &'static [&'static [f64]],
-    /// Whether its trace starts with a threshold (gap, stop, limit), so that a derivative at nothing says nothing.
+    /// Whether its trace starts with a threshold (gap, stop, limit), so that a derivative at nothing says
+    /// nothing.
     pub hinge: bool,
     /// Puts it into a plant. `values` in SI, one per parameter.
     pub apply: fn(&mut Plant, &Place, &[f64]),
@@ -168,8 +169,9 @@ impl Effect {
         )
     }
 
-    /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without the effect, and where there is none at all of what it
-    /// counts, nothing does; nor where there is all of what it is a share of.
+    /// Whether parameter `index` wants to go further than is plausible: its value lies on a bound. Without
+    /// the effect, and where there is none at all of what it counts, nothing does; nor where there is all of
+    /// what it is a share of.
     #[must_use]
     pub fn at_bound(&self, model: &RobotModel, place: &Place, index: usize, value: f64) -> bool {
         let spec = &self.parameters[index];

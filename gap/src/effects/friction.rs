@@ -179,7 +179,8 @@ pub static DIRECTION_ASYMMETRY: Effect = Effect {
         for &a in &place.items {
             let joint = &mut plant.lane.joints[a];
             joint.friction_asymmetry_nm += v[0] as f32;
-            // friction cannot drive: what the heavy direction has more than the mean allows is added to the mean
+            // friction cannot drive: what the heavy direction has more than the mean allows is added to the
+            // mean
             let mean = &mut plant.lane.joint_friction_nm[a];
             *mean = mean.max(joint.friction_asymmetry_nm.abs());
         }

@@ -1,8 +1,9 @@
 //! The catalogue: every physical effect that diagnosis can name, as a small plug-in.
 //!
-//! An [`Effect`] is a record: parameters with units, bounds and the smallest change that matters, sizes to try, where it can act, a hook that edits a
-//! [`Plant`] (physics, sensors, clocks), look-alikes, and what must have been excited to see it. To add one: write its record in a file of its own
-//! or of its family, and add a row to [`ALL`].
+//! An [`Effect`] is a record: parameters with units, bounds and the smallest change that matters, sizes to
+//! try, where it can act, a hook that edits a [`Plant`] (physics, sensors, clocks), look-alikes, and what
+//! must have been excited to see it. To add one: write its record in a file of its own or of its family, and
+//! add a row to [`ALL`].
 
 mod contact;
 mod effect;

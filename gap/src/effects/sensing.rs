@@ -1,4 +1,5 @@
-//! Encoders, velocity estimates, current sensing (S1, S2, S4, S5; and a current that is read behind a filter).
+//! Encoders, velocity estimates, current sensing (S1, S2, S4, S5; and a current that is read behind a
+//! filter).
 //!
 //! The encoder is inside the position loop: an offset moves the joint, not the reading.
 

@@ -71,7 +71,8 @@ pub static TORQUE_CONSTANT: Effect = Effect {
     parameters: &[parameter("scale", "", 1.0, (0.4, 2.5), 0.04, One)],
     grid: &one(&[0.6, 0.8, 0.9, 1.1, 1.25, 1.5]),
     apply: |plant, place, v| {
-        // volts make current through R, current makes torque through k_t, speed makes volts through the same constant
+        // volts make current through R, current makes torque through k_t, speed makes volts through the same
+        // constant
         let s = v[0] as f32;
         for &a in &place.items {
             plant.lane.kp_nm_per_rad[a] *= s;
@@ -104,7 +105,8 @@ pub static TORQUE_LIMIT: Effect = Effect {
     id: "torque_limit",
     parameters: &[
         parameter("limit_nm", "N·m", 1.1, (0.05, 1.1), 0.03, Torque),
-        // 0: against the motion as with it (a limit of the current); 1: against the motion what the servo gives without it
+        // 0: against the motion as with it (a limit of the current); 1: against the motion what the servo
+        // gives without it
         parameter("braking_freed", "", 0.0, (0.0, 1.0), 0.1, One),
     ],
     grid: &[

@@ -28,7 +28,8 @@ pub static SUPPLY_LEVEL: Effect = Effect {
     grid: &one(&[0.5, 0.7, 0.85, 1.15, 1.4]),
     hinge: true,
     apply: |plant, _, v| {
-        // speeds of the envelope go with the supply by themselves; so does the torque at stall, as long as no current limit comes first
+        // speeds of the envelope go with the supply by themselves; so does the torque at stall, as long as no
+        // current limit comes first
         let share = v[0] as f32;
         plant.lane.supply_v *= share;
         if share < 1.0 {

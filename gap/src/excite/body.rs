@@ -7,8 +7,8 @@ use caudata_model::RobotModel;
 use super::limits::JointLimits;
 use super::wave::Wave;
 
-/// Swing of the hips in a walk, rad. Feet that stand pass it on to the trunk, which works harder for it than the hips do: at 0.3 rad a spine joint of the
-/// salamander is at 48 % of its torque.
+/// Swing of the hips in a walk, rad. Feet that stand pass it on to the trunk, which works harder for it than
+/// the hips do: at 0.3 rad a spine joint of the salamander is at 48 % of its torque.
 const HIP_SWING_RAD: f64 = 0.25;
 
 /// Commands of all joints being written.
@@ -69,7 +69,8 @@ impl<'a> Body<'a> {
         (s * self.rate_hz).round().max(1.0) as usize
     }
 
-    /// Writes `s` seconds of `pose(t, fade)`; `fade` goes from 0 to 1 and back over the first and last second (a third of a short one).
+    /// Writes `s` seconds of `pose(t, fade)`; `fade` goes from 0 to 1 and back over the first and last second
+    /// (a third of a short one).
     fn play(&mut self, s: f64, pose: impl Fn(&Self, f64, f64, &mut Vec<f64>)) {
         let n = self.count(s);
         let ramp_s = 1.0f64.min(s / 3.0);
@@ -155,7 +156,8 @@ impl<'a> Body<'a> {
                         row[a] += fade * size * (TAU * 0.8 * t + 0.7 * (k + i / 2) as f64).sin();
                     }
                 }
-                // neighbours turn against each other: a held body that all of them bend the same way swings up on its own weight
+                // neighbours turn against each other: a held body that all of them bend the same way swings
+                // up on its own weight
                 for (i, &a) in b.spine.iter().enumerate() {
                     let turn = if side == i % 2 { 1.0 } else { -1.0 };
                     let size = b.limits[a].sine_rad(0.25, 0.4);
@@ -211,7 +213,8 @@ impl<'a> Body<'a> {
         }
     }
 
-    /// A trot: diagonal legs together, hips swing, knees lift in the swing, the spine bends with them. `height`: 1 nominal, less is lower.
+    /// A trot: diagonal legs together, hips swing, knees lift in the swing, the spine bends with them.
+    /// `height`: 1 nominal, less is lower.
     pub fn gait(&mut self, hz: f64, height: f64, bend_rad: f64, s: f64) {
         self.play(s, |b, t, fade, row| {
             let phase = TAU * hz * t;

@@ -8,8 +8,9 @@ const LIMIT_MARGIN: f64 = 0.05;
 const SPEED_SHARE: f64 = 0.6;
 /// Commands ask for accelerations that take at most this share of the greatest torque.
 const TORQUE_SHARE: f64 = 0.4;
-/// Poses that are held take at most this share of the greatest torque. Servo makers advise a fifth of the stall torque for steady
-/// work (ROBOTIS e-manual, note on stall torque); a bench session of minutes stands more.
+/// Poses that are held take at most this share of the greatest torque. Servo makers advise a fifth of the
+/// stall torque for steady work (ROBOTIS e-manual, note on stall torque); a bench session of minutes stands
+/// more.
 pub const HOLD_SHARE: f64 = 0.35;
 /// The one trial that is meant to warm the servo.
 pub const HOT_SHARE: f64 = 0.5;
@@ -81,7 +82,8 @@ impl JointLimits {
         out
     }
 
-    /// The part of the range around the nominal position that takes at most `share` of the greatest torque to hold.
+    /// The part of the range around the nominal position that takes at most `share` of the greatest torque to
+    /// hold.
     fn held_within(&self, low_rad: f64, share: f64) -> (f64, f64) {
         let allowed = |q: f64| self.at(q - low_rad).abs() <= share * self.tau_max_nm;
         let mut reach = (self.nominal_rad, self.nominal_rad);
@@ -108,7 +110,8 @@ impl JointLimits {
         self.at(q_rad - (self.range_rad.0 - margin))
     }
 
-    /// Where the position loop comes to rest under the command `q_rad`: a gain hangs through, often towards where gravity pulls harder.
+    /// Where the position loop comes to rest under the command `q_rad`: a gain hangs through, often towards
+    /// where gravity pulls harder.
     fn rest_rad(&self, q_rad: f64) -> f64 {
         /// rad.
         const STEP: f64 = 0.002;
@@ -141,8 +144,8 @@ impl JointLimits {
 
     /// Amplitude of a sine of `hz` that stays within speed and torque and `size_rad`.
     ///
-    /// The torque is that of the position loop on this inertia: per rad of command `kp·|I·ω² − j·d·ω| / |kp − I·ω² + j·d·ω|`, which is most
-    /// where the joint swings on its own gain.
+    /// The torque is that of the position loop on this inertia: per rad of command
+    /// `kp·|I·ω² − j·d·ω| / |kp − I·ω² + j·d·ω|`, which is most where the joint swings on its own gain.
     #[must_use]
     pub fn sine_rad(&self, size_rad: f64, hz: f64) -> f64 {
         let w = std::f64::consts::TAU * hz;
@@ -154,7 +157,8 @@ impl JointLimits {
             .min(TORQUE_SHARE * self.tau_max_nm / per_rad.max(1e-9))
     }
 
-    /// Size of random jumps every `bit_s` that a sine of no frequency among theirs would exceed by more than half.
+    /// Size of random jumps every `bit_s` that a sine of no frequency among theirs would exceed by more than
+    /// half.
     #[must_use]
     pub fn jump_rad(&self, size_rad: f64, bit_s: f64) -> f64 {
         let highest_hz = 0.5 / bit_s;
@@ -248,8 +252,8 @@ mod tests {
         assert!((j.hold_rad.0 + 0.595).abs() < 0.03);
         let (q, share) = j.hottest();
         assert!(share > 0.48 && share <= 0.5, "{q} {share}");
-        // 2 Hz: I·ω² = 0.006978·157.9 = 1.102, d·ω = 0.0482·12.566 = 0.6057; 0.886·1.2575/|(−0.216, 0.6057)| = 1.7327 N·m per rad;
-        // 0.4·0.77/1.7327 = 0.1778 rad, below 0.6·15.96/12.57 = 0.76 rad
+        // 2 Hz: I·ω² = 0.006978·157.9 = 1.102, d·ω = 0.0482·12.566 = 0.6057; 0.886·1.2575/|(−0.216, 0.6057)|
+        // = 1.7327 N·m per rad; 0.4·0.77/1.7327 = 0.1778 rad, below 0.6·15.96/12.57 = 0.76 rad
         assert!(
             (j.sine_rad(1.0, 2.0) - 0.1778).abs() < 0.002,
             "{}",

@@ -1,8 +1,10 @@
-//! The experiment battery: commands that bring out what a robot's simulation may get wrong, within what its joints, speeds and motors stand.
+//! The experiment battery: commands that bring out what a robot's simulation may get wrong, within what its
+//! joints, speeds and motors stand.
 //!
-//! Each trial says which effects it is made for; [`next`] picks the one that best tells a set of effects apart. Trials of single joints move every
-//! chosen joint at once on a stand, turned and paced apart; [`Trial::to_csv`] gives the command file that `caudata sim rollout` and the robot's
-//! player read (`t`, `cmd.<joint>`, and `on.<joint>` where a joint is let go).
+//! Each trial says which effects it is made for; [`next`] picks the one that best tells a set of effects
+//! apart. Trials of single joints move every chosen joint at once on a stand, turned and paced apart;
+//! [`Trial::to_csv`] gives the command file that `caudata sim rollout` and the robot's player read (`t`,
+//! `cmd.<joint>`, and `on.<joint>` where a joint is let go).
 
 mod body;
 mod limits;
@@ -20,7 +22,8 @@ use body::Body;
 use recipes::{Make, Place, RECIPES, Recipe};
 use wave::Wave;
 
-/// Rows per second of command files: twice the robot's control rate, so that a step's edge falls where it was meant to.
+/// Rows per second of command files: twice the robot's control rate, so that a step's edge falls where it was
+/// meant to.
 pub const DEFAULT_RATE_HZ: f64 = 100.0;
 
 /// Why there is no such trial.
@@ -64,7 +67,8 @@ pub struct Trial {
     pub excites: Vec<String>,
     /// s.
     pub duration_s: f64,
-    /// Root mean square torque that the motion asks of its hardest joint, as a share of the greatest, with the base held level.
+    /// Root mean square torque that the motion asks of its hardest joint, as a share of the greatest, with
+    /// the base held level.
     pub effort: f64,
     /// Rows per second.
     pub rate_hz: f64,
@@ -150,7 +154,8 @@ pub fn names(robot: &RobotModel, joint: Option<&str>) -> Vec<&'static str> {
         .collect()
 }
 
-/// Other names of trials: kinds of experiment as the catalogue of effects speaks of them, and the trial of the battery that is one.
+/// Other names of trials: kinds of experiment as the catalogue of effects speaks of them, and the trial of
+/// the battery that is one.
 const KINDS: &[(&str, &str)] = &[
     ("all_joints_probe", "all_chirp"),
     ("chirp", "chirp_medium"),
@@ -190,12 +195,14 @@ pub fn canonical(name: &str) -> Option<&'static str> {
     kind.or_else(|| RECIPES.iter().find(|r| r.name == name).map(|r| r.name))
 }
 
-/// The trial that says most about `separates` (effect ids): made for as many of them as possible, and for each as directly as possible.
-/// `joints`: where the effects are suspected; empty: anywhere. `None` where no trial of the battery shows any of them.
+/// The trial that says most about `separates` (effect ids): made for as many of them as possible, and for
+/// each as directly as possible. `joints`: where the effects are suspected; empty: anywhere. `None` where no
+/// trial of the battery shows any of them.
 #[must_use]
 pub fn next(robot: &RobotModel, separates: &[&str], joints: &[String]) -> Option<NextExperiment> {
     let one = (joints.len() == 1).then(|| joints[0].as_str());
-    // First in a trial's list counts 1, each place after it less; what it also shows of other effects does not count.
+    // First in a trial's list counts 1, each place after it less; what it also shows of other effects does
+    // not count.
     let worth = |r: &Recipe| -> f64 {
         let of = |e: &&str| {
             let place = r.excites.iter().position(|x| x == e);
@@ -243,7 +250,8 @@ fn fits(recipe: &Recipe, robot: &RobotModel, joint: Option<&str>) -> bool {
     }
 }
 
-/// Motions take at most this share of the greatest torque (root mean square); poses have their own, [`HOLD_SHARE`].
+/// Motions take at most this share of the greatest torque (root mean square); poses have their own,
+/// [`HOLD_SHARE`].
 const MOTION_SHARE: f64 = 0.2;
 /// How often a motion is halved to get there.
 const MOST_HALVINGS: i32 = 5;
@@ -380,8 +388,8 @@ impl<'a> Maker<'a> {
         (commands, on)
     }
 
-    /// Root mean square torque of the hardest joint, as a share of its greatest: each joint alone follows its command through its position
-    /// loop, with its inertia in the nominal pose and gravity.
+    /// Root mean square torque of the hardest joint, as a share of its greatest: each joint alone follows its
+    /// command through its position loop, with its inertia in the nominal pose and gravity.
     fn effort(&self, rows: &[Vec<f64>]) -> f64 {
         let of = |(a, l): (usize, &JointLimits)| {
             let column: Vec<f64> = rows.iter().map(|row| row[a]).collect();

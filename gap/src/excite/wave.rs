@@ -12,7 +12,8 @@ pub struct Wave<'a> {
     pub sign: f64,
     /// About 1, different for each joint: factor on frequencies and speeds, for the same reason.
     pub pace: f64,
-    /// Factor on sizes and speeds of motions, 0 to 1: less than 1 where a joint is too heavy for the whole of it.
+    /// Factor on sizes and speeds of motions, 0 to 1: less than 1 where a joint is too heavy for the whole of
+    /// it.
     pub scale: f64,
     rate_hz: f64,
     rad: Vec<f64>,
@@ -48,7 +49,8 @@ impl<'a> Wave<'a> {
         self.rad.last().copied().unwrap_or(self.limits.nominal_rad)
     }
 
-    /// A place in what may be held: −1 the lower end, 0 the nominal position, 1 the upper end, turned by the joint's sign.
+    /// A place in what may be held: −1 the lower end, 0 the nominal position, 1 the upper end, turned by the
+    /// joint's sign.
     #[must_use]
     pub fn place(&self, x: f64) -> f64 {
         self.between(self.limits.hold_rad, self.sign * x)
@@ -114,8 +116,8 @@ impl<'a> Wave<'a> {
         self.hold(s);
     }
 
-    /// Goes to and fro about `centre_rad` at a constant speed (of the joint's pace), slower where the joint is too heavy to turn round in a
-    /// third of the way.
+    /// Goes to and fro about `centre_rad` at a constant speed (of the joint's pace), slower where the joint
+    /// is too heavy to turn round in a third of the way.
     pub fn triangle(&mut self, centre_rad: f64, size_rad: f64, speed_radps: f64, cycles: f64) {
         let size = (self.scale * size_rad).min(self.room(centre_rad));
         // turning round from −v to v takes 2v/a; the way there and back 2·size/v
@@ -134,7 +136,8 @@ impl<'a> Wave<'a> {
         }
     }
 
-    /// A sine whose frequency grows from `low_hz` to `high_hz` in `s` seconds; its size falls where speed or torque would be too much.
+    /// A sine whose frequency grows from `low_hz` to `high_hz` in `s` seconds; its size falls where speed or
+    /// torque would be too much.
     pub fn chirp(&mut self, centre_rad: f64, size_rad: f64, low_hz: f64, high_hz: f64, s: f64) {
         let size = (self.scale * size_rad).min(self.room(centre_rad));
         self.go(centre_rad);
@@ -165,7 +168,8 @@ impl<'a> Wave<'a> {
         }
     }
 
-    /// Jumps between two places after a fixed pseudo-random sequence (shift register of 7 bits, x⁷ + x⁶ + 1), `bit_s` each.
+    /// Jumps between two places after a fixed pseudo-random sequence (shift register of 7 bits, x⁷ + x⁶ + 1),
+    /// `bit_s` each.
     pub fn prbs(&mut self, centre_rad: f64, size_rad: f64, bit_s: f64, bits: usize) {
         let size = self
             .limits
@@ -184,8 +188,8 @@ impl<'a> Wave<'a> {
         }
     }
 
-    /// Lets go for `s` seconds, then takes hold of where the joint hangs: the nominal position. A joint that no gravity moves is not let go: it
-    /// would stay where it is, and be torn back.
+    /// Lets go for `s` seconds, then takes hold of where the joint hangs: the nominal position. A joint that
+    /// no gravity moves is not let go: it would stay where it is, and be torn back.
     pub fn drop(&mut self, s: f64) {
         const LEAST_SHARE: f64 = 0.01;
         let falls = self.limits.hottest().1 > LEAST_SHARE;

@@ -1,12 +1,15 @@
 //! Recordings of a servo that swings a weight, in the JSON form of the BAM project (github.com/Rhoban/bam).
 //!
-//! One file is one run: `mass` (kg), `length` (m), `kp` (the servo's gain register), `vin` (V), `motor`, `trajectory`, and `entries` with
-//! `timestamp` (s), `position` (rad), `speed` (rad/s), `load` (present PWM, 16-bit two's complement written without its sign),
-//! `input_volts` (V), `temp` (°C), `goal_position` (rad), `torque_enable`.
+//! One file is one run: `mass` (kg), `length` (m), `kp` (the servo's gain register), `vin` (V), `motor`,
+//! `trajectory`, and `entries` with `timestamp` (s), `position` (rad), `speed` (rad/s), `load` (present PWM,
+//! 16-bit two's complement written without its sign), `input_volts` (V), `temp` (°C), `goal_position` (rad),
+//! `torque_enable`.
 //!
-//! Gain register to N·m/rad: duty per error times torque per duty. Duty per error is `register / divisor · counts / full duty`; torque per
-//! duty is the supply times the slope of the robot file's servo at stall. The manual's divisor for this servo family is 128; the XL330's own
-//! PWM readings follow 256 to within one count (residual 0.4 to 0.6 counts of 885 at register 100), so 256 is used, and each file is held to it.
+//! Gain register to N·m/rad: duty per error times torque per duty. Duty per error is
+//! `register / divisor · counts / full duty`; torque per duty is the supply times the slope of the robot
+//! file's servo at stall. The manual's divisor for this servo family is 128; the XL330's own PWM readings
+//! follow 256 to within one count (residual 0.4 to 0.6 counts of 885 at register 100), so 256 is used, and
+//! each file is held to it.
 
 use std::path::Path;
 
@@ -242,7 +245,8 @@ fn rate_hz(entries: &[Entry]) -> f64 {
     }
 }
 
-/// PWM counts per count of position error, by least squares over the rows where the servo holds and is not saturated.
+/// PWM counts per count of position error, by least squares over the rows where the servo holds and is not
+/// saturated.
 fn pwm_per_count(entries: &[Entry], counts_per_rad: f64) -> Option<f64> {
     let (mut xx, mut xy) = (0.0, 0.0);
     for e in entries {
@@ -268,7 +272,8 @@ mod tests {
         RobotModel::load(path.as_ref()).unwrap()
     }
 
-    /// Twelve rows at 5 ms; error 0.3 rad = 195.6 counts, so register 200 asks for 195.6·200/256 = 152.8 counts.
+    /// Twelve rows at 5 ms; error 0.3 rad = 195.6 counts, so register 200 asks for 195.6·200/256 = 152.8
+    /// counts.
     fn recording(loads: [i64; 2], on_last: bool) -> String {
         let entries: Vec<String> = (0..12)
             .map(|i| {

@@ -1,7 +1,8 @@
 //! Recordings of other projects, turned into log folders.
 //!
-//! Each format is one module that reads a file into an [`Imported`] run; from there on nothing knows where a log came from. What a
-//! format leaves to the servo (a gain as a register value) is worked out with the robot file, so that a rig is an ordinary robot.
+//! Each format is one module that reads a file into an [`Imported`] run; from there on nothing knows where a
+//! log came from. What a format leaves to the servo (a gain as a register value) is worked out with the robot
+//! file, so that a rig is an ordinary robot.
 
 pub mod bam;
 

@@ -1,4 +1,5 @@
-//! The divergence map: how far simulation and measurement part, by joint and signal and regime, before and after.
+//! The divergence map: how far simulation and measurement part, by joint and signal and regime, before and
+//! after.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -1,4 +1,5 @@
-//! `report.html`: a diagnosis to be looked at. One file, nothing loaded from anywhere; light and dark, telephone and paper.
+//! `report.html`: a diagnosis to be looked at. One file, nothing loaded from anywhere; light and dark,
+//! telephone and paper.
 
 mod figures;
 mod heat;
@@ -106,7 +107,8 @@ pub struct Chapter {
     pub figures: Vec<Signature>,
 }
 
-/// A page of curves alone: measured, and two models; then chapters. `lead`: HTML below the title, made by the caller.
+/// A page of curves alone: measured, and two models; then chapters. `lead`: HTML below the title, made by the
+/// caller.
 #[must_use]
 pub fn curves(title: &str, lead: &str, overlays: &[Overlay], chapters: &[Chapter]) -> String {
     let title = escape(title);

@@ -1,7 +1,9 @@
-//! The command stream of one joint, as the servo hears it: delayed, with frames lost, seen through a wrong encoder, averaged over a step.
+//! The command stream of one joint, as the servo hears it: delayed, with frames lost, seen through a wrong
+//! encoder, averaged over a step.
 //!
-//! Which frames were lost in a run nobody knows. The replay hears what a servo hears on average over all ways to lose them: the mean of repeats tends to it, and
-//! no single way of losing them is as close to a run whose own way is not known.
+//! Which frames were lost in a run nobody knows. The replay hears what a servo hears on average over all ways
+//! to lose them: the mean of repeats tends to it, and no single way of losing them is as close to a run whose
+//! own way is not known.
 
 use std::borrow::Cow;
 
@@ -13,7 +15,8 @@ use crate::trial::Steps;
 /// The commands of all joints of a robot, read in order of time.
 pub(super) struct Readers<'a> {
     joints: Vec<Reader<'a>>,
-    /// What each servo has heard last, rad. Beside the readers, so that steps in which no frame arrives are one short loop. `[A]`
+    /// What each servo has heard last, rad. Beside the readers, so that steps in which no frame arrives are
+    /// one short loop. `[A]`
     heard_rad: Vec<f64>,
     /// When the first frame arrives that has not been taken in, s.
     next_s: f64,
@@ -108,7 +111,8 @@ impl<'a> Reader<'a> {
             .map_or(f64::INFINITY, |t| t + self.delay_s)
     }
 
-    /// Mean over `[from_s, to_s]`, which follows the last one; as an angle of the joint for which the encoder would read the command, rad.
+    /// Mean over `[from_s, to_s]`, which follows the last one; as an angle of the joint for which the encoder
+    /// would read the command, rad.
     pub fn mean(&mut self, from_s: f64, to_s: f64) -> f64 {
         let mut sum = 0.0;
         let mut since = from_s;
@@ -157,7 +161,8 @@ pub(super) fn shown_angle(encoder: &EncoderErrors, q_rad: f64) -> f64 {
     f64::from(1.0 + encoder.gain) * q_rad + swing + f64::from(encoder.offset_rad)
 }
 
-/// Current that a servo shows for a motor torque, without counting, A. Its dead band fades in over a hundredth of an ampere.
+/// Current that a servo shows for a motor torque, without counting, A. Its dead band fades in over a
+/// hundredth of an ampere.
 pub(super) fn shown_current(torque_nm: f64, per_a_nm: f64, band_a: f64) -> f64 {
     let amps = torque_nm / per_a_nm;
     amps + band_a * (amps / 0.01).clamp(-1.0, 1.0)
@@ -171,7 +176,8 @@ const BURSTS_UNHEARD: f64 = 30.0;
 /// What was lost so long before a stretch begins is heard by then, s.
 const BEFORE_S: f64 = 2.0;
 
-/// What is heard on average, from `window_s.0` to `window_s.1`, of `steps` over a bus with two states, as the simulator's: bursts of mean length `burst` lose `share` of the frames in all.
+/// What is heard on average, from `window_s.0` to `window_s.1`, of `steps` over a bus with two states, as the
+/// simulator's: bursts of mean length `burst` lose `share` of the frames in all.
 fn heard_on_average(steps: &Steps, loss: &CommandLoss, window_s: (f64, f64)) -> Steps {
     let share = f64::from(loss.share.clamp(0.0, 0.9));
     // where more are lost than arrive, single frames cannot be
@@ -240,8 +246,9 @@ mod tests {
 
     #[test]
     fn lost_frames_are_heard_as_they_are_on_average() {
-        // a third is lost, two in a row on average: one that was lost is followed by another with 1/2. Of a jump from 0 to 3 two thirds hear at once; of the
-        // others half hear with the next frame, which says the same, and so on: 3 − 1, 3 − 1/2 …
+        // a third is lost, two in a row on average: one that was lost is followed by another with 1/2. Of a
+        // jump from 0 to 3 two thirds hear at once; of the others half hear with the next frame, which says
+        // the same, and so on: 3 − 1, 3 − 1/2 …
         let loss = CommandLoss {
             share: 1.0 / 3.0,
             burst: 2.0,
@@ -259,7 +266,8 @@ mod tests {
         }
         // it ends: 3·2⁻ⁿ/3·… falls below a millionth after some twenty frames
         assert!(heard.value.len() < 30);
-        // lost one at a time: who did not hear a frame heard the one before, and hears the next. 1, 4, 9 are heard as 1 − 1/4, 4 − 3/4, 9 − 5/4
+        // lost one at a time: who did not hear a frame heard the one before, and hears the next. 1, 4, 9 are
+        // heard as 1 − 1/4, 4 − 3/4, 9 − 5/4
         let loss = CommandLoss {
             share: 0.25,
             burst: 1.0,

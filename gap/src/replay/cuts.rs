@@ -4,12 +4,15 @@ use crate::trial::{Kind, Trial};
 
 /// Stretches of a free robot, s: it diverges from its simulation, so it is put back to what was measured.
 const FREE_SEGMENT_S: f64 = 0.8;
-/// The same of a swimming one, s: no foot that lands a little earlier sends it elsewhere, and what the water does to its speed takes a second or two to show.
+/// The same of a swimming one, s: no foot that lands a little earlier sends it elsewhere, and what the water
+/// does to its speed takes a second or two to show.
 const SWIMMING_SEGMENT_S: f64 = 2.0;
-/// Time before each that is simulated and does not count, s: where play hangs, how friction is wound up and how hard each foot presses is not measured, and
-/// comes about in it. At its end the robot is put to what was measured once more.
+/// Time before each that is simulated and does not count, s: where play hangs, how friction is wound up and
+/// how hard each foot presses is not measured, and comes about in it. At its end the robot is put to what was
+/// measured once more.
 const FREE_LEAD_S: f64 = 0.3;
-/// Stretches in which a servo of a held robot is let go, s: nothing brings such a joint back to its command, so that errors of its swing add up.
+/// Stretches in which a servo of a held robot is let go, s: nothing brings such a joint back to its command,
+/// so that errors of its swing add up.
 const LOOSE_SEGMENT_S: f64 = 0.8;
 /// Time over which speeds at a start are taken, s, to each side.
 pub(super) const SPEED_WINDOW_S: f64 = 0.03;
@@ -23,9 +26,11 @@ pub struct SegmentOptions {
     pub free_s: f64,
     /// Length of a stretch of a swimming robot, s.
     pub swimming_s: f64,
-    /// Length of a stretch in which a servo of a held robot is let go, s; infinite: no such stretches, what was let go swings on to the end of the run.
+    /// Length of a stretch in which a servo of a held robot is let go, s; infinite: no such stretches, what
+    /// was let go swings on to the end of the run.
     pub loose_s: f64,
-    /// Time before a stretch of a held robot that is simulated and does not count, s: what a joint that rests remembers of how it came there.
+    /// Time before a stretch of a held robot that is simulated and does not count, s: what a joint that rests
+    /// remembers of how it came there.
     pub lead_s: f64,
 }
 
@@ -54,7 +59,8 @@ pub(super) struct Cut {
     pub servos: Servos,
 }
 
-/// What servos do where a stretch begins: it decides how much of what was measured nearby tells how fast joints are.
+/// What servos do where a stretch begins: it decides how much of what was measured nearby tells how fast
+/// joints are.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Servos {
     /// Every one holds its joint, as it did before.
@@ -69,7 +75,8 @@ pub(super) enum Servos {
 }
 
 impl Servos {
-    /// Whether one was switched so shortly before `t_s` that a line through samples around `t_s` has something else on its two sides.
+    /// Whether one was switched so shortly before `t_s` that a line through samples around `t_s` has
+    /// something else on its two sides.
     pub(super) fn just_switched(self, t_s: f64) -> bool {
         match self {
             Self::Switched { at_s } => t_s - at_s < SPEED_WINDOW_S,
@@ -121,7 +128,8 @@ pub(super) fn held_cuts(trial: &Trial, options: SegmentOptions) -> Vec<Cut> {
     cuts
 }
 
-/// Spans in which every servo is on, and those of at least `least_s` in which one is let go: from, to (s), whether one is let go.
+/// Spans in which every servo is on, and those of at least `least_s` in which one is let go: from, to (s),
+/// whether one is let go.
 pub(super) fn held_spans(trial: &Trial, least_s: f64) -> Vec<((f64, f64), bool)> {
     let (first, last) = replay_span(trial);
     let switches = || trial.enabled.iter().flatten();

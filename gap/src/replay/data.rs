@@ -9,7 +9,8 @@ use super::cuts::{Cut, SegmentOptions, Servos, free_cuts, held_cuts, replay_span
 use super::starts::{Start, start, swinging};
 use crate::trial::{Kind, Trial};
 
-/// Time after the start of a stretch that does not count: what friction and loops remember from before is not known, s.
+/// Time after the start of a stretch that does not count: what friction and loops remember from before is not
+/// known, s.
 const SETTLE_S: f64 = 0.15;
 /// Most samples that count; denser recordings are thinned out evenly.
 const MOST_SAMPLES: usize = 400_000;
@@ -328,7 +329,8 @@ mod tests {
     fn a_gyroscope_beyond_a_joint_turns_with_it() {
         let model = salamander();
         let joints = model.actuated().len();
-        // the salamander's IMU sits behind the first joint of its spine, which turns about z, and ahead of the second
+        // the salamander's IMU sits behind the first joint of its spine, which turns about z, and ahead of
+        // the second
         let names = model.actuated_names();
         let at = |name: &str| names.iter().position(|n| *n == name).unwrap();
         let mut start = Start {
@@ -352,7 +354,8 @@ mod tests {
 
     #[test]
     fn what_is_let_go_is_cut_into_short_stretches() {
-        // off for 0.5 s, which is too short to be one, and from 4 to 6.4 s: two stretches of 1.2 s where 1 s is asked for
+        // off for 0.5 s, which is too short to be one, and from 4 to 6.4 s: two stretches of 1.2 s where 1 s
+        // is asked for
         let run = run_of(Steps {
             time_s: vec![0.0, 1.0, 1.5, 4.0, 6.4],
             value: vec![1.0, 0.0, 1.0, 0.0, 1.0],

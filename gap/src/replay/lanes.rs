@@ -12,12 +12,13 @@ use crate::error::GapError;
 use crate::plant::Plant;
 use crate::trial::{Trial, attitude_of};
 
-/// How long a command waits in any servo, s: half a period of a firmware loop of about 1 kHz and its bridge. The simulated loop acts at once; without this
-/// every faultless servo shows 0.5 to 0.8 ms of delay.
+/// How long a command waits in any servo, s: half a period of a firmware loop of about 1 kHz and its bridge.
+/// The simulated loop acts at once; without this every faultless servo shows 0.5 to 0.8 ms of delay.
 const SERVO_TICK_S: f64 = 0.0006;
 
-/// How long a held robot stands at its first commands before a recording begins, where a loop has an integral part, s: nobody begins to record in the
-/// moment of switching on, and what has been integrated by then no row tells. Much longer, and a soft integral part would have taken over all of the load.
+/// How long a held robot stands at its first commands before a recording begins, where a loop has an integral
+/// part, s: nobody begins to record in the moment of switching on, and what has been integrated by then no
+/// row tells. Much longer, and a soft integral part would have taken over all of the load.
 const STAND_S: f64 = 1.0;
 
 /// One lane at work.
@@ -91,7 +92,8 @@ impl<'a> Lane<'a> {
     }
 }
 
-/// Runs `jobs` (robot, segment), at most as many as the engine has lanes. An empty prediction stands for a candidate that cannot be simulated.
+/// Runs `jobs` (robot, segment), at most as many as the engine has lanes. An empty prediction stands for a
+/// candidate that cannot be simulated.
 pub(super) fn run(
     engine: &mut BatchEngine,
     data: &Data,
@@ -134,7 +136,8 @@ pub(super) fn run(
     Ok(predicted.collect())
 }
 
-/// Whether a robot stands before stretch `segment` begins: at the beginning of a run of a held robot whose servos are on, with an integral part.
+/// Whether a robot stands before stretch `segment` begins: at the beginning of a run of a held robot whose
+/// servos are on, with an integral part.
 fn stands_before(plant: &Plant, data: &Data, segment: usize) -> bool {
     let s = &data.segments[segment];
     let trial = &data.trials[s.trial];
@@ -187,7 +190,8 @@ fn placed(plant: &Plant, measured: &Start, moves: bool, mut init: InitialState) 
     init
 }
 
-/// Puts a lane to what was measured once more; what was not measured stays where the simulation has brought it. Whether that went well.
+/// Puts a lane to what was measured once more; what was not measured stays where the simulation has brought
+/// it. Whether that went well.
 fn correct(engine: &mut BatchEngine, lane: usize, plant: &Plant, measured: &Start) -> bool {
     let state = engine.state();
     let three = |x: &[f32]| [x[3 * lane], x[3 * lane + 1], x[3 * lane + 2]];
@@ -284,7 +288,8 @@ impl Switches {
         self.next > before || refresh
     }
 
-    /// The engine's parameters at time `t_s`: command delays are in the command stream already, and a servo that is off gives nothing.
+    /// The engine's parameters at time `t_s`: command delays are in the command stream already, and a servo
+    /// that is off gives nothing.
     fn apply(&self, plant: &Plant, t_s: f64) -> caudata_sim::LaneParams {
         let mut params = plant.lane.clone();
         for (friction, run_in) in params.joint_friction_nm.iter_mut().zip(&plant.run_in) {

@@ -1,9 +1,9 @@
-//! Replay: a flat list of (candidate robot, stretch of a run) goes through the lanes of the batch engine; what the robot's sensors would have
-//! said comes out at the very stamps of the log.
+//! Replay: a flat list of (candidate robot, stretch of a run) goes through the lanes of the batch engine;
+//! what the robot's sensors would have said comes out at the very stamps of the log.
 //!
-//! Each lane has its own parameters, commands and start. Command delays act on the command stream in continuous time, so that they are
-//! exact to the fraction of a step. Lanes never influence each other, chunks of lanes go to threads by number: same jobs, same bits, whatever the
-//! number of threads.
+//! Each lane has its own parameters, commands and start. Command delays act on the command stream in
+//! continuous time, so that they are exact to the fraction of a step. Lanes never influence each other,
+//! chunks of lanes go to threads by number: same jobs, same bits, whatever the number of threads.
 
 mod commands;
 mod cuts;

@@ -36,7 +36,8 @@ pub(super) struct Trace {
     /// Which body signals are recorded.
     readout: Readout,
     feet: usize,
-    /// `[rows, width]`: positions, velocities, torques, and then body signals: IMU, base, feet, as far as they are read out.
+    /// `[rows, width]`: positions, velocities, torques, and then body signals: IMU, base, feet, as far as
+    /// they are read out.
     values: Vec<f32>,
 }
 
@@ -135,7 +136,8 @@ impl Trace {
         }
     }
 
-    /// `columns` at `places`, each on the line between recorded states: one after the other. Row by row: a trace is larger than caches are.
+    /// `columns` at `places`, each on the line between recorded states: one after the other. Row by row: a
+    /// trace is larger than caches are.
     fn at(&self, columns: Range<usize>, places: &[Place]) -> Vec<f64> {
         let row = |row: u32| {
             let from = row as usize * self.width;
@@ -234,14 +236,16 @@ pub(super) fn predict(plant: &Plant, trace: &Trace, data: &Data, segment: usize)
     out
 }
 
-/// What channels have in common in a stretch: most have the same stamps, and the parts of a vector or an attitude go together.
+/// What channels have in common in a stretch: most have the same stamps, and the parts of a vector or an
+/// attitude go together.
 struct Seen<'a> {
     plant: &'a Plant,
     trace: &'a Trace,
     /// When the run began, s.
     origin_s: f64,
     stamps: Vec<Stamps<'a>>,
-    /// All components of a kind at some stamps (their number in `stamps`), SI: three of a vector and 0, four of an attitude.
+    /// All components of a kind at some stamps (their number in `stamps`), SI: three of a vector and 0, four
+    /// of an attitude.
     together: Vec<(Kind, usize, Vec<[f32; 4]>)>,
 }
 
@@ -416,7 +420,8 @@ fn channel<'a>(seen: &mut Seen<'a>, piece: &Piece, times_s: &'a [f64], out: &mut
     }
 }
 
-/// Direction of gravity in the base, and the base's yaw (rad) as motion capture has it, in the order of [`Kind::BaseAttitude`].
+/// Direction of gravity in the base, and the base's yaw (rad) as motion capture has it, in the order of
+/// [`Kind::BaseAttitude`].
 fn attitudes(plant: &Plant, trace: &Trace, places: &[Place]) -> Vec<[f32; 4]> {
     let yaw_rad = f64::from(plant.sensing.mocap_yaw_rad);
     let of = |place: &Place| {

@@ -30,8 +30,9 @@ pub struct Replayer {
     given: Variant,
     threads: usize,
     go_on: GoOn,
-    /// Time between recorded states, s: every step is recorded. A command jumps between steps and the torque jumps with it, so that a servo that reads its
-    /// current just before the next command must not be told a mean that reaches beyond it.
+    /// Time between recorded states, s: every step is recorded. A command jumps between steps and the torque
+    /// jumps with it, so that a servo that reads its current just before the next command must not be told a
+    /// mean that reaches beyond it.
     step_s: f64,
     /// As in [`EngineConfig::contact_hardness`].
     contact_hardness: f64,
@@ -64,7 +65,8 @@ impl Replayer {
         })
     }
 
-    /// Puts the water's surface at `level_m` above the ground at z = 0 (`water_level_m` of a run's `log.toml`).
+    /// Puts the water's surface at `level_m` above the ground at z = 0 (`water_level_m` of a run's
+    /// `log.toml`).
     #[must_use]
     pub fn with_water_level(mut self, level_m: f64) -> Self {
         self.water_level_m = level_m;
@@ -158,8 +160,8 @@ impl Replayer {
         plant
     }
 
-    /// What the sensors would have said: for each candidate the flat vector that [`Data`] describes; NaN where the simulation broke down or the
-    /// candidate is not physical. `[V][N]`
+    /// What the sensors would have said: for each candidate the flat vector that [`Data`] describes; NaN
+    /// where the simulation broke down or the candidate is not physical. `[V][N]`
     ///
     /// # Errors
     /// [`GapError::Sim`] where the robot cannot be simulated at all, [`GapError::Stopped`].

@@ -22,7 +22,8 @@ pub struct Start {
     pub base_angvel_radps: Option<[f64; 3]>,
 }
 
-/// Roll and pitch of a body in which gravity points along (`gx`, `gy`, `gz`), rad: gravity in the body is (sin p, −cos p·sin r, −cos p·cos r).
+/// Roll and pitch of a body in which gravity points along (`gx`, `gy`, `gz`), rad: gravity in the body is
+/// (sin p, −cos p·sin r, −cos p·cos r).
 pub(super) fn roll_pitch(gx: f64, gy: f64, gz: f64) -> [f64; 2] {
     let pitch = gx.clamp(-1.0, 1.0).asin();
     [(-gy).atan2(-gz), pitch]
@@ -98,7 +99,8 @@ pub(super) struct ImuPlace {
 }
 
 impl ImuPlace {
-    /// With joints as in `start`; what no servo moves is at rest in its zero. `None` where `start` does not fit the model.
+    /// With joints as in `start`; what no servo moves is at rest in its zero. `None` where `start` does not
+    /// fit the model.
     pub(super) fn of(model: &RobotModel, start: &Start) -> Option<Self> {
         let mut pos_rad = vec![0.0; model.joints().len()];
         let mut vel_radps = pos_rad.clone();
@@ -128,8 +130,9 @@ impl ImuPlace {
     }
 }
 
-/// Joints that swing at `t_s`: position as it was read, speed from positions alone, since a servo's own reading of it lags behind a swing, and from those
-/// before only where a servo that was let go or held again has just changed it.
+/// Joints that swing at `t_s`: position as it was read, speed from positions alone, since a servo's own
+/// reading of it lags behind a swing, and from those before only where a servo that was let go or held again
+/// has just changed it.
 pub(super) fn swinging(model: &RobotModel, trial: &Trial, t_s: f64, servos: Servos) -> Start {
     let mut swinging = start(model, trial, t_s);
     let from_before = servos.just_switched(t_s);
@@ -167,7 +170,8 @@ pub(super) fn line(c: &Channel, t_s: f64) -> (f64, f64) {
     (mean_y + slope * (t_s - mean_t), slope)
 }
 
-/// The same where there are no samples nearby (motion capture was covered): on the line between the last one before and the first one after.
+/// The same where there are no samples nearby (motion capture was covered): on the line between the last one
+/// before and the first one after.
 fn across(c: &Channel, t_s: f64) -> (f64, f64) {
     let last = c.value.len() - 1;
     let after = c.time_s.partition_point(|&t| t < t_s);

@@ -88,7 +88,8 @@ fn turned_signs_are_found() {
 
 #[test]
 fn an_error_within_a_count_says_nothing_of_a_current() {
-    // a leg folded back under water: the joint rests a count or none off its command, and the current wanders the other way by what friction holds
+    // a leg folded back under water: the joint rests a count or none off its command, and the current wanders
+    // the other way by what friction holds
     let robot = robot("polymander");
     let log = &logs(&robot, "holds", &[3])[0];
     let [cmd, pos, vel, cur]: [Signal; 4] =
@@ -222,7 +223,8 @@ fn three_joints_in_each_others_place_are_found_and_one_worn_pair_is_not() {
     for name in names {
         found(&checked, "order", &format!("pos.{name}"));
     }
-    // a joint that is dragged along by its neighbour, which itself gives way: what the neighbour leaves is nobody's
+    // a joint that is dragged along by its neighbour, which itself gives way: what the neighbour leaves is
+    // nobody's
     let worn = changed(log, |s, k, _, v| {
         let hip = read("FL_hip", k);
         if *s == position("FL_knee") {

@@ -25,7 +25,8 @@ fn bench() -> Arc<RobotModel> {
     Arc::new(RobotModel::from_bytes("bench", text.as_bytes(), &mjcf).unwrap())
 }
 
-/// A run of `joints`, in which every joint steps and swings; measured values are zeros, since only predictions are compared.
+/// A run of `joints`, in which every joint steps and swings; measured values are zeros, since only
+/// predictions are compared.
 fn run(model: &RobotModel, base: &str, body: bool, seconds: f64) -> Run {
     let joints = model.actuated_names();
     let mut text = String::from("t");
@@ -85,7 +86,8 @@ fn term(model: &RobotModel, effect: &'static Effect, place: &Place, values: Vec<
     }]
 }
 
-/// Checks one effect on data in which it can show: neutral values give the same bits, at least one grid size changes a signal.
+/// Checks one effect on data in which it can show: neutral values give the same bits, at least one grid size
+/// changes a signal.
 fn check(replayer: &Replayer, data: &Data, effect: &'static Effect) {
     let model = replayer.model();
     let Some(place) = effect.places(model).into_iter().last() else {

@@ -71,7 +71,8 @@ fn commands_respect_ranges_speeds_and_torque() {
     assert!(commands_hold(&robot("xl330_pendulum")) >= 25);
 }
 
-/// What the simulated robot does: no joint is driven against its stop, no servo works harder for long than it stands.
+/// What the simulated robot does: no joint is driven against its stop, no servo works harder for long than it
+/// stands.
 fn robot_holds(name: &str) {
     let robot = robot(name);
     for trial in excite::battery(&robot, None, 100.0).unwrap() {

@@ -1,4 +1,5 @@
-//! The page of a made-up diagnosis: whole, self-contained, safe. `CAUDATA_WRITE_PAGE=file.html` keeps it to be looked at.
+//! The page of a made-up diagnosis: whole, self-contained, safe. `CAUDATA_WRITE_PAGE=file.html` keeps it to
+//! be looked at.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,5 @@
-//! Whole diagnoses of a bench rig whose truth is known: the engine in double precision with a quarter of the step, counts and noise on top.
+//! Whole diagnoses of a bench rig whose truth is known: the engine in double precision with a quarter of the
+//! step, counts and noise on top.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -232,7 +233,8 @@ fn a_late_command_is_named() {
 
 #[test]
 fn what_would_have_to_be_larger_than_plausible_is_no_explanation() {
-    // 120 ms late, and no delay beyond 100 ms is plausible; what else is tried can only make up for a part of the rest
+    // 120 ms late, and no delay beyond 100 ms is plausible; what else is tried can only make up for a part of
+    // the rest
     let mut request = request(12, &|_| {});
     request.options.only = vec!["command_delay".to_owned(), "viscous_friction".to_owned()];
     let d = diagnose(&request, &mut |_| {}).unwrap();

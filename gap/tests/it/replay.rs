@@ -14,7 +14,8 @@ use caudata_sim::LaneParams;
 /// Rows per second.
 const ROWS_HZ: f64 = 100.0;
 
-/// A run of `rows` rows in which every command is `command_rad`, every joint at `pos_rad`, and each of `others` reads nothing.
+/// A run of `rows` rows in which every command is `command_rad`, every joint at `pos_rad`, and each of
+/// `others` reads nothing.
 fn run(
     model: &RobotModel,
     base: BaseHold,
@@ -76,7 +77,8 @@ fn runs_with_other_channels_share_an_engine_and_change_nothing() {
     assert_eq!(predicted(vec![without, with]), alone.concat());
 }
 
-/// A joint of gain kp that holds a load at an error of e settles, with an integral part of kᵢ, as e·exp(−kᵢ/kp·t): the integral part takes the load over.
+/// A joint of gain kp that holds a load at an error of e settles, with an integral part of kᵢ, as
+/// e·exp(−kᵢ/kp·t): the integral part takes the load over.
 #[test]
 fn a_held_robot_with_an_integral_part_stands_for_a_second_before_its_recording() {
     let model = Arc::new(crate::common::robot("xl330_pendulum"));

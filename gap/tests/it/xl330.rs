@@ -1,6 +1,7 @@
-//! A real servo that swings a weight (recordings of the BAM project, not part of this repository): what diagnosis makes of them, beside the usual
-//! models of friction fitted to the same runs with the same simulator. The folder is `CAUDATA_DATA` or `../shared/data` beside the repository;
-//! without it the test says so and ends.
+//! A real servo that swings a weight (recordings of the BAM project, not part of this repository): what
+//! diagnosis makes of them, beside the usual models of friction fitted to the same runs with the same
+//! simulator. The folder is `CAUDATA_DATA` or `../shared/data` beside the repository; without it the test
+//! says so and ends.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -95,8 +96,8 @@ impl Bench {
         of.iter().sum::<f64>() / of.len() as f64
     }
 
-    /// Fits the parameters of `ids` to the runs of role fit by pattern search on the mean absolute error itself: what is reported is what is
-    /// minimised, which favours these models.
+    /// Fits the parameters of `ids` to the runs of role fit by pattern search on the mean absolute error
+    /// itself: what is reported is what is minimised, which favours these models.
     fn fitted(&self, ids: &[&str]) -> Variant {
         let model = self.replayer.model().clone();
         let mut terms: Variant = ids

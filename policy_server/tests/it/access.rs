@@ -155,7 +155,8 @@ async fn a_role_does_what_it_may_and_a_stranger_nothing() {
     server.await.unwrap();
 }
 
-/// A robot whose clock stands at another year sees certificates like these, and a server sees a robot's like these.
+/// A robot whose clock stands at another year sees certificates like these, and a server sees a robot's like
+/// these.
 #[tokio::test]
 async fn fault_18_certificates_of_another_year_keep_a_robot_out_and_are_no_reason_to_give_up() {
     let dir = tempfile::tempdir().unwrap();

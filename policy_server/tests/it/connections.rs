@@ -1,4 +1,5 @@
-//! Connections that say nothing, fetches that nobody reads, a process with few file handles, and a disk that fails for a while.
+//! Connections that say nothing, fetches that nobody reads, a process with few file handles, and a disk that
+//! fails for a while.
 
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;

@@ -1,5 +1,5 @@
-//! Many watchers: how long until the last one hears of a version, what each costs, what slow ones do to the others, and how they come
-//! back after the server died.
+//! Many watchers: how long until the last one hears of a version, what each costs, what slow ones do to the
+//! others, and how they come back after the server died.
 
 use std::io::BufReader;
 use std::net::SocketAddr;

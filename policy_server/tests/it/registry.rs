@@ -1,4 +1,5 @@
-//! The service from the outside: a real server on a port of its own, talked to through the client that everybody uses.
+//! The service from the outside: a real server on a port of its own, talked to through the client that
+//! everybody uses.
 
 use std::sync::Arc;
 
@@ -210,7 +211,8 @@ async fn lists_come_in_pages_newest_first() {
 
 #[tokio::test]
 async fn fault_10_a_watcher_that_stops_reading_is_told_that_it_lags_and_others_miss_nothing() {
-    /// Far more than wait for one watcher: two megabytes that its connection takes unread, eight in its queue, 64 changes behind that.
+    /// Far more than wait for one watcher: two megabytes that its connection takes unread, eight in its
+    /// queue, 64 changes behind that.
     const VERSIONS: u64 = 240;
     let data = tempfile::tempdir().unwrap();
     let mut server = Server::start(data.path(), keep(VERSIONS as usize)).await;

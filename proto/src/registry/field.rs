@@ -99,8 +99,9 @@ pub(super) fn read_all<T: TryFrom<W, Error = RegistryError>, W>(
     wire.into_iter().map(T::try_from).collect()
 }
 
-/// Both conversions of a message whose fields are named alike on either side. A field is read by its type, or by the function
-/// behind its name, which gets the field's name and its value. The check in front looks at the message as a whole first.
+/// Both conversions of a message whose fields are named alike on either side. A field is read by its type, or
+/// by the function behind its name, which gets the field's name and its value. The check in front looks at
+/// the message as a whole first.
 macro_rules! both_ways {
     ($domain:ident = $wire:ident, $check:expr, {
         $($field:ident $(: $read:expr)?),* $(; $($list:ident),*)?

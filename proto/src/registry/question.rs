@@ -1,7 +1,8 @@
-//! Whether an answer is one to the question that was asked: one rule for every call, for programs and robots alike.
+//! Whether an answer is one to the question that was asked: one rule for every call, for programs and robots
+//! alike.
 //!
-//! A signature says who said something, not to whom. A server that holds an announcement which is genuinely signed
-//! and about something else must not be able to pass it off as the one that was asked for.
+//! A signature says who said something, not to whom. A server that holds an announcement which is genuinely
+//! signed and about something else must not be able to pass it off as the one that was asked for.
 
 use super::error::NONCE_BYTES;
 use super::messages::{Freshness, LabelState, Manifest, QuarantineState};

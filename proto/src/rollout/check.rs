@@ -24,8 +24,8 @@ impl RolloutChunk {
         product(&[self.steps.saturating_add(1), self.lanes, self.obs_dim])
     }
 
-    /// Every tensor is as long as the dimensions call for; `observations` numbers of observations, which may be less than all where some
-    /// were left out.
+    /// Every tensor is as long as the dimensions call for; `observations` numbers of observations, which may
+    /// be less than all where some were left out.
     pub(super) fn check_lengths(&self, observations: usize) -> Result<(), DecodeError> {
         let cells = product(&[self.steps, self.lanes]);
         let actions = product(&[cells, self.act_dim]);

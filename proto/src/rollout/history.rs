@@ -1,7 +1,8 @@
 //! Past actions inside observations: left out of frames, and put back.
 //!
-//! A policy that sees its last S actions has them in every observation, and the frame has them once more as actions: half of an observation of
-//! 97 values. What is left out follows bit for bit from what is sent, or nothing is left out.
+//! A policy that sees its last S actions has them in every observation, and the frame has them once more as
+//! actions: half of an observation of 97 values. What is left out follows bit for bit from what is sent, or
+//! nothing is left out.
 
 use super::check::product;
 use super::error::DecodeError;
@@ -43,7 +44,8 @@ impl ActionHistory {
         Ok(others.saturating_add(product(&[chunk.lanes, chunk.obs_dim])))
     }
 
-    /// Past actions after one more step: `before` moved back by one, `action` in front; zeros where an episode ended. `[S·A]`
+    /// Past actions after one more step: `before` moved back by one, `action` in front; zeros where an
+    /// episode ended. `[S·A]`
     fn after(&self, before: &[f32], action: &[f32], ended: bool, out: &mut [f32]) {
         if ended {
             out.fill(0.0);
@@ -57,8 +59,9 @@ impl ActionHistory {
     }
 }
 
-/// The observations of `chunk` without past actions: the first row of each lane whole (D values), all others without them (D − S·A). `None` where the chunk names no
-/// history, or where any of it does not follow from the actions.
+/// The observations of `chunk` without past actions: the first row of each lane whole (D values), all others
+/// without them (D − S·A). `None` where the chunk names no history, or where any of it does not follow from
+/// the actions.
 pub(super) fn leave_out(chunk: &RolloutChunk) -> Option<Vec<f32>> {
     let history = chunk.action_history?;
     let (lanes, obs_dim, act_dim) = (chunk.lanes, chunk.obs_dim, chunk.act_dim);
@@ -95,8 +98,8 @@ pub(super) fn leave_out(chunk: &RolloutChunk) -> Option<Vec<f32>> {
     Some(sent)
 }
 
-/// The observations of `chunk`, which has what [`leave_out`] sent of them, [`ActionHistory::sent_len`] numbers, and all else that its dimensions
-/// call for. `[T+1, N, D]`
+/// The observations of `chunk`, which has what [`leave_out`] sent of them, [`ActionHistory::sent_len`]
+/// numbers, and all else that its dimensions call for. `[T+1, N, D]`
 pub(super) fn put_back(history: &ActionHistory, chunk: &RolloutChunk) -> Vec<f32> {
     let (obs_dim, act_dim) = (chunk.obs_dim, chunk.act_dim);
     let place = history.first..history.first + history.len(act_dim);

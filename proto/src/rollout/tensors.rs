@@ -73,7 +73,8 @@ fn fields<'a>(
     Ok(())
 }
 
-/// Appends numbers, little-endian. By blocks that stay in the cache: room that was filled with zeros first would be written twice.
+/// Appends numbers, little-endian. By blocks that stay in the cache: room that was filled with zeros first
+/// would be written twice.
 fn push_floats(frame: &mut Vec<u8>, values: &[f32]) {
     const BLOCK: usize = 1024;
     let mut block = [[0; 4]; BLOCK];

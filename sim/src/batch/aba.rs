@@ -1,4 +1,5 @@
-//! The articulated-body algorithm (Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 7) about one common point: inwards, then outwards.
+//! The articulated-body algorithm (Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 7) about one
+//! common point: inwards, then outwards.
 
 use super::frame::Frame;
 use super::program::Program;

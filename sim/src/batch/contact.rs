@@ -1,19 +1,24 @@
 //! Contact of one ball with the ground, as a force that is linear in the acceleration of the touching point.
 //!
-//! Normal force: MuJoCo's law with the `solref` and `solimp` of the MJCF, a spring, a damper and an inertia (see [`Stop`]; A is the mean over
-//! directions at the link's centre of mass). Like MuJoCo's, its acceleration is that of the coordinates alone, without Coriolis and centrifugal
-//! parts. Spring and damper are taken in the middle of the step (θ = ½), so no step is too large for them. It never pulls: it acts where the
-//! point would go into the ground faster than the law wants, judged by how it would have accelerated without contact in the last step.
+//! Normal force: MuJoCo's law with the `solref` and `solimp` of the MJCF, a spring, a damper and an inertia
+//! (see [`Stop`]; A is the mean over directions at the link's centre of mass). Like MuJoCo's, its
+//! acceleration is that of the coordinates alone, without Coriolis and centrifugal parts. Spring and damper
+//! are taken in the middle of the step (θ = ½), so no step is too large for them. It never pulls: it acts
+//! where the point would go into the ground faster than the law wants, judged by how it would have
+//! accelerated without contact in the last step.
 //!
-//! Friction: a bristle (Cundall and Strack, "A discrete numerical model for granular assemblies", 1979) that the point drags along once
-//! the force exceeds friction × normal force. Regularised friction instead (force ∝ slip speed) creeps under load: an open-loop trot then
-//! travels a sixth of what MuJoCo's converged answer is. The limit is friction × the normal force that came out of the *last* step: over a
-//! contact, friction then gets exactly its share of the push. Any estimate from the start of this step is too large while a foot lands: that cost the
-//! trot 16 % of its way at 2 ms (2 % so), and halving the step only halved it. While sliding, only the direction across the slip is implicit, so that the force along the
-//! slip is Coulomb's whatever the acceleration.
+//! Friction: a bristle (Cundall and Strack, "A discrete numerical model for granular assemblies", 1979) that
+//! the point drags along once the force exceeds friction × normal force. Regularised friction instead (force
+//! ∝ slip speed) creeps under load: an open-loop trot then travels a sixth of what MuJoCo's converged answer
+//! is. The limit is friction × the normal force that came out of the *last* step: over a contact, friction
+//! then gets exactly its share of the push. Any estimate from the start of this step is too large while a
+//! foot lands: that cost the trot 16 % of its way at 2 ms (2 % so), and halving the step only halved it.
+//! While sliding, only the direction across the slip is implicit, so that the force along the slip is
+//! Coulomb's whatever the acceleration.
 //!
-//! Here MuJoCo differs, unless [`convex`](super::convex) is chosen: its friction is the convex relaxation of Coulomb's, in which a sliding contact also lifts (the normal force
-//! grows with the slip), and sticking takes a time constant. `docs/reference/simulation.md` says how much of a gait's way that is.
+//! Here MuJoCo differs, unless [`convex`](super::convex) is chosen: its friction is the convex relaxation of
+//! Coulomb's, in which a sliding contact also lifts (the normal force grows with the slip), and sticking
+//! takes a time constant. `docs/reference/simulation.md` says how much of a gait's way that is.
 
 use super::contact_law::{ContactLaw, THETA, Touch};
 use super::convex;
@@ -24,7 +29,8 @@ use super::vec3::{Inertia, V3, add_cross, add_scaled, cross, dot, scale, select3
 use crate::real::Mask;
 use crate::simd::Lanes;
 
-/// Deepest penetration that the spring answers to, m: deeper, it pushes out with a constant force instead of throwing the robot off.
+/// Deepest penetration that the spring answers to, m: deeper, it pushes out with a constant force instead of
+/// throwing the robot off.
 const DEEPEST_M: f64 = 0.01;
 
 /// A ball that reaches into the ground.
@@ -37,7 +43,8 @@ struct Meeting<R> {
     grip: R,
 }
 
-/// Works out the contact of a ball (`point` in the frame `frame`, from the base at `base`), adds it to the body's inertia and notes it.
+/// Works out the contact of a ball (`point` in the frame `frame`, from the base at `base`), adds it to the
+/// body's inertia and notes it.
 #[inline(always)]
 pub(super) fn touch<R: Lanes, const FLAT: bool>(
     law: &ContactLaw<R>,
@@ -143,8 +150,8 @@ fn coordinate<R: Lanes>(frame: &Frame<R>, at: V3<R>, axis: usize) -> R {
     )
 }
 
-/// The force `f0 − m·Δ` of a contact `depth` deep with Coulomb's friction on a bristle, Δ the acceleration of the point beyond its bias; m
-/// symmetric. `vel`, `acc`: velocity and bias acceleration of the point.
+/// The force `f0 − m·Δ` of a contact `depth` deep with Coulomb's friction on a bristle, Δ the acceleration of
+/// the point beyond its bias; m symmetric. `vel`, `acc`: velocity and bias acceleration of the point.
 #[inline(always)]
 fn bristle<R: Lanes, const FLAT: bool>(
     law: &ContactLaw<R>,
@@ -210,7 +217,8 @@ fn bristle<R: Lanes, const FLAT: bool>(
     resist::<R, FLAT>(scale(trial, back), normal, along, up, mn, mt)
 }
 
-/// Puts the parts together: `f0` along the ground and `up`; `mn` along the normal, `mt` across it but not `along` the slip.
+/// Puts the parts together: `f0` along the ground and `up`; `mn` along the normal, `mt` across it but not
+/// `along` the slip.
 #[inline(always)]
 fn resist<R: Lanes, const FLAT: bool>(
     mut f0: V3<R>,

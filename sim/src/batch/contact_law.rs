@@ -37,7 +37,8 @@ impl<R: Lanes> ContactLaw<R> {
     }
 }
 
-/// A contact of the current step: force on the robot `f0 − m·Δ`, Δ the acceleration of the point beyond its bias.
+/// A contact of the current step: force on the robot `f0 − m·Δ`, Δ the acceleration of the point beyond its
+/// bias.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Touch<R> {
     /// Whether any lane touches.
@@ -76,6 +77,7 @@ impl<R: Real> Touch<R> {
     }
 }
 
-/// Values that a contact point keeps from step to step: deflection of its bristle, world, m; of the last step the normal force, N, and the
-/// acceleration along the normal without it, m/s². With convex friction the first three are that acceleration, world, m/s².
+/// Values that a contact point keeps from step to step: deflection of its bristle, world, m; of the last step
+/// the normal force, N, and the acceleration along the normal without it, m/s². With convex friction the
+/// first three are that acceleration, world, m/s².
 pub(super) const MEMORY: usize = 5;

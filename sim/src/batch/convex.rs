@@ -1,11 +1,13 @@
-//! Contact as MuJoCo's elliptic cone has it, the other choice beside the bristle of [`super::contact`] (`engine.convex_friction`).
+//! Contact as MuJoCo's elliptic cone has it, the other choice beside the bristle of [`super::contact`]
+//! (`engine.convex_friction`).
 //!
-//! MuJoCo's constraint forces minimise a convex function. For one contact with friction μ that means (its documentation, "Computation",
-//! "Constraint model"): friction is a damper and an inertia `ratio` times those of the normal (`impratio`), and where that would exceed μ × normal
-//! force, normal and friction together become one constraint along `e = n + μ·s`, s against the slip. So a sliding contact also lifts, at μ × its
-//! slip, which Coulomb's does not. Along `e` the force is linear in the acceleration and symmetric: it fits the articulated-body pass without any
-//! estimate of the normal force. Whether it slides, sticks or does nothing is judged by how the point would have accelerated
-//! without contact in the last step.
+//! MuJoCo's constraint forces minimise a convex function. For one contact with friction μ that means (its
+//! documentation, "Computation", "Constraint model"): friction is a damper and an inertia `ratio` times those
+//! of the normal (`impratio`), and where that would exceed μ × normal force, normal and friction together
+//! become one constraint along `e = n + μ·s`, s against the slip. So a sliding contact also lifts, at μ × its
+//! slip, which Coulomb's does not. Along `e` the force is linear in the acceleration and symmetric: it fits
+//! the articulated-body pass without any estimate of the normal force. Whether it slides, sticks or does
+//! nothing is judged by how the point would have accelerated without contact in the last step.
 
 use super::contact_law::ContactLaw;
 use super::program::Point;
@@ -17,9 +19,11 @@ const RATIO: f64 = 100.0;
 /// Slips below this are none, m/s².
 const LEAST_SLIP: f64 = 1e-6;
 
-/// The force `f0 − m·Δ` of a contact `depth` deep, Δ the acceleration of the point beyond its bias; m symmetric.
+/// The force `f0 − m·Δ` of a contact `depth` deep, Δ the acceleration of the point beyond its bias; m
+/// symmetric.
 ///
-/// `vel`, `acc`: velocity and bias acceleration of the point; `free`: its acceleration beyond the bias in the last step, without contact.
+/// `vel`, `acc`: velocity and bias acceleration of the point; `free`: its acceleration beyond the bias in the
+/// last step, without contact.
 #[inline(always)]
 pub(super) fn force<R: Lanes>(
     law: &ContactLaw<R>,

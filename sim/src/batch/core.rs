@@ -49,10 +49,11 @@ pub(super) trait Core: Send {
     );
     /// Whether a lane's state has the lengths that these lanes have with a loop memory of `steps` steps.
     fn fits(&self, lane: &LaneState, steps: usize) -> bool;
-    /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity (world), joints in model order,
-    /// servos holding `rest`. Then reports it in `row` of `state`.
+    /// Puts a lane at rest inside: `pose` position and quaternion, `motion` velocity and angular velocity
+    /// (world), joints in model order, servos holding `rest`. Then reports it in `row` of `state`.
     fn reset(&mut self, lane: usize, start: &Start<'_>, state: &mut State);
-    /// Puts base and the hinges of `driven` (model order) where `start` says; what else the lane has stays as it is.
+    /// Puts base and the hinges of `driven` (model order) where `start` says; what else the lane has stays as
+    /// it is.
     fn correct(&mut self, lane: usize, start: &Start<'_>, driven: &[usize], state: &mut State);
     fn get(&self, lane: usize) -> LaneState;
     fn put(&mut self, lane: usize, from: &LaneState) -> bool;
@@ -270,8 +271,9 @@ impl<R: Lanes> Core for CoreOf<R> {
     fn step(&mut self, pool: &Pool, targets: &[f32], wrenches: &[f32], state: &mut State) {
         let shared = &self.shared;
         let threads = pool.threads().min(self.scratch.len());
-        // Small parts. Each thread begins with those that it had in the last step, which are in its cache, and then helps the others: the
-        // machine may be busy with other things as well. A group's result does not depend on who works it out.
+        // Small parts. Each thread begins with those that it had in the last step, which are in its cache,
+        // and then helps the others: the machine may be busy with other things as well. A group's result does
+        // not depend on who works it out.
         let share = self.groups.len().div_ceil(PARTS_PER_THREAD * threads);
         let widths = shared.program.widths();
         let actuated = shared.program.actuated;

@@ -84,7 +84,8 @@ impl<R: Lanes> Ground<R> {
         }
     }
 
-    /// Height of a point above the ground's tangent plane below it, that plane's normal, and the friction factor there.
+    /// Height of a point above the ground's tangent plane below it, that plane's normal, and the friction
+    /// factor there.
     #[inline(always)]
     pub fn clearance(&self, x: R, y: R, z: R) -> (R, V3<R>, R) {
         let s = self.sample(x, y);

@@ -126,7 +126,8 @@ pub(super) struct Group<R> {
     pub loss: Vec<LossMemory>,
     /// Lanes that broke down.
     pub diverged: Vec<bool>,
-    /// What the last period reported beside the state: means of motor torque `[A]`, power `[A]`, foot forces `[3 F]`, trunk force, tail force.
+    /// What the last period reported beside the state: means of motor torque `[A]`, power `[A]`, foot forces
+    /// `[3 F]`, trunk force, tail force.
     pub sums: Vec<R>,
 }
 

@@ -1,7 +1,8 @@
 //! Outwards from the base: where every frame is, how it moves, what inertia it carries, what it touches.
 //!
-//! Positions, velocities and inertias are about one point of the base ([`Program::centre`]) in world axes, so bodies add up without transforms. Bias accelerations (what
-//! moves without any joint accelerating: Coriolis and centrifugal) are accumulated here, so that the articulated passes see none.
+//! Positions, velocities and inertias are about one point of the base ([`Program::centre`]) in world axes, so
+//! bodies add up without transforms. Bias accelerations (what moves without any joint accelerating: Coriolis
+//! and centrifugal) are accumulated here, so that the articulated passes see none.
 
 use super::contact::touch;
 use super::contact_law::{ContactLaw, MEMORY, Touch};

@@ -1,15 +1,19 @@
 //! The batch engine: many robots in the lanes of vector registers.
 //!
-//! Lanes are stepped together in groups of 16 (AVX-512), 8 (AVX2), 4 (SSE 4.1, NEON) or 1, whichever the processor has
-//! ([`EngineConfig::lane_width`] chooses another). The robot is compiled once ([`program`]); a control period of a group is one call
-//! ([`period`]): kinematics outwards ([`kinematics`]) with ground contact ([`contact`]), joint loads ([`crate::drive`]), the articulated-body
-//! algorithm inwards and outwards ([`aba`]), semi-implicit Euler; at its end the report ([`report`]). Nothing branches on a lane's values except to
-//! skip work that would add nothing to any lane, so a lane's result depends neither on its place nor on its neighbours.
+//! Lanes are stepped together in groups of 16 (AVX-512), 8 (AVX2), 4 (SSE 4.1, NEON) or 1, whichever the
+//! processor has ([`EngineConfig::lane_width`] chooses another). The robot is compiled once ([`program`]); a
+//! control period of a group is one call ([`period`]): kinematics outwards ([`kinematics`]) with ground
+//! contact ([`contact`]), joint loads ([`crate::drive`]), the articulated-body algorithm inwards and outwards
+//! ([`aba`]), semi-implicit Euler; at its end the report ([`report`]). Nothing branches on a lane's values
+//! except to skip work that would add nothing to any lane, so a lane's result depends neither on its place
+//! nor on its neighbours.
 //!
-//! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact of balls, capsules, boxes and cylinders with the ground as
-//! [`program`] describes, and of balls with balls of the robot itself ([`pairs`]); drive-lines as in [`crate::drive`], water as in [`crate::water`].
+//! Limits: hinges and slides, [`program::MAX_JOINTS`] of them; contact of balls, capsules, boxes and
+//! cylinders with the ground as [`program`] describes, and of balls with balls of the robot itself
+//! ([`pairs`]); drive-lines as in [`crate::drive`], water as in [`crate::water`].
 //!
-//! Cost: `caudata bench sim`, with the time split by phase; accuracy: `caudata sim verify`. docs/reference/simulation.md has the figures.
+//! Cost: `caudata bench sim`, with the time split by phase; accuracy: `caudata sim verify`.
+//! docs/reference/simulation.md has the figures.
 
 mod aba;
 mod clock;
@@ -71,7 +75,8 @@ impl BatchEngine {
     /// Builds `lanes` robots, each at the origin in its nominal pose.
     ///
     /// # Errors
-    /// When the configuration or the model cannot be simulated, or the processor lacks the lane width asked for.
+    /// When the configuration or the model cannot be simulated, or the processor lacks the lane width asked
+    /// for.
     pub fn new(
         model: Arc<RobotModel>,
         lanes: usize,
@@ -113,19 +118,21 @@ impl BatchEngine {
         self.core.time_phases();
     }
 
-    /// Seconds that the steps since [`time_phases`](Self::time_phases) spent in each phase, over all threads; zeros without it.
+    /// Seconds that the steps since [`time_phases`](Self::time_phases) spent in each phase, over all threads;
+    /// zeros without it.
     #[must_use]
     pub fn phase_seconds(&self) -> PhaseSeconds {
         self.core.phase_seconds()
     }
 
-    /// From the next step on, works out and reports only what is in `readout`. A new engine reports everything.
+    /// From the next step on, works out and reports only what is in `readout`. A new engine reports
+    /// everything.
     pub fn report_only(&mut self, readout: Readout) {
         self.core.report_only(readout);
     }
 
-    /// Puts a lane's base and actuated joints where `init` says, in the middle of its motion. What nobody can measure stays as it is: hinges without a
-    /// servo, what friction, loops, filters and contacts remember.
+    /// Puts a lane's base and actuated joints where `init` says, in the middle of its motion. What nobody can
+    /// measure stays as it is: hinges without a servo, what friction, loops, filters and contacts remember.
     ///
     /// # Errors
     /// As [`Engine::reset`].

@@ -1,8 +1,9 @@
 //! Legs against trunk and other legs: balls against balls, after the outward pass.
 //!
-//! Which may touch says [`crate::self_contact`]; points of boxes and cylinders have no extent and do not meet here. The force is explicit, equal
-//! and opposite on the two bodies: taken implicitly by each body alone it would not be, and the robot would push itself along. So its
-//! stiffness is bounded by the lightest link and the step: 5000 N/m on 0.1 kg at 2 ms is ω·dt = 0.45, the limit being 2.
+//! Which may touch says [`crate::self_contact`]; points of boxes and cylinders have no extent and do not meet
+//! here. The force is explicit, equal and opposite on the two bodies: taken implicitly by each body alone it
+//! would not be, and the robot would push itself along. So its stiffness is bounded by the lightest link and
+//! the step: 5000 N/m on 0.1 kg at 2 ms is ω·dt = 0.45, the limit being 2.
 
 use super::frame::Frame;
 use super::group::Group;

@@ -1,8 +1,9 @@
 //! One control period of one group of lanes: the physics steps, then the report.
 //!
-//! A step is semi-implicit Euler, which is leapfrog with velocities half a step off the positions. Coriolis and centrifugal forces
-//! belong to the positions' time, so they are taken at the velocity half a step on, extrapolated with the last step's acceleration: with
-//! the velocity as it is, a chaotic double pendulum gains 5 % of its energy in 1.4 s at 2 ms.
+//! A step is semi-implicit Euler, which is leapfrog with velocities half a step off the positions. Coriolis
+//! and centrifugal forces belong to the positions' time, so they are taken at the velocity half a step on,
+//! extrapolated with the last step's acceleration: with the velocity as it is, a chaotic double pendulum
+//! gains 5 % of its energy in 1.4 s at 2 ms.
 
 use super::aba::{self, Load};
 use super::clock::Phase;
@@ -104,7 +105,8 @@ fn all_finite(values: &[f32]) -> bool {
     finite
 }
 
-/// Puts this period's commands first into the history, and looks up what each servo is told when; a lane that broke down hears nothing.
+/// Puts this period's commands first into the history, and looks up what each servo is told when; a lane that
+/// broke down hears nothing.
 #[inline(always)]
 fn push_commands<R: Lanes>(
     shared: &Shared<R>,

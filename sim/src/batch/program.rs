@@ -1,9 +1,10 @@
 //! The robot compiled once: a flat list of degrees of freedom with everything constant worked out.
 //!
-//! *Node* 0 is the base (or the world, where the base is held); every further node is one live joint and the frame that it carries, a
-//! parent always before its children. A node's frame has its origin at the joint's anchor and, wherever the axis allows it, the
-//! orientation of its parent at zero, so that turning is a plane rotation of two columns; else it is laid so that the axis is z. Locked
-//! joints weld their link to the node before; a link with several joints hangs on nodes without mass of their own.
+//! *Node* 0 is the base (or the world, where the base is held); every further node is one live joint and the
+//! frame that it carries, a parent always before its children. A node's frame has its origin at the joint's
+//! anchor and, wherever the axis allows it, the orientation of its parent at zero, so that turning is a plane
+//! rotation of two columns; else it is laid so that the axis is z. Locked joints weld their link to the node
+//! before; a link with several joints hangs on nodes without mass of their own.
 
 use std::ops::Range;
 
@@ -45,7 +46,8 @@ pub(super) struct Node<R: Lanes> {
     pub offset: [R::Elem; 3],
     /// Which components of `offset` are not zero.
     pub has_offset: [bool; 3],
-    /// Whether nothing has been added to the parent's inertia when this one's turn comes (children come last first).
+    /// Whether nothing has been added to the parent's inertia when this one's turn comes (children come last
+    /// first).
     pub first_for_parent: bool,
     /// Model index of the joint.
     pub joint: usize,
@@ -112,8 +114,9 @@ pub(super) struct Place<R: Lanes> {
 pub(super) struct Program<R: Lanes> {
     /// Whether the base moves.
     pub free: bool,
-    /// The point of the base's frame that everything is reckoned about, m: the robot's centre of mass in its nominal pose. Near the
-    /// masses, single precision loses least (from the Polymander's nose, its tail fin's inertia is a difference of numbers a thousand times as large).
+    /// The point of the base's frame that everything is reckoned about, m: the robot's centre of mass in its
+    /// nominal pose. Near the masses, single precision loses least (from the Polymander's nose, its tail
+    /// fin's inertia is a difference of numbers a thousand times as large).
     pub centre: [R::Elem; 3],
     /// Nodes 1, 2, … (node k is `nodes[k − 1]`).
     pub nodes: Vec<Node<R>>,
@@ -300,7 +303,8 @@ fn nominal_centre(model: &RobotModel) -> Result<[f64; 3], SimError> {
     Ok(model.centre_of_mass_m(&places))
 }
 
-/// How a joint with this axis (parent's frame) is laid: constant turn of its frame, column that is the axis, whether against it.
+/// How a joint with this axis (parent's frame) is laid: constant turn of its frame, column that is the axis,
+/// whether against it.
 fn lay(axis: [f64; 3]) -> ([f64; 4], usize, bool) {
     for k in 0..3 {
         if (axis[k].abs() - 1.0).abs() < ALIGNED {
@@ -358,7 +362,8 @@ fn ranges(nodes: usize, sorted: impl Iterator<Item = usize> + Clone) -> Vec<Rang
         .collect()
 }
 
-/// A node whose parent has no mass of its own and no later child writes the parent's inertia instead of adding to it.
+/// A node whose parent has no mass of its own and no later child writes the parent's inertia instead of
+/// adding to it.
 fn mark_first_children<R: Lanes>(nodes: &mut [Node<R>], links_of: &[Range<usize>]) {
     let mut written: Vec<bool> = links_of.iter().map(|l| !l.is_empty()).collect();
     for node in nodes.iter_mut().rev() {
@@ -369,9 +374,10 @@ fn mark_first_children<R: Lanes>(nodes: &mut [Node<R>], links_of: &[Range<usize>
 
 /// The balls and points that stand for the model's colliding shapes.
 ///
-/// Exact against a plane: ball; capsule (its two end balls); box (its eight corners). Approximate: cylinder (16 points on each rim: a
-/// rolling one sinks in by up to 2 % of its radius), ellipsoid (refused). Against uneven ground, straight sides can be hollow between their
-/// points: capsules longer than their radius get a ball in the middle.
+/// Exact against a plane: ball; capsule (its two end balls); box (its eight corners). Approximate: cylinder
+/// (16 points on each rim: a rolling one sinks in by up to 2 % of its radius), ellipsoid (refused). Against
+/// uneven ground, straight sides can be hollow between their points: capsules longer than their radius get a
+/// ball in the middle.
 fn contact_points<R: Lanes>(
     model: &RobotModel,
     placed: &[(usize, Pose)],

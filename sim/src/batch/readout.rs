@@ -2,16 +2,18 @@
 
 use crate::state::FIELDS;
 
-/// What of [`State`](crate::State) is worked out after each control period beside joints and motor torques, which always are. With short periods the
-/// report costs as much as the physics, and who reads only joints need not pay for the whole robot's centre of mass.
+/// What of [`State`](crate::State) is worked out after each control period beside joints and motor torques,
+/// which always are. With short periods the report costs as much as the physics, and who reads only joints
+/// need not pay for the whole robot's centre of mass.
 ///
 /// What is not read out stays as the lane's last reset or correction reported it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Readout {
     /// Pose, velocity and angular velocity of the base link.
     pub base: bool,
-    /// Angular velocity, specific force and direction of gravity of the IMU. A lane's first specific force after this is switched on (and after
-    /// restoring a snapshot that was taken without it) is wrong unless the lane is reset or corrected first: it is a change of velocity.
+    /// Angular velocity, specific force and direction of gravity of the IMU. A lane's first specific force
+    /// after this is switched on (and after restoring a snapshot that was taken without it) is wrong unless
+    /// the lane is reset or corrected first: it is a change of velocity.
     pub imu: bool,
     /// Positions of the feet.
     pub feet: bool,

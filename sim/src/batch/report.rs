@@ -1,4 +1,5 @@
-//! What [`State`] reports, worked out in the lanes. [`crate::observe`] is the plain form of the same quantities.
+//! What [`State`] reports, worked out in the lanes. [`crate::observe`] is the plain form of the same
+//! quantities.
 
 use super::frame::Frame;
 use super::group::{Group, Layout, layout};
@@ -31,7 +32,8 @@ impl<R: Lanes> Writer<'_, R> {
     }
 }
 
-/// Fills the fields of `scratch.out` that are in `readout` from the group's state and sums, and moves the IMU's velocity on if that is one of them.
+/// Fills the fields of `scratch.out` that are in `readout` from the group's state and sums, and moves the
+/// IMU's velocity on if that is one of them.
 #[inline(always)]
 pub(super) fn report<R: Lanes>(
     shared: &Shared<R>,

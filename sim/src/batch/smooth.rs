@@ -1,4 +1,5 @@
-//! Accelerations of the robot in the air, without contact, springs, friction or servos: what other dynamics codes can be compared with.
+//! Accelerations of the robot in the air, without contact, springs, friction or servos: what other dynamics
+//! codes can be compared with.
 
 use caudata_model::{Pose, RobotModel};
 
@@ -42,8 +43,8 @@ pub struct Accelerations {
     pub joint_radps2: Vec<f64>,
 }
 
-/// Accelerations at `at`, with gravity, masses and rotor inertias of `params`, in the numbers that `config.precision` names; `config` also says
-/// whether the base is held and the play locked.
+/// Accelerations at `at`, with gravity, masses and rotor inertias of `params`, in the numbers that
+/// `config.precision` names; `config` also says whether the base is held and the play locked.
 ///
 /// # Errors
 /// When the model cannot be simulated or an array has the wrong length.

@@ -1,4 +1,5 @@
-//! Vectors, matrices and spatial inertias of lanes. All `#[inline(always)]`, without closures (see [`crate::simd`]).
+//! Vectors, matrices and spatial inertias of lanes. All `#[inline(always)]`, without closures (see
+//! [`crate::simd`]).
 
 use crate::real::Real;
 
@@ -132,8 +133,8 @@ pub(super) fn columns<R: Real>(q: [R; 4]) -> [V3<R>; 3] {
     ]
 }
 
-/// Articulated inertia and bias force of a body about the base's origin, world axes: what takes spatial acceleration to force,
-/// `moment = a·α + b·acc + n`, `force = bᵀ·α + c·acc + f`.
+/// Articulated inertia and bias force of a body about the base's origin, world axes: what takes spatial
+/// acceleration to force, `moment = a·α + b·acc + n`, `force = bᵀ·α + c·acc + f`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Inertia<R> {
     /// Symmetric, kg·m².
@@ -210,7 +211,8 @@ impl<R: Real> Inertia<R> {
         )
     }
 
-    /// Adds `self` less what a joint with `u = (ang, lin)` and `1/d = inverse` lets go: `self − u·uᵀ·inverse`, bias force `+ u·gain`.
+    /// Adds `self` less what a joint with `u = (ang, lin)` and `1/d = inverse` lets go:
+    /// `self − u·uᵀ·inverse`, bias force `+ u·gain`.
     #[inline(always)]
     pub fn reduced(&self, ang: V3<R>, lin: V3<R>, inverse: R, gain: R) -> Self {
         let (wa, wl) = (scale(ang, -inverse), scale(lin, -inverse));

@@ -1,7 +1,7 @@
 //! Water on the links ([`crate::water`]), taken into their inertias after the outward pass.
 //!
-//! Drag is taken at the end of the step: its secant damping goes into the articulated inertia, so no step is too large for it. Added mass goes there
-//! as it is.
+//! Drag is taken at the end of the step: its secant damping goes into the articulated inertia, so no step is
+//! too large for it. Added mass goes there as it is.
 
 use super::contact::add_general;
 use super::frame::Frame;

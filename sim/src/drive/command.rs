@@ -1,7 +1,8 @@
 //! The way of a command to its servo: what a servo is told of a stepwise command after a delay of its own.
 //!
-//! The delay counts to the fraction of a physics step. A servo that is served later on the bus than another (sampling skew) has a longer delay.
-//! A command frame that is lost leaves every servo with the one before it (one synchronous write carries all joints).
+//! The delay counts to the fraction of a physics step. A servo that is served later on the bus than another
+//! (sampling skew) has a longer delay. A command frame that is lost leaves every servo with the one before it
+//! (one synchronous write carries all joints).
 
 use std::collections::VecDeque;
 
@@ -18,7 +19,8 @@ const SCAN: usize = 16;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CommandHistory<R> {
     width: usize,
-    /// `[depth, width]`. A ring: with short periods it is deep, and a new command must not move all the others.
+    /// `[depth, width]`. A ring: with short periods it is deep, and a new command must not move all the
+    /// others.
     values: VecDeque<R>,
 }
 
@@ -45,8 +47,8 @@ impl<R: Real> Scheduled<R> {
         }
     }
 
-    /// The command's mean over the physics step that starts `since_s` into the period and lasts `dt_s` (so a delay of a fraction of a
-    /// step acts as one), rad. `per_dt`: 1/dt.
+    /// The command's mean over the physics step that starts `since_s` into the period and lasts `dt_s` (so a
+    /// delay of a fraction of a step acts as one), rad. `per_dt`: 1/dt.
     #[must_use]
     #[inline(always)]
     pub fn over_step(&self, since_s: R, dt_s: R, per_dt: R) -> R {
@@ -61,7 +63,8 @@ impl<R: Real> Scheduled<R> {
 }
 
 impl<R: Real> CommandHistory<R> {
-    /// History for control periods of `period_s`, filled with `rest_rad` (what the servos hold before the first command).
+    /// History for control periods of `period_s`, filled with `rest_rad` (what the servos hold before the
+    /// first command).
     #[must_use]
     pub fn new(period_s: f64, rest_rad: &[R]) -> Self {
         // One more than whole periods of delay, one for the command before it.
@@ -78,7 +81,8 @@ impl<R: Real> CommandHistory<R> {
         self.values.iter().map(|v| v.lane(lane)).collect()
     }
 
-    /// Replaces what lane `lane` holds by what [`lane`](Self::lane) gave. Whether the length fitted; if not, nothing changes.
+    /// Replaces what lane `lane` holds by what [`lane`](Self::lane) gave. Whether the length fitted; if not,
+    /// nothing changes.
     #[must_use]
     pub fn set_lane(&mut self, lane: usize, values_rad: &[f64]) -> bool {
         if values_rad.len() != self.values.len() {
@@ -108,11 +112,13 @@ impl<R: Real> CommandHistory<R> {
         self.values[joint]
     }
 
-    /// What joint `joint` is told during the control period (of `period_s`) that began with the last push, with a delay of `delay_s`.
+    /// What joint `joint` is told during the control period (of `period_s`) that began with the last push,
+    /// with a delay of `delay_s`.
     #[must_use]
     #[inline(always)]
     pub fn schedule(&self, joint: usize, delay_s: R, period_s: f64) -> Scheduled<R> {
-        // A delay of whole periods looks further back; what is left shifts the switch-over inside this period.
+        // A delay of whole periods looks further back; what is left shifts the switch-over inside this
+        // period.
         let whole = (delay_s * R::splat(1.0 / period_s)).floor().max(R::zero());
         let switch_s = delay_s - whole * R::splat(period_s);
         let depth = self.values.len() / self.width.max(1);

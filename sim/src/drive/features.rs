@@ -6,8 +6,8 @@ use super::params::NO_LIMIT;
 /// Declares [`DriveFeatures`]: each flag with what tells that a servo needs the stage.
 macro_rules! features {
     ($servo:ident; $($(#[$about:meta])* $flag:ident: $needed:expr,)+) => {
-        /// One flag per stage that is neutral for the nominal robot. A stage that is off costs one branch shared by all lanes; on, it must be
-        /// neutral for the lanes that do not need it, and is.
+        /// One flag per stage that is neutral for the nominal robot. A stage that is off costs one branch
+        /// shared by all lanes; on, it must be neutral for the lanes that do not need it, and is.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
         pub struct DriveFeatures {
             $($(#[$about])* pub $flag: bool,)+

@@ -1,10 +1,12 @@
-//! What a servo does to a command before it follows it: low-pass, and a profile that limits speed and acceleration.
+//! What a servo does to a command before it follows it: low-pass, and a profile that limits speed and
+//! acceleration.
 
 use super::ServoDrive;
 use super::params::NO_LIMIT;
 use crate::real::Real;
 
-/// A first-order low-pass `y' = (u − y)/τ` over one step with constant input, exactly; `share` is 1 − exp(−dt/τ).
+/// A first-order low-pass `y' = (u − y)/τ` over one step with constant input, exactly; `share` is 1 −
+/// exp(−dt/τ).
 #[must_use]
 #[inline(always)]
 pub fn low_pass<R: Real>(filtered: R, input: R, share: R) -> R {
@@ -23,10 +25,12 @@ pub fn lag_share(time_s: f64, dt_s: f64) -> f64 {
     }
 }
 
-/// One step of the profile: position and speed of a point that follows `target_rad` within speed and acceleration limits and
-/// arrives at rest (a trapezoidal profile, as servos' firmware makes it). Returns the new position (rad) and speed (rad/s).
+/// One step of the profile: position and speed of a point that follows `target_rad` within speed and
+/// acceleration limits and arrives at rest (a trapezoidal profile, as servos' firmware makes it). Returns the
+/// new position (rad) and speed (rad/s).
 ///
-/// The speed is the highest from which the point can still stop at the target: with steps of dt and braking a it covers a further v²/2a + v·dt/2.
+/// The speed is the highest from which the point can still stop at the target: with steps of dt and braking a
+/// it covers a further v²/2a + v·dt/2.
 #[must_use]
 #[inline(always)]
 pub fn profile<R: Real>(
@@ -79,7 +83,8 @@ mod tests {
         }
     }
 
-    /// Runs until the target of 1 rad is reached; returns the time, the highest speed, and the farthest position.
+    /// Runs until the target of 1 rad is reached; returns the time, the highest speed, and the farthest
+    /// position.
     fn ride(p: &ServoDrive<f64>, dt: f64) -> (f64, f64, f64) {
         let (mut x, mut v, mut fastest, mut farthest) = (0.0, 0.0, 0.0_f64, 0.0_f64);
         let mut steps = 0;

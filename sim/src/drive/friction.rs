@@ -1,24 +1,30 @@
 //! Dry friction of a joint: Coulomb, Stribeck, load-dependent and direction-dependent, on a bristle.
 //!
-//! The bound is `f = f_c + (f_s + k_s·|τ_load|)·exp(−(q̇/v_s)²) + k(P)·|τ_load| ± a`: Coulomb, the extra grip at rest (Stribeck, in the form of
-//! Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30, 1994; part of it may grow with the load), a share of the torque that the gear passes
-//! on (different when it drives the load and when the load drives it: a gear's two efficiencies), and a part that changes sign with the direction.
+//! The bound is `f = f_c + (f_s + k_s·|τ_load|)·exp(−(q̇/v_s)²) + k(P)·|τ_load| ± a`: Coulomb, the extra grip
+//! at rest (Stribeck, in the form of Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30, 1994; part of
+//! it may grow with the load), a share of the torque that the gear passes on (different when it drives the
+//! load and when the load drives it: a gear's two efficiencies), and a part that changes sign with the
+//! direction.
 //!
-//! Below the bound the joint hangs on a bristle (Dahl, "A solid friction model", 1968, with Coulomb's bound): a spring of
-//! stiffness `f / presliding` that is dragged along once the bound is reached. It holds a load without creep,
-//! never gives more than its bound while sliding, and dissipates. Smoothed: a reversal takes two presliding ways instead of none.
+//! Below the bound the joint hangs on a bristle (Dahl, "A solid friction model", 1968, with Coulomb's bound):
+//! a spring of stiffness `f / presliding` that is dragged along once the bound is reached. It holds a load
+//! without creep, never gives more than its bound while sliding, and dissipates. Smoothed: a reversal takes
+//! two presliding ways instead of none.
 
 use super::{ImplicitTorque, ServoDrive};
 use crate::real::Real;
 
-/// Nominal deflection at which friction starts to slide, rad (0.11°; a gear train's presliding is of this size).
+/// Nominal deflection at which friction starts to slide, rad (0.11°; a gear train's presliding is of this
+/// size).
 pub const PRESLIDING_RAD: f64 = 0.002;
 
-/// Damping of the bristle as a time: it feels where it would be that much later. Without it a joint that friction should hold rings on its
-/// bristle, the more the smaller the step, and creeps; with much more, friction acts ahead of time at every reversal.
+/// Damping of the bristle as a time: it feels where it would be that much later. Without it a joint that
+/// friction should hold rings on its bristle, the more the smaller the step, and creeps; with much more,
+/// friction acts ahead of time at every reversal.
 const BRISTLE_DAMPING_S: f64 = 0.02;
 
-/// Speed over which the load share fades from one direction of power to the other, rad/s: a loaded joint at rest has the mean of both.
+/// Speed over which the load share fades from one direction of power to the other, rad/s: a loaded joint at
+/// rest has the mean of both.
 const POWER_FADE_RADPS: f64 = 0.02;
 
 /// Beyond e^−40 the Stribeck part is nothing; larger arguments only underflow.
@@ -55,8 +61,8 @@ pub fn load_friction_nm<R: Real>(p: &ServoDrive<R>, load_nm: R, qd_radps: R) -> 
     load_nm.abs() * (p.load_friction_mean + p.load_friction_half_difference * driving)
 }
 
-/// The part of the bound that depends on the direction, N·m: `asymmetry` towards positive, its opposite towards negative, in between in
-/// proportion to the bristle.
+/// The part of the bound that depends on the direction, N·m: `asymmetry` towards positive, its opposite
+/// towards negative, in between in proportion to the bristle.
 #[must_use]
 #[inline(always)]
 pub fn asymmetry_nm<R: Real>(p: &ServoDrive<R>, bristle_rad: R, presliding_rad: R) -> R {
@@ -64,7 +70,8 @@ pub fn asymmetry_nm<R: Real>(p: &ServoDrive<R>, bristle_rad: R, presliding_rad: 
     p.friction_asymmetry_nm * direction
 }
 
-/// Friction torque of bound `bound_nm` (≥ 0) at velocity `qd_radps` and bristle deflection `bristle_rad`, for a step of `dt_s`.
+/// Friction torque of bound `bound_nm` (≥ 0) at velocity `qd_radps` and bristle deflection `bristle_rad`, for
+/// a step of `dt_s`.
 #[must_use]
 #[inline(always)]
 pub fn bristle_torque<R: Real>(

@@ -1,19 +1,22 @@
 //! Play and compliance between motor and joint: the rotor is a body of its own.
 //!
-//! The rotor (the joint's armature, seen at the joint) hangs on the joint by a gear with a gap of ± h and teeth of stiffness k and damping d:
-//! inside the gap nothing is passed on, beyond it `τ = k·(x ∓ h) + d·(ω − q̇)` with x = θ − q. Friction and viscous damping sit on the rotor's
-//! side, where most of a gear train is: within the gap the output moves freely, and the width of the free travel does not depend on load. The encoder
-//! sits on the output (as in the XM430), so the position loop sees q; back-EMF and envelope see the rotor's speed ω.
-//! h = 0 leaves a compliant gear.
+//! The rotor (the joint's armature, seen at the joint) hangs on the joint by a gear with a gap of ± h and
+//! teeth of stiffness k and damping d: inside the gap nothing is passed on, beyond it
+//! `τ = k·(x ∓ h) + d·(ω − q̇)` with x = θ − q. Friction and viscous damping sit on the rotor's side, where
+//! most of a gear train is: within the gap the output moves freely, and the width of the free travel does not
+//! depend on load. The encoder sits on the output (as in the XM430), so the position loop sees q; back-EMF
+//! and envelope see the rotor's speed ω. h = 0 leaves a compliant gear.
 //!
-//! Teeth are stiff and the rotor is light (1000 N·m/rad on 0.0022 kg·m²: 674 rad/s), so rotor and teeth are taken implicitly together: backward
-//! Euler of the rotor gives ω⁺ = a₀ + a₁·q̇⁺, which turns the gear's torque into a constant and a damper on the joint. With infinitely stiff
-//! teeth that damper is J/dt: the rotor's inertia as if it were bolted to the joint. Stable at any step.
+//! Teeth are stiff and the rotor is light (1000 N·m/rad on 0.0022 kg·m²: 674 rad/s), so rotor and teeth are
+//! taken implicitly together: backward Euler of the rotor gives ω⁺ = a₀ + a₁·q̇⁺, which turns the gear's
+//! torque into a constant and a damper on the joint. With infinitely stiff teeth that damper is J/dt: the
+//! rotor's inertia as if it were bolted to the joint. Stable at any step.
 
 use super::{ImplicitTorque, ServoDrive};
 use crate::real::Real;
 
-/// Stiffness of gear teeth where a gap is asked for and no stiffness, N·m/rad: 1 N·m bends them by 1 mrad, a quarter of the servo's play.
+/// Stiffness of gear teeth where a gap is asked for and no stiffness, N·m/rad: 1 N·m bends them by 1 mrad, a
+/// quarter of the servo's play.
 pub const TOOTH_STIFFNESS_NM_PER_RAD: f64 = 1000.0;
 
 /// Nominal damping ratio of rotor on teeth: metal gears ring for one or two periods.
@@ -39,8 +42,8 @@ impl<R: Real> GearStep<R> {
     }
 }
 
-/// One step of rotor and teeth. `lead_rad`: rotor ahead of the joint (x = θ − q); `rotor_radps`, `qd_radps`: their speeds; `motor_nm`: motor torque;
-/// `drag`: friction and damping on the rotor.
+/// One step of rotor and teeth. `lead_rad`: rotor ahead of the joint (x = θ − q); `rotor_radps`, `qd_radps`:
+/// their speeds; `motor_nm`: motor torque; `drag`: friction and damping on the rotor.
 #[must_use]
 #[inline(always)]
 pub fn step<R: Real>(
@@ -151,7 +154,8 @@ mod tests {
 
     #[test]
     fn free_travel_is_the_gap_whatever_the_load() {
-        // a load presses the joint against one flank, then the other; the rotor is held by friction far beyond the loads
+        // a load presses the joint against one flank, then the other; the rotor is held by friction far
+        // beyond the loads
         for load in [0.02, 0.2] {
             let p = ServoDrive {
                 rotor_kgm2: 1e3,

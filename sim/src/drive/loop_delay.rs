@@ -1,15 +1,17 @@
-//! A delay inside the position loop: the torque that a loop asks for reaches the motor later (computing time, a bus between controller and bridge).
+//! A delay inside the position loop: the torque that a loop asks for reaches the motor later (computing time,
+//! a bus between controller and bridge).
 //!
 //! ```text
 //!  arrives(t) = wanted(t − d)      between two steps: the straight line between what was wanted at them
 //! ```
 //!
-//! A torque holds for a whole step, so the straight line is at the same time its mean over a step in which it changes; and what arrives has a
-//! derivative by d from d = 0 on. A delay takes phase only: pure damping `kd` on an inertia `J` rings for good from `kd·d/J = π/2` on, whereas behind a
-//! first-order lag it always dies.
+//! A torque holds for a whole step, so the straight line is at the same time its mean over a step in which it
+//! changes; and what arrives has a derivative by d from d = 0 on. A delay takes phase only: pure damping `kd`
+//! on an inertia `J` rings for good from `kd·d/J = π/2` on, whereas behind a first-order lag it always dies.
 //!
-//! A lane remembers as many steps as its own longest delay needs, and only where it has one. What it was asking for before the first step that it remembers
-//! (after a reset, or after the delay was switched on) nobody knows: it counts as what it asks for in that step, as if the joint had been held like this for
+//! A lane remembers as many steps as its own longest delay needs, and only where it has one. What it was
+//! asking for before the first step that it remembers (after a reset, or after the delay was switched on)
+//! nobody knows: it counts as what it asks for in that step, as if the joint had been held like this for
 //! long.
 
 use serde::{Deserialize, Serialize};
@@ -36,7 +38,8 @@ pub struct WantedTorques<R> {
     newest: usize,
     /// `[width, depth]`, N·m.
     values_nm: Vec<R>,
-    /// What each lane needs by itself; what lies beyond, its neighbours may have brought about, and it must not show.
+    /// What each lane needs by itself; what lies beyond, its neighbours may have brought about, and it must
+    /// not show.
     own: Vec<usize>,
     /// 1 in lanes whose memory begins with the next step.
     begins: R,
@@ -59,7 +62,8 @@ impl<R: Real> WantedTorques<R> {
         }
     }
 
-    /// Lane `lane` needs `steps` from now on (see [`loop_memory_steps`](super::loop_memory_steps)). What it remembers stays; of steps further back it takes the oldest one that it has.
+    /// Lane `lane` needs `steps` from now on (see [`loop_memory_steps`](super::loop_memory_steps)). What it
+    /// remembers stays; of steps further back it takes the oldest one that it has.
     pub fn set_steps(&mut self, lane: usize, steps: usize) {
         let before = std::mem::replace(&mut self.own[lane], steps);
         if before == 0 {
@@ -97,7 +101,8 @@ impl<R: Real> WantedTorques<R> {
             .collect()
     }
 
-    /// Replaces what lane `lane` remembers by what [`lane`](Self::lane) gave. Whether the length fitted; if not, nothing changes.
+    /// Replaces what lane `lane` remembers by what [`lane`](Self::lane) gave. Whether the length fitted; if
+    /// not, nothing changes.
     #[must_use]
     pub fn set_lane(&mut self, lane: usize, values_nm: &[f64]) -> bool {
         let own = self.own[lane];
@@ -203,7 +208,8 @@ impl<R: Real> Loop<'_, R> {
         }
     }
 
-    /// The torque that arrives in a step in which `wanted_nm` is asked for, with a delay of `delay_steps` steps, N·m.
+    /// The torque that arrives in a step in which `wanted_nm` is asked for, with a delay of `delay_steps`
+    /// steps, N·m.
     #[must_use]
     #[inline(always)]
     pub fn pass(self, wanted_nm: R, delay_steps: R) -> R {

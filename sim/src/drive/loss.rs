@@ -1,7 +1,8 @@
 //! Lost command frames: whether the frame of a control period arrives, drawn by seed and count alone.
 //!
-//! Two states (Gilbert, "Capacity of a burst-noise channel", 1960): frames arrive, or a burst is on in which none does. With a share s of frames lost in
-//! bursts of mean length L, a burst ends with probability 1/L and starts with s/(L·(1 − s)).
+//! Two states (Gilbert, "Capacity of a burst-noise channel", 1960): frames arrive, or a burst is on in which
+//! none does. With a share s of frames lost in bursts of mean length L, a burst ends with probability 1/L and
+//! starts with s/(L·(1 − s)).
 
 use caudata_random::{Key, Purpose, Stream};
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,5 @@
-//! The drive-line of one actuated joint, written once over [`Real`]: from the command on the bus to the torque at the joint.
+//! The drive-line of one actuated joint, written once over [`Real`]: from the command on the bus to the
+//! torque at the joint.
 //!
 //! ```text
 //!  command ── delay, loss ── low-pass ── profile ──▶ PD ── delay ── envelope ──▶ gear ──▶ joint
@@ -6,13 +7,15 @@
 //!                                                    thermal.rs ▲ bus voltage, supply.rs
 //! ```
 //!
-//! [`step::start`] gives one joint's torque for one physics step, [`step::finish`] takes what the joint then did into its memory.
-//! Parameters and memory are structs with one number per lane ([`ServoDrive`], [`JointPassive`], [`JointMemory`]), so lanes may differ
-//! in everything. A stage that no lane of an engine needs is left out by [`DriveFeatures`], which is one branch that all lanes share.
+//! [`step::start`] gives one joint's torque for one physics step, [`step::finish`] takes what the joint then
+//! did into its memory. Parameters and memory are structs with one number per lane ([`ServoDrive`],
+//! [`JointPassive`], [`JointMemory`]), so lanes may differ in everything. A stage that no lane of an engine
+//! needs is left out by [`DriveFeatures`], which is one branch that all lanes share.
 //!
-//! What is not smooth is handed to the engine as a spring and a damper to be taken implicitly ([`ImplicitTorque`]), since stops, gear
-//! teeth and sticking friction are far stiffer than an explicit step can follow. The position loop itself is explicit: rotor inertia keeps it stable
-//! (15 N·m/rad on 0.0022 kg·m²: ω·dt is 0.33 at 4 ms, the limit being 2).
+//! What is not smooth is handed to the engine as a spring and a damper to be taken implicitly
+//! ([`ImplicitTorque`]), since stops, gear teeth and sticking friction are far stiffer than an explicit step
+//! can follow. The position loop itself is explicit: rotor inertia keeps it stable (15 N·m/rad on 0.0022
+//! kg·m²: ω·dt is 0.33 at 4 ms, the limit being 2).
 
 pub mod command;
 pub mod features;
@@ -38,8 +41,8 @@ pub use step::JointMemory;
 
 use crate::real::Real;
 
-/// A torque that follows its joint: `now − k·(q⁺ − q) − d·q̇⁺ − j·q̈`, where q⁺ and q̇⁺ are position and velocity at the end of the step and q̈ is the
-/// acceleration over it.
+/// A torque that follows its joint: `now − k·(q⁺ − q) − d·q̇⁺ − j·q̈`, where q⁺ and q̇⁺ are position and
+/// velocity at the end of the step and q̈ is the acceleration over it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ImplicitTorque<R> {
     /// At the present position, without the damper's part, N·m.
@@ -100,7 +103,8 @@ impl<R: Real> ImplicitTorque<R> {
         }
     }
 
-    /// What it came to after the joint moved by `moved_rad` and reached `qd_radps`, without the inertia's part, N·m.
+    /// What it came to after the joint moved by `moved_rad` and reached `qd_radps`, without the inertia's
+    /// part, N·m.
     #[must_use]
     #[inline(always)]
     pub fn after(&self, moved_rad: R, qd_radps: R) -> R {

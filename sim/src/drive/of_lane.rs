@@ -84,7 +84,8 @@ impl ServoDrive<f64> {
         }
     }
 
-    /// Rotor inertia that the engine adds to the joint, kg·m²: none where the rotor is a body of its own ([`super::gear`]).
+    /// Rotor inertia that the engine adds to the joint, kg·m²: none where the rotor is a body of its own
+    /// ([`super::gear`]).
     #[must_use]
     pub fn armature_kgm2(&self) -> f64 {
         self.rotor_kgm2 * (1.0 - self.gear_is_soft)
@@ -153,7 +154,8 @@ impl Supply<f64> {
     }
 }
 
-/// How many steps a lane with parameters `params` has to remember of what its loops asked for, the present one among them; 0 where none of them is late.
+/// How many steps a lane with parameters `params` has to remember of what its loops asked for, the present
+/// one among them; 0 where none of them is late.
 #[must_use]
 pub fn loop_memory_steps(params: &LaneParams, dt_s: f64) -> usize {
     let most = (params.joints.iter())

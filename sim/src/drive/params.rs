@@ -1,4 +1,5 @@
-//! What the drive-line computes with, per lane, in the form that costs least per step; [`super::of_lane`] makes it.
+//! What the drive-line computes with, per lane, in the form that costs least per step; [`super::of_lane`]
+//! makes it.
 
 use crate::per_lane::per_lane;
 

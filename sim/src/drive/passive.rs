@@ -55,8 +55,9 @@ fn stops<R: Real>(
     ))
 }
 
-/// How the joint would have accelerated without its stops in a step that began at `q_rad`, `qd_radps` and went with `qdd_radps2` to
-/// `qd_after_radps`, rad/s²: the stop's torque is taken off, over the inertia that its law reckons with.
+/// How the joint would have accelerated without its stops in a step that began at `q_rad`, `qd_radps` and
+/// went with `qdd_radps2` to `qd_after_radps`, rad/s²: the stop's torque is taken off, over the inertia that
+/// its law reckons with.
 #[must_use]
 #[inline(always)]
 pub fn free_radps2<R: Real>(
@@ -111,7 +112,8 @@ mod tests {
 
     #[test]
     fn beyond_a_stop_it_is_added() {
-        // 0.1 rad beyond, at rest: d = 0.95, 19·0.05 kg·m² and 0.95/(0.95·0.02)² = 2631.6 1/s²: −0.95·263.16 = −250 N·m; spring 2·(0.1 − 0.6) = −1
+        // 0.1 rad beyond, at rest: d = 0.95, 19·0.05 kg·m² and 0.95/(0.95·0.02)² = 2631.6 1/s²: −0.95·263.16
+        // = −250 N·m; spring 2·(0.1 − 0.6) = −1
         let t = spring_and_stops(&hinge(), at(&law(), 0.0), 0.6, 0.0);
         assert!((t.now_nm + 251.0).abs() < 1e-9, "{t:?}");
         assert!((t.inertia_kgm2 - 0.95).abs() < 1e-12);
@@ -120,7 +122,8 @@ mod tests {
         assert!((t.now_nm - (250.0 + 1.4)).abs() < 1e-9, "{t:?}");
     }
 
-    /// 1 mrad beyond the law wants −2.632 rad/s² at rest. Pulled back harder than that it does not act: it never pulls.
+    /// 1 mrad beyond the law wants −2.632 rad/s² at rest. Pulled back harder than that it does not act: it
+    /// never pulls.
     #[test]
     fn it_never_pulls() {
         let t = spring_and_stops(&hinge(), at(&law(), -2.7), 0.501, 0.0);

@@ -1,8 +1,8 @@
 //! The servo: a position loop behind a torque envelope.
 //!
-//! The loop is `τ = Kp·(q_des − q) − Kd·q̇ − Kd_min·ω`, with ω the motor's speed (that of the joint unless there is play in the gear). What the motor gives
-//! of it depends on speed and direction (envelope of ToddlerBot v2, Shi et al. 2025, arXiv:2502.00893, whose identified numbers the robot file
-//! carries):
+//! The loop is `τ = Kp·(q_des − q) − Kd·q̇ − Kd_min·ω`, with ω the motor's speed (that of the joint unless
+//! there is play in the gear). What the motor gives of it depends on speed and direction (envelope of
+//! ToddlerBot v2, Shi et al. 2025, arXiv:2502.00893, whose identified numbers the robot file carries):
 //!
 //! ```text
 //!  τ (in the direction of motion)
@@ -14,12 +14,12 @@
 //!  −τ_brake_max ──────────╰────────    against the motion: separate limit
 //! ```
 //!
-//! Both speeds scale with the bus voltage over the voltage at which they were identified.
-//! Where ToddlerBot jumps to full braking beyond q̇_max, the line here just goes on: that is the same motor at full
-//! duty, has no jump, and stays a function of joint speed and torque alone.
+//! Both speeds scale with the bus voltage over the voltage at which they were identified. Where ToddlerBot
+//! jumps to full braking beyond q̇_max, the line here just goes on: that is the same motor at full duty, has
+//! no jump, and stays a function of joint speed and torque alone.
 //!
-//! A winding whose resistance is ρ times its nominal one gives 1/ρ of the torque at the same voltage: the position loop and the sloping part of the
-//! envelope are divided by ρ, the flat current limit stays.
+//! A winding whose resistance is ρ times its nominal one gives 1/ρ of the torque at the same voltage: the
+//! position loop and the sloping part of the envelope are divided by ρ, the flat current limit stays.
 
 use super::ServoDrive;
 use super::supply::Bus;
@@ -28,11 +28,12 @@ use crate::real::Real;
 /// Speed over which a separate limit of the current against the motion fades in, rad/s.
 const BRAKING_FADE_RADPS: f64 = 0.1;
 
-/// Speed over which the back-driven gain ratio fades in, rad/s: without it a loaded joint at rest would chatter between two gains.
+/// Speed over which the back-driven gain ratio fades in, rad/s: without it a loaded joint at rest would
+/// chatter between two gains.
 const BACK_DRIVE_FADE_RADPS: f64 = 0.1;
 
-/// The error that the controller acts on: nothing within ± the dead band, beyond it what is over (steady, so that nothing chatters at the edge) and, where there
-/// is a jump, its share of the band.
+/// The error that the controller acts on: nothing within ± the dead band, beyond it what is over (steady, so
+/// that nothing chatters at the edge) and, where there is a jump, its share of the band.
 #[must_use]
 #[inline(always)]
 pub fn dead_band<R: Real>(p: &ServoDrive<R>, error_rad: R) -> R {
@@ -41,7 +42,8 @@ pub fn dead_band<R: Real>(p: &ServoDrive<R>, error_rad: R) -> R {
     error_rad - within + R::select(outside, p.dead_band_jump * within, R::zero())
 }
 
-/// Factor on Kp: 1 while the joint moves towards its target or rests, `ratio` while the load drives it away from it.
+/// Factor on Kp: 1 while the joint moves towards its target or rests, `ratio` while the load drives it away
+/// from it.
 #[must_use]
 #[inline(always)]
 pub fn back_drive_factor<R: Real>(ratio: R, error_rad: R, qd_radps: R) -> R {
@@ -50,8 +52,8 @@ pub fn back_drive_factor<R: Real>(ratio: R, error_rad: R, qd_radps: R) -> R {
     R::one() + (ratio - R::one()) * share
 }
 
-/// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m. Negative beyond the no-load speed, never
-/// below −τ_brake_max. `per_rho`: nominal over present winding resistance.
+/// Largest torque in the direction of motion at `speed_radps` (≥ 0), N·m. Negative beyond the no-load speed,
+/// never below −τ_brake_max. `per_rho`: nominal over present winding resistance.
 #[must_use]
 #[inline(always)]
 pub fn driving_limit_nm<R: Real>(p: &ServoDrive<R>, bus: &Bus<R>, per_rho: R, speed_radps: R) -> R {
@@ -87,8 +89,9 @@ pub fn clamp_nm<R: Real>(
     torque_nm.clamp(low, high)
 }
 
-/// Clamps a torque to what the current limits allow at motor speed `speed_radps`, N·m. At rest nothing brakes: what is allowed against the motion comes with the
-/// speed, without which a load between the two limits would be held by chattering between them.
+/// Clamps a torque to what the current limits allow at motor speed `speed_radps`, N·m. At rest nothing
+/// brakes: what is allowed against the motion comes with the speed, without which a load between the two
+/// limits would be held by chattering between them.
 #[must_use]
 #[inline(always)]
 pub fn limit_current_nm<R: Real>(p: &ServoDrive<R>, torque_nm: R, speed_radps: R) -> R {
@@ -115,7 +118,8 @@ pub fn unsaturated_nm<R: Real>(p: &ServoDrive<R>, given_nm: R) -> R {
     given_nm / left.max(R::splat(LEAST))
 }
 
-/// Magnitude of the motor current behind a motor torque, A: beyond the dead band in proportion to the torque; no torque, no current.
+/// Magnitude of the motor current behind a motor torque, A: beyond the dead band in proportion to the torque;
+/// no torque, no current.
 #[must_use]
 #[inline(always)]
 pub fn current_a<R: Real>(p: &ServoDrive<R>, torque_nm: R) -> R {
@@ -245,7 +249,8 @@ pub(crate) mod tests {
 
     #[test]
     fn a_hot_winding_lowers_the_sloping_part_only() {
-        // ρ = 1.25: at 4.2 rad/s the line is 1.17/1.25 = 0.936; at rest 1.94 + 0.8·0.2265 = 2.1212 over 1.25 = 1.697 < 1.94
+        // ρ = 1.25: at 4.2 rad/s the line is 1.17/1.25 = 0.936; at rest 1.94 + 0.8·0.2265 = 2.1212 over 1.25
+        // = 1.697 < 1.94
         let p = envelope(1.0);
         check(driving_limit_nm(&p, &Bus::at(12.0), 0.8, 4.2), 0.936);
         check(driving_limit_nm(&p, &Bus::at(12.0), 0.8, 0.0), 1.696_941);

@@ -10,7 +10,8 @@ use super::{filter, friction, gear, servo, thermal};
 use crate::per_lane::per_lane;
 use crate::real::Real;
 
-/// Weight of the newest load estimate: the mean of two steps, since a contact's impulse in one step is no load to rub under.
+/// Weight of the newest load estimate: the mean of two steps, since a contact's impulse in one step is no
+/// load to rub under.
 const LOAD_SHARE: f64 = 0.5;
 
 /// A physics step's length, and its inverse.
@@ -58,7 +59,8 @@ per_lane! {
 }
 
 impl JointMemory<f64> {
-    /// A joint that has been moving at `qd_radps` with the command `command_rad` for long: nothing on its way, gear centred, cold.
+    /// A joint that has been moving at `qd_radps` with the command `command_rad` for long: nothing on its
+    /// way, gear centred, cold.
     #[must_use]
     pub fn rest(command_rad: f64, qd_radps: f64) -> Self {
         Self {
@@ -87,8 +89,8 @@ pub struct Driven<R> {
     gear: Option<gear::GearStep<R>>,
 }
 
-/// The torque on an actuated joint at position `q_rad`, velocity `qd_radps` for the step that now begins; `command_rad` is what arrives at the servo,
-/// `on_its_way` what its loop asked for before.
+/// The torque on an actuated joint at position `q_rad`, velocity `qd_radps` for the step that now begins;
+/// `command_rad` is what arrives at the servo, `on_its_way` what its loop asked for before.
 #[must_use]
 #[inline(always)]
 pub fn start<R: Real>(
@@ -171,8 +173,8 @@ pub fn start<R: Real>(
     }
 }
 
-/// Takes into memory that the joint moved by `moved_rad` and went from velocity `qd_before_radps` to `qd_after_radps`. Returns the motor's speed at the
-/// end of the step, rad/s.
+/// Takes into memory that the joint moved by `moved_rad` and went from velocity `qd_before_radps` to
+/// `qd_after_radps`. Returns the motor's speed at the end of the step, rad/s.
 #[inline(always)]
 pub fn finish<R: Real>(
     f: DriveFeatures,
@@ -208,7 +210,8 @@ pub fn finish<R: Real>(
     motor_radps
 }
 
-/// The passive torque of a hinge without a servo, and its bristle's next deflection by [`friction::drag_bristle`].
+/// The passive torque of a hinge without a servo, and its bristle's next deflection by
+/// [`friction::drag_bristle`].
 #[must_use]
 #[inline(always)]
 pub fn hinge_torque<R: Real>(

@@ -1,13 +1,14 @@
 //! The bus that all servos of a robot share: V = V₀ − R·Σ|i|.
 //!
-//! The voltage follows the load with a short lag (wiring and buffer capacitors). The lag also keeps the loop voltage → torque limit → current stable when
-//! many joints at once run along their voltage limit.
+//! The voltage follows the load with a short lag (wiring and buffer capacitors). The lag also keeps the loop
+//! voltage → torque limit → current stable when many joints at once run along their voltage limit.
 
 use super::filter;
 use crate::per_lane::per_lane;
 use crate::real::Real;
 
-/// Lowest bus voltage, as a share of the open-circuit voltage: below it servos brown out, which is not modelled.
+/// Lowest bus voltage, as a share of the open-circuit voltage: below it servos brown out, which is not
+/// modelled.
 const LEAST_SHARE: f64 = 0.2;
 
 per_lane! {

@@ -260,7 +260,8 @@ fn friction_sets_the_steady_speed() {
 
 #[test]
 fn stribeck_holds_more_than_it_rubs() {
-    // Coulomb 0.1, 0.05 more at rest: 0.14 N·m is held, 0.16 breaks away, and then accelerates by 0.06 on 0.0122 kg·m²
+    // Coulomb 0.1, 0.05 more at rest: 0.14 N·m is held, 0.16 breaks away, and then accelerates by 0.06 on
+    // 0.0122 kg·m²
     let p = ServoDrive {
         kp_nm_per_rad: 0.0,
         kd_nms_per_rad: 0.0,
@@ -289,8 +290,9 @@ fn stribeck_holds_more_than_it_rubs() {
 
 #[test]
 fn load_friction_lifts_and_lowers() {
-    // 20 % driving, 40 % driven: lifting 0.5 N·m takes 0.5/0.8, as friction is a share of what passes on … to the load: 0.5·1.2 = 0.6;
-    // lowering it takes 0.5·(1 − 0.4) = 0.3. Slow ramps: 0.1 rad/s, with viscous 0 and kd·0.1 = 0.03 N·m in the loop's torque already.
+    // 20 % driving, 40 % driven: lifting 0.5 N·m takes 0.5/0.8, as friction is a share of what passes on … to
+    // the load: 0.5·1.2 = 0.6; lowering it takes 0.5·(1 − 0.4) = 0.3. Slow ramps: 0.1 rad/s, with viscous 0
+    // and kd·0.1 = 0.03 N·m in the loop's torque already.
     let p = ServoDrive {
         load_friction_mean: 0.3,
         load_friction_half_difference: -0.1,
@@ -306,7 +308,8 @@ fn load_friction_lifts_and_lowers() {
 
 #[test]
 fn play_in_the_gear_is_free_and_has_its_width() {
-    // ±0.01 rad of play, rotor held by its friction: 0.05 N·m either way moves the joint by 0.02 rad and the teeth's bend
+    // ±0.01 rad of play, rotor held by its friction: 0.05 N·m either way moves the joint by 0.02 rad and the
+    // teeth's bend
     let p = ServoDrive {
         kp_nm_per_rad: 0.0,
         kd_nms_per_rad: 0.0,
@@ -375,7 +378,8 @@ fn late(p: ServoDrive<f64>, delay_s: f64) -> ServoDrive<f64> {
 
 #[test]
 fn torque_arrives_after_the_loops_delay() {
-    // an error of 0.1 rad asks for 1.5 N·m. After 2.25 steps: nothing in two, three quarters in the third (the rest is still what was asked for before)
+    // an error of 0.1 rad asks for 1.5 N·m. After 2.25 steps: nothing in two, three quarters in the third
+    // (the rest is still what was asked for before)
     let mut rig = Rig::new(late(servo(), 0.00225), hinge());
     rig.run(0.01, |_| 0.0, 0.0);
     for want in [0.0, 0.0, 1.125, 1.5, 1.5] {
@@ -397,8 +401,9 @@ fn torque_arrives_after_the_loops_delay() {
 
 #[test]
 fn late_damping_is_stable_up_to_a_quarter_turn() {
-    // ω' = −kd/J·ω(t − d) rings for good at kd·d/J = π/2. 20 ms and half a step (torque holds for one), J = 0.0122 kg·m²: kd = 0.9349 N·m·s/rad.
-    // 2 % off: its growth is π/2/(1 + π²/4)·Δ(kd/J) = 0.453·1.53 = 0.69 /s, e^2.8 = 16 in 4 s
+    // ω' = −kd/J·ω(t − d) rings for good at kd·d/J = π/2. 20 ms and half a step (torque holds for one), J =
+    // 0.0122 kg·m²: kd = 0.9349 N·m·s/rad. 2 % off: its growth is π/2/(1 + π²/4)·Δ(kd/J) = 0.453·1.53 = 0.69
+    // /s, e^2.8 = 16 in 4 s
     let limit = 0.5 * std::f64::consts::PI * 0.0122 / 0.0205;
     let growth = |kd: f64| {
         let p = ServoDrive {
@@ -493,7 +498,8 @@ fn ripple_repeats_with_the_angle() {
 
 #[test]
 fn working_neighbours_slow_a_joint_down() {
-    // Envelope of the XM430 at 12 V with kd_min 0 runs free at 9.366 rad/s (taper line's end); 4 A of neighbours through 0.5 Ω leave 10 V: 7.805 rad/s
+    // Envelope of the XM430 at 12 V with kd_min 0 runs free at 9.366 rad/s (taper line's end); 4 A of
+    // neighbours through 0.5 Ω leave 10 V: 7.805 rad/s
     let p = ServoDrive {
         kd_nms_per_rad: 0.0,
         tau_max_nm: 1.94,

@@ -1,7 +1,7 @@
 //! A motor's winding warms with its current and gives less torque per volt when warm.
 //!
-//! One thermal mass: T' = (K·i² − T)/τ with T the rise above the surroundings and K the steady rise per A². The resistance grows by about 0.39 % per
-//! kelvin (copper), and torque at a given voltage falls with it.
+//! One thermal mass: T' = (K·i² − T)/τ with T the rise above the surroundings and K the steady rise per A².
+//! The resistance grows by about 0.39 % per kelvin (copper), and torque at a given voltage falls with it.
 
 use super::{ServoDrive, filter};
 use crate::real::Real;

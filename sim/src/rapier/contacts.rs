@@ -83,8 +83,9 @@ impl ContactImpulses {
     }
 }
 
-/// Friction impulse on the first body over the whole step, world. Rapier reports it in a tangent basis that it does not
-/// keep; the last pass's share is known in both that basis and the world, which gives the basis back.
+/// Friction impulse on the first body over the whole step, world. Rapier reports it in a tangent basis that
+/// it does not keep; the last pass's share is known in both that basis and the world, which gives the basis
+/// back.
 fn friction_impulse(data: &ContactData, dir1: Vector) -> Vector {
     let (world, local) = (data.warmstart_tangent_world, data.warmstart_tangent_impulse);
     let squared = local.x * local.x + local.y * local.y;

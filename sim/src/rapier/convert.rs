@@ -37,8 +37,8 @@ pub(super) fn rotation_from_x(axis: [f64; 3]) -> Rotation {
     Rotation::from_rotation_arc(Vector::X, vector(axis).normalize())
 }
 
-/// Mass properties about the body frame's origin. The eigenvalues are taken in f64: links of some 1e-5 kg·m² are
-/// within the tolerance of an f32 decomposition.
+/// Mass properties about the body frame's origin. The eigenvalues are taken in f64: links of some 1e-5 kg·m²
+/// are within the tolerance of an f32 decomposition.
 pub(super) fn mass_properties(mass_kg: f64, inertia_kgm2: &Matrix3<f64>) -> MassProperties {
     let eigen = SymmetricEigen::new(*inertia_kgm2);
     let mut axes = eigen.eigenvectors;

@@ -1,13 +1,16 @@
 //! Friction of the ground, where Rapier's own is not Coulomb's at that place.
 //!
-//! *Patches.* Rapier keeps one coefficient per contact manifold: a ball has one contact in it, so its factor is exact; a flat shape that lies across a
-//! patch's edge has the factor at the mean of its contact points.
+//! *Patches.* Rapier keeps one coefficient per contact manifold: a ball has one contact in it, so its factor
+//! is exact; a flat shape that lies across a patch's edge has the factor at the mean of its contact points.
 //!
-//! *Sliding.* Rapier 0.36.1 solves the two tangents of a multibody's contact each by itself, with its own effective mass (m₁, m₂), and then cuts the impulse
-//! to μ·N. What slides at v is so pulled back along (m₁v₁, m₂v₂) in the world's axes, and not along v: the tip of a tail, light sideways and heavy
-//! lengthwise, loses up to a quarter of its drag, and how much hangs on the robot's heading (figures: `docs/reference/simulation.md`). So a contact that slides fast
-//! enough for an explicit force gets −μ·N·v/|v| from here, and none from Rapier. How fast that is goes with the step: some 0.1 m/s for the Polymander's tail
-//! and 0.2 m/s for a foot that carries its share at 1 ms, four times as much at 4 ms. What is slower stays Rapier's, whose direction then is as wrong as ever.
+//! *Sliding.* Rapier 0.36.1 solves the two tangents of a multibody's contact each by itself, with its own
+//! effective mass (m₁, m₂), and then cuts the impulse to μ·N. What slides at v is so pulled back along (m₁v₁,
+//! m₂v₂) in the world's axes, and not along v: the tip of a tail, light sideways and heavy lengthwise, loses
+//! up to a quarter of its drag, and how much hangs on the robot's heading (figures:
+//! `docs/reference/simulation.md`). So a contact that slides fast enough for an explicit force gets
+//! −μ·N·v/|v| from here, and none from Rapier. How fast that is goes with the step: some 0.1 m/s for the
+//! Polymander's tail and 0.2 m/s for a foot that carries its share at 1 ms, four times as much at 4 ms. What
+//! is slower stays Rapier's, whose direction then is as wrong as ever.
 
 use std::sync::Arc;
 
@@ -19,8 +22,9 @@ use serde::{Deserialize, Serialize};
 use super::tags::GROUND_TAG;
 use crate::Terrain;
 
-/// A contact is taken over where its speed is beyond so many times what all friction changes of it in one step, and given back below so many times that: a
-/// link gives way sideways up to about twice as easily as in the mean over directions. With less between the two, contacts that rock go to and fro.
+/// A contact is taken over where its speed is beyond so many times what all friction changes of it in one
+/// step, and given back below so many times that: a link gives way sideways up to about twice as easily as in
+/// the mean over directions. With less between the two, contacts that rock go to and fro.
 const BEGINS: Real = 10.0;
 const ENDS: Real = 2.0;
 /// Share of what is owed that is given in each step.
@@ -70,8 +74,8 @@ struct Touch {
 
 /// Friction that sliding contacts have yet to give.
 ///
-/// A push is answered over a few steps: in a leg that friction presses into the ground an answer to the last step's push alone is a larger push in the next
-/// one, and so on until the foot hops.
+/// A push is answered over a few steps: in a leg that friction presses into the ground an answer to the last
+/// step's push alone is a larger push in the next one, and so on until the foot hops.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(super) struct Owed {
     /// Impulse owed to each of the robot's colliders, N·s.
@@ -116,7 +120,8 @@ impl Skin {
         &self.slides
     }
 
-    /// Finds what slides as the world now is, and takes what the last step's pushes call for into `owed`. What has left the ground owes nothing.
+    /// Finds what slides as the world now is, and takes what the last step's pushes call for into `owed`.
+    /// What has left the ground owes nothing.
     pub fn find_slides(&mut self, world: &PhysicsWorld, grip: &Grip, owed: &mut Owed) {
         self.find_touches(world, grip);
         self.slides.clear();
@@ -188,11 +193,12 @@ struct Contact<'a> {
 }
 
 impl Contact<'_> {
-    /// Adds it to `slides` and returns what it still owes after the coming step, N·s; `None` where it may hold. `all_mps`: what all friction changes of
-    /// the robot's speed in a step.
+    /// Adds it to `slides` and returns what it still owes after the coming step, N·s; `None` where it may
+    /// hold. `all_mps`: what all friction changes of the robot's speed in a step.
     fn slide(&self, world: &PhysicsWorld, all_mps: Real, slides: &mut Vec<Slide>) -> Option<Real> {
         let last_ns: Real = self.touches.iter().map(|t| t.allowed_ns).sum();
-        // Taken over from Rapier it begins where it would be after many steps of such a push, so that the force goes on as it was.
+        // Taken over from Rapier it begins where it would be after many steps of such a push, so that the
+        // force goes on as it was.
         let due_ns = |t: &Touch| {
             if t.given {
                 t.allowed_ns / PAID
@@ -233,7 +239,8 @@ impl Contact<'_> {
     }
 }
 
-/// Velocity of a link's centre of mass and its angular velocity, world: a link's own fields are those at the start of the last step.
+/// Velocity of a link's centre of mass and its angular velocity, world: a link's own fields are those at the
+/// start of the last step.
 fn velocity(world: &PhysicsWorld, body: RigidBodyHandle) -> Option<(Vector, Vector)> {
     let link = world.multibody_joints.rigid_body_link(body)?;
     let multibody = world.multibody_joints.get_multibody(link.multibody)?;

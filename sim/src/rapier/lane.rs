@@ -87,8 +87,8 @@ impl Lane {
         Ok(lane)
     }
 
-    /// Takes over other parameters where the robot is: positions, velocities, commands under way and friction bristles stay, contact
-    /// memory does not.
+    /// Takes over other parameters where the robot is: positions, velocities, commands under way and friction
+    /// bristles stay, contact memory does not.
     pub fn rebuild(&mut self, shared: &Shared, params: LaneParams) -> Result<(), SimError> {
         let memory = self.memory.clone();
         let mut lane = if memory.out.diverged[0] {
@@ -154,7 +154,8 @@ impl Lane {
         self.memory.out.is_finite()
     }
 
-    /// Writes the kinematic fields of the report from `self.at`. Returns the IMU point's velocity, world, m/s.
+    /// Writes the kinematic fields of the report from `self.at`. Returns the IMU point's velocity, world,
+    /// m/s.
     fn report(&mut self, shared: &Shared) -> Result<[f64; 3], SimError> {
         let model = &*shared.model;
         self.motion

@@ -1,18 +1,20 @@
 //! The Rapier engine: one world per lane, the robot as a reduced-coordinates multibody.
 //!
 //! What of Rapier is used, and what is not (0.36.1, checked by tests):
-//! - Armature, joint damping and joint springs of its multibodies are implicit and exact for a pendulum; they carry rotor
-//!   inertia, passive springs, end stops and sticking friction. Its own limits, motors and dry-friction rows are not used: each
-//!   costs a solve with the mass matrix per step.
-//! - The servo's torque is a torque pair on the two bodies of its hinge, constant over a physics step (explicit). Rotor inertia keeps this
-//!   stable: with 15 N·m/rad and 0.0022 kg·m², ω·dt is 0.33 at 4 ms, the limit being 2.
+//! - Armature, joint damping and joint springs of its multibodies are implicit and exact for a pendulum; they
+//!   carry rotor inertia, passive springs, end stops and sticking friction. Its own limits, motors and
+//!   dry-friction rows are not used: each costs a solve with the mass matrix per step.
+//! - The servo's torque is a torque pair on the two bodies of its hinge, constant over a physics step
+//!   (explicit). Rotor inertia keeps this stable: with 15 N·m/rad and 0.0022 kg·m², ω·dt is 0.33 at 4 ms, the
+//!   limit being 2.
 //! - Contacts are Rapier's own (Coulomb friction per point, warm started), between robot and ground, and with
-//!   [`EngineConfig::self_collision`] between legs and trunk with their real shapes; but what surely slides on the ground has its friction from
-//!   [`friction`].
+//!   [`EngineConfig::self_collision`] between legs and trunk with their real shapes; but what surely slides
+//!   on the ground has its friction from [`friction`].
 //! - Continuous collision detection, sleeping, contact recycling and clustering are off.
 //!
-//! Cost and accuracy, measured before friction of what slides was taken from Rapier (an open-loop trot on flat ground, one thread of a 2.7 GHz Xeon; travel and power over
-//! 10 s). MuJoCo 3 on the same MJCF and servo goes 2.14 m with 6.90 W at 0.5 ms:
+//! Cost and accuracy, measured before friction of what slides was taken from Rapier (an open-loop trot on
+//! flat ground, one thread of a 2.7 GHz Xeon; travel and power over 10 s). MuJoCo 3 on the same MJCF and
+//! servo goes 2.14 m with 6.90 W at 0.5 ms:
 //!
 //! | step, iterations | physics steps/s | times real time | travel, m | power, W |
 //! |---|---|---|---|---|
@@ -24,11 +26,12 @@
 //! | 2 ms, 1 | 8,200 | 16 | 2.15 | 6.59 |
 //! | 0.5 ms, 1 | 8,300 | 4 | 2.15 | 6.67 |
 //!
-//! On rugged ground it makes 7,200. So time is better spent on smaller steps than on iterations. Two thirds of it is the dense mass matrix; without
-//! the four play hinges ([`EngineConfig::lock_backlash`]) a step costs two thirds. At 10 ms, feet driven hard into rough ground go
-//! through it.
+//! On rugged ground it makes 7,200. So time is better spent on smaller steps than on iterations. Two thirds
+//! of it is the dense mass matrix; without the four play hinges ([`EngineConfig::lock_backlash`]) a step
+//! costs two thirds. At 10 ms, feet driven hard into rough ground go through it.
 //!
-//! Same bits for any number of threads; across processors they may differ, as linear algebra kernels are chosen at run time.
+//! Same bits for any number of threads; across processors they may differ, as linear algebra kernels are
+//! chosen at run time.
 
 mod contacts;
 mod convert;

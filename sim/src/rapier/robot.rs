@@ -149,7 +149,8 @@ impl Robot {
         })
     }
 
-    /// Where link `link` (whose centre of mass is at `com_m` in its frame) is and how it moves; `None` for a body Rapier has lost.
+    /// Where link `link` (whose centre of mass is at `com_m` in its frame) is and how it moves; `None` for a
+    /// body Rapier has lost.
     pub fn link_motion(&self, link: usize, com_m: [f32; 3]) -> Option<LinkMotion<f32>> {
         let handle = self.handles.bodies[self.handles.links[link]];
         let body = self.world.bodies.get(handle)?;
@@ -185,7 +186,8 @@ impl Robot {
         load.torque_nm += Vector::from_slice(&wrench[3..6]);
     }
 
-    /// Loads joint `j` for the coming step (N·m, or N of a slide): spring and damper implicitly, the rest as it is.
+    /// Loads joint `j` for the coming step (N·m, or N of a slide): spring and damper implicitly, the rest as
+    /// it is.
     pub fn load_joint(&mut self, j: usize, torque: &ImplicitTorque<f32>) {
         let Self {
             world,

@@ -1,8 +1,8 @@
 //! Snapshots: every lane's world and memory as bytes.
 //!
-//! Rapier's sets are written whole (contact warm start, islands and the broad phase's tree included): continuing from
-//! anything less is not bit-exact. A height field inside a lane's collider set would repeat the terrain once per lane, so its bytes
-//! are cut out of each lane and put back on reading.
+//! Rapier's sets are written whole (contact warm start, islands and the broad phase's tree included):
+//! continuing from anything less is not bit-exact. A height field inside a lane's collider set would repeat
+//! the terrain once per lane, so its bytes are cut out of each lane and put back on reading.
 
 use rapier3d::prelude::PhysicsWorld;
 use serde::{Deserialize, Serialize};

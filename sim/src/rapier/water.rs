@@ -1,10 +1,12 @@
 //! Water on the links of one lane.
 //!
-//! Rapier takes forces on bodies as they are at the start of a step. Drag therefore is explicit, and limited to what stops the link alone in one
-//! step (it is far below that at walking and swimming speeds). Added mass goes into the bodies: the mean of the largest and the smallest of its three
-//! axes into the mass (its weight taken off again), what the axes differ as a force by the last step's acceleration, added inertia into the
-//! inertia. That force lags by a step and a half, which damps a motion of frequency ω by about (M_i − M̄)·1.5·dt·ω² too much (0.4 N·s/m for a buoy
-//! of 2.8 kg that carries as much only along the vertical, at 4 ms).
+//! Rapier takes forces on bodies as they are at the start of a step. Drag therefore is explicit, and limited
+//! to what stops the link alone in one step (it is far below that at walking and swimming speeds). Added mass
+//! goes into the bodies: the mean of the largest and the smallest of its three axes into the mass (its weight
+//! taken off again), what the axes differ as a force by the last step's acceleration, added inertia into the
+//! inertia. That force lags by a step and a half, which damps a motion of frequency ω by about (M_i −
+//! M̄)·1.5·dt·ω² too much (0.4 N·s/m for a buoy of 2.8 kg that carries as much only along the vertical, at 4
+//! ms).
 
 use rapier3d::math::Vector;
 use serde::{Deserialize, Serialize};

@@ -1,9 +1,10 @@
 //! Builds one lane's Rapier world: the robot as one multibody, and the ground.
 //!
-//! Each link is a rigid body whose frame is the link's frame moved to its centre of mass. (Rapier integrates a free
-//! root's *origin* with the velocity of its *centre of mass*, so the two must coincide.) A link with several joints hangs on
-//! massless bodies, one less than it has joints: the reduced-coordinates mass matrix only needs the masses beyond each joint.
-//! Welded links and locked joints are joints without degrees of freedom.
+//! Each link is a rigid body whose frame is the link's frame moved to its centre of mass. (Rapier integrates
+//! a free root's *origin* with the velocity of its *centre of mass*, so the two must coincide.) A link with
+//! several joints hangs on massless bodies, one less than it has joints: the reduced-coordinates mass matrix
+//! only needs the masses beyond each joint. Welded links and locked joints are joints without degrees of
+//! freedom.
 
 use caudata_model::pose::sub;
 use caudata_model::{BaseKind, Geom, JointMotion, Link, Pose as ModelPose, RobotModel, Shape};
@@ -108,10 +109,12 @@ fn integration_parameters(config: &EngineConfig) -> IntegrationParameters {
         normalized_prediction_distance: config.contact_margin_m as Real,
         // A foot at 3 m/s moves 12 mm in a step of 4 ms: less than its radius.
         max_ccd_substeps: 0,
-        // Friction otherwise only acts after positions have moved; with one iteration per step that lets feet slip: this brings the
-        // travel of an open-loop trot at 4 ms from 6 % below its small-step limit to 3 %, at 10 ms from 19 % to 9 %.
+        // Friction otherwise only acts after positions have moved; with one iteration per step that lets feet
+        // slip: this brings the travel of an open-loop trot at 4 ms from 6 % below its small-step limit to 3
+        // %, at 10 ms from 19 % to 9 %.
         friction_in_bias_pass: true,
-        // Recycled contacts lag behind rolling feet; and a ball has one contact, so there is nothing to merge.
+        // Recycled contacts lag behind rolling feet; and a ball has one contact, so there is nothing to
+        // merge.
         contact_recycling: false,
         contact_clustering: false,
         ..IntegrationParameters::default()
@@ -147,7 +150,8 @@ fn insert_ground(world: &mut PhysicsWorld, shared: &Shared) {
     world.colliders.insert(plane(-APRON_DROP_M));
 }
 
-/// The terrain's height field as Rapier has it: in x–z with y up, rows along z. Turned by 90° about x, its rows run against our y.
+/// The terrain's height field as Rapier has it: in x–z with y up, rows along z. Turned by 90° about x, its
+/// rows run against our y.
 pub(super) fn height_field(terrain: &Terrain) -> Option<SharedShape> {
     let grid = terrain.grid()?;
     let n = grid.points();
@@ -221,7 +225,8 @@ impl Builder<'_> {
         self.insert_chain(handles, i, (anchor, [0.0; 3]), &placed)
     }
 
-    /// Inserts link `i` and the joints that carry it. `from`: body on the parent side and its centre of mass in the parent link's frame.
+    /// Inserts link `i` and the joints that carry it. `from`: body on the parent side and its centre of mass
+    /// in the parent link's frame.
     fn insert_chain(
         &mut self,
         handles: &mut RobotHandles,
@@ -291,7 +296,8 @@ impl Builder<'_> {
         handles.bodies.len() - 1
     }
 
-    /// Joint `j` between a body in which the link's frame is at `placed` and a body whose origin is at `com_m` in that frame.
+    /// Joint `j` between a body in which the link's frame is at `placed` and a body whose origin is at
+    /// `com_m` in that frame.
     fn moving_joint(&self, j: usize, placed: &ModelPose, com_m: [f64; 3]) -> GenericJoint {
         let joint = &self.model.joints()[j];
         let axis = convert::rotation_from_x(joint.axis);
@@ -364,7 +370,8 @@ impl Builder<'_> {
         InteractionGroups::new(ROBOT | own, GROUND | others, InteractionTestMode::And)
     }
 
-    /// Settles the multibody (its root may only now turn out to be fixed) and looks up where each joint ended up.
+    /// Settles the multibody (its root may only now turn out to be fixed) and looks up where each joint ended
+    /// up.
     fn assign_dofs(&mut self, handles: &mut RobotHandles) -> Result<(), SimError> {
         let joints = &mut self.world.multibody_joints;
         for dof in handles.dofs.iter_mut().flatten() {
@@ -407,7 +414,8 @@ fn welded_joint(placed: &ModelPose, com_m: [f64; 3]) -> GenericJoint {
         .build()
 }
 
-/// Rapier's shape, and how it is turned in ours (its cylinder stands along y). `None`: a plane, which only the world can have.
+/// Rapier's shape, and how it is turned in ours (its cylinder stands along y). `None`: a plane, which only
+/// the world can have.
 fn collider_shape(shape: Shape) -> Option<(SharedShape, Rotation)> {
     let upright = Rotation::from_rotation_x(std::f32::consts::FRAC_PI_2);
     let as_is = Rotation::IDENTITY;

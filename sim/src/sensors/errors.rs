@@ -1,4 +1,5 @@
-//! What is constant in a robot's sensors and wrong: encoder gain, eccentricity and offset, current gain and bias, IMU tilt and scale.
+//! What is constant in a robot's sensors and wrong: encoder gain, eccentricity and offset, current gain and
+//! bias, IMU tilt and scale.
 
 use caudata_model::ServoParams;
 use nalgebra::{Rotation3, Vector3};
@@ -47,7 +48,8 @@ pub struct CurrentErrors {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ImuMounting {
-    /// The sensor is turned by this rotation vector against where the model has it, rad, in the model's IMU axes.
+    /// The sensor is turned by this rotation vector against where the model has it, rad, in the model's IMU
+    /// axes.
     pub tilt_rad: [f32; 3],
     /// Relative error of each axis of the gyroscope.
     pub gyro_gain: [f32; 3],
@@ -81,7 +83,8 @@ fn scaled(v: [f32; 3], gain: [f32; 3]) -> [f32; 3] {
     [0, 1, 2].map(|i| v[i] * (1.0 + gain[i]))
 }
 
-/// Current as a servo reports it for a motor torque, A: beyond the dead band proportional to torque, rounded to its step.
+/// Current as a servo reports it for a motor torque, A: beyond the dead band proportional to torque, rounded
+/// to its step.
 ///
 /// No torque reads as no current, although anything inside the dead band would give none.
 #[must_use]
@@ -97,8 +100,8 @@ pub fn current_a(servo: &ServoParams, torque_nm: f32) -> f32 {
 /// Nearest multiple of `lsb` (0: as it is).
 pub(super) fn quantise(value: f32, lsb: f64) -> f32 {
     if lsb > 0.0 {
-        // Adding this moves the fraction out of the mantissa: rounds to the nearest whole number, as long as that has less than 51 bits.
-        // (`round` is a call into the C library on processors without SSE 4.1.)
+        // Adding this moves the fraction out of the mantissa: rounds to the nearest whole number, as long as
+        // that has less than 51 bits. (`round` is a call into the C library on processors without SSE 4.1.)
         const SHIFT: f64 = 6_755_399_441_055_744.0; // 1.5·2⁵²
         (((f64::from(value) / lsb + SHIFT) - SHIFT) * lsb) as f32
     } else {

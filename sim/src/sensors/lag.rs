@@ -1,4 +1,5 @@
-//! What a reading goes through on its way: a low-pass, and a delay. Both work on several channels at once and are sampled at a fixed period.
+//! What a reading goes through on its way: a low-pass, and a delay. Both work on several channels at once and
+//! are sampled at a fixed period.
 
 use std::collections::VecDeque;
 
@@ -9,7 +10,8 @@ use crate::drive::filter::lag_share;
 /// Longest delay that is kept, s.
 pub const MAX_SENSOR_DELAY_S: f64 = 1.0;
 
-/// A first-order low-pass `y' = (x − y)/τ`, exact for an input that holds from sample to sample (a velocity estimate's or an IMU's filter).
+/// A first-order low-pass `y' = (x − y)/τ`, exact for an input that holds from sample to sample (a velocity
+/// estimate's or an IMU's filter).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Lag {
     share: f32,

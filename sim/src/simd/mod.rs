@@ -1,11 +1,13 @@
 //! Vectors of numbers, one robot per lane: [`Real`] over the processor's vector registers.
 //!
-//! Which width a processor offers is found at run time ([`Width::best`]); nothing needs `-C target-cpu`. Code over [`Lanes`] is
-//! `#[inline(always)]` from top to bottom and entered through [`Lanes::run`], which is compiled with the instructions that the width
-//! needs; everything inside is then inlined into it and becomes vector code. A function that is not inlined would still be correct but
-//! slow, so kernels use no closures and no iterator adapters.
+//! Which width a processor offers is found at run time ([`Width::best`]); nothing needs `-C target-cpu`. Code
+//! over [`Lanes`] is `#[inline(always)]` from top to bottom and entered through [`Lanes::run`], which is
+//! compiled with the instructions that the width needs; everything inside is then inlined into it and becomes
+//! vector code. A function that is not inlined would still be correct but slow, so kernels use no closures
+//! and no iterator adapters.
 //!
-//! Rounding: 16 and 8 lanes have fused multiply-add and give the same bits as each other. 4 lanes on x86-64 and one lane round twice.
+//! Rounding: 16 and 8 lanes have fused multiply-add and give the same bits as each other. 4 lanes on x86-64
+//! and one lane round twice.
 
 #[cfg(target_arch = "aarch64")]
 mod neon;
@@ -43,7 +45,8 @@ pub trait Lanes: Real + Default + PartialEq {
     fn read(from: &[f32]) -> Self;
     /// Writes [`Real::LANES`] values, rounded to f32.
     fn write(self, to: &mut [f32]);
-    /// `table[index]` per lane; `index` holds whole numbers, what is beyond an end takes the entry there (0 from an empty table).
+    /// `table[index]` per lane; `index` holds whole numbers, what is beyond an end takes the entry there (0
+    /// from an empty table).
     fn gather(table: &[f32], index: Self) -> Self;
     /// Runs `kernel` compiled for this width's instructions.
     fn run<K: Kernel>(kernel: K) -> K::Output;
@@ -137,12 +140,13 @@ fn gather_one_by_one<R: Lanes>(table: &[f32], index: R) -> R {
     R::read(&at)
 }
 
-/// Sine and cosine by range reduction to ±π/4 and minimax polynomials (Cephes' coefficients, S. Moshier), absolute error below 1.5e-7
-/// up to 1000 rad and growing as 1e-10 per rad beyond.
+/// Sine and cosine by range reduction to ±π/4 and minimax polynomials (Cephes' coefficients, S. Moshier),
+/// absolute error below 1.5e-7 up to 1000 rad and growing as 1e-10 per rad beyond.
 #[inline(always)]
 fn sin_cos<R: Real>(x: R) -> (R, R) {
     let turns = (x * R::splat(std::f64::consts::FRAC_2_PI) + R::splat(0.5)).floor();
-    // π/2 in three parts, the first two short enough that their products with `turns` are exact up to some thousand turns
+    // π/2 in three parts, the first two short enough that their products with `turns` are exact up to some
+    // thousand turns
     let r = turns.mul_add(R::splat(-1.570_312_5), x);
     let r = turns.mul_add(R::splat(-4.837_512_969_970_703e-4), r);
     let r = turns.mul_add(R::splat(-7.549_789_954_891_89e-8), r);
@@ -175,7 +179,8 @@ fn sin_cos<R: Real>(x: R) -> (R, R) {
     )
 }
 
-/// What is left of e^x after taking out 2^n: (n, polynomial), with `x` held within ±87. Relative error below 2e-7 (Cephes' coefficients).
+/// What is left of e^x after taking out 2^n: (n, polynomial), with `x` held within ±87. Relative error below
+/// 2e-7 (Cephes' coefficients).
 #[inline(always)]
 fn exp_parts<R: Real>(x: R) -> (R, R) {
     let x = x.clamp(R::splat(-87.0), R::splat(88.0));

@@ -1,4 +1,5 @@
-//! A vector of f32 and its truth values, declared as a table of the operations that differ from one instruction set to another.
+//! A vector of f32 and its truth values, declared as a table of the operations that differ from one
+//! instruction set to another.
 
 /// `$kernel` is how a kernel is entered; every operation is an expression over registers, named on its left.
 macro_rules! vector {
@@ -117,7 +118,8 @@ macro_rules! vector {
             }
             #[inline(always)]
             fn lane(self, lane: usize) -> f64 {
-                // SAFETY: a vector register and an array of as many f32 have the same size and every bit pattern is valid.
+                // SAFETY: a vector register and an array of as many f32 have the same size and every bit
+                // pattern is valid.
                 let all: [f32; $lanes] = unsafe { std::mem::transmute(self.0) };
                 f64::from(all[lane])
             }

@@ -1,8 +1,9 @@
 //! SSE 4.1, AVX2 with FMA, AVX-512.
 //!
-//! Safety of every `unsafe` here rests on one rule: a value of these types is only ever made while its instructions exist. The batch
-//! engine makes them only after [`super::Width::is_available`] said so; the constructors are not reachable from outside this crate's
-//! engine otherwise. Pointers are only formed from slices whose length is checked in the line before.
+//! Safety of every `unsafe` here rests on one rule: a value of these types is only ever made while its
+//! instructions exist. The batch engine makes them only after [`super::Width::is_available`] said so; the
+//! constructors are not reachable from outside this crate's engine otherwise. Pointers are only formed from
+//! slices whose length is checked in the line before.
 //!
 //! `min` and `max` give their second operand where either is NaN.
 #![allow(unsafe_code, unused_unsafe)] // which intrinsics are unsafe to call is another matter for each instruction set
@@ -34,7 +35,8 @@ vector! {
     not(a) !a;
     bits(a) a;
     gather(table, index) match last_index(table) {
-        // SAFETY: every index is clamped into the table (NaN converts to the lowest integer, which the clamp takes to 0).
+        // SAFETY: every index is clamped into the table (NaN converts to the lowest integer, which the clamp
+        // takes to 0).
         Some(last) => unsafe {
             let i = _mm512_cvttps_epi32(index.0);
             let i = _mm512_min_epi32(i, _mm512_set1_epi32(last));
@@ -106,7 +108,8 @@ vector! {
     gather(table, index) gather_one_by_one(table, index);
 }
 
-/// The last index of a table, as the instructions count; `None` where it has none, or more than they can count.
+/// The last index of a table, as the instructions count; `None` where it has none, or more than they can
+/// count.
 #[inline(always)]
 fn last_index(table: &[f32]) -> Option<i32> {
     i32::try_from(table.len())

@@ -54,15 +54,18 @@ kinds! {
     Valley = "valley",
     /// One plane that rises along +x with `slope_deg`, from edge to edge.
     Slope = "slope",
-    /// Terraces along x: every `step_length_m` a drop of `height_m` towards +x. The origin is in the middle of one.
+    /// Terraces along x: every `step_length_m` a drop of `height_m` towards +x. The origin is in the middle
+    /// of one.
     Steps = "steps",
     /// Level ground with square patches of low friction.
     Slippery = "slippery",
-    /// Land around the origin, a beach going down with `slope_deg` from x = 0.5 m on, then a pool; its surface at `water_level_m`.
+    /// Land around the origin, a beach going down with `slope_deg` from x = 0.5 m on, then a pool; its
+    /// surface at `water_level_m`.
     Shore = "shore",
     /// A pool without end: level ground at z = 0 under `water_level_m` of water.
     DeepWater = "deep_water",
-    /// The paper's training ground in one field: four squares, flat, `hills`, `rugged` and `valley`, each ending at 0 at its border.
+    /// The paper's training ground in one field: four squares, flat, `hills`, `rugged` and `valley`, each
+    /// ending at 0 at its border.
     Mixed = "mixed",
 }
 
@@ -70,31 +73,37 @@ kinds! {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TerrainConfig {
-    /// Shape of the ground: `flat`, `hills`, `rugged`, `rough`, `rough_easy`, `rough_medium`, `rough_hard`, `valley`, `slope`, `steps`,
-    /// `slippery`, `shore`, `deep_water` or `mixed`.
+    /// Shape of the ground: `flat`, `hills`, `rugged`, `rough`, `rough_easy`, `rough_medium`, `rough_hard`,
+    /// `valley`, `slope`, `steps`, `slippery`, `shore`, `deep_water` or `mixed`.
     pub kind: TerrainKind,
-    /// Edge length of the square height field, m, 4..=100. Default 16: a 20 s episode at 0.3 m/s stays on it. `mixed` needs about twice that.
+    /// Edge length of the square height field, m, 4..=100. Default 16: a 20 s episode at 0.3 m/s stays on it.
+    /// `mixed` needs about twice that.
     pub size_m: f64,
-    /// Distance of its grid points, m, 0.02..=1. Default 0.1: a foot ball (radius 19 mm) meets single facets. `steps` uses 0.02 at most,
-    /// because its risers are one cell wide.
+    /// Distance of its grid points, m, 0.02..=1. Default 0.1: a foot ball (radius 19 mm) meets single facets.
+    /// `steps` uses 0.02 at most, because its risers are one cell wide.
     pub cell_m: f64,
-    /// Largest random height of `rugged` and `rough`, and drop of each of the `steps`, m, 0..=0.3. Default 0.04 (the paper's rugged terrain).
+    /// Largest random height of `rugged` and `rough`, and drop of each of the `steps`, m, 0..=0.3. Default
+    /// 0.04 (the paper's rugged terrain).
     pub height_m: f64,
-    /// Steepest slope of `hills`, `rough`, `valley`, `slope` and `shore`, degrees, 0..=40. Default 15 (the paper's hills and valley).
-    /// Above about 38° (atan of foot friction 0.8) nothing stands.
+    /// Steepest slope of `hills`, `rough`, `valley`, `slope` and `shore`, degrees, 0..=40. Default 15 (the
+    /// paper's hills and valley). Above about 38° (atan of foot friction 0.8) nothing stands.
     pub slope_deg: f64,
-    /// Shortest wave of `hills` and `rough`, m, 0.5..=20; the longest is three times that. Default 2: about two body lengths.
+    /// Shortest wave of `hills` and `rough`, m, 0.5..=20; the longest is three times that. Default 2: about
+    /// two body lengths.
     pub wavelength_m: f64,
-    /// Length of each of the `steps`, m, 0.2..=20. Default 1.5: the robot (1.1 m) stands wholly on one before it meets the next.
+    /// Length of each of the `steps`, m, 0.2..=20. Default 1.5: the robot (1.1 m) stands wholly on one before
+    /// it meets the next.
     pub step_length_m: f64,
-    /// Edge of the patches of `slippery`, m, 0.1..=5. Default 0.3: one foot at a time is on one; much larger, and whole strides are.
+    /// Edge of the patches of `slippery`, m, 0.1..=5. Default 0.3: one foot at a time is on one; much larger,
+    /// and whole strides are.
     pub patch_m: f64,
     /// Share of the ground of `slippery` that is slippery, 0..=1. Default 0.3.
     pub patch_share: f64,
-    /// Factor on the friction coefficients there, 0..=1. Default 0.25: foot friction 0.8 becomes 0.2, wet tiles. 0 is perfect ice.
+    /// Factor on the friction coefficients there, 0..=1. Default 0.25: foot friction 0.8 becomes 0.2, wet
+    /// tiles. 0 is perfect ice.
     pub patch_friction: f64,
-    /// Height of still water's surface above z = 0, m, 0..=10; any kind can be flooded. Default 0, which is dry but for `shore` (0.4 m) and
-    /// `deep_water` (2 m: the robot, 1.1 m long, can dive upright).
+    /// Height of still water's surface above z = 0, m, 0..=10; any kind can be flooded. Default 0, which is
+    /// dry but for `shore` (0.4 m) and `deep_water` (2 m: the robot, 1.1 m long, can dive upright).
     pub water_level_m: f64,
 }
 

@@ -96,7 +96,8 @@ impl Plan {
         (0..n * n).map(|i| of(at(i % n), at(i / n))).collect()
     }
 
-    /// Sum of sine waves of random direction and phase, scaled so that no facet is steeper than `slope`, lowest point 0.
+    /// Sum of sine waves of random direction and phase, scaled so that no facet is steeper than `slope`,
+    /// lowest point 0.
     fn hills(&self, wavelength_m: f64, slope: f64, stream: &mut Stream) -> Vec<f64> {
         let waves: Vec<[f64; 4]> = (0..HILL_WAVES)
             .map(|_| {
@@ -133,7 +134,8 @@ impl Plan {
 
     /// Terraces, lowest at 0 at the edge of largest x.
     fn steps(&self, length_m: f64, drop_m: f64) -> Vec<f64> {
-        // Number of the terrace at x, the origin in the middle of number 0. A quarter of a cell: rounding must not move a riser.
+        // Number of the terrace at x, the origin in the middle of number 0. A quarter of a cell: rounding
+        // must not move a riser.
         let number = |x: f64| ((x + self.cell_m / 4.0) / length_m + 0.5).floor();
         let lowest = number(self.half_m());
         self.each(|x, _| (lowest - number(x)) * drop_m)

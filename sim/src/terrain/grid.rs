@@ -2,14 +2,16 @@
 
 /// A square grid centred on the origin.
 ///
-/// Grid point `(ix, iy)` lies at `x = ix·cell − size/2`, `y = iy·cell − size/2`; its height is `heights_m()[iy·points + ix]`. The cell
-/// with that point at its smallest x and y is cell `(ix, iy)`; `friction()` has the same index (its last row and column are not used), so one
-/// index gathers both. With `u, v` in 0..=1 across the cell along x and y, and h00, h10, h01, h11 the corners (first digit x), each
+/// Grid point `(ix, iy)` lies at `x = ix·cell − size/2`, `y = iy·cell − size/2`; its height is
+/// `heights_m()[iy·points + ix]`. The cell with that point at its smallest x and y is cell `(ix, iy)`;
+/// `friction()` has the same index (its last row and column are not used), so one index gathers both. With
+/// `u, v` in 0..=1 across the cell along x and y, and h00, h10, h01, h11 the corners (first digit x), each
 /// cell is two triangles along the diagonal h00–h11:
 /// - u ≥ v: `z = h00 + u·(h10 − h00) + v·(h11 − h10)`,
 /// - u < v: `z = h00 + u·(h11 − h01) + v·(h01 − h00)`;
 ///
-/// the brackets, divided by the cell's size, are the facet's slopes ∂z/∂x and ∂z/∂y, and its normal is (−∂z/∂x, −∂z/∂y, 1), normalised.
+/// the brackets, divided by the cell's size, are the facet's slopes ∂z/∂x and ∂z/∂y, and its normal is
+/// (−∂z/∂x, −∂z/∂y, 1), normalised.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeightGrid {
     points: usize,

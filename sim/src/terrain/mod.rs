@@ -1,7 +1,8 @@
 //! The ground and the water over it: flat, or a height field drawn from a seed.
 //!
-//! `config.rs` says what can be asked for, `generate.rs` draws it, `grid.rs` holds and interpolates it.
-//! World frame: z up; all heights are ≥ 0, so that the one plane under every height field lies at −[`APRON_DROP_M`].
+//! `config.rs` says what can be asked for, `generate.rs` draws it, `grid.rs` holds and interpolates it. World
+//! frame: z up; all heights are ≥ 0, so that the one plane under every height field lies at
+//! −[`APRON_DROP_M`].
 
 mod config;
 mod generate;
@@ -12,7 +13,8 @@ use crate::SimError;
 pub use config::{TerrainConfig, TerrainKind};
 pub use grid::HeightGrid;
 
-/// How far the plane around (and under) a height field lies below 0, m: deep enough that a foot on the field never touches both.
+/// How far the plane around (and under) a height field lies below 0, m: deep enough that a foot on the field
+/// never touches both.
 pub const APRON_DROP_M: f64 = 0.002;
 
 /// The ground every lane stands on, and the still water that may cover it.
@@ -51,7 +53,8 @@ impl Terrain {
         self.grid.as_ref()
     }
 
-    /// Height of the water's surface, world, m; `None`: dry. Below it is water wherever the ground is lower, without end.
+    /// Height of the water's surface, world, m; `None`: dry. Below it is water wherever the ground is lower,
+    /// without end.
     #[must_use]
     pub fn water_level_m(&self) -> Option<f32> {
         self.water_level_m
@@ -100,7 +103,8 @@ impl Terrain {
             .is_some_and(|g| g.friction().iter().any(|&f| f != 1.0))
     }
 
-    /// A number that differs between terrains (FNV-1a over everything): snapshots keep it, to be restored on the same ground only.
+    /// A number that differs between terrains (FNV-1a over everything): snapshots keep it, to be restored on
+    /// the same ground only.
     #[must_use]
     pub fn fingerprint(&self) -> u64 {
         const PRIME: u64 = 0x0000_0100_0000_01b3;

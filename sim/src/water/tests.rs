@@ -43,7 +43,8 @@ fn level_at(z: f64, vel: [f64; 3]) -> LinkMotion<f64> {
     }
 }
 
-/// Height and vertical velocity of a body of `mass` kg after `time` s, semi-implicit steps of `dt`; `each` sees every step.
+/// Height and vertical velocity of a body of `mass` kg after `time` s, semi-implicit steps of `dt`; `each`
+/// sees every step.
 fn fall(
     p: &WaterLink<f64>,
     mass: f64,
@@ -134,8 +135,9 @@ fn ball_floats_at_its_cubic() {
 
 #[test]
 fn bobs_at_its_frequency_and_dies_at_its_rate() {
-    // box 0.4 × 0.2 × 0.1 m of water 8 kg, itself 5.6 kg: restoring ρ·A·g = 1000·0.08·9.81 = 784.8 N/m.
-    // With k_d = 12 N·s/m at 0.7 immersion: decay k_d·0.7/(2m) = 0.75 /s, ω = √(784.8/5.6 − 0.5625) = 11.814 rad/s. Small bobs (5 mm).
+    // box 0.4 × 0.2 × 0.1 m of water 8 kg, itself 5.6 kg: restoring ρ·A·g = 1000·0.08·9.81 = 784.8 N/m. With
+    // k_d = 12 N·s/m at 0.7 immersion: decay k_d·0.7/(2m) = 0.75 /s, ω = √(784.8/5.6 − 0.5625) = 11.814
+    // rad/s. Small bobs (5 mm).
     let p = WaterLink {
         heave_ns_per_m: 12.0,
         ..body([0.2, 0.1, 0.05], 0.0, 8.0)
@@ -152,7 +154,8 @@ fn bobs_at_its_frequency_and_dies_at_its_rate() {
 
 #[test]
 fn added_mass_slows_the_bob() {
-    // as above, and 1.0 of the displaced water carried at 0.7 immersion: 5.6 + 5.6 kg: ω = √(784.8/11.2 − 0.14) = 8.362, decay 0.375
+    // as above, and 1.0 of the displaced water carried at 0.7 immersion: 5.6 + 5.6 kg: ω = √(784.8/11.2 −
+    // 0.14) = 8.362, decay 0.375
     let p = WaterLink {
         heave_ns_per_m: 12.0,
         added_mass_kg: [0.0, 0.0, 8.0],

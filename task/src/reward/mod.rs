@@ -1,7 +1,7 @@
 //! Rewards: named, weighted terms of one control step.
 //!
-//! `reward = dt · Σ weight · value`: terms that reward have weights ≥ 0, terms that cost have weights ≤ 0, and
-//! every value is ≥ 0, so that a wrong sign is refused when the configuration is read.
+//! `reward = dt · Σ weight · value`: terms that reward have weights ≥ 0, terms that cost have weights ≤ 0,
+//! and every value is ≥ 0, so that a wrong sign is refused when the configuration is read.
 //!
 //! To add a term, write its function in [`terms`] and add one row to the table below.
 
@@ -49,7 +49,8 @@ pub struct TermInfo {
 /// Makes, from one row per term: the weights (with their documentation), the table and the evaluation.
 macro_rules! reward_terms {
     ($($(#[doc = $doc:literal])+ $name:ident: $sense:ident, $unit:literal, $default:literal;)+) => {
-        /// Table `[task.reward.weights]`: weight of each term; 0 switches a term off (it is then not computed).
+        /// Table `[task.reward.weights]`: weight of each term; 0 switches a term off (it is then not
+        /// computed).
         #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields, default)]
         pub struct RewardWeights {
@@ -113,12 +114,13 @@ macro_rules! reward_terms {
 }
 
 reward_terms! {
-    /// exp(−‖v_cmd − v_xy‖²/`lin_vel_sigma`): follow the commanded velocity, along the course where one is held. Default 1.0 (paper).
+    /// exp(−‖v_cmd − v_xy‖²/`lin_vel_sigma`): follow the commanded velocity, along the course where one is
+    /// held. Default 1.0 (paper).
     tracking_lin_vel: Reward, "1", 1.0;
     /// exp(−(ω_cmd − ω_z)²/`yaw_rate_sigma`): follow the commanded yaw rate. Default 0.5 (paper).
     tracking_yaw_rate: Reward, "1", 0.5;
-    /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock, those that can reach the ground; 1 afloat. Default 1.0 (paper);
-    /// too small: the policy shuffles or vibrates.
+    /// exp(−Σ (z_j − z_ref(φ_j))²/`phase_sigma`): lift the feet with the gait clock, those that can reach the
+    /// ground; 1 afloat. Default 1.0 (paper); too small: the policy shuffles or vibrates.
     phase: Reward, "1", 1.0;
     /// Σ|q̇τ|, mechanical power of all motors in either direction. Default −1e-3 (paper); −3e-3 curbs
     /// vibration; too strong: standing still pays more than walking.
@@ -131,15 +133,17 @@ reward_terms! {
     joint_acceleration: Cost, "rad²/s⁴", 0.0;
     /// Σ over joints of how far they are beyond `soft_limit_share` of their range, rad. Default 0.
     joint_limits: Cost, "rad", 0.0;
-    /// Σ over joints of how far the smoothed target lies outside the joint's range before it is cut off there, rad. Default 0. A policy whose target is a radian beyond a limit
-    /// feels nothing of what it does with that joint any more, and learns nothing. With -0.1 such legs stayed there for 1,200 iterations, with -0.6 they came back within 1,000 (docs/reference/learning.md).
+    /// Σ over joints of how far the smoothed target lies outside the joint's range before it is cut off
+    /// there, rad. Default 0. A policy whose target is a radian beyond a limit feels nothing of what it does
+    /// with that joint any more, and learns nothing. With -0.1 such legs stayed there for 1,200 iterations,
+    /// with -0.6 they came back within 1,000 (docs/reference/learning.md).
     target_limits: Cost, "rad", 0.0;
     /// Sum of the horizontal speeds of the feet that are in contact. Default 0 (not in the paper).
     slip: Cost, "m/s", 0.0;
     /// g_x² + g_y² of the gravity direction in the body frame: lean and roll. Default 0.
     orientation: Cost, "1", 0.0;
-    /// Contact force on trunk and legs but not the feet (a trailing tail is free), as a share of `trunk_force_n`, at most 1; free in water, where
-    /// a robot lands on its belly. Default 0.
+    /// Contact force on trunk and legs but not the feet (a trailing tail is free), as a share of
+    /// `trunk_force_n`, at most 1; free in water, where a robot lands on its belly. Default 0.
     trunk_contact: Cost, "1", 0.0;
     /// v_z² of the whole body: hopping. Default 0.
     vertical_velocity: Cost, "m²/s²", 0.0;
@@ -147,12 +151,15 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
-    /// Afloat, mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`): legs folded back as in the robot file's swimming pose;
-    /// 1 on land and in shallow water, so that nothing is lost by leaving the water. Too small: a leg hangs, and stops the robot where it meets the ground. Default 0 (not in the paper).
+    /// Afloat, mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`): legs folded
+    /// back as in the robot file's swimming pose; 1 on land and in shallow water, so that nothing is lost by
+    /// leaving the water. Too small: a leg hangs, and stops the robot where it meets the ground. Default 0
+    /// (not in the paper).
     leg_fold: Reward, "1", 0.0;
-    /// Afloat, mean over the body joints of exp(−(q − q_wave)²/`wave_sigma`): a wave that travels from head to tail with the gait clock, as high as
-    /// the commanded forward speed asks for; 1 on land and in shallow water. What `phase` is to walking. Default 0 (not in the paper); without it the policy does
-    /// not find out how to swim: independent noise in eight joints makes no travelling wave.
+    /// Afloat, mean over the body joints of exp(−(q − q_wave)²/`wave_sigma`): a wave that travels from head
+    /// to tail with the gait clock, as high as the commanded forward speed asks for; 1 on land and in shallow
+    /// water. What `phase` is to walking. Default 0 (not in the paper); without it the policy does not find
+    /// out how to swim: independent noise in eight joints makes no travelling wave.
     body_wave: Reward, "1", 0.0;
 }
 
@@ -178,31 +185,36 @@ pub struct RewardConfig {
     /// 0.3 m/s robot standing still then earns exp(−0.09/0.25) = 70 %; 0.04 to 0.07 makes it walk.
     /// Too small: no gradient from a standstill.
     pub lin_vel_sigma: f32,
-    /// σ_ω of `tracking_yaw_rate`, (rad/s)². Default 0.25 (MuJoCo Playground); 0.1 to 0.15 follows turns better.
+    /// σ_ω of `tracking_yaw_rate`, (rad/s)². Default 0.25 (MuJoCo Playground); 0.1 to 0.15 follows turns
+    /// better.
     pub yaw_rate_sigma: f32,
     /// σ_phase of `phase`, m². Default 0.01 (MuJoCo Playground), that is 10 cm over all feet together; 0.004
     /// with a swing of 5 cm makes the feet follow.
     pub phase_sigma: f32,
-    /// Vertical force from which a foot counts as in contact, N. Default 1: a foot carries about 6 N standing.
+    /// Vertical force from which a foot counts as in contact, N. Default 1: a foot carries about 6 N
+    /// standing.
     pub contact_force_n: f32,
     /// Force on the trunk that counts as full `trunk_contact`, N. Default 5, a fifth of the robot's weight.
     pub trunk_force_n: f32,
-    /// How far from folded a leg joint earns nothing of `leg_fold`, rad. Default π: a hip that stands as for walking is 1.3 rad from folded and earns 59 %. Smaller: a leg that
-    /// hangs, 2.5 rad off, is not pulled.
+    /// How far from folded a leg joint earns nothing of `leg_fold`, rad. Default π: a hip that stands as for
+    /// walking is 1.3 rad from folded and earns 59 %. Smaller: a leg that hangs, 2.5 rad off, is not pulled.
     pub leg_fold_within_rad: f32,
-    /// Height of the travelling wave of `body_wave` at 0.3 m/s, head and tail, rad; in between linear, and proportional to the commanded
-    /// speed up to 1.5 times that. Default 0.14 and 0.22, with which the nominal robot swims at about 0.3 m/s open loop. Larger: faster and more
-    /// power.
+    /// Height of the travelling wave of `body_wave` at 0.3 m/s, head and tail, rad; in between linear, and
+    /// proportional to the commanded speed up to 1.5 times that. Default 0.14 and 0.22, with which the
+    /// nominal robot swims at about 0.3 m/s open loop. Larger: faster and more power.
     pub wave_amplitude_rad: [f32; 2],
-    /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make nine tenths of a wave.
+    /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make
+    /// nine tenths of a wave.
     pub wave_lag_rad: f32,
-    /// σ of `body_wave`, rad². Default 0.05: a straight body earns three quarters at 0.3 m/s with the default height. Smaller: nothing pulls a joint that is
-    /// far from the wave; larger: a straight body earns nearly all.
+    /// σ of `body_wave`, rad². Default 0.05: a straight body earns three quarters at 0.3 m/s with the default
+    /// height. Smaller: nothing pulls a joint that is far from the wave; larger: a straight body earns nearly
+    /// all.
     pub wave_sigma: f32,
     /// Share of each joint's range, about its middle, within which `joint_limits` is zero. Default 0.95.
     pub soft_limit_share: f32,
-    /// Factor on all costs at the start of a run, 0 to 1; it grows to 1 in proportion over `costs_full_after_env_steps`. Default 1. Full costs
-    /// from the start make standing still pay before the robot has found out how to walk, above all where small commands are among those drawn.
+    /// Factor on all costs at the start of a run, 0 to 1; it grows to 1 in proportion over
+    /// `costs_full_after_env_steps`. Default 1. Full costs from the start make standing still pay before the
+    /// robot has found out how to walk, above all where small commands are among those drawn.
     pub costs_at_start: f32,
     /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
     pub costs_full_after_env_steps: u64,
@@ -317,7 +329,8 @@ pub struct RewardInput<'a> {
     pub submerged: f32,
     /// 1 while it is that and the ground is out of reach (`task.afloat_above_m`), 0 otherwise.
     pub afloat: f32,
-    /// Which feet can be asked to walk, 1 or 0: all of them on land, and in water those with the ground in reach.
+    /// Which feet can be asked to walk, 1 or 0: all of them on land, and in water those with the ground in
+    /// reach.
     pub on_ground: PerFoot,
     /// Which joints move a leg.
     pub in_leg: &'a [bool],

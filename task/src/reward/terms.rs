@@ -7,7 +7,8 @@ use crate::phase::reference_height_m;
 /// Forward speed at which the wave has the amplitude that is configured, m/s.
 const WAVE_SPEED_MPS: f32 = 0.3;
 
-/// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame (paper), or along the course where one is held.
+/// exp(−‖v_cmd − v_xy‖²/σ_v), v of the whole body's centre of mass in the heading frame (paper), or along the
+/// course where one is held.
 pub fn tracking_lin_vel(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let [x, y] = along_course(input.com_vel_mps, input.off_course_rad);
     let (dx, dy) = (input.command[0] - x, input.command[1] - y);
@@ -94,8 +95,8 @@ pub fn orientation(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     input.gravity[0].powi(2) + input.gravity[1].powi(2)
 }
 
-/// Force on links that carry feet, the feet left out, as a share of `trunk_force_n`, at most 1; 0 while the centre of mass
-/// is under water: ashore a swimmer lands on its belly.
+/// Force on links that carry feet, the feet left out, as a share of `trunk_force_n`, at most 1; 0 while the
+/// centre of mass is under water: ashore a swimmer lands on its belly.
 pub fn trunk_contact(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     (1.0 - input.submerged) * (input.trunk_force_n / config.trunk_force_n).clamp(0.0, 1.0)
 }
@@ -127,7 +128,8 @@ fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
 }
 
-/// Mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`) afloat, 1 elsewhere. Not an exponential: that does not pull a leg that hangs, 2.5 rad off.
+/// Mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`) afloat, 1 elsewhere. Not an
+/// exponential: that does not pull a leg that hangs, 2.5 rad off.
 pub fn leg_fold(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     let folded = |i: usize, _| {
         let error = (input.joint_pos_rad[i] - input.swimming_rad[i]).abs();
@@ -146,7 +148,8 @@ pub fn body_wave(config: &RewardConfig, input: &RewardInput<'_>) -> f32 {
     judged_afloat(input, || mean(input, false, follows))
 }
 
-/// What asks for swimming pays in full where nobody swims: a robot must not lose by leaving the water. (By entering it, it loses what its style lacks.)
+/// What asks for swimming pays in full where nobody swims: a robot must not lose by leaving the water. (By
+/// entering it, it loses what its style lacks.)
 fn judged_afloat(input: &RewardInput<'_>, value: impl FnOnce() -> f32) -> f32 {
     match input.afloat > 0.0 {
         true => value(),
@@ -154,9 +157,9 @@ fn judged_afloat(input: &RewardInput<'_>, value: impl FnOnce() -> f32) -> f32 {
     }
 }
 
-/// Mean over the joints that are in a leg, or are not, each of which earns for itself (1 where there is none): with
-/// the exponential of a sum, one leg that is
-/// far off hides from the others that they get better. `value` is told a joint and its place among those that count.
+/// Mean over the joints that are in a leg, or are not, each of which earns for itself (1 where there is
+/// none): with the exponential of a sum, one leg that is far off hides from the others that they get better.
+/// `value` is told a joint and its place among those that count.
 fn mean(input: &RewardInput<'_>, legs: bool, value: impl Fn(usize, usize) -> f32) -> f32 {
     let all = input.in_leg.iter().enumerate();
     let (mut sum, mut count) = (0.0, 0);
@@ -170,8 +173,9 @@ fn mean(input: &RewardInput<'_>, legs: bool, value: impl Fn(usize, usize) -> f32
     }
 }
 
-/// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear over the `joints` of the body from head to tail, s the commanded forward speed
-/// over 0.3 m/s, 0 to 1.5. Straight while standing.
+/// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear over the
+/// `joints` of the body from head to tail, s the commanded forward speed over 0.3 m/s, 0 to 1.5. Straight
+/// while standing.
 fn wave_rad(config: &RewardConfig, input: &RewardInput<'_>, i: usize, joints: usize) -> f32 {
     if input.standing {
         return 0.0;

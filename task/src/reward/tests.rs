@@ -107,8 +107,8 @@ fn tracking_of_velocity() {
         ..rest()
     };
     check(terms::tracking_lin_vel, &input, 0.697_676);
-    // Told to hold a course and turned a quarter to the left of it, 0.3 m/s forward are 0 along the course and 0.3 across:
-    // 0.3² + 0.3² = 0.18; exp(−0.18/0.25) = 0.486752
+    // Told to hold a course and turned a quarter to the left of it, 0.3 m/s forward are 0 along the course
+    // and 0.3 across: 0.3² + 0.3² = 0.18; exp(−0.18/0.25) = 0.486752
     let input = RewardInput {
         command: [0.3, 0.0, 0.0],
         com_vel_mps: [0.3, 0.0, 0.0],
@@ -204,7 +204,8 @@ fn joint_limits_start_at_the_soft_share() {
 
 #[test]
 fn slip_counts_only_feet_in_contact() {
-    // FL slides at 0.5 m/s (3-4-5), its vertical speed does not count; FR is in the air (0.5 N); HL slides back.
+    // FL slides at 0.5 m/s (3-4-5), its vertical speed does not count; FR is in the air (0.5 N); HL slides
+    // back.
     let input = RewardInput {
         foot_vel_mps: &[[0.3, 0.4, 7.0], [9.0, 0.0, 0.0], [-0.1, 0.0, 0.0], [0.0; 3]],
         foot_force_n: &[[0.0, 0.0, 6.0], [0.0, 0.0, 0.5], [1.0, 1.0, 2.0], [0.0; 3]],
@@ -279,7 +280,8 @@ fn the_reward_is_the_weighted_sum_times_dt() {
     };
     let mut parts = [f32::NAN; TERM_COUNT];
     let total = evaluate(&RewardConfig::default(), &input, 0.02, 1.0, &mut parts);
-    // Paper: 1.0·0.697676 + 0.5·1 + 1.0·1 − 1e-3·8 = 2.189676; times 0.02 = 0.0437935. Trunk contact: weight 0.
+    // Paper: 1.0·0.697676 + 0.5·1 + 1.0·1 − 1e-3·8 = 2.189676; times 0.02 = 0.0437935. Trunk contact: weight
+    // 0.
     assert!((total - 0.043_793_5).abs() < 1e-7, "{total}");
     assert_eq!(total, parts.iter().sum::<f32>());
     let part = |name: &str| parts[TERMS.iter().position(|t| t.name == name).unwrap()];
@@ -352,7 +354,8 @@ fn targets_beyond_the_limits_cost_what_they_are_beyond_them() {
 
 #[test]
 fn in_water_legs_fold_instead_of_stepping() {
-    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 1 − 0.5/π = 0.840845 for each.
+    // The nominal pose is 0.1 rad in each of the 8 leg joints, the swimming pose 0.6: 1 − 0.5/π = 0.840845
+    // for each.
     let fold = [0.6; ACT_DIM];
     let input = RewardInput {
         submerged: 1.0,
@@ -361,7 +364,8 @@ fn in_water_legs_fold_instead_of_stepping() {
         ..rest()
     };
     check(terms::leg_fold, &input, 0.840_845);
-    // One leg that is 2.4 rad off in one joint and 4.4 in the other, (6·0.840845 + 0.236056 + 0)/8 = 0.660141: it hides nothing from the other six.
+    // One leg that is 2.4 rad off in one joint and 4.4 in the other, (6·0.840845 + 0.236056 + 0)/8 =
+    // 0.660141: it hides nothing from the other six.
     let mut one_off = input.joint_pos_rad.to_vec();
     (one_off[8], one_off[9]) = (3.0, 5.0);
     let one_leg = RewardInput {
@@ -369,7 +373,8 @@ fn in_water_legs_fold_instead_of_stepping() {
         ..input
     };
     check(terms::leg_fold, &one_leg, 0.660_141);
-    // Each of the styles pays in full where it is not asked for, so that nothing is lost or won by going from one to the other.
+    // Each of the styles pays in full where it is not asked for, so that nothing is lost or won by going from
+    // one to the other.
     let input = RewardInput {
         on_ground: [0.0; FEET].into(),
         foot_height_m: &[0.3; FEET],
@@ -385,7 +390,8 @@ fn in_water_legs_fold_instead_of_stepping() {
     };
     check(terms::leg_fold, &on_land, 1.0);
     check(terms::phase, &on_land, 1.0);
-    // Wading, the hind feet over deep water: the fore feet step (2 cm off, exp(−2·0.02²/0.01) = 0.923116), and the belly may touch.
+    // Wading, the hind feet over deep water: the fore feet step (2 cm off, exp(−2·0.02²/0.01) = 0.923116),
+    // and the belly may touch.
     let wading = RewardInput {
         afloat: 0.0,
         on_ground: [1.0, 1.0, 0.0, 0.0].into(),
@@ -433,7 +439,8 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
         wave_sigma: 0.3,
         ..RewardConfig::default()
     };
-    // Clock at a quarter, 0.15 m/s commanded, half of the height: sin(π/2 − i·π/2)·0.1 = 0.1, 0, −0.1, 0, 0.1, 0, −0.1, 0.
+    // Clock at a quarter, 0.15 m/s commanded, half of the height: sin(π/2 − i·π/2)·0.1 = 0.1, 0, −0.1, 0,
+    // 0.1, 0, −0.1, 0.
     let wave: [f32; ACT_DIM] = std::array::from_fn(|i| match i {
         0 | 4 => 0.1,
         2 | 6 => -0.1,

@@ -17,8 +17,8 @@ const ON_THE_WAY_MAX: usize = 4096;
 
 type Job = Box<dyn FnOnce() + Send>;
 
-/// A host's network: this machine's own, or a network namespace with nothing in it but a loopback interface. Sockets that are made and
-/// processes that are started in it stay in it.
+/// A host's network: this machine's own, or a network namespace with nothing in it but a loopback interface.
+/// Sockets that are made and processes that are started in it stay in it.
 pub struct World {
     /// To the thread that is in the namespace; none for this machine's own network.
     jobs: Option<SyncSender<Job>>,
@@ -125,7 +125,8 @@ impl Weather {
     }
 }
 
-/// A way for datagrams in one direction: those that survive the weather go out later, in order but for those that the next one overtakes.
+/// A way for datagrams in one direction: those that survive the weather go out later, in order but for those
+/// that the next one overtakes.
 fn way(
     weather: Arc<Weather>,
     seed: u64,
@@ -171,7 +172,8 @@ fn way(
 /// Hands a datagram of one client on.
 type Way = Box<dyn FnMut(&[u8])>;
 
-/// Starts the proxy from a port of `here` to `target` in `there`; its threads end with the test process. Returns its port.
+/// Starts the proxy from a port of `here` to `target` in `there`; its threads end with the test process.
+/// Returns its port.
 pub fn proxy(here: &World, there: Arc<World>, target: SocketAddr, weather: &Arc<Weather>) -> u16 {
     let near = Arc::new(here.socket());
     let port = near.local_addr().unwrap().port();

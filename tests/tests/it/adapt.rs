@@ -1,5 +1,6 @@
-//! `caudata adapt` from end to end: a simulated robot with a soft knee is recorded, the knee is named, a policy is trained in the extended model, and
-//! both policies are evaluated, on the robot that was recorded as well. Stopped, it goes on.
+//! `caudata adapt` from end to end: a simulated robot with a soft knee is recorded, the knee is named, a
+//! policy is trained in the extended model, and both policies are evaluated, on the robot that was recorded
+//! as well. Stopped, it goes on.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -254,7 +255,8 @@ fn nothing_is_trained_for_a_robot_that_is_as_its_file_says() {
     let kp = about["kp_nm_per_rad"].as_f64().unwrap();
     let logs = folder.join("logs");
     for trial in ["chirp_medium", "steps_medium", "triangle_fast"] {
-        // by the engine that diagnoses: what another engine does otherwise is a gap, and no concern of this test
+        // by the engine that diagnoses: what another engine does otherwise is a gap, and no concern of this
+        // test
         let log = record(&robot, folder, trial, "batch", kp);
         std::fs::create_dir_all(&logs).unwrap();
         std::fs::rename(log, logs.join(trial)).unwrap();
@@ -281,7 +283,8 @@ fn nothing_is_trained_for_a_robot_that_is_as_its_file_says() {
     assert!(!out.join("run").exists());
 }
 
-/// Starts a command, asks it to stop as soon as it says `word`, and waits for its end: exit code and standard error.
+/// Starts a command, asks it to stop as soon as it says `word`, and waits for its end: exit code and standard
+/// error.
 fn stopped_at(word: &str, args: &[&str]) -> (Option<i32>, String) {
     let mut command = command("caudata", args).unwrap();
     command.stdout(Stdio::piped()).stderr(Stdio::piped());

@@ -1,9 +1,11 @@
-//! Chaos: a cluster of real processes whose actors, learner and network fail at random; whose books must add up to the last chunk
-//! when it ends, and whose policy must be as good as that of undisturbed runs. Prints how fast it recovers.
+//! Chaos: a cluster of real processes whose actors, learner and network fail at random; whose books must add
+//! up to the last chunk when it ends, and whose policy must be as good as that of undisturbed runs. Prints
+//! how fast it recovers.
 //!
-//! Two actors run beside the learner (`caudata up`), two come from elsewhere (`caudata actors`) over QUIC with certificates, through a
-//! proxy that cuts, delays and loses datagrams. As root the two sides are in network namespaces of their own, which nothing joins but
-//! that proxy. `CAUDATA_CHAOS_SECONDS` (default 15; the long one 600) and `CAUDATA_CHAOS_SEED` (default 1) change it.
+//! Two actors run beside the learner (`caudata up`), two come from elsewhere (`caudata actors`) over QUIC
+//! with certificates, through a proxy that cuts, delays and loses datagrams. As root the two sides are in
+//! network namespaces of their own, which nothing joins but that proxy. `CAUDATA_CHAOS_SECONDS` (default 15;
+//! the long one 600) and `CAUDATA_CHAOS_SEED` (default 1) change it.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
@@ -33,9 +35,11 @@ const AT_ONCE: u64 = 2;
 const T_ONE_IN_A_THOUSAND: f64 = 4.785;
 /// What chaos may cost besides noise, as a share of what there is to learn: smaller batches, older data.
 const COST_OF_CHAOS: f64 = 0.05;
-/// Iterations that a run has at least: after fewer, undisturbed runs lie too far apart to tell half of the learning from all of it.
+/// Iterations that a run has at least: after fewer, undisturbed runs lie too far apart to tell half of the
+/// learning from all of it.
 const LEARNT_AFTER: u64 = 1_000;
-/// Iterations over which rewards are compared: two episodes of 1,000 steps, so that it does not matter when they began.
+/// Iterations over which rewards are compared: two episodes of 1,000 steps, so that it does not matter when
+/// they began.
 const LATE: usize = 125;
 
 /// Each of them wants the machine for itself.
@@ -87,9 +91,11 @@ struct Cluster {
     elsewhere: World,
 }
 
-/// What is trained: small enough for many iterations a second, and steady. With the preset's own rewards such small networks and batches learn to walk
-/// by leaps, and now and then forget it again with nobody disturbing them (ten seeds: 0.015 to 0.054). To keep still is learnt evenly, from −0.086 a
-/// step to −0.012 ± 0.002 (eight seeds, 1,078 iterations): only restlessness costs, and what falls down or slides pays nothing for it.
+/// What is trained: small enough for many iterations a second, and steady. With the preset's own rewards such
+/// small networks and batches learn to walk by leaps, and now and then forget it again with nobody disturbing
+/// them (ten seeds: 0.015 to 0.054). To keep still is learnt evenly, from −0.086 a step to −0.012 ± 0.002
+/// (eight seeds, 1,078 iterations): only restlessness costs, and what falls down or slides pays nothing for
+/// it.
 const TASK: [&str; 16] = [
     "task.reward.costs_at_start=1.0",
     "task.reward.weights.tracking_lin_vel=0.0",
@@ -264,7 +270,8 @@ impl Cluster {
         gaps[gaps.len() / 2]
     }
 
-    /// Time from `from` until ten iterations in a row each took less than three times `pace_s`, less those ten.
+    /// Time from `from` until ten iterations in a row each took less than three times `pace_s`, less those
+    /// ten.
     fn pace_back(&self, from: Instant, pace_s: f64) -> f64 {
         loop {
             let events = self.since(from, "iteration");
@@ -299,7 +306,8 @@ fn mean_loss(events: &[(Instant, Value)]) -> f64 {
     losses.sum::<f64>() / events.len() as f64
 }
 
-/// 50, with both figures that FAULTS.md and issue 6 ask for: an actor's and a learner's death, each alone, in fair weather.
+/// 50, with both figures that FAULTS.md and issue 6 ask for: an actor's and a learner's death, each alone, in
+/// fair weather.
 fn measured_deaths(cluster: &Cluster) {
     let pace_s = cluster.pace_s();
     let victim = cluster.up.children("caudata-actor")[0];
@@ -659,13 +667,15 @@ impl Yardstick {
 
 #[test]
 fn a_run_that_learnt_half_is_told_from_noise() {
-    // Late ±0.002 about −0.014: s² = 8·0.002²/7, s = 0.00214; 4.785·s·√(9/8) = 0.0109; a twentieth of 0.076 is 0.0038.
+    // Late ±0.002 about −0.014: s² = 8·0.002²/7, s = 0.00214; 4.785·s·√(9/8) = 0.0109; a twentieth of 0.076
+    // is 0.0038.
     let calm: Vec<[f64; 2]> = (0..SEEDS)
         .map(|seed| [if seed % 2 == 0 { -0.012 } else { -0.016 }, -0.09])
         .collect();
     let yardstick = Yardstick::of(&calm);
     assert!((yardstick.least + 0.0287).abs() < 1e-4, "{yardstick:?}");
-    // The worst of four undisturbed runs; one that goes back to what it knew after 250 of 1,250 iterations; one whose weights never change.
+    // The worst of four undisturbed runs; one that goes back to what it knew after 250 of 1,250 iterations;
+    // one whose weights never change.
     assert!(yardstick.judge(-0.018).is_ok());
     assert!(yardstick.judge(-0.042).is_err());
     assert!(yardstick.judge(-0.09).is_err());

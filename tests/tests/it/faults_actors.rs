@@ -1,5 +1,5 @@
-//! FAULTS.md section 4, "Rollouts and actors", against the real programs. The faults of a single crate have their tests there
-//! (docs/reference/faults-actors.md has the table); here is what needs several processes.
+//! FAULTS.md section 4, "Rollouts and actors", against the real programs. The faults of a single crate have
+//! their tests there (docs/reference/faults-actors.md has the table); here is what needs several processes.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -129,8 +129,8 @@ fn books(out: &Path) -> Value {
     books
 }
 
-/// 59, at the level of a run: killed in the middle of its work, an actor is replaced by its next incarnation, and what it had
-/// sent is accounted for.
+/// 59, at the level of a run: killed in the middle of its work, an actor is replaced by its next incarnation,
+/// and what it had sent is accounted for.
 #[test]
 fn fault_59_a_killed_actor_is_replaced_and_its_chunks_are_accounted_for() {
     let dir = tempfile::tempdir().unwrap();
@@ -195,7 +195,8 @@ fn fault_60_a_hung_actor_is_noticed_and_replaced() {
     books(&out);
 }
 
-/// 60: the learner stands still for ten seconds, longer than the peer time-out; the actors wait, and no chunk counts twice.
+/// 60: the learner stands still for ten seconds, longer than the peer time-out; the actors wait, and no chunk
+/// counts twice.
 #[test]
 fn fault_60_a_learner_that_stands_still_for_ten_seconds_loses_nothing() {
     let dir = tempfile::tempdir().unwrap();
@@ -219,7 +220,8 @@ fn fault_60_a_learner_that_stands_still_for_ten_seconds_loses_nothing() {
     );
 }
 
-/// 60: the learner is killed; the run goes on from its checkpoint, and what was sent after it is accounted for as rolled back.
+/// 60: the learner is killed; the run goes on from its checkpoint, and what was sent after it is accounted
+/// for as rolled back.
 #[test]
 fn fault_60_a_killed_learner_goes_on_from_its_checkpoint() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! `caudata gap policies` from end to end: policies are trained in a model as given, in an extended one and with wide randomisation, and run on a third robot; what
-//! the report adds up is added up here once more.
+//! `caudata gap policies` from end to end: policies are trained in a model as given, in an extended one and
+//! with wide randomisation, and run on a third robot; what the report adds up is added up here once more.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
@@ -144,7 +144,8 @@ fn what_cannot_be_read_is_said_before_anything_is_trained() {
     assert!(!out.exists());
 }
 
-/// Flags of a comparison of trainings that take seconds: in a robot as given and in an extended one, run on a true one.
+/// Flags of a comparison of trainings that take seconds: in a robot as given and in an extended one, run on a
+/// true one.
 fn flags([given, extended, truth]: [&PathBuf; 3], out: &PathBuf, extra: &[&str]) -> Vec<String> {
     let mut args = vec!["gap", "policies", "--preset", "quick"];
     for (flag, path) in [

@@ -1,4 +1,5 @@
-//! Bad input, one small program per fault: one clear line, its own exit code, and nothing that was saved is lost.
+//! Bad input, one small program per fault: one clear line, its own exit code, and nothing that was saved is
+//! lost.
 
 use std::fs;
 use std::net::TcpListener;

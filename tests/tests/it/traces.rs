@@ -152,7 +152,8 @@ fn one_trace_leads_from_a_simulator_step_to_the_next_policy_version() {
             assert!(parent.is_some(), "{} of version {version}", span.name);
             assert!(span.start_time_unix_nano <= span.end_time_unix_nano);
         }
-        // Two actors, a chunk each: simulator and policy in it, sent by the actor and received by the learner.
+        // Two actors, a chunk each: simulator and policy in it, sent by the actor and received by the
+        // learner.
         let chunks = trace.all("collect chunk");
         assert_eq!(chunks.len(), 2);
         for (service, chunk) in chunks {

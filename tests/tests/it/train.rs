@@ -36,7 +36,8 @@ fn account_holds(report: &Value) {
     assert_eq!(account["holds"], true, "{account}");
 }
 
-/// Trains a few iterations over `transport` and runs the policy on the simulated robot: the whole way, end to end.
+/// Trains a few iterations over `transport` and runs the policy on the simulated robot: the whole way, end to
+/// end.
 fn trains_end_to_end(transport: &str) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
@@ -54,7 +55,8 @@ fn trains_end_to_end(transport: &str) {
     account_holds(&report);
     assert_eq!(report["finished"]["iteration"], 4);
     assert_eq!(report["finished"]["reason"], "completed");
-    // One file everywhere: learner, run folder, server, robot, and with the actors a version that the server has.
+    // One file everywhere: learner, run folder, server, robot, and with the actors a version that the server
+    // has.
     let policy = &report["policy"];
     assert_eq!(policy["same"], true, "{policy}");
     let actors = &policy["actors"];
@@ -273,8 +275,8 @@ fn learner_process(out: &Path) -> i32 {
     found[0]
 }
 
-/// The learner is killed between two checkpoints; the run goes on from the last one, and the policies that were
-/// published since stay what they are.
+/// The learner is killed between two checkpoints; the run goes on from the last one, and the policies that
+/// were published since stay what they are.
 fn goes_on_after_a_killed_learner(transport: &str) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");

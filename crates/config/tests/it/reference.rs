@@ -1,4 +1,5 @@
-//! `docs/reference/configuration.md` is made from the doc comments of the configuration's structs, so that it cannot lag behind.
+//! `docs/reference/configuration.md` is made from the doc comments of the configuration's structs, so that it
+//! cannot lag behind.
 //!
 //! When this test fails, run it with `CAUDATA_WRITE_DOCS=1` and commit the file.
 
@@ -44,8 +45,8 @@ fn described_structs() -> BTreeMap<String, Described> {
     structs
 }
 
-/// Reads `pub struct X { /// doc … pub field: Type, }`, and the rows of `reward_terms! { /// doc … name: …; }`, which
-/// become the struct `RewardWeights`.
+/// Reads `pub struct X { /// doc … pub field: Type, }`, and the rows of
+/// `reward_terms! { /// doc … name: …; }`, which become the struct `RewardWeights`.
 fn read_structs(text: &str, structs: &mut BTreeMap<String, Described>) {
     let mut doc = String::new();
     let mut open: Option<(String, Described)> = None;

@@ -1,4 +1,5 @@
-//! A bus of emulated servos: bytes in, bytes out, with the timing of a wire and the faults of a bad one. Time is an argument.
+//! A bus of emulated servos: bytes in, bytes out, with the timing of a wire and the faults of a bad one. Time
+//! is an argument.
 
 mod port;
 mod pty;
@@ -177,8 +178,8 @@ impl EmulatedBus {
         }
     }
 
-    /// The servos' shares follow each other without a gap. Behind one that is silent nobody knows when to begin: the rest is missing
-    /// and the host finds no whole frame.
+    /// The servos' shares follow each other without a gap. Behind one that is silent nobody knows when to
+    /// begin: the rest is missing and the host finds no whole frame.
     fn fast_sync_read(&mut self, parameters: &[u8], now_us: u64) {
         let Some((what, ids)) = parameters.split_at_checked(4) else {
             return;

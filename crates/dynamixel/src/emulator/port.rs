@@ -1,4 +1,5 @@
-//! An emulated bus behind the host's port trait, in one process and with a time of its own: waiting costs nothing.
+//! An emulated bus behind the host's port trait, in one process and with a time of its own: waiting costs
+//! nothing.
 
 use std::io;
 use std::time::Instant;
@@ -11,7 +12,8 @@ use crate::port::Port;
 pub struct EmulatedPort {
     bus: EmulatedBus,
     now_us: u64,
-    /// The deadline given last, by both clocks: deadlines are told by the machine's, which stands still while this one waits.
+    /// The deadline given last, by both clocks: deadlines are told by the machine's, which stands still while
+    /// this one waits.
     deadline: Option<(Instant, u64)>,
     arrived: Vec<u8>,
     /// Noise without end: as many bytes as the host takes.

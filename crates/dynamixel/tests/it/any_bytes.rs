@@ -1,4 +1,5 @@
-//! Whatever arrives: no panic, no frame with a wrong CRC, and the parser is back in step as soon as good bytes come.
+//! Whatever arrives: no panic, no frame with a wrong CRC, and the parser is back in step as soon as good
+//! bytes come.
 
 use caudata_dynamixel::crc::crc16;
 use caudata_dynamixel::emulator::{EmulatedBus, EmulatedServo};

@@ -1,5 +1,5 @@
-//! The example packets of the ROBOTIS e-manual ("DYNAMIXEL Protocol 2.0", section on each instruction), byte for byte, and the
-//! time that a tick takes on the wire, worked out by hand.
+//! The example packets of the ROBOTIS e-manual ("DYNAMIXEL Protocol 2.0", section on each instruction), byte
+//! for byte, and the time that a tick takes on the wire, worked out by hand.
 
 use caudata_dynamixel::frame::{BROADCAST_ID, Framer, Instruction, STATUS, encode, unstuff};
 use caudata_dynamixel::group::common_answer;
@@ -100,7 +100,8 @@ fn stuffing_by_hand() {
 
 #[test]
 fn the_common_answer_of_fast_sync_read() {
-    // Servo 3 at 166; the CRC behind its share is that of the 14 bytes before it, 0x0884 (worked out bit by bit).
+    // Servo 3 at 166; the CRC behind its share is that of the 14 bytes before it, 0x0884 (worked out bit by
+    // bit).
     let shares = [
         (3, StatusError(0), hex("A6 00 00 00")),
         (7, StatusError(0x80), hex("1F 08 00 00")),
@@ -123,8 +124,9 @@ fn the_common_answer_of_fast_sync_read() {
 
 #[test]
 fn a_tick_on_the_wire() {
-    // 16 servos, 10 bytes read and a goal of 4 bytes written. The question has 30 bytes, each answer 21, the goals 94: 460 bytes.
-    // At 1 Mbit/s a byte takes 10 µs: 4.6 ms, and 16 · 500 µs of return delay more; at 57,600 baud 79.9 ms and the same 8 ms.
+    // 16 servos, 10 bytes read and a goal of 4 bytes written. The question has 30 bytes, each answer 21, the
+    // goals 94: 460 bytes. At 1 Mbit/s a byte takes 10 µs: 4.6 ms, and 16 · 500 µs of return delay more; at
+    // 57,600 baud 79.9 ms and the same 8 ms.
     assert_eq!(tick_us(16, 10, false, 0, 1_000_000), 4_600);
     assert_eq!(tick_us(16, 10, false, 500, 1_000_000), 12_600);
     assert!((tick_us(16, 10, false, 500, 57_600) as f64 - 87_900.0).abs() < 100.0);

@@ -1,4 +1,5 @@
-//! The serial port through a pseudo-terminal: the same bytes as through a cable, and the speed that the host has set.
+//! The serial port through a pseudo-terminal: the same bytes as through a cable, and the speed that the host
+//! has set.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -32,7 +32,8 @@ fn the_time_limit_truncates_and_does_not_terminate() {
     }
 }
 
-/// Drives the first spine joint of lane 1, with which the toy's base rolls, and gives the reason of the first end.
+/// Drives the first spine joint of lane 1, with which the toy's base rolls, and gives the reason of the first
+/// end.
 #[track_caller]
 fn first_failure(spine_action: f32) -> TerminationReason {
     let mut task = calm_task();
@@ -55,9 +56,11 @@ fn first_failure(spine_action: f32) -> TerminationReason {
 
 #[test]
 fn rolling_over_terminates_only_that_lane() {
-    // Offset 0.5·0.6 = 0.3 rad in the end, the base rolls to 4·0.3 = 1.2 rad: beyond the limit of 1, short of 90°.
+    // Offset 0.5·0.6 = 0.3 rad in the end, the base rolls to 4·0.3 = 1.2 rad: beyond the limit of 1, short of
+    // 90°.
     assert_eq!(first_failure(0.6), TerminationReason::Tilted);
-    // Filtered 2.5, target 1.25 rad, the joint goes half of the way, the base rolls to 2.5 rad: past 90° at once.
+    // Filtered 2.5, target 1.25 rad, the joint goes half of the way, the base rolls to 2.5 rad: past 90° at
+    // once.
     assert_eq!(first_failure(5.0), TerminationReason::UpsideDown);
 }
 
@@ -75,7 +78,8 @@ fn the_final_observation_is_the_one_before_the_reset() {
     let output = env.step(&hold).unwrap().clone();
     let (lane, last) = &output.final_observations[0];
     assert_eq!((*lane, last.len()), (0, DIM));
-    // Held for 20 steps, joints are at their targets: scale 0.5 · 0.4 = 0.2 rad from nominal, as one step before.
+    // Held for 20 steps, joints are at their targets: scale 0.5 · 0.4 = 0.2 rad from nominal, as one step
+    // before.
     for i in 16..32 {
         assert!((last[i] - 0.2).abs() < 1e-3 && (last[i] - before[i]).abs() < 1e-3);
     }
@@ -310,7 +314,8 @@ fn targets_beyond_the_limits_are_counted_before_they_are_cut_off() {
     task.reward.weights = no_weights();
     task.reward.weights.target_limits = -1.0;
     let mut env = env(&task, 1, 3);
-    // The first knee (joint 9): 4 beyond its nominal 0.628319 is 2.795719 beyond its limit of 1.8326; all others rest.
+    // The first knee (joint 9): 4 beyond its nominal 0.628319 is 2.795719 beyond its limit of 1.8326; all
+    // others rest.
     let mut action = [0.0; 16];
     action[9] = 9.0;
     let reward = env.step(&action).unwrap().rewards[0];

@@ -66,7 +66,8 @@ fn mirrored_actions_lead_to_mirrored_observations() {
                 }
             }
         }
-        // Masses are a little lopsided (the facts file has centres of mass off the middle by a fraction of a millimetre).
+        // Masses are a little lopsided (the facts file has centres of mass off the middle by a fraction of a
+        // millimetre).
         for (part, [off, seen]) in parts.iter().zip(squares) {
             let share = (off / seen).sqrt();
             assert!(seen > 0.0 && share < 0.2, "{kind:?}, {part}: {share}");

@@ -84,7 +84,8 @@ fn a_robot_told_to_stand_stands() {
     let [episode] = &last[..] else {
         panic!("one episode, found {}", last.len())
     };
-    // Nothing is asked for and nothing moves: all three rewarding terms are near their most, 2.5·0.02·100 = 5.
+    // Nothing is asked for and nothing moves: all three rewarding terms are near their most, 2.5·0.02·100 =
+    // 5.
     assert!(episode.return_sum > 4.5, "{episode:?}");
     assert!(
         episode.duty_factor > 0.9 && episode.mean_speed_mps < 0.05,

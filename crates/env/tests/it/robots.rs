@@ -14,7 +14,8 @@ const SERVO: &str = "tau_max_nm = 1.94\nqd_tau_max_radps = 0.8\nqd_max_radps = 7
     velocity_lsb_radps = 0.024\ncurrent_lsb_a = 0.0027\ntorque_per_current_nm_per_a = 1.1\ncurrent_dead_band_a = 0.1\n\
     gear_backlash_rad = 0.0\n";
 
-/// A trunk with legs of three joints at the given places, or, without legs, a chain of `spine` joints behind it.
+/// A trunk with legs of three joints at the given places, or, without legs, a chain of `spine` joints behind
+/// it.
 struct Body {
     name: &'static str,
     hips: &'static [(&'static str, f64, f64)],

@@ -75,7 +75,8 @@ fn the_data_is_what_happened() {
     assert_eq!(shown["effort"]["rows"], 100);
     let joints = film.poses[0].joint_pos_rad.len();
     assert_eq!(shown["pose"]["low"].as_array().unwrap().len(), 7 + joints);
-    // half a step of the resolution is the largest error: below a tenth of a milliradian and of a millimetre here
+    // half a step of the resolution is the largest error: below a tenth of a milliradian and of a millimetre
+    // here
     for step in shown["pose"]["step"].as_array().unwrap() {
         assert!(step.as_f64().unwrap() < 2e-4, "{step}");
     }

@@ -36,7 +36,8 @@ pub(crate) struct Actuator {
 /// MuJoCo's default sliding friction coefficient.
 const DEFAULT_FRICTION: f64 = 1.0;
 
-// Attributes by element. Those after the blank line steer MuJoCo's own solver or viewer; they are accepted and have no effect here.
+// Attributes by element. Those after the blank line steer MuJoCo's own solver or viewer; they are accepted
+// and have no effect here.
 #[rustfmt::skip]
 pub(super) const JOINT: &[&str] = &[
     "name", "class", "type", "pos", "axis", "range", "limited", "stiffness", "springref", "damping", "armature", "frictionloss",
@@ -364,8 +365,9 @@ pub(super) fn inertial(e: &Element<'_, '_>, compiler: &Compiler) -> Result<Inert
 
 /// Whether an inertia tensor can belong to a body.
 ///
-/// The second moments Σ = ½·tr(I)·E − I = ∫ r rᵀ dm must be positive semi-definite: that is the triangle inequality of the principal
-/// moments (each at most the sum of the other two). A 3×3 matrix is, when all its principal minors are ≥ 0.
+/// The second moments Σ = ½·tr(I)·E − I = ∫ r rᵀ dm must be positive semi-definite: that is the triangle
+/// inequality of the principal moments (each at most the sum of the other two). A 3×3 matrix is, when all its
+/// principal minors are ≥ 0.
 fn check_inertia(i: [[f64; 3]; 3]) -> Result<(), String> {
     let half_trace = 0.5 * (i[0][0] + i[1][1] + i[2][2]);
     if !(i[0][0] > 0.0 && i[1][1] > 0.0 && i[2][2] > 0.0) {

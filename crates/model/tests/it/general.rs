@@ -1,4 +1,5 @@
-//! Other robots than the Polymander: a pendulum, an arm with slides, and the corners of the MJCF subset. Numbers worked by hand.
+//! Other robots than the Polymander: a pendulum, an arm with slides, and the corners of the MJCF subset.
+//! Numbers worked by hand.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -190,8 +191,9 @@ fn an_arm_with_slides_anchors_classes_and_several_joints_per_link() {
 
     // At zero the carriage is turned a quarter about z: its x axis is the world's y.
     close(at(&m, &[0.0; 4], "tool", [0.0; 3]), [0.0, 0.3, 1.5]);
-    // lift 0.1 up; turn a quarter about the anchor 0.1 along the carriage's x, that is about the world point (0, 0.1, 1.6):
-    // the carriage's origin goes from 0.1 behind the anchor (-y) to +x, its x axis to -x; the tool reaches 0.05 further.
+    // lift 0.1 up; turn a quarter about the anchor 0.1 along the carriage's x, that is about the world point
+    // (0, 0.1, 1.6): the carriage's origin goes from 0.1 behind the anchor (-y) to +x, its x axis to -x; the
+    // tool reaches 0.05 further.
     let q = [0.1, FRAC_PI_2, 0.05, 0.0];
     close(at(&m, &q, "carriage", [0.0; 3]), [0.1, 0.1, 1.6]);
     close(at(&m, &q, "tool", [0.0; 3]), [0.1 - 0.35, 0.1, 1.6]);

@@ -1,6 +1,8 @@
-//! The unchanged MJCF in MuJoCo: same masses, frames, joint axes and mass matrix as here, and the robot stands there.
+//! The unchanged MJCF in MuJoCo: same masses, frames, joint axes and mass matrix as here, and the robot
+//! stands there.
 //!
-//! Needs a Python with the `mujoco` package, named by `CAUDATA_MUJOCO_PYTHON`; skipped with a message otherwise.
+//! Needs a Python with the `mujoco` package, named by `CAUDATA_MUJOCO_PYTHON`; skipped with a message
+//! otherwise.
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
@@ -10,7 +12,8 @@ use std::process::{Command, Stdio};
 use crate::common::{near, polymander, robots};
 use caudata_model::{JointMotion, Kinematics, Pose, RobotModel, pose};
 
-/// Runs MuJoCo on the shipped MJCF; one answer (its lines) per configuration line. `None`: no MuJoCo to compare with.
+/// Runs MuJoCo on the shipped MJCF; one answer (its lines) per configuration line. `None`: no MuJoCo to
+/// compare with.
 fn mujoco(configurations: &[String]) -> Option<Vec<Vec<String>>> {
     let Some(python) = std::env::var_os("CAUDATA_MUJOCO_PYTHON") else {
         // Past what the test harness captures, so that it is seen.
@@ -88,8 +91,9 @@ fn compare(what: &str, ours: impl IntoIterator<Item = f64>, theirs: &[f64], tole
     }
 }
 
-/// Velocity of a link's centre of mass and of its rotation for a unit speed of each degree of freedom (world frame).
-/// MuJoCo's free joint: three world velocities of the base, then three rates about the base's own axes.
+/// Velocity of a link's centre of mass and of its rotation for a unit speed of each degree of freedom (world
+/// frame). MuJoCo's free joint: three world velocities of the base, then three rates about the base's own
+/// axes.
 fn jacobian(m: &RobotModel, k: &Kinematics, link: usize) -> Vec<([f64; 3], [f64; 3])> {
     let com = k.links[link].point(m.links()[link].com_m);
     let mut columns = vec![([0.0; 3], [0.0; 3]); 6 + m.joints().len()];

@@ -173,7 +173,8 @@ fn positive_spine_joints_turn_the_rear_to_the_left_so_it_swings_right() {
     }
 }
 
-/// With the knee at 90° the lower leg, whose axis runs from the knee to the centre of the foot ball, points straight down.
+/// With the knee at 90° the lower leg, whose axis runs from the knee to the centre of the foot ball, points
+/// straight down.
 #[test]
 fn belly_clearance_with_vertical_tibiae_is_the_papers() {
     let m = polymander();
@@ -214,7 +215,8 @@ fn it_stands_in_the_nominal_pose() {
             1e-4,
         );
     }
-    // nose down: fore feet 0.0968 (sin 54° − sin 36°) = 21.4 mm higher than the hind ones, 328.5 mm apart: 3.7°
+    // nose down: fore feet 0.0968 (sin 54° − sin 36°) = 21.4 mm higher than the hind ones, 328.5 mm apart:
+    // 3.7°
     near(
         "pitch, degrees",
         up[0].atan2(up[2]).to_degrees(),

@@ -1,5 +1,5 @@
-//! CDR, the byte form of ROS 2 messages: numbers in their natural alignment (counted from behind the 4-byte header), texts and lists with
-//! their length in front. OMG DDS-XTypes, section 7.4 ("plain CDR", version 1).
+//! CDR, the byte form of ROS 2 messages: numbers in their natural alignment (counted from behind the 4-byte
+//! header), texts and lists with their length in front. OMG DDS-XTypes, section 7.4 ("plain CDR", version 1).
 
 /// Why bytes are not the message that they should be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -1,7 +1,8 @@
-//! The MCAP container (mcap.dev/spec): the schemas, channels and messages of a file, also those inside chunks.
+//! The MCAP container (mcap.dev/spec): the schemas, channels and messages of a file, also those inside
+//! chunks.
 //!
-//! The `mcap` crate cuts a file into records and unpacks chunks. Files come from anywhere, so what they say of
-//! lengths is held to bounds here: a chunk is gone through record by record, never unpacked at once.
+//! The `mcap` crate cuts a file into records and unpacks chunks. Files come from anywhere, so what they say
+//! of lengths is held to bounds here: a chunk is gone through record by record, never unpacked at once.
 
 use std::borrow::Cow;
 
@@ -229,8 +230,8 @@ fn parse(opcode: u8, body: &[u8]) -> Option<Option<Record>> {
     }))
 }
 
-/// The fields of a record, little-endian, from the front. The crate's own parser makes room for a text before it
-/// looks whether there is one of that length.
+/// The fields of a record, little-endian, from the front. The crate's own parser makes room for a text before
+/// it looks whether there is one of that length.
 struct Fields<'a>(&'a [u8]);
 
 impl Fields<'_> {

@@ -283,7 +283,8 @@ float64 y
 float64 z
 ";
 
-/// The definition of a message type with everything that it holds (encoding `ros2msg`); `None` for types that are not written here.
+/// The definition of a message type with everything that it holds (encoding `ros2msg`); `None` for types that
+/// are not written here.
 #[must_use]
 pub fn schema(type_name: &str) -> Option<String> {
     let (fields, held): (&str, &[&str]) = match type_name {

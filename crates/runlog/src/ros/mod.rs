@@ -1,4 +1,5 @@
-//! Logs as MCAP files of the ROS 2 profile: what `ros2 bag record` writes and Foxglove, rerun and PlotJuggler open.
+//! Logs as MCAP files of the ROS 2 profile: what `ros2 bag record` writes and Foxglove, rerun and PlotJuggler
+//! open.
 //!
 //! | messages | topic | signals |
 //! |---|---|---|
@@ -11,7 +12,8 @@
 //! | | any other | `base.pos`, `base.quat` |
 //! | `geometry_msgs/TwistStamped` | any | `base.vel` |
 //!
-//! Time is the header's stamp (the recorder's, where a message has none), counted from the first message. Messages with one stamp make one row.
+//! Time is the header's stamp (the recorder's, where a message has none), counted from the first message.
+//! Messages with one stamp make one row.
 
 pub mod cdr;
 pub mod container;
@@ -33,7 +35,8 @@ fn gravity_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {
     ]
 }
 
-/// An orientation without yaw in which gravity is `g` (a unit vector): what can be said of it in an `Imu` message.
+/// An orientation without yaw in which gravity is `g` (a unit vector): what can be said of it in an `Imu`
+/// message.
 fn orientation_of(g: [f64; 3]) -> [f64; 4] {
     let pitch = g[0].clamp(-1.0, 1.0).asin();
     let roll = (-g[1]).atan2(-g[2]);
@@ -48,7 +51,8 @@ mod tests {
     #[test]
     fn gravity_and_orientation_are_each_others_inverse() {
         assert_eq!(gravity_of([1.0, 0.0, 0.0, 0.0]), [0.0, 0.0, -1.0]);
-        // rolled a quarter turn to the right side down (about +x): the left side (+y) points up, gravity along −y
+        // rolled a quarter turn to the right side down (about +x): the left side (+y) points up, gravity
+        // along −y
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let g = gravity_of([half, half, 0.0, 0.0]);
         assert!(

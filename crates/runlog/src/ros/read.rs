@@ -18,7 +18,8 @@ type Row = Vec<(Signal, f64)>;
 /// Topics of other types are passed over. A file that ends in the middle gives what came before, with a note.
 ///
 /// # Errors
-/// [`LogError::Mcap`] for a file that is not MCAP or is damaged, or holds a message that is not what its type says.
+/// [`LogError::Mcap`] for a file that is not MCAP or is damaged, or holds a message that is not what its type
+/// says.
 pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
     let wrong = |message: String| LogError::Mcap {
         file: file.to_owned(),

@@ -23,12 +23,13 @@ const BASE_TWIST: &str = "/base/twist";
 /// Markers have one topic each, below this.
 const MOCAP: &str = "/mocap/";
 
-/// The rows as an MCAP file (profile `ros2`), stamped from `start_ns` (nanoseconds since 1970; 0 would read as
-/// "not stamped"), and the signals that the messages have no place for (temperatures, feet, contacts, switches).
-/// Without `compression` it has no chunks: whatever begins of it can be read.
+/// The rows as an MCAP file (profile `ros2`), stamped from `start_ns` (nanoseconds since 1970; 0 would read
+/// as "not stamped"), and the signals that the messages have no place for (temperatures, feet, contacts,
+/// switches). Without `compression` it has no chunks: whatever begins of it can be read.
 ///
 /// # Errors
-/// [`LogError::Refused`] for a start that is not after 1970, or one so late that the stamps do not fit a message.
+/// [`LogError::Refused`] for a start that is not after 1970, or one so late that the stamps do not fit a
+/// message.
 pub fn write_mcap(
     table: &Table,
     start_ns: u64,

@@ -93,8 +93,8 @@ impl Authority {
         })
     }
 
-    /// Makes a key and a certificate for one process in a folder with its name beside the authority: `ca.crt`, `tls.crt`,
-    /// `tls.key`. With `replace`, certificate and key of an existing folder are renewed.
+    /// Makes a key and a certificate for one process in a folder with its name beside the authority:
+    /// `ca.crt`, `tls.crt`, `tls.key`. With `replace`, certificate and key of an existing folder are renewed.
     ///
     /// # Errors
     /// [`PkiError::Name`], [`PkiError::Days`], [`PkiError::Exists`], [`PkiError::File`], [`PkiError::Make`].

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-/// How long a certificate is valid by default, days. There is no revocation, so a stolen one is worth that long; too short, and
-/// a long training must be restarted with new ones.
+/// How long a certificate is valid by default, days. There is no revocation, so a stolen one is worth that
+/// long; too short, and a long training must be restarted with new ones.
 pub const VALID_DAYS: u32 = 7;
 /// The longest validity, days.
 pub const VALID_DAYS_MAX: u32 = 397;
-/// File with the certificate of the authority, in every folder of certificates. The names are those of Kubernetes'
-/// TLS secrets, so that a folder can be mounted as it is.
+/// File with the certificate of the authority, in every folder of certificates. The names are those of
+/// Kubernetes' TLS secrets, so that a folder can be mounted as it is.
 pub const CA_FILE: &str = "ca.crt";
 /// File with the certificate of a process.
 pub const CERTIFICATE_FILE: &str = "tls.crt";

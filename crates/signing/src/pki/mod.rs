@@ -1,7 +1,9 @@
-//! The certificates of a lab: one authority, one certificate per process, and the role of a process in its certificate.
+//! The certificates of a lab: one authority, one certificate per process, and the role of a process in its
+//! certificate.
 //!
-//! A certificate's common name is the [`Role`], its organisational unit the name of the process. Servers decide by the role what
-//! the other side may do. Certificates are short-lived (there is no revocation): a leaked one is worth days.
+//! A certificate's common name is the [`Role`], its organisational unit the name of the process. Servers
+//! decide by the role what the other side may do. Certificates are short-lived (there is no revocation): a
+//! leaked one is worth days.
 //!
 //! *Invariant:* a private key is written once, readable by its owner alone, and never printed.
 

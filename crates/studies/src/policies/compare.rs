@@ -25,8 +25,8 @@ const SET_BY_EACH: [&str; 3] = ["robot", "run.seed", "run.iterations"];
 /// the seeds that are complete. What is finished in `out` is taken up.
 ///
 /// # Errors
-/// Where a file cannot be read or written, the robots have not the same joints, `out` was made with something else or another process is at work in it, or a step
-/// fails or is stopped.
+/// Where a file cannot be read or written, the robots have not the same joints, `out` was made with something
+/// else or another process is at work in it, or a step fails or is stopped.
 pub fn compare(
     robots: &Robots,
     out: &Path,

@@ -1,12 +1,13 @@
-//! Traces: from a simulator step over the chunk, the transport and the batch to the next policy version, as spans to an OpenTelemetry
-//! collector (OTLP over gRPC). Off unless an endpoint is configured.
+//! Traces: from a simulator step over the chunk, the transport and the batch to the next policy version, as
+//! spans to an OpenTelemetry collector (OTLP over gRPC). Off unless an endpoint is configured.
 //!
-//! There is one trace per policy version. Its identifier is the beginning of the policy's SHA-256 (`TraceContext::of_policy`), so that
-//! actors and learner agree about it without telling each other, and whoever has a policy's hash finds its trace. What a
-//! chunk adds to that is the span in which it was collected: that travels with it.
+//! There is one trace per policy version. Its identifier is the beginning of the policy's SHA-256
+//! (`TraceContext::of_policy`), so that actors and learner agree about it without telling each other, and
+//! whoever has a policy's hash finds its trace. What a chunk adds to that is the span in which it was
+//! collected: that travels with it.
 //!
-//! *Invariant:* nothing waits for a collector. A queue of [`QUEUE_MAX`] spans stands between; what does not fit, and what the collector does
-//! not take, is dropped and counted.
+//! *Invariant:* nothing waits for a collector. A queue of [`QUEUE_MAX`] spans stands between; what does not
+//! fit, and what the collector does not take, is dropped and counted.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod export;
@@ -24,7 +25,8 @@ use export::Exporter;
 pub use export::{QUEUE_MAX, TraceError, TraceSettings};
 pub use span::{Kind, Span, Value};
 
-/// Takes spans. Cheap to clone; all clones share the queue. When the last one goes, what waits is still exported, for at most a few seconds.
+/// Takes spans. Cheap to clone; all clones share the queue. When the last one goes, what waits is still
+/// exported, for at most a few seconds.
 #[derive(Clone, Debug, Default)]
 pub struct Tracer {
     inner: Option<Arc<Inner>>,
@@ -95,7 +97,8 @@ impl Tracer {
     }
 }
 
-/// Neighbouring numbers far apart, none twice, and never 0, which is no identifier (the finaliser of SplitMix64).
+/// Neighbouring numbers far apart, none twice, and never 0, which is no identifier (the finaliser of
+/// SplitMix64).
 fn scattered(number: u64) -> u64 {
     let mut x = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -37,7 +37,8 @@ impl Watchdog {
         let thread = std::thread::spawn(move || {
             if waits.recv_timeout(patience) == Err(RecvTimeoutError::Timeout) {
                 eprintln!("process {pid} does not end, or its output does not: killed");
-                // Also those that are stopped, and those whose parents are gone, which still hold its output open.
+                // Also those that are stopped, and those whose parents are gone, which still hold its output
+                // open.
                 for pid in family(pid).into_iter().chain(holders(&pipes)) {
                     let _ = kill(Pid::from_raw(pid as i32), Signal::SIGKILL);
                 }

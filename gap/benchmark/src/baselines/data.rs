@@ -174,7 +174,8 @@ impl CaseData {
             .collect())
     }
 
-    /// Error on held-out runs of `setup` over that of the nominal robot: geometric mean over channels of the root mean squares' ratio.
+    /// Error on held-out runs of `setup` over that of the nominal robot: geometric mean over channels of the
+    /// root mean squares' ratio.
     ///
     /// # Errors
     /// [`DataError::Engine`].

@@ -6,8 +6,9 @@ use super::data::{CaseData, DataError};
 use super::fit::{Fit, LANES, in_lanes, square};
 use super::setup::{Knob, Setup, knob_of, turned, turns};
 
-/// Baseline 2: covariance matrix adaptation on delay, armature, viscous and Coulomb friction, and bias (Hansen, "The CMA evolution strategy: a
-/// tutorial", 2016, with its default weights and rates). Names what moved most, in steps that matter.
+/// Baseline 2: covariance matrix adaptation on delay, armature, viscous and Coulomb friction, and bias
+/// (Hansen, "The CMA evolution strategy: a tutorial", 2016, with its default weights and rates). Names what
+/// moved most, in steps that matter.
 ///
 /// # Errors
 /// [`DataError`].

@@ -158,8 +158,8 @@ pub fn least_squares(data: &CaseData, turns: &[Turn], start: &[f64]) -> Result<F
     })
 }
 
-/// Baseline 1, as identification tools do: every one of a fixed list is fitted, and every one whose 95 % interval leaves nothing out is "found".
-/// Returns the fit and the names, strongest first.
+/// Baseline 1, as identification tools do: every one of a fixed list is fitted, and every one whose 95 %
+/// interval leaves nothing out is "found". Returns the fit and the names, strongest first.
 ///
 /// # Errors
 /// [`DataError`].
@@ -200,7 +200,8 @@ pub fn fit_all(data: &CaseData) -> Result<(Fit, Vec<&'static str>), DataError> {
     Ok((fit, names))
 }
 
-/// The true structure, fitted: what a perfect name would be worth on held-out runs. `None` where it has no knob.
+/// The true structure, fitted: what a perfect name would be worth on held-out runs. `None` where it has no
+/// knob.
 ///
 /// # Errors
 /// [`DataError`].

@@ -1,5 +1,6 @@
-//! What others would do with the same logs, in the same engine: least squares on everything, evolution on a fixed set, forward selection by BIC,
-//! an unnamed residual; and the oracle, who knows the structure and only fits.
+//! What others would do with the same logs, in the same engine: least squares on everything, evolution on a
+//! fixed set, forward selection by BIC, an unnamed residual; and the oracle, who knows the structure and only
+//! fits.
 
 pub mod data;
 pub mod evolve;

@@ -1,4 +1,5 @@
-//! Baseline 4: an unnamed residual. Ridge regression of what the nominal robot gets wrong, per channel, on what it predicts and is commanded.
+//! Baseline 4: an unnamed residual. Ridge regression of what the nominal robot gets wrong, per channel, on
+//! what it predicts and is commanded.
 
 use super::data::{CaseData, DataError};
 use super::setup::Setup;

@@ -1,4 +1,5 @@
-//! The nominal robot with parameters turned: what a baseline can fit. Written on the engine's own parameters, apart from `gap/`'s catalogue.
+//! The nominal robot with parameters turned: what a baseline can fit. Written on the engine's own parameters,
+//! apart from `gap/`'s catalogue.
 
 use caudata_model::RobotModel;
 use caudata_sim::LaneParams;

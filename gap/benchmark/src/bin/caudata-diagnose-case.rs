@@ -1,5 +1,6 @@
-//! Diagnoses one case folder and writes `report.json` into the current folder: `caudata-diagnose-case [--without ID]… CASE`. For the tests
-//! of the benchmark; `caudata bench gap` starts itself.
+//! Diagnoses one case folder and writes `report.json` into the current folder:
+//! `caudata-diagnose-case [--without ID]… CASE`. For the tests of the benchmark; `caudata bench gap` starts
+//! itself.
 
 use std::io::Write;
 use std::path::PathBuf;

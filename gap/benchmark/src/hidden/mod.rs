@@ -1,4 +1,5 @@
-//! What can be hidden: effects of the catalogue, as physics in the truth, and laws that the catalogue does not have.
+//! What can be hidden: effects of the catalogue, as physics in the truth, and laws that the catalogue does
+//! not have.
 //!
 //! `size` grows with the effect and is 0 where there is none; what it means is in each row.
 

@@ -58,8 +58,8 @@ pub const OUTSIDE: &[Hidden] = &[
         "actuation",
         (1.0, 6.0),
         |w, _, _, s| {
-            // a firmware that does not compensate, on a battery that runs down; the log tells the voltage. (At one voltage it would
-            // be what the catalogue calls stale gains.)
+            // a firmware that does not compensate, on a battery that runs down; the log tells the voltage.
+            // (At one voltage it would be what the catalogue calls stale gains.)
             w.spec.gain_follows_supply = true;
             w.drained_v += s;
         },

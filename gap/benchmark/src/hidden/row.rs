@@ -90,16 +90,17 @@ pub struct Hidden {
     truth: [Option<Measure>; 2],
 }
 
-/// On a rig with one joint (effect, what fits exactly as well, beside what): of a hanging link two numbers show, its moment of
-/// gravity and its inertia about the hinge, and where an inertia is free only the first tells a mass from its centre.
+/// On a rig with one joint (effect, what fits exactly as well, beside what): of a hanging link two numbers
+/// show, its moment of gravity and its inertia about the hinge, and where an inertia is free only the first
+/// tells a mass from its centre.
 const EQUIVALENT_BESIDE: &[(&str, &str, &[&str])] = &[
     ("link_mass", "link_com", &["link_inertia", "armature"]),
     ("link_com", "link_mass", &["link_inertia", "armature"]),
 ];
 
 impl Hidden {
-    /// Ids that the same data fit exactly as well where one of those is named too that they come with, on a rig with `joints`
-    /// joints where the effects `hidden` are hidden: (id, named too).
+    /// Ids that the same data fit exactly as well where one of those is named too that they come with, on a
+    /// rig with `joints` joints where the effects `hidden` are hidden: (id, named too).
     #[must_use]
     pub fn same_beside(&self, joints: usize, hidden: &[&str]) -> Vec<(&'static str, &'static str)> {
         let rows = EQUIVALENT_BESIDE.iter();

@@ -1,4 +1,5 @@
-//! Scores: single cases ([`outcome`]), rates with intervals ([`wilson`]), the table of the protocol ([`summary`]).
+//! Scores: single cases ([`outcome`]), rates with intervals ([`wilson`]), the table of the protocol
+//! ([`summary`]).
 
 pub mod outcome;
 pub mod summary;

@@ -312,7 +312,8 @@ impl Summary {
     }
 }
 
-/// Median error on held-out runs after over before, singles of d ≥ 3; a diagnosis that changes nothing counts as 1.
+/// Median error on held-out runs after over before, singles of d ≥ 3; a diagnosis that changes nothing counts
+/// as 1.
 #[must_use]
 pub fn median_gain(all: &[Outcome]) -> f64 {
     let large =

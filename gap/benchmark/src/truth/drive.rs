@@ -1,7 +1,8 @@
 //! One true servo: a sampled firmware loop, a DC motor, LuGre friction, a gear with teeth that bounce.
 //!
-//! Written for the benchmark alone. Friction: Canudas de Wit, Olsson, Åström, Lischinsky, "A new model for control of systems with friction"
-//! (IEEE Trans. Automatic Control 40, 1995). Impacts: Hunt and Crossley (J. Applied Mechanics 42, 1975).
+//! Written for the benchmark alone. Friction: Canudas de Wit, Olsson, Åström, Lischinsky, "A new model for
+//! control of systems with friction" (IEEE Trans. Automatic Control 40, 1995). Impacts: Hunt and Crossley (J.
+//! Applied Mechanics 42, 1975).
 
 use super::spec::JointSpec;
 
@@ -11,7 +12,8 @@ const TEETH_NM_PER_RAD: f64 = 1500.0;
 const IMPACT_LOSS_S_PER_RAD: f64 = 2.5;
 /// Stiffness of end stops, N·m/rad.
 const STOP_NM_PER_RAD: f64 = 800.0;
-/// Damping of the bristle near rest, as a time on its stiffness, s, and the speed at which it has faded, rad/s.
+/// Damping of the bristle near rest, as a time on its stiffness, s, and the speed at which it has faded,
+/// rad/s.
 const BRISTLE_DAMPING_S: f64 = 0.001;
 const BRISTLE_FADE_RADPS: f64 = 0.1;
 /// A joint with no more dry friction than this has none, N·m.
@@ -67,7 +69,8 @@ impl Firmware {
         }
     }
 
-    /// One tick of `tick_s`: command as it has arrived, encoder as counted and before counting. Returns the volts at the bridge.
+    /// One tick of `tick_s`: command as it has arrived, encoder as counted and before counting. Returns the
+    /// volts at the bridge.
     pub fn tick(
         &mut self,
         p: &JointSpec,
@@ -203,7 +206,8 @@ pub fn friction_bound_nm(
     bound.max(FRICTIONLESS_NM)
 }
 
-/// LuGre friction: torque against the motion (N·m) and the bristle's rate (rad/s) at speed `v` and deflection `z`.
+/// LuGre friction: torque against the motion (N·m) and the bristle's rate (rad/s) at speed `v` and deflection
+/// `z`.
 #[must_use]
 pub fn lugre(p: &JointSpec, bound_nm: f64, v_radps: f64, z_rad: f64, step_s: f64) -> (f64, f64) {
     let stiffness = p.coulomb_nm.max(1e-5) / p.presliding_rad;

@@ -1,9 +1,9 @@
-//! The salamander on a stand, on the ground or in water, by the Rapier engine at half the diagnosing simulator's step, with the sensors of a lab around
-//! it: encoders, IMU, and motion capture of feet and base.
+//! The salamander on a stand, on the ground or in water, by the Rapier engine at half the diagnosing
+//! simulator's step, with the sensors of a lab around it: encoders, IMU, and motion capture of feet and base.
 //!
-//! Another engine, another contact model, another joint solver and another way to take drag and added mass than the diagnosis has. Formulas of the
-//! drive-line and of water are those of `sim/` (both engines share them), so what is hidden here lies in structure, masses, ground, and in the sizes of
-//! what water does.
+//! Another engine, another contact model, another joint solver and another way to take drag and added mass
+//! than the diagnosis has. Formulas of the drive-line and of water are those of `sim/` (both engines share
+//! them), so what is hidden here lies in structure, masses, ground, and in the sizes of what water does.
 
 use std::sync::Arc;
 
@@ -23,7 +23,8 @@ const STEPS_PER_ROW: u32 = 10;
 /// How long the robot stands before the run begins, s, and how long it floats: bobbing dies within a second.
 const SETTLE_S: f64 = 1.0;
 const FLOAT_S: f64 = 3.0;
-/// A pool is never quite still (m/s), and never quite the same to swim in: shares by which drag and buoyancy differ from run to run.
+/// A pool is never quite still (m/s), and never quite the same to swim in: shares by which drag and buoyancy
+/// differ from run to run.
 const STIR_MPS: f32 = 0.004;
 const DRAG_SHARE: f32 = 0.04;
 const BUOYANCY_SHARE: f32 = 0.004;
@@ -185,7 +186,8 @@ pub fn run(
     let config = EngineConfig {
         kind: EngineKind::Rapier,
         dt_s: ENGINE_STEP_S,
-        // torque is reported as the mean over a period: a servo reads its current at an instant, not over a whole row
+        // torque is reported as the mean over a period: a servo reads its current at an instant, not over a
+        // whole row
         substeps: 1,
         fixed_base: begins.place == BaseHold::Fixed,
         ..EngineConfig::rapier()

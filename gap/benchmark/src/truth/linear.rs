@@ -61,7 +61,8 @@ pub fn turn(r: &M3, m: &M3) -> M3 {
     out
 }
 
-/// Solves `a·x = b` for a symmetric positive definite `a` (`[n, n]`, rows first, overwritten by its factor); `b` becomes `x`.
+/// Solves `a·x = b` for a symmetric positive definite `a` (`[n, n]`, rows first, overwritten by its factor);
+/// `b` becomes `x`.
 ///
 /// Returns whether `a` was positive definite; if not, `b` is not to be used.
 #[must_use]

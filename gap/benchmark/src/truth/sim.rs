@@ -1,4 +1,5 @@
-//! The truth in time: firmware every 0.5 ms, everything else by the classical Runge–Kutta method in steps of 0.25 ms.
+//! The truth in time: firmware every 0.5 ms, everything else by the classical Runge–Kutta method in steps of
+//! 0.25 ms.
 
 use caudata_model::{JointKind, RobotModel};
 
@@ -134,7 +135,8 @@ impl<'a> Sim<'a> {
         }
     }
 
-    /// Runs `commands` until `duration_s` after having stood at the first row for a second, from `start_error_rad` beside it.
+    /// Runs `commands` until `duration_s` after having stood at the first row for a second, from
+    /// `start_error_rad` beside it.
     pub fn run(
         &mut self,
         commands: &Commands,
@@ -237,7 +239,8 @@ impl<'a> Sim<'a> {
         }
     }
 
-    /// Derivative of the state. With `currents`, also takes note of what the motors draw and pass on (for the next step).
+    /// Derivative of the state. With `currents`, also takes note of what the motors draw and pass on (for the
+    /// next step).
     fn rates(
         &mut self,
         y: &[f64],

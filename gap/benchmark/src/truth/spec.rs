@@ -135,7 +135,8 @@ pub struct Spec {
     pub supply_v: f64,
     /// Its resistance, Ω.
     pub supply_ohm: f64,
-    /// Voltage at which the firmware's gains hold; it compensates for the voltage that it measures unless `gain_follows_supply`.
+    /// Voltage at which the firmware's gains hold; it compensates for the voltage that it measures unless
+    /// `gain_follows_supply`.
     pub reference_v: f64,
     /// Whether the firmware leaves the gains to the supply.
     pub gain_follows_supply: bool,

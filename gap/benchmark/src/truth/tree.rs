@@ -1,7 +1,9 @@
-//! Equations of motion of a tree of links on a base that is held: `M(q)·q̈ + h(q, q̇) = τ`, in world coordinates.
+//! Equations of motion of a tree of links on a base that is held: `M(q)·q̈ + h(q, q̇) = τ`, in world
+//! coordinates.
 //!
-//! M from composite bodies, column by column as momenta about the world's origin; h (gravity included) by Newton and Euler outwards and
-//! inwards. Written for the benchmark alone: shares no formula with the engines that it examines.
+//! M from composite bodies, column by column as momenta about the world's origin; h (gravity included) by
+//! Newton and Euler outwards and inwards. Written for the benchmark alone: shares no formula with the engines
+//! that it examines.
 
 use caudata_model::{JointMotion, RobotModel, pose};
 
@@ -82,7 +84,8 @@ impl Default for MassChange {
 }
 
 impl Tree {
-    /// The tree of `model` with its base held where the model puts it. Slides are left out (no rig here has one), as are locked hinges.
+    /// The tree of `model` with its base held where the model puts it. Slides are left out (no rig here has
+    /// one), as are locked hinges.
     #[must_use]
     pub fn new(model: &RobotModel, changes: &[MassChange], gravity_mps2: V3) -> Self {
         let mut hinges = Vec::new();
@@ -253,7 +256,8 @@ impl Tree {
         }
     }
 
-    /// Composite bodies: mass, first moment and inertia about the world's origin of everything beyond a hinge.
+    /// Composite bodies: mass, first moment and inertia about the world's origin of everything beyond a
+    /// hinge.
     fn mass(&self, s: &mut Scratch, mass: &mut [f64]) {
         let n = self.dofs();
         s.composite.clear();

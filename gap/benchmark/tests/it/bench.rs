@@ -69,7 +69,8 @@ fn a_quick_set_is_answered_sealed_and_worthless_with_shuffled_labels() {
     assert!(left_out.is_empty(), "{left_out:?}");
     assert_eq!(made, plans.len());
 
-    // The seal: nothing in a case folder or in its name says what is hidden, and the answers do not open with another secret.
+    // The seal: nothing in a case folder or in its name says what is hidden, and the answers do not open with
+    // another secret.
     let words: Vec<&str> = plans
         .iter()
         .flat_map(|p| p.effects.iter().map(|e| e.0.id))
@@ -116,7 +117,8 @@ fn a_quick_set_is_answered_sealed_and_worthless_with_shuffled_labels() {
     let said = said.join("\n");
     let summary = Summary::of(&outcomes);
     assert_eq!(summary.failed, 0, "{said}");
-    // Names are scored on the large sets (docs/reference/hidden-effects.md). Here each effect is large (d = 8): these are floors, not figures.
+    // Names are scored on the large sets (docs/reference/hidden-effects.md). Here each effect is large (d =
+    // 8): these are floors, not figures.
     assert_eq!(summary.first_large.of, 5, "{said}");
     assert!(summary.first_large.hits >= 4, "{said}");
     assert_eq!(summary.false_alarms.hits, 0, "{said}");
@@ -125,7 +127,8 @@ fn a_quick_set_is_answered_sealed_and_worthless_with_shuffled_labels() {
     assert!(summary.joint.hits >= 4, "{said}");
     assert!(summary.wrong_per_case <= 0.2, "{said}");
 
-    // The canary: the same reports against shuffled labels are at chance. Five different effects, so none should be right.
+    // The canary: the same reports against shuffled labels are at chance. Five different effects, so none
+    // should be right.
     let canary = Summary::of(&shuffled(&answers.answers, &outcomes, root.path()));
     assert_eq!(canary.first_large.of, 5);
     assert_eq!(canary.first_large.hits, 0, "{said}");

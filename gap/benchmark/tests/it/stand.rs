@@ -1,4 +1,5 @@
-//! A robot on a stand: another engine, currents, a day's friction, noise. Where nothing is hidden nothing may be found; what is hidden must be.
+//! A robot on a stand: another engine, currents, a day's friction, noise. Where nothing is hidden nothing may
+//! be found; what is hidden must be.
 
 use std::path::Path;
 use std::sync::Arc;

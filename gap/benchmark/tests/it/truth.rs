@@ -48,8 +48,9 @@ fn upward(channel: &[f64]) -> Vec<f64> {
 
 #[test]
 fn a_pendulum_swings_with_its_period() {
-    // I = 0.0006 + 0.4·0.1² = 0.0046 kg·m², m·g·l = 0.3924 N·m: T₀ = 2π·√(0.0046/0.3924) = 0.680287 s.
-    // At 1 rad of amplitude the period is T₀·(1 + 1/16 + 11/3072 + …) = T₀·1.066331 (complete elliptic integral of sin ½).
+    // I = 0.0006 + 0.4·0.1² = 0.0046 kg·m², m·g·l = 0.3924 N·m: T₀ = 2π·√(0.0046/0.3924) = 0.680287 s. At 1
+    // rad of amplitude the period is T₀·(1 + 1/16 + 11/3072 + …) = T₀·1.066331 (complete elliptic integral of
+    // sin ½).
     let rig = Rig::bench("pendulum").unwrap();
     let dense = run(&rig, &limp(&rig), &[1.0], 8.0);
     let times = upward(&dense.pos_rad[0]);
@@ -109,7 +110,8 @@ fn a_double_pendulum_keeps_its_energy() {
 
 #[test]
 fn a_double_pendulum_starts_as_lagrange_says() {
-    // M₂₂ = 0.0003 + 0.18·0.06² = 0.000948; M₁₂ = M₂₂ + 0.18·0.12·0.06·cos q₂; gravity on the second: 0.18·9.81·0.06·sin(q₁ + q₂).
+    // M₂₂ = 0.0003 + 0.18·0.06² = 0.000948; M₁₂ = M₂₂ + 0.18·0.12·0.06·cos q₂; gravity on the second:
+    // 0.18·9.81·0.06·sin(q₁ + q₂).
     let rig = Rig::bench("arm").unwrap();
     let spec = limp(&rig);
     let tree = Tree::new(&rig.model, &spec.links, spec.gravity_mps2);
@@ -141,7 +143,8 @@ fn pendulum_joint() -> JointSpec {
 
 #[test]
 fn a_motor_at_full_voltage_runs_along_its_line() {
-    // The envelope of the robot file at 12 V: stall 1.94 + 0.8·1.54/6.8 = 2.121176 N·m beyond the flat limit of 1.94; no load at 9.366 rad/s.
+    // The envelope of the robot file at 12 V: stall 1.94 + 0.8·1.54/6.8 = 2.121176 N·m beyond the flat limit
+    // of 1.94; no load at 9.366 rad/s.
     let p = pendulum_joint();
     let torque = |w: f64| p.kt_nm_per_a * drive::current_a(&p, 12.0, w, 0.0);
     assert!((torque(0.0) - 1.94).abs() < 1e-9);
@@ -172,7 +175,8 @@ fn a_hold_droops_by_load_over_gain() {
     }
     // within a count of the encoder, on which the loop sits
     assert!((q - want).abs() < 0.0016, "{q} against {want}");
-    // the current is what the load asks for: 0.3924·sin(q)/1.11, on average over the steps of encoder and bridge
+    // the current is what the load asks for: 0.3924·sin(q)/1.11, on average over the steps of encoder and
+    // bridge
     let tail = &dense.current_a[0][dense.current_a[0].len() - 500..];
     let mean = tail.iter().sum::<f64>() / tail.len() as f64;
     assert!((mean - 0.3924 * want.sin() / 1.11).abs() < 0.01, "{mean}");
@@ -237,7 +241,8 @@ fn in_the_gap_nothing_is_passed_on() {
 
 #[test]
 fn free_travel_at_the_output_is_the_gap() {
-    // The rotor is stuck (friction far beyond the load); gravity lays the pendulum against one flank left of the vertical, the other right of it.
+    // The rotor is stuck (friction far beyond the load); gravity lays the pendulum against one flank left of
+    // the vertical, the other right of it.
     let rig = Rig::bench("pendulum").unwrap();
     let at = |u: f64| {
         let mut spec = Spec::nominal(&rig.model);
@@ -317,7 +322,8 @@ fn a_command_arrives_after_its_delay_and_its_filter() {
     };
     let still = Sim::new(&rig.model, &spec).run(&commands, 1.0, &[0.0], None);
     assert!(still.pos_rad[0].iter().all(|q| q.abs() < 1e-3));
-    // low-pass of 50 ms in the firmware: after 50 ms 1 − 1/e of the step is in the volts (no speed, no friction)
+    // low-pass of 50 ms in the firmware: after 50 ms 1 − 1/e of the step is in the volts (no speed, no
+    // friction)
     let mut p = pendulum_joint();
     p.low_pass_s = 0.05;
     p.duty_steps = 1e9;
@@ -387,7 +393,8 @@ fn the_salamander_hangs_in_the_air_and_stays_finite() {
     let mut sim = Sim::new(&model, &spec);
     let dense = sim.run(&commands, 0.2, &[0.0; 16], None);
     assert!(dense.sane);
-    // yaw joints carry nothing while the robot hangs straight; a fore knee carries its lower leg: within the droop that 0.2 N·m make
+    // yaw joints carry nothing while the robot hangs straight; a fore knee carries its lower leg: within the
+    // droop that 0.2 N·m make
     for (a, (q, want)) in dense
         .pos_rad
         .iter()

@@ -1,4 +1,5 @@
-//! What a diagnosis may claim, one hidden law at a time: sure where it knows, unsure where a name stands in for another law.
+//! What a diagnosis may claim, one hidden law at a time: sure where it knows, unsure where a name stands in
+//! for another law.
 
 use caudata_gap::Options;
 use caudata_gap::report::{Cause, Doubt, DoubtKind, Report, Verdict};
@@ -66,7 +67,8 @@ fn the_drag_of_a_sail_is_no_sure_viscous_friction() {
     let root = tempfile::tempdir().unwrap();
     recorded("air_drag_of_a_sail", Block::Outside, root.path());
     let report = diagnosed(&root.path().join("case"));
-    // a drag with the square of the speed is much like one with the speed; what is left of the currents tells them apart
+    // a drag with the square of the speed is much like one with the speed; what is left of the currents tells
+    // them apart
     is_unsure(&report);
     assert!(report.summary.contains("obeys a law"), "{}", report.summary);
     let lawful = |d: &Doubt| d.kind == DoubtKind::LawfulRest && d.location == "swing";
@@ -79,7 +81,8 @@ fn a_gain_that_grows_with_the_error_is_no_sure_gain() {
     recorded("gain_grows_with_error", Block::Outside, root.path());
     let report = diagnosed(&root.path().join("case"));
     is_unsure(&report);
-    // one gain explains most of it; but small errors, and slow motions with them, ask for less of it than large ones
+    // one gain explains most of it; but small errors, and slow motions with them, ask for less of it than
+    // large ones
     let inconstant = |d: &Doubt| {
         d.kind == DoubtKind::InconstantSize
             && d.location == "kp_error@swing"
@@ -201,7 +204,8 @@ fn a_motor_that_is_limited_as_it_drives_may_brake_as_before() {
         (limit_nm - truth_nm).abs() < 0.1 * truth_nm,
         "{limit_nm} of {truth_nm}"
     );
-    // with a limit that holds both ways its fall under gravity is braked far too little; how much more is allowed than was asked for nobody can tell
+    // with a limit that holds both ways its fall under gravity is braked far too little; how much more is
+    // allowed than was asked for nobody can tell
     assert!(cause.parameters["braking_freed"].value > 0.1);
 }
 
@@ -215,7 +219,8 @@ fn outside_its_band_a_controller_may_act_on_the_whole_error() {
         panic!("{}: {}", report.summary, in_words(&report.causes));
     };
     assert_eq!(cause.effect, "controller_dead_band");
-    // the edge of a jump has no slope to follow: what a fit begins with stays within a tenth of what it should be, and the interval knows
+    // the edge of a jump has no slope to follow: what a fit begins with stays within a tenth of what it
+    // should be, and the interval knows
     let width = &cause.parameters["half_width_rad"];
     assert!(
         (width.ci_low..=width.ci_high).contains(&truth_rad),
@@ -233,7 +238,8 @@ fn what_takes_less_than_it_leaves_is_a_lead() {
     let root = tempfile::tempdir().unwrap();
     recorded("friction_drift", Block::Single, root.path());
     let report = diagnosed(&root.path().join("case"));
-    // the true friction bends by as much as before it slides, however much it grows; the catalogue's grows stiffer with it
+    // the true friction bends by as much as before it slides, however much it grows; the catalogue's grows
+    // stiffer with it
     let [cause] = report.causes.as_slice() else {
         panic!("{}: {}", report.summary, in_words(&report.causes));
     };
@@ -292,7 +298,8 @@ fn a_law_that_bends_where_it_is_hardly_plausible_is_no_sure_name() {
         without: without.to_vec(),
         ..Options::default()
     };
-    // friction that is more at rest, with a speed beyond which it is less that the joint hardly reaches, is friction without such a speed
+    // friction that is more at rest, with a speed beyond which it is less that the joint hardly reaches, is
+    // friction without such a speed
     let report = examinee::diagnose(&root.path().join("case"), options).unwrap();
     is_unsure(&report);
 }

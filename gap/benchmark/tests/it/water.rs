@@ -1,4 +1,5 @@
-//! A robot in a pool: another engine, water that stirs a little, motion capture. Where nothing is hidden nothing may be found; what is hidden must be.
+//! A robot in a pool: another engine, water that stirs a little, motion capture. Where nothing is hidden
+//! nothing may be found; what is hidden must be.
 
 use caudata_gap::Options;
 use caudata_gap::report::{Report, Verdict};

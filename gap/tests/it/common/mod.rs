@@ -1,4 +1,5 @@
-//! Recordings of a simulated robot, with what real ones have: counts, noise, lost readings, unsteady stamps, repeats that differ.
+//! Recordings of a simulated robot, with what real ones have: counts, noise, lost readings, unsteady stamps,
+//! repeats that differ.
 
 #![allow(dead_code)]
 

@@ -1,5 +1,5 @@
-//! Accelerations in the air against MuJoCo on the same MJCF. Skipped with a message where no Python with MuJoCo is named by
-//! `CAUDATA_MUJOCO_PYTHON`.
+//! Accelerations in the air against MuJoCo on the same MJCF. Skipped with a message where no Python with
+//! MuJoCo is named by `CAUDATA_MUJOCO_PYTHON`.
 
 use std::io::Write;
 use std::process::{Command, Stdio};

@@ -128,8 +128,8 @@ fn fingerprint(state: &State) -> u64 {
         })
 }
 
-/// What 10,000 steps of random targets on level ground end in, on any processor with 8 or 16 lanes. A change of this number is a change of the
-/// physics (or of the report): say so in the commit that changes it.
+/// What 10,000 steps of random targets on level ground end in, on any processor with 8 or 16 lanes. A change
+/// of this number is a change of the physics (or of the report): say so in the commit that changes it.
 const GOLDEN: u64 = 0x4ffc_769d_4b1a_4808;
 
 #[test]
@@ -227,7 +227,8 @@ fn per_width(held: bool, periods: usize) -> Vec<(u32, State)> {
     results
 }
 
-/// Held in the air, where nothing is chaotic, all widths agree to rounding (16 and 8 lanes fuse multiply and add, 4 and 1 round twice).
+/// Held in the air, where nothing is chaotic, all widths agree to rounding (16 and 8 lanes fuse multiply and
+/// add, 4 and 1 round twice).
 #[test]
 fn every_width_computes_the_same() {
     let results = per_width(true, 50);
@@ -254,7 +255,8 @@ fn sixteen_and_eight_lanes_give_the_same_bits() {
     }
 }
 
-/// A drive-line stage that a neighbour needs runs for the whole group: a lane that does not need it must not notice, to the bit.
+/// A drive-line stage that a neighbour needs runs for the whole group: a lane that does not need it must not
+/// notice, to the bit.
 #[test]
 fn a_neighbours_effects_are_nothing_to_a_lane() {
     let model = robots::polymander();
@@ -303,8 +305,8 @@ fn a_neighbours_effects_are_nothing_to_a_lane() {
     );
 }
 
-/// What a lane's loops have under way is its own: delays come, grow, shrink and go, and a neighbour that needs a longer memory all along (or only at
-/// first) changes nothing, to the bit.
+/// What a lane's loops have under way is its own: delays come, grow, shrink and go, and a neighbour that
+/// needs a longer memory all along (or only at first) changes nothing, to the bit.
 #[test]
 fn a_neighbours_longer_memory_is_nothing_to_a_lane() {
     let model = robots::polymander();

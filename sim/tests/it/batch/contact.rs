@@ -4,7 +4,8 @@ use caudata_sim::{EngineConfig, InitialState, LaneParams, TerrainConfig, build};
 
 use crate::conformance::robots;
 
-/// With gravity tilted by θ the flat ground is an incline: it holds below tan θ = μ and slides above, within half a degree.
+/// With gravity tilted by θ the flat ground is an incline: it holds below tan θ = μ and slides above, within
+/// half a degree.
 #[test]
 fn slides_where_the_tangent_is_the_friction() {
     slides_at_its_angle(&EngineConfig::default());
@@ -19,8 +20,8 @@ fn slides_at_the_same_angle_with_convex_friction() {
     });
 }
 
-/// A table that slides at 1 m/s lifts with MuJoCo's friction (v_n follows μ·v_t until the contact opens, a tenth of a millimetre higher), and
-/// does not with Coulomb's.
+/// A table that slides at 1 m/s lifts with MuJoCo's friction (v_n follows μ·v_t until the contact opens, a
+/// tenth of a millimetre higher), and does not with Coulomb's.
 #[test]
 fn a_sliding_foot_lifts_itself_with_convex_friction_only() {
     let model = robots::table();
@@ -76,14 +77,16 @@ fn slides_at_its_angle(config: &EngineConfig) {
     let slid = [e.state().com_pos_m[0], e.state().com_pos_m[3]].map(f64::from);
     let (held, gone) = (slid[0] - at_one_second[0], slid[1] - at_one_second[1]);
     assert!(held < 1e-3, "half a degree below, it crept {held} m in 2 s");
-    // half a degree above: g·(sin θ − μ·cos θ) = 9.81·sin 0.5°/cos 26.57° = 0.0957 m/s², from the start: ½·0.0957·(3² − 1²) = 0.383 m
+    // half a degree above: g·(sin θ − μ·cos θ) = 9.81·sin 0.5°/cos 26.57° = 0.0957 m/s², from the start:
+    // ½·0.0957·(3² − 1²) = 0.383 m
     assert!(
         (gone - 0.383).abs() < 0.02,
         "half a degree above, it slid {gone} m"
     );
 }
 
-/// Spawned 5 cm deep in the ground, the robot is pushed out without breaking down or flying off, and ends up standing as it does otherwise.
+/// Spawned 5 cm deep in the ground, the robot is pushed out without breaking down or flying off, and ends up
+/// standing as it does otherwise.
 #[test]
 fn a_deep_start_is_pushed_out() {
     let model = robots::polymander();
@@ -111,8 +114,8 @@ fn a_deep_start_is_pushed_out() {
     );
 }
 
-/// In its nominal pose the robot stands as high as in MuJoCo 3.17 on the same MJCF with the same servo: centre of mass at 73.27 mm after 2 s (elliptic
-/// cone, impratio 100, 0.5 ms; its feet sink in by 0.48 mm).
+/// In its nominal pose the robot stands as high as in MuJoCo 3.17 on the same MJCF with the same servo:
+/// centre of mass at 73.27 mm after 2 s (elliptic cone, impratio 100, 0.5 ms; its feet sink in by 0.48 mm).
 #[test]
 fn stands_as_high_as_in_mujoco() {
     let model = robots::polymander();
@@ -127,8 +130,8 @@ fn stands_as_high_as_in_mujoco() {
     assert!((height - 0.073_27).abs() < 1e-3, "it stands at {height} m");
 }
 
-/// A spring that answers `h` times as fast is h² as stiff: on ground four times as hard a table at rest sinks in by a sixteenth, give or take the
-/// impedance, which grows with the depth.
+/// A spring that answers `h` times as fast is h² as stiff: on ground four times as hard a table at rest sinks
+/// in by a sixteenth, give or take the impedance, which grows with the depth.
 #[test]
 fn harder_ground_gives_way_less() {
     let model = robots::table();

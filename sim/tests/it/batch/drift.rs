@@ -4,8 +4,9 @@ use caudata_sim::{EngineConfig, InitialState, LaneParams, Precision, TerrainConf
 
 use crate::conformance::robots;
 
-/// Weightless tumbling chains for 20 s: the velocity of the centre of mass stays, to the integrator's order of dt (single and double precision
-/// drift alike; half the step halves it). `caudata sim verify --only conservation` has angular momentum and energy as well.
+/// Weightless tumbling chains for 20 s: the velocity of the centre of mass stays, to the integrator's order
+/// of dt (single and double precision drift alike; half the step halves it).
+/// `caudata sim verify --only conservation` has angular momentum and energy as well.
 #[test]
 fn tumbling_keeps_its_momentum() {
     let model = robots::tumbler();

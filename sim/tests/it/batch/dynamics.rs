@@ -47,8 +47,8 @@ proptest! {
     }
 }
 
-/// 500 random states of the Polymander, free and held. (The plain formulation has no locked joints and takes the MJCF's armature, which
-/// are the nominal ones.)
+/// 500 random states of the Polymander, free and held. (The plain formulation has no locked joints and takes
+/// the MJCF's armature, which are the nominal ones.)
 #[test]
 fn the_polymander_moves_as_the_plain_formulation_says() {
     let model = robots::polymander();

@@ -1,4 +1,5 @@
-//! The batch engine beyond the conformance suite: its dynamics against an independent formulation and MuJoCo, its widths against each other, its determinism.
+//! The batch engine beyond the conformance suite: its dynamics against an independent formulation and MuJoCo,
+//! its widths against each other, its determinism.
 
 mod against_mujoco;
 mod bits;
@@ -27,7 +28,8 @@ pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().fold(0.0, fold)
 }
 
-/// A random motion of a robot: joints within ±`reach`, everything moving at about 1 rad/s and 1 m/s, torques of about 1 N·m.
+/// A random motion of a robot: joints within ±`reach`, everything moving at about 1 rad/s and 1 m/s, torques
+/// of about 1 N·m.
 fn random_motion(model: &RobotModel, reach: f64, stream: &mut Stream) -> Motion {
     let joints = model.joints().len();
     let mut many = |n: usize, most: f64| -> Vec<f64> {

@@ -1,4 +1,5 @@
-//! Dynamics written plainly: mass matrix and bias forces from Jacobians, solved densely. Shares nothing with the engine but the model's forward kinematics.
+//! Dynamics written plainly: mass matrix and bias forces from Jacobians, solved densely. Shares nothing with
+//! the engine but the model's forward kinematics.
 
 use caudata_model::{BaseKind, JointMotion, RobotModel};
 use caudata_sim::batch::smooth::{Accelerations, Motion};
@@ -27,7 +28,8 @@ pub fn accelerations(model: &RobotModel, held: bool, at: &Motion) -> Acceleratio
         let inertia =
             rotation * Matrix3::from_fn(|r, c| link.inertia_kgm2[r][c]) * rotation.transpose();
         let moved_by = path(model, l);
-        // velocity and bias acceleration of the material point at the centre of mass, walking out along the joints
+        // velocity and bias acceleration of the material point at the centre of mass, walking out along the
+        // joints
         let (mut w, mut alpha, mut v, mut a, mut point) = if free {
             let spin = Vector3::from(at.base_angvel_radps);
             (
@@ -64,7 +66,8 @@ pub fn accelerations(model: &RobotModel, held: bool, at: &Motion) -> Acceleratio
                     columns[first + j] = (axis, axis.cross(&(com - anchor)));
                 }
                 JointMotion::Slide => {
-                    // Coriolis of the sliding point; its anchor moves with it, so the arm to what follows starts there
+                    // Coriolis of the sliding point; its anchor moves with it, so the arm to what follows
+                    // starts there
                     a += w.cross(&axis) * (2.0 * qd);
                     v += axis * qd;
                     point += axis * at.joint_pos_rad[j];

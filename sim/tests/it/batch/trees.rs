@@ -8,7 +8,8 @@ use caudata_random::Stream;
 
 use crate::conformance::robots;
 
-/// `bodies` bodies, each hanging somewhere on an earlier one by one or two joints with random axes, on a free or a fixed base.
+/// `bodies` bodies, each hanging somewhere on an earlier one by one or two joints with random axes, on a free
+/// or a fixed base.
 pub fn random(bodies: usize, free: bool, stream: &mut Stream) -> Arc<RobotModel> {
     let mut children: Vec<Vec<usize>> = vec![Vec::new(); bodies];
     for b in 1..bodies {

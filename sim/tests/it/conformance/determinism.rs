@@ -151,7 +151,8 @@ pub fn reset_forgets_the_past(config: &EngineConfig) {
     assert_eq!(bits(fresh.state()), bits(used.state()));
 }
 
-/// Not-a-number in one lane's targets or push marks that lane, keeps its last state, and lets the others go on.
+/// Not-a-number in one lane's targets or push marks that lane, keeps its last state, and lets the others go
+/// on.
 pub fn bad_targets_stop_their_lane_only(config: &EngineConfig) {
     let model = robots::table();
     let mut e = engine(config, &model, 3);

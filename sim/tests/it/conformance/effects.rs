@@ -1,5 +1,5 @@
-//! Effects of the drive-line, each against a number worked by hand. On the pendulum (m·g·l = 0.981 N·m) and the two wheels (0.01 kg·m² each,
-//! no gravity) of `robots`.
+//! Effects of the drive-line, each against a number worked by hand. On the pendulum (m·g·l = 0.981 N·m) and
+//! the two wheels (0.01 kg·m² each, no gravity) of `robots`.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -38,8 +38,8 @@ fn pos(e: &dyn Engine, lane: usize) -> f64 {
     f64::from(e.state().joint_pos_rad[lane * joints])
 }
 
-/// Held at 1 rad it hangs where 15·(1 − q)·x = 0.981·sin q: with a dead band of 0.05 rad, at twice the winding resistance, and with an integral
-/// part; a spring of 5 N·m/rad towards 0.5 rad helps it.
+/// Held at 1 rad it hangs where 15·(1 − q)·x = 0.981·sin q: with a dead band of 0.05 rad, at twice the
+/// winding resistance, and with an integral part; a spring of 5 N·m/rad towards 0.5 rad helps it.
 pub fn droop_says_which(config: &EngineConfig) {
     let model = robots::pendulum();
     let all = [
@@ -66,7 +66,8 @@ pub fn droop_says_which(config: &EngineConfig) {
     );
 }
 
-/// 0.5 A at 1 N·m/A is 0.5 N·m and not more; a joint that stops at 0.3 rad gets no further; a profile of 1 rad/s moves at 1 rad/s.
+/// 0.5 A at 1 N·m/A is 0.5 N·m and not more; a joint that stops at 0.3 rad gets no further; a profile of 1
+/// rad/s moves at 1 rad/s.
 pub fn limits_limit(config: &EngineConfig) {
     let model = robots::pendulum();
     let all = [
@@ -89,12 +90,14 @@ pub fn limits_limit(config: &EngineConfig) {
         .map(|q| q + 0.981 * q.sin() / 15.0)
         .collect();
     near("speed of the profile", target[1] - target[0], 1.0, 5e-3);
-    // limited to 10 N·m, and 15·1.7 wants more; 0.29 N·m of weight; the stop on 0.025 kg·m² has 19·0.025·2632 = 1250 N·m/rad
+    // limited to 10 N·m, and 15·1.7 wants more; 0.29 N·m of weight; the stop on 0.025 kg·m² has 19·0.025·2632
+    // = 1250 N·m/rad
     near("early stop", pos(e.as_ref(), 1), 0.3078, 0.0005);
 }
 
-/// A command of 0.02 rad asks for 0.3 N·m. With 25 ms of delay in the loop nothing comes in the first 20 ms and 0.3 N·m for three quarters of the next;
-/// what the loop asked for when the wheel began to move is under way until then. Without a delay it comes at once. More than 50 ms is refused.
+/// A command of 0.02 rad asks for 0.3 N·m. With 25 ms of delay in the loop nothing comes in the first 20 ms
+/// and 0.3 N·m for three quarters of the next; what the loop asked for when the wheel began to move is under
+/// way until then. Without a delay it comes at once. More than 50 ms is refused.
 pub fn a_late_loop_gives_its_torque_later(config: &EngineConfig) {
     let model = robots::wheels();
     let all = [
@@ -128,8 +131,8 @@ pub fn a_late_loop_gives_its_torque_later(config: &EngineConfig) {
     assert!(refused.contains("loop_delay_s"), "{refused}");
 }
 
-/// Pushed with 0.3 N·m (its flat limit) a wheel reaches the speed at which friction takes it: viscous 0.05 alone 6 rad/s, with Coulomb 0.1
-/// 4 rad/s, with 0.02 more in this direction 3.6 rad/s.
+/// Pushed with 0.3 N·m (its flat limit) a wheel reaches the speed at which friction takes it: viscous 0.05
+/// alone 6 rad/s, with Coulomb 0.1 4 rad/s, with 0.02 more in this direction 3.6 rad/s.
 pub fn friction_sets_the_speed(config: &EngineConfig) {
     let model = robots::wheels();
     let push = |friction: f32, asymmetry: f32| {
@@ -153,8 +156,8 @@ pub fn friction_sets_the_speed(config: &EngineConfig) {
     }
 }
 
-/// Lifting 0.981·sin q slowly takes the load and 20 % of it; lowering it, the load less 40 %. (Kd takes 0.3·0.1 N·m of what the loop gives, which is in the
-/// motor's torque already.)
+/// Lifting 0.981·sin q slowly takes the load and 20 % of it; lowering it, the load less 40 %. (Kd takes
+/// 0.3·0.1 N·m of what the loop gives, which is in the motor's torque already.)
 pub fn load_friction_lifts_and_lowers(config: &EngineConfig) {
     let model = robots::pendulum();
     let p = geared(&model, |j| {
@@ -175,9 +178,9 @@ pub fn load_friction_lifts_and_lowers(config: &EngineConfig) {
     near("lowering", ramp(e.as_mut(), 1.0, 0.6), 0.6, 0.02);
 }
 
-/// Held back by Coulomb 0.1 and 0.05 N·m more at rest: from 0.14 rad (0.1369 N·m) it stays; without the extra it creeps to where Coulomb holds it,
-/// asin(0.1/0.981) = 0.1021 rad; from 0.17 rad (0.166 N·m) it breaks away and, as slow as 2 N·m·s/rad let it be, is held at
-/// asin(0.15/0.981) = 0.1535 rad.
+/// Held back by Coulomb 0.1 and 0.05 N·m more at rest: from 0.14 rad (0.1369 N·m) it stays; without the extra
+/// it creeps to where Coulomb holds it, asin(0.1/0.981) = 0.1021 rad; from 0.17 rad (0.166 N·m) it breaks
+/// away and, as slow as 2 N·m·s/rad let it be, is held at asin(0.15/0.981) = 0.1535 rad.
 pub fn stribeck_grips_at_rest(config: &EngineConfig) {
     let model = robots::pendulum();
     let cases = [
@@ -207,8 +210,8 @@ pub fn stribeck_grips_at_rest(config: &EngineConfig) {
     }
 }
 
-/// ±0.01 rad of play, rotor held by friction: gravity turned from one side (0.1 N·m) to the other moves the joint by 0.02 rad and twice the
-/// teeth's bend of 0.1/1000 rad.
+/// ±0.01 rad of play, rotor held by friction: gravity turned from one side (0.1 N·m) to the other moves the
+/// joint by 0.02 rad and twice the teeth's bend of 0.1/1000 rad.
 pub fn play_has_its_width(config: &EngineConfig) {
     let model = robots::pendulum();
     let tilted = |g: f32| {
@@ -230,7 +233,8 @@ pub fn play_has_its_width(config: &EngineConfig) {
     near("travel", (one - pos(e.as_ref(), 0)).abs(), 0.0202, 2e-4);
 }
 
-/// Joint A runs free at 15 rad/s on 12 V; joint B presses its stop with 4 A, 0.5 Ω take 2 V: A slows down to 12.5 rad/s.
+/// Joint A runs free at 15 rad/s on 12 V; joint B presses its stop with 4 A, 0.5 Ω take 2 V: A slows down to
+/// 12.5 rad/s.
 pub fn one_joints_load_slows_another(config: &EngineConfig) {
     let model = robots::wheels();
     let on = |ohm: f32| {
@@ -278,8 +282,8 @@ fn against_first(config: &EngineConfig, e: &mut dyn Engine, joint: usize) -> Vec
         .collect()
 }
 
-/// A delay of 13 ms lags by exactly 2π·2·0.013 = 0.1634 rad at 2 Hz with gain 1; 5 ms and 8 ms of skew of the first joint do the same there and
-/// 0.0628 rad at the second.
+/// A delay of 13 ms lags by exactly 2π·2·0.013 = 0.1634 rad at 2 Hz with gain 1; 5 ms and 8 ms of skew of the
+/// first joint do the same there and 0.0628 rad at the second.
 pub fn delay_and_skew_shift_the_phase(config: &EngineConfig) {
     let model = robots::wheels();
     let none = geared(&model, |_| ());
@@ -293,7 +297,8 @@ pub fn delay_and_skew_shift_the_phase(config: &EngineConfig) {
     };
     skewed.joints[0].command_skew_s = 0.008;
     let all = [none, late, skewed];
-    // A fraction of a step is blended into one, which is right for the impulse and up to a sixteenth of a step off in phase.
+    // A fraction of a step is blended into one, which is right for the impulse and up to a sixteenth of a
+    // step off in phase.
     let slack = 2.0 * TAU * config.dt_s / 16.0;
     let first = against_first(config, lanes(config, &model, &all).as_mut(), 0);
     for (gain, lag) in &first[1..] {
@@ -305,7 +310,8 @@ pub fn delay_and_skew_shift_the_phase(config: &EngineConfig) {
     near("lag", second[2].1, 2.0 * TAU * 0.005, slack);
 }
 
-/// A low-pass of 50 ms at 2 Hz: gain 1/√(1 + 0.3948) = 0.8467, lag atan(0.6283) = 0.5610 rad, less half a physics step or so.
+/// A low-pass of 50 ms at 2 Hz: gain 1/√(1 + 0.3948) = 0.8467, lag atan(0.6283) = 0.5610 rad, less half a
+/// physics step or so.
 pub fn low_pass_lags_and_damps(config: &EngineConfig) {
     let model = robots::wheels();
     let all = [
@@ -317,7 +323,8 @@ pub fn low_pass_lags_and_damps(config: &EngineConfig) {
     near("lag", lag, 0.5610, 2.0 * TAU * config.dt_s);
 }
 
-/// A lane that loses frames moves as one that is sent the frame before again, and the frames lost are those that seed and count say.
+/// A lane that loses frames moves as one that is sent the frame before again, and the frames lost are those
+/// that seed and count say.
 pub fn lost_frames_are_held(config: &EngineConfig) {
     let model = robots::wheels();
     let loss = CommandLoss {

@@ -64,8 +64,8 @@ pub fn pendulum_keeps_its_energy(config: &EngineConfig) {
     near("amplitude", late, early, 0.01);
 }
 
-/// Chaotic, in three dimensions, up to 10 rad/s, 5 s: never gains energy. It may lose some: taking Coriolis forces implicitly costs
-/// Rapier 23 % here at 4 ms, 13 % at 2, 6 % at 1, 3.5 % at 0.5.
+/// Chaotic, in three dimensions, up to 10 rad/s, 5 s: never gains energy. It may lose some: taking Coriolis
+/// forces implicitly costs Rapier 23 % here at 4 ms, 13 % at 2, 6 % at 1, 3.5 % at 0.5.
 pub fn double_pendulum_gains_no_energy(config: &EngineConfig) {
     let model = robots::double_pendulum();
     let mut e = engine(config, &model, 1);
@@ -89,7 +89,8 @@ pub fn double_pendulum_gains_no_energy(config: &EngineConfig) {
     });
 }
 
-/// Kinetic and potential energy, from positions and their numerical derivatives: independent of the engine's own bookkeeping.
+/// Kinetic and potential energy, from positions and their numerical derivatives: independent of the engine's
+/// own bookkeeping.
 fn energy_j(model: &RobotModel, e: &dyn Engine) -> f64 {
     let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect::<Vec<_>>();
     let (q, qd) = (
@@ -185,7 +186,8 @@ pub fn friction_holds_and_brakes(config: &EngineConfig) {
     near("rest speed", f64::from(s.joint_vel_radps[1]), 0.0, 1e-4);
 }
 
-/// A pendulum thrown over the top is caught at its stop of 2.5 rad and does not bounce back with more than it had.
+/// A pendulum thrown over the top is caught at its stop of 2.5 rad and does not bounce back with more than it
+/// had.
 pub fn stops_hold(config: &EngineConfig) {
     let model = robots::pendulum();
     let mut e = engine(config, &model, 1);
@@ -200,9 +202,10 @@ pub fn stops_hold(config: &EngineConfig) {
         highest = highest.max(q);
         lowest = lowest.min(q);
     });
-    // It arrives with ½·0.025·v² = ½·0.025·14² − 0.981·(1 + 0.8011) = 0.68 J, v = 7.4 rad/s. The stop (MuJoCo's default of 20 ms
-    // with d = 0.95: ω = 50/s, critically damped) lets it in by v·t·exp(−ω·t), at most
-    // v/(e·ω) = 0.0544 rad after 20 ms; seen every 20 ms, at least 0.048, less what its weight pulls back.
+    // It arrives with ½·0.025·v² = ½·0.025·14² − 0.981·(1 + 0.8011) = 0.68 J, v = 7.4 rad/s. The stop
+    // (MuJoCo's default of 20 ms with d = 0.95: ω = 50/s, critically damped) lets it in by v·t·exp(−ω·t), at
+    // most v/(e·ω) = 0.0544 rad after 20 ms; seen every 20 ms, at least 0.048, less what its weight pulls
+    // back.
     assert!((2.545..2.557).contains(&highest), "reached {highest}");
     assert!(lowest > -2.56, "swung back to {lowest}");
 }

@@ -4,8 +4,9 @@ use caudata_sim::{EngineConfig, InitialState, LaneParams, SimError};
 
 use crate::conformance::{engine, near, nominal_targets, periods, robots, run};
 
-/// One lane per parameter, changed; lane 0 is nominal. Each must move its own observable, in its own direction.
-/// (Delay, friction of joints, armature, damping, torque limit and play have tests of their own with numbers.)
+/// One lane per parameter, changed; lane 0 is nominal. Each must move its own observable, in its own
+/// direction. (Delay, friction of joints, armature, damping, torque limit and play have tests of their own
+/// with numbers.)
 pub fn each_parameter_acts(config: &EngineConfig) {
     let model = robots::table();
     let nominal = LaneParams {
@@ -99,7 +100,8 @@ pub fn each_parameter_acts(config: &EngineConfig) {
     // 1.9·1.5 + 0.1 = 2.95 kg
     near("scaled weight", weight(1), 2.95 * 9.81, 0.1);
     near("weight on the moon", weight(3), 2.0 * 1.62, 0.1);
-    // 1.9 kg moved 2 cm towards the front feet, which are 0.2 m before the hind ones: front share 0.5 + 1.9·0.02/(2·0.2) = 0.595
+    // 1.9 kg moved 2 cm towards the front feet, which are 0.2 m before the hind ones: front share 0.5 +
+    // 1.9·0.02/(2·0.2) = 0.595
     let front: f64 = s.foot_force_n[24..30]
         .chunks(3)
         .map(|f| f64::from(f[2]))
@@ -118,7 +120,8 @@ pub fn each_parameter_acts(config: &EngineConfig) {
         "ten times the damping is slower: {wheel_at_60_ms:?}"
     );
 
-    // Body friction and supply voltage show on the Polymander: belly down on a slide; a fast swing of the tail in the air.
+    // Body friction and supply voltage show on the Polymander: belly down on a slide; a fast swing of the
+    // tail in the air.
     let model = robots::polymander();
     let nominal = LaneParams::nominal(&model);
     let mut e = engine(config, &model, 2);
@@ -193,8 +196,9 @@ pub fn each_parameter_acts(config: &EngineConfig) {
     );
 }
 
-/// Twice the inertia turns half as fast under the same torque; a payload of 0.5 kg at the front feet weighs on them; a floor that rises by 0.1 rad
-/// towards +x makes it slide back where friction is below tan 0.1; slippery left feet turn it while it slides.
+/// Twice the inertia turns half as fast under the same torque; a payload of 0.5 kg at the front feet weighs
+/// on them; a floor that rises by 0.1 rad towards +x makes it slide back where friction is below tan 0.1;
+/// slippery left feet turn it while it slides.
 pub fn inertia_payload_tilt_and_feet_act(config: &EngineConfig) {
     let model = robots::wheels();
     let push = |scale: f32| {
@@ -318,7 +322,8 @@ pub fn refuses_bad_values(config: &EngineConfig) {
     );
 }
 
-/// Set in the middle of a motion, parameters act from the next step on and the motion goes on from where it is.
+/// Set in the middle of a motion, parameters act from the next step on and the motion goes on from where it
+/// is.
 pub fn set_params_acts_at_once(config: &EngineConfig) {
     let model = robots::tumbler();
     let mut e = engine(config, &model, 1);

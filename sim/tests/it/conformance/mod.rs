@@ -1,4 +1,5 @@
-//! One suite of worked examples for every engine: what the trait promises, checked against numbers worked by hand.
+//! One suite of worked examples for every engine: what the trait promises, checked against numbers worked by
+//! hand.
 //!
 //! [`conformance!`] runs it for one engine configuration; a new engine adds one line at the end of this file.
 

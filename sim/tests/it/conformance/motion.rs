@@ -93,7 +93,8 @@ pub fn push_moves_the_mass_it_acts_on(config: &EngineConfig) {
         1e-4,
     );
     near("speed across", f64::from(s.com_vel_mps[0]), 0.0, 1e-5);
-    // The wheel turns freely about the same axis, so only the table's 0.02 kg·m² turns: 0.05·0.1/0.02 = 0.25 rad/s
+    // The wheel turns freely about the same axis, so only the table's 0.02 kg·m² turns: 0.05·0.1/0.02 = 0.25
+    // rad/s
     near(
         "spin",
         f64::from(s.base_angvel_radps[3 + 2]),

@@ -45,7 +45,8 @@ pub fn imu_at_rest_and_in_fall(config: &EngineConfig) {
     for a in vector(&s.imu_acc_mps2[3..]) {
         near("fall", a, 0.0, 0.02);
     }
-    // Rz(yaw)·Ry(pitch)·Rx(roll): gravity in the body is (sin p, −cos p·sin r, −cos p·cos r) with p = −0.3, r = 0.4
+    // Rz(yaw)·Ry(pitch)·Rx(roll): gravity in the body is (sin p, −cos p·sin r, −cos p·cos r) with p = −0.3, r
+    // = 0.4
     let (p, r) = (-0.3_f64, 0.4_f64);
     let want = [p.sin(), -p.cos() * r.sin(), -p.cos() * r.cos()];
     for (got, want) in before.iter().zip(want) {
@@ -53,8 +54,8 @@ pub fn imu_at_rest_and_in_fall(config: &EngineConfig) {
     }
 }
 
-/// Spun about its own z at 2 rad/s in free flight, the gyro reads it, the IMU 5 cm off the axis feels ω²·r inwards:
-/// the centre of mass is on the axis, so −2²·0.05 = −0.2 m/s² along x.
+/// Spun about its own z at 2 rad/s in free flight, the gyro reads it, the IMU 5 cm off the axis feels ω²·r
+/// inwards: the centre of mass is on the axis, so −2²·0.05 = −0.2 m/s² along x.
 pub fn gyro_follows_rotation(config: &EngineConfig) {
     let model = robots::table();
     let mut e = engine(config, &model, 1);
@@ -110,7 +111,8 @@ pub fn heading_is_the_girdle_line(config: &EngineConfig) {
     near("bent neck", f64::from(e.state().heading_rad[0]), 0.5, 1e-5);
 }
 
-/// A rigid robot that rotates and moves reports that rotation as its whole-body one; a wheel spinning alone adds its momentum.
+/// A rigid robot that rotates and moves reports that rotation as its whole-body one; a wheel spinning alone
+/// adds its momentum.
 pub fn whole_body_spin(config: &EngineConfig) {
     let model = robots::table();
     let mut e = engine(config, &model, 1);

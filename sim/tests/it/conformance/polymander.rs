@@ -9,7 +9,8 @@ use caudata_sim::{
 
 use crate::conformance::{engine, near, nominal_targets, periods, robots, run};
 
-/// Two seconds in the nominal pose: it settles on feet and tail, stands still, and the ground carries exactly its weight.
+/// Two seconds in the nominal pose: it settles on feet and tail, stands still, and the ground carries exactly
+/// its weight.
 pub fn stands_still(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 1);
@@ -45,8 +46,9 @@ pub fn stands_still(config: &EngineConfig) {
     assert!(!e.state().diverged[0]);
 }
 
-/// Positive hip: that leg's foot forward, on both sides. Positive knee: foot down. Positive spine: head to the left of the trunk's line
-/// means the trunk turns the other way; seen from the head, the hind girdle swings to −y for positive yaw at the neck.
+/// Positive hip: that leg's foot forward, on both sides. Positive knee: foot down. Positive spine: head to
+/// the left of the trunk's line means the trunk turns the other way; seen from the head, the hind girdle
+/// swings to −y for positive yaw at the neck.
 pub fn signs_of_joints(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 1);
@@ -94,7 +96,8 @@ pub fn signs_of_joints(config: &EngineConfig) {
     );
 }
 
-/// Held in the air with the spine rolled, the girdle play opens to its stop: half-width, and no further than a degree beyond.
+/// Held in the air with the spine rolled, the girdle play opens to its stop: half-width, and no further than
+/// a degree beyond.
 pub fn play_is_free_then_stops(config: &EngineConfig) {
     let model = robots::polymander();
     let held = EngineConfig {
@@ -154,10 +157,11 @@ pub fn play_can_be_locked(config: &EngineConfig) {
     );
 }
 
-/// Ten seconds of an open-loop trot. MuJoCo 3 on the same MJCF with the same servo, converged in step size, travels 2.13 m
-/// and spends 6.93 W (elliptic cone, 0.5 ms). Rapier gives 2.05 to 2.15 m between 5 and 0.5 ms. MuJoCo's watts depend on how soft its constraints are: 6.67
-/// with contacts of 5 instead of 20 ms, 6.64 with joint stops of 2 instead of 5 ms; Rapier's contacts are stiffer than either:
-/// 6.65 W is what it should be near (6.53 at 4 ms).
+/// Ten seconds of an open-loop trot. MuJoCo 3 on the same MJCF with the same servo, converged in step size,
+/// travels 2.13 m and spends 6.93 W (elliptic cone, 0.5 ms). Rapier gives 2.05 to 2.15 m between 5 and 0.5
+/// ms. MuJoCo's watts depend on how soft its constraints are: 6.67 with contacts of 5 instead of 20 ms, 6.64
+/// with joint stops of 2 instead of 5 ms; Rapier's contacts are stiffer than either: 6.65 W is what it should
+/// be near (6.53 at 4 ms).
 pub fn walks_like_mujoco(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 1);
@@ -189,7 +193,8 @@ pub fn walks_like_mujoco(config: &EngineConfig) {
     near("sideways", f64::from(e.state().com_pos_m[1]), 0.0, 0.3);
 }
 
-/// 1.3 Hz, diagonal legs together: hips swing ±0.35 rad, knees lift 0.5 rad in swing, the spine bends with the gait.
+/// 1.3 Hz, diagonal legs together: hips swing ±0.35 rad, knees lift 0.5 rad in swing, the spine bends with
+/// the gait.
 fn trot(model: &RobotModel, t_s: f64) -> Vec<f32> {
     let phase = TAU * 1.3 * t_s;
     let nominal = model.nominal_pos_rad();
@@ -265,7 +270,8 @@ pub fn stands_on_rugged_ground(config: &EngineConfig) {
     }
 }
 
-/// Work of the motor of `tail_1` per cycle (J) while it wags by 0.3 rad at 0.5 Hz, with so much friction below the tail, standing with such a heading.
+/// Work of the motor of `tail_1` per cycle (J) while it wags by 0.3 rad at 0.5 Hz, with so much friction
+/// below the tail, standing with such a heading.
 fn wag(config: &EngineConfig, belly_friction: f32, heading_rad: f32) -> f64 {
     let model = robots::polymander();
     let mut e = engine(config, &model, 1);
@@ -295,8 +301,8 @@ fn wag(config: &EngineConfig, belly_friction: f32, heading_rad: f32) -> f64 {
     work_j
 }
 
-/// A tail's tip is light sideways and heavy lengthwise; what drags it back is friction × load against the way it goes, wherever the robot faces. MuJoCo 3 at
-/// 0.5 ms: 0.308 J per cycle, of them 0.256 J friction.
+/// A tail's tip is light sideways and heavy lengthwise; what drags it back is friction × load against the way
+/// it goes, wherever the robot faces. MuJoCo 3 at 0.5 ms: 0.308 J per cycle, of them 0.256 J friction.
 pub fn a_tail_drags_the_same_wherever_it_faces(config: &EngineConfig) {
     let smooth = wag(config, 0.0, 0.0);
     for heading_rad in [0.0, 0.4, std::f32::consts::FRAC_PI_4, 1.2] {

@@ -11,8 +11,8 @@ pub fn polymander() -> Arc<RobotModel> {
     Arc::new(RobotModel::load(&file).unwrap())
 }
 
-/// A robot file: `actuated` joints with nominal 0, servo without friction, damping, armature or extra damping; gains 0.
-/// Torque limits 10 N·m up to 100 rad/s. `tail` may add tables.
+/// A robot file: `actuated` joints with nominal 0, servo without friction, damping, armature or extra
+/// damping; gains 0. Torque limits 10 N·m up to 100 rad/s. `tail` may add tables.
 pub fn robot_toml(base: &str, actuated: &[&str], tail: &str) -> String {
     let names: Vec<String> = actuated.iter().map(|j| format!("{j:?}")).collect();
     let nominal: String = actuated.iter().map(|j| format!("{j} = 0.0\n")).collect();
@@ -118,8 +118,9 @@ pub fn slider() -> Arc<RobotModel> {
     )
 }
 
-/// A table of 2 kg in all on four ball feet (radius 2 cm, 0.1 m from the middle in x and y), centre of mass 1 cm above the
-/// balls' centres; with a wheel of 0.1 kg about z in its middle. Base frame at the balls' height.
+/// A table of 2 kg in all on four ball feet (radius 2 cm, 0.1 m from the middle in x and y), centre of mass 1
+/// cm above the balls' centres; with a wheel of 0.1 kg about z in its middle. Base frame at the balls'
+/// height.
 pub fn table() -> Arc<RobotModel> {
     let joints = ["wheel"];
     let feet: String = [("FL", 1, 1), ("FR", 1, -1), ("HL", -1, 1), ("HR", -1, -1)]
@@ -211,8 +212,8 @@ pub fn wheels() -> Arc<RobotModel> {
     )
 }
 
-/// A box of 0.2 × 0.2 × 0.1 m and 2.7 kg, even inside, with a disc of 0.1 kg in its middle. All under water the box displaces 4 kg. Drag of the box as it
-/// is, no heave damping, nothing for the disc.
+/// A box of 0.2 × 0.2 × 0.1 m and 2.7 kg, even inside, with a disc of 0.1 kg in its middle. All under water
+/// the box displaces 4 kg. Drag of the box as it is, no heave damping, nothing for the disc.
 pub fn buoy() -> Arc<RobotModel> {
     let joints = ["spin"];
     let tail = r#"
@@ -253,7 +254,8 @@ quadratic_torque = [0.0, 0.0, 0.0]
     )
 }
 
-/// A held post with two legs side by side, hips 0.2 m apart, each 0.15 m long along x with a ball foot (radius 3 cm) at its end, swinging about z.
+/// A held post with two legs side by side, hips 0.2 m apart, each 0.15 m long along x with a ball foot
+/// (radius 3 cm) at its end, swinging about z.
 pub fn scissors() -> Arc<RobotModel> {
     let joints = ["left", "right"];
     let leg = |name: &str, y: f64| {

@@ -17,7 +17,8 @@ fn geared(model: &Arc<RobotModel>) -> LaneParams {
     }
 }
 
-/// Told to hold 1 rad, it hangs where 15·(1 − q) = 0.981·sin q: q = 0.9466 (15·0.0534 = 0.801 = 0.981·0.8114… checked below).
+/// Told to hold 1 rad, it hangs where 15·(1 − q) = 0.981·sin q: q = 0.9466 (15·0.0534 = 0.801 = 0.981·0.8114…
+/// checked below).
 pub fn sags_by_load_over_gain(config: &EngineConfig) {
     let model = robots::pendulum();
     let mut e = engine(config, &model, 1);
@@ -46,8 +47,8 @@ pub fn reports_the_torque_it_gives(config: &EngineConfig) {
     near("power at rest", f64::from(s.mech_power_w[0]), 0.0, 1e-4);
 }
 
-/// A tenth of 10 N·m: the flat limit of 1 N·m carries the pendulum to where 0.981·sin q = 1 cannot be held, past the top of the
-/// load; at 0.05 N·m it hangs at asin(0.05/0.981) = 0.05099 rad.
+/// A tenth of 10 N·m: the flat limit of 1 N·m carries the pendulum to where 0.981·sin q = 1 cannot be held,
+/// past the top of the load; at 0.05 N·m it hangs at asin(0.05/0.981) = 0.05099 rad.
 pub fn saturates_at_its_envelope(config: &EngineConfig) {
     let model = robots::pendulum();
     let mut e = engine(config, &model, 2);
@@ -80,7 +81,8 @@ pub fn saturates_at_its_envelope(config: &EngineConfig) {
     );
 }
 
-/// The integral of reported power is the energy gained: lifted from 0 to 1.5 rad and held still, m·g·l·(1 − cos q).
+/// The integral of reported power is the energy gained: lifted from 0 to 1.5 rad and held still, m·g·l·(1 −
+/// cos q).
 pub fn power_is_work_done(config: &EngineConfig) {
     let model = robots::pendulum();
     let mut e = engine(config, &model, 1);
@@ -94,7 +96,8 @@ pub fn power_is_work_done(config: &EngineConfig) {
     near("work", work, gained, 0.02 * gained);
 }
 
-/// With 30 ms of delay the pendulum does what it does without, 30 ms later; with 3 ms (less than a step), a little later.
+/// With 30 ms of delay the pendulum does what it does without, 30 ms later; with 3 ms (less than a step), a
+/// little later.
 pub fn commands_arrive_delayed(config: &EngineConfig) {
     let model = robots::pendulum();
     let delays = [0.0, 0.003, 0.02, 0.03];
@@ -114,7 +117,8 @@ pub fn commands_arrive_delayed(config: &EngineConfig) {
             track[lane].push(f64::from(*q));
         }
     });
-    // 20 ms is one whole period: the same motion, one period later. Before its command arrives it hangs still.
+    // 20 ms is one whole period: the same motion, one period later. Before its command arrives it hangs
+    // still.
     if (config.control_period_s() - 0.02).abs() < 1e-9 {
         near("waits", track[2][0], 0.0, 1e-6);
         near("waits", track[3][0], 0.0, 1e-6);

@@ -60,7 +60,8 @@ fn everything(model: &RobotModel) -> LaneParams {
     p
 }
 
-/// 200 periods straight through, against 100, snapshot, restore in a fresh engine, 100 more: all bits equal after every period.
+/// 200 periods straight through, against 100, snapshot, restore in a fresh engine, 100 more: all bits equal
+/// after every period.
 fn check(config: &EngineConfig, terrain: &TerrainConfig) {
     let model = robots::polymander();
     let fresh = || build(model.clone(), 2, config, terrain, 9, 1).unwrap();
@@ -98,7 +99,8 @@ fn check(config: &EngineConfig, terrain: &TerrainConfig) {
     assert!(through.state().diverged.iter().all(|d| !d));
 }
 
-/// Damage, other lane counts, other configurations, other terrains, other robots: refused, and nothing changes.
+/// Damage, other lane counts, other configurations, other terrains, other robots: refused, and nothing
+/// changes.
 pub fn refuses_what_is_not_its_own(config: &EngineConfig) {
     let model = robots::polymander();
     let mut e = engine(config, &model, 2);

@@ -25,8 +25,8 @@ fn force_sum(e: &dyn Engine, axis: usize) -> f64 {
         .sum()
 }
 
-/// Started at 1 m/s it slides v²/(2·μ·g) = 1/(2·0.5·9.81) = 0.1019 m; while it slides, the ground pulls back with μ·m·g. On a plane, and over the cells of a
-/// height field that is as level.
+/// Started at 1 m/s it slides v²/(2·μ·g) = 1/(2·0.5·9.81) = 0.1019 m; while it slides, the ground pulls back
+/// with μ·m·g. On a plane, and over the cells of a height field that is as level.
 pub fn sliding_stops_by_friction(config: &EngineConfig) {
     let field = TerrainConfig {
         patch_share: 0.0,
@@ -75,7 +75,8 @@ fn slide_on(config: &EngineConfig, ground: &TerrainConfig) {
     );
 }
 
-/// The limit is μ·m·g = 9.81 N: 8 N do not move it (creep below 2 mm/s), 12 N do, with (12 − 9.81)/2 = 1.095 m/s².
+/// The limit is μ·m·g = 9.81 N: 8 N do not move it (creep below 2 mm/s), 12 N do, with (12 − 9.81)/2 = 1.095
+/// m/s².
 pub fn friction_holds_below_its_limit(config: &EngineConfig) {
     let model = robots::table();
     for (push, acceleration) in [(8.0_f32, 0.0), (12.0, 1.095)] {
@@ -119,7 +120,8 @@ pub fn contact_force_carries_the_weight(config: &EngineConfig) {
     }
 }
 
-/// Dropped from 0.1 m: the feet's forces minus the weight, integrated, are the momentum taken away, m·√(2·g·h) and more.
+/// Dropped from 0.1 m: the feet's forces minus the weight, integrated, are the momentum taken away,
+/// m·√(2·g·h) and more.
 pub fn landing_gives_the_momentum_back(config: &EngineConfig) {
     let model = robots::table();
     let mut e = engine(config, &model, 1);
@@ -149,7 +151,8 @@ pub fn landing_gives_the_momentum_back(config: &EngineConfig) {
     near("at rest", f64::from(e.state().com_vel_mps[2]), 0.0, 2e-3);
 }
 
-/// On a wall of 15° with friction 0.5 (more than tan 15° = 0.268) it stays where it is put, feet on the ground.
+/// On a wall of 15° with friction 0.5 (more than tan 15° = 0.268) it stays where it is put, feet on the
+/// ground.
 pub fn rests_on_a_slope(config: &EngineConfig) {
     let model = robots::table();
     let valley = TerrainConfig {
@@ -209,8 +212,8 @@ fn slippery_share(e: &dyn Engine) -> f64 {
         .sum()
 }
 
-/// Gravity leans by 15° (tan 0.268) over ground whose every patch has the factor 0.5: friction 0.6 counts as 0.3 and holds, 0.45 counts as 0.225 and
-/// slides, with g·(sin 15° − 0.225·cos 15°) = 0.407 m/s².
+/// Gravity leans by 15° (tan 0.268) over ground whose every patch has the factor 0.5: friction 0.6 counts as
+/// 0.3 and holds, 0.45 counts as 0.225 and slides, with g·(sin 15° − 0.225·cos 15°) = 0.407 m/s².
 pub fn slippery_patches_scale_friction(config: &EngineConfig) {
     let model = robots::table();
     let ice = TerrainConfig {
@@ -239,8 +242,9 @@ pub fn slippery_patches_scale_friction(config: &EngineConfig) {
     near("slides", slid, 0.61, 0.06);
 }
 
-/// Two legs swung towards each other: their feet (radius 3 cm, 0.15 m out, hips 0.2 m apart) meet at asin(0.07/0.15) = 0.4855 rad and press with what
-/// 15 N·m/rad give on a lever of 0.15·cos 0.4855 = 0.1327 m: told to go to 0.6 rad, 12.9 N. Without self-collision they pass each other by.
+/// Two legs swung towards each other: their feet (radius 3 cm, 0.15 m out, hips 0.2 m apart) meet at
+/// asin(0.07/0.15) = 0.4855 rad and press with what 15 N·m/rad give on a lever of 0.15·cos 0.4855 = 0.1327 m:
+/// told to go to 0.6 rad, 12.9 N. Without self-collision they pass each other by.
 pub fn legs_stop_each_other(config: &EngineConfig) {
     let model = robots::scissors();
     for touches in [true, false] {

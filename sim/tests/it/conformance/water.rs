@@ -1,4 +1,5 @@
-//! A buoy in water: float line, bob, sinking, drift, added mass. On the box of `robots`: 0.2 × 0.2 × 0.1 m, 2.8 kg, displacing 4 kg when all under.
+//! A buoy in water: float line, bob, sinking, drift, added mass. On the box of `robots`: 0.2 × 0.2 × 0.1 m,
+//! 2.8 kg, displacing 4 kg when all under.
 
 use std::sync::Arc;
 
@@ -75,8 +76,9 @@ pub fn floats_at_its_line(config: &EngineConfig) {
     near("with 0.4 kg", height(e.as_ref(), 2), -0.03, 1e-3);
 }
 
-/// Bobs at √(ρ·A·g/m − δ²) with ρ·A·g = 392.4 N/m and dies with δ = k_d·0.7/2m: 6 N·s/m on 2.8 kg give δ = 0.75 /s, ω = 11.815 rad/s; with as much
-/// water carried as displaced (2.8 kg at this depth) δ = 0.375, ω = 8.363, whether along all axes or along the vertical only.
+/// Bobs at √(ρ·A·g/m − δ²) with ρ·A·g = 392.4 N/m and dies with δ = k_d·0.7/2m: 6 N·s/m on 2.8 kg give δ =
+/// 0.75 /s, ω = 11.815 rad/s; with as much water carried as displaced (2.8 kg at this depth) δ = 0.375, ω =
+/// 8.363, whether along all axes or along the vertical only.
 pub fn bobs_by_the_book(config: &EngineConfig) {
     let model = robots::buoy();
     let plain = |p: &mut LaneParams| only_heave(p, 6.0);
@@ -118,7 +120,8 @@ pub fn bobs_by_the_book(config: &EngineConfig) {
         near("frequency", std::f64::consts::TAU / period, w, 0.01 * w);
         let n = periods(config, 2.0);
         let decay = (sizes[lane][5] / sizes[lane][5 + n]).ln() / 2.0;
-        // Rapier's engine takes the uneven part of added mass from the last step's acceleration, and damps by the lag: 18 % at 4 ms.
+        // Rapier's engine takes the uneven part of added mass from the last step's acceleration, and damps by
+        // the lag: 18 % at 4 ms.
         let slack = match config.kind {
             EngineKind::Rapier if lane == 2 => 0.2,
             // 1.2 % found with the batch engine at its default step; why it is not less was not looked into
@@ -145,8 +148,9 @@ pub fn sinks_at_its_terminal_velocity(config: &EngineConfig) {
     );
 }
 
-/// Afloat, what it moves through the water at falls as v/(1 + c·v·t/m), c = 0.7·½·1000·0.2·0.1 = 7 N·s²/m²: from 0.3 m/s on 2.8 kg to
-/// 0.12 after 2 s. In a current of 0.3 m/s a resting one is taken along to 0.18 m/s.
+/// Afloat, what it moves through the water at falls as v/(1 + c·v·t/m), c = 0.7·½·1000·0.2·0.1 = 7 N·s²/m²:
+/// from 0.3 m/s on 2.8 kg to 0.12 after 2 s. In a current of 0.3 m/s a resting one is taken along to 0.18
+/// m/s.
 pub fn slows_down_and_drifts(config: &EngineConfig) {
     let model = robots::buoy();
     let calm = |_: &mut LaneParams| ();

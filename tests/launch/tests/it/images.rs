@@ -1,5 +1,5 @@
-//! The images are built for real, without a container engine: buildah on a base of debootstrap. Long and needs the network for the
-//! base, so it runs with `make test-faults`.
+//! The images are built for real, without a container engine: buildah on a base of debootstrap. Long and
+//! needs the network for the base, so it runs with `make test-faults`.
 
 use std::path::Path;
 use std::process::Command;
@@ -87,8 +87,8 @@ fn bytes_below(folder: &Path) -> u64 {
         .sum()
 }
 
-/// What needs no tools: every file that a Dockerfile or its scripts copy out of the repository is there, no image of a program runs
-/// as root, and each listens for SIGTERM.
+/// What needs no tools: every file that a Dockerfile or its scripts copy out of the repository is there, no
+/// image of a program runs as root, and each listens for SIGTERM.
 #[test]
 fn recipes_name_files_that_exist_and_run_as_nobody() {
     for image in ["actor", "learner", "policy-server"] {

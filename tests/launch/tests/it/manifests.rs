@@ -1,4 +1,5 @@
-//! Kubernetes, Compose, systemd and Slurm files against each other, against `docker/cluster.toml`, and against the programs' flags.
+//! Kubernetes, Compose, systemd and Slurm files against each other, against `docker/cluster.toml`, and
+//! against the programs' flags.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -581,8 +582,8 @@ fn dashboards_and_alerts_ask_for_metrics_that_exist() {
     }
 }
 
-/// Names in the calls that register metrics. The learner's registry is private to a crate that needs libtorch, so the source is
-/// read; `frames` is a counter whose name gets its `_total` from the encoder.
+/// Names in the calls that register metrics. The learner's registry is private to a crate that needs
+/// libtorch, so the source is read; `frames` is a counter whose name gets its `_total` from the encoder.
 fn registered_metrics() -> BTreeSet<String> {
     let files = [
         "learner/src/train/metrics.rs",

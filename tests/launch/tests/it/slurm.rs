@@ -1,4 +1,5 @@
-//! A real Slurm on this host: submit, grow, kill, requeue, shrink, stop. Skipped where Slurm is not installed or this is not root.
+//! A real Slurm on this host: submit, grow, kill, requeue, shrink, stop. Skipped where Slurm is not installed
+//! or this is not root.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -227,7 +228,8 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
     let then = iteration(&run);
     wait_until("learning goes on", || iteration(&run) > then + 20);
 
-    // The learner's job goes back into the queue, as at the end of its time; the actors wait and find it again.
+    // The learner's job goes back into the queue, as at the end of its time; the actors wait and find it
+    // again.
     let before = events(&run).len();
     let learner = std::fs::read_to_string(run.join("slurm-jobs")).unwrap();
     let learner = learner
@@ -245,8 +247,9 @@ fn a_training_is_submitted_grown_hurt_requeued_and_stopped() {
             .lines()
             .any(|line| line.starts_with(&learner) && line.ends_with(" PD"))
     });
-    // Slurm waits two minutes before a job that was requeued starts; a test does not. But slurmd refuses a launch whose credential is not
-    // younger, in whole seconds, than the end of the job's last start ("already killed, do not launch"), and the job then fails for good.
+    // Slurm waits two minutes before a job that was requeued starts; a test does not. But slurmd refuses a
+    // launch whose credential is not younger, in whole seconds, than the end of the job's last start
+    // ("already killed, do not launch"), and the job then fails for good.
     std::thread::sleep(Duration::from_secs(3));
     let release = ["update", &format!("JobId={learner}"), "StartTime=now"];
     wait_until("the learner started again", || {

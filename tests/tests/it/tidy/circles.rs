@@ -1,7 +1,8 @@
 //! No import circles between the modules of a crate: whoever reads one can read on in one direction.
 //!
-//! A module is a file. It uses another one where it names something that is defined there, by whatever way the name
-//! comes to it. `mod child;` and `pub use child::Name;` are no use; naming what a child has in the code is.
+//! A module is a file. It uses another one where it names something that is defined there, by whatever way
+//! the name comes to it. `mod child;` and `pub use child::Name;` are no use; naming what a child has in the
+//! code is.
 
 use std::collections::{BTreeMap, BTreeSet};
 

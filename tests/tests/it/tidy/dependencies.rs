@@ -16,8 +16,8 @@ fn host() -> String {
     host.expect("rustc names its host").to_owned()
 }
 
-/// What cargo knows of the workspace and of this platform's dependencies: a machine that has just built this has no
-/// other platform's packages, and shall not need a network here.
+/// What cargo knows of the workspace and of this platform's dependencies: a machine that has just built this
+/// has no other platform's packages, and shall not need a network here.
 fn metadata() -> Metadata {
     let options = ["--offline", "--locked", "--filter-platform", &host()].map(String::from);
     MetadataCommand::new()
@@ -144,7 +144,8 @@ fn what_only_tests_need_is_linked_by_no_program() {
 #[test]
 fn generated_code_stays_in_proto() {
     let metadata = metadata();
-    // tonic services are implemented and called with generated types: only the server and the gRPC clients see them.
+    // tonic services are implemented and called with generated types: only the server and the gRPC clients
+    // see them.
     let allowed = [
         "caudata-proto",
         "caudata-policy-server",

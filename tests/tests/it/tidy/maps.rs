@@ -8,8 +8,8 @@ use super::product::root;
 /// Markdown files whose back-quoted paths must exist.
 const MAPS: [&str; 3] = ["ARCHITECTURE.md", "CONTRIBUTING.md", "README.md"];
 
-/// A back-quoted word counts as a path when it begins with one of the repository's folders or names a root file; one
-/// that begins with `/` is part of a web address.
+/// A back-quoted word counts as a path when it begins with one of the repository's folders or names a root
+/// file; one that begins with `/` is part of a web address.
 fn looks_like_a_path(word: &str, root: &Path) -> bool {
     let plain = word
         .chars()

@@ -146,7 +146,8 @@ struct Example {
     whole: bool,
 }
 
-/// What pages name as `caudata …`, in blocks of commands, behind the `$` of what was printed, and between back quotes.
+/// What pages name as `caudata …`, in blocks of commands, behind the `$` of what was printed, and between
+/// back quotes.
 fn examples() -> Vec<Example> {
     let (mut out, mut begun) = (Vec::new(), String::new());
     for line in lines() {
@@ -196,7 +197,8 @@ const PROGRAMS: [&str; 6] = [
     "caudata-ros2",
 ];
 
-/// Words as a shell makes them, up to a comment, a pipe or the next command; without the signs of what may be left out.
+/// Words as a shell makes them, up to a comment, a pipe or the next command; without the signs of what may be
+/// left out.
 fn words_of(text: &str) -> Vec<String> {
     let (mut words, mut word, mut quote): (Vec<String>, String, Option<char>) =
         (Vec::new(), String::new(), None);

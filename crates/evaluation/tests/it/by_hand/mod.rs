@@ -57,7 +57,8 @@ pub fn layer(out: usize, input: usize) -> Dense {
     }
 }
 
-/// Every leg joint swings at `frequency_hz`: aₜ = tanh(g·(2·cos ω·aₜ₋₁ − aₜ₋₂)), an oscillator fed by the policy's own past actions.
+/// Every leg joint swings at `frequency_hz`: aₜ = tanh(g·(2·cos ω·aₜ₋₁ − aₜ₋₂)), an oscillator fed by the
+/// policy's own past actions.
 pub fn vibrating(contract: &PolicyContract, frequency_hz: f64) -> PolicyFile {
     const GAIN: f32 = 1.3;
     let obs = contract.obs_dim();
@@ -76,7 +77,8 @@ pub fn vibrating(contract: &PolicyContract, frequency_hz: f64) -> PolicyFile {
     policy(contract, vec![hidden, output])
 }
 
-/// Swims: yaw joint j follows the gait clock `lag_rad`·j late, with an amplitude that grows from 0.1 to 0.5 rad towards the tail; legs folded back.
+/// Swims: yaw joint j follows the gait clock `lag_rad`·j late, with an amplitude that grows from 0.1 to 0.5
+/// rad towards the tail; legs folded back.
 pub fn swimming(contract: &PolicyContract, lag_rad: f32) -> PolicyFile {
     const YAW_JOINTS: usize = 8;
     let model = robot();
