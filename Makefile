@@ -12,7 +12,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test check lint doc deny advisories bench test-faults fuzz soak mutants lines clean tools
+.PHONY: help setup build train test test-fast check lint doc deny advisories bench test-faults fuzz soak mutants lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -32,6 +32,9 @@ test: tools ## run all tests but the long fault suites; ARGS goes to cargo test
 	@cd setup && python3 -m unittest -b test_provision
 	@$(ENV) cargo build --release --locked --workspace
 	@$(ENV) cargo test --release --locked --workspace $(ARGS)
+
+test-fast: setup ## unit tests, compiled quickly: for every save; ARGS goes to cargo test
+	@$(ENV) cargo test --release --locked --workspace --lib --bins --config setup/fast.toml $(ARGS)
 
 test-faults: build ## run the long suites that `make test` leaves out (faults, soak)
 	@$(ENV) cargo test --release --locked --workspace $(ARGS) -- --ignored --nocapture
