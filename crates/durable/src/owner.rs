@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 /// ends.
 #[derive(Debug)]
 pub struct Owner {
-    _lock: File,
+    lock: File,
 }
 
 /// Why a folder is not this process's own.
@@ -31,6 +31,14 @@ pub enum OwnerError {
         /// The operating system's answer.
         source: io::Error,
     },
+}
+
+/// The lock goes with the open file, not with this handle: a child process that is just being started shares it
+/// until it runs its own program, and would keep the folder for that long.
+impl Drop for Owner {
+    fn drop(&mut self) {
+        let _ = self.lock.unlock();
+    }
 }
 
 impl Owner {
@@ -78,7 +86,7 @@ impl Owner {
         let _ = lock
             .set_len(0)
             .and_then(|()| writeln!(lock, "{}", std::process::id()));
-        Ok(Self { _lock: lock })
+        Ok(Self { lock })
     }
 }
 
@@ -101,5 +109,17 @@ mod tests {
         let second = Owner::take(&path, patience, |_| held.take().is_some()).unwrap();
         Owner::take(&path, patience, |_| false).unwrap_err();
         drop(second);
+    }
+
+    #[test]
+    fn a_shared_handle_does_not_keep_the_folder() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("lock");
+        let owner = Owner::take(&path, Duration::ZERO, |_| true).unwrap();
+        // What a child process has between its start and its program.
+        let shared = owner.lock.try_clone().unwrap();
+        drop(owner);
+        Owner::take(&path, Duration::ZERO, |_| true).unwrap();
+        drop(shared);
     }
 }
