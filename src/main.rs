@@ -56,6 +56,9 @@ enum Command {
     /// Robot files
     #[command(subcommand)]
     RobotModel(commands::robot_model::RobotModelCommand),
+    /// What a task is made of
+    #[command(subcommand)]
+    Task(commands::task::TaskCommand),
     /// Show what the simulation gets wrong, name the cause, extend the model
     #[command(subcommand)]
     Gap(commands::gap::GapCommand),
@@ -93,6 +96,7 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Sim(command) => commands::sim::run(command, process),
         Command::Policy(command) => commands::policy::run(command),
         Command::RobotModel(command) => commands::robot_model::run(command),
+        Command::Task(command) => commands::task::run(command),
         Command::Gap(command) => commands::gap::run(command, process),
         Command::Adapt(args) => commands::adapt::run(args, process),
         Command::Bench(command) => commands::bench::run(command),

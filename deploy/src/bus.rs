@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use caudata_dynamixel::LetGo;
-use caudata_task::{ACT_DIM, FEET};
+use caudata_task::{PerFoot, PerJoint};
 
 /// What the servos report, policy order.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,11 +12,11 @@ pub struct ServoReadings {
     /// When they were read, s since the robot's start; never goes back.
     pub time_s: f64,
     /// Joint positions, rad.
-    pub pos_rad: [f32; ACT_DIM],
+    pub pos_rad: PerJoint,
     /// Joint velocities, rad/s.
-    pub vel_radps: [f32; ACT_DIM],
+    pub vel_radps: PerJoint,
     /// Currents, A.
-    pub current_a: [f32; ACT_DIM],
+    pub current_a: PerJoint,
     /// Supply voltage, V.
     pub supply_v: f32,
 }
@@ -40,7 +40,7 @@ pub struct GroundTruth {
     /// Orientation of the base w, x, y, z, world from body.
     pub base_quat_wxyz: Option<[f32; 4]>,
     /// Which feet touch the ground.
-    pub foot_contacts: Option<[bool; FEET]>,
+    pub foot_contacts: Option<PerFoot<bool>>,
 }
 
 /// What the hardware says about itself, beyond its readings. A robot without such reports is in good health.
@@ -120,7 +120,7 @@ pub trait ServoBus {
     ///
     /// # Errors
     /// [`BusError::Lost`].
-    fn write(&mut self, targets_rad: &[f32; ACT_DIM]) -> Result<(), BusError>;
+    fn write(&mut self, targets_rad: &PerJoint) -> Result<(), BusError>;
 
     /// Lets all servos go limp, and asks whether they did.
     ///

@@ -6,7 +6,7 @@ mod trial;
 
 use std::time::Duration;
 
-use caudata_task::{ACT_DIM, COMMAND_DIM};
+use caudata_task::{COMMAND_DIM, PerJoint};
 use caudata_telemetry::StopFlag;
 use crossbeam_channel::Sender;
 
@@ -97,15 +97,16 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let servos = robot.read(FIRST_READ_DEADLINE)?;
         let first = complete(robot, &mut gravity, servos, period_s)?;
         let joints = *runner.joints();
-        let nominal_rad = joints.nominal_rad.to_array().ok_or(DeployError::Internal {
-            what: "a policy with other joints than this robot's".to_owned(),
-        })?;
+        if joints.len() != first.servos.pos_rad.len() {
+            let what = "a policy with other joints than this robot's".to_owned();
+            return Err(DeployError::Internal { what });
+        }
         metrics.policy_version.set(version_gauge(&runner));
         let last_moments = LastMoments::new(plan.period);
         Ok(Self {
             gate: OutputGate::new(&joints, plan.step_max_rad, first.servos.pos_rad),
             guard: Guard::new(plan.limits.clone()),
-            motion: Motion::new(nominal_rad, period_s),
+            motion: Motion::new(joints.nominal_rad, period_s),
             last_time_s: first.servos.time_s,
             first: Some(first),
             robot,
@@ -438,7 +439,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         sensed: &Sensed,
         dt_s: f64,
         wanted: [f32; COMMAND_DIM],
-    ) -> Option<[f32; ACT_DIM]> {
+    ) -> Option<PerJoint> {
         let start_s = match self.walk_start_s {
             Some(start) => {
                 self.runner.advance(self.periods(dt_s));

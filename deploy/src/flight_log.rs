@@ -8,7 +8,7 @@ use std::thread::JoinHandle;
 
 use caudata_model::RobotModel;
 use caudata_runlog::{Axis, BaseHold, LogError, LogMeta, LogWriter, QuatPart, Setting, Signal};
-use caudata_task::{ACT_DIM, FEET};
+use caudata_task::PerJoint;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 
 use crate::DeployError;
@@ -22,7 +22,7 @@ pub const QUEUE_ROWS: usize = 256;
 #[derive(Clone, Copy, Debug)]
 pub struct LogRow {
     /// What was sent, rad.
-    pub command_rad: [f32; ACT_DIM],
+    pub command_rad: PerJoint,
     /// Whether the torque was on; without it there is no command.
     pub torque: bool,
     /// What the servos reported.
@@ -192,7 +192,8 @@ fn write(mut log: LogWriter, columns: &Columns, queue: &Receiver<LogRow>) -> Res
 struct Columns {
     signals: Vec<Signal>,
     base: bool,
-    feet: bool,
+    /// Feet whose contacts are written.
+    feet: usize,
 }
 
 impl Columns {
@@ -216,15 +217,15 @@ impl Columns {
             signals.extend(Axis::ALL.map(Signal::BasePosition));
             signals.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
         }
-        let feet = truth.foot_contacts.is_some();
-        if feet {
-            let legs = model.feet().iter().take(FEET);
-            signals.extend(legs.map(|foot| Signal::Contact(foot.name.clone())));
-        }
+        let feet = match truth.foot_contacts {
+            Some(_) => model.feet(),
+            None => &[],
+        };
+        signals.extend(feet.iter().map(|foot| Signal::Contact(foot.name.clone())));
         Self {
             signals,
             base,
-            feet,
+            feet: feet.len(),
         }
     }
 
@@ -251,10 +252,11 @@ impl Columns {
             values.extend(optional(row.truth.base_pos_m.map(|p| p.map(f64::from))));
             values.extend(optional(row.truth.base_quat_wxyz.map(|q| q.map(f64::from))));
         }
-        if self.feet {
-            let feet = row.truth.foot_contacts;
-            values.extend(optional(feet.map(|f| f.map(|c| f64::from(u8::from(c))))));
-        }
+        let touches = row.truth.foot_contacts;
+        values.extend((0..self.feet).map(|foot| {
+            let touches = touches.as_deref()?.get(foot)?;
+            Some(f64::from(u8::from(*touches)))
+        }));
     }
 }
 

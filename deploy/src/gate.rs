@@ -1,16 +1,14 @@
 //! The last thing between a policy and the servos: finite, within the joint limits, not too far from what was
 //! sent last.
 
-use caudata_task::{ACT_DIM, JointTable, PerJoint};
+use caudata_task::{JointTable, PerJoint};
 
 /// Actions in a row that may be held because they were not finite; with this many the robot is stopped.
 pub const HELD_IN_A_ROW_MAX: u32 = 3;
 
-/// Ticks in a row that a policy on trial may want [`PINNED_JOINTS`] joints or more at their limits (1 s).
+/// Ticks in a row that a policy on trial may want a quarter of the joints or more at their limits (1 s).
+/// Single joints lie at a limit in good gaits: of the joint-ticks of `policies/flat.onnx` 9 % do.
 pub const PINNED_TICKS_MAX: u32 = 50;
-/// A quarter of the joints. Single joints lie at a limit in good gaits: of the joint-ticks of
-/// `policies/flat.onnx` 9 % do.
-pub const PINNED_JOINTS: usize = ACT_DIM / 4;
 /// A target this near to a limit lies at it, rad.
 const AT_LIMIT_RAD: f32 = 1e-5;
 
@@ -29,7 +27,7 @@ pub struct OutputGate {
     lower_rad: PerJoint,
     upper_rad: PerJoint,
     step_max_rad: f32,
-    last_rad: [f32; ACT_DIM],
+    last_rad: PerJoint,
     in_a_row: u32,
     held: u64,
     rate_limited: u64,
@@ -40,7 +38,7 @@ pub struct OutputGate {
 impl OutputGate {
     /// A gate for the limits of `joints`; targets move by at most `step_max_rad` per tick, from `start_rad`
     /// on.
-    pub fn new(joints: &JointTable, step_max_rad: f32, start_rad: [f32; ACT_DIM]) -> Self {
+    pub fn new(joints: &JointTable, step_max_rad: f32, start_rad: PerJoint) -> Self {
         Self {
             lower_rad: joints.lower_rad,
             upper_rad: joints.upper_rad,
@@ -55,9 +53,9 @@ impl OutputGate {
     }
 
     /// What may be sent instead of `targets_rad`: within the limits, and near enough to the last one.
-    pub fn pass(&mut self, targets_rad: [f32; ACT_DIM]) -> [f32; ACT_DIM] {
+    pub fn pass(&mut self, targets_rad: PerJoint) -> PerJoint {
         let mut limited = false;
-        for i in 0..ACT_DIM {
+        for i in 0..targets_rad.len() {
             // A target that is not a number leaves the joint where it was sent last.
             let wanted = if targets_rad[i].is_nan() {
                 self.last_rad[i]
@@ -73,15 +71,16 @@ impl OutputGate {
     }
 
     /// Counts the joints that a policy wants at a limit or beyond it; for how many ticks in a row these were
-    /// [`PINNED_JOINTS`] or more.
-    pub fn watch_limits(&mut self, policy_rad: &[f32; ACT_DIM]) -> u32 {
+    /// a quarter of all or more.
+    pub fn watch_limits(&mut self, policy_rad: &PerJoint) -> u32 {
         let inside = |i: &usize| {
             policy_rad[*i] > self.lower_rad[*i] + AT_LIMIT_RAD
                 && policy_rad[*i] < self.upper_rad[*i] - AT_LIMIT_RAD
         };
-        let at_limits = ACT_DIM - (0..ACT_DIM).filter(inside).count();
+        let joints = policy_rad.len();
+        let at_limits = joints - (0..joints).filter(inside).count();
         self.saturated += at_limits as u64;
-        self.pinned_ticks = match at_limits >= PINNED_JOINTS {
+        self.pinned_ticks = match at_limits >= joints.div_ceil(4) {
             true => self.pinned_ticks + 1,
             false => 0,
         };
@@ -109,7 +108,7 @@ impl OutputGate {
     }
 
     /// What was sent last, rad.
-    pub fn last_rad(&self) -> [f32; ACT_DIM] {
+    pub fn last_rad(&self) -> PerJoint {
         self.last_rad
     }
 
@@ -130,31 +129,31 @@ mod tests {
 
     fn gate() -> OutputGate {
         let joints = JointTable {
-            nominal_rad: [0.0; ACT_DIM].into(),
-            lower_rad: [-0.5; ACT_DIM].into(),
-            upper_rad: [1.0; ACT_DIM].into(),
+            nominal_rad: PerJoint::filled(16, 0.0),
+            lower_rad: PerJoint::filled(16, -0.5),
+            upper_rad: PerJoint::filled(16, 1.0),
         };
-        OutputGate::new(&joints, 0.25, [0.0; ACT_DIM])
+        OutputGate::new(&joints, 0.25, PerJoint::filled(16, 0.0))
     }
 
     #[test]
     fn targets_stay_within_the_limits() {
         let mut gate = gate();
         // 0 → 9: limited to 1.0 by the joint, reached in steps of 0.25.
-        let sent: Vec<f32> = (0..5).map(|_| gate.pass([9.0; ACT_DIM])[3]).collect();
+        let sent: Vec<f32> = (0..5).map(|_| gate.pass(PerJoint::filled(16, 9.0))[3]).collect();
         assert_eq!(sent, [0.25, 0.5, 0.75, 1.0, 1.0]);
         assert_eq!(gate.rate_limited(), 3, "the last two steps were 0.25 and 0");
         for _ in 0..10 {
-            gate.pass([f32::NEG_INFINITY; ACT_DIM]);
+            gate.pass(PerJoint::filled(16, f32::NEG_INFINITY));
         }
-        assert_eq!(gate.last_rad(), [-0.5; ACT_DIM]);
+        assert_eq!(gate.last_rad(), PerJoint::filled(16, -0.5));
     }
 
     #[test]
     fn a_target_that_is_not_a_number_moves_nothing() {
         let mut gate = gate();
-        gate.pass([0.2; ACT_DIM]);
-        let mut targets = [0.3; ACT_DIM];
+        gate.pass(PerJoint::filled(16, 0.2));
+        let mut targets = PerJoint::filled(16, 0.3);
         targets[7] = f32::NAN;
         let sent = gate.pass(targets);
         assert_eq!((sent[7], sent[8]), (0.2, 0.3));
@@ -173,7 +172,7 @@ mod tests {
     #[test]
     fn joints_at_their_limits_are_counted() {
         let mut gate = gate();
-        let mut wanted = [0.2; ACT_DIM];
+        let mut wanted = PerJoint::filled(16, 0.2);
         wanted[3] = 1.0;
         wanted[9] = f32::NAN;
         wanted[10] = -0.5;

@@ -136,14 +136,13 @@ impl Guard {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use caudata_task::ACT_DIM;
 
     fn readings() -> ServoReadings {
         ServoReadings {
             time_s: 0.0,
-            pos_rad: [0.0; ACT_DIM],
-            vel_radps: [0.0; ACT_DIM],
-            current_a: [0.1; ACT_DIM],
+            pos_rad: [0.0; 16].into(),
+            vel_radps: [0.0; 16].into(),
+            current_a: [0.1; 16].into(),
             supply_v: 12.0,
         }
     }

@@ -51,17 +51,16 @@ impl LastMoments {
 mod tests {
     use super::*;
     use crate::bus::{GroundTruth, ImuReading, ServoReadings};
-    use caudata_task::ACT_DIM;
 
     fn row(time_s: f64) -> LogRow {
         LogRow {
-            command_rad: [0.0; ACT_DIM],
+            command_rad: [0.0; 16].into(),
             torque: true,
             servos: ServoReadings {
                 time_s,
-                pos_rad: [0.0; ACT_DIM],
-                vel_radps: [0.0; ACT_DIM],
-                current_a: [0.0; ACT_DIM],
+                pos_rad: [0.0; 16].into(),
+                vel_radps: [0.0; 16].into(),
+                current_a: [0.0; 16].into(),
                 supply_v: 12.0,
             },
             imu: ImuReading {

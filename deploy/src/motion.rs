@@ -9,7 +9,7 @@
 //! ```
 //! Pure: one call per control tick, time counts in ticks.
 
-use caudata_task::ACT_DIM;
+use caudata_task::PerJoint;
 use serde::{Deserialize, Serialize};
 
 /// How fast joints move towards the nominal pose, rad/s.
@@ -47,16 +47,16 @@ pub enum Stage {
 #[derive(Clone, Debug)]
 pub struct Motion {
     stage: Stage,
-    nominal_rad: [f32; ACT_DIM],
+    nominal_rad: PerJoint,
     ticks_in_stage: u32,
     period_s: f32,
-    blend_from_rad: [f32; ACT_DIM],
+    blend_from_rad: PerJoint,
     blend_tick: u32,
 }
 
 impl Motion {
     /// Begins in [`Stage::Rise`].
-    pub fn new(nominal_rad: [f32; ACT_DIM], period_s: f32) -> Self {
+    pub fn new(nominal_rad: PerJoint, period_s: f32) -> Self {
         Self {
             stage: Stage::Rise,
             nominal_rad,
@@ -88,7 +88,7 @@ impl Motion {
     }
 
     /// Walks on after [`Motion::stand`], once it stands.
-    pub fn resume(&mut self, sent_rad: [f32; ACT_DIM]) -> bool {
+    pub fn resume(&mut self, sent_rad: PerJoint) -> bool {
         let stands = self.stage == Stage::Stand && sent_rad == self.nominal_rad;
         if stands {
             self.enter(Stage::Walk);
@@ -105,7 +105,7 @@ impl Motion {
     }
 
     /// Blends anew, from `from_rad` into a policy that was just changed.
-    pub fn blend_again(&mut self, from_rad: [f32; ACT_DIM]) {
+    pub fn blend_again(&mut self, from_rad: PerJoint) {
         self.blend_from_rad = from_rad;
         self.blend_tick = 0;
     }
@@ -114,10 +114,10 @@ impl Motion {
     /// before (the measured pose before the first), `measured_rad` is the present pose.
     pub fn targets(
         &mut self,
-        policy_rad: [f32; ACT_DIM],
-        sent_rad: [f32; ACT_DIM],
-        measured_rad: [f32; ACT_DIM],
-    ) -> [f32; ACT_DIM] {
+        policy_rad: PerJoint,
+        sent_rad: PerJoint,
+        measured_rad: PerJoint,
+    ) -> PerJoint {
         self.ticks_in_stage += 1;
         match self.stage {
             Stage::Rise => self.ramp(sent_rad, Stage::Settle),
@@ -158,15 +158,15 @@ impl Motion {
     }
 
     /// One step of at most `RAMP_RADPS` per joint towards the nominal pose.
-    fn step_towards_nominal(&self, sent_rad: [f32; ACT_DIM]) -> [f32; ACT_DIM] {
+    fn step_towards_nominal(&self, sent_rad: PerJoint) -> PerJoint {
         let step = RAMP_RADPS * self.period_s;
-        std::array::from_fn(|i| {
+        PerJoint::from_fn(sent_rad.len(), |i| {
             sent_rad[i] + (self.nominal_rad[i] - sent_rad[i]).max(-step).min(step)
         })
     }
 
     /// Towards the nominal pose, and on to the next stage once it is reached.
-    fn ramp(&mut self, sent_rad: [f32; ACT_DIM], then: Stage) -> [f32; ACT_DIM] {
+    fn ramp(&mut self, sent_rad: PerJoint, then: Stage) -> PerJoint {
         let targets = self.step_towards_nominal(sent_rad);
         if targets == self.nominal_rad {
             self.enter(then);
@@ -174,14 +174,16 @@ impl Motion {
         targets
     }
 
-    fn blended(&mut self, policy_rad: [f32; ACT_DIM]) -> [f32; ACT_DIM] {
+    fn blended(&mut self, policy_rad: PerJoint) -> PerJoint {
         let whole = ticks(BLEND_S, self.period_s);
         self.blend_tick = (self.blend_tick + 1).min(whole);
         if self.blend_tick == whole {
             return policy_rad;
         }
         let share = self.blend_tick as f32 / whole as f32;
-        std::array::from_fn(|i| (1.0 - share) * self.blend_from_rad[i] + share * policy_rad[i])
+        PerJoint::from_fn(policy_rad.len(), |i| {
+            (1.0 - share) * self.blend_from_rad[i] + share * policy_rad[i]
+        })
     }
 }
 
@@ -194,14 +196,14 @@ fn ticks(seconds: f32, period_s: f32) -> u32 {
 mod tests {
     use super::*;
 
-    const ZERO: [f32; ACT_DIM] = [0.0; ACT_DIM];
-    const POLICY: [f32; ACT_DIM] = [0.5; ACT_DIM];
+    const ZERO: PerJoint = PerJoint::filled(16, 0.0);
+    const POLICY: PerJoint = PerJoint::filled(16, 0.5);
 
     /// Runs until the stage changes; how many ticks that took, and the last targets.
-    fn run(motion: &mut Motion, sent: &mut [f32; ACT_DIM]) -> u32 {
+    fn run(motion: &mut Motion, sent: &mut PerJoint) -> u32 {
         let stage = motion.stage();
         for tick in 1..10_000 {
-            *sent = motion.targets(POLICY, *sent, [0.3; ACT_DIM]);
+            *sent = motion.targets(POLICY, *sent, PerJoint::filled(16, 0.3));
             if motion.stage() != stage {
                 return tick;
             }
@@ -213,7 +215,7 @@ mod tests {
     fn rises_at_half_a_radian_per_second() {
         // The farthest joint is 0.2 rad away: 0.01 rad per tick (0.5 rad/s at 50 Hz), 20 ticks.
         let mut motion = Motion::new(ZERO, 0.02);
-        let mut sent = [0.05; ACT_DIM];
+        let mut sent = PerJoint::filled(16, 0.05);
         sent[4] = -0.2;
         let first = motion.targets(POLICY, sent, sent);
         assert!((first[4] + 0.19).abs() < 1e-6 && (first[0] - 0.04).abs() < 1e-6);
@@ -245,14 +247,14 @@ mod tests {
         assert!((sent[11] - 0.24).abs() < 1e-6);
         assert_eq!(sent[24..], [0.5, 0.5]);
         // A changed policy is blended in from what was sent last.
-        motion.blend_again([1.0; ACT_DIM]);
+        motion.blend_again(PerJoint::filled(16, 1.0));
         assert!((motion.targets(POLICY, ZERO, ZERO)[0] - 0.98).abs() < 1e-6);
     }
 
     #[test]
     fn asked_to_finish_it_stands_before_it_lets_go() {
         let mut motion = walking();
-        let mut sent = [0.1; ACT_DIM];
+        let mut sent = PerJoint::filled(16, 0.1);
         motion.finish();
         assert_eq!(motion.stage(), Stage::Return);
         // 0.1 rad at 0.01 rad per tick.
@@ -270,7 +272,7 @@ mod tests {
         motion.damp();
         let mut sent = ZERO;
         assert_eq!(run(&mut motion, &mut sent), 50);
-        assert_eq!((motion.stage(), sent), (Stage::Off, [0.3; ACT_DIM]));
+        assert_eq!((motion.stage(), sent), (Stage::Off, PerJoint::filled(16, 0.3)));
         motion.damp();
         assert_eq!(motion.stage(), Stage::Off);
     }
@@ -280,7 +282,7 @@ mod tests {
         let mut motion = walking();
         motion.stand();
         // 0.1 rad at 0.01 rad per tick: 10 ticks until it stands.
-        let mut sent = [0.1; ACT_DIM];
+        let mut sent = PerJoint::filled(16, 0.1);
         for _ in 0..9 {
             sent = motion.targets(POLICY, sent, ZERO);
             assert!(!motion.resume(sent));

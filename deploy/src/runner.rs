@@ -2,9 +2,9 @@
 
 use caudata_policy::Inference;
 use caudata_task::action::{ActionConfig, ActionFilter};
-use caudata_task::observation::ObservationInput;
+use caudata_task::observation::{ObservationInput, Observer};
 use caudata_task::phase::{PhaseClock, PhaseConfig};
-use caudata_task::{ACT_DIM, ACTION_HISTORY, COMMAND_DIM, JointTable, ObservationLayout, PerJoint};
+use caudata_task::{ACTION_HISTORY, COMMAND_DIM, JointTable, PerFoot, PerJoint};
 
 use crate::DeployError;
 use crate::bus::ServoReadings;
@@ -21,12 +21,16 @@ pub struct PolicyRunner {
     /// Whether it went through its trial here before.
     proved: bool,
     inference: Inference,
-    layout: ObservationLayout,
+    observer: Observer,
+    /// Whether there is no observation before the next one.
+    fresh: bool,
     joints: JointTable,
     action_config: ActionConfig,
     phase_config: PhaseConfig,
     ranges: CommandRanges,
     period_s: f32,
+    /// Phase of each foot relative to the clock, rad.
+    offsets_rad: PerFoot,
     clock: PhaseClock,
     filter: ActionFilter,
     /// Clipped, newest first.
@@ -57,23 +61,26 @@ impl PolicyRunner {
     /// [`DeployError::Internal`] where the contract lacks joints, which verification excludes.
     pub fn new(verified: Verified, carry_on: Option<&PhaseClock>) -> Result<Self, DeployError> {
         let contract = &verified.file.metadata().contract;
-        let joints = contract.joint_table().filter(|j| j.len() == ACT_DIM);
-        let joints = joints.ok_or(DeployError::Internal {
+        let joints = contract.joint_table().ok_or(DeployError::Internal {
             what: "a verified policy lacks joints".to_owned(),
         })?;
         let [low_hz, high_hz] = contract.phase.frequency_hz;
         let command = &contract.command;
-        let phase_rad = carry_on.map_or(0.0, |clock| clock.phases_rad(1)[0]);
+        let phase_rad = carry_on.map_or(0.0, PhaseClock::phase_rad);
         Ok(Self {
-            layout: contract.observation.clone(),
+            observer: contract.observer().map_err(|error| DeployError::Internal {
+                what: error.to_string(),
+            })?,
+            fresh: true,
             joints,
             action_config: contract.action,
             phase_config: contract.phase.config(),
             ranges: [command.vx_mps, command.vy_mps, command.yaw_rate_radps],
             period_s: contract.control_period_s as f32,
+            offsets_rad: contract.phase.offsets(),
             clock: PhaseClock::new(phase_rad, 0.5 * (low_hz + high_hz)),
-            filter: ActionFilter::new(ACT_DIM),
-            actions: [PerJoint::filled(ACT_DIM, 0.0); ACTION_HISTORY],
+            filter: ActionFilter::new(joints.len()),
+            actions: [PerJoint::filled(joints.len(), 0.0); ACTION_HISTORY],
             obs: vec![0.0; contract.obs_dim()],
             policy: verified.policy,
             proved: verified.proved,
@@ -111,8 +118,10 @@ impl PolicyRunner {
 
     /// Begins anew: no past actions, filter at rest. The gait clock goes on.
     pub fn forget(&mut self) {
-        self.filter = ActionFilter::new(ACT_DIM);
-        self.actions = [PerJoint::filled(ACT_DIM, 0.0); ACTION_HISTORY];
+        let joints = self.joints.len();
+        self.fresh = true;
+        self.filter = ActionFilter::new(joints);
+        self.actions = [PerJoint::filled(joints, 0.0); ACTION_HISTORY];
     }
 
     /// What the policy saw last.
@@ -129,21 +138,21 @@ impl PolicyRunner {
 
     /// Position targets, rad, within the joint limits. `None` where inference failed or gave a number that is
     /// not finite; history and filter are then as before.
-    pub fn act(&mut self, view: &View) -> Option<[f32; ACT_DIM]> {
+    pub fn act(&mut self, view: &View) -> Option<PerJoint> {
         self.clock.set_command(&self.phase_config, &view.command);
         let observation = ObservationInput {
             joint_vel_radps: &view.servos.vel_radps,
             joint_pos_rad: &view.servos.pos_rad,
             gyro_radps: view.gyro_radps,
             gravity: view.gravity,
-            phase_rad: self.clock.phases_rad(self.layout.phases()),
+            phase_rad: self.clock.phases_rad(&self.offsets_rad),
             command: view.command,
             previous_actions: &self.actions,
             medium: view.in_water.map(|water| f32::from(u8::from(water))),
         };
-        let mut action = [0.0; ACT_DIM];
-        let nominal = &self.joints.nominal_rad;
-        if let Err(error) = observation.write(&self.layout, nominal, &mut self.obs) {
+        let mut action = PerJoint::filled(self.joints.len(), 0.0);
+        let fresh = std::mem::take(&mut self.fresh);
+        if let Err(error) = self.observer.write(&observation, None, fresh, &mut self.obs) {
             tracing::error!(%error, "no observation");
             return None;
         }
@@ -156,8 +165,9 @@ impl PolicyRunner {
         }
         self.actions.rotate_right(1);
         self.actions[0] = self.action_config.clipped(&action);
-        self.filter
-            .apply(&self.action_config, &action, &self.joints)
-            .to_array()
+        Some(
+            self.filter
+                .apply(&self.action_config, &action, &self.joints),
+        )
     }
 }

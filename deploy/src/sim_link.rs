@@ -11,8 +11,9 @@ use std::time::{Duration, Instant};
 use caudata_model::RobotModel;
 use caudata_proto::framing::{FrameError, FrameReader, write_frame};
 use caudata_proto::robot_link::{
-    Command, Hello, JOINTS, MAX_MESSAGE_BYTES, RobotMessage, Sensors, decode, encode,
+    Command, Hello, MAX_MESSAGE_BYTES, RobotMessage, Sensors, decode, encode,
 };
+use caudata_task::{PerFoot, PerJoint};
 
 use crate::bus::{BusError, GroundTruth, Imu, ImuReading, Robot, ServoBus, ServoReadings};
 
@@ -32,6 +33,8 @@ pub struct SimLink {
     stream: TcpStream,
     reader: FrameReader,
     tick: u64,
+    joints: usize,
+    feet: usize,
     /// The newest readings, and whether [`ServoBus::read`] gave them out.
     sensors: Option<(Box<Sensors>, bool)>,
 }
@@ -55,6 +58,8 @@ impl SimLink {
             stream,
             reader: FrameReader::new(MAX_MESSAGE_BYTES),
             tick: 0,
+            joints: model.actuated().len(),
+            feet: model.feet().len(),
             sensors: None,
         };
         let own = hello_of(model, control_period_s);
@@ -105,16 +110,17 @@ impl SimLink {
 
     fn receive_sensors(&mut self, deadline: Duration) -> Result<Box<Sensors>, BusError> {
         match self.receive(deadline)? {
-            RobotMessage::Sensors(sensors) => Ok(sensors),
+            RobotMessage::Sensors(sensors) if sensors.fit(self.joints, self.feet) => Ok(sensors),
+            RobotMessage::Sensors(_) => Err(self.protocol("readings of another number of joints or feet")),
             _ => Err(self.protocol("expected readings")),
         }
     }
 
-    fn command(&mut self, targets_rad: [f32; JOINTS], torque: bool) -> Result<(), BusError> {
+    fn command(&mut self, targets_rad: &[f32], torque: bool) -> Result<(), BusError> {
         self.tick += 1;
         self.send(&RobotMessage::Command(Command {
             tick: self.tick,
-            targets_rad,
+            targets_rad: targets_rad.to_vec(),
             torque_enabled: torque,
         }))
     }
@@ -150,19 +156,19 @@ impl ServoBus for SimLink {
         let newest = self.newest()?;
         Ok(ServoReadings {
             time_s: newest.time_s,
-            pos_rad: newest.joint_pos_rad,
-            vel_radps: newest.joint_vel_radps,
-            current_a: newest.current_a,
+            pos_rad: PerJoint::of(&newest.joint_pos_rad),
+            vel_radps: PerJoint::of(&newest.joint_vel_radps),
+            current_a: PerJoint::of(&newest.current_a),
             supply_v: newest.supply_v,
         })
     }
 
-    fn write(&mut self, targets_rad: &[f32; JOINTS]) -> Result<(), BusError> {
-        self.command(*targets_rad, true)
+    fn write(&mut self, targets_rad: &PerJoint) -> Result<(), BusError> {
+        self.command(targets_rad, true)
     }
 
     fn torque_off(&mut self) -> Result<(), BusError> {
-        self.command([0.0; JOINTS], false)?;
+        self.command(&PerJoint::filled(self.joints, 0.0), false)?;
         // Takes the answers that are still on their way: to hang up on them looks like a broken connection
         // over there.
         while self.newest()?.tick < self.tick {
@@ -195,19 +201,20 @@ impl Robot for SimLink {
         GroundTruth {
             base_pos_m: newest.base_pose.as_ref().map(|p| p.pos_m),
             base_quat_wxyz: newest.base_pose.as_ref().map(|p| p.quat_wxyz),
-            foot_contacts: newest.foot_contacts,
+            foot_contacts: newest
+                .foot_contacts
+                .map(|bits| PerFoot::from_fn(self.feet, |foot| bits >> foot & 1 == 1)),
         }
     }
 }
 
-/// What this side says about the robot. A robot with other than 16 joints has no hello; its missing names
-/// stay empty and the far side refuses them.
+/// What this side says about the robot.
 fn hello_of(model: &RobotModel, control_period_s: f64) -> Hello {
     let names = model.actuated_names();
     Hello {
         robot_name: model.name().to_owned(),
         robot_hash: model.hash(),
-        joint_names: std::array::from_fn(|i| names.get(i).copied().unwrap_or_default().to_owned()),
+        joint_names: names.into_iter().map(str::to_owned).collect(),
         control_period_s,
     }
 }

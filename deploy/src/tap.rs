@@ -6,7 +6,7 @@ use std::io;
 use std::os::unix::net::UnixDatagram;
 use std::time::Duration;
 
-use caudata_task::ACT_DIM;
+use caudata_task::PerJoint;
 use crossbeam_channel::{Sender, bounded};
 use serde::{Deserialize, Serialize};
 
@@ -28,13 +28,13 @@ pub struct Tick {
     /// The robot's time, s.
     pub time_s: f64,
     /// Joint positions, rad, policy order.
-    pub pos_rad: [f32; ACT_DIM],
+    pub pos_rad: PerJoint,
     /// Joint velocities, rad/s.
-    pub vel_radps: [f32; ACT_DIM],
+    pub vel_radps: PerJoint,
     /// Servo currents, A.
-    pub current_a: [f32; ACT_DIM],
+    pub current_a: PerJoint,
     /// Position targets that were sent, rad.
-    pub target_rad: [f32; ACT_DIM],
+    pub target_rad: PerJoint,
     /// Angular velocity, rad/s, IMU frame.
     pub gyro_radps: [f32; 3],
     /// Specific force, m/s², IMU frame.
@@ -136,10 +136,10 @@ mod tests {
         let folder = RunFolder::open(&folder.path().join("run")).unwrap();
         let tick = Tick {
             time_s: 1.5,
-            pos_rad: [0.25; ACT_DIM],
-            vel_radps: [-0.5; ACT_DIM],
-            current_a: [0.0; ACT_DIM],
-            target_rad: [0.3; ACT_DIM],
+            pos_rad: [0.25; 16].into(),
+            vel_radps: [-0.5; 16].into(),
+            current_a: [0.0; 16].into(),
+            target_rad: [0.3; 16].into(),
             gyro_radps: [0.1, 0.2, 0.3],
             acc_mps2: [0.0, 0.0, 9.81],
             gravity: [0.0, 0.0, -1.0],

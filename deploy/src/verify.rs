@@ -10,7 +10,8 @@ use caudata_proto::registry::Manifest;
 use caudata_proto::registry::question::{Facts, OtherQuestion};
 use caudata_signing::{Trust, Untrusted};
 use caudata_task::command::CommandConfig;
-use caudata_task::{ObservationLayout, PolicyContract, TaskConfig, TaskError};
+use caudata_task::observation::ObservationConfig;
+use caudata_task::{PolicyContract, TaskConfig, TaskError};
 use sha2::{Digest, Sha256};
 
 use crate::state::{Blame, PolicyRef, Sha256Digest};
@@ -394,8 +395,7 @@ pub fn expected_contract(
     let task = TaskConfig {
         action: policy.action,
         phase: policy.phase.config(),
-        observe_medium: policy.observation
-            == ObservationLayout::new(policy.act_dim(), &policy.phase.feet, true),
+        observation: ObservationConfig::from(&policy.observation),
         command: CommandConfig {
             vx_mps: policy.command.vx_mps,
             vy_mps: policy.command.vy_mps,
@@ -404,7 +404,11 @@ pub fn expected_contract(
         },
         ..TaskConfig::default()
     };
-    PolicyContract::new(model, &task)
+    let mut expected = PolicyContract::new(model, &task)?;
+    // which feet step together is the policy's business
+    expected.phase.offsets_rad.clone_from(&policy.phase.offsets_rad);
+    expected.observer()?.check_sensed(&expected.observation)?;
+    Ok(expected)
 }
 
 fn read(bytes: Arc<[u8]>) -> Result<PolicyFile, VerifyError> {

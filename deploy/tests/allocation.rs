@@ -28,7 +28,7 @@ use caudata_deploy::updates::{Slot, Updates};
 use caudata_deploy::verify::verify;
 use caudata_deploy::walk_command::{CommandTable, WalkCommand};
 use caudata_model::RobotModel;
-use caudata_task::ACT_DIM;
+use caudata_task::PerJoint;
 use caudata_telemetry::{Metrics, StopFlag};
 use sha2::{Digest, Sha256};
 
@@ -77,7 +77,7 @@ const TO: u32 = 600;
 
 /// Servos that are where they were sent.
 struct Still {
-    pos_rad: [f32; ACT_DIM],
+    pos_rad: PerJoint,
     ticks: u32,
     /// Set where an allocation is to be made on purpose.
     leaks: bool,
@@ -88,13 +88,13 @@ impl ServoBus for Still {
         Ok(ServoReadings {
             time_s: 0.02 * f64::from(self.ticks),
             pos_rad: self.pos_rad,
-            vel_radps: [0.0; ACT_DIM],
-            current_a: [0.0; ACT_DIM],
+            vel_radps: PerJoint::filled(16, 0.0),
+            current_a: PerJoint::filled(16, 0.0),
             supply_v: 12.0,
         })
     }
 
-    fn write(&mut self, targets_rad: &[f32; ACT_DIM]) -> Result<(), BusError> {
+    fn write(&mut self, targets_rad: &PerJoint) -> Result<(), BusError> {
         self.pos_rad = *targets_rad;
         self.ticks += 1;
         WATCHED.set((FROM..TO).contains(&self.ticks));
@@ -154,7 +154,7 @@ fn allocations(leaks: bool) -> usize {
     let verified = verify(bytes.into(), &policy, &model).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let mut robot = Still {
-        pos_rad: [0.0; ACT_DIM],
+        pos_rad: PerJoint::filled(16, 0.0),
         ticks: 0,
         leaks,
     };
@@ -192,7 +192,7 @@ fn allocations_of_inference() -> usize {
     let file = caudata_policy::PolicyFile::parse(Arc::from(std::fs::read(path).unwrap())).unwrap();
     let mut inference = caudata_policy::Inference::new(&file, 1).unwrap();
     let obs = vec![0.0; inference.obs_dim()];
-    let mut actions = [0.0; ACT_DIM];
+    let mut actions = [0.0; 16];
     inference.run(&obs, 1, &mut actions).unwrap();
     COUNT.store(0, Relaxed);
     WATCHED.set(true);

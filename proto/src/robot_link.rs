@@ -11,10 +11,10 @@ use crate::wire::robot_link as pb;
 
 /// Version of the meaning of these messages.
 pub const ROBOT_LINK_PROTOCOL: u32 = 1;
-/// Actuated joints, in the policy's order.
-pub const JOINTS: usize = 16;
-/// Feet, in the order FL, FR, HL, HR.
-pub const FEET: usize = 4;
+/// Most actuated joints of a robot.
+pub const JOINTS_MAX: usize = 32;
+/// Most feet of a robot.
+pub const FEET_MAX: usize = 8;
 /// Largest message, bytes.
 pub const MAX_MESSAGE_BYTES: usize = 4096;
 
@@ -36,8 +36,8 @@ pub struct Hello {
     pub robot_name: String,
     /// SHA-256 over the robot file and its model.
     pub robot_hash: [u8; 32],
-    /// The actuated joints in the policy's order, 1 to 32 characters each.
-    pub joint_names: [String; JOINTS],
+    /// The 1 to [`JOINTS_MAX`] actuated joints in the policy's order, 1 to 32 characters each.
+    pub joint_names: Vec<String>,
     /// Control period, s; above 0 and at most 1.
     pub control_period_s: f64,
 }
@@ -48,7 +48,7 @@ pub struct Command {
     /// Counts control periods, from 1.
     pub tick: u64,
     /// Position targets, rad.
-    pub targets_rad: [f32; JOINTS],
+    pub targets_rad: Vec<f32>,
     /// False: the servos are limp and the targets are ignored.
     pub torque_enabled: bool,
 }
@@ -61,11 +61,11 @@ pub struct Sensors {
     /// Time since the robot's start, s.
     pub time_s: f64,
     /// Joint positions, rad.
-    pub joint_pos_rad: [f32; JOINTS],
+    pub joint_pos_rad: Vec<f32>,
     /// Joint velocities, rad/s.
-    pub joint_vel_radps: [f32; JOINTS],
+    pub joint_vel_radps: Vec<f32>,
     /// Servo currents, A.
-    pub current_a: [f32; JOINTS],
+    pub current_a: Vec<f32>,
     /// Supply voltage, V.
     pub supply_v: f32,
     /// Angular velocity, rad/s, IMU frame.
@@ -76,8 +76,18 @@ pub struct Sensors {
     pub imu_gravity: Option<[f32; 3]>,
     /// True pose, for logs only; a real robot has none.
     pub base_pose: Option<BasePose>,
-    /// Which feet touch the ground, where that is sensed.
-    pub foot_contacts: Option<[bool; FEET]>,
+    /// Bit i: foot i of the robot file touches the ground, at most [`FEET_MAX`]; where that is sensed.
+    pub foot_contacts: Option<u32>,
+}
+
+impl Sensors {
+    /// Whether these are the readings of a robot with so many joints and feet.
+    #[must_use]
+    pub fn fit(&self, joints: usize, feet: usize) -> bool {
+        let lists = [&self.joint_pos_rad, &self.joint_vel_radps, &self.current_a];
+        lists.iter().all(|list| list.len() == joints)
+            && self.foot_contacts.is_none_or(|bits| bits >> feet.min(FEET_MAX) == 0)
+    }
 }
 
 /// True pose of the root link.
@@ -126,6 +136,14 @@ pub enum LinkError {
         /// The right length.
         expected: usize,
     },
+    /// A list of as many values as no robot has joints.
+    #[error("`{field}` has {found} entries, must have 1 to {JOINTS_MAX}, one per joint")]
+    Joints {
+        /// Which list.
+        field: &'static str,
+        /// Its length.
+        found: usize,
+    },
     /// NaN or infinity, or a number out of its range.
     #[error("`{field}` holds a number that is not finite or out of its range")]
     Value {
@@ -149,12 +167,12 @@ pub fn encode(message: &RobotMessage) -> Vec<u8> {
             protocol: ROBOT_LINK_PROTOCOL,
             robot_name: hello.robot_name.clone(),
             robot_hash: hello.robot_hash.to_vec(),
-            joint_names: hello.joint_names.to_vec(),
+            joint_names: hello.joint_names.clone(),
             control_period_s: hello.control_period_s,
         }),
         RobotMessage::Command(command) => pb::robot_message::Body::Command(pb::Command {
             tick: command.tick,
-            targets_rad: command.targets_rad.to_vec(),
+            targets_rad: command.targets_rad.clone(),
             torque_enabled: command.torque_enabled,
         }),
         RobotMessage::Sensors(sensors) => {
@@ -182,11 +200,11 @@ pub fn decode(payload: &[u8]) -> Result<RobotMessage, LinkError> {
             }
             pb::robot_message::Body::Command(command) => RobotMessage::Command(Command {
                 tick: command.tick,
-                targets_rad: numbers("targets_rad", &command.targets_rad)?,
+                targets_rad: per_joint("targets_rad", command.targets_rad)?,
                 torque_enabled: command.torque_enabled,
             }),
             pb::robot_message::Body::Sensors(sensors) => {
-                RobotMessage::Sensors(Box::new(sensors_from_wire(&sensors)?))
+                RobotMessage::Sensors(Box::new(sensors_from_wire(sensors)?))
             }
         },
     )
@@ -205,6 +223,12 @@ fn hello_from_wire(hello: pb::Hello) -> Result<Hello, LinkError> {
         });
     }
     let found = hello.joint_names.len();
+    if !(1..=JOINTS_MAX).contains(&found) {
+        return Err(LinkError::Joints {
+            field: "joint_names",
+            found,
+        });
+    }
     let names: Result<Vec<String>, LinkError> = hello
         .joint_names
         .into_iter()
@@ -213,11 +237,7 @@ fn hello_from_wire(hello: pb::Hello) -> Result<Hello, LinkError> {
     Ok(Hello {
         robot_name: text("robot_name", hello.robot_name, 64)?,
         robot_hash: array("robot_hash", &hello.robot_hash)?,
-        joint_names: names?.try_into().map_err(|_| LinkError::Length {
-            field: "joint_names",
-            found,
-            expected: JOINTS,
-        })?,
+        joint_names: names?,
         control_period_s: period,
     })
 }
@@ -226,9 +246,9 @@ fn sensors_to_wire(s: &Sensors) -> pb::Sensors {
     pb::Sensors {
         tick: s.tick,
         time_s: s.time_s,
-        joint_pos_rad: s.joint_pos_rad.to_vec(),
-        joint_vel_radps: s.joint_vel_radps.to_vec(),
-        current_a: s.current_a.to_vec(),
+        joint_pos_rad: s.joint_pos_rad.clone(),
+        joint_vel_radps: s.joint_vel_radps.clone(),
+        current_a: s.current_a.clone(),
         supply_v: s.supply_v,
         gyro_radps: s.gyro_radps.to_vec(),
         acc_mps2: s.acc_mps2.to_vec(),
@@ -237,23 +257,18 @@ fn sensors_to_wire(s: &Sensors) -> pb::Sensors {
             pos_m: p.pos_m.to_vec(),
             quat_wxyz: p.quat_wxyz.to_vec(),
         }),
-        foot_contacts: s.foot_contacts.map(|feet| {
-            feet.iter()
-                .enumerate()
-                .map(|(i, &c)| u32::from(c) << i)
-                .sum()
-        }),
+        foot_contacts: s.foot_contacts,
     }
 }
 
-fn sensors_from_wire(s: &pb::Sensors) -> Result<Sensors, LinkError> {
+fn sensors_from_wire(s: pb::Sensors) -> Result<Sensors, LinkError> {
     let gravity = &s.imu_gravity;
     Ok(Sensors {
         tick: s.tick,
         time_s: finite("time_s", s.time_s)?,
-        joint_pos_rad: numbers("joint_pos_rad", &s.joint_pos_rad)?,
-        joint_vel_radps: numbers("joint_vel_radps", &s.joint_vel_radps)?,
-        current_a: numbers("current_a", &s.current_a)?,
+        joint_pos_rad: per_joint("joint_pos_rad", s.joint_pos_rad)?,
+        joint_vel_radps: per_joint("joint_vel_radps", s.joint_vel_radps)?,
+        current_a: per_joint("current_a", s.current_a)?,
         supply_v: numbers::<1>("supply_v", &[s.supply_v])?[0],
         gyro_radps: numbers("gyro_radps", &s.gyro_radps)?,
         acc_mps2: numbers("acc_mps2", &s.acc_mps2)?,
@@ -274,13 +289,25 @@ fn pose_from_wire(pose: &pb::BasePose) -> Result<BasePose, LinkError> {
     })
 }
 
-fn feet_from_wire(bits: u32) -> Result<[bool; FEET], LinkError> {
-    if bits >> FEET != 0 {
+fn feet_from_wire(bits: u32) -> Result<u32, LinkError> {
+    if bits >> FEET_MAX != 0 {
         return Err(LinkError::Value {
             field: "foot_contacts",
         });
     }
-    Ok(std::array::from_fn(|i| bits >> i & 1 == 1))
+    Ok(bits)
+}
+
+/// One finite number per joint; how many joints there are, the two ends know of each other by their hellos.
+fn per_joint(field: &'static str, values: Vec<f32>) -> Result<Vec<f32>, LinkError> {
+    let found = values.len();
+    if !(1..=JOINTS_MAX).contains(&found) {
+        return Err(LinkError::Joints { field, found });
+    }
+    if values.iter().all(|x| x.is_finite()) {
+        return Ok(values);
+    }
+    Err(LinkError::Value { field })
 }
 
 fn numbers<const K: usize>(field: &'static str, values: &[f32]) -> Result<[f32; K], LinkError> {

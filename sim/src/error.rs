@@ -17,6 +17,14 @@ pub enum SimError {
         /// What would be accepted.
         reason: &'static str,
     },
+    /// A height map that is not one.
+    #[error("terrain.map: {file} {reason}")]
+    Map {
+        /// The file.
+        file: String,
+        /// What is wrong with it.
+        reason: String,
+    },
     /// The robot model has something this engine cannot simulate.
     #[error("robot model cannot be simulated: {0}")]
     Model(String),

@@ -27,4 +27,5 @@ pub mod sim_robot_pty;
 pub mod sim_rollout;
 pub mod sim_show;
 pub mod sim_verify;
+pub mod task;
 pub mod train;

@@ -43,10 +43,9 @@ pub fn configured(
     flags: &ConfigArgs,
     robot: Option<&PathBuf>,
 ) -> Result<(Config, Arc<RobotModel>), Failure> {
-    let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
-    if let Some(robot) = robot {
-        config.robot.clone_from(robot);
-    }
+    let mut flags = flags.clone();
+    flags.set_robot(robot.map(PathBuf::as_path));
+    let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let model = Arc::new(load(&config.robot_path())?);
     Ok((config, model))
 }

@@ -13,7 +13,7 @@ use caudata_config::ConfigArgs;
 use caudata_model::RobotModel;
 use caudata_proto::framing::{FrameReader, write_frame};
 use caudata_proto::robot_link::{
-    BasePose, Command, FEET, Hello, JOINTS, MAX_MESSAGE_BYTES, RobotMessage, Sensors, decode,
+    BasePose, Command, Hello, MAX_MESSAGE_BYTES, RobotMessage, Sensors, decode,
     encode,
 };
 use caudata_random::{Key, Purpose, Stream};
@@ -70,7 +70,7 @@ pub enum LinkKind {
 /// Serves one client after the other until asked to stop.
 pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
     let (config, model) = robot_model::configured(&args.config, args.robot.as_ref())?;
-    JointTable::for_runtime(&model).or_exit(ExitCode::BadInput)?;
+    JointTable::from_model(&model).or_exit(ExitCode::BadInput)?;
     if args.bus == LinkKind::Pty {
         return sim_robot_pty::run(&args.pty, &config, model, args.seed, stop);
     }
@@ -243,6 +243,11 @@ impl SimulatedRobot {
     }
 
     fn step(&mut self, command: &Command) -> Result<(), String> {
+        let joints = self.model().actuated().len();
+        if command.targets_rad.len() != joints {
+            let found = command.targets_rad.len();
+            return Err(format!("it sent {found} targets to {joints} joints"));
+        }
         if command.tick != self.tick + 1 {
             return Err(format!("it sent tick {} after {}", command.tick, self.tick));
         }
@@ -268,6 +273,7 @@ impl SimulatedRobot {
         let period_s = self.engine.config().control_period_s();
         let (model, state) = (self.engine.model(), self.engine.state());
         let joint = |i: usize| model.actuated()[i];
+        let each = |of: &dyn Fn(usize) -> f32| (0..model.actuated().len()).map(of).collect();
         // Forces are means over a period; before the first one the robot is at rest and feels its weight.
         let gyro = three(&state.imu_gyro_radps);
         let acc = match self.tick {
@@ -284,15 +290,13 @@ impl SimulatedRobot {
         RobotMessage::Sensors(Box::new(Sensors {
             tick: self.tick,
             time_s: self.tick as f64 * period_s,
-            joint_pos_rad: std::array::from_fn::<_, JOINTS, _>(|i| {
+            joint_pos_rad: each(&|i| {
                 sensors::encoder_pos_rad(model.servo(i), state.joint_pos_rad[joint(i)], 0.0)
             }),
-            joint_vel_radps: std::array::from_fn(|i| {
+            joint_vel_radps: each(&|i| {
                 sensors::encoder_vel_radps(model.servo(i), state.joint_vel_radps[joint(i)])
             }),
-            current_a: std::array::from_fn(|i| {
-                sensors::current_a(model.servo(i), state.motor_torque_nm[i])
-            }),
+            current_a: each(&|i| sensors::current_a(model.servo(i), state.motor_torque_nm[i])),
             supply_v: self.engine.params(0).supply_v,
             gyro_radps,
             acc_mps2,
@@ -301,8 +305,9 @@ impl SimulatedRobot {
                 pos_m: three(&state.base_pos_m),
                 quat_wxyz: std::array::from_fn(|i| state.base_quat_wxyz[i]),
             }),
-            foot_contacts: Some(std::array::from_fn::<_, FEET, _>(|foot| {
-                state.foot_force_n[3 * foot + 2] > self.contact_force_n
+            foot_contacts: Some((0..state.feet).fold(0, |bits, foot| {
+                let touches = state.foot_force_n[3 * foot + 2] > self.contact_force_n;
+                bits | u32::from(touches) << foot
             })),
         }))
     }
@@ -332,7 +337,7 @@ mod tests {
         let nominal = robot.model().nominal_pos_rad();
         Command {
             tick: robot.tick + 1,
-            targets_rad: std::array::from_fn(|i| nominal[i] as f32),
+            targets_rad: nominal.iter().map(|&q| q as f32).collect(),
             torque_enabled,
         }
     }
@@ -356,8 +361,7 @@ mod tests {
         // At rest the accelerometer shows gravity, upwards; its offset is drawn with 0.2 m/s² per axis.
         assert!((read.acc_mps2[2] - 9.81).abs() < 1.0, "{:?}", read.acc_mps2);
         assert_eq!(
-            read.foot_contacts
-                .map(|f| f.iter().filter(|c| **c).count() >= 3),
+            read.foot_contacts.map(|bits| bits.count_ones() >= 3),
             Some(true)
         );
         for _ in 0..50 {

@@ -6,6 +6,7 @@ use crate::TaskError;
 use crate::action::ActionConfig;
 use crate::command::CommandConfig;
 use crate::error::checks;
+use crate::observation::ObservationConfig;
 use crate::noise::ObservationNoiseConfig;
 use crate::phase::PhaseConfig;
 use crate::push::PushConfig;
@@ -38,6 +39,8 @@ pub struct TaskConfig {
     /// a girdle higher than this (the other one is over deep water) its feet are asked for nothing. Larger:
     /// feet are judged that reach no ground; smaller: a robot that wades need not step.
     pub feet_reach_m: f32,
+    /// What the policy sees.
+    pub observation: ObservationConfig,
     /// What an action means.
     pub action: ActionConfig,
     /// The gait clock.
@@ -67,6 +70,7 @@ impl Default for TaskConfig {
             observe_medium: false,
             afloat_above_m: 0.09,
             feet_reach_m: 0.09,
+            observation: ObservationConfig::default(),
             action: ActionConfig::default(),
             phase: PhaseConfig::default(),
             command: CommandConfig::default(),
@@ -94,6 +98,7 @@ impl TaskConfig {
             afloat_above_m: height(self.afloat_above_m), "must be 0 to 10 m";
             feet_reach_m: height(self.feet_reach_m), "must be 0 to 10 m";
         }?;
+        self.observation.validate()?;
         self.action.validate()?;
         self.phase.validate()?;
         self.command.validate()?;

@@ -6,10 +6,12 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::action::ActionConfig;
+use crate::expression::Names;
 use crate::layout::Part;
-use crate::phase::{PhaseConfig, offset_rad};
+use crate::observation::Observer;
+use crate::phase::PhaseConfig;
 use crate::row::{MAX_FEET, MAX_JOINTS};
-use crate::{JointTable, ObservationLayout, PerJoint, TaskConfig, TaskError};
+use crate::{JointTable, ObservationLayout, PerFoot, PerJoint, TaskConfig, TaskError};
 
 /// What a policy was made for. Joint arrays are in policy order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -66,6 +68,15 @@ impl PhaseContract {
             frequency_hz: self.frequency_hz,
             swing_height_m: self.swing_height_m,
             stand_command_norm: self.stand_command_norm,
+            ..PhaseConfig::default()
+        }
+    }
+
+    /// Phase of each foot relative to the clock, rad; of the clock, 0, without feet.
+    pub fn offsets(&self) -> PerFoot {
+        match self.offsets_rad.as_slice() {
+            [] => PerFoot::filled(1, 0.0),
+            offsets => PerFoot::of(offsets),
         }
     }
 }
@@ -144,14 +155,16 @@ impl PolicyContract {
         task.validate()?;
         let joints = JointTable::from_model(model)?;
         let feet: Vec<String> = model.feet().iter().map(|foot| foot.name.clone()).collect();
+        let names: Vec<&str> = feet.iter().map(String::as_str).collect();
+        let offsets_rad = task.phase.offsets_rad(&names)?;
+        let joint_names = model.actuated_names();
+        let joint_names: Vec<String> = joint_names.into_iter().map(str::to_owned).collect();
+        let medium = task.observe_medium;
+        let observation = task.observation.layout(&joint_names, &feet, medium)?;
         Ok(Self {
             robot: model.name().to_owned(),
             robot_hash: model.hash_hex(),
-            joint_names: model
-                .actuated_names()
-                .into_iter()
-                .map(str::to_owned)
-                .collect(),
+            joint_names,
             nominal_pos_rad: joints.nominal_rad.to_vec(),
             lower_limit_rad: joints.lower_rad.to_vec(),
             upper_limit_rad: joints.upper_rad.to_vec(),
@@ -159,11 +172,11 @@ impl PolicyContract {
             kd_nm_s_per_rad: vec![model.kd_nm_s_per_rad() as f32; joints.len()],
             control_period_s: task.control_period_s,
             action: task.action,
-            observation: ObservationLayout::new(joints.len(), &feet, task.observe_medium),
+            observation,
             phase: PhaseContract {
-                offsets_rad: (0..feet.len()).map(offset_rad).collect(),
+                offsets_rad: offsets_rad[..feet.len()].to_vec(),
                 feet,
-                frequency_hz: task.phase.frequency_hz,
+                frequency_hz: task.phase.clock_hz(),
                 swing_height_m: task.phase.swing_height_m,
                 stand_command_norm: task.phase.stand_command_norm,
             },
@@ -182,15 +195,19 @@ impl PolicyContract {
     /// action or phase.
     pub fn validate(&self) -> Result<(), TaskError> {
         let refuse = |what, reason: String| Err(TaskError::Contract { what, reason });
-        // what the observation has room for is the yardstick
-        let joints = self.observation.range(Part::JointVel).len();
-        let (names, feet) = (self.joint_names.len(), self.phase.feet.len());
-        if names != joints || !(1..=MAX_JOINTS).contains(&names) {
-            let reason = format!("has {names} entries, expected {joints}, at most {MAX_JOINTS}");
+        let (joints, feet) = (self.joint_names.len(), self.phase.feet.len());
+        if !(1..=MAX_JOINTS).contains(&joints) {
+            let reason = format!("has {joints} entries, expected 1 to {MAX_JOINTS}");
             return refuse("joint_names", reason);
         }
-        let phases = self.observation.phases();
-        if feet.max(1) != phases || feet > MAX_FEET {
+        let values = self.nominal_pos_rad.len();
+        if joints != values && self.lower_limit_rad.len() == values {
+            let reason = format!("has {joints} entries, expected {values}");
+            return refuse("joint_names", reason);
+        }
+        let phases = self.observation.slice(Part::Phase.name());
+        let phases = phases.map_or(feet.max(1), |slice| slice.width() / 2);
+        if feet > MAX_FEET || phases != feet.max(1) {
             let reason = format!("has {feet} entries, expected {phases}, at most {MAX_FEET}");
             return refuse("phase.feet", reason);
         }
@@ -216,9 +233,10 @@ impl PolicyContract {
             let reason = format!("is above the upper limit at joint {i}");
             return refuse("lower_limit_rad", reason);
         }
-        let known = [false, true].map(|m| ObservationLayout::new(joints, &self.phase.feet, m));
-        if !known.contains(&self.observation) {
-            let reason = "is not a layout that this version knows".to_owned();
+        let terms = self.observation.terms();
+        let known = ObservationLayout::of(&terms, &self.joint_names, &self.phase.feet);
+        if !known.is_ok_and(|known| known == self.observation) {
+            let reason = "is not a layout that this version knows for these joints and feet".to_owned();
             return refuse("observation", reason);
         }
         if !(1e-4..=1.0).contains(&self.control_period_s) {
@@ -229,6 +247,26 @@ impl PolicyContract {
         }
         self.action.validate()?;
         self.phase.config().validate()
+    }
+
+    /// The names that expressions may use.
+    pub fn names(&self) -> Names<'_> {
+        Names {
+            joints: &self.joint_names,
+            feet: &self.phase.feet,
+        }
+    }
+
+    /// Writes this contract's observations.
+    ///
+    /// # Errors
+    /// [`TaskError`] where the contract is not a valid one.
+    pub fn observer(&self) -> Result<Observer, TaskError> {
+        let joints = self.joint_table().ok_or(TaskError::Contract {
+            what: "nominal_pos_rad",
+            reason: "has not one entry per joint".to_owned(),
+        })?;
+        Observer::new(&self.observation, &joints, self.names())
     }
 
     /// Length of an observation.

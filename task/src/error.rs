@@ -29,6 +29,24 @@ pub enum TaskError {
         /// How many there may be.
         most: usize,
     },
+    /// The gait clock names a foot that the robot does not have.
+    #[error("task.phase.offset_cycles names the foot '{foot}'; the robot has: {known}")]
+    UnknownFoot {
+        /// The name.
+        foot: String,
+        /// The robot's feet.
+        known: String,
+    },
+    /// A term of the task file is wrong.
+    #[error("{table} '{name}' {reason}")]
+    Term {
+        /// Where it stands.
+        table: &'static str,
+        /// Its name.
+        name: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// Left and right of the robot differ.
     #[error(
         "robot '{robot}' is not its own mirror image: '{part}' {reason}; set learner.ppo.mirror = false"
@@ -59,6 +77,16 @@ pub enum TaskError {
         /// What is wrong with it.
         reason: String,
     },
+}
+
+impl TaskError {
+    pub(crate) fn term(table: &'static str, name: &str, reason: String) -> Self {
+        Self::Term {
+            table,
+            name: name.to_owned(),
+            reason,
+        }
+    }
 }
 
 /// Whether a value is right, its field, the value, and what would be right.

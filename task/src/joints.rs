@@ -3,7 +3,7 @@
 use caudata_model::RobotModel;
 
 use crate::row::{MAX_FEET, MAX_JOINTS};
-use crate::{ACT_DIM, FEET, PerJoint, TaskError};
+use crate::{PerJoint, TaskError};
 
 /// Nominal position and limits of the actuated joints, rad, policy order.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,28 +44,6 @@ impl JointTable {
             lower_rad: PerJoint::from_fn(joints, |i| limits[i].0 as f32),
             upper_rad: PerJoint::from_fn(joints, |i| limits[i].1 as f32),
         })
-    }
-
-    /// As [`Self::from_model`], of a robot that the robot's runtime drives.
-    ///
-    /// # Errors
-    /// [`TaskError::Robot`] for a robot with other numbers of joints or feet than the runtime is built for.
-    pub fn for_runtime(model: &RobotModel) -> Result<Self, TaskError> {
-        for (what, found, built_for) in [
-            ("actuated joints", model.actuated().len(), ACT_DIM),
-            ("feet", model.feet().len(), FEET),
-        ] {
-            if found != built_for {
-                return Err(TaskError::Robot {
-                    robot: model.name().to_owned(),
-                    what,
-                    found,
-                    least: built_for,
-                    most: built_for,
-                });
-            }
-        }
-        Self::from_model(model)
     }
 
     /// Number of actuated joints, and of actions.

@@ -18,6 +18,7 @@ pub mod command;
 mod config;
 pub mod contract;
 mod error;
+pub mod expression;
 mod joints;
 pub mod layout;
 pub mod mirror;
@@ -43,7 +44,3 @@ pub use row::{PerFoot, PerJoint};
 pub const ACTION_HISTORY: usize = 3;
 /// Command: forward and sideways velocity (m/s), yaw rate (rad/s).
 pub const COMMAND_DIM: usize = 3;
-/// Actuated joints that the robot's runtime is built for (see `caudata-deploy`); nothing else knows a number.
-pub const ACT_DIM: usize = 16;
-/// Feet that it is built for, likewise.
-pub const FEET: usize = 4;

@@ -64,6 +64,17 @@ impl Mirror {
         // The lengths agree; should they not, nothing finds its counterpart below.
         let at_zero = at_zero.unwrap_or_default();
         let action = joints(model, &at_zero)?;
+        let usual = ObservationLayout::new(action.source.len(), &[], true);
+        for slice in layout.slices() {
+            let known = usual.slice(&slice.name).is_some() && slice.value.is_none();
+            if !known || slice.history.is_some() {
+                return Err(TaskError::term(
+                    "task.observation.term",
+                    &slice.name,
+                    "has no mirror image that is known; set learner.ppo.mirror = false".to_owned(),
+                ));
+            }
+        }
         let mut observation = SignedPermutation::identity(layout.dim());
         let start = |part| layout.range(part).start;
         observation.place(start(Part::JointVel), &action);

@@ -5,9 +5,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::TaskError;
 use crate::error::{checks, within};
+use crate::expression::Names;
+use crate::reward::own::{self, OwnCondition, Programs};
 
 /// Table `[task.termination]`: states that end an episode.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TerminationConfig {
     /// Largest angle between the body's z axis and the vertical, rad, above 0 to π. Default 1.0 (57°):
@@ -18,6 +20,8 @@ pub struct TerminationConfig {
     /// Default −0.1 to 1.0, which catches falling through the ground and flying off; lying on the belly
     /// (about 0.04) is allowed, because the robot can crawl and swim that way.
     pub com_height_m: [f32; 2],
+    /// Further states that end an episode. Default none.
+    pub when: Vec<OwnCondition>,
 }
 
 impl Default for TerminationConfig {
@@ -25,6 +29,7 @@ impl Default for TerminationConfig {
         Self {
             max_tilt_rad: 1.0,
             com_height_m: [-0.1, 1.0],
+            when: Vec::new(),
         }
     }
 }
@@ -41,9 +46,24 @@ impl TerminationConfig {
             self, "termination.";
             max_tilt_rad: tilt, "must be above 0 and at most π";
             com_height_m: height, "must be [min, max] within ±100 m";
-        }
+        }?;
+        own::check(OWN_TABLE, self.own())
+    }
+
+    fn own(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.when.iter().map(|when| (when.name.as_str(), when.value.as_str()))
+    }
+
+    /// The conditions of the task file, compiled for a robot.
+    ///
+    /// # Errors
+    /// [`TaskError::Term`] names the first that is wrong.
+    pub fn programs(&self, names: Names<'_>) -> Result<Programs, TaskError> {
+        Programs::new(OWN_TABLE, self.own(), names)
     }
 }
+
+const OWN_TABLE: &str = "task.termination.when";
 
 /// Why an episode ended by failing. The numbers go over the wire, where 0 stands for the time limit: never
 /// renumber them.
@@ -61,16 +81,19 @@ pub enum TerminationReason {
     TooLow = 4,
     /// The centre of mass is too high.
     TooHigh = 5,
+    /// A condition of the task file holds.
+    Condition = 6,
 }
 
 impl TerminationReason {
     /// Every reason, in the order of their numbers.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Diverged,
         Self::UpsideDown,
         Self::Tilted,
         Self::TooLow,
         Self::TooHigh,
+        Self::Condition,
     ];
 
     /// Name used in logs and counters.
@@ -81,6 +104,7 @@ impl TerminationReason {
             Self::Tilted => "tilted",
             Self::TooLow => "too_low",
             Self::TooHigh => "too_high",
+            Self::Condition => "condition",
         }
     }
 }
@@ -205,7 +229,7 @@ mod tests {
     fn reasons_have_fixed_numbers_and_distinct_names() {
         assert_eq!(
             TerminationReason::ALL.map(|reason| reason as u8),
-            [1, 2, 3, 4, 5]
+            [1, 2, 3, 4, 5, 6]
         );
         let mut names = TerminationReason::ALL.map(TerminationReason::name).to_vec();
         names.sort_unstable();

@@ -26,12 +26,13 @@ pub struct Plan {
     /// Trainings, with seeds 1, 2, …
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=1000))]
     seeds: u64,
-    /// Forward velocity commanded, m/s
-    #[arg(long, default_value_t = 0.3)]
-    command_mps: f32,
-    /// Forward velocity that counts as walking, m/s
-    #[arg(long, default_value_t = 0.2)]
-    speed_mps: f64,
+    /// Forward velocity commanded, m/s; without it, evaluation.command_mps
+    #[arg(long)]
+    command_mps: Option<f32>,
+    /// Forward velocity that counts as walking, m/s; without it, two thirds of the command, or what the
+    /// gate of speed asks for if that is more
+    #[arg(long)]
+    speed_mps: Option<f64>,
     /// Every how many iterations a policy is looked at
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     every: u64,
@@ -88,6 +89,15 @@ pub fn run(plan: &Plan, program: &Path, tell: &mut dyn FnMut(&Skill)) -> Result<
     let flags = flags::or_preset(&plan.config, "quick");
     let config = flags.load().or_exit(ExitCode::BadConfig)?;
     let model = Arc::new(files::robot(&config.robot_path())?);
+    let judged = &config.evaluation;
+    let command_mps = plan.command_mps.unwrap_or(judged.command_mps as f32);
+    let share = judged.gates.speed_share.max(2.0 / 3.0);
+    let speed_mps = plan.speed_mps.unwrap_or(share * f64::from(command_mps));
+    let asked = Asked {
+        command_mps,
+        speed_mps,
+        episodes: plan.episodes,
+    };
     let mut seeds = Vec::new();
     for seed in 1..=plan.seeds {
         let folder = tempfile::tempdir().or_exit(ExitCode::CannotCreate)?;
@@ -104,31 +114,38 @@ pub fn run(plan: &Plan, program: &Path, tell: &mut dyn FnMut(&Skill)) -> Result<
             last_missed: Vec::new(),
             training_s,
         };
-        look(plan, &config, &model, &policies, &mut skill)?;
+        look(&asked, &config, &model, &policies, &mut skill)?;
         tell(&skill);
         seeds.push(skill);
     }
     let never = |skill: &Skill| skill.walks_after_s.unwrap_or(f64::INFINITY);
     Ok(Finding {
         benchmark: "skill",
-        command_mps: plan.command_mps,
-        speed_mps: plan.speed_mps,
+        command_mps,
+        speed_mps,
         median_s: median(seeds.iter().map(never).collect()).filter(|s| s.is_finite()),
         seeds,
     })
 }
 
+/// What a policy is asked for.
+struct Asked {
+    command_mps: f32,
+    speed_mps: f64,
+    episodes: u32,
+}
+
 /// Evaluates policies in order until one walks, and the last one.
 fn look(
-    plan: &Plan,
+    asked: &Asked,
     config: &Config,
     model: &Arc<RobotModel>,
     policies: &[(f64, PolicyFile)],
     skill: &mut Skill,
 ) -> Result<(), Failure> {
-    let scenario = Scenario::walk("skill", [plan.command_mps, 0.0, 0.0]);
+    let scenario = Scenario::walk("skill", [asked.command_mps, 0.0, 0.0]);
     let settings = Settings {
-        episodes: plan.episodes,
+        episodes: asked.episodes,
         ..Settings::default()
     };
     for (index, (at_s, policy)) in policies.iter().enumerate() {
@@ -140,7 +157,7 @@ fn look(
             .or_exit(ExitCode::PolicyRefused)?;
         let speed_mps = outcome.result.vx_mps.mean;
         let gates = outcome.result.gates.as_ref();
-        let fast = speed_mps >= plan.speed_mps;
+        let fast = speed_mps >= asked.speed_mps;
         if fast && skill.fast_after_s.is_none() {
             skill.fast_after_s = Some(*at_s);
         }

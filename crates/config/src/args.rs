@@ -1,13 +1,13 @@
 //! The flags that choose a configuration, the same in every binary.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::{Config, ConfigError, Source};
 
 /// Flags that choose a configuration. Later ones win: preset, file, overrides.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub struct ConfigArgs {
-    /// A configuration that comes with the program: quick, flat, rough, amphibious, paper
+    /// A configuration that comes with the program; `caudata config presets` lists them
     #[arg(long, value_name = "NAME", help_heading = "Configuration")]
     pub preset: Option<String>,
     /// A TOML file; keys it does not have come from the preset and the defaults
@@ -26,6 +26,13 @@ impl ConfigArgs {
             file: self.config.clone(),
             overrides: self.overrides.clone(),
         }
+    }
+
+    /// As if `--set robot=FILE` were given last, where there is a file.
+    pub fn set_robot(&mut self, robot: Option<&Path>) {
+        let quoted = |path: &Path| toml::Value::from(path.display().to_string()).to_string();
+        let assignment = robot.map(|path| format!("robot={}", quoted(path)));
+        self.overrides.extend(assignment);
     }
 
     /// Reads and checks the configuration that the flags describe.

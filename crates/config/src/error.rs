@@ -69,6 +69,9 @@ pub enum ConfigError {
         /// What its owner says.
         message: String,
     },
+    /// A robot that the preset cannot be worked out for.
+    #[error("{0}")]
+    Robot(String),
     /// An override that is not `key=value`.
     #[error("override `{0}` is not of the form key=value, for instance learner.ppo.gamma=0.98")]
     BadOverride(String),

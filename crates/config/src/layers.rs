@@ -3,8 +3,10 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use caudata_model::RobotModel;
 use toml::{Table, Value};
 
+use crate::derive::derived;
 use crate::{Config, ConfigError, PRESETS, Preset, keys};
 
 /// Largest file that is read, bytes; all keys with their values take 8,000.
@@ -50,7 +52,7 @@ impl Source {
 pub(crate) fn merge(source: &Source) -> Result<Config, ConfigError> {
     let known = keys::table_of(&Config::default());
     let mut merged = known.clone();
-    for (origin, layer) in layers(source)? {
+    for (origin, layer) in with_derived(source, layers(source)?)? {
         let unknown = keys::first_unknown(&layer, &known);
         lay_over(&mut merged, layer);
         // The types decide what is known (a section may have optional keys); the tree finds the place.
@@ -102,6 +104,64 @@ fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
         ));
     }
     Ok(layers)
+}
+
+/// With what the robot decides below everything else, where the preset is one for any robot.
+fn with_derived(
+    source: &Source,
+    mut layers: Vec<(String, Table)>,
+) -> Result<Vec<(String, Table)>, ConfigError> {
+    let preset = source.preset.as_deref().and_then(Preset::find);
+    if preset.is_none_or(|preset| !preset.derived) {
+        return Ok(layers);
+    }
+    let robot = robot_of(layers.iter().map(|(_, layer)| layer));
+    let path = Config {
+        robot,
+        ..Config::default()
+    }
+    .robot_path();
+    let model = RobotModel::load(&path).map_err(|error| ConfigError::Robot(error.to_string()))?;
+    let origin = format!("what follows from {}", path.display());
+    let mut below = vec![(origin.clone(), parse(&origin, &derived(&model)?)?)];
+    if let Some(any) = Preset::find(Preset::ANY).filter(|any| source.preset.as_deref() != Some(any.name)) {
+        let origin = format!("preset `{}`", any.name);
+        below.push((origin.clone(), parse(&origin, any.text)?));
+    }
+    below.append(&mut layers);
+    Ok(below)
+}
+
+/// The robot file that the last layer with one names, else the default.
+fn robot_of<'a>(layers: impl DoubleEndedIterator<Item = &'a Table>) -> PathBuf {
+    let named = |layer: &'a Table| layer.get("robot")?.as_str();
+    layers
+        .rev()
+        .find_map(named)
+        .map_or_else(|| Config::default().robot, PathBuf::from)
+}
+
+impl Source {
+    /// With a preset where neither preset nor file was asked for: `wanted`, or where the overrides name
+    /// another robot, the one made for it ([`Preset::for_robot`]). A robot file that cannot be read is left
+    /// to be found by whoever needs it.
+    pub fn or_preset(&mut self, wanted: &str) {
+        if self.preset.is_some() || self.file.is_some() {
+            return;
+        }
+        let parsed = self.overrides.iter().map(|o| parse_override(o));
+        let layers: Vec<Table> = parsed.filter_map(Result::ok).collect();
+        let path = Config {
+            robot: robot_of(layers.iter()),
+            ..Config::default()
+        }
+        .robot_path();
+        let preset = match RobotModel::load(&path) {
+            Ok(model) => Preset::for_robot(wanted, model.name()),
+            Err(_) => wanted,
+        };
+        self.preset = Some(preset.to_owned());
+    }
 }
 
 /// The text of a file that is no larger than [`FILE_BYTES_MAX`], whatever it says about its size.

@@ -10,6 +10,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod args;
+mod derive;
 mod error;
 mod keys;
 mod layers;
@@ -97,6 +98,14 @@ impl Config {
     /// [`ConfigError::Unrepresentable`] when a value has no TOML form (an integer above 2⁶³ − 1).
     pub fn to_toml(&self) -> Result<String, ConfigError> {
         toml::to_string(self).map_err(|error| ConfigError::Unrepresentable(error.to_string()))
+    }
+
+    /// What the preset `walk` works out from a robot, as a TOML text with the rule of each value.
+    ///
+    /// # Errors
+    /// [`ConfigError::Robot`] for a robot that cannot walk.
+    pub fn derived(model: &caudata_model::RobotModel) -> Result<String, ConfigError> {
+        derive::derived(model)
     }
 
     /// SHA-256 of what decides how training goes: seed, actors, learner, engine, terrain and task.

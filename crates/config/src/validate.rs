@@ -89,8 +89,25 @@ impl Config {
         rule!(self, run.iterations in 1, 10_000_000);
         rule!(self, evaluation.episodes in 0, 10_000);
         rule!(self, evaluation.robot_run_s in 0.0, 600.0);
-        rule!(self, evaluation.robot_command_mps in -1.0, 1.0);
-        Ok(())
+        rule!(self, evaluation.robot_command_mps in -5.0, 5.0);
+        rule!(self, evaluation.command_mps to 5.0);
+        rule!(self, evaluation.gates.speed_share in 0.0, 1.0);
+        rule!(self, evaluation.gates.stride_off_clock in 0.0, 100.0);
+        rule!(self, evaluation.gates.power_w in 0.0, 1e6);
+        rule!(self, evaluation.gates.trunk_contact_share in 0.0, 1.0);
+        rule!(self, evaluation.gates.slip_mps in 0.0, 100.0);
+        rule!(self, evaluation.gates.clearance_m in 0.0, 10.0);
+        rule!(self, evaluation.gates.vibration_share in 0.0, 1.0);
+        rule!(self, evaluation.gates.vibration_hz to 1_000.0);
+        let [least, most] = self.evaluation.gates.duty_factor;
+        match 0.0 <= least && least <= most && most <= 1.0 {
+            true => Ok(()),
+            false => broken(
+                "evaluation.gates.duty_factor",
+                format!("[{least}, {most}]"),
+                "must be [min, max] within 0 to 1",
+            ),
+        }
     }
 
     fn check_actors(&self) -> Check {

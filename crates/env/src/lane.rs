@@ -6,7 +6,7 @@ use caudata_task::action::ActionFilter;
 use caudata_task::command::{CommandState, along_course};
 use caudata_task::phase::{PhaseClock, PhaseConfig};
 use caudata_task::push::PushSchedule;
-use caudata_task::reward::TERM_COUNT;
+use caudata_task::reward::PerTerm;
 use caudata_task::termination::TerminationReason;
 use caudata_task::{ACTION_HISTORY, PerFoot, PerJoint, TaskConfig};
 use serde::{Deserialize, Serialize};
@@ -25,8 +25,8 @@ pub(crate) struct Lane {
     pub step_limit: u32,
     pub command: CommandState,
     pub clock: PhaseClock,
-    /// How many phases the policy sees.
-    phases: usize,
+    /// Phase of each foot relative to the clock, rad.
+    offsets_rad: PerFoot,
     pub filter: ActionFilter,
     pub push: PushSchedule,
     /// Past actions, clipped, newest first.
@@ -46,12 +46,12 @@ pub(crate) struct Lane {
 
 impl Lane {
     /// The state at the start of the episode of `key`, except for its start pose, for a robot with so many
-    /// joints whose policy sees so many phases. `reset_stream` gives the clock's start and, where `stagger`
+    /// joints whose feet have these phases relative to the clock, rad. `reset_stream` gives the clock's start and, where `stagger`
     /// asks for it, a random length.
     pub fn start(
         task: &TaskConfig,
         sensors: Option<&Sensors>,
-        (joints, phases): (usize, usize),
+        (joints, offsets_rad): (usize, PerFoot),
         key: Key,
         stagger: bool,
         heading_rad: f32,
@@ -84,7 +84,7 @@ impl Lane {
             step_limit,
             command,
             clock,
-            phases,
+            offsets_rad,
             filter: ActionFilter::new(joints),
             push: PushSchedule::draw(&task.push, control_period_s, &mut push_stream),
             actions: [PerJoint::filled(joints, 0.0); ACTION_HISTORY],
@@ -101,7 +101,7 @@ impl Lane {
 
     /// Phase of each foot (of the clock without feet), rad, (−π, π].
     pub fn phases_rad(&self) -> PerFoot {
-        self.clock.phases_rad(self.phases)
+        self.clock.phases_rad(&self.offsets_rad)
     }
 
     /// Follows `command` for the rest of the episode, if there is one.
@@ -154,7 +154,7 @@ impl Lane {
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Tally {
     pub return_sum: f64,
-    pub terms: [f64; TERM_COUNT],
+    pub terms: PerTerm<f64>,
     speed_mps: f64,
     velocity_error_mps: f64,
     power_w: f64,
@@ -168,12 +168,15 @@ impl Tally {
     pub fn add(
         &mut self,
         reward: f32,
-        terms: &[f32; TERM_COUNT],
+        terms: &PerTerm,
         truth: &Truth,
         command: &CommandState,
         contact_force_n: f32,
     ) {
         self.return_sum += f64::from(reward);
+        if self.terms.is_empty() {
+            self.terms = PerTerm::filled(terms.len(), 0.0);
+        }
         for (sum, term) in self.terms.iter_mut().zip(terms) {
             *sum += f64::from(*term);
         }

@@ -1,6 +1,5 @@
 //! What a step gives.
 
-use caudata_task::reward::TERM_COUNT;
 use caudata_task::termination::TerminationReason;
 
 /// Result of one control step of all lanes. `N` lanes, `D` observation values.
@@ -32,7 +31,8 @@ pub struct EpisodeStats {
     pub steps: u32,
     /// Sum of rewards.
     pub return_sum: f32,
-    /// Sum of each reward term, weighted, in the order of [`caudata_task::reward::TERMS`].
+    /// Sum of each reward term, weighted, in the order of
+    /// [`caudata_task::reward::RewardConfig::term_names`].
     pub terms: Vec<f32>,
     /// Whether it ended by failing rather than by its time limit.
     pub terminated: bool,
@@ -92,7 +92,7 @@ impl OutputBuffers {
     pub fn finish(
         &mut self,
         mut stats: EpisodeStats,
-        terms: &[f64; TERM_COUNT],
+        terms: &[f64],
         last_observation: &[f32],
     ) {
         let mut observation = self.observation_pool.pop().unwrap_or_default();
@@ -125,12 +125,12 @@ mod tests {
                 terminated: round % 2 == 0,
                 ..EpisodeStats::default()
             };
-            buffers.finish(stats, &[0.5; TERM_COUNT], &[round as f32; 97]);
+            buffers.finish(stats, &[0.5; 18], &[round as f32; 97]);
             let output = &buffers.output;
             assert_eq!(output.terminated, [false, false, round % 2 == 0]);
             assert_eq!(output.truncated, [false, false, round % 2 == 1]);
             assert_eq!(output.final_observations, [(2, vec![round as f32; 97])]);
-            assert_eq!(output.episodes[0].terms, [0.5; TERM_COUNT]);
+            assert_eq!(output.episodes[0].terms, [0.5; 18]);
             seen.push((
                 output.final_observations[0].1.as_ptr(),
                 output.episodes[0].terms.as_ptr(),

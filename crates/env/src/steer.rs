@@ -2,6 +2,7 @@
 //! training neither.
 
 use caudata_task::layout::Part;
+use caudata_task::observation::write_phase;
 
 use crate::start::StartShift;
 use crate::{EnvError, VecEnv};
@@ -37,12 +38,13 @@ impl VecEnv {
         now.command.course_rad = None;
         now.clock.set_command(&self.task.phase, &command);
         let observation = &mut self.observations[lane * dim..][..dim];
-        observation[self.layout.range(Part::Command)].copy_from_slice(&command);
-        let phases = &mut observation[self.layout.range(Part::Phase)];
-        for (foot, phase) in now.phases_rad().into_iter().enumerate() {
-            let (sin, cos) = phase.sin_cos();
-            phases[2 * foot] = cos;
-            phases[2 * foot + 1] = sin;
+        // what is newest of each; expressions follow with the next step
+        let newest = |part| self.layout.range(part).start;
+        if !self.layout.range(Part::Command).is_empty() {
+            observation[newest(Part::Command)..][..command.len()].copy_from_slice(&command);
+        }
+        if !self.layout.range(Part::Phase).is_empty() {
+            write_phase(&now.phases_rad(), &mut observation[newest(Part::Phase)..]);
         }
     }
 

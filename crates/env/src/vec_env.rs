@@ -5,8 +5,9 @@ use std::sync::Arc;
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::{Engine, State};
-use caudata_task::observation::ObservationInput;
-use caudata_task::reward::{self, RewardInput, TERM_COUNT};
+use caudata_task::observation::{ObservationInput, Observer};
+use caudata_task::reward::own::{Programs, StateSignals};
+use caudata_task::reward::{self, PerTerm, RewardInput, TERM_COUNT};
 use caudata_task::termination::{self, TerminationInput, TerminationReason};
 use caudata_task::{BodyPlan, JointTable, ObservationLayout, PerFoot, PolicyContract, TaskConfig};
 
@@ -35,6 +36,13 @@ pub struct VecEnv {
     /// Number of the first lane in the keys of the random streams.
     pub(crate) first_lane: u64,
     pub(crate) layout: ObservationLayout,
+    observer: Observer,
+    /// Whether the policy sees what only the simulation knows.
+    sees_truth: bool,
+    /// Reward terms of the task file.
+    own_rewards: Programs,
+    /// Conditions of the task file that end an episode.
+    own_ends: Programs,
     joints: JointTable,
     body: BodyPlan,
     reader: Reader,
@@ -89,6 +97,9 @@ impl VecEnv {
         check_engine(&model, &task, engine.as_ref())?;
         let lanes = engine.lanes();
         let layout = contract.observation.clone();
+        let observer = contract.observer()?;
+        let own_rewards = task.reward.programs(contract.names())?;
+        let own_ends = task.termination.programs(contract.names())?;
         let mut env = Self {
             contract,
             lanes: Vec::with_capacity(lanes),
@@ -109,6 +120,10 @@ impl VecEnv {
             ended: Vec::with_capacity(lanes),
             held_commands: Vec::new(),
             start_shift: StartShift::default(),
+            sees_truth: observer.check_sensed(&layout).is_err(),
+            observer,
+            own_rewards,
+            own_ends,
             layout,
             task,
             engine,
@@ -257,8 +272,8 @@ impl VecEnv {
         now.step += 1;
         now.clock.advance(control_period_s);
 
-        let mut terms = [0.0; TERM_COUNT];
-        let mut reward = 0.0;
+        let mut terms = PerTerm::filled(TERM_COUNT + self.own_rewards.len(), 0.0);
+        let (mut reward, mut own_end) = (0.0, false);
         if !diverged {
             let target_rad = now.filter.unlimited_rad(&self.task.action, &self.joints);
             let input = reward_input(
@@ -271,21 +286,26 @@ impl VecEnv {
             );
             let cost_scale = self.task.reward.cost_scale(self.progress);
             let config = &self.task.reward;
-            reward = reward::evaluate(config, &input, control_period_s, cost_scale, &mut terms);
+            let own = &mut self.own_rewards;
+            reward = reward::evaluate(config, own, &input, control_period_s, cost_scale, &mut terms);
+            if !self.own_ends.is_empty() {
+                let signals = StateSignals::new(&input, config.contact_force_n);
+                own_end = self.own_ends.first(&signals).is_some();
+            }
             let contact_force_n = self.task.reward.contact_force_n;
             let command = now.command;
             now.tally
                 .add(reward, &terms, &truth, &command, contact_force_n);
         }
         self.buffers.output.rewards[lane] = reward;
-        now.joint_vel_radps = truth.joint_vel_radps;
 
         let input = TerminationInput {
             diverged,
             gravity: truth.gravity,
             com_height_m: truth.com_height_m,
         };
-        let reason = termination::check(&self.task.termination, &input);
+        let reason = termination::check(&self.task.termination, &input)
+            .or(own_end.then_some(TerminationReason::Condition));
         let ended = reason.is_some() || now.step >= now.step_limit;
         if !ended
             && now.command.tick(
@@ -298,8 +318,9 @@ impl VecEnv {
             now.clock.set_command(&self.task.phase, &now.command.value);
         }
         if reason != Some(TerminationReason::Diverged) {
-            self.observe(lane, &truth)?;
+            self.observe(lane, &truth, false)?;
         }
+        self.lanes[lane].joint_vel_radps = truth.joint_vel_radps;
         if ended {
             let dim = self.layout.dim();
             let now = &self.lanes[lane];
@@ -353,7 +374,7 @@ impl VecEnv {
         let mut started = Lane::start(
             &self.task,
             self.sensors.as_ref(),
-            (self.joints.len(), self.layout.phases()),
+            (self.joints.len(), self.contract.phase.offsets()),
             key,
             stagger,
             start.yaw_rad,
@@ -366,11 +387,11 @@ impl VecEnv {
 
     pub(crate) fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {
         let truth = self.reader.read(self.engine.as_ref(), lane);
-        self.observe(lane, &truth)
+        self.observe(lane, &truth, true)
     }
 
-    /// Writes the observation of one lane, with sensor noise.
-    fn observe(&mut self, lane: usize, truth: &Truth) -> Result<(), EnvError> {
+    /// Writes the observation of one lane, with sensor noise; a `fresh` one has no history.
+    fn observe(&mut self, lane: usize, truth: &Truth, fresh: bool) -> Result<(), EnvError> {
         let now = &mut self.lanes[lane];
         let mut readings = truth.readings();
         for (pos, offset) in readings.joint_pos_rad.iter_mut().zip(now.joint_offset_rad) {
@@ -381,7 +402,7 @@ impl VecEnv {
         }
         self.task.noise.add(&mut readings, &mut now.sensor_stream);
         let dim = self.layout.dim();
-        ObservationInput {
+        let input = ObservationInput {
             joint_vel_radps: &readings.joint_vel_radps,
             joint_pos_rad: &readings.joint_pos_rad,
             gyro_radps: readings.gyro_radps,
@@ -390,13 +411,36 @@ impl VecEnv {
             command: now.command.value,
             previous_actions: &now.actions,
             medium: Some(truth.afloat),
+        };
+        let out = &mut self.observations[lane * dim..][..dim];
+        if self.sees_truth {
+            let target_rad = now.filter.unlimited_rad(&self.task.action, &self.joints);
+            let (task, joints, body) = (&self.task, &self.joints, &self.body);
+            let state = reward_input(task, joints, body, &target_rad, now, truth);
+            let signals = StateSignals::new(&state, task.reward.contact_force_n);
+            self.observer.write(&input, Some(&signals), fresh, out)?;
+        } else {
+            self.observer.write(&input, None, fresh, out)?;
         }
-        .write(
-            &self.layout,
-            &self.joints.nominal_rad,
-            &mut self.observations[lane * dim..][..dim],
-        )?;
+        self.add_term_noise(lane);
         Ok(())
+    }
+}
+
+impl VecEnv {
+    /// Noise of single observation terms, on what is newest of each.
+    fn add_term_noise(&mut self, lane: usize) {
+        if !self.task.noise.enabled {
+            return;
+        }
+        let dim = self.layout.dim();
+        let out = &mut self.observations[lane * dim..][..dim];
+        let stream = &mut self.lanes[lane].sensor_stream;
+        let terms = self.task.observation.term.iter().zip(self.layout.slices());
+        for (term, slice) in terms.filter(|(term, _)| term.noise_std > 0.0) {
+            let newest = &mut out[slice.start..][..slice.width()];
+            stream.add_bell_noise(newest, term.noise_std);
+        }
     }
 }
 
@@ -418,6 +462,7 @@ fn reward_input<'a>(
         phase_rad: lane.phases_rad(),
         off_course_rad: lane.command.off_course_rad(truth.heading_rad),
         com_vel_mps: truth.com_vel_mps,
+        com_height_m: truth.com_height_m,
         yaw_rate_radps: truth.yaw_rate_radps,
         gyro_radps: truth.gyro_radps,
         gravity: truth.gravity,

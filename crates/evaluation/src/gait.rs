@@ -11,8 +11,6 @@ use crate::trace::{Frame, Trace};
 const GRAVITY_MPS2: f64 = 9.81;
 /// Slowest stride that is looked for, Hz.
 const SLOWEST_STRIDE_HZ: f64 = 0.3;
-/// Joint power above this is vibration, not walking, Hz.
-pub const VIBRATION_HZ: f64 = 6.0;
 /// Shortest trace that can be measured, s: two strides at 1.25 Hz.
 pub const SHORTEST_S: f64 = 1.6;
 
@@ -29,6 +27,8 @@ pub struct Measure {
     pub mass_kg: f64,
     /// Which of its joints move a leg, policy order.
     pub in_leg: PerJoint<bool>,
+    /// Joint power above this is vibration, not walking, Hz.
+    pub vibration_hz: f64,
     /// What its servos can give.
     pub envelope: Envelope,
 }
@@ -38,6 +38,8 @@ pub struct Measure {
 pub struct Gait {
     /// Mean velocity of the whole body, heading frame, m/s.
     pub velocity_mps: [f64; 2],
+    /// Forward velocity over the commanded one; 1 where none is commanded.
+    pub speed_share: f64,
     /// Mean yaw rate, rad/s.
     pub yaw_rate_radps: f64,
     /// Root mean square of velocity x, y (m/s) and yaw rate (rad/s), each averaged over whole strides, minus
@@ -62,7 +64,7 @@ pub struct Gait {
     pub power_w: f64,
     /// Power over weight times speed along the way, 1; infinite where it stands.
     pub cost_of_transport: f64,
-    /// Share of the mechanical power of the joints at frequencies above [`VIBRATION_HZ`].
+    /// Share of the mechanical power of the joints at frequencies above [`Measure::vibration_hz`].
     pub vibration_share: f64,
     /// Largest torque of any motor, N·m.
     pub torque_peak_nm: f64,
@@ -94,6 +96,10 @@ impl Gait {
         let along = velocity_mps[0].hypot(velocity_mps[1]);
         Some(Self {
             velocity_mps,
+            speed_share: match mean(frames, |f| f64::from(f.command[0])) {
+                0.0 => 1.0,
+                commanded => velocity_mps[0] / commanded,
+            },
             yaw_rate_radps: mean(frames, |f| f64::from(f.yaw_rate_radps)),
             tracking_rmse: tracking_rmse(frames, stride_frames(trace)),
             drift_mps: way_m(frames) / (trace.period_s * (frames.len() - 1) as f64),
@@ -110,7 +116,7 @@ impl Gait {
             power_w,
             cost_of_transport: power_w
                 / (measure.mass_kg * GRAVITY_MPS2 * along.min(mean(frames, speed))),
-            vibration_share: vibration_share(frames, trace.period_s),
+            vibration_share: vibration_share(frames, trace.period_s, measure.vibration_hz),
             torque_peak_nm: peak(frames, |f| &f.torque_nm),
             torque_rms_nm: mean(frames, |f| mean_square(&f.torque_nm)).sqrt(),
             servo_limit_share: mean(frames, |f| at_limit(f, &measure.envelope)),
@@ -226,8 +232,8 @@ fn slip_mps(frames: &[Frame], measure: &Measure) -> f64 {
     sum / f64::from(n.max(1))
 }
 
-/// The share of joint power above [`VIBRATION_HZ`], from Welch's cross-spectrum P of speed and torque of each
-/// joint, in segments of 2 s: Σ_joints Σ_fast bands │Σ_band P│ over the same plus Σ_joints Σ_slow bins │P│.
+/// The share of joint power above [`Measure::vibration_hz`], from Welch's cross-spectrum P of speed and
+/// torque of each joint, in segments of 2 s: Σ_joints Σ_fast bands │Σ_band P│ over the same plus Σ_joints Σ_slow bins │P│.
 ///
 /// Below the limit a joint may drive at one harmonic of its stride and be driven at another; both are work,
 /// so each bin counts by itself. Above it the sign is kept within each of two bands: speed and torque that
@@ -236,9 +242,8 @@ fn slip_mps(frames: &[Frame], measure: &Measure) -> f64 {
 ///
 /// Speeds are means over each step, as torques are: the speed at the end of a step would fold motion faster
 /// than half the control rate (a foot that touches down) into the bins that are looked at.
-fn vibration_share(frames: &[Frame], period_s: f64) -> f64 {
+fn vibration_share(frames: &[Frame], period_s: f64, vibration_hz: f64) -> f64 {
     const SEGMENT_S: f64 = 2.0;
-    const SECOND_BAND_HZ: f64 = 2.0 * VIBRATION_HZ;
     let welch = Welch::new(frames.len() - 1, 1.0 / period_s, SEGMENT_S);
     let (mut above, mut all) = (0.0, 0.0);
     for joint in 0..frames[0].joint_pos_rad.len() {
@@ -254,8 +259,8 @@ fn vibration_share(frames: &[Frame], period_s: f64) -> f64 {
         let mut bands = [0.0; 2];
         for (k, power) in welch.in_phase(&speeds, &torques).into_iter().enumerate() {
             match welch.frequency_hz(k) {
-                hz if hz > SECOND_BAND_HZ => bands[1] += power,
-                hz if hz > VIBRATION_HZ => bands[0] += power,
+                hz if hz > 2.0 * vibration_hz => bands[1] += power,
+                hz if hz > vibration_hz => bands[0] += power,
                 _ => all += power.abs(),
             }
         }
@@ -289,6 +294,7 @@ pub(crate) mod tests {
             trunk_force_n: 1.0,
             mass_kg: 2.6,
             in_leg: IN_LEG.into(),
+            vibration_hz: 6.0,
             envelope: W210,
         }
     }

@@ -3,42 +3,10 @@
 
 use std::borrow::Cow;
 
+pub use caudata_config::GatesConfig as Limits;
 use serde::{Deserialize, Serialize};
 
 use crate::gait::Gait;
-
-/// The limits. Defaults are the project's.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
-    /// Largest |stride frequency / clock − 1|.
-    pub stride_off_clock: f64,
-    /// Smallest and largest duty factor of each foot.
-    pub duty_factor: [f64; 2],
-    /// Largest mean power, W.
-    pub power_w: f64,
-    /// Largest share of time with the trunk on the ground; not looked at on rough ground.
-    pub trunk_contact_share: Option<f64>,
-    /// Largest slip of a foot in stance, m/s.
-    pub slip_mps: f64,
-    /// Smallest height that every foot reaches, m.
-    pub clearance_m: f64,
-    /// Largest share of joint power above [`crate::gait::VIBRATION_HZ`].
-    pub vibration_share: f64,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            stride_off_clock: 0.15,
-            duty_factor: [0.4, 0.7],
-            power_w: 12.0,
-            trunk_contact_share: Some(0.01),
-            slip_mps: 0.06,
-            clearance_m: 0.03,
-            vibration_share: 0.05,
-        }
-    }
-}
 
 /// One gate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -65,65 +33,34 @@ pub struct GateReport {
 }
 
 impl GateReport {
-    /// Judges the episodes of one scenario.
+    /// Judges the episodes of one scenario. `flat`: on ground on which a trunk that touches it is a fault.
     #[must_use]
-    pub fn of(gaits: &[Gait], limits: &Limits) -> Self {
-        if gaits.is_empty() {
+    pub fn of(gaits: &[Gait], limits: &Limits, flat: bool) -> Self {
+        let Some(first) = gaits.first() else {
             return Self::default();
-        }
+        };
         let mean = |value: &dyn Fn(&Gait) -> f64| {
             gaits.iter().map(value).sum::<f64>() / gaits.len() as f64
         };
-        let feet = gaits[0].duty_factor.len();
-        let clearance = (0..feet).map(|foot| mean(&|g| g.clearance_m[foot]));
-        let feet: Vec<f64> = (0..feet)
-            .map(|foot| mean(&|g| g.duty_factor[foot]))
-            .collect();
-        let off_clock = mean(&|g| (g.stride_hz / g.clock_hz - 1.0).abs());
-        let lowest = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
-        let highest = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let mut gates = vec![
-            gate(
-                "stride frequency off the clock",
-                off_clock,
-                None,
-                Some(limits.stride_off_clock),
-            ),
-            gate(
-                "duty factor, least",
-                lowest(&feet),
-                Some(limits.duty_factor[0]),
-                None,
-            ),
-            gate(
-                "duty factor, most",
-                highest(&feet),
-                None,
-                Some(limits.duty_factor[1]),
-            ),
-            gate("power, W", mean(&|g| g.power_w), None, Some(limits.power_w)),
-            gate(
-                "stance slip, m/s",
-                mean(&|g| g.slip_mps),
-                None,
-                Some(limits.slip_mps),
-            ),
-            gate(
-                "clearance, m",
-                lowest(&clearance.collect::<Vec<_>>()),
-                Some(limits.clearance_m),
-                None,
-            ),
-            gate(
-                "joint power above 6 Hz",
-                mean(&|g| g.vibration_share),
-                None,
-                Some(limits.vibration_share),
-            ),
-        ];
-        if let Some(most) = limits.trunk_contact_share {
+        let mut gates = Vec::new();
+        if limits.speed_share > 0.0 {
+            let share = mean(&|g| g.speed_share);
+            gates.push(gate("share of the commanded speed", share, Some(limits.speed_share), None));
+        }
+        if first.duty_factor.len() > 0 {
+            gates.extend(of_feet(&mean, first.duty_factor.len(), first.clock_hz > 0.0, limits));
+        }
+        gates.push(gate("power, W", mean(&|g| g.power_w), None, Some(limits.power_w)));
+        gates.push(gate(
+            format!("joint power above {} Hz", limits.vibration_hz),
+            mean(&|g| g.vibration_share),
+            None,
+            Some(limits.vibration_share),
+        ));
+        if flat && first.duty_factor.len() > 0 {
             let share = mean(&|g| g.trunk_contact_share);
-            gates.push(gate("trunk on the ground", share, None, Some(most)));
+            let most = Some(limits.trunk_contact_share);
+            gates.push(gate("trunk on the ground", share, None, most));
         }
         Self {
             walks: gates.iter().all(|g| g.met),
@@ -142,7 +79,41 @@ impl GateReport {
     }
 }
 
-fn gate(name: &'static str, value: f64, at_least: Option<f64>, at_most: Option<f64>) -> Gate {
+/// The gates of a robot with so many feet, the worst foot deciding.
+fn of_feet(
+    mean: &dyn Fn(&dyn Fn(&Gait) -> f64) -> f64,
+    feet: usize,
+    clock: bool,
+    limits: &Limits,
+) -> Vec<Gate> {
+    let each = |value: &dyn Fn(&Gait, usize) -> f64| {
+        let values = (0..feet).map(|foot| mean(&|g| value(g, foot)));
+        values.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], v| [lo.min(v), hi.max(v)])
+    };
+    let duty = each(&|g, foot| g.duty_factor[foot]);
+    let clearance = each(&|g, foot| g.clearance_m[foot]);
+    let [least, most] = limits.duty_factor;
+    let mut gates = Vec::new();
+    if clock {
+        let off = mean(&|g| (g.stride_hz / g.clock_hz - 1.0).abs());
+        let most = Some(limits.stride_off_clock);
+        gates.push(gate("stride frequency off the clock", off, None, most));
+    }
+    gates.extend([
+        gate("duty factor, least", duty[0], Some(least), None),
+        gate("duty factor, most", duty[1], None, Some(most)),
+        gate("stance slip, m/s", mean(&|g| g.slip_mps), None, Some(limits.slip_mps)),
+        gate("clearance, m", clearance[0], Some(limits.clearance_m), None),
+    ]);
+    gates
+}
+
+fn gate(
+    name: impl Into<Cow<'static, str>>,
+    value: f64,
+    at_least: Option<f64>,
+    at_most: Option<f64>,
+) -> Gate {
     let met =
         at_least.is_none_or(|least| value >= least) && at_most.is_none_or(|most| value <= most);
     Gate {
@@ -161,7 +132,7 @@ mod tests {
 
     fn judged(stride_hz: f64, shake: f64) -> GateReport {
         let gait = Gait::of(&trot(stride_hz, shake), &measure()).unwrap();
-        GateReport::of(&[gait], &Limits::default())
+        GateReport::of(&[gait], &Limits::default(), true)
     }
 
     #[test]
@@ -194,12 +165,12 @@ mod tests {
         for (name, change) in spoil {
             let mut gait = good.clone();
             change(&mut gait);
-            assert_eq!(GateReport::of(&[gait], &Limits::default()).missed(), [name]);
+            assert_eq!(GateReport::of(&[gait], &Limits::default(), true).missed(), [name]);
         }
     }
 
     #[test]
     fn nothing_measured_is_not_walking() {
-        assert!(!GateReport::of(&[], &Limits::default()).walks);
+        assert!(!GateReport::of(&[], &Limits::default(), true).walks);
     }
 }

@@ -36,7 +36,7 @@ pub use gates::{Gate, GateReport, Limits};
 pub use result::{Referee, Row, ScenarioResult, SuiteResult};
 pub use run::{Outcome, Settings, run_scenario};
 pub use scenario::{Corner, Goal, Leg, Order, Scenario, Start};
-pub use suite::Suite;
+pub use suite::{Suite, flat_name};
 pub use summary::{Summary, SummaryError, summary_path};
 pub use trace::{Film, Frame, RobotPose, Trace, Track};
 pub use transition::TransitionResult;

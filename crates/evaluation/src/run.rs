@@ -34,8 +34,6 @@ pub struct Settings {
     pub seed: u64,
     /// Whether to keep what reports show: velocities of every episode, everything of one.
     pub film: bool,
-    /// What counts as walking.
-    pub limits: Limits,
 }
 
 impl Default for Settings {
@@ -46,7 +44,6 @@ impl Default for Settings {
             settle_s: 2.0,
             seed: 1,
             film: false,
-            limits: Limits::default(),
         }
     }
 }
@@ -93,6 +90,7 @@ pub fn run_scenario(
         trunk_force_n: f64::from(config.task.reward.contact_force_n),
         mass_kg: model.total_mass_kg(),
         in_leg: BodyPlan::from_model(model).in_leg,
+        vibration_hz: config.evaluation.gates.vibration_hz,
         envelope: Envelope::of(model),
     };
     let run = |block: Block| -> Result<Round, EvaluationError> {
@@ -128,7 +126,7 @@ pub fn run_scenario(
     }
     let gates = scenario
         .judged
-        .then(|| judge(&measured, scenario, &settings.limits));
+        .then(|| judge(&measured, scenario, &config.evaluation.gates));
     let mut result = ScenarioResult::of(&scenario.name, model.feet().len(), &measured, gates);
     let passages: Vec<_> = measured.iter().filter_map(|e| e.passage).collect();
     result.transition = shore.map(|_| TransitionResult::of(&passages));
@@ -145,12 +143,8 @@ pub fn run_scenario(
 }
 
 fn judge(episodes: &[Episode], scenario: &Scenario, limits: &Limits) -> GateReport {
-    let mut limits = *limits;
-    if !scenario.is_flat() {
-        limits.trunk_contact_share = None;
-    }
     let gaits: Vec<_> = episodes.iter().filter_map(|e| e.gait.clone()).collect();
-    GateReport::of(&gaits, &limits)
+    GateReport::of(&gaits, limits, scenario.is_flat())
 }
 
 /// The training configuration under the scenario's conditions.

@@ -80,16 +80,17 @@ impl Suite {
         }
     }
 
-    /// Its scenarios. `mass_kg`: of the robot, since pushes are given as a change of speed.
+    /// Its scenarios. `mass_kg`: of the robot, since pushes are given as a change of speed. `speed_mps`: what
+    /// it is judged at; all velocities are as many times those named here as it is of the paper's 0.3 m/s.
     #[must_use]
-    pub fn scenarios(self, mass_kg: f64) -> Vec<Scenario> {
+    pub fn scenarios(self, mass_kg: f64, speed_mps: f32) -> Vec<Scenario> {
         match self {
-            Self::Flat => flat(),
-            Self::Rough => rough(),
-            Self::Omni => vec![omni()],
-            Self::Push => vec![push(mass_kg)],
-            Self::Robust => robust(),
-            Self::Transition => transition(),
+            Self::Flat => flat(speed_mps),
+            Self::Rough => rough(speed_mps),
+            Self::Omni => vec![omni(speed_mps)],
+            Self::Push => vec![push(mass_kg, speed_mps)],
+            Self::Robust => robust(speed_mps),
+            Self::Transition => transition(speed_mps),
             Self::Paper => [
                 Self::Flat,
                 Self::Rough,
@@ -98,42 +99,61 @@ impl Suite {
                 Self::Robust,
             ]
             .into_iter()
-            .flat_map(|suite| suite.scenarios(mass_kg))
+            .flat_map(|suite| suite.scenarios(mass_kg, speed_mps))
             .collect(),
             Self::Acceptance => {
-                let mut all = Self::Paper.scenarios(mass_kg);
-                all.extend(transition());
+                let mut all = Self::Paper.scenarios(mass_kg, speed_mps);
+                all.extend(transition(speed_mps));
                 all
             }
         }
     }
 }
 
-fn flat() -> Vec<Scenario> {
+/// Name of the walk straight ahead on flat ground at `speed_mps`.
+#[must_use]
+pub fn flat_name(speed_mps: f32) -> String {
+    match (speed_mps * 10.0).fract() == 0.0 || speed_mps == PAPER_COMMAND_MPS {
+        true => format!("flat {speed_mps:.1} m/s"),
+        false => format!("flat {speed_mps:.2} m/s"),
+    }
+}
+
+/// How many times the paper's speed `speed_mps` is: exactly 1 for 0.3 m/s.
+fn times(speed_mps: f32) -> f32 {
+    speed_mps / PAPER_COMMAND_MPS
+}
+
+fn flat(speed_mps: f32) -> Vec<Scenario> {
     let mut all = vec![
-        Scenario::walk(FLAT, [PAPER_COMMAND_MPS, 0.0, 0.0]),
+        Scenario::walk(&flat_name(speed_mps), [speed_mps, 0.0, 0.0]),
         Scenario {
             judged: false,
             ..Scenario::walk(STAND, [0.0; 3])
         },
     ];
     for command in [0.4_f32, 0.5, 0.6, 0.7, 0.8] {
-        let name = format!("flat {command:.1} m/s");
+        let command = command * times(speed_mps);
+        let name = match speed_mps == PAPER_COMMAND_MPS {
+            true => format!("flat {command:.1} m/s"),
+            false => format!("flat {command:.3} m/s"),
+        };
         all.push(Scenario::walk(&name, [command, 0.0, 0.0]));
     }
-    all.push(changing());
+    all.push(changing(speed_mps));
     all
 }
 
 /// Commands that change every 4 s, within what the paper's robot was asked for.
-fn changing() -> Scenario {
+fn changing(speed_mps: f32) -> Scenario {
     let commands = [
         [0.3, 0.0, 0.0],
         [0.3, 0.0, 0.3],
         [0.15, 0.0, -0.3],
         [0.2, 0.05, 0.0],
         [0.0, 0.0, 0.0],
-    ];
+    ]
+    .map(|[vx, vy, yaw_rate]| [vx * times(speed_mps), vy * times(speed_mps), yaw_rate]);
     let leg = |(i, command)| Leg {
         from_s: 4.0 * i as f64,
         order: Order::Command(command),
@@ -145,14 +165,14 @@ fn changing() -> Scenario {
     }
 }
 
-fn rough() -> Vec<Scenario> {
+fn rough(speed_mps: f32) -> Vec<Scenario> {
     let grade = |name: &str, kind| Scenario {
         terrain: TerrainConfig {
             size_m: ROUGH_SIZE_M,
             ..TerrainConfig::of(kind)
         },
         spawn_half_extent_m: SPAWN_HALF_EXTENT_M,
-        ..Scenario::walk(name, [PAPER_COMMAND_MPS, 0.0, 0.0])
+        ..Scenario::walk(name, [speed_mps, 0.0, 0.0])
     };
     vec![
         grade(ROUGH[0], TerrainKind::RoughEasy),
@@ -161,12 +181,12 @@ fn rough() -> Vec<Scenario> {
     ]
 }
 
-fn omni() -> Scenario {
+fn omni(speed_mps: f32) -> Scenario {
     let mut commands = Vec::new();
     for vx in [-0.25, -0.125, 0.0, 0.125, 0.25] {
         for vy in [-0.12, 0.0, 0.12] {
             for yaw_rate in [-0.6, -0.3, 0.0, 0.3, 0.6] {
-                commands.push([vx, vy, yaw_rate]);
+                commands.push([vx * times(speed_mps), vy * times(speed_mps), yaw_rate]);
             }
         }
     }
@@ -180,7 +200,7 @@ fn omni() -> Scenario {
     }
 }
 
-fn push(mass_kg: f64) -> Scenario {
+fn push(mass_kg: f64, speed_mps: f32) -> Scenario {
     const SPEED_MPS: f64 = 0.5;
     const DURATION_S: f32 = 0.2;
     let force_n = (mass_kg * SPEED_MPS) as f32 / DURATION_S;
@@ -193,11 +213,11 @@ fn push(mass_kg: f64) -> Scenario {
             full_after_env_steps: 0,
         }),
         judged: false,
-        ..Scenario::walk(PUSH, [PAPER_COMMAND_MPS, 0.0, 0.0])
+        ..Scenario::walk(PUSH, [speed_mps, 0.0, 0.0])
     }
 }
 
-fn robust() -> Vec<Scenario> {
+fn robust(speed_mps: f32) -> Vec<Scenario> {
     let nominal = Corner::nominal();
     let corners = [
         (NOMINAL, nominal),
@@ -242,7 +262,7 @@ fn robust() -> Vec<Scenario> {
     let scenario = |(name, corner)| Scenario {
         corner,
         film: (name == WORST_CORNER).then_some(0),
-        ..Scenario::walk(name, [PAPER_COMMAND_MPS, 0.0, 0.0])
+        ..Scenario::walk(name, [speed_mps, 0.0, 0.0])
     };
     corners.map(scenario).into()
 }
@@ -256,12 +276,12 @@ const STEEP_BEACH_DEG: f64 = 15.0;
 /// legs, touches before they can.
 const GENTLE_BEACH_DEG: f64 = 10.0;
 
-fn transition() -> Vec<Scenario> {
+fn transition(speed_mps: f32) -> Vec<Scenario> {
     let beach = |slope_deg| TerrainConfig {
         slope_deg,
         ..TerrainConfig::of(TerrainKind::Shore)
     };
-    let ahead = [PAPER_COMMAND_MPS, 0.0, 0.0];
+    let ahead = [speed_mps, 0.0, 0.0];
     let shore = |name: &str, xy_m, yaw_rad, goal| Scenario {
         terrain: beach(STEEP_BEACH_DEG),
         start: Start {
@@ -317,7 +337,7 @@ mod tests {
 
     #[test]
     fn names_are_unique_and_configurations_valid() {
-        let all = Suite::Acceptance.scenarios(2.596);
+        let all = Suite::Acceptance.scenarios(2.596, PAPER_COMMAND_MPS);
         let mut names: Vec<&str> = all.iter().map(|s| s.name.as_str()).collect();
         names.sort_unstable();
         names.dedup();
@@ -332,21 +352,33 @@ mod tests {
     }
 
     #[test]
+    fn other_robots_are_asked_for_other_speeds() {
+        let all = Suite::Paper.scenarios(12.0, 0.6);
+        assert_eq!(all[0].name, "flat 0.6 m/s");
+        assert_eq!(all[0].commands, [[0.6, 0.0, 0.0]]);
+        let names: std::collections::BTreeSet<_> = all.iter().map(|s| &s.name).collect();
+        assert_eq!(names.len(), all.len());
+        let biped = Suite::Flat.scenarios(0.8, 0.15);
+        assert_eq!((biped[0].name.as_str(), biped[2].name.as_str()), ("flat 0.15 m/s", "flat 0.200 m/s"));
+        assert_eq!(flat_name(PAPER_COMMAND_MPS), FLAT);
+    }
+
+    #[test]
     fn the_filmed_command_walks_and_turns() {
-        let omni = omni();
+        let omni = omni(PAPER_COMMAND_MPS);
         assert_eq!(omni.commands[omni.film.unwrap()], [0.25, 0.0, 0.6]);
     }
 
     #[test]
     fn a_push_changes_the_speed_by_half_a_metre_per_second() {
         // 2.6 kg · 0.5 m/s / 0.2 s = 6.5 N
-        let push = push(2.6).push.unwrap();
+        let push = push(2.6, PAPER_COMMAND_MPS).push.unwrap();
         assert!((push.force_n[0] - 6.5).abs() < 1e-5);
     }
 
     #[test]
     fn the_grid_covers_every_combination_once() {
-        let commands = omni().commands;
+        let commands = omni(PAPER_COMMAND_MPS).commands;
         assert_eq!(commands.len(), 5 * 3 * 5);
         assert!(commands.contains(&[-0.25, 0.12, 0.6]));
     }

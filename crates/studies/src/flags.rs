@@ -52,17 +52,19 @@ pub fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// The flags as given, else this preset.
+/// The flags as given, else this preset, or for another robot the one that is made for it.
 #[must_use]
 pub fn or_preset(flags: &ConfigArgs, preset: &str) -> ConfigArgs {
-    let mut flags = flags.clone();
-    if flags.preset.is_none() && flags.config.is_none() {
-        flags.preset = Some(preset.into());
+    let mut source = flags.source();
+    source.or_preset(preset);
+    ConfigArgs {
+        preset: source.preset,
+        ..flags.clone()
     }
-    flags
 }
 
-/// The flags as given, else the configuration that lies beside a policy, else this preset.
+/// The flags as given, else the configuration that lies beside a policy, else the preset as
+/// [`or_preset`].
 #[must_use]
 pub fn or_beside(flags: &ConfigArgs, policy: &Path, preset: &str) -> ConfigArgs {
     let mut flags = flags.clone();

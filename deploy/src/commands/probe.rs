@@ -58,7 +58,7 @@ pub fn run(args: &ProbeArgs) -> Result<(), DeployError> {
         VerifyError::Refused(refusal) => refuse(refusal),
     })?;
     let obs = verified.file.spec().obs_mean.clone();
-    let mut actions = [0.0; caudata_task::ACT_DIM];
+    let mut actions = vec![0.0; verified.file.metadata().contract.act_dim()];
     let mut took = Vec::with_capacity(TIMED_RUNS);
     for _ in 0..TIMED_RUNS {
         let begun = Instant::now();

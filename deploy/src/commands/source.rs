@@ -241,7 +241,7 @@ pub(super) fn load_model(path: &Path) -> Result<Arc<RobotModel>, DeployError> {
         source,
     })?;
     // Refuses a robot that the task cannot drive, before anything is fetched.
-    caudata_task::JointTable::for_runtime(&model).map_err(|source| DeployError::Task {
+    caudata_task::JointTable::from_model(&model).map_err(|source| DeployError::Task {
         path: path.to_owned(),
         source,
     })?;

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use caudata_hardware::wiring::Limits;
-use caudata_task::{ACT_DIM, COMMAND_DIM};
+use caudata_task::COMMAND_DIM;
 
 use crate::DeployError;
 use crate::bus::{GroundTruth, Health, ImuReading, Robot, ServoReadings};
@@ -136,7 +136,7 @@ impl Counts {
 pub(super) fn mean_speed(servos: &ServoReadings) -> f32 {
     let sum: f32 = servos.vel_radps.iter().map(|v| v.abs()).sum();
     match sum.is_finite() {
-        true => sum / ACT_DIM as f32,
+        true => sum / servos.vel_radps.len().max(1) as f32,
         false => f32::INFINITY,
     }
 }

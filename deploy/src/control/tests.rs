@@ -40,9 +40,9 @@ enum Blind {
 
 /// Servos that are where they were sent, and what happens to them.
 struct FakeRobot {
-    pos_rad: [f32; ACT_DIM],
-    vel_radps: [f32; ACT_DIM],
-    sent: Vec<[f32; ACT_DIM]>,
+    pos_rad: PerJoint,
+    vel_radps: PerJoint,
+    sent: Vec<PerJoint>,
     torque_off: u32,
     /// From this command on velocities are not finite.
     broken_from: usize,
@@ -59,8 +59,8 @@ struct FakeRobot {
 impl FakeRobot {
     fn new() -> Self {
         Self {
-            pos_rad: [0.05; ACT_DIM],
-            vel_radps: [0.0; ACT_DIM],
+            pos_rad: PerJoint::filled(16, 0.05),
+            vel_radps: PerJoint::filled(16, 0.0),
             sent: Vec::new(),
             torque_off: 0,
             broken_from: usize::MAX,
@@ -83,16 +83,16 @@ impl ServoBus for FakeRobot {
             time_s: 0.02 * self.sent.len() as f64,
             pos_rad: self.pos_rad,
             vel_radps: match broken {
-                true => [f32::NAN; ACT_DIM],
+                true => PerJoint::filled(16, f32::NAN),
                 false => self.vel_radps,
             },
-            current_a: [0.0; ACT_DIM],
+            current_a: PerJoint::filled(16, 0.0),
             supply_v: 12.0,
         })
     }
 
-    fn write(&mut self, targets_rad: &[f32; ACT_DIM]) -> Result<(), BusError> {
-        self.vel_radps = std::array::from_fn(|i| (targets_rad[i] - self.pos_rad[i]) / 0.02);
+    fn write(&mut self, targets_rad: &PerJoint) -> Result<(), BusError> {
+        self.vel_radps = PerJoint::from_fn(16, |i| (targets_rad[i] - self.pos_rad[i]) / 0.02);
         self.pos_rad = *targets_rad;
         self.sent.push(*targets_rad);
         Ok(())
@@ -492,7 +492,7 @@ impl CommandLink for FakeLink {
     }
 }
 
-fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<[f32; ACT_DIM]>, f64) {
+fn linked(link: FakeLink, walk_s: f64) -> (Result<Ended, DeployError>, Vec<PerJoint>, f64) {
     let mut robot = FakeRobot::new();
     let clock = FakeClock::default();
     let plan = RunPlan {
@@ -606,7 +606,7 @@ fn a_second_signal_lets_go_within_a_tick_wherever_the_robot_is() {
         fn read(&mut self, deadline: Duration) -> Result<ServoReadings, BusError> {
             self.inner.read(deadline)
         }
-        fn write(&mut self, targets: &[f32; ACT_DIM]) -> Result<(), BusError> {
+        fn write(&mut self, targets: &PerJoint) -> Result<(), BusError> {
             self.inner.write(targets)?;
             for (at, flag) in self.at.iter().zip([&self.stop, &self.insisted]) {
                 if self.inner.sent.len() == *at {
@@ -722,11 +722,11 @@ fn swapped(commands: &str, after: usize, swap_wait: Option<Duration>) -> (Option
             let mut readings = self.inner.read(deadline)?;
             // The joints move as fast as they were sent.
             if let [.., before, last] = self.inner.sent.as_slice() {
-                readings.vel_radps = std::array::from_fn(|i| (last[i] - before[i]) / 0.02);
+                readings.vel_radps = PerJoint::from_fn(16, |i| (last[i] - before[i]) / 0.02);
             }
             Ok(readings)
         }
-        fn write(&mut self, targets: &[f32; ACT_DIM]) -> Result<(), BusError> {
+        fn write(&mut self, targets: &PerJoint) -> Result<(), BusError> {
             self.inner.write(targets)
         }
         fn torque_off(&mut self) -> Result<(), BusError> {

@@ -1,6 +1,6 @@
 //! The trial of a policy: what it must show on this robot before it is trusted.
 
-use caudata_task::{ACT_DIM, COMMAND_DIM};
+use caudata_task::{COMMAND_DIM, PerJoint};
 
 use super::ControlLoop;
 use super::plan::{Sensed, mean_speed};
@@ -35,7 +35,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
     pub(super) fn judge_trial(
         &mut self,
         sensed: &Sensed,
-        targets: &[f32; ACT_DIM],
+        targets: &PerJoint,
         command: &[f32; COMMAND_DIM],
     ) {
         let ticks = self.gate.watch_limits(targets);

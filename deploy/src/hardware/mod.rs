@@ -1,8 +1,8 @@
-//! The robot itself: sixteen Dynamixel servos on a serial bus, and an IMU on I²C, behind the traits of
+//! The robot itself: Dynamixel servos on a serial bus, and an IMU on I²C, behind the traits of
 //! [`crate::bus`].
 //!
 //! A tick reads all servos in one question, then looks after one servo in turn (torque, alert, watchdog; or
-//! supply and heat), so that each is looked at within 0.64 s. Goals of all servos go out in one write.
+//! supply and heat), so that each of sixteen is looked at within 0.64 s. Goals of all servos go out in one write.
 //! Nothing here allocates in a tick.
 
 pub mod inspect;
@@ -17,7 +17,8 @@ use caudata_dynamixel::units::{
 use caudata_dynamixel::xm430::{self, Register};
 use caudata_dynamixel::{Answer, Bus, BusCounts, BusFault, GroupRead, GroupWrite, Port, let_go};
 use caudata_hardware::{I2c, ImuChip, ImuSample, JointWiring, Wiring};
-use caudata_task::ACT_DIM;
+use caudata_task::PerJoint;
+use caudata_task::row::MAX_JOINTS;
 pub use open::{PortOverrides, open_bus, open_bus_anyway, open_imu, read_wiring};
 
 use crate::DeployError;
@@ -52,9 +53,9 @@ pub struct HardwareRobot<P, B> {
     goal_period_s: Option<f64>,
     goals_sent: u64,
     newest: ServoReadings,
-    silent: [u32; ACT_DIM],
+    silent: PerJoint<u32>,
     all_silent: u32,
-    temperatures_c: [u8; ACT_DIM],
+    temperatures_c: PerJoint<u8>,
     turn: usize,
     health: Health,
     sample: Option<ImuSample>,
@@ -64,7 +65,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
     /// Takes over a bus and an IMU that [`inspect`] found in order. Nothing moves yet.
     ///
     /// # Errors
-    /// [`DeployError::Internal`] where there are other than 16 joints, [`DeployError::Bus`] where the first
+    /// [`DeployError::Internal`] where there is no joint, or more than a policy has, [`DeployError::Bus`] where the first
     /// does not answer.
     pub fn new(
         mut bus: Bus<P>,
@@ -72,11 +73,9 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
         wiring: &Wiring,
         joints: Vec<JointWiring>,
     ) -> Result<Self, DeployError> {
-        if joints.len() != ACT_DIM {
-            let what = format!(
-                "{} joints are wired, the policy has {ACT_DIM}",
-                joints.len()
-            );
+        let count = joints.len();
+        if !(1..=MAX_JOINTS).contains(&count) {
+            let what = format!("{count} joints are wired, a policy has 1 to {MAX_JOINTS}");
             return Err(DeployError::Internal { what });
         }
         let water = match &wiring.water {
@@ -109,14 +108,14 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             goals_sent: 0,
             newest: ServoReadings {
                 time_s: 0.0,
-                pos_rad: [0.0; ACT_DIM],
-                vel_radps: [0.0; ACT_DIM],
-                current_a: [0.0; ACT_DIM],
+                pos_rad: PerJoint::filled(count, 0.0),
+                vel_radps: PerJoint::filled(count, 0.0),
+                current_a: PerJoint::filled(count, 0.0),
                 supply_v: (VOLTAGE_LSB_V * f64::from(volts)) as f32,
             },
-            silent: [0; ACT_DIM],
+            silent: PerJoint::filled(count, 0),
             all_silent: 0,
-            temperatures_c: [0; ACT_DIM],
+            temperatures_c: PerJoint::filled(count, 0),
             turn: 0,
             health: Health::default(),
             sample: None,
@@ -151,7 +150,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
             _ => &self.plain,
         };
         let (mut missing, mut alert) = (0, None);
-        for joint in 0..ACT_DIM {
+        for joint in 0..self.ids.len() {
             let block = group.data(joint);
             let value = |r: &Register| r.value_in(block, xm430::TICK_ADDRESS).unwrap_or_default();
             let Answer::Data(error) = group.answer(joint) else {
@@ -178,7 +177,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
     fn care(&mut self, alert: Option<usize>, deadline: Duration) -> Result<(), BusError> {
         let supply = self.turn % 2 == 1 && alert.is_none();
         let joint = alert.unwrap_or(self.turn / 2);
-        self.turn = (self.turn + 1) % (2 * ACT_DIM);
+        self.turn = (self.turn + 1) % (2 * self.ids.len());
         if supply {
             let mut block = [0; xm430::SUPPLY_BYTES as usize];
             if self.look(joint, xm430::SUPPLY_ADDRESS, &mut block, deadline)? {
@@ -255,7 +254,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
                 .map_err(|e| lost(&e))?;
             let on =
                 |i: &usize| matches!(torque.answer(*i), Answer::Data(_)) && torque.data(*i) == [1];
-            if (0..ACT_DIM).all(|i| on(&i)) {
+            if (0..self.ids.len()).all(|i| on(&i)) {
                 write(
                     &mut self.bus,
                     &self.ids,
@@ -267,7 +266,7 @@ impl<P: Port, B: I2c> HardwareRobot<P, B> {
                 return Ok(());
             }
         }
-        let off = (0..ACT_DIM)
+        let off = (0..self.ids.len())
             .find(|i| torque.data(*i) != [1])
             .unwrap_or_default();
         Err(BusError::Lost {
@@ -297,7 +296,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         self.bus.read_group(group, deadline).map_err(|e| lost(&e))?;
         let (missing, alert) = self.take(fast);
         self.health.silent_ticks = self.silent.iter().copied().max().unwrap_or_default();
-        if missing == ACT_DIM {
+        if missing == self.ids.len() {
             self.all_silent += 1;
             if self.all_silent >= ALL_SILENT_MAX {
                 let reason = format!("no servo answered for {ALL_SILENT_MAX} ticks");
@@ -320,7 +319,7 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         Ok(self.newest)
     }
 
-    fn write(&mut self, targets_rad: &[f32; ACT_DIM]) -> Result<(), BusError> {
+    fn write(&mut self, targets_rad: &PerJoint) -> Result<(), BusError> {
         for (index, (joint, target)) in self.joints.iter().zip(targets_rad).enumerate() {
             self.goals.set(index, joint.counts(f64::from(*target)));
         }

@@ -119,7 +119,7 @@ fn goals_come_before_torque_and_torque_before_the_watchdog() {
         assert_eq!(servo.get(&xm430::BUS_WATCHDOG), 5);
     }
     robot.torque_off().unwrap();
-    assert!((0..ACT_DIM).all(|i| !emulated(&mut robot, i).torque_on()));
+    assert!((0..16).all(|i| !emulated(&mut robot, i).torque_on()));
 }
 
 #[test]
@@ -188,7 +188,7 @@ fn fault_43_a_watchdog_that_fired_is_found_and_goals_are_refused() {
     ticks(&mut robot, 5).unwrap();
     robot.bus_mut().port_mut().wait_us(150_000);
     let goal = emulated(&mut robot, 3).goal();
-    robot.write(&[0.3; ACT_DIM]).unwrap();
+    robot.write(&PerJoint::filled(16, 0.3)).unwrap();
     assert_eq!(emulated(&mut robot, 3).goal(), goal);
     let health = ticks(&mut robot, 2).unwrap();
     assert!(health.watchdog_fired.is_some());
@@ -198,7 +198,7 @@ fn fault_43_a_watchdog_that_fired_is_found_and_goals_are_refused() {
 fn a_bus_that_is_gone_is_lost_after_ten_ticks() {
     let mut robot = robot();
     ticks(&mut robot, 5).unwrap();
-    (0..ACT_DIM).for_each(|i| emulated(&mut robot, i).unplug(true));
+    (0..16).for_each(|i| emulated(&mut robot, i).unplug(true));
     assert!(ticks(&mut robot, 9).is_ok());
     assert!(matches!(ticks(&mut robot, 1), Err(BusError::Lost { .. })));
 }

@@ -9,7 +9,7 @@ use caudata_deploy::verify::verify;
 use caudata_env::VecEnv;
 use caudata_policy::evaluate_mlp;
 use caudata_task::phase::PhaseClock;
-use caudata_task::{ACT_DIM, TaskConfig};
+use caudata_task::{PerJoint, TaskConfig};
 use sha2::{Digest, Sha256};
 
 /// How far two observations may be apart.
@@ -55,9 +55,9 @@ fn the_robot_observes_what_training_observed() {
         let truth = env.truth(0);
         let servos = ServoReadings {
             time_s: 0.02 * f64::from(tick),
-            pos_rad: truth.joint_pos_rad.to_array().unwrap(),
-            vel_radps: truth.joint_vel_radps.to_array().unwrap(),
-            current_a: [0.0; ACT_DIM],
+            pos_rad: truth.joint_pos_rad,
+            vel_radps: truth.joint_vel_radps,
+            current_a: PerJoint::filled(16, 0.0),
             supply_v: 12.0,
         };
         if tick > 0 {
@@ -84,7 +84,7 @@ fn the_robot_observes_what_training_observed() {
                 .iter()
                 .fold(0.0, |m, v| m.max(v.abs())),
         );
-        let mut action = [0.0; ACT_DIM];
+        let mut action = [0.0; 16];
         evaluate_mlp(&spec, seen, 1, &mut action).unwrap();
         let output = env.step(&action).unwrap();
         if output.terminated[0] || output.truncated[0] {

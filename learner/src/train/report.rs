@@ -6,7 +6,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use caudata_task::reward::TERMS;
 use caudata_telemetry::progress::{self, Event, EventWriter};
 use caudata_telemetry::{Advisor, IterationLoad};
 
@@ -35,6 +34,8 @@ pub(super) struct IterationReport<'a> {
     pub iterations: u64,
     pub policy_version: u64,
     pub steps_total: u64,
+    /// Of the reward terms, in the order of all per-term arrays.
+    pub term_names: &'a [String],
     pub batch_steps: usize,
     pub mean_step_reward: f64,
     pub lag_mean: f64,
@@ -174,7 +175,7 @@ impl Reporter {
 
 fn event_of(report: &IterationReport) -> progress::Iteration {
     let stats = report.stats;
-    let terms = TERMS.iter().enumerate();
+    let terms = report.term_names.iter().enumerate();
     progress::Iteration {
         iteration: report.iteration,
         iterations: report.iterations,
@@ -185,7 +186,7 @@ fn event_of(report: &IterationReport) -> progress::Iteration {
         mean_episode_length: report.episodes.mean_steps(),
         mean_step_reward: report.mean_step_reward,
         reward_terms: terms
-            .filter_map(|(i, term)| Some((term.name.to_owned(), report.episodes.mean_term(i)?)))
+            .filter_map(|(i, term)| Some((term.clone(), report.episodes.mean_term(i)?)))
             .collect(),
         lag_mean: report.lag_mean,
         lag_max: report.lag_max,

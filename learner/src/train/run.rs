@@ -58,6 +58,8 @@ impl Progress {
 /// A run with everything in its hands.
 pub(super) struct Run<'a> {
     pub config: &'a Config,
+    /// Names of the reward terms.
+    pub term_names: Vec<String>,
     pub run_dir: PathBuf,
     pub stop: &'a StopFlag,
     pub identity: PolicyIdentity,
@@ -308,6 +310,7 @@ impl Run<'_> {
             iterations: self.config.run.iterations,
             policy_version: progress.version(),
             steps_total: progress.steps_total,
+            term_names: &self.term_names,
             batch_steps: batch.rows,
             mean_step_reward: batch.mean_reward(),
             lag_mean: lags.iter().sum::<u64>() as f64 / lags.len().max(1) as f64,

@@ -101,6 +101,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
         next_incarnations: incarnations.collect(),
     }));
     Run {
+        term_names: config.task.reward.term_names(),
         config,
         run_dir: settings.run_dir,
         stop,

@@ -1,5 +1,7 @@
 //! `[terrain]` of the configuration file.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use crate::SimError;
@@ -67,6 +69,8 @@ kinds! {
     /// The paper's training ground in one field: four squares, flat, `hills`, `rugged` and `valley`, each
     /// ending at 0 at its border.
     Mixed = "mixed",
+    /// Heights from the file `map`, stretched over the whole field.
+    Map = "map",
 }
 
 /// Table `[terrain]`.
@@ -74,7 +78,8 @@ kinds! {
 #[serde(deny_unknown_fields, default)]
 pub struct TerrainConfig {
     /// Shape of the ground: `flat`, `hills`, `rugged`, `rough`, `rough_easy`, `rough_medium`, `rough_hard`,
-    /// `valley`, `slope`, `steps`, `slippery`, `shore`, `deep_water` or `mixed`.
+    /// `valley`, `slope`, `steps`, `slippery`, `shore`, `deep_water`, `mixed` or
+    /// `map`.
     pub kind: TerrainKind,
     /// Edge length of the square height field, m, 4..=100. Default 16: a 20 s episode at 0.3 m/s stays on it.
     /// `mixed` needs about twice that.
@@ -105,6 +110,9 @@ pub struct TerrainConfig {
     /// Height of still water's surface above z = 0, m, 0..=10; any kind can be flooded. Default 0, which is
     /// dry but for `shore` (0.4 m) and `deep_water` (2 m: the robot, 1.1 m long, can dive upright).
     pub water_level_m: f64,
+    /// File of `map`: a square PNG in shades of grey, whose white is `height_m` high, or a square CSV of
+    /// heights in m. Its first row has the largest y. Default empty.
+    pub map: PathBuf,
 }
 
 impl Default for TerrainConfig {
@@ -121,6 +129,7 @@ impl Default for TerrainConfig {
             patch_share: 0.3,
             patch_friction: 0.25,
             water_level_m: 0.0,
+            map: PathBuf::new(),
         }
     }
 }
@@ -154,6 +163,14 @@ impl TerrainConfig {
             ("water_level_m", self.water_level_m, 0.0, 10.0, "must be 0 to 10 m"),
         ];
         check_ranges("terrain", &ranges)?;
+        if self.kind == TerrainKind::Map && self.map.as_os_str().is_empty() {
+            return Err(SimError::Config {
+                table: "terrain",
+                field: "map",
+                value: "\"\"".to_owned(),
+                reason: "must name a .png or .csv file for the kind `map`",
+            });
+        }
         if self.kind == TerrainKind::Shore {
             check_range(
                 "terrain",

@@ -6,6 +6,8 @@ use caudata_random::{Key, Purpose, Stream};
 
 use super::config::{TerrainConfig, TerrainKind};
 use super::grid::HeightGrid;
+use super::map::HeightMap;
+use crate::SimError;
 
 /// Width of the ramp down to 0 at the edge of a height field, m.
 const MARGIN_M: f64 = 1.0;
@@ -22,10 +24,10 @@ pub(super) const BEACH_X_M: f64 = 0.5;
 /// Half the width of a valley's floor, m.
 const VALLEY_FLOOR_HALF_WIDTH_M: f64 = 0.5;
 
-/// The height field of a valid `config`; `None` for kinds without one.
-pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Option<HeightGrid> {
+/// The height field of a valid `config`; `None` for kinds without one. Refuses a map that cannot be read.
+pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Result<Option<HeightGrid>, SimError> {
     if matches!(config.kind, TerrainKind::Flat | TerrainKind::DeepWater) {
-        return None;
+        return Ok(None);
     }
     let mut stream = Stream::new(Key::for_run(seed), Purpose::Terrain);
     let cell_m = config.grid_cell_m();
@@ -54,6 +56,12 @@ pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Option<HeightGrid> {
             plan.each(|_, _| 0.0)
         }
         TerrainKind::Mixed => plan.mixed(config, slope, &mut stream),
+        TerrainKind::Map => {
+            let map = HeightMap::read(&config.map, config.height_m)?;
+            let half = plan.half_m();
+            let share = |at: f64| (at + half) / (2.0 * half);
+            plan.each(|x, y| map.at(share(x), share(y)))
+        }
         TerrainKind::Flat | TerrainKind::Rugged | TerrainKind::DeepWater => plan.each(|_, _| 0.0),
     };
     let rugged = matches!(
@@ -69,12 +77,16 @@ pub(super) fn grid(config: &TerrainConfig, seed: u64) -> Option<HeightGrid> {
             *h += stream.uniform_f64(0.0, roughness_m);
         }
     }
-    // A slope and steps go from edge to edge; everything else ends at 0.
-    if !matches!(config.kind, TerrainKind::Slope | TerrainKind::Steps) {
+    // A slope, steps and a map go from edge to edge; everything else ends at 0.
+    if !matches!(
+        config.kind,
+        TerrainKind::Slope | TerrainKind::Steps | TerrainKind::Map
+    ) {
         plan.lower_margin(&mut heights);
     }
     let heights_m = heights.iter().map(|&h| h as f32).collect();
-    Some(HeightGrid::new(plan.points, cell_m, heights_m, friction))
+    let grid = HeightGrid::new(plan.points, cell_m, heights_m, friction);
+    Ok(Some(grid))
 }
 
 /// Size of the grid to be drawn.

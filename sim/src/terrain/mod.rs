@@ -7,6 +7,7 @@
 mod config;
 mod generate;
 mod grid;
+mod map;
 
 use crate::SimError;
 
@@ -42,7 +43,7 @@ impl Terrain {
     pub fn generate(config: &TerrainConfig, seed: u64) -> Result<Self, SimError> {
         config.validate()?;
         Ok(Self {
-            grid: generate::grid(config, seed),
+            grid: generate::grid(config, seed)?,
             water_level_m: config.surface_m().map(|z| z as f32),
         })
     }

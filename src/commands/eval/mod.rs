@@ -8,7 +8,7 @@ use std::sync::Arc;
 use caudata_config::{Config, ConfigArgs};
 use caudata_evaluation::{
     Evaluation, EvaluationError, Outcome, Scenario, ScenarioResult, Settings, Suite, SuiteResult,
-    Summary, report, run_scenario, summary_path,
+    Summary, flat_name, report, run_scenario, summary_path,
 };
 use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
@@ -23,15 +23,12 @@ use crate::say;
 pub use caudata_studies::files::policy as read_policy;
 pub use show::print;
 
-/// Forward speed at which a training run is evaluated when it ends, m/s: the paper's.
-const FINAL_COMMAND_MPS: f32 = 0.3;
-
 #[derive(Debug, Args)]
 pub struct EvalArgs {
     /// The policy
     #[arg(long, value_name = "P.onnx")]
     policy: PathBuf,
-    /// Under what conditions: flat (0.3 m/s, standing, faster), rough (the paper's three grades), omni (75
+    /// Under what conditions: flat (the robot's speed, standing, faster), rough (the paper's three grades), omni (75
     /// commands), push, robust (corners of the randomisation), transition (land and water), paper (all that
     /// walk), acceptance (the project's targets; exit code 79 where one is missed)
     #[arg(long, default_value = "flat", value_parser = flags::suite_parser())]
@@ -86,15 +83,14 @@ enum Engines {
 
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     let policy = files::policy(&args.policy)?;
-    let flags = flags::or_beside(&args.config, &args.policy, "quick");
+    let mut flags = args.config.clone();
+    flags.set_robot(args.robot.as_deref());
+    let flags = flags::or_beside(&flags, &args.policy, "quick");
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
     match args.engine {
         Some(Engines::Batch | Engines::Both) => config.engine.kind = EngineKind::Batch,
         Some(Engines::Rapier) => config.engine.kind = EngineKind::Rapier,
         None => {}
-    }
-    if let Some(robot) = &args.robot {
-        config.robot.clone_from(robot);
     }
     let model = Arc::new(files::robot(&config.robot_path())?);
     warn_of_differences(&config, &model, &policy)?;
@@ -195,7 +191,7 @@ fn warn_of_differences(
     Ok(())
 }
 
-/// What a run is told about its policy when it ends: forward at 0.3 m/s on flat ground.
+/// What a run is told about its policy when it ends: forward at its speed on flat ground.
 pub fn evaluate(
     config: &Config,
     model: &Arc<RobotModel>,
@@ -208,7 +204,8 @@ pub fn evaluate(
         seed: config.run.seed,
         ..Settings::default()
     };
-    let scenario = Scenario::walk("flat 0.3 m/s", [FINAL_COMMAND_MPS, 0.0, 0.0]);
+    let speed_mps = config.evaluation.command_mps as f32;
+    let scenario = Scenario::walk(&flat_name(speed_mps), [speed_mps, 0.0, 0.0]);
     let go_on = || stop.reason().is_none();
     let outcome = run_scenario(config, model, policy, &scenario, &settings, &go_on)
         .map_err(|error| refused(error, stop))?;

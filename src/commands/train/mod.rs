@@ -52,7 +52,7 @@ pub struct TrainArgs {
     /// Events as JSON lines; the last line is the report
     #[arg(long)]
     json: bool,
-    /// Without these flags the preset is `quick`
+    /// Without these flags the preset is `quick`; for another robot the one that is made for it, else `walk`
     #[command(flatten)]
     config: ConfigArgs,
 }
@@ -172,6 +172,9 @@ fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolde
         RunFolder::create(out, &config.run.out_dir, &config.run.name)?
     };
     config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;
+    if !config.terrain.map.as_os_str().is_empty() {
+        config.terrain.map = std::path::absolute(&config.terrain.map).or_exit(ExitCode::NoInput)?;
+    }
     folder.write(
         "config.toml",
         config.to_toml().or_exit(ExitCode::BadConfig)?.as_bytes(),
@@ -210,9 +213,7 @@ fn source(args: &TrainArgs, resumed: Option<&Path>) -> Source {
         },
         None => args.config.source(),
     };
-    if source.preset.is_none() && source.file.is_none() {
-        source.preset = Some("quick".into());
-    }
+    source.or_preset("quick");
     let mut set = |key: &str, value: Option<String>| {
         source
             .overrides

@@ -1,5 +1,7 @@
 //! Worked examples of contracts.
 
+use std::f32::consts::PI;
+
 use super::*;
 use crate::TaskConfig;
 
@@ -23,7 +25,7 @@ fn contract() -> PolicyContract {
         observation: ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), false),
         phase: PhaseContract {
             feet: FEET.map(str::to_owned).to_vec(),
-            offsets_rad: (0..4).map(offset_rad).collect(),
+            offsets_rad: vec![0.0, PI, PI, 0.0],
             frequency_hz: task.phase.frequency_hz,
             swing_height_m: task.phase.swing_height_m,
             stand_command_norm: task.phase.stand_command_norm,

@@ -5,13 +5,17 @@
 //!
 //! To add a term, write its function in [`terms`] and add one row to the table below.
 
+pub mod own;
 pub mod terms;
 
 use std::f32::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
+use self::own::{OwnTerm, Programs, StateSignals};
 use crate::error::{checks, require_all};
+use crate::expression::Names;
+use crate::row::Row;
 use crate::{COMMAND_DIM, JointTable, PerFoot, TaskError};
 
 /// Whether a term pays or costs.
@@ -33,6 +37,9 @@ impl Sense {
     }
 }
 
+/// A value per reward term.
+pub type PerTerm<T = f32> = Row<T, TERMS_MAX>;
+
 /// A row of the table of terms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TermInfo {
@@ -44,6 +51,8 @@ pub struct TermInfo {
     pub unit: &'static str,
     /// Weight unless the configuration says otherwise.
     pub default_weight: f32,
+    /// Its formula, and what it is for.
+    pub about: &'static str,
 }
 
 /// Makes, from one row per term: the weights (with their documentation), the table and the evaluation.
@@ -85,30 +94,27 @@ macro_rules! reward_terms {
             sense: Sense::$sense,
             unit: $unit,
             default_weight: $default,
+            about: concat!($($doc),+),
         }),+];
 
         /// Number of terms.
         pub const TERM_COUNT: usize = [$(stringify!($name)),+].len();
 
-        /// Evaluates all terms for one control step of `dt_s` seconds, costs multiplied by `cost_scale`
-        /// ([`RewardConfig::cost_scale`]). `contributions` (in the order of
-        /// [`TERMS`]) receives each term's part, weight and `dt_s` included; the sum is the reward.
-        pub fn evaluate(
+        /// Evaluates the terms of the table, weight and `dt_s` included.
+        fn built_in(
             config: &RewardConfig,
             input: &RewardInput<'_>,
             dt_s: f32,
             cost_scale: f32,
-            contributions: &mut [f32; TERM_COUNT],
-        ) -> f32 {
+        ) -> [f32; TERM_COUNT] {
             let weights = &config.weights;
-            *contributions = [$(
+            [$(
                 if weights.$name == 0.0 {
                     0.0
                 } else {
                     dt_s * Sense::$sense.scale(cost_scale) * weights.$name * terms::$name(config, input)
                 }
-            ),+];
-            contributions.iter().sum()
+            ),+]
         }
     };
 }
@@ -177,8 +183,37 @@ fn check_weight(sense: Sense, weight: f32, field: &'static str) -> Result<(), Ta
     require_all(&[(right, field, &weight, reason)])
 }
 
+/// Most terms of a task, its own included.
+pub const TERMS_MAX: usize = TERM_COUNT + own::OWN_MAX;
+
+/// Evaluates all terms for one control step of `dt_s` seconds, costs multiplied by `cost_scale`
+/// ([`RewardConfig::cost_scale`]). `own` are the compiled terms of the task file. `contributions` (in the
+/// order of [`RewardConfig::term_names`]) receives each term's part, weight and `dt_s` included; the sum is
+/// the reward.
+pub fn evaluate(
+    config: &RewardConfig,
+    own: &mut Programs,
+    input: &RewardInput<'_>,
+    dt_s: f32,
+    cost_scale: f32,
+    contributions: &mut PerTerm,
+) -> f32 {
+    let built_in = built_in(config, input, dt_s, cost_scale);
+    *contributions = PerTerm::filled(TERM_COUNT + own.len(), 0.0);
+    contributions[..TERM_COUNT].copy_from_slice(&built_in);
+    if !own.is_empty() {
+        let signals = StateSignals::new(input, config.contact_force_n);
+        for (which, term) in config.term.iter().enumerate() {
+            let sense = if term.weight < 0.0 { Sense::Cost } else { Sense::Reward };
+            let value = own.value(which, &signals);
+            contributions[TERM_COUNT + which] = dt_s * sense.scale(cost_scale) * term.weight * value;
+        }
+    }
+    contributions.iter().sum()
+}
+
 /// Table `[task.reward]`: shapes of the terms; their weights are in `[task.reward.weights]`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RewardConfig {
     /// σ_v of `tracking_lin_vel`, (m/s)². Default 0.25 (MuJoCo Playground, for robots that do 1 m/s). On a
@@ -218,6 +253,8 @@ pub struct RewardConfig {
     pub costs_at_start: f32,
     /// Environment steps of the whole run after which costs count in full. Default 0: from the start.
     pub costs_full_after_env_steps: u64,
+    /// Terms of one's own, beside the built-in ones. Default none.
+    pub term: Vec<OwnTerm>,
     /// Weight of each term.
     pub weights: RewardWeights,
 }
@@ -237,6 +274,7 @@ impl Default for RewardConfig {
             soft_limit_share: 0.95,
             costs_at_start: 1.0,
             costs_full_after_env_steps: 0,
+            term: Vec::new(),
             weights: RewardWeights::default(),
         }
     }
@@ -278,9 +316,35 @@ impl RewardConfig {
             wave_lag_rad: (-PI..=PI).contains(&self.wave_lag_rad), "must be -π to π";
             costs_at_start: (0.0..=1.0).contains(&self.costs_at_start), "must be 0 to 1";
         }?;
+        let weight = |term: &&OwnTerm| !(-1e4..=1e4).contains(&term.weight);
+        if let Some(term) = self.term.iter().find(weight) {
+            let reason = "has a weight that is not -10000 to 10000".to_owned();
+            return Err(TaskError::term(OWN_TABLE, &term.name, reason));
+        }
+        own::check(OWN_TABLE, self.own())?;
         self.weights.validate()
     }
+
+    fn own(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.term.iter().map(|term| (term.name.as_str(), term.value.as_str()))
+    }
+
+    /// The terms of the task file, compiled for a robot.
+    ///
+    /// # Errors
+    /// [`TaskError::Term`] names the first that is wrong.
+    pub fn programs(&self, names: Names<'_>) -> Result<Programs, TaskError> {
+        Programs::new(OWN_TABLE, self.own(), names)
+    }
+
+    /// Names of all terms, in the order of all per-term arrays: those of the table, then its own.
+    pub fn term_names(&self) -> Vec<String> {
+        let built_in = TERMS.iter().map(|term| term.name.to_owned());
+        built_in.chain(self.term.iter().map(|term| term.name.clone())).collect()
+    }
 }
+
+const OWN_TABLE: &str = "task.reward.term";
 
 /// What the terms look at: the true state after a control step, without sensor noise.
 #[derive(Clone, Copy, Debug)]
@@ -301,6 +365,8 @@ pub struct RewardInput<'a> {
     pub off_course_rad: f32,
     /// Velocity of the whole body's centre of mass, m/s, heading frame.
     pub com_vel_mps: [f32; 3],
+    /// Height of the whole body's centre of mass above the ground under the feet, m.
+    pub com_height_m: f32,
     /// Yaw rate of the whole body's equivalent rotation, rad/s.
     pub yaw_rate_radps: f32,
     /// Angular velocity of the body, rad/s, body frame.

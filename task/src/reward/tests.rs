@@ -55,6 +55,7 @@ fn rest() -> RewardInput<'static> {
         phase_rad: PerFoot::filled(FEET, PI),
         off_course_rad: 0.0,
         com_vel_mps: [0.0; 3],
+        com_height_m: 0.12,
         yaw_rate_radps: 0.0,
         gyro_radps: [0.0; 3],
         gravity: [0.0, 0.0, -1.0],
@@ -278,8 +279,9 @@ fn the_reward_is_the_weighted_sum_times_dt() {
         trunk_force_n: 50.0,
         ..rest()
     };
-    let mut parts = [f32::NAN; TERM_COUNT];
-    let total = evaluate(&RewardConfig::default(), &input, 0.02, 1.0, &mut parts);
+    let mut parts = PerTerm::filled(0, f32::NAN);
+    let own = &mut Programs::default();
+    let total = evaluate(&RewardConfig::default(), own, &input, 0.02, 1.0, &mut parts);
     // Paper: 1.0·0.697676 + 0.5·1 + 1.0·1 − 1e-3·8 = 2.189676; times 0.02 = 0.0437935. Trunk contact: weight
     // 0.
     assert!((total - 0.043_793_5).abs() < 1e-7, "{total}");
@@ -288,7 +290,7 @@ fn the_reward_is_the_weighted_sum_times_dt() {
     assert!((part("tracking_lin_vel") - 0.013_953_5).abs() < 1e-7);
     assert!((part("power") + 0.000_16).abs() < 1e-9);
     assert_eq!(part("trunk_contact"), 0.0);
-    let _ = evaluate(&matched(), &input, 0.02, 1.0, &mut parts);
+    let _ = evaluate(&matched(), own, &input, 0.02, 1.0, &mut parts);
     let part = |name: &str| parts[TERMS.iter().position(|t| t.name == name).unwrap()];
     // Matched: exp(−0.09/0.05) = 0.165299 · 0.02; trunk contact −1·1·0.02.
     assert!((part("tracking_lin_vel") - 0.003_305_98).abs() < 1e-7);
@@ -424,8 +426,9 @@ fn costs_grow_over_the_run_and_rewards_do_not() {
     };
     let at = |name: &str| TERMS.iter().position(|t| t.name == name).unwrap();
     for (scale, power) in [(1.0, -6e-4), (0.2, -1.2e-4)] {
-        let mut parts = [0.0; TERM_COUNT];
-        let _ = evaluate(&config, &input, 0.02, scale, &mut parts);
+        let mut parts = PerTerm::filled(0, 0.0);
+        let own = &mut Programs::default();
+        let _ = evaluate(&config, own, &input, 0.02, scale, &mut parts);
         assert!((parts[at("power")] - power).abs() < 1e-8);
         assert!((parts[at("tracking_lin_vel")] - 0.02).abs() < 1e-8);
     }
@@ -473,4 +476,54 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
         ..input
     };
     assert_eq!(terms::body_wave(&config, &on_land), 1.0);
+}
+
+#[test]
+fn terms_of_ones_own_count_with_the_others() {
+    let text = r#"
+        costs_at_start = 0.5
+        costs_full_after_env_steps = 1000
+        term = [
+            { name = "crouch", value = "exp(-(height - 0.12)^2 / 0.01)", weight = 2.0 },
+            { name = "knees", value = "sum(abs(joint_pos - nominal))", weight = -0.5 },
+            { name = "broken", value = "1 / (height - height)", weight = 1.0 },
+        ]"#;
+    let config: RewardConfig = toml::from_str(text).unwrap();
+    config.validate().unwrap();
+    assert_eq!(config.term_names()[TERM_COUNT..], ["crouch", "knees", "broken"]);
+    let names = Names {
+        joints: &std::array::from_fn::<_, ACT_DIM, _>(|i| format!("j{i}")),
+        feet: &["FL", "FR", "HL", "HR"].map(str::to_owned),
+    };
+    let mut own = config.programs(names).unwrap();
+    let mut pos = NOMINAL;
+    pos[3] += 0.4;
+    let input = RewardInput {
+        joint_pos_rad: &pos,
+        ..rest()
+    };
+    let mut parts = PerTerm::default();
+    let scale = config.cost_scale(0);
+    let total = evaluate(&config, &mut own, &input, 0.02, scale, &mut parts);
+    // 0.02·2·1; a cost at half: 0.02·0.5·(−0.5)·0.4; what is not finite is 0
+    for (found, expected) in parts[TERM_COUNT..].iter().zip([0.04, -0.002, 0.0]) {
+        assert!((found - expected).abs() < 1e-6, "{parts:?}");
+    }
+    assert_eq!(total, parts.iter().sum::<f32>());
+}
+
+#[test]
+fn wrong_terms_are_refused_when_the_file_is_read() {
+    for (term, reason) in [
+        ("name = \"power\", value = \"1\"", "name of another term"),
+        ("name = \"a b\", value = \"1\"", "letters, digits and _"),
+        ("name = \"a\", value = \"torque\"", "per joint, not one number"),
+        ("name = \"a\", value = \"speed\"", "no signal"),
+        ("name = \"a\", value = \"1\", weight = 1e9", "-10000 to 10000"),
+    ] {
+        let config: RewardConfig = toml::from_str(&format!("term = [{{ {term} }}]")).unwrap();
+        let error = config.validate().unwrap_err().to_string();
+        assert!(error.contains(reason), "{error}");
+    }
+    assert!(toml::from_str::<RewardConfig>("term = [{ nam = \"a\" }]").is_err());
 }

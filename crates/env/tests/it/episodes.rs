@@ -6,7 +6,9 @@ use crate::support::{Breakdown, FakeEngine, calm_task, env, model, wiggle};
 use caudata_env::{EnvError, VecEnv};
 use caudata_task::reward::{RewardWeights, TERM_COUNT};
 use caudata_task::termination::TerminationReason;
-use caudata_task::{ACT_DIM, ContractDifference};
+use caudata_task::ContractDifference;
+
+const ACT_DIM: usize = 16;
 
 const DIM: usize = 97;
 

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use crate::support::{calm_task, model};
 use caudata_env::VecEnv;
 use caudata_sim::{EngineConfig, TerrainConfig, TerrainKind};
-use caudata_task::{ACT_DIM, Mirror};
+use caudata_task::Mirror;
+
+const ACT_DIM: usize = 16;
 
 /// A gait with nothing symmetric about it.
 fn action(step: usize) -> [f32; ACT_DIM] {

@@ -2,7 +2,8 @@
 
 use crate::support::{calm_task, env, model};
 use caudata_sim::LaneParams;
-use caudata_task::ACT_DIM;
+
+const ACT_DIM: usize = 16;
 
 #[test]
 fn without_randomisation_every_lane_is_the_nominal_robot() {

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use crate::support::{model, wiggle};
 use caudata_env::VecEnv;
 use caudata_sim::{EngineConfig, TerrainConfig};
-use caudata_task::{ACT_DIM, TaskConfig};
+use caudata_task::TaskConfig;
+
+const ACT_DIM: usize = 16;
 
 fn env(task: &TaskConfig, lanes: usize, threads: usize) -> VecEnv {
     let model = model();

@@ -2,9 +2,11 @@
 
 use caudata_evaluation::{Scenario, ScenarioResult, Settings, Suite, run_scenario};
 use caudata_policy::PolicyFile;
-use caudata_task::{ACT_DIM, PolicyContract};
+use caudata_task::PolicyContract;
 
 use crate::by_hand::{config, layer, policy, robot, swimming, vibrating};
+
+const ACT_DIM: usize = 16;
 
 /// Episodes of each verdict, and their length.
 fn settings() -> Settings {
@@ -64,7 +66,7 @@ fn the_same_seed_gives_the_same_figures() {
 
 #[test]
 fn a_wave_to_the_tail_swims_and_a_wave_to_the_head_does_not() {
-    let deep = Suite::Transition.scenarios(2.6).pop().unwrap();
+    let deep = Suite::Transition.scenarios(2.6, 0.3).pop().unwrap();
     assert_eq!(deep.name, "swim 0.3 m/s");
     let ahead = run(&deep, |contract| swimming(contract, 0.8));
     let wave = ahead.wave.unwrap();
@@ -84,7 +86,7 @@ fn a_wave_to_the_tail_swims_and_a_wave_to_the_head_does_not() {
 
 #[test]
 fn swimming_at_the_shore_is_measured_in_the_water() {
-    let onto_land = Suite::Transition.scenarios(2.6).swap_remove(1);
+    let onto_land = Suite::Transition.scenarios(2.6, 0.3).swap_remove(1);
     let result = run(&onto_land, |contract| swimming(contract, 0.8));
     let transition = result.transition.unwrap();
     assert!(transition.swim_speed_mps.unwrap().mean > 0.03);

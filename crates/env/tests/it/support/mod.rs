@@ -11,8 +11,10 @@ use std::sync::Arc;
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
 use caudata_sim::{Engine, EngineConfig, InitialState, LaneParams, SimError, State, Terrain};
-use caudata_task::{ACT_DIM, TaskConfig};
+use caudata_task::TaskConfig;
 use serde::{Deserialize, Serialize};
+
+const ACT_DIM: usize = 16;
 
 /// Roll of the base per rad of the first spine joint.
 pub const ROLL_PER_SPINE: f32 = 4.0;

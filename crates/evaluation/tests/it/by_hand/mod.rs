@@ -8,7 +8,9 @@ use caudata_config::{Config, ConfigArgs};
 use caudata_model::RobotModel;
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
 use caudata_task::layout::Part;
-use caudata_task::{ACT_DIM, PolicyContract};
+use caudata_task::PolicyContract;
+
+const ACT_DIM: usize = 16;
 
 pub fn config() -> Config {
     let args = ConfigArgs {

@@ -1,0 +1,203 @@
+//! A first task for any robot: what follows from its size, mass, legs and servos, as a TOML layer.
+//!
+//! The rules are those of thumb by which the presets of the robots that ship were begun. Speeds and times
+//! follow from the length of a leg by Froude's law, powers from the weight, and what the servos can do bounds
+//! both. A preset or a file on top may say everything otherwise.
+
+use std::fmt::Write;
+
+use caudata_model::{BaseKind, Pose, RobotModel};
+
+use crate::ConfigError;
+
+const GRAVITY_MPS2: f64 = 9.81;
+/// Control rate that filters are worked out for, s.
+const PERIOD_S: f64 = 0.02;
+
+/// What the rules start from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Size {
+    feet: usize,
+    mass_kg: f64,
+    /// Height of the legs' first joints above the feet, mean; for a robot without feet the height at which
+    /// its centre of mass would lie on the ground, twice.
+    leg_m: f64,
+    /// Height of the centre of mass above the lowest point, nominal pose.
+    com_m: f64,
+    /// Slowest servo's speed without load.
+    servo_radps: f64,
+}
+
+impl Size {
+    fn of(model: &RobotModel) -> Result<Self, ConfigError> {
+        let wrong = |error: caudata_model::ModelError| ConfigError::Robot(error.to_string());
+        let pos = model.full_pos_rad(model.nominal_pos_rad()).map_err(wrong)?;
+        let places = model.kinematics(&Pose::IDENTITY, &pos).map_err(wrong)?;
+        let com_z = model.centre_of_mass_m(&places)[2];
+        let foot_z = |foot: usize| {
+            let foot = &model.feet()[foot];
+            places.links[foot.link].point(foot.centre_m)[2]
+        };
+        let feet = model.feet().len();
+        let lowest = match feet {
+            0 => places.links.iter().map(|l| l.pos_m[2]).fold(com_z, f64::min),
+            _ => (0..feet).map(foot_z).fold(f64::INFINITY, f64::min),
+        };
+        let hip_z = |foot: usize| {
+            let up = |&link: &usize| model.links()[link].parent;
+            let leg = std::iter::successors(Some(model.feet()[foot].link), up)
+                .take_while(|&link| model.leg_of(link) == Some(foot));
+            leg.last().map_or(com_z, |hip| places.links[hip].pos_m[2])
+        };
+        let legs: f64 = (0..feet).map(|foot| hip_z(foot) - foot_z(foot)).sum();
+        let servos = (0..model.actuated().len()).map(|i| model.servo(i).qd_max_radps);
+        Ok(Self {
+            feet,
+            mass_kg: model.total_mass_kg(),
+            leg_m: match feet {
+                0 => 0.1,
+                feet => (legs / feet as f64).max(0.02),
+            },
+            com_m: (com_z - lowest).max(0.01),
+            servo_radps: servos.fold(f64::INFINITY, f64::min),
+        })
+    }
+
+    /// Forward speed that such a robot is first asked for, m/s: a slow trot at a Froude number of 0.12, a
+    /// biped's first steps at 0.01; no faster than feet can be swung, and half a foot's length per second
+    /// without feet.
+    fn speed_mps(&self) -> f64 {
+        let froude = match self.feet {
+            0 => return 0.1,
+            1 | 2 => 0.01,
+            _ => 0.12,
+        };
+        let walks = (froude * GRAVITY_MPS2 * self.leg_m).sqrt();
+        walks.min(0.2 * self.servo_radps * self.leg_m)
+    }
+
+    /// Strides per second: about a leg's length each.
+    fn stride_hz(&self) -> f64 {
+        (self.speed_mps() / self.leg_m).clamp(1.25, 2.0)
+    }
+}
+
+/// Two digits that count.
+fn round(x: f64) -> f64 {
+    let scale = 10f64.powf(1.0 - x.abs().max(1e-12).log10().floor());
+    (x * scale).round() / scale
+}
+
+/// The layer for a robot; every value with the rule that it comes from.
+///
+/// # Errors
+/// [`ConfigError::Robot`] for a robot that cannot walk: one that is held, or whose pose cannot be worked out.
+pub(crate) fn derived(model: &RobotModel) -> Result<String, ConfigError> {
+    if model.base() == BaseKind::Fixed {
+        return Err(ConfigError::Robot(format!(
+            "robot '{}' is held (base = \"fixed\"), so it cannot be trained to walk",
+            model.name()
+        )));
+    }
+    let size = Size::of(model)?;
+    let mut out = String::new();
+    // Writing to a string cannot fail.
+    let _ = write_layer(&mut out, model.name(), &size);
+    Ok(out)
+}
+
+fn write_layer(out: &mut String, name: &str, size: &Size) -> std::fmt::Result {
+    let (speed, stride_hz) = (round(size.speed_mps()), round(size.stride_hz()));
+    let weight_n = size.mass_kg * GRAVITY_MPS2;
+    let (walks, swing_m) = match size.feet {
+        0 => (0.0, 0.0),
+        _ => (1.0, round((0.2 * size.leg_m).clamp(0.01, 0.08))),
+    };
+    // the rates at which full costs come in keep the proportion to what walking earns
+    let slower = 0.3 / speed;
+    write!(
+        out,
+        "\
+# What follows from the robot '{name}': {feet} feet, {mass:.2} kg, legs of {leg:.3} m, servos of {servo:.1} rad/s.
+
+[run]
+name = \"{name}\"
+
+[evaluation]
+command_mps = {speed}          # judged at this forward speed
+robot_command_mps = {speed}
+
+[evaluation.gates]
+speed_share = {speed_share}            # of the commanded speed
+power_w = {power}              # 1.6 times weight times speed
+slip_mps = {slip}              # a fifth of the speed
+clearance_m = {clearance}          # 0.6 of the swing height
+vibration_hz = {vibration}          # 4.5 strides
+duty_factor = {duty}
+
+[task.action]
+scale = {scale}
+filter_alpha = {alpha}         # a low pass at 0.8 of the stride frequency: steps instead of vibration
+
+[task.phase]
+frequency_hz = [{hz_low}, {hz_high}]
+swing_height_m = {swing_m}       # a fifth of the leg
+
+[task.command]
+vx_mps = [{vx_low}, {vx_high}]
+vy_mps = [{vy_low}, {vy_high}]
+yaw_rate_radps = [-0.4, 0.4]
+
+[task.reward]
+lin_vel_sigma = {lin_vel_sigma}       # (m/s)²: standing under the command earns 14 %
+yaw_rate_sigma = 0.12
+phase_sigma = {phase_sigma}         # m²: 0.4 swing heights squared for each foot
+contact_force_n = {contact_n}      # 4 % of the weight
+trunk_force_n = {trunk_n}        # a fifth of the weight
+
+[task.reward.weights]
+phase = {phase_weight}
+power = {power_weight}           # as much of the reward at this weight and speed as in the preset quick
+slip = {slip_weight}
+action_rate = -0.05
+joint_acceleration = -3e-6
+orientation = -1.0
+trunk_contact = {trunk_weight}
+
+[task.termination]
+com_height_m = [{com_low}, {com_high}]
+
+[task.push]
+force_n = [0.0, {push_n}]        # 1.5 N per kg
+",
+        feet = size.feet,
+        mass = size.mass_kg,
+        leg = size.leg_m,
+        servo = size.servo_radps,
+        speed_share = 0.9,
+        power = round(1.6 * weight_n * speed),
+        slip = round(0.2 * speed),
+        clearance = round(0.6 * swing_m),
+        vibration = round(4.5 * stride_hz),
+        duty = if size.feet <= 2 { "[0.0, 1.0]" } else { "[0.35, 0.75]" },
+        scale = if size.feet == 2 { 0.5 } else { 0.8 },
+        alpha = round(1.0 - (-std::f64::consts::TAU * 0.8 * stride_hz * PERIOD_S).exp()),
+        hz_low = round(0.95 * stride_hz),
+        hz_high = round(1.05 * stride_hz),
+        vx_low = round(0.3 * speed),
+        vx_high = round(1.15 * speed),
+        vy_low = -round(0.15 * speed),
+        vy_high = round(0.15 * speed),
+        lin_vel_sigma = round(0.5 * speed * speed),
+        phase_sigma = round((0.4 * swing_m * swing_m * size.feet as f64).max(1e-4)),
+        contact_n = round(0.04 * weight_n),
+        trunk_n = round(0.2 * weight_n),
+        phase_weight = 1.75 * walks,
+        power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / (weight_n * speed)),
+        slip_weight = -round(2.0 * slower) * walks,
+        trunk_weight = -5.0 * walks,
+        com_low = round(if size.feet == 0 { -0.1 } else { 0.55 * size.com_m }),
+        com_high = round(3.0 * size.com_m + 0.2),
+        push_n = round(1.5 * size.mass_kg),
+    )
+}
