@@ -13,7 +13,7 @@ pub use learner::{
     Activation, AdvantageScale, Correction, Device, LearnerConfig, NetworkConfig, PpoConfig,
     Returns, StalenessConfig, WarmStartConfig,
 };
-pub use run::{EvaluationConfig, RunConfig};
+pub use run::{EvaluationConfig, GatesConfig, RunConfig};
 pub use services::{
     LogStyle, PolicyServerConfig, TelemetryConfig, TransportKind, TransportSection,
 };
