@@ -191,8 +191,8 @@ mod tests {
     fn script(text: &str, deadline: Duration) -> Probed {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("probe.sh");
-        // Written by a shell: a file that this process writes may still be open in the child of another test that
-        // is just being started, and is then too busy to be run.
+        // Written by a shell: a file that this process writes may still be open in the child of another test
+        // that is just being started, and is then too busy to be run.
         let mut shell = Command::new("/bin/sh");
         shell.args(["-c", "printf %s \"$1\" > \"$0\" && chmod 700 \"$0\""]);
         shell.arg(&program).arg(format!("#!/bin/sh\n{text}\n"));

@@ -33,8 +33,8 @@ pub enum OwnerError {
     },
 }
 
-/// The lock goes with the open file, not with this handle: a child process that is just being started shares it
-/// until it runs its own program, and would keep the folder for that long.
+/// The lock goes with the open file, not with this handle: a child process that is just being started shares
+/// it until it runs its own program, and would keep the folder for that long.
 impl Drop for Owner {
     fn drop(&mut self) {
         let _ = self.lock.unlock();

@@ -1,5 +1,5 @@
-//! FAULTS.md, 61, as a rate: one of 64 actors at a hundredth of the speed of the others. Time is simulated, so that
-//! the rates are those of quota and batch, and not of the machine.
+//! FAULTS.md, 61, as a rate: one of 64 actors at a hundredth of the speed of the others. Time is simulated,
+//! so that the rates are those of quota and batch, and not of the machine.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;

@@ -25,7 +25,8 @@ const FORMAT: &str = "caudata-transport 2";
 const MAX_SOCKET_PATH: usize = 107;
 /// What iceoryx2 appends to the directory for a socket: `/`, prefix, a number of up to 39 digits, `.event`.
 const SOCKET_NAME: usize = 1 + 11 + 39 + 6;
-/// How often acquiring starts anew because a folder or the lock file was removed by a learner that was just ending.
+/// How often acquiring starts anew because a folder or the lock file was removed by a learner that was just
+/// ending.
 const LOCK_ATTEMPTS: usize = 16;
 
 /// The note a learner posts for its actors.
@@ -161,7 +162,8 @@ impl RunDir {
     pub(super) fn acquire(config: &Iceoryx2Config, run_id: &str) -> Result<Self, TransportError> {
         let paths = RunPaths::new(config, run_id)?;
         for _ in 0..LOCK_ATTEMPTS {
-            // Each may go again: a run that ends takes its folder away, and the root where it was the last one.
+            // Each may go again: a run that ends takes its folder away, and the root where it was the last
+            // one.
             if !create_private(&paths.root)? {
                 return Err(io_error(&paths.root, &ErrorKind::NotFound.into()));
             }
@@ -304,8 +306,8 @@ fn create_private(path: &Path) -> Result<bool, TransportError> {
     }
 }
 
-/// A real directory, our own, closed to others: nobody else can have put anything into it. False where there is
-/// none.
+/// A real directory, our own, closed to others: nobody else can have put anything into it. False where there
+/// is none.
 fn check_ours(path: &Path) -> Result<bool, TransportError> {
     let metadata = match fs::symlink_metadata(path) {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(false),
