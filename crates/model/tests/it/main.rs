@@ -6,4 +6,5 @@ mod common;
 mod general;
 mod mujoco;
 mod polymander;
+mod shipped;
 mod wrong_files;

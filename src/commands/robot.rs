@@ -1,4 +1,4 @@
-//! `caudata robot-model`: what a robot file says.
+//! `caudata robot`: what a robot file says.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::say;
 
 #[derive(Debug, Subcommand)]
-pub enum RobotModelCommand {
+pub enum RobotCommand {
     /// Read a robot file and its MJCF, check them, and print a summary
     Check {
         /// The robot file
@@ -24,8 +24,8 @@ pub enum RobotModelCommand {
     },
 }
 
-pub fn run(command: &RobotModelCommand) -> Result<(), Failure> {
-    let RobotModelCommand::Check { file, json } = command;
+pub fn run(command: &RobotCommand) -> Result<(), Failure> {
+    let RobotCommand::Check { file, json } = command;
     let model = load(file)?;
     caudata_sim::check_extension(&model).map_err(|error| {
         Failure::new(ExitCode::BadInput, error).context(format!("robot file {}", file.display()))
@@ -60,8 +60,14 @@ struct Summary<'a> {
     actuated: Vec<&'a str>,
     total_mass_kg: f64,
     supply_v: f64,
-    kp_nm_per_rad: f64,
-    kd_nm_s_per_rad: f64,
+    /// Of each actuated joint.
+    kp_nm_per_rad: Vec<f64>,
+    /// Of each actuated joint.
+    kd_nm_s_per_rad: Vec<f64>,
+    /// Of each actuated joint.
+    servos: Vec<&'a str>,
+    feet: Vec<&'a str>,
+    imu: Option<&'a str>,
 }
 
 impl<'a> Summary<'a> {
@@ -74,36 +80,65 @@ impl<'a> Summary<'a> {
             actuated: model.actuated_names(),
             total_mass_kg: model.total_mass_kg(),
             supply_v: model.supply_v(),
-            kp_nm_per_rad: model.kp_nm_per_rad(),
-            kd_nm_s_per_rad: model.kd_nm_s_per_rad(),
+            kp_nm_per_rad: model.gains().iter().map(|g| g.kp_nm_per_rad).collect(),
+            kd_nm_s_per_rad: model.gains().iter().map(|g| g.kd_nm_s_per_rad).collect(),
+            servos: (0..model.actuated().len())
+                .map(|a| model.servo_name(a))
+                .collect(),
+            feet: model.feet().iter().map(|foot| foot.name.as_str()).collect(),
+            imu: model
+                .imu_site()
+                .map(|site| model.links()[site.link].name.as_str()),
         }
     }
 }
 
 fn print(model: &RobotModel, summary: &Summary<'_>) {
     say::line(format!(
-        "{}: {} links, {} joints ({} actuated), {:.3} kg, {:.1} V, gains {} N·m/rad and {} N·m·s/rad",
+        "{}: {} links, {} joints ({} actuated), {:.3} kg, {:.1} V",
         summary.name,
         summary.links,
         summary.joints,
         summary.actuated.len(),
         summary.total_mass_kg,
         summary.supply_v,
-        summary.kp_nm_per_rad,
-        summary.kd_nm_s_per_rad,
+    ));
+    say::line(format!(
+        "feet: {}; IMU: {}",
+        or_none(&summary.feet.join(", ")),
+        summary
+            .imu
+            .map_or("none".to_owned(), |link| format!("on {link}")),
     ));
     say::line(format!("hash {}", summary.hash));
-    let joints = summary
-        .actuated
-        .iter()
-        .zip(model.nominal_pos_rad())
-        .zip(model.joint_limits_rad());
-    let row =
-        |(index, ((name, nominal), (lower, upper))): (usize, ((&&str, &f64), &(f64, f64)))| {
-            let degrees = |x: &f64| format!("{:.1}", x.to_degrees());
-            let angles = [nominal, lower, upper].map(degrees);
-            [vec![index.to_string(), (*name).to_owned()], angles.to_vec()].concat()
-        };
-    let head = ["#", "joint", "nominal °", "lower °", "upper °"];
-    say::table(&head, joints.enumerate().map(row));
+    let row = |(index, name): (usize, &&str)| {
+        let (lower, upper) = model.joint_limits_rad()[index];
+        let degrees = |x: f64| format!("{:.1}", x.to_degrees());
+        let angles = [model.nominal_pos_rad()[index], lower, upper].map(degrees);
+        let gains = [summary.kp_nm_per_rad[index], summary.kd_nm_s_per_rad[index]];
+        let own = vec![index.to_string(), (*name).to_owned()];
+        let servo = vec![summary.servos[index].to_owned()];
+        [
+            own,
+            angles.to_vec(),
+            gains.map(|g| g.to_string()).to_vec(),
+            servo,
+        ]
+        .concat()
+    };
+    let head = [
+        "#",
+        "joint",
+        "nominal °",
+        "lower °",
+        "upper °",
+        "kp N·m/rad",
+        "kd N·m·s/rad",
+        "servo",
+    ];
+    say::table(&head, summary.actuated.iter().enumerate().map(row));
+}
+
+fn or_none(list: &str) -> &str {
+    if list.is_empty() { "none" } else { list }
 }
