@@ -5,6 +5,9 @@ use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::RobotModel;
+use caudata_model::import::{self, ImportOptions};
+use caudata_sim::{EngineConfig, TerrainConfig};
+use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 use serde::Serialize;
@@ -22,17 +25,85 @@ pub enum RobotCommand {
         #[arg(long)]
         json: bool,
     },
+    /// Make a robot file and an MJCF out of any MJCF or URDF; what cannot be had is refused, all at once
+    Import(ImportArgs),
+}
+
+#[derive(Debug, clap::Args)]
+pub struct ImportArgs {
+    /// The MJCF or URDF
+    #[arg(value_name = "FILE.xml|FILE.urdf")]
+    file: PathBuf,
+    /// Folder for NAME.robot.toml and NAME.xml
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    out: PathBuf,
+    /// Name of the robot [default: the file's own]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Whether the base moves; only a URDF needs to be told [default: free if several chains hang on it]
+    #[arg(long, value_enum, value_name = "WORD")]
+    base: Option<BaseWord>,
+    /// Overwrite files that are there
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, clap::ValueEnum)]
+enum BaseWord {
+    Free,
+    Fixed,
 }
 
 pub fn run(command: &RobotCommand) -> Result<(), Failure> {
-    let RobotCommand::Check { file, json } = command;
-    let model = load(file)?;
-    caudata_sim::check_extension(&model).map_err(|error| {
-        Failure::new(ExitCode::BadInput, error).context(format!("robot file {}", file.display()))
-    })?;
-    say::either(*json, &Summary::of(&model), |summary| {
-        print(&model, summary)
-    })
+    match command {
+        RobotCommand::Check { file, json } => {
+            let model = load(file)?;
+            check(&model)
+                .map_err(|failure| failure.context(format!("robot file {}", file.display())))?;
+            say::either(*json, &Summary::of(&model), |summary| {
+                print(&model, summary)
+            })
+        }
+        RobotCommand::Import(args) => import(args),
+    }
+}
+
+/// What training asks of a robot beyond that its files are right.
+fn check(model: &RobotModel) -> Result<(), Failure> {
+    caudata_sim::check_extension(model).or_exit(ExitCode::BadInput)?;
+    let (engine, terrain) = (EngineConfig::default(), TerrainConfig::default());
+    let robot = Arc::new(model.clone());
+    caudata_sim::build(robot, 1, &engine, &terrain, 0, 1).or_exit(ExitCode::BadInput)?;
+    let contract = PolicyContract::new(model, &TaskConfig::default());
+    contract.or_exit(ExitCode::BadInput)?;
+    Ok(())
+}
+
+fn import(args: &ImportArgs) -> Result<(), Failure> {
+    let options = ImportOptions {
+        name: args.name.clone(),
+        free_base: args.base.map(|word| word == BaseWord::Free),
+    };
+    let made = import::import(&args.file, &options).or_exit(ExitCode::BadInput)?;
+    for note in &made.notes {
+        say::line(format!("note: {note}"));
+    }
+    let files = [
+        (format!("{}.xml", made.name), &made.mjcf),
+        (format!("{}.robot.toml", made.name), &made.robot_toml),
+    ];
+    for (name, text) in files {
+        let path = args.out.join(name);
+        if path.exists() && !args.force {
+            let why = anyhow::anyhow!("{} is there already; --force overwrites it", path.display());
+            return Err(Failure::new(ExitCode::BadInput, why));
+        }
+        std::fs::write(&path, text).or_exit_with(ExitCode::IoError, || {
+            format!("cannot write {}", path.display())
+        })?;
+        say::line(format!("wrote {}", path.display()));
+    }
+    Ok(())
 }
 
 /// Reads a robot file; the failure says whether it is missing or wrong.

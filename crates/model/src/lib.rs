@@ -14,6 +14,7 @@
 mod assemble;
 mod error;
 mod extension;
+pub mod import;
 mod kinematics;
 mod load;
 mod mjcf;

@@ -60,7 +60,7 @@ fn from_bytes(label: &str, robot_toml: &[u8], mjcf: &[u8]) -> Result<RobotModel,
     build(label, &mjcf_label, file, robot_toml, mjcf)
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
     let failed = |source| ModelError::Read {
         path: path.to_owned(),
         source,

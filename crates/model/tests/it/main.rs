@@ -4,6 +4,7 @@
 
 mod common;
 mod general;
+mod import;
 mod mujoco;
 mod polymander;
 mod shipped;
