@@ -9,8 +9,9 @@
 use std::ops::Range;
 
 use caudata_model::pose::{self, Pose};
-use caudata_model::{BaseKind, Foot, JointKind, JointMotion, RobotModel};
+use caudata_model::{BaseKind, Foot, JointKind, JointMotion, RobotModel, Shape};
 
+use super::cores::{self, Core};
 use crate::mobility::Mobility;
 use crate::self_contact;
 use crate::simd::Lanes;
@@ -97,6 +98,8 @@ pub(super) struct Point<R: Lanes> {
     pub mobility: R::Elem,
     /// How it gives way.
     pub soft: Stop,
+    /// Whether it is a shape of its own, not a corner or an end of one.
+    pub is_ball: bool,
     pub part: Part,
 }
 
@@ -130,6 +133,10 @@ pub(super) struct Program<R: Lanes> {
     pub points_of: Vec<Range<usize>>,
     /// Contact points that may touch each other.
     pub pairs: Vec<(usize, usize)>,
+    /// Shapes that may meet others with their own extent.
+    pub cores: Vec<Core<R>>,
+    /// Which of them may meet.
+    pub core_pairs: Vec<(usize, usize)>,
     /// Place in `links` of the torso.
     pub torso: usize,
     /// Foot centres.
@@ -173,7 +180,10 @@ impl<R: Lanes> Program<R> {
                 .position(|l| l.link == link)
                 .ok_or_else(|| SimError::Model(format!("link {link} is nowhere")))
         };
+        let (cores, core_pairs) = cores::cores(model, config, &place)?;
         Ok(Self {
+            cores,
+            core_pairs,
             free: config.frees_base(model),
             centre: nominal_centre(model)?.map(R::elem),
             torso: find(model.torso_link())?,
@@ -207,7 +217,7 @@ impl<R: Lanes> Program<R> {
             nodes,
             links,
             links_of,
-            pairs: if config.self_collision {
+            pairs: if config.self_collision && !config.self_shells {
                 pairs(model, &points)
             } else {
                 Vec::new()
@@ -421,6 +431,7 @@ fn contact_points<R: Lanes>(
                 radius: R::elem(radius),
                 mobility: R::elem(mobility.links[i].max(LEAST_MOBILITY)),
                 soft: Stop::new(&geom.soft, mobility.links[i]).harder(config.contact_hardness),
+                is_ball: matches!(geom.shape, Shape::Sphere { .. }),
                 part: foot.map_or(other, Part::Foot),
             }));
         }
@@ -442,14 +453,9 @@ fn pairs<R: Lanes>(model: &RobotModel, points: &[Point<R>]) -> Vec<(usize, usize
     let mut pairs = Vec::new();
     for a in 0..points.len() {
         for b in a + 1..points.len() {
-            let (la, lb) = (points[a].link, points[b].link);
-            let meet = match (legs[la], legs[lb]) {
-                (Some(one), Some(other)) => one != other,
-                (Some(leg), None) => !hanging[lb].contains(&leg),
-                (None, Some(leg)) => !hanging[la].contains(&leg),
-                (None, None) => false,
-            };
-            if meet {
+            let links = (points[a].link, points[b].link);
+            let balls = points[a].is_ball && points[b].is_ball;
+            if balls && self_contact::may_meet(&legs, &hanging, links) {
                 pairs.push((a, b));
             }
         }
