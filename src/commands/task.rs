@@ -9,7 +9,7 @@ use caudata_task::reward::{Sense, TERMS};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Subcommand;
 
-use crate::commands::robot_model;
+use crate::commands::robot;
 use crate::say;
 
 #[derive(Debug, Subcommand)]
@@ -35,8 +35,8 @@ pub fn run(command: &TaskCommand) -> Result<(), Failure> {
             terms();
             Ok(())
         }
-        TaskCommand::New { robot } => {
-            let model = robot_model::load(robot)?;
+        TaskCommand::New { robot: file } => {
+            let model = robot::load(file)?;
             let text = Config::derived(&model).or_exit(ExitCode::BadInput)?;
             say::line(text.trim_end());
             Ok(())

@@ -5,7 +5,6 @@ use caudata_proto::checks::each_left_out;
 use caudata_proto::registry::StreamName;
 use caudata_proto::registry::question::{ANSWERS, Compare};
 
-
 use super::*;
 use crate::testing::{model, policy_file};
 
