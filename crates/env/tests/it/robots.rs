@@ -6,6 +6,7 @@ use std::sync::Arc;
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
 use caudata_sim::{EngineConfig, TerrainConfig};
+use caudata_task::termination::TerminationReason;
 use caudata_task::{Mirror, TaskConfig};
 
 const SERVO: &str = "tau_max_nm = 1.94\nqd_tau_max_radps = 0.8\nqd_max_radps = 7.6\ntau_qd_max_nm = 0.4\n\
@@ -185,4 +186,54 @@ fn a_snake_without_feet() {
     let env = runs(&SNAKE, 9, 0);
     assert!(env.contract().phase.feet.is_empty());
     assert_eq!(env.phases_rad(0).len(), 1);
+}
+
+const OWN_TASK: &str = r#"
+    observation.term = [
+        { name = "gyro", history = 2 },
+        { name = "reach", value = "foot_height.FL + 0.5 * height", noise_std = 0.01 },
+        { name = "torque", value = "torque", history = 2 },
+        { name = "actions", history = 1 },
+    ]
+    reward.term = [{ name = "upright", value = "-gravity.z", weight = 2.0 }]
+    termination.when = [{ name = "fast", value = "most(abs(joint_vel)) > 5" }]
+    termination.max_tilt_rad = 3.1
+    phase.pattern = "none"
+"#;
+
+/// Observation, reward and an end that the task file brings along, on a robot that it names parts of.
+#[test]
+fn a_task_of_ones_own() {
+    let model = QUADRUPED.model();
+    let task: TaskConfig = toml::from_str(OWN_TASK).unwrap();
+    task.validate().unwrap();
+    let (config, ground) = (EngineConfig::default(), TerrainConfig::default());
+    let build = || caudata_sim::build(Arc::clone(&model), 1, &config, &ground, 1, 1).unwrap();
+    let mut env = VecEnv::new(Arc::clone(&model), task.clone(), build(), 1, 0).unwrap();
+    // gyro twice, one, twelve twice, twelve
+    assert_eq!(env.obs_dim(), 6 + 1 + 24 + 12);
+    env.contract().validate().unwrap();
+    assert_eq!(env.phases_rad(0), [std::f32::consts::PI; 4]);
+    let names = task.reward.term_names();
+    let upright = names.iter().position(|name| name == "upright").unwrap();
+    let (mut ended, mut before) = (false, env.observations().to_vec());
+    for step in 0..200 {
+        let swing = if step % 2 == 0 { 3.0 } else { -3.0 };
+        let output = env.step(&[swing; 12]).unwrap();
+        if let Some(episode) = output.episodes.first() {
+            assert_eq!(episode.reason, Some(TerminationReason::Condition));
+            assert!(episode.terms[upright] > 0.0 && episode.terms.len() == names.len());
+            ended = true;
+            break;
+        }
+        let now = env.observations();
+        // what was newest is now a step old
+        assert_eq!((&now[3..6], &now[19..31]), (&before[..3], &before[7..19]));
+        before = now.to_vec();
+    }
+    assert!(ended, "no joint was fast");
+    let unknown = OWN_TASK.replace("foot_height.FL", "foot_height.XL");
+    let error = VecEnv::new(model.clone(), toml::from_str(&unknown).unwrap(), build(), 1, 0);
+    let error = error.err().unwrap().to_string();
+    assert!(error.contains("no such foot; it has: FL, FR, HL, HR"), "{error}");
 }
