@@ -434,12 +434,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     }
 
     /// The policy's targets; `None`: hold what was sent last.
-    fn walk(
-        &mut self,
-        sensed: &Sensed,
-        dt_s: f64,
-        wanted: [f32; COMMAND_DIM],
-    ) -> Option<PerJoint> {
+    fn walk(&mut self, sensed: &Sensed, dt_s: f64, wanted: [f32; COMMAND_DIM]) -> Option<PerJoint> {
         let start_s = match self.walk_start_s {
             Some(start) => {
                 self.runner.advance(self.periods(dt_s));

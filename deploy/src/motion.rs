@@ -272,7 +272,10 @@ mod tests {
         motion.damp();
         let mut sent = ZERO;
         assert_eq!(run(&mut motion, &mut sent), 50);
-        assert_eq!((motion.stage(), sent), (Stage::Off, PerJoint::filled(16, 0.3)));
+        assert_eq!(
+            (motion.stage(), sent),
+            (Stage::Off, PerJoint::filled(16, 0.3))
+        );
         motion.damp();
         assert_eq!(motion.stage(), Stage::Off);
     }

@@ -152,7 +152,10 @@ impl PolicyRunner {
         };
         let mut action = PerJoint::filled(self.joints.len(), 0.0);
         let fresh = std::mem::take(&mut self.fresh);
-        if let Err(error) = self.observer.write(&observation, None, fresh, &mut self.obs) {
+        if let Err(error) = self
+            .observer
+            .write(&observation, None, fresh, &mut self.obs)
+        {
             tracing::error!(%error, "no observation");
             return None;
         }

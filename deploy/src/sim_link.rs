@@ -111,7 +111,9 @@ impl SimLink {
     fn receive_sensors(&mut self, deadline: Duration) -> Result<Box<Sensors>, BusError> {
         match self.receive(deadline)? {
             RobotMessage::Sensors(sensors) if sensors.fit(self.joints, self.feet) => Ok(sensors),
-            RobotMessage::Sensors(_) => Err(self.protocol("readings of another number of joints or feet")),
+            RobotMessage::Sensors(_) => {
+                Err(self.protocol("readings of another number of joints or feet"))
+            }
             _ => Err(self.protocol("expected readings")),
         }
     }

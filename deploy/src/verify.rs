@@ -406,7 +406,10 @@ pub fn expected_contract(
     };
     let mut expected = PolicyContract::new(model, &task)?;
     // which feet step together is the policy's business
-    expected.phase.offsets_rad.clone_from(&policy.phase.offsets_rad);
+    expected
+        .phase
+        .offsets_rad
+        .clone_from(&policy.phase.offsets_rad);
     expected.observer()?.check_sensed(&expected.observation)?;
     Ok(expected)
 }

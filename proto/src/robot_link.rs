@@ -86,7 +86,9 @@ impl Sensors {
     pub fn fit(&self, joints: usize, feet: usize) -> bool {
         let lists = [&self.joint_pos_rad, &self.joint_vel_radps, &self.current_a];
         lists.iter().all(|list| list.len() == joints)
-            && self.foot_contacts.is_none_or(|bits| bits >> feet.min(FEET_MAX) == 0)
+            && self
+                .foot_contacts
+                .is_none_or(|bits| bits >> feet.min(FEET_MAX) == 0)
     }
 }
 

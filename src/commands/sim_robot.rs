@@ -13,8 +13,7 @@ use caudata_config::ConfigArgs;
 use caudata_model::RobotModel;
 use caudata_proto::framing::{FrameReader, write_frame};
 use caudata_proto::robot_link::{
-    BasePose, Command, Hello, MAX_MESSAGE_BYTES, RobotMessage, Sensors, decode,
-    encode,
+    BasePose, Command, Hello, MAX_MESSAGE_BYTES, RobotMessage, Sensors, decode, encode,
 };
 use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::sensors::{self, ImuBias};
@@ -214,7 +213,7 @@ impl SimulatedRobot {
         Hello {
             robot_name: self.model().name().to_owned(),
             robot_hash: self.model().hash(),
-            joint_names: std::array::from_fn(|i| names[i].to_owned()),
+            joint_names: names.into_iter().map(str::to_owned).collect(),
             control_period_s: self.engine.config().control_period_s(),
         }
     }

@@ -75,9 +75,15 @@ fn terms() {
             Known::Simulated => "simulation",
         };
         let unit = signal.unit.to_string();
-        [signal.name, signal.shape.name(), &unit, known, &plain(signal.about)]
-            .map(str::to_owned)
-            .to_vec()
+        [
+            signal.name,
+            signal.shape.name(),
+            &unit,
+            known,
+            &plain(signal.about),
+        ]
+        .map(str::to_owned)
+        .to_vec()
     });
     say::table(&["signal", "values", "unit", "known to", ""], rows);
     say::line("\nFunctions, beside + - * / ^ < > <= >= and .x .y .z .JOINT .FOOT");
@@ -99,9 +105,8 @@ fn terms_json() -> Result<(), Failure> {
             "about": plain(term.about),
         })
     });
-    let observations = Part::ALL.map(|part| {
-        serde_json::json!({ "name": part.name(), "unit": part.unit() })
-    });
+    let observations =
+        Part::ALL.map(|part| serde_json::json!({ "name": part.name(), "unit": part.unit() }));
     let signals = SIGNALS.iter().map(|signal| {
         serde_json::json!({
             "name": signal.name,

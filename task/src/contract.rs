@@ -278,7 +278,8 @@ impl PolicyContract {
         let terms = self.observation.terms();
         let known = ObservationLayout::of(&terms, &self.joint_names, &self.phase.feet);
         if !known.is_ok_and(|known| known == self.observation) {
-            let reason = "is not a layout that this version knows for these joints and feet".to_owned();
+            let reason =
+                "is not a layout that this version knows for these joints and feet".to_owned();
             return refuse("observation", reason);
         }
         if !(1e-4..=1.0).contains(&self.control_period_s) {

@@ -159,7 +159,9 @@ impl ObservationLayout {
     /// The standard layout for a robot with that many actuated joints and these feet; with the medium bit of
     /// amphibious tasks where `medium` asks for it.
     pub fn new(joints: usize, feet: &[String], medium: bool) -> Self {
-        let parts = Part::ALL.into_iter().filter(|&part| medium || part != Part::Medium);
+        let parts = Part::ALL
+            .into_iter()
+            .filter(|&part| medium || part != Part::Medium);
         let mut layout = Self { slices: Vec::new() };
         for part in parts {
             layout.push_part(part, None, joints, feet);
@@ -174,21 +176,31 @@ impl ObservationLayout {
     pub fn of(terms: &[Wanted<'_>], joints: &[String], feet: &[String]) -> Result<Self, TaskError> {
         let mut layout = Self { slices: Vec::new() };
         for term in terms {
-            let wrong = |reason: String| TaskError::term("task.observation.term", term.name, reason);
+            let wrong =
+                |reason: String| TaskError::term("task.observation.term", term.name, reason);
             if layout.slice(term.name).is_some() {
                 return Err(wrong("is there twice".to_owned()));
             }
-            if term.history.is_some_and(|steps| !(1..=HISTORY_MAX).contains(&steps)) {
-                return Err(wrong(format!("has a history that is not 1 to {HISTORY_MAX}")));
+            if term
+                .history
+                .is_some_and(|steps| !(1..=HISTORY_MAX).contains(&steps))
+            {
+                return Err(wrong(format!(
+                    "has a history that is not 1 to {HISTORY_MAX}"
+                )));
             }
             match (Part::named(term.name), term.value) {
                 (Some(Part::Actions), None)
-                    if term.history.is_some_and(|steps| steps as usize > ACTION_HISTORY) =>
+                    if term
+                        .history
+                        .is_some_and(|steps| steps as usize > ACTION_HISTORY) =>
                 {
                     return Err(wrong(format!("keeps at most {ACTION_HISTORY} steps")));
                 }
                 (Some(part), None) => layout.push_part(part, term.history, joints.len(), feet),
-                (_, Some(value)) => layout.push_value(term, value, joints, feet).map_err(wrong)?,
+                (_, Some(value)) => layout
+                    .push_value(term, value, joints, feet)
+                    .map_err(wrong)?,
                 (None, None) => {
                     let known = Part::ALL.map(Part::name).join(", ");
                     return Err(wrong(format!("has no value and is none of: {known}")));
@@ -196,7 +208,11 @@ impl ObservationLayout {
             }
         }
         match layout.dim() {
-            0 => Err(TaskError::term("task.observation", "term", "gives no value".to_owned())),
+            0 => Err(TaskError::term(
+                "task.observation",
+                "term",
+                "gives no value".to_owned(),
+            )),
             _ => Ok(layout),
         }
     }
@@ -242,7 +258,12 @@ impl ObservationLayout {
     /// The terms that it is made of.
     pub fn terms(&self) -> Vec<Wanted<'_>> {
         let term = |slice| {
-            let Slice { name, value, history, .. }: &Slice = slice;
+            let Slice {
+                name,
+                value,
+                history,
+                ..
+            }: &Slice = slice;
             Wanted {
                 name,
                 value: value.as_deref(),
@@ -349,7 +370,11 @@ mod tests {
         assert_eq!(again, standard);
         let own = [
             wanted("gyro", None, Some(3)),
-            wanted("lean", Some("gravity.x + 0.1 * gyro.y / joint_vel.hip"), None),
+            wanted(
+                "lean",
+                Some("gravity.x + 0.1 * gyro.y / joint_vel.hip"),
+                None,
+            ),
             wanted("effort", Some("torque"), Some(2)),
             wanted("actions", None, Some(1)),
         ];
@@ -359,9 +384,16 @@ mod tests {
         assert_eq!(layout.slice("effort").unwrap().unit, "N·m");
         assert_eq!(layout.terms(), own);
         let json = serde_json::to_string(&layout).unwrap();
-        assert_eq!(serde_json::from_str::<ObservationLayout>(&json).unwrap(), layout);
+        assert_eq!(
+            serde_json::from_str::<ObservationLayout>(&json).unwrap(),
+            layout
+        );
         // a standard layout is written as it always was
-        assert!(!serde_json::to_string(&standard).unwrap().contains("history"));
+        assert!(
+            !serde_json::to_string(&standard)
+                .unwrap()
+                .contains("history")
+        );
     }
 
     #[test]
@@ -374,7 +406,9 @@ mod tests {
             (wanted("a", Some("torque.knee"), None), "has: hip"),
             (wanted("a b", Some("height"), None), "letters"),
         ] {
-            let error = ObservationLayout::of(&[term], &joints, &[]).unwrap_err().to_string();
+            let error = ObservationLayout::of(&[term], &joints, &[])
+                .unwrap_err()
+                .to_string();
             assert!(error.contains(reason), "{error}");
         }
         let twice = [wanted("gyro", None, None), wanted("gyro", None, None)];

@@ -281,7 +281,9 @@ fn write_part(part: Part, input: &ObservationInput<'_>, joints: &JointTable, out
 /// cos and sin of each phase. In a trot diagonal feet share a phase, and so its cos and sin.
 pub fn write_phase(phase_rad: &[f32], out: &mut [f32]) {
     for (foot, phase) in phase_rad.iter().enumerate() {
-        let same = phase_rad[..foot].iter().position(|earlier| earlier == phase);
+        let same = phase_rad[..foot]
+            .iter()
+            .position(|earlier| earlier == phase);
         let (sin, cos) = match same {
             Some(earlier) => (out[2 * earlier + 1], out[2 * earlier]),
             None => phase.sin_cos(),
@@ -357,7 +359,10 @@ mod tests {
 
     fn names() -> (Vec<String>, Vec<String>) {
         let feet = ["FL", "FR", "HL", "HR"].map(str::to_owned);
-        ((0..ACT_DIM).map(|i| format!("j{i}")).collect(), feet.to_vec())
+        (
+            (0..ACT_DIM).map(|i| format!("j{i}")).collect(),
+            feet.to_vec(),
+        )
     }
 
     fn joints() -> JointTable {
@@ -485,7 +490,10 @@ mod tests {
             error,
             "observation term 'clearance' needs `foot_height`, which the robot cannot measure"
         );
-        for bad in ["term = [{ name = \"speed\" }]", "term = [{ name = \"a\", value = \"sped\" }]"] {
+        for bad in [
+            "term = [{ name = \"speed\" }]",
+            "term = [{ name = \"a\", value = \"sped\" }]",
+        ] {
             let config: ObservationConfig = toml::from_str(bad).unwrap();
             assert!(config.validate().is_err(), "{bad}");
         }

@@ -145,7 +145,11 @@ impl PhaseClock {
     pub fn new(phase_rad: f32, frequency_hz: f32) -> Self {
         Self {
             // a clock that stands, stands at the end of a step
-            phase_rad: if frequency_hz == 0.0 { PI } else { wrap_angle(phase_rad) },
+            phase_rad: if frequency_hz == 0.0 {
+                PI
+            } else {
+                wrap_angle(phase_rad)
+            },
             frequency_hz,
             standing: false,
         }
@@ -238,7 +242,9 @@ mod tests {
     }
 
     fn trot() -> PerFoot {
-        PhaseConfig::default().offsets_rad(&["FL", "FR", "HL", "HR"]).unwrap()
+        PhaseConfig::default()
+            .offsets_rad(&["FL", "FR", "HL", "HR"])
+            .unwrap()
     }
 
     #[test]
@@ -284,7 +290,10 @@ mod tests {
                 pattern,
                 ..PhaseConfig::default()
             };
-            config.offsets_rad(&feet).unwrap().map(|rad| rad.rem_euclid(TAU) / TAU)
+            config
+                .offsets_rad(&feet)
+                .unwrap()
+                .map(|rad| rad.rem_euclid(TAU) / TAU)
         };
         // who is farther ahead comes down earlier: hind left, front left, hind right, front right
         assert_eq!(of(GaitPattern::Walk), [0.5, 0.0, 0.75, 0.25]);
@@ -295,7 +304,10 @@ mod tests {
         config.offset_cycles.insert("HR".into(), 0.25);
         assert_eq!(config.offsets_rad(&feet).unwrap(), [0.0, PI, PI, FRAC_PI_2]);
         let refused = config.offsets_rad(&["L", "R"]).unwrap_err().to_string();
-        assert!(refused.contains("HR") && refused.contains("L, R"), "{refused}");
+        assert!(
+            refused.contains("HR") && refused.contains("L, R"),
+            "{refused}"
+        );
         // no feet: the clock itself; no clock: always the end of a step
         assert_eq!(PhaseConfig::default().offsets_rad(&[]).unwrap(), [0.0]);
         let none = PhaseConfig {

@@ -51,7 +51,9 @@ impl TerminationConfig {
     }
 
     fn own(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.when.iter().map(|when| (when.name.as_str(), when.value.as_str()))
+        self.when
+            .iter()
+            .map(|when| (when.name.as_str(), when.value.as_str()))
     }
 
     /// The conditions of the task file, compiled for a robot.

@@ -40,7 +40,11 @@ impl Size {
         };
         let feet = model.feet().len();
         let lowest = match feet {
-            0 => places.links.iter().map(|l| l.pos_m[2]).fold(com_z, f64::min),
+            0 => places
+                .links
+                .iter()
+                .map(|l| l.pos_m[2])
+                .fold(com_z, f64::min),
             _ => (0..feet).map(foot_z).fold(f64::INFINITY, f64::min),
         };
         let hip_z = |foot: usize| {

@@ -134,7 +134,9 @@ fn with_derived(
     let model = RobotModel::load(&path).map_err(|error| ConfigError::Robot(error.to_string()))?;
     let origin = format!("what follows from {}", path.display());
     let mut below = vec![(origin.clone(), parse(&origin, &derived(&model)?)?)];
-    if let Some(any) = Preset::find(Preset::ANY).filter(|any| source.preset.as_deref() != Some(any.name)) {
+    if let Some(any) =
+        Preset::find(Preset::ANY).filter(|any| source.preset.as_deref() != Some(any.name))
+    {
         let origin = format!("preset `{}`", any.name);
         below.push((origin.clone(), parse(&origin, any.text)?));
     }

@@ -89,12 +89,7 @@ impl OutputBuffers {
     }
 
     /// Notes that a lane's episode ended, with its last observation.
-    pub fn finish(
-        &mut self,
-        mut stats: EpisodeStats,
-        terms: &[f64],
-        last_observation: &[f32],
-    ) {
+    pub fn finish(&mut self, mut stats: EpisodeStats, terms: &[f64], last_observation: &[f32]) {
         let mut observation = self.observation_pool.pop().unwrap_or_default();
         observation.clear();
         observation.extend_from_slice(last_observation);

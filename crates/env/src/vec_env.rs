@@ -287,7 +287,14 @@ impl VecEnv {
             let cost_scale = self.task.reward.cost_scale(self.progress);
             let config = &self.task.reward;
             let own = &mut self.own_rewards;
-            reward = reward::evaluate(config, own, &input, control_period_s, cost_scale, &mut terms);
+            reward = reward::evaluate(
+                config,
+                own,
+                &input,
+                control_period_s,
+                cost_scale,
+                &mut terms,
+            );
             if !self.own_ends.is_empty() {
                 let signals = StateSignals::new(&input, config.contact_force_n);
                 own_end = self.own_ends.first(&signals).is_some();

@@ -45,12 +45,27 @@ impl GateReport {
         let mut gates = Vec::new();
         if limits.speed_share > 0.0 {
             let share = mean(&|g| g.speed_share);
-            gates.push(gate("share of the commanded speed", share, Some(limits.speed_share), None));
+            gates.push(gate(
+                "share of the commanded speed",
+                share,
+                Some(limits.speed_share),
+                None,
+            ));
         }
         if first.duty_factor.len() > 0 {
-            gates.extend(of_feet(&mean, first.duty_factor.len(), first.clock_hz > 0.0, limits));
+            gates.extend(of_feet(
+                &mean,
+                first.duty_factor.len(),
+                first.clock_hz > 0.0,
+                limits,
+            ));
         }
-        gates.push(gate("power, W", mean(&|g| g.power_w), None, Some(limits.power_w)));
+        gates.push(gate(
+            "power, W",
+            mean(&|g| g.power_w),
+            None,
+            Some(limits.power_w),
+        ));
         gates.push(gate(
             format!("joint power above {} Hz", limits.vibration_hz),
             mean(&|g| g.vibration_share),
@@ -88,7 +103,9 @@ fn of_feet(
 ) -> Vec<Gate> {
     let each = |value: &dyn Fn(&Gait, usize) -> f64| {
         let values = (0..feet).map(|foot| mean(&|g| value(g, foot)));
-        values.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], v| [lo.min(v), hi.max(v)])
+        values.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], v| {
+            [lo.min(v), hi.max(v)]
+        })
     };
     let duty = each(&|g, foot| g.duty_factor[foot]);
     let clearance = each(&|g, foot| g.clearance_m[foot]);
@@ -102,7 +119,12 @@ fn of_feet(
     gates.extend([
         gate("duty factor, least", duty[0], Some(least), None),
         gate("duty factor, most", duty[1], None, Some(most)),
-        gate("stance slip, m/s", mean(&|g| g.slip_mps), None, Some(limits.slip_mps)),
+        gate(
+            "stance slip, m/s",
+            mean(&|g| g.slip_mps),
+            None,
+            Some(limits.slip_mps),
+        ),
         gate("clearance, m", clearance[0], Some(limits.clearance_m), None),
     ]);
     gates
@@ -165,7 +187,10 @@ mod tests {
         for (name, change) in spoil {
             let mut gait = good.clone();
             change(&mut gait);
-            assert_eq!(GateReport::of(&[gait], &Limits::default(), true).missed(), [name]);
+            assert_eq!(
+                GateReport::of(&[gait], &Limits::default(), true).missed(),
+                [name]
+            );
         }
     }
 

@@ -359,7 +359,10 @@ mod tests {
         let names: std::collections::BTreeSet<_> = all.iter().map(|s| &s.name).collect();
         assert_eq!(names.len(), all.len());
         let biped = Suite::Flat.scenarios(0.8, 0.15);
-        assert_eq!((biped[0].name.as_str(), biped[2].name.as_str()), ("flat 0.15 m/s", "flat 0.200 m/s"));
+        assert_eq!(
+            (biped[0].name.as_str(), biped[2].name.as_str()),
+            ("flat 0.15 m/s", "flat 0.200 m/s")
+        );
         assert_eq!(flat_name(PAPER_COMMAND_MPS), FLAT);
     }
 

@@ -83,12 +83,29 @@ enum Step {
     Load(Signal),
     Pick(Signal, usize),
     /// Keeps value `at` of the topmost `of`.
-    Element { at: usize, of: usize },
-    Each { act: Act, len: usize },
-    Negate { len: usize },
-    Power { power: i32, len: usize },
-    Reduce { act: Act, len: usize },
-    Binary { pair: Pair, lens: [usize; 2] },
+    Element {
+        at: usize,
+        of: usize,
+    },
+    Each {
+        act: Act,
+        len: usize,
+    },
+    Negate {
+        len: usize,
+    },
+    Power {
+        power: i32,
+        len: usize,
+    },
+    Reduce {
+        act: Act,
+        len: usize,
+    },
+    Binary {
+        pair: Pair,
+        lens: [usize; 2],
+    },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -353,7 +370,10 @@ impl<'a> Checker<'a> {
     fn signal(&mut self, name: &str) -> Result<Signal, Reason> {
         let signal = Signal::named(name).ok_or_else(|| {
             let known: Vec<&str> = SIGNALS.iter().map(|row| row.name).collect();
-            format!("names `{name}`, which is no signal; there are: {}", known.join(", "))
+            format!(
+                "names `{name}`, which is no signal; there are: {}",
+                known.join(", ")
+            )
         })?;
         if signal.info().known == Known::Simulated {
             self.simulated.get_or_insert(signal);
@@ -443,11 +463,16 @@ impl<'a> Checker<'a> {
         let function = FUNCTIONS.iter().find(|row| row.name == name);
         let function = function.ok_or_else(|| {
             let known: Vec<&str> = FUNCTIONS.iter().map(|row| row.name).collect();
-            format!("calls `{name}`, which is no function; there are: {}", known.join(", "))
+            format!(
+                "calls `{name}`, which is no function; there are: {}",
+                known.join(", ")
+            )
         })?;
         let (needs, given) = (function.arguments, arguments.len());
         if needs != given {
-            return Err(format!("calls `{name}` with {given} arguments, it takes {needs}"));
+            return Err(format!(
+                "calls `{name}` with {given} arguments, it takes {needs}"
+            ));
         }
         match function.act {
             Act::Where => self.choose(arguments),
@@ -459,7 +484,11 @@ impl<'a> Checker<'a> {
             }
             Act::Min | Act::Max => {
                 let (left, right) = (self.compile(&arguments[0])?, self.compile(&arguments[1])?);
-                let pair = if function.act == Act::Min { Pair::Min } else { Pair::Max };
+                let pair = if function.act == Act::Min {
+                    Pair::Min
+                } else {
+                    Pair::Max
+                };
                 self.bounded(pair, name, left, right)
             }
             act => {

@@ -20,7 +20,10 @@ impl Source for State {
 }
 
 fn names() -> ([String; 2], [String; 3]) {
-    (["hip", "knee"].map(str::to_owned), ["L", "M", "R"].map(str::to_owned))
+    (
+        ["hip", "knee"].map(str::to_owned),
+        ["L", "M", "R"].map(str::to_owned),
+    )
 }
 
 fn value(text: &str) -> Vec<f32> {
@@ -65,15 +68,24 @@ fn arithmetic_by_hand() {
         ("foot_height > 0.03", vec![0.0, 0.0, 1.0]),
         ("foot_height.M <= 0.02", vec![1.0]),
         // the side that is not taken is 1/0
-        ("where(foot_height > 0, 1 / foot_height, -1)", vec![-1.0, 50.0, 20.0]),
-        ("exp(-(command_vx - velocity.x)^2 / 0.04)", vec![(-1.0f32).exp()]),
+        (
+            "where(foot_height > 0, 1 / foot_height, -1)",
+            vec![-1.0, 50.0, 20.0],
+        ),
+        (
+            "exp(-(command_vx - velocity.x)^2 / 0.04)",
+            vec![(-1.0f32).exp()],
+        ),
         ("(2 * velocity).y", vec![0.2]),
         ("sqrt(0 - 4)", vec![0.0]),
     ] {
         let found = value(text);
         assert_eq!(found.len(), expected.len(), "{text}");
         for (found, expected) in found.iter().zip(expected) {
-            assert!((found - expected).abs() < 1e-5, "{text} is {found}, not {expected}");
+            assert!(
+                (found - expected).abs() < 1e-5,
+                "{text} is {found}, not {expected}"
+            );
         }
     }
 }
@@ -106,7 +118,10 @@ fn what_is_wrong_is_said() {
         feet: &feet,
     };
     let error = compile("torque.elbow", names).unwrap_err();
-    assert!(error.contains("no such joint; it has: hip, knee"), "{error}");
+    assert!(
+        error.contains("no such joint; it has: hip, knee"),
+        "{error}"
+    );
     // without a robot nobody knows
     check("torque.elbow").unwrap();
     let deep = format!("{}1{}", "(".repeat(60), ")".repeat(60));

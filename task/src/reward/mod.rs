@@ -204,9 +204,14 @@ pub fn evaluate(
     if !own.is_empty() {
         let signals = StateSignals::new(input, config.contact_force_n);
         for (which, term) in config.term.iter().enumerate() {
-            let sense = if term.weight < 0.0 { Sense::Cost } else { Sense::Reward };
+            let sense = if term.weight < 0.0 {
+                Sense::Cost
+            } else {
+                Sense::Reward
+            };
             let value = own.value(which, &signals);
-            contributions[TERM_COUNT + which] = dt_s * sense.scale(cost_scale) * term.weight * value;
+            contributions[TERM_COUNT + which] =
+                dt_s * sense.scale(cost_scale) * term.weight * value;
         }
     }
     contributions.iter().sum()
@@ -326,7 +331,9 @@ impl RewardConfig {
     }
 
     fn own(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.term.iter().map(|term| (term.name.as_str(), term.value.as_str()))
+        self.term
+            .iter()
+            .map(|term| (term.name.as_str(), term.value.as_str()))
     }
 
     /// The terms of the task file, compiled for a robot.
@@ -340,7 +347,9 @@ impl RewardConfig {
     /// Names of all terms, in the order of all per-term arrays: those of the table, then its own.
     pub fn term_names(&self) -> Vec<String> {
         let built_in = TERMS.iter().map(|term| term.name.to_owned());
-        built_in.chain(self.term.iter().map(|term| term.name.clone())).collect()
+        built_in
+            .chain(self.term.iter().map(|term| term.name.clone()))
+            .collect()
     }
 }
 

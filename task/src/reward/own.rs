@@ -57,7 +57,9 @@ pub(crate) fn check<'a>(
             Ok((Shape::Scalar, _)) => {}
             Ok((shape, _)) => {
                 let shape = shape.name();
-                return wrong(format!("= `{value}` gives {shape}, not one number; use sum, mean, least or most"));
+                return wrong(format!(
+                    "= `{value}` gives {shape}, not one number; use sum, mean, least or most"
+                ));
             }
         }
     }

@@ -490,7 +490,10 @@ fn terms_of_ones_own_count_with_the_others() {
         ]"#;
     let config: RewardConfig = toml::from_str(text).unwrap();
     config.validate().unwrap();
-    assert_eq!(config.term_names()[TERM_COUNT..], ["crouch", "knees", "broken"]);
+    assert_eq!(
+        config.term_names()[TERM_COUNT..],
+        ["crouch", "knees", "broken"]
+    );
     let names = Names {
         joints: &std::array::from_fn::<_, ACT_DIM, _>(|i| format!("j{i}")),
         feet: &["FL", "FR", "HL", "HR"].map(str::to_owned),
@@ -517,9 +520,15 @@ fn wrong_terms_are_refused_when_the_file_is_read() {
     for (term, reason) in [
         ("name = \"power\", value = \"1\"", "name of another term"),
         ("name = \"a b\", value = \"1\"", "letters, digits and _"),
-        ("name = \"a\", value = \"torque\"", "per joint, not one number"),
+        (
+            "name = \"a\", value = \"torque\"",
+            "per joint, not one number",
+        ),
         ("name = \"a\", value = \"speed\"", "no signal"),
-        ("name = \"a\", value = \"1\", weight = 1e9", "-10000 to 10000"),
+        (
+            "name = \"a\", value = \"1\", weight = 1e9",
+            "-10000 to 10000",
+        ),
     ] {
         let config: RewardConfig = toml::from_str(&format!("term = [{{ {term} }}]")).unwrap();
         let error = config.validate().unwrap_err().to_string();

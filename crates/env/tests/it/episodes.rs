@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use crate::support::{Breakdown, FakeEngine, calm_task, env, model, wiggle};
 use caudata_env::{EnvError, VecEnv};
+use caudata_task::ContractDifference;
 use caudata_task::reward::{RewardWeights, TERM_COUNT};
 use caudata_task::termination::TerminationReason;
-use caudata_task::ContractDifference;
 
 const ACT_DIM: usize = 16;
 

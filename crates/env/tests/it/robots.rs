@@ -233,7 +233,16 @@ fn a_task_of_ones_own() {
     }
     assert!(ended, "no joint was fast");
     let unknown = OWN_TASK.replace("foot_height.FL", "foot_height.XL");
-    let error = VecEnv::new(model.clone(), toml::from_str(&unknown).unwrap(), build(), 1, 0);
+    let error = VecEnv::new(
+        model.clone(),
+        toml::from_str(&unknown).unwrap(),
+        build(),
+        1,
+        0,
+    );
     let error = error.err().unwrap().to_string();
-    assert!(error.contains("no such foot; it has: FL, FR, HL, HR"), "{error}");
+    assert!(
+        error.contains("no such foot; it has: FL, FR, HL, HR"),
+        "{error}"
+    );
 }

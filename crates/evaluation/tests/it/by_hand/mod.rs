@@ -7,8 +7,8 @@ use std::sync::Arc;
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::RobotModel;
 use caudata_policy::{Activation, Dense, MlpSpec, PolicyFile, PolicyMetadata, build_onnx};
-use caudata_task::layout::Part;
 use caudata_task::PolicyContract;
+use caudata_task::layout::Part;
 
 const ACT_DIM: usize = 16;
 
