@@ -15,7 +15,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test test-fast check lint doc deny advisories bench test-faults setup-arm test-arm fuzz soak mutants lines clean tools
+.PHONY: help setup build train test test-fast check lint doc deny advisories bench test-faults setup-arm test-arm fuzz siege soak mutants lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -56,6 +56,9 @@ test-arm: build ## build the robot's programs for aarch64 and run them under emu
 
 fuzz: build ## knock at every door that bytes come in by, a minute each, CAUDATA_FUZZ_S=seconds
 	@$(ENV) CAUDATA_FUZZ_S=$(or $(CAUDATA_FUZZ_S),60) cargo test --release --locked --workspace --test fuzz $(ARGS) -- --nocapture --test-threads 1
+
+siege: build ## attack the real programs in every way of the catalogue (tests/tests/it/siege), CAUDATA_SIEGE=times (20)
+	@$(ENV) CAUDATA_SIEGE=$(or $(CAUDATA_SIEGE),20) cargo test --release --locked --workspace --test it $(or $(ARGS),siege) -- --nocapture
 
 soak: build ## a publisher that never pauses, a server that dies, a network that breaks, a robot that follows: ten minutes, CAUDATA_SOAK_S=seconds
 	@$(ENV) CAUDATA_SOAK_S=$(or $(CAUDATA_SOAK_S),600) cargo test --release --locked -p caudata-deploy --test it $(ARGS) -- soak --nocapture

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use crate::common::policies::{policy_file, standing};
 use crate::common::{
-    Server, end_of, ended, error_lines, outcome, perfect_robot, program, program_on, robot_program, start,
-    status_of,
+    Server, end_of, ended, error_lines, outcome, perfect_robot, program, program_on, robot_program,
+    start, status_of,
 };
 use caudata_runlog::{Axis, RunLog, Signal};
 use nix::sys::signal::{Signal as Posix, kill};

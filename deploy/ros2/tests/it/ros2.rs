@@ -67,7 +67,9 @@ fn hex(bytes: &[u8]) -> String {
 fn unhex(text: &str) -> Vec<u8> {
     let digits = text.as_bytes().chunks(2);
     let digits = digits.map(|two| std::str::from_utf8(two).unwrap());
-    digits.map(|two| u8::from_str_radix(two, 16).unwrap()).collect()
+    digits
+        .map(|two| u8::from_str_radix(two, 16).unwrap())
+        .collect()
 }
 
 fn header() -> Header {
@@ -94,7 +96,9 @@ macro_rules! row {
             hash: $hash,
             ours: message.encode(),
             fields: $fields,
-            is_theirs: Box::new(move |bytes| $kind::decode(bytes).is_ok_and(|theirs| theirs == message)),
+            is_theirs: Box::new(move |bytes| {
+                $kind::decode(bytes).is_ok_and(|theirs| theirs == message)
+            }),
         }
     }};
 }
@@ -210,7 +214,9 @@ fn every_message_goes_through_ros_and_back() {
     let Some(mut ros) = Counterpart::start() else {
         return;
     };
-    println!("| message | ours read by ROS | ROS's read by us | hash of the type |\n|---|---|---|---|");
+    println!(
+        "| message | ours read by ROS | ROS's read by us | hash of the type |\n|---|---|---|---|"
+    );
     for row in rows() {
         let answer = ros.ask(&json!({ "type": row.name, "cdr": hex(&row.ours) }));
         assert_eq!(answer["fields"], row.fields, "{}", row.name);
