@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use caudata_chaos_proxy::Dice;
 use caudata_tests::{command, finish, repository_root, train};
 
-use super::lab::{ARCHIVED, Lab, copy, ended_with, files, pull};
+use super::lab::{ARCHIVED, Lab, TRAINED, copy, ended_with, files, pull};
 
 /// A copy of what has the file, where it is in it, what reads it, and how that may end.
 struct Kind {
@@ -208,7 +208,7 @@ fn served(lab: &Lab, part: &str, dice: &mut Dice) -> Result<bool> {
     };
     let state = lab.fresh()?.join("state");
     let pulled = finish(lab.pull(server.address, &state)?)?;
-    ended_with(&[0, 65, 66, 69, 76, 77], &pulled)?;
+    ended_with(&[0, 65, 66, 69, 74, 76, 77], &pulled)?;
     if pulled.code == Some(0) {
         let want = lab.at("run/registry/blobs");
         for blob in files(&state.join("blobs"))? {
@@ -298,5 +298,5 @@ fn run_folder(lab: &Lab, into: &Path) -> Result<()> {
 }
 
 fn resumed(_: &Lab, at: &Path) -> Result<Command> {
-    train(at, &["--resume", "--iterations", "8"])
+    train(at, &[TRAINED, &["--resume", "--iterations", "8"]].concat())
 }

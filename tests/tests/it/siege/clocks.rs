@@ -20,7 +20,7 @@ pub fn swinging(lab: &Lab, times: usize) -> Result<String> {
         .arg("-ldl")
         .status()?;
     ensure!(compiled.success(), "the moved clock does not compile");
-    for transport in ["zenoh", "iceoryx2"].iter().cycle().take(times) {
+    for transport in ["zenoh", "iceoryx2"].into_iter().cycle().take(times) {
         let out = lab.fresh()?.join("run");
         let flags = ["--transport", transport, "--iterations", "150"];
         let mut run = train(&out, &flags)?;

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, ensure};
 use caudata_chaos_proxy::Dice;
 use caudata_tests::{command, finish};
 
-use super::lab::{Lab, RELEASED, ROBOT, ended_with};
+use super::lab::{Lab, RELEASED, ended_with};
 
 /// Killed while somebody publishes; what it then lists is whole, and its record is unbroken.
 pub fn server(lab: &Lab, times: usize) -> Result<String> {
@@ -100,7 +100,7 @@ pub fn robot(lab: &Lab, times: usize) -> Result<String> {
         ended_with(&[0], &again)?;
         let status = ["status", "--state", &state.display().to_string(), "--json"];
         let status = finish(command("caudata-robot", &status)?)?.last_json()?;
-        ensure!(status["active"]["stream"] == RELEASED, "{ROBOT}: {status}");
+        ensure!(status["active"]["stream"] == RELEASED, "{status}");
     }
     Ok(format!(
         "{killed} of {} killed in time; each next one complete",

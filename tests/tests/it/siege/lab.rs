@@ -13,6 +13,14 @@ pub const ROBOT: &str = "robots/polymander.robot.toml";
 pub const RELEASED: &str = "release/flat";
 pub const ARCHIVED: &str = "archive/flat";
 
+/// Flags of the training whose policies are released.
+pub const TRAINED: &[&str] = &[
+    "--set",
+    "learner.publish_every=1",
+    "--set",
+    "policy_server.stream=lab",
+];
+
 /// Folders of one siege.
 pub struct Lab {
     folder: tempfile::TempDir,
@@ -37,8 +45,7 @@ impl Lab {
         let lab = Self {
             folder: tempfile::tempdir()?,
         };
-        let flags = ["--iterations", "6", "--set", "learner.publish_every=1"];
-        let flags = [&flags[..], &["--set", "policy_server.stream=lab"]].concat();
+        let flags = [TRAINED, &["--iterations", "6"]].concat();
         let trained = finish(train(&lab.at("run"), &flags)?)?;
         ensure!(trained.code == Some(0), "{}", trained.stderr);
         for (id, file, flags) in [

@@ -2,10 +2,12 @@
 
 use std::fs::{Permissions, create_dir, set_permissions};
 use std::os::unix::fs::{PermissionsExt, chown, lchown, symlink};
-use std::process::Stdio;
+use std::process::{Child, Stdio};
+use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use caudata_tests::{command, finish, train};
+use nix::sys::signal::Signal;
 
 use super::lab::{Lab, RELEASED, ROBOT, ended_with, started};
 
@@ -28,40 +30,49 @@ pub fn two_servers(lab: &Lab, times: usize) -> Result<String> {
 
 /// A supervisor that is killed leaves its learner at work; the next one must not work beside it.
 pub fn two_trainings(lab: &Lab, times: usize) -> Result<String> {
-    for transport in ["inproc", "zenoh", "iceoryx2"]
-        .iter()
-        .cycle()
-        .take(times.max(3))
-    {
+    let transports = ["inproc", "zenoh", "iceoryx2"].into_iter().cycle();
+    for transport in transports.take(times.max(3)) {
         let out = lab.fresh()?.join("run");
-        let flags = ["--transport", transport, "--iterations", "100000"];
-        let mut first = train(&out, &flags)?
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()?;
-        while !out.join("policy.onnx").exists() {
-            ensure!(first.try_wait()?.is_none(), "the first training ended");
-            std::thread::sleep(std::time::Duration::from_millis(20));
-        }
-        ended_with(&[87], &finish(train(&out, &["--resume"])?)?)?;
+        let flags = ["--transport", transport, "--iterations", "1000000"];
+        let flags = [&flags[..], &["--set", "learner.checkpoint_every=5"]].concat();
+        let start = |more: &[&str]| -> Result<Child> {
+            let mut run = train(&out, &[&flags[..], more].concat())?;
+            Ok(run.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?)
+        };
+        // The learner that holds the folder, and how far it got.
+        let learner = || std::fs::read_to_string(out.join("learner.lock")).unwrap_or_default();
+        let saved = || {
+            let newest = std::fs::read_to_string(out.join("checkpoints/latest")).ok()?;
+            newest
+                .trim()
+                .trim_start_matches("iter_")
+                .parse::<u64>()
+                .ok()
+        };
+        let wait = |run: &mut Child, come: &dyn Fn() -> bool| -> Result<()> {
+            while !come() {
+                ensure!(run.try_wait()?.is_none(), "{transport}: a training ended");
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            Ok(())
+        };
+        let mut first = start(&[])?;
+        wait(&mut first, &|| saved().is_some())?;
+        ended_with(
+            &[87],
+            &finish(train(&out, &[&flags[..], &["--resume"]].concat())?)?,
+        )?;
+        let orphan = learner();
         first.kill()?;
         first.wait()?;
         // It waits until the first learner has saved, and goes on from there.
-        let saved = |out: &std::path::Path| -> Result<u64> {
-            let newest = std::fs::read_to_string(out.join("checkpoints/latest"))?;
-            Ok(newest.trim().trim_start_matches("iter_").parse()?)
-        };
-        let then = saved(&out)?;
-        let on = ["--resume", "--iterations", "200000"];
-        let mut second = train(&out, &on)?
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()?;
-        while saved(&out)? < then + 60 {
-            ensure!(second.try_wait()?.is_none(), "the second training ended");
-            std::thread::sleep(std::time::Duration::from_millis(20));
-        }
-        caudata_tests::signal(&second, nix::sys::signal::Signal::SIGTERM)?;
+        let mut second = start(&["--resume"])?;
+        wait(&mut second, &|| {
+            learner() != orphan && !learner().is_empty()
+        })?;
+        let then = saved();
+        wait(&mut second, &|| saved() > then)?;
+        caudata_tests::signal(&second, Signal::SIGTERM)?;
         ensure!(
             second.wait()?.success(),
             "{transport}: the second training failed"
@@ -104,10 +115,10 @@ pub fn two_robots(lab: &Lab, times: usize) -> Result<String> {
         let mut first = run()?.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
         while !state.join("state.json").exists() {
             ensure!(first.try_wait()?.is_none(), "the first robot ended");
-            std::thread::sleep(std::time::Duration::from_millis(20));
+            std::thread::sleep(Duration::from_millis(20));
         }
         let second = finish(run()?)?;
-        caudata_tests::signal(&first, nix::sys::signal::Signal::SIGTERM)?;
+        caudata_tests::signal(&first, Signal::SIGTERM)?;
         let first = first.wait()?;
         ended_with(&[65, 69, 71, 73], &second)?;
         ensure!(first.success(), "the first one ended with {first}");

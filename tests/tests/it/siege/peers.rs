@@ -165,10 +165,12 @@ pub fn chatty_robot(lab: &Lab, times: usize) -> Result<String> {
             };
             match client.ack(report).await {
                 Ok(_) => taken += 1,
-                Err(status) => ensure!(
-                    status.code() == tonic::Code::ResourceExhausted,
-                    "refused otherwise: {status}"
-                ),
+                Err(status) => {
+                    ensure!(
+                        status.code() == tonic::Code::ResourceExhausted,
+                        "refused otherwise: {status}"
+                    );
+                }
             }
         }
         Ok::<usize, anyhow::Error>(taken)
