@@ -233,7 +233,6 @@ pub(super) fn reap(child: &mut Child) {
 
 #[cfg(test)]
 mod tests {
-    use std::os::unix::process::ExitStatusExt;
 
     use super::*;
 
