@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Pieces on their way in one direction; a sender that is faster waits.
-const ON_THE_WAY_MAX: usize = 64;
+const PIECES_MAX: usize = 64;
 
 /// Bytes on their way to the server, and what arrives instead.
 type Lie = Arc<Mutex<(Vec<u8>, Vec<u8>)>>;
@@ -86,7 +86,7 @@ impl Wire {
 
 /// Carries what comes from `from` to `into` until either hangs up.
 fn carry(mut from: TcpStream, mut into: TcpStream, delay_ms: Arc<AtomicU64>, lie: Lie) {
-    let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(ON_THE_WAY_MAX);
+    let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(PIECES_MAX);
     std::thread::spawn(move || {
         for (at, bytes) in due {
             std::thread::sleep(at.saturating_duration_since(Instant::now()));

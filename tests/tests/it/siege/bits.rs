@@ -58,11 +58,7 @@ const KINDS: &[Kind] = &[
         read: |_, at| {
             command(
                 "caudata",
-                &[
-                    "robot-model",
-                    "check",
-                    &text(&at.join("polymander.robot.toml")),
-                ],
+                &["robot", "check", &text(&at.join("polymander.robot.toml"))],
             )
         },
         codes: SAID,
@@ -74,11 +70,7 @@ const KINDS: &[Kind] = &[
         read: |_, at| {
             command(
                 "caudata",
-                &[
-                    "robot-model",
-                    "check",
-                    &text(&at.join("polymander.robot.toml")),
-                ],
+                &["robot", "check", &text(&at.join("polymander.robot.toml"))],
             )
         },
         codes: SAID,
