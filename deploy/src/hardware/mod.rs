@@ -389,4 +389,6 @@ impl<P: Port, B: I2c> Robot for HardwareRobot<P, B> {
 }
 
 #[cfg(test)]
+mod latencies;
+#[cfg(test)]
 mod tests;
