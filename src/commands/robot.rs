@@ -95,8 +95,8 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
     for (name, text) in files {
         let path = args.out.join(name);
         if path.exists() && !args.force {
-            let why = anyhow::anyhow!("{} is there already; --force overwrites it", path.display());
-            return Err(Failure::new(ExitCode::BadInput, why));
+            let why = format!("{} is there already", path.display());
+            return Err(Failure::message(ExitCode::BadInput, why).hint("--force overwrites it"));
         }
         std::fs::write(&path, text).or_exit_with(ExitCode::IoError, || {
             format!("cannot write {}", path.display())

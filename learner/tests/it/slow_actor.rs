@@ -53,7 +53,7 @@ fn chunk(actor_id: u32, sequence: u64, policy_version: u64) -> Vec<u8> {
 /// An actor whose simulation is a pause.
 struct Actor {
     quota: Quota,
-    /// Of the policy that it runs.
+    /// Version of the policy that it runs.
     version: u64,
     chunk_us: u64,
     sent: u64,

@@ -398,7 +398,7 @@ mod tests {
             for thread in 0..4 {
                 let config = &config;
                 scope.spawn(move || {
-                    for _ in 0..500 {
+                    for _ in 0..200 {
                         drop(RunDir::acquire(config, &format!("run-{thread}")).unwrap());
                     }
                 });

@@ -5,7 +5,7 @@ use std::process::Command;
 use super::exceptions::{Offence, hold};
 
 const MOST_BYTES: u64 = 40 << 20;
-/// Of a program that goes to a robot.
+/// The same for a program that goes to a robot.
 const MOST_BYTES_ON_A_ROBOT: u64 = 20 << 20;
 /// Whether each goes to a robot.
 const PROGRAMS: [(&str, bool); 6] = [
