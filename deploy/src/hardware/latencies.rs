@@ -25,7 +25,9 @@ use crate::verify::{Verified, verify};
 use crate::walk_command::{CommandTable, WalkCommand};
 
 const PERIOD: Duration = Duration::from_millis(20);
-/// When things happen at the earliest: it walks by then.
+/// By then it walks.
+const WALKS: Duration = Duration::from_secs(2);
+/// When things happen at the earliest.
 const FROM: Duration = Duration::from_secs(3);
 const VX_MPS: f32 = 0.2;
 
@@ -53,6 +55,8 @@ impl Clock for Time {
 struct Timed {
     robot: Emulated,
     time: Time,
+    /// How bad the wire is once it walks: on a bad one no torque comes on.
+    faults: WireFaults,
     /// When each target was on the wire.
     sent: Vec<Duration>,
     off: Option<Duration>,
@@ -65,6 +69,9 @@ impl Timed {
         let now_us = self.time.now().as_micros() as u64;
         let port = self.robot.bus_mut().port_mut();
         port.wait_us(now_us.saturating_sub(port.now_us()));
+        if now_us > WALKS.as_micros() as u64 {
+            port.bus().set_faults(self.faults);
+        }
         let done = what(&mut self.robot);
         let then_us = self.robot.bus_mut().port_mut().now_us();
         self.time.set_us(then_us);
@@ -95,9 +102,9 @@ impl ServoBus for Timed {
     }
 
     fn torque_off(&mut self) -> Result<(), BusError> {
-        let done = self.at(ServoBus::torque_off);
+        self.at(ServoBus::torque_off)?;
         self.off = Some(self.time.now());
-        done
+        Ok(())
     }
 }
 
@@ -177,11 +184,10 @@ struct Seen {
 
 fn run(event: Event, at: Duration, faults: WireFaults) -> Seen {
     let time = Time::default();
-    let mut robot = robot().in_step(PERIOD.as_secs_f64());
-    robot.bus_mut().port_mut().bus().set_faults(faults);
     let mut timed = Timed {
-        robot,
+        robot: robot().in_step(PERIOD.as_secs_f64()),
         time: time.clone(),
+        faults,
         sent: Vec::new(),
         off: None,
         samples: 0,
