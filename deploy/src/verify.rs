@@ -403,7 +403,9 @@ pub fn expected_contract(
         phase: policy.phase.config(),
         observe_medium: policy.observation
             == ObservationLayout::new(policy.act_dim(), &policy.phase.feet, true),
-        afloat_above_m: policy.afloat_above_m.unwrap_or(TaskConfig::default().afloat_above_m),
+        afloat_above_m: policy
+            .afloat_above_m
+            .unwrap_or(TaskConfig::default().afloat_above_m),
         command: CommandConfig {
             vx_mps: policy.command.vx_mps,
             vy_mps: policy.command.vy_mps,

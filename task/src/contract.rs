@@ -120,10 +120,7 @@ impl ContractDifference {
     /// Whether a policy would compute nonsense. Not so where only the training conditions differ: a robot
     /// file with other physical parameters (as diagnosis writes), or other command ranges.
     pub fn is_breaking(self) -> bool {
-        !matches!(
-            self,
-            Self::RobotModel | Self::CommandRange | Self::Afloat
-        )
+        !matches!(self, Self::RobotModel | Self::CommandRange | Self::Afloat)
     }
 
     /// What differs, in words.

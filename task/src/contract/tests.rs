@@ -192,11 +192,24 @@ fn the_height_from_which_on_it_swims_is_written_where_it_is_observed() {
         afloat_above_m: Some(0.08),
         ..contract()
     };
-    assert!(on_land.validate().unwrap_err().to_string().contains("afloat_above_m"));
+    assert!(
+        on_land
+            .validate()
+            .unwrap_err()
+            .to_string()
+            .contains("afloat_above_m")
+    );
     // it runs all the same, and whoever asks is told; an old file does not say
-    assert_eq!(at(0.08).differences(&at(0.09)), [ContractDifference::Afloat]);
+    assert_eq!(
+        at(0.08).differences(&at(0.09)),
+        [ContractDifference::Afloat]
+    );
     assert!(!ContractDifference::Afloat.is_breaking());
     assert!(at(0.08).differences(&old).is_empty());
-    assert!(at(0.08).canonical_json().contains(r#""afloat_above_m":0.08"#));
+    assert!(
+        at(0.08)
+            .canonical_json()
+            .contains(r#""afloat_above_m":0.08"#)
+    );
     assert!(!old.canonical_json().contains("afloat"));
 }
