@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use caudata_model::{Pose, RobotModel};
+use caudata_model::RobotModel;
 use caudata_task::{BodyPlan, Mirror, ObservationLayout, PerFoot, PerJoint};
 
 use crate::overlap::Shapes;
@@ -30,19 +30,11 @@ pub struct Anatomy {
     pub shapes: Shapes,
 }
 
-/// Where a joint of the body lies.
-#[derive(Clone, Copy, PartialEq)]
-enum Place {
-    Trunk,
-    Tail,
-    Elsewhere,
-}
-
 impl Anatomy {
     /// The build of `model`.
     #[must_use]
     pub fn of(model: &Arc<RobotModel>) -> Self {
-        let in_leg = BodyPlan::from_model(model).in_leg;
+        let plan = BodyPlan::from_model(model);
         let nominal = model.nominal_pos_rad();
         let joints = nominal.len();
         let feet: Vec<String> = model.feet().iter().map(|f| f.name.clone()).collect();
@@ -58,50 +50,16 @@ impl Anatomy {
             let (low, high) = joint.range_rad.unwrap_or(unlimited);
             [low, high]
         };
-        let places: Vec<Place> = (0..joints).map(|i| place(model, i)).collect();
-        let at = |place: Place| PerJoint::from_fn(joints, |i| !in_leg[i] && places[i] == place);
         Self {
             nominal_rad: PerJoint::of(nominal),
             range_rad: PerJoint::from_fn(joints, range),
             counterpart: PerJoint::from_fn(joints, counterpart),
             other_foot: PerFoot::from_fn(feet.len(), |f| mirror.as_ref().map_or(f, |m| m.feet[f])),
-            in_leg,
-            in_trunk: at(Place::Trunk),
-            in_tail: at(Place::Tail),
+            in_leg: plan.in_leg,
+            in_trunk: plan.in_trunk,
+            in_tail: plan.in_tail,
             shapes: Shapes::of(model),
         }
-    }
-}
-
-/// A joint cuts the robot in two. With feet on both sides it bends the trunk; a side without feet is a tail where it
-/// lies behind every foot in the nominal pose, else a head or an arm.
-fn place(model: &RobotModel, joint: usize) -> Place {
-    let child = model.joints()[model.actuated()[joint]].child_link;
-    let up = |l: usize| model.links()[l].parent;
-    let beyond = |link: usize| std::iter::successors(Some(link), |&l| up(l)).any(|l| l == child);
-    let on = |side: bool| model.feet().iter().filter(move |f| beyond(f.link) == side);
-    let footless = match (on(true).count(), on(false).count()) {
-        (0, 0) => return Place::Elsewhere,
-        (0, _) => true,
-        (_, 0) => false,
-        _ => return Place::Trunk,
-    };
-    let nominal = model.full_pos_rad(model.nominal_pos_rad());
-    let Ok(at) = nominal.and_then(|q| model.kinematics(&Pose::IDENTITY, &q)) else {
-        return Place::Elsewhere;
-    };
-    let feet = model
-        .feet()
-        .iter()
-        .map(|f| at.links[f.link].point(f.centre_m)[0]);
-    let hindmost = feet.fold(f64::INFINITY, f64::min);
-    let side = (0..model.links().len()).filter(|&l| beyond(l) == footless);
-    let xs: Vec<f64> = side
-        .map(|l| at.links[l].point(model.links()[l].com_m)[0])
-        .collect();
-    match xs.iter().sum::<f64>() / (xs.len() as f64) < hindmost {
-        true => Place::Tail,
-        false => Place::Elsewhere,
     }
 }
 

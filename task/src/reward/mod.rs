@@ -151,9 +151,10 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
-    /// Σ(q − q_nominal)² of the body joints, those that move no leg; free afloat. A bend is cheapest where all joints
-    /// share it, and a tail that is carried to one side, or swung for nothing, costs for ever. Default 0 (not in the
-    /// paper); too strong: stiff, with short steps.
+    /// With d = q − q_nominal, Σ(d − mean d)² of the trunk's joints (feet on both sides of them), and Σd² of the other
+    /// joints that move no leg; free afloat. The trunk may bend as far as it likes, and its joints share the bend; a
+    /// head or tail that is carried to one side, or swung for nothing, costs. Default 0 (not in the paper); too strong:
+    /// stiff.
     bend: Cost, "rad²", 0.0;
     /// Afloat, mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`): legs folded
     /// back as in the robot file's swimming pose; 1 on land and in shallow water, so that nothing is lost by
@@ -344,6 +345,8 @@ pub struct RewardInput<'a> {
     pub on_ground: PerFoot,
     /// Which joints move a leg.
     pub in_leg: &'a [bool],
+    /// Which joints bend the trunk.
+    pub in_trunk: &'a [bool],
     /// Joint positions of the swimming pose, rad.
     pub swimming_rad: &'a [f32],
     /// Position targets of this step before they are cut off at the limits, rad.

@@ -124,12 +124,25 @@ pub fn stand_still(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         .sum()
 }
 
-/// Σ(q − q_nominal)² of the joints that move no leg, rad²; 0 afloat, where the body swims.
+/// With d = q − q_nominal: Σ(d − mean d)² of the trunk and Σd² of the other joints that move no leg, rad²; 0 afloat,
+/// where the body swims.
 pub fn bend(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let joints = input.joint_pos_rad.iter().zip(input.joints.nominal_rad);
-    let body = joints.zip(input.in_leg).filter(|&(_, &leg)| !leg);
-    let squares = body.map(|((q, nominal), _)| (q - nominal).powi(2));
-    (1.0 - input.afloat) * squares.sum::<f32>()
+    let off = |i: usize| input.joint_pos_rad[i] - input.joints.nominal_rad[i];
+    let (mut trunk, mut count, mut squares) = (0.0, 0.0, 0.0);
+    for i in (0..input.joints.len()).filter(|&i| !input.in_leg[i]) {
+        squares += off(i).powi(2);
+        if input.in_trunk[i] {
+            trunk += off(i);
+            count += 1.0;
+        }
+    }
+    // Σ(d − m)² = Σd² − n·m²
+    let shared = if count > 0.0 {
+        trunk * trunk / count
+    } else {
+        0.0
+    };
+    (1.0 - input.afloat) * (squares - shared).max(0.0)
 }
 
 fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
