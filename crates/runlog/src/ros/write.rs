@@ -110,6 +110,9 @@ fn carried(signal: &Signal) -> bool {
 
 type Message = (String, &'static str, Vec<u8>);
 
+/// The signal of a joint.
+type OfJoint = fn(String) -> Signal;
+
 /// What was sampled in a row.
 struct Row<'a>(BTreeMap<&'a Signal, f64>);
 
@@ -125,7 +128,7 @@ impl Row<'_> {
     }
 
     /// A message with a list for each of `kinds`, if there is a value of any.
-    fn joints(&self, header: &Header, kinds: [Option<fn(String) -> Signal>; 3]) -> Option<Vec<u8>> {
+    fn joints(&self, header: &Header, kinds: [Option<OfJoint>; 3]) -> Option<Vec<u8>> {
         let all = self.0.keys().filter_map(|s| s.joint());
         let sampled = |j: &&str| {
             let kinds = kinds.iter().flatten();
@@ -135,7 +138,7 @@ impl Row<'_> {
         };
         // a set: the names in order, each once
         let names: BTreeSet<&str> = all.filter(sampled).collect();
-        let list = |kind: Option<fn(String) -> Signal>| -> Vec<f64> {
+        let list = |kind: Option<OfJoint>| -> Vec<f64> {
             let Some(of) = kind else { return Vec::new() };
             let values = names.iter().map(|n| self.get(of((*n).to_owned())));
             let values: Vec<f64> = values.map(|x| x.unwrap_or(f64::NAN)).collect();
