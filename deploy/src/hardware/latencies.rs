@@ -28,7 +28,7 @@ const PERIOD: Duration = Duration::from_millis(20);
 /// By then it walks.
 const WALKS: Duration = Duration::from_secs(2);
 /// When things happen at the earliest.
-const FROM: Duration = Duration::from_secs(3);
+const EARLIEST: Duration = Duration::from_secs(3);
 const VX_MPS: f32 = 0.2;
 
 /// The time of everything in a run, µs.
@@ -327,7 +327,7 @@ fn table(tries: usize) -> String {
     for row in ROWS {
         for percent in [0.0_f32, 2.0, 10.0] {
             let one = |dice: &mut Dice| {
-                let at = FROM + Duration::from_micros(dice.below(1_000_000));
+                let at = EARLIEST + Duration::from_micros(dice.below(1_000_000));
                 let seen = (row.look)(&run(row.event, at, wire(percent)));
                 seen.unwrap_or_else(|| panic!("{}: never, at {at:?}, {percent} %", row.what))
             };

@@ -58,11 +58,7 @@ const KINDS: &[Kind] = &[
         read: |_, at| {
             command(
                 "caudata",
-                &[
-                    "robot-model",
-                    "check",
-                    &text(&at.join("polymander.robot.toml")),
-                ],
+                &["robot", "check", &text(&at.join("polymander.robot.toml"))],
             )
         },
         codes: SAID,
@@ -74,11 +70,7 @@ const KINDS: &[Kind] = &[
         read: |_, at| {
             command(
                 "caudata",
-                &[
-                    "robot-model",
-                    "check",
-                    &text(&at.join("polymander.robot.toml")),
-                ],
+                &["robot", "check", &text(&at.join("polymander.robot.toml"))],
             )
         },
         codes: SAID,
@@ -211,7 +203,8 @@ fn served(lab: &Lab, part: &str, dice: &mut Dice) -> Result<bool> {
     ended_with(&[0, 65, 66, 69, 74, 76, 77], &pulled)?;
     if pulled.code == Some(0) {
         let want = lab.at("run/registry/blobs");
-        for blob in files(&state.join("blobs"))? {
+        let kept = files(&state.join("blobs"))?.into_iter();
+        for blob in kept.filter(|path| path.extension().is_some_and(|x| x == "onnx")) {
             let name = blob.file_name().context("a file has a name")?;
             let there = std::fs::read(want.join(name))?;
             ensure!(

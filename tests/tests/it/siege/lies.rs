@@ -78,7 +78,7 @@ pub fn endless_inputs(lab: &Lab, _: usize) -> Result<String> {
     };
     let named: Vec<(&str, Vec<&str>)> = vec![
         ("caudata", vec!["config", "check", "--config", zero]),
-        ("caudata", vec!["robot-model", "check", zero]),
+        ("caudata", vec!["robot", "check", zero]),
         (
             "caudata",
             vec!["gap", "check", "--robot", zero, "--log", "."],

@@ -5,6 +5,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
+use caudata_chaos_proxy::own_address;
 use caudata_proto::wire::registry as wire;
 use caudata_proto::wire::registry::policy_registry_client::PolicyRegistryClient;
 use caudata_tests::{command, finish};
@@ -12,19 +13,19 @@ use caudata_tests::{command, finish};
 use super::lab::{Lab, RELEASED, Running, ended_with, listening, shell, started};
 
 /// No honest caller waits longer for an answer than a busy machine needs.
-const PATIENCE: Duration = Duration::from_secs(60);
+const ANSWER_MAX: Duration = Duration::from_secs(60);
 
 fn hold(address: SocketAddr, count: usize) -> Vec<TcpStream> {
     // One that is refused at once is not held, and no worse for that.
     (0..count)
-        .filter_map(|_| TcpStream::connect_timeout(&address, PATIENCE).ok())
+        .filter_map(|_| TcpStream::connect_timeout(&address, ANSWER_MAX).ok())
         .collect()
 }
 
 /// The status line and body of a page.
 fn get(address: SocketAddr, path: &str) -> Result<String> {
-    let mut stream = TcpStream::connect_timeout(&address, PATIENCE)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
+    let mut stream = TcpStream::connect_timeout(&address, ANSWER_MAX)?;
+    stream.set_read_timeout(Some(ANSWER_MAX))?;
     write!(
         stream,
         "GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
@@ -36,11 +37,6 @@ fn get(address: SocketAddr, path: &str) -> Result<String> {
     Ok(answer)
 }
 
-/// A free port of loopback; whoever gets it binds it again.
-fn free() -> Result<SocketAddr> {
-    Ok(std::net::TcpListener::bind("127.0.0.1:0")?.local_addr()?)
-}
-
 struct Doors {
     server: Running,
     metrics: SocketAddr,
@@ -48,7 +44,7 @@ struct Doors {
 }
 
 fn doors(lab: &Lab) -> Result<Doors> {
-    let (metrics, page) = (free()?, free()?);
+    let (metrics, page) = (own_address(), own_address());
     let (m, p) = (metrics.to_string(), page.to_string());
     let server = lab.serve(&lab.data()?, &["--metrics-addr", &m, "--page-addr", &p])?;
     Ok(Doors {
@@ -109,7 +105,7 @@ pub fn dripping(lab: &Lab, times: usize) -> Result<String> {
 
 /// The server where neither it nor its parent may have more than 128 files.
 pub fn few_files(lab: &Lab, times: usize) -> Result<String> {
-    let (data, metrics) = (lab.data()?, free()?);
+    let (data, metrics) = (lab.data()?, own_address());
     let (folder, m) = (data.display().to_string(), metrics.to_string());
     let key = lab.text("fresh.key");
     let args = [
