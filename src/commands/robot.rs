@@ -27,6 +27,15 @@ pub enum RobotCommand {
     },
     /// Make a robot file and an MJCF out of any MJCF or URDF; what cannot be had is refused, all at once
     Import(ImportArgs),
+    /// Write a robot for tools that read another format
+    Export {
+        /// The robot file
+        #[arg(value_name = "FILE.robot.toml")]
+        file: PathBuf,
+        /// The URDF to write
+        #[arg(long, value_name = "FILE.urdf")]
+        urdf: PathBuf,
+    },
 }
 
 #[derive(Debug, clap::Args)]
@@ -65,6 +74,14 @@ pub fn run(command: &RobotCommand) -> Result<(), Failure> {
             })
         }
         RobotCommand::Import(args) => import(args),
+        RobotCommand::Export { file, urdf } => {
+            let text = load(file)?.to_urdf();
+            std::fs::write(urdf, text).or_exit_with(ExitCode::IoError, || {
+                format!("cannot write {}", urdf.display())
+            })?;
+            say::line(format!("wrote {}", urdf.display()));
+            Ok(())
+        }
     }
 }
 
