@@ -25,8 +25,8 @@ pub struct PtyArgs {
         default_value = "robots/polymander.wiring.toml"
     )]
     wiring: PathBuf,
-    /// Folder for the links `servos` and `imu` to the pseudo-terminals, and for the file `water`, which a wiring file
-    /// may name as the line of its water sensor (`--bus pty`)
+    /// Folder for the links `servos` and `imu` to the pseudo-terminals, and for the file `water`, which a
+    /// wiring file may name as the line of its water sensor (`--bus pty`)
     #[arg(long, value_name = "DIR", default_value = "emulated-robot")]
     links: PathBuf,
     /// Let each write of goals move time by one control period instead of the clock (`--bus pty`): for slow

@@ -45,8 +45,9 @@ pub struct PolicyContract {
     pub phase: PhaseContract,
     /// Commands that the policy was trained for.
     pub command: CommandContract,
-    /// Height of the centre of mass above the highest ground under a foot or a girdle from which on the medium bit
-    /// is 1 in water, m (`task.afloat_above_m`). Absent without that bit, and in files of before it was written down.
+    /// Height of the centre of mass above the highest ground under a foot or a girdle from which on the
+    /// medium bit is 1 in water, m (`task.afloat_above_m`). Absent without that bit, and in files of before
+    /// it was written down.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub afloat_above_m: Option<f32>,
 }

@@ -120,8 +120,8 @@ impl BodyPlan {
     }
 }
 
-/// A joint cuts the robot in two. With feet on both sides it bends the trunk; a side without feet is a tail where it
-/// lies behind every foot in the nominal pose, else a head or an arm.
+/// A joint cuts the robot in two. With feet on both sides it bends the trunk; a side without feet is a tail
+/// where it lies behind every foot in the nominal pose, else a head or an arm.
 fn place(model: &RobotModel, joint: usize) -> Place {
     let child = model.joints()[model.actuated()[joint]].child_link;
     let up = |l: usize| model.links()[l].parent;

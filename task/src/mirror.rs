@@ -1,8 +1,8 @@
 //! Left and right exchanged: what a robot that is its own mirror image sees and does on the other side.
 //!
 //! Reflection in the robot's plane y = 0 maps a vector (x, y, z) to (x, −y, z) and a rotation vector to (−x,
-//! y, −z). Each joint has a counterpart, found from where joints are and how they turn in the nominal pose: for
-//! a joint in the plane itself, for a leg that of the other side. Names do not matter.
+//! y, −z). Each joint has a counterpart, found from where joints are and how they turn in the nominal pose:
+//! for a joint in the plane itself, for a leg that of the other side. Names do not matter.
 
 use caudata_model::{Foot, JointFrame, Kinematics, Pose, RobotModel, pose};
 
@@ -136,8 +136,8 @@ impl Mirror {
     }
 }
 
-/// The counterpart of each actuated joint, in policy order: the nearest one to its mirror image that turns about
-/// the mirrored axis.
+/// The counterpart of each actuated joint, in policy order: the nearest one to its mirror image that turns
+/// about the mirrored axis.
 fn joints(model: &RobotModel, at_nominal: &Kinematics) -> Result<SignedPermutation, TaskError> {
     let actuated = model.actuated();
     let frame = |joint: &usize| at_nominal.joints.get(*joint);
@@ -162,8 +162,8 @@ fn joints(model: &RobotModel, at_nominal: &Kinematics) -> Result<SignedPermutati
     }
 }
 
-/// How far `other` is from the mirror image of `joint`, m, and 1 where it turns as that does, −1 where it turns the
-/// other way; `None` where it is not its counterpart.
+/// How far `other` is from the mirror image of `joint`, m, and 1 where it turns as that does, −1 where it
+/// turns the other way; `None` where it is not its counterpart.
 fn mirrored(joint: &JointFrame, other: &JointFrame) -> Option<(f64, f32)> {
     let off_m = pose::norm(pose::sub(reflect(joint.anchor_m), other.anchor_m));
     // an axis is a rotation vector
@@ -259,6 +259,30 @@ mod tests {
         assert_eq!(other[actions + 32 + 12], 0.7); // now HL_hip
         assert_eq!(other[97], 1.0);
         assert_eq!(mirror.observation.apply(&other), seen);
+    }
+
+    /// Robots of other builds: pairs are found by place, whatever their names, and mirroring twice changes
+    /// nothing.
+    #[test]
+    fn every_shipped_robot_has_its_mirror_image() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots");
+        for (name, feet) in [
+            ("quadruped", vec![1, 0, 3, 2]),
+            ("biped", vec![1, 0]),
+            ("hexapod", vec![1, 0, 3, 2, 5, 4]),
+            ("snake", vec![]),
+        ] {
+            let file = folder.join(format!("{name}.robot.toml"));
+            let model = RobotModel::load(&file).unwrap();
+            let names: Vec<String> = model.feet().iter().map(|f| f.name.clone()).collect();
+            let layout = ObservationLayout::new(model.actuated().len(), &names, false);
+            let mirror = Mirror::new(&model, &layout).unwrap();
+            assert_eq!(mirror.feet, feet, "{name}");
+            let seen: Vec<f32> = (0..layout.dim()).map(|i| i as f32 + 1.0).collect();
+            let image = mirror.observation.apply(&seen);
+            assert_ne!(image, seen, "{name}");
+            assert_eq!(mirror.observation.apply(&image), seen, "{name}");
+        }
     }
 
     #[test]

@@ -27,8 +27,8 @@ pub enum Pace {
     Goals,
 }
 
-/// The terminals, and links to them under names that stay; beside them the file `water`, which holds 0 or 1 as the line
-/// of a water sensor does.
+/// The terminals, and links to them under names that stay; beside them the file `water`, which holds 0 or 1
+/// as the line of a water sensor does.
 #[derive(Debug)]
 pub struct Terminals {
     servos: Pty,

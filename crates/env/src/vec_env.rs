@@ -434,7 +434,6 @@ fn reward_input<'a>(
         afloat: truth.afloat,
         on_ground: truth.on_ground,
         in_leg: &body.in_leg,
-        in_trunk: &body.in_trunk,
         swimming_rad: &body.swimming_rad,
         target_rad,
         action: &lane.actions[0],

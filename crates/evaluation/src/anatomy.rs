@@ -1,5 +1,5 @@
-//! What figures need to know of a robot's build: which parts mirror each other, what is trunk and what is tail. All of
-//! it comes from the robot's files.
+//! What figures need to know of a robot's build: which parts mirror each other, what is trunk and what is
+//! tail. All of it comes from the robot's files.
 
 use std::sync::Arc;
 
@@ -15,8 +15,8 @@ pub struct Anatomy {
     pub nominal_rad: PerJoint<f64>,
     /// End stops, rad.
     pub range_rad: PerJoint<[f64; 2]>,
-    /// The counterpart of each joint on the other side, and 1 or −1 as it turns alike or the other way; itself and 1
-    /// where the robot is not its own mirror image.
+    /// The counterpart of each joint on the other side, and 1 or −1 as it turns alike or the other way;
+    /// itself and 1 where the robot is not its own mirror image.
     pub counterpart: PerJoint<(usize, f64)>,
     /// The foot on the other side of each; itself where there is none.
     pub other_foot: PerFoot<usize>,

@@ -36,8 +36,8 @@ pub struct PostureLimits {
     pub off_rad: f64,
     /// Largest share of time that a joint is at an end stop.
     pub at_stop_share: f64,
-    /// Largest |mean yaw rate − commanded| (rad/s) and |velocity to the left − commanded| (m/s); not looked at on
-    /// rough ground, which turns a robot aside.
+    /// Largest |mean yaw rate − commanded| (rad/s) and |velocity to the left − commanded| (m/s); not looked
+    /// at on rough ground, which turns a robot aside.
     pub drift: Option<(f64, f64)>,
     /// Largest difference between the swings of a leg's joint and its counterpart's, rad.
     pub sides_apart_rad: f64,

@@ -1,8 +1,8 @@
-//! Whether a robot pushes one part of itself through another: contact between its own parts is not simulated unless it
-//! is asked for, and a film shows what a simulator lets pass.
+//! Whether a robot pushes one part of itself through another: contact between its own parts is not simulated
+//! unless it is asked for, and a film shows what a simulator lets pass.
 //!
-//! Each shape is taken for the largest capsule along its longest side that lies within it, so that what is called an
-//! overlap is one.
+//! Each shape is taken for the largest capsule along its longest side that lies within it, so that what is
+//! called an overlap is one.
 
 use std::sync::Arc;
 
@@ -20,8 +20,8 @@ struct Capsule {
     radius_m: f64,
 }
 
-/// The shapes of a robot, and which of them must not meet: those of links that are not neighbours, and that do not meet
-/// in the nominal pose by construction.
+/// The shapes of a robot, and which of them must not meet: those of links that are not neighbours, and that
+/// do not meet in the nominal pose by construction.
 #[derive(Clone, Debug)]
 pub struct Shapes {
     model: Arc<RobotModel>,
@@ -61,8 +61,8 @@ impl Shapes {
         shapes
     }
 
-    /// Depth of the deepest overlap at these positions of the actuated joints (rad), m; 0 where nothing meets. `at` is
-    /// room to work in.
+    /// Depth of the deepest overlap at these positions of the actuated joints (rad), m; 0 where nothing
+    /// meets. `at` is room to work in.
     #[must_use]
     pub fn deepest_m(&self, joint_pos_rad: &[f64], at: &mut Kinematics) -> f64 {
         if !self.place(joint_pos_rad, at) {
@@ -115,8 +115,8 @@ fn capsule(link: usize, geom: &Geom) -> Option<Capsule> {
             let (axis, radius_m) = longest(half_size_m);
             (along(axis, half_size_m[axis] - radius_m), radius_m)
         }
-        // a ball of radius 0.8·b fits into an ellipsoid of semi-axes a > b up to 0.6·√(a² − b²) from its middle, where
-        // a ball of radius b·√(1 − h²/(a² − b²)) touches it
+        // a ball of radius 0.8·b fits into an ellipsoid of semi-axes a > b up to 0.6·√(a² − b²) from its
+        // middle, where a ball of radius b·√(1 − h²/(a² − b²)) touches it
         Shape::Ellipsoid { semi_axes_m } => {
             let (axis, b) = longest(semi_axes_m);
             let a = semi_axes_m[axis];

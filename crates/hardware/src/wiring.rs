@@ -257,8 +257,8 @@ impl ImuWiring {
     }
 }
 
-/// What tells that the robot swims: a file of the system that holds 0 or 1, such as the value of a GPIO line. 1 stands for
-/// water that is too deep to walk in (`afloat_above_m` in the policy's contract).
+/// What tells that the robot swims: a file of the system that holds 0 or 1, such as the value of a GPIO line.
+/// 1 stands for water that is too deep to walk in (`afloat_above_m` in the policy's contract).
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WaterWiring {

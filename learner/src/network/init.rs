@@ -29,8 +29,9 @@ pub fn orthogonal(stream: &mut Stream, rows: usize, columns: usize, gain: f64) -
     matrix
 }
 
-/// An orthogonal matrix times `gain` that commutes with a mirror: M_rows·W = W·M_columns. What stays the same in the
-/// mirror and what changes its sign are spaces of their own on either side; each has an orthogonal matrix.
+/// An orthogonal matrix times `gain` that commutes with a mirror: M_rows·W = W·M_columns. What stays the same
+/// in the mirror and what changes its sign are spaces of their own on either side; each has an orthogonal
+/// matrix.
 pub fn equivariant(
     stream: &mut Stream,
     rows: &SignedPermutation,

@@ -206,8 +206,8 @@ impl ActorCritic {
         }
     }
 
-    /// The gradient `[P]` of a loss of which the network's mirror image would have as much: itself, unless the network
-    /// is symmetric.
+    /// The gradient `[P]` of a loss of which the network's mirror image would have as much: itself, unless
+    /// the network is symmetric.
     pub fn symmetric_gradient(&self, gradient: Tensor) -> Tensor {
         match &self.symmetry {
             None => gradient,

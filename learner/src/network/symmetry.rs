@@ -1,14 +1,15 @@
 //! Networks that treat left and right alike by construction.
 //!
-//! A mirror exchanges and negates observations and actions ([`Mirror`]); in a hidden layer of n units, unit i changes
-//! places with unit n − 1 − i. Where every layer W commutes with that (M_out·W = W·M_in, M_out·b = b), so does the
-//! network: policy(mirror(o)) = mirror(policy(o)), value(mirror(o)) = value(o). With two halves of hidden units that
-//! is a network of half the width and its mirror image, folded into one (Abdolhosseini et al. 2019, "On learning
-//! symmetric locomotion", call it a symmetric network); its shape is that of any other, in files too.
+//! A mirror exchanges and negates observations and actions ([`Mirror`]); in a hidden layer of n units, unit i
+//! changes places with unit n − 1 − i. Where every layer W commutes with that (M_out·W = W·M_in, M_out·b =
+//! b), so does the network: policy(mirror(o)) = mirror(policy(o)), value(mirror(o)) = value(o). With two
+//! halves of hidden units that is a network of half the width and its mirror image, folded into one
+//! (Abdolhosseini et al. 2019, "On learning symmetric locomotion", call it a symmetric network); its shape is
+//! that of any other, in files too.
 //!
-//! Parameters are kept in full. Those that must be alike, up to a sign, begin alike and have the mean of their
-//! gradients, with which Adam moves them alike. It costs one gather per minibatch; a gradient that is averaged so is
-//! that of the minibatch and of its mirror image together.
+//! Parameters are kept in full. Those that must be alike, up to a sign, begin alike and have the mean of
+//! their gradients, with which Adam moves them alike. It costs one gather per minibatch; a gradient that is
+//! averaged so is that of the minibatch and of its mirror image together.
 
 use caudata_task::Mirror;
 use caudata_task::mirror::SignedPermutation;
@@ -18,8 +19,8 @@ use super::layout::Layout;
 use super::mlp::LayerIndices;
 use super::{Indices, NetworkSpec};
 
-/// How far parameters that ought to be alike may be apart, as a share of their size (or of 1): rounding of a long
-/// training.
+/// How far parameters that ought to be alike may be apart, as a share of their size (or of 1): rounding of a
+/// long training.
 const ALIKE: f64 = 1e-3;
 
 /// Which parameters of a flat vector mirror each other.
@@ -76,7 +77,8 @@ impl Symmetry {
         }
     }
 
-    /// The symmetric part of `values` `[P]`: the mean of each and its counterpart. Exactly symmetric, to the bit.
+    /// The symmetric part of `values` `[P]`: the mean of each and its counterpart. Exactly symmetric, to the
+    /// bit.
     pub fn part_of(&self, values: &Tensor) -> Tensor {
         let counterpart = values.index_select(0, &self.source).g_mul_(&self.sign);
         (counterpart + values).g_mul_scalar_(0.5)

@@ -156,8 +156,8 @@ fn specs_that_cannot_work_are_refused() {
     assert!(NetworkSpec::new(&NetworkConfig::default(), 4, 2).is_ok());
 }
 
-/// Exchanges the first two of five observations and negates the third; exchanges the outer two of three actions and
-/// negates the middle one.
+/// Exchanges the first two of five observations and negates the third; exchanges the outer two of three
+/// actions and negates the middle one.
 fn mirror() -> Mirror {
     Mirror {
         observation: SignedPermutation {
@@ -203,8 +203,8 @@ fn a_symmetric_network_commutes_with_its_mirror() {
     assert!(other.symmetric(mirror).is_err());
 }
 
-/// With free parameters θ and those of the network their symmetric part, the gradient with respect to θ is what
-/// autograd says.
+/// With free parameters θ and those of the network their symmetric part, the gradient with respect to θ is
+/// what autograd says.
 #[test]
 fn the_gradient_of_a_symmetric_network_agrees_with_autograd() {
     let net = symmetric();

@@ -13,8 +13,8 @@ use caudata_random::{Key, Purpose, Stream};
 use caudata_task::{Mirror, PolicyContract};
 use tch::Device;
 
-/// A preset's robot and its mirror, and a policy with weights of a trained size that sees through a normaliser of
-/// lopsided observations.
+/// A preset's robot and its mirror, and a policy with weights of a trained size that sees through a
+/// normaliser of lopsided observations.
 struct Case {
     config: Config,
     model: Arc<RobotModel>,
@@ -78,11 +78,11 @@ fn apart(a: &[f32], b: &[f32]) -> f32 {
 }
 
 #[test]
-fn presets_that_begin_from_nothing_ask_for_it() {
+fn every_walking_preset_asks_for_it() {
     for preset in PRESETS {
         let config = case(preset.name).config;
         // the paper's networks are as printed
-        let expected = config.warm_start_path().is_none() && preset.name != "paper";
+        let expected = preset.name != "paper";
         assert_eq!(
             config.learner.network.symmetric, expected,
             "{}",
@@ -124,8 +124,8 @@ fn the_policy_of_the_mirror_image_is_the_mirror_image_of_the_policy() {
     }
 }
 
-/// Two robots side by side under the same policy, the second told what the first one's mirror image would be told (its
-/// clock half a cycle on, its command turned round): they move as mirror images of each other.
+/// Two robots side by side under the same policy, the second told what the first one's mirror image would be
+/// told (its clock half a cycle on, its command turned round): they move as mirror images of each other.
 #[test]
 fn a_mirrored_rollout_mirrors() {
     let mut case = case("quick");

@@ -151,10 +151,9 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
-    /// With d = q − q_nominal, Σ(d − mean d)² of the trunk's joints (feet on both sides of them), and Σd² of the other
-    /// joints that move no leg; free afloat. The trunk may bend as far as it likes, and its joints share the bend; a
-    /// head or tail that is carried to one side, or swung for nothing, costs. Default 0 (not in the paper); too strong:
-    /// stiff.
+    /// Σ(q − q_nominal)² of the body joints, those that move no leg; free afloat. A bend is cheapest where
+    /// all joints share it, and a tail that is carried to one side, or swung for nothing, costs for ever.
+    /// Default 0 (not in the paper); too strong: a stiff trunk.
     bend: Cost, "rad²", 0.0;
     /// Afloat, mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`): legs folded
     /// back as in the robot file's swimming pose; 1 on land and in shallow water, so that nothing is lost by
@@ -211,9 +210,9 @@ pub struct RewardConfig {
     /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make
     /// nine tenths of a wave.
     pub wave_lag_rad: f32,
-    /// How far each joint of the wave is bent to the side for a commanded yaw rate of 1 rad/s, rad: a swimmer turns
-    /// towards the side to which its body is bent. Default 0: straight waves, which cannot be steered. 0.2 bends
-    /// eight joints by 46° in all at 0.5 rad/s.
+    /// How far each joint of the wave is bent to the side for a commanded yaw rate of 1 rad/s, rad: a swimmer
+    /// turns towards the side to which its body is bent. Default 0: straight waves, which cannot be steered.
+    /// 0.2 bends eight joints by 46° in all at 0.5 rad/s.
     pub wave_turn_rad: f32,
     /// σ of `body_wave`, rad². Default 0.05: a straight body earns three quarters at 0.3 m/s with the default
     /// height. Smaller: nothing pulls a joint that is far from the wave; larger: a straight body earns nearly
@@ -345,8 +344,6 @@ pub struct RewardInput<'a> {
     pub on_ground: PerFoot,
     /// Which joints move a leg.
     pub in_leg: &'a [bool],
-    /// Which joints bend the trunk.
-    pub in_trunk: &'a [bool],
     /// Joint positions of the swimming pose, rad.
     pub swimming_rad: &'a [f32],
     /// Position targets of this step before they are cut off at the limits, rad.

@@ -124,25 +124,12 @@ pub fn stand_still(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         .sum()
 }
 
-/// With d = q − q_nominal: Σ(d − mean d)² of the trunk and Σd² of the other joints that move no leg, rad²; 0 afloat,
-/// where the body swims.
+/// Σ(q − q_nominal)² of the joints that move no leg, rad²; 0 afloat, where the body swims.
 pub fn bend(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
-    let off = |i: usize| input.joint_pos_rad[i] - input.joints.nominal_rad[i];
-    let (mut trunk, mut count, mut squares) = (0.0, 0.0, 0.0);
-    for i in (0..input.joints.len()).filter(|&i| !input.in_leg[i]) {
-        squares += off(i).powi(2);
-        if input.in_trunk[i] {
-            trunk += off(i);
-            count += 1.0;
-        }
-    }
-    // Σ(d − m)² = Σd² − n·m²
-    let shared = if count > 0.0 {
-        trunk * trunk / count
-    } else {
-        0.0
-    };
-    (1.0 - input.afloat) * (squares - shared).max(0.0)
+    let joints = input.joint_pos_rad.iter().zip(input.joints.nominal_rad);
+    let body = joints.zip(input.in_leg).filter(|&(_, &leg)| !leg);
+    let squares = body.map(|((q, nominal), _)| (q - nominal).powi(2));
+    (1.0 - input.afloat) * squares.sum::<f32>()
 }
 
 fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
@@ -194,9 +181,9 @@ fn mean(input: &RewardInput<'_>, legs: bool, value: impl Fn(usize, usize) -> f32
     }
 }
 
-/// q_wave,i = s·a_i·sin(φ − i·lag) − turn·ω_cmd: φ the gait clock (the phase of the first foot), a_i linear over the
-/// `joints` of the body from head to tail, s the commanded forward speed over 0.3 m/s, 0 to 1.5. Straight
-/// while standing.
+/// q_wave,i = s·a_i·sin(φ − i·lag) − turn·ω_cmd: φ the gait clock (the phase of the first foot), a_i linear
+/// over the `joints` of the body from head to tail, s the commanded forward speed over 0.3 m/s, 0 to 1.5.
+/// Straight while standing.
 fn wave_rad(config: &RewardConfig, input: &RewardInput<'_>, i: usize, joints: usize) -> f32 {
     if input.standing {
         return 0.0;

@@ -134,10 +134,10 @@ pub struct NetworkConfig {
     /// Normalised observations are clipped to ± this. 1 to 100. Too small cuts signal, too large lets rare
     /// spikes through.
     pub observation_clip: f64,
-    /// Whether the networks treat left and right alike by construction: the mirror image of an observation gives
-    /// the mirror image of the action, and the same value. Counterparts are found from the robot's geometry; a
-    /// robot that is not its own mirror image is refused. Default false (paper). Costs next to nothing, and every
-    /// sample teaches both sides; what must be done on one side alone cannot be learnt.
+    /// Whether the networks treat left and right alike by construction: the mirror image of an observation
+    /// gives the mirror image of the action, and the same value. Counterparts are found from the robot's
+    /// geometry; a robot that is not its own mirror image is refused. Default false (paper). Costs next to
+    /// nothing, and every sample teaches both sides; what must be done on one side alone cannot be learnt.
     pub symmetric: bool,
 }
 
