@@ -31,7 +31,6 @@ const NOT_YET: &[(&str, &str)] = &[
     ("constant", "policy_server ROBOTS_MAX"),
     ("constant", "tests/chaos_proxy ON_THE_WAY_MAX"),
     ("function length", "crates/runlog/src/ros/container.rs::step"),
-    ("function length", "crates/runlog/src/ros/write.rs::messages"),
     ("function length", "gap/benchmark/src/replay.rs::predict_shifted"),
     ("function length", "gap/benchmark/src/score/summary.rs::rows"),
     ("function length", "gap/benchmark/src/sets.rs::plan"),
