@@ -60,8 +60,9 @@ impl Excitation {
                     t += span;
                 }
             }
-            let kp = trial.kp_nm_per_rad.unwrap_or(model.kp_nm_per_rad());
             for channel in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
+                let own = model.kp_nm_per_rad(channel.index);
+                let kp = trial.kp_nm_per_rad.unwrap_or(own);
                 let joint = &mut all.joints[channel.index];
                 let command = &trial.commands[channel.index];
                 let mut speeds = Vec::new();

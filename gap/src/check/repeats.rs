@@ -193,7 +193,11 @@ impl Off {
                 .collect()
         };
         let servo = first.robot.servo(channels[group[0]][j].index);
-        let kp = first.log.meta.kp.unwrap_or(first.robot.kp_nm_per_rad());
+        let kp = first
+            .log
+            .meta
+            .kp
+            .unwrap_or(first.robot.kp_nm_per_rad(channels[group[0]][j].index));
         Some(Self {
             rad: apart.into_iter().map(moved).collect(),
             threshold_rad: (TIMES * scale)

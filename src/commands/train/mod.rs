@@ -19,7 +19,7 @@ use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::{Args, ValueEnum};
 
-use crate::commands::robot_model;
+use crate::commands::robot::load as load_robot;
 use crate::say;
 pub use children::Programs;
 use folder::RunFolder;
@@ -94,7 +94,7 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     // What is refused must not leave a folder behind.
     let programs = programs()?;
     let (config, folder) = prepare(args, &mut view.wait_for_owner(&process.stop))?;
-    let model = Arc::new(robot_model::load(&config.robot_path())?);
+    let model = Arc::new(load_robot(&config.robot_path())?);
     view.note(&format!("run folder {}", folder.root().display()));
     let resume = args.resume();
     let plan = Plan {
@@ -170,7 +170,7 @@ fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolde
         folder
     } else {
         // A robot or a policy to begin with that cannot be read must not leave a folder behind.
-        robot_model::load(&config.robot_path())?;
+        load_robot(&config.robot_path())?;
         config
             .warm_start_path()
             .map(|path| files::policy(&path))
