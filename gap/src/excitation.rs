@@ -60,9 +60,10 @@ impl Excitation {
                     t += span;
                 }
             }
-            let kp = trial.kp_nm_per_rad.unwrap_or(model.kp_nm_per_rad());
             for channel in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
                 let joint = &mut all.joints[channel.index];
+                let name = model.actuated_names()[channel.index];
+                let kp = trial.meta.gains(name).0.unwrap_or(model.kp_nm_per_rad());
                 let command = &trial.commands[channel.index];
                 let mut speeds = Vec::new();
                 for (k, (&t, &q)) in channel.time_s.iter().zip(&channel.value).enumerate() {

@@ -6,7 +6,6 @@ use caudata_proto::registry::StreamName;
 use caudata_proto::registry::question::{ANSWERS, Compare};
 use caudata_task::ACT_DIM;
 
-
 use super::*;
 use crate::testing::{model, policy_file};
 
