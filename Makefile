@@ -43,7 +43,7 @@ fuzz: build ## knock at every door that bytes come in by, a minute each, CAUDATA
 	@$(ENV) CAUDATA_FUZZ_S=$(or $(CAUDATA_FUZZ_S),60) cargo test --release --locked --workspace --test fuzz $(ARGS) -- --nocapture --test-threads 1
 
 soak: build ## a publisher that never pauses, a server that dies, a network that breaks, a robot that follows: ten minutes, CAUDATA_SOAK_S=seconds
-	@$(ENV) CAUDATA_SOAK_S=$(or $(CAUDATA_SOAK_S),600) cargo test --release --locked -p caudata-deploy --test it $(ARGS) -- soak --nocapture
+	@$(ENV) CAUDATA_SOAK_S=$(or $(CAUDATA_SOAK_S),600) cargo test --release --locked --workspace --test it $(ARGS) -- soak:: --nocapture
 
 mutants: build ## leave out one verification step of robot and server after the other, and show that its bad policy gets through
 	@$(ENV) cargo test --release --locked --workspace --lib $(ARGS) -- --nocapture each_step_and_no_other

@@ -53,9 +53,9 @@ enum Command {
     /// Policies: on a policy server, or in a file
     #[command(subcommand)]
     Policy(commands::policy::PolicyCommand),
-    /// Robot files
-    #[command(subcommand)]
-    RobotModel(commands::robot_model::RobotModelCommand),
+    /// Robot files: check them, make one from another format
+    #[command(subcommand, alias = "robot-model")]
+    Robot(commands::robot::RobotCommand),
     /// Show what the simulation gets wrong, name the cause, extend the model
     #[command(subcommand)]
     Gap(commands::gap::GapCommand),
@@ -92,7 +92,7 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Config(command) => commands::config::run(command),
         Command::Sim(command) => commands::sim::run(command, process),
         Command::Policy(command) => commands::policy::run(command),
-        Command::RobotModel(command) => commands::robot_model::run(command),
+        Command::Robot(command) => commands::robot::run(command),
         Command::Gap(command) => commands::gap::run(command, process),
         Command::Adapt(args) => commands::adapt::run(args, process),
         Command::Bench(command) => commands::bench::run(command),

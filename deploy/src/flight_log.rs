@@ -156,8 +156,8 @@ pub fn meta(
 ) -> LogMeta {
     let mut meta = LogMeta::new(model.name(), BaseHold::Free, 1.0 / period_s);
     meta.terrain = terrain.to_owned();
-    meta.kp = Some(model.kp_nm_per_rad());
-    meta.kd = Some(model.kd_nm_s_per_rad());
+    meta.kp = model.common_gains().map(|g| g.kp_nm_per_rad);
+    meta.kd = model.common_gains().map(|g| g.kd_nm_s_per_rad);
     meta.supply_v = Some(f64::from(supply_v.max(0.0)));
     meta.notes = format!("policy {policy}, sha256 {}", policy.sha256);
     let texts = [

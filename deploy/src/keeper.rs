@@ -463,8 +463,7 @@ pub fn read_factory(path: &Path, model: &RobotModel) -> Result<Verified, DeployE
         path: path.to_owned(),
         source,
     };
-    let too_large = std::fs::metadata(path).map_err(missing)?.len() > MAX_FILE_BYTES as u64;
-    if too_large {
+    if std::fs::metadata(path).map_err(missing)?.len() > MAX_FILE_BYTES as u64 {
         return Err(DeployError::BlobDamaged {
             path: path.to_owned(),
         });

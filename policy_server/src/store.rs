@@ -21,7 +21,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 
-use caudata_durable::Disk;
+use caudata_durable::{Disk, Owner};
 use caudata_proto::hex::hex;
 use caudata_proto::registry::{LabelName, LabelState, Manifest, StreamName};
 use serde::Serialize;
@@ -86,7 +86,7 @@ pub struct Store {
     pub(crate) trouble: Option<Trouble>,
     /// Bytes that somebody holds at present, so that all who ask for them share them.
     pub(crate) held: BTreeMap<Hash, Weak<[u8]>>,
-    pub(crate) lock: Arc<fs::File>,
+    pub(crate) lock: Arc<Owner>,
 }
 
 /// Why the store cannot be changed.

@@ -68,11 +68,13 @@ pub struct EngineConfig {
     /// Whether the base link is held in the air (a robot on a stand) although the model lets it move. Default
     /// false.
     pub fixed_base: bool,
-    /// Whether legs touch the trunk and other legs. `rapier`: with the shapes that touch the ground; `batch`:
-    /// with those of their contact points that are balls (ends of capsules, feet), corners of boxes and rims
-    /// of cylinders pass through one another. Default false: gaits on land do not need it (legs of the
+    /// Whether legs touch the trunk and other legs, with the shapes that touch the ground. Default false: gaits on land do not need it (legs of the
     /// Polymander meet only when it bends its spine with hips at their ends), and every pair costs.
     pub self_collision: bool,
+    /// `batch`: whether, with `self_collision`, the shapes meet that are to be looked at, instead of those that
+    /// touch the ground; boxes with rounded edges. Default false: a salamander's ground contact set is balls,
+    /// between which a leg can pass through the trunk; its shells cost more.
+    pub self_shells: bool,
     /// Joint speed, and spin of the base, beyond which a lane counts as diverged, rad/s. Default 200 (the
     /// servos end at 8).
     pub max_joint_speed_radps: f64,
@@ -111,6 +113,7 @@ impl Default for EngineConfig {
             lock_backlash: false,
             fixed_base: false,
             self_collision: false,
+            self_shells: false,
             max_joint_speed_radps: 200.0,
             max_base_speed_mps: 50.0,
             lane_width: 0,

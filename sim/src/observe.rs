@@ -208,7 +208,16 @@ pub(crate) fn write_kinematics(
         let ground = f64::from(terrain.height_m(p[0] as f32, p[1] as f32));
         put(&mut out.foot_pos_m, f, p);
         put(&mut out.foot_vel_mps, f, v);
-        put(&mut out.foot_height_m, f, [p[2] - foot.radius_m - ground]);
+        let ball_z = |&at: &[f64; 3]| motion.point(foot.link, at).0[2];
+        let lowest = match foot.is_ball() {
+            true => p[2],
+            false => foot
+                .balls_m
+                .iter()
+                .map(ball_z)
+                .fold(f64::INFINITY, f64::min),
+        };
+        put(&mut out.foot_height_m, f, [lowest - foot.radius_m - ground]);
     }
 
     let (link, link_from_imu) = imu_place(model);

@@ -23,6 +23,20 @@ pub(crate) fn hanging_legs(model: &RobotModel, legs: &[Option<usize>]) -> Vec<Ve
     all
 }
 
+/// Whether two links may touch: a leg, with another leg or with the trunk that it does not hang on.
+pub(crate) fn may_meet(
+    legs: &[Option<usize>],
+    hanging: &[Vec<usize>],
+    (a, b): (usize, usize),
+) -> bool {
+    match (legs[a], legs[b]) {
+        (Some(one), Some(other)) => one != other,
+        (Some(leg), None) => !hanging[b].contains(&leg),
+        (None, Some(leg)) => !hanging[a].contains(&leg),
+        (None, None) => false,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

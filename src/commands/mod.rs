@@ -20,7 +20,7 @@ pub mod policy;
 mod policy_calls;
 pub mod policy_people;
 pub mod policy_sign;
-pub mod robot_model;
+pub mod robot;
 pub mod sim;
 pub mod sim_robot;
 pub mod sim_robot_pty;

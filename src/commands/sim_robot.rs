@@ -22,7 +22,7 @@ use caudata_sim::{Engine, InitialState, LaneParams, SimError};
 use caudata_task::JointTable;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, StopFlag, announce};
 
-use crate::commands::robot_model;
+use crate::commands::robot;
 use crate::commands::sim_robot_pty::{self, PtyArgs};
 
 /// How often a wait looks at the stop flag.
@@ -69,7 +69,7 @@ pub enum LinkKind {
 
 /// Serves one client after the other until asked to stop.
 pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
-    let (config, model) = robot_model::configured(&args.config, args.robot.as_ref())?;
+    let (config, model) = robot::configured(&args.config, args.robot.as_ref())?;
     JointTable::for_runtime(&model).or_exit(ExitCode::BadInput)?;
     if args.bus == LinkKind::Pty {
         return sim_robot_pty::run(&args.pty, &config, model, args.seed, stop);

@@ -18,7 +18,7 @@ use serde_json::json;
 
 use crate::commands::ground::{pair, terrain_parser};
 use crate::commands::lane_params;
-use crate::commands::robot_model;
+use crate::commands::robot;
 use crate::say;
 
 /// A foot counts as on the ground above this much force, N.
@@ -90,7 +90,7 @@ pub fn run(args: &RolloutArgs, stop: &StopFlag) -> Result<(), Failure> {
     if let Some(rate_hz) = args.rate_hz {
         config.engine.substeps = substeps(config.engine.dt_s, rate_hz)?;
     }
-    let model = Arc::new(robot_model::load(&args.robot)?);
+    let model = Arc::new(robot::load(&args.robot)?);
     let params = lane_params::changed(&model, &changes)?;
     let code = match args.commands.try_exists() {
         Ok(true) => ExitCode::BadInput,

@@ -16,7 +16,7 @@ use clap::{Args, ValueEnum};
 use serde_json::json;
 
 use crate::commands::ground::{pair, terrain_parser};
-use crate::commands::robot_model;
+use crate::commands::robot;
 use crate::say;
 
 /// Pictures of one turn around a model or scene.
@@ -136,7 +136,7 @@ pub fn run(args: &ShowArgs, stop: &StopFlag) -> Result<(), Failure> {
             "--fps must be 1 to 50",
         ));
     }
-    let (mut config, model) = robot_model::configured(&args.config, args.robot.as_ref())?;
+    let (mut config, model) = robot::configured(&args.config, args.robot.as_ref())?;
     let log = args.log.as_deref().map(read_log).transpose()?;
     let seed = choose_terrain(args, log.as_ref(), &mut config)?;
     let terrain = Arc::new(Terrain::generate(&config.terrain, seed).or_exit(ExitCode::BadConfig)?);

@@ -1,7 +1,7 @@
 //! The policy contract: all that a policy's numbers depend on. It is written into every policy file, its hash
 //! rides in every rollout, and every reader compares it with its own.
 
-use caudata_model::RobotModel;
+use caudata_model::{Pose, RobotModel};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -37,10 +37,40 @@ pub struct PolicyContract {
     pub action: ActionConfig,
     /// Where each quantity lies in the observation.
     pub observation: ObservationLayout,
+    /// Where the IMU sits and how its axes lie: what angular velocity and gravity of the observation are
+    /// expressed in. `None` in policy files from before it was stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imu: Option<ImuContract>,
     /// The gait clock.
     pub phase: PhaseContract,
     /// Commands that the policy was trained for.
     pub command: CommandContract,
+}
+
+/// The IMU's frame in that of the link that carries it; the root link's own frame on a robot without an IMU.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImuContract {
+    /// Name of the link.
+    pub link: String,
+    /// Origin of the IMU's frame in the link's, m.
+    pub pos_m: [f64; 3],
+    /// Orientation: takes a vector from the IMU's frame to the link's; unit quaternion w, x, y, z.
+    pub quat_wxyz: [f64; 4],
+}
+
+impl ImuContract {
+    fn of(model: &RobotModel) -> Self {
+        let (link, at) = match model.imu_site() {
+            Some(site) => (site.link, site.link_from_site),
+            None => (0, Pose::IDENTITY),
+        };
+        Self {
+            link: model.links()[link].name.clone(),
+            pos_m: at.pos_m,
+            quat_wxyz: at.quat_wxyz,
+        }
+    }
 }
 
 /// The gait clock of a contract.
@@ -104,6 +134,8 @@ pub enum ContractDifference {
     Action,
     /// Another observation.
     Observation,
+    /// An IMU at another place, or with other axes.
+    Imu,
     /// Another gait clock.
     Phase,
     /// Other command ranges.
@@ -129,6 +161,7 @@ impl ContractDifference {
             Self::ControlPeriod => "control period",
             Self::Action => "action",
             Self::Observation => "observation layout",
+            Self::Imu => "place and axes of the IMU",
             Self::Phase => "gait phase",
             Self::CommandRange => "command range",
         }
@@ -155,11 +188,20 @@ impl PolicyContract {
             nominal_pos_rad: joints.nominal_rad.to_vec(),
             lower_limit_rad: joints.lower_rad.to_vec(),
             upper_limit_rad: joints.upper_rad.to_vec(),
-            kp_nm_per_rad: vec![model.kp_nm_per_rad() as f32; joints.len()],
-            kd_nm_s_per_rad: vec![model.kd_nm_s_per_rad() as f32; joints.len()],
+            kp_nm_per_rad: model
+                .gains()
+                .iter()
+                .map(|g| g.kp_nm_per_rad as f32)
+                .collect(),
+            kd_nm_s_per_rad: model
+                .gains()
+                .iter()
+                .map(|g| g.kd_nm_s_per_rad as f32)
+                .collect(),
             control_period_s: task.control_period_s,
             action: task.action,
             observation: ObservationLayout::new(joints.len(), &feet, task.observe_medium),
+            imu: Some(ImuContract::of(model)),
             phase: PhaseContract {
                 offsets_rad: (0..feet.len()).map(offset_rad).collect(),
                 feet,
@@ -281,6 +323,10 @@ impl PolicyContract {
                 self.kp_nm_per_rad == other.kp_nm_per_rad
                     && self.kd_nm_s_per_rad == other.kd_nm_s_per_rad,
             ),
+            (D::Imu, {
+                let stated = self.imu.as_ref().zip(other.imu.as_ref());
+                stated.is_none_or(|(own, other)| own == other)
+            }),
             (D::Phase, self.phase == other.phase),
             (D::RobotModel, self.robot_hash == other.robot_hash),
             (D::CommandRange, self.command == other.command),

@@ -47,7 +47,7 @@ impl Source {
 }
 
 /// Lays the layers on top of each other; the result has the right types, its values are not checked.
-pub(crate) fn merge(source: &Source) -> Result<Config, ConfigError> {
+fn merge(source: &Source) -> Result<Config, ConfigError> {
     let known = keys::table_of(&Config::default());
     let mut merged = known.clone();
     for (origin, layer) in layers(source)? {
@@ -72,6 +72,16 @@ pub(crate) fn merge(source: &Source) -> Result<Config, ConfigError> {
 }
 
 impl Config {
+    /// Reads and checks a configuration.
+    ///
+    /// # Errors
+    /// A [`ConfigError`] that names the key, file or override that is wrong.
+    pub fn load(source: &Source) -> Result<Self, ConfigError> {
+        let config = merge(source)?;
+        config.validate()?;
+        Ok(config)
+    }
+
     fn deserialize_from(table: &Table) -> Result<Self, toml::de::Error> {
         table.clone().try_into()
     }

@@ -81,16 +81,6 @@ impl Default for Config {
 }
 
 impl Config {
-    /// Reads and checks a configuration.
-    ///
-    /// # Errors
-    /// A [`ConfigError`] that names the key, file or override that is wrong.
-    pub fn load(source: &Source) -> Result<Self, ConfigError> {
-        let config = layers::merge(source)?;
-        config.validate()?;
-        Ok(config)
-    }
-
     /// The whole configuration as TOML, every key with its value in effect.
     ///
     /// # Errors

@@ -49,6 +49,13 @@ pub struct SerialPort {
     file: File,
 }
 
+impl Drop for SerialPort {
+    fn drop(&mut self) {
+        // A child process that is just being started shares the lock until it runs its own program.
+        let _ = self.file.unlock();
+    }
+}
+
 impl SerialPort {
     /// Opens the port at `path` for this program alone: two that speak on one bus take each other's answers.
     /// Nothing about the port is changed where another program has it. The system lets go of the lock however

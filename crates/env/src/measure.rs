@@ -55,6 +55,8 @@ pub(crate) struct Reader {
     /// Model index of each actuated joint.
     pub actuated: PerJoint<usize>,
     pub foot_radius_m: PerFoot,
+    /// Which feet are balls.
+    pub foot_is_ball: PerFoot<bool>,
     /// Which girdle each foot's leg hangs nearer to: 0 the front one, 1 the hind one.
     pub girdle_of: PerFoot<usize>,
     /// How far ahead of the centre of mass the two girdles are, along the heading.
@@ -72,6 +74,7 @@ impl Reader {
         Ok(Self {
             actuated: PerJoint::of(actuated),
             foot_radius_m: PerFoot::from_fn(feet.len(), |i| feet[i].radius_m as f32),
+            foot_is_ball: PerFoot::from_fn(feet.len(), |i| feet[i].is_ball()),
             girdle_of: girdle_of(model)?,
             girdles_ahead_m: girdles_ahead_m(model)?,
             afloat_above_m: task.afloat_above_m,
@@ -145,22 +148,16 @@ impl Reader {
                 girdle_ground_m: self.girdles_ahead_m.map(ground),
             }
         });
-        let body_ground_m = match state.feet {
-            0 => {
-                let [x, y, _]: [f32; 3] = row(&state.com_pos_m, lane);
-                terrain.height_m(x, y)
-            }
-            _ => 0.0,
-        };
-        self.read_state(state, water, body_ground_m, lane)
+        let ground_m = |[x, y, _]: [f32; 3]| terrain.height_m(x, y);
+        self.read_state(state, water, &ground_m, lane)
     }
 
-    /// `body_ground_m`: height of the ground under the centre of mass, for robots without feet.
+    /// `ground_m`: height of the ground under a place.
     fn read_state(
         &self,
         state: &State,
         water: Option<Water>,
-        body_ground_m: f32,
+        ground_m: &dyn Fn([f32; 3]) -> f32,
         lane: usize,
     ) -> Truth {
         let joints = state.joints;
@@ -170,8 +167,10 @@ impl Reader {
         let foot_pos = vectors(&state.foot_pos_m, lane, feet);
         let foot_height_m: PerFoot = values(&state.foot_height_m, lane, feet);
         let com: [f32; 3] = row(&state.com_pos_m, lane);
-        let ground_m = PerFoot::from_fn(feet, |j| {
-            foot_pos[j][2] - self.foot_radius_m[j] - foot_height_m[j]
+        let body_ground_m = if feet == 0 { ground_m(com) } else { 0.0 };
+        let ground_m = PerFoot::from_fn(feet, |j| match self.foot_is_ball[j] {
+            true => foot_pos[j][2] - self.foot_radius_m[j] - foot_height_m[j],
+            false => ground_m(foot_pos[j]),
         });
         let mean_ground_m = match feet {
             0 => body_ground_m,
@@ -334,6 +333,7 @@ mod tests {
         Reader {
             actuated: [0, 1, 2, 3, 4, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17].into(),
             foot_radius_m: [0.02; FEET].into(),
+            foot_is_ball: [true; FEET].into(),
             girdle_of: [0, 0, 1, 1].into(),
             girdles_ahead_m: [0.0; 2],
             afloat_above_m: 0.09,
@@ -352,13 +352,13 @@ mod tests {
         state.heading_rad[1] = FRAC_PI_2;
         state.com_vel_mps[3..].copy_from_slice(&[0.1, 0.3, 0.05]);
         state.com_angvel_radps[3..].copy_from_slice(&[7.0, 8.0, 0.4]);
-        let truth = reader().read_state(&state, None, 0.0, 1);
+        let truth = reader().read_state(&state, None, &|_| 0.0, 1);
         for (found, expected) in truth.com_vel_mps.iter().zip([0.3, -0.1, 0.05]) {
             assert!((found - expected).abs() < 1e-6, "{:?}", truth.com_vel_mps);
         }
         assert_eq!(truth.yaw_rate_radps, 0.4);
         assert_eq!(
-            reader().read_state(&state, None, 0.0, 0).com_vel_mps,
+            reader().read_state(&state, None, &|_| 0.0, 0).com_vel_mps,
             [0.0; 3]
         );
     }
@@ -370,7 +370,7 @@ mod tests {
             state.joint_pos_rad[18 + j] = j as f32;
             state.joint_vel_radps[18 + j] = -(j as f32);
         }
-        let truth = reader().read_state(&state, None, 0.0, 1);
+        let truth = reader().read_state(&state, None, &|_| 0.0, 1);
         assert_eq!(truth.joint_pos_rad[5], 6.0);
         assert_eq!(truth.joint_vel_radps[15], -17.0);
         assert_eq!(truth.readings().joint_pos_rad, truth.joint_pos_rad);
@@ -386,7 +386,7 @@ mod tests {
         }
         state.foot_height_m[..4].copy_from_slice(&[0.1, 0.1, 0.0, 0.0]);
         state.com_pos_m[2] = 0.57;
-        let truth = reader().read_state(&state, None, 0.0, 0);
+        let truth = reader().read_state(&state, None, &|_| 0.0, 0);
         assert!((truth.com_height_m - 0.12).abs() < 1e-6);
     }
 
@@ -403,16 +403,16 @@ mod tests {
             |s| &mut s.foot_force_n[11],
             |s| &mut s.trunk_force_n[0],
         ];
-        assert!(reader().read_state(&state(), None, 0.0, 0).is_finite());
+        assert!(reader().read_state(&state(), None, &|_| 0.0, 0).is_finite());
         for (i, part) in parts.iter().enumerate() {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 let mut state = state();
                 *part(&mut state) = bad;
                 assert!(
-                    !reader().read_state(&state, None, 0.0, 0).is_finite(),
+                    !reader().read_state(&state, None, &|_| 0.0, 0).is_finite(),
                     "part {i} {bad}"
                 );
-                assert!(reader().read_state(&state, None, 0.0, 1).is_finite());
+                assert!(reader().read_state(&state, None, &|_| 0.0, 1).is_finite());
             }
         }
     }
@@ -443,7 +443,7 @@ mod tests {
                 surface_m,
                 girdle_ground_m: [girdle_ground_m, 0.0],
             });
-            let truth = reader().read_state(&state, water, 0.0, 0);
+            let truth = reader().read_state(&state, water, &|_| 0.0, 0);
             (truth.submerged, truth.afloat)
         };
         let read = |com_m, shallow_m, surface_m| read_near(0.3, com_m, shallow_m, surface_m);
@@ -470,7 +470,9 @@ mod tests {
                 surface_m,
                 girdle_ground_m: [front_ground_m, 0.2],
             };
-            reader.read_state(&state, Some(water), 0.0, 0).on_ground
+            reader
+                .read_state(&state, Some(water), &|_| 0.0, 0)
+                .on_ground
         };
         // The ground 0.08 under the fore girdle and 0.2 under the hind one.
         assert_eq!(read(0.32, 0.0, 0.45), [1.0, 1.0, 0.0, 0.0]);

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use crate::error::ModelError;
 use crate::mjcf::MjModel;
-use crate::params::{BacklashParams, ServoParams, WaterParams};
+use crate::params::{BacklashParams, WaterParams};
 use crate::robot_file::{BaseWord, Checker, RobotFile};
-use crate::types::{BaseKind, Foot, Joint, JointKind, Link, Shape, Site};
+use crate::servos::Presets;
+use crate::types::{BaseKind, Foot, Joint, JointKind, Link, Site};
 
 /// Place of what is called `name` among the names of the MJCF.
 pub(crate) fn find<'a>(
@@ -94,49 +95,6 @@ pub(crate) fn actuated_joints(
         );
     }
     Ok(out)
-}
-
-pub(crate) type Presets = Vec<(String, ServoParams)>;
-
-pub(crate) fn servos(
-    c: &Checker<'_>,
-    file: &RobotFile,
-) -> Result<(Presets, Vec<usize>), ModelError> {
-    let presets: Presets = file
-        .servo
-        .preset
-        .iter()
-        .map(|(n, s)| (n.clone(), s.clone()))
-        .collect();
-    let known = || {
-        presets
-            .iter()
-            .map(|p| p.0.as_str())
-            .collect::<Vec<_>>()
-            .join(", ")
-    };
-    let find = |at: &str, name: &str| {
-        presets.iter().position(|p| p.0 == name).ok_or_else(|| {
-            c.error(
-                at,
-                format!("there is no servo preset `{name}` (known: {})", known()),
-            )
-        })
-    };
-    for name in file.servo.joint.keys() {
-        if !file.joints.actuated.contains(name) {
-            return c.refuse("servo.joint", format!("`{name}` is not an actuated joint"));
-        }
-    }
-    let default = find("servo.default", &file.servo.default)?;
-    let mut of = Vec::new();
-    for name in &file.joints.actuated {
-        of.push(match file.servo.joint.get(name) {
-            Some(p) => find(&format!("servo.joint.{name}"), p)?,
-            None => default,
-        });
-    }
-    Ok((presets, of))
 }
 
 pub(crate) fn backlash(
@@ -329,8 +287,9 @@ pub(crate) fn feet(
             return c.refuse(at, format!("there is no geom `{}` on a link", entry.geom));
         };
         let g = &mut links[link].geoms[geom];
-        let Shape::Sphere { radius_m } = g.shape else {
-            return c.refuse(at, format!("geom `{}` is not a sphere", entry.geom));
+        let Some((balls, radius_m)) = g.shape.balls() else {
+            let message = format!("geom `{}` is no ball, box, capsule or cylinder", entry.geom);
+            return c.refuse(at, message);
         };
         if !g.collides() {
             return c.refuse(
@@ -349,11 +308,16 @@ pub(crate) fn feet(
         }
         g.friction = file.contact.foot_friction;
         let centre_m = g.link_from_geom.pos_m;
+        let balls_m = balls
+            .into_iter()
+            .map(|at| g.link_from_geom.point(at))
+            .collect();
         out.push(Foot {
             name: entry.name.clone(),
             link,
             geom,
             centre_m,
+            balls_m,
             radius_m,
         });
     }

@@ -14,13 +14,16 @@
 mod assemble;
 mod error;
 mod extension;
+pub mod import;
 mod kinematics;
 mod load;
 mod mjcf;
 mod model;
+mod of_joint;
 mod params;
 pub mod pose;
 mod robot_file;
+mod servos;
 mod types;
 
 pub use error::ModelError;
@@ -28,8 +31,9 @@ pub use extension::{Extension, ExtensionEffect, ExtensionParameter};
 pub use kinematics::{JointFrame, Kinematics};
 pub use model::RobotModel;
 pub use params::{
-    AddedShare, BacklashParams, ContactParams, DragScale, ImuParams, SensorParams, ServoParams,
-    SupplyParams, WaterParams,
+    AddedShare, BacklashParams, ContactParams, DragScale, Gains, ImuParams, SensorParams,
+    ServoParams, SupplyParams, WaterParams,
 };
 pub use pose::Pose;
+pub use servos::servo_library;
 pub use types::{BaseKind, Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness};

@@ -6,13 +6,16 @@ use std::path::Path;
 use sha2::{Digest, Sha256};
 
 use crate::assemble::{
-    actuated_joints, backlash, base_kind, feet, find, joints, parts, pose, servos, water,
+    actuated_joints, backlash, base_kind, feet, find, joints, parts, pose, water,
 };
 use crate::error::ModelError;
 use crate::mjcf::{self, MjModel};
 use crate::model::RobotModel;
-use crate::params::SensorParams;
+use crate::of_joint;
+use crate::params::{Gains, SensorParams};
+use crate::pose::Pose;
 use crate::robot_file::{self, Checker, RobotFile};
+use crate::servos::servos;
 use crate::types::{Joint, Link, Site};
 
 /// Largest robot file or MJCF that is read.
@@ -57,7 +60,7 @@ fn from_bytes(label: &str, robot_toml: &[u8], mjcf: &[u8]) -> Result<RobotModel,
     build(label, &mjcf_label, file, robot_toml, mjcf)
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
     let failed = |source| ModelError::Read {
         path: path.to_owned(),
         source,
@@ -105,6 +108,8 @@ fn build(
     let c = Checker { file: label };
     let base = base_kind(&c, &file, &mj)?;
     let actuated = actuated_joints(&c, mjcf_label, &file, &mj)?;
+    of_joint::check_groups(&c, &file)?;
+    let gains = gains(&c, &file)?;
     let (servo_presets, servo_of) = servos(&c, &file)?;
     let backlash = backlash(&c, &file, &mj)?;
     let joints = joints(
@@ -116,7 +121,7 @@ fn build(
         &servo_presets,
         &servo_of,
     )?;
-    let limits_rad = limits(mjcf_label, &mj, &actuated, &joints)?;
+    let limits_rad = limits(&c, &file, mjcf_label, &mj, &actuated, &joints)?;
     let pose = |at, by_name| pose(&c, at, by_name, &file, &limits_rad);
     let nominal_pos_rad = pose("pose.nominal_rad", &file.pose.nominal_rad)?;
     let swimming = file.pose.swimming_rad.as_ref();
@@ -129,7 +134,7 @@ fn build(
         Some(imu) => Some(site(&c, &sites, "imu.site", &imu.site)?),
         None => None,
     };
-    let (torso_link, heading_sites) = frames(&c, &file, &links, &sites)?;
+    let (torso_link, heading_line) = frames(&c, &file, &links, &sites)?;
     Ok(RobotModel {
         hash: hash(toml_bytes, mjcf_bytes),
         name: file.name,
@@ -144,8 +149,7 @@ fn build(
         nominal_pos_rad,
         swimming_pos_rad,
         limits_rad,
-        kp_nm_per_rad: file.control.kp_nm_per_rad,
-        kd_nm_s_per_rad: file.control.kd_nm_s_per_rad,
+        gains,
         servo_presets,
         servo_of,
         sensors: SensorParams { imu: file.imu },
@@ -156,13 +160,15 @@ fn build(
         water,
         feet,
         imu_site,
-        heading_sites,
+        heading_line,
         torso_link,
     })
 }
 
 /// Lower and upper limit of each actuated joint, rad.
 fn limits(
+    c: &Checker<'_>,
+    file: &RobotFile,
     mjcf_label: &str,
     mj: &MjModel,
     actuated: &[usize],
@@ -176,32 +182,83 @@ fn limits(
             message: "attribute `range`: is missing; an actuated joint needs limits".to_owned(),
         })
     };
-    actuated.iter().map(limit).collect()
+    of_joint::known(c, "joints.limits_rad", file.joints.limits_rad.keys(), file)?;
+    let narrowed = |j: &usize| {
+        let (low, high) = limit(j)?;
+        let name = &joints[*j].name;
+        let Some((key, &[own_low, own_high])) = of_joint::find(&file.joints.limits_rad, name, file)
+        else {
+            return Ok((low, high));
+        };
+        if !(low <= own_low && own_low < own_high && own_high <= high) {
+            let message = format!("of `{name}` are not within the MJCF's {low} to {high}");
+            return c.refuse(format!("joints.limits_rad.{key}"), message);
+        }
+        Ok((own_low, own_high))
+    };
+    actuated.iter().map(narrowed).collect()
+}
+
+/// Gains of each actuated joint.
+fn gains(c: &Checker<'_>, file: &RobotFile) -> Result<Vec<Gains>, ModelError> {
+    let table = &file.control;
+    of_joint::known(c, "control.joint", table.joint.keys(), file)?;
+    let of = |name: &String| {
+        let own = of_joint::find(&table.joint, name, file).map(|(_, gains)| gains);
+        Gains {
+            kp_nm_per_rad: own
+                .and_then(|g| g.kp_nm_per_rad)
+                .unwrap_or(table.kp_nm_per_rad),
+            kd_nm_s_per_rad: own
+                .and_then(|g| g.kd_nm_s_per_rad)
+                .unwrap_or(table.kd_nm_s_per_rad),
+        }
+    };
+    Ok(file.joints.actuated.iter().map(of).collect())
 }
 
 fn site(c: &Checker<'_>, sites: &[Site], at: &str, name: &str) -> Result<usize, ModelError> {
     find(c, at, "site", name, sites.iter().map(|s| s.name.as_str()))
 }
 
-/// Index of the torso's link, and of the hind and the front end of the heading line.
+/// How far ahead of its first end the heading line of a single site ends, m.
+const HEADING_ARM_M: f64 = 0.1;
+
+/// Index of the torso's link, and the hind and the front end of the heading line.
 fn frames(
     c: &Checker<'_>,
     file: &RobotFile,
     links: &[Link],
     sites: &[Site],
-) -> Result<(usize, Option<(usize, usize)>), ModelError> {
+) -> Result<(usize, Option<(Site, Site)>), ModelError> {
     let Some(f) = &file.frames else {
         return Ok((0, None));
     };
     let links = links.iter().map(|l| l.name.as_str());
     let torso = find(c, "frames.torso", "body", &f.torso, links)?;
-    let heading = match (&f.heading_hind, &f.heading_front) {
-        (Some(hind), Some(front)) => Some((
-            site(c, sites, "frames.heading_hind", hind)?,
-            site(c, sites, "frames.heading_front", front)?,
-        )),
-        (None, None) => None,
-        _ => return c.refuse("frames", "heading_hind and heading_front go together"),
+    let named = |key: &str, name: &str| {
+        let place = site(c, sites, &format!("frames.{key}"), name)?;
+        Ok(sites[place].clone())
     };
-    Ok((torso, heading))
+    let line = match (&f.heading, &f.heading_hind, &f.heading_front) {
+        (None, Some(hind), Some(front)) => {
+            Some((named("heading_hind", hind)?, named("heading_front", front)?))
+        }
+        (Some(axis), None, None) => {
+            let hind = named("heading", axis)?;
+            let ahead = Pose::from_pos([HEADING_ARM_M, 0.0, 0.0]);
+            let link_from_site = hind.link_from_site.compose(&ahead);
+            let front = Site {
+                link_from_site,
+                ..hind.clone()
+            };
+            Some((hind, front))
+        }
+        (None, None, None) => None,
+        _ => {
+            let message = "give `heading`, or heading_hind and heading_front, which go together";
+            return c.refuse("frames", message);
+        }
+    };
+    Ok((torso, line))
 }

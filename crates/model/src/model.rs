@@ -2,7 +2,7 @@
 
 use crate::extension::Extension;
 use crate::params::{
-    BacklashParams, ContactParams, SensorParams, ServoParams, SupplyParams, WaterParams,
+    BacklashParams, ContactParams, Gains, SensorParams, ServoParams, SupplyParams, WaterParams,
 };
 use crate::types::{BaseKind, Foot, Geom, Joint, Link, Site};
 
@@ -25,8 +25,7 @@ pub struct RobotModel {
     pub(crate) nominal_pos_rad: Vec<f64>,
     pub(crate) swimming_pos_rad: Option<Vec<f64>>,
     pub(crate) limits_rad: Vec<(f64, f64)>,
-    pub(crate) kp_nm_per_rad: f64,
-    pub(crate) kd_nm_s_per_rad: f64,
+    pub(crate) gains: Vec<Gains>,
     pub(crate) servo_presets: Vec<(String, ServoParams)>,
     pub(crate) servo_of: Vec<usize>,
     pub(crate) sensors: SensorParams,
@@ -36,7 +35,7 @@ pub struct RobotModel {
     pub(crate) water: Option<WaterParams>,
     pub(crate) feet: Vec<Foot>,
     pub(crate) imu_site: Option<usize>,
-    pub(crate) heading_sites: Option<(usize, usize)>,
+    pub(crate) heading_line: Option<(Site, Site)>,
     pub(crate) torso_link: usize,
     pub(crate) extension: Option<Extension>,
 }
@@ -66,7 +65,9 @@ readers! {
     actuated: &[usize],
     /// Nominal (standing) pose of the actuated joints, rad, policy order.
     nominal_pos_rad: &[f64],
-    /// Every servo preset of the robot file, by name, in name order.
+    /// Gains of the position loop of each actuated joint, policy order.
+    gains: &[Gains],
+    /// Every servo preset of the robot file, by name, in name order; then what it takes from the library.
     servo_presets: &[(String, ServoParams)],
     /// Sensors outside the servos.
     sensors: &SensorParams,
@@ -92,10 +93,6 @@ readers! {
     base: BaseKind,
     /// Acceleration of gravity in the world, m/s² (z up).
     gravity_mps2: [f64; 3],
-    /// Proportional gain of the position loop at each actuated joint, N·m/rad.
-    kp_nm_per_rad: f64,
-    /// Derivative gain of the position loop at each actuated joint, N·m·s/rad.
-    kd_nm_s_per_rad: f64,
     /// Index of the link at whose centre of mass pushes act.
     torso_link: usize,
 }
@@ -139,6 +136,28 @@ impl RobotModel {
     pub fn servo(&self, actuated_index: usize) -> &ServoParams {
         let preset = self.servo_of[actuated_index.min(self.servo_of.len() - 1)];
         &self.servo_presets[preset].1
+    }
+
+    /// The name of an actuated joint's servo type (indices as in [`Self::servo`]).
+    pub fn servo_name(&self, actuated_index: usize) -> &str {
+        let preset = self.servo_of[actuated_index.min(self.servo_of.len() - 1)];
+        &self.servo_presets[preset].0
+    }
+
+    /// Proportional gain of an actuated joint's position loop, N·m/rad (indices as in [`Self::servo`]).
+    pub fn kp_nm_per_rad(&self, actuated_index: usize) -> f64 {
+        self.gains[actuated_index.min(self.gains.len() - 1)].kp_nm_per_rad
+    }
+
+    /// Derivative gain of an actuated joint's position loop, N·m·s/rad (indices as in [`Self::servo`]).
+    pub fn kd_nm_s_per_rad(&self, actuated_index: usize) -> f64 {
+        self.gains[actuated_index.min(self.gains.len() - 1)].kd_nm_s_per_rad
+    }
+
+    /// The gains of all position loops, if they are the same.
+    pub fn common_gains(&self) -> Option<Gains> {
+        let first = *self.gains.first()?;
+        self.gains.iter().all(|g| *g == first).then_some(first)
     }
 
     /// Supply voltage that simulations use unless told otherwise, V.
@@ -189,10 +208,12 @@ impl RobotModel {
         self.imu_site.map(|i| &self.sites[i])
     }
 
-    /// The hind and the front site whose connecting line (hind to front) is the robot's heading.
+    /// The hind and the front site whose connecting line (hind to front) is the robot's heading. Where the
+    /// heading is the x axis of one site, the second is a place ahead of it, with the same name.
     pub fn heading_sites(&self) -> Option<(&Site, &Site)> {
-        self.heading_sites
-            .map(|(h, f)| (&self.sites[h], &self.sites[f]))
+        self.heading_line
+            .as_ref()
+            .map(|(hind, front)| (hind, front))
     }
 
     /// Sum of all link masses, kg.

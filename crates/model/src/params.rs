@@ -3,6 +3,15 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Gains of the position loop of one joint: torque = kp·(target − position) − kd·velocity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gains {
+    /// N·m/rad.
+    pub kp_nm_per_rad: f64,
+    /// N·m·s/rad; the servo's own damping comes on top.
+    pub kd_nm_s_per_rad: f64,
+}
+
 /// One servo type: torque envelope, friction, and how it measures.
 ///
 /// Envelope after ToddlerBot v2: the motor torque is limited to `tau_max_nm` up to the speed

@@ -142,6 +142,39 @@ pub fn quat_normalised(q: [f64; 4]) -> Option<[f64; 4]> {
     (n.is_finite() && n > 1e-9).then(|| q.map(|x| x / n))
 }
 
+/// Orientation of a frame whose x axis is along `x` and whose y axis is in the plane of `x` and `y`; `None`
+/// where these make no plane.
+pub fn quat_from_axes(x: [f64; 3], y: [f64; 3]) -> Option<[f64; 4]> {
+    let unit = |v: [f64; 3]| {
+        let n = norm(v);
+        (n > 1e-9).then(|| v.map(|c| c / n))
+    };
+    let x = unit(x)?;
+    let along = dot(x, y);
+    let y = unit(sub(y, x.map(|c| c * along)))?;
+    let z = cross(x, y);
+    // columns x, y, z: the largest of the four squares decides which part is taken first
+    let m = [[x[0], y[0], z[0]], [x[1], y[1], z[1]], [x[2], y[2], z[2]]];
+    let trace = m[0][0] + m[1][1] + m[2][2];
+    let quat = if trace > 0.0 {
+        [
+            1.0 + trace,
+            m[2][1] - m[1][2],
+            m[0][2] - m[2][0],
+            m[1][0] - m[0][1],
+        ]
+    } else {
+        let i = (0..3).fold(0, |best, i| if m[i][i] > m[best][best] { i } else { best });
+        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        let mut q = [m[k][j] - m[j][k], 0.0, 0.0, 0.0];
+        q[1 + i] = 1.0 + m[i][i] - m[j][j] - m[k][k];
+        q[1 + j] = m[j][i] + m[i][j];
+        q[1 + k] = m[k][i] + m[i][k];
+        q
+    };
+    quat_normalised(quat)
+}
+
 /// `R · m · Rᵀ`: a symmetric tensor `m` of the inner frame expressed in the outer frame.
 pub fn rotate_tensor(q: [f64; 4], m: [[f64; 3]; 3]) -> [[f64; 3]; 3] {
     let r = quat_to_matrix(q);
@@ -182,6 +215,21 @@ mod tests {
         // R = [[0,-1,0],[1,0,0],[0,0,1]]
         close(m[0], [0.0, -1.0, 0.0]);
         close(m[1], [1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn axes_give_the_turn_that_has_them() {
+        for q in [
+            [0.3, -0.4, 0.5, 0.7],
+            [0.01, 0.9, 0.1, -0.2],
+            [0.0, 0.0, 0.0, 1.0],
+        ] {
+            let q = quat_normalised(q).unwrap();
+            let m = |v: [f64; 3]| quat_rotate(q, v);
+            let found = quat_from_axes(m([2.0, 0.0, 0.0]), m([0.5, 3.0, 0.0])).unwrap();
+            close(quat_rotate(found, [1.0, 2.0, 3.0]), m([1.0, 2.0, 3.0]));
+        }
+        assert!(quat_from_axes([1.0, 0.0, 0.0], [2.0, 0.0, 0.0]).is_none());
     }
 
     #[test]

@@ -7,6 +7,7 @@ use serde::Deserialize;
 use crate::error::ModelError;
 use crate::extension::Extension;
 use crate::params::{AddedShare, ContactParams, DragScale, ImuParams, ServoParams, SupplyParams};
+use crate::servos::{Brushless, Variant};
 
 /// Value of `format` that this version reads.
 pub(crate) const FORMAT: &str = "caudata.robot.v1";
@@ -45,6 +46,12 @@ pub(crate) enum BaseWord {
 #[serde(deny_unknown_fields)]
 pub(crate) struct JointsTable {
     pub actuated: Vec<String>,
+    /// Joints by the name of a group, which other tables may use instead of theirs.
+    #[serde(default)]
+    pub groups: BTreeMap<String, Vec<String>>,
+    /// Limits of a joint or a group, within those of the MJCF.
+    #[serde(default)]
+    pub limits_rad: BTreeMap<String, [f64; 2]>,
 }
 
 #[derive(Deserialize)]
@@ -59,6 +66,16 @@ pub(crate) struct PoseTable {
 pub(crate) struct ControlTable {
     pub kp_nm_per_rad: f64,
     pub kd_nm_s_per_rad: f64,
+    /// Gains of a joint or a group that has others.
+    #[serde(default)]
+    pub joint: BTreeMap<String, GainsEntry>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct GainsEntry {
+    pub kp_nm_per_rad: Option<f64>,
+    pub kd_nm_s_per_rad: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -67,7 +84,12 @@ pub(crate) struct ServoTable {
     pub default: String,
     #[serde(default)]
     pub joint: BTreeMap<String, String>,
+    #[serde(default)]
     pub preset: BTreeMap<String, ServoParams>,
+    #[serde(default)]
+    pub variant: BTreeMap<String, Variant>,
+    #[serde(default)]
+    pub brushless: BTreeMap<String, Brushless>,
 }
 
 #[derive(Deserialize)]
@@ -81,6 +103,8 @@ pub(crate) struct FootEntry {
 #[serde(deny_unknown_fields)]
 pub(crate) struct FramesTable {
     pub torso: String,
+    /// Site whose x axis is the heading; instead of a line between two sites.
+    pub heading: Option<String>,
     pub heading_hind: Option<String>,
     pub heading_front: Option<String>,
 }
@@ -209,7 +233,16 @@ impl Checker<'_> {
             return self.refuse("mjcf", "names a file in the same folder, without a path");
         }
         for (name, preset) in &f.servo.preset {
-            self.servo(name, preset)?;
+            self.servo(&format!("servo.preset.{name}"), preset)?;
+        }
+        for (name, gains) in &f.control.joint {
+            for (key, gain, hi) in [
+                ("kp_nm_per_rad", gains.kp_nm_per_rad, 1e4),
+                ("kd_nm_s_per_rad", gains.kd_nm_s_per_rad, 1e3),
+            ] {
+                let at = format!("control.joint.{name}.{key}");
+                gain.map_or(Ok(()), |gain| self.within(&at, gain, 0.0, hi))?;
+            }
         }
         // Ranges: wide enough for any robot of this kind, narrow enough to catch a wrong unit.
         #[rustfmt::skip]
@@ -263,8 +296,20 @@ impl Checker<'_> {
         Ok(())
     }
 
-    fn servo(&self, name: &str, s: &ServoParams) -> Result<(), ModelError> {
-        let at = |key: &str| format!("servo.preset.{name}.{key}");
+    pub(crate) fn brushless(&self, table: &str, b: &Brushless) -> Result<(), ModelError> {
+        for (key, v) in [
+            ("torque_constant_nm_per_a", b.torque_constant_nm_per_a),
+            ("gear_ratio", b.gear_ratio),
+            ("peak_current_a", b.peak_current_a),
+        ] {
+            self.above(&format!("{table}.{key}"), v)?;
+        }
+        Ok(())
+    }
+
+    /// Checks a servo; `table` is where it stands.
+    pub(crate) fn servo(&self, table: &str, s: &ServoParams) -> Result<(), ModelError> {
+        let at = |key: &str| format!("{table}.{key}");
         for (key, v) in [
             ("tau_max_nm", s.tau_max_nm),
             ("qd_max_radps", s.qd_max_radps),

@@ -158,7 +158,62 @@ pub enum Shape {
     Plane,
 }
 
+/// Points on each rim that stand for a cylinder.
+const RIM_POINTS: u32 = 16;
+
 impl Shape {
+    /// Centres (shape's frame, m) and radius (m; 0: points) of the balls that stand for the shape where it
+    /// touches the ground; `None` for an ellipsoid and a plane.
+    ///
+    /// Exact against a plane: ball; capsule (its two end balls); box (its eight corners). Approximate:
+    /// cylinder (16 points on each rim: a rolling one sinks in by up to 2 % of its radius). Against uneven
+    /// ground, straight sides can be hollow between their points: capsules longer than their radius get a
+    /// ball in the middle.
+    pub fn balls(&self) -> Option<(Vec<[f64; 3]>, f64)> {
+        Some(match *self {
+            Self::Sphere { radius_m } => (vec![[0.0; 3]], radius_m),
+            Self::Capsule {
+                radius_m,
+                half_length_m: h,
+            } => {
+                let mut centres = vec![[0.0, 0.0, -h], [0.0, 0.0, h]];
+                if 2.0 * h > radius_m {
+                    centres.push([0.0; 3]);
+                }
+                (centres, radius_m)
+            }
+            Self::Box {
+                half_size_m: [x, y, z],
+            } => {
+                let signs = [-1.0, 1.0];
+                let mut corners = Vec::new();
+                for sx in signs {
+                    for sy in signs {
+                        for sz in signs {
+                            corners.push([sx * x, sy * y, sz * z]);
+                        }
+                    }
+                }
+                (corners, 0.0)
+            }
+            Self::Cylinder {
+                radius_m,
+                half_length_m: h,
+            } => {
+                let mut rim = Vec::new();
+                for k in 0..RIM_POINTS {
+                    let turn = std::f64::consts::TAU * f64::from(k) / f64::from(RIM_POINTS);
+                    let (s, c) = turn.sin_cos();
+                    for z in [-h, h] {
+                        rim.push([radius_m * c, radius_m * s, z]);
+                    }
+                }
+                (rim, 0.0)
+            }
+            Self::Ellipsoid { .. } | Self::Plane => return None,
+        })
+    }
+
     /// Half the extent of the shape along the unit direction `dir` (in the shape's own frame), m; infinite
     /// for a plane.
     ///
@@ -228,17 +283,26 @@ pub struct Site {
     pub link_from_site: Pose,
 }
 
-/// A foot: a ball at the end of a leg.
+/// A foot: the shape at the end of a leg that is to touch the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Foot {
     /// Leg name, for example `FL`.
     pub name: String,
-    /// Index of the link that carries the ball.
+    /// Index of the link that carries the shape.
     pub link: usize,
-    /// Index of the ball in that link's `geoms`.
+    /// Index of the shape in that link's `geoms`.
     pub geom: usize,
-    /// Centre of the ball in the link frame, m.
+    /// Centre of the shape in the link frame, m.
     pub centre_m: [f64; 3],
-    /// Radius, m.
+    /// Centres of the balls that stand for the shape (see [`Shape::balls`]), link frame, m. A ball has one.
+    pub balls_m: Vec<[f64; 3]>,
+    /// Radius of these balls, m.
     pub radius_m: f64,
+}
+
+impl Foot {
+    /// Whether the foot is a ball: its lowest point is then one radius below its centre, however it turns.
+    pub fn is_ball(&self) -> bool {
+        self.balls_m.len() == 1
+    }
 }

@@ -58,7 +58,7 @@ struct Setting<'a> {
 pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     let commands = args.command_table()?;
     let folder = RunFolder::open(&args.run_folder())?;
-    let _alone = alone(folder.file("rt.lock"))?;
+    let _alone = alone(&folder.file("rt.lock"))?;
     // And on the state, which another run folder may share: two loops would tell their agents under the same
     // numbers.
     let teller = Teller::open(&args.source.state, &folder)?;

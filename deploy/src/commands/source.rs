@@ -127,7 +127,7 @@ pub(super) struct Source {
     pub(super) follow: Follow,
     pub(super) keeper: Keeper,
     /// No second agent or `pull` on one state: each would write over what the other learnt.
-    _alone: std::fs::File,
+    _alone: caudata_durable::Owner,
 }
 
 impl Source {

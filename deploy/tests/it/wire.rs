@@ -442,10 +442,7 @@ fn fault_48_the_kill_button_lets_go_of_servos_whose_loop_hangs() {
     std::fs::write(&key, [7; 32]).unwrap();
     let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
     std::fs::set_permissions(&key, private).unwrap();
-    // Free a moment ago; a program that took it meanwhile shows as an error.
-    let free = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
-    let address = free.local_addr().unwrap().to_string();
-    drop(free);
+    let address = caudata_chaos_proxy::own_address().to_string();
     // Silence alone would be noticed after two minutes.
     let mut command = bench.run(&["--hang-ms", "120000", "--link-addr", &address, "--link-key"]);
     command.arg(&key);

@@ -204,12 +204,10 @@ fn one_run(
     }
     let mut meta = LogMeta::new(rig.name.clone(), BaseHold::Fixed, RATE_HZ);
     meta.terrain = "stand".to_owned();
-    meta.kp = Some(
-        decoy
-            .and_then(Decoy::declared_kp)
-            .unwrap_or(rig.model.kp_nm_per_rad()),
-    );
-    meta.kd = Some(rig.model.kd_nm_s_per_rad());
+    let gains = rig.model.common_gains();
+    let declared = decoy.and_then(Decoy::declared_kp);
+    meta.kp = declared.or(gains.map(|g| g.kp_nm_per_rad));
+    meta.kd = gains.map(|g| g.kd_nm_s_per_rad);
     let supply = day.declared_supply_v.unwrap_or(day.spec.supply_v);
     meta.supply_v = Some((supply * 10.0).round() / 10.0);
     meta.notes = format!("{} {}", trial.name, repeat + 1);

@@ -193,8 +193,8 @@ fn record(
         let level = Setting::Number(free::WATER_LEVEL_M);
         meta.settings.insert("water_level_m".to_owned(), level);
     }
-    meta.kp = Some(model.kp_nm_per_rad());
-    meta.kd = Some(model.kd_nm_s_per_rad());
+    meta.kp = model.common_gains().map(|g| g.kp_nm_per_rad);
+    meta.kd = model.common_gains().map(|g| g.kd_nm_s_per_rad);
     meta.supply_v = Some((f64::from(session.lane.supply_v) * 10.0).round() / 10.0);
     let mut writer = LogWriter::create(dir, &free::signals(model, plan.channels), &meta)?;
     for (t, row) in &log {

@@ -49,8 +49,8 @@ pub fn record(
         &mut stream,
     )?;
     let mut meta = LogMeta::new(model.name(), BaseHold::Fixed, RATE_HZ);
-    meta.kp = Some(model.kp_nm_per_rad());
-    meta.kd = Some(model.kd_nm_s_per_rad());
+    meta.kp = model.common_gains().map(|g| g.kp_nm_per_rad);
+    meta.kd = model.common_gains().map(|g| g.kd_nm_s_per_rad);
     meta.supply_v = Some((f64::from(session.lane.supply_v) * 10.0).round() / 10.0);
     let mut writer = LogWriter::create(dir, &free::signals(model, channels), &meta)?;
     for (t, row) in &log {

@@ -193,7 +193,8 @@ impl Off {
         };
         let servo = first.robot.servo(channels[group[0]][j].index);
         let name = &channels[group[0]][j].name;
-        let kp = (first.log.meta.gains(name).0).unwrap_or(first.robot.kp_nm_per_rad());
+        let kp = (first.log.meta.gains(name).0)
+            .unwrap_or(first.robot.kp_nm_per_rad(channels[group[0]][j].index));
         Some(Self {
             rad: apart.into_iter().map(moved).collect(),
             threshold_rad: (TIMES * scale)

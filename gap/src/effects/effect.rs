@@ -206,7 +206,7 @@ fn reference(model: &RobotModel, place: &Place, reference: Reference) -> f64 {
         Reference::Armature => {
             mean(&|a| model.joints()[model.actuated()[a]].armature_kgm2.max(1e-4))
         }
-        Reference::Gain => model.kp_nm_per_rad().max(1e-6),
+        Reference::Gain => mean(&|a| model.kp_nm_per_rad(a)).max(1e-6),
     }
 }
 

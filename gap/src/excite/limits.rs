@@ -72,8 +72,8 @@ impl JointLimits {
             acceleration_radps2: TORQUE_SHARE * servo.tau_max_nm / inertia_kgm2,
             inertia_kgm2,
             tau_max_nm: servo.tau_max_nm,
-            kp_nm_per_rad: robot.kp_nm_per_rad(),
-            kd_nm_s_per_rad: robot.kd_nm_s_per_rad() + servo.kd_min_nm_s_per_rad,
+            kp_nm_per_rad: robot.kp_nm_per_rad(index),
+            kd_nm_s_per_rad: robot.kd_nm_s_per_rad(index) + servo.kd_min_nm_s_per_rad,
             gravity_nm: (0..=points)
                 .map(|i| gravity(robot, index, low + i as f64 * SEARCH_RAD))
                 .collect(),

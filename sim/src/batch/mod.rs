@@ -21,6 +21,7 @@ mod contact;
 mod contact_law;
 mod convex;
 mod core;
+mod cores;
 mod frame;
 mod ground;
 mod group;

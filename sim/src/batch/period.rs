@@ -8,6 +8,7 @@
 use super::aba::{self, Load};
 use super::clock::Phase;
 use super::contact_law::MEMORY;
+use super::cores;
 use super::group::{Group, Layout, layout};
 use super::integrate;
 use super::kinematics::{self, Push, World};
@@ -189,6 +190,10 @@ fn step<R: Lanes, const FLAT: bool>(
             &mut scratch.centres,
             &mut scratch.inertias,
         );
+        scratch.mark(Phase::SelfCollision);
+    }
+    if !program.core_pairs.is_empty() {
+        cores::collide(program, group, &scratch.frames, &mut scratch.inertias);
         scratch.mark(Phase::SelfCollision);
     }
     if program.water {

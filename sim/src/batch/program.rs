@@ -9,8 +9,9 @@
 use std::ops::Range;
 
 use caudata_model::pose::{self, Pose};
-use caudata_model::{BaseKind, Geom, JointKind, JointMotion, RobotModel, Shape};
+use caudata_model::{BaseKind, Foot, JointKind, JointMotion, RobotModel, Shape};
 
+use super::cores::{self, Core};
 use crate::mobility::Mobility;
 use crate::self_contact;
 use crate::simd::Lanes;
@@ -97,6 +98,8 @@ pub(super) struct Point<R: Lanes> {
     pub mobility: R::Elem,
     /// How it gives way.
     pub soft: Stop,
+    /// Whether it is a shape of its own, not a corner or an end of one.
+    pub is_ball: bool,
     pub part: Part,
 }
 
@@ -130,12 +133,18 @@ pub(super) struct Program<R: Lanes> {
     pub points_of: Vec<Range<usize>>,
     /// Contact points that may touch each other.
     pub pairs: Vec<(usize, usize)>,
+    /// Shapes that may meet others with their own extent.
+    pub cores: Vec<Core<R>>,
+    /// Which of them may meet.
+    pub core_pairs: Vec<(usize, usize)>,
     /// Place in `links` of the torso.
     pub torso: usize,
     /// Foot centres.
     pub feet: Vec<Place<R>>,
-    /// Foot radii, m.
+    /// Radii of the balls that stand for each foot, m.
     pub foot_radius: Vec<R::Elem>,
+    /// Centres of these balls in the node's frame, m; empty for a foot that is a ball itself.
+    pub foot_balls: Vec<Vec<[R::Elem; 3]>>,
     /// IMU.
     pub imu: Place<R>,
     /// Hind and front end of the heading line.
@@ -171,7 +180,10 @@ impl<R: Lanes> Program<R> {
                 .position(|l| l.link == link)
                 .ok_or_else(|| SimError::Model(format!("link {link} is nowhere")))
         };
+        let (cores, core_pairs) = cores::cores(model, config, &place)?;
         Ok(Self {
+            cores,
+            core_pairs,
             free: config.frees_base(model),
             centre: nominal_centre(model)?.map(R::elem),
             torso: find(model.torso_link())?,
@@ -182,6 +194,11 @@ impl<R: Lanes> Program<R> {
                 .feet()
                 .iter()
                 .map(|f| place(f.link, &Pose::from_pos(f.centre_m)))
+                .collect(),
+            foot_balls: model
+                .feet()
+                .iter()
+                .map(|f| foot_balls::<R>(f, &placed[f.link].1))
                 .collect(),
             foot_radius: model.feet().iter().map(|f| R::elem(f.radius_m)).collect(),
             imu: model.imu_site().map_or_else(
@@ -200,7 +217,7 @@ impl<R: Lanes> Program<R> {
             nodes,
             links,
             links_of,
-            pairs: if config.self_collision {
+            pairs: if config.self_collision && !config.self_shells {
                 pairs(model, &points)
             } else {
                 Vec::new()
@@ -332,6 +349,15 @@ fn place<R: Lanes>(placed: &[(usize, Pose)], link: usize, link_from_place: &Pose
     }
 }
 
+/// The balls of a foot in its node's frame; none for a foot whose one ball has the foot's own centre.
+fn foot_balls<R: Lanes>(foot: &Foot, node_from_link: &Pose) -> Vec<[R::Elem; 3]> {
+    if foot.is_ball() {
+        return Vec::new();
+    }
+    let node = |&at: &[f64; 3]| node_from_link.point(at).map(R::elem);
+    foot.balls_m.iter().map(node).collect()
+}
+
 fn link_places<R: Lanes>(model: &RobotModel, placed: &[(usize, Pose)]) -> Vec<LinkPlace<R>> {
     let mut links: Vec<LinkPlace<R>> = model
         .links()
@@ -372,12 +398,7 @@ fn mark_first_children<R: Lanes>(nodes: &mut [Node<R>], links_of: &[Range<usize>
     }
 }
 
-/// The balls and points that stand for the model's colliding shapes.
-///
-/// Exact against a plane: ball; capsule (its two end balls); box (its eight corners). Approximate: cylinder
-/// (16 points on each rim: a rolling one sinks in by up to 2 % of its radius), ellipsoid (refused). Against
-/// uneven ground, straight sides can be hollow between their points: capsules longer than their radius get a
-/// ball in the middle.
+/// The balls and points that stand for the model's colliding shapes (see [`caudata_model::Shape::balls`]).
 fn contact_points<R: Lanes>(
     model: &RobotModel,
     placed: &[(usize, Pose)],
@@ -390,9 +411,10 @@ fn contact_points<R: Lanes>(
             let foot = model.feet().iter().position(|f| f.link == i && f.geom == g);
             let (node, node_from_link) = placed[i];
             let node_from_geom = node_from_link.compose(&geom.link_from_geom);
-            let (centres, radius) = balls(geom).map_err(|what| {
+            let (centres, radius) = geom.shape.balls().ok_or_else(|| {
                 SimError::Model(format!(
-                    "geom {} of link {} is {what}, which the batch engine cannot collide",
+                    "geom {} of link {} is an ellipsoid, which the batch engine cannot collide; give it \
+                     contype and conaffinity 0, and put balls or capsules in its place",
                     geom.name.as_deref().unwrap_or("without a name"),
                     link.name
                 ))
@@ -409,6 +431,7 @@ fn contact_points<R: Lanes>(
                 radius: R::elem(radius),
                 mobility: R::elem(mobility.links[i].max(LEAST_MOBILITY)),
                 soft: Stop::new(&geom.soft, mobility.links[i]).harder(config.contact_hardness),
+                is_ball: matches!(geom.shape, Shape::Sphere { .. }),
                 part: foot.map_or(other, Part::Foot),
             }));
         }
@@ -430,64 +453,12 @@ fn pairs<R: Lanes>(model: &RobotModel, points: &[Point<R>]) -> Vec<(usize, usize
     let mut pairs = Vec::new();
     for a in 0..points.len() {
         for b in a + 1..points.len() {
-            let (la, lb) = (points[a].link, points[b].link);
-            let meet = match (legs[la], legs[lb]) {
-                (Some(one), Some(other)) => one != other,
-                (Some(leg), None) => !hanging[lb].contains(&leg),
-                (None, Some(leg)) => !hanging[la].contains(&leg),
-                (None, None) => false,
-            };
-            if meet {
+            let links = (points[a].link, points[b].link);
+            let balls = points[a].is_ball && points[b].is_ball;
+            if balls && self_contact::may_meet(&legs, &hanging, links) {
                 pairs.push((a, b));
             }
         }
     }
     pairs
-}
-
-/// Centres (geom frame, m) and radius of the balls that stand for a shape.
-fn balls(geom: &Geom) -> Result<(Vec<[f64; 3]>, f64), &'static str> {
-    const RIM: u32 = 16;
-    Ok(match geom.shape {
-        Shape::Sphere { radius_m } => (vec![[0.0; 3]], radius_m),
-        Shape::Capsule {
-            radius_m,
-            half_length_m: h,
-        } => {
-            let mut centres = vec![[0.0, 0.0, -h], [0.0, 0.0, h]];
-            if 2.0 * h > radius_m {
-                centres.push([0.0; 3]);
-            }
-            (centres, radius_m)
-        }
-        Shape::Box {
-            half_size_m: [x, y, z],
-        } => {
-            let signs = [-1.0, 1.0];
-            let mut corners = Vec::new();
-            for sx in signs {
-                for sy in signs {
-                    for sz in signs {
-                        corners.push([sx * x, sy * y, sz * z]);
-                    }
-                }
-            }
-            (corners, 0.0)
-        }
-        Shape::Cylinder {
-            radius_m,
-            half_length_m: h,
-        } => {
-            let mut rim = Vec::new();
-            for k in 0..RIM {
-                let (s, c) = (std::f64::consts::TAU * f64::from(k) / f64::from(RIM)).sin_cos();
-                for z in [-h, h] {
-                    rim.push([radius_m * c, radius_m * s, z]);
-                }
-            }
-            (rim, 0.0)
-        }
-        Shape::Ellipsoid { .. } => return Err("an ellipsoid"),
-        Shape::Plane => return Err("a plane"),
-    })
 }

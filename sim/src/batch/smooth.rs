@@ -91,6 +91,7 @@ fn solve<R: Lanes>(
     let mut program = Program::<R>::new(model, config, false)?;
     program.points.clear();
     program.pairs.clear();
+    program.core_pairs.clear();
     program.points_of.fill(0..0);
     let mut group = Group::new(&program, config.control_period_s());
     for lane in 0..R::LANES {

@@ -6,7 +6,7 @@ use caudata_config::{Config, ConfigArgs, TransportKind};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::Args;
 
-use crate::commands::robot_model;
+use crate::commands::robot;
 use crate::commands::train::Resume;
 use crate::commands::train::children::Programs;
 use crate::commands::train::folder::RunFolder;
@@ -38,7 +38,7 @@ pub fn run(args: &UpArgs, process: &Process) -> Result<(), Failure> {
         return Err(Failure::message(ExitCode::BadConfig, message)
             .hint("set transport.kind=zenoh, or use `caudata train` for one host"));
     }
-    robot_model::load(&config.robot_path())?;
+    robot::load(&config.robot_path())?;
     let run_id = config.cluster_run_id().to_owned();
     let view = View::new(args.json);
     let (root, stop) = (run_dir(&config), &process.stop);

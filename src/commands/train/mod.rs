@@ -18,7 +18,7 @@ use caudata_config::{Config, ConfigArgs, Source, TransportKind};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::{Args, ValueEnum};
 
-use crate::commands::robot_model;
+use crate::commands::robot::load as load_robot;
 use crate::say;
 pub use children::Programs;
 use folder::RunFolder;
@@ -91,7 +91,7 @@ impl From<Transport> for TransportKind {
 pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let view = View::new(args.json);
     let (config, folder) = prepare(args, &mut view.wait_for_owner(&process.stop))?;
-    let model = Arc::new(robot_model::load(&config.robot_path())?);
+    let model = Arc::new(load_robot(&config.robot_path())?);
     let programs = programs()?;
     view.note(&format!("run folder {}", folder.root().display()));
     let resume = args.resume();
@@ -168,7 +168,7 @@ fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolde
         folder
     } else {
         // A robot that cannot be read must not leave a folder behind.
-        robot_model::load(&config.robot_path())?;
+        load_robot(&config.robot_path())?;
         RunFolder::create(out, &config.run.out_dir, &config.run.name)?
     };
     config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;

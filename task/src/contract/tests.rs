@@ -21,6 +21,11 @@ fn contract() -> PolicyContract {
         control_period_s: task.control_period_s,
         action: task.action,
         observation: ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), false),
+        imu: Some(ImuContract {
+            link: "girdle".to_owned(),
+            pos_m: [0.0, 0.0, 0.02],
+            quat_wxyz: [1.0, 0.0, 0.0, 0.0],
+        }),
         phase: PhaseContract {
             feet: FEET.map(str::to_owned).to_vec(),
             offsets_rad: (0..4).map(offset_rad).collect(),
@@ -76,7 +81,7 @@ fn the_hash_is_that_of_the_canonical_text() {
 fn every_change_is_named_and_changes_the_hash() {
     use ContractDifference as D;
     type Change = fn(&mut PolicyContract);
-    let changes: [(D, Change); 12] = [
+    let changes: [(D, Change); 14] = [
         (D::Robot, |c| c.robot = "axolotl".to_owned()),
         (D::RobotModel, |c| c.robot_hash = "cd".repeat(32)),
         (D::JointOrder, |c| c.joint_names.swap(0, 1)),
@@ -88,6 +93,10 @@ fn every_change_is_named_and_changes_the_hash() {
         (D::Action, |c| c.action.filter_alpha = 0.15),
         (D::Observation, |c| {
             c.observation = ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), true)
+        }),
+        (D::Imu, |c| c.imu.as_mut().unwrap().link = "head".to_owned()),
+        (D::Imu, |c| {
+            c.imu.as_mut().unwrap().quat_wxyz = [0.0, 0.0, 0.0, 1.0]
         }),
         (D::Phase, |c| c.phase.swing_height_m = 0.06),
         (D::CommandRange, |c| c.command.vx_mps = [0.0, 0.3]),
@@ -103,6 +112,15 @@ fn every_change_is_named_and_changes_the_hash() {
         assert_eq!(expected.is_breaking(), !harmless);
         assert!(!expected.name().is_empty());
     }
+}
+
+#[test]
+fn a_contract_from_before_the_imu_was_stated_runs_on_any() {
+    let mut old = contract();
+    old.imu = None;
+    assert!(!old.canonical_json().contains("imu"));
+    assert_eq!(old.differences(&contract()), []);
+    assert_eq!(contract().differences(&old), []);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Pieces on their way in one direction; a sender that is faster waits.
-const ON_THE_WAY_MAX: usize = 64;
+const PIECES_MAX: usize = 64;
 
 /// Carries bytes to a server, late, unless it is cut.
 pub struct Wire {
@@ -69,7 +69,7 @@ impl Wire {
 
 /// Carries what comes from `from` to `into` until either hangs up.
 fn carry(mut from: TcpStream, mut into: TcpStream, delay_ms: Arc<AtomicU64>) {
-    let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(ON_THE_WAY_MAX);
+    let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(PIECES_MAX);
     std::thread::spawn(move || {
         for (at, bytes) in due {
             std::thread::sleep(at.saturating_duration_since(Instant::now()));

@@ -116,7 +116,7 @@ fn scenarios(evaluation: &Value) -> Vec<&str> {
 
 /// The knee's position gain, N·m/rad, where `robot` has its own everywhere.
 fn soft_kp(robot: &Path) -> f64 {
-    let about = succeeds(&["robot-model", "check", text(robot), "--json"])
+    let about = succeeds(&["robot", "check", text(robot), "--json"])
         .last_json()
         .unwrap();
     SOFT * about["kp_nm_per_rad"].as_f64().unwrap()
@@ -249,7 +249,7 @@ fn nothing_is_trained_for_a_robot_that_is_as_its_file_says() {
     let folder = folder.path();
     let root = repository_root();
     let robot = root.join("robots/polymander.robot.toml");
-    let about = succeeds(&["robot-model", "check", text(&robot), "--json"])
+    let about = succeeds(&["robot", "check", text(&robot), "--json"])
         .last_json()
         .unwrap();
     let kp = about["kp_nm_per_rad"].as_f64().unwrap();

@@ -93,7 +93,7 @@ fn an_extension_of_an_earlier_version_is_refused_with_what_to_do() {
         folder.path().join("polymander.xml"),
     )
     .unwrap();
-    let args = ["robot-model", "check", extended.to_str().unwrap()];
+    let args = ["robot", "check", extended.to_str().unwrap()];
     let check = command("caudata", &args).unwrap();
     let words = [
         "extended.robot.toml",

@@ -68,8 +68,8 @@ fn servos(model: &RobotModel) -> Vec<Value> {
             let speed = model.supply_v() / s.reference_supply_v;
             let (flat, end) = (s.qd_tau_max_radps * speed, s.qd_max_radps * speed);
             json!({
-                "kp": model.kp_nm_per_rad(),
-                "kd": model.kd_nm_s_per_rad() + s.kd_min_nm_s_per_rad,
+                "kp": model.kp_nm_per_rad(a),
+                "kd": model.kd_nm_s_per_rad(a) + s.kd_min_nm_s_per_rad,
                 "tau_max": s.tau_max_nm,
                 "qd_tau_max": flat,
                 "slope": ((s.tau_qd_max_nm - s.tau_max_nm) / (end - flat)).min(0.0),

@@ -8,7 +8,7 @@ use crate::pose;
 use super::xml::Source;
 
 /// `<compiler>` settings.
-pub(super) struct Compiler {
+pub(crate) struct Compiler {
     pub rad_per_unit: f64,
     pub autolimits: bool,
     /// Axis index and whether it turns with the frame, for each of the three Euler angles.
@@ -26,7 +26,11 @@ impl Default for Compiler {
 }
 
 impl Compiler {
-    pub fn read(&mut self, source: &Source<'_>, node: Node<'_, '_>) -> Result<(), ModelError> {
+    pub(super) fn read(
+        &mut self,
+        source: &Source<'_>,
+        node: Node<'_, '_>,
+    ) -> Result<(), ModelError> {
         source.only_attributes(
             node,
             &[
@@ -48,14 +52,21 @@ impl Compiler {
                 ("autolimits", "false") => self.autolimits = false,
                 ("coordinate", "local") | ("inertiafromgeom", "false" | "auto") => {}
                 ("balanceinertia", "false") => {}
-                ("eulerseq", v) => match euler_sequence(v) {
-                    Some(s) => self.euler = s,
-                    None => return bad(format!("`{v}` is not three of x y z X Y Z")),
-                },
+                ("eulerseq", v) if self.set_euler(v) => {}
+                ("eulerseq", v) => {
+                    return bad(format!("`{v}` is not three of x y z X Y Z"));
+                }
                 (_, v) => return bad(format!("`{v}` is not supported")),
             }
         }
         Ok(())
+    }
+
+    /// Takes a sequence of axes; `false`: it is none.
+    pub fn set_euler(&mut self, sequence: &str) -> bool {
+        let axes = euler_sequence(sequence);
+        self.euler = axes.unwrap_or(self.euler);
+        axes.is_some()
     }
 
     pub fn euler_to_quat(&self, angles: [f64; 3]) -> [f64; 4] {

@@ -305,7 +305,7 @@ fn segment(e: &Element<'_, '_>, kind: &str, ends: [f64; 6]) -> Result<(Shape, Po
 }
 
 /// The shortest turn that takes the z axis to the unit vector `d`.
-fn z_to(d: [f64; 3]) -> [f64; 4] {
+pub(crate) fn z_to(d: [f64; 3]) -> [f64; 4] {
     let w = 1.0 + d[2];
     if w < 1e-12 {
         return [0.0, 1.0, 0.0, 0.0]; // half a turn about x

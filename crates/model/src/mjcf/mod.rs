@@ -26,7 +26,9 @@ use crate::error::ModelError;
 use crate::pose::Pose;
 use crate::types::Geom;
 
-use compiler::Compiler;
+pub(crate) use compiler::Compiler;
+pub(crate) use elements::z_to;
+
 use elements::{Actuator, MjJoint, MjSite};
 use xml::{DEPTH_LIMIT, Defaults, Source};
 

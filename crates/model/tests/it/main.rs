@@ -4,6 +4,8 @@
 
 mod common;
 mod general;
+mod import;
 mod mujoco;
 mod polymander;
+mod shipped;
 mod wrong_files;

@@ -360,10 +360,10 @@ fn the_mjcf_carries_the_robot_files_numbers() {
     near(
         "kp",
         number("servo", "position", "kp"),
-        m.kp_nm_per_rad(),
+        m.kp_nm_per_rad(0),
         0.0,
     );
-    let kv = m.kd_nm_s_per_rad() + servo.kd_min_nm_s_per_rad;
+    let kv = m.kd_nm_s_per_rad(0) + servo.kd_min_nm_s_per_rad;
     near("kv", number("servo", "position", "kv"), kv, 1e-12);
     near(
         "torque",

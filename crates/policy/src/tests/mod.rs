@@ -29,6 +29,7 @@ fn contract() -> PolicyContract {
         control_period_s: 0.02,
         action: task.action,
         observation: ObservationLayout::new(16, &FEET.map(str::to_owned), false),
+        imu: None,
         phase: PhaseContract {
             feet: FEET.map(str::to_owned).to_vec(),
             offsets_rad: vec![0.0, 3.0, 3.0, 0.0],

@@ -17,7 +17,7 @@ pub struct Logged {
     trial: String,
     commands: Commands,
     supply_v: f64,
-    kp: f64,
+    kp: Option<f64>,
     /// `[channels][rows]`: positions, speeds, currents.
     values: Vec<Vec<Option<f64>>>,
     /// Repeats' standard deviation per channel.
@@ -154,8 +154,9 @@ impl CaseData {
                 let mut lane = s.lane.clone();
                 // what the log declares: the supply, and the gain in force
                 lane.supply_v += (run.supply_v - self.model.supply_v()) as f32;
-                for kp in &mut lane.kp_nm_per_rad {
-                    *kp *= (run.kp / self.model.kp_nm_per_rad()) as f32;
+                for (a, kp) in lane.kp_nm_per_rad.iter_mut().enumerate() {
+                    let nominal = self.model.kp_nm_per_rad(a);
+                    *kp *= (run.kp.unwrap_or(nominal) / nominal) as f32;
                 }
                 lane
             })
@@ -236,7 +237,7 @@ impl Logged {
                 lost: Vec::new(),
             },
             supply_v: log.meta.supply_v.unwrap_or(model.supply_v()),
-            kp: log.meta.kp.unwrap_or(model.kp_nm_per_rad()),
+            kp: log.meta.kp,
             values,
             sigma: Vec::new(),
         }

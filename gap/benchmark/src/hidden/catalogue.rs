@@ -91,14 +91,14 @@ pub const CATALOGUE: &[Hidden] = &[
     })
     .signed()
     .value(&["kp", "scale", "ratio"], "N·m/rad", |w, m, a| {
-        (w.spec.joints[a].kp_nm_per_rad, m.kp_nm_per_rad())
+        (w.spec.joints[a].kp_nm_per_rad, m.kp_nm_per_rad(a))
     })
     .like(&["stale_gains"], &["stale_gains"]),
     adds("kd_error", "actuation", (0.05, 1.0), |w, a| {
         &mut w.joint(a).kd_nms_per_rad
     })
-    .sum_on(&["kd", "extra", "scale"], "N·m·s/rad", |m, _| {
-        m.kd_nm_s_per_rad()
+    .sum_on(&["kd", "extra", "scale"], "N·m·s/rad", |m, a| {
+        m.kd_nm_s_per_rad(a)
     }),
     adds("integral_action", "actuation", (3.0, 120.0), |w, a| {
         &mut w.joint(a).ki_nm_per_rad_s

@@ -162,9 +162,9 @@ impl JointSpec {
         let resistance = servo.reference_supply_v * kt / stall;
         let ke = slope * resistance / kt;
         Self {
-            kp_nm_per_rad: model.kp_nm_per_rad(),
+            kp_nm_per_rad: model.kp_nm_per_rad(a),
             kp_growth_per_rad: 0.0,
-            kd_nms_per_rad: model.kd_nm_s_per_rad(),
+            kd_nms_per_rad: model.kd_nm_s_per_rad(a),
             ki_nm_per_rad_s: 0.0,
             dead_band_rad: 0.0,
             loop_delay_s: 0.0,

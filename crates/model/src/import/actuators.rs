@@ -1,0 +1,126 @@
+//! MJCF: actuators.
+
+use std::collections::BTreeSet;
+
+use super::mjcf::Context;
+use super::parts::{Actuator, Robot};
+use super::tree::Element;
+
+/// Elements that are actuators of a joint; all share one kind of default.
+const KINDS: &[&str] = &[
+    "general",
+    "motor",
+    "position",
+    "velocity",
+    "intvelocity",
+    "damper",
+    "cylinder",
+    "muscle",
+    "adhesion",
+    "plugin",
+];
+
+/// Under which element a class keeps the defaults of `tag`.
+pub(super) fn default_tag(tag: &str) -> &str {
+    if KINDS.contains(&tag) {
+        "actuator"
+    } else {
+        tag
+    }
+}
+
+fn elements(root: &Element) -> impl Iterator<Item = &Element> {
+    root.all("actuator").flat_map(|a| &a.children)
+}
+
+/// Joints that some actuator names.
+pub(super) fn joints(root: &Element) -> BTreeSet<String> {
+    let named = elements(root).filter_map(|e| e.get("joint").or(e.get("jointinparent")));
+    named.map(str::to_owned).collect()
+}
+
+/// Reads the actuators of joints that the robot has.
+pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot) {
+    for element in elements(root) {
+        let e = context.resolved(element, None);
+        let label = e.label();
+        let Some(joint) = e.get("joint").or(e.get("jointinparent")).map(str::to_owned) else {
+            context
+                .remarks
+                .note(&e, format!("{label}: drives no joint and is not kept"));
+            continue;
+        };
+        let all = robot.bodies.iter().flat_map(|b| &b.joints);
+        let Some(own_limit) = all
+            .into_iter()
+            .find(|j| j.name == joint)
+            .map(|j| j.force_limit)
+        else {
+            context
+                .remarks
+                .refuse(&e, format!("{label}: there is no joint `{joint}`"));
+            continue;
+        };
+        if robot.actuators.iter().any(|a| a.joint == joint) {
+            context.remarks.note(
+                &e,
+                format!("{label}: `{joint}` has an actuator already; this one is not kept"),
+            );
+            continue;
+        }
+        let gear = e
+            .numbers("gear", context.remarks)
+            .and_then(|g| g.first().copied());
+        let gear = gear.unwrap_or(1.0).abs();
+        let limit = |context: &mut Context<'_>, key: &str| {
+            let range = e.array::<2>(key, context.remarks)?;
+            Some(range[0].abs().max(range[1].abs()) * gear).filter(|x| *x > 0.0)
+        };
+        let gains = gains(context, &e).map(|(kp, kd)| (kp * gear * gear, kd * gear * gear));
+        let mut force_limit = limit(context, "forcerange");
+        if force_limit.is_none() && gains.is_none() && e.tag == "motor" {
+            force_limit = limit(context, "ctrlrange");
+        }
+        robot.actuators.push(Actuator {
+            joint,
+            gains,
+            force_limit: own_limit.or(force_limit),
+        });
+    }
+}
+
+/// Gains of a position loop.
+fn gains(context: &mut Context<'_>, e: &Element) -> Option<(f64, f64)> {
+    let first = |numbers: Option<Vec<f64>>, at: usize| numbers.and_then(|n| n.get(at).copied());
+    match e.tag.as_str() {
+        "position" => {
+            let kp = e.number("kp", context.remarks).unwrap_or(1.0);
+            let kv = e.number("kv", context.remarks).unwrap_or(0.0);
+            if e.get("dampratio").is_some() {
+                context
+                    .remarks
+                    .note_once(e, "dampratio is not read; kv is 0 in its place");
+            }
+            Some((kp, kv))
+        }
+        "general" if e.get("biastype") == Some("affine") => {
+            let gain = e.numbers("gainprm", context.remarks);
+            let bias = e.numbers("biasprm", context.remarks);
+            let kp = first(gain, 0).unwrap_or(1.0);
+            let (back, kv) = (
+                first(bias.clone(), 1).unwrap_or(0.0),
+                first(bias, 2).unwrap_or(0.0),
+            );
+            ((kp + back).abs() <= 1e-9 * kp.abs() && kp > 0.0).then_some((kp, -kv))
+        }
+        "motor" | "general" => None,
+        other => {
+            let label = e.label();
+            context.remarks.note(
+                e,
+                format!("{label}: a {other} actuator is read as one of torque"),
+            );
+            None
+        }
+    }
+}

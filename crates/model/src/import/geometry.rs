@@ -1,0 +1,197 @@
+//! Volumes and inertias of shapes, and inertias put together.
+
+use crate::pose::{self, Pose};
+use crate::types::Shape;
+
+/// Mass, centre of mass (m) and inertia about it (kg·m²), in the axes of the frame that it is seen from.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Inertial {
+    pub mass_kg: f64,
+    pub com_m: [f64; 3],
+    pub inertia_kgm2: [[f64; 3]; 3],
+}
+
+impl Inertial {
+    /// The same in an outer frame.
+    pub fn seen_from(&self, outer_from_own: &Pose) -> Self {
+        Self {
+            mass_kg: self.mass_kg,
+            com_m: outer_from_own.point(self.com_m),
+            inertia_kgm2: pose::rotate_tensor(outer_from_own.quat_wxyz, self.inertia_kgm2),
+        }
+    }
+
+    /// Both together.
+    pub fn with(&self, other: &Self) -> Self {
+        let mass_kg = self.mass_kg + other.mass_kg;
+        if mass_kg <= 0.0 {
+            return *self;
+        }
+        let weighted = |i: usize| self.mass_kg * self.com_m[i] + other.mass_kg * other.com_m[i];
+        let com_m = [0, 1, 2].map(|i| weighted(i) / mass_kg);
+        let mut inertia_kgm2 = [[0.0; 3]; 3];
+        for part in [self, other] {
+            let d = pose::sub(part.com_m, com_m);
+            let square = pose::dot(d, d);
+            for r in 0..3 {
+                for c in 0..3 {
+                    let own = if r == c { square } else { 0.0 } - d[r] * d[c];
+                    inertia_kgm2[r][c] += part.inertia_kgm2[r][c] + part.mass_kg * own;
+                }
+            }
+        }
+        Self {
+            mass_kg,
+            com_m,
+            inertia_kgm2,
+        }
+    }
+
+    /// Principal moments all their mean where one exceeds the sum of the other two (MuJoCo's
+    /// `balanceinertia`); only for inertias about the axes.
+    pub fn balanced(mut self) -> Self {
+        let i = self.inertia_kgm2;
+        let [a, b, c] = [i[0][0], i[1][1], i[2][2]];
+        if a + b < c || b + c < a || c + a < b {
+            let mean = (a + b + c) / 3.0;
+            self.inertia_kgm2 = diagonal([mean; 3]);
+        }
+        self
+    }
+}
+
+pub(super) fn diagonal([x, y, z]: [f64; 3]) -> [[f64; 3]; 3] {
+    [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]
+}
+
+/// A solid of density 1 about its own centre: volume (m³), centre, moments per density.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Solid {
+    pub volume_m3: f64,
+    pub centre_m: [f64; 3],
+    /// About the centre, m⁵.
+    pub moments: [[f64; 3]; 3],
+}
+
+impl Solid {
+    /// A primitive, about its frame; `None` for a plane.
+    pub fn of(shape: &Shape) -> Option<Self> {
+        use std::f64::consts::PI;
+        // volume, and moments for mass 1
+        let (volume_m3, [x, y, z]) = match *shape {
+            Shape::Sphere { radius_m: r } => (4.0 / 3.0 * PI * r.powi(3), [0.4 * r * r; 3]),
+            Shape::Box {
+                half_size_m: [a, b, c],
+            } => {
+                let (a2, b2, c2) = (a * a, b * b, c * c);
+                (
+                    8.0 * a * b * c,
+                    [b2 + c2, a2 + c2, a2 + b2].map(|s| s / 3.0),
+                )
+            }
+            Shape::Ellipsoid {
+                semi_axes_m: [a, b, c],
+            } => {
+                let (a2, b2, c2) = (a * a, b * b, c * c);
+                let moments = [b2 + c2, a2 + c2, a2 + b2].map(|s| s / 5.0);
+                (4.0 / 3.0 * PI * a * b * c, moments)
+            }
+            Shape::Cylinder {
+                radius_m: r,
+                half_length_m: h,
+            } => {
+                let across = (3.0 * r * r + 4.0 * h * h) / 12.0;
+                (2.0 * PI * r * r * h, [across, across, 0.5 * r * r])
+            }
+            Shape::Capsule {
+                radius_m: r,
+                half_length_m: h,
+            } => {
+                let (rod, ball) = (2.0 * PI * r * r * h, 4.0 / 3.0 * PI * r.powi(3));
+                let all = rod + ball;
+                // half balls: their centres are 3/8 of the radius beyond the rod's ends
+                let across = rod * (3.0 * r * r + 4.0 * h * h) / 12.0
+                    + ball * (0.4 * r * r + h * h + 0.75 * r * h);
+                let along = rod * 0.5 * r * r + ball * 0.4 * r * r;
+                (all, [across / all, across / all, along / all])
+            }
+            Shape::Plane => return None,
+        };
+        Some(Self {
+            volume_m3,
+            centre_m: [0.0; 3],
+            moments: diagonal([x, y, z].map(|m| m * volume_m3)),
+        })
+    }
+
+    /// With this mass, seen from the frame in which the shape lies at `at`.
+    pub fn with_mass(&self, mass_kg: f64, at: &Pose) -> Inertial {
+        let density = mass_kg / self.volume_m3;
+        Inertial {
+            mass_kg,
+            com_m: self.centre_m,
+            inertia_kgm2: self.moments.map(|row| row.map(|m| m * density)),
+        }
+        .seen_from(at)
+    }
+
+    /// What stands for a mass that does not matter: 1 kg within 0.1 m.
+    pub fn unit_ball() -> Inertial {
+        Inertial {
+            mass_kg: 1.0,
+            com_m: [0.0; 3],
+            inertia_kgm2: diagonal([0.004; 3]),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near(a: f64, b: f64) {
+        assert!((a - b).abs() < 1e-12 * b.abs().max(1.0), "{a} is not {b}");
+    }
+
+    #[test]
+    fn a_box_of_two_halves_is_the_box() {
+        // 0.2 × 0.4 × 0.6 m of 2 kg cut across x
+        let half = Shape::Box {
+            half_size_m: [0.05, 0.2, 0.3],
+        };
+        let whole = Shape::Box {
+            half_size_m: [0.1, 0.2, 0.3],
+        };
+        let at = |x: f64| Pose::from_pos([x, 0.0, 0.0]);
+        let piece = |x: f64| Solid::of(&half).unwrap().with_mass(1.0, &at(x));
+        let both = piece(-0.05).with(&piece(0.05));
+        let one = Solid::of(&whole).unwrap().with_mass(2.0, &at(0.0));
+        near(both.mass_kg, 2.0);
+        for i in 0..3 {
+            near(both.com_m[i], 0.0);
+            near(both.inertia_kgm2[i][i], one.inertia_kgm2[i][i]);
+        }
+        // m/12·(y² + z²) = 2/12·(0.16 + 0.36)
+        near(one.inertia_kgm2[0][0], 2.0 / 12.0 * 0.52);
+    }
+
+    #[test]
+    fn a_capsule_without_a_rod_is_a_ball_and_a_long_one_a_rod() {
+        let ball = Solid::of(&Shape::Sphere { radius_m: 0.1 }).unwrap();
+        let capsule = Shape::Capsule {
+            radius_m: 0.1,
+            half_length_m: 0.0,
+        };
+        let capsule = Solid::of(&capsule).unwrap();
+        near(capsule.volume_m3, ball.volume_m3);
+        near(capsule.moments[0][0], ball.moments[0][0]);
+        near(capsule.moments[2][2], ball.moments[2][2]);
+        let thin = Shape::Capsule {
+            radius_m: 1e-6,
+            half_length_m: 0.5,
+        };
+        let thin = Solid::of(&thin).unwrap();
+        // m·l²/12
+        assert!((thin.moments[0][0] / thin.volume_m3 - 1.0 / 12.0).abs() < 1e-5);
+    }
+}

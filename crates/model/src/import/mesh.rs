@@ -1,0 +1,255 @@
+//! Mesh files: how far they reach and what they hold. STL and OBJ.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::geometry::Solid;
+use super::tree::{Element, Remarks};
+use crate::pose::{cross, dot};
+
+/// Largest mesh file that is read, bytes.
+const FILE_LIMIT_BYTES: u64 = 64 * 1024 * 1024;
+
+/// What is kept of a mesh.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Mesh {
+    pub middle_m: [f64; 3],
+    pub half_size_m: [f64; 3],
+    pub solid: Solid,
+}
+
+/// The meshes of a file, read when they are asked for.
+#[derive(Default)]
+pub(super) struct Meshes {
+    files: BTreeMap<String, (PathBuf, [f64; 3])>,
+    read: BTreeMap<String, Option<Mesh>>,
+}
+
+impl Meshes {
+    /// The `<mesh>` assets of an MJCF.
+    pub fn read(
+        root: &Element,
+        file: &Path,
+        defaults: &BTreeMap<String, String>,
+        remarks: &mut Remarks,
+    ) -> Self {
+        let folder = |key: &str| root.all("compiler").filter_map(|c| c.get(key)).last();
+        let folder = folder("meshdir")
+            .or_else(|| folder("assetdir"))
+            .unwrap_or("");
+        let mut files = BTreeMap::new();
+        for mesh in root.all("asset").flat_map(|a| a.all("mesh")) {
+            let Some(path) = mesh.get("file") else {
+                continue;
+            };
+            let stem = Path::new(path)
+                .file_stem()
+                .map(|s| s.to_string_lossy().into_owned());
+            let name = mesh
+                .get("name")
+                .map(str::to_owned)
+                .or(stem)
+                .unwrap_or_default();
+            let mut scaled = mesh.clone();
+            if let Some(scale) = defaults.get("scale") {
+                let entry = scaled.attributes.entry("scale".to_owned());
+                entry.or_insert_with(|| scale.clone());
+            }
+            let scale = scaled.array("scale", remarks).unwrap_or([1.0; 3]);
+            let path = file.with_file_name("").join(folder).join(path);
+            files.insert(name, (path, scale));
+        }
+        Self {
+            files,
+            read: BTreeMap::new(),
+        }
+    }
+
+    /// Names a file beside those of the assets.
+    pub fn add(&mut self, name: &str, path: PathBuf, scale: [f64; 3]) {
+        self.files.insert(name.to_owned(), (path, scale));
+    }
+
+    /// A mesh by name; `None`: there is none, or it cannot be read.
+    pub fn find(&mut self, name: &str) -> Option<Mesh> {
+        if let Some(known) = self.read.get(name) {
+            return *known;
+        }
+        let mesh = self
+            .files
+            .get(name)
+            .and_then(|(path, scale)| load(path, *scale));
+        self.read.insert(name.to_owned(), mesh);
+        mesh
+    }
+}
+
+type Triangle = [[f64; 3]; 3];
+
+fn load(path: &Path, scale: [f64; 3]) -> Option<Mesh> {
+    if std::fs::metadata(path).ok()?.len() > FILE_LIMIT_BYTES {
+        return None;
+    }
+    let bytes = std::fs::read(path).ok()?;
+    let kind = path.extension()?.to_string_lossy().to_lowercase();
+    let mut triangles = match kind.as_str() {
+        "stl" => stl(&bytes)?,
+        "obj" => obj(&String::from_utf8_lossy(&bytes))?,
+        _ => return None,
+    };
+    for vertex in triangles.iter_mut().flatten() {
+        for (x, s) in vertex.iter_mut().zip(scale) {
+            *x *= s;
+        }
+    }
+    measure(&triangles)
+}
+
+/// Box and volume. The volume is that between the surface and a point, signed; a mesh that is not closed has
+/// the one it seems to have.
+fn measure(triangles: &[Triangle]) -> Option<Mesh> {
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for vertex in triangles.iter().flatten() {
+        for i in 0..3 {
+            low[i] = low[i].min(vertex[i]);
+            high[i] = high[i].max(vertex[i]);
+        }
+    }
+    if triangles.is_empty() || !low.iter().chain(&high).all(|x| x.is_finite()) {
+        return None;
+    }
+    let middle_m = [0, 1, 2].map(|i| 0.5 * (low[i] + high[i]));
+    let half_size_m = [0, 1, 2].map(|i| 0.5 * (high[i] - low[i]));
+    let (mut volume, mut first, mut second) = (0.0, [0.0; 3], [[0.0; 3]; 3]);
+    for [a, b, c] in triangles {
+        // of the tetrahedron with the origin: ∫ x xᵀ = V/20·(Σ vᵢvᵢᵀ + (Σ vᵢ)(Σ vᵢ)ᵀ)
+        let v = dot(*a, cross(*b, *c)) / 6.0;
+        let sum = [0, 1, 2].map(|i| a[i] + b[i] + c[i]);
+        volume += v;
+        for r in 0..3 {
+            first[r] += v * sum[r] / 4.0;
+            for s in 0..3 {
+                let squares = a[r] * a[s] + b[r] * b[s] + c[r] * c[s];
+                second[r][s] += v / 20.0 * (squares + sum[r] * sum[s]);
+            }
+        }
+    }
+    if volume.abs() < 1e-15 {
+        return None;
+    }
+    let sign = volume.signum();
+    let centre_m = first.map(|x| x / volume);
+    let mut moments = [[0.0; 3]; 3];
+    let about = |r: usize, s: usize| sign * (second[r][s] - volume * centre_m[r] * centre_m[s]);
+    let trace = about(0, 0) + about(1, 1) + about(2, 2);
+    for r in 0..3 {
+        for s in 0..3 {
+            moments[r][s] = if r == s { trace } else { 0.0 } - about(r, s);
+        }
+    }
+    Some(Mesh {
+        middle_m,
+        half_size_m,
+        solid: Solid {
+            volume_m3: volume.abs(),
+            centre_m,
+            moments,
+        },
+    })
+}
+
+/// Binary, or else text.
+fn stl(bytes: &[u8]) -> Option<Vec<Triangle>> {
+    const HEAD: usize = 84;
+    const RECORD: usize = 50;
+    let count = bytes
+        .get(80..HEAD)
+        .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize);
+    if count.is_some_and(|n| {
+        n.checked_mul(RECORD)
+            .is_some_and(|len| bytes.len() == HEAD + len)
+    }) {
+        let record = |r: &[u8]| {
+            let number = |i: usize| {
+                let at = 12 + 4 * i;
+                f64::from(f32::from_le_bytes([r[at], r[at + 1], r[at + 2], r[at + 3]]))
+            };
+            [0, 3, 6].map(|v| [number(v), number(v + 1), number(v + 2)])
+        };
+        return Some(bytes[HEAD..].chunks_exact(RECORD).map(record).collect());
+    }
+    let text = std::str::from_utf8(bytes).ok()?;
+    let vertices = text.lines().filter_map(|l| l.trim().strip_prefix("vertex"));
+    let vertices: Vec<[f64; 3]> = vertices.map(three).collect::<Option<_>>()?;
+    let (triangles, rest) = vertices.as_chunks::<3>();
+    (rest.is_empty() && !triangles.is_empty()).then(|| triangles.to_vec())
+}
+
+/// Faces as fans of triangles.
+fn obj(text: &str) -> Option<Vec<Triangle>> {
+    let mut vertices: Vec<[f64; 3]> = Vec::new();
+    let mut triangles = Vec::new();
+    for line in text.lines() {
+        if let Some(rest) = line.strip_prefix("v ") {
+            vertices.push(three(rest)?);
+        } else if let Some(rest) = line.strip_prefix("f ") {
+            let index = |word: &str| {
+                let number: i64 = word.split('/').next()?.parse().ok()?;
+                let at = if number < 0 {
+                    vertices.len() as i64 + number
+                } else {
+                    number - 1
+                };
+                vertices.get(usize::try_from(at).ok()?).copied()
+            };
+            let corners: Vec<[f64; 3]> =
+                rest.split_whitespace().map(index).collect::<Option<_>>()?;
+            for pair in corners.get(1..)?.windows(2) {
+                triangles.push([corners[0], pair[0], pair[1]]);
+            }
+        }
+    }
+    Some(triangles)
+}
+
+fn three(text: &str) -> Option<[f64; 3]> {
+    let numbers: Vec<f64> = text
+        .split_whitespace()
+        .take(3)
+        .map(|w| w.parse().ok())
+        .collect::<Option<_>>()?;
+    numbers.try_into().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A box of 2 × 4 × 6, its corner at the origin.
+    const BOX: &str = "v 0 0 0\nv 2 0 0\nv 2 4 0\nv 0 4 0\nv 0 0 6\nv 2 0 6\nv 2 4 6\nv 0 4 6\n\
+        f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+
+    #[test]
+    fn a_box_as_a_mesh_has_the_box_s_volume_centre_and_moments() {
+        let mesh = measure(&obj(BOX).unwrap()).unwrap();
+        assert_eq!(
+            (mesh.middle_m, mesh.half_size_m),
+            ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
+        );
+        assert!((mesh.solid.volume_m3 - 48.0).abs() < 1e-9);
+        for i in 0..3 {
+            assert!((mesh.solid.centre_m[i] - mesh.middle_m[i]).abs() < 1e-9);
+        }
+        // V/12·(4² + 6²) = 208
+        assert!((mesh.solid.moments[0][0] - 208.0).abs() < 1e-6);
+        assert!(mesh.solid.moments[0][1].abs() < 1e-6);
+    }
+
+    #[test]
+    fn damaged_files_are_no_meshes() {
+        assert!(obj("v 0 0\n").is_none());
+        assert!(obj("v 0 0 0\nf 1 2 3\n").is_none());
+        assert!(stl(b"solid x\nvertex 0 0 0\n").is_none());
+        assert!(stl(&[0; 83]).is_none());
+    }
+}

@@ -1,0 +1,117 @@
+//! MJCF: joints.
+
+use super::mjcf::{Context, softness};
+use super::parts::{Joint, Robot};
+use super::tree::Element;
+use crate::pose::{self, Pose};
+use crate::types::JointMotion;
+
+/// Reads a joint of the body at `index`; `frame`: where it is written.
+pub(super) fn read(
+    context: &mut Context<'_>,
+    e: &Element,
+    index: usize,
+    frame: &Pose,
+    robot: &mut Robot,
+) {
+    let label = e.label();
+    let free = e.tag == "freejoint" || e.get("type") == Some("free");
+    if free {
+        if robot.bodies[index].parent.is_some() {
+            let message = format!(
+                "{label}: a free joint belongs to the root body; move this body to the world"
+            );
+            context.remarks.refuse(e, message);
+        }
+        robot.free_base = true;
+        return;
+    }
+    let motion = match e.get("type").unwrap_or("hinge") {
+        "hinge" => JointMotion::Hinge,
+        "slide" => JointMotion::Slide,
+        other => {
+            let message = format!(
+                "{label}: a {other} joint is not simulated; write it as hinges, or weld it"
+            );
+            context.remarks.refuse(e, message);
+            return;
+        }
+    };
+    let unit = match motion {
+        JointMotion::Hinge => context.compiler.rad_per_unit,
+        JointMotion::Slide => 1.0,
+    };
+    let axis = e
+        .array::<3>("axis", context.remarks)
+        .unwrap_or([0.0, 0.0, 1.0]);
+    let length = pose::norm(axis);
+    if length < 1e-9 {
+        context
+            .remarks
+            .refuse(e, format!("{label}: `axis` has no direction"));
+    }
+    let anchor = e.array::<3>("pos", context.remarks).unwrap_or([0.0; 3]);
+    // positions are counted from where the file draws the joint
+    let start = e.number("ref", context.remarks).unwrap_or(0.0) * unit;
+    if start != 0.0 {
+        context.remarks.note(
+            e,
+            format!("{label}: `ref` is taken off: its positions count from 0"),
+        );
+    }
+    let number = |context: &mut Context<'_>, key: &str| e.number(key, context.remarks);
+    if e.get("springdamper")
+        .is_some_and(|s| s.split_whitespace().any(|w| w != "0"))
+    {
+        context.remarks.refuse(
+            e,
+            format!("{label}: springdamper is not read; write stiffness and damping"),
+        );
+    }
+    let spring_ref = number(context, "springref").map_or(0.0, |s| s * unit) - start;
+    let force_limit = e.array::<2>("actuatorfrcrange", context.remarks);
+    let joint = Joint {
+        name: name(e, robot),
+        motion,
+        axis: frame.rotate(axis.map(|a| a / length.max(1e-9))),
+        anchor_m: frame.point(anchor),
+        range: range(context, e, unit).map(|(low, high)| (low - start, high - start)),
+        stop: softness(e, "solreflimit", "solimplimit", context.remarks),
+        stiffness: number(context, "stiffness").unwrap_or(0.0).max(0.0),
+        spring_ref,
+        damping: number(context, "damping").unwrap_or(0.0).max(0.0),
+        armature: number(context, "armature").unwrap_or(0.0).max(0.0),
+        friction_loss: number(context, "frictionloss").unwrap_or(0.0).max(0.0),
+        force_limit: force_limit.map(|[low, high]| low.abs().max(high.abs())),
+        element: e.clone(),
+    };
+    robot.bodies[index].joints.push(joint);
+}
+
+fn name(e: &Element, robot: &Robot) -> String {
+    let given = e.get("name").map(str::to_owned);
+    let count = robot.bodies.iter().map(|b| b.joints.len()).sum::<usize>();
+    given.unwrap_or_else(|| format!("joint_{count}"))
+}
+
+/// Limits, where there are any.
+fn range(context: &mut Context<'_>, e: &Element, unit: f64) -> Option<(f64, f64)> {
+    let range = e.array::<2>("range", context.remarks);
+    let limited = match e.get("limited").unwrap_or("auto") {
+        "true" => true,
+        "false" => false,
+        _ => context.compiler.autolimits && range.is_some(),
+    };
+    let (low, high) = range
+        .filter(|_| limited)
+        .map(|[a, b]| (a * unit, b * unit))?;
+    if low < high {
+        return Some((low, high));
+    }
+    let message = format!(
+        "{}: the lower end of its range is not below the upper",
+        e.label()
+    );
+    context.remarks.refuse(e, message);
+    None
+}

@@ -1,0 +1,143 @@
+//! A robot file and an MJCF of the supported subset from what other tools write: any MJCF, or a URDF.
+//!
+//! Reading goes on after a fault: all that is refused is said at once, each with file, line and what to do.
+//! What cannot be kept but does not stand in the way (meshes for the eye, cameras, closed loops) is passed over
+//! with a note. Bodies that are welded together become one; what is not written (inertia of a body, a name)
+//! follows as in MuJoCo.
+
+mod actuators;
+mod geometry;
+mod mesh;
+mod mjcf;
+mod mjcf_joint;
+mod parts;
+mod robot_toml;
+mod tree;
+mod urdf;
+mod write;
+
+use std::fmt;
+use std::path::Path;
+
+use crate::error::ModelError;
+use crate::model::RobotModel;
+
+use tree::Remarks;
+
+/// Something to say about one place of a file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Remark {
+    /// File in which it stands.
+    pub file: String,
+    /// Line, counted from 1; 0: of no line in particular.
+    pub line: u32,
+    /// What is the matter and what to do, or what was done.
+    pub message: String,
+}
+
+impl fmt::Display for Remark {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.line {
+            0 => write!(f, "{}: {}", self.file, self.message),
+            line => write!(f, "{}:{line}: {}", self.file, self.message),
+        }
+    }
+}
+
+/// What became of a file.
+#[derive(Clone, Debug)]
+pub struct Imported {
+    /// Name of the robot, and of both files.
+    pub name: String,
+    /// `NAME.xml`.
+    pub mjcf: String,
+    /// `NAME.robot.toml`.
+    pub robot_toml: String,
+    /// What was passed over or assumed.
+    pub notes: Vec<Remark>,
+}
+
+/// Why a file is no robot.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    /// It cannot be read, or is not XML.
+    #[error(transparent)]
+    File(#[from] ModelError),
+    /// It has what cannot be had here.
+    #[error("{}", all(.0))]
+    Refused(Vec<Remark>),
+}
+
+/// Every refusal, one a line.
+fn all(refusals: &[Remark]) -> String {
+    let lines: Vec<String> = refusals.iter().map(ToString::to_string).collect();
+    lines.join("\n")
+}
+
+/// What a file cannot say itself.
+#[derive(Clone, Debug, Default)]
+pub struct ImportOptions {
+    /// Name of the robot; default: the file's own.
+    pub name: Option<String>,
+    /// For a URDF: whether the root link is free; default: whether it has several legs.
+    pub free_base: Option<bool>,
+}
+
+/// Reads an MJCF or a URDF.
+///
+/// # Errors
+/// [`ImportError`]; of what is refused, everything at once.
+pub fn import(file: &Path, options: &ImportOptions) -> Result<Imported, ImportError> {
+    let mut remarks = Remarks::default();
+    let root = tree::read(file, &mut remarks)?;
+    let robot = match root.tag.as_str() {
+        "mujoco" => mjcf::read(&root, file, &mut remarks),
+        "robot" => urdf::read(&root, file, options, &mut remarks),
+        other => {
+            remarks.refuse(&root, format!("<{other}> is neither <mujoco> nor <robot>"));
+            None
+        }
+    };
+    let Some(mut robot) = robot.filter(|_| remarks.refusals.is_empty()) else {
+        return Err(ImportError::Refused(remarks.refusals));
+    };
+    let stem = file.file_stem().map(|s| s.to_string_lossy().into_owned());
+    let name = options.name.clone().or(robot.name.take()).or(stem);
+    let name = plain(&name.unwrap_or_default());
+    parts::finish(&mut robot, &root, &mut remarks);
+    if !remarks.refusals.is_empty() {
+        return Err(ImportError::Refused(remarks.refusals));
+    }
+    let mjcf = write::mjcf(&name, &robot);
+    let robot_toml = robot_toml::write(&name, file, &robot, &remarks.notes);
+    // whatever this reader let through that the strict one does not
+    let label = format!("{name}.robot.toml");
+    if let Err(error) = RobotModel::from_bytes(&label, robot_toml.as_bytes(), mjcf.as_bytes()) {
+        remarks.refuse_plain(&root.file, error.to_string());
+        return Err(ImportError::Refused(remarks.refusals));
+    }
+    Ok(Imported {
+        name,
+        mjcf,
+        robot_toml,
+        notes: remarks.notes,
+    })
+}
+
+/// Letters, digits, _ and - only.
+fn plain(name: &str) -> String {
+    let keep = |c: char| {
+        if c.is_ascii_alphanumeric() || c == '-' {
+            c
+        } else {
+            '_'
+        }
+    };
+    let name: String = name.chars().map(keep).collect();
+    let name = name.trim_matches('_').to_lowercase();
+    if name.is_empty() {
+        "robot".to_owned()
+    } else {
+        name
+    }
+}

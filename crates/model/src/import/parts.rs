@@ -1,0 +1,199 @@
+//! What both readers make: bodies, joints, shapes, actuators; and what is worked out of them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::geometry::{Inertial, Solid};
+use super::tree::{Element, Remarks};
+use crate::pose::Pose;
+use crate::types::{JointMotion, Shape, Softness};
+
+/// A robot as it was read.
+#[derive(Default)]
+pub(super) struct Robot {
+    pub name: Option<String>,
+    pub gravity_mps2: [f64; 3],
+    pub free_base: bool,
+    /// A parent always comes before its children.
+    pub bodies: Vec<Body>,
+    pub actuators: Vec<Actuator>,
+    /// Pairs of bodies that never touch, by name.
+    pub excluded: Vec<[String; 2]>,
+    /// Joint positions of a named pose.
+    pub home: BTreeMap<String, f64>,
+    /// Bodies that became part of others, and of which.
+    pub merged: BTreeMap<String, String>,
+}
+
+pub(super) struct Body {
+    pub name: String,
+    pub parent: Option<usize>,
+    pub parent_from_body: Pose,
+    pub inertial: Option<Inertial>,
+    pub joints: Vec<Joint>,
+    pub geoms: Vec<Geom>,
+    pub sites: Vec<(String, Pose)>,
+    pub element: Element,
+}
+
+pub(super) struct Joint {
+    pub name: String,
+    pub motion: JointMotion,
+    pub axis: [f64; 3],
+    pub anchor_m: [f64; 3],
+    pub range: Option<(f64, f64)>,
+    pub stop: Softness,
+    pub stiffness: f64,
+    pub spring_ref: f64,
+    pub damping: f64,
+    pub armature: f64,
+    pub friction_loss: f64,
+    /// Largest torque of its drive, where the joint says so.
+    pub force_limit: Option<f64>,
+    pub element: Element,
+}
+
+pub(super) struct Geom {
+    pub name: Option<String>,
+    pub shape: Shape,
+    pub link_from_geom: Pose,
+    pub friction: f64,
+    pub contype: u32,
+    pub conaffinity: u32,
+    pub soft: Softness,
+    pub rgba: Option<String>,
+}
+
+impl Geom {
+    pub fn collides(&self) -> bool {
+        self.contype != 0 || self.conaffinity != 0
+    }
+}
+
+/// The drive of a joint.
+pub(super) struct Actuator {
+    pub joint: String,
+    /// Gains of its position loop; `None`: it commands torque.
+    pub gains: Option<(f64, f64)>,
+    pub force_limit: Option<f64>,
+}
+
+/// Joint positions of the pose that the robot file calls nominal.
+pub(super) fn nominal(robot: &Robot, joint: &Joint) -> f64 {
+    let (low, high) = joint.range.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
+    let home = robot.home.get(&joint.name).copied().unwrap_or(0.0);
+    home.clamp(low, high)
+}
+
+/// Brings what was read into the form that the supported subset has.
+pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
+    if robot.bodies.is_empty() {
+        remarks.refuse(root, "holds no body that moves");
+        return;
+    }
+    merge_welded(robot);
+    limit_actuated(robot, remarks);
+    for (i, body) in robot.bodies.iter_mut().enumerate() {
+        if body.inertial.is_none_or(|i| i.mass_kg <= 0.0) {
+            let label = body.element.label();
+            if i == 0 && !robot.free_base && body.joints.is_empty() {
+                // it does not move: any mass will do
+                body.inertial = Some(Solid::unit_ball());
+            } else {
+                remarks.refuse(
+                    &body.element,
+                    format!("{label} moves and has no mass; give it an <inertial>, or shapes with a mass"),
+                );
+            }
+        }
+    }
+    name_uniquely(robot);
+    if robot.actuators.is_empty() {
+        remarks.refuse(
+            root,
+            "has no actuator on a joint; add <actuator><motor joint=\"…\"/></actuator>",
+        );
+    }
+}
+
+/// A body without a joint becomes part of its parent.
+fn merge_welded(robot: &mut Robot) {
+    let count = robot.bodies.len();
+    let mut into: Vec<usize> = (0..count).collect();
+    let mut place: Vec<Pose> = vec![Pose::IDENTITY; count];
+    let mut bodies: Vec<Body> = Vec::new();
+    for (i, mut body) in std::mem::take(&mut robot.bodies).into_iter().enumerate() {
+        let Some(parent) = body.parent else {
+            into[i] = bodies.len();
+            bodies.push(body);
+            continue;
+        };
+        let at = place[parent].compose(&body.parent_from_body);
+        let target = into[parent];
+        if !body.joints.is_empty() {
+            body.parent = Some(target);
+            body.parent_from_body = at;
+            into[i] = bodies.len();
+            bodies.push(body);
+            continue;
+        }
+        into[i] = target;
+        place[i] = at;
+        let host = &mut bodies[target];
+        robot.merged.insert(body.name.clone(), host.name.clone());
+        for mut geom in body.geoms {
+            geom.link_from_geom = at.compose(&geom.link_from_geom);
+            host.geoms.push(geom);
+        }
+        for (name, pose) in body.sites {
+            host.sites.push((name, at.compose(&pose)));
+        }
+        if let Some(own) = body.inertial {
+            let own = own.seen_from(&at);
+            host.inertial = Some(host.inertial.map_or(own, |rest| rest.with(&own)));
+        }
+    }
+    robot.bodies = bodies;
+}
+
+/// Every actuated joint needs limits.
+fn limit_actuated(robot: &mut Robot, remarks: &mut Remarks) {
+    let actuated: BTreeSet<String> = robot.actuators.iter().map(|a| a.joint.clone()).collect();
+    for joint in robot.bodies.iter_mut().flat_map(|b| &mut b.joints) {
+        if joint.range.is_none() && actuated.contains(&joint.name) {
+            let half = match joint.motion {
+                JointMotion::Hinge => std::f64::consts::TAU,
+                JointMotion::Slide => 1.0,
+            };
+            joint.range = Some((-half, half));
+            let label = joint.element.label();
+            remarks.note(
+                &joint.element,
+                format!("{label} has no limits; ±{half:.4} written"),
+            );
+        }
+    }
+}
+
+/// Gives shapes of the same name others, so that each can be spoken of.
+fn name_uniquely(robot: &mut Robot) {
+    let mut names = BTreeSet::new();
+    for geom in robot.bodies.iter_mut().flat_map(|b| &mut b.geoms) {
+        if let Some(name) = &geom.name
+            && !names.insert(name.clone())
+        {
+            geom.name = None;
+        }
+    }
+    for body in &mut robot.bodies {
+        let colliding = body
+            .geoms
+            .iter_mut()
+            .filter(|g| g.collides() && g.name.is_none());
+        for (i, geom) in colliding.enumerate() {
+            let name = format!("{}_shape_{i}", body.name);
+            if names.insert(name.clone()) {
+                geom.name = Some(name);
+            }
+        }
+    }
+}

@@ -1,0 +1,270 @@
+//! The robot file of an imported robot: what the MJCF says of drives, what of it is taken for feet, and what
+//! nobody said, marked as such.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use super::Remark;
+use super::parts::{Joint, Robot, nominal};
+use crate::pose::Pose;
+use crate::types::{JointMotion, Shape};
+
+/// Gains that are written where the MJCF commands torque: the loop rings at this many Hz with the joint's own
+/// drive, damped.
+const UNSAID_KP_NM_PER_RAD: f64 = 30.0;
+const UNSAID_KD_NM_S_PER_RAD: f64 = 1.0;
+/// Torque that is written where nothing limits it.
+const UNSAID_TORQUE_NM: f64 = 100.0;
+/// How much higher than the lowest a shape may end and still be a foot, m.
+const FOOT_LEVEL_M: f64 = 0.03;
+
+/// A shape that is taken for a foot.
+struct Foot {
+    name: String,
+    geom: String,
+    friction: f64,
+}
+
+pub(super) fn write(name: &str, file: &Path, robot: &Robot, notes: &[Remark]) -> String {
+    let mut out = String::new();
+    let w = &mut out;
+    let source = file
+        .file_name()
+        .map(|f| f.to_string_lossy().into_owned())
+        .unwrap_or_default();
+    // writing to a string does not fail
+    let _ = writeln!(
+        w,
+        "# Made by `caudata robot import` of {source}. SI units and radians.\n\
+         #   [mjcf]  as there\n\
+         #   [ours]  not in there: a placeholder, to be replaced by what the robot has\n#"
+    );
+    for note in notes {
+        let _ = writeln!(w, "# {note}");
+    }
+    let _ = writeln!(
+        w,
+        "\nformat = \"caudata.robot.v1\"\nname = \"{name}\"\nmjcf = \"{name}.xml\"\nbase = \"{}\"",
+        if robot.free_base { "free" } else { "fixed" }
+    );
+    let joints = joints(robot);
+    let driven: Vec<&Joint> = robot
+        .actuators
+        .iter()
+        .filter_map(|a| joints.get(a.joint.as_str()).copied())
+        .collect();
+    let _ = writeln!(w, "\n[joints]\nactuated = [");
+    for joint in &driven {
+        let _ = writeln!(w, "    {},", quoted(&joint.name));
+    }
+    let _ = writeln!(w, "]\n\n# [mjcf] the named pose, or 0\n[pose.nominal_rad]");
+    for joint in &driven {
+        let _ = writeln!(w, "{} = {:?}", quoted(&joint.name), nominal(robot, joint));
+    }
+    drives(w, robot, &driven);
+    let feet = feet(robot);
+    let foot_friction = feet.first().map_or(0.8, |f| f.friction);
+    let _ = writeln!(
+        w,
+        "\n[supply]                       # [ours]\ndefault_v = 24.0\nbench_v = 24.0\nbattery_full_v = 25.2\n\
+         battery_nominal_v = 22.2\n\n[contact]\nfoot_friction = {foot_friction:?}\nbody_friction = 0.5           # [ours]"
+    );
+    if !feet.is_empty() {
+        let _ = writeln!(
+            w,
+            "\n# [ours] the lowest shape at the end of each leg, front to hind, left before right"
+        );
+    }
+    for foot in &feet {
+        let _ = writeln!(
+            w,
+            "[[feet]]\nname = {}\ngeom = {}",
+            quoted(&foot.name),
+            quoted(&foot.geom)
+        );
+    }
+    frames(w, robot);
+    passive(w, robot, &joints);
+    out
+}
+
+fn quoted(text: &str) -> String {
+    toml::Value::String(text.to_owned()).to_string()
+}
+
+fn joints(robot: &Robot) -> BTreeMap<&str, &Joint> {
+    let all = robot.bodies.iter().flat_map(|b| &b.joints);
+    all.map(|j| (j.name.as_str(), j)).collect()
+}
+
+/// Gains and servo types, one type for all drives that are alike.
+fn drives(w: &mut String, robot: &Robot, driven: &[&Joint]) {
+    let gains: Vec<(f64, f64)> = robot
+        .actuators
+        .iter()
+        .map(|a| a.gains.unwrap_or(UNSAID))
+        .collect();
+    let common = gains.first().copied().unwrap_or(UNSAID);
+    let source = if robot.actuators.iter().all(|a| a.gains.is_some()) {
+        "[mjcf]"
+    } else {
+        "[ours] where it commands torque"
+    };
+    let _ = writeln!(
+        w,
+        "\n# {source}\n[control]\nkp_nm_per_rad = {:?}\nkd_nm_s_per_rad = {:?}",
+        common.0,
+        common.1.max(0.0)
+    );
+    for (joint, (kp, kd)) in driven.iter().zip(&gains).filter(|(_, g)| **g != common) {
+        let _ = writeln!(
+            w,
+            "[control.joint.{}]\nkp_nm_per_rad = {kp:?}\nkd_nm_s_per_rad = {:?}",
+            quoted(&joint.name),
+            kd.max(0.0)
+        );
+    }
+    let mut types: Vec<[f64; 4]> = Vec::new();
+    let mut of = Vec::new();
+    for (joint, drive) in driven.iter().zip(&robot.actuators) {
+        let torque = drive.force_limit.unwrap_or(UNSAID_TORQUE_NM);
+        let own = [torque, joint.armature, joint.damping, joint.friction_loss];
+        let known = types.iter().position(|t| *t == own);
+        of.push(known.unwrap_or_else(|| {
+            types.push(own);
+            types.len() - 1
+        }));
+    }
+    let _ = writeln!(w, "\n[servo]\ndefault = \"drive_0\"\n[servo.joint]");
+    for (joint, k) in driven.iter().zip(&of).filter(|(_, k)| **k > 0) {
+        let _ = writeln!(w, "{} = \"drive_{k}\"", quoted(&joint.name));
+    }
+    for (k, [torque, armature, damping, friction]) in types.iter().enumerate() {
+        let _ = writeln!(
+            w,
+            "\n[servo.preset.drive_{k}]\ntau_max_nm = {torque:?}                # [mjcf], or [ours] where it has no limit\n\
+             qd_tau_max_radps = 20.0           # [ours]\nqd_max_radps = 30.0               # [ours]\ntau_qd_max_nm = 0.0               # [ours]\n\
+             tau_brake_max_nm = {torque:?}\nkd_min_nm_s_per_rad = 0.0\nback_drive_kp_ratio = 1.0\n\
+             friction_loss_nm = {friction:?}          # [mjcf]\ndamping_nm_s_per_rad = {damping:?}      # [mjcf]\narmature_kgm2 = {armature:?}             # [mjcf]\n\
+             reference_supply_v = 24.0         # [ours]\nencoder_counts_per_turn = 16384   # [ours]\nvelocity_lsb_radps = 0.001        # [ours]\n\
+             current_lsb_a = 0.01              # [ours]\ntorque_per_current_nm_per_a = 1.0 # [ours]\ncurrent_dead_band_a = 0.0\ngear_backlash_rad = 0.0"
+        );
+    }
+}
+
+const UNSAID: (f64, f64) = (UNSAID_KP_NM_PER_RAD, UNSAID_KD_NM_S_PER_RAD);
+
+fn frames(w: &mut String, robot: &Robot) {
+    let root = &robot.bodies[0];
+    let _ = writeln!(w, "\n[frames]\ntorso = {}", quoted(&root.name));
+    let sites = || robot.bodies.iter().flat_map(|b| &b.sites);
+    let imu = sites().find(|(name, _)| name.to_lowercase().contains("imu"));
+    if let Some((name, _)) = imu {
+        let _ = writeln!(
+            w,
+            "\n[imu]\nsite = {}                      # [mjcf]\ngyro_noise_radps_per_sqrt_hz = 2.44e-4   # [ours]\n\
+             acc_noise_mps2_per_sqrt_hz = 1.72e-3     # [ours]\ngyro_bias_std_radps = 0.01745            # [ours]\nacc_bias_std_mps2 = 0.1961               # [ours]",
+            quoted(name)
+        );
+    }
+}
+
+/// Joints without a drive.
+fn passive(w: &mut String, robot: &Robot, joints: &BTreeMap<&str, &Joint>) {
+    let driven = |name: &str| robot.actuators.iter().any(|a| a.joint == name);
+    let free: Vec<&&Joint> = joints.values().filter(|j| !driven(&j.name)).collect();
+    if free.is_empty() {
+        return;
+    }
+    let _ = writeln!(
+        w,
+        "\n# [mjcf] joints without a drive\n[passive]\nlocked = false"
+    );
+    for joint in free {
+        let _ = writeln!(
+            w,
+            "[passive.joint.{}]\nstiffness_nm_per_rad = {:?}\ndamping_nm_s_per_rad = {:?}\nfriction_loss_nm = {:?}",
+            quoted(&joint.name),
+            joint.stiffness,
+            joint.damping,
+            joint.friction_loss
+        );
+    }
+}
+
+/// The lowest shape of each chain that ends on the ground in the nominal pose.
+fn feet(robot: &Robot) -> Vec<Foot> {
+    if !robot.free_base {
+        return Vec::new();
+    }
+    let places = places(robot);
+    let mut found: Vec<([f64; 3], f64, Foot)> = Vec::new();
+    for (i, body) in robot.bodies.iter().enumerate() {
+        let ends = !robot.bodies.iter().any(|b| b.parent == Some(i));
+        if !ends || body.joints.is_empty() {
+            continue;
+        }
+        let lowest = |geom: &super::parts::Geom| {
+            let at = places[i].compose(&geom.link_from_geom);
+            let up = at.inverse().rotate([0.0, 0.0, 1.0]);
+            (at.pos_m, at.pos_m[2] - geom.shape.half_extent_m(up))
+        };
+        let touching = body
+            .geoms
+            .iter()
+            .filter(|g| g.collides() && !matches!(g.shape, Shape::Ellipsoid { .. } | Shape::Plane));
+        let best = touching.filter_map(|g| Some((lowest(g), g.name.clone()?, g.friction)));
+        let Some(((at, z), geom, friction)) = best.min_by(|a, b| a.0.1.total_cmp(&b.0.1)) else {
+            continue;
+        };
+        let name = body.name.clone();
+        found.push((
+            at,
+            z,
+            Foot {
+                name,
+                geom,
+                friction,
+            },
+        ));
+    }
+    let ground = found.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
+    found.retain(|f| f.1 - ground <= FOOT_LEVEL_M);
+    // front to hind in steps of a hand's breadth, left before right
+    let row = |x: f64| (-x / 0.1).round() as i64;
+    found.sort_by(|(a, _, _), (b, _, _)| row(a[0]).cmp(&row(b[0])).then(b[1].total_cmp(&a[1])));
+    found.into_iter().map(|(_, _, foot)| foot).collect()
+}
+
+/// Where each body is in the nominal pose.
+fn places(robot: &Robot) -> Vec<Pose> {
+    let mut out: Vec<Pose> = Vec::new();
+    for body in &robot.bodies {
+        let mut at = match body.parent {
+            Some(parent) => out[parent].compose(&body.parent_from_body),
+            None => body.parent_from_body,
+        };
+        for joint in &body.joints {
+            let q = nominal(robot, joint);
+            let moved = match joint.motion {
+                JointMotion::Slide => Pose::from_pos(joint.axis.map(|a| a * q)),
+                JointMotion::Hinge => {
+                    let quat_wxyz = crate::pose::quat_from_axis_angle(joint.axis, q);
+                    let turn = Pose {
+                        pos_m: [0.0; 3],
+                        quat_wxyz,
+                    };
+                    let back = crate::pose::sub(joint.anchor_m, turn.rotate(joint.anchor_m));
+                    Pose {
+                        pos_m: back,
+                        ..turn
+                    }
+                }
+            };
+            at = at.compose(&moved);
+        }
+        out.push(at);
+    }
+    out
+}

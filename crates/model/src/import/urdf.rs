@@ -1,0 +1,374 @@
+//! URDF: links, joints, shapes.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::ImportOptions;
+use super::geometry::Inertial;
+use super::mesh::Meshes;
+use super::parts::{Actuator, Body, Geom, Joint, Robot};
+use super::tree::{Element, Remarks};
+use crate::pose::{self, Pose};
+use crate::types::{JointMotion, Shape, Softness};
+
+/// Deepest chain of links.
+const DEPTH_LIMIT: usize = 128;
+
+struct Reader<'a> {
+    root: &'a Element,
+    file: &'a Path,
+    links: BTreeMap<&'a str, &'a Element>,
+    meshes: Meshes,
+    remarks: &'a mut Remarks,
+    robot: Robot,
+}
+
+/// Reads `<robot>`.
+pub(super) fn read(
+    root: &Element,
+    file: &Path,
+    options: &ImportOptions,
+    remarks: &mut Remarks,
+) -> Option<Robot> {
+    for other in &root.children {
+        match other.tag.as_str() {
+            "link" | "joint" | "mujoco" | "material" => {}
+            tag => remarks.note_once(other, format!("<{tag}> is not kept")),
+        }
+    }
+    let named = root.all("link").filter_map(|l| Some((l.get("name")?, l)));
+    let mut reader = Reader {
+        root,
+        file,
+        links: named.collect(),
+        meshes: Meshes::default(),
+        remarks,
+        robot: Robot {
+            name: root.get("name").map(str::to_owned),
+            gravity_mps2: [0.0, 0.0, -9.81],
+            ..Robot::default()
+        },
+    };
+    let base = reader.base()?;
+    reader.link(base, None, Pose::IDENTITY, None, 0);
+    let robot = &mut reader.robot;
+    let chains = robot.bodies.iter().filter(|b| b.parent == Some(0)).count();
+    robot.free_base = options.free_base.unwrap_or(chains > 1);
+    let held = if robot.free_base { "free" } else { "fixed" };
+    if options.free_base.is_none() {
+        let message = format!(
+            "a URDF does not say whether the base is held; taken as {held} (--base free or fixed)"
+        );
+        reader.remarks.note(root, message);
+    }
+    Some(reader.robot)
+}
+
+/// Link names that stand for the world.
+const WORLD: &[&str] = &["world", "map", "base_footprint"];
+
+impl<'a> Reader<'a> {
+    /// The link that no joint carries.
+    fn base(&mut self) -> Option<&'a str> {
+        let child = |j: &'a Element| j.first("child").and_then(|c| c.get("link"));
+        let carried: Vec<&str> = self.root.all("joint").filter_map(child).collect();
+        let roots: Vec<&str> = self
+            .links
+            .keys()
+            .filter(|l| !carried.contains(l))
+            .copied()
+            .collect();
+        let [one] = roots.as_slice() else {
+            let message = format!(
+                "needs one link that no joint carries; found {}: {}",
+                roots.len(),
+                roots.join(", ")
+            );
+            self.remarks.refuse(self.root, message);
+            return None;
+        };
+        Some(one)
+    }
+
+    fn link(
+        &mut self,
+        name: &'a str,
+        parent: Option<usize>,
+        at: Pose,
+        joint: Option<Joint>,
+        depth: usize,
+    ) {
+        let Some(element) = self.links.get(name).copied() else {
+            self.remarks
+                .refuse(self.root, format!("there is no link `{name}`"));
+            return;
+        };
+        if depth > DEPTH_LIMIT {
+            self.remarks.refuse(
+                element,
+                format!(
+                    "{}: a chain of more than {DEPTH_LIMIT} links, or a loop",
+                    element.label()
+                ),
+            );
+            return;
+        }
+        let index = self.robot.bodies.len();
+        let inertial = element.first("inertial").and_then(|i| self.inertial(i));
+        let shapes: Vec<&Element> = element.children.iter().collect();
+        let mut geoms = Vec::new();
+        for shape in shapes {
+            if matches!(shape.tag.as_str(), "visual" | "collision") {
+                geoms.extend(self.shape(shape, element));
+            }
+        }
+        self.robot.bodies.push(Body {
+            name: name.to_owned(),
+            parent,
+            parent_from_body: at,
+            inertial,
+            joints: joint.into_iter().collect(),
+            geoms,
+            sites: if name.to_lowercase().contains("imu") {
+                vec![(name.to_owned(), Pose::IDENTITY)]
+            } else {
+                Vec::new()
+            },
+            element: Element {
+                children: Vec::new(),
+                ..element.clone()
+            },
+        });
+        if WORLD.contains(&name) && inertial.is_none() {
+            self.remarks.note(
+                element,
+                format!(
+                    "{}: holds nothing; it becomes part of the first link",
+                    element.label()
+                ),
+            );
+        }
+        let own = |j: &&Element| j.first("parent").and_then(|p| p.get("link")) == Some(name);
+        let children: Vec<&'a Element> = self.root.all("joint").filter(own).collect();
+        for element in children {
+            let Some(child) = element.first("child").and_then(|c| c.get("link")) else {
+                self.remarks.refuse(
+                    element,
+                    format!("{}: <child> names no link", element.label()),
+                );
+                continue;
+            };
+            let at = self.origin(element);
+            let joint = self.joint(element);
+            self.link(child, Some(index), at, joint, depth + 1);
+        }
+    }
+
+    fn joint(&mut self, e: &Element) -> Option<Joint> {
+        let label = e.label();
+        let (motion, limited) = match e.get("type").unwrap_or_default() {
+            "revolute" => (JointMotion::Hinge, true),
+            "continuous" => (JointMotion::Hinge, false),
+            "prismatic" => (JointMotion::Slide, true),
+            "fixed" => return None,
+            "floating" => {
+                let message = format!(
+                    "{label}: a floating joint is the base's own; name its child as the root link"
+                );
+                self.remarks.refuse(e, message);
+                return None;
+            }
+            other => {
+                self.remarks.refuse(e, format!("{label}: a {other} joint is not simulated; write it as revolute and prismatic ones"));
+                return None;
+            }
+        };
+        let axis = e
+            .first("axis")
+            .and_then(|a| a.array::<3>("xyz", self.remarks))
+            .unwrap_or([1.0, 0.0, 0.0]);
+        let length = pose::norm(axis);
+        if length < 1e-9 {
+            self.remarks
+                .refuse(e, format!("{label}: its axis has no direction"));
+        }
+        if e.first("mimic").is_some() {
+            self.remarks.note(
+                e,
+                format!("{label}: <mimic> is not simulated; the joint has a drive of its own"),
+            );
+        }
+        let of = |remarks: &mut Remarks, tag: &str, key: &str| {
+            e.first(tag).and_then(|l| l.number(key, remarks))
+        };
+        let range = limited.then(|| {
+            let low = of(self.remarks, "limit", "lower").unwrap_or(0.0);
+            (low, of(self.remarks, "limit", "upper").unwrap_or(0.0))
+        });
+        let range = range.filter(|(low, high)| {
+            let fine = low < high;
+            if !fine {
+                self.remarks.refuse(
+                    e,
+                    format!("{label}: its lower limit is not below its upper limit"),
+                );
+            }
+            fine
+        });
+        let effort = of(self.remarks, "limit", "effort").filter(|t| *t > 0.0);
+        let name = e.get("name").unwrap_or("joint").to_owned();
+        self.robot.actuators.push(Actuator {
+            joint: name.clone(),
+            gains: None,
+            force_limit: effort,
+        });
+        Some(Joint {
+            name,
+            motion,
+            axis: axis.map(|a| a / length.max(1e-9)),
+            anchor_m: [0.0; 3],
+            range,
+            stop: Softness::default(),
+            stiffness: 0.0,
+            spring_ref: 0.0,
+            damping: of(self.remarks, "dynamics", "damping")
+                .unwrap_or(0.0)
+                .max(0.0),
+            armature: 0.0,
+            friction_loss: of(self.remarks, "dynamics", "friction")
+                .unwrap_or(0.0)
+                .max(0.0),
+            force_limit: effort,
+            element: e.clone(),
+        })
+    }
+
+    /// `<origin xyz rpy>`: turned about fixed axes, x first.
+    fn origin(&mut self, e: &Element) -> Pose {
+        let Some(origin) = e.first("origin") else {
+            return Pose::IDENTITY;
+        };
+        let pos_m = origin.array("xyz", self.remarks).unwrap_or([0.0; 3]);
+        let rpy = origin.array::<3>("rpy", self.remarks).unwrap_or([0.0; 3]);
+        let mut quat_wxyz = Pose::IDENTITY.quat_wxyz;
+        for (axis, angle) in rpy.into_iter().enumerate() {
+            let mut unit = [0.0; 3];
+            unit[axis] = 1.0;
+            quat_wxyz = pose::quat_mul(pose::quat_from_axis_angle(unit, angle), quat_wxyz);
+        }
+        Pose { pos_m, quat_wxyz }
+    }
+
+    fn inertial(&mut self, e: &Element) -> Option<Inertial> {
+        let at = self.origin(e);
+        let mass_kg = e.first("mass")?.number("value", self.remarks)?;
+        let tensor = e.first("inertia");
+        let mut of = |key: &str| {
+            tensor
+                .and_then(|i| i.number(key, self.remarks))
+                .unwrap_or(0.0)
+        };
+        let (xx, yy, zz) = (of("ixx"), of("iyy"), of("izz"));
+        let (xy, xz, yz) = (of("ixy"), of("ixz"), of("iyz"));
+        let own = Inertial {
+            mass_kg,
+            com_m: [0.0; 3],
+            inertia_kgm2: [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]],
+        };
+        Some(own.seen_from(&at))
+    }
+
+    fn shape(&mut self, e: &Element, link: &Element) -> Option<Geom> {
+        let collides = e.tag == "collision";
+        let mut at = self.origin(e);
+        let geometry = e.first("geometry")?.children.first()?.clone();
+        let number =
+            |key: &str, remarks: &mut Remarks| geometry.number(key, remarks).filter(|x| *x > 0.0);
+        let shape = match geometry.tag.as_str() {
+            "sphere" => Shape::Sphere {
+                radius_m: number("radius", self.remarks)?,
+            },
+            "box" => {
+                let size = geometry.array::<3>("size", self.remarks)?;
+                Shape::Box {
+                    half_size_m: size.map(|s| (0.5 * s).max(1e-6)),
+                }
+            }
+            kind @ ("cylinder" | "capsule") => {
+                let radius_m = number("radius", self.remarks)?;
+                let half_length_m = 0.5 * number("length", self.remarks)?;
+                match kind {
+                    "capsule" => Shape::Capsule {
+                        radius_m,
+                        half_length_m,
+                    },
+                    _ => Shape::Cylinder {
+                        radius_m,
+                        half_length_m,
+                    },
+                }
+            }
+            "mesh" if !collides => {
+                self.remarks
+                    .note_once(&geometry, "meshes for the eye are not kept");
+                return None;
+            }
+            "mesh" => {
+                let name = geometry.get("filename").unwrap_or_default();
+                let scale = geometry.array("scale", self.remarks).unwrap_or([1.0; 3]);
+                self.meshes.add(name, self.path(name), scale);
+                let Some(mesh) = self.meshes.find(name) else {
+                    let message = format!(
+                        "{}: mesh `{name}` cannot be read; the shape is left out",
+                        link.label()
+                    );
+                    self.remarks.note(&geometry, message);
+                    return None;
+                };
+                self.remarks.note_once(
+                    &geometry,
+                    "meshes that touch something become the boxes that they fill",
+                );
+                at = Pose {
+                    pos_m: at.point(mesh.middle_m),
+                    ..at
+                };
+                Shape::Box {
+                    half_size_m: mesh.half_size_m.map(|h| h.max(1e-4)),
+                }
+            }
+            other => {
+                self.remarks
+                    .refuse(&geometry, format!("<{other}> is not a shape that is read"));
+                return None;
+            }
+        };
+        let bits = u32::from(collides);
+        Some(Geom {
+            name: None,
+            shape,
+            link_from_geom: at,
+            friction: 1.0,
+            contype: bits,
+            conaffinity: bits,
+            soft: Softness::default(),
+            rgba: None,
+        })
+    }
+
+    /// A mesh's file: beside the URDF, or under a folder above it that holds the package.
+    fn path(&self, name: &str) -> PathBuf {
+        let name = name.strip_prefix("file://").unwrap_or(name);
+        let beside = self.file.with_file_name("");
+        let Some(inside) = name.strip_prefix("package://") else {
+            return beside.join(name);
+        };
+        let below = inside.split_once('/').map_or(inside, |(_, rest)| rest);
+        let folders = beside.ancestors().map(Path::to_owned).collect::<Vec<_>>();
+        let tries = folders.iter().flat_map(|f| [f.join(inside), f.join(below)]);
+        tries
+            .into_iter()
+            .find(|p| p.is_file())
+            .unwrap_or_else(|| beside.join(inside))
+    }
+}

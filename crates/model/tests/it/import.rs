@@ -1,0 +1,277 @@
+//! Robots from what other tools write.
+
+use std::path::{Path, PathBuf};
+
+use crate::common::near;
+use caudata_model::import::{self, ImportError, ImportOptions, Imported};
+use caudata_model::{BaseKind, Pose, RobotModel, Shape};
+
+/// A file of its own folder.
+struct File(PathBuf);
+
+impl File {
+    fn new(name: &str, text: &str) -> Self {
+        let folder =
+            std::env::temp_dir().join(format!("caudata-import-{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join(name);
+        std::fs::write(&path, text).unwrap();
+        Self(path)
+    }
+}
+
+impl Drop for File {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(self.0.with_file_name(""));
+    }
+}
+
+fn read(name: &str, text: &str) -> Result<Imported, ImportError> {
+    import::import(&File::new(name, text).0, &ImportOptions::default())
+}
+
+fn model(made: &Imported) -> RobotModel {
+    RobotModel::from_bytes("made", made.robot_toml.as_bytes(), made.mjcf.as_bytes()).unwrap()
+}
+
+const LEG: &str = r#"<mujoco model="Hopper 2">
+  <compiler angle="radian" meshdir="assets"/>
+  <option integrator="implicitfast"><flag eulerdamp="disable"/></option>
+  <default>
+    <default class="hopper">
+      <geom margin="0.001" condim="1"/>
+      <joint damping="0.5" armature="0.01"/>
+      <position kp="25" kv="2"/>
+      <default class="hinge"><joint axis="0 1 0" range="-1 1"/></default>
+      <default class="look"><geom type="mesh" contype="0" conaffinity="0"/></default>
+    </default>
+  </default>
+  <asset><mesh name="pretty" file="pretty.obj"/><material name="m" rgba="1 0 0 1"/></asset>
+  <worldbody>
+    <light pos="0 0 3"/>
+    <body name="base" pos="0 0 1" childclass="hopper">
+      <freejoint/>
+      <geom type="box" size="0.1 0.1 0.1" mass="2"/>
+      <geom class="look" mesh="pretty" material="m"/>
+      <camera name="eye"/>
+      <body name="mount" pos="0 0 -0.1">
+        <geom type="sphere" size="0.05" density="1000"/>
+        <site name="imu"/>
+        <body name="leg" pos="0.01 0 0" euler="0 0 1.5707963267948966">
+          <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.01 0.01 0.001"/>
+          <joint name="knee" class="hinge"/>
+          <geom name="toe" size="0.02" pos="0 0 -0.4" solimp="0.015 1 0.031" friction="0.7 0.02 0.01"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <equality><joint joint1="knee"/></equality>
+  <actuator><position name="drive" class="hopper" joint="knee" forcerange="-8 8"/></actuator>
+  <keyframe><key name="home" qpos="0 0 1 1 0 0 0 0.25"/></keyframe>
+</mujoco>"#;
+
+#[test]
+fn classes_welds_masses_and_a_named_pose_by_hand() {
+    let made = read("hopper.xml", LEG).unwrap();
+    assert_eq!(made.name, "hopper_2");
+    let m = model(&made);
+    assert_eq!(
+        (m.base(), m.links().len(), m.joints().len()),
+        (BaseKind::Free, 2, 1)
+    );
+    // the mount is welded: 2 kg of box and 1000·4/3·π·0.05³ = 0.5236 kg of ball, 0.1 m below
+    let base = &m.links()[0];
+    near("mass", base.mass_kg, 2.5236, 1e-4);
+    near("centre", base.com_m[2], -0.1 * 0.523_599 / 2.523_599, 1e-6);
+    let leg = &m.links()[1];
+    near("leg at", leg.parent_from_link.pos_m[0], 0.01, 1e-15);
+    near("leg at", leg.parent_from_link.pos_m[2], -0.1, 1e-15);
+    // turned a quarter about z: its y axis points against x
+    let y = leg.parent_from_link.rotate([0.0, 1.0, 0.0]);
+    near("axis", y[0], -1.0, 1e-12);
+    let joint = &m.joints()[0];
+    assert_eq!(joint.name, "knee");
+    assert_eq!(
+        (joint.damping_nm_s_per_rad, joint.armature_kgm2),
+        (0.5, 0.01)
+    );
+    assert_eq!(m.joint_limits_rad(), [(-1.0, 1.0)]);
+    assert_eq!(m.nominal_pos_rad(), [0.25]);
+    assert_eq!((m.kp_nm_per_rad(0), m.kd_nm_s_per_rad(0)), (25.0, 2.0));
+    assert_eq!(m.servo(0).tau_max_nm, 8.0);
+    assert_eq!(m.imu_site().unwrap().link, 0);
+    near(
+        "imu",
+        m.imu_site().unwrap().link_from_site.pos_m[2],
+        -0.1,
+        1e-15,
+    );
+    assert_eq!(m.feet().len(), 1);
+    assert_eq!(m.feet()[0].radius_m, 0.02);
+    // a share of 1 is held below 1, as MuJoCo holds it
+    let toe = &m.links()[1].geoms[0];
+    assert_eq!(toe.soft.solimp[1], 0.9999);
+    let said = made
+        .notes
+        .iter()
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join("\n");
+    for part in ["<asset>", "<equality>", "<option>", "cameras", "`home`"] {
+        assert!(said.contains(part), "{part} is not in\n{said}");
+    }
+}
+
+#[test]
+fn everything_that_is_refused_is_said_at_once_with_its_line() {
+    let text = r#"<mujoco>
+  <worldbody>
+    <body name="a">
+      <joint name="one" type="ball"/>
+      <geom size="0.1"/>
+      <body name="b">
+        <joint name="two" axis="0 0 0"/>
+        <geom size="0.1" pos="1 2"/>
+        <composite type="cable"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor joint="three"/></actuator>
+  <something/>
+</mujoco>"#;
+    let ImportError::Refused(all) = read("wrong.xml", text).unwrap_err() else {
+        panic!("refused as a file");
+    };
+    let said: Vec<String> = all
+        .iter()
+        .map(|r| format!("{} {}", r.line, r.message))
+        .collect();
+    for (line, part) in [
+        (4, "ball joint"),
+        (7, "no direction"),
+        (8, "2 numbers where 3"),
+        (9, "<composite>"),
+        (13, "no joint `three`"),
+        (14, "<something>"),
+    ] {
+        let found = said
+            .iter()
+            .any(|s| s.starts_with(&format!("{line} ")) && s.contains(part));
+        assert!(found, "line {line}, {part}: {said:#?}");
+    }
+}
+
+const ARM: &str = r#"<robot name="arm">
+  <link name="world"/>
+  <joint name="bolt" type="fixed"><parent link="world"/><child link="foot"/><origin xyz="0 0 0.5"/></joint>
+  <link name="foot"><inertial><mass value="3"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="turn" type="revolute">
+    <parent link="foot"/><child link="upper"/><origin xyz="0 0 0.1" rpy="0.1 0.2 0.3"/>
+    <axis xyz="0 0 2"/><limit lower="-1.5" upper="2" effort="7" velocity="3"/><dynamics damping="0.3" friction="0.1"/>
+  </joint>
+  <link name="upper">
+    <inertial><origin xyz="0.1 0 0"/><mass value="1"/><inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0.2 0 0"/><geometry><box size="0.4 0.02 0.06"/></geometry></collision>
+  </link>
+</robot>"#;
+
+#[test]
+fn a_urdf_arm_by_hand() {
+    let made = read("arm.urdf", ARM).unwrap();
+    let m = model(&made);
+    assert_eq!((m.base(), m.links().len()), (BaseKind::Fixed, 2));
+    assert_eq!(m.joint_limits_rad(), [(-1.5, 2.0)]);
+    assert_eq!(m.servo(0).tau_max_nm, 7.0);
+    let joint = &m.joints()[0];
+    assert_eq!(
+        (
+            joint.axis,
+            joint.damping_nm_s_per_rad,
+            joint.friction_loss_nm
+        ),
+        ([0.0, 0.0, 1.0], 0.3, 0.1)
+    );
+    assert_eq!(
+        m.links()[1].geoms[0].shape,
+        Shape::Box {
+            half_size_m: [0.2, 0.01, 0.03]
+        }
+    );
+    // rpy: about fixed x, then y, then z. Of Rz(0.3)·Ry(0.2)·Rx(0.1) the x axis is (cz·cy, sz·cy, −sy)
+    let places = m.kinematics(&Pose::IDENTITY, &[0.0]).unwrap();
+    let x = places.links[1].rotate([1.0, 0.0, 0.0]);
+    near("x", x[0], 0.3f64.cos() * 0.2f64.cos(), 1e-12);
+    near("x", x[1], 0.3f64.sin() * 0.2f64.cos(), 1e-12);
+    near("x", x[2], -(0.2f64.sin()), 1e-12);
+    near("height", places.links[1].pos_m[2], 0.6, 1e-12);
+}
+
+#[test]
+fn the_shipped_robots_come_back_from_their_own_mjcf() {
+    for name in [
+        "polymander",
+        "quadruped",
+        "biped",
+        "hexapod",
+        "snake",
+        "xl330_pendulum",
+    ] {
+        let file = crate::common::robots().join(format!("{name}.xml"));
+        let made = import::import(&file, &ImportOptions::default()).unwrap();
+        let original = RobotModel::load(&file.with_extension("robot.toml")).unwrap();
+        let again = model(&made);
+        assert_eq!(again.actuated_names(), original.actuated_names(), "{name}");
+        assert_eq!(
+            again.joint_limits_rad(),
+            original.joint_limits_rad(),
+            "{name}"
+        );
+        for (a, b) in again.links().iter().zip(original.links()) {
+            assert_eq!(
+                (&a.name, a.mass_kg, a.parent),
+                (&b.name, b.mass_kg, b.parent),
+                "{name}"
+            );
+            for i in 0..9 {
+                near(
+                    &a.name,
+                    a.inertia_kgm2[i / 3][i % 3],
+                    b.inertia_kgm2[i / 3][i % 3],
+                    1e-15,
+                );
+            }
+        }
+        // the salamander's fin rests on the ground as its feet do
+        let fin = usize::from(name == "polymander");
+        assert_eq!(again.feet().len(), original.feet().len() + fin, "{name}");
+    }
+}
+
+/// Set `CAUDATA_MODELS` to a folder of MJCF and URDF files of your own to see what becomes of each.
+#[test]
+fn a_folder_of_models() {
+    let Some(folder) = std::env::var_os("CAUDATA_MODELS") else {
+        return;
+    };
+    let mut files = Vec::new();
+    find(Path::new(&folder), &mut files);
+    files.sort();
+    for file in files {
+        match import::import(&file, &ImportOptions::default()) {
+            Ok(made) => println!("loaded  {} ({} notes)", file.display(), made.notes.len()),
+            Err(error) => println!("REFUSED {}\n{error}", file.display()),
+        }
+    }
+}
+
+fn find(folder: &Path, files: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap().flatten() {
+        let path = entry.path();
+        let kind = path.extension().map(|e| e.to_string_lossy().into_owned());
+        if path.is_dir() {
+            find(&path, files);
+        } else if matches!(kind.as_deref(), Some("xml" | "urdf")) {
+            files.push(path);
+        }
+    }
+}
