@@ -15,7 +15,7 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test test-fast check lint doc deny advisories bench test-faults setup-arm test-arm fuzz siege soak mutants lines clean tools
+.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm test-arm fuzz siege soak mutants lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -35,6 +35,16 @@ test: tools ## run all tests but the long fault suites; ARGS goes to cargo test
 	@cd setup && python3 -m unittest -b test_provision
 	@$(ENV) cargo build --release --locked --workspace
 	@$(ENV) cargo test --release --locked --workspace $(ARGS)
+	$(if $(ARGS),,@$(ENV) python3 setup/dist.py --test && python3 setup/wheel.py --test)
+
+dist: build ## pack programs, libraries, robots and policies as a relocatable archive into target/
+	@$(ENV) python3 setup/dist.py
+
+install: build ## install all that into PREFIX (default: ~/.local)
+	@$(ENV) python3 setup/dist.py --install "$(or $(PREFIX),$(HOME)/.local)"
+
+wheel: build ## build the Python wheel into target/wheels (Python 3.10 or newer)
+	@$(ENV) python3 setup/wheel.py
 
 test-fast: setup ## unit tests, compiled quickly: for every save; ARGS goes to cargo test
 	@$(ENV) cargo test --release --locked --workspace --lib --bins --config setup/fast.toml $(ARGS)

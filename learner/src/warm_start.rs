@@ -54,7 +54,8 @@ pub fn warm_start(
         .collect();
     net.set_policy(&mut values, &padded(spec, contract.obs_dim()), &log_std)
         .map_err(refuse)?;
-    net.copy_from_slice(&values)?;
+    net.copy_from_slice(&values)
+        .map_err(|error| refuse(error.to_string()))?;
     Ok(moments(spec, contract.obs_dim()))
 }
 
@@ -143,6 +144,7 @@ mod tests {
             init_std: 0.3,
             std_min: 0.05,
             std_max: 1.5,
+            mirror: None,
         };
         ActorCritic::new(spec, seed, Device::Cpu)
     }

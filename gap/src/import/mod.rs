@@ -5,6 +5,7 @@
 //! file, so that a rig is an ordinary robot.
 
 pub mod bam;
+pub mod csv;
 
 use std::path::{Path, PathBuf};
 

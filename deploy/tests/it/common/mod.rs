@@ -151,6 +151,7 @@ fn serve_robot(mut stream: TcpStream) {
             quat_wxyz: [1.0, 0.0, 0.0, 0.0],
         }),
         foot_contacts: Some([true; 4]),
+        in_water: None,
     };
     let send = |stream: &mut TcpStream, message| {
         let _ = write_frame(stream, &encode(&message), MAX_MESSAGE_BYTES);

@@ -300,6 +300,35 @@ fn missing(words: &[String], help: &[u8]) -> Option<String> {
     Some(format!("lacks {lacking}"))
 }
 
+/// A command of a page at a size that a test can wait for: fewer and shorter episodes, two iterations.
+fn small_size(words: &[String]) -> Vec<String> {
+    let sizes: &[(&str, &str)] = match words.get(1).map(String::as_str) {
+        Some("eval") => &[("--episodes", "1"), ("--seconds", "4")],
+        Some("train") => &[("--iterations", "2")],
+        _ => &[],
+    };
+    let mut words = words.to_vec();
+    for (flag, value) in sizes {
+        match words.iter().position(|word| word == flag) {
+            Some(at) => words[at + 1] = (*value).to_owned(),
+            None => words.extend([(*flag).to_owned(), (*value).to_owned()]),
+        }
+    }
+    if words.get(1).is_some_and(|command| command == "train") {
+        let small = [
+            "evaluation.episodes=1",
+            "actors.lanes=8",
+            "actors.chunk_steps=8",
+        ];
+        words.extend(
+            small
+                .iter()
+                .flat_map(|set| ["--set".to_owned(), (*set).to_owned()]),
+        );
+    }
+    words
+}
+
 #[test]
 fn small_examples_run() {
     let scratch = tempfile::tempdir().expect("a folder");
@@ -317,7 +346,7 @@ fn small_examples_run() {
         .filter(|example| places.contains(&example.place));
     let mut ran = 0;
     for example in small {
-        let output = run(&example.words, scratch.path());
+        let output = run(&small_size(&example.words), scratch.path());
         let why = String::from_utf8_lossy(&output.stderr);
         let line = example.words.join(" ");
         assert!(output.status.success(), "{}: {line}: {why}", example.place);
