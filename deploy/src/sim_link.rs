@@ -208,6 +208,10 @@ impl Robot for SimLink {
                 .map(|bits| PerFoot::from_fn(self.feet, |foot| bits >> foot & 1 == 1)),
         }
     }
+
+    fn in_water(&mut self) -> Option<bool> {
+        self.newest().ok()?.in_water
+    }
 }
 
 /// What this side says about the robot.

@@ -78,6 +78,8 @@ pub struct Sensors {
     pub base_pose: Option<BasePose>,
     /// Bit i: foot i of the robot file touches the ground, at most [`FEET_MAX`]; where that is sensed.
     pub foot_contacts: Option<u32>,
+    /// Whether its water sensor says that it swims, where it has one.
+    pub in_water: Option<bool>,
 }
 
 impl Sensors {
@@ -260,6 +262,7 @@ fn sensors_to_wire(s: &Sensors) -> pb::Sensors {
             quat_wxyz: p.quat_wxyz.to_vec(),
         }),
         foot_contacts: s.foot_contacts,
+        in_water: s.in_water,
     }
 }
 
@@ -281,6 +284,7 @@ fn sensors_from_wire(s: pb::Sensors) -> Result<Sensors, LinkError> {
         },
         base_pose: s.base_pose.as_ref().map(pose_from_wire).transpose()?,
         foot_contacts: s.foot_contacts.map(feet_from_wire).transpose()?,
+        in_water: s.in_water,
     })
 }
 

@@ -138,6 +138,7 @@ slip_mps = {slip}              # a fifth of the speed
 clearance_m = {clearance}          # 0.6 of the swing height
 vibration_hz = {vibration}          # 4.5 strides
 duty_factor = {duty}
+posture = false             # its limits are the salamander's
 
 [task.action]
 scale = {scale}

@@ -1,6 +1,5 @@
 //! Defaults, preset, file and overrides, laid on top of each other.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use caudata_model::RobotModel;
@@ -100,9 +99,11 @@ fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
         layers.push((origin.clone(), parse(&origin, preset.text)?));
     }
     if let Some(path) = &source.file {
-        let text = read_bounded(path).map_err(|source| ConfigError::Read {
-            path: path.clone(),
-            source,
+        let text = caudata_durable::read_text_at_most(path, FILE_BYTES_MAX).map_err(|source| {
+            ConfigError::Read {
+                path: path.clone(),
+                source,
+            }
         })?;
         let origin = path.display().to_string();
         layers.push((origin.clone(), parse(&origin, &text)?));
@@ -163,29 +164,17 @@ impl Source {
         }
         let parsed = self.overrides.iter().map(|o| parse_override(o));
         let layers: Vec<Table> = parsed.filter_map(Result::ok).collect();
+        let named = layers.iter().any(|layer| layer.contains_key("robot"));
         let path = Config {
             robot: robot_of(layers.iter()),
             ..Config::default()
         }
         .robot_path();
         let preset = match RobotModel::load(&path) {
-            Ok(model) => Preset::for_robot(wanted, model.name()),
-            Err(_) => wanted,
+            Ok(model) if named => Preset::for_robot(wanted, model.name()),
+            _ => wanted,
         };
         self.preset = Some(preset.to_owned());
-    }
-}
-
-/// The text of a file that is no larger than [`FILE_BYTES_MAX`], whatever it says about its size.
-fn read_bounded(path: &Path) -> std::io::Result<String> {
-    let mut text = String::new();
-    let mut file = std::fs::File::open(path)?.take(FILE_BYTES_MAX + 1);
-    file.read_to_string(&mut text)?;
-    match text.len() as u64 {
-        0..=FILE_BYTES_MAX => Ok(text),
-        _ => Err(std::io::Error::other(format!(
-            "it is larger than {FILE_BYTES_MAX} bytes, so it is no configuration"
-        ))),
     }
 }
 

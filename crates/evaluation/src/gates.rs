@@ -1,12 +1,98 @@
 //! What counts as walking. Rewards for velocity can be had by vibrating, in any simulator; these gates
-//! cannot.
+//! cannot. Nor can they be had by walking like a crippled animal.
 
 use std::borrow::Cow;
 
-pub use caudata_config::GatesConfig as Limits;
+use caudata_config::GatesConfig;
 use serde::{Deserialize, Serialize};
 
 use crate::gait::Gait;
+use crate::posture::Posture;
+
+/// The limits, from `[evaluation.gates]`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Smallest share of the commanded forward speed; 0: not looked at.
+    pub speed_share: f64,
+    /// Largest |stride frequency / clock − 1|.
+    pub stride_off_clock: f64,
+    /// Smallest and largest duty factor of each foot.
+    pub duty_factor: [f64; 2],
+    /// Largest mean power, W.
+    pub power_w: f64,
+    /// Largest share of time with the trunk on the ground; not looked at on rough ground.
+    pub trunk_contact_share: Option<f64>,
+    /// Largest slip of a foot in stance, m/s.
+    pub slip_mps: f64,
+    /// Smallest height that every foot reaches, m.
+    pub clearance_m: f64,
+    /// Largest share of joint power above `vibration_hz`.
+    pub vibration_share: f64,
+    /// Joint power above this is vibration, Hz.
+    pub vibration_hz: f64,
+    /// What an eye sees; `None`: not looked at.
+    pub posture: Option<PostureLimits>,
+}
+
+/// The limits of posture and of going straight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PostureLimits {
+    /// Largest distance of a joint's mean from nominal or from its mirror image, whichever is nearer, rad.
+    pub off_rad: f64,
+    /// Largest share of time that a joint is at an end stop.
+    pub at_stop_share: f64,
+    /// Largest |mean yaw rate − commanded| (rad/s) and |velocity to the left − commanded| (m/s); not looked
+    /// at on rough ground, which turns a robot aside.
+    pub drift: Option<(f64, f64)>,
+    /// Largest difference between the swings of a leg's joint and its counterpart's, rad.
+    pub sides_apart_rad: f64,
+    /// Largest difference between the duty factors of a foot and the one on the other side.
+    pub duty_apart: f64,
+    /// Largest share of the tail in the power.
+    pub tail_power_share: f64,
+    /// Largest share of one joint in the bend of the trunk.
+    pub trunk_bend_share: f64,
+    /// Largest share of time in which parts of the robot overlap.
+    pub overlap_share: f64,
+}
+
+impl Default for PostureLimits {
+    fn default() -> Self {
+        Self {
+            off_rad: 10.0_f64.to_radians(),
+            at_stop_share: 0.02,
+            drift: Some((0.02, 0.01)),
+            sides_apart_rad: 5.0_f64.to_radians(),
+            duty_apart: 0.05,
+            tail_power_share: 0.15,
+            trunk_bend_share: 0.5,
+            overlap_share: 1e-3,
+        }
+    }
+}
+
+impl From<&GatesConfig> for Limits {
+    fn from(gates: &GatesConfig) -> Self {
+        Self {
+            speed_share: gates.speed_share,
+            stride_off_clock: gates.stride_off_clock,
+            duty_factor: gates.duty_factor,
+            power_w: gates.power_w,
+            trunk_contact_share: Some(gates.trunk_contact_share),
+            slip_mps: gates.slip_mps,
+            clearance_m: gates.clearance_m,
+            vibration_share: gates.vibration_share,
+            vibration_hz: gates.vibration_hz,
+            posture: gates.posture.then(PostureLimits::default),
+        }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self::from(&GatesConfig::default())
+    }
+}
 
 /// One gate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -33,50 +119,20 @@ pub struct GateReport {
 }
 
 impl GateReport {
-    /// Judges the episodes of one scenario. `flat`: on ground on which a trunk that touches it is a fault.
+    /// Judges the episodes of one scenario.
     #[must_use]
-    pub fn of(gaits: &[Gait], limits: &Limits, flat: bool) -> Self {
-        let Some(first) = gaits.first() else {
+    pub fn of(gaits: &[Gait], limits: &Limits) -> Self {
+        if gaits.is_empty() {
             return Self::default();
-        };
-        let mean = |value: &dyn Fn(&Gait) -> f64| {
-            gaits.iter().map(value).sum::<f64>() / gaits.len() as f64
-        };
-        let mut gates = Vec::new();
-        if limits.speed_share > 0.0 {
-            let share = mean(&|g| g.speed_share);
-            gates.push(gate(
-                "share of the commanded speed",
-                share,
-                Some(limits.speed_share),
-                None,
-            ));
         }
-        if first.duty_factor.len() > 0 {
-            gates.extend(of_feet(
-                &mean,
-                first.duty_factor.len(),
-                first.clock_hz > 0.0,
-                limits,
-            ));
-        }
-        gates.push(gate(
-            "power, W",
-            mean(&|g| g.power_w),
-            None,
-            Some(limits.power_w),
-        ));
-        gates.push(gate(
-            format!("joint power above {} Hz", limits.vibration_hz),
-            mean(&|g| g.vibration_share),
-            None,
-            Some(limits.vibration_share),
-        ));
-        if flat && first.duty_factor.len() > 0 {
-            let share = mean(&|g| g.trunk_contact_share);
-            let most = Some(limits.trunk_contact_share);
-            gates.push(gate("trunk on the ground", share, None, most));
-        }
+        let means = Means(gaits);
+        let mut gates = means.of_walking(limits);
+        gates.extend(
+            limits
+                .posture
+                .iter()
+                .flat_map(|posture| means.of_posture(posture)),
+        );
         Self {
             walks: gates.iter().all(|g| g.met),
             gates,
@@ -94,40 +150,110 @@ impl GateReport {
     }
 }
 
-/// The gates of a robot with so many feet, the worst foot deciding.
-fn of_feet(
-    mean: &dyn Fn(&dyn Fn(&Gait) -> f64) -> f64,
-    feet: usize,
-    clock: bool,
-    limits: &Limits,
-) -> Vec<Gate> {
-    let each = |value: &dyn Fn(&Gait, usize) -> f64| {
-        let values = (0..feet).map(|foot| mean(&|g| value(g, foot)));
-        values.fold([f64::INFINITY, f64::NEG_INFINITY], |[lo, hi], v| {
-            [lo.min(v), hi.max(v)]
-        })
-    };
-    let duty = each(&|g, foot| g.duty_factor[foot]);
-    let clearance = each(&|g, foot| g.clearance_m[foot]);
-    let [least, most] = limits.duty_factor;
-    let mut gates = Vec::new();
-    if clock {
-        let off = mean(&|g| (g.stride_hz / g.clock_hz - 1.0).abs());
-        let most = Some(limits.stride_off_clock);
-        gates.push(gate("stride frequency off the clock", off, None, most));
+/// Means over episodes, of which there is at least one.
+struct Means<'a>(&'a [Gait]);
+
+impl Means<'_> {
+    fn of(&self, value: impl Fn(&Gait) -> f64) -> f64 {
+        self.0.iter().map(value).sum::<f64>() / self.0.len() as f64
     }
-    gates.extend([
-        gate("duty factor, least", duty[0], Some(least), None),
-        gate("duty factor, most", duty[1], None, Some(most)),
-        gate(
-            "stance slip, m/s",
-            mean(&|g| g.slip_mps),
-            None,
-            Some(limits.slip_mps),
-        ),
-        gate("clearance, m", clearance[0], Some(limits.clearance_m), None),
-    ]);
-    gates
+
+    /// Smallest and largest of `count` means.
+    fn ends(&self, count: usize, value: impl Fn(&Gait, usize) -> f64) -> [f64; 2] {
+        let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
+        for i in 0..count {
+            let mean = self.of(|g| value(g, i));
+            ends = [ends[0].min(mean), ends[1].max(mean)];
+        }
+        ends
+    }
+
+    fn of_walking(&self, limits: &Limits) -> Vec<Gate> {
+        let mut gates = Vec::new();
+        if limits.speed_share > 0.0 {
+            let share = self.of(|g| g.speed_share);
+            gates.push(at_least(
+                "share of the commanded speed",
+                share,
+                limits.speed_share,
+            ));
+        }
+        let feet = self.0[0].duty_factor.len();
+        if feet > 0 {
+            gates.extend(self.of_feet(feet, limits));
+        }
+        let vibration = self.of(|g| g.vibration_share);
+        let name = format!("joint power above {} Hz", limits.vibration_hz);
+        gates.push(at_most("power, W", self.of(|g| g.power_w), limits.power_w));
+        gates.push(at_most(name, vibration, limits.vibration_share));
+        if let Some(most) = limits.trunk_contact_share.filter(|_| feet > 0) {
+            let share = self.of(|g| g.trunk_contact_share);
+            gates.push(at_most("trunk on the ground", share, most));
+        }
+        gates
+    }
+
+    /// The gates of a robot with feet, the worst foot deciding.
+    fn of_feet(&self, feet: usize, limits: &Limits) -> Vec<Gate> {
+        let duty = self.ends(feet, |g, foot| g.duty_factor[foot]);
+        let clearance = self.ends(feet, |g, foot| g.clearance_m[foot]);
+        let mut gates = vec![
+            at_least("duty factor, least", duty[0], limits.duty_factor[0]),
+            at_most("duty factor, most", duty[1], limits.duty_factor[1]),
+            at_most("stance slip, m/s", self.of(|g| g.slip_mps), limits.slip_mps),
+            at_least("clearance, m", clearance[0], limits.clearance_m),
+        ];
+        // a robot without a clock keeps no time
+        if self.0[0].clock_hz > 0.0 {
+            let off_clock = self.of(|g| (g.stride_hz / g.clock_hz - 1.0).abs());
+            gates.push(at_most(
+                "stride frequency off the clock",
+                off_clock,
+                limits.stride_off_clock,
+            ));
+        }
+        gates
+    }
+
+    fn of_posture(&self, limits: &PostureLimits) -> Vec<Gate> {
+        let joints = self.0[0].posture.off_rad.len();
+        let off = self.ends(joints, |g, joint| g.posture.off_rad[joint])[1];
+        let at_stop = self.ends(joints, |g, joint| g.posture.at_stop_share[joint])[1];
+        let of = |value: fn(&Posture) -> f64| self.of(|g| value(&g.posture));
+        let (sides, duty) = (of(|p| p.sides_apart_rad), of(|p| p.duty_apart));
+        let (tail, bend) = (of(|p| p.tail_power_share), of(|p| p.trunk_bend_share));
+        let mut gates = vec![
+            at_most("joint off nominal and mirror, rad", off, limits.off_rad),
+            at_most("at an end stop", at_stop, limits.at_stop_share),
+            at_most(
+                "leg swing apart left and right, rad",
+                sides,
+                limits.sides_apart_rad,
+            ),
+            at_most("duty factor apart left and right", duty, limits.duty_apart),
+            at_most("tail's share of the power", tail, limits.tail_power_share),
+            at_most("trunk bend in one joint", bend, limits.trunk_bend_share),
+            at_most(
+                "overlaps itself",
+                of(|p| p.overlap_share),
+                limits.overlap_share,
+            ),
+        ];
+        if let Some((yaw_radps, side_mps)) = limits.drift {
+            let (yaw, side) = (of(|p| p.yaw_off_radps), of(|p| p.side_off_mps));
+            gates.push(at_most("yaw off the command, rad/s", yaw, yaw_radps));
+            gates.push(at_most("sideways off the command, m/s", side, side_mps));
+        }
+        gates
+    }
+}
+
+fn at_most(name: impl Into<Cow<'static, str>>, value: f64, most: f64) -> Gate {
+    gate(name, value, None, Some(most))
+}
+
+fn at_least(name: &'static str, value: f64, least: f64) -> Gate {
+    gate(name, value, Some(least), None)
 }
 
 fn gate(
@@ -154,7 +280,7 @@ mod tests {
 
     fn judged(stride_hz: f64, shake: f64) -> GateReport {
         let gait = Gait::of(&trot(stride_hz, shake), &measure()).unwrap();
-        GateReport::of(&[gait], &Limits::default(), true)
+        GateReport::of(&[gait], &Limits::default())
     }
 
     #[test]
@@ -174,7 +300,7 @@ mod tests {
     fn each_limit_can_fail_alone() {
         let good = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         type Spoil = fn(&mut Gait);
-        let spoil: [(&str, Spoil); 8] = [
+        let spoil: [(&str, Spoil); 17] = [
             ("stride frequency off the clock", |g| g.stride_hz = 2.8),
             ("duty factor, least", |g| g.duty_factor[2] = 0.39),
             ("duty factor, most", |g| g.duty_factor[1] = 0.71),
@@ -183,19 +309,39 @@ mod tests {
             ("clearance, m", |g| g.clearance_m[3] = 0.029),
             ("joint power above 6 Hz", |g| g.vibration_share = 0.051),
             ("trunk on the ground", |g| g.trunk_contact_share = 0.011),
+            ("joint off nominal and mirror, rad", |g| {
+                g.posture.off_rad[3] = 0.18
+            }),
+            ("at an end stop", |g| g.posture.at_stop_share[0] = 0.021),
+            ("leg swing apart left and right, rad", |g| {
+                g.posture.sides_apart_rad = 0.09
+            }),
+            ("duty factor apart left and right", |g| {
+                g.posture.duty_apart = 0.06
+            }),
+            ("tail's share of the power", |g| {
+                g.posture.tail_power_share = 0.16
+            }),
+            ("trunk bend in one joint", |g| {
+                g.posture.trunk_bend_share = 0.51
+            }),
+            ("overlaps itself", |g| g.posture.overlap_share = 0.002),
+            ("yaw off the command, rad/s", |g| {
+                g.posture.yaw_off_radps = 0.021
+            }),
+            ("sideways off the command, m/s", |g| {
+                g.posture.side_off_mps = 0.011
+            }),
         ];
         for (name, change) in spoil {
             let mut gait = good.clone();
             change(&mut gait);
-            assert_eq!(
-                GateReport::of(&[gait], &Limits::default(), true).missed(),
-                [name]
-            );
+            assert_eq!(GateReport::of(&[gait], &Limits::default()).missed(), [name]);
         }
     }
 
     #[test]
     fn nothing_measured_is_not_walking() {
-        assert!(!GateReport::of(&[], &Limits::default(), true).walks);
+        assert!(!GateReport::of(&[], &Limits::default()).walks);
     }
 }

@@ -40,6 +40,7 @@ fn sensors() -> Sensors {
         }),
         // FL and HR: bits 0 and 3, 1 + 8 = 9
         foot_contacts: Some(9),
+        in_water: Some(true),
     }
 }
 
@@ -48,6 +49,7 @@ fn messages() -> Vec<RobotMessage> {
         imu_gravity: None,
         base_pose: None,
         foot_contacts: None,
+        in_water: None,
         ..sensors()
     };
     vec![

@@ -84,6 +84,9 @@ pub struct GatesConfig {
     pub vibration_share: f64,
     /// Joint power above this is vibration, not walking, Hz. Default 6, four strides and a half.
     pub vibration_hz: f64,
+    /// Whether posture and going straight are judged too: joints off nominal, end stops, left against right,
+    /// the tail's share, drift. Default true; their limits are the salamander's.
+    pub posture: bool,
 }
 
 impl Default for GatesConfig {
@@ -98,6 +101,7 @@ impl Default for GatesConfig {
             clearance_m: 0.03,
             vibration_share: 0.05,
             vibration_hz: 6.0,
+            posture: true,
         }
     }
 }
