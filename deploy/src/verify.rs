@@ -10,6 +10,7 @@ use caudata_proto::registry::Manifest;
 use caudata_proto::registry::question::{Facts, OtherQuestion};
 use caudata_signing::{Trust, Untrusted};
 use caudata_task::command::CommandConfig;
+use caudata_task::layout::Part;
 use caudata_task::observation::ObservationConfig;
 use caudata_task::{PolicyContract, TaskConfig, TaskError};
 use sha2::{Digest, Sha256};

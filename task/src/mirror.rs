@@ -103,16 +103,14 @@ impl Mirror {
         // The lengths agree; should they not, nothing finds its counterpart below.
         let at_nominal = at_nominal.unwrap_or_default();
         let action = joints(model, &at_nominal)?;
-        let usual = ObservationLayout::new(action.source.len(), &[], true);
-        for slice in layout.slices() {
-            let known = usual.slice(&slice.name).is_some() && slice.value.is_none();
-            if !known || slice.history.is_some() {
-                return Err(TaskError::term(
-                    "task.observation.term",
-                    &slice.name,
-                    "has no mirror image that is known; set learner.ppo.mirror = false".to_owned(),
-                ));
-            }
+        let feet_names: Vec<String> = model.feet().iter().map(|f| f.name.clone()).collect();
+        let usual = |medium| ObservationLayout::new(action.source.len(), &feet_names, medium);
+        if *layout != usual(false) && *layout != usual(true) {
+            return Err(TaskError::term(
+                "task.observation",
+                "term",
+                "makes an observation whose mirror image is not known; leave symmetry off".to_owned(),
+            ));
         }
         let mut observation = SignedPermutation::identity(layout.dim());
         let start = |part| layout.range(part).start;
