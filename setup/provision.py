@@ -55,6 +55,8 @@ def provision(options: argparse.Namespace) -> Dict[str, str]:
     values = {
         "LIBTORCH": libtorch(options.verify),
         "ORT_DYLIB_PATH": onnxruntime(options.verify),
+        # The Python module is built against the stable interface; whatever Python this machine has is not asked.
+        "PYO3_NO_PYTHON": "1",
     }
     mujoco = mujoco_env.provision() if options.with_mujoco else mujoco_env.ready()
     if mujoco:

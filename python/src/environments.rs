@@ -10,6 +10,7 @@ use caudata_task::reward::TERMS;
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
 use pyo3::types::PyDict;
 
 use crate::refused;
@@ -26,13 +27,15 @@ pub struct Environments {
 }
 
 impl Environments {
-    fn lock(&self) -> MutexGuard<'_, VecEnv> {
-        self.env.lock().unwrap_or_else(PoisonError::into_inner)
+    /// A thread that waits here lets Python go on: whoever has the environments may need it to hand them back.
+    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, VecEnv> {
+        let locked = self.env.lock_py_attached(py);
+        locked.unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Fills the signals with what is now, and `observations` `[N, D]` with the present ones.
     fn show(&self, py: Python<'_>, observations: &mut PyReadwriteArray2<'_, f32>) -> PyResult<()> {
-        let env = self.lock();
+        let env = self.lock(py);
         if let Some(signals) = &self.signals {
             let mut held = signals.hold(py)?;
             let mut into = slices(&mut held)?;
@@ -89,27 +92,27 @@ impl Environments {
 
     /// Number of lanes N, of observation values D, of actions A.
     #[getter]
-    fn shape(&self) -> (usize, usize, usize) {
-        let env = self.lock();
+    fn shape(&self, py: Python<'_>) -> (usize, usize, usize) {
+        let env = self.lock(py);
         (env.lanes(), env.obs_dim(), env.act_dim())
     }
 
     /// What a policy for these environments must be made for, as JSON.
     #[getter]
-    fn contract(&self) -> PyResult<String> {
-        serde_json::to_string(self.lock().contract()).map_err(refused)
+    fn contract(&self, py: Python<'_>) -> PyResult<String> {
+        serde_json::to_string(self.lock(py).contract()).map_err(refused)
     }
 
     /// Hash of the contract, 64 hex digits.
     #[getter]
-    fn contract_hash(&self) -> String {
-        self.lock().contract().hash_hex()
+    fn contract_hash(&self, py: Python<'_>) -> String {
+        self.lock(py).contract().hash_hex()
     }
 
     /// Longest episode, control steps.
     #[getter]
-    fn episode_steps(&self) -> u32 {
-        self.lock().task().episode_steps
+    fn episode_steps(&self, py: Python<'_>) -> u32 {
+        self.lock(py).task().episode_steps
     }
 
     /// Names of the reward's terms.
@@ -138,8 +141,8 @@ impl Environments {
         seed: Option<u64>,
     ) -> PyResult<()> {
         match seed {
-            Some(seed) => *self.lock() = build(&self.config, &self.model, seed)?,
-            None => self.lock().reset_all().map_err(refused)?,
+            Some(seed) => *self.lock(py) = build(&self.config, &self.model, seed)?,
+            None => self.lock(py).reset_all().map_err(refused)?,
         }
         self.show(py, &mut observations)
     }
@@ -156,7 +159,7 @@ impl Environments {
         if !rest.is_empty() {
             return Err(PyValueError::new_err("a command has three numbers"));
         }
-        self.lock().hold_commands(rows).map_err(refused)?;
+        self.lock(py).hold_commands(rows).map_err(refused)?;
         self.show(py, &mut observations)
     }
 
@@ -167,8 +170,8 @@ impl Environments {
     }
 
     /// Tells how many environment steps were done in all; pushes and costs may grow with it.
-    fn set_progress(&self, env_steps_total: u64) {
-        self.lock().set_progress(env_steps_total);
+    fn set_progress(&self, py: Python<'_>, env_steps_total: u64) {
+        self.lock(py).set_progress(env_steps_total);
     }
 
     /// One control step. `actions` `[N, A]`; what it gives is written into the other arrays, `[N, D]` and `[N]`.
@@ -192,7 +195,7 @@ impl Environments {
         let (actions, observations) = (actions.as_slice()?, observations.as_slice_mut()?);
         let (rewards, terminated) = (rewards.as_slice_mut()?, terminated.as_slice_mut()?);
         let truncated = truncated.as_slice_mut()?;
-        let mut env = self.lock();
+        let mut env = self.lock(py);
         let env = &mut *env;
         let ended = py.detach(|| {
             let lanes = env.lanes();
