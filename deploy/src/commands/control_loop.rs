@@ -153,6 +153,7 @@ fn walk<R: Robot>(
         state: args.source.state.clone(),
         trust: trust_of(&args.source)?.map(Arc::new),
         factory: args.factory.clone(),
+        tells_water: robot.in_water().is_some(),
     };
     let link = LocalLink::open(&setting.folder)?;
     let run = random_nonce().map_err(|source| DeployError::System {

@@ -192,6 +192,9 @@ fn drawn(scene: &Scene<'_>, row: &Row<'_>, stamp: &Stamp, k: usize) -> Vec<Messa
 
 type Message = (String, &'static str, Vec<u8>);
 
+/// The signal of a joint.
+type OfJoint = fn(String) -> Signal;
+
 /// What was sampled in a row.
 struct Row<'a>(BTreeMap<&'a Signal, f64>);
 
@@ -207,7 +210,7 @@ impl Row<'_> {
     }
 
     /// A message with a list for each of `kinds`, if there is a value of any.
-    fn joints(&self, stamp: &Stamp, kinds: [Option<fn(String) -> Signal>; 3]) -> Option<Vec<u8>> {
+    fn joints(&self, stamp: &Stamp, kinds: [Option<OfJoint>; 3]) -> Option<Vec<u8>> {
         let all = self.0.keys().filter_map(|s| s.joint());
         let sampled = |j: &&str| {
             let kinds = kinds.iter().flatten();
@@ -217,7 +220,7 @@ impl Row<'_> {
         };
         // a set: the names in order, each once
         let names: BTreeSet<&str> = all.filter(sampled).collect();
-        let list = |kind: Option<fn(String) -> Signal>| -> Vec<f64> {
+        let list = |kind: Option<OfJoint>| -> Vec<f64> {
             let Some(of) = kind else { return Vec::new() };
             let values = names.iter().map(|n| self.get(of((*n).to_owned())));
             let values: Vec<f64> = values.map(|x| x.unwrap_or(f64::NAN)).collect();

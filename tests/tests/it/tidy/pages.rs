@@ -116,6 +116,33 @@ fn links_lead_somewhere() {
     );
 }
 
+/// Tables of faults say which test shows what: each is there, under that name or, with `…`, that beginning.
+#[test]
+fn tests_that_tables_name_are_there() {
+    let sources = files(&root(), ".rs").into_iter();
+    let text: String = sources
+        .map(|file| std::fs::read_to_string(file).expect("UTF-8"))
+        .collect();
+    let pages = [
+        "docs/reference/faults.md",
+        "docs/reference/faults-actors.md",
+    ];
+    let mut wrong = Vec::new();
+    for line in lines().iter().filter(|l| pages.contains(&&*l.page)) {
+        for name in line.text.split('`').skip(1).step_by(2) {
+            let name = name.rsplit("::").next().unwrap_or(name);
+            let test = name.trim_end_matches('…');
+            let letters = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+            let is_test = test.matches('_').count() >= 3 || name.ends_with('…');
+            let end = if name.ends_with('…') { "" } else { "(" };
+            if is_test && test.chars().all(letters) && !text.contains(&format!("fn {test}{end}")) {
+                wrong.push(format!("{}: {name}", line.place()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "no such test:\n{}", wrong.join("\n"));
+}
+
 /// `a/../b` as `b`.
 fn plain(path: &Path) -> String {
     let mut parts: Vec<&str> = Vec::new();
