@@ -202,8 +202,9 @@ fn mcap(args: &ConvertArgs, table: &Table, robot: Option<&RobotModel>) -> Result
         return write(None);
     };
     let frames = RefCell::new(Frames::new(robot, table)?);
+    let description = robot.to_urdf();
     write(Some(&Scene {
-        description: "",
+        description: &description,
         base: robot.links().first().map_or("base", |link| &link.name),
         frames: &|row| frames.borrow_mut().at(row),
     }))
