@@ -197,7 +197,7 @@ impl Environments {
         let truncated = truncated.as_slice_mut()?;
         let mut env = self.lock(py);
         let env = &mut *env;
-        let ended = py.detach(|| {
+        let ended: Result<_, String> = py.detach(|| {
             let lanes = env.lanes();
             let commands: Vec<[f32; 3]> = (0..lanes).map(|lane| env.command(lane)).collect();
             let output = env.step_seen(actions, |env| {
@@ -213,7 +213,7 @@ impl Environments {
             observations.copy_from_slice(env.observations());
             Ok(ended)
         });
-        let ended = ended.map_err(PyValueError::new_err::<String>)?;
+        let ended = ended.map_err(PyValueError::new_err)?;
         ended.map(|output| episodes(py, output)).transpose()
     }
 }
