@@ -27,7 +27,8 @@ pub struct Environments {
 }
 
 impl Environments {
-    /// A thread that waits here lets Python go on: whoever has the environments may need it to hand them back.
+    /// A thread that waits here lets Python go on: whoever has the environments may need it to hand them
+    /// back.
     fn lock(&self, py: Python<'_>) -> MutexGuard<'_, VecEnv> {
         let locked = self.env.lock_py_attached(py);
         locked.unwrap_or_else(PoisonError::into_inner)
@@ -50,8 +51,9 @@ impl Environments {
 
 #[pymethods]
 impl Environments {
-    /// Environments as a preset, a TOML file and overrides (`key=value`) describe them, later ones winning; on
-    /// another robot than theirs where one is given. A robot's relative path is also looked for below `home`.
+    /// Environments as a preset, a TOML file and overrides (`key=value`) describe them, later ones winning;
+    /// on another robot than theirs where one is given. A robot's relative path is also looked for below
+    /// `home`.
     #[new]
     #[pyo3(signature = (lanes, seed, threads, home, robot=None, preset=None, file=None, overrides=Vec::new(),
         signals=false))]
@@ -163,8 +165,8 @@ impl Environments {
         self.show(py, &mut observations)
     }
 
-    /// Fills the signals and `observations` with what is now: after a step in which episodes ended, the starts of
-    /// the next ones.
+    /// Fills the signals and `observations` with what is now: after a step in which episodes ended, the
+    /// starts of the next ones.
     fn look(&self, py: Python<'_>, mut observations: PyReadwriteArray2<'_, f32>) -> PyResult<()> {
         self.show(py, &mut observations)
     }
@@ -174,9 +176,9 @@ impl Environments {
         self.lock(py).set_progress(env_steps_total);
     }
 
-    /// One control step. `actions` `[N, A]`; what it gives is written into the other arrays, `[N, D]` and `[N]`.
-    /// A lane whose episode ends begins the next one in the same step. Returns the episodes that ended, `None` if
-    /// there are none. Signals are those of the step, before any lane began anew.
+    /// One control step. `actions` `[N, A]`; what it gives is written into the other arrays, `[N, D]` and
+    /// `[N]`. A lane whose episode ends begins the next one in the same step. Returns the episodes that
+    /// ended, `None` if there are none. Signals are those of the step, before any lane began anew.
     fn step<'py>(
         &self,
         py: Python<'py>,

@@ -159,7 +159,8 @@ fn folder(out: &Path, log: &Path, meta: Option<LogMeta>, table: &Table) -> Resul
     writer.finish().or_exit(ExitCode::IoError)
 }
 
-/// The robot of a log: its file is named by flag, or by the log; a robot's name stands for its file in `robots/`.
+/// The robot of a log: its file is named by flag, or by the log; a robot's name stands for its file in
+/// `robots/`.
 fn robot(
     args: &ConvertArgs,
     meta: Option<&LogMeta>,
