@@ -32,7 +32,8 @@ pub fn warm_start(
     least_std: f32,
     contract: &PolicyContract,
 ) -> Result<Moments, LearnerError> {
-    let bytes = std::fs::read(path).map_err(|source| LearnerError::Read {
+    let most = caudata_policy::MAX_FILE_BYTES as u64;
+    let bytes = caudata_durable::read_at_most(path, most).map_err(|source| LearnerError::Read {
         path: path.to_owned(),
         source,
     })?;

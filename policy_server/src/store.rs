@@ -200,6 +200,13 @@ impl Store {
         }
         if let Some(record) = self.find(&manifest.stream, manifest.version) {
             return if record.manifest.sha256 == manifest.sha256 {
+                // What is out of use does not come back by being published once more.
+                let key = (manifest.stream.clone(), manifest.version);
+                if let Some(known) = self.quarantined.get(&key) {
+                    let (stream, version, why) = (key.0, key.1, &known.state.reason);
+                    let reason = format!("{stream} version {version} is quarantined: {why}");
+                    return Err(StoreError::NotAllowed { reason });
+                }
                 Ok(Published {
                     record: record.clone(),
                     already_present: true,
@@ -688,6 +695,8 @@ mod tests {
             unix_ms: 0,
         };
         store.quarantine(&Origin::local(), out).unwrap();
+        let error = store.publish(manifest("s", 1, b"bad"), b"bad").unwrap_err();
+        assert!(matches!(error, StoreError::NotAllowed { .. }), "{error}");
         for (version, bytes) in [(2, b"two"), (3, b"thr"), (4, b"fou")] {
             store.publish(manifest("s", version, bytes), bytes).unwrap();
         }

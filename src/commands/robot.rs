@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs};
 use caudata_model::RobotModel;
-use caudata_model::import::{self, ImportOptions};
+use caudata_model::import::{self, ImportError, ImportOptions};
 use caudata_sim::{EngineConfig, TerrainConfig};
 use caudata_task::{PolicyContract, TaskConfig};
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
@@ -27,6 +27,15 @@ pub enum RobotCommand {
     },
     /// Make a robot file and an MJCF out of any MJCF or URDF; what cannot be had is refused, all at once
     Import(ImportArgs),
+    /// Write a robot for tools that read another format
+    Export {
+        /// The robot file
+        #[arg(value_name = "FILE.robot.toml")]
+        file: PathBuf,
+        /// The URDF to write
+        #[arg(long, value_name = "FILE.urdf")]
+        urdf: PathBuf,
+    },
 }
 
 #[derive(Debug, clap::Args)]
@@ -65,6 +74,14 @@ pub fn run(command: &RobotCommand) -> Result<(), Failure> {
             })
         }
         RobotCommand::Import(args) => import(args),
+        RobotCommand::Export { file, urdf } => {
+            let text = load(file)?.to_urdf();
+            std::fs::write(urdf, text).or_exit_with(ExitCode::IoError, || {
+                format!("cannot write {}", urdf.display())
+            })?;
+            say::line(format!("wrote {}", urdf.display()));
+            Ok(())
+        }
     }
 }
 
@@ -84,7 +101,17 @@ fn import(args: &ImportArgs) -> Result<(), Failure> {
         name: args.name.clone(),
         free_base: args.base.map(|word| word == BaseWord::Free),
     };
-    let made = import::import(&args.file, &options).or_exit(ExitCode::BadInput)?;
+    let made = match import::import(&args.file, &options) {
+        Err(ImportError::Refused(all)) => {
+            all.iter()
+                .for_each(|remark| say::line(format!("refused: {remark}")));
+            let count = all.len();
+            let message = format!("{}: {count} refused", args.file.display());
+            let hint = "each is said above, with what to do";
+            return Err(Failure::message(ExitCode::BadInput, message).hint(hint));
+        }
+        other => other.or_exit(ExitCode::BadInput)?,
+    };
     for note in &made.notes {
         say::line(format!("note: {note}"));
     }

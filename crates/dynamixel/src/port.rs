@@ -13,6 +13,11 @@ use rustix::termios::{
 
 /// Bytes out and in, each with a deadline.
 pub trait Port {
+    /// What deadlines are told by: the machine's clock, or the time of a far end that has its own.
+    fn now(&self) -> Instant {
+        Instant::now()
+    }
+
     /// Sends all of `bytes`.
     ///
     /// # Errors

@@ -131,6 +131,10 @@ pub const TABLE_BYTES: usize = 147;
 pub const MODEL_W210: u16 = 1030;
 /// Model number of the stronger servo.
 pub const MODEL_W350: u16 = 1020;
+/// Model number of the XL330-M288-T, whose control table is the same where this one is used.
+pub const MODEL_XL330_M288: u16 = 1200;
+/// Model number of the XL330-M077-T, likewise.
+pub const MODEL_XL330_M077: u16 = 1190;
 
 /// What is read at every tick: current, velocity and position, side by side.
 pub const TICK_ADDRESS: u16 = PRESENT_CURRENT.address;

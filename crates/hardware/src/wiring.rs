@@ -3,14 +3,15 @@
 //! It belongs to one robot on one bench, not to the robot model: two robots of one model differ in it.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use caudata_durable::read_text_at_most;
 use caudata_dynamixel::units::{
     BUS_WATCHDOG_LSB_MS, CURRENT_LSB_A, RETURN_DELAY_LSB_US, counts_to_rad, rad_to_counts,
     register_of_baud,
 };
-use caudata_dynamixel::xm430::{MODEL_W210, MODEL_W350};
+use caudata_dynamixel::xm430::{MODEL_W210, MODEL_W350, MODEL_XL330_M077, MODEL_XL330_M288};
 use serde::Deserialize;
 
 /// `format` of a wiring file.
@@ -138,6 +139,12 @@ pub enum ServoModel {
     /// XM430-W350.
     #[serde(rename = "xm430_w350")]
     Xm430W350,
+    /// XL330-M288-T.
+    #[serde(rename = "xl330_m288")]
+    Xl330M288,
+    /// XL330-M077-T.
+    #[serde(rename = "xl330_m077")]
+    Xl330M077,
 }
 
 impl ServoModel {
@@ -146,6 +153,8 @@ impl ServoModel {
         match self {
             Self::Xm430W210 => MODEL_W210,
             Self::Xm430W350 => MODEL_W350,
+            Self::Xl330M288 => MODEL_XL330_M288,
+            Self::Xl330M077 => MODEL_XL330_M077,
         }
     }
 }
@@ -257,6 +266,9 @@ pub struct WaterWiring {
     pub file: PathBuf,
 }
 
+/// Highest supply of a robot of this kind, V: twelve lithium cells.
+const SUPPLY_MAX_V: f32 = 52.0;
+
 /// Largest wiring file that is read, bytes.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 
@@ -270,17 +282,14 @@ impl Wiring {
             path: path.to_owned(),
             reason,
         };
-        let mut bytes = Vec::new();
-        std::fs::File::open(path)
-            .and_then(|file| file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes))
-            .map_err(|source| WiringError::Read {
-                path: path.to_owned(),
-                source,
+        let text =
+            read_text_at_most(path, FILE_BYTES_MAX).map_err(|source| match source.kind() {
+                ErrorKind::FileTooLarge | ErrorKind::InvalidData => wrong(source.to_string()),
+                _ => WiringError::Read {
+                    path: path.to_owned(),
+                    source,
+                },
             })?;
-        if bytes.len() as u64 > FILE_BYTES_MAX {
-            return Err(wrong(format!("it has more than {FILE_BYTES_MAX} bytes")));
-        }
-        let text = String::from_utf8(bytes).map_err(|error| wrong(error.to_string()))?;
         Self::parse(&text).map_err(wrong)
     }
 
@@ -324,10 +333,10 @@ impl Wiring {
             return Err("servo.current_limit_a must be above 0 and at most 3.2".to_owned());
         }
         let volts = limits.supply_min_v > 0.0 && limits.supply_min_v < limits.supply_max_v;
-        if !(volts && limits.supply_max_v <= 16.0 && limits.current_max_a > 0.0) {
-            return Err(
-                "limits: 0 < supply_min_v < supply_max_v <= 16, and current_max_a > 0".to_owned(),
-            );
+        if !(volts && limits.supply_max_v <= SUPPLY_MAX_V && limits.current_max_a > 0.0) {
+            return Err(format!(
+                "limits: 0 < supply_min_v < supply_max_v <= {SUPPLY_MAX_V}, and current_max_a > 0"
+            ));
         }
         let mut ids = BTreeSet::new();
         for (name, joint) in &self.joint {

@@ -16,6 +16,28 @@ fn the_shipped_file_is_taken() {
 }
 
 #[test]
+fn every_shipped_wiring_has_the_joints_of_its_robot() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../robots");
+    let mut found = 0;
+    for entry in std::fs::read_dir(&folder).unwrap().flatten() {
+        let path = entry.path();
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let Some(robot) = name.strip_suffix(".wiring.toml") else {
+            continue;
+        };
+        let wiring = Wiring::read(&path).unwrap();
+        assert_eq!(wiring.robot, robot);
+        let file = std::fs::read_to_string(folder.join(format!("{robot}.robot.toml"))).unwrap();
+        let file: toml::Table = file.parse().unwrap();
+        let names = file["joints"]["actuated"].as_array().unwrap();
+        let names: Vec<&str> = names.iter().map(|n| n.as_str().unwrap()).collect();
+        assert_eq!(wiring.joints(&names).unwrap().len(), names.len(), "{robot}");
+        found += 1;
+    }
+    assert!(found >= 5);
+}
+
+#[test]
 fn a_file_that_is_no_text_or_has_no_end_is_wrong_and_not_absent() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("robot.wiring.toml");

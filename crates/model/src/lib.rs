@@ -25,6 +25,7 @@ pub mod pose;
 mod robot_file;
 mod servos;
 mod types;
+mod urdf_export;
 
 pub use error::ModelError;
 pub use extension::{Extension, ExtensionEffect, ExtensionParameter};

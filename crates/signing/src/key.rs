@@ -8,7 +8,7 @@ use caudata_proto::hex::hex;
 use caudata_proto::registry::{Freshness, Manifest, Signature, SignedFreshness};
 use ed25519_dalek::{Signer, SigningKey};
 
-use crate::error::{SigningError, check_private, file_error, from_hex};
+use crate::error::{SigningError, check_private, file_error, from_hex, read_small};
 
 /// `format` of a trust file.
 pub const TRUST_FORMAT: &str = "caudata.trust.v1";
@@ -97,7 +97,7 @@ impl ReleaseKey {
     /// [`SigningError`], also where others may use the file ([`check_private`]).
     pub fn read(path: &Path, id: &str) -> Result<Self, SigningError> {
         check_private(path)?;
-        let text = std::fs::read_to_string(path).map_err(file_error(path))?;
+        let text = read_small(path)?;
         let seed = from_hex(text.trim()).ok_or_else(|| SigningError::Content {
             path: path.to_owned(),
             reason: "a key is 64 hexadecimal digits".to_owned(),

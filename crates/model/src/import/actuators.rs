@@ -39,6 +39,13 @@ pub(super) fn joints(root: &Element) -> BTreeSet<String> {
     named.map(str::to_owned).collect()
 }
 
+/// Whether a joint of this name stands anywhere in the file.
+fn named(e: &Element, joint: &str) -> bool {
+    let own = e.tag == "joint" && e.get("name") == Some(joint);
+    let inside = |c: &Element| c.tag != "equality" && named(c, joint);
+    own || e.children.iter().any(inside)
+}
+
 /// Reads the actuators of joints that the robot has.
 pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot) {
     for element in elements(root) {
@@ -56,9 +63,13 @@ pub(super) fn read(context: &mut Context<'_>, root: &Element, robot: &mut Robot)
             .find(|j| j.name == joint)
             .map(|j| j.force_limit)
         else {
-            context
-                .remarks
-                .refuse(&e, format!("{label}: there is no joint `{joint}`"));
+            let message = format!("{label}: there is no joint `{joint}`");
+            if named(root, &joint) {
+                let message = format!("{message} in the robot; the actuator is not kept");
+                context.remarks.note(&e, message);
+            } else {
+                context.remarks.refuse(&e, message);
+            }
             continue;
         };
         if robot.actuators.iter().any(|a| a.joint == joint) {

@@ -17,6 +17,9 @@ const DENSITY_KG_PER_M3: f64 = 1000.0;
 /// Between these MuJoCo holds impedances.
 const IMPEDANCE: (f64, f64) = (1e-4, 0.9999);
 
+/// A tree with at most this part of the robot's drives is not another robot.
+const LEFT_OVER: usize = 4;
+
 /// Sections that say nothing of how the robot moves, or nothing that is kept.
 const PASSED_OVER: &[(&str, &str)] = &[
     ("asset", "meshes, textures and materials are for the eye"),
@@ -175,15 +178,11 @@ impl<'a> Context<'a> {
                 ("angle", "radian") => self.compiler.rad_per_unit = 1.0,
                 ("angle", "degree") => self.compiler.rad_per_unit = 1f64.to_radians(),
                 ("autolimits", on) => self.compiler.autolimits = on != "false",
+                ("eulerseq", sequence) if self.compiler.set_euler(sequence) => {}
                 ("eulerseq", sequence) => {
-                    if !self.compiler.set_euler(sequence) {
-                        self.remarks.refuse(
-                            e,
-                            format!(
-                                "<compiler>: eulerseq `{sequence}` is not three of x y z X Y Z"
-                            ),
-                        );
-                    }
+                    let what = "is not three of x y z X Y Z";
+                    self.remarks
+                        .refuse(e, format!("<compiler>: eulerseq `{sequence}` {what}"));
                 }
                 ("coordinate", "global") => {
                     self.remarks.refuse(e, "<compiler>: coordinate=\"global\" is not read; convert the file to local coordinates");
@@ -253,7 +252,7 @@ impl<'a> Context<'a> {
             // one way of saying where something lies replaces the other
             let said = |other: &&str| e.attributes.contains_key(*other);
             let turns = ["quat", "euler", "axisangle", "xyaxes", "zaxis"];
-            if turns.contains(&key.as_str()) && turns.iter().any(|k| said(k)) {
+            if turns.contains(&key.as_str()) && turns.iter().any(said) {
                 continue;
             }
             out.attributes
@@ -292,19 +291,19 @@ impl<'a> Context<'a> {
                 format!("{}: does not move and is not kept", body.label()),
             );
         }
-        let mut driven = actuators::joints(root);
-        let has = |b: &&&Element| contains_joint(b, &mut driven);
-        let mut robots: Vec<&Element> = moving.iter().filter(has).copied().collect();
-        if robots.is_empty() {
-            robots.clone_from(&moving);
-        }
+        let driven = actuators::joints(root);
+        let drives = |b: &Element| driven_joints(b, &driven);
+        let most = moving.iter().map(|b| drives(b)).max().unwrap_or(0);
+        // what is driven by far less beside a robot is no second one, but something left over
+        let counts = |b: &&&Element| drives(b) * LEFT_OVER > most || most == 0;
+        let robots: Vec<&Element> = moving.iter().filter(counts).copied().collect();
         for body in moving
             .iter()
             .filter(|b| !robots.iter().any(|r| std::ptr::eq(*r, **b)))
         {
             self.remarks.note(
                 body,
-                format!("{}: is moved by no actuator and is not kept", body.label()),
+                format!("{}: stands beside the robot and is not kept", body.label()),
             );
         }
         match robots.as_slice() {
@@ -681,7 +680,9 @@ fn moves(e: &Element) -> bool {
     e.children.iter().any(|c| own(c) || moves(c))
 }
 
-fn contains_joint(e: &Element, names: &mut BTreeSet<String>) -> bool {
+/// How many joints in it are among `names`.
+fn driven_joints(e: &Element, names: &BTreeSet<String>) -> usize {
     let own = e.tag == "joint" && e.get("name").is_some_and(|n| names.contains(n));
-    own || e.children.iter().any(|c| contains_joint(c, names))
+    let below = e.children.iter().map(|c| driven_joints(c, names));
+    usize::from(own) + below.sum::<usize>()
 }

@@ -23,6 +23,16 @@ pub(super) fn read(
             );
             context.remarks.refuse(e, message);
         }
+        let drags = ["damping", "armature", "frictionloss"];
+        let dragged = drags
+            .iter()
+            .any(|k| e.get(k).is_some_and(|v| v.trim() != "0"));
+        if e.tag == "joint" && dragged {
+            let message = format!(
+                "{label}: damping, armature and friction of a free joint are not kept; MuJoCo has them (write <freejoint/>)"
+            );
+            context.remarks.note(e, message);
+        }
         robot.free_base = true;
         return;
     }

@@ -91,6 +91,7 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
         return;
     }
     merge_welded(robot);
+    drop_empty_root(robot);
     limit_actuated(robot, remarks);
     for (i, body) in robot.bodies.iter_mut().enumerate() {
         if body.inertial.is_none_or(|i| i.mass_kg <= 0.0) {
@@ -153,6 +154,27 @@ fn merge_welded(robot: &mut Robot) {
         }
     }
     robot.bodies = bodies;
+}
+
+/// A held root that is nothing but a place gives way to the one body that hangs on it.
+fn drop_empty_root(robot: &mut Robot) {
+    let children = robot.bodies.iter().filter(|b| b.parent == Some(0)).count();
+    let root = &robot.bodies[0];
+    let has_mass = root.inertial.is_some_and(|i| i.mass_kg > 0.0);
+    let empty = root.joints.is_empty() && root.geoms.is_empty() && root.sites.is_empty();
+    if robot.free_base || has_mass || !empty || children != 1 {
+        return;
+    }
+    let root = robot.bodies.remove(0);
+    for body in &mut robot.bodies {
+        body.parent = match body.parent {
+            Some(0) => {
+                body.parent_from_body = root.parent_from_body.compose(&body.parent_from_body);
+                None
+            }
+            other => other.map(|p| p - 1),
+        };
+    }
 }
 
 /// Every actuated joint needs limits.

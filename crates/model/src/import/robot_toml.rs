@@ -193,44 +193,46 @@ fn passive(w: &mut String, robot: &Robot, joints: &BTreeMap<&str, &Joint>) {
     }
 }
 
-/// The lowest shape of each chain that ends on the ground in the nominal pose.
+/// The lowest shape of each chain that ends on the ground in the nominal pose; none for a robot that lies on
+/// its root link there.
 fn feet(robot: &Robot) -> Vec<Foot> {
     if !robot.free_base {
         return Vec::new();
     }
     let places = places(robot);
-    let mut found: Vec<([f64; 3], f64, Foot)> = Vec::new();
-    for (i, body) in robot.bodies.iter().enumerate() {
-        let ends = !robot.bodies.iter().any(|b| b.parent == Some(i));
-        if !ends || body.joints.is_empty() {
-            continue;
-        }
-        let lowest = |geom: &super::parts::Geom| {
-            let at = places[i].compose(&geom.link_from_geom);
-            let up = at.inverse().rotate([0.0, 0.0, 1.0]);
-            (at.pos_m, at.pos_m[2] - geom.shape.half_extent_m(up))
-        };
-        let touching = body
+    // its middle, the height of its lowest point, its name and friction
+    let lowest = |i: usize| {
+        let touching = robot.bodies[i]
             .geoms
             .iter()
             .filter(|g| g.collides() && !matches!(g.shape, Shape::Ellipsoid { .. } | Shape::Plane));
-        let best = touching.filter_map(|g| Some((lowest(g), g.name.clone()?, g.friction)));
-        let Some(((at, z), geom, friction)) = best.min_by(|a, b| a.0.1.total_cmp(&b.0.1)) else {
-            continue;
-        };
-        let name = body.name.clone();
-        found.push((
-            at,
-            z,
-            Foot {
-                name,
-                geom,
-                friction,
-            },
-        ));
+        let measured = touching.filter_map(|geom| {
+            let at = places[i].compose(&geom.link_from_geom);
+            let up = at.inverse().rotate([0.0, 0.0, 1.0]);
+            let z = at.pos_m[2] - geom.shape.half_extent_m(up);
+            Some((at.pos_m, z, geom.name.clone()?, geom.friction))
+        });
+        measured.min_by(|a, b| a.1.total_cmp(&b.1))
+    };
+    let mut found: Vec<([f64; 3], f64, Foot)> = Vec::new();
+    for (i, body) in robot.bodies.iter().enumerate() {
+        let ends = !robot.bodies.iter().any(|b| b.parent == Some(i));
+        if let Some((at, z, geom, friction)) = lowest(i).filter(|_| ends && i > 0) {
+            let name = body.name.clone();
+            found.push((
+                at,
+                z,
+                Foot {
+                    name,
+                    geom,
+                    friction,
+                },
+            ));
+        }
     }
     let ground = found.iter().map(|f| f.1).fold(f64::INFINITY, f64::min);
-    found.retain(|f| f.1 - ground <= FOOT_LEVEL_M);
+    let lies = lowest(0).is_some_and(|root| root.1 - ground <= FOOT_LEVEL_M);
+    found.retain(|f| !lies && f.1 - ground <= FOOT_LEVEL_M);
     // front to hind in steps of a hand's breadth, left before right
     let row = |x: f64| (-x / 0.1).round() as i64;
     found.sort_by(|(a, _, _), (b, _, _)| row(a[0]).cmp(&row(b[0])).then(b[1].total_cmp(&a[1])));
