@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use caudata_chaos_proxy::Dice;
 use caudata_dynamixel::emulator::{Present, WireFaults};
 use caudata_telemetry::{Metrics, StopFlag};
-use crossbeam_channel::unbounded;
+use crossbeam_channel::bounded;
 
 use super::tests::{Emulated, emulated, robot};
 use super::*;
@@ -25,6 +25,8 @@ use crate::verify::{Verified, verify};
 use crate::walk_command::{CommandTable, WalkCommand};
 
 const PERIOD: Duration = Duration::from_millis(20);
+/// Ticks of one try, a minute of them; more would be lost, and missed below.
+const TICKS_MAX: usize = 3_000;
 /// By then it walks.
 const WALKS: Duration = Duration::from_secs(2);
 /// When things happen at the earliest.
@@ -208,7 +210,7 @@ fn run(event: Event, at: Duration, faults: WireFaults) -> Seen {
     let mut control =
         ControlLoop::start(&mut timed, &time, plan, runner, updates, metrics).unwrap();
     let insisted = StopFlag::new();
-    let (tap, ticks) = unbounded();
+    let (tap, ticks) = bounded(TICKS_MAX);
     control.set_insisted(insisted.clone());
     control.set_tap(tap);
     control.set_link(Box::new(Link {
