@@ -245,6 +245,8 @@ fn places(robot: &Robot) -> Vec<Pose> {
     for body in &robot.bodies {
         let mut at = match body.parent {
             Some(parent) => out[parent].compose(&body.parent_from_body),
+            // where a free base stands in the file is not how it stands
+            None if robot.free_base => Pose::IDENTITY,
             None => body.parent_from_body,
         };
         for joint in &body.joints {
