@@ -7,12 +7,15 @@
 PROVISION := python3 setup/provision.py
 # LIBTORCH, ORT_DYLIB_PATH and, after `make test`, CAUDATA_MUJOCO_PYTHON.
 ENV := . ./.cargo/env.sh &&
+# The same for the robot's processor, after `make setup-arm`.
+ARM := . ./.cargo/arm.sh &&
+ARM_TARGET := aarch64-unknown-linux-gnu
 DENY_VERSION := 0.20.2
 ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup build train test test-fast check lint doc deny advisories bench test-faults fuzz soak mutants lines clean tools
+.PHONY: help setup build train test test-fast check lint doc deny advisories bench wheel dist install test-faults setup-arm test-arm fuzz siege soak mutants lines clean tools
 
 help: ## list the targets
 	@echo 'caudata: make <target> [ARGS="..."]'
@@ -32,18 +35,44 @@ test: tools ## run all tests but the long fault suites; ARGS goes to cargo test
 	@cd setup && python3 -m unittest -b test_provision
 	@$(ENV) cargo build --release --locked --workspace
 	@$(ENV) cargo test --release --locked --workspace $(ARGS)
+	$(if $(ARGS),,@$(ENV) python3 setup/dist.py --test && python3 setup/wheel.py --test)
+
+dist: build ## pack programs, libraries, robots and policies as a relocatable archive into target/
+	@$(ENV) python3 setup/dist.py
+
+install: build ## install all that into PREFIX (default: ~/.local)
+	@$(ENV) python3 setup/dist.py --install "$(or $(PREFIX),$(HOME)/.local)"
+
+wheel: build ## build the Python wheel into target/wheels (Python 3.10 or newer)
+	@$(ENV) python3 setup/wheel.py
 
 test-fast: setup ## unit tests, compiled quickly: for every save; ARGS goes to cargo test
 	@$(ENV) cargo test --release --locked --workspace --lib --bins --config setup/fast.toml $(ARGS)
 
-test-faults: build ## run the long suites that `make test` leaves out (faults, soak)
+test-faults: build ## run the long suites that `make test` leaves out (faults, soak, a real ROS 2)
+	@$(PROVISION) --with-mujoco --with-ros2
 	@$(ENV) cargo test --release --locked --workspace $(ARGS) -- --ignored --nocapture
+
+setup-arm: setup ## provision what builds for the robot's processor (aarch64) and runs it here (Debian on x86-64, as root)
+	@python3 setup/arm.py
+
+test-arm: build ## build the robot's programs for aarch64 and run them under emulation: lanes, policies, the client over the servo bus
+	@[ -f .cargo/arm.sh ] || { echo 'make: nothing is provisioned for aarch64: run `make setup-arm` first' >&2; exit 1; }
+	@$(ARM) cargo build --release --locked --target $(ARM_TARGET) -p caudata-deploy -p caudata-ros2 --bins
+	@$(ARM) $${RUSTC:-rustc} --edition 2024 --test -O --target $(ARM_TARGET) -C linker=$$CC_aarch64_unknown_linux_gnu -o target/arm/lanes setup/arm_lanes.rs && target/arm/lanes
+	@$(ARM) cargo test --release --locked --target $(ARM_TARGET) -p caudata-policy --lib -- running --nocapture
+	@$(ARM) printf '#!/bin/sh\nexport ORT_DYLIB_PATH=%s\nexec %s "$$@"\n' "$$ORT_DYLIB_PATH" "$$CARGO_TARGET_DIR/$(ARM_TARGET)/release/caudata-robot" >target/arm/robot && chmod +x target/arm/robot
+	@$(ENV) CAUDATA_ROBOT_PROGRAM=$(CURDIR)/target/arm/robot QEMU_LD_PREFIX=/usr/aarch64-linux-gnu cargo test --release --locked --workspace --test it $(or $(ARGS),wire::the_program wire::doctor) -- --nocapture --test-threads 1
+	@ls -l target/arm/$(ARM_TARGET)/release/caudata-robot target/arm/$(ARM_TARGET)/release/caudata-ros2
 
 fuzz: build ## knock at every door that bytes come in by, a minute each, CAUDATA_FUZZ_S=seconds
 	@$(ENV) CAUDATA_FUZZ_S=$(or $(CAUDATA_FUZZ_S),60) cargo test --release --locked --workspace --test fuzz $(ARGS) -- --nocapture --test-threads 1
 
+siege: build ## attack the real programs in every way of the catalogue (tests/tests/it/siege), CAUDATA_SIEGE=times (20)
+	@$(ENV) CAUDATA_SIEGE=$(or $(CAUDATA_SIEGE),20) cargo test --release --locked --workspace --test it $(or $(ARGS),siege) -- --nocapture
+
 soak: build ## a publisher that never pauses, a server that dies, a network that breaks, a robot that follows: ten minutes, CAUDATA_SOAK_S=seconds
-	@$(ENV) CAUDATA_SOAK_S=$(or $(CAUDATA_SOAK_S),600) cargo test --release --locked -p caudata-deploy --test it $(ARGS) -- soak --nocapture
+	@$(ENV) CAUDATA_SOAK_S=$(or $(CAUDATA_SOAK_S),600) cargo test --release --locked --workspace --test it $(ARGS) -- soak:: --nocapture
 
 mutants: build ## leave out one verification step of robot and server after the other, and show that its bad policy gets through
 	@$(ENV) cargo test --release --locked --workspace --lib $(ARGS) -- --nocapture each_step_and_no_other

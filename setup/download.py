@@ -183,7 +183,11 @@ def _copy(response, file, start: int, wheel: Wheel) -> None:
         if now - last >= PROGRESS_SECS:
             last = now
             rate = (done - start) / (now - began)
-            say("%s: %s of %s, %s/s" % (wheel.filename, megabytes(done), megabytes(wheel.size), megabytes(rate)))
+            left = (wheel.size - done) / max(rate, 1.0)
+            say(
+                "%s: %s of %s, %s/s, %d:%02d left"
+                % (wheel.filename, megabytes(done), megabytes(wheel.size), megabytes(rate), left // 60, left % 60)
+            )
 
 
 def _fetch_with_pip(wheel: Wheel, part: str, first_error: Exception) -> None:

@@ -2,20 +2,33 @@
 """Counts the product's lines of Rust: without tests and doc comments. Generated code is not in the checkout."""
 
 import collections
+import os
 import re
 import subprocess
 
-TESTS = re.compile(r"(^|/)(tests|benches)/(?!hidden_effects/(?:src|examples)/|chaos_proxy/src|left_out/src)|tests\.rs$")
-FIRST = re.compile(r"^( *)#\[cfg\(test\)\]\n *(?:pub )?mod \w+ \{\n.*?^\1\}\n", re.M | re.S)
+TESTS = re.compile(r"(^|/)(tests|benches)/(?!chaos_proxy/src)|tests\.rs$")
+# An item of tests, with its braces; and a module of tests in a file of its own.
+ITEM = re.compile(r"^( *)#\[cfg\(test\)\]\n(?: *#\[.*\n)*[^\n;]*\{\n.*?^\1\}\n", re.M | re.S)
+MODULE = re.compile(r"^ *#\[cfg\(test\)\]\n(?: *#\[.*\n)* *(?:pub(?:\(crate\))? )?mod (\w+);", re.M)
 
 
 def main() -> None:
-    counts = collections.Counter()
-    for path in subprocess.check_output(["git", "ls-files", "*.rs"], text=True).split():
-        if TESTS.search(path):
-            continue
+    paths = [p for p in subprocess.check_output(["git", "ls-files", "*.rs"], text=True).split() if not TESTS.search(p)]
+    texts = {}
+    for path in filter(os.path.exists, paths):
         with open(path, encoding="utf-8") as file:
-            lines = FIRST.sub("", file.read()).splitlines()
+            texts[path] = file.read()
+    of_tests = set()
+    for path, text in texts.items():
+        folder, name = os.path.split(path)
+        if name not in ("lib.rs", "main.rs", "mod.rs"):
+            folder = path[: -len(".rs")]
+        of_tests.update("%s/%s.rs" % (folder, module) for module in MODULE.findall(text))
+    counts = collections.Counter()
+    for path, text in texts.items():
+        if path in of_tests:
+            continue
+        lines = ITEM.sub("", text).splitlines()
         part = "/".join(path.split("/")[: 2 if path.startswith(("crates/", "tests/")) else 1])
         counts[part] += sum(not line.lstrip().startswith(("///", "//!")) for line in lines)
     for part, count in counts.most_common():

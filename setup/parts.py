@@ -17,7 +17,7 @@ import zipfile
 from typing import Iterator, List, Tuple
 
 import download
-from common import CacheError, DiskError, HashError, PlatformError, cache_dir, megabytes, say
+from common import CacheError, DiskError, HashError, PlatformError, cache_dir, machine, megabytes, say
 from pins import MIN_GLIBC, Part, Wheel
 
 STAMP = "stamp.json"
@@ -170,7 +170,10 @@ def _write(path: str, text: str) -> None:
 
 
 def _check_loads(part: Part, folder: str) -> None:
-    """Loads the library once, in a process of its own, so that an old system says so here and not at link time."""
+    """Loads the library once, in a process of its own, so that an old system says so here and not at link time.
+    One of another processor cannot be tried."""
+    if not part.folder.endswith(machine()):
+        return
     code = "import ctypes, sys; ctypes.CDLL(sys.argv[1])"
     library = os.path.join(folder, part.loads)
     done = subprocess.run([sys.executable, "-c", code, library], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Provisions libtorch, ONNX Runtime and, for tests, MuJoCo. Needs only Python 3.8 and pip.
+"""Provisions libtorch, ONNX Runtime and, for tests, MuJoCo and ROS 2. Needs only Python 3.8 and pip.
 
 The files go to ${XDG_CACHE_HOME:-~/.cache}/caudata and are shared by all checkouts. LIBTORCH and
 ORT_DYLIB_PATH, where set, are checked and used instead. Exit status: 0 done, 2 usage, 10 network,
@@ -15,9 +15,9 @@ if sys.version_info < (3, 8):
     sys.exit("setup: error: Python 3.8 or newer is needed, this is %s" % sys.version.split()[0])
 
 import environment
-import mujoco_env
 import parts
 import pins
+import python_env
 import user_paths
 from common import CacheError, SetupError, cache_dir, machine, say
 
@@ -45,6 +45,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
 def parse(arguments: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="setup/provision.py", description=__doc__)
     parser.add_argument("--with-mujoco", action="store_true", help="also MuJoCo, which only tests and benchmarks use")
+    parser.add_argument("--with-ros2", action="store_true", help="also ROS 2, which only the long tests use")
     parser.add_argument("--print-env", action="store_true", help="print export lines for a shell on standard output")
     parser.add_argument("--verify", action="store_true", help="hash the provisioned libraries again, not only sizes")
     parser.add_argument("--checkout", default=CHECKOUT, help="where .cargo/ is written (default: this checkout)")
@@ -56,9 +57,10 @@ def provision(options: argparse.Namespace) -> Dict[str, str]:
         "LIBTORCH": libtorch(options.verify),
         "ORT_DYLIB_PATH": onnxruntime(options.verify),
     }
-    mujoco = mujoco_env.provision() if options.with_mujoco else mujoco_env.ready()
-    if mujoco:
-        values[mujoco_env.VARIABLE] = mujoco
+    for wanted, asked_for in ((python_env.MUJOCO, options.with_mujoco), (python_env.ROS2, options.with_ros2)):
+        python = python_env.provision(wanted) if asked_for else python_env.ready(wanted)
+        if python:
+            values[wanted.variable] = python
     environment.write(options.checkout, values)
     return values
 

@@ -24,10 +24,10 @@ sys.path.insert(0, HERE)
 
 import download
 import index
-import mujoco_env
 import parts
 import pins
 import provision
+import python_env
 
 # Runs provision.py in a process of its own, with the pins that the test hands over.
 CHILD = """
@@ -464,7 +464,7 @@ class MujocoOptional(ProvisionCase):
             file.write("mujoco==0.0.1 --hash=sha256:%s\n" % ("0" * 64))
         err = io.StringIO()
         with contextlib.redirect_stderr(err):
-            self.assertIsNone(mujoco_env.provision(requirements))
+            self.assertIsNone(python_env.provision(python_env.MUJOCO._replace(requirements=requirements)))
         self.assertIn("mujoco: skipped", err.getvalue())
         self.assertIn("No matching distribution", err.getvalue())
 
@@ -515,8 +515,9 @@ class Tidy(unittest.TestCase):
         self.assertEqual(max(levels, default=17), pins.ONNXRUNTIME_MIN_MINOR)
 
     def test_versions_agree_with_the_requirements(self):
-        with open(mujoco_env.REQUIREMENTS) as file:
-            self.assertIn("mujoco==%s " % pins.MUJOCO_VERSION, file.read())
+        for wanted, package in ((python_env.MUJOCO, "mujoco"), (python_env.ROS2, "ros-rclpy")):
+            with open(wanted.requirements) as file:
+                self.assertIn("%s==%s " % (package, wanted.version), file.read())
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ mod commands;
 mod say;
 
 use caudata_telemetry::{Failure, LogArgs, Process, parse_args};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 /// Trains whole-body locomotion policies for a salamander robot and carries them to the robot.
 ///
@@ -56,6 +56,9 @@ enum Command {
     /// Robot files: check them, make one from another format
     #[command(subcommand, alias = "robot-model")]
     Robot(commands::robot::RobotCommand),
+    /// Logs of robots and simulations, in the forms that other tools open
+    #[command(subcommand)]
+    Log(commands::log::LogCommand),
     /// Show what the simulation gets wrong, name the cause, extend the model
     #[command(subcommand)]
     Gap(commands::gap::GapCommand),
@@ -65,6 +68,11 @@ enum Command {
     /// Measure how fast the parts are on this machine
     #[command(subcommand)]
     Bench(commands::bench::BenchCommand),
+    /// Print what a shell needs to complete these commands
+    Completions(commands::shell::CompletionsArgs),
+    /// Write these pages as man pages
+    #[command(hide = true)]
+    Man(commands::shell::ManArgs),
 }
 
 fn main() -> std::process::ExitCode {
@@ -93,16 +101,18 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Sim(command) => commands::sim::run(command, process),
         Command::Policy(command) => commands::policy::run(command),
         Command::Robot(command) => commands::robot::run(command),
+        Command::Log(command) => commands::log::run(command),
         Command::Gap(command) => commands::gap::run(command, process),
         Command::Adapt(args) => commands::adapt::run(args, process),
         Command::Bench(command) => commands::bench::run(command),
+        Command::Completions(args) => commands::shell::completions(args, Args::command()),
+        Command::Man(args) => commands::shell::man(args, Args::command()),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     /// The page of a command and, below it, those of its subcommands.
     fn write_pages(command: &mut clap::Command, path: &str, out: &mut String) {
@@ -117,7 +127,7 @@ mod tests {
         .unwrap();
         for inner in command
             .get_subcommands_mut()
-            .filter(|inner| inner.get_name() != "help")
+            .filter(|inner| inner.get_name() != "help" && !inner.is_hide_set())
         {
             let path = format!("{path} {}", inner.get_name());
             write_pages(inner, &path, out);

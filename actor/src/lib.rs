@@ -36,7 +36,7 @@ pub use link::{
     decode_transport, encode_transport, transport_config, transport_of, with_certificates,
 };
 pub use metrics::ActorMetrics;
-pub use pulse::{ALIVE, PulsedLink, say_alive};
+pub use pulse::{ALIVE, JOINED, PulsedLink, say_alive};
 pub use run::{ActorReport, run};
 pub use settings::{ActorSettings, actor_key, build_env, tracer_of};
 pub use snapshot::{ActorSnapshot, SnapshotPort};

@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime};
 
 use caudata_actor::{
@@ -107,11 +108,12 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
         MetricsServer::start_with_pulse(addr, registry, stop.clone(), pulse.clone(), patience)
     };
     let server = args.metrics_addr.map(serve).transpose()?;
+    let joined = Arc::new(AtomicBool::new(false));
     if args.heartbeat {
-        let (pulse, stop) = (pulse.clone(), stop.clone());
+        let (pulse, joined, stop) = (pulse.clone(), Arc::clone(&joined), stop.clone());
         std::thread::Builder::new()
             .name("heartbeat".into())
-            .spawn(move || say_alive(&pulse, &stop, std::io::stdout()))
+            .spawn(move || say_alive(&pulse, &joined, &stop, std::io::stdout()))
             .or_exit(ExitCode::OsResource)?;
     }
 
@@ -122,7 +124,7 @@ fn act(args: &Args, process: &Process) -> Result<(), Failure> {
     let env = build_env(&config, Arc::new(model), key).map_err(ActorError::into_failure)?;
     let link = caudata_transport::actor_link(&transport, &args.run_id, actor_id)
         .map_err(|error| ActorError::from(error).into_failure())?;
-    let link = Box::new(PulsedLink::new(link, pulse));
+    let link = Box::new(PulsedLink::new(link, pulse, joined));
     let report = run(&settings, env, link, &process.stop, &metrics, None, None);
     drop(server);
     report.map(|_| ()).map_err(ActorError::into_failure)

@@ -2,6 +2,8 @@
 //! same word.
 
 use std::io::Write;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use caudata_telemetry::{Pulse, StopFlag};
@@ -11,18 +13,25 @@ use caudata_transport::{ActorLink, LinkStats, PolicyUpdate, SendError, Transport
 pub const ALIVE: &str = "alive";
 /// How often it does.
 const BEAT_EVERY: Duration = Duration::from_millis(500);
+/// What an actor says once, when it has had its first policy from the learner.
+pub const JOINED: &str = "joined";
 
 /// A link that beats with each use. The loop of an actor asks it at every control step, and at least every 20
 /// ms while it waits.
 pub struct PulsedLink {
     inner: Box<dyn ActorLink>,
     pulse: Pulse,
+    joined: Arc<AtomicBool>,
 }
 
 impl PulsedLink {
-    /// `inner`, with `pulse` beating.
-    pub fn new(inner: Box<dyn ActorLink>, pulse: Pulse) -> Self {
-        Self { inner, pulse }
+    /// `inner`, with `pulse` beating, and `joined` raised by the first policy.
+    pub fn new(inner: Box<dyn ActorLink>, pulse: Pulse, joined: Arc<AtomicBool>) -> Self {
+        Self {
+            inner,
+            pulse,
+            joined,
+        }
     }
 }
 
@@ -34,7 +43,11 @@ impl ActorLink for PulsedLink {
 
     fn next_policy(&mut self, timeout: Duration) -> Result<Option<PolicyUpdate>, TransportError> {
         self.pulse.beat();
-        self.inner.next_policy(timeout)
+        let update = self.inner.next_policy(timeout)?;
+        if update.is_some() {
+            self.joined.store(true, Ordering::Relaxed);
+        }
+        Ok(update)
     }
 
     fn flush(&mut self, timeout: Duration) -> Result<(), SendError> {
@@ -56,10 +69,18 @@ impl ActorLink for PulsedLink {
     }
 }
 
-/// Says [`ALIVE`] on `out` twice a second while the loop beats, until `stop` is raised or nobody reads. Runs
-/// on a thread of its own; a process that stands still (SIGSTOP, swapping) says nothing either.
-pub fn say_alive(pulse: &Pulse, stop: &StopFlag, mut out: impl Write) {
+/// Says [`ALIVE`] on `out` twice a second while the loop beats, and [`JOINED`] once, when that is raised, until
+/// `stop` is raised or nobody reads. Runs on a thread of its own; a process that stands still (SIGSTOP,
+/// swapping) says nothing either.
+pub fn say_alive(pulse: &Pulse, joined: &AtomicBool, stop: &StopFlag, mut out: impl Write) {
+    let mut told = false;
     loop {
+        if !told && joined.load(Ordering::Relaxed) {
+            told = true;
+            if writeln!(out, "{JOINED}").is_err() {
+                return;
+            }
+        }
         if pulse.silent_for() < 2 * BEAT_EVERY && out.write_all(b"alive\n").is_err() {
             return;
         }

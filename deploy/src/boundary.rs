@@ -18,7 +18,7 @@ use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use caudata_durable as durable;
+use caudata_durable::{self as durable, Owner, OwnerError};
 use caudata_task::COMMAND_DIM;
 use nix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
@@ -104,33 +104,29 @@ impl RunFolder {
 ///
 /// # Errors
 /// [`DeployError::Folder`], also where another one is there.
-pub fn alone(lock: PathBuf) -> Result<File, DeployError> {
-    let opened = File::create(&lock);
-    locked(opened, lock)
+pub fn alone(lock: &Path) -> Result<Owner, DeployError> {
+    Owner::now(lock).map_err(not_alone)
 }
 
 /// The same by a folder that is there: it takes no file, and so works on a disk that takes none.
 ///
 /// # Errors
 /// As [`alone`].
-pub fn alone_in(folder: &Path) -> Result<File, DeployError> {
-    locked(File::open(folder), folder.to_owned())
+pub fn alone_in(folder: &Path) -> Result<Owner, DeployError> {
+    let path = folder.to_owned();
+    let opened = File::open(folder).map_err(|source| DeployError::Folder { path, source })?;
+    Owner::of(opened, folder).map_err(not_alone)
 }
 
-fn locked(opened: io::Result<File>, path: PathBuf) -> Result<File, DeployError> {
-    let refused = |source| DeployError::Folder { path, source };
-    let file = match opened {
-        Ok(file) => file,
-        Err(source) => return Err(refused(source)),
+fn not_alone(error: OwnerError) -> DeployError {
+    let (path, source) = match error {
+        OwnerError::Io { path, source } => (path, source),
+        OwnerError::Taken { path, .. } => {
+            let running = "another process of this robot is running";
+            (path, io::Error::new(io::ErrorKind::AddrInUse, running))
+        }
     };
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(fs::TryLockError::WouldBlock) => Err(refused(io::Error::new(
-            io::ErrorKind::AddrInUse,
-            "another process of this robot is running",
-        ))),
-        Err(fs::TryLockError::Error(source)) => Err(refused(source)),
-    }
+    DeployError::Folder { path, source }
 }
 
 /// What the loop is told to run.
@@ -193,7 +189,7 @@ impl Staged {
 pub struct Teller {
     places: Vec<Place>,
     /// No second loop on one state.
-    _alone: File,
+    _alone: Owner,
 }
 
 #[derive(Debug)]
@@ -707,9 +703,9 @@ mod tests {
     #[test]
     fn a_second_process_of_the_same_kind_is_kept_out() {
         let folder = tempfile::tempdir().unwrap();
-        let first = alone(folder.path().join("lock")).unwrap();
-        assert!(alone(folder.path().join("lock")).is_err());
+        let first = alone(&folder.path().join("lock")).unwrap();
+        assert!(alone(&folder.path().join("lock")).is_err());
         drop(first);
-        assert!(alone(folder.path().join("lock")).is_ok());
+        assert!(alone(&folder.path().join("lock")).is_ok());
     }
 }

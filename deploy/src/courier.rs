@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use caudata_model::RobotModel;
 use caudata_signing::Trust;
+use caudata_task::layout::Part;
 use caudata_telemetry::{Metrics, StopFlag};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 
@@ -37,6 +38,8 @@ pub struct Loader {
     pub trust: Option<Arc<Trust>>,
     /// The policy that came with the program.
     pub factory: Option<PathBuf>,
+    /// Whether the robot has a sensor for water.
+    pub tells_water: bool,
 }
 
 impl Loader {
@@ -60,6 +63,10 @@ impl Loader {
                 })?
             }
         };
+        let observed = &verified.file.metadata().contract.observation;
+        if !self.tells_water && !observed.range(Part::Medium).is_empty() {
+            return Err(refused(Refusal::CannotTell));
+        }
         verified.proved = proved;
         Ok(verified)
     }
@@ -217,5 +224,41 @@ impl Courier {
         {
             tracing::debug!(%error, "the page of metrics is not written");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{model, policy_file};
+    use caudata_task::{ACT_DIM, PolicyContract, TaskConfig};
+
+    #[test]
+    fn a_policy_that_observes_water_is_refused_where_nothing_tells() {
+        let task = TaskConfig {
+            observe_medium: true,
+            ..TaskConfig::default()
+        };
+        let bytes = policy_file(1, |spec, metadata| {
+            metadata.contract = PolicyContract::new(&model(), &task).unwrap();
+            spec.obs_mean.push(0.0);
+            spec.obs_std.push(1.0);
+            spec.layers[0].input = 98;
+            spec.layers[0].weight.resize(98 * ACT_DIM, 0.0);
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("swims.onnx");
+        std::fs::write(&file, &bytes).unwrap();
+        let policy = read_factory(&file, &model()).unwrap().policy;
+        let loader = |tells_water| Loader {
+            model: model(),
+            state: folder.path().to_owned(),
+            trust: None,
+            factory: Some(file.clone()),
+            tells_water,
+        };
+        loader(true).load(&policy, false).unwrap();
+        let error = loader(false).load(&policy, false).unwrap_err().to_string();
+        assert!(error.contains("[water] file"), "{error}");
     }
 }

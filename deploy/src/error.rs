@@ -337,7 +337,7 @@ impl DeployError {
                 "keys that were given up stay given up; a robot that is to begin anew with other trust files needs another state folder",
             ),
             Self::Insecure { .. } => Some(
-                "give https://HOST:PORT with --tls-dir, and --trust; docs/robot-bring-up.md shows how they are made",
+                "give https://HOST:PORT with --tls-dir, and --trust; docs/guide/robot-bring-up.md shows how they are made",
             ),
             Self::NoPolicy { .. } => {
                 Some("`caudata policy list` shows the streams; training publishes under its run id")

@@ -463,13 +463,15 @@ pub fn read_factory(path: &Path, model: &RobotModel) -> Result<Verified, DeployE
         path: path.to_owned(),
         source,
     };
-    let too_large = std::fs::metadata(path).map_err(missing)?.len() > MAX_FILE_BYTES as u64;
-    if too_large {
-        return Err(DeployError::BlobDamaged {
-            path: path.to_owned(),
-        });
-    }
-    let bytes: Arc<[u8]> = std::fs::read(path).map_err(missing)?.into();
+    let bytes = caudata_durable::read_at_most(path, MAX_FILE_BYTES as u64);
+    let bytes: Arc<[u8]> = bytes
+        .map_err(|error| match error.kind() {
+            std::io::ErrorKind::FileTooLarge => DeployError::BlobDamaged {
+                path: path.to_owned(),
+            },
+            _ => missing(error),
+        })?
+        .into();
     let mut policy = PolicyRef {
         stream: FACTORY.to_owned(),
         version: 0,

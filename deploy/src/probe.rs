@@ -186,14 +186,17 @@ mod tests {
 
     use super::*;
     use crate::state::Sha256Digest;
-    use std::os::unix::fs::PermissionsExt;
 
     /// What a shell script in place of the program comes to, fed with a megabyte.
     fn script(text: &str, deadline: Duration) -> Probed {
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("probe.sh");
-        std::fs::write(&program, format!("#!/bin/sh\n{text}\n")).unwrap();
-        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o700)).unwrap();
+        // Written by a shell: a file that this process writes may still be open in the child of another test
+        // that is just being started, and is then too busy to be run.
+        let mut shell = Command::new("/bin/sh");
+        shell.args(["-c", "printf %s \"$1\" > \"$0\" && chmod 700 \"$0\""]);
+        shell.arg(&program).arg(format!("#!/bin/sh\n{text}\n"));
+        assert!(shell.status().unwrap().success());
         let probe = ProbeProgram {
             program,
             robot: "r.toml".into(),

@@ -198,6 +198,10 @@ impl Robot for SimLink {
             foot_contacts: newest.foot_contacts,
         }
     }
+
+    fn in_water(&mut self) -> Option<bool> {
+        self.newest().ok()?.in_water
+    }
 }
 
 /// What this side says about the robot. A robot with other than 16 joints has no hello; its missing names

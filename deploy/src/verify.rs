@@ -58,6 +58,12 @@ pub enum Refusal {
     /// It asks for something that the task here does not allow.
     #[error("its contract is not one for this program: {0}")]
     Task(#[from] TaskError),
+    /// It observes what this robot has no sensor for.
+    #[error(
+        "it observes whether the robot swims, and nothing on this robot tells: name a water sensor in the wiring file \
+         (`[water] file`), or run a policy for land"
+    )]
+    CannotTell,
     /// The announcement is for another robot, or another model of this one.
     #[error("it is for another robot: {0}")]
     OtherRobot(OtherQuestion),
@@ -126,6 +132,7 @@ impl Refusal {
             Self::Contract(_)
             | Self::Task(_)
             | Self::OtherRobot(_)
+            | Self::CannotTell
             | Self::ByItsProbe(_)
             | Self::TooSlow { .. } => Blame::Robot(robot),
             Self::WrongHash { .. }
@@ -396,6 +403,9 @@ pub fn expected_contract(
         phase: policy.phase.config(),
         observe_medium: policy.observation
             == ObservationLayout::new(policy.act_dim(), &policy.phase.feet, true),
+        afloat_above_m: policy
+            .afloat_above_m
+            .unwrap_or(TaskConfig::default().afloat_above_m),
         command: CommandConfig {
             vx_mps: policy.command.vx_mps,
             vy_mps: policy.command.vy_mps,

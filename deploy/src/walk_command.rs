@@ -9,6 +9,8 @@ use crate::DeployError;
 
 /// Most rows of a command file.
 pub const TABLE_ROWS_MAX: usize = 100_000;
+/// Largest command file that is read.
+const FILE_BYTES_MAX: u64 = 16 << 20;
 /// Header of a command file.
 pub const HEADER: &str = "t,vx,vy,yaw_rate";
 /// Largest command in either direction, m/s and rad/s.
@@ -56,9 +58,11 @@ impl CommandTable {
     /// # Errors
     /// [`DeployError::Commands`] with the line, [`DeployError::Folder`] where it cannot be read.
     pub fn read(path: &Path) -> Result<Self, DeployError> {
-        let text = std::fs::read_to_string(path).map_err(|e| DeployError::Commands {
-            path: path.to_owned(),
-            reason: e.to_string(),
+        let text = caudata_durable::read_text_at_most(path, FILE_BYTES_MAX).map_err(|e| {
+            DeployError::Commands {
+                path: path.to_owned(),
+                reason: e.to_string(),
+            }
         })?;
         Self::parse(&text).map_err(|reason| DeployError::Commands {
             path: path.to_owned(),

@@ -1,5 +1,6 @@
 /* A wrong wall clock for a program under test: preloaded, it answers for the system's. CAUDATA_TEST_CLOCK is how far it is off, s; with
-   CAUDATA_TEST_CLOCK_STEP it is put back by a day after so many seconds. Clocks that only count (CLOCK_MONOTONIC) stay as they are. */
+   CAUDATA_TEST_CLOCK_STEP it is put back by a day after so many seconds, with CAUDATA_TEST_CLOCK_SWING it is ahead by so many
+   seconds in every other second. Clocks that only count (CLOCK_MONOTONIC) stay as they are. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <stdlib.h>
@@ -36,6 +37,8 @@ int clock_gettime(clockid_t clock, struct timespec *out)
     long long step = seconds("CAUDATA_TEST_CLOCK_STEP");
     if (step && counted.tv_sec - begun >= step)
         out->tv_sec -= 86400;
+    if (counted.tv_sec % 2)
+        out->tv_sec += seconds("CAUDATA_TEST_CLOCK_SWING");
     return 0;
 }
 

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::sync::Arc;
+use std::time::Instant;
 
 use crate::error::GapError;
 
@@ -15,6 +16,14 @@ impl GoOn {
     #[must_use]
     pub fn as_long_as(asked: impl Fn() -> bool + Send + Sync + 'static) -> Self {
         Self(Some(Arc::new(asked)))
+    }
+
+    /// The same, and not beyond `end`, if there is one.
+    #[must_use]
+    pub fn until(&self, end: Option<Instant>) -> Self {
+        let Some(end) = end else { return self.clone() };
+        let asked = self.clone();
+        Self::as_long_as(move || asked.check().is_ok() && Instant::now() < end)
     }
 
     /// Nothing, while work goes on.

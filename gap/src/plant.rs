@@ -4,11 +4,39 @@
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
+use caudata_runlog::Payload;
 use caudata_sim::LaneParams;
 use caudata_sim::sensors::{CurrentErrors, EncoderErrors, ImuBias, ImuMounting};
 use serde::{Deserialize, Serialize};
 
 use crate::trial::Trial;
+
+/// Fastens weights to links: mass, centre and inertia of each link with what it carries. A link's inertia has
+/// one factor, so that what weights add to it is spread over its axes as the link's own is.
+fn carry(model: &RobotModel, payload: &[Payload], lane: &mut LaneParams) {
+    for (l, link) in model.links().iter().enumerate() {
+        let own: Vec<&Payload> = payload.iter().filter(|p| p.link == link.name).collect();
+        let mass_kg = link.mass_kg + own.iter().map(|p| p.mass_kg).sum::<f64>();
+        if own.is_empty() || mass_kg <= link.mass_kg {
+            continue;
+        }
+        let parts = || {
+            let weights = own.iter().map(|p| (p.mass_kg, p.at_m));
+            weights.chain([(link.mass_kg, link.com_m)])
+        };
+        let com_m = [0, 1, 2].map(|i| parts().map(|(m, at)| m * at[i]).sum::<f64>() / mass_kg);
+        let squared = |at: [f64; 3]| (0..3).map(|i| (at[i] - com_m[i]).powi(2)).sum::<f64>();
+        // traces: a point at distance d adds 2·m·d² to that of an inertia
+        let bare: f64 = (0..3).map(|i| link.inertia_kgm2[i][i]).sum();
+        let moved: f64 = parts().map(|(m, at)| 2.0 * m * squared(at)).sum();
+        let grows = mass_kg / link.mass_kg;
+        lane.link_mass_scale[l] *= grows as f32;
+        lane.link_inertia_scale[l] *= ((bare + moved) / (bare * grows)) as f32;
+        for (i, offset) in lane.com_offset_m[l].iter_mut().enumerate() {
+            *offset += (com_m[i] - link.com_m[i]) as f32;
+        }
+    }
+}
 
 /// What sensors and clocks do wrong. All zero: nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -92,17 +120,25 @@ impl Plant {
         }
     }
 
-    /// The robot under the circumstances of a run: its gains, its supply.
+    /// The robot under the conditions of a run: its gains, its supply, what it carries.
     #[must_use]
     pub fn in_trial(model: &Arc<RobotModel>, trial: &Trial) -> Self {
         let mut plant = Self::nominal(model);
         let lane = &mut plant.lane;
-        if let Some(kp) = trial.kp_nm_per_rad {
-            lane.kp_nm_per_rad.fill(kp as f32);
+        for (a, joint) in model.actuated_names().into_iter().enumerate() {
+            let (kp, kd) = trial.meta.gains(joint);
+            if let Some(kp) = kp {
+                lane.kp_nm_per_rad[a] = kp as f32;
+            }
+            if let Some(kd) = kd {
+                lane.kd_nms_per_rad[a] = kd as f32;
+            }
+            let own = trial.meta.joint.get(joint);
+            if let Some(added) = own.and_then(|c| c.added_inertia_kgm2) {
+                lane.joint_armature_kgm2[a] += added as f32;
+            }
         }
-        if let Some(kd) = trial.kd_nms_per_rad {
-            lane.kd_nms_per_rad.fill(kd as f32);
-        }
+        carry(model, &trial.meta.payload, lane);
         if let Some(volt) = trial.supply_v {
             lane.supply_v = volt as f32;
             // the envelope's speeds go with the supply by themselves; its torques are given for one supply
@@ -131,5 +167,42 @@ impl Plant {
         let allowed_nm = servo.tau_brake_max_nm as f32 * before * joint.brake_scale;
         let possible_nm = (BRAKING * servo.tau_max_nm) as f32 * before * share;
         joint.brake_scale *= allowed_nm.min(possible_nm) / (allowed_nm * share).max(1e-9);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use caudata_runlog::BaseHold;
+
+    use super::*;
+
+    #[test]
+    fn a_weight_moves_mass_centre_and_inertia_of_its_link() {
+        let file = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../robots/xl330_pendulum.robot.toml"
+        );
+        let model = Arc::new(RobotModel::load(file.as_ref()).unwrap());
+        let (l, link) = model.links().iter().enumerate().next_back().unwrap();
+        let mut run = Trial::bare(BaseHold::Fixed, 1.0, Vec::new());
+        let mut at_m = link.com_m;
+        at_m[0] += 0.1;
+        run.meta.payload.push(Payload {
+            link: link.name.clone(),
+            mass_kg: link.mass_kg,
+            at_m,
+        });
+        run.meta.joint.entry("swing".to_owned()).or_default().kp = Some(0.5);
+        let lane = Plant::in_trial(&model, &run).lane;
+        // as heavy again, 0.1 m off: the centre moves by half of that
+        assert!((lane.link_mass_scale[l] - 2.0).abs() < 1e-6);
+        assert!((lane.com_offset_m[l][0] - 0.05).abs() < 1e-6);
+        // 2·m·0.05² for each of the two, in the trace; the factor goes with a mass that has doubled
+        let bare: f64 = (0..3).map(|i| link.inertia_kgm2[i][i]).sum();
+        let want = (bare + 4.0 * link.mass_kg * 0.05 * 0.05) / (2.0 * bare);
+        assert!((f64::from(lane.link_inertia_scale[l]) / want - 1.0).abs() < 1e-5);
+        assert_eq!(lane.kp_nm_per_rad, [0.5]);
     }
 }

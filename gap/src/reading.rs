@@ -28,6 +28,7 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
             joints.join(", ")
         )));
     }
+    known_conditions(model, run).map_err(bad)?;
     let time = table.time_s();
     let (Some(&first), Some(&last)) = (time.first(), time.last()) else {
         return Err(bad("has no rows".into()));
@@ -69,13 +70,37 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
         enabled: joints.iter().map(enabled).collect(),
         supply_v: volt.map_or(meta.supply_v, |v| Some(open_voltage(&v.value))),
         channels,
-        kp_nm_per_rad: meta.kp,
-        kd_nms_per_rad: meta.kd,
+        meta: meta.clone(),
         group: 0,
         masked_s: Vec::new(),
         members: Vec::new(),
         session: 0.0,
     })
+}
+
+/// Whether the conditions of a run speak of joints and links that the robot has.
+fn known_conditions(model: &RobotModel, run: &Run) -> Result<(), String> {
+    let joints = model.actuated_names();
+    let meta = &run.log.meta;
+    if let Some(joint) = meta.joint.keys().find(|j| !joints.contains(&j.as_str())) {
+        return Err(format!(
+            "log.toml: `joint.{joint}`: the robot has no actuated joint `{joint}`; it has {}",
+            joints.join(", ")
+        ));
+    }
+    let links: Vec<&str> = model.links().iter().map(|l| l.name.as_str()).collect();
+    if let Some(p) = meta
+        .payload
+        .iter()
+        .find(|p| !links.contains(&p.link.as_str()))
+    {
+        return Err(format!(
+            "log.toml: `payload`: the robot has no link `{}`; it has {}",
+            p.link,
+            links.join(", ")
+        ));
+    }
+    Ok(())
 }
 
 /// What a column sent, where it changes; none where it has no value.

@@ -88,13 +88,9 @@ fn mean(first: &Trial, members: Vec<Trial>) -> Trial {
     trial
 }
 
-/// Whether `other` was commanded the same under the same settings, times counted from each one's start.
+/// Whether `other` was commanded the same under the same conditions, times counted from each one's start.
 fn repeats(own: &Trial, other: &Trial) -> bool {
-    let same = |a: Option<f64>, b: Option<f64>| a == b;
-    if own.base != other.base
-        || (own.duration_s() - other.duration_s()).abs() > 0.1
-        || !same(own.kp_nm_per_rad, other.kp_nm_per_rad)
-        || !same(own.kd_nms_per_rad, other.kd_nms_per_rad)
+    if (own.duration_s() - other.duration_s()).abs() > 0.1 || !own.meta.same_conditions(&other.meta)
     {
         return false;
     }
@@ -132,6 +128,18 @@ mod tests {
         };
         let channels = vec![channel(0, [0.1, 0.2, 0.3]), channel(YAW, yaw_rad)];
         Trial::bare(BaseHold::Water, 1.0, channels)
+    }
+
+    #[test]
+    fn the_same_motion_under_another_weight_is_no_repeat() {
+        let mut runs = [turned([0.0; 3]), turned([0.0; 3]), turned([0.0; 3])];
+        runs[1].meta.payload.push(caudata_runlog::Payload {
+            link: "hand".to_owned(),
+            mass_kg: 1.0,
+            at_m: [0.0; 3],
+        });
+        group(&mut runs);
+        assert_eq!([0, 1, 2].map(|k| runs[k].group), [0, 1, 0]);
     }
 
     #[test]

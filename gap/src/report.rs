@@ -28,6 +28,19 @@ pub struct Report {
     pub doubts: Vec<Doubt>,
     /// By signal: error on held-out runs before and after.
     pub gain: BTreeMap<String, Gain>,
+    /// Mean absolute error of the joints' angles over whole held-out runs: of the robot as given, of standard
+    /// models fitted to the same runs, and of the extended model, in this order.
+    #[serde(default)]
+    pub position_errors: Vec<PositionError>,
+    /// Everything that the extended model carries, named or not.
+    #[serde(default)]
+    pub model: Vec<Carried>,
+    /// Stretches of a few seconds in which a joint is far off with the extended model, worst first.
+    #[serde(default)]
+    pub local_gaps: Vec<LocalGap>,
+    /// Whether time ended before everything was tried: this is the best so far.
+    #[serde(default)]
+    pub unfinished: bool,
     /// What is left that no cause of the catalogue explains.
     pub unexplained: Vec<Unexplained>,
     /// What to record next, and why.
@@ -194,6 +207,50 @@ pub struct Gain {
     pub ci_low: f64,
     /// Upper end.
     pub ci_high: f64,
+}
+
+/// How far a model's angles are off over whole runs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PositionError {
+    /// `as given`, the name of a standard model, or `extended`.
+    pub model: String,
+    /// Mean absolute error on held-out runs, mean over joints, rad.
+    pub mean_rad: f64,
+    /// The same on the runs that were fitted, rad.
+    pub fitted_mean_rad: f64,
+    /// By joint, on held-out runs, rad.
+    pub joints_rad: BTreeMap<String, f64>,
+}
+
+/// An effect that the extended model carries.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Carried {
+    /// Effect id.
+    pub effect: String,
+    /// Joints or links; empty: the whole robot.
+    #[serde(rename = "where")]
+    pub location: Vec<String>,
+    /// Whether it is one of the causes or leads. If not, the runs support it and its name is no finding.
+    pub named: bool,
+    /// Values by name, SI.
+    pub parameters: BTreeMap<String, f64>,
+}
+
+/// A stretch in which a joint is far off.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LocalGap {
+    /// Name of the run.
+    pub run: String,
+    /// Joint.
+    pub joint: String,
+    /// Begins here, s.
+    pub from_s: f64,
+    /// Ends here, s.
+    pub to_s: f64,
+    /// Root mean square error of its angle there, rad.
+    pub rms_rad: f64,
+    /// The same in tolerances (whitened).
+    pub ratio: f64,
 }
 
 /// What is left over.

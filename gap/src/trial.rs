@@ -1,6 +1,6 @@
 //! A measured run as diagnosis sees it: commands, switches, and sampled channels with their own stamps.
 
-use caudata_runlog::{BaseHold, RunLog};
+use caudata_runlog::{BaseHold, LogMeta, RunLog};
 
 /// What a run is used for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -184,10 +184,8 @@ pub struct Trial {
     pub enabled: Vec<Option<Steps>>,
     /// What was measured.
     pub channels: Vec<Channel>,
-    /// Proportional gain in force, N·m/rad.
-    pub kp_nm_per_rad: Option<f64>,
-    /// Derivative gain in force, N·m·s/rad.
-    pub kd_nms_per_rad: Option<f64>,
+    /// Conditions under which it was recorded: gains, weights, ….
+    pub meta: LogMeta,
     /// Supply without load, V, as measured or noted.
     pub supply_v: Option<f64>,
     /// Trials with the same commands and settings have the same number.
@@ -216,7 +214,6 @@ impl Trial {
     }
 }
 
-#[cfg(test)]
 impl Trial {
     /// A run of one joint that was never commanded, with `channels`, from 0 s on.
     pub(crate) fn bare(base: BaseHold, end_s: f64, channels: Vec<Channel>) -> Self {
@@ -228,8 +225,7 @@ impl Trial {
             commands: vec![Steps::default()],
             enabled: vec![None],
             channels,
-            kp_nm_per_rad: None,
-            kd_nms_per_rad: None,
+            meta: LogMeta::new("bare", base, 100.0),
             supply_v: None,
             group: 0,
             masked_s: Vec::new(),

@@ -61,15 +61,11 @@ pub struct LearnerBench {
 /// # Errors
 /// When the configuration does not fit the robot, or libtorch refuses.
 pub fn bench(config: &Config, seconds: f64) -> Result<LearnerBench, LearnerError> {
-    let Task {
-        model,
-        contract,
-        networks: spec,
-    } = Task::new(config)?;
+    let Task { networks: spec, .. } = Task::new(config)?;
     let network = &config.learner.network;
     tch::set_num_threads(1);
     let batch = noise(config, &spec);
-    let settings = PpoSettings::new(config, &model, &contract)?;
+    let settings = PpoSettings::new(config);
     let mut thread_counts = vec![1, config.learner.threads as usize];
     thread_counts.dedup();
     let net = || ActorCritic::new(spec.clone(), 1, Device::Cpu);
@@ -215,6 +211,7 @@ mod tests {
             init_std: 0.3,
             std_min: 0.05,
             std_max: 1.0,
+            mirror: None,
         };
         assert_eq!(flops_per_update(&spec, 10, 2), 1320.0);
     }

@@ -136,6 +136,7 @@ mod tests {
             init_std: 0.7,
             std_min: 0.05,
             std_max: 1.0,
+            mirror: None,
         };
         let net = ActorCritic::new(spec, 11, Device::Cpu);
         // Weights of a trained size: fresh ones keep the actions near zero, where errors would hide.

@@ -4,6 +4,7 @@
 use std::io::Write;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use caudata_actor::{decode_transport, say_alive};
@@ -132,7 +133,7 @@ fn learn(args: &Args, process: &Process) -> Result<(), Failure> {
         let (pulse, until) = (pulse.clone(), StopFlag::new());
         std::thread::Builder::new()
             .name("heartbeat".into())
-            .spawn(move || say_alive(&pulse, &until, std::io::stdout()))
+            .spawn(move || say_alive(&pulse, &AtomicBool::new(false), &until, std::io::stdout()))
             .or_exit(ExitCode::OsResource)?;
     }
     let resume = match &args.resume_from {

@@ -4,6 +4,7 @@
 //! trained and run with is a snapshot of them that changes only with the policy version: [`Scaling`] travels
 //! inside the ONNX graph, so actor, learner and robot can never disagree about it.
 
+use caudata_task::mirror::SignedPermutation;
 use serde::{Deserialize, Serialize};
 
 /// Smallest standard deviation that a component is divided by, in the component's own unit. A component that
@@ -67,6 +68,22 @@ impl Moments {
             self.m2[d] += other.m2[d] + delta * delta * (na * nb / total);
         }
         self.count = n;
+    }
+
+    /// What these observations and their mirror images have in common, each counted for half: mean (a + b)/2,
+    /// and M2 (M2_a + M2_b)/2 + n·(a − b)²/4. Exactly symmetric, to the bit.
+    #[must_use]
+    pub fn with_image(&self, mirror: &SignedPermutation) -> Self {
+        debug_assert_eq!(self.mean.len(), mirror.len());
+        let mut both = self.clone();
+        for (d, (&from, &sign)) in mirror.source.iter().zip(&mirror.sign).enumerate() {
+            let image = f64::from(sign) * self.mean[from];
+            let apart = self.mean[d] - image;
+            both.mean[d] = 0.5 * (self.mean[d] + image);
+            both.m2[d] =
+                0.5 * (self.m2[d] + self.m2[from]) + 0.25 * self.count as f64 * apart * apart;
+        }
+        both
     }
 
     /// The transformation that these statistics give; the identity while fewer than two observations are
@@ -141,6 +158,26 @@ mod tests {
         assert_eq!((a.count, a.mean[0], a.m2[0]), (5, 5.0, 40.0));
         // Variance 40/5 = 8.
         assert_eq!(a.scaling(10.0).std[0], 8.0_f32.sqrt());
+    }
+
+    #[test]
+    fn moments_with_their_image_are_those_of_both() {
+        // exchanges the first two, negates the third
+        let mirror = SignedPermutation {
+            source: vec![1, 0, 2],
+            sign: vec![1.0, 1.0, -1.0],
+        };
+        let rows = [1.0_f32, 4.0, 0.5, 2.0, -3.0, 1.5, 0.0, 1.0, -0.25];
+        let images: Vec<f32> = rows.chunks(3).flat_map(|row| mirror.apply(row)).collect();
+        let both = Moments::of(&[&rows[..], &images].concat(), 3);
+        let found = Moments::of(&rows, 3).with_image(&mirror);
+        for d in 0..3 {
+            assert!((found.mean[d] - both.mean[d]).abs() < 1e-12);
+            // as many observations as before, half of either
+            assert!((found.m2[d] - 0.5 * both.m2[d]).abs() < 1e-12);
+        }
+        assert_eq!((found.mean[0], found.mean[2]), (found.mean[1], 0.0));
+        assert_eq!(found.m2[0], found.m2[1]);
     }
 
     #[test]

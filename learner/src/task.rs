@@ -2,7 +2,7 @@
 
 use caudata_config::Config;
 use caudata_model::RobotModel;
-use caudata_task::PolicyContract;
+use caudata_task::{Mirror, PolicyContract};
 
 use crate::LearnerError;
 use crate::network::NetworkSpec;
@@ -23,7 +23,10 @@ impl Task {
             &config.learner.network,
             (contract.obs_dim(), contract.act_dim()),
         );
-        let networks = NetworkSpec::new(network, dims.0, dims.1)?;
+        let mut networks = NetworkSpec::new(network, dims.0, dims.1)?;
+        if network.symmetric {
+            networks = networks.symmetric(Mirror::new(&model, &contract.observation)?)?;
+        }
         Ok(Self {
             model,
             contract,

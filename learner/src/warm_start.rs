@@ -32,7 +32,8 @@ pub fn warm_start(
     least_std: f32,
     contract: &PolicyContract,
 ) -> Result<Moments, LearnerError> {
-    let bytes = std::fs::read(path).map_err(|source| LearnerError::Read {
+    let most = caudata_policy::MAX_FILE_BYTES as u64;
+    let bytes = caudata_durable::read_at_most(path, most).map_err(|source| LearnerError::Read {
         path: path.to_owned(),
         source,
     })?;
@@ -53,7 +54,8 @@ pub fn warm_start(
         .collect();
     net.set_policy(&mut values, &padded(spec, contract.obs_dim()), &log_std)
         .map_err(refuse)?;
-    net.copy_from_slice(&values)?;
+    net.copy_from_slice(&values)
+        .map_err(|error| refuse(error.to_string()))?;
     Ok(moments(spec, contract.obs_dim()))
 }
 
@@ -142,6 +144,7 @@ mod tests {
             init_std: 0.3,
             std_min: 0.05,
             std_max: 1.5,
+            mirror: None,
         };
         ActorCritic::new(spec, seed, Device::Cpu)
     }

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use caudata_durable::{Disk, OsDisk};
+use caudata_durable::{Disk, OsDisk, Owner, OwnerError};
 use caudata_proto::registry::{LabelState, QuarantineState};
 use caudata_proto::wire::registry as wire;
 
@@ -62,7 +62,7 @@ impl Store {
         root: &Path,
         limits: StoreLimits,
         disk: Arc<dyn Disk>,
-        lock: Arc<fs::File>,
+        lock: Arc<Owner>,
     ) -> Result<Self, StoreError> {
         caudata_durable::remove_leftovers(root)?;
         let mut store = Self {
@@ -300,14 +300,12 @@ impl Store {
     }
 }
 
-fn lock(root: &Path) -> Result<fs::File, StoreError> {
-    let path = root.join("lock");
-    let file = fs::File::create(&path).map_err(|error| unusable(root, &error.to_string()))?;
-    file.try_lock().map_err(|_| {
-        unusable(
+fn lock(root: &Path) -> Result<Owner, StoreError> {
+    Owner::now(&root.join("lock")).map_err(|error| match error {
+        OwnerError::Taken { .. } => unusable(
             root,
             "another policy server holds its lock; stop it or choose another --data",
-        )
-    })?;
-    Ok(file)
+        ),
+        OwnerError::Io { source, .. } => unusable(root, &source.to_string()),
+    })
 }

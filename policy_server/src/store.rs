@@ -21,7 +21,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Weak};
 
-use caudata_durable::Disk;
+use caudata_durable::{Disk, Owner};
 use caudata_proto::hex::hex;
 use caudata_proto::registry::{LabelName, LabelState, Manifest, StreamName};
 use serde::Serialize;
@@ -86,7 +86,7 @@ pub struct Store {
     pub(crate) trouble: Option<Trouble>,
     /// Bytes that somebody holds at present, so that all who ask for them share them.
     pub(crate) held: BTreeMap<Hash, Weak<[u8]>>,
-    pub(crate) lock: Arc<fs::File>,
+    pub(crate) lock: Arc<Owner>,
 }
 
 /// Why the store cannot be changed.
@@ -200,6 +200,13 @@ impl Store {
         }
         if let Some(record) = self.find(&manifest.stream, manifest.version) {
             return if record.manifest.sha256 == manifest.sha256 {
+                // What is out of use does not come back by being published once more.
+                let key = (manifest.stream.clone(), manifest.version);
+                if let Some(known) = self.quarantined.get(&key) {
+                    let (stream, version, why) = (key.0, key.1, &known.state.reason);
+                    let reason = format!("{stream} version {version} is quarantined: {why}");
+                    return Err(StoreError::NotAllowed { reason });
+                }
                 Ok(Published {
                     record: record.clone(),
                     already_present: true,
@@ -688,6 +695,8 @@ mod tests {
             unix_ms: 0,
         };
         store.quarantine(&Origin::local(), out).unwrap();
+        let error = store.publish(manifest("s", 1, b"bad"), b"bad").unwrap_err();
+        assert!(matches!(error, StoreError::NotAllowed { .. }), "{error}");
         for (version, bytes) in [(2, b"two"), (3, b"thr"), (4, b"fou")] {
             store.publish(manifest("s", version, bytes), bytes).unwrap();
         }

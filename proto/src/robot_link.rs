@@ -78,6 +78,8 @@ pub struct Sensors {
     pub base_pose: Option<BasePose>,
     /// Which feet touch the ground, where that is sensed.
     pub foot_contacts: Option<[bool; FEET]>,
+    /// Whether its water sensor says that it swims, where it has one.
+    pub in_water: Option<bool>,
 }
 
 /// True pose of the root link.
@@ -243,6 +245,7 @@ fn sensors_to_wire(s: &Sensors) -> pb::Sensors {
                 .map(|(i, &c)| u32::from(c) << i)
                 .sum()
         }),
+        in_water: s.in_water,
     }
 }
 
@@ -264,6 +267,7 @@ fn sensors_from_wire(s: &pb::Sensors) -> Result<Sensors, LinkError> {
         },
         base_pose: s.base_pose.as_ref().map(pose_from_wire).transpose()?,
         foot_contacts: s.foot_contacts.map(feet_from_wire).transpose()?,
+        in_water: s.in_water,
     })
 }
 

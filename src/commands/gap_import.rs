@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use caudata_gap::import::{ImportError, bam};
+use caudata_gap::import::{ImportError, bam, csv};
 use caudata_runlog::LogError;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure};
@@ -16,13 +16,16 @@ pub struct ImportArgs {
     /// Form of the recordings
     #[arg(long, value_enum)]
     format: Format,
+    /// For CSV: which column is which signal, in which unit (TOML)
+    #[arg(long, value_name = "MAP.toml", required_if_eq("format", "csv"))]
+    map: Option<PathBuf>,
     /// Robot file of what was recorded
     #[arg(long, value_name = "R.robot.toml")]
     robot: PathBuf,
     /// Folder in which a log folder is made for each recording
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// The recordings
+    /// The recordings; of CSV also folders of several files that share a clock
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
     /// One JSON object on the last line
@@ -34,15 +37,27 @@ pub struct ImportArgs {
 enum Format {
     /// A servo that swings a weight: JSON of the BAM project
     Bam,
+    /// CSV files of any kind, by a map of columns and units
+    Csv,
 }
 
 pub fn run(args: &ImportArgs) -> Result<(), Failure> {
     let robot = files::robot(&args.robot)?;
     let mut folders = Vec::new();
     let mut notes = Vec::new();
+    let map = match &args.map {
+        Some(path) => {
+            let text = String::from_utf8_lossy(&files::read(path)?).into_owned();
+            Some(csv::Map::parse(&path.display().to_string(), &text).map_err(failure)?)
+        }
+        None => None,
+    };
     for file in &args.files {
-        let Format::Bam = args.format;
-        let run = bam::read(file, &robot).map_err(failure)?;
+        let run = match (args.format, &map) {
+            (Format::Csv, Some(map)) => csv::read(file, map, &robot),
+            _ => bam::read(file, &robot),
+        };
+        let run = run.map_err(failure)?;
         folders.push(run.write(&args.out).map_err(|e| failure(e.into()))?);
         notes.extend(run.notes);
     }

@@ -91,6 +91,33 @@ pub fn print(report: &Report) {
             }),
         );
     }
+    if let Some(given) = report.position_errors.first() {
+        let joints: Vec<&str> = given.joints_rad.keys().map(String::as_str).collect();
+        // of many joints the mean is enough here; report.json has all
+        let shown = if joints.len() > 8 { &[] } else { &joints[..] };
+        let mut head = vec!["mean |error|, held out (rad)", "all"];
+        head.extend(shown);
+        say::line("");
+        say::table(
+            &head,
+            report.position_errors.iter().map(|e| {
+                let mut row = vec![e.model.clone(), short(e.mean_rad)];
+                let of = |j: &&str| e.joints_rad.get(*j).copied().map_or(String::new(), short);
+                row.extend(shown.iter().map(of));
+                row
+            }),
+        );
+    }
+    for g in &report.local_gaps {
+        say::line(format!(
+            "far off: {} in {} from {:.1} s to {:.1} s, {} rad",
+            g.joint,
+            g.run,
+            g.from_s,
+            g.to_s,
+            short(g.rms_rad)
+        ));
+    }
     for u in &report.unexplained {
         say::line(format!("left over at {}: {}", u.location, u.description));
     }

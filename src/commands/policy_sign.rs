@@ -197,17 +197,25 @@ pub fn release(args: &ReleaseArgs) -> Result<(), Failure> {
     if let Some(path) = &args.evaluation {
         manifest.evaluation_json = Some(evaluation(path, &manifest)?);
     }
+    manifest.stream = to;
+    manifest.signatures.clear();
+    key.sign(&mut manifest);
+    let signed = manifest.signatures.clone();
     let published = block_on(async {
         let mut client = args.server.client()?;
-        manifest.stream = to;
-        manifest.signatures.clear();
-        key.sign(&mut manifest);
         client.publish(manifest, &bytes).await
     })?;
     let (stream, version) = (
         published.manifest.stream.to_string(),
         published.manifest.version,
     );
+    if published.manifest.signatures != signed {
+        let message = format!(
+            "{stream} version {version} was there already with other words or signatures: nothing was signed"
+        );
+        return Err(Failure::message(ExitCode::PolicyRefused, message)
+            .hint("release it into another stream, or release another version"));
+    }
     if args.json {
         return say::json(&json!({"stream": stream, "version": version, "key_id": args.key_id}));
     }

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use caudata_config::ConfigArgs;
+use caudata_env::WaterSensor;
 use caudata_model::RobotModel;
 use caudata_proto::framing::{FrameReader, write_frame};
 use caudata_proto::robot_link::{
@@ -77,7 +78,9 @@ pub fn run(args: &SimRobotArgs, stop: &StopFlag) -> Result<(), Failure> {
     let contact_force_n = config.task.reward.contact_force_n;
     let engine = caudata_sim::build(model, 1, &config.engine, &config.terrain, args.seed, 1)
         .or_exit(ExitCode::BadConfig)?;
-    let mut robot = SimulatedRobot::new(engine, args.seed, args.imu_gravity, contact_force_n);
+    let water = WaterSensor::new(engine.model(), &config.task).or_exit(ExitCode::BadInput)?;
+    let mut robot =
+        SimulatedRobot::new(engine, args.seed, args.imu_gravity, contact_force_n, water);
     let listener = TcpListener::bind(args.addr).or_exit_with(ExitCode::OsResource, || {
         format!("cannot listen on {}", args.addr)
     })?;
@@ -171,6 +174,7 @@ struct SimulatedRobot {
     seed: u64,
     imu_gravity: bool,
     contact_force_n: f32,
+    water: WaterSensor,
     /// Clients so far: each has its own noise.
     episode: u64,
     stream: Stream,
@@ -180,7 +184,13 @@ struct SimulatedRobot {
 }
 
 impl SimulatedRobot {
-    fn new(engine: Box<dyn Engine>, seed: u64, imu_gravity: bool, contact_force_n: f32) -> Self {
+    fn new(
+        engine: Box<dyn Engine>,
+        seed: u64,
+        imu_gravity: bool,
+        contact_force_n: f32,
+        water: WaterSensor,
+    ) -> Self {
         let with = engine.params(0).clone();
         let mut limp = with.clone();
         for per_servo in [
@@ -197,6 +207,7 @@ impl SimulatedRobot {
             seed,
             imu_gravity,
             contact_force_n,
+            water,
             episode: 0,
             stream,
             bias: ImuBias::default(),
@@ -304,6 +315,7 @@ impl SimulatedRobot {
             foot_contacts: Some(std::array::from_fn::<_, FEET, _>(|foot| {
                 state.foot_force_n[3 * foot + 2] > self.contact_force_n
             })),
+            in_water: Some(self.water.in_water(self.engine.as_ref(), 0)),
         }))
     }
 }
@@ -315,15 +327,22 @@ fn three(values: &[f32]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use caudata_sim::{TerrainConfig, TerrainKind};
+    use caudata_task::TaskConfig;
     use std::path::Path;
     use std::sync::Arc;
 
     fn robot() -> SimulatedRobot {
+        robot_on(TerrainKind::Flat)
+    }
+
+    fn robot_on(ground: TerrainKind) -> SimulatedRobot {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("robots/polymander.robot.toml");
         let model = Arc::new(RobotModel::load(&file).unwrap());
-        let engine =
-            caudata_sim::build(model, 1, &Default::default(), &Default::default(), 1, 1).unwrap();
-        let mut robot = SimulatedRobot::new(engine, 1, false, 0.1);
+        let water = WaterSensor::new(&model, &TaskConfig::default()).unwrap();
+        let terrain = TerrainConfig::of(ground);
+        let engine = caudata_sim::build(model, 1, &Default::default(), &terrain, 1, 1).unwrap();
+        let mut robot = SimulatedRobot::new(engine, 1, false, 0.1, water);
         robot.restart().unwrap();
         robot
     }
@@ -366,6 +385,17 @@ mod tests {
         // The head comes down from 6 cm to 3 cm: it lies on the ground.
         let lying = height_m(&robot);
         assert!(lying < standing - 0.02, "{lying} from {standing}");
+    }
+
+    #[test]
+    fn its_water_sensor_tells_deep_water_from_land() {
+        for (ground, expected) in [(TerrainKind::DeepWater, true), (TerrainKind::Flat, false)] {
+            let mut robot = robot_on(ground);
+            let RobotMessage::Sensors(read) = robot.sensors() else {
+                panic!("sensors")
+            };
+            assert_eq!(read.in_water, Some(expected), "{ground:?}");
+        }
     }
 
     #[test]

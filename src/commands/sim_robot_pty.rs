@@ -7,6 +7,7 @@ use std::sync::Arc;
 use caudata_config::Config;
 use caudata_dynamixel::emulator::WireFaults;
 use caudata_emulated_robot::{EmulatedRobot, Pace, SUBSTEPS, Terminals, Travel, serve};
+use caudata_env::WaterSensor;
 use caudata_hardware::Wiring;
 use caudata_model::RobotModel;
 use caudata_sim::EngineConfig;
@@ -24,7 +25,8 @@ pub struct PtyArgs {
         default_value = "robots/polymander.wiring.toml"
     )]
     wiring: PathBuf,
-    /// Folder for the links `servos` and `imu` to the pseudo-terminals (`--bus pty`)
+    /// Folder for the links `servos` and `imu` to the pseudo-terminals, and for the file `water`, which a
+    /// wiring file may name as the line of its water sensor (`--bus pty`)
     #[arg(long, value_name = "DIR", default_value = "emulated-robot")]
     links: PathBuf,
     /// Let each write of goals move time by one control period instead of the clock (`--bus pty`): for slow
@@ -79,9 +81,11 @@ pub fn run(
         substeps: SUBSTEPS,
         ..config.engine.clone()
     };
+    let water = WaterSensor::new(&model, &config.task).or_exit(ExitCode::BadInput)?;
     let engine = caudata_sim::build(model, 1, &engine_config, &config.terrain, seed, 1)
         .or_exit(ExitCode::BadConfig)?;
     let mut robot = EmulatedRobot::new(engine, &wiring, seed).or_exit(ExitCode::BadInput)?;
+    robot.set_water_sensor(water);
     let p = args.wire_faults;
     robot.set_faults(WireFaults {
         lost_byte: p,

@@ -45,6 +45,11 @@ pub struct PolicyContract {
     pub phase: PhaseContract,
     /// Commands that the policy was trained for.
     pub command: CommandContract,
+    /// Height of the centre of mass above the highest ground under a foot or a girdle from which on the
+    /// medium bit is 1 in water, m (`task.afloat_above_m`). Absent without that bit, and in files of before
+    /// it was written down.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub afloat_above_m: Option<f32>,
 }
 
 /// The IMU's frame in that of the link that carries it; the root link's own frame on a robot without an IMU.
@@ -140,13 +145,15 @@ pub enum ContractDifference {
     Phase,
     /// Other command ranges.
     CommandRange,
+    /// Another depth from which on it swims.
+    Afloat,
 }
 
 impl ContractDifference {
     /// Whether a policy would compute nonsense. Not so where only the training conditions differ: a robot
     /// file with other physical parameters (as diagnosis writes), or other command ranges.
     pub fn is_breaking(self) -> bool {
-        !matches!(self, Self::RobotModel | Self::CommandRange)
+        !matches!(self, Self::RobotModel | Self::CommandRange | Self::Afloat)
     }
 
     /// What differs, in words.
@@ -164,6 +171,7 @@ impl ContractDifference {
             Self::Imu => "place and axes of the IMU",
             Self::Phase => "gait phase",
             Self::CommandRange => "command range",
+            Self::Afloat => "height from which on it swims",
         }
     }
 }
@@ -214,6 +222,7 @@ impl PolicyContract {
                 vy_mps: task.command.vy_mps,
                 yaw_rate_radps: task.command.yaw_rate_radps,
             },
+            afloat_above_m: task.observe_medium.then_some(task.afloat_above_m),
         })
     }
 
@@ -262,6 +271,12 @@ impl PolicyContract {
         if !known.contains(&self.observation) {
             let reason = "is not a layout that this version knows".to_owned();
             return refuse("observation", reason);
+        }
+        let knows_water = !self.observation.range(Part::Medium).is_empty();
+        let swims_from = |m: f32| knows_water && (0.0..=10.0).contains(&m);
+        if !self.afloat_above_m.is_none_or(swims_from) {
+            let reason = "must be 0 to 10 m, and absent without the medium bit".to_owned();
+            return refuse("afloat_above_m", reason);
         }
         if !(1e-4..=1.0).contains(&self.control_period_s) {
             return refuse(
@@ -330,10 +345,19 @@ impl PolicyContract {
             (D::Phase, self.phase == other.phase),
             (D::RobotModel, self.robot_hash == other.robot_hash),
             (D::CommandRange, self.command == other.command),
+            (D::Afloat, self.same_medium(other)),
         ]
         .into_iter()
         .filter_map(|(difference, same)| (!same).then_some(difference))
         .collect()
+    }
+
+    /// Whether the medium bits mean the same, as far as both say what they mean.
+    fn same_medium(&self, other: &Self) -> bool {
+        match (self.afloat_above_m, other.afloat_above_m) {
+            (Some(own), Some(other)) => own == other,
+            _ => true,
+        }
     }
 
     /// The contract as canonical JSON: keys sorted, no white space, shortest numbers that read back exactly.

@@ -31,15 +31,14 @@ pub enum TaskError {
     },
     /// Left and right of the robot differ.
     #[error(
-        "robot '{robot}' is not its own mirror image: '{part}' {reason}; set learner.ppo.mirror = false"
+        "robot '{robot}' is not its own mirror image: '{part}' has no counterpart on the other side in the nominal pose; \
+         set learner.network.symmetric = false"
     )]
     NotSymmetric {
         /// Name of the robot.
         robot: String,
         /// Name of the joint or foot.
         part: String,
-        /// What is missing.
-        reason: &'static str,
     },
     /// An array has the wrong length.
     #[error("{what} has {found} values, expected {expected}")]

@@ -1,15 +1,18 @@
 //! Left and right exchanged: what a robot that is its own mirror image sees and does on the other side.
 //!
 //! Reflection in the robot's plane y = 0 maps a vector (x, y, z) to (x, −y, z) and a rotation vector to (−x,
-//! y, −z). Each joint has a counterpart: for a joint in the plane itself, for a leg that of the other side.
+//! y, −z). Each joint has a counterpart, found from where joints are and how they turn in the nominal pose:
+//! for a joint in the plane itself, for a leg that of the other side. Names do not matter.
 
-use caudata_model::{Foot, Kinematics, Pose, RobotModel, pose};
+use caudata_model::{Foot, JointFrame, Kinematics, Pose, RobotModel, pose};
 
 use crate::layout::{ObservationLayout, Part};
 use crate::{ACTION_HISTORY, TaskError};
 
-/// How far anchors, axes and nominal angles of counterparts may differ, m, 1 and rad.
-const TOLERANCE: f64 = 1e-6;
+/// How far the places of counterparts may differ, m: models drawn by hand or by CAD are exact to about that.
+const PLACE_M: f64 = 2e-3;
+/// How far their axes may differ, rad.
+const AXIS_RAD: f64 = 0.02;
 
 /// `mirrored[i] = sign[i]·original[source[i]]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,11 +24,42 @@ pub struct SignedPermutation {
 }
 
 impl SignedPermutation {
-    fn identity(len: usize) -> Self {
+    /// Leaves everything as it is.
+    #[must_use]
+    pub fn identity(len: usize) -> Self {
         Self {
             source: (0..len).collect(),
             sign: vec![1.0; len],
         }
+    }
+
+    /// Exchanges the first with the last, the second with the last but one, and so on.
+    #[must_use]
+    pub fn reversal(len: usize) -> Self {
+        Self {
+            source: (0..len).rev().collect(),
+            ..Self::identity(len)
+        }
+    }
+
+    /// How many values there are.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.source.len()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.source.is_empty()
+    }
+
+    /// Whether the mirror image of the mirror image is the original.
+    fn is_its_own_inverse(&self) -> bool {
+        let back = |(i, &j): (usize, &usize)| {
+            self.source.get(j) == Some(&i) && self.sign.get(i) == self.sign.get(j)
+        };
+        self.source.iter().enumerate().all(back)
     }
 
     /// Puts `part` at `start`.
@@ -50,26 +84,31 @@ pub struct Mirror {
     pub observation: SignedPermutation,
     /// How an action is mirrored, `[A]`.
     pub action: SignedPermutation,
+    /// The foot on the other side of each, in the order of the robot file.
+    pub feet: Vec<usize>,
 }
 
 impl Mirror {
-    /// The mirror of a robot in the plane y = 0 of its base, from where its joints are and how they turn.
-    /// Masses, limits and gains are taken to be alike on both sides.
+    /// The mirror of a robot in the plane y = 0 of its base, from where its joints are and how they turn in
+    /// the nominal pose. Masses, limits and gains are taken to be alike on both sides.
+    ///
+    /// The gait clock of a robot without feet is half a cycle on in its mirror image: what bends to the left
+    /// now bends to the right then.
     ///
     /// # Errors
-    /// [`TaskError::NotSymmetric`] names a joint that has no counterpart, or one with another nominal angle.
+    /// [`TaskError::NotSymmetric`] names a joint or foot that has no counterpart in the nominal pose.
     pub fn new(model: &RobotModel, layout: &ObservationLayout) -> Result<Self, TaskError> {
-        let zero = vec![0.0; model.joints().len()];
-        let at_zero = model.kinematics(&Pose::IDENTITY, &zero);
+        let nominal = model.full_pos_rad(model.nominal_pos_rad());
+        let at_nominal = nominal.and_then(|q| model.kinematics(&Pose::IDENTITY, &q));
         // The lengths agree; should they not, nothing finds its counterpart below.
-        let at_zero = at_zero.unwrap_or_default();
-        let action = joints(model, &at_zero)?;
+        let at_nominal = at_nominal.unwrap_or_default();
+        let action = joints(model, &at_nominal)?;
         let mut observation = SignedPermutation::identity(layout.dim());
         let start = |part| layout.range(part).start;
         observation.place(start(Part::JointVel), &action);
         observation.place(start(Part::JointPos), &action);
         for past in 0..ACTION_HISTORY {
-            let from = start(Part::Actions) + past * action.source.len();
+            let from = start(Part::Actions) + past * action.len();
             observation.place(from, &action);
         }
         for (part, sign) in [
@@ -79,8 +118,12 @@ impl Mirror {
         ] {
             observation.sign[layout.range(part)].copy_from_slice(&sign);
         }
+        if model.feet().is_empty() {
+            observation.sign[layout.range(Part::Phase)].fill(-1.0);
+        }
         let phase = start(Part::Phase);
-        for (foot, other) in feet(model, &at_zero)?.into_iter().enumerate() {
+        let feet = feet(model, &at_nominal)?;
+        for (foot, other) in feet.iter().enumerate() {
             for part in 0..2 {
                 observation.source[phase + 2 * foot + part] = phase + 2 * other + part;
             }
@@ -88,44 +131,47 @@ impl Mirror {
         Ok(Self {
             observation,
             action,
+            feet,
         })
     }
 }
 
-/// The counterpart of each actuated joint, in policy order.
-fn joints(model: &RobotModel, at_zero: &Kinematics) -> Result<SignedPermutation, TaskError> {
-    let not_symmetric =
-        |joint: usize, reason| not_symmetric(model, &model.joints()[joint].name, reason);
-    let frames = &at_zero.joints;
+/// The counterpart of each actuated joint, in policy order: the nearest one to its mirror image that turns
+/// about the mirrored axis.
+fn joints(model: &RobotModel, at_nominal: &Kinematics) -> Result<SignedPermutation, TaskError> {
     let actuated = model.actuated();
+    let frame = |joint: &usize| at_nominal.joints.get(*joint);
     let mut out = SignedPermutation::identity(actuated.len());
-    for (i, &joint) in actuated.iter().enumerate() {
-        let counterpart = frames.get(joint).and_then(|frame| {
-            let anchor = reflect(frame.anchor_m);
-            // an axis is a rotation vector
-            let axis = reflect(frame.axis).map(|a| -a);
-            let sign = |other: [f64; 3]| {
-                let opposite = near(other, axis.map(|a| -a)).then_some(-1.0);
-                near(other, axis).then_some(1.0).or(opposite)
-            };
-            actuated.iter().enumerate().find_map(|(j, &other)| {
-                let other = frames.get(other).filter(|o| near(o.anchor_m, anchor))?;
-                sign(other.axis).map(|sign| (j, sign))
-            })
+    for (i, joint) in actuated.iter().enumerate() {
+        let counterpart = frame(joint).and_then(|joint| {
+            let others = actuated.iter().enumerate();
+            let found = others.filter_map(|(j, other)| {
+                let (off_m, sign) = mirrored(joint, frame(other)?)?;
+                Some((off_m, j, sign))
+            });
+            found.min_by(|a, b| a.0.total_cmp(&b.0))
         });
-        let (source, sign) = counterpart
-            .ok_or_else(|| not_symmetric(joint, "has no counterpart on the other side"))?;
-        let nominal = model.nominal_pos_rad();
-        if (nominal[i] - f64::from(sign) * nominal[source]).abs() > TOLERANCE {
-            return Err(not_symmetric(
-                joint,
-                "has a counterpart with another nominal angle",
-            ));
-        }
-        out.source[i] = source;
-        out.sign[i] = sign;
+        let Some((_, source, sign)) = counterpart else {
+            return Err(no_counterpart(model, &model.joints()[*joint].name));
+        };
+        (out.source[i], out.sign[i]) = (source, sign);
     }
-    Ok(out)
+    match out.is_its_own_inverse() {
+        true => Ok(out),
+        false => Err(no_counterpart(model, "a joint")),
+    }
+}
+
+/// How far `other` is from the mirror image of `joint`, m, and 1 where it turns as that does, −1 where it
+/// turns the other way; `None` where it is not its counterpart.
+fn mirrored(joint: &JointFrame, other: &JointFrame) -> Option<(f64, f32)> {
+    let off_m = pose::norm(pose::sub(reflect(joint.anchor_m), other.anchor_m));
+    // an axis is a rotation vector
+    let axis = reflect(joint.axis).map(|a| -a);
+    let along = |axis| pose::norm(pose::sub(axis, other.axis)) < AXIS_RAD;
+    let opposite = along(axis.map(|a| -a)).then_some(-1.0);
+    let sign = along(axis).then_some(1.0).or(opposite)?;
+    (off_m < PLACE_M).then_some((off_m, sign))
 }
 
 fn reflect([x, y, z]: [f64; 3]) -> [f64; 3] {
@@ -133,29 +179,29 @@ fn reflect([x, y, z]: [f64; 3]) -> [f64; 3] {
 }
 
 /// The foot on the other side of each.
-fn feet(model: &RobotModel, at_zero: &Kinematics) -> Result<Vec<usize>, TaskError> {
+fn feet(model: &RobotModel, at_nominal: &Kinematics) -> Result<Vec<usize>, TaskError> {
     let centre = |foot: &Foot| {
-        let link = at_zero.links.get(foot.link);
+        let link = at_nominal.links.get(foot.link);
         link.map_or([f64::NAN; 3], |link| link.point(foot.centre_m))
     };
     let other = |foot: &Foot| {
         let mirrored = reflect(centre(foot));
-        let mut feet = model.feet().iter();
-        (feet.position(|other| near(centre(other), mirrored)))
-            .ok_or_else(|| not_symmetric(model, &foot.name, "has no counterpart on the other side"))
+        let off_m = |other: &Foot| pose::norm(pose::sub(centre(other), mirrored));
+        let near = model.feet().iter().map(off_m).enumerate();
+        let near = near.filter(|(_, off_m)| *off_m < PLACE_M);
+        let nearest = near.min_by(|a, b| a.1.total_cmp(&b.1));
+        nearest.map_or_else(
+            || Err(no_counterpart(model, &foot.name)),
+            |(other, _)| Ok(other),
+        )
     };
     model.feet().iter().map(other).collect()
 }
 
-fn near(a: [f64; 3], b: [f64; 3]) -> bool {
-    pose::norm(pose::sub(a, b)) < TOLERANCE
-}
-
-fn not_symmetric(model: &RobotModel, part: &str, reason: &'static str) -> TaskError {
+fn no_counterpart(model: &RobotModel, part: &str) -> TaskError {
     TaskError::NotSymmetric {
         robot: model.name().to_owned(),
         part: part.to_owned(),
-        reason,
     }
 }
 
@@ -215,6 +261,30 @@ mod tests {
         assert_eq!(mirror.observation.apply(&other), seen);
     }
 
+    /// Robots of other builds: pairs are found by place, whatever their names, and mirroring twice changes
+    /// nothing.
+    #[test]
+    fn every_shipped_robot_has_its_mirror_image() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots");
+        for (name, feet) in [
+            ("quadruped", vec![1, 0, 3, 2]),
+            ("biped", vec![1, 0]),
+            ("hexapod", vec![1, 0, 3, 2, 5, 4]),
+            ("snake", vec![]),
+        ] {
+            let file = folder.join(format!("{name}.robot.toml"));
+            let model = RobotModel::load(&file).unwrap();
+            let names: Vec<String> = model.feet().iter().map(|f| f.name.clone()).collect();
+            let layout = ObservationLayout::new(model.actuated().len(), &names, false);
+            let mirror = Mirror::new(&model, &layout).unwrap();
+            assert_eq!(mirror.feet, feet, "{name}");
+            let seen: Vec<f32> = (0..layout.dim()).map(|i| i as f32 + 1.0).collect();
+            let image = mirror.observation.apply(&seen);
+            assert_ne!(image, seen, "{name}");
+            assert_eq!(mirror.observation.apply(&image), seen, "{name}");
+        }
+    }
+
     #[test]
     fn a_lopsided_robot_is_refused() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../robots");
@@ -227,9 +297,10 @@ mod tests {
         };
         let knee = "FL_knee = 0.6283185307179586";
         assert!(robot.contains(knee));
+        // another nominal angle: the foot is elsewhere
         let found = refusal(&robot.replacen(knee, "FL_knee = 0.5", 1), &mjcf);
         assert!(
-            found.contains("FL_knee") && found.contains("nominal"),
+            found.contains("'FL'") && found.contains("nominal pose"),
             "{found}"
         );
         let hip = r#"<body name="HR_upper" pos="-0.06505 -0.038 0">"#;

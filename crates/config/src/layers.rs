@@ -1,6 +1,5 @@
 //! Defaults, preset, file and overrides, laid on top of each other.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
@@ -47,7 +46,7 @@ impl Source {
 }
 
 /// Lays the layers on top of each other; the result has the right types, its values are not checked.
-pub(crate) fn merge(source: &Source) -> Result<Config, ConfigError> {
+fn merge(source: &Source) -> Result<Config, ConfigError> {
     let known = keys::table_of(&Config::default());
     let mut merged = known.clone();
     for (origin, layer) in layers(source)? {
@@ -72,6 +71,16 @@ pub(crate) fn merge(source: &Source) -> Result<Config, ConfigError> {
 }
 
 impl Config {
+    /// Reads and checks a configuration.
+    ///
+    /// # Errors
+    /// A [`ConfigError`] that names the key, file or override that is wrong.
+    pub fn load(source: &Source) -> Result<Self, ConfigError> {
+        let config = merge(source)?;
+        config.validate()?;
+        Ok(config)
+    }
+
     fn deserialize_from(table: &Table) -> Result<Self, toml::de::Error> {
         table.clone().try_into()
     }
@@ -88,9 +97,11 @@ fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
         layers.push((origin.clone(), parse(&origin, preset.text)?));
     }
     if let Some(path) = &source.file {
-        let text = read_bounded(path).map_err(|source| ConfigError::Read {
-            path: path.clone(),
-            source,
+        let text = caudata_durable::read_text_at_most(path, FILE_BYTES_MAX).map_err(|source| {
+            ConfigError::Read {
+                path: path.clone(),
+                source,
+            }
         })?;
         let origin = path.display().to_string();
         layers.push((origin.clone(), parse(&origin, &text)?));
@@ -102,19 +113,6 @@ fn layers(source: &Source) -> Result<Vec<(String, Table)>, ConfigError> {
         ));
     }
     Ok(layers)
-}
-
-/// The text of a file that is no larger than [`FILE_BYTES_MAX`], whatever it says about its size.
-fn read_bounded(path: &Path) -> std::io::Result<String> {
-    let mut text = String::new();
-    let mut file = std::fs::File::open(path)?.take(FILE_BYTES_MAX + 1);
-    file.read_to_string(&mut text)?;
-    match text.len() as u64 {
-        0..=FILE_BYTES_MAX => Ok(text),
-        _ => Err(std::io::Error::other(format!(
-            "it is larger than {FILE_BYTES_MAX} bytes, so it is no configuration"
-        ))),
-    }
 }
 
 fn parse(origin: &str, text: &str) -> Result<Table, ConfigError> {

@@ -81,16 +81,6 @@ impl Default for Config {
 }
 
 impl Config {
-    /// Reads and checks a configuration.
-    ///
-    /// # Errors
-    /// A [`ConfigError`] that names the key, file or override that is wrong.
-    pub fn load(source: &Source) -> Result<Self, ConfigError> {
-        let config = layers::merge(source)?;
-        config.validate()?;
-        Ok(config)
-    }
-
     /// The whole configuration as TOML, every key with its value in effect.
     ///
     /// # Errors
@@ -128,7 +118,7 @@ impl Config {
     /// The robot file. A relative path is looked for in the current directory and then in the folders above
     /// this executable, so that a checkout's `target/release/caudata` finds `robots/` from anywhere.
     pub fn robot_path(&self) -> PathBuf {
-        find_upwards(&self.robot, std::env::current_exe().ok().as_deref())
+        shipped(&self.robot)
     }
 
     /// Identifier of the run when it is not made up for each start: `cluster.run_id`, else `run.name`.
@@ -143,13 +133,19 @@ impl Config {
     pub fn warm_start_path(&self) -> Option<PathBuf> {
         let policy = &self.learner.warm_start.policy;
         let given = !policy.as_os_str().is_empty();
-        given.then(|| find_upwards(policy, std::env::current_exe().ok().as_deref()))
+        given.then(|| shipped(policy))
     }
 
     /// Every key with its value in effect, in the order of the file: `("learner.ppo.gamma", "0.97")`.
     pub fn entries(&self) -> Vec<(String, String)> {
         keys::entries(&keys::table_of(self))
     }
+}
+
+/// A file that came with the program (`robots/…`, `policies/…`): a relative path is looked for in the current
+/// directory and then in the folders above this executable. What is not found stays as it is.
+pub fn shipped(path: &Path) -> PathBuf {
+    find_upwards(path, std::env::current_exe().ok().as_deref())
 }
 
 fn find_upwards(path: &Path, exe: Option<&Path>) -> PathBuf {

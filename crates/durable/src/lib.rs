@@ -5,6 +5,7 @@
 //! the name does, and the name reaches the disk before the caller goes on.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod bounded;
 mod disk;
 mod owner;
 
@@ -12,6 +13,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+pub use bounded::{read_at_most, read_text_at_most};
 pub use disk::{Disk, Folder, OsDisk, WriteFault};
 pub use owner::{Owner, OwnerError};
 

@@ -33,8 +33,8 @@ pub enum OwnerError {
     },
 }
 
-/// The lock goes with the open file, not with this handle: a child process that is just being started shares it
-/// until it runs its own program, and would keep the folder for that long.
+/// The lock goes with the open file, not with this handle: a child process that is just being started shares
+/// it until it runs its own program, and would keep the folder for that long.
 impl Drop for Owner {
     fn drop(&mut self) {
         let _ = self.lock.unlock();
@@ -54,7 +54,7 @@ impl Owner {
     ) -> Result<Self, OwnerError> {
         let until = Instant::now() + patience;
         loop {
-            match Self::try_take(path) {
+            match Self::now(path) {
                 Err(taken @ OwnerError::Taken { .. }) if Instant::now() < until && wait(&taken) => {
                 }
                 other => return other,
@@ -62,7 +62,11 @@ impl Owner {
         }
     }
 
-    fn try_take(path: &Path) -> Result<Self, OwnerError> {
+    /// Takes the lock file `path`, which is made where it is absent, or refuses at once.
+    ///
+    /// # Errors
+    /// [`OwnerError`].
+    pub fn now(path: &Path) -> Result<Self, OwnerError> {
         let failed = |source| OwnerError::Io {
             path: path.to_owned(),
             source,
@@ -70,23 +74,28 @@ impl Owner {
         // Not truncated: the number in it is the other one's.
         let mut options = File::options();
         options.create(true).truncate(false).read(true).write(true);
-        let mut lock = options.open(path).map_err(failed)?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                let number = std::fs::read_to_string(path).unwrap_or_default();
-                return Err(OwnerError::Taken {
-                    path: path.to_owned(),
-                    process: number.trim().to_owned(),
-                });
-            }
-            Err(TryLockError::Error(source)) => return Err(failed(source)),
-        }
+        let owner = Self::of(options.open(path).map_err(failed)?, path)?;
         // Only for people: a full disk does not keep a process from its own folder.
-        let _ = lock
-            .set_len(0)
-            .and_then(|()| writeln!(lock, "{}", std::process::id()));
-        Ok(Self { lock })
+        let _ = (owner.lock.set_len(0))
+            .and_then(|()| writeln!(&mut &owner.lock, "{}", std::process::id()));
+        Ok(owner)
+    }
+
+    /// Locks what is open already, a file or a folder, and writes nothing into it.
+    ///
+    /// # Errors
+    /// [`OwnerError`], with `path` as its name.
+    pub fn of(lock: File, path: &Path) -> Result<Self, OwnerError> {
+        let path = path.to_owned();
+        match lock.try_lock() {
+            Ok(()) => Ok(Self { lock }),
+            Err(TryLockError::WouldBlock) => {
+                let number = std::fs::read_to_string(&path).unwrap_or_default();
+                let process = number.trim().to_owned();
+                Err(OwnerError::Taken { path, process })
+            }
+            Err(TryLockError::Error(source)) => Err(OwnerError::Io { path, source }),
+        }
     }
 }
 

@@ -131,6 +131,11 @@ impl<P: Port> Bus<P> {
         self.baud
     }
 
+    /// The time that deadlines of this bus are told by.
+    pub fn now(&self) -> Instant {
+        self.port.now()
+    }
+
     /// The port.
     pub fn port_mut(&mut self) -> &mut P {
         &mut self.port
@@ -239,7 +244,7 @@ impl<P: Port> Bus<P> {
         deadline: Duration,
     ) -> Result<(), BusFault> {
         group.begin();
-        let end = Instant::now() + deadline;
+        let end = self.now() + deadline;
         self.begin(end)?;
         self.port.send(&group.request, end)?;
         while group.missing() > 0 && self.listen(end)? {
@@ -295,7 +300,8 @@ impl<P: Port> Bus<P> {
     ) -> Result<(), BusFault> {
         group.prepare();
         self.counts.transactions += 1;
-        self.port.send(&group.request, Instant::now() + deadline)?;
+        let end = self.now() + deadline;
+        self.port.send(&group.request, end)?;
         Ok(())
     }
 
@@ -316,8 +322,8 @@ impl<P: Port> Bus<P> {
         );
         self.counts.transactions += 1;
         let wire = Duration::from_micros(2 * wire_us(self.request.len(), self.baud));
-        self.port
-            .send(&self.request, Instant::now() + wire + QUIET * 10)?;
+        let end = self.now() + wire + QUIET * 10;
+        self.port.send(&self.request, end)?;
         Ok(())
     }
 
@@ -330,7 +336,7 @@ impl<P: Port> Bus<P> {
         expected: usize,
         deadline: Duration,
     ) -> Result<(StatusError, usize), BusFault> {
-        let end = Instant::now() + deadline;
+        let end = self.now() + deadline;
         self.begin(end)?;
         self.request.clear();
         encode(id, instruction as u8, parameters, &mut self.request);
@@ -369,8 +375,8 @@ impl<P: Port> Bus<P> {
     fn begin(&mut self, end: Instant) -> Result<(), BusFault> {
         self.counts.transactions += 1;
         if std::mem::take(&mut self.unquiet) {
-            let quiet = end.min(Instant::now() + QUIET);
-            while self.port.receive(&mut self.scratch, quiet)? > 0 && Instant::now() < quiet {}
+            let quiet = end.min(self.now() + QUIET);
+            while self.port.receive(&mut self.scratch, quiet)? > 0 && self.now() < quiet {}
         }
         self.port.discard_input()?;
         self.framer.clear();
@@ -389,7 +395,7 @@ impl<P: Port> Bus<P> {
         let room = room.max(1);
         let count = self.port.receive(&mut self.scratch[..room], end)?;
         self.framer.push(&self.scratch[..count]);
-        if Instant::now() > end {
+        if self.now() > end {
             self.late_bytes += count;
         }
         Ok(count > 0)

@@ -13,6 +13,11 @@ use rustix::termios::{
 
 /// Bytes out and in, each with a deadline.
 pub trait Port {
+    /// What deadlines are told by: the machine's clock, or the time of a far end that has its own.
+    fn now(&self) -> Instant {
+        Instant::now()
+    }
+
     /// Sends all of `bytes`.
     ///
     /// # Errors
@@ -47,6 +52,13 @@ pub trait Port {
 pub struct SerialPort {
     path: PathBuf,
     file: File,
+}
+
+impl Drop for SerialPort {
+    fn drop(&mut self) {
+        // A child process that is just being started shares the lock until it runs its own program.
+        let _ = self.file.unlock();
+    }
 }
 
 impl SerialPort {

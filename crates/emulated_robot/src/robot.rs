@@ -5,6 +5,7 @@ use caudata_dynamixel::units::{
     CURRENT_LSB_A, VELOCITY_LSB_RADPS, VOLTAGE_LSB_V, register_of_baud,
 };
 use caudata_dynamixel::xm430;
+use caudata_env::WaterSensor;
 use caudata_hardware::emulated::EmulatedBridge;
 use caudata_hardware::{JointWiring, Wiring};
 use caudata_random::{Key, Purpose, Stream};
@@ -110,6 +111,7 @@ pub struct EmulatedRobot {
     pub bridge: EmulatedBridge,
     stream: Stream,
     bias: ImuBias,
+    water: Option<WaterSensor>,
     torque: Vec<bool>,
     steps: u64,
     trace: Trace,
@@ -150,6 +152,7 @@ impl EmulatedRobot {
             bridge: EmulatedBridge::default(),
             steps: 0,
             trace: Trace::default(),
+            water: None,
             engine,
             joints,
             bus,
@@ -178,6 +181,17 @@ impl EmulatedRobot {
     /// Position of the base, world, m.
     pub fn base_pos_m(&self) -> [f64; 3] {
         std::array::from_fn(|i| f64::from(self.engine.state().base_pos_m[i]))
+    }
+
+    /// Gives it a sensor for water.
+    pub fn set_water_sensor(&mut self, sensor: WaterSensor) {
+        self.water = Some(sensor);
+    }
+
+    /// Whether its sensor says that it swims; false without one.
+    pub fn in_water(&self) -> bool {
+        let sensor = self.water.as_ref();
+        sensor.is_some_and(|sensor| sensor.in_water(self.engine.as_ref(), 0))
     }
 
     /// How far it went since the torque came on last; `None` where it never did.

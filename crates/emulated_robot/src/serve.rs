@@ -1,5 +1,7 @@
 //! Servos and IMU on two pseudo-terminals, in real time or in step with the goals that arrive.
 
+use std::fs::File;
+use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -25,16 +27,19 @@ pub enum Pace {
     Goals,
 }
 
-/// The terminals, and links to them under names that stay.
+/// The terminals, and links to them under names that stay; beside them the file `water`, which holds 0 or 1
+/// as the line of a water sensor does.
 #[derive(Debug)]
 pub struct Terminals {
     servos: Pty,
     imu: Pty,
+    /// What stands for the line of the water sensor, and what it says.
+    water: (File, bool),
 }
 
 impl Terminals {
     /// Opens both and makes `folder/servos` and `folder/imu` links to them; links that are there already are
-    /// replaced.
+    /// replaced. `folder/water` begins with 0.
     ///
     /// # Errors
     /// What the system says.
@@ -43,7 +48,9 @@ impl Terminals {
         let terminals = Self {
             servos: Pty::open()?,
             imu: Pty::open()?,
+            water: (File::create(folder.join("water"))?, false),
         };
+        terminals.water.0.write_all_at(b"0", 0)?;
         for (name, pty) in [("servos", &terminals.servos), ("imu", &terminals.imu)] {
             let link = folder.join(name);
             match std::fs::symlink_metadata(&link) {
@@ -53,6 +60,14 @@ impl Terminals {
             std::os::unix::fs::symlink(pty.path(), &link)?;
         }
         Ok(terminals)
+    }
+
+    fn show_water(&mut self, is: bool) -> std::io::Result<()> {
+        if is != self.water.1 {
+            self.water.1 = is;
+            self.water.0.write_all_at(if is { b"1" } else { b"0" }, 0)?;
+        }
+        Ok(())
     }
 }
 
@@ -122,6 +137,7 @@ pub fn serve(
             );
             start += Duration::from_secs_f64(lost);
         }
+        terminals.show_water(robot.in_water())?;
         let on = robot.torque_on();
         if on != was_on {
             event(on, robot);

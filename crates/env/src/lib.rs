@@ -22,7 +22,7 @@ mod steer;
 mod vec_env;
 
 pub use error::EnvError;
-pub use measure::Truth;
+pub use measure::{Truth, WaterSensor};
 pub use output::{EpisodeStats, StepOutput};
 pub use start::StartShift;
 pub use vec_env::VecEnv;

@@ -220,6 +220,26 @@ impl Reader {
     }
 }
 
+/// What tells a robot whether it swims: the medium bit of a task, outside of an environment.
+#[derive(Clone, Debug)]
+pub struct WaterSensor(Reader);
+
+impl WaterSensor {
+    /// The sensor of a robot that is to swim where the task says so (`task.afloat_above_m`).
+    ///
+    /// # Errors
+    /// [`ModelError`] where the robot's own pose is not one of it.
+    pub fn new(model: &RobotModel, task: &TaskConfig) -> Result<Self, ModelError> {
+        Reader::new(model, task).map(Self)
+    }
+
+    /// Whether lane `lane` of `engine` swims.
+    #[must_use]
+    pub fn in_water(&self, engine: &dyn Engine, lane: usize) -> bool {
+        self.0.read(engine, lane).afloat > 0.0
+    }
+}
+
 impl Truth {
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {

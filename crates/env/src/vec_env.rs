@@ -212,6 +212,19 @@ impl VecEnv {
     /// When `actions` has the wrong length or a value that is not finite (nothing has changed then), or the
     /// engine refuses (the environments are then of no use until a snapshot is restored).
     pub fn step(&mut self, actions: &[f32]) -> Result<&StepOutput, EnvError> {
+        self.step_seen(actions, |_| ())
+    }
+
+    /// As [`Self::step`]; `seen` looks at the environments when the step is done and no lane has begun its
+    /// next episode yet: [`Self::truth`] is then what the rewards were computed from.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn step_seen(
+        &mut self,
+        actions: &[f32],
+        seen: impl FnOnce(&Self),
+    ) -> Result<&StepOutput, EnvError> {
         check_actions(actions, self.lanes.len(), self.act_dim())?;
         self.buffers.clear();
         self.prepare(actions);
@@ -220,6 +233,7 @@ impl VecEnv {
         for lane in 0..self.lanes.len() {
             self.settle(lane)?;
         }
+        seen(self);
         for i in 0..self.ended.len() {
             self.next_episode(self.ended[i], false)?;
         }

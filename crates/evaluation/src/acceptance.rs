@@ -3,6 +3,9 @@
 use crate::result::{Row, ScenarioResult, SuiteResult};
 use crate::suite;
 
+/// Fastest command that every gate is owed at, m/s, and a little for rounding.
+const MOST_STRAIGHT_MPS: f64 = 0.501;
+
 /// A figure that counts, and what stands against it.
 struct Found {
     measured: Option<f64>,
@@ -100,11 +103,36 @@ fn walking(result: &SuiteResult) -> Vec<Row> {
         row("flat, command 0.3 m/s: speed forward", "m/s", AtLeast(0.28, 0.295), Found::walked(flat, vx)),
         row("flat, command 0.3 m/s: cost of transport", "1", AtMost(1.2, 0.8), Found::walked(flat, cost)),
         row("fastest command tracked within 10 % on flat ground", "m/s", AtLeast(0.5, 0.8), fastest(result)),
+        row("flat, 0.1 to 0.5 m/s and backward: walked by every gate", "1", AtLeast(1.0, 1.0), walked_straight(result)),
         row("rough easy (2 cm, 15°): speed forward", "m/s", AtLeast(0.24, 0.28), rough(0)),
         row("rough medium (4 cm, 15°): speed forward", "m/s", AtLeast(0.22, 0.26), rough(1)),
         row("rough hard (4 cm, 25°): speed forward", "m/s", AtLeast(0.19, 0.24), rough(2)),
     ];
     rows
+}
+
+/// Share of the commands straight ahead up to 0.5 m/s, and backward, that are walked by every gate.
+fn walked_straight(result: &SuiteResult) -> Found {
+    let straight = result.scenarios.iter().filter(|s| {
+        s.name == suite::BACK || (s.name.starts_with("flat ") && s.command[0] <= MOST_STRAIGHT_MPS)
+    });
+    let all: Vec<&ScenarioResult> = straight.collect();
+    if all.is_empty() {
+        return Found::plain(None);
+    }
+    let against = |s: &&ScenarioResult| {
+        let against = objections(s);
+        (!against.is_empty()).then(|| format!("{}: {against}", s.name))
+    };
+    let walked = all.iter().filter(|s| objections(s).is_empty()).count();
+    Found {
+        measured: Some(walked as f64 / all.len() as f64),
+        against: all
+            .iter()
+            .filter_map(against)
+            .collect::<Vec<_>>()
+            .join(" | "),
+    }
 }
 
 /// The fastest of the commands straight ahead on flat ground that is tracked within a tenth, every gate met.
@@ -159,6 +187,10 @@ fn shore(result: &SuiteResult) -> Vec<Row> {
     let grows = wave.map(|w| f64::from(u8::from(w.travels_to_the_tail)));
     let legs = into.and_then(|t| t.leg_swing_kept);
     let touch = into.and_then(|t| t.foot_contact[1]);
+    let [left, right] = suite::SWIM_TURN.map(|name| result.scenario(name));
+    let yaw = |s: Option<&ScenarioResult>| s.map(|s| s.yaw_rate_radps.mean);
+    let turn = yaw(left).zip(yaw(right).map(|w| -w)).map(|(l, r)| l.min(r));
+    let straight = yaw(result.scenario(suite::SWIM)).map(f64::abs);
     #[rustfmt::skip]
     let rows = vec![
         row("shore: a body length into the water within 20 s", "1", AtLeast(0.95, 0.99), Found::plain(into.map(|t| t.reached.mean))),
@@ -167,6 +199,8 @@ fn shore(result: &SuiteResult) -> Vec<Row> {
         row("in water: phase lag grows at every joint to the tail", "1", AtLeast(1.0, 1.0), Found::plain(grows)),
         row("in water: leg swing over that on land", "1", AtMost(0.5, 0.5), Found::plain(legs)),
         row("in water: share of time that feet touch", "1", AtMost(0.02, 0.0), Found::plain(touch)),
+        row("swimming, 0.5 rad/s commanded: turn, slower side", "rad/s", AtLeast(0.3, 0.5), Found::plain(turn)),
+        row("swimming straight: yaw drift", "rad/s", AtMost(0.02, 0.01), Found::plain(straight)),
         row("shore: from the water back onto land within 30 s, heading held", "1", AtLeast(0.5, 0.95), Found::plain(back)),
     ];
     rows

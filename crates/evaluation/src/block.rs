@@ -175,7 +175,7 @@ impl Round {
                     fell: trace.fell,
                     gait: Gait::of(trace, measure),
                     passage: shore.map(|shore| shore.passage(trace, measure)),
-                    wave: Wave::of(settled, trace.period_s, &measure.in_leg),
+                    wave: Wave::of(settled, trace.period_s, &measure.anatomy.in_leg),
                 }
             })
             .collect();

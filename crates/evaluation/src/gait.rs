@@ -3,7 +3,9 @@
 use caudata_task::{PerFoot, PerJoint};
 use serde::Serialize;
 
+use crate::anatomy::Anatomy;
 use crate::envelope::Envelope;
+use crate::posture::Posture;
 use crate::spectrum::{Spectrum, Welch};
 use crate::trace::{Frame, Trace};
 
@@ -17,7 +19,7 @@ pub const VIBRATION_HZ: f64 = 6.0;
 pub const SHORTEST_S: f64 = 1.6;
 
 /// How to measure.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Measure {
     /// Time left out at the start of an episode, s: the robot speeds up.
     pub settle_s: f64,
@@ -27,8 +29,8 @@ pub struct Measure {
     pub trunk_force_n: f64,
     /// Mass of the robot, kg.
     pub mass_kg: f64,
-    /// Which of its joints move a leg, policy order.
-    pub in_leg: PerJoint<bool>,
+    /// How it is built.
+    pub anatomy: Anatomy,
     /// What its servos can give.
     pub envelope: Envelope,
 }
@@ -75,6 +77,8 @@ pub struct Gait {
     /// Root mean square of the acceleration of all joints (difference of velocities), rad/s²: how smooth the
     /// motion is.
     pub joint_accel_rms_radps2: f64,
+    /// What an eye sees.
+    pub posture: Posture,
 }
 
 impl Gait {
@@ -90,6 +94,9 @@ impl Gait {
         let power_w = mean(frames, |f| {
             f.power_w.iter().map(|&p| f64::from(p.abs())).sum()
         });
+        let duty_factor = PerFoot::from_fn(feet_of(frames), |foot| {
+            mean(frames, |f| f64::from(on_ground(f, foot, measure)))
+        });
         let velocity_mps = [0, 1].map(|i| mean(frames, |f| f64::from(f.velocity_mps[i])));
         let along = velocity_mps[0].hypot(velocity_mps[1]);
         Some(Self {
@@ -99,9 +106,7 @@ impl Gait {
             drift_mps: way_m(frames) / (trace.period_s * (frames.len() - 1) as f64),
             stride_hz: stride_hz(frames, &spectrum),
             clock_hz: trace.clock_hz,
-            duty_factor: PerFoot::from_fn(feet_of(frames), |foot| {
-                mean(frames, |f| f64::from(on_ground(f, foot, measure)))
-            }),
+            duty_factor,
             clearance_m: clearance_m(frames, stride_frames(trace)),
             slip_mps: slip_mps(frames, measure),
             trunk_contact_share: mean(frames, |f| {
@@ -116,6 +121,7 @@ impl Gait {
             servo_limit_share: mean(frames, |f| at_limit(f, &measure.envelope)),
             joint_speed_peak_radps: peak(frames, |f| &f.joint_vel_radps),
             joint_accel_rms_radps2: accel_rms(frames, trace.period_s),
+            posture: Posture::of(frames, &duty_factor, &measure.anatomy),
         })
     }
 }
@@ -288,7 +294,10 @@ pub(crate) mod tests {
             contact_force_n: 1.0,
             trunk_force_n: 1.0,
             mass_kg: 2.6,
-            in_leg: IN_LEG.into(),
+            anatomy: Anatomy {
+                in_leg: IN_LEG.into(),
+                ..Anatomy::of(&crate::anatomy::tests::polymander())
+            },
             envelope: W210,
         }
     }
@@ -322,6 +331,8 @@ pub(crate) mod tests {
             frame.joint_vel_radps = [speed as f32; ACT_DIM].into();
             frame.torque_nm = [(0.2 * mean_speed) as f32; ACT_DIM].into();
             frame.power_w = [(0.2 * speed * speed) as f32; ACT_DIM].into();
+            // a tail that trails
+            frame.power_w[5..8].fill((0.05 * speed * speed) as f32);
             frame
         });
         Trace {
@@ -345,9 +356,9 @@ pub(crate) mod tests {
         near(gait.duty_factor[0], 0.5, 0.02);
         near(gait.clearance_m[3], 0.05, 0.001);
         near(gait.slip_mps, 0.02, 1e-6);
-        // 16 joints · 0.2·(2·cos)² = 16·0.2·4·½ = 6.4 W; 6.4/(2.6·9.81·0.3) = 0.836
-        near(gait.power_w, 6.4, 0.05);
-        near(gait.cost_of_transport, 0.836, 0.01);
+        // 13 joints · 0.2·(2·cos)² = 13·0.2·4·½ = 5.2 W, three of the tail 0.3 W; 5.5/(2.6·9.81·0.3) = 0.719
+        near(gait.power_w, 5.5, 0.05);
+        near(gait.cost_of_transport, 0.719, 0.01);
         near(gait.torque_peak_nm, 0.4, 0.002);
         near(gait.joint_speed_peak_radps, 2.0, 0.005);
         // acceleration 2·2π·1.4·sin: 17.59/√2 = 12.44 rad/s²

@@ -1,11 +1,12 @@
 //! What counts as walking. Rewards for velocity can be had by vibrating, in any simulator; these gates
-//! cannot.
+//! cannot. Nor can they be had by walking like a crippled animal.
 
 use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
 use crate::gait::Gait;
+use crate::posture::Posture;
 
 /// The limits. Defaults are the project's.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +25,45 @@ pub struct Limits {
     pub clearance_m: f64,
     /// Largest share of joint power above [`crate::gait::VIBRATION_HZ`].
     pub vibration_share: f64,
+    /// What an eye sees.
+    pub posture: PostureLimits,
+}
+
+/// The limits of posture and of going straight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PostureLimits {
+    /// Largest distance of a joint's mean from nominal or from its mirror image, whichever is nearer, rad.
+    pub off_rad: f64,
+    /// Largest share of time that a joint is at an end stop.
+    pub at_stop_share: f64,
+    /// Largest |mean yaw rate − commanded| (rad/s) and |velocity to the left − commanded| (m/s); not looked
+    /// at on rough ground, which turns a robot aside.
+    pub drift: Option<(f64, f64)>,
+    /// Largest difference between the swings of a leg's joint and its counterpart's, rad.
+    pub sides_apart_rad: f64,
+    /// Largest difference between the duty factors of a foot and the one on the other side.
+    pub duty_apart: f64,
+    /// Largest share of the tail in the power.
+    pub tail_power_share: f64,
+    /// Largest share of one joint in the bend of the trunk.
+    pub trunk_bend_share: f64,
+    /// Largest share of time in which parts of the robot overlap.
+    pub overlap_share: f64,
+}
+
+impl Default for PostureLimits {
+    fn default() -> Self {
+        Self {
+            off_rad: 10.0_f64.to_radians(),
+            at_stop_share: 0.02,
+            drift: Some((0.02, 0.01)),
+            sides_apart_rad: 5.0_f64.to_radians(),
+            duty_apart: 0.05,
+            tail_power_share: 0.15,
+            trunk_bend_share: 0.5,
+            overlap_share: 1e-3,
+        }
+    }
 }
 
 impl Default for Limits {
@@ -36,6 +76,7 @@ impl Default for Limits {
             slip_mps: 0.06,
             clearance_m: 0.03,
             vibration_share: 0.05,
+            posture: PostureLimits::default(),
         }
     }
 }
@@ -71,60 +112,9 @@ impl GateReport {
         if gaits.is_empty() {
             return Self::default();
         }
-        let mean = |value: &dyn Fn(&Gait) -> f64| {
-            gaits.iter().map(value).sum::<f64>() / gaits.len() as f64
-        };
-        let feet = gaits[0].duty_factor.len();
-        let clearance = (0..feet).map(|foot| mean(&|g| g.clearance_m[foot]));
-        let feet: Vec<f64> = (0..feet)
-            .map(|foot| mean(&|g| g.duty_factor[foot]))
-            .collect();
-        let off_clock = mean(&|g| (g.stride_hz / g.clock_hz - 1.0).abs());
-        let lowest = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
-        let highest = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let mut gates = vec![
-            gate(
-                "stride frequency off the clock",
-                off_clock,
-                None,
-                Some(limits.stride_off_clock),
-            ),
-            gate(
-                "duty factor, least",
-                lowest(&feet),
-                Some(limits.duty_factor[0]),
-                None,
-            ),
-            gate(
-                "duty factor, most",
-                highest(&feet),
-                None,
-                Some(limits.duty_factor[1]),
-            ),
-            gate("power, W", mean(&|g| g.power_w), None, Some(limits.power_w)),
-            gate(
-                "stance slip, m/s",
-                mean(&|g| g.slip_mps),
-                None,
-                Some(limits.slip_mps),
-            ),
-            gate(
-                "clearance, m",
-                lowest(&clearance.collect::<Vec<_>>()),
-                Some(limits.clearance_m),
-                None,
-            ),
-            gate(
-                "joint power above 6 Hz",
-                mean(&|g| g.vibration_share),
-                None,
-                Some(limits.vibration_share),
-            ),
-        ];
-        if let Some(most) = limits.trunk_contact_share {
-            let share = mean(&|g| g.trunk_contact_share);
-            gates.push(gate("trunk on the ground", share, None, Some(most)));
-        }
+        let means = Means(gaits);
+        let mut gates = means.of_walking(limits);
+        gates.extend(means.of_posture(&limits.posture));
         Self {
             walks: gates.iter().all(|g| g.met),
             gates,
@@ -140,6 +130,91 @@ impl GateReport {
             .map(|g| g.name.as_ref())
             .collect()
     }
+}
+
+/// Means over episodes, of which there is at least one.
+struct Means<'a>(&'a [Gait]);
+
+impl Means<'_> {
+    fn of(&self, value: impl Fn(&Gait) -> f64) -> f64 {
+        self.0.iter().map(value).sum::<f64>() / self.0.len() as f64
+    }
+
+    /// Smallest and largest of `count` means.
+    fn ends(&self, count: usize, value: impl Fn(&Gait, usize) -> f64) -> [f64; 2] {
+        let mut ends = [f64::INFINITY, f64::NEG_INFINITY];
+        for i in 0..count {
+            let mean = self.of(|g| value(g, i));
+            ends = [ends[0].min(mean), ends[1].max(mean)];
+        }
+        ends
+    }
+
+    fn of_walking(&self, limits: &Limits) -> Vec<Gate> {
+        let feet = self.0[0].duty_factor.len();
+        let duty = self.ends(feet, |g, foot| g.duty_factor[foot]);
+        let clearance = self.ends(feet, |g, foot| g.clearance_m[foot]);
+        let off_clock = self.of(|g| (g.stride_hz / g.clock_hz - 1.0).abs());
+        let vibration = self.of(|g| g.vibration_share);
+        let mut gates = vec![
+            at_most(
+                "stride frequency off the clock",
+                off_clock,
+                limits.stride_off_clock,
+            ),
+            at_least("duty factor, least", duty[0], limits.duty_factor[0]),
+            at_most("duty factor, most", duty[1], limits.duty_factor[1]),
+            at_most("power, W", self.of(|g| g.power_w), limits.power_w),
+            at_most("stance slip, m/s", self.of(|g| g.slip_mps), limits.slip_mps),
+            at_least("clearance, m", clearance[0], limits.clearance_m),
+            at_most("joint power above 6 Hz", vibration, limits.vibration_share),
+        ];
+        if let Some(most) = limits.trunk_contact_share {
+            let share = self.of(|g| g.trunk_contact_share);
+            gates.push(at_most("trunk on the ground", share, most));
+        }
+        gates
+    }
+
+    fn of_posture(&self, limits: &PostureLimits) -> Vec<Gate> {
+        let joints = self.0[0].posture.off_rad.len();
+        let off = self.ends(joints, |g, joint| g.posture.off_rad[joint])[1];
+        let at_stop = self.ends(joints, |g, joint| g.posture.at_stop_share[joint])[1];
+        let of = |value: fn(&Posture) -> f64| self.of(|g| value(&g.posture));
+        let (sides, duty) = (of(|p| p.sides_apart_rad), of(|p| p.duty_apart));
+        let (tail, bend) = (of(|p| p.tail_power_share), of(|p| p.trunk_bend_share));
+        let mut gates = vec![
+            at_most("joint off nominal and mirror, rad", off, limits.off_rad),
+            at_most("at an end stop", at_stop, limits.at_stop_share),
+            at_most(
+                "leg swing apart left and right, rad",
+                sides,
+                limits.sides_apart_rad,
+            ),
+            at_most("duty factor apart left and right", duty, limits.duty_apart),
+            at_most("tail's share of the power", tail, limits.tail_power_share),
+            at_most("trunk bend in one joint", bend, limits.trunk_bend_share),
+            at_most(
+                "overlaps itself",
+                of(|p| p.overlap_share),
+                limits.overlap_share,
+            ),
+        ];
+        if let Some((yaw_radps, side_mps)) = limits.drift {
+            let (yaw, side) = (of(|p| p.yaw_off_radps), of(|p| p.side_off_mps));
+            gates.push(at_most("yaw off the command, rad/s", yaw, yaw_radps));
+            gates.push(at_most("sideways off the command, m/s", side, side_mps));
+        }
+        gates
+    }
+}
+
+fn at_most(name: &'static str, value: f64, most: f64) -> Gate {
+    gate(name, value, None, Some(most))
+}
+
+fn at_least(name: &'static str, value: f64, least: f64) -> Gate {
+    gate(name, value, Some(least), None)
 }
 
 fn gate(name: &'static str, value: f64, at_least: Option<f64>, at_most: Option<f64>) -> Gate {
@@ -181,7 +256,7 @@ mod tests {
     fn each_limit_can_fail_alone() {
         let good = Gait::of(&trot(1.4, 0.0), &measure()).unwrap();
         type Spoil = fn(&mut Gait);
-        let spoil: [(&str, Spoil); 8] = [
+        let spoil: [(&str, Spoil); 17] = [
             ("stride frequency off the clock", |g| g.stride_hz = 2.8),
             ("duty factor, least", |g| g.duty_factor[2] = 0.39),
             ("duty factor, most", |g| g.duty_factor[1] = 0.71),
@@ -190,6 +265,29 @@ mod tests {
             ("clearance, m", |g| g.clearance_m[3] = 0.029),
             ("joint power above 6 Hz", |g| g.vibration_share = 0.051),
             ("trunk on the ground", |g| g.trunk_contact_share = 0.011),
+            ("joint off nominal and mirror, rad", |g| {
+                g.posture.off_rad[3] = 0.18
+            }),
+            ("at an end stop", |g| g.posture.at_stop_share[0] = 0.021),
+            ("leg swing apart left and right, rad", |g| {
+                g.posture.sides_apart_rad = 0.09
+            }),
+            ("duty factor apart left and right", |g| {
+                g.posture.duty_apart = 0.06
+            }),
+            ("tail's share of the power", |g| {
+                g.posture.tail_power_share = 0.16
+            }),
+            ("trunk bend in one joint", |g| {
+                g.posture.trunk_bend_share = 0.51
+            }),
+            ("overlaps itself", |g| g.posture.overlap_share = 0.002),
+            ("yaw off the command, rad/s", |g| {
+                g.posture.yaw_off_radps = 0.021
+            }),
+            ("sideways off the command, m/s", |g| {
+                g.posture.side_off_mps = 0.011
+            }),
         ];
         for (name, change) in spoil {
             let mut gait = good.clone();

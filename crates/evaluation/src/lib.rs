@@ -9,6 +9,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 mod acceptance;
+mod anatomy;
 mod block;
 mod envelope;
 mod error;
@@ -16,6 +17,8 @@ mod estimate;
 mod evaluate;
 pub mod gait;
 pub mod gates;
+mod overlap;
+mod posture;
 pub mod report;
 mod result;
 mod run;
@@ -27,12 +30,15 @@ mod trace;
 mod transition;
 mod wave;
 
+pub use anatomy::Anatomy;
 pub use envelope::Envelope;
 pub use error::EvaluationError;
 pub use estimate::Estimate;
 pub use evaluate::Evaluation;
 pub use gait::Gait;
-pub use gates::{Gate, GateReport, Limits};
+pub use gates::{Gate, GateReport, Limits, PostureLimits};
+pub use overlap::Shapes;
+pub use posture::{Posture, PostureResult};
 pub use result::{Referee, Row, ScenarioResult, SuiteResult};
 pub use run::{Outcome, Settings, run_scenario};
 pub use scenario::{Corner, Goal, Leg, Order, Scenario, Start};

@@ -7,6 +7,7 @@ use caudata_task::PerFoot;
 use serde::{Deserialize, Serialize};
 
 use crate::gait::Gait;
+use crate::posture::PostureResult;
 use crate::transition::{Passage, TransitionResult};
 use crate::wave::{Wave, WaveResult};
 use crate::{Estimate, GateReport, Suite};
@@ -130,6 +131,8 @@ pub struct ScenarioResult {
     pub joint_speed_peak_radps: f64,
     /// Root mean square joint acceleration, rad/s².
     pub joint_accel_rms_radps2: f64,
+    /// How it holds itself; `None` where nothing could be measured.
+    pub posture: Option<PostureResult>,
     /// Whether it walks; `None` where the scenario is not about walking.
     pub gates: Option<GateReport>,
     /// The wave along the body; `None` where it hardly bends.
@@ -197,6 +200,7 @@ impl ScenarioResult {
             servo_limit_share: mean(&|g| g.servo_limit_share),
             joint_speed_peak_radps: most(|g| g.joint_speed_peak_radps),
             joint_accel_rms_radps2: mean(&|g| g.joint_accel_rms_radps2),
+            posture: None,
             gates,
             wave: None,
             transition: None,

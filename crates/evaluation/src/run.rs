@@ -8,10 +8,11 @@ use caudata_env::StartShift;
 use caudata_model::RobotModel;
 use caudata_policy::{Inference, PolicyFile};
 use caudata_sim::Terrain;
-use caudata_task::BodyPlan;
 
+use crate::anatomy::Anatomy;
 use crate::block::{Block, Round, run_blocks};
 use crate::gait::Measure;
+use crate::posture::PostureResult;
 use crate::result::Episode;
 use crate::transition::{Shore, TransitionResult};
 use crate::wave::WaveResult;
@@ -92,7 +93,7 @@ pub fn run_scenario(
         contact_force_n: f64::from(config.task.reward.contact_force_n),
         trunk_force_n: f64::from(config.task.reward.contact_force_n),
         mass_kg: model.total_mass_kg(),
-        in_leg: BodyPlan::from_model(model).in_leg,
+        anatomy: Anatomy::of(model),
         envelope: Envelope::of(model),
     };
     let run = |block: Block| -> Result<Round, EvaluationError> {
@@ -134,6 +135,9 @@ pub fn run_scenario(
     result.transition = shore.map(|_| TransitionResult::of(&passages));
     let waves: Vec<_> = measured.iter().filter_map(|e| e.wave).collect();
     result.wave = WaveResult::of(&waves);
+    let gaits = measured.iter().filter_map(|e| e.gait.as_ref());
+    let postures: Vec<_> = gaits.map(|g| &g.posture).collect();
+    result.posture = PostureResult::of(&postures, &measure.anatomy);
     Ok(Outcome {
         result,
         terrain,
@@ -148,6 +152,7 @@ fn judge(episodes: &[Episode], scenario: &Scenario, limits: &Limits) -> GateRepo
     let mut limits = *limits;
     if !scenario.is_flat() {
         limits.trunk_contact_share = None;
+        limits.posture.drift = None;
     }
     let gaits: Vec<_> = episodes.iter().filter_map(|e| e.gait.clone()).collect();
     GateReport::of(&gaits, &limits)

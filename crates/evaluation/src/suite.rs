@@ -26,6 +26,11 @@ pub(crate) const ONTO_LAND: &str = "shore: onto land";
 const ONTO_GENTLE_LAND: &str = "shore: onto land, 10°";
 pub(crate) const THERE_AND_BACK: &str = "shore: there and back";
 pub(crate) const SWIM: &str = "swim 0.3 m/s";
+/// Swimming and turning, to the left and to the right.
+pub(crate) const SWIM_TURN: [&str; 2] = ["swim 0.3 m/s, turn left", "swim 0.3 m/s, turn right"];
+/// Yaw rate that they ask for, rad/s.
+const SWIM_TURN_RADPS: f32 = 0.5;
+pub(crate) const BACK: &str = "back 0.2 m/s";
 
 /// The command that the paper's figures are for, m/s.
 pub const PAPER_COMMAND_MPS: f32 = 0.3;
@@ -34,7 +39,7 @@ pub const PAPER_COMMAND_MPS: f32 = 0.3;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Suite {
-    /// Flat ground: forward at 0.3 m/s, standing still, and faster commands up to 0.8 m/s.
+    /// Flat ground: forward at 0.3 m/s, standing still, other commands from 0.1 to 0.8 m/s, and backward.
     Flat,
     /// The paper's three grades of rough ground at 0.3 m/s.
     Rough,
@@ -44,8 +49,10 @@ pub enum Suite {
     Push,
     /// The worst corners of the randomisation, one by one and all together.
     Robust,
-    /// From land into water, back onto land, and swimming in deep water.
+    /// From land into water, back onto land, and swimming and turning in deep water.
     Transition,
+    /// Swimming in deep water: straight ahead, and turning to either side at 0.5 rad/s.
+    Swim,
     /// All that walks: every suite before `transition`.
     Paper,
     /// Everything that the project's table of targets asks about, transition included.
@@ -54,13 +61,14 @@ pub enum Suite {
 
 impl Suite {
     /// All suites, in the order of the declaration.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Flat,
         Self::Rough,
         Self::Omni,
         Self::Push,
         Self::Robust,
         Self::Transition,
+        Self::Swim,
         Self::Paper,
         Self::Acceptance,
     ];
@@ -75,6 +83,7 @@ impl Suite {
             Self::Push => "push",
             Self::Robust => "robust",
             Self::Transition => "transition",
+            Self::Swim => "swim",
             Self::Paper => "paper",
             Self::Acceptance => "acceptance",
         }
@@ -90,6 +99,7 @@ impl Suite {
             Self::Push => vec![push(mass_kg)],
             Self::Robust => robust(),
             Self::Transition => transition(),
+            Self::Swim => swim(),
             Self::Paper => [
                 Self::Flat,
                 Self::Rough,
@@ -117,10 +127,11 @@ fn flat() -> Vec<Scenario> {
             ..Scenario::walk(STAND, [0.0; 3])
         },
     ];
-    for command in [0.4_f32, 0.5, 0.6, 0.7, 0.8] {
+    for command in [0.1_f32, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8] {
         let name = format!("flat {command:.1} m/s");
         all.push(Scenario::walk(&name, [command, 0.0, 0.0]));
     }
+    all.push(Scenario::walk(BACK, [-0.2, 0.0, 0.0]));
     all.push(changing());
     all
 }
@@ -285,7 +296,7 @@ fn transition() -> Vec<Scenario> {
         }],
         ..shore(name, afloat, PI, Goal::OntoLand)
     };
-    vec![
+    let mut all = vec![
         shore(INTO_WATER, [0.0; 2], 0.0, Goal::IntoWater),
         onto_land(ONTO_LAND, STEEP_BEACH_DEG),
         onto_land(ONTO_GENTLE_LAND, GENTLE_BEACH_DEG),
@@ -303,11 +314,23 @@ fn transition() -> Vec<Scenario> {
             ],
             ..shore(THERE_AND_BACK, [0.0; 2], 0.0, Goal::ThereAndBack)
         },
-        Scenario {
-            terrain: TerrainConfig::of(TerrainKind::DeepWater),
-            judged: false,
-            ..Scenario::walk(SWIM, ahead)
-        },
+    ];
+    all.extend(swim());
+    all
+}
+
+/// In deep water: straight ahead, and turning.
+fn swim() -> Vec<Scenario> {
+    let swim = |name: &str, yaw_radps| Scenario {
+        terrain: TerrainConfig::of(TerrainKind::DeepWater),
+        judged: false,
+        ..Scenario::walk(name, [PAPER_COMMAND_MPS, 0.0, yaw_radps])
+    };
+    let [left, right] = SWIM_TURN;
+    vec![
+        swim(left, SWIM_TURN_RADPS),
+        swim(right, -SWIM_TURN_RADPS),
+        swim(SWIM, 0.0),
     ]
 }
 

@@ -111,8 +111,8 @@ impl Motion {
         let mean = |value: &dyn Fn(&Frame) -> f64| {
             frames.iter().map(value).sum::<f64>() / frames.len() as f64
         };
-        let legs: Vec<usize> = (0..measure.in_leg.len())
-            .filter(|&j| measure.in_leg[j])
+        let legs: Vec<usize> = (0..measure.anatomy.in_leg.len())
+            .filter(|&j| measure.anatomy.in_leg[j])
             .collect();
         let swing = |joint: usize| {
             let middle = mean(&|f| f64::from(f.joint_pos_rad[joint]));
@@ -128,7 +128,7 @@ impl Motion {
                 f.foot_force_n.iter().filter(touching).count() as f64
                     / f.foot_force_n.len().max(1) as f64
             }),
-            wave: Wave::of(frames, period_s, &measure.in_leg),
+            wave: Wave::of(frames, period_s, &measure.anatomy.in_leg),
         })
     }
 }

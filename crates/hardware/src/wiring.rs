@@ -3,9 +3,10 @@
 //! It belongs to one robot on one bench, not to the robot model: two robots of one model differ in it.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::Read;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use caudata_durable::read_text_at_most;
 use caudata_dynamixel::units::{
     BUS_WATCHDOG_LSB_MS, CURRENT_LSB_A, RETURN_DELAY_LSB_US, counts_to_rad, rad_to_counts,
     register_of_baud,
@@ -256,7 +257,8 @@ impl ImuWiring {
     }
 }
 
-/// What tells water from land: a file of the system that holds 0 or 1, such as the value of a GPIO line.
+/// What tells that the robot swims: a file of the system that holds 0 or 1, such as the value of a GPIO line.
+/// 1 stands for water that is too deep to walk in (`afloat_above_m` in the policy's contract).
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WaterWiring {
@@ -280,17 +282,14 @@ impl Wiring {
             path: path.to_owned(),
             reason,
         };
-        let mut bytes = Vec::new();
-        std::fs::File::open(path)
-            .and_then(|file| file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes))
-            .map_err(|source| WiringError::Read {
-                path: path.to_owned(),
-                source,
+        let text =
+            read_text_at_most(path, FILE_BYTES_MAX).map_err(|source| match source.kind() {
+                ErrorKind::FileTooLarge | ErrorKind::InvalidData => wrong(source.to_string()),
+                _ => WiringError::Read {
+                    path: path.to_owned(),
+                    source,
+                },
             })?;
-        if bytes.len() as u64 > FILE_BYTES_MAX {
-            return Err(wrong(format!("it has more than {FILE_BYTES_MAX} bytes")));
-        }
-        let text = String::from_utf8(bytes).map_err(|error| wrong(error.to_string()))?;
         Self::parse(&text).map_err(wrong)
     }
 

@@ -14,12 +14,10 @@ pub enum ModelError {
         source: std::io::Error,
     },
     /// A file is larger than any robot description.
-    #[error("{file} is {bytes} bytes long, more than the limit of {limit}; is it the right file?")]
+    #[error("{file} has more than {limit} bytes; is it the right file?")]
     TooLarge {
         /// The file.
         file: String,
-        /// Its size.
-        bytes: u64,
         /// The limit.
         limit: u64,
     },

@@ -1,8 +1,9 @@
 //! From two files to a checked [`RobotModel`].
 
-use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 
+use caudata_durable::read_at_most;
 use sha2::{Digest, Sha256};
 
 use crate::assemble::{
@@ -65,15 +66,13 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
         path: path.to_owned(),
         source,
     };
-    let bytes = fs::metadata(path).map_err(failed)?.len();
-    if bytes > FILE_LIMIT_BYTES {
-        return Err(ModelError::TooLarge {
+    read_at_most(path, FILE_LIMIT_BYTES).map_err(|error| match error.kind() {
+        ErrorKind::FileTooLarge => ModelError::TooLarge {
             file: path.display().to_string(),
-            bytes,
             limit: FILE_LIMIT_BYTES,
-        });
-    }
-    fs::read(path).map_err(failed)
+        },
+        _ => failed(error),
+    })
 }
 
 fn utf8<'a>(file: &str, bytes: &'a [u8]) -> Result<&'a str, ModelError> {

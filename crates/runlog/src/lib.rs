@@ -25,7 +25,7 @@ mod writer;
 
 pub use error::LogError;
 pub use log::{CSV_NAME, META_NAME, RunLog, rows_file};
-pub use meta::{BaseHold, LogMeta, Setting};
+pub use meta::{BaseHold, JointConditions, LogMeta, Payload, Setting};
 pub use signal::{Axis, QuatPart, Signal, SignalError};
 pub use table::Table;
 pub use writer::{LogWriter, TableWriter};

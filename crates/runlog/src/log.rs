@@ -1,7 +1,10 @@
 //! A log folder, read whole.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+
+use caudata_durable::{read_at_most, read_text_at_most};
 
 use crate::error::{LogError, io_error};
 use crate::meta::LogMeta;
@@ -12,6 +15,8 @@ use crate::table::Table;
 pub const CSV_NAME: &str = "log.csv";
 /// Name of the circumstances' file in a log folder.
 pub const META_NAME: &str = "log.toml";
+/// Largest `log.toml` that is read.
+const MAX_META_BYTES: u64 = 1 << 20;
 /// Extension of a recording of ROS 2.
 const MCAP: &str = "mcap";
 
@@ -34,7 +39,7 @@ impl RunLog {
     /// [`LogError`] with file, line and reason.
     pub fn read(dir: &Path) -> Result<Self, LogError> {
         let path = dir.join(META_NAME);
-        let text = fs::read_to_string(&path).map_err(io_error(&path))?;
+        let text = read_text_at_most(&path, MAX_META_BYTES).map_err(io_error(&path))?;
         let meta = LogMeta::parse(&path.display().to_string(), &text)?;
         let rows = rows_file(dir);
         let table = match rows.extension().is_some_and(|x| x == MCAP) {
@@ -67,17 +72,12 @@ fn mcap_in(dir: &Path) -> Option<PathBuf> {
 }
 
 fn read_mcap(path: &Path) -> Result<Table, LogError> {
-    let bytes = fs::metadata(path).map_err(io_error(path))?.len();
-    if bytes > MAX_MCAP_BYTES {
-        return Err(LogError::Mcap {
+    let bytes = read_at_most(path, MAX_MCAP_BYTES).map_err(|error| match error.kind() {
+        ErrorKind::FileTooLarge => LogError::Mcap {
             file: path.display().to_string(),
-            message: format!(
-                "is {bytes} bytes long; at most {MAX_MCAP_BYTES} are read: split it or leave out camera topics"
-            ),
-        });
-    }
-    parse_mcap(
-        &path.display().to_string(),
-        &fs::read(path).map_err(io_error(path))?,
-    )
+            message: format!("{error}: split it or leave out camera topics"),
+        },
+        _ => io_error(path)(error),
+    })?;
+    parse_mcap(&path.display().to_string(), &bytes)
 }

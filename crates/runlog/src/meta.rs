@@ -54,9 +54,43 @@ pub struct LogMeta {
     /// Supply voltage, V.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub supply_v: Option<f64>,
+    /// What was otherwise at single joints, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub joint: BTreeMap<String, JointConditions>,
+    /// Weights that were fastened to the robot.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub payload: Vec<Payload>,
     /// Every other setting that was known, by key.
     #[serde(flatten)]
     pub settings: BTreeMap<String, Setting>,
+}
+
+/// What was otherwise at one joint than at all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointConditions {
+    /// Proportional gain in force, N·m/rad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kp: Option<f64>,
+    /// Derivative gain in force, N·m·s/rad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kd: Option<f64>,
+    /// Inertia that was added at the joint, kg·m² (a flywheel).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub added_inertia_kgm2: Option<f64>,
+}
+
+/// A weight that was fastened to a link.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Payload {
+    /// Link, by name.
+    pub link: String,
+    /// kg.
+    pub mass_kg: f64,
+    /// Its centre in the link's frame, m.
+    #[serde(default)]
+    pub at_m: [f64; 3],
 }
 
 /// Highest sampling rate that a log may claim, Hz.
@@ -74,6 +108,8 @@ impl LogMeta {
             kp: None,
             kd: None,
             supply_v: None,
+            joint: BTreeMap::new(),
+            payload: Vec::new(),
             settings: BTreeMap::new(),
         }
     }
@@ -107,6 +143,25 @@ impl LogMeta {
         toml::to_string(self).map_err(|e| LogError::Refused(e.to_string()))
     }
 
+    /// Gains in force at `joint`, as far as they are noted: N·m/rad, N·m·s/rad.
+    #[must_use]
+    pub fn gains(&self, joint: &str) -> (Option<f64>, Option<f64>) {
+        let own = self.joint.get(joint).copied().unwrap_or_default();
+        (own.kp.or(self.kp), own.kd.or(self.kd))
+    }
+
+    /// Whether `other` was recorded under the same conditions, as far as they are noted. Supplies that differ
+    /// by a twentieth are the same.
+    #[must_use]
+    pub fn same_conditions(&self, other: &Self) -> bool {
+        let supplies = match (self.supply_v, other.supply_v) {
+            (Some(a), Some(b)) => (a - b).abs() <= 0.05 * a.max(b),
+            _ => true,
+        };
+        let fixed = |m: &Self| (m.base, m.kp, m.kd, m.joint.clone(), m.payload.clone());
+        supplies && fixed(self) == fixed(other)
+    }
+
     fn check(&self) -> Result<(), String> {
         if self.robot.is_empty() {
             return Err("`robot` is empty; name the robot or its file".to_owned());
@@ -125,6 +180,25 @@ impl LogMeta {
         for (key, value) in gains {
             if value.is_some_and(|v| !(v.is_finite() && v >= 0.0)) {
                 return Err(format!("`{key}` must be a number ≥ 0"));
+            }
+        }
+        for (joint, own) in &self.joint {
+            let values = [own.kp, own.kd, own.added_inertia_kgm2];
+            if values
+                .into_iter()
+                .flatten()
+                .any(|v| !(v.is_finite() && v >= 0.0))
+            {
+                return Err(format!("`joint.{joint}`: every value must be a number ≥ 0"));
+            }
+        }
+        for p in &self.payload {
+            let known = p.at_m.iter().all(|x| x.is_finite()) && p.mass_kg.is_finite();
+            if !known || p.mass_kg < 0.0 {
+                return Err(format!(
+                    "`payload` at `{}`: a mass is a number ≥ 0, a place is finite",
+                    p.link
+                ));
             }
         }
         for (key, value) in &self.settings {
@@ -155,6 +229,31 @@ mod tests {
             LogMeta::parse("log.toml", &meta.to_toml().unwrap()).unwrap(),
             meta
         );
+    }
+
+    #[test]
+    fn conditions_of_a_run_are_read_and_compared() {
+        let text = "robot = \"arm\"\nbase = \"fixed\"\nrate_hz = 100\nkp = 15\nsupply_v = 12.0\n\
+                    [joint.elbow]\nkp = 4\n[[payload]]\nlink = \"hand\"\nmass_kg = 0.5\nat_m = [0, 0, 0.1]\n";
+        let meta = LogMeta::parse("log.toml", text).unwrap();
+        assert_eq!(meta.gains("elbow"), (Some(4.0), None));
+        assert_eq!(meta.gains("wrist"), (Some(15.0), None));
+        assert_eq!(
+            LogMeta::parse("log.toml", &meta.to_toml().unwrap()).unwrap(),
+            meta
+        );
+        let mut other = meta.clone();
+        other.supply_v = Some(11.8);
+        assert!(meta.same_conditions(&other));
+        other.supply_v = Some(9.0);
+        assert!(!meta.same_conditions(&other));
+        let mut heavier = meta.clone();
+        heavier.payload[0].mass_kg = 1.0;
+        assert!(!meta.same_conditions(&heavier));
+        // what is misspelt inside is an error that says where
+        let wrong = text.replace("[joint.elbow]\nkp", "[joint.elbow]\nKp");
+        let error = LogMeta::parse("log.toml", &wrong).unwrap_err().to_string();
+        assert!(error.contains("unknown field `Kp`"), "{error}");
     }
 
     #[test]

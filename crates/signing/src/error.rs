@@ -1,8 +1,10 @@
 //! What is wrong with a file of keys, and reading such files.
 
-use std::io::Read;
+use std::io::ErrorKind;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+
+use caudata_durable::read_text_at_most;
 
 /// Largest trust file, and largest file of signatures, bytes.
 const FILE_MAX: u64 = 64 << 10;
@@ -60,17 +62,13 @@ pub(crate) fn file_error(path: &Path) -> impl FnOnce(std::io::Error) -> SigningE
 }
 
 pub(crate) fn read_small(path: &Path) -> Result<String, SigningError> {
-    let mut text = String::new();
-    std::fs::File::open(path)
-        .and_then(|file| file.take(FILE_MAX + 1).read_to_string(&mut text))
-        .map_err(file_error(path))?;
-    if text.len() as u64 > FILE_MAX {
-        return Err(SigningError::Content {
+    read_text_at_most(path, FILE_MAX).map_err(|error| match error.kind() {
+        ErrorKind::FileTooLarge | ErrorKind::InvalidData => SigningError::Content {
             path: path.to_owned(),
-            reason: format!("more than {FILE_MAX} bytes"),
-        });
-    }
-    Ok(text)
+            reason: error.to_string(),
+        },
+        _ => file_error(path)(error),
+    })
 }
 
 /// 64 hexadecimal digits.

@@ -8,18 +8,18 @@ use caudata_proto::hex::hex;
 use caudata_proto::registry::{Freshness, Manifest, Signature, SignedFreshness};
 use ed25519_dalek::{Signer, SigningKey};
 
-use crate::error::{SigningError, check_private, file_error, from_hex};
+use crate::error::{SigningError, check_private, file_error, from_hex, read_small};
 
 /// `format` of a trust file.
 pub const TRUST_FORMAT: &str = "caudata.trust.v1";
 /// First bytes of what is signed: a signature for anything else does not count here.
-const DOMAIN: &[u8] = b"caudata.manifest.v1\0";
+const MANIFEST_DOMAIN: &[u8] = b"caudata.manifest.v1\0";
 /// The same for what a server says about where a label leads.
 const FRESHNESS_DOMAIN: &[u8] = b"caudata.freshness.v1\0";
 
 /// The bytes that are signed: every field, each behind its length, in the order of the manifest.
 pub fn signed_bytes(manifest: &Manifest) -> Vec<u8> {
-    let mut out = DOMAIN.to_vec();
+    let mut out = MANIFEST_DOMAIN.to_vec();
     let mut put = |field: &[u8]| {
         out.extend_from_slice(&(field.len() as u64).to_le_bytes());
         out.extend_from_slice(field);
@@ -97,7 +97,7 @@ impl ReleaseKey {
     /// [`SigningError`], also where others may use the file ([`check_private`]).
     pub fn read(path: &Path, id: &str) -> Result<Self, SigningError> {
         check_private(path)?;
-        let text = std::fs::read_to_string(path).map_err(file_error(path))?;
+        let text = read_small(path)?;
         let seed = from_hex(text.trim()).ok_or_else(|| SigningError::Content {
             path: path.to_owned(),
             reason: "a key is 64 hexadecimal digits".to_owned(),

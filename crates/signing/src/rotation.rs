@@ -17,7 +17,7 @@ use crate::key::ReleaseKey;
 use crate::trust::Trust;
 
 /// First bytes of what is signed.
-const DOMAIN: &[u8] = b"caudata.trust.v1\0";
+const TRUST_DOMAIN: &[u8] = b"caudata.trust.v1\0";
 /// Successors that are followed.
 const CHAIN_MAX: usize = 1024;
 /// Why a trust file does not follow on another.
@@ -56,7 +56,7 @@ pub struct TrustSignature {
 }
 
 fn signed(text: &str) -> Vec<u8> {
-    [DOMAIN, text.as_bytes()].concat()
+    [TRUST_DOMAIN, text.as_bytes()].concat()
 }
 
 impl ReleaseKey {

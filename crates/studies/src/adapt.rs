@@ -259,6 +259,7 @@ fn diagnosed(
         only: plan.only.clone(),
         threads: None,
         seed: 1,
+        budget: None,
     };
     steps.diagnose("diagnose", &plan)
 }

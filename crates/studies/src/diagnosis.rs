@@ -52,12 +52,35 @@ pub struct Plan {
     /// Seed of resampling
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Report the best so far after about so long (90s, 3min, 1h). Default: when everything was tried
+    #[arg(long, value_name = "TIME", value_parser = seconds)]
+    pub budget: Option<f64>,
+}
+
+/// A time with its unit, s.
+fn seconds(text: &str) -> Result<f64, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let unit_s = match text[digits.len()..].trim() {
+        "s" => 1.0,
+        "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err("a time is a number with s, min or h: 90s, 3min, 1h".to_owned()),
+    };
+    let number: f64 = digits
+        .trim()
+        .parse()
+        .map_err(|_| format!("`{digits}` is no number"))?;
+    match number.is_finite() && number > 0.0 {
+        true => Ok(number * unit_s),
+        false => Err("a time is above zero".to_owned()),
+    }
 }
 
 /// Diagnoses, and leaves the report, its page and the extended robot file in the output folder.
 ///
 /// # Errors
-/// Where a file cannot be read or written, nothing can be simulated, or `stop` is raised; a verdict is none.
+/// Where a file cannot be read or written, nothing can be simulated, or `stop` is raised before there is
+/// anything to tell; a verdict is none. Raised later, it ends the search, and the best so far is written.
 pub fn diagnose(
     plan: &Plan,
     stop: &StopFlag,
@@ -80,6 +103,7 @@ pub fn diagnose(
             without: plan.without.clone(),
             only: plan.only.clone(),
             go_on: GoOn::as_long_as(move || !until.is_set()),
+            budget_s: plan.budget,
         },
     };
     let started = Instant::now();
@@ -161,7 +185,9 @@ fn refused(error: GapError, stop: &StopFlag) -> Failure {
             ExitCode::BadInput
         }
         GapError::Sim(_) | GapError::Worker => ExitCode::Internal,
-        GapError::Stopped => return stopped(stop).hint("nothing was written"),
+        GapError::Stopped => {
+            return stopped(stop).hint("nothing was known yet, and nothing was written");
+        }
     };
     Failure::new(code, error)
 }
@@ -207,4 +233,19 @@ pub fn robot_files(path: &Path) -> Result<(Vec<u8>, String, Vec<u8>), Failure> {
         .or_exit(ExitCode::BadInput)?;
     let mjcf = files::read(&path.with_file_name(&mjcf_name))?;
     Ok((robot_toml, mjcf_name, mjcf))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::seconds;
+
+    #[test]
+    fn a_time_has_a_unit() {
+        assert_eq!(seconds("90s"), Ok(90.0));
+        assert_eq!(seconds("3min"), Ok(180.0));
+        assert_eq!(seconds("0.5 h"), Ok(1800.0));
+        for wrong in ["3", "min", "-1s", "0s", "3 weeks"] {
+            assert!(seconds(wrong).is_err(), "{wrong}");
+        }
+    }
 }

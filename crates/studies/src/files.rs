@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use caudata_config::shipped;
 use caudata_durable::DurableError;
 use caudata_model::{ModelError, RobotModel};
 use caudata_policy::PolicyFile;
@@ -30,12 +31,12 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, Failure> {
         .or_exit_with(ExitCode::BadInput, || path.display().to_string())
 }
 
-/// A robot file and its MJCF, checked.
+/// A robot file and its MJCF, checked; a relative path may be that of a robot that came with the program.
 ///
 /// # Errors
 /// Exit code 66 where one is missing, 65 where it is wrong.
 pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
-    RobotModel::load(path).map_err(|error| {
+    RobotModel::load(&shipped(path)).map_err(|error| {
         let code = match &error {
             ModelError::Read { .. } => ExitCode::NoInput,
             _ => ExitCode::BadInput,
@@ -44,13 +45,13 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
     })
 }
 
-/// A policy file, checked.
+/// A policy file, checked; a relative path may be that of a policy that came with the program.
 ///
 /// # Errors
 /// Exit code 66 where it cannot be read, 65 where it is wrong.
 pub fn policy(path: &Path) -> Result<PolicyFile, Failure> {
     let shown = || format!("policy {}", path.display());
-    let bytes = std::fs::read(path)
+    let bytes = caudata_durable::read_at_most(&shipped(path), caudata_policy::MAX_FILE_BYTES as u64)
         .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))?;
     PolicyFile::parse(bytes.into()).or_exit_with(ExitCode::BadInput, shown)
 }

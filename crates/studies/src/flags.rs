@@ -3,9 +3,11 @@
 use std::ffi::OsString;
 use std::path::Path;
 
-use caudata_config::ConfigArgs;
+use caudata_config::{Config, ConfigArgs, PRESETS, Preset, Source};
 use caudata_evaluation::Suite;
+use caudata_model::RobotModel;
 use caudata_sim::EngineKind;
+use caudata_task::PolicyContract;
 use clap::ValueEnum;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
@@ -71,6 +73,28 @@ pub fn or_beside(flags: &ConfigArgs, policy: &Path, preset: &str) -> ConfigArgs 
         flags.config = Some(beside);
     }
     or_preset(&flags, preset)
+}
+
+/// The presets in whose tasks a policy's numbers mean what they meant in training; the one that it was most likely
+/// trained with first.
+#[must_use]
+pub fn presets_for(contract: &PolicyContract) -> Vec<&'static str> {
+    let differences = |preset: &&Preset| {
+        let config = Config::load(&Source::preset(preset.name)).ok()?;
+        let model = RobotModel::load(&config.robot_path()).ok()?;
+        let own = PolicyContract::new(&model, &config.task).ok()?;
+        let differences = contract.differences(&own);
+        let breaking = differences.iter().any(|d| d.is_breaking());
+        (!breaking).then_some(differences.len())
+    };
+    let fitting = PRESETS
+        .iter()
+        .map(|preset| (differences(&preset), preset.name));
+    let mut fitting: Vec<(usize, &str)> = fitting
+        .filter_map(|(differences, name)| Some((differences?, name)))
+        .collect();
+    fitting.sort_by_key(|(differences, _)| *differences);
+    fitting.into_iter().map(|(_, name)| name).collect()
 }
 
 /// The flags again, for a program that takes them too.

@@ -78,6 +78,7 @@ pub fn draw(plan: &Plan, steps: &mut Steps<'_>) -> Result<Drawn, Failure> {
         only: Vec::new(),
         threads: Some(plan.threads as usize),
         seed: 1,
+        budget: None,
     };
     // Whatever else the verdict is, there are pictures to look at.
     let report = steps.diagnose("diagnose", &diagnosis)?;

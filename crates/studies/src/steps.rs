@@ -130,7 +130,15 @@ impl<'a> Steps<'a> {
         let (robot, out) = (plan.robot.display(), plan.out.display());
         let what = format!("{robot} against its logs, into {out}");
         self.run(name, &what, |stop, tell| {
-            diagnosis::diagnose(plan, stop, &mut |progress| tell(News::Diagnosis(progress)))
+            let tell = &mut |progress: &_| tell(News::Diagnosis(progress));
+            let report = diagnosis::diagnose(plan, stop, tell)?;
+            if report.unfinished && stop.is_set() {
+                // what comes next must not build on half an answer
+                let path = plan.out.join(diagnosis::REPORT);
+                std::fs::remove_file(&path).or_exit(ExitCode::CannotCreate)?;
+                return Err(crate::failures::stopped(stop));
+            }
+            Ok(report)
         })
     }
 

@@ -12,6 +12,8 @@ use crate::DeployError;
 pub const DATAGRAM: usize = 4 + 1 + 8 + 8 + 12 + TAG;
 /// Shortest key, bytes.
 pub const KEY_MIN: usize = 16;
+/// Longest key, bytes.
+const KEY_MAX: u64 = 4096;
 
 const TAG: usize = 16;
 const MAGIC: &[u8; 4] = b"CDL1";
@@ -32,7 +34,8 @@ impl LinkKey {
             reason,
         };
         check_private(path)?;
-        let bytes = std::fs::read(path).map_err(|e| wrong(e.to_string()))?;
+        let bytes =
+            caudata_durable::read_at_most(path, KEY_MAX).map_err(|e| wrong(e.to_string()))?;
         if bytes.len() < KEY_MIN {
             return Err(wrong(format!("a key has at least {KEY_MIN} bytes")));
         }

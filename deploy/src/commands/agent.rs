@@ -25,7 +25,7 @@ const COMMANDS_EVERY: Duration = Duration::from_millis(20);
 pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     let notifier = Notifier::from_environment()?;
     let folder = RunFolder::open(&args.run_folder())?;
-    let _alone = alone(folder.file("agent.lock"))?;
+    let _alone = alone(&folder.file("agent.lock"))?;
     let metrics = Metrics::new().beside(folder.file(LOOP_PAGE));
     let factory = args.factory.as_deref();
     let (source, agent_metrics) = Source::open(&args.source, factory, &metrics)?;

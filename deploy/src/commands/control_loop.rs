@@ -58,7 +58,7 @@ struct Setting<'a> {
 pub fn run(args: &RunArgs, process: &Process) -> Result<(), DeployError> {
     let commands = args.command_table()?;
     let folder = RunFolder::open(&args.run_folder())?;
-    let _alone = alone(folder.file("rt.lock"))?;
+    let _alone = alone(&folder.file("rt.lock"))?;
     // And on the state, which another run folder may share: two loops would tell their agents under the same
     // numbers.
     let teller = Teller::open(&args.source.state, &folder)?;
@@ -153,6 +153,7 @@ fn walk<R: Robot>(
         state: args.source.state.clone(),
         trust: trust_of(&args.source)?.map(Arc::new),
         factory: args.factory.clone(),
+        tells_water: robot.in_water().is_some(),
     };
     let link = LocalLink::open(&setting.folder)?;
     let run = random_nonce().map_err(|source| DeployError::System {

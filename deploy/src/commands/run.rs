@@ -168,7 +168,7 @@ pub fn run(args: &RunArgs, process: &Process) -> Result<(), Failure> {
     }
     let folder = RunFolder::open(&args.run_folder()).map_err(failure)?;
     // Before anything in the folder is touched: a second supervisor would take the first one's sockets away.
-    let _alone = alone(folder.file("run.lock")).map_err(failure)?;
+    let _alone = alone(&folder.file("run.lock")).map_err(failure)?;
     let hang = match &args.bus {
         BusAddress::Sim(_) => HANG_SIMULATED,
         BusAddress::Wiring(_) => HANG_WIRED,

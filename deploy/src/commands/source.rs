@@ -127,7 +127,7 @@ pub(super) struct Source {
     pub(super) follow: Follow,
     pub(super) keeper: Keeper,
     /// No second agent or `pull` on one state: each would write over what the other learnt.
-    _alone: std::fs::File,
+    _alone: caudata_durable::Owner,
 }
 
 impl Source {
@@ -255,7 +255,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fault_55_beyond_this_computer_no_policy_is_taken_in_the_open_or_unsigned() {
+    fn fault_74_beyond_this_computer_no_policy_is_taken_in_the_open_or_unsigned() {
         let args = |address: &str, more: &[&str]| {
             let words = [
                 "pull",

@@ -109,7 +109,7 @@ pub struct Counts {
     pub walked_s: f64,
     /// Sum of the commands over walking ticks, and their number.
     pub(super) command_sum: [f64; COMMAND_DIM],
-    pub(super) walking_ticks: u64,
+    pub(crate) walking_ticks: u64,
     /// From waking to sent.
     pub tick_latency: Latencies,
     /// From due to woken.

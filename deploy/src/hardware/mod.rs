@@ -288,7 +288,7 @@ fn lost(fault: &BusFault) -> BusError {
 
 impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
     fn read(&mut self, deadline: Duration) -> Result<ServoReadings, BusError> {
-        let begun = Instant::now();
+        let end = self.bus.now() + deadline;
         let fast = self.fast.is_some() && !self.bus.fast_is_hopeless();
         let group = match (&mut self.fast, fast) {
             (Some(group), true) => group,
@@ -307,8 +307,8 @@ impl<P: Port, B: I2c> ServoBus for HardwareRobot<P, B> {
         }
         self.all_silent = 0;
         // Waiting for a silent servo took the whole deadline.
-        let left = deadline
-            .saturating_sub(begun.elapsed())
+        let left = end
+            .saturating_duration_since(self.bus.now())
             .min(deadline.mul_f64(CARE_SHARE));
         if missing == 0 && !left.is_zero() {
             self.care(alert, left)?;
@@ -388,5 +388,7 @@ impl<P: Port, B: I2c> Robot for HardwareRobot<P, B> {
     }
 }
 
+#[cfg(test)]
+mod latencies;
 #[cfg(test)]
 mod tests;

@@ -50,9 +50,9 @@ fn level() -> EmulatedImu {
     imu
 }
 
-type Emulated = HardwareRobot<EmulatedPort, EmulatedImu>;
+pub(super) type Emulated = HardwareRobot<EmulatedPort, EmulatedImu>;
 
-fn robot() -> Emulated {
+pub(super) fn robot() -> Emulated {
     let (wiring, joints) = wiring();
     let port = EmulatedPort::new(EmulatedBus::new(servos(&joints), 1));
     let mut bus = Bus::new(port, wiring.bus.baud);
@@ -78,7 +78,7 @@ fn ticks(robot: &mut Emulated, count: u32) -> Result<Health, BusError> {
     Ok(robot.health())
 }
 
-fn emulated(robot: &mut Emulated, joint: usize) -> &mut EmulatedServo {
+pub(super) fn emulated(robot: &mut Emulated, joint: usize) -> &mut EmulatedServo {
     &mut robot.bus_mut().port_mut().bus().servos_mut()[joint]
 }
 

@@ -1,7 +1,7 @@
 //! One child process of the supervisor: started, listened to, ended.
 
 use std::ffi::OsString;
-use std::os::unix::process::CommandExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -61,6 +61,16 @@ pub(super) fn end_of(status: ExitStatus) -> End {
         Some(ExitCode::Ok) => End::InOrder,
         Some(code) if !died(status) => End::Wrong(code),
         code => End::Died(code),
+    }
+}
+
+/// The same of a loop that was asked to stop. One that has not come so far that it listens is ended by the very
+/// signal that asks it: before anything was touched that is an end in order.
+pub(super) fn end_of_asked(status: ExitStatus, touched: bool) -> End {
+    let asking = [Signal::SIGTERM as i32, Signal::SIGINT as i32];
+    match status.signal() {
+        Some(signal) if !touched && asking.contains(&signal) => End::InOrder,
+        _ => end_of(status),
     }
 }
 
@@ -223,7 +233,6 @@ pub(super) fn reap(child: &mut Child) {
 
 #[cfg(test)]
 mod tests {
-    use std::os::unix::process::ExitStatusExt;
 
     use super::*;
 
@@ -240,6 +249,13 @@ mod tests {
         for signal in [9, 11, 6] {
             assert!(died(ExitStatus::from_raw(signal)), "{signal}");
         }
+    }
+
+    #[test]
+    fn a_loop_that_is_asked_to_stop_before_it_listens_ends_in_order() {
+        let end = |signal, touched| end_of_asked(ExitStatus::from_raw(signal), touched);
+        assert_eq!([end(15, false), end(2, false)], [End::InOrder; 2]);
+        assert_eq!([end(15, true), end(9, false)], [End::Died(None); 2]);
     }
 
     #[test]

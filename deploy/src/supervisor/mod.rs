@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 
 use caudata_telemetry::{ExitCode, Failure, StopFlag};
 pub use child::{Plan, died};
-use child::{UNDYING_MAX, WATCH_LOOK, Watched, end_of, pause, reap};
+use child::{UNDYING_MAX, WATCH_LOOK, Watched, end_of, end_of_asked, pause, reap};
 use machine::{Do, End, Event, Limits, Signs, State, Verdict, Why, judge, next};
 use nix::sys::signal::Signal;
 
@@ -227,7 +227,10 @@ impl<'a> Supervisor<'a> {
             self.touched |= self.looper.ready;
             let _ = std::fs::remove_file(self.plan.folder.file(LOOP_PAGE));
             return self.handle(Event::LoopEnded {
-                end: end_of(status),
+                end: match self.asked_at {
+                    Some(_) => end_of_asked(status, self.touched),
+                    None => end_of(status),
+                },
                 touched: self.touched,
                 calm: self.looper.ready && self.looper.began.elapsed() > CALM,
                 stopping: self.looper.stopping,

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use crate::common::policies::{policy_file, standing};
 use crate::common::{
-    Server, end_of, ended, error_lines, outcome, perfect_robot, program, program_on, start,
-    status_of,
+    Server, end_of, ended, error_lines, outcome, perfect_robot, program, program_on, robot_program,
+    start, status_of,
 };
 use caudata_runlog::{Axis, RunLog, Signal};
 use nix::sys::signal::{Signal as Posix, kill};
@@ -172,7 +172,7 @@ fn a_wrong_robot_file_does_not_cost_the_right_one_its_policy() {
 
     let wrong_robot = another_robot_file(folder.path());
     for address in [server.address, NOBODY.parse().unwrap()] {
-        let mut wrong = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+        let mut wrong = robot_program();
         wrong.args(["run", "--seconds", "0.5", "--stream", crate::common::STREAM]);
         wrong.args(["--bus", &format!("sim:{}", perfect_robot())]);
         wrong.arg("--robot").arg(&wrong_robot);
@@ -295,7 +295,7 @@ fn wrong_input_has_its_own_codes() {
     let mut command = program("run", nobody, &state);
     command.args(["--bus", "sim:127.0.0.1:1", "--command", "0.2,x,0"]);
     check(command, 64);
-    let mut missing = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    let mut missing = robot_program();
     missing
         .args([
             "pull",
@@ -560,7 +560,7 @@ fn fault_31_the_child_that_tries_a_candidate_is_held_in_memory_and_time() {
     let sha256 = caudata_policy::PolicyFile::parse(bytes.as_slice().into())
         .unwrap()
         .sha256_hex();
-    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_caudata-robot"))
+    let mut child = robot_program()
         .args(["probe", "--robot", crate::common::policies::ROBOT_FILE])
         .args([
             "--stream",

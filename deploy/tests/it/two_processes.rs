@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crate::common::policies::{policy_file, standing, stepping};
 use crate::common::watchdog::output_within;
-use crate::common::{Server, end_of, output_of, perfect_robot, program, status_of};
+use crate::common::{Server, end_of, output_of, perfect_robot, program, robot_program, status_of};
 use caudata_chaos_proxy::Wire;
 use caudata_deploy::command_link::LinkKey;
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
@@ -241,7 +241,7 @@ struct Driver {
 
 impl Driver {
     fn of(address: &Value, key: &Path) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_caudata-robot"))
+        let mut child = robot_program()
             .args(["drive", address.as_str().unwrap(), "--link-key"])
             .arg(key)
             .stdin(Stdio::piped())

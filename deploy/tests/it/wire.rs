@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::common::policies::{ROBOT_FILE, model, standing};
-use crate::common::{Server, end_of, ended, outcome, output_of, program, start};
+use crate::common::{Server, end_of, ended, outcome, output_of, program, robot_program, start};
 use caudata_dynamixel::HardwareError;
 use caudata_dynamixel::emulator::WireFaults;
 use caudata_emulated_robot::{EmulatedRobot, Pace, SUBSTEPS, Terminals, serve};
@@ -243,7 +243,7 @@ impl Bench {
 }
 
 fn doctor(robot: &Emulated, flags: &[&str]) -> (i32, serde_json::Value, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    let mut command = robot_program();
     command
         .args([
             "doctor",
@@ -442,15 +442,12 @@ fn fault_48_the_kill_button_lets_go_of_servos_whose_loop_hangs() {
     std::fs::write(&key, [7; 32]).unwrap();
     let private = std::os::unix::fs::PermissionsExt::from_mode(0o600);
     std::fs::set_permissions(&key, private).unwrap();
-    // Free a moment ago; a program that took it meanwhile shows as an error.
-    let free = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
-    let address = free.local_addr().unwrap().to_string();
-    drop(free);
+    let address = caudata_chaos_proxy::own_address().to_string();
     // Silence alone would be noticed after two minutes.
     let mut command = bench.run(&["--hang-ms", "120000", "--link-addr", &address, "--link-key"]);
     command.arg(&key);
     let running = hung(&bench.robot, command);
-    let mut drive = Command::new(env!("CARGO_BIN_EXE_caudata-robot"))
+    let mut drive = robot_program()
         .args(["drive", &address, "--link-key"])
         .arg(&key)
         .stdin(Stdio::piped())
@@ -542,7 +539,7 @@ fn left_standing(robot: &mut EmulatedRobot) {
 }
 
 fn limp(robot: &Emulated, flags: &[&str]) -> (Option<i32>, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    let mut command = robot_program();
     command
         .args(["limp", "--wiring", &patient_wiring(&robot.folder)])
         .args(robot.ports())

@@ -198,6 +198,7 @@ pub fn blind(
         | "floor_slope" => robot.feet().is_empty(),
         "linear_drag" | "quadratic_drag" | "added_mass" | "buoyancy" | "buoyancy_centre"
         | "heave_damping" | "water_current" | "water_level" => robot.water().is_none(),
+        "payload" => robot.feet().is_empty() && robot.water().is_none(),
         "imu_tilt" | "gyro_bias" | "imu_delay" => robot.imu_site().is_none(),
         _ => false,
     };

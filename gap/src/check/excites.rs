@@ -179,7 +179,7 @@ fn joint(run: &Run<'_>, c: &Channels) -> JointExcitation {
                 .collect();
             let mean = squares.iter().sum::<f64>() / squares.len().max(1) as f64;
             out.error_rms_rad = mean.sqrt();
-            let kp = run.log.meta.kp.unwrap_or(run.robot.kp_nm_per_rad(c.index));
+            let kp = (run.log.meta.gains(&c.name).0).unwrap_or(run.robot.kp_nm_per_rad(c.index));
             out.effort = kp * mean.sqrt() / run.robot.servo(c.index).tau_max_nm;
         }
     }

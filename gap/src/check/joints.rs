@@ -169,11 +169,7 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
 /// other.
 fn pulls_both_ways(run: &Run<'_>, joint: &Channels, error_rad: &[f64]) -> bool {
     let servo = run.robot.servo(joint.index);
-    let kp = run
-        .log
-        .meta
-        .kp
-        .unwrap_or(run.robot.kp_nm_per_rad(joint.index));
+    let kp = (run.log.meta.gains(&joint.name).0).unwrap_or(run.robot.kp_nm_per_rad(joint.index));
     let much = |x: f64| kp * x > PULLS * servo.tau_max_nm && x > 3.0 * servo.encoder_lsb_rad();
     let long = run.grid.points(LONG_ENOUGH_S);
     let ways = [1.0, -1.0].map(|way| error_rad.iter().filter(|x| much(way * **x)).count());
@@ -190,7 +186,8 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let kp = run
         .log
         .meta
-        .kp
+        .gains(&joint.name)
+        .0
         .unwrap_or(run.robot.kp_nm_per_rad(joint.index))
         .max(1e-6);
     let far = STUCK_RAD.max(0.3 * servo.tau_max_nm / kp);

@@ -57,11 +57,10 @@ fn alike(runs: &[Run<'_>], channels: &[Vec<Channels>], a: usize, b: usize) -> bo
     let (ca, cb) = (&channels[a], &channels[b]);
     let length = |r: &Run<'_>| r.grid.len as f64 * r.grid.step_s;
     let (la, lb) = (length(&runs[a]), length(&runs[b]));
-    let same_meta = |r: &Run<'_>| (r.log.meta.base, r.log.meta.kp.map(f64::to_bits));
     if ca.len() != cb.len() || ca.is_empty() || (la / lb - 1.0).abs() > 0.03 {
         return false;
     }
-    if same_meta(&runs[a]) != same_meta(&runs[b]) {
+    if !runs[a].log.meta.same_conditions(&runs[b].log.meta) {
         return false;
     }
     ca.iter().zip(cb).all(|(x, y)| {
@@ -193,10 +192,8 @@ impl Off {
                 .collect()
         };
         let servo = first.robot.servo(channels[group[0]][j].index);
-        let kp = first
-            .log
-            .meta
-            .kp
+        let name = &channels[group[0]][j].name;
+        let kp = (first.log.meta.gains(name).0)
             .unwrap_or(first.robot.kp_nm_per_rad(channels[group[0]][j].index));
         Some(Self {
             rad: apart.into_iter().map(moved).collect(),

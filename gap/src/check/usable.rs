@@ -34,7 +34,7 @@ pub(super) fn usable(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
 }
 
 /// Keys of `log.toml` that count.
-const KEYS: [&str; 9] = [
+const KEYS: [&str; 11] = [
     "robot",
     "base",
     "terrain",
@@ -44,11 +44,21 @@ const KEYS: [&str; 9] = [
     "kd",
     "supply_v",
     "water_level_m",
+    "joint",
+    "payload",
 ];
 
 /// Settings that nobody reads because their keys are spelt a little otherwise than those that count.
 fn misspelt(run: &Run<'_>, out: &mut Vec<Finding>) {
-    let plain = |key: &str| key.replace(['_', '-', ' '], "").to_lowercase();
+    // unit and plural are no other word
+    let plain = |key: &str| {
+        let key = key.to_lowercase().replace(['_', '-', ' '], "");
+        let ends = ["nmperrad", "nmsperrad", "volts", "volt", "hz", "v", "s"];
+        let end = ends
+            .iter()
+            .find(|e| key.len() > e.len() + 1 && key.ends_with(**e));
+        end.map_or(key.clone(), |e| key[..key.len() - e.len()].to_owned())
+    };
     for key in run.log.meta.settings.keys() {
         let like = |k: &&&str| plain(k) == plain(key) && *k != key;
         if let Some(meant) = KEYS.iter().find(like) {

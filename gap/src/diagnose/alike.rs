@@ -11,7 +11,7 @@ pub fn indistinguishable(a: &State, b: &State) -> bool {
         let square: f64 = pairs.map(|(x, y)| f64::from(x - y).powi(2)).sum();
         square / a.residual.len().max(1) as f64
     };
-    apart(&a.fit, &b.fit) < SAME && apart(&a.holdout, &b.holdout) < SAME
+    apart(&a.fit, &b.fit) < SAME
 }
 
 /// Effects that are special cases of others: the wider one says what the narrower one says, and more.

@@ -3,9 +3,10 @@
 
 use super::constancy::{self, Scatter};
 use super::gates;
+use super::judge::Judge;
 use super::lawful::{Lawful, lawful};
 use super::levels::MANY_JOINTS;
-use super::state::{Context, Derivatives, State};
+use super::state::{Context, Derivatives, On, State};
 use crate::effects::{Domain, Effect, Place};
 use crate::replay::Term;
 use crate::report::{Doubt, DoubtKind};
@@ -66,7 +67,7 @@ impl<'a> Doubts<'a> {
                 .map(|s| (best.terms.get(s.term), s))
                 .filter_map(|(t, s)| Some((s, t?)))
                 .collect(),
-            much: left(context, base, best),
+            much: left_at_last(context, base, best),
             outgrown: (best.terms.iter().enumerate())
                 .filter(|(k, t)| outgrown(context, t, causes.contains(k)))
                 .map(|(_, t)| t)
@@ -159,21 +160,25 @@ fn capitalised(words: &str) -> String {
     })
 }
 
-/// Whether a model leaves more than is known of the floor, of the runs that it was fitted to or of held-out
-/// ones, where it is most.
+/// Whether a model leaves more than is known of the floor of the runs that it was fitted to, where it is
+/// most.
 pub fn much_is_left(context: &Context, base: &State, best: &State) -> bool {
-    left(context, base, best).is_some()
+    left(context, &[(false, &context.fit, &base.cross, &best.cross)]).is_some()
 }
 
-fn left(context: &Context, base: &State, best: &State) -> Option<Left> {
-    let allowed = LEFT.max(gates::quiet(context));
+/// The same of held-out runs, or of those that it was fitted to, once everything is decided.
+fn left_at_last(context: &Context, base: &State, best: &State) -> Option<Left> {
     let parts = [
         (true, &context.holdout, &base.holdout, &best.holdout),
         (false, &context.fit, &base.fit, &best.fit),
     ];
     // without a hold-out they are the same runs
-    let parts = parts.into_iter().skip(usize::from(context.same_runs));
-    let of = |(held_out, judge, before, after)| {
+    left(context, &parts[usize::from(context.same_runs)..])
+}
+
+fn left(context: &Context, parts: &[(bool, &Judge, &On, &On)]) -> Option<Left> {
+    let allowed = LEFT.max(gates::quiet(context));
+    let of = |&(held_out, judge, before, after): &(bool, &Judge, &On, &On)| {
         let of = |on| gates::worst_of(context, &[(judge, on)]);
         Left {
             held_out,
@@ -183,7 +188,7 @@ fn left(context: &Context, base: &State, best: &State) -> Option<Left> {
     };
     let much =
         |l: &Left| l.after > allowed && l.after * l.after / l.before.max(1e-9) > LEFT_OF_SHARE;
-    parts.map(of).find(much)
+    parts.iter().map(of).find(much)
 }
 
 /// Whether a term's size wants to be larger than it can plausibly be: it stands in for something else, and

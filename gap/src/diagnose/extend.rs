@@ -2,27 +2,21 @@
 
 use std::collections::BTreeMap;
 
-use super::naming::Named;
+use super::carried::Model;
 use super::request::Request;
-use super::state::{Context, State};
+use super::state::Context;
 use crate::extension::{self, Extension, ExtensionEffect, ExtensionParameter};
 use crate::report::{Cause, Parameter};
 
-/// The extension that the best model comes to: frames that are lost, and `causes`, which are in the order of
-/// `order`.
+/// The extension that `carried` comes to, with `effects` for its terms, and frames that are lost.
 pub fn extended(
     request: &Request,
     context: &Context,
-    best: &State,
-    causes: &[Cause],
-    order: &[&Named],
+    carried: &Model,
+    effects: &[ExtensionEffect],
     losses: Option<&Cause>,
 ) -> Extension {
     let model = context.replayer.model();
-    let mut effect: Vec<Option<ExtensionEffect>> = vec![None; best.terms.len()];
-    for (cause, named) in causes.iter().zip(order) {
-        effect[named.index] = Some(entry(cause));
-    }
     let mut noise: BTreeMap<String, (f64, usize)> = BTreeMap::new();
     for ((_, kind, _), sd) in &context.fit.noise.repeat {
         let entry = noise.entry(kind.name().to_owned()).or_default();
@@ -37,17 +31,18 @@ pub fn extended(
             .into_iter()
             .flat_map(|e| e.effect.iter().cloned()))
         .chain(losses.map(entry))
-        .chain(effect.into_iter().flatten())
+        .chain(effects.iter().cloned())
         .collect(),
         observation_noise: noise
             .into_iter()
             .map(|(k, (sum, n))| (k, (sum / n as f64).sqrt()))
             .collect(),
-        lane: extension::lane(model, &context.replayer.with_given(&best.terms)),
+        lane: extension::lane(model, &context.replayer.with_given(&carried.state.terms)),
     }
 }
 
-fn entry(cause: &Cause) -> ExtensionEffect {
+/// A cause as a robot file has it.
+pub fn entry(cause: &Cause) -> ExtensionEffect {
     let randomise = cause
         .parameters
         .iter()

@@ -1,4 +1,5 @@
-//! The three gates that a cause must pass, on held-out runs: significant, relevant, general.
+//! The gates that a cause must pass in cross-validation on the runs that are fitted ([`super::folds`]):
+//! significant, relevant, general. Held-out runs have no part in it.
 
 use caudata_random::{Key, Purpose, Stream};
 
@@ -11,7 +12,7 @@ use crate::replay::Term;
 
 /// Resamplings.
 const RESAMPLES: usize = 400;
-/// Gain on held-out runs that counts, as a share of their misfit.
+/// Gain in cross-validation that counts, as a share of the misfit.
 pub const RELATIVE_GAIN: f64 = 0.06;
 /// The same in units of the floor.
 pub const ABSOLUTE_GAIN: f64 = 0.12;
@@ -23,13 +24,13 @@ pub const FAR: f64 = 6.0;
 const FAR_GAIN: f64 = 0.03;
 /// A gain that is in so many blocks of the runs that were fitted is no incident ([`blocks`]) …
 const SEVERAL_BLOCKS: f64 = 2.0;
-/// … nor one that takes so much off held-out runs, to which nothing was fitted.
+/// … nor one that takes so much off the parts that were left out.
 const NEARLY_ALL: f64 = 0.8;
 /// Gain on the runs it was fitted to that leaves no doubt there, in what careful labs have to explain
 /// ([`quiet`]) …
 const BEYOND_DOUBT: f64 = 0.9;
-/// … and as a share of what there was: held-out runs that hardly ask for an effect (an integral part, in a
-/// run that never stands) need only speak for it then, not prove it by themselves once more.
+/// … and as a share of what there was: parts that hardly ask for an effect need only speak for it then, not
+/// prove it by themselves once more.
 const BEYOND_DOUBT_SHARE: f64 = 0.25;
 
 /// What a step is worth.
@@ -39,13 +40,13 @@ pub struct Worth {
     pub fit: f64,
     /// Misfit of fit runs before, on the same channels.
     pub fit_of: f64,
-    /// On held-out runs.
-    pub holdout: f64,
-    /// Misfit of held-out runs before, on the same channels.
+    /// In cross-validation.
+    pub cross: f64,
+    /// Misfit in cross-validation before, on the same channels.
     pub of: f64,
     /// Lower end of that (0.5 %; far from the data 2.5 %).
     pub low: f64,
-    /// 95 % interval of the fall on held-out runs.
+    /// 95 % interval of the fall in cross-validation.
     pub interval: (f64, f64),
     /// Whether the runs it was fitted to leave no doubt.
     pub beyond_doubt: bool,
@@ -63,12 +64,12 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let own = masked(joints, &context.fit, &from.fit, place);
     let before = mean_of(&own, &from.fit);
     let fit = before - mean_of(&own, &to.fit);
-    let judge = &context.holdout;
-    let mask = masked(joints, judge, &from.holdout, place);
-    let of = mean_of(&mask, &from.holdout);
+    let judge = &context.fit;
+    let mask = masked(joints, judge, &from.cross, place);
+    let of = mean_of(&mask, &from.cross);
     let samples = mask.iter().filter(|m| **m).count().max(1);
-    let gains = falls(judge, &mask, &from.holdout, &to.holdout);
-    let holdout = gains.iter().sum::<f64>() / samples as f64;
+    let gains = falls(judge, &mask, &from.cross, &to.cross);
+    let cross = gains.iter().sum::<f64>() / samples as f64;
     let sorted = resampled(&gains, context.seed, samples);
     let at = |share: f64| {
         let k = (share * sorted.len() as f64) as usize;
@@ -78,13 +79,10 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     let far = of > FAR;
     let relative = if far { FAR_GAIN } else { RELATIVE_GAIN };
     let low = if far { at(0.025) } else { at(0.005) };
-    let beyond_doubt = !context.same_runs
-        && fit > BEYOND_DOUBT * quiet(context)
-        && fit > BEYOND_DOUBT_SHARE * before;
-    // what held-out runs ask for in one second only is no incident if the others ask for it time and again,
-    // or if it is foretold there nearly to the end
+    let beyond_doubt = fit > BEYOND_DOUBT * quiet(context) && fit > BEYOND_DOUBT_SHARE * before;
+    // what is asked for in one second only is no incident if it is foretold there nearly to the end
     let fitted_blocks = || blocks(&falls(&context.fit, &own, &from.fit, &to.fit));
-    let again = beyond_doubt && (holdout > NEARLY_ALL * of || fitted_blocks() >= SEVERAL_BLOCKS);
+    let again = beyond_doubt && (cross > NEARLY_ALL * of || fitted_blocks() >= SEVERAL_BLOCKS);
     let (sure, absolute) = if beyond_doubt {
         (at(0.025) > 0.0, 0.5 * ABSOLUTE_GAIN)
     } else {
@@ -92,16 +90,16 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     };
     let why = if fit <= 0.0 {
         "no gain on the runs it was fitted to"
-    } else if holdout <= 0.0 {
-        "makes held-out runs worse"
+    } else if cross <= 0.0 {
+        "makes the parts that are left out in turn worse"
     } else if joints >= MANY_JOINTS
-        && worst_within(joints, judge, &from.holdout, &mask) < NOTHING_LEFT
+        && worst_within(joints, judge, &from.cross, &mask) < NOTHING_LEFT
     {
         "what it explains is within what careful labs differ by at one joint of so many"
-    } else if !sure && !rare(&gains, holdout, of, again) {
-        "its gain on held-out runs is within what resampling gives by chance"
-    } else if holdout < relative * of || holdout < absolute {
-        "its gain on held-out runs is too small to matter"
+    } else if !sure && !rare(&gains, cross, of, again) {
+        "its gain in cross-validation is within what resampling gives by chance"
+    } else if cross < relative * of || cross < absolute {
+        "its gain in cross-validation is too small to matter"
     } else if fit < 0.2 * relative * before {
         "its gain on the runs it was fitted to is too small to matter"
     } else if from_one_block(&gains) && !again {
@@ -112,7 +110,7 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
     Worth {
         fit,
         fit_of: before,
-        holdout,
+        cross,
         of,
         low,
         interval: (at(0.025), at(0.975)),
@@ -125,11 +123,11 @@ pub fn worth(context: &Context, from: &State, to: &State, place: Option<&Place>)
 /// An effect that acts rarely (a limit, a stop) gains in few blocks, which resampling may miss: it must gain
 /// much, in two blocks or more (unless what it does there is what it did in the runs that were fitted:
 /// `again`), and lose nearly nowhere.
-fn rare(gains: &[f64], holdout: f64, of: f64, again: bool) -> bool {
+fn rare(gains: &[f64], cross: f64, of: f64, again: bool) -> bool {
     let total: f64 = gains.iter().sum();
     let lost: f64 = gains.iter().filter(|g| **g < 0.0).map(|g| -g).sum();
     let many = gains.iter().filter(|g| **g > 0.1 * total).count();
-    holdout > 0.2 * of && (again || many >= 2) && lost < 0.15 * total
+    cross > 0.2 * of && (again || many >= 2) && lost < 0.15 * total
 }
 
 /// Fall of the sum of squares by block, on the samples in `mask`.
@@ -235,7 +233,7 @@ fn groups(joints: usize, parts: &[(&Judge, &On)]) -> Vec<(f64, f64)> {
     sums
 }
 
-/// Mean of both misfits, by samples. Of a robot with many joints, each joint counts as [`CAREFUL_LAB`] at
+/// Misfit in cross-validation. Of a robot with many joints, each joint counts as [`CAREFUL_LAB`] at
 /// least: with one joint far off, a little of what every careful lab has in all the others must not weigh
 /// more than that joint.
 #[must_use]
@@ -244,25 +242,17 @@ pub fn misfit(context: &Context, state: &State) -> f64 {
     if joints < MANY_JOINTS {
         return state.misfit();
     }
-    let parts = [
-        (&context.fit, &state.fit),
-        (&context.holdout, &state.holdout),
-    ];
-    let sums = groups(joints, &parts);
+    let sums = groups(joints, &[(&context.fit, &state.cross)]);
     let samples: f64 = sums.iter().map(|s| s.1).sum();
     let clipped = sums.iter().map(|(square, n)| square.max(CAREFUL_LAB * n));
     clipped.sum::<f64>() / samples.max(1.0)
 }
 
-/// Misfit where it is greatest: of the channels of each joint by themselves, and of those of the body. A
-/// single bad joint of many hardly shows in the mean over all.
+/// Misfit in cross-validation where it is greatest: of the channels of each joint by themselves, and of those
+/// of the body. A single bad joint of many hardly shows in the mean over all.
 #[must_use]
 pub fn worst(context: &Context, state: &State) -> f64 {
-    let both = [
-        (&context.fit, &state.fit),
-        (&context.holdout, &state.holdout),
-    ];
-    worst_of(context, &both)
+    worst_of(context, &[(&context.fit, &state.cross)])
 }
 
 /// The same of any runs.

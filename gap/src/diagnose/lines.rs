@@ -30,12 +30,12 @@ pub struct Line {
 }
 
 /// The first of `children`, which come best first with their worth and the number of their parent, that gains
-/// on all runs and is not sure to on held-out ones, if it is ahead of every child of the first `firsts`
+/// on all runs and is not sure to in cross-validation, if it is ahead of every child of the first `firsts`
 /// parents that is sure to.
 pub fn promising(children: &[(State, Worth, usize)], firsts: usize) -> Option<Line> {
     let (state, _, _) = (children.iter())
         .take_while(|(_, w, number)| *number >= firsts || !w.passed)
-        .find(|(_, w, _)| !w.passed && w.fit > 0.0 && w.holdout > 0.0)?;
+        .find(|(_, w, _)| !w.passed && w.fit > 0.0 && w.cross > 0.0)?;
     Some(Line {
         state: state.clone(),
         without: Vec::new(),

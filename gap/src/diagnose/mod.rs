@@ -1,23 +1,28 @@
 //! From runs to a verdict.
 //!
-//! Noise floor, divergence, screening, refinement, greedy extension with deletion and swaps, gates on
-//! held-out runs, answer sets, detection floors, leftovers, the next experiment. Deterministic: the only
+//! Noise floor, divergence, standard models, screening, refinement, greedy extension with deletion and swaps,
+//! gates in cross-validation on the runs that are fitted, answer sets, the model to carry; then, once, held-out
+//! runs; detection floors, leftovers, the next experiment. Deterministic where no time is set: the only
 //! randomness is resampling, from a seed.
 
 mod alike;
+mod carried;
 mod constancy;
 mod divergence;
 mod doubt;
 mod extend;
 mod fits;
 mod floors;
+mod folds;
 mod gates;
 mod heard;
+mod joints;
 mod judge;
 mod lawful;
 mod leftover;
 mod levels;
 mod lines;
+mod local;
 mod losses;
 mod metric;
 mod motion;
@@ -36,16 +41,19 @@ mod search;
 mod signature;
 mod spread;
 mod state;
+mod tracking;
 mod verdict;
 mod words;
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use caudata_model::RobotModel;
 
 use crate::effects::{self, DROPPED_FRAMES, Effect};
 use crate::error::GapError;
 use crate::excitation::Excitation;
+use crate::go_on::GoOn;
 use crate::replay::{Data, Replayer, SegmentOptions};
 use crate::report::{Compute, DataFault, RunUse};
 use crate::trial::{Role, Run, Trial};
@@ -56,8 +64,9 @@ pub use request::{Diagnosis, Options, Progress, Request, Split, Stage};
 /// Diagnoses.
 ///
 /// # Errors
-/// [`GapError`] where the robot or a run cannot be used at all; [`GapError::Stopped`] soon after
-/// [`Options::go_on`] says so. Whatever the data say about themselves is a verdict, not an error.
+/// [`GapError`] where the robot or a run cannot be used at all; [`GapError::Stopped`] where
+/// [`Options::go_on`] says so before there is anything to tell, or while it is written down. Whatever the data
+/// say about themselves is a verdict, not an error.
 pub fn diagnose(
     request: &Request,
     progress: &mut dyn FnMut(Progress),
@@ -88,15 +97,39 @@ pub fn diagnose(
     }
     let faults = mask_disturbed(&mut trials);
     let mut context = context(request, &model, trials, split)?;
-    let mut found = search::search(&mut context, progress)?;
-    progress(Progress::new(Stage::Naming, 0, &found.best.label()));
-    let named = naming::name(&context, &mut found)?;
+    let mut found = search::Found::nothing(&context)?;
+    let mut named = Vec::new();
+    let mut tracking = tracking::Tracking::default();
+    let unfinished = explore(
+        request,
+        &mut context,
+        &mut found,
+        &mut named,
+        &mut tracking,
+        progress,
+    )?;
     progress(Progress::new(Stage::Reporting, 0, &found.best.label()));
+    context.replayer.set_go_on(GoOn::default());
+    if unfinished {
+        search::settle(&mut context, &mut found)?;
+    }
+    let mut carried = carried::choose(&context, &found.best, &found.supported, &tracking)?;
+    // held-out runs, for the first and last time
+    let terms = found.best.terms.clone();
+    let search::Found { base, best, .. } = &mut found;
+    context.judge_held_out(&terms, &mut [base, best, &mut carried.state])?;
     if let Some(losses) = &context.losses {
         // what was wrong before is said of the robot as its file says
         found.base = context.lossless(losses)?;
     }
-    let mut diagnosis = verdict::conclude(request, &context, &found, &named, runs, split)?;
+    let evidence = verdict::Evidence {
+        found: &found,
+        named: &named,
+        carried: &carried,
+        tracking: &tracking,
+        unfinished,
+    };
+    let mut diagnosis = verdict::conclude(request, &context, &evidence, runs, split)?;
     diagnosis
         .report
         .data_faults
@@ -110,6 +143,47 @@ pub fn diagnose(
         seconds: 0.0,
     };
     Ok(diagnosis)
+}
+
+/// Shares of the time there is after which fitting of angles, the search, and naming end.
+const SHARES: [f64; 3] = [0.4, 0.75, 0.9];
+
+/// Fits, searches and names, in the time there is. Whether that was too short.
+fn explore(
+    request: &Request,
+    context: &mut state::Context,
+    found: &mut search::Found,
+    named: &mut Vec<naming::Named>,
+    tracking: &mut tracking::Tracking,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<bool, GapError> {
+    let began = Instant::now();
+    let options = &request.options;
+    let end = |share: f64| {
+        let budget_s = options.budget_s?;
+        Some(began + Duration::from_secs_f64((share * budget_s).max(0.0)))
+    };
+    let mut unfinished = false;
+    let mut ended = |outcome: Result<(), GapError>| match outcome {
+        Err(GapError::Stopped) => {
+            unfinished = true;
+            Ok(())
+        }
+        other => other,
+    };
+    let [fitting, searching, naming] = SHARES.map(end);
+    context.replayer.set_go_on(options.go_on.until(fitting));
+    ended(tracking.fit_standard(context, progress))?;
+    if gates::worst(context, &found.base) >= levels::NOTHING_LEFT {
+        ended(tracking.build(context, progress))?;
+    }
+    context.replayer.set_go_on(options.go_on.until(searching));
+    ended(search::search(context, found, progress))?;
+    found.supported = found.best.clone();
+    progress(Progress::new(Stage::Naming, 0, &found.best.label()));
+    context.replayer.set_go_on(options.go_on.until(naming));
+    ended(naming::name(context, found, named))?;
+    Ok(unfinished)
 }
 
 fn role_name(role: Role) -> &'static str {
@@ -244,6 +318,7 @@ fn context(
     let scout = scout::Scout::new(&replayer, &fit, options)?;
     Ok(state::Context {
         replayer,
+        folds: folds::Folds::of(&fit.data),
         fit,
         scout,
         holdout,

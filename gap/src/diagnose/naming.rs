@@ -41,8 +41,8 @@ const GREAT_SHARE_OF_FIT: f64 = 0.6;
 /// Two look-alikes are both there if together they take this share off what the cause alone leaves of the
 /// runs that are fitted …
 const MORE_TOGETHER: f64 = 0.25;
-/// … and this one off what it leaves of held-out runs.
-const MORE_TOGETHER_HELD_OUT: f64 = 0.2;
+/// … and this one off what it leaves in cross-validation.
+const MORE_TOGETHER_CROSS: f64 = 0.2;
 /// A rival that is so many times as probable takes a cause's place.
 const FAR_MORE: f64 = 2.0;
 /// After so many steps causes are dropped only.
@@ -79,18 +79,18 @@ pub struct Named {
 }
 
 /// Finds the rivals of every cause. Causes that turn out to be none, or to have a better name, are put right
-/// on the way.
+/// on the way. Where it ends early, `out` has those of the best model that were looked at.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
-pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError> {
+pub fn name(context: &Context, found: &mut Found, out: &mut Vec<Named>) -> Result<(), GapError> {
     // Ends: a step either makes the model smaller or leads to one that was not the best before, and after
     // some steps only causes are dropped.
     let mut seen: BTreeSet<Vec<String>> = BTreeSet::new();
     let mut steps = 0;
     'again: loop {
         seen.insert(found.best.key());
-        let mut out = Vec::new();
+        out.clear();
         // what was added last leans on what was there before
         for index in (0..found.best.terms.len()).rev() {
             let named = rivals_of(context, found, index)?;
@@ -108,7 +108,7 @@ pub fn name(context: &Context, found: &mut Found) -> Result<Vec<Named>, GapError
             }
             out.push(named);
         }
-        return Ok(out);
+        return Ok(());
     }
 }
 
@@ -212,14 +212,14 @@ fn is_a_cause(context: &Context, found: &Found, named: &Named) -> bool {
 /// Whether a cause that is worth `worth` in `best` explains enough: what takes little off where much is left,
 /// or is not sure to take any off a joint of which much is left, stands in for what is not in the catalogue.
 fn enough_in_part(context: &Context, found: &Found, best: &State, worth: &Worth) -> bool {
-    if worth.holdout <= 0.0 {
+    if worth.cross <= 0.0 {
         return false;
     }
     if !much_is_left(context, &found.base, best) {
         return true;
     }
-    let share = worth.holdout / worth.of.max(1e-9);
-    let well_explained = worth.of - worth.holdout < gates::quiet(context);
+    let share = worth.cross / worth.of.max(1e-9);
+    let well_explained = worth.of - worth.cross < gates::quiet(context);
     let sure = worth.interval.0 > 0.0 || share >= GREAT_SHARE || well_explained;
     share >= LEAST_SHARE_IN_PART && sure
 }
@@ -261,7 +261,7 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
         worth.passed
             && worth.low > 0.0
             && worth.fit > MORE_TOGETHER * worth.fit_of
-            && worth.holdout > MORE_TOGETHER_HELD_OUT * worth.of
+            && worth.cross > MORE_TOGETHER_CROSS * worth.of
             && state.terms.iter().all(|t| gates::matters(context, t))
     };
     Ok(context
@@ -271,9 +271,9 @@ fn both(context: &Context, best: &State, named: &Named) -> Result<Option<State>,
         .min_by(|a, b| penalised(context, a).total_cmp(&penalised(context, b))))
 }
 
-/// Whether a gain is most of what there was to gain, of held-out runs or of those that are fitted.
+/// Whether a gain is most of what there was to gain, in cross-validation or of the runs as they are fitted.
 fn takes_most(worth: &Worth) -> bool {
-    worth.holdout >= GREAT_SHARE * worth.of || worth.fit >= GREAT_SHARE_OF_FIT * worth.fit_of
+    worth.cross >= GREAT_SHARE * worth.of || worth.fit >= GREAT_SHARE_OF_FIT * worth.fit_of
 }
 
 /// Whether what is worth `worth` on top of a greater cause at its place makes the model better and may as
@@ -410,12 +410,12 @@ fn rivals<'a>(term: &crate::replay::Term, screened: &'a [Screened]) -> Vec<&'a S
 mod tests {
     use super::*;
 
-    /// Takes `holdout` of 1 off held-out runs and `fit` of 1 off those that are fitted.
-    fn worth(holdout: f64, fit: f64) -> Worth {
+    /// Takes `cross` of 1 off in cross-validation and `fit` of 1 off the runs as they are fitted.
+    fn worth(cross: f64, fit: f64) -> Worth {
         Worth {
             fit,
             fit_of: 1.0,
-            holdout,
+            cross,
             of: 1.0,
             low: 0.0,
             interval: (0.0, 0.0),
@@ -428,7 +428,7 @@ mod tests {
     #[test]
     fn runs_that_ask_for_a_cause_most_say_whether_it_takes_most() {
         assert!(takes_most(&worth(0.5, 0.1)));
-        // held-out runs hardly ask for an integral part, and those that are fitted do
+        // parts that are left out hardly ask for an integral part, and all of them together do
         assert!(takes_most(&worth(0.18, 0.69)));
         assert!(!takes_most(&worth(0.46, 0.51)));
     }

@@ -18,18 +18,19 @@ const OVERLAY_S: f64 = 8.0;
 const HORIZONS_S: [f64; 5] = [0.2, 0.5, 1.0, 2.0, 5.0];
 
 /// All of them.
-pub fn plots(context: &Context, found: &Found, named: &[Named]) -> Plots {
+/// `model`: the one that goes into the extended file.
+pub fn plots(context: &Context, found: &Found, model: &State, named: &[Named]) -> Plots {
     Plots {
-        overlays: overlays(context, found),
+        overlays: overlays(context, found, model),
         signatures: signature::signatures(context, found, named),
-        horizons: horizons(context, found),
-        waterfall: waterfall(found, named),
+        horizons: horizons(context, found, model),
+        waterfall: waterfall(found, model, named),
         hypotheses: hypotheses(context, found, named),
         correlation: Default::default(),
     }
 }
 
-fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
+fn overlays(context: &Context, found: &Found, model: &State) -> Vec<Overlay> {
     let judge = &context.holdout;
     let data = &judge.data;
     let mut worst: Vec<(f64, usize, usize)> = Vec::new();
@@ -91,9 +92,9 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
             measured_low: some(low),
             measured_high: some(high),
             before: of(&|k| f64::from(found.base.holdout.prediction[k])),
-            after: match found.best.terms.is_empty() && context.losses.is_none() {
+            after: match model.terms.is_empty() && context.losses.is_none() {
                 true => Vec::new(),
-                false => of(&|k| f64::from(found.best.holdout.prediction[k])),
+                false => of(&|k| f64::from(model.holdout.prediction[k])),
             },
         });
     }
@@ -101,7 +102,7 @@ fn overlays(context: &Context, found: &Found) -> Vec<Overlay> {
 }
 
 /// Error after so much time since the start of a stretch.
-fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
+fn horizons(context: &Context, found: &Found, model: &State) -> Vec<Horizon> {
     let judge = &context.holdout;
     let data = &judge.data;
     let mut by_kind: BTreeMap<Kind, Vec<[f64; 4]>> = BTreeMap::new();
@@ -113,7 +114,7 @@ fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
             for k in piece.range.clone() {
                 let age = data.time_s[k] - segment.start_s;
                 let a = data.value[k] - f64::from(found.base.holdout.prediction[k]);
-                let b = data.value[k] - f64::from(found.best.holdout.prediction[k]);
+                let b = data.value[k] - f64::from(model.holdout.prediction[k]);
                 let s = f64::from(judge.noise.sigma[k]);
                 for (h, row) in rows.iter_mut().enumerate() {
                     if HORIZONS_S.get(h).is_none_or(|limit| age <= *limit) {
@@ -146,7 +147,7 @@ fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
                 unit: kind.unit().to_owned(),
                 horizon_s,
                 before: of(0),
-                after: if found.best.terms.is_empty() && context.losses.is_none() {
+                after: if model.terms.is_empty() && context.losses.is_none() {
                     Vec::new()
                 } else {
                     of(1)
@@ -157,20 +158,20 @@ fn horizons(context: &Context, found: &Found) -> Vec<Horizon> {
         .collect()
 }
 
-fn waterfall(found: &Found, named: &[Named]) -> Vec<WaterfallStep> {
+fn waterfall(found: &Found, model: &State, named: &[Named]) -> Vec<WaterfallStep> {
     let mut steps = vec![WaterfallStep {
         label: "as given".to_owned(),
         misfit: found.base.holdout.misfit,
     }];
     let mut order: Vec<&Named> = named.iter().collect();
-    order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
-    let total: f64 = order.iter().map(|n| n.worth.holdout.max(0.0)).sum();
-    let fall = found.base.holdout.misfit - found.best.holdout.misfit;
+    order.sort_by(|a, b| b.worth.cross.total_cmp(&a.worth.cross));
+    let total: f64 = order.iter().map(|n| n.worth.cross.max(0.0)).sum();
+    let fall = found.base.holdout.misfit - model.holdout.misfit;
     let mut at = found.base.holdout.misfit;
     for n in order {
         let term = &found.best.terms[n.index];
         // shares of the whole fall, in proportion to what each is worth on top of the others
-        at -= fall * n.worth.holdout.max(0.0) / total.max(1e-9);
+        at -= fall * n.worth.cross.max(0.0) / total.max(1e-9);
         steps.push(WaterfallStep {
             label: term.place.label(term.effect.id),
             misfit: at,
@@ -199,7 +200,7 @@ fn hypotheses(context: &Context, found: &Found, named: &[Named]) -> Vec<Hypothes
             effect: term.effect.id.to_owned(),
             location: term.place.names.clone(),
             share_fit: worth.fit / excess_fit,
-            share_holdout: worth.holdout / excess,
+            share_holdout: worth.cross / excess,
             ci_low: worth.interval.0 / excess,
             ci_high: worth.interval.1 / excess,
             probability,

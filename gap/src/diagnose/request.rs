@@ -34,8 +34,10 @@ pub struct Options {
     pub without: Vec<String>,
     /// Only these are tried, by id; empty: all.
     pub only: Vec<String>,
-    /// Whether to go on.
+    /// Whether to go on. Where it says no once there is something to tell, that is told.
     pub go_on: GoOn,
+    /// After so long the best so far is reported, s; none: when everything was tried.
+    pub budget_s: Option<f64>,
 }
 
 impl Default for Options {
@@ -46,6 +48,7 @@ impl Default for Options {
             without: Vec::new(),
             only: Vec::new(),
             go_on: GoOn::default(),
+            budget_s: None,
         }
     }
 }
@@ -70,6 +73,8 @@ pub enum Stage {
     Screening,
     /// Fitting the promising ones.
     Fitting,
+    /// Fitting models of angles alone.
+    Tracking,
     /// A cause was accepted.
     Accepted,
     /// Looking for look-alikes.

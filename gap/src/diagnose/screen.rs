@@ -9,6 +9,7 @@ use std::borrow::Cow;
 
 use super::product::dot;
 use super::state::{Context, On, State, builds_up};
+use super::tracking::scaling;
 use crate::effects::{Domain, Effect, Place};
 use crate::error::GapError;
 use crate::replay::{Term, Variant};
@@ -208,12 +209,13 @@ fn judge(
     let start: Vec<f64> = if effect.hinge {
         sizes.clone()
     } else {
-        (sizes.iter().zip(&neutral).enumerate())
-            .map(|(i, (s, z))| {
-                let (low, high) = effect.bounds(model, place, i);
-                (z + share * (s - z)).clamp(low, high)
-            })
-            .collect()
+        // how many ripples there are in a turn does not grow with them
+        let mut start = sizes.clone();
+        for i in scaling(effect) {
+            let (low, high) = effect.bounds(model, place, i);
+            start[i] = (neutral[i] + share * (sizes[i] - neutral[i])).clamp(low, high);
+        }
+        start
     };
     let known = out
         .iter()

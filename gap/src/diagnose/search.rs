@@ -7,8 +7,8 @@
 //! has become better than the best so far by the same gates.
 //!
 //! Two causes that make up for each other (a motor that is stronger than its manual says, and saturates) each
-//! do little alone. So where much is left, the candidate that explains most of those whose gain on held-out
-//! runs is not certain yet goes on as a line too.
+//! do little alone. So where much is left, the candidate that explains most of those whose gain in
+//! cross-validation is not certain yet goes on as a line too.
 
 use std::collections::BTreeSet;
 
@@ -49,37 +49,51 @@ pub struct Found {
     pub base: State,
     /// The best that passed.
     pub best: State,
+    /// The best before names were sought: what has no name is in it as well.
+    pub supported: State,
     /// Screening on top of the robot as given.
     pub first: Vec<Screened>,
     /// Single effects that were fitted to what the robot as given leaves, best first, with what they are
     /// worth.
     pub singles: Vec<(State, Worth)>,
-    /// Effects whose gates failed only on held-out runs, on top of the best.
+    /// Effects that some gate refused, on top of the best.
     pub refused: Vec<(State, Worth)>,
     /// Effects tried.
     pub tried: usize,
 }
 
-/// Searches.
-///
-/// # Errors
-/// As [`crate::replay::Replayer::predict`].
-pub fn search(
-    context: &mut Context,
-    progress: &mut dyn FnMut(Progress),
-) -> Result<Found, GapError> {
-    let base = single(context, Vec::new())?;
-    let mut search = Search {
-        beam: vec![base.clone()],
-        lines: Vec::new(),
-        found: Found {
+impl Found {
+    /// Nothing but the robot as given.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn nothing(context: &Context) -> Result<Self, GapError> {
+        let base = single(context, Vec::new())?;
+        Ok(Self {
             best: base.clone(),
+            supported: base.clone(),
             base,
             first: Vec::new(),
             singles: Vec::new(),
             refused: Vec::new(),
             tried: 0,
-        },
+        })
+    }
+}
+
+/// Searches. What was found so far stays in `found` where it ends early.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn search(
+    context: &mut Context,
+    found: &mut Found,
+    progress: &mut dyn FnMut(Progress),
+) -> Result<(), GapError> {
+    let mut search = Search {
+        beam: vec![found.base.clone()],
+        lines: Vec::new(),
+        found,
     };
     for depth in 1..=MOST_TERMS {
         if depth > 1 {
@@ -99,33 +113,49 @@ pub fn search(
             break;
         }
     }
-    let mut found = search.found;
+    let found = search.found;
     if !found.best.terms.is_empty() {
         let terms = found.best.terms.clone();
-        rebase(context, &terms, &mut [&mut found.base, &mut found.best])?;
+        let Found { base, best, .. } = &mut *found;
+        rebase(context, &terms, &mut [base, best])?;
         // the metric has changed: what is deleted is compared with what is fitted by the new one, and must be
         // as well
-        found.best = polished(context, found.best)?;
+        found.best = polished(context, found.best.clone())?;
         let count = found.best.terms.len();
-        found.best = delete(context, &found.base, found.best)?;
+        found.best = delete(context, &found.base, found.best.clone())?;
         if found.best.terms.len() < count {
-            found.best = polished(context, found.best)?;
+            found.best = polished(context, found.best.clone())?;
         }
     }
-    Ok(found)
+    Ok(())
+}
+
+/// Judges what an early end left by one metric: it may have come while tolerances were taken anew.
+///
+/// # Errors
+/// As [`crate::replay::Replayer::predict`].
+pub fn settle(context: &mut Context, found: &mut Found) -> Result<(), GapError> {
+    let terms = found.best.terms.clone();
+    let Found {
+        base,
+        best,
+        supported,
+        ..
+    } = found;
+    rebase(context, &terms, &mut [base, best, supported])
 }
 
 /// A search under way.
-struct Search {
+struct Search<'a> {
     beam: Vec<State>,
     lines: Vec<Line>,
-    found: Found,
+    found: &'a mut Found,
 }
 
-impl Search {
+impl Search<'_> {
     /// What runs differ by grows with what was found: more friction drifts by more.
     fn rebase(&mut self, context: &mut Context) -> Result<(), GapError> {
-        let Found { base, best, .. } = &mut self.found;
+        let Found { base, best, .. } = &mut *self.found;
         rebase(context, &best.terms.clone(), &mut [base, best])?;
         let of_lines = self.lines.iter_mut().map(|l| &mut l.state);
         let mut all: Vec<&mut State> = self.beam.iter_mut().chain(of_lines).collect();
@@ -227,7 +257,7 @@ impl Search {
         mut next: Vec<State>,
         mut going_on: Vec<Line>,
     ) -> Result<(), GapError> {
-        let Found { base, first, .. } = &self.found;
+        let Found { base, first, .. } = &*self.found;
         let mut best = delete(context, base, leader)?;
         next.truncate(BEAM);
         if best.key() != next[0].key() {
@@ -307,12 +337,11 @@ fn overtakes(
 
 /// Whether a further effect at `place` explains enough to be one.
 fn enough(context: &Context, worth: &Worth, base: &State, place: Option<&Place>) -> bool {
-    let all = gates::part(&context.holdout, &base.holdout, place);
-    let fitted = || gates::part(&context.fit, &base.fit, place);
-    worth.holdout > OF_ALL * all
-        || (worth.beyond_doubt && worth.fit > OF_ALL * fitted())
+    let all = gates::part(&context.fit, &base.cross, place);
+    worth.cross > OF_ALL * all
+        || (worth.beyond_doubt && worth.fit > OF_ALL * all)
         || worth.of > gates::FAR
-        || (worth.of > MUCH && worth.holdout > OF_REST * worth.of)
+        || (worth.of > MUCH && worth.cross > OF_REST * worth.of)
 }
 
 /// Takes the tolerances around `terms`, and judges `states` by them.
@@ -322,7 +351,6 @@ fn rebase(
     states: &mut [&mut State],
 ) -> Result<(), GapError> {
     context.fit.set_base(&context.replayer, terms)?;
-    context.holdout.set_base(&context.replayer, terms)?;
     if let Some(scout) = &mut context.scout {
         scout.judge.set_base(&context.replayer, terms)?;
     }
@@ -334,10 +362,7 @@ fn reread(context: &Context, states: &mut [&mut State]) -> Result<(), GapError> 
     for state in states {
         let had_basis = !state.basis.is_empty();
         state.fit = On::new(&context.fit, std::mem::take(&mut state.fit.prediction));
-        state.holdout = On::new(
-            &context.holdout,
-            std::mem::take(&mut state.holdout.prediction),
-        );
+        context.cross_validate(state)?;
         if let (Some(scout), Some(on)) = (&context.scout, &mut state.scout) {
             *on = On::new(&scout.judge, std::mem::take(&mut on.prediction));
         }

@@ -13,7 +13,7 @@ const BINS: usize = 16;
 /// One per cause.
 pub fn signatures(context: &Context, found: &Found, named: &[Named]) -> Vec<Signature> {
     let mut order: Vec<&Named> = named.iter().collect();
-    order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
+    order.sort_by(|a, b| b.worth.cross.total_cmp(&a.worth.cross));
     order
         .into_iter()
         .filter_map(|n| {

@@ -2,6 +2,7 @@
 
 use caudata_model::RobotModel;
 
+use super::folds::{Folds, Free};
 use super::judge::Judge;
 use super::losses::Losses;
 use super::product::dot;
@@ -19,7 +20,9 @@ pub struct Context {
     pub fit: Judge,
     /// A few stretches of them that tell most, where all would take minutes.
     pub scout: Option<Scout>,
-    /// Runs held out.
+    /// Parts of the runs to fit to that are left out in turn.
+    pub folds: Folds,
+    /// Runs held out: touched once, when everything is decided.
     pub holdout: Judge,
     /// Whether there are none, and [`Context::holdout`] are the runs to fit to once more.
     pub same_runs: bool,
@@ -64,9 +67,12 @@ pub struct State {
     pub terms: Variant,
     /// On the runs it is fitted to.
     pub fit: On,
+    /// On the same runs, each part of them with the parameters that the others ask for
+    /// ([`super::folds`]); what was predicted is not kept.
+    pub cross: On,
     /// On the scout, if there is one.
     pub scout: Option<On>,
-    /// On held-out runs.
+    /// On held-out runs; empty until [`Context::judge_held_out`].
     pub holdout: On,
     /// Orthonormal basis of what its parameters can do on the scout (without one: on the runs it is fitted
     /// to), whitened. `[≤ P][N]`
@@ -74,14 +80,10 @@ pub struct State {
 }
 
 impl State {
-    /// Mean of both misfits, by samples.
+    /// What it is ranked by: its misfit in cross-validation.
     #[must_use]
     pub fn misfit(&self) -> f64 {
-        let (a, b) = (
-            self.fit.residual.len() as f64,
-            self.holdout.residual.len() as f64,
-        );
-        (a * self.fit.misfit + b * self.holdout.misfit) / (a + b).max(1.0)
+        self.cross.misfit
     }
 
     /// How it does where candidates are looked at first.
@@ -167,24 +169,22 @@ impl Context {
         self.scout.as_ref().map_or(&self.fit, |s| &s.judge)
     }
 
-    /// Candidates with these effects, simulated on all runs.
+    /// Candidates with these effects, simulated on all runs that are fitted.
     ///
     /// # Errors
     /// As [`Replayer::predict`].
     pub fn states(&self, variants: &[Variant]) -> Result<Vec<State>, GapError> {
         let fit = self.replayer.predict(&self.fit.data, variants)?;
-        let holdout = self.replayer.predict(&self.holdout.data, variants)?;
-        let mut states: Vec<State> = variants
-            .iter()
-            .zip(fit.into_iter().zip(holdout))
-            .map(|(terms, (f, h))| State {
+        let mut states: Vec<State> = (variants.iter().zip(fit))
+            .map(|(terms, f)| State {
                 terms: terms.clone(),
                 fit: On::new(&self.fit, f),
-                scout: None,
-                holdout: On::new(&self.holdout, h),
-                basis: Vec::new(),
+                ..State::default()
             })
             .collect();
+        for state in &mut states {
+            self.cross_validate(state)?;
+        }
         if let Some(scout) = &self.scout {
             let predictions = self.replayer.predict(&scout.judge.data, variants)?;
             for (state, prediction) in states.iter_mut().zip(predictions) {
@@ -192,6 +192,40 @@ impl Context {
             }
         }
         Ok(states)
+    }
+
+    /// Fills in `state.cross`.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn cross_validate(&self, state: &mut State) -> Result<(), GapError> {
+        let (columns, steps) = self.jacobian(&self.fit, &state.terms)?;
+        let free = frees(&self.replayer, &state.terms, &steps);
+        let residual = self.folds.left_out(&columns, &state.fit.residual, &free);
+        state.cross = On {
+            prediction: Vec::new(),
+            misfit: self.fit.misfit(&residual),
+            residual,
+        };
+        Ok(())
+    }
+
+    /// Fills in `holdout` of `states`, by tolerances around `terms`.
+    ///
+    /// # Errors
+    /// As [`Replayer::predict`].
+    pub fn judge_held_out(
+        &mut self,
+        terms: &[Term],
+        states: &mut [&mut State],
+    ) -> Result<(), GapError> {
+        self.holdout.set_base(&self.replayer, terms)?;
+        let variants: Vec<Variant> = states.iter().map(|s| s.terms.clone()).collect();
+        let predictions = self.replayer.predict(&self.holdout.data, &variants)?;
+        for (state, prediction) in states.iter_mut().zip(predictions) {
+            state.holdout = On::new(&self.holdout, prediction);
+        }
+        Ok(())
     }
 
     /// The robot as its file says, which does not lose the frames of `losses`.
@@ -204,8 +238,10 @@ impl Context {
             let prediction = replayer.predict(&judge.data, &[Vec::new()])?.swap_remove(0);
             Ok(On::new(judge, prediction))
         };
+        let fit = on(&self.fit)?;
         Ok(State {
-            fit: on(&self.fit)?,
+            cross: fit.clone(),
+            fit,
             holdout: on(&self.holdout)?,
             ..State::default()
         })
@@ -261,19 +297,47 @@ impl Context {
     }
 }
 
+/// How far each parameter of `terms` is from no effect and may go, in `steps` (SI).
+#[must_use]
+pub fn frees(replayer: &Replayer, terms: &[Term], steps: &[f64]) -> Vec<Free> {
+    let model = replayer.model();
+    let of = |t: &Term, p: usize| {
+        let (low, high) = t.effect.bounds(model, &t.place, p);
+        let neutral = t.effect.neutral(model, &t.place)[p];
+        (t.values[p] - neutral, low - t.values[p], high - t.values[p])
+    };
+    let all = terms
+        .iter()
+        .flat_map(|t| (0..t.values.len()).map(move |p| of(t, p)));
+    all.zip(steps)
+        .map(|((off, down, up), step)| Free {
+            from_neutral: off / step,
+            room: (down / step, up / step),
+        })
+        .collect()
+}
+
+/// Parameter `p` of `term` up and down by a step, within its bounds, SI.
+#[must_use]
+pub fn up_and_down(replayer: &Replayer, term: &Term, p: usize) -> (f64, f64) {
+    let model = replayer.model();
+    let scale = term.effect.scale(model, &term.place, p).abs();
+    let neutral = term.effect.neutral(model, &term.place)[p];
+    let step = (0.3 * scale).max(0.02 * (term.values[p] - neutral).abs());
+    let (low, high) = term.effect.bounds(model, &term.place, p);
+    (
+        (term.values[p] + step).min(high),
+        (term.values[p] - step).max(low),
+    )
+}
+
 /// Two candidates per parameter, up and down by a step, and half the distance between them, SI.
 #[must_use]
 pub fn differences(replayer: &Replayer, terms: &[Term]) -> (Vec<Variant>, Vec<f64>) {
-    let model = replayer.model();
     let (mut variants, mut steps) = (Vec::new(), Vec::new());
     for (i, term) in terms.iter().enumerate() {
         for p in 0..term.values.len() {
-            let scale = term.effect.scale(model, &term.place, p).abs();
-            let neutral = term.effect.neutral(model, &term.place)[p];
-            let step = (0.3 * scale).max(0.02 * (term.values[p] - neutral).abs());
-            let (low, high) = term.effect.bounds(model, &term.place, p);
-            let up = (term.values[p] + step).min(high);
-            let down = (term.values[p] - step).max(low);
+            let (up, down) = up_and_down(replayer, term, p);
             for value in [up, down] {
                 let mut variant = terms.to_vec();
                 variant[i].values[p] = value;

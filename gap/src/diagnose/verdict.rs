@@ -5,24 +5,27 @@ use std::collections::{BTreeMap, BTreeSet};
 use caudata_model::RobotModel;
 
 use super::alike::{indistinguishable, wider};
+use super::carried::Model;
 use super::divergence::divergence;
 use super::doubt::{Doubts, meet};
 use super::extend::extended;
 use super::floors::floors;
 use super::levels::NOTHING_LEFT;
+use super::local::local_gaps;
 use super::naming::{self, Named};
 use super::request::{Diagnosis, Request, Split};
 use super::search::Found;
 use super::spread::{Spread, beside, correlation, parameters, spread};
 use super::state::{Context, On, State};
-use super::words::{evidence, summary};
+use super::tracking::Tracking;
+use super::words::{self, evidence, summary};
 use super::{gates, leftover, next, pictures};
 use crate::effects::Place;
 use crate::error::GapError;
 use crate::extension::Extension;
 use crate::plots::Plots;
 use crate::replay::Term;
-use crate::report::{Cause, Compute, Gain, Rejected, Report, RunUse, Verdict};
+use crate::report::{Cause, Compute, Gain, LocalGap, Rejected, Report, RunUse, Verdict};
 
 /// Nobody is surer than the benchmark's own error rate. Of the names that nothing spoke against and no
 /// look-alike came near (set `pr`, laws outside the catalogue included) at least 112 of 126 were right with
@@ -54,6 +57,10 @@ pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> D
             leads: Vec::new(),
             doubts: Vec::new(),
             gain: BTreeMap::new(),
+            position_errors: Vec::new(),
+            model: Vec::new(),
+            local_gaps: Vec::new(),
+            unfinished: false,
             unexplained: Vec::new(),
             next_experiment: None,
             detection_floor: BTreeMap::new(),
@@ -69,20 +76,40 @@ pub fn data_fault(request: &Request, model: &RobotModel, runs: Vec<RunUse>) -> D
     }
 }
 
+/// What a conclusion is drawn from.
+pub struct Evidence<'a> {
+    /// What the search found.
+    pub found: &'a Found,
+    /// Its causes with their names.
+    pub named: &'a [Named],
+    /// The model of the extended file.
+    pub carried: &'a Model,
+    /// Models of angles alone.
+    pub tracking: &'a Tracking,
+    /// Whether time ended before everything was tried.
+    pub unfinished: bool,
+}
+
 /// Draws the conclusion.
 pub fn conclude(
     request: &Request,
     context: &Context,
-    found: &Found,
-    named: &[Named],
+    evidence: &Evidence<'_>,
     runs: Vec<RunUse>,
     split: Split,
 ) -> Result<Diagnosis, GapError> {
+    let Evidence {
+        found,
+        named,
+        carried,
+        ..
+    } = *evidence;
     let (base, best) = (&found.base, &found.best);
+    let model = &carried.state;
     let derivatives = context.derivatives(&best.terms)?;
     let spread = spread(context, best, &derivatives);
     let mut order: Vec<&Named> = named.iter().collect();
-    order.sort_by(|a, b| b.worth.holdout.total_cmp(&a.worth.holdout));
+    order.sort_by(|a, b| b.worth.cross.total_cmp(&a.worth.cross));
     let are_leads = naming::leads(context, best, &order);
     let found_causes = order.iter().zip(&are_leads).filter(|(_, lead)| !**lead);
     let found_causes: Vec<usize> = found_causes.map(|(n, _)| n.index).collect();
@@ -102,7 +129,8 @@ pub fn conclude(
     let all = order.iter().zip(&are_leads).map(trusted);
     let all: Vec<Cause> = all.collect::<Result<_, _>>()?;
     let losses = (context.losses.as_ref()).map(|l| l.cause(undenied));
-    let extension = extended(request, context, best, &all, &order, losses.as_ref());
+    let entries = carried.entries(context, &all);
+    let extension = extended(request, context, carried, &entries, losses.as_ref());
     let mut are_leads = are_leads.into_iter();
     let (leads, mut causes): (Vec<Cause>, Vec<Cause>) = all
         .into_iter()
@@ -110,16 +138,22 @@ pub fn conclude(
     // first what is measured; the rest is found with it in the simulation
     causes.splice(0..0, losses);
     let mut unexplained = leftover::leftover(context, found);
-    let verdict = verdict(context, found, &causes, &doubts, split);
+    let local = local_gaps(context, &model.fit, &model.holdout);
+    let verdict = verdict(context, found, &causes, &doubts, split, &local);
     let said = (&causes[..], &leads[..]);
-    let summary = summary(context, verdict, said, &doubts, &unexplained, split, found);
+    let told = summary(context, verdict, said, &doubts, &unexplained, split, found);
+    let position_errors = evidence.tracking.errors(context, &model.terms)?;
+    let listed = carried.listed(&entries);
+    let first = words::first(verdict, &position_errors, evidence.unfinished);
+    let last = words::last(verdict, &listed, &local);
+    let summary = [first, told, last].concat();
     if !matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
         unexplained.clear();
     }
     let cells = |on: &On| divergence(&context.holdout, on, context.seed);
-    let extended_at_all = !best.terms.is_empty() || context.losses.is_some();
+    let extended_at_all = !model.terms.is_empty() || context.losses.is_some();
     let floor = floors(context, &found.first, best.misfit());
-    let mut plots = pictures::plots(context, found, named);
+    let mut plots = pictures::plots(context, found, model, named);
     plots.correlation = correlation(best, &spread);
     Ok(Diagnosis {
         report: Report {
@@ -127,16 +161,27 @@ pub fn conclude(
             summary,
             divergence: cells(&base.holdout),
             divergence_after: match extended_at_all {
-                true => cells(&best.holdout),
+                true => cells(&model.holdout),
                 false => Vec::new(),
             },
             doubts: match causes.is_empty() {
                 true => Vec::new(),
                 false => doubts.listed(context),
             },
-            gain: gain(context, base, best),
+            gain: gain(context, base, model),
+            position_errors,
+            model: listed,
+            unfinished: evidence.unfinished,
             unexplained,
-            next_experiment: next::next(context, verdict, &causes, found),
+            next_experiment: next::next(
+                context,
+                request,
+                verdict,
+                &causes,
+                (found, named),
+                &local,
+            )?,
+            local_gaps: local,
             detection_floor: floor,
             data_faults: Vec::new(),
             causes,
@@ -155,10 +200,15 @@ fn verdict(
     causes: &[Cause],
     doubts: &Doubts<'_>,
     split: Split,
+    local: &[LocalGap],
 ) -> Verdict {
     let base = &found.base;
+    let both = [(&context.fit, &base.fit), (&context.holdout, &base.holdout)];
     if causes.is_empty() {
-        if gates::worst(context, base) < NOTHING_LEFT {
+        if gates::worst_of(context, &both) < NOTHING_LEFT {
+            if !local.is_empty() {
+                return Verdict::Unexplained;
+            }
             let dark = context
                 .excitation
                 .joints

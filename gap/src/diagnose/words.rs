@@ -1,26 +1,27 @@
 //! A verdict in words.
 
 use super::doubt::Doubts;
+use super::levels::NOTHING_LEFT;
 use super::naming::{Named, Rival};
 use super::request::Split;
 use super::search::Found;
 use super::state::Context;
 use crate::replay::Term;
-use crate::report::{Cause, DoubtKind, Unexplained, Verdict};
+use crate::report::{Carried, Cause, DoubtKind, LocalGap, PositionError, Unexplained, Verdict};
 
 /// What speaks for a cause.
 pub fn evidence(context: &Context, term: &Term, named: &Named) -> Vec<String> {
     let w = &named.worth;
     let mut lines = vec![
         format!(
-            "takes {:.0} % off the misfit of held-out runs ({:.2} to {:.2} in units of the floor; 95 % interval of the fall {:.2} to {:.2})",
-            100.0 * w.holdout / w.of.max(1e-9),
+            "takes {:.0} % off the misfit in cross-validation ({:.2} to {:.2} in units of the floor; 95 % interval of the fall {:.2} to {:.2})",
+            100.0 * w.cross / w.of.max(1e-9),
             w.of,
-            w.of - w.holdout,
+            w.of - w.cross,
             w.interval.0,
             w.interval.1
         ),
-        format!("and {:.2} off that of the runs it was fitted to", w.fit),
+        format!("and {:.2} off that of the runs as they are fitted", w.fit),
         format!("its mark: {}", term.effect.signature),
     ];
     if let Some(first) = named
@@ -81,6 +82,55 @@ pub fn summary(
     text
 }
 
+/// What comes before everything else: that time ended, and that a standard model does better.
+pub fn first(verdict: Verdict, errors: &[PositionError], unfinished: bool) -> String {
+    let mut text = String::new();
+    if unfinished {
+        text.push_str(
+            "Unfinished: time ended before everything was tried, and this is the best so far. ",
+        );
+    }
+    let [_, standard @ .., extended] = errors else {
+        return text;
+    };
+    let best = (standard.iter()).min_by(|a, b| a.mean_rad.total_cmp(&b.mean_rad));
+    if let Some(best) = best.filter(|b| b.mean_rad < extended.mean_rad)
+        && verdict != Verdict::NoGap
+    {
+        text.push_str(&format!(
+            "A standard model ({}) fitted to the same runs is better: its angles are {} rad off on held-out runs, those of the extended model {} rad. ",
+            best.model,
+            rounded(best.mean_rad),
+            rounded(extended.mean_rad)
+        ));
+    }
+    text
+}
+
+/// What comes last: effects that are in the model without a name, and stretches that are far off.
+pub fn last(verdict: Verdict, model: &[Carried], local: &[LocalGap]) -> String {
+    let mut text = String::new();
+    let unnamed = model.iter().filter(|c| !c.named).count();
+    if unnamed > 0 {
+        text.push_str(&format!(
+            " The extended model carries {unnamed} effect(s) that the runs support and whose names are no findings."
+        ));
+    }
+    if let Some(worst) = local.first().filter(|_| verdict != Verdict::Explained) {
+        text.push_str(&format!(
+            " In run {} joint {} is {} rad off from {:.1} s to {:.1} s, {:.1} times what runs differ by.",
+            worst.run, worst.joint, rounded(worst.rms_rad), worst.from_s, worst.to_s, worst.ratio
+        ));
+    }
+    text
+}
+
+/// To two digits.
+fn rounded(x: f64) -> String {
+    let digits = (1.0 - x.abs().max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
+    format!("{x:.digits$}")
+}
+
 /// Causes with their places.
 fn names(causes: &[Cause]) -> String {
     let name = |c: &Cause| match c.location.as_slice() {
@@ -138,10 +188,13 @@ fn headline(
                 100.0 * best.misfit() / base.misfit().max(1e-9),
             )
         }
-        Verdict::Unexplained => format!(
-            "There is a gap (misfit {:.2} floors) that no effect of the catalogue explains.",
-            base.misfit()
-        ),
+        Verdict::Unexplained => {
+            let misfit = base.misfit().max(base.holdout.misfit);
+            match misfit < NOTHING_LEFT {
+                true => "There is a gap in a few seconds of a run that no effect of the catalogue explains; on average the runs agree.".to_owned(),
+                false => format!("There is a gap (misfit {misfit:.2} floors) that no effect of the catalogue explains."),
+            }
+        }
         Verdict::InsufficientData => {
             let close = found.refused.first().map_or(String::new(), |(s, w)| {
                 let name = s

@@ -195,6 +195,21 @@ pub fn canonical(name: &str) -> Option<&'static str> {
     kind.or_else(|| RECIPES.iter().find(|r| r.name == name).map(|r| r.name))
 }
 
+/// The trial of the battery that a run's name or notes name; the longest name where several do.
+#[must_use]
+pub fn names_in(text: &str) -> Option<&'static str> {
+    let is_letter = |c: char| c.is_ascii_alphanumeric();
+    let whole = |name: &str| {
+        text.match_indices(name).any(|(at, _)| {
+            let before = text[..at].chars().next_back();
+            let after = text[at + name.len()..].chars().next();
+            !before.is_some_and(is_letter) && !after.is_some_and(char::is_alphabetic)
+        })
+    };
+    let named = RECIPES.iter().map(|r| r.name).filter(|name| whole(name));
+    named.max_by_key(|name| name.len())
+}
+
 /// The trial that says most about `separates` (effect ids): made for as many of them as possible, and for
 /// each as directly as possible. `joints`: where the effects are suspected; empty: anywhere. `None` where no
 /// trial of the battery shows any of them.

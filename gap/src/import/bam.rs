@@ -19,6 +19,8 @@ use serde::Deserialize;
 
 use super::{ImportError, Imported};
 
+/// The motor whose law is known, as recordings name it.
+const MOTOR: &str = "xl330";
 /// PWM reading that stands for full duty (e-manual of the X series).
 const FULL_DUTY: f64 = 885.0;
 /// Register units per count of PWM and count of error, measured (see above).
@@ -139,6 +141,15 @@ pub fn parse(
     if count < MIN_ROWS {
         let message = format!("has {count} entries; a run has at least {MIN_ROWS}");
         return Err(wrong(file, message));
+    }
+    if run.motor != MOTOR {
+        return Err(wrong(
+            file,
+            format!(
+                "was recorded with motor `{}`: what its gain register and its load reading count is not known here; known: {MOTOR}. Import its CSV with a map (`--format csv`), which says so",
+                run.motor
+            ),
+        ));
     }
     let columns = [
         Signal::Command,

@@ -5,6 +5,7 @@
 //! file, so that a rig is an ordinary robot.
 
 pub mod bam;
+pub mod csv;
 
 use std::path::{Path, PathBuf};
 
@@ -84,12 +85,11 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ImportError> {
         path: path.to_owned(),
         source,
     };
-    let bytes = std::fs::metadata(path).map_err(failed)?.len();
-    if bytes > MAX_FILE_BYTES {
-        return Err(ImportError::Format {
+    caudata_durable::read_at_most(path, MAX_FILE_BYTES).map_err(|error| match error.kind() {
+        std::io::ErrorKind::FileTooLarge => ImportError::Format {
             file: path.display().to_string(),
-            message: format!("is {bytes} bytes long; at most {MAX_FILE_BYTES} are read"),
-        });
-    }
-    std::fs::read(path).map_err(failed)
+            message: error.to_string(),
+        },
+        _ => failed(error),
+    })
 }

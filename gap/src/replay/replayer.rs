@@ -80,6 +80,11 @@ impl Replayer {
         self
     }
 
+    /// From now on asks `go_on` instead.
+    pub fn set_go_on(&mut self, go_on: GoOn) {
+        self.go_on = go_on;
+    }
+
     /// With `term` in every candidate, as if the robot file's own extension had it.
     #[must_use]
     pub fn with_also(mut self, term: Term) -> Self {

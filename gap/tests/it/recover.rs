@@ -12,11 +12,13 @@ use caudata_gap::trial::Trial;
 use caudata_gap::{Diagnosis, GapError, GoOn, Options, Request, Role, Run, diagnose, extension};
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
-use caudata_runlog::{BaseHold, LogMeta, RunLog, Table};
+use caudata_runlog::{BaseHold, LogMeta, RunLog, Signal, Table};
 use caudata_sim::batch::BatchEngine;
 use caudata_sim::{
     Engine, EngineConfig, InitialState, LaneParams, Precision, Terrain, TerrainConfig,
 };
+
+use crate::common;
 
 const ROWS_HZ: f64 = 100.0;
 
@@ -266,7 +268,7 @@ fn friction_is_named() {
 }
 
 #[test]
-fn a_diagnosis_that_is_asked_to_stop_ends_there() {
+fn a_diagnosis_that_is_asked_to_stop_tells_what_it_has() {
     let mut request = request(0, &|p| p.joint_friction_nm[0] += 0.05);
     request.options.only = ["coulomb_friction", "kp_error"].map(str::to_owned).to_vec();
     // what it answers once it was asked so often, and how often that was in all
@@ -275,22 +277,110 @@ fn a_diagnosis_that_is_asked_to_stop_ends_there() {
         let counter = Arc::clone(&asked);
         let go_on = move || counter.fetch_add(1, Ordering::Relaxed) < last;
         request.options.go_on = GoOn::as_long_as(go_on);
-        let ended = diagnose(&request, &mut |_| {}).map(|d| d.report.verdict);
+        let ended = diagnose(&request, &mut |_| {}).map(|d| d.report);
         (ended, asked.load(Ordering::Relaxed))
     };
     let (whole, asked) = asked_until(usize::MAX);
-    assert!(whole.is_ok(), "{whole:?}");
-    // before the first simulation, while it reads, searches and names, and before the last one
-    for last in [0, 1, asked / 4, asked / 2, 3 * asked / 4, asked - 1] {
-        let (ended, more) = asked_until(last);
+    let whole = whole.unwrap();
+    assert!(!whole.unfinished && !whole.summary.contains("Unfinished"));
+    // before there is anything to tell there is nothing to tell
+    for last in [0, 1] {
+        let (ended, _) = asked_until(last);
         assert!(matches!(ended, Err(GapError::Stopped)), "{last}: {ended:?}");
-        // each thread may have asked once more
-        let threads = Options::default().threads;
+    }
+    // while it fits, searches and names, the best so far is told, and that it is not all
+    for last in [asked / 2, 3 * asked / 4, asked - 1] {
+        let (ended, _) = asked_until(last);
+        let report = ended.unwrap();
+        assert!(report.unfinished, "{last}");
         assert!(
-            (last + 1..=last + threads).contains(&more),
-            "{last}: {more}"
+            report.summary.starts_with("Unfinished"),
+            "{}",
+            report.summary
         );
     }
+    // once the search has found it, a stop while it is named does not lose it: it is in the model
+    let (late, _) = asked_until(asked - 1);
+    assert!(
+        late.unwrap()
+            .model
+            .iter()
+            .any(|c| c.effect == "coulomb_friction")
+    );
+}
+
+/// `log` with its angle `by_rad` more from `from_s` to `to_s`.
+fn shifted(log: &RunLog, (from_s, to_s): (f64, f64), by_rad: f64) -> RunLog {
+    let signals = log.table.signals().to_vec();
+    common::rebuilt(log, &signals, |k, t| {
+        let row = log.table.row(k).unwrap();
+        let shifted = row.iter().zip(&signals).map(|(value, signal)| {
+            let more = matches!(signal, Signal::Position(_)) && (from_s..to_s).contains(&t);
+            value.map(|x| x + if more { by_rad } else { 0.0 })
+        });
+        (t, shifted.collect())
+    })
+}
+
+#[test]
+fn held_out_runs_have_no_part_in_what_is_found() {
+    let mut request = request(0, &|p| p.joint_friction_nm[0] += 0.05);
+    request.options.only = ["coulomb_friction", "viscous_friction", "kp_error"]
+        .map(str::to_owned)
+        .to_vec();
+    let model = |request: &Request| diagnose(request, &mut |_| {}).unwrap().report.model;
+    let found = model(&request);
+    assert!(!found.is_empty());
+    // whatever they say, even nonsense
+    for run in request.runs.iter_mut().filter(|r| r.role == Role::Holdout) {
+        run.log = shifted(&run.log, (0.0, 9.0), 0.2);
+    }
+    assert_eq!(found, model(&request));
+}
+
+#[test]
+fn what_is_off_in_one_run_for_two_seconds_is_a_gap() {
+    let mut request = request(0, &|_| {});
+    // both repeats of one trial, so that it is no touch: 20 mrad over a quarter of a run
+    for run in request.runs.iter_mut().filter(|r| r.name.starts_with("1_")) {
+        run.log = shifted(&run.log, (3.0, 5.0), 0.02);
+    }
+    let report = diagnose(&request, &mut |_| {}).unwrap().report;
+    assert_ne!(report.verdict, Verdict::NoGap, "{}", report.summary);
+    let local = &report.local_gaps[0];
+    assert!(local.run.starts_with("1_") && local.joint == "swing");
+    assert!(local.from_s < 5.0 && local.to_s > 3.0, "{local:?}");
+}
+
+#[test]
+fn the_best_so_far_is_told_when_time_is_up() {
+    let mut request = request(0, &|p| p.joint_friction_nm[0] += 0.05);
+    request.options.budget_s = Some(0.0);
+    let report = diagnose(&request, &mut |_| {}).unwrap().report;
+    assert!(report.unfinished && report.summary.starts_with("Unfinished"));
+}
+
+#[test]
+fn standard_models_are_fitted_to_the_same_runs_and_reported() {
+    // friction that they have, and friction that grows with the load, which one of them has
+    let (_, d) = run(0, &|p| {
+        p.joint_friction_nm[0] += 0.03;
+        p.joints[0].load_friction_driving += 0.15;
+        p.joints[0].load_friction_driven += 0.15;
+    });
+    let errors = &d.report.position_errors;
+    let names: Vec<&str> = errors.iter().map(|e| e.model.as_str()).collect();
+    assert_eq!(
+        (names[0], names[5], names.len()),
+        ("as given", "extended", 6)
+    );
+    let of = |k: usize| errors[k].mean_rad;
+    // Coulomb friction helps, and load friction helps more
+    assert!(of(2) < 0.7 * of(0) && of(4) < of(2), "{errors:?}");
+    let best = (1..5).map(of).fold(f64::INFINITY, f64::min);
+    assert!(of(5) < 1.05 * best, "{errors:?}");
+    let joint = &errors[5].joints_rad["swing"];
+    assert!((joint - errors[5].mean_rad).abs() < 1e-12);
 }
 
 #[test]

@@ -6,18 +6,22 @@
 mod init;
 mod layout;
 mod mlp;
+mod symmetry;
 
-pub use init::orthogonal;
+pub use init::{equivariant, orthogonal};
 pub use layout::{Layout, Parameter};
 pub use mlp::{Mlp, Tape};
 
 use caudata_config::{Activation, NetworkConfig};
 use caudata_policy::MlpSpec;
 use caudata_random::{Key, Purpose, Stream};
+use caudata_task::Mirror;
+use caudata_task::mirror::SignedPermutation;
 use tch::{Device, Kind, Tensor};
 
 use crate::LearnerError;
 use mlp::LayerIndices;
+use symmetry::{Symmetry, sides};
 
 /// Gain of the policy's last layer: actions near zero at first, so that the noise explores around the nominal
 /// pose (Andrychowicz et al. 2021, "What matters in on-policy reinforcement learning", section 3.2).
@@ -45,6 +49,8 @@ pub struct NetworkSpec {
     pub std_min: f64,
     /// Its upper bound.
     pub std_max: f64,
+    /// The mirror that the networks commute with, if any: left and right are then treated alike.
+    pub mirror: Option<Mirror>,
 }
 
 impl NetworkSpec {
@@ -66,6 +72,7 @@ impl NetworkSpec {
             init_std: config.init_std,
             std_min: config.std_min,
             std_max: config.std_max,
+            mirror: None,
         };
         let mut sizes = spec.policy_hidden.iter().chain(&spec.value_hidden);
         if obs_dim == 0 || act_dim == 0 || sizes.any(|&n| n == 0) {
@@ -80,6 +87,33 @@ impl NetworkSpec {
             ));
         }
         Ok(spec)
+    }
+
+    /// The same networks, but such that they commute with `mirror`.
+    ///
+    /// # Errors
+    /// [`LearnerError::Setting`] when it is for other observations or actions.
+    pub fn symmetric(self, mirror: Mirror) -> Result<Self, LearnerError> {
+        let found = (mirror.observation.len(), mirror.action.len());
+        if found != (self.obs_dim, self.act_dim) {
+            return Err(LearnerError::setting(format!(
+                "mirror of {} observations and {} actions for a network with {} and {}",
+                found.0, found.1, self.obs_dim, self.act_dim
+            )));
+        }
+        Ok(Self {
+            mirror: Some(mirror),
+            ..self
+        })
+    }
+
+    fn policy_sides(&self, mirror: &Mirror) -> Vec<SignedPermutation> {
+        sides(&mirror.observation, &self.policy_hidden, &mirror.action)
+    }
+
+    fn value_sides(&self, mirror: &Mirror) -> Vec<SignedPermutation> {
+        let value = SignedPermutation::identity(1);
+        sides(&mirror.observation, &self.value_hidden, &value)
     }
 
     /// Layer sizes of the policy, input and output included.
@@ -110,6 +144,7 @@ pub struct ActorCritic {
     value: Mlp,
     /// `[A]`.
     raw_log_std: Tensor,
+    symmetry: Option<Symmetry>,
 }
 
 #[derive(Clone, Debug)]
@@ -126,7 +161,9 @@ impl ActorCritic {
         let (layout, indices) = lay_out(&spec);
         let values = initial_values(&spec, &layout, &indices, seed);
         let flat = Tensor::from_slice(&values).to_device(device);
-        Self::over(spec, layout, indices, flat)
+        let mirror = spec.mirror.as_ref();
+        let symmetry = mirror.map(|m| Symmetry::new(&spec, m, &layout, &indices, device));
+        Self::over(spec, layout, indices, flat, symmetry)
     }
 
     /// The same network, sharing the memory of the parameters: for another thread. Whoever changes them must
@@ -146,10 +183,17 @@ impl ActorCritic {
             self.layout.clone(),
             self.indices.clone(),
             flat,
+            self.symmetry.as_ref().map(Symmetry::share),
         )
     }
 
-    fn over(spec: NetworkSpec, layout: Layout, indices: Indices, flat: Tensor) -> Self {
+    fn over(
+        spec: NetworkSpec,
+        layout: Layout,
+        indices: Indices,
+        flat: Tensor,
+        symmetry: Option<Symmetry>,
+    ) -> Self {
         Self {
             policy: Mlp::over(&layout, &indices.policy, &flat, spec.activation),
             value: Mlp::over(&layout, &indices.value, &flat, spec.activation),
@@ -158,6 +202,16 @@ impl ActorCritic {
             layout,
             indices,
             flat,
+            symmetry,
+        }
+    }
+
+    /// The gradient `[P]` of a loss of which the network's mirror image would have as much: itself, unless
+    /// the network is symmetric.
+    pub fn symmetric_gradient(&self, gradient: Tensor) -> Tensor {
+        match &self.symmetry {
+            None => gradient,
+            Some(symmetry) => symmetry.part_of(&gradient),
         }
     }
 
@@ -272,7 +326,8 @@ impl ActorCritic {
     /// Replaces all parameters.
     ///
     /// # Errors
-    /// [`LearnerError::Setting`] when the number of values is not that of this network.
+    /// [`LearnerError::Setting`] when the number of values is not that of this network, or when this network is
+    /// symmetric and they are not.
     pub fn copy_from_slice(&self, values: &[f32]) -> Result<(), LearnerError> {
         if values.len() != self.layout.len() {
             return Err(LearnerError::setting(format!(
@@ -281,7 +336,17 @@ impl ActorCritic {
                 self.layout.len()
             )));
         }
-        self.flat.shallow_clone().copy_(&Tensor::from_slice(values));
+        let values = Tensor::from_slice(values).to_device(self.device());
+        if self
+            .symmetry
+            .as_ref()
+            .is_some_and(|s| !s.holds_for(&values))
+        {
+            return Err(LearnerError::setting(
+                "it does not treat left and right alike: it was trained with learner.network.symmetric = false",
+            ));
+        }
+        self.flat.shallow_clone().copy_(&values);
         Ok(())
     }
 }
@@ -319,7 +384,15 @@ fn initial_values(spec: &NetworkSpec, layout: &Layout, indices: &Indices, seed: 
     };
     let mut stream = Stream::new(key, Purpose::Init);
     let mut values = vec![0.0_f32; layout.len()];
-    for (layers, output_gain) in [(&indices.policy, POLICY_OUTPUT_GAIN), (&indices.value, 1.0)] {
+    let mirror = spec.mirror.as_ref();
+    let (policy, value) = (
+        mirror.map(|m| spec.policy_sides(m)),
+        mirror.map(|m| spec.value_sides(m)),
+    );
+    for (layers, sides, output_gain) in [
+        (&indices.policy, policy, POLICY_OUTPUT_GAIN),
+        (&indices.value, value, 1.0),
+    ] {
         for (number, &(weight, _)) in layers.iter().enumerate() {
             let last = number + 1 == layers.len();
             let gain = if last {
@@ -329,7 +402,10 @@ fn initial_values(spec: &NetworkSpec, layout: &Layout, indices: &Indices, seed: 
             };
             let parameter = &layout.parameters()[weight];
             let (rows, columns) = (parameter.shape[0] as usize, parameter.shape[1] as usize);
-            let matrix = orthogonal(&mut stream, rows, columns, gain);
+            let matrix = match &sides {
+                Some(sides) => equivariant(&mut stream, &sides[number + 1], &sides[number], gain),
+                None => orthogonal(&mut stream, rows, columns, gain),
+            };
             values[parameter.offset..][..matrix.len()].copy_from_slice(&matrix);
         }
     }

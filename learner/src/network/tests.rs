@@ -12,6 +12,7 @@ fn spec(activation: Activation) -> NetworkSpec {
         init_std: 0.7,
         std_min: 0.05,
         std_max: 1.5,
+        mirror: None,
     }
 }
 
@@ -153,4 +154,105 @@ fn specs_that_cannot_work_are_refused() {
     };
     assert!(NetworkSpec::new(&config, 4, 2).is_err());
     assert!(NetworkSpec::new(&NetworkConfig::default(), 4, 2).is_ok());
+}
+
+/// Exchanges the first two of five observations and negates the third; exchanges the outer two of three
+/// actions and negates the middle one.
+fn mirror() -> Mirror {
+    Mirror {
+        observation: SignedPermutation {
+            source: vec![1, 0, 2, 3, 4],
+            sign: vec![1.0, 1.0, -1.0, 1.0, 1.0],
+        },
+        action: SignedPermutation {
+            source: vec![2, 1, 0],
+            sign: vec![1.0, -1.0, 1.0],
+        },
+        feet: Vec::new(),
+    }
+}
+
+fn symmetric() -> ActorCritic {
+    let spec = spec(Activation::Elu).symmetric(mirror()).unwrap();
+    ActorCritic::new(spec, 7, Device::Cpu)
+}
+
+/// The mirror images of rows.
+fn image(rows: &Tensor, by: &SignedPermutation) -> Tensor {
+    let source: Vec<i64> = by.source.iter().map(|&i| i as i64).collect();
+    rows.index_select(1, &Tensor::from_slice(&source)) * Tensor::from_slice(&by.sign)
+}
+
+#[test]
+fn a_symmetric_network_commutes_with_its_mirror() {
+    let net = symmetric();
+    let (x, mirror) = (input(9), mirror());
+    let of_image = net.policy().forward(&image(&x, &mirror.observation)) * 100.0;
+    let expected = image(&(net.policy().forward(&x) * 100.0), &mirror.action);
+    close(&of_image, &expected, 1e-5, "policy");
+    let value = net.value().forward(&image(&x, &mirror.observation));
+    close(&value, &net.value().forward(&x), 1e-5, "value");
+    let plain = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu);
+    let value = plain.value().forward(&image(&x, &mirror.observation));
+    let off = (value - plain.value().forward(&x)).abs().max();
+    assert!(off.double_value(&[]) > 0.1, "a plain one does not");
+    let other = NetworkSpec {
+        obs_dim: 4,
+        ..spec(Activation::Elu)
+    };
+    assert!(other.symmetric(mirror).is_err());
+}
+
+/// With free parameters θ and those of the network their symmetric part, the gradient with respect to θ is
+/// what autograd says.
+#[test]
+fn the_gradient_of_a_symmetric_network_agrees_with_autograd() {
+    let net = symmetric();
+    let gradient = net.zeros_like();
+    let x = input(9);
+    let (output, tape) = net.policy().forward_with_tape(&x);
+    net.policy().backward(&tape, output, gradient.policy());
+    let own = net.symmetric_gradient(gradient.flat().shallow_clone());
+
+    let free = net.flat().copy().set_requires_grad(true);
+    let Some(symmetry) = &net.symmetry else {
+        panic!("it has a mirror")
+    };
+    let tied = symmetry.part_of(&free);
+    let mut h = x;
+    let layers = &net.indices.policy;
+    for (number, &(weight, bias)) in layers.iter().enumerate() {
+        let view = |index| net.layout.view(&tied, index);
+        h = h.linear(&view(weight), Some(&view(bias)));
+        if number + 1 < layers.len() {
+            h = h.elu();
+        }
+    }
+    (h.square().sum(Kind::Float) * 0.5).backward();
+    let policy = net.policy_len() as i64;
+    let expected = free.grad();
+    close(
+        &own.narrow(0, 0, policy),
+        &expected.narrow(0, 0, policy),
+        2e-6,
+        "gradient",
+    );
+    assert!(expected.abs().max().double_value(&[]) > 1e-3);
+}
+
+#[test]
+fn a_symmetric_network_stays_so_and_takes_no_other_parameters() {
+    let net = symmetric();
+    let plain = ActorCritic::new(spec(Activation::Elu), 7, Device::Cpu);
+    let error = net.copy_from_slice(&plain.to_vec().unwrap()).unwrap_err();
+    assert!(error.to_string().contains("left and right"), "{error}");
+    let mut adam = crate::adam::Adam::new(net.layout().len(), Device::Cpu);
+    for step in 1..=20 {
+        let noise = (net.flat() * f64::from(step)).sin();
+        let gradient = net.symmetric_gradient(noise + 0.1);
+        adam.step(net.flat(), &gradient, &[(net.layout().len(), 1e-2)]);
+    }
+    let again = net.symmetric_gradient(net.flat().copy());
+    close(&again, net.flat(), 1e-6, "after twenty steps");
+    net.copy_from_slice(&net.to_vec().unwrap()).unwrap();
 }

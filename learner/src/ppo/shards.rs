@@ -43,7 +43,7 @@ pub const SAMPLE_COLUMNS: usize = 4;
 /// What the epochs of an update draw from, or one pass over it in the order of that pass.
 #[derive(Debug)]
 pub struct Draws {
-    /// Normalised, `[B, D]`; mirror images follow as B more rows.
+    /// Normalised, `[B, D]`.
     pub observations: Tensor,
     /// Actions, means of π_prox, and the columns of [`Column`]: `[B, 2A + 4]`, as many rows as observations.
     pub samples: Tensor,

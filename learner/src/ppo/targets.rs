@@ -113,14 +113,6 @@ impl Targets {
     }
 }
 
-/// min(π_prox(image)/μ, `cap`) for each sample.
-pub(super) fn image_weights(images: &[f32], acted: &[f32], cap: f32) -> Vec<f32> {
-    let pairs = images.iter().zip(acted);
-    pairs
-        .map(|(image, acted)| (image - acted).exp().min(cap))
-        .collect()
-}
-
 /// (Σw)²/(N·Σw²): 1 when all weights are equal.
 pub(super) fn effective_share(weights: &[f32]) -> f64 {
     let (mut sum, mut squares) = (0.0, 0.0);

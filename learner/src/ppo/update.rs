@@ -1,17 +1,14 @@
 //! One update: values and log-probabilities of the batch, advantages, then epochs of minibatches.
 
 use caudata_config::{Config, Correction, PpoConfig, StalenessConfig};
-use caudata_model::RobotModel;
 use caudata_random::Stream;
-use caudata_task::mirror::SignedPermutation;
-use caudata_task::{Mirror, PolicyContract};
 use caudata_telemetry::Pulse;
 use tch::Tensor;
 
 use super::loss::{LossSettings, entropy, log_prob, sums};
 use super::pool::rows;
 use super::shards::{Draws, Head, Minibatch, SAMPLE_COLUMNS, Shards, host};
-use super::targets::{Targets, effective_share, explained_variance, image_weights};
+use super::targets::{Targets, effective_share, explained_variance};
 use crate::LearnerError;
 use crate::adam::Adam;
 use crate::batch::Batch;
@@ -28,30 +25,16 @@ pub struct PpoSettings {
     pub ppo: PpoConfig,
     /// `[learner.staleness]`.
     pub staleness: StalenessConfig,
-    /// Left and right exchanged, where `learner.ppo.mirror` asks for it.
-    pub mirror: Option<Mirror>,
 }
 
 impl PpoSettings {
-    /// What `config` asks for on this robot.
-    ///
-    /// # Errors
-    /// When it asks for mirror images and the robot is not its own.
-    pub fn new(
-        config: &Config,
-        model: &RobotModel,
-        contract: &PolicyContract,
-    ) -> Result<Self, LearnerError> {
-        let ppo = config.learner.ppo.clone();
-        let mirror = ppo
-            .mirror
-            .then(|| Mirror::new(model, &contract.observation))
-            .transpose()?;
-        Ok(Self {
-            ppo,
+    /// What `config` asks for.
+    #[must_use]
+    pub fn new(config: &Config) -> Self {
+        Self {
+            ppo: config.learner.ppo.clone(),
             staleness: config.learner.staleness.clone(),
-            mirror,
-        })
+        }
     }
 }
 
@@ -239,12 +222,9 @@ impl Ppo {
         };
         let mut tally = Tally::default();
         let mut indices: Vec<i64> = (0..batch.rows as i64).collect();
-        for epoch in 0..self.settings.ppo.epochs {
+        for _ in 0..self.settings.ppo.epochs {
             order.shuffle(&mut indices);
-            let pass = match self.settings.mirror {
-                None => prepared.draws.shuffled(&indices),
-                Some(_) => prepared.draws.shuffled(&half_mirrored(&indices, epoch)),
-            };
+            let pass = prepared.draws.shuffled(&indices);
             for part in self.minibatches(batch.rows) {
                 let step = Step {
                     rate_guard: guard,
@@ -258,15 +238,6 @@ impl Ppo {
 
     fn check(&self, batch: &Batch) -> Result<(), LearnerError> {
         let spec = self.net.spec();
-        if let Some(mirror) = &self.settings.mirror {
-            let found = (mirror.observation.source.len(), mirror.action.source.len());
-            if found != (spec.obs_dim, spec.act_dim) {
-                return Err(LearnerError::setting(format!(
-                    "mirror of {} observations and {} actions for a network with {} and {}",
-                    found.0, found.1, spec.obs_dim, spec.act_dim
-                )));
-            }
-        }
         if batch.rows == 0 || batch.obs_dim != spec.obs_dim || batch.act_dim != spec.act_dim {
             return Err(LearnerError::setting(format!(
                 "batch of {} samples with {} observations and {} actions for a network with {} and {}",
@@ -298,8 +269,7 @@ impl Ppo {
         );
         let raw = Tensor::from_slice(&batch.observations).view([rows_all as i64, obs_dim]);
         let all = scaling.apply(&raw.to_device(device));
-        let own = (0, batch.rows);
-        let mut observations = rows(&all, own);
+        let observations = rows(&all, (0, batch.rows));
         let actions = Tensor::from_slice(&batch.actions)
             .view([batch.rows as i64, batch.act_dim as i64])
             .to_device(device);
@@ -314,7 +284,7 @@ impl Ppo {
         };
 
         let (ppo, staleness) = (&self.settings.ppo, &self.settings.staleness);
-        let mut targets = Targets::new(
+        let targets = Targets::new(
             ppo,
             staleness,
             batch,
@@ -324,22 +294,7 @@ impl Ppo {
         );
         let effective_share = effective_share(&targets.weights);
         let explained_variance = explained_variance(&values[..batch.rows], &targets.targets);
-        let mut samples = self.samples(&actions, &prox_means, &prox_log_probs, &targets);
-        if let Some(mirror) = &self.settings.mirror {
-            // Values and advantages of a mirror image are the sample's own. Its weight is how likely the
-            // policy is to act so: without it an action that a lopsided policy would not take pushes the mean
-            // about, and the robot ends up standing.
-            let images = exchange(&rows(&raw, own), &mirror.observation);
-            let images = scaling.apply(&images.to_device(device));
-            let actions = exchange(&actions, &mirror.action);
-            let means = self.shards.forward(Head::Policy, &images)?;
-            observations = Tensor::cat(&[observations, images], 0);
-            let log_probs: Vec<f32> = host(&log_prob(&actions, &means, &prox_log_std))?;
-            let cap = self.settings.staleness.weight_max as f32;
-            targets.weights = image_weights(&log_probs, &batch.behaviour_log_probs, cap);
-            let image_samples = self.samples(&actions, &means, &log_probs, &targets);
-            samples = Tensor::cat(&[samples, image_samples], 0);
-        }
+        let samples = self.samples(&actions, &prox_means, &prox_log_probs, &targets);
         Ok(Prepared {
             draws: Draws {
                 observations,
@@ -390,6 +345,7 @@ impl Ppo {
         let Some(gradient) = total.gradient else {
             return Ok(());
         };
+        let gradient = self.net.symmetric_gradient(gradient);
         if step.value_only {
             let policy = self.net.policy_len() as i64;
             let _ = gradient.narrow(0, 0, policy).zero_();
@@ -470,22 +426,6 @@ fn adapted_rate(ppo: &PpoConfig, target_kl: f64, rate: f64, kl: f64) -> f64 {
     } else {
         rate
     }
-}
-
-/// In each pass every other sample as it is and the others as their mirror images, which follow B rows later;
-/// the other way round in the next pass.
-fn half_mirrored(indices: &[i64], epoch: u32) -> Vec<i64> {
-    let rows = indices.len() as i64;
-    let image = |&i: &i64| i + rows * ((i + i64::from(epoch)) & 1);
-    indices.iter().map(image).collect()
-}
-
-/// The mirror image of each row.
-fn exchange(values: &Tensor, by: &SignedPermutation) -> Tensor {
-    let source: Vec<i64> = by.source.iter().map(|&i| i as i64).collect();
-    let device = values.device();
-    let sign = Tensor::from_slice(&by.sign).to_device(device);
-    values.index_select(1, &Tensor::from_slice(&source).to_device(device)) * sign
 }
 
 #[cfg(test)]

@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use caudata_actor::{ActorSnapshot, LEARNER_LOCK, encode_transport, tracer_of, transport_of};
 use caudata_config::{Config, TransportKind};
 use caudata_durable::{Owner, OwnerError};
-use caudata_model::RobotModel;
 use caudata_proto::DecodeLimits;
 use caudata_random::{Key, Purpose, Stream};
 use caudata_task::PolicyContract;
@@ -61,7 +60,7 @@ pub fn train(settings: TrainSettings, stop: &StopFlag) -> Result<Finished, Learn
     let inproc = matches!(transport, TransportConfig::Inproc(_));
     let device = device(config.learner.device)?;
     let net = ActorCritic::new(networks, config.run.seed, device);
-    let start = Start::new(&settings, &model, &contract, net, inproc)?;
+    let start = Start::new(&settings, &contract, net, inproc)?;
     let collector = Collector::new(
         collector_settings(config, &settings.run_id, &contract),
         start.accounting,
@@ -176,7 +175,6 @@ struct Start {
 impl Start {
     fn new(
         settings: &TrainSettings,
-        model: &RobotModel,
         contract: &PolicyContract,
         net: ActorCritic,
         inproc: bool,
@@ -199,8 +197,7 @@ impl Start {
             }
             _ => None,
         };
-        let ppo = PpoSettings::new(config, model, contract)?;
-        let mut ppo = Ppo::new(net, ppo, threads(config, inproc))?;
+        let mut ppo = Ppo::new(net, PpoSettings::new(config), threads(config, inproc))?;
         ppo.beat(settings.pulse.clone());
         let ((mut progress, mut accounting), snapshots) =
             restore(&mut ppo, state, config, contract.obs_dim())?;

@@ -40,11 +40,13 @@ fn learner_with(
         std_min: 0.05,
         ..NetworkConfig::default()
     };
-    let spec = NetworkSpec::new(&network, obs_dim, act_dim).unwrap();
+    let mut spec = NetworkSpec::new(&network, obs_dim, act_dim).unwrap();
+    if let Some(mirror) = mirror {
+        spec = spec.symmetric(mirror).unwrap();
+    }
     let settings = PpoSettings {
         ppo,
         staleness: StalenessConfig::default(),
-        mirror,
     };
     Ppo::new(ActorCritic::new(spec, seed, Device::Cpu), settings, 1).unwrap()
 }
@@ -138,6 +140,7 @@ fn what_is_learnt_on_one_side_holds_on_the_other() {
     let mirror = Mirror {
         observation: flip(&[0]),
         action: flip(&[1, 0]),
+        feet: Vec::new(),
     };
     let found = [None, Some(mirror)].map(|mirror| {
         let with_mirror = mirror.is_some();

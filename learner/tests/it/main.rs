@@ -15,3 +15,4 @@ mod program;
 mod publish;
 mod resume;
 mod slow_actor;
+mod symmetry;

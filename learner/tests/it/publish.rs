@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use caudata_chaos_proxy::own_address;
 use caudata_config::NetworkConfig;
 use caudata_learner::export::{PolicyIdentity, export};
 use caudata_learner::network::{ActorCritic, NetworkSpec};
@@ -79,13 +80,6 @@ fn server_with(
     stop
 }
 
-fn free_address() -> SocketAddr {
-    std::net::TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-}
-
 /// Notices until `enough` of them have come.
 fn wait_for(publisher: &Publisher, enough: impl Fn(&[Notice]) -> bool) -> Vec<Notice> {
     let deadline = Instant::now() + PATIENCE;
@@ -114,7 +108,7 @@ fn versions(runtime: &Runtime, addr: SocketAddr) -> Vec<(u64, [u8; 32])> {
 fn the_latest_policy_arrives_once_the_server_is_there() {
     let runtime = Runtime::new().unwrap();
     let data = tempfile::tempdir().unwrap();
-    let addr = free_address();
+    let addr = own_address();
     let publisher = Publisher::start(&addr.to_string(), "test", None).unwrap();
     publisher.publish(policy(1));
     let failed = |heard: &[Notice]| !heard.is_empty();
@@ -153,7 +147,7 @@ fn the_latest_policy_arrives_once_the_server_is_there() {
 fn a_long_pause_between_two_policies_costs_nothing() {
     let runtime = Runtime::new().unwrap();
     let data = tempfile::tempdir().unwrap();
-    let addr = free_address();
+    let addr = own_address();
     // A server that is soon tired of silent connections.
     let keepalive = Keepalive {
         interval: Duration::from_millis(100),
@@ -176,7 +170,7 @@ fn a_long_pause_between_two_policies_costs_nothing() {
 fn a_refusal_is_not_tried_again_and_nothing_waits_for_ever() {
     let runtime = Runtime::new().unwrap();
     let data = tempfile::tempdir().unwrap();
-    let addr = free_address();
+    let addr = own_address();
     let _stop = server(&runtime, addr, data.path());
     let publisher = Publisher::start(&addr.to_string(), "test", None).unwrap();
     publisher.publish(policy(5));
@@ -196,7 +190,7 @@ fn a_refusal_is_not_tried_again_and_nothing_waits_for_ever() {
     assert!(publisher.finish(PATIENCE));
     assert_eq!(versions(&runtime, addr), [(5, policy(5).sha256())]);
 
-    let nobody = Publisher::start(&free_address().to_string(), "test", None).unwrap();
+    let nobody = Publisher::start(&own_address().to_string(), "test", None).unwrap();
     nobody.publish(policy(1));
     assert!(!nobody.finish(Duration::from_millis(300)));
     // Dropping it gives up what could not be delivered.

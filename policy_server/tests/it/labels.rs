@@ -347,7 +347,8 @@ async fn fault_17_the_server_proves_freshness_to_a_nonce() {
 #[tokio::test]
 async fn fault_12_fetches_end_whole_or_go_on_elsewhere_when_the_server_stops() {
     let data = tempfile::tempdir().unwrap();
-    let mut server = Server::start(data.path(), StoreLimits::default()).await;
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let mut server = Server::on(&port, data.path()).await;
     publish(&mut server.client, &policy(1)).await.unwrap();
     let manifest = server.client.manifest(&stream(), None).await.unwrap();
     let address = server.address;
@@ -369,7 +370,7 @@ async fn fault_12_fetches_end_whole_or_go_on_elsewhere_when_the_server_stops() {
         begun.elapsed()
     );
     // The same port again: who was cut off goes on there.
-    let _again = Server::start_at(address, data.path()).await;
+    let _again = Server::on(&port, data.path()).await;
     for fetch in fetches {
         match fetch.await.unwrap() {
             Ok(bytes) => assert_eq!(bytes, policy(1).bytes().as_ref()),

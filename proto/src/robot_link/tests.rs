@@ -37,6 +37,7 @@ fn sensors() -> Sensors {
             quat_wxyz: [1.0, 0.0, 0.0, 0.0],
         }),
         foot_contacts: Some([true, false, false, true]),
+        in_water: Some(true),
     }
 }
 
@@ -45,6 +46,7 @@ fn messages() -> Vec<RobotMessage> {
         imu_gravity: None,
         base_pose: None,
         foot_contacts: None,
+        in_water: None,
         ..sensors()
     };
     vec![

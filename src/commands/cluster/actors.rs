@@ -21,6 +21,8 @@ use crate::say;
 const WATCH_EVERY: Duration = Duration::from_millis(100);
 /// How long actors have to end besides `actors.flush_timeout_s`.
 const STOP_MAX: Duration = Duration::from_secs(5);
+/// While no actor has had a policy, that is said every so often.
+const ALONE_SAID_EVERY: Duration = Duration::from_secs(15);
 
 #[derive(Debug, Args)]
 pub struct ActorsArgs {
@@ -79,6 +81,8 @@ pub fn run(args: &ActorsArgs, process: &Process) -> Result<(), Failure> {
         config: &config,
         logs: &logs,
         began: Instant::now(),
+        joined: 0,
+        alone_said: Instant::now(),
         slots: (0..count)
             .map(|index| Slot::new(&config, &name, index))
             .collect(),
@@ -107,6 +111,10 @@ struct Host<'a> {
     config: &'a Config,
     logs: &'a Path,
     began: Instant,
+    /// How many have had a policy, as it was last said.
+    joined: usize,
+    /// When it was last said that none has.
+    alone_said: Instant,
     slots: Vec<Slot>,
 }
 
@@ -154,10 +162,29 @@ impl Host<'_> {
                     self.start(index)?;
                 }
             }
+            self.say_who_has_joined();
             // Each has been told to stop: the run is complete, or its learner ended for good.
             if self.slots.iter_mut().all(is_down) || stop.wait(WATCH_EVERY) {
                 return Ok(());
             }
+        }
+    }
+
+    fn say_who_has_joined(&mut self) {
+        let joined = self.slots.iter().filter(|slot| slot.actor.has_joined());
+        let (joined, all) = (joined.count(), self.slots.len());
+        if joined != self.joined {
+            self.joined = joined;
+            say::line(format!("{joined} of {all} actors have joined the run"));
+        }
+        if joined == 0 && self.alone_said.elapsed() > ALONE_SAID_EVERY {
+            self.alone_said = Instant::now();
+            say::line(format!(
+                "no actor has had a policy for {:.0} s: is the learner up, at that address, with that run id (and \
+                 with certificates of the same authority)? Logs in {}",
+                self.began.elapsed().as_secs_f64(),
+                self.logs.display()
+            ));
         }
     }
 

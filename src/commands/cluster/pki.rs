@@ -1,7 +1,7 @@
 //! `caudata pki`: the certificates of a lab.
 
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use caudata_signing::pki::{
     Authority, CERTIFICATE_FILE, PkiError, Request, Role, VALID_DAYS, identity_of_pem,
@@ -42,6 +42,15 @@ pub enum PkiCommand {
         /// Make a new key and certificate where there is one already
         #[arg(long)]
         renew: bool,
+    },
+    /// Make certificates again that end soon, for the same roles, names and hosts; others stay as they are
+    Renew {
+        /// Folder of the authority
+        #[arg(long, value_name = "DIR")]
+        dir: PathBuf,
+        /// Those that end within so many days
+        #[arg(long, value_name = "N", default_value_t = 2)]
+        within: u32,
     },
     /// Show the certificates of a folder and how long they are valid
     Show {
@@ -92,33 +101,61 @@ pub fn run(command: &PkiCommand) -> Result<(), Failure> {
             ));
             Ok(())
         }
+        PkiCommand::Renew { dir, within } => renew(dir, *within),
         PkiCommand::Show { dir } => show(dir),
     }
 }
 
-fn show(dir: &Path) -> Result<(), Failure> {
+/// The folders with a certificate, in order.
+fn issued(dir: &Path) -> Result<Vec<PathBuf>, Failure> {
     let entries = std::fs::read_dir(dir).map_err(|error| {
         Failure::message(ExitCode::NoInput, format!("{}: {error}", dir.display()))
     })?;
-    let mut folders: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    let folders = entries.flatten().map(|entry| entry.path());
+    let mut folders: Vec<PathBuf> = folders
+        .filter(|folder| folder.join(CERTIFICATE_FILE).is_file())
+        .collect();
     folders.sort();
+    Ok(folders)
+}
+
+fn name_of(folder: &Path) -> String {
+    let name = folder.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
+}
+
+fn days_left(until: SystemTime) -> String {
+    match until.duration_since(SystemTime::now()) {
+        Ok(left) => format!("{:.1} days", left.as_secs_f64() / 86_400.0),
+        Err(_) => "expired".to_owned(),
+    }
+}
+
+fn renew(dir: &Path, within_days: u32) -> Result<(), Failure> {
+    let authority = Authority::open(dir).map_err(failure)?;
+    let within = Duration::from_secs(u64::from(within_days) * 86_400);
     let mut rows = Vec::new();
-    for folder in folders {
-        let certificate = folder.join(CERTIFICATE_FILE);
-        if !certificate.is_file() {
-            continue;
-        }
-        let identity = identity_of_pem(&certificate).map_err(failure)?;
-        let left = match identity.not_after.duration_since(SystemTime::now()) {
-            Ok(left) => format!("{:.1} days", left.as_secs_f64() / 86_400.0),
-            Err(_) => "expired".to_owned(),
-        };
-        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+    for folder in issued(dir)? {
+        let name = name_of(&folder);
+        let (until, renewed) = authority
+            .renew(&name, SystemTime::now(), within)
+            .map_err(failure)?;
+        let what = if renewed { "renewed" } else { "kept" };
+        rows.push(vec![name, what.to_owned(), days_left(until)]);
+    }
+    say::table(&["folder", "", "valid for"], rows);
+    Ok(())
+}
+
+fn show(dir: &Path) -> Result<(), Failure> {
+    let mut rows = Vec::new();
+    for folder in issued(dir)? {
+        let identity = identity_of_pem(&folder.join(CERTIFICATE_FILE)).map_err(failure)?;
         rows.push(vec![
-            name.into_owned(),
+            name_of(&folder),
             identity.role.to_string(),
             identity.name,
-            left,
+            days_left(identity.not_after),
         ]);
     }
     say::table(&["folder", "role", "name", "valid for"], rows);

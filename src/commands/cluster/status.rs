@@ -5,12 +5,14 @@ use std::io::{Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
 
-use caudata_config::ConfigArgs;
+use caudata_config::{Config, ConfigArgs};
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt};
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::commands::cluster::up::run_dir;
+use crate::commands::train::folder::{PROGRESS, newest};
 use crate::say;
 
 /// How long the learner may take to answer.
@@ -39,13 +41,7 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
             format!("127.0.0.1:{}", configured.port())
         }
         None if configured.port() != 0 => configured.to_string(),
-        None => announced(&run_dir(&config).join("progress.jsonl")).ok_or_else(|| {
-            Failure::message(
-                ExitCode::NoInput,
-                "no run says where its metrics are".to_owned(),
-            )
-            .hint("give --metrics HOST:PORT, or --config with telemetry.metrics_addr")
-        })?,
+        None => announced(&config)?,
     };
     let page = fetch(&address).or_exit_with(ExitCode::Unavailable, || {
         format!("the learner's metrics at {address} do not answer")
@@ -59,13 +55,44 @@ pub fn run(args: &StatusArgs) -> Result<(), Failure> {
     })
 }
 
-/// The address in the newest `started` event of a run.
-fn announced(progress: &std::path::Path) -> Option<String> {
-    let text = std::fs::read_to_string(progress).ok()?;
-    text.lines().rev().find_map(|line| {
-        let event: serde_json::Value = serde_json::from_str(line).ok()?;
-        (event["event"] == "started").then(|| event["metrics"].as_str().map(str::to_owned))?
-    })
+/// The address that a run has announced: the configuration's run, else the newest one below `run.out_dir`.
+fn announced(config: &Config) -> Result<String, Failure> {
+    let hint = "give --metrics HOST:PORT, or --config with telemetry.metrics_addr";
+    let named = run_dir(config);
+    let folder = match named.join(PROGRESS).is_file() {
+        true => Some(named),
+        false => newest(&config.run.out_dir).filter(|folder| folder.join(PROGRESS).is_file()),
+    };
+    let Some(folder) = folder else {
+        let message = format!("there is no run below {}", config.run.out_dir.display());
+        return Err(Failure::message(ExitCode::NoInput, message).hint(hint));
+    };
+    let text = files::read(&folder.join(PROGRESS))?;
+    let text = String::from_utf8_lossy(&text);
+    let events = text.lines().rev();
+    let mut events = events.filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let last = events.find(|event| event["event"] == "started" || event["event"] == "finished");
+    let last = last.unwrap_or_default();
+    let (code, message) = match (last["event"].as_str(), last["metrics"].as_str()) {
+        (Some("started"), Some(address)) => return Ok(address.to_owned()),
+        (Some("finished"), _) => (
+            ExitCode::Unavailable,
+            format!(
+                "the run in {} has ended after iteration {} ({})",
+                folder.display(),
+                last["iteration"],
+                last["reason"].as_str().unwrap_or("unknown")
+            ),
+        ),
+        _ => (
+            ExitCode::NoInput,
+            format!(
+                "the run in {} does not say where its metrics are",
+                folder.display()
+            ),
+        ),
+    };
+    Err(Failure::message(code, message).hint(hint))
 }
 
 /// The page at `http://address/metrics`.
@@ -157,6 +184,7 @@ impl Status {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use caudata_config::Source;
 
     const PAGE: &str = "\
 # HELP caudata_learner_frames Frames.
@@ -185,12 +213,28 @@ caudata_policy_staleness_versions 0.25
     #[test]
     fn the_newest_learner_says_where_its_metrics_are() {
         let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("progress.jsonl");
+        let mut config = Config::load(&Source::default()).unwrap();
+        config.run.out_dir = dir.path().to_owned();
+        let refused = |config: &Config| announced(config).unwrap_err().to_string();
+        assert!(refused(&config).contains("there is no run"));
+        let run = |name: &str, events: &str| {
+            let folder = dir.path().join(name);
+            std::fs::create_dir_all(&folder).unwrap();
+            std::fs::write(folder.join("run_id.txt"), name).unwrap();
+            std::fs::write(folder.join(PROGRESS), events).unwrap();
+        };
         let started = |addr: &str| format!("{{\"event\":\"started\",\"metrics\":{addr}}}\n");
-        let text =
-            started("\"127.0.0.1:1\"") + &started("\"127.0.0.1:2\"") + "{\"event\":\"warning\"}\n";
-        std::fs::write(&path, text).unwrap();
-        assert_eq!(announced(&path).as_deref(), Some("127.0.0.1:2"));
-        assert_eq!(announced(&dir.path().join("none")), None);
+        // A run of `train` has the time in its name; the newest one counts.
+        run("20260101-000000_quick", &started("\"127.0.0.1:1\""));
+        let last =
+            started("\"127.0.0.1:2\"") + &started("\"127.0.0.1:3\"") + "{\"event\":\"warning\"}\n";
+        run("20260102-000000_quick", &last);
+        assert_eq!(announced(&config).unwrap(), "127.0.0.1:3");
+        let end = "{\"event\":\"finished\",\"iteration\":7,\"reason\":\"completed\"}\n";
+        run("20260102-000000_quick", &(last + end));
+        assert!(refused(&config).contains("has ended after iteration 7 (completed)"));
+        // The run that the configuration names comes first.
+        run(&config.run.name, &started("\"127.0.0.1:4\""));
+        assert_eq!(announced(&config).unwrap(), "127.0.0.1:4");
     }
 }

@@ -61,7 +61,7 @@ pub struct EvalArgs {
     /// One JSON object on the last line
     #[arg(long)]
     json: bool,
-    /// The task; without these flags, the config.toml beside the policy, else the preset `quick`
+    /// The task; without these flags, the config.toml beside the policy, else the preset that it was trained with
     #[command(flatten)]
     config: ConfigArgs,
 }
@@ -86,7 +86,9 @@ enum Engines {
 
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     let policy = files::policy(&args.policy)?;
-    let flags = flags::or_beside(&args.config, &args.policy, "quick");
+    let fitting = flags::presets_for(&policy.metadata().contract);
+    let preset = fitting.first().copied().unwrap_or("quick");
+    let flags = flags::or_beside(&args.config, &args.policy, preset);
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
     match args.engine {
         Some(Engines::Batch | Engines::Both) => config.engine.kind = EngineKind::Batch,
@@ -97,7 +99,7 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
         config.robot.clone_from(robot);
     }
     let model = Arc::new(files::robot(&config.robot_path())?);
-    warn_of_differences(&config, &model, &policy)?;
+    warn_of_differences(&config, &model, &policy, &fitting)?;
     let evaluation = Evaluation {
         config: &config,
         model: &model,
@@ -183,12 +185,17 @@ fn warn_of_differences(
     config: &Config,
     model: &RobotModel,
     policy: &PolicyFile,
+    fitting: &[&str],
 ) -> Result<(), Failure> {
     let contract =
         caudata_task::PolicyContract::new(model, &config.task).or_exit(ExitCode::BadConfig)?;
-    let differences = policy
-        .check_runs_on(&contract)
-        .map_err(|error| refused(EvaluationError::Refused(error), &StopFlag::default()))?;
+    let differences = policy.check_runs_on(&contract).map_err(|error| {
+        let failure = refused(EvaluationError::Refused(error), &StopFlag::default());
+        match fitting {
+            [] => failure,
+            _ => failure.hint(format!("it fits --preset {}", fitting.join(" or "))),
+        }
+    })?;
     for difference in differences {
         tracing::warn!("the policy was trained with another {}", difference.name());
     }

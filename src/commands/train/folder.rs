@@ -16,6 +16,9 @@ const DIFF_BYTES_MAX: usize = 4 << 20;
 /// [`DRAIN_DEADLINE`] to save.
 const OWNER_PATIENCE: Duration = Duration::from_secs(15).saturating_add(DRAIN_DEADLINE);
 
+/// Every event of the learner, one JSON object per line.
+pub const PROGRESS: &str = "progress.jsonl";
+
 /// `runs/<time>_<name>/`. One process has it at a time: whoever holds `supervisor.lock`, and of the learners
 /// whoever holds [`caudata_actor::LEARNER_LOCK`].
 #[derive(Clone, Debug)]
@@ -170,7 +173,7 @@ impl RunFolder {
 
     /// Every event of the learner, one JSON object per line.
     pub fn progress(&self) -> PathBuf {
-        self.root.join("progress.jsonl")
+        self.root.join(PROGRESS)
     }
 
     /// Ledger of one incarnation of one actor.
@@ -262,7 +265,7 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
 }
 
 /// The newest folder that can be resumed. Names begin with the time, so that the last in order is the newest.
-fn newest(out_dir: &Path) -> Option<PathBuf> {
+pub fn newest(out_dir: &Path) -> Option<PathBuf> {
     let folders = fs::read_dir(out_dir)
         .ok()?
         .flatten()

@@ -15,6 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs, Source, TransportKind};
+use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::{Args, ValueEnum};
 
@@ -90,9 +91,10 @@ impl From<Transport> for TransportKind {
 
 pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
     let view = View::new(args.json);
+    // What is refused must not leave a folder behind.
+    let programs = programs()?;
     let (config, folder) = prepare(args, &mut view.wait_for_owner(&process.stop))?;
     let model = Arc::new(load_robot(&config.robot_path())?);
-    let programs = programs()?;
     view.note(&format!("run folder {}", folder.root().display()));
     let resume = args.resume();
     let plan = Plan {
@@ -167,8 +169,12 @@ fn prepare(args: &TrainArgs, wait: folder::Wait<'_>) -> Result<(Config, RunFolde
         }
         folder
     } else {
-        // A robot that cannot be read must not leave a folder behind.
+        // A robot or a policy to begin with that cannot be read must not leave a folder behind.
         load_robot(&config.robot_path())?;
+        config
+            .warm_start_path()
+            .map(|path| files::policy(&path))
+            .transpose()?;
         RunFolder::create(out, &config.run.out_dir, &config.run.name)?
     };
     config.robot = std::path::absolute(config.robot_path()).or_exit(ExitCode::NoInput)?;

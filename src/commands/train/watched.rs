@@ -2,6 +2,8 @@
 
 use std::path::Path;
 use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use caudata_telemetry::{Failure, Pulse};
@@ -19,6 +21,8 @@ pub struct Watched {
     backoff: Backoff,
     /// Beats when the process says that it is alive.
     pulse: Pulse,
+    /// Raised when this process has had a policy.
+    joined: Arc<AtomicBool>,
     /// When it shall be started (again).
     due: Option<Instant>,
     /// How often it was started.
@@ -33,6 +37,7 @@ impl Watched {
             process: None,
             backoff: Backoff::new(restarts_per_minute),
             pulse: Pulse::new(),
+            joined: Arc::default(),
             due: None,
             starts: 0,
         }
@@ -53,6 +58,11 @@ impl Watched {
         self.due.is_some_and(|due| Instant::now() >= due)
     }
 
+    /// Whether the process that runs now has had a policy from the learner.
+    pub fn has_joined(&self) -> bool {
+        self.joined.load(Ordering::Relaxed)
+    }
+
     /// How often it was started after the first time.
     pub fn restarts(&self) -> usize {
         self.starts.saturating_sub(1)
@@ -70,7 +80,14 @@ impl Watched {
         self.starts += 1;
         self.pulse.beat();
         let pulse = self.pulse.clone();
-        let sink: LineSink = Box::new(move |_| pulse.beat());
+        self.joined = Arc::default();
+        let joined = Arc::clone(&self.joined);
+        let sink: LineSink = Box::new(move |line| {
+            pulse.beat();
+            if line == caudata_actor::JOINED {
+                joined.store(true, Ordering::Relaxed);
+            }
+        });
         command.arg("--heartbeat");
         self.process = Some(Process::start(&self.name, command, log, Some(sink))?);
         Ok(())

@@ -38,6 +38,7 @@ fn contract() -> PolicyContract {
             vy_mps: task.command.vy_mps,
             yaw_rate_radps: task.command.yaw_rate_radps,
         },
+        afloat_above_m: None,
     }
 }
 
@@ -190,4 +191,43 @@ proptest::proptest! {
         let again: PolicyContract = serde_json::from_str(&made.canonical_json()).unwrap();
         proptest::prop_assert_eq!(again, made);
     }
+}
+
+#[test]
+fn the_height_from_which_on_it_swims_is_written_where_it_is_observed() {
+    let old = PolicyContract {
+        observation: ObservationLayout::new(ACT_DIM, &FEET.map(str::to_owned), true),
+        ..contract()
+    };
+    let at = |height_m| PolicyContract {
+        afloat_above_m: Some(height_m),
+        ..old.clone()
+    };
+    old.validate().unwrap();
+    at(0.08).validate().unwrap();
+    assert!(at(f32::NAN).validate().is_err());
+    let on_land = PolicyContract {
+        afloat_above_m: Some(0.08),
+        ..contract()
+    };
+    assert!(
+        on_land
+            .validate()
+            .unwrap_err()
+            .to_string()
+            .contains("afloat_above_m")
+    );
+    // it runs all the same, and whoever asks is told; an old file does not say
+    assert_eq!(
+        at(0.08).differences(&at(0.09)),
+        [ContractDifference::Afloat]
+    );
+    assert!(!ContractDifference::Afloat.is_breaking());
+    assert!(at(0.08).differences(&old).is_empty());
+    assert!(
+        at(0.08)
+            .canonical_json()
+            .contains(r#""afloat_above_m":0.08"#)
+    );
+    assert!(!old.canonical_json().contains("afloat"));
 }

@@ -151,6 +151,10 @@ reward_terms! {
     rocking: Cost, "rad²/s²", 0.0;
     /// Σ|q − q_nominal| while the command is to stand. Default 0.
     stand_still: Cost, "rad", 0.0;
+    /// Σ(q − q_nominal)² of the body joints, those that move no leg; free afloat. A bend is cheapest where
+    /// all joints share it, and a tail that is carried to one side, or swung for nothing, costs for ever.
+    /// Default 0 (not in the paper); too strong: a stiff trunk.
+    bend: Cost, "rad²", 0.0;
     /// Afloat, mean over the leg joints of max(0, 1 − |q − q_swimming|/`leg_fold_within_rad`): legs folded
     /// back as in the robot file's swimming pose; 1 on land and in shallow water, so that nothing is lost by
     /// leaving the water. Too small: a leg hangs, and stops the robot where it meets the ground. Default 0
@@ -206,6 +210,10 @@ pub struct RewardConfig {
     /// Phase by which each body joint lags behind the one ahead of it, rad. Default 0.7: eight joints make
     /// nine tenths of a wave.
     pub wave_lag_rad: f32,
+    /// How far each joint of the wave is bent to the side for a commanded yaw rate of 1 rad/s, rad: a swimmer
+    /// turns towards the side to which its body is bent. Default 0: straight waves, which cannot be steered.
+    /// 0.2 bends eight joints by 46° in all at 0.5 rad/s.
+    pub wave_turn_rad: f32,
     /// σ of `body_wave`, rad². Default 0.05: a straight body earns three quarters at 0.3 m/s with the default
     /// height. Smaller: nothing pulls a joint that is far from the wave; larger: a straight body earns nearly
     /// all.
@@ -233,6 +241,7 @@ impl Default for RewardConfig {
             leg_fold_within_rad: PI,
             wave_amplitude_rad: [0.14, 0.22],
             wave_lag_rad: 0.7,
+            wave_turn_rad: 0.0,
             wave_sigma: 0.05,
             soft_limit_share: 0.95,
             costs_at_start: 1.0,
@@ -276,6 +285,7 @@ impl RewardConfig {
             soft_limit_share: share, "must be above 0 and at most 1";
             wave_amplitude_rad: wave, "must be 0 to 2 rad";
             wave_lag_rad: (-PI..=PI).contains(&self.wave_lag_rad), "must be -π to π";
+            wave_turn_rad: (0.0..=1.0).contains(&self.wave_turn_rad), "must be 0 to 1 rad";
             costs_at_start: (0.0..=1.0).contains(&self.costs_at_start), "must be 0 to 1";
         }?;
         self.weights.validate()

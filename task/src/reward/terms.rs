@@ -124,6 +124,14 @@ pub fn stand_still(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
         .sum()
 }
 
+/// Σ(q − q_nominal)² of the joints that move no leg, rad²; 0 afloat, where the body swims.
+pub fn bend(_: &RewardConfig, input: &RewardInput<'_>) -> f32 {
+    let joints = input.joint_pos_rad.iter().zip(input.joints.nominal_rad);
+    let body = joints.zip(input.in_leg).filter(|&(_, &leg)| !leg);
+    let squares = body.map(|((q, nominal), _)| (q - nominal).powi(2));
+    (1.0 - input.afloat) * squares.sum::<f32>()
+}
+
 fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).map(|(x, y)| (x - y) * (x - y)).sum()
 }
@@ -173,9 +181,9 @@ fn mean(input: &RewardInput<'_>, legs: bool, value: impl Fn(usize, usize) -> f32
     }
 }
 
-/// q_wave,i = s·a_i·sin(φ − i·lag): φ the gait clock (the phase of the first foot), a_i linear over the
-/// `joints` of the body from head to tail, s the commanded forward speed over 0.3 m/s, 0 to 1.5. Straight
-/// while standing.
+/// q_wave,i = s·a_i·sin(φ − i·lag) − turn·ω_cmd: φ the gait clock (the phase of the first foot), a_i linear
+/// over the `joints` of the body from head to tail, s the commanded forward speed over 0.3 m/s, 0 to 1.5.
+/// Straight while standing.
 fn wave_rad(config: &RewardConfig, input: &RewardInput<'_>, i: usize, joints: usize) -> f32 {
     if input.standing {
         return 0.0;
@@ -184,5 +192,7 @@ fn wave_rad(config: &RewardConfig, input: &RewardInput<'_>, i: usize, joints: us
     let [head, tail] = config.wave_amplitude_rad;
     let along = i as f32 / (joints.max(2) - 1) as f32;
     let amplitude = head + (tail - head) * along;
-    speed * amplitude * (input.phase_rad[0] - i as f32 * config.wave_lag_rad).sin()
+    let wave = (input.phase_rad[0] - i as f32 * config.wave_lag_rad).sin();
+    // A joint that turns to the left turns what is behind it, so that the body bends to the right.
+    speed * amplitude * wave - config.wave_turn_rad * input.command[2]
 }

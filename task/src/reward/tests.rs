@@ -157,6 +157,24 @@ fn power_counts_braking_as_well() {
 }
 
 #[test]
+fn bend_of_the_body() {
+    check(terms::bend, &rest(), 0.0);
+    // joints 0 and 5 are the body's, joint 9 is a knee: 0.3² + 0.2² = 0.13
+    let mut pos = NOMINAL;
+    (pos[0], pos[5], pos[9]) = (pos[0] - 0.3, pos[5] + 0.2, pos[9] + 1.0);
+    let bent = RewardInput {
+        joint_pos_rad: &pos,
+        ..rest()
+    };
+    check(terms::bend, &bent, 0.13);
+    let afloat = RewardInput {
+        afloat: 1.0,
+        ..bent
+    };
+    check(terms::bend, &afloat, 0.0);
+}
+
+#[test]
 fn action_rate_torque_and_acceleration() {
     let (a, b) = (with(3, 0.5), with(3, -0.1));
     // 0.6² = 0.36
@@ -461,6 +479,18 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
         ..input
     };
     assert!((terms::body_wave(&config, &straight) - 0.983_608).abs() < 1e-5);
+    // Turning to the left at 0.5 rad/s, each joint lags by 0.2·0.5 = 0.1 rad.
+    let turning = RewardConfig {
+        wave_turn_rad: 0.2,
+        ..config
+    };
+    let bent = wave.map(|q| q - 0.1);
+    let to_the_left = RewardInput {
+        command: [0.15, 0.0, 0.5],
+        joint_pos_rad: &bent,
+        ..input
+    };
+    assert!((terms::body_wave(&turning, &to_the_left) - 1.0).abs() < 1e-5);
     // Standing asks for a straight body; on land none is asked for, and it pays in full.
     let standing = RewardInput {
         standing: true,

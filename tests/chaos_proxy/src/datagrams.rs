@@ -13,7 +13,7 @@ use nix::sched::{CloneFlags, unshare};
 use crate::Dice;
 
 /// Datagrams that may be on their way through the proxy; more are lost, as in a full router.
-const ON_THE_WAY_MAX: usize = 4096;
+const DATAGRAMS_MAX: usize = 4096;
 
 type Job = Box<dyn FnOnce() + Send>;
 
@@ -132,7 +132,7 @@ fn way(
     seed: u64,
     send: impl Fn(&[u8]) + Send + 'static,
 ) -> impl FnMut(&[u8]) {
-    let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(ON_THE_WAY_MAX);
+    let (sender, due) = sync_channel::<(Instant, Vec<u8>)>(DATAGRAMS_MAX);
     let mut dice = Dice::new(seed);
     let mut order = Dice::new(!seed);
     let sky = Arc::clone(&weather);

@@ -12,6 +12,7 @@ mod chaos;
 mod faults_actors;
 mod gap_policies;
 mod refusals;
+mod siege;
 mod tidy;
 mod traces;
 mod train;

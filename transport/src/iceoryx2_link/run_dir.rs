@@ -25,7 +25,8 @@ const FORMAT: &str = "caudata-transport 2";
 const MAX_SOCKET_PATH: usize = 107;
 /// What iceoryx2 appends to the directory for a socket: `/`, prefix, a number of up to 39 digits, `.event`.
 const SOCKET_NAME: usize = 1 + 11 + 39 + 6;
-/// How often acquiring starts anew because the lock file was removed by a learner that was just ending.
+/// How often acquiring starts anew because a folder or the lock file was removed by a learner that was just
+/// ending.
 const LOCK_ATTEMPTS: usize = 16;
 
 /// The note a learner posts for its actors.
@@ -131,10 +132,9 @@ impl RunPaths {
 
     /// The note of the newest learner, `None` when there is none.
     pub(super) fn note(&self) -> Result<Option<Note>, TransportError> {
-        if !self.root.exists() {
+        if !check_ours(&self.root)? {
             return Ok(None);
         }
-        check_ours(&self.root)?;
         let path = self.run.join("current");
         let text = match fs::read_to_string(&path) {
             Ok(text) => text,
@@ -162,11 +162,14 @@ impl RunDir {
     pub(super) fn acquire(config: &Iceoryx2Config, run_id: &str) -> Result<Self, TransportError> {
         let paths = RunPaths::new(config, run_id)?;
         for _ in 0..LOCK_ATTEMPTS {
-            create_private(&paths.root)?;
-            check_ours(&paths.root)?;
-            create_private(&paths.run)?;
-            check_ours(&paths.run)?;
-            if let Some(lock) = lock(&paths.run.join("lock"), run_id)? {
+            // Each may go again: a run that ends takes its folder away, and the root where it was the last
+            // one.
+            if !create_private(&paths.root)? {
+                return Err(io_error(&paths.root, &ErrorKind::NotFound.into()));
+            }
+            let there =
+                check_ours(&paths.root)? && create_private(&paths.run)? && check_ours(&paths.run)?;
+            if there && let Some(lock) = lock(&paths.run.join("lock"), run_id)? {
                 let run_dir = Self { paths, _lock: lock };
                 run_dir.sweep()?;
                 return Ok(run_dir);
@@ -294,16 +297,22 @@ fn our_uid() -> Result<u32, TransportError> {
     Ok(metadata.uid())
 }
 
-fn create_private(path: &Path) -> Result<(), TransportError> {
+/// False where the folder above it is not there.
+fn create_private(path: &Path) -> Result<bool, TransportError> {
     match DirBuilder::new().mode(0o700).create(path) {
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(false),
         Err(e) if e.kind() != ErrorKind::AlreadyExists => Err(io_error(path, &e)),
-        _ => Ok(()),
+        _ => Ok(true),
     }
 }
 
-/// A real directory, our own, closed to others: nobody else can have put anything into it.
-fn check_ours(path: &Path) -> Result<(), TransportError> {
-    let metadata = fs::symlink_metadata(path).map_err(|e| io_error(path, &e))?;
+/// A real directory, our own, closed to others: nobody else can have put anything into it. False where there
+/// is none.
+fn check_ours(path: &Path) -> Result<bool, TransportError> {
+    let metadata = match fs::symlink_metadata(path) {
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(false),
+        found => found.map_err(|e| io_error(path, &e))?,
+    };
     if !metadata.is_dir() {
         return Err(stale(path, "is not a directory"));
     }
@@ -314,7 +323,7 @@ fn check_ours(path: &Path) -> Result<(), TransportError> {
     if metadata.mode() & 0o077 != 0 {
         return Err(stale(path, "is open to other users"));
     }
-    Ok(())
+    Ok(true)
 }
 
 /// The lock on `path`; `None` when the file was removed meanwhile and the caller must start anew.
@@ -378,6 +387,23 @@ mod tests {
         drop(first);
         let again = RunDir::acquire(&config, "run").unwrap();
         drop((other, again));
+        assert!(!temp.path().join("r").exists());
+    }
+
+    #[test]
+    fn runs_begin_while_others_take_the_common_root_away() {
+        let temp = tempfile::tempdir().unwrap();
+        let config = config(temp.path());
+        std::thread::scope(|scope| {
+            for thread in 0..4 {
+                let config = &config;
+                scope.spawn(move || {
+                    for _ in 0..200 {
+                        drop(RunDir::acquire(config, &format!("run-{thread}")).unwrap());
+                    }
+                });
+            }
+        });
         assert!(!temp.path().join("r").exists());
     }
 

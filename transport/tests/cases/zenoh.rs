@@ -87,11 +87,7 @@ fn links_work_inside_a_single_threaded_runtime() {
 /// A router on loopback, and what learners and actors that meet there are told.
 fn router() -> (zenoh::Session, TransportConfig) {
     use zenoh::Wait;
-    let port = {
-        let probe = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-        probe.local_addr().unwrap().port()
-    };
-    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let endpoint = format!("tcp/{}", caudata_chaos_proxy::own_address());
     let mut settings = zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"router\"".to_owned()),

@@ -134,6 +134,11 @@ pub struct NetworkConfig {
     /// Normalised observations are clipped to ± this. 1 to 100. Too small cuts signal, too large lets rare
     /// spikes through.
     pub observation_clip: f64,
+    /// Whether the networks treat left and right alike by construction: the mirror image of an observation
+    /// gives the mirror image of the action, and the same value. Counterparts are found from the robot's
+    /// geometry; a robot that is not its own mirror image is refused. Default false (paper). Costs next to
+    /// nothing, and every sample teaches both sides; what must be done on one side alone cannot be learnt.
+    pub symmetric: bool,
 }
 
 impl Default for NetworkConfig {
@@ -147,6 +152,7 @@ impl Default for NetworkConfig {
             std_max: 1.5,
             normalise_observations: true,
             observation_clip: 10.0,
+            symmetric: false,
         }
     }
 }
@@ -209,11 +215,6 @@ pub struct PpoConfig {
     pub value_learning_rate: f64,
     /// Over what advantages are shifted and scaled to mean 0 and variance 1.
     pub advantage_scale: AdvantageScale,
-    /// Learns from every sample and from its mirror image, left and right exchanged, in turn from pass to
-    /// pass: with two passes each is seen once, with one only half of either. Default false (paper). Costs
-    /// one forward pass; needs a robot that is its own mirror image. A gait that is learnt so treats both
-    /// sides alike.
-    pub mirror: bool,
 }
 
 impl Default for PpoConfig {
@@ -235,7 +236,6 @@ impl Default for PpoConfig {
             learning_rate_max: 1e-2,
             value_learning_rate: 0.0,
             advantage_scale: AdvantageScale::Batch,
-            mirror: false,
         }
     }
 }

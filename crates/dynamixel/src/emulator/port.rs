@@ -2,19 +2,21 @@
 //! nothing.
 
 use std::io;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::emulator::EmulatedBus;
 use crate::port::Port;
+
+/// What a byte of noise takes: ten bits at a million a second, µs.
+const NOISE_US: u64 = 10;
 
 /// The host's end of an [`EmulatedBus`]. Its time moves when the host waits.
 #[derive(Debug)]
 pub struct EmulatedPort {
     bus: EmulatedBus,
     now_us: u64,
-    /// The deadline given last, by both clocks: deadlines are told by the machine's, which stands still while
-    /// this one waits.
-    deadline: Option<(Instant, u64)>,
+    /// When its time began, by the machine's clock, which is not looked at again.
+    start: Instant,
     arrived: Vec<u8>,
     /// Noise without end: as many bytes as the host takes.
     babbles: bool,
@@ -26,7 +28,7 @@ impl EmulatedPort {
         Self {
             bus,
             now_us: 0,
-            deadline: None,
+            start: Instant::now(),
             arrived: Vec::new(),
             babbles: false,
         }
@@ -48,19 +50,6 @@ impl EmulatedPort {
         self.bus.pass(self.now_us);
     }
 
-    /// A deadline by the time over there.
-    fn end_us(&mut self, deadline: Instant) -> u64 {
-        if let Some((known, end_us)) = self.deadline
-            && known == deadline
-        {
-            return end_us;
-        }
-        let left = deadline.saturating_duration_since(Instant::now());
-        let end_us = self.now_us + left.as_micros() as u64;
-        self.deadline = Some((deadline, end_us));
-        end_us
-    }
-
     /// Noise without end from now on, or no longer.
     pub fn babble(&mut self, babbles: bool) {
         self.babbles = babbles;
@@ -68,8 +57,11 @@ impl EmulatedPort {
 }
 
 impl Port for EmulatedPort {
-    fn send(&mut self, bytes: &[u8], deadline: Instant) -> io::Result<()> {
-        self.end_us(deadline);
+    fn now(&self) -> Instant {
+        self.start + Duration::from_micros(self.now_us)
+    }
+
+    fn send(&mut self, bytes: &[u8], _: Instant) -> io::Result<()> {
         self.bus.hear(bytes, self.now_us);
         Ok(())
     }
@@ -77,10 +69,12 @@ impl Port for EmulatedPort {
     fn receive(&mut self, buffer: &mut [u8], deadline: Instant) -> io::Result<usize> {
         if self.babbles {
             buffer.fill(0xFF);
+            self.wait_us(buffer.len() as u64 * NOISE_US);
             return Ok(buffer.len());
         }
         if self.arrived.is_empty() {
-            let end = self.end_us(deadline).max(self.now_us);
+            let left = deadline.saturating_duration_since(self.now());
+            let end = self.now_us + left.as_micros() as u64;
             let due = self.bus.next_due_us().map_or(end, |due| due.min(end));
             self.wait_us(due.saturating_sub(self.now_us));
             self.bus.collect(self.now_us, &mut self.arrived);

@@ -1,6 +1,6 @@
 //! The bus against emulated servos: groups, refusals, silence, noise, alerts, watchdog, reboot, wrong speed.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use caudata_dynamixel::emulator::{
     BOOT_US, EmulatedBus, EmulatedPort, EmulatedServo, Present, WireFaults,
@@ -100,15 +100,13 @@ fn one_silent_servo_is_named_and_the_deadline_holds() {
     let mut bus = bus(16);
     bus.port_mut().bus().servos_mut()[4].unplug(true);
     let mut group = GroupRead::new(&ids(16), TICK_ADDRESS, TICK_BYTES, false);
-    let begun = Instant::now();
     bus.read_group(&mut group, DEADLINE).unwrap();
+    // In the emulated port's own time: nothing here waits by the machine's clock.
     assert!(
         bus.port_mut().now_us() <= 7_000,
         "waited {} µs",
         bus.port_mut().now_us()
     );
-    // The emulated port waits in its own time, so that the machine's clock has hardly moved.
-    assert!(begun.elapsed() < SLOW * 10);
     let silent: Vec<usize> = (0..16)
         .filter(|i| group.answer(*i) == Answer::Silent)
         .collect();

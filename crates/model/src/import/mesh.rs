@@ -8,7 +8,7 @@ use super::tree::{Element, Remarks};
 use crate::pose::{cross, dot};
 
 /// Largest mesh file that is read, bytes.
-const FILE_LIMIT_BYTES: u64 = 64 * 1024 * 1024;
+const MESH_LIMIT_BYTES: u64 = 64 * 1024 * 1024;
 
 /// What is kept of a mesh.
 #[derive(Clone, Copy, Debug)]
@@ -87,10 +87,7 @@ impl Meshes {
 type Triangle = [[f64; 3]; 3];
 
 fn load(path: &Path, scale: [f64; 3]) -> Option<Mesh> {
-    if std::fs::metadata(path).ok()?.len() > FILE_LIMIT_BYTES {
-        return None;
-    }
-    let bytes = std::fs::read(path).ok()?;
+    let bytes = caudata_durable::read_at_most(path, MESH_LIMIT_BYTES).ok()?;
     let kind = path.extension()?.to_string_lossy().to_lowercase();
     let mut triangles = match kind.as_str() {
         "stl" => stl(&bytes)?,

@@ -178,15 +178,11 @@ impl<'a> Context<'a> {
                 ("angle", "radian") => self.compiler.rad_per_unit = 1.0,
                 ("angle", "degree") => self.compiler.rad_per_unit = 1f64.to_radians(),
                 ("autolimits", on) => self.compiler.autolimits = on != "false",
+                ("eulerseq", sequence) if self.compiler.set_euler(sequence) => {}
                 ("eulerseq", sequence) => {
-                    if !self.compiler.set_euler(sequence) {
-                        self.remarks.refuse(
-                            e,
-                            format!(
-                                "<compiler>: eulerseq `{sequence}` is not three of x y z X Y Z"
-                            ),
-                        );
-                    }
+                    let what = "is not three of x y z X Y Z";
+                    self.remarks
+                        .refuse(e, format!("<compiler>: eulerseq `{sequence}` {what}"));
                 }
                 ("coordinate", "global") => {
                     self.remarks.refuse(e, "<compiler>: coordinate=\"global\" is not read; convert the file to local coordinates");
@@ -256,7 +252,7 @@ impl<'a> Context<'a> {
             // one way of saying where something lies replaces the other
             let said = |other: &&str| e.attributes.contains_key(*other);
             let turns = ["quat", "euler", "axisangle", "xyaxes", "zaxis"];
-            if turns.contains(&key.as_str()) && turns.iter().any(|k| said(k)) {
+            if turns.contains(&key.as_str()) && turns.iter().any(said) {
                 continue;
             }
             out.attributes

@@ -42,6 +42,7 @@ fn contract() -> PolicyContract {
             vy_mps: [-0.1, 0.1],
             yaw_rate_radps: [-0.5, 0.5],
         },
+        afloat_above_m: None,
     }
 }
 

@@ -1,10 +1,12 @@
 //! ONNX Runtime computes what the plain evaluation computes.
 
+use std::path::Path;
 use std::process::Command;
+use std::sync::Arc;
 use std::thread;
 
 use super::{file, network, normals, small, stream};
-use crate::{Activation, Inference, MlpSpec, PolicyError, evaluate_mlp};
+use crate::{Activation, Inference, MlpSpec, PolicyError, PolicyFile, evaluate_mlp};
 
 /// Largest difference between ONNX Runtime's actions and the plain evaluation's.
 fn difference(spec: &MlpSpec, lanes: &[usize]) -> f32 {
@@ -159,4 +161,37 @@ fn child_with_another_library() {
     let second = Inference::new(&file(&small()), 1).unwrap_err();
     assert_eq!(first, second, "a failed load can be tried again");
     println!("{first}");
+}
+
+/// The policies of this repository on observations drawn by number, as x86-64 computed them once. Any other
+/// processor computes the same (`make test-arm`); `CAUDATA_WRITE_DOCS=1` on x86-64 writes them again.
+#[test]
+fn every_processor_computes_the_same_actions() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let golden = root.join("src/tests/golden_actions.json");
+    let lanes = 4;
+    let mut found = std::collections::BTreeMap::new();
+    for (number, name) in (5..).zip(["flat", "rough", "amphibious"]) {
+        let bytes = std::fs::read(root.join(format!("../../policies/{name}.onnx"))).unwrap();
+        let policy = PolicyFile::parse(Arc::from(bytes)).unwrap();
+        let mut inference = Inference::new(&policy, 1).unwrap();
+        let obs = normals(&mut stream(number), lanes * inference.obs_dim(), 1.0);
+        let mut actions = vec![f32::NAN; lanes * inference.act_dim()];
+        inference.run(&obs, lanes, &mut actions).unwrap();
+        found.insert(name.to_owned(), actions);
+    }
+    if std::env::var_os("CAUDATA_WRITE_DOCS").is_some() && cfg!(target_arch = "x86_64") {
+        std::fs::write(&golden, serde_json::to_string_pretty(&found).unwrap()).unwrap();
+    }
+    let known: std::collections::BTreeMap<String, Vec<f32>> =
+        serde_json::from_str(&std::fs::read_to_string(&golden).unwrap()).unwrap();
+    let mut worst = 0.0_f32;
+    for (name, actions) in &known {
+        assert_eq!(actions.len(), found[name].len());
+        for (a, b) in actions.iter().zip(&found[name]) {
+            worst = worst.max((a - b).abs());
+        }
+    }
+    eprintln!("largest difference from x86-64: {worst:e}");
+    assert!(worst <= 1e-6, "{worst}");
 }

@@ -213,6 +213,85 @@ plain! {
 whole!(TwistStamped = "geometry_msgs/msg/TwistStamped");
 
 plain! {
+    /// `geometry_msgs/msg/TransformStamped`.
+    TransformStamped {
+        /// Stamp, and the outer frame.
+        header: Header,
+        /// The inner frame.
+        child: String,
+        /// Origin of the inner frame in the outer one, m.
+        position_m: [f64; 3],
+        /// outer_from_inner, x, y, z, w.
+        orientation_xyzw: [f64; 4],
+    }
+}
+
+plain! {
+    /// `tf2_msgs/msg/TFMessage`: where frames are.
+    TfMessage {
+        /// One for each inner frame.
+        transforms: Vec<TransformStamped>,
+    }
+}
+whole!(TfMessage = "tf2_msgs/msg/TFMessage");
+
+plain! {
+    /// `nav_msgs/msg/Odometry`; covariances are 0: not known.
+    Odometry {
+        /// Stamp, and the frame of the pose.
+        header: Header,
+        /// The frame of the velocities.
+        child: String,
+        /// m.
+        position_m: [f64; 3],
+        /// x, y, z, w.
+        orientation_xyzw: [f64; 4],
+        /// Of the pose.
+        pose_covariance: Covariance,
+        /// In the child's frame, m/s.
+        linear_mps: [f64; 3],
+        /// In the child's frame, rad/s.
+        angular_radps: [f64; 3],
+        /// Of the velocities.
+        twist_covariance: Covariance,
+    }
+}
+whole!(Odometry = "nav_msgs/msg/Odometry");
+
+/// Thirty-six numbers that nobody knows: zeros.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Covariance;
+
+impl Cdr for Covariance {
+    fn read(r: &mut Reader<'_>) -> Result<Self, CdrError> {
+        r.get::<[f64; 36]>()?;
+        Ok(Self)
+    }
+
+    fn write(&self, w: &mut Writer) {
+        w.put(&[0.0; 36]);
+    }
+}
+
+plain! {
+    /// `std_msgs/msg/String`.
+    Text {
+        /// The text.
+        data: String,
+    }
+}
+whole!(Text = "std_msgs/msg/String");
+
+plain! {
+    /// `std_msgs/msg/Float64`.
+    Number {
+        /// The number.
+        data: f64,
+    }
+}
+whole!(Number = "std_msgs/msg/Float64");
+
+plain! {
     /// `geometry_msgs/msg/Twist`.
     Twist {
         /// m/s.
@@ -308,6 +387,16 @@ pub fn schema(type_name: &str) -> Option<String> {
             "std_msgs/Header header\ngeometry_msgs/Twist twist\n================================================================================\nMSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
             &[HEADER, VECTOR],
         ),
+        TfMessage::TYPE => (
+            "geometry_msgs/TransformStamped[] transforms\n================================================================================\nMSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n================================================================================\nMSG: geometry_msgs/Transform\ngeometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
+            &[HEADER, QUATERNION, VECTOR],
+        ),
+        Odometry::TYPE => (
+            "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n================================================================================\nMSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance\n================================================================================\nMSG: geometry_msgs/TwistWithCovariance\ngeometry_msgs/Twist twist\nfloat64[36] covariance\n================================================================================\nMSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n================================================================================\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n================================================================================\nMSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+            &[HEADER, QUATERNION, VECTOR],
+        ),
+        Text::TYPE => ("string data", &[]),
+        Number::TYPE => ("float64 data", &[]),
         _ => return None,
     };
     Some(format!("{fields}{}", held.concat()))
@@ -455,12 +544,17 @@ mod tests {
             BatteryState::TYPE,
             PoseStamped::TYPE,
             TwistStamped::TYPE,
+            TfMessage::TYPE,
+            Odometry::TYPE,
         ] {
             assert!(
                 schema(t).unwrap().contains("MSG: builtin_interfaces/Time"),
                 "{t}"
             );
         }
-        assert_eq!(schema("std_msgs/msg/String"), None);
+        for t in [Text::TYPE, Number::TYPE] {
+            assert!(schema(t).is_some(), "{t}");
+        }
+        assert_eq!(schema("std_msgs/msg/Bool"), None);
     }
 }

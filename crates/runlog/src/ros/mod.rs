@@ -11,6 +11,9 @@
 //! | `geometry_msgs/PoseStamped` | `…/mocap/<marker>` | `mocap.<marker>` |
 //! | | any other | `base.pos`, `base.quat` |
 //! | `geometry_msgs/TwistStamped` | any | `base.vel` |
+//! | `std_msgs/Float64` | `/signal/…` | the one named, `/` for `.`: `/signal/temp/FL_hip` |
+//!
+//! Written, and passed over by the reader: `/robot_description` (URDF), `/tf`, `/odom` ([`Scene`]).
 //!
 //! Time is the header's stamp (the recorder's, where a message has none), counted from the first message.
 //! Messages with one stamp make one row.
@@ -23,7 +26,22 @@ mod write;
 
 pub use mcap::Compression;
 pub use read::parse_mcap;
-pub use write::write_mcap;
+pub use write::{Frame, Scene, write_mcap};
+
+use crate::signal::Signal;
+
+/// Signals that no message has a place for have one topic each, below this.
+const SIGNAL: &str = "/signal/";
+
+/// The topic of a signal that no message has a place for.
+fn topic_of_signal(signal: &Signal) -> String {
+    format!("{SIGNAL}{}", signal.to_string().replace('.', "/"))
+}
+
+/// The signal of such a topic.
+fn signal_of_topic(topic: &str) -> Option<Signal> {
+    topic.strip_prefix(SIGNAL)?.replace('/', ".").parse().ok()
+}
 
 /// Direction of gravity in a frame that stands in the world as `q` (world_from_frame, w, x, y, z).
 fn gravity_of([w, x, y, z]: [f64; 4]) -> [f64; 3] {

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use super::cdr::CdrError;
 use super::container::{ContainerError, Record, Records};
 use super::gravity_of;
-use super::messages::{BatteryState, Header, Imu, JointState, PoseStamped, TwistStamped};
+use super::messages::{BatteryState, Header, Imu, JointState, Number, PoseStamped, TwistStamped};
+use super::signal_of_topic;
 use crate::error::LogError;
 use crate::signal::{Axis, QuatPart, Signal};
 use crate::table::{MAX_COLUMNS, MAX_ROWS, Table, check_value};
@@ -141,6 +142,11 @@ fn samples(kind: &str, topic: &str, data: &[u8]) -> Result<(Header, Row), CdrErr
             let m = TwistStamped::decode(data)?;
             axes(&mut row, Signal::BaseVelocity, m.linear_mps);
             m.header
+        }
+        Number::TYPE | "std_msgs/Float64" => {
+            let value = Number::decode(data)?.data;
+            row.extend(signal_of_topic(topic).map(|signal| (signal, value)));
+            Header::default()
         }
         _ => Header::default(),
     };

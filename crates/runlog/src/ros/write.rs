@@ -6,8 +6,11 @@ use std::io::Cursor;
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions};
 
-use super::messages::{BatteryState, Header, Imu, JointState, PoseStamped, TwistStamped, schema};
-use super::orientation_of;
+use super::messages::{
+    BatteryState, Header, Imu, JointState, Number, Odometry, PoseStamped, Text, TfMessage,
+    TransformStamped, TwistStamped, schema,
+};
+use super::{orientation_of, topic_of_signal};
 use crate::error::LogError;
 use crate::signal::{Axis, QuatPart, Signal};
 use crate::table::Table;
@@ -20,12 +23,40 @@ const IMU: &str = "/imu/data";
 const BATTERY: &str = "/battery_state";
 const BASE_POSE: &str = "/base/pose";
 const BASE_TWIST: &str = "/base/twist";
+const DESCRIPTION: &str = "/robot_description";
+const TF: &str = "/tf";
+const ODOMETRY: &str = "/odom";
+/// The frame of what is measured from outside, and that of the IMU.
+const WORLD: &str = "world";
+const IMU_FRAME: &str = "imu";
 /// Markers have one topic each, below this.
 const MOCAP: &str = "/mocap/";
 
+/// A coordinate frame, and where it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// Name of the frame that it stands in; `world` is the outermost.
+    pub outer: String,
+    /// Its name.
+    pub name: String,
+    /// Its origin in the outer frame, m.
+    pub position_m: [f64; 3],
+    /// outer_from_frame, w, x, y, z.
+    pub orientation_wxyz: [f64; 4],
+}
+
+/// What lets a viewer draw the robot: its description, and where its links are.
+pub struct Scene<'a> {
+    /// URDF; empty: none is written.
+    pub description: &'a str,
+    /// Name of the root link, in whose frame the odometry's velocities are.
+    pub base: &'a str,
+    /// The frames in a row, by its number.
+    pub frames: &'a dyn Fn(usize) -> Vec<Frame>,
+}
+
 /// The rows as an MCAP file (profile `ros2`), stamped from `start_ns` (nanoseconds since 1970; 0 would read
-/// as "not stamped"), and the signals that the messages have no place for (temperatures, feet, contacts,
-/// switches). Without `compression` it has no chunks: whatever begins of it can be read.
+/// as "not stamped"). Without `compression` it has no chunks: whatever begins of it can be read.
 ///
 /// # Errors
 /// [`LogError::Refused`] for a start that is not after 1970, or one so late that the stamps do not fit a
@@ -34,7 +65,8 @@ pub fn write_mcap(
     table: &Table,
     start_ns: u64,
     compression: Option<Compression>,
-) -> Result<(Vec<u8>, Vec<Signal>), LogError> {
+    scene: Option<&Scene<'_>>,
+) -> Result<Vec<u8>, LogError> {
     // a message counts seconds in 32 bits
     const LATEST_NS: u64 = i32::MAX as u64 * 1_000_000_000;
     let first_s = table.time_s().first().unwrap_or(&0.0);
@@ -45,70 +77,123 @@ pub fn write_mcap(
             "stamps from {start_ns} ns to {end_ns} ns since 1970 do not fit a message; they go from 1 to {LATEST_NS}"
         )));
     }
-    let left_out = table.signals().iter().filter(|s| !carried(s)).cloned();
     let stamps = table.time_s().iter().map(|t| start_ns + since_ns(t));
-    let bytes = write_rows(table, stamps, compression)
-        .map_err(|error| LogError::Refused(error.to_string()))?;
-    Ok((bytes, left_out.collect()))
+    write_rows(table, stamps, compression, scene)
+        .map_err(|error| LogError::Refused(error.to_string()))
 }
 
 fn write_rows(
     table: &Table,
     stamps: impl Iterator<Item = u64>,
     compression: Option<Compression>,
+    scene: Option<&Scene<'_>>,
 ) -> Result<Vec<u8>, McapError> {
-    let mut writer = WriteOptions::new()
+    let writer = WriteOptions::new()
         .profile("ros2")
         .library("caudata")
         .compression(compression)
         .compression_threads(0)
         .use_chunks(compression.is_some())
         .create(Cursor::new(Vec::new()))?;
-    let mut channels: BTreeMap<String, u16> = BTreeMap::new();
+    let mut file = File {
+        writer,
+        channels: BTreeMap::new(),
+    };
     for (k, stamp_ns) in stamps.enumerate() {
         let Some(cells) = table.row(k) else { break };
         let signals = table.signals().iter().zip(cells);
         let row = Row(signals.filter_map(|(s, x)| Some((s, x?))).collect());
-        let header = Header {
-            stamp_ns: i64::try_from(stamp_ns).unwrap_or(i64::MAX),
-            frame: String::new(),
-        };
-        for (topic, kind, data) in messages(&row, &header) {
-            let channel_id = match channels.get(&topic) {
-                Some(channel) => *channel,
-                None => {
-                    let definition = schema(kind).unwrap_or_default();
-                    let kind = writer.add_schema(kind, "ros2msg", definition.as_bytes())?;
-                    let id = writer.add_channel(kind, &topic, "cdr", &BTreeMap::new())?;
-                    channels.insert(topic, id);
-                    id
-                }
-            };
-            let header = MessageHeader {
-                channel_id,
-                sequence: k as u32,
-                log_time: stamp_ns,
-                publish_time: stamp_ns,
-            };
-            writer.write_to_known_channel(&header, &data)?;
+        let stamp = Stamp(i64::try_from(stamp_ns).unwrap_or(i64::MAX));
+        let description = scene.map_or("", |scene| scene.description);
+        if k == 0 && !description.is_empty() {
+            let data = description.to_owned();
+            let message = (DESCRIPTION.to_owned(), Text::TYPE, Text { data }.encode());
+            file.put(message, stamp_ns, k)?;
+        }
+        for message in messages(&row, &stamp) {
+            file.put(message, stamp_ns, k)?;
+        }
+        for message in scene.iter().flat_map(|scene| drawn(scene, &row, &stamp, k)) {
+            file.put(message, stamp_ns, k)?;
         }
     }
-    writer.finish()?;
-    Ok(writer.into_inner().into_inner())
+    file.writer.finish()?;
+    Ok(file.writer.into_inner().into_inner())
 }
 
-fn carried(signal: &Signal) -> bool {
-    !matches!(
-        signal,
-        Signal::Temperature(_)
-            | Signal::Duty(_)
-            | Signal::Enabled(_)
-            | Signal::Foot(..)
-            | Signal::Contact(_)
-    )
+/// A file that is written, and the topics that it has so far.
+struct File {
+    writer: mcap::Writer<Cursor<Vec<u8>>>,
+    channels: BTreeMap<String, u16>,
+}
+
+impl File {
+    fn put(
+        &mut self,
+        (topic, kind, data): Message,
+        stamp_ns: u64,
+        row: usize,
+    ) -> Result<(), McapError> {
+        let channel_id = match self.channels.get(&topic) {
+            Some(channel) => *channel,
+            None => {
+                let definition = schema(kind).unwrap_or_default();
+                let kind = self
+                    .writer
+                    .add_schema(kind, "ros2msg", definition.as_bytes())?;
+                let id = self
+                    .writer
+                    .add_channel(kind, &topic, "cdr", &BTreeMap::new())?;
+                self.channels.insert(topic, id);
+                id
+            }
+        };
+        let header = MessageHeader {
+            channel_id,
+            sequence: row as u32,
+            log_time: stamp_ns,
+            publish_time: stamp_ns,
+        };
+        self.writer.write_to_known_channel(&header, &data)
+    }
+}
+
+/// When a row was, ns.
+struct Stamp(i64);
+
+impl Stamp {
+    fn header(&self, frame: &str) -> Header {
+        Header {
+            stamp_ns: self.0,
+            frame: frame.to_owned(),
+        }
+    }
+}
+
+/// Where the robot's links are, and its odometry.
+fn drawn(scene: &Scene<'_>, row: &Row<'_>, stamp: &Stamp, k: usize) -> Vec<Message> {
+    let transforms = (scene.frames)(k).into_iter().map(|frame| {
+        let [w, x, y, z] = frame.orientation_wxyz;
+        TransformStamped {
+            header: stamp.header(&frame.outer),
+            child: frame.name,
+            position_m: frame.position_m,
+            orientation_xyzw: [x, y, z, w],
+        }
+    });
+    let tf = TfMessage {
+        transforms: transforms.collect(),
+    };
+    let odometry = row.odometry(scene.base, stamp);
+    let odometry = odometry.map(|m| (ODOMETRY.to_owned(), Odometry::TYPE, m.encode()));
+    let tf = (TF.to_owned(), TfMessage::TYPE, tf.encode());
+    std::iter::once(tf).chain(odometry).collect()
 }
 
 type Message = (String, &'static str, Vec<u8>);
+
+/// The signal of a joint.
+type OfJoint = fn(String) -> Signal;
 
 /// What was sampled in a row.
 struct Row<'a>(BTreeMap<&'a Signal, f64>);
@@ -125,7 +210,7 @@ impl Row<'_> {
     }
 
     /// A message with a list for each of `kinds`, if there is a value of any.
-    fn joints(&self, header: &Header, kinds: [Option<fn(String) -> Signal>; 3]) -> Option<Vec<u8>> {
+    fn joints(&self, stamp: &Stamp, kinds: [Option<OfJoint>; 3]) -> Option<Vec<u8>> {
         let all = self.0.keys().filter_map(|s| s.joint());
         let sampled = |j: &&str| {
             let kinds = kinds.iter().flatten();
@@ -135,7 +220,7 @@ impl Row<'_> {
         };
         // a set: the names in order, each once
         let names: BTreeSet<&str> = all.filter(sampled).collect();
-        let list = |kind: Option<fn(String) -> Signal>| -> Vec<f64> {
+        let list = |kind: Option<OfJoint>| -> Vec<f64> {
             let Some(of) = kind else { return Vec::new() };
             let values = names.iter().map(|n| self.get(of((*n).to_owned())));
             let values: Vec<f64> = values.map(|x| x.unwrap_or(f64::NAN)).collect();
@@ -146,7 +231,7 @@ impl Row<'_> {
         };
         let [position, velocity, effort] = kinds.map(list);
         let message = JointState {
-            header: header.clone(),
+            header: stamp.header(""),
             name: names.iter().map(|n| (*n).to_owned()).collect(),
             position,
             velocity,
@@ -155,12 +240,12 @@ impl Row<'_> {
         (!names.is_empty()).then(|| message.encode())
     }
 
-    fn imu(&self, header: &Header) -> Option<Vec<u8>> {
+    fn imu(&self, stamp: &Stamp) -> Option<Vec<u8>> {
         let gyro = self.vector(Signal::Gyro);
         let acc = self.vector(Signal::Acceleration);
         let gravity = self.vector(Signal::Gravity);
         let message = Imu {
-            header: header.clone(),
+            header: stamp.header(IMU_FRAME),
             orientation_wxyz: gravity.map(orientation_of),
             gyro_radps: gyro.unwrap_or([f64::NAN; 3]),
             acc_mps2: acc.unwrap_or([f64::NAN; 3]),
@@ -168,70 +253,126 @@ impl Row<'_> {
         (gyro.is_some() || acc.is_some() || gravity.is_some()).then(|| message.encode())
     }
 
-    fn base_pose(&self, header: &Header) -> Option<Vec<u8>> {
+    fn base_pose(&self, stamp: &Stamp) -> Option<Vec<u8>> {
         let position = self.vector(Signal::BasePosition);
         let quat = QuatPart::ALL.map(|p| self.get(Signal::BaseQuaternion(p)));
         let message = PoseStamped {
-            header: header.clone(),
+            header: stamp.header(WORLD),
             position_m: position.unwrap_or([f64::NAN; 3]),
             orientation_wxyz: quat.map(|q| q.unwrap_or(f64::NAN)),
         };
         (position.is_some() || quat.iter().all(Option::is_some)).then(|| message.encode())
     }
+
+    /// `None` where the base's place, orientation or velocity is missing.
+    fn odometry(&self, base: &str, stamp: &Stamp) -> Option<Odometry> {
+        let [w, x, y, z] = QuatPart::ALL.map(|p| self.get(Signal::BaseQuaternion(p)));
+        let [w, x, y, z] = [w?, x?, y?, z?];
+        let world_mps = self.vector(Signal::BaseVelocity)?;
+        Some(Odometry {
+            header: stamp.header(WORLD),
+            child: base.to_owned(),
+            position_m: self.vector(Signal::BasePosition)?,
+            orientation_xyzw: [x, y, z, w],
+            linear_mps: turned_back([w, x, y, z], world_mps),
+            // The gyroscope's frame is another one than the base's.
+            angular_radps: [f64::NAN; 3],
+            ..Odometry::default()
+        })
+    }
+}
+
+/// A vector of the outer frame in the frame that stands in it as `q` (unit, w, x, y, z).
+fn turned_back([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
+    // v + 2·(w·t + u × t) with u = −(x, y, z) and t = u × v
+    let cross = |a: [f64; 3], b: [f64; 3]| {
+        [
+            a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0],
+        ]
+    };
+    let u = [-x, -y, -z];
+    let t = cross(u, v);
+    let ut = cross(u, t);
+    std::array::from_fn(|i| v[i] + 2.0 * (w * t[i] + ut[i]))
 }
 
 /// The messages of one row.
-fn messages(row: &Row<'_>, header: &Header) -> Vec<Message> {
+fn messages(row: &Row<'_>, stamp: &Stamp) -> Vec<Message> {
+    let mut out = Vec::new();
+    let mut put = |topic: &str, kind, data: Option<Vec<u8>>| {
+        out.extend(data.map(|data| (topic.to_owned(), kind, data)));
+    };
     let [command, position]: [fn(String) -> Signal; 2] = [Signal::Command, Signal::Position];
     let [velocity, torque]: [fn(String) -> Signal; 2] = [Signal::Velocity, Signal::Torque];
-    let current: fn(String) -> Signal = Signal::Current;
-    let states = [Some(position), Some(velocity), Some(torque)];
+    let commands = row.joints(stamp, [Some(command), None, None]);
+    put(JOINT_COMMANDS, JointState::TYPE, commands);
+    let states = row.joints(stamp, [Some(position), Some(velocity), Some(torque)]);
+    put(JOINT_STATES, JointState::TYPE, states);
+    let currents = row.joints(stamp, [None, None, Some(Signal::Current)]);
+    put(JOINT_CURRENTS, JointState::TYPE, currents);
+    put(IMU, Imu::TYPE, row.imu(stamp));
     let battery = row.get(Signal::Voltage).map(|v| BatteryState {
-        header: header.clone(),
+        header: stamp.header(""),
         voltage_v: v as f32,
     });
+    put(BATTERY, BatteryState::TYPE, battery.map(|m| m.encode()));
+    put(BASE_POSE, PoseStamped::TYPE, row.base_pose(stamp));
     let twist = row.vector(Signal::BaseVelocity).map(|v| TwistStamped {
-        header: header.clone(),
+        header: stamp.header(WORLD),
         linear_mps: v,
         angular_radps: [f64::NAN; 3],
     });
-    let fixed = [
-        (
-            JOINT_COMMANDS,
-            JointState::TYPE,
-            row.joints(header, [Some(command), None, None]),
-        ),
-        (JOINT_STATES, JointState::TYPE, row.joints(header, states)),
-        (
-            JOINT_CURRENTS,
-            JointState::TYPE,
-            row.joints(header, [None, None, Some(current)]),
-        ),
-        (IMU, Imu::TYPE, row.imu(header)),
-        (BATTERY, BatteryState::TYPE, battery.map(|m| m.encode())),
-        (BASE_POSE, PoseStamped::TYPE, row.base_pose(header)),
-        (BASE_TWIST, TwistStamped::TYPE, twist.map(|m| m.encode())),
-    ];
-    let fixed = fixed
-        .into_iter()
-        .filter_map(|(topic, kind, data)| Some((topic.to_owned(), kind, data?)));
-    let markers: BTreeSet<&String> = row
-        .0
-        .keys()
-        .filter_map(|s| match s {
-            Signal::Mocap(marker, _) => Some(marker),
-            _ => None,
-        })
-        .collect();
-    let marker = |marker: &String| {
-        let pose = PoseStamped {
-            header: header.clone(),
-            position_m: row.vector(|a| Signal::Mocap(marker.clone(), a))?,
+    put(BASE_TWIST, TwistStamped::TYPE, twist.map(|m| m.encode()));
+    let markers = row.0.keys().filter_map(|s| match s {
+        Signal::Mocap(marker, _) => Some(marker),
+        _ => None,
+    });
+    for marker in markers.collect::<BTreeSet<_>>() {
+        let position = row.vector(|a| Signal::Mocap(marker.clone(), a));
+        let pose = position.map(|position_m| PoseStamped {
+            header: stamp.header(WORLD),
+            position_m,
             orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
-        };
-        Some((format!("{MOCAP}{marker}"), PoseStamped::TYPE, pose.encode()))
-    };
-    fixed
-        .chain(markers.into_iter().filter_map(marker))
-        .collect()
+        });
+        let topic = format!("{MOCAP}{marker}");
+        put(&topic, PoseStamped::TYPE, pose.map(|m| m.encode()));
+    }
+    for (signal, data) in row.0.iter().filter(|(signal, _)| is_alone(signal)) {
+        let number = Number { data: *data };
+        put(
+            &topic_of_signal(signal),
+            Number::TYPE,
+            Some(number.encode()),
+        );
+    }
+    out
+}
+
+/// Whether no message of several signals has a place for it.
+fn is_alone(signal: &Signal) -> bool {
+    matches!(
+        signal,
+        Signal::Temperature(_)
+            | Signal::Duty(_)
+            | Signal::Enabled(_)
+            | Signal::Foot(..)
+            | Signal::Contact(_)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_velocity_is_turned_into_the_frame_of_who_has_it() {
+        // a quarter turn to the left: what goes along the world's x goes to the right of the base
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let got = turned_back([half, 0.0, 0.0, half], [1.0, 0.0, 0.5]);
+        for (got, want) in got.iter().zip([0.0, -1.0, 0.5]) {
+            assert!((got - want).abs() < 1e-12, "{got} {want}");
+        }
+    }
 }

@@ -12,6 +12,7 @@ use rcgen::{
 };
 
 use super::error::{CA_FILE, CERTIFICATE_FILE, KEY_FILE, PkiError, VALID_DAYS_MAX};
+use super::inspect::identity_of_pem;
 use super::role::Role;
 
 /// How long the authority is valid, days.
@@ -114,12 +115,6 @@ impl Authority {
             if !replace {
                 return Err(PkiError::Exists(folder));
             }
-            for file in [KEY_FILE, CERTIFICATE_FILE, CA_FILE] {
-                let path = folder.join(file);
-                if path.exists() {
-                    fs::remove_file(&path).map_err(|source| PkiError::file(&path, source))?;
-                }
-            }
         } else {
             make_private_folder(&folder)?;
         }
@@ -141,23 +136,59 @@ impl Authority {
         params.use_authority_key_identifier_extension = true;
         set_validity(&mut params, now, request.days);
         let certificate = params.signed_by(&key, &self.issuer).map_err(make)?.pem();
-        write_new(
-            &folder.join(KEY_FILE),
-            key.serialize_pem().as_bytes(),
-            0o600,
-        )?;
-        write_new(
+        let key = key.serialize_pem();
+        // Whoever reads meanwhile finds every file, the old one or the new one.
+        replace_file(&folder.join(KEY_FILE), key.as_bytes(), 0o600)?;
+        replace_file(
             &folder.join(CERTIFICATE_FILE),
             certificate.as_bytes(),
             0o644,
         )?;
-        write_new(
-            &folder.join(CA_FILE),
-            self.certificate_pem.as_bytes(),
-            0o644,
-        )?;
+        let authority = self.certificate_pem.as_bytes();
+        replace_file(&folder.join(CA_FILE), authority, 0o644)?;
         Ok(folder)
     }
+
+    /// Makes key and certificate of one process again, for the same role, name, hosts and number of days, if the one
+    /// that it has ends within `within`. Returns until when the process has one, and whether it is new.
+    ///
+    /// # Errors
+    /// As [`Self::issue`]; [`PkiError::File`] and [`PkiError::Content`] where there is none to renew.
+    pub fn renew(
+        &self,
+        name: &str,
+        now: SystemTime,
+        within: Duration,
+    ) -> Result<(SystemTime, bool), PkiError> {
+        check_name(name)?;
+        let path = self.folder.join(name).join(CERTIFICATE_FILE);
+        let old = identity_of_pem(&path)?;
+        if old.not_after > now + within {
+            return Ok((old.not_after, false));
+        }
+        let valid = old.not_after.duration_since(old.not_before);
+        let valid = valid.unwrap_or_default().saturating_sub(CLOCK_SLACK);
+        let request = Request {
+            role: old.role,
+            name: name.to_owned(),
+            hosts: old.hosts,
+            days: (valid.as_secs() / 86_400).clamp(1, VALID_DAYS_MAX.into()) as u32,
+        };
+        self.issue(&request, now, true)?;
+        Ok((identity_of_pem(&path)?.not_after, true))
+    }
+}
+
+/// Puts a file in the place of another one, or of none, at once.
+fn replace_file(path: &Path, bytes: &[u8], mode: u32) -> Result<(), PkiError> {
+    let fresh = path.with_extension("new");
+    match fs::remove_file(&fresh) {
+        Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+            return Err(PkiError::file(&fresh, source));
+        }
+        _ => write_new(&fresh, bytes, mode)?,
+    }
+    fs::rename(&fresh, path).map_err(|source| PkiError::file(path, source))
 }
 
 fn subject(common_name: &str, unit: &str) -> DistinguishedName {
@@ -224,7 +255,7 @@ mod tests {
     use std::time::UNIX_EPOCH;
 
     use super::*;
-    use crate::pki::{identity_of_der, identity_of_pem};
+    use crate::pki::identity_of_der;
 
     /// 2026-01-01T00:00:00Z.
     fn new_year() -> SystemTime {
@@ -287,6 +318,26 @@ mod tests {
         assert_eq!(fs::read(made.join(KEY_FILE)).unwrap(), key);
         authority.issue(&asked, new_year(), true).unwrap();
         assert_ne!(fs::read(made.join(KEY_FILE)).unwrap(), key);
+    }
+
+    #[test]
+    fn what_ends_soon_is_made_again_for_the_same_process() {
+        let dir = tempfile::tempdir().unwrap();
+        let authority = Authority::create(dir.path(), "lab", new_year()).unwrap();
+        let asked = request(Role::Learner, "node-1");
+        let made = authority.issue(&asked, new_year(), false).unwrap();
+        let of = |made: &Path| identity_of_pem(&made.join(CERTIFICATE_FILE)).unwrap();
+        let first = of(&made);
+        assert_eq!(first.hosts, asked.hosts);
+        let day = Duration::from_secs(86_400);
+        let renew = |now| authority.renew("node-1", now, 2 * day).unwrap();
+        assert_eq!(renew(new_year() + 4 * day), (new_year() + 7 * day, false));
+        assert_eq!(of(&made), first);
+        assert_eq!(renew(new_year() + 6 * day), (new_year() + 13 * day, true));
+        let renewed = of(&made);
+        assert_eq!((renewed.role, renewed.hosts), (first.role, first.hosts));
+        let missing = authority.renew("node-2", new_year(), day).unwrap_err();
+        assert!(matches!(missing, PkiError::File { .. }), "{missing}");
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! Reading the role, the name and the validity out of a certificate.
 
+use std::net::IpAddr;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use x509_parser::prelude::{FromDer, X509Certificate};
+use x509_parser::prelude::{FromDer, GeneralName, X509Certificate};
 
 use super::error::PkiError;
 use super::role::Role;
@@ -15,6 +16,8 @@ pub struct Identity {
     pub role: Role,
     /// Its name.
     pub name: String,
+    /// Host names and addresses at which others reach it.
+    pub hosts: Vec<String>,
     /// From when on the certificate is valid.
     pub not_before: SystemTime,
     /// Until when it is valid.
@@ -42,9 +45,28 @@ pub fn identity_of_der(der: &[u8]) -> Result<Identity, String> {
     Ok(Identity {
         role,
         name: name.to_owned(),
+        hosts: hosts_of(&certificate),
         not_before: time_of(validity.not_before.timestamp()),
         not_after: time_of(validity.not_after.timestamp()),
     })
+}
+
+/// The names and addresses that a certificate is for; none where it does not say.
+fn hosts_of(certificate: &X509Certificate<'_>) -> Vec<String> {
+    let names = certificate.subject_alternative_name().ok().flatten();
+    let names = names.map(|extension| extension.value.general_names.as_slice());
+    let host = |name: &GeneralName<'_>| match name {
+        GeneralName::DNSName(host) => Some((*host).to_owned()),
+        GeneralName::IPAddress(bytes) => {
+            match (<[u8; 4]>::try_from(*bytes), <[u8; 16]>::try_from(*bytes)) {
+                (Ok(v4), _) => Some(IpAddr::from(v4).to_string()),
+                (_, Ok(v6)) => Some(IpAddr::from(v6).to_string()),
+                _ => None,
+            }
+        }
+        _ => None,
+    };
+    names.unwrap_or_default().iter().filter_map(host).collect()
 }
 
 /// The identity in the first certificate of a PEM file.

@@ -151,6 +151,7 @@ fn serve_robot(mut stream: TcpStream) {
             quat_wxyz: [1.0, 0.0, 0.0, 0.0],
         }),
         foot_contacts: Some([true; 4]),
+        in_water: None,
     };
     let send = |stream: &mut TcpStream, message| {
         let _ = write_frame(stream, &encode(&message), MAX_MESSAGE_BYTES);
@@ -182,6 +183,13 @@ fn serve_robot(mut stream: TcpStream) {
     }
 }
 
+/// The program under test: this build's, or the one that `CAUDATA_ROBOT_PROGRAM` names, such as that of another
+/// processor (`make test-arm`).
+pub fn robot_program() -> Command {
+    let named = std::env::var_os("CAUDATA_ROBOT_PROGRAM");
+    Command::new(named.unwrap_or_else(|| env!("CARGO_BIN_EXE_caudata-robot").into()))
+}
+
 /// The program with `command` and what every call needs.
 pub fn program(command: &str, server: SocketAddr, state: &Path) -> Command {
     program_on(STREAM, command, server, state)
@@ -189,7 +197,7 @@ pub fn program(command: &str, server: SocketAddr, state: &Path) -> Command {
 
 /// The same on another stream.
 pub fn program_on(stream: &str, command: &str, server: SocketAddr, state: &Path) -> Command {
-    let mut program = Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    let mut program = robot_program();
     program
         .args([command, "--robot", policies::ROBOT_FILE, "--stream", stream])
         .args(["--policy-server", &server.to_string()])
@@ -259,7 +267,7 @@ pub fn text_of(path: &Path) -> String {
 
 /// What the robot's folder says.
 pub fn status_of(state: &Path) -> Value {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_caudata-robot"));
+    let mut command = robot_program();
     command.args(["status", "--json", "--state"]).arg(state);
     outcome(command).1
 }

@@ -1,5 +1,5 @@
 //! Diagnoses one case folder and writes `report.json` into the current folder:
-//! `caudata-diagnose-case [--without ID]… CASE`. For the tests of the benchmark; `caudata bench gap` starts
+//! `caudata-diagnose-case [--without ID]… [--budget S] CASE`. For the tests of the benchmark; `caudata bench gap` starts
 //! itself.
 
 use std::io::Write;
@@ -35,6 +35,10 @@ fn run() -> Result<(), String> {
             "--without" => options
                 .without
                 .push(args.next().ok_or("--without needs an effect id")?),
+            "--budget" => {
+                let seconds = args.next().and_then(|s| s.parse().ok());
+                options.budget_s = Some(seconds.ok_or("--budget needs a number of seconds")?);
+            }
             _ => folder = Some(PathBuf::from(arg)),
         }
     }

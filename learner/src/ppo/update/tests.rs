@@ -32,7 +32,6 @@ fn ppo(change: impl FnOnce(&mut PpoSettings), threads: usize) -> Ppo {
     let mut settings = PpoSettings {
         ppo: PpoConfig::default(),
         staleness: StalenessConfig::default(),
-        mirror: None,
     };
     change(&mut settings);
     Ppo::new(ActorCritic::new(spec, 1, Device::Cpu), settings, threads).unwrap()
@@ -294,30 +293,6 @@ fn a_critic_alone_learns_while_the_policy_and_its_rate_stay() {
     assert_eq!(before[..policy], after[..policy]);
     assert_ne!(before[policy..], after[policy..]);
     assert_eq!(ppo.learning_rate(), rate);
-}
-
-#[test]
-fn passes_take_turns_with_mirror_images() {
-    // Images follow four rows later: odd samples in the first pass, even ones in the second.
-    assert_eq!(half_mirrored(&[2, 0, 1, 3], 0), [2, 0, 5, 7]);
-    assert_eq!(half_mirrored(&[2, 0, 1, 3], 1), [6, 4, 1, 3]);
-    let by = SignedPermutation {
-        source: vec![1, 0, 2],
-        sign: vec![1.0, 1.0, -1.0],
-    };
-    let rows = Tensor::from_slice(&[1.0_f32, 2.0, 3.0, 4.0, 5.0, 6.0]).view([2, 3]);
-    let images: Vec<f32> = Vec::try_from(exchange(&rows, &by).view([-1])).unwrap();
-    assert_eq!(images, [2.0, 1.0, -3.0, 5.0, 4.0, -6.0]);
-}
-
-#[test]
-fn an_image_weighs_as_much_as_the_policy_would_act_so() {
-    // ln ½, ln 1, ln 3 against what acted with 1: ½, 1, and 3 capped at 2.
-    let images = [0.5_f32.ln(), 0.0, 3.0_f32.ln()];
-    let found = image_weights(&images, &[0.0; 3], 2.0);
-    for (found, expected) in found.iter().zip([0.5, 1.0, 2.0]) {
-        assert!((found - expected).abs() < 1e-6);
-    }
 }
 
 #[test]

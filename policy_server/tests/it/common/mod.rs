@@ -37,13 +37,20 @@ impl Server {
         Self::over("127.0.0.1:0".parse().unwrap(), store, options).await
     }
 
-    pub async fn start_at(address: std::net::SocketAddr, data: &Path) -> Self {
+    /// On a port that stays open when the server stops: the next one goes on there.
+    pub async fn on(port: &std::net::TcpListener, data: &Path) -> Self {
         let store = Store::open(data, StoreLimits::default()).unwrap();
-        Self::over(address, store, ServeOptions::default()).await
+        let port = port.try_clone().unwrap();
+        port.set_nonblocking(true).unwrap();
+        let listener = tokio::net::TcpListener::from_std(port).unwrap();
+        Self::serving(listener, store, ServeOptions::default())
     }
 
     pub async fn over(address: std::net::SocketAddr, store: Store, options: ServeOptions) -> Self {
-        let listener = listen(address).await.unwrap();
+        Self::serving(listen(address).await.unwrap(), store, options)
+    }
+
+    fn serving(listener: tokio::net::TcpListener, store: Store, options: ServeOptions) -> Self {
         let address = listener.local_addr().unwrap();
         let (stop, stopped) = watch::channel(false);
         let metrics = ServerMetrics::register(&Metrics::new());

@@ -1,7 +1,7 @@
 //! The supervisor against tiny programs, one per fault.
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
 
 use caudata_config::Source;
 
@@ -18,6 +18,17 @@ fn finished(reason: &str) -> String {
         ..Finished::default()
     }));
     format!("echo '{}'", serde_json::to_string(&event).unwrap())
+}
+
+/// Makes `text` a program. A shell writes it: a file that this process writes may still be open in the child
+/// of another test that is just being started, and is then too busy to be run.
+fn write_program(path: &Path, text: &str) {
+    let mut shell = Command::new("/bin/sh");
+    shell.args([
+        "-c",
+        "printf '#!/bin/sh\\n%s\\n' \"$1\" > \"$0\" && chmod 755 \"$0\"",
+    ]);
+    assert!(shell.arg(path).arg(text).status().unwrap().success());
 }
 
 /// A folder with a run and programs that are shell scripts. `$RUN` is the run folder.
@@ -41,8 +52,7 @@ impl Stage {
         for (name, script) in scripts {
             let path = dir.path().join(name);
             let run = folder.root().display();
-            fs::write(&path, format!("#!/bin/sh\nRUN={run}\n{script}\n")).unwrap();
-            fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+            write_program(&path, &format!("RUN={run}\n{script}"));
         }
         let source = Source::default()
             .set("transport.kind=zenoh")
@@ -277,11 +287,7 @@ fn a_stop_reaches_the_learner_which_saves_and_says_so() {
 fn a_server_that_cannot_start_passes_its_exit_code_on() {
     let stage = Stage::new("exit 0", "exit 0");
     let server = stage.dir.path().join("caudata-policy-server");
-    fs::write(
-        server,
-        "#!/bin/sh\necho 'error: 127.0.0.1:1 is in use' >&2; exit 71\n",
-    )
-    .unwrap();
+    write_program(&server, "echo 'error: 127.0.0.1:1 is in use' >&2; exit 71");
     let failure = stage.run().err().unwrap();
     assert_eq!(failure.code(), ExitCode::OsResource);
     assert_eq!(

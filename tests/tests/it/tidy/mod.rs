@@ -9,4 +9,5 @@ mod lengths;
 mod maps;
 mod pages;
 mod product;
+mod sizes;
 mod tokens;

@@ -116,6 +116,33 @@ fn links_lead_somewhere() {
     );
 }
 
+/// Tables of faults say which test shows what: each is there, under that name or, with `…`, that beginning.
+#[test]
+fn tests_that_tables_name_are_there() {
+    let sources = files(&root(), ".rs").into_iter();
+    let text: String = sources
+        .map(|file| std::fs::read_to_string(file).expect("UTF-8"))
+        .collect();
+    let pages = [
+        "docs/reference/faults.md",
+        "docs/reference/faults-actors.md",
+    ];
+    let mut wrong = Vec::new();
+    for line in lines().iter().filter(|l| pages.contains(&&*l.page)) {
+        for name in line.text.split('`').skip(1).step_by(2) {
+            let name = name.rsplit("::").next().unwrap_or(name);
+            let test = name.trim_end_matches('…');
+            let letters = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+            let is_test = test.matches('_').count() >= 3 || name.ends_with('…');
+            let end = if name.ends_with('…') { "" } else { "(" };
+            if is_test && test.chars().all(letters) && !text.contains(&format!("fn {test}{end}")) {
+                wrong.push(format!("{}: {name}", line.place()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "no such test:\n{}", wrong.join("\n"));
+}
+
 /// `a/../b` as `b`.
 fn plain(path: &Path) -> String {
     let mut parts: Vec<&str> = Vec::new();
@@ -273,6 +300,35 @@ fn missing(words: &[String], help: &[u8]) -> Option<String> {
     Some(format!("lacks {lacking}"))
 }
 
+/// A command of a page at a size that a test can wait for: fewer and shorter episodes, two iterations.
+fn small_size(words: &[String]) -> Vec<String> {
+    let sizes: &[(&str, &str)] = match words.get(1).map(String::as_str) {
+        Some("eval") => &[("--episodes", "1"), ("--seconds", "4")],
+        Some("train") => &[("--iterations", "2")],
+        _ => &[],
+    };
+    let mut words = words.to_vec();
+    for (flag, value) in sizes {
+        match words.iter().position(|word| word == flag) {
+            Some(at) => words[at + 1] = (*value).to_owned(),
+            None => words.extend([(*flag).to_owned(), (*value).to_owned()]),
+        }
+    }
+    if words.get(1).is_some_and(|command| command == "train") {
+        let small = [
+            "evaluation.episodes=1",
+            "actors.lanes=8",
+            "actors.chunk_steps=8",
+        ];
+        words.extend(
+            small
+                .iter()
+                .flat_map(|set| ["--set".to_owned(), (*set).to_owned()]),
+        );
+    }
+    words
+}
+
 #[test]
 fn small_examples_run() {
     let scratch = tempfile::tempdir().expect("a folder");
@@ -290,7 +346,7 @@ fn small_examples_run() {
         .filter(|example| places.contains(&example.place));
     let mut ran = 0;
     for example in small {
-        let output = run(&example.words, scratch.path());
+        let output = run(&small_size(&example.words), scratch.path());
         let why = String::from_utf8_lossy(&output.stderr);
         let line = example.words.join(" ");
         assert!(output.status.success(), "{}: {line}: {why}", example.place);

@@ -6,6 +6,7 @@ caudata.Replay = class {
     ground: [0.66, 0.68, 0.64], water: [0.20, 0.46, 0.60], commanded: [0.16, 0.22, 0.27], achieved: [0.02, 0.52, 0.75], path: [0.93, 0.93, 0.90], force: [0.93, 0.42, 0.30],
   };
   static HOME = { yaw: -2.2, pitch: 0.36, distance: 1.75 };
+  static ABOVE = { yaw: Math.PI, pitch: 1.55, distance: 1.9 };
   // Force from which a foot counts as standing, N: the same as in the figures.
   static TOUCH_N = 1;
 
@@ -64,7 +65,9 @@ caudata.Replay = class {
   controls() {
     this.$("play").onclick = () => this.play(!this.playing);
     this.$("scrub").oninput = () => { this.play(false); this.seek(Number(this.$("scrub").value)); };
-    this.$("home").onclick = () => { Object.assign(this.camera, caudata.Replay.HOME); this.free = [0, 0, 0]; this.dirty = true; };
+    const look = (from) => () => { Object.assign(this.camera, from); this.free = [0, 0, 0]; this.dirty = true; };
+    this.$("home").onclick = look(caudata.Replay.HOME);
+    this.$("above").onclick = look(caudata.Replay.ABOVE);
     this.$("follow").onchange = () => { this.dirty = true; };
     document.addEventListener("keydown", (e) => {
       if (e.target.closest("input, select, button, a")) return;

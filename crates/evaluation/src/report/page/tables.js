@@ -68,6 +68,51 @@ caudata.header = (page) => {
     el("div", { class: "cards" }, ...cards));
 };
 
+// The robot from above with these positions of its actuated joints: links as lines, feet as dots, head to the right.
+caudata.fromAbove = (robot, joints, kind) => {
+  const full = robot.joints.map(() => 0);
+  robot.actuated.forEach((j, i) => { full[j] = joints[i]; });
+  const poses = caudata.linkPoses(robot, { pos: [0, 0, 0], quat: [1, 0, 0, 0], joints: full });
+  const lines = robot.links.flatMap((link, l) => (link.parent === null ? [] : [[poses[link.parent].pos, poses[l].pos]]));
+  const feet = robot.feet.map((f) => caudata.add(poses[f.link].pos, caudata.rotate(poses[f.link].quat, f.centre_m)));
+  robot.feet.forEach((f, i) => lines.push([poses[f.link].pos, feet[i]]));
+  return { kind, lines, feet };
+};
+
+// Each joint's mean while walking, as numbers and from above, the nominal pose beneath in grey.
+caudata.postures = (page, section) => {
+  const { el, number, table } = caudata;
+  const held = page.result.scenarios.filter((s) => s.posture && s.gates && s.gates.gates.length);
+  if (!held.length) return;
+  const deg = 180 / Math.PI;
+  const svg = (tag, attributes, ...children) => {
+    const node = document.createElementNS("http:" + "//www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+    node.append(...children);
+    return node;
+  };
+  const picture = (s) => {
+    const views = [caudata.fromAbove(page.robot, s.posture.nominal_rad, "soft"), caudata.fromAbove(page.robot, s.posture.mean_rad, "now")];
+    const points = views.flatMap((v) => [...v.lines.flat(), ...v.feet]);
+    const [xs, ys] = [points.map((p) => p[0]), points.map((p) => -p[1])];
+    const room = 0.03, x0 = Math.min(...xs) - room, y0 = Math.min(...ys) - room;
+    const box = [x0, y0, Math.max(...xs) + room - x0, Math.max(...ys) + room - y0].map((x) => x.toFixed(3)).join(" ");
+    const shapes = views.flatMap((v) => {
+      const color = v.kind === "now" ? "var(--accent)" : "var(--line)";
+      return [...v.lines.map(([a, b]) => svg("line", { x1: a[0], y1: -a[1], x2: b[0], y2: -b[1], stroke: color, "stroke-width": 0.012, "stroke-linecap": "round" })),
+        ...v.feet.map((f) => svg("circle", { cx: f[0], cy: -f[1], r: 0.014, fill: color }))];
+    });
+    return el("figure", {}, el("figcaption", {}, el("b", {}, s.name)), svg("svg", { viewBox: box, width: "100%", role: "img", "aria-label": `mean posture from above, ${s.name}` }, ...shapes));
+  };
+  const rows = held.map((s) => [s.name, ...s.posture.mean_rad.map((q, j) => {
+    const off = (q - s.posture.nominal_rad[j]) * deg;
+    const stop = s.posture.at_stop_share[j] > 0.02 ? `, at its stop ${caudata.percent(s.posture.at_stop_share[j], 0)}` : "";
+    return el("td", { class: Math.abs(off) > 10 || stop ? "bad" : "" }, `${number(off, 0)} ± ${number(s.posture.swing_rad[j] * deg, 0)}${stop}`);
+  })]);
+  section("Posture", "Each joint's mean while walking and its standard deviation, degrees off the nominal pose; below from above, the nominal pose in grey.",
+    table(["scenario", ...page.joint_names], rows), el("div", { class: "plots" }, ...held.slice(0, 4).map(picture)));
+};
+
 caudata.tables = (page) => {
   const { el, number, table, mark } = caudata;
   const { result } = page;
@@ -110,6 +155,8 @@ caudata.tables = (page) => {
     }), mark(caudata.walks(s), "walks", "no")]);
     section("Is it walking?", "Speed can be had by vibrating. These gates cannot, and a figure that misses one is not called walking.", table(["scenario", ...head, ""], lines));
   }
+
+  caudata.postures(page, section);
 
   const shores = result.scenarios.filter((s) => s.transition);
   if (shores.length) {

@@ -1,6 +1,5 @@
 //! The whole way: ticks of a robot to a ROS node's subscriptions, and its velocity to the robot's command
 //! link. The node is played by a plain zenoh session that knows nothing but keys and bytes.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::time::Duration;
 

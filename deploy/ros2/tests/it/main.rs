@@ -1,0 +1,6 @@
+//! The side door to ROS 2, from outside.
+
+#![allow(clippy::expect_used, clippy::panic, clippy::unwrap_used)]
+
+mod door;
+mod ros2;

@@ -1,0 +1,214 @@
+//! Cross-validation on the runs that are fitted: what a model would say of a part of them that it was not
+//! fitted to.
+//!
+//! A part is a run (the mean of its repeats, which are never parted), or a third of its time. Leaving one
+//! out moves the parameters by what one step of Gauss–Newton says, so that all folds come out of a single
+//! set of derivatives: with A = Σ J_fᵀJ_f and b = Σ J_fᵀr_f over folds f, the parameters without fold f are off
+//! by (A − A_f + Λ)⁻¹·(b − b_f − Λ·θ), θ their distance from no effect and Λ the precision of a prior that is
+//! as wide as that distance: what only one fold has shown is not known without it. For linear models this is
+//! exact (D. M. Allen, The relationship between variable selection and data augmentation and a method for
+//! prediction, Technometrics 16, 1974).
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::product::dot;
+use crate::replay::{Data, Piece};
+
+/// Parts of a run, where a run is more than one.
+const PARTS: usize = 3;
+/// With so many runs models of angles leave out whole ones: what holds in other motions is asked for then.
+const MANY_RUNS: usize = 4;
+
+/// Which sample is in which fold.
+#[derive(Debug, Clone, Default)]
+pub struct Folds {
+    /// Samples next to each other of one fold.
+    spans: Vec<(Range<usize>, usize)>,
+    count: usize,
+}
+
+/// A parameter of a fitted model, in steps of its derivative.
+#[derive(Debug, Clone, Copy)]
+pub struct Free {
+    /// How far it is from no effect.
+    pub from_neutral: f64,
+    /// How far it may go down and up.
+    pub room: (f64, f64),
+}
+
+impl Folds {
+    /// Of all samples of `data`, by thirds of each run: what shows in one run only can still prove itself there.
+    #[must_use]
+    pub fn of(data: &Data) -> Self {
+        Self::of_channels(data, PARTS, |_| true).0
+    }
+
+    /// Of the samples of those channels that `keep` keeps, by runs where there are several, else by thirds of
+    /// them; as [`Self::of_channels`].
+    #[must_use]
+    pub fn of_runs(data: &Data, keep: impl Fn(&Piece) -> bool) -> (Self, Vec<Range<usize>>) {
+        let parts = if data.trials.len() < MANY_RUNS {
+            PARTS
+        } else {
+            1
+        };
+        Self::of_channels(data, parts, keep)
+    }
+
+    /// Of the samples of those channels that `keep` keeps, put one behind the other, and where they are in
+    /// the flat vector.
+    #[must_use]
+    fn of_channels(
+        data: &Data,
+        parts: usize,
+        keep: impl Fn(&Piece) -> bool,
+    ) -> (Self, Vec<Range<usize>>) {
+        let mut folds = Self {
+            spans: Vec::new(),
+            count: parts * data.trials.len(),
+        };
+        let mut ranges = Vec::new();
+        let mut kept = 0;
+        for (number, _) in data.trials.iter().enumerate() {
+            let own = || data.segments.iter().filter(|s| s.trial == number);
+            let from_s = own().map(|s| s.start_s).fold(f64::INFINITY, f64::min);
+            let to_s = own().map(|s| s.end_s).fold(f64::NEG_INFINITY, f64::max);
+            let part = |t_s: f64| {
+                let share = (t_s - from_s) / (to_s - from_s).max(1e-9);
+                ((parts as f64 * share) as usize).min(parts - 1)
+            };
+            for piece in own().flat_map(|s| &s.pieces).filter(|p| keep(p)) {
+                let mut from = kept;
+                for k in piece.range.clone() {
+                    kept += 1;
+                    let here = part(data.time_s[k]);
+                    if k + 1 == piece.range.end || part(data.time_s[k + 1]) != here {
+                        folds.spans.push((from..kept, parts * number + here));
+                        from = kept;
+                    }
+                }
+                ranges.push(piece.range.clone());
+            }
+        }
+        (folds, ranges)
+    }
+
+    /// Residuals of each fold with the parameters that the others ask for. `columns`: derivatives of the
+    /// prediction by each parameter. `[P][N]`, `[N]`, `[P]` to `[N]`
+    #[must_use]
+    pub fn left_out(&self, columns: &[Vec<f32>], residual: &[f32], free: &[Free]) -> Vec<f32> {
+        self.left_out_with(columns, residual, free).0
+    }
+
+    /// The same with the change of the parameters without each fold, in steps. `([N], [F][P])`
+    #[must_use]
+    pub fn left_out_with(
+        &self,
+        columns: &[Vec<f32>],
+        residual: &[f32],
+        free: &[Free],
+    ) -> (Vec<f32>, Vec<DVector<f64>>) {
+        let n = columns.len();
+        let mut out = residual.to_vec();
+        if n == 0 {
+            return (out, Vec::new());
+        }
+        let mut grams = vec![DMatrix::<f64>::zeros(n, n); self.count];
+        let mut slopes = vec![DVector::<f64>::zeros(n); self.count];
+        for (range, fold) in &self.spans {
+            for i in 0..n {
+                let own = &columns[i][range.clone()];
+                slopes[*fold][i] += dot(own, &residual[range.clone()]);
+                for j in 0..=i {
+                    grams[*fold][(i, j)] += dot(own, &columns[j][range.clone()]);
+                }
+            }
+        }
+        for gram in &mut grams {
+            gram.fill_upper_triangle_with_lower_triangle();
+        }
+        let gram: DMatrix<f64> = grams.iter().fold(DMatrix::zeros(n, n), |sum, g| sum + g);
+        let slope: DVector<f64> = slopes.iter().fold(DVector::zeros(n), |sum, s| sum + s);
+        let shifts: Vec<DVector<f64>> = (grams.iter().zip(&slopes))
+            .map(|(g, s)| without(&(&gram - g), &(&slope - s), free))
+            .collect();
+        for (range, fold) in &self.spans {
+            for (column, by) in columns.iter().zip(shifts[*fold].iter()) {
+                let by = *by as f32;
+                for (r, c) in (out[range.clone()].iter_mut()).zip(&column[range.clone()]) {
+                    *r -= by * c;
+                }
+            }
+        }
+        (out, shifts)
+    }
+}
+
+/// By how much the parameters change where `gram` and `slope` are all that is known.
+fn without(gram: &DMatrix<f64>, slope: &DVector<f64>, free: &[Free]) -> DVector<f64> {
+    let mut gram = gram.clone();
+    let mut slope = slope.clone();
+    for (i, f) in free.iter().enumerate() {
+        let size = f.from_neutral.abs().max(1e-3);
+        let precision = 1.0 / (size * size);
+        gram[(i, i)] += precision;
+        slope[i] -= precision * f.from_neutral;
+    }
+    let mut shift = gram
+        .cholesky()
+        .map_or_else(|| DVector::zeros(slope.len()), |c| c.solve(&slope));
+    for (s, f) in shift.iter_mut().zip(free) {
+        // no further than to no effect, or to twice of it: there a straight line says nothing any more
+        let most = f.from_neutral.abs();
+        *s = s.clamp(f.room.0.max(-most).min(0.0), f.room.1.min(most).max(0.0));
+    }
+    shift
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folds(count: usize, each: usize) -> Folds {
+        Folds {
+            spans: (0..count).map(|f| (f * each..(f + 1) * each, f)).collect(),
+            count,
+        }
+    }
+
+    const FREE: Free = Free {
+        from_neutral: 2.0,
+        room: (-1e9, 1e9),
+    };
+
+    #[test]
+    fn what_a_fold_says_of_itself_is_left_out() {
+        // y = 2·x in three folds but for one that is off by 3: mean of the others without it
+        let columns = [vec![1.0_f32; 6]];
+        let measured = [2.0_f32, 2.0, 2.0, 2.0, 5.0, 5.0];
+        // fitted to all: 3
+        let residual: Vec<f32> = measured.iter().map(|y| y - 3.0).collect();
+        let free = Free {
+            from_neutral: 3.0,
+            ..FREE
+        };
+        let left = folds(3, 2).left_out(&columns, &residual, &[free]);
+        // the last fold by the mean of the first two, which a prior of width 3 draws to nothing:
+        // (4·2)/(4 + 1/9) = 1.946
+        assert!((left[4] - (5.0 - 1.946)).abs() < 2e-3, "{left:?}");
+        // the first by the others: (2·2 + 2·5)/(4 + 1/9) = 3.405
+        assert!((left[0] - (2.0 - 3.405)).abs() < 2e-3, "{left:?}");
+    }
+
+    #[test]
+    fn what_only_one_fold_shows_is_not_known_without_it() {
+        let columns = [vec![0.0_f32, 0.0, 1.0, 1.0, 0.0, 0.0]];
+        let residual = [0.0_f32; 6];
+        let left = folds(3, 2).left_out(&columns, &residual, &[FREE]);
+        // without the second fold the parameter is back at nothing, 2 steps away
+        assert_eq!(left[2..4], [2.0, 2.0]);
+        assert_eq!(left[..2], [0.0, 0.0]);
+    }
+}

@@ -1,0 +1,508 @@
+//! Fitting all joints of a robot side by side to their measured angles.
+//!
+//! A joint of a held robot hardly moves the others. So one simulation in which a parameter of every joint is
+//! changed gives the derivative by that parameter at every joint: a model with six parameters at each of six
+//! joints costs twelve simulations a step, and not seventy-two. Least squares with a loss that is quadratic
+//! for small residuals and linear for large ones (P. J. Huber, Robust statistics, 1981; here its smooth form
+//! √(1 + x²) − 1), by damped Gauss–Newton. Terms of the whole robot are solved for with the joints' own
+//! eliminated.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::folds::{Folds, Free};
+use super::product::dot;
+use super::state::{Context, up_and_down};
+use crate::effects::{Domain, Place};
+use crate::error::GapError;
+use crate::replay::{Data, Term, Variant};
+use crate::trial::Kind;
+
+/// Dampings that are tried at once, relative to the present one (as in [`super::refine`]).
+const TRIES: [f64; 3] = [0.1, 1.0, 12.0];
+/// Residuals from so many times the median on count linearly.
+const LINEAR_FROM: f64 = 2.0;
+/// Smallest residual that counts linearly, rad: an encoder's count.
+const LEAST_RAD: f64 = 1e-3;
+/// A fall of the loss by less than this share, at every joint, ends a fit.
+const ENOUGH: f64 = 2e-3;
+
+/// A model of a robot, joint by joint.
+#[derive(Debug, Clone, Default)]
+pub struct Joints {
+    /// Terms of each joint, each at that joint alone. `[A]`
+    pub own: Vec<Variant>,
+    /// Terms of the whole robot.
+    pub shared: Variant,
+}
+
+impl Joints {
+    /// As given, with so many joints.
+    #[must_use]
+    pub fn as_given(joints: usize) -> Self {
+        Self {
+            own: vec![Vec::new(); joints],
+            shared: Vec::new(),
+        }
+    }
+
+    /// As a candidate. Terms at different joints do not meet, so that their order says nothing.
+    #[must_use]
+    pub fn variant(&self) -> Variant {
+        self.shared
+            .iter()
+            .chain(self.own.iter().flatten())
+            .cloned()
+            .collect()
+    }
+
+    fn slots(&self) -> usize {
+        self.own.iter().map(|v| values(v)).max().unwrap_or(0)
+    }
+}
+
+fn values(terms: &[Term]) -> usize {
+    terms.iter().map(|t| t.values.len()).sum()
+}
+
+/// Term and parameter at a slot.
+fn slot(terms: &[Term], slot: usize) -> Option<(usize, usize)> {
+    let mut first = 0;
+    for (i, t) in terms.iter().enumerate() {
+        if slot < first + t.values.len() {
+            return Some((i, slot - first));
+        }
+        first += t.values.len();
+    }
+    None
+}
+
+/// The place of joint `a` alone.
+#[must_use]
+pub fn place_of(context: &Context, a: usize) -> Place {
+    Place {
+        domain: Domain::Joints,
+        items: vec![a],
+        names: vec![context.replayer.model().actuated_names()[a].to_owned()],
+    }
+}
+
+/// Angles of all joints in a set of runs.
+pub struct Angles<'a> {
+    context: &'a Context,
+    data: &'a Data,
+    of: Vec<OfJoint>,
+}
+
+/// Samples of one joint's angle.
+struct OfJoint {
+    ranges: Vec<Range<usize>>,
+    folds: Folds,
+    count: usize,
+}
+
+impl OfJoint {
+    fn gather(&self, from: impl Fn(usize) -> f32) -> Vec<f32> {
+        self.ranges.iter().cloned().flatten().map(from).collect()
+    }
+}
+
+/// A model with what it leaves and what its parameters can do.
+pub struct Linear {
+    /// Measured less predicted, rad. `[A][N]`
+    pub residual: Vec<Vec<f32>>,
+    /// Derivatives of each joint's own parameters, rad per step. `[A][P][N]`
+    pub columns: Vec<Vec<Vec<f32>>>,
+    /// Steps of those, SI. `[A][P]`
+    pub steps: Vec<Vec<f64>>,
+    /// Derivatives of the shared ones at each joint, rad per step. `[A][S][N]`
+    shared: Vec<Vec<Vec<f32>>>,
+    shared_steps: Vec<f64>,
+}
+
+impl<'a> Angles<'a> {
+    /// Of `data`.
+    #[must_use]
+    pub fn of(context: &'a Context, data: &'a Data) -> Self {
+        let joints = context.replayer.model().actuated().len();
+        let of = |a: usize| {
+            let (folds, ranges) =
+                Folds::of_runs(data, |p| p.kind == Kind::Position && p.index == a);
+            OfJoint {
+                count: ranges.iter().map(Range::len).sum(),
+                ranges,
+                folds,
+            }
+        };
+        Self {
+            context,
+            data,
+            of: (0..joints).map(of).collect(),
+        }
+    }
+
+    /// Whether joint `a` has an angle in these runs.
+    #[must_use]
+    pub fn measured(&self, a: usize) -> bool {
+        self.of[a].count > 0
+    }
+
+    /// What each joint's angle is off by, rad. `[V][A][N]`
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn residuals(&self, variants: &[Variant]) -> Result<Vec<Vec<Vec<f32>>>, GapError> {
+        let predictions = self.context.replayer.predict(self.data, variants)?;
+        Ok(predictions.iter().map(|p| self.residual(p)).collect())
+    }
+
+    fn residual(&self, prediction: &[f32]) -> Vec<Vec<f32>> {
+        let off = |k: usize| {
+            let off = (self.data.value[k] - f64::from(prediction[k])) as f32;
+            // where a candidate cannot be simulated it is off by half a turn
+            if off.is_finite() { off } else { 3.0 }
+        };
+        self.of.iter().map(|o| o.gather(off)).collect()
+    }
+
+    fn change(&self, up: &[f32], down: &[f32]) -> Vec<Vec<f32>> {
+        let by = |k: usize| {
+            let by = up[k] - down[k];
+            if by.is_finite() { by } else { 0.0 }
+        };
+        self.of.iter().map(|o| o.gather(by)).collect()
+    }
+
+    /// What `variants` change at each joint of what `model` predicts, rad; with what that leaves. `[V][A][N]`
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn changes(
+        &self,
+        model: &Joints,
+        variants: &[Variant],
+    ) -> Result<Vec<Vec<Vec<f32>>>, GapError> {
+        let base = (self.context.replayer)
+            .predict(self.data, &[model.variant()])?
+            .swap_remove(0);
+        let mut out = Vec::with_capacity(variants.len());
+        for batch in variants.chunks(64) {
+            let predictions = self.context.replayer.predict(self.data, batch)?;
+            out.extend(predictions.iter().map(|p| self.change(p, &base)));
+        }
+        Ok(out)
+    }
+
+    /// `model` with its derivatives.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn linear(&self, model: &Joints) -> Result<Linear, GapError> {
+        let replayer = &self.context.replayer;
+        let joints = self.of.len();
+        let mut variants = vec![model.variant()];
+        let mut steps = vec![Vec::new(); joints];
+        for k in 0..model.slots() {
+            let (mut up, mut down) = (model.clone(), model.clone());
+            for a in 0..joints {
+                let Some((i, p)) = slot(&model.own[a], k) else {
+                    continue;
+                };
+                let (high, low) = up_and_down(replayer, &model.own[a][i], p);
+                up.own[a][i].values[p] = high;
+                down.own[a][i].values[p] = low;
+                steps[a].push((high - low).max(1e-12));
+            }
+            variants.extend([up.variant(), down.variant()]);
+        }
+        let mut shared_steps = Vec::new();
+        for (i, term) in model.shared.iter().enumerate() {
+            for p in 0..term.values.len() {
+                let (high, low) = up_and_down(replayer, term, p);
+                for value in [high, low] {
+                    let mut changed = model.clone();
+                    changed.shared[i].values[p] = value;
+                    variants.push(changed.variant());
+                }
+                shared_steps.push((high - low).max(1e-12));
+            }
+        }
+        let predictions = replayer.predict(self.data, &variants)?;
+        let mut columns = vec![Vec::new(); joints];
+        let mut shared = vec![Vec::new(); joints];
+        for (k, pair) in predictions[1..].chunks(2).enumerate() {
+            for (a, column) in self.change(&pair[0], &pair[1]).into_iter().enumerate() {
+                if k >= model.slots() {
+                    shared[a].push(column);
+                } else if k < steps[a].len() {
+                    columns[a].push(column);
+                }
+            }
+        }
+        Ok(Linear {
+            residual: self.residual(&predictions[0]),
+            columns,
+            steps,
+            shared,
+            shared_steps,
+        })
+    }
+
+    /// Fits `model`, in at most `rounds` steps. Gives what it is off by, rad. `[A][N]`
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn fit(&self, model: &mut Joints, rounds: usize) -> Result<Vec<Vec<f32>>, GapError> {
+        let joints = self.of.len();
+        let mut damping = vec![0.1_f64; joints];
+        let mut scales: Vec<f64> = Vec::new();
+        let mut best: Option<(Joints, Vec<f64>, Vec<Vec<f32>>)> = None;
+        for _ in 0..=rounds {
+            let linear = self.linear(model)?;
+            if scales.is_empty() {
+                scales = linear.residual.iter().map(|r| scale(r)).collect();
+            }
+            let costs = losses(&linear.residual, &scales);
+            let before = best.as_ref().map(|b| b.1.clone());
+            // joints do move each other a little: what got worse together goes back
+            if let Some((kept, were, residual)) = &mut best {
+                let all = costs.iter().sum::<f64>() < were.iter().sum::<f64>();
+                for a in 0..joints {
+                    let better = if model.shared.is_empty() {
+                        costs[a] <= were[a]
+                    } else {
+                        all
+                    };
+                    if better {
+                        kept.own[a].clone_from(&model.own[a]);
+                        were[a] = costs[a];
+                        residual[a].clone_from(&linear.residual[a]);
+                    } else {
+                        damping[a] *= 30.0;
+                    }
+                }
+                if all {
+                    kept.shared.clone_from(&model.shared);
+                }
+            } else {
+                best = Some((model.clone(), costs.clone(), linear.residual.clone()));
+            }
+            let settled = before.is_some_and(|b| {
+                let fell = |(was, is): (&f64, &f64)| (was - is) / was.max(1e-12) < ENOUGH;
+                b.iter().zip(&costs).all(fell)
+            });
+            if settled || values(&model.variant()) == 0 {
+                break;
+            }
+            self.step(model, &linear, &scales, &mut damping)?;
+        }
+        let Some((kept, _, residual)) = best else {
+            return Ok(Vec::new());
+        };
+        *model = kept;
+        Ok(residual)
+    }
+
+    /// Takes the best of a few damped steps, joint by joint, or for all together where they share a term.
+    fn step(
+        &self,
+        model: &mut Joints,
+        linear: &Linear,
+        scales: &[f64],
+        damping: &mut [f64],
+    ) -> Result<(), GapError> {
+        let tried: Vec<Joints> = (TRIES.iter())
+            .map(|share| self.moved(model, linear, scales, damping, *share))
+            .collect();
+        let variants: Vec<Variant> = tried.iter().map(Joints::variant).collect();
+        let costs: Vec<Vec<f64>> = (self.residuals(&variants)?.iter())
+            .map(|r| losses(r, scales))
+            .collect();
+        let best_of = |cost: &dyn Fn(usize) -> f64| {
+            (0..TRIES.len())
+                .min_by(|&a, &b| cost(a).total_cmp(&cost(b)))
+                .unwrap_or(0)
+        };
+        let together = best_of(&|t| costs[t].iter().sum());
+        for a in 0..self.of.len() {
+            let t = match model.shared.is_empty() {
+                true => best_of(&|t| costs[t][a]),
+                false => together,
+            };
+            model.own[a].clone_from(&tried[t].own[a]);
+            damping[a] = (damping[a] * TRIES[t] * 0.5).clamp(1e-6, 1e6);
+        }
+        model.shared.clone_from(&tried[together].shared);
+        Ok(())
+    }
+
+    /// One damped step.
+    fn moved(
+        &self,
+        model: &Joints,
+        linear: &Linear,
+        scales: &[f64],
+        damping: &[f64],
+        share: f64,
+    ) -> Joints {
+        let shared = linear.shared_steps.len();
+        let mut left = DMatrix::<f64>::zeros(shared, shared);
+        let mut right = DVector::<f64>::zeros(shared);
+        let mut parts = Vec::new();
+        for a in 0..self.of.len() {
+            let weight = weights(&linear.residual[a], scales[a]);
+            let weighted =
+                |x: &[f32]| -> Vec<f32> { x.iter().zip(&weight).map(|(x, w)| x * w).collect() };
+            let own: Vec<Vec<f32>> = linear.columns[a].iter().map(|c| weighted(c)).collect();
+            let all: Vec<Vec<f32>> = linear.shared[a].iter().map(|c| weighted(c)).collect();
+            let residual = weighted(&linear.residual[a]);
+            let mut gram = super::product::gram(&own);
+            let most = gram.diagonal().iter().copied().fold(0.0, f64::max);
+            for i in 0..gram.nrows() {
+                gram[(i, i)] += damping[a] * share * gram[(i, i)] + 1e-9 * most + 1e-30;
+            }
+            let slope = DVector::from_iterator(own.len(), own.iter().map(|c| dot(c, &residual)));
+            let cross = DMatrix::from_fn(own.len(), shared, |i, s| dot(&own[i], &all[s]));
+            let Some(inverse) = gram.cholesky().map(|c| c.inverse()) else {
+                parts.push(None);
+                continue;
+            };
+            for s in 0..shared {
+                right[s] += dot(&all[s], &residual);
+                for t in 0..shared {
+                    left[(s, t)] += dot(&all[s], &all[t]);
+                }
+            }
+            left -= cross.transpose() * &inverse * &cross;
+            right -= cross.transpose() * &inverse * &slope;
+            parts.push(Some((inverse, slope, cross)));
+        }
+        let mean = damping.iter().sum::<f64>() / damping.len().max(1) as f64;
+        for s in 0..shared {
+            left[(s, s)] *= 1.0 + mean * share;
+            left[(s, s)] += 1e-30;
+        }
+        let of_all = left
+            .cholesky()
+            .map_or_else(|| DVector::zeros(shared), |c| c.solve(&right));
+        let mut out = model.clone();
+        self.apply(&mut out.shared, of_all.as_slice(), &linear.shared_steps);
+        for (a, part) in parts.iter().enumerate() {
+            if let Some((inverse, slope, cross)) = part {
+                let by = inverse * (slope - cross * &of_all);
+                self.apply(&mut out.own[a], by.as_slice(), &linear.steps[a]);
+            }
+        }
+        out
+    }
+
+    /// Moves parameters by so many steps, within bounds and by at most a tenth of a range, or half of a
+    /// value, at once.
+    fn apply(&self, terms: &mut [Term], by: &[f64], steps: &[f64]) {
+        let model = self.context.replayer.model();
+        let mut change = by.iter().zip(steps).map(|(b, s)| b * s);
+        for term in terms {
+            for p in 0..term.values.len() {
+                let (low, high) = term.effect.bounds(model, &term.place, p);
+                let value = term.values[p];
+                let most = (0.1 * (high - low)).max(0.5 * value.abs());
+                let by = change.next().unwrap_or(0.0).clamp(-most, most);
+                term.values[p] = (value + by).clamp(low, high);
+            }
+        }
+    }
+
+    /// Mean absolute error of each joint in cross-validation, rad, and the standard deviation of each of its
+    /// parameters by the jackknife over the folds, SI. `[A]`, `[A][P]`
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn cross(&self, model: &Joints) -> Result<(Vec<f64>, Vec<Vec<f64>>), GapError> {
+        let linear = self.linear(model)?;
+        let robot = self.context.replayer.model();
+        let mut errors = Vec::new();
+        let mut deviations = Vec::new();
+        for (a, of) in self.of.iter().enumerate() {
+            let mut steps = linear.steps[a].iter();
+            let mut free = Vec::new();
+            for t in &model.own[a] {
+                let neutral = t.effect.neutral(robot, &t.place);
+                for p in 0..t.values.len() {
+                    let step = steps.next().copied().unwrap_or(1.0);
+                    let (low, high) = t.effect.bounds(robot, &t.place, p);
+                    free.push(Free {
+                        from_neutral: (t.values[p] - neutral[p]) / step,
+                        room: ((low - t.values[p]) / step, (high - t.values[p]) / step),
+                    });
+                }
+            }
+            // in units of about the noise, so that the prior weighs what it should
+            let noise = scale(&linear.residual[a]) as f32;
+            let scaled = |x: &[f32]| -> Vec<f32> { x.iter().map(|v| v / noise).collect() };
+            let columns: Vec<Vec<f32>> = linear.columns[a].iter().map(|c| scaled(c)).collect();
+            let (left, shifts) =
+                (of.folds).left_out_with(&columns, &scaled(&linear.residual[a]), &free);
+            errors.push(f64::from(noise) * mean_abs(&left));
+            let folds = shifts.len().max(1) as f64;
+            let deviation = |(p, step): (usize, &f64)| {
+                let mean = shifts.iter().map(|s| s[p]).sum::<f64>() / folds;
+                let square: f64 = shifts.iter().map(|s| (s[p] - mean).powi(2)).sum();
+                step * (square * (folds - 1.0) / folds).sqrt()
+            };
+            deviations.push(linear.steps[a].iter().enumerate().map(deviation).collect());
+        }
+        Ok((errors, deviations))
+    }
+}
+
+/// Mean absolute value.
+#[must_use]
+pub fn mean_abs(x: &[f32]) -> f64 {
+    x.iter().map(|v| f64::from(v.abs())).sum::<f64>() / x.len().max(1) as f64
+}
+
+/// From which residual on the loss is linear, rad.
+pub fn scale(residual: &[f32]) -> f64 {
+    let mut sorted: Vec<f32> = residual.iter().map(|r| r.abs()).collect();
+    sorted.sort_by(f32::total_cmp);
+    let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    (LINEAR_FROM * f64::from(median)).max(LEAST_RAD)
+}
+
+/// Σ 2·s²·(√(1 + (r/s)²) − 1) of each joint: r² for small r, 2·s·|r| for large ones. `[A]`
+fn losses(residual: &[Vec<f32>], scales: &[f64]) -> Vec<f64> {
+    let of = |(r, s): (&Vec<f32>, &f64)| {
+        let loss = |x: &f32| 2.0 * s * s * ((f64::from(*x) / s).hypot(1.0) - 1.0);
+        r.iter().map(loss).sum()
+    };
+    residual.iter().zip(scales).map(of).collect()
+}
+
+/// Square roots of the weights that make least squares of that loss.
+pub fn weights(residual: &[f32], scale: f64) -> Vec<f32> {
+    let weight = |r: &f32| (1.0 / (f64::from(*r) / scale).hypot(1.0).sqrt()) as f32;
+    residual.iter().map(weight).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_residuals_count_linearly() {
+        let scales = [0.1];
+        // 2·0.01·(√(1 + 0.01) − 1) ≈ 1e-4 = 0.01²
+        let small = losses(&[vec![0.01]], &scales)[0];
+        assert!((small - 1e-4).abs() < 1e-6, "{small}");
+        // twice as far, about twice the loss
+        let (one, two) = (
+            losses(&[vec![10.0]], &scales)[0],
+            losses(&[vec![20.0]], &scales)[0],
+        );
+        assert!((two / one - 2.0).abs() < 0.02, "{one} {two}");
+        // the weight of a residual that is √3 scales is 1/√(√(1 + 3))
+        let w = weights(&[3.0_f32.sqrt() * 0.1], 0.1)[0];
+        assert!((w - 0.5_f32.sqrt()).abs() < 1e-6, "{w}");
+    }
+}

@@ -1,0 +1,498 @@
+//! How far angles are off over whole runs: of the robot as given, of standard models fitted to the same runs,
+//! and of a model that takes from the catalogue whatever each joint's runs support.
+//!
+//! The standard models are what a laboratory fits first: a PD servo with free gain, rotor inertia and viscous
+//! friction; with Coulomb friction; with a delay; with friction that grows with the load. The last model begins
+//! with the best of them. For each joint the effects are ranked by what their traces take off what is left,
+//! with all parameters that are free already projected out (orthogonal least squares: S. Chen, S. A. Billings
+//! and W. Luo, International Journal of Control 50, 1989). The first few are fitted in earnest, and the one
+//! stays that lowers the joint's error in cross-validation ([`super::folds`]) most, if any lowers it enough.
+//! Held-out runs are not looked at.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use caudata_runlog::BaseHold;
+
+use super::doubt::sizes;
+use super::joints::{Angles, Joints, mean_abs, place_of, scale, weights};
+use super::product::dot;
+use super::request::{Progress, Stage};
+use super::state::Context;
+use crate::effects::{self, Domain, Effect};
+use crate::error::GapError;
+use crate::replay::{Term, Variant};
+use crate::report::PositionError;
+
+/// Steps in which a standard model is fitted.
+const ROUNDS: usize = 6;
+/// Steps in which a model with one more effect is.
+const ROUNDS_MORE: usize = 3;
+/// Most effects that are added to a joint.
+const MOST_ADDED: usize = 5;
+/// Effects of a joint that are fitted in earnest, per effect that is added.
+const TRIED: usize = 3;
+/// Effects of a joint that are ranked again once the first was added.
+const POOL: usize = 12;
+/// What an effect must leave of a joint's error in cross-validation at most.
+const EARNS: f64 = 0.97;
+/// An effect whose absence leaves less than this of it goes.
+const MISSED: f64 = 1.005;
+/// An error of less than so many counts of the encoder is none: rounding alone makes it a quarter of one.
+const COUNTS: f64 = 0.5;
+
+/// A standard model: its name, effects of each joint, effects of the whole robot, and the model whose fit it
+/// begins with.
+struct Standard {
+    name: &'static str,
+    own: &'static [&'static str],
+    shared: &'static [&'static str],
+    from: Option<usize>,
+}
+
+const STANDARD: [Standard; 4] = [
+    Standard {
+        name: "PD, rotor, viscous friction",
+        own: &["kp_error", "armature", "viscous_friction"],
+        shared: &[],
+        from: None,
+    },
+    Standard {
+        name: "the same and Coulomb friction",
+        own: &["coulomb_friction"],
+        shared: &[],
+        from: Some(0),
+    },
+    Standard {
+        name: "the same, Coulomb friction and delay",
+        own: &[],
+        shared: &["command_delay"],
+        from: Some(1),
+    },
+    Standard {
+        name: "the same, Coulomb and load friction",
+        own: &["load_dependent_friction"],
+        shared: &[],
+        from: Some(1),
+    },
+];
+
+/// A fitted model.
+#[derive(Debug, Clone)]
+pub struct Model {
+    /// In a report.
+    pub name: String,
+    /// The model.
+    pub joints: Joints,
+    /// Mean absolute error in cross-validation, mean over joints, rad.
+    pub cross_rad: f64,
+    /// Standard deviations of the parameters of each joint, SI. `[A][P]`
+    pub deviations: Vec<Vec<f64>>,
+}
+
+/// What was fitted to angles. Grows as it goes: where time ends, what is there is there.
+#[derive(Debug, Clone, Default)]
+pub struct Tracking {
+    /// Standard models.
+    pub standard: Vec<Model>,
+    /// What each joint's runs support of the catalogue.
+    pub built: Option<Model>,
+}
+
+impl Tracking {
+    /// Fits the standard models.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn fit_standard(
+        &mut self,
+        context: &Context,
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<(), GapError> {
+        let robot = context.replayer.model();
+        let angles = Angles::of(context, &context.first_look().data);
+        let joints = robot.actuated().len();
+        for standard in &STANDARD {
+            progress(Progress::new(Stage::Tracking, 0, standard.name));
+            let mut model = match standard.from {
+                Some(k) => self.standard[k].joints.clone(),
+                None => Joints::as_given(joints),
+            };
+            for a in (0..joints).filter(|&a| angles.measured(a)) {
+                let own = standard.own.iter().filter_map(|id| effects::find(id));
+                model.own[a].extend(own.map(|e| without_effect(context, e, a)));
+            }
+            for effect in standard.shared.iter().filter_map(|id| effects::find(id)) {
+                let place = effect.places(robot).swap_remove(0);
+                let values = effect.neutral(robot, &place);
+                model.shared.push(Term {
+                    effect,
+                    place,
+                    values,
+                });
+            }
+            angles.fit(&mut model, ROUNDS)?;
+            let fitted = judged(&angles, standard.name, model)?;
+            self.standard.push(fitted);
+        }
+        Ok(())
+    }
+
+    /// Builds the model that each joint's runs support. Nothing where the robot is not held: there joints
+    /// move each other through its body.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn build(
+        &mut self,
+        context: &Context,
+        progress: &mut dyn FnMut(Progress),
+    ) -> Result<(), GapError> {
+        let mut runs = context.fit.data.trials.iter();
+        if runs.any(|t| t.base != BaseHold::Fixed) {
+            return Ok(());
+        }
+        let first = (self.standard.iter()).min_by(|a, b| a.cross_rad.total_cmp(&b.cross_rad));
+        let Some(first) = first.cloned() else {
+            return Ok(());
+        };
+        let angles = Angles::of(context, &context.first_look().data);
+        let mut model = first.joints;
+        let (mut errors, _) = angles.cross(&model)?;
+        self.keep(&angles, &model)?;
+        let robot = context.replayer.model();
+        let standard: Vec<usize> = model.own.iter().map(Vec::len).collect();
+        let explained = |a: usize, error: f64| error < COUNTS * robot.servo(a).encoder_lsb_rad();
+        let mut open: Vec<bool> = (0..errors.len())
+            .map(|a| angles.measured(a) && !explained(a, errors[a]))
+            .collect();
+        let mut pool: Option<Vec<BTreeSet<&str>>> = None;
+        for depth in 1..=MOST_ADDED {
+            progress(Progress::new(Stage::Tracking, depth, "joint by joint"));
+            let ranked = ranked(context, &angles, &model, &open, pool.as_deref())?;
+            if pool.is_none() {
+                let ids = |r: &Vec<Term>| r.iter().take(POOL).map(|t| t.effect.id).collect();
+                pool = Some(ranked.iter().map(ids).collect());
+            }
+            let mut best: Vec<Option<(f64, Variant)>> = vec![None; errors.len()];
+            for t in 0..TRIED {
+                let mut with = model.clone();
+                for a in (0..errors.len()).filter(|&a| open[a]) {
+                    with.own[a].extend(ranked[a].get(t).cloned());
+                }
+                angles.fit(&mut with, ROUNDS_MORE)?;
+                let (after, _) = angles.cross(&with)?;
+                for a in 0..errors.len() {
+                    if best[a].as_ref().is_none_or(|b| after[a] < b.0) {
+                        best[a] = Some((after[a], with.own[a].clone()));
+                    }
+                }
+            }
+            for a in 0..errors.len() {
+                match best[a].take() {
+                    Some((error, terms)) if open[a] && error < EARNS * errors[a] => {
+                        model.own[a] = terms;
+                    }
+                    _ => open[a] = false,
+                }
+            }
+            if !open.contains(&true) {
+                break;
+            }
+            angles.fit(&mut model, 1)?;
+            errors = angles.cross(&model)?.0;
+            for a in 0..errors.len() {
+                open[a] &= !explained(a, errors[a]);
+            }
+            self.keep(&angles, &model)?;
+        }
+        prune(&angles, &mut model, &mut errors, &standard)?;
+        let whole = Angles::of(context, &context.fit.data);
+        whole.fit(&mut model, ROUNDS_MORE)?;
+        self.keep(&whole, &model)
+    }
+
+    /// Takes `model` for the one that was built.
+    fn keep(&mut self, angles: &Angles<'_>, model: &Joints) -> Result<(), GapError> {
+        self.built = Some(judged(angles, "", model.clone())?);
+        Ok(())
+    }
+
+    /// Errors of the robot as given, the standard models and `extended` on held-out runs, and on the runs
+    /// that were fitted.
+    ///
+    /// # Errors
+    /// As [`crate::replay::Replayer::predict`].
+    pub fn errors(
+        &self,
+        context: &Context,
+        extended: &[Term],
+    ) -> Result<Vec<PositionError>, GapError> {
+        let names = context.replayer.model().actuated_names();
+        let mut variants: Vec<Variant> = vec![Vec::new()];
+        variants.extend(self.standard.iter().map(|m| m.joints.variant()));
+        variants.push(extended.to_vec());
+        let held = Angles::of(context, &context.holdout.data);
+        let fitted = Angles::of(context, &context.fit.data);
+        let held_out = held.residuals(&variants)?;
+        let on_fitted = fitted.residuals(&variants)?;
+        let mean = |angles: &Angles<'_>, of: &[Vec<f32>]| {
+            let own: Vec<f64> = (0..names.len())
+                .filter(|&a| angles.measured(a))
+                .map(|a| mean_abs(&of[a]))
+                .collect();
+            own.iter().sum::<f64>() / own.len().max(1) as f64
+        };
+        let labels = ["as given"]
+            .into_iter()
+            .chain(self.standard.iter().map(|m| m.name.as_str()))
+            .chain(["extended"]);
+        Ok(labels
+            .zip(held_out.iter().zip(&on_fitted))
+            .map(|(name, (held_out, on_fitted))| PositionError {
+                model: name.to_owned(),
+                mean_rad: mean(&held, held_out),
+                fitted_mean_rad: mean(&fitted, on_fitted),
+                joints_rad: (0..names.len())
+                    .filter(|&a| held.measured(a))
+                    .map(|a| (names[a].to_owned(), mean_abs(&held_out[a])))
+                    .collect::<BTreeMap<_, _>>(),
+            })
+            .collect())
+    }
+}
+
+/// `effect` at joint `a`, of no size.
+fn without_effect(context: &Context, effect: &'static Effect, a: usize) -> Term {
+    let place = place_of(context, a);
+    let values = effect.neutral(context.replayer.model(), &place);
+    Term {
+        effect,
+        place,
+        values,
+    }
+}
+
+fn judged(angles: &Angles<'_>, name: &str, joints: Joints) -> Result<Model, GapError> {
+    let (errors, deviations) = angles.cross(&joints)?;
+    let own: Vec<f64> = (0..errors.len())
+        .filter(|&a| angles.measured(a))
+        .map(|a| errors[a])
+        .collect();
+    Ok(Model {
+        name: name.to_owned(),
+        joints,
+        cross_rad: own.iter().sum::<f64>() / own.len().max(1) as f64,
+        deviations,
+    })
+}
+
+/// For each joint that is `open` the effects that its angle asks for, each with the size that promises most,
+/// best first. Only those in `pool`, if there is one. `[A]`
+fn ranked(
+    context: &Context,
+    angles: &Angles<'_>,
+    model: &Joints,
+    open: &[bool],
+    pool: Option<&[BTreeSet<&str>]>,
+) -> Result<Vec<Vec<Term>>, GapError> {
+    let robot = context.replayer.model();
+    let joints = open.len();
+    let may = |effect: &Effect, a: usize| {
+        open[a]
+            && !model.own[a].iter().any(|t| t.effect == effect)
+            && (effect.unseen)(&context.excitation, &place_of(context, a)).is_none()
+            && pool.is_none_or(|p| p[a].contains(effect.id))
+    };
+    let mut plan: Vec<(&'static Effect, usize)> = Vec::new();
+    let of_joints = context
+        .effects
+        .iter()
+        .filter(|e| e.domain == Domain::Joints);
+    for &effect in of_joints {
+        if (0..joints).any(|a| may(effect, a)) {
+            plan.extend((0..effect.grid.len()).map(|k| (effect, k)));
+        }
+    }
+    let at = |effect: &'static Effect, k: usize, a: usize| {
+        let place = place_of(context, a);
+        let values = effect.sizes(robot, &place, k);
+        Term {
+            effect,
+            place,
+            values,
+        }
+    };
+    let variants: Vec<Variant> = (plan.iter())
+        .map(|&(effect, k)| {
+            let mut with = model.clone();
+            for a in (0..joints).filter(|&a| may(effect, a)) {
+                with.own[a].push(at(effect, k, a));
+            }
+            with.variant()
+        })
+        .collect();
+    let linear = angles.linear(model)?;
+    let changes = angles.changes(model, &variants)?;
+    Ok((0..joints)
+        .map(|a| {
+            let rest = Rest::new(&linear.residual[a], &linear.columns[a]);
+            let mut best: BTreeMap<&str, (f64, Term)> = BTreeMap::new();
+            for (&(effect, k), change) in plan.iter().zip(&changes) {
+                if !may(effect, a) {
+                    continue;
+                }
+                let mut term = at(effect, k, a);
+                let neutral = effect.neutral(robot, &term.place);
+                let (gain, share) = rest.promises(&change[a], effect.hinge);
+                scaled(context, &mut term, &neutral, share);
+                if gain > 0.0 && best.get(effect.id).is_none_or(|b| gain > b.0) {
+                    best.insert(effect.id, (gain, term));
+                }
+            }
+            let mut all: Vec<(f64, Term)> = best.into_values().collect();
+            all.sort_by(|x, y| y.0.total_cmp(&x.0));
+            all.into_iter().map(|(_, t)| t).collect()
+        })
+        .collect())
+}
+
+/// Makes a term that is not a threshold `share` times as large.
+fn scaled(context: &Context, term: &mut Term, neutral: &[f64], share: f64) {
+    if term.effect.hinge {
+        return;
+    }
+    let model = context.replayer.model();
+    for p in scaling(term.effect) {
+        let (low, high) = term.effect.bounds(model, &term.place, p);
+        term.values[p] = (neutral[p] + share * (term.values[p] - neutral[p])).clamp(low, high);
+    }
+}
+
+/// Parameters of an effect that grow with it: those that say how large it is, and others that are nothing
+/// without it. How many ripples there are in a turn does not.
+pub fn scaling(effect: &Effect) -> impl Iterator<Item = usize> + '_ {
+    let own: Vec<usize> = sizes(effect).collect();
+    (0..effect.parameters.len())
+        .filter(move |p| own.contains(p) || effect.parameters[*p].neutral == 0.0)
+}
+
+/// What a model leaves at a joint, less what its parameters could still do.
+struct Rest {
+    weight: Vec<f32>,
+    basis: Vec<Vec<f32>>,
+    left: Vec<f32>,
+}
+
+impl Rest {
+    fn new(residual: &[f32], columns: &[Vec<f32>]) -> Self {
+        let weight = weights(residual, scale(residual));
+        let mut rest = Self {
+            left: residual.iter().zip(&weight).map(|(r, w)| r * w).collect(),
+            weight,
+            basis: Vec::new(),
+        };
+        for column in columns {
+            let weighted = column.iter().zip(&rest.weight).map(|(c, w)| c * w);
+            let mut own: Vec<f32> = weighted.collect();
+            let before = dot(&own, &own);
+            rest.project(&mut own);
+            let square = dot(&own, &own);
+            if square > 1e-6 * before && square > 0.0 {
+                let length = square.sqrt() as f32;
+                own.iter_mut().for_each(|x| *x /= length);
+                rest.basis.push(own);
+            }
+        }
+        let mut left = std::mem::take(&mut rest.left);
+        rest.project(&mut left);
+        rest.left = left;
+        rest
+    }
+
+    fn project(&self, x: &mut [f32]) {
+        for q in &self.basis {
+            let along = dot(q, x) as f32;
+            for (x, q) in x.iter_mut().zip(q) {
+                *x -= along * q;
+            }
+        }
+    }
+
+    /// What a trace promises to take off the sum of squares, and at which share of its size.
+    fn promises(&self, trace: &[f32], hinge: bool) -> (f64, f64) {
+        let weighted = trace.iter().zip(&self.weight).map(|(c, w)| c * w);
+        let mut own: Vec<f32> = weighted.collect();
+        let before = dot(&own, &own);
+        self.project(&mut own);
+        let square = dot(&own, &own);
+        // what other parameters can do nearly as well promises nothing
+        if square < 1e-3 * before || square <= 0.0 {
+            return (0.0, 1.0);
+        }
+        let along = dot(&own, &self.left);
+        let (low, high) = if hinge { (0.4, 1.6) } else { (-3.0, 3.0) };
+        let share = (along / square).clamp(low, high);
+        (2.0 * share * along - share * share * square, share)
+    }
+}
+
+/// Drops effects that nobody misses, one at each joint at a time, but none of the first `standard` ones.
+fn prune(
+    angles: &Angles<'_>,
+    model: &mut Joints,
+    errors: &mut [f64],
+    standard: &[usize],
+) -> Result<(), GapError> {
+    let most = model.own.iter().map(Vec::len).max().unwrap_or(0);
+    let least = standard.iter().copied().min().unwrap_or(0);
+    for i in (least..most).rev() {
+        let mut with = model.clone();
+        for (own, standard) in with.own.iter_mut().zip(standard) {
+            if i >= *standard && own.len() > i {
+                own.remove(i);
+            }
+        }
+        angles.fit(&mut with, 1)?;
+        let (after, _) = angles.cross(&with)?;
+        for a in 0..errors.len() {
+            if with.own[a].len() < model.own[a].len() && after[a] < MISSED * errors[a] {
+                model.own[a].clone_from(&with.own[a]);
+                errors[a] = after[a];
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+
+    use super::*;
+
+    #[test]
+    fn what_parameters_can_do_already_promises_nothing() {
+        let residual = [1.0_f32, 1.0, 1.0, -1.0];
+        let rest = Rest::new(&residual, &[vec![1.0, 1.0, 0.0, 0.0]]);
+        // the first two samples are explained: (0, 0, 1, −1) is left
+        assert_eq!(rest.promises(&[2.0, 2.0, 0.0, 0.0], false).0, 0.0);
+        // a trace in the other direction is as good, with the other sign
+        let (gain, share) = rest.promises(&[0.0, 0.0, -1.0, 1.0], false);
+        let w = f64::from(rest.weight[2]);
+        assert!((share + 1.0).abs() < 1e-6, "{share}");
+        assert!((gain - 2.0 * w * w).abs() < 1e-6, "{gain}");
+        // … unless it is a threshold, which has no other sign
+        assert!(rest.promises(&[0.0, 0.0, -1.0, 1.0], true).0 < 0.0);
+    }
+
+    #[test]
+    fn what_an_effect_counts_does_not_grow_with_it() {
+        let of = |id: &str| scaling(effects::find(id).unwrap()).collect::<Vec<_>>();
+        // two amplitudes, and how many ripples there are in a turn
+        assert_eq!(of("cogging"), [0, 1]);
+        // lateness, heading, height
+        assert_eq!(of("mocap_frame"), [0, 1, 2]);
+        assert_eq!(of("friction_drift"), [0, 1]);
+        assert_eq!(of("kp_error"), [0]);
+    }
+}

@@ -1,0 +1,105 @@
+//! Networks that treat left and right alike by construction.
+//!
+//! A mirror exchanges and negates observations and actions ([`Mirror`]); in a hidden layer of n units, unit i
+//! changes places with unit n − 1 − i. Where every layer W commutes with that (M_out·W = W·M_in, M_out·b =
+//! b), so does the network: policy(mirror(o)) = mirror(policy(o)), value(mirror(o)) = value(o). With two
+//! halves of hidden units that is a network of half the width and its mirror image, folded into one
+//! (Abdolhosseini et al. 2019, "On learning symmetric locomotion", call it a symmetric network); its shape is
+//! that of any other, in files too.
+//!
+//! Parameters are kept in full. Those that must be alike, up to a sign, begin alike and have the mean of
+//! their gradients, with which Adam moves them alike. It costs one gather per minibatch; a gradient that is
+//! averaged so is that of the minibatch and of its mirror image together.
+
+use caudata_task::Mirror;
+use caudata_task::mirror::SignedPermutation;
+use tch::{Device, Tensor};
+
+use super::layout::Layout;
+use super::mlp::LayerIndices;
+use super::{Indices, NetworkSpec};
+
+/// How far parameters that ought to be alike may be apart, as a share of their size (or of 1): rounding of a
+/// long training.
+const ALIKE: f64 = 1e-3;
+
+/// Which parameters of a flat vector mirror each other.
+#[derive(Debug)]
+pub(super) struct Symmetry {
+    /// Where the counterpart of each parameter lies, `[P]`.
+    source: Tensor,
+    /// 1 or −1 for each, `[P]`.
+    sign: Tensor,
+}
+
+impl Symmetry {
+    pub fn new(
+        spec: &NetworkSpec,
+        mirror: &Mirror,
+        layout: &Layout,
+        indices: &Indices,
+        device: Device,
+    ) -> Self {
+        let mut all = SignedPermutation::identity(layout.len());
+        let offset = |index: usize| layout.parameters()[index].offset;
+        let mut place = |layers: &LayerIndices, sides: &[SignedPermutation]| {
+            for (&(weight, bias), pair) in layers.iter().zip(sides.windows(2)) {
+                let (input, output) = (&pair[0], &pair[1]);
+                for (o, (&from, sign)) in output.source.iter().zip(&output.sign).enumerate() {
+                    let row = offset(weight) + o * input.len();
+                    let from_row = offset(weight) + from * input.len();
+                    for i in 0..input.len() {
+                        all.source[row + i] = from_row + input.source[i];
+                        all.sign[row + i] = sign * input.sign[i];
+                    }
+                    all.source[offset(bias) + o] = offset(bias) + from;
+                    all.sign[offset(bias) + o] = *sign;
+                }
+            }
+        };
+        place(&indices.policy, &spec.policy_sides(mirror));
+        place(&indices.value, &spec.value_sides(mirror));
+        let raw = offset(indices.raw_log_std);
+        for (i, from) in mirror.action.source.iter().enumerate() {
+            all.source[raw + i] = raw + from;
+        }
+        let source: Vec<i64> = all.source.iter().map(|&i| i as i64).collect();
+        Self {
+            source: Tensor::from_slice(&source).to_device(device),
+            sign: Tensor::from_slice(&all.sign).to_device(device),
+        }
+    }
+
+    pub fn share(&self) -> Self {
+        Self {
+            source: self.source.shallow_clone(),
+            sign: self.sign.shallow_clone(),
+        }
+    }
+
+    /// The symmetric part of `values` `[P]`: the mean of each and its counterpart. Exactly symmetric, to the
+    /// bit.
+    pub fn part_of(&self, values: &Tensor) -> Tensor {
+        let counterpart = values.index_select(0, &self.source).g_mul_(&self.sign);
+        (counterpart + values).g_mul_scalar_(0.5)
+    }
+
+    /// Whether `values` `[P]` are those of a symmetric network.
+    pub fn holds_for(&self, values: &Tensor) -> bool {
+        let off = (self.part_of(values) - values).abs() / values.abs().clamp_min(1.0);
+        let worst = off.max().double_value(&[]);
+        // a value that is not finite is somebody else's business
+        worst.is_nan() || worst <= ALIKE
+    }
+}
+
+/// How the mirror changes the values between the layers of a network, input and output included.
+pub(super) fn sides(
+    input: &SignedPermutation,
+    hidden: &[usize],
+    output: &SignedPermutation,
+) -> Vec<SignedPermutation> {
+    let hidden = hidden.iter().map(|&n| SignedPermutation::reversal(n));
+    let first = std::iter::once(input.clone());
+    first.chain(hidden).chain([output.clone()]).collect()
+}

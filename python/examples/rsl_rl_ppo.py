@@ -1,0 +1,60 @@
+"""PPO of rsl_rl on the environments of caudata."""
+
+import argparse
+import tempfile
+
+import caudata
+from caudata.rsl_rl import RslRlVecEnv
+from rsl_rl.runners import OnPolicyRunner
+
+
+def network(gaussian: bool) -> dict:
+    out = {"class_name": "MLPModel", "hidden_dims": [128, 64], "activation": "elu", "obs_normalization": True}
+    if gaussian:
+        out["distribution_cfg"] = {"class_name": "GaussianDistribution", "init_std": 1.0}
+    return out
+
+
+CONFIGURATION = {
+    "num_steps_per_env": 48,
+    "save_interval": 500,
+    "obs_groups": {"actor": ["policy"], "critic": ["policy"]},
+    "actor": network(True),
+    "critic": network(False),
+    "algorithm": {
+        "class_name": "PPO",
+        "num_learning_epochs": 2,
+        "num_mini_batches": 4,
+        "learning_rate": 1e-3,
+        "schedule": "adaptive",
+        "desired_kl": 0.01,
+        "gamma": 0.97,
+        "lam": 0.95,
+        "clip_param": 0.2,
+        "entropy_coef": 0.0,
+        "value_loss_coef": 0.5,
+        "max_grad_norm": 1.0,
+        "use_clipped_value_loss": True,
+        "rnd_cfg": None,
+        "symmetry_cfg": None,
+    },
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robot")
+    parser.add_argument("--task", default="quick")
+    parser.add_argument("--num-envs", type=int, default=128)
+    parser.add_argument("--iterations", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", help="folder for checkpoints and curves")
+    options = parser.parse_args()
+    envs = caudata.make_vec(options.robot, options.task, options.num_envs, seed=options.seed)
+    runner = OnPolicyRunner(RslRlVecEnv(envs), CONFIGURATION, options.out or tempfile.mkdtemp(), "cpu")
+    runner.learn(options.iterations)
+    print("rsl_rl: %d environment steps" % (options.iterations * 48 * options.num_envs))
+
+
+if __name__ == "__main__":
+    main()

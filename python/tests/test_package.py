@@ -1,0 +1,154 @@
+"""The programs, policies and logs of the package."""
+
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import caudata
+import numpy as np
+
+EXAMPLES = pathlib.Path(__file__).parent.parent / "examples"
+
+
+def example(name, *arguments):
+    done = subprocess.run([sys.executable, str(EXAMPLES / name), *arguments], capture_output=True, text=True)
+    if done.returncode != 0:
+        raise AssertionError("%s: %s" % (name, done.stderr))
+    return done.stdout
+
+
+def needs(*modules):
+    missing = []
+    for module in modules:
+        try:
+            __import__(module)
+        except ImportError:
+            missing.append(module)
+    return unittest.skipIf(missing, "not installed: " + ", ".join(missing))
+
+
+ROS_TOPICS = {"/joint_states", "/joint_commands", "/imu/data", "/tf", "/odom", "/base/pose"}
+
+
+def walk(folder):
+    """A robot that stands in the simulation, as an MCAP file."""
+    commands, out = os.path.join(folder, "commands.csv"), os.path.join(folder, "stand.mcap")
+    with open(commands, "w") as file:
+        file.write("t,cmd.FL_hip\n0,0\n0.5,0.1\n1,0\n")
+    csv = os.path.join(folder, "stand.csv")
+    robot = caudata.robot_path("polymander")
+    caudata.run("sim", "rollout", "--robot", robot, "--commands", commands, "--out", csv, quiet=True)
+    caudata.run("log", "convert", csv, "--out", out, "--robot", robot)
+    return out
+
+
+def mcap_summary(file):
+    """By topic: the message's type, and every message as the `mcap` package decodes it."""
+    try:
+        from mcap.reader import make_reader
+        from mcap_ros2.decoder import DecoderFactory
+    except ImportError as missing:
+        raise unittest.SkipTest(str(missing))
+    out = {}
+    for schema, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+        out.setdefault(channel.topic, (schema.name, []))[1].append(message)
+    return out
+
+
+class Package(unittest.TestCase):
+    def test_robots_policies_and_presets_are_in_the_package(self):
+        self.assertIn("polymander", caudata.robots())
+        self.assertLessEqual({"flat", "rough", "amphibious"}, set(caudata.policies()))
+        self.assertIn("quick", caudata.presets())
+
+    def test_a_policy_walks(self):
+        envs = caudata.make_vec("polymander", "flat", 16, seed=2, signals=True)
+        policy = caudata.Policy("flat")
+        policy.check(envs)
+        observations, _ = envs.reset(options={"command": (0.3, 0.0, 0.0)})
+        speeds = []
+        for _ in range(250):
+            observations, _, _, _, _ = envs.step(policy(observations))
+            speeds.append(envs.signals.com_vel_mps[:, 0].mean())
+        self.assertAlmostEqual(float(np.mean(speeds[100:])), 0.3, delta=0.06)
+
+    def test_a_policy_for_another_task_is_refused(self):
+        with self.assertRaisesRegex(ValueError, "observation"):
+            caudata.Policy("amphibious").check(caudata.make_vec("polymander", "flat", 1))
+
+    def test_programs_run_and_say_what_was_wrong(self):
+        self.assertIn("caudata", caudata.run("--version"))
+        with self.assertRaisesRegex(caudata.ProgramError, "unicorn") as raised:
+            caudata.run("eval", "--policy", "unicorn.onnx", quiet=True)
+        self.assertEqual(raised.exception.code, 66)
+
+    def test_an_evaluation(self):
+        out = caudata.evaluate("flat", preset="flat", episodes=4, seconds=6)
+        self.assertAlmostEqual(out.velocity_mps, 0.3, delta=0.06)
+        self.assertEqual(out.policy_sha256, caudata.Policy("flat").sha256)
+
+    def test_a_log_is_read_and_diagnosed(self):
+        # A servo that swings a weight: once as its file says, and measured with three times the friction.
+        robot = caudata.robot_path("xl330_pendulum")
+        time_s = np.arange(0, 6, 0.01)
+        with tempfile.TemporaryDirectory() as folder:
+            for run in range(2):
+                log = os.path.join(folder, "logs", "run_%d" % run)
+                os.makedirs(log)
+                commands = os.path.join(folder, "commands.csv")
+                angle_rad = 0.8 * np.sin((1.5 + run) * time_s)
+                rows = ["%.2f,%.6f" % pair for pair in zip(time_s, angle_rad)]
+                with open(commands, "w") as file:
+                    file.write("\n".join(["t,cmd.swing", *rows, ""]))
+                caudata.run("sim", "rollout", "--robot", robot, "--commands", commands, "--base", "fixed",
+                            "--rate-hz", "100", "--out", os.path.join(log, "log.csv"),
+                            "--set", "lane.joint_damping_nms_per_rad=0.02", quiet=True)  # fmt: skip
+            read = caudata.read_log(log)
+            self.assertEqual(read.meta["rate_hz"], 100)
+            self.assertGreater(len(read), 550)
+            self.assertEqual(list(read.joints("pos")), ["swing"])
+            self.assertLess(np.nanmax(np.abs(read["pos.swing"])), 0.9)
+            self.assertIn("swing", example("read_a_log.py", log))
+            report = caudata.diagnose(os.path.join(folder, "logs"), robot, only=["viscous_friction"], threads=1)
+            self.assertEqual([cause.effect for cause in report.causes], ["viscous_friction"])
+            self.assertIsNone(report.folder)
+            with self.assertRaises(ValueError):
+                caudata.read_log(folder)
+
+    def test_a_log_opens_in_the_tools_of_ros(self):
+        with tempfile.TemporaryDirectory() as folder:
+            out = walk(folder)
+            with open(out, "rb") as file:
+                summary = mcap_summary(file)
+            self.assertEqual(summary["/tf"][0], "tf2_msgs/msg/TFMessage")
+            self.assertLessEqual(ROS_TOPICS, set(summary))
+            back = os.path.join(folder, "back.csv")
+            caudata.run("log", "convert", out, "--out", back)
+            with open(back) as file:
+                self.assertEqual(file.readline().split(",")[0], "t")
+
+    def test_an_own_reward(self):
+        self.assertIn("mean reward", example("own_reward.py"))
+
+    @needs("torch")
+    def test_ppo(self):
+        small = ["--num-envs", "16", "--num-steps", "8", "--iterations", "3", "--print-every", "1"]
+        self.assertIn("3/3", example("ppo.py", *small))
+
+    @needs("stable_baselines3")
+    def test_ppo_of_stable_baselines3(self):
+        from stable_baselines3.common.env_checker import check_env
+
+        check_env(caudata.make("polymander", "quick"), skip_render_check=True)
+        example("sb3_ppo.py", "--num-envs", "16", "--n-steps", "8", "--steps", "256")
+
+    @needs("rsl_rl")
+    def test_ppo_of_rsl_rl(self):
+        example("rsl_rl_ppo.py", "--num-envs", "16", "--iterations", "2")
+
+
+if __name__ == "__main__":
+    unittest.main()

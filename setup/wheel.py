@@ -1,0 +1,104 @@
+#!/usr/bin/env python3
+"""Builds the Python wheel out of what cargo built, and tests it in a fresh virtual environment.
+
+The wheel goes to target/wheels. What cannot be had (Python 3.10, the package index) is said in one line, and with
+--test the tests are left out then; a test that fails, fails.
+"""
+
+import argparse
+import glob
+import os
+import shutil
+import subprocess
+import sys
+from typing import List, Optional
+
+import stage
+from common import SetupError, pip_environment, say
+from stage import CHECKOUT, TARGET
+
+PACKAGE = os.path.join(CHECKOUT, "python", "caudata")
+WHEELS = os.path.join(TARGET, "wheels")
+MATURIN = "maturin==1.16.0"
+# Readers of MCAP that are not ours.
+READERS = ("mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9")
+# What the examples need beside the wheel: with CAUDATA_TEST_TRAINERS=1, since torch alone is gigabytes.
+TRAINERS = ("torch==2.11.0", "stable-baselines3==2.9.2", "rsl-rl-lib==5.5.1")
+
+
+class Left(Exception):
+    """Why the wheel, or its test, is left out."""
+
+
+def main(arguments: Optional[List[str]] = None) -> int:
+    parser = argparse.ArgumentParser(prog="setup/wheel.py", description=__doc__)
+    parser.add_argument("--test", action="store_true", help="install the wheel and run python/tests on it")
+    options = parser.parse_args(arguments)
+    try:
+        wheel = build()
+        say("wheel: %s, %.0f MB" % (os.path.relpath(wheel), os.path.getsize(wheel) / 1e6))
+        return test(wheel) if options.test else 0
+    except Left as reason:
+        say("wheel: left out%s: %s" % (", and with it the tests in python/tests" if options.test else "", reason))
+        return 0 if options.test else 1
+
+
+def build() -> str:
+    if sys.version_info < (3, 10):
+        raise Left("the package needs Python 3.10 or newer, this is %s" % sys.version.split()[0])
+    tools = environment("wheel-tools", [MATURIN])
+    carry()
+    shutil.rmtree(WHEELS, ignore_errors=True)
+    command = [os.path.join(tools, "bin", "maturin"), "build", "--release", "--locked", "--quiet", "--out", WHEELS]
+    command += ["--manifest-path", os.path.join(CHECKOUT, "python", "Cargo.toml"), "--target-dir", TARGET]
+    if subprocess.run(command, cwd=CHECKOUT).returncode != 0:
+        sys.exit("setup: error: maturin could not build the wheel; its messages are above")
+    return glob.glob(os.path.join(WHEELS, "*.whl"))[0]
+
+
+def carry() -> None:
+    """Puts what the wheel carries beside the code into the package's folder."""
+    try:
+        stage.stage(PACKAGE)
+    except SetupError as error:
+        raise Left(error)
+    folder = os.path.join(PACKAGE, "setup")
+    shutil.rmtree(folder, ignore_errors=True)
+    os.mkdir(folder)
+    for path in glob.glob(os.path.join(CHECKOUT, "setup", "*.py")):
+        if not os.path.basename(path).startswith(("test_", "wheel", "dist", "lines", "stage")):
+            shutil.copy(path, folder)
+    shutil.copy(os.path.join(PACKAGE, "_setup_main.py"), os.path.join(folder, "__main__.py"))
+
+
+def test(wheel: str) -> int:
+    more = TRAINERS if os.environ.get("CAUDATA_TEST_TRAINERS") == "1" else ()
+    folder = environment("wheel-test", [wheel, *READERS, *more])
+    # Neither the checkout nor what it provisioned is there for an installed package.
+    clean = {name: value for name, value in os.environ.items() if name not in ("ORT_DYLIB_PATH", "PYTHONPATH")}
+    command = [os.path.join(folder, "bin", "python"), "-m", "unittest", "discover", "-s", "python/tests", "-b"]
+    return subprocess.run(command, cwd=CHECKOUT, env=clean).returncode
+
+
+def environment(name: str, packages: List[str]) -> str:
+    """A fresh virtual environment below target/ with these packages."""
+    folder = os.path.join(TARGET, name)
+    shutil.rmtree(folder, ignore_errors=True)
+    # Without pip inside, because Debian keeps ensurepip in a package of its own; ours installs from outside.
+    run("making a virtual environment", sys.executable, "-m", "venv", "--without-pip", folder)
+    python = os.path.join(folder, "bin", "python")
+    pip = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--disable-pip-version-check"]
+    run("pip", *pip, "--only-binary=:all:", *packages)
+    return folder
+
+
+def run(what: str, *command: str) -> None:
+    done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=pip_environment())
+    if done.returncode != 0:
+        lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
+        errors = [line for line in lines if line.startswith("ERROR")] or lines[-1:] or ["no message"]
+        raise Left("%s: %s" % (what, errors[-1]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
