@@ -51,8 +51,9 @@ pub fn robot(path: &Path) -> Result<RobotModel, Failure> {
 /// Exit code 66 where it cannot be read, 65 where it is wrong.
 pub fn policy(path: &Path) -> Result<PolicyFile, Failure> {
     let shown = || format!("policy {}", path.display());
-    let bytes = caudata_durable::read_at_most(&shipped(path), caudata_policy::MAX_FILE_BYTES as u64)
-        .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))?;
+    let bytes =
+        caudata_durable::read_at_most(&shipped(path), caudata_policy::MAX_FILE_BYTES as u64)
+            .or_exit_with(ExitCode::NoInput, || format!("cannot read {}", shown()))?;
     PolicyFile::parse(bytes.into()).or_exit_with(ExitCode::BadInput, shown)
 }
 

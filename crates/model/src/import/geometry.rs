@@ -90,7 +90,10 @@ pub(super) fn principal(inertia: [[f64; 3]; 3]) -> ([f64; 3], [f64; 4]) {
     }
     let column = |k: usize| [axes[0][k], axes[1][k], axes[2][k]];
     let quat = pose::quat_from_axes(column(0), column(1));
-    ([m[0][0], m[1][1], m[2][2]], quat.unwrap_or(Pose::IDENTITY.quat_wxyz))
+    (
+        [m[0][0], m[1][1], m[2][2]],
+        quat.unwrap_or(Pose::IDENTITY.quat_wxyz),
+    )
 }
 
 pub(super) fn diagonal([x, y, z]: [f64; 3]) -> [[f64; 3]; 3] {

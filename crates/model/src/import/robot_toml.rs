@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::Remark;
 use super::parts::{Joint, Robot, nominal};
+use super::remark::Remark;
 use crate::pose::Pose;
 use crate::types::{JointMotion, Shape};
 
