@@ -20,10 +20,7 @@ type Columns<'py> = (
 /// A log folder: its circumstances as JSON, time (s), columns by signal (NaN where not sampled), notes of the
 /// reader.
 #[pyfunction]
-pub fn read_log<'py>(
-    py: Python<'py>,
-    folder: PathBuf,
-) -> PyResult<Columns<'py>> {
+pub fn read_log<'py>(py: Python<'py>, folder: PathBuf) -> PyResult<Columns<'py>> {
     let log = py.detach(|| RunLog::read(&folder)).map_err(refused)?;
     let columns = PyDict::new(py);
     for signal in log.table.signals() {
