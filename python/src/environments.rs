@@ -238,6 +238,9 @@ fn slices<'a>(held: &'a mut [numpy::PyReadwriteArrayDyn<'_, f32>]) -> PyResult<V
     Ok(held.iter_mut().map(slice).collect::<Result<_, _>>()?)
 }
 
+/// A figure of an episode.
+type Figure = fn(&EpisodeStats) -> f32;
+
 /// The episodes that ended as arrays, one row for each.
 fn episodes(py: Python<'_>, output: StepOutput) -> PyResult<Bound<'_, PyDict>> {
     let out = PyDict::new(py);
@@ -246,7 +249,7 @@ fn episodes(py: Python<'_>, output: StepOutput) -> PyResult<Bound<'_, PyDict>> {
     let steps: Vec<i64> = all.iter().map(|e| i64::from(e.steps)).collect();
     out.set_item("lane", PyArray1::from_vec(py, lanes))?;
     out.set_item("steps", PyArray1::from_vec(py, steps))?;
-    let figures: [(&str, fn(&EpisodeStats) -> f32); 7] = [
+    let figures: [(&str, Figure); 7] = [
         ("return", |e| e.return_sum),
         ("mean_speed_mps", |e| e.mean_speed_mps),
         ("mean_velocity_error_mps", |e| e.mean_velocity_error_mps),
