@@ -47,7 +47,7 @@ pub struct LaneParams {
     pub joint_armature_kgm2: Vec<f32>,
     /// Viscous damping of each actuated joint, N·m·s/rad, 0..=100 (not the servo's Kd). `[A]`
     pub joint_damping_nms_per_rad: Vec<f32>,
-    /// Servo proportional gain at the joint, N·m/rad, 0..=1000. `[A]`
+    /// Servo proportional gain at the joint, N·m/rad, 0..=10000. `[A]`
     pub kp_nm_per_rad: Vec<f32>,
     /// Servo derivative gain at the joint, N·m·s/rad, 0..=100. `[A]`
     pub kd_nms_per_rad: Vec<f32>,
@@ -164,7 +164,7 @@ impl LaneParams {
             ("joint_friction_nm", &self.joint_friction_nm, a, 0.0, 100.0),
             ("joint_armature_kgm2", &self.joint_armature_kgm2, a, 0.0, 10.0),
             ("joint_damping_nms_per_rad", &self.joint_damping_nms_per_rad, a, 0.0, 100.0),
-            ("kp_nm_per_rad", &self.kp_nm_per_rad, a, 0.0, 1000.0),
+            ("kp_nm_per_rad", &self.kp_nm_per_rad, a, 0.0, 10_000.0),
             ("kd_nms_per_rad", &self.kd_nms_per_rad, a, 0.0, 100.0),
             ("torque_scale", &self.torque_scale, a, 0.0, 100.0),
             ("supply_v", &[self.supply_v], 1, 0.1, 1000.0),

@@ -7,7 +7,6 @@ use serde::Deserialize;
 use crate::error::ModelError;
 use crate::extension::Extension;
 use crate::params::{AddedShare, ContactParams, DragScale, ImuParams, ServoParams, SupplyParams};
-use crate::servos::{Brushless, Variant};
 
 /// Value of `format` that this version reads.
 pub(crate) const FORMAT: &str = "caudata.robot.v1";
@@ -90,6 +89,43 @@ pub(crate) struct ServoTable {
     pub variant: BTreeMap<String, Variant>,
     #[serde(default)]
     pub brushless: BTreeMap<String, Brushless>,
+}
+
+/// Table `[servo.brushless.NAME]`: an actuator under torque control, from motor, gear and current.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Brushless {
+    /// Torque per current at the rotor, N·m/A.
+    pub torque_constant_nm_per_a: f64,
+    /// Turns of the rotor per turn of the joint.
+    pub gear_ratio: f64,
+    /// Of the rotor about its own axis, kg·m².
+    pub rotor_inertia_kgm2: f64,
+    /// Largest current, A.
+    pub peak_current_a: f64,
+    /// Of the joint without load at `reference_supply_v`, rad/s.
+    pub no_load_speed_radps: f64,
+    /// Of the joint, up to which the peak current can be had, rad/s; default two thirds of the above.
+    pub corner_speed_radps: Option<f64>,
+    /// V.
+    pub reference_supply_v: f64,
+    /// Coulomb friction of the gear at the joint, N·m.
+    pub friction_loss_nm: f64,
+    /// Viscous friction at the joint, N·m·s/rad; default 0.
+    #[serde(default)]
+    pub damping_nm_s_per_rad: f64,
+    /// At the joint.
+    pub encoder_counts_per_turn: u32,
+}
+
+/// Table `[servo.variant.NAME]`: another type with some of its values changed.
+#[derive(Clone, Debug, Deserialize)]
+pub(crate) struct Variant {
+    /// A preset of the file or a type of the library.
+    pub of: String,
+    /// Keys of a preset.
+    #[serde(flatten)]
+    pub changes: toml::Table,
 }
 
 #[derive(Deserialize)]

@@ -3,45 +3,16 @@
 
 use std::collections::BTreeMap;
 
-use serde::Deserialize;
-
 use crate::error::ModelError;
 use crate::of_joint;
 use crate::params::ServoParams;
-use crate::robot_file::{Checker, RobotFile};
+use crate::robot_file::{Brushless, Checker, RobotFile, Variant};
 
 const LIBRARY: &str = include_str!("servos.toml");
 
 /// Share of the speed without load up to which a brushless actuator has its full torque, unless its table
 /// says otherwise: below that the current limits it, above it the voltage does.
 const CORNER_SHARE: f64 = 2.0 / 3.0;
-
-/// Table `[servo.brushless.NAME]`: an actuator under torque control, from motor, gear and current.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Brushless {
-    /// Torque per current at the rotor, N·m/A.
-    pub torque_constant_nm_per_a: f64,
-    /// Turns of the rotor per turn of the joint.
-    pub gear_ratio: f64,
-    /// Of the rotor about its own axis, kg·m².
-    pub rotor_inertia_kgm2: f64,
-    /// Largest current, A.
-    pub peak_current_a: f64,
-    /// Of the joint without load at `reference_supply_v`, rad/s.
-    pub no_load_speed_radps: f64,
-    /// Of the joint, up to which the peak current can be had, rad/s; default two thirds of the above.
-    pub corner_speed_radps: Option<f64>,
-    /// V.
-    pub reference_supply_v: f64,
-    /// Coulomb friction of the gear at the joint, N·m.
-    pub friction_loss_nm: f64,
-    /// Viscous friction at the joint, N·m·s/rad; default 0.
-    #[serde(default)]
-    pub damping_nm_s_per_rad: f64,
-    /// At the joint.
-    pub encoder_counts_per_turn: u32,
-}
 
 impl Brushless {
     /// The same as every other servo. Field-oriented control holds the torque whatever the speed, so nothing
@@ -161,16 +132,6 @@ impl Types {
         self.presets.push((name.to_owned(), servo));
         Ok(self.presets.len() - 1)
     }
-}
-
-/// Table `[servo.variant.NAME]`: another type with some of its values changed.
-#[derive(Clone, Debug, Deserialize)]
-pub(crate) struct Variant {
-    /// A preset of the file or a type of the library.
-    pub of: String,
-    /// Keys of a preset.
-    #[serde(flatten)]
-    pub changes: toml::Table,
 }
 
 fn varied(

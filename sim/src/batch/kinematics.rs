@@ -9,7 +9,8 @@ use super::contact_law::{ContactLaw, MEMORY, Touch};
 use super::frame::Frame;
 use super::ground::Ground;
 use super::group::{GroupParams, Layout, layout};
-use super::program::{Node, Part, Program};
+use super::place::Part;
+use super::program::{Node, Program};
 use super::vec3::{
     Inertia, V3, add, add_cross, add_scaled, columns, cross, dot, scale, sub, sym_times, turn,
     turn_sym, zero3,

@@ -7,7 +7,8 @@
 
 use super::frame::Frame;
 use super::group::Group;
-use super::program::{Part, Program};
+use super::place::Part;
+use super::program::Program;
 use super::vec3::{Inertia, V3, add, cross, dot, scale, select3, sub, zero3};
 use crate::real::Mask;
 use crate::simd::Lanes;

@@ -13,7 +13,7 @@ use super::group::{Group, Layout, layout};
 use super::integrate;
 use super::kinematics::{self, Push, World};
 use super::pairs;
-use super::program::Part;
+use super::place::Part;
 use super::shared::{Scratch, Shared};
 use super::vec3::{dot, zero3};
 use super::wet;

@@ -11,7 +11,8 @@ use std::ops::Range;
 use caudata_model::pose::{self, Pose};
 use caudata_model::{BaseKind, Foot, JointKind, JointMotion, RobotModel, Shape};
 
-use super::cores::{self, Core};
+use super::place::{Part, Place};
+use super::rounded::{self, Core};
 use crate::mobility::Mobility;
 use crate::self_contact;
 use crate::simd::Lanes;
@@ -73,17 +74,6 @@ pub(super) struct LinkPlace<R: Lanes> {
     pub origin: [R::Elem; 3],
 }
 
-/// What a contact point belongs to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
-    /// A foot, by index.
-    Foot(usize),
-    /// Anything else of what carries the feet.
-    Trunk,
-    /// What hangs behind without carrying feet.
-    Tail,
-}
-
 /// A ball (radius 0: a point) that may touch the ground.
 #[derive(Debug, Clone)]
 pub(super) struct Point<R: Lanes> {
@@ -101,15 +91,6 @@ pub(super) struct Point<R: Lanes> {
     /// Whether it is a shape of its own, not a corner or an end of one.
     pub is_ball: bool,
     pub part: Part,
-}
-
-/// A place on a node.
-#[derive(Debug, Clone)]
-pub(super) struct Place<R: Lanes> {
-    pub node: usize,
-    pub at: [R::Elem; 3],
-    /// Columns: node from place.
-    pub columns: [[R::Elem; 3]; 3],
 }
 
 /// The compiled robot.
@@ -180,7 +161,7 @@ impl<R: Lanes> Program<R> {
                 .position(|l| l.link == link)
                 .ok_or_else(|| SimError::Model(format!("link {link} is nowhere")))
         };
-        let (cores, core_pairs) = cores::cores(model, config, &place)?;
+        let (cores, core_pairs) = rounded::cores(model, config, &place)?;
         Ok(Self {
             cores,
             core_pairs,

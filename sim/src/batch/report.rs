@@ -4,7 +4,8 @@
 use super::frame::Frame;
 use super::group::{Group, Layout, layout};
 use super::kinematics::{self, take3};
-use super::program::{Place, Program};
+use super::place::Place;
+use super::program::Program;
 use super::readout::Readout;
 use super::shared::{Scratch, Shared};
 use super::vec3::{

@@ -2,32 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use super::mjcf::Context;
+use super::mjcf_context::Context;
 use super::parts::{Actuator, Robot};
 use super::tree::Element;
-
-/// Elements that are actuators of a joint; all share one kind of default.
-const KINDS: &[&str] = &[
-    "general",
-    "motor",
-    "position",
-    "velocity",
-    "intvelocity",
-    "damper",
-    "cylinder",
-    "muscle",
-    "adhesion",
-    "plugin",
-];
-
-/// Under which element a class keeps the defaults of `tag`.
-pub(super) fn default_tag(tag: &str) -> &str {
-    if KINDS.contains(&tag) {
-        "actuator"
-    } else {
-        tag
-    }
-}
 
 fn elements(root: &Element) -> impl Iterator<Item = &Element> {
     root.all("actuator").flat_map(|a| &a.children)

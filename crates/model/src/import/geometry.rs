@@ -60,6 +60,42 @@ impl Inertial {
     }
 }
 
+/// Turns of the search for principal axes; each halves the number of digits that are missing.
+const SWEEPS: usize = 32;
+
+/// Principal moments and the frame that they are about, seen from the given one (Jacobi's rotations).
+pub(super) fn principal(inertia: [[f64; 3]; 3]) -> ([f64; 3], [f64; 4]) {
+    let mut m = inertia;
+    let mut axes = diagonal([1.0; 3]);
+    for _ in 0..SWEEPS {
+        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
+            if m[p][q] == 0.0 {
+                continue;
+            }
+            let angle = 0.5 * (2.0 * m[p][q]).atan2(m[q][q] - m[p][p]);
+            let (s, c) = angle.sin_cos();
+            // columns p and q, then rows p and q
+            for row in m.iter_mut().chain(&mut axes) {
+                let (a, b) = (row[p], row[q]);
+                row[p] = c * a - s * b;
+                row[q] = s * a + c * b;
+            }
+            for k in 0..3 {
+                let (a, b) = (m[p][k], m[q][k]);
+                m[p][k] = c * a - s * b;
+                m[q][k] = s * a + c * b;
+            }
+            (m[p][q], m[q][p]) = (0.0, 0.0);
+        }
+    }
+    let column = |k: usize| [axes[0][k], axes[1][k], axes[2][k]];
+    let quat = pose::quat_from_axes(column(0), column(1));
+    (
+        [m[0][0], m[1][1], m[2][2]],
+        quat.unwrap_or(Pose::IDENTITY.quat_wxyz),
+    )
+}
+
 pub(super) fn diagonal([x, y, z]: [f64; 3]) -> [[f64; 3]; 3] {
     [[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]
 }
@@ -173,6 +209,24 @@ mod tests {
         }
         // m/12·(y² + z²) = 2/12·(0.16 + 0.36)
         near(one.inertia_kgm2[0][0], 2.0 / 12.0 * 0.52);
+    }
+
+    #[test]
+    fn principal_moments_turned_back_are_the_tensor() {
+        let quat = pose::quat_normalised([0.3, -0.4, 0.5, 0.7]).unwrap();
+        for moments in [[1.0, 2.0, 2.5], [1.0, 1.0, 1.5], [1e-6, 3e-6, 3.5e-6]] {
+            let tensor = pose::rotate_tensor(quat, diagonal(moments));
+            let (mut found, turn) = principal(tensor);
+            let back = pose::rotate_tensor(turn, diagonal(found));
+            for i in 0..9 {
+                let off = (back[i / 3][i % 3] - tensor[i / 3][i % 3]).abs();
+                assert!(off < 1e-14 * moments[2], "{off}");
+            }
+            found.sort_by(f64::total_cmp);
+            for i in 0..3 {
+                assert!((found[i] - moments[i]).abs() < 1e-14 * moments[2]);
+            }
+        }
     }
 
     #[test]

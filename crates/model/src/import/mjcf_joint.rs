@@ -1,6 +1,6 @@
 //! MJCF: joints.
 
-use super::mjcf::{Context, softness};
+use super::mjcf_context::{Context, softness};
 use super::parts::{Joint, Robot};
 use super::tree::Element;
 use crate::pose::{self, Pose};

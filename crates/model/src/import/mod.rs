@@ -9,14 +9,16 @@ mod actuators;
 mod geometry;
 mod mesh;
 mod mjcf;
+mod mjcf_context;
 mod mjcf_joint;
+mod mjcf_shape;
 mod parts;
+mod remark;
 mod robot_toml;
 mod tree;
 mod urdf;
 mod write;
 
-use std::fmt;
 use std::path::Path;
 
 use crate::error::ModelError;
@@ -24,25 +26,8 @@ use crate::model::RobotModel;
 
 use tree::Remarks;
 
-/// Something to say about one place of a file.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Remark {
-    /// File in which it stands.
-    pub file: String,
-    /// Line, counted from 1; 0: of no line in particular.
-    pub line: u32,
-    /// What is the matter and what to do, or what was done.
-    pub message: String,
-}
-
-impl fmt::Display for Remark {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.line {
-            0 => write!(f, "{}: {}", self.file, self.message),
-            line => write!(f, "{}:{line}: {}", self.file, self.message),
-        }
-    }
-}
+pub use remark::Remark;
+pub use urdf::ImportOptions;
 
 /// What became of a file.
 #[derive(Clone, Debug)]
@@ -72,15 +57,6 @@ pub enum ImportError {
 fn all(refusals: &[Remark]) -> String {
     let lines: Vec<String> = refusals.iter().map(ToString::to_string).collect();
     lines.join("\n")
-}
-
-/// What a file cannot say itself.
-#[derive(Clone, Debug, Default)]
-pub struct ImportOptions {
-    /// Name of the robot; default: the file's own.
-    pub name: Option<String>,
-    /// For a URDF: whether the root link is free; default: whether it has several legs.
-    pub free_base: Option<bool>,
 }
 
 /// Reads an MJCF or a URDF.

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use super::Remark;
 use super::parts::{Joint, Robot, nominal};
+use super::remark::Remark;
 use crate::pose::Pose;
 use crate::types::{JointMotion, Shape};
 
@@ -245,6 +245,8 @@ fn places(robot: &Robot) -> Vec<Pose> {
     for body in &robot.bodies {
         let mut at = match body.parent {
             Some(parent) => out[parent].compose(&body.parent_from_body),
+            // where a free base stands in the file is not how it stands
+            None if robot.free_base => Pose::IDENTITY,
             None => body.parent_from_body,
         };
         for joint in &body.joints {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use roxmltree::{Document, Node};
 
-use super::Remark;
+use super::remark::Remark;
 use crate::error::ModelError;
 use crate::load;
 

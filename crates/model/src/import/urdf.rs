@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::ImportOptions;
 use super::geometry::Inertial;
 use super::mesh::Meshes;
 use super::parts::{Actuator, Body, Geom, Joint, Robot};
@@ -13,6 +12,15 @@ use crate::types::{JointMotion, Shape, Softness};
 
 /// Deepest chain of links.
 const DEPTH_LIMIT: usize = 128;
+
+/// What a file cannot say itself.
+#[derive(Clone, Debug, Default)]
+pub struct ImportOptions {
+    /// Name of the robot; default: the file's own.
+    pub name: Option<String>,
+    /// For a URDF: whether the root link is free; default: whether it has several legs.
+    pub free_base: Option<bool>,
+}
 
 struct Reader<'a> {
     root: &'a Element,

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use super::geometry::principal;
 use super::parts::{Actuator, Body, Geom, Joint, Robot};
 use crate::pose::Pose;
 use crate::types::{JointMotion, Shape, Softness};
@@ -85,15 +86,14 @@ fn body(w: &mut String, robot: &Robot, index: usize, depth: usize) {
     }
     if let Some(i) = &own.inertial {
         let [x, y, z] = i.com_m;
-        let m = i.inertia_kgm2;
-        line(
-            w,
-            depth + 1,
-            &format!(
-                "<inertial pos=\"{x} {y} {z}\" mass=\"{}\" fullinertia=\"{} {} {} {} {} {}\"/>",
-                i.mass_kg, m[0][0], m[1][1], m[2][2], m[0][1], m[0][2], m[1][2]
-            ),
+        // principal axes: MuJoCo's own search for them is good to seven digits
+        let ([a, b, c], [qw, qx, qy, qz]) = principal(i.inertia_kgm2);
+        let quat = format!("quat=\"{qw} {qx} {qy} {qz}\"");
+        let mass = i.mass_kg;
+        let text = format!(
+            "<inertial pos=\"{x} {y} {z}\" {quat} mass=\"{mass}\" diaginertia=\"{a} {b} {c}\"/>"
         );
+        line(w, depth + 1, &text);
     }
     for joint in &own.joints {
         write_joint(w, joint, depth + 1);

@@ -1,0 +1,245 @@
+//! MJCF: what every element is read with: settings, default classes, places.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::geometry::Inertial;
+use super::mesh::Meshes;
+use super::tree::{Element, Remarks};
+use crate::mjcf::{Compiler, z_to};
+use crate::pose::{self, Pose};
+use crate::types::Softness;
+
+/// Between these MuJoCo holds impedances.
+const IMPEDANCE: (f64, f64) = (1e-4, 0.9999);
+
+/// Elements that are actuators of a joint; all share one kind of default.
+const KINDS: &[&str] = &[
+    "general",
+    "motor",
+    "position",
+    "velocity",
+    "intvelocity",
+    "damper",
+    "cylinder",
+    "muscle",
+    "adhesion",
+    "plugin",
+];
+
+/// Under which element a class keeps the defaults of `tag`.
+fn default_tag(tag: &str) -> &str {
+    if KINDS.contains(&tag) {
+        "actuator"
+    } else {
+        tag
+    }
+}
+
+/// Everything needed to read an element.
+pub(super) struct Context<'a> {
+    pub compiler: Compiler,
+    pub classes: BTreeMap<String, Class>,
+    pub meshes: Meshes,
+    pub remarks: &'a mut Remarks,
+    pub from_geoms: FromGeoms,
+    pub balance: bool,
+    pub least_mass: f64,
+    pub least_inertia: f64,
+}
+
+/// Attributes by element.
+pub(super) type Class = BTreeMap<String, BTreeMap<String, String>>;
+
+#[derive(Clone, Copy, PartialEq)]
+pub(super) enum FromGeoms {
+    Never,
+    Missing,
+    Always,
+}
+
+impl<'a> Context<'a> {
+    pub fn new(root: &Element, file: &Path, remarks: &'a mut Remarks) -> Self {
+        let mut context = Self {
+            compiler: Compiler::default(),
+            classes: BTreeMap::from([("main".to_owned(), Class::new())]),
+            meshes: Meshes::default(),
+            remarks,
+            from_geoms: FromGeoms::Missing,
+            balance: false,
+            least_mass: 0.0,
+            least_inertia: 0.0,
+        };
+        for compiler in root.all("compiler") {
+            context.compiler(compiler);
+        }
+        for default in root.all("default") {
+            context.class(default, "main", true);
+        }
+        let scale = context.classes["main"]
+            .get("mesh")
+            .cloned()
+            .unwrap_or_default();
+        context.meshes = Meshes::read(root, file, &scale, context.remarks);
+        context
+    }
+
+    fn compiler(&mut self, e: &Element) {
+        for (key, value) in &e.attributes {
+            match (key.as_str(), value.as_str()) {
+                ("angle", "radian") => self.compiler.rad_per_unit = 1.0,
+                ("angle", "degree") => self.compiler.rad_per_unit = 1f64.to_radians(),
+                ("autolimits", on) => self.compiler.autolimits = on != "false",
+                ("eulerseq", sequence) if self.compiler.set_euler(sequence) => {}
+                ("eulerseq", sequence) => {
+                    let what = "is not three of x y z X Y Z";
+                    self.remarks
+                        .refuse(e, format!("<compiler>: eulerseq `{sequence}` {what}"));
+                }
+                ("coordinate", "global") => {
+                    self.remarks.refuse(e, "<compiler>: coordinate=\"global\" is not read; convert the file to local coordinates");
+                }
+                ("inertiafromgeom", "true") => self.from_geoms = FromGeoms::Always,
+                ("inertiafromgeom", "false") => self.from_geoms = FromGeoms::Never,
+                ("balanceinertia", "true") => self.balance = true,
+                ("boundmass", _) => self.least_mass = e.number(key, self.remarks).unwrap_or(0.0),
+                ("boundinertia", _) => {
+                    self.least_inertia = e.number(key, self.remarks).unwrap_or(0.0)
+                }
+                ("settotalmass", total) if total.parse().is_ok_and(|x: f64| x > 0.0) => {
+                    self.remarks.refuse(
+                        e,
+                        "<compiler>: settotalmass is not read; write the masses themselves",
+                    );
+                }
+                ("discardvisual", "true") => {
+                    self.remarks.refuse(e, "<compiler>: discardvisual=\"true\" is not read; take the visual shapes out");
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Reads a class and those inside it.
+    fn class(&mut self, e: &Element, parent: &str, outermost: bool) {
+        let name = match (e.get("class"), outermost) {
+            (Some(name), _) => name.to_owned(),
+            (None, true) => "main".to_owned(),
+            (None, false) => {
+                self.remarks.refuse(e, "<default>: `class` is missing");
+                return;
+            }
+        };
+        let base = self.classes.get(&name).or_else(|| self.classes.get(parent));
+        let mut class = base.cloned().unwrap_or_default();
+        for child in e.children.iter().filter(|c| c.tag != "default") {
+            let tag = default_tag(&child.tag).to_owned();
+            let own = class.entry(tag).or_default();
+            own.extend(child.attributes.clone());
+        }
+        self.classes.insert(name.clone(), class);
+        for child in e.all("default") {
+            self.class(child, &name, false);
+        }
+    }
+
+    /// The element with what its class adds.
+    pub fn resolved(&mut self, e: &Element, childclass: Option<&str>) -> Element {
+        let name = e.get("class").or(childclass).unwrap_or("main");
+        let Some(class) = self.classes.get(name) else {
+            let label = e.label();
+            self.remarks
+                .refuse(e, format!("{label}: there is no default class `{name}`"));
+            return e.clone();
+        };
+        let mut out = Element {
+            children: Vec::new(),
+            ..e.clone()
+        };
+        for (key, value) in class.get(default_tag(&e.tag)).into_iter().flatten() {
+            // one way of saying where something lies replaces the other
+            let said = |other: &&str| e.attributes.contains_key(*other);
+            let turns = ["quat", "euler", "axisangle", "xyaxes", "zaxis"];
+            if turns.contains(&key.as_str()) && turns.iter().any(said) {
+                continue;
+            }
+            out.attributes
+                .entry(key.clone())
+                .or_insert_with(|| value.clone());
+        }
+        out
+    }
+
+    /// Place and orientation of an element.
+    pub fn pose(&mut self, e: &Element) -> Pose {
+        let pos_m = e.array("pos", self.remarks).unwrap_or([0.0; 3]);
+        let mut quat_wxyz = Pose::IDENTITY.quat_wxyz;
+        if let Some(q) = e.array::<4>("quat", self.remarks) {
+            quat_wxyz = pose::quat_normalised(q).unwrap_or(quat_wxyz);
+        } else if let Some(angles) = e.array::<3>("euler", self.remarks) {
+            quat_wxyz = self.compiler.euler_to_quat(angles);
+        } else if let Some([x, y, z, angle]) = e.array::<4>("axisangle", self.remarks) {
+            let length = pose::norm([x, y, z]).max(1e-12);
+            let axis = [x, y, z].map(|c| c / length);
+            quat_wxyz = pose::quat_from_axis_angle(axis, angle * self.compiler.rad_per_unit);
+        } else if let Some([a, b, c, d, e2, f]) = e.array::<6>("xyaxes", self.remarks) {
+            quat_wxyz = pose::quat_from_axes([a, b, c], [d, e2, f]).unwrap_or(quat_wxyz);
+        } else if let Some(z) = e.array::<3>("zaxis", self.remarks) {
+            let length = pose::norm(z).max(1e-12);
+            quat_wxyz = z_to(z.map(|c| c / length));
+        }
+        Pose { pos_m, quat_wxyz }
+    }
+
+    pub fn bounded(&self, mut inertial: Inertial) -> Inertial {
+        inertial.mass_kg = inertial.mass_kg.max(self.least_mass);
+        for i in 0..3 {
+            let moment = &mut inertial.inertia_kgm2[i][i];
+            *moment = moment.max(self.least_inertia);
+        }
+        inertial
+    }
+}
+
+/// How a constraint gives way, held within MuJoCo's limits.
+pub(super) fn softness(e: &Element, solref: &str, solimp: &str, remarks: &mut Remarks) -> Softness {
+    let mut out = Softness::default();
+    for (slot, x) in out
+        .solref
+        .iter_mut()
+        .zip(e.numbers(solref, remarks).unwrap_or_default())
+    {
+        *slot = x;
+    }
+    for (slot, x) in out
+        .solimp
+        .iter_mut()
+        .zip(e.numbers(solimp, remarks).unwrap_or_default())
+    {
+        *slot = x;
+    }
+    let [time, damping] = out.solref;
+    if !(time > 0.0 && damping > 0.0 || time < 0.0 && damping <= 0.0) {
+        out.solref = Softness::default().solref;
+        remarks.note(
+            e,
+            format!(
+                "{}: {solref} is not usable; MuJoCo's default is written",
+                e.label()
+            ),
+        );
+    }
+    for i in [0, 1, 3] {
+        out.solimp[i] = out.solimp[i].clamp(IMPEDANCE.0, IMPEDANCE.1);
+    }
+    out.solimp[2] = out.solimp[2].max(0.0);
+    let power = out.solimp[4];
+    if power != 1.0 && power != 2.0 {
+        out.solimp[4] = if power < 1.5 { 1.0 } else { 2.0 };
+        remarks.note_once(
+            e,
+            format!("{solimp}: the power {power} is rounded to 1 or 2"),
+        );
+    }
+    out
+}
