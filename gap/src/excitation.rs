@@ -61,8 +61,6 @@ impl Excitation {
                 }
             }
             for channel in trial.channels.iter().filter(|c| c.kind == Kind::Position) {
-                let own = model.kp_nm_per_rad(channel.index);
-                let kp = trial.kp_nm_per_rad.unwrap_or(own);
                 let joint = &mut all.joints[channel.index];
                 let name = model.actuated_names()[channel.index];
                 let kp = trial
