@@ -56,6 +56,8 @@ def provision(options: argparse.Namespace) -> Dict[str, str]:
     values = {
         "LIBTORCH": libtorch(options.verify),
         "ORT_DYLIB_PATH": onnxruntime(options.verify),
+        # The Python module is built against the stable interface; whatever Python this machine has is not asked.
+        "PYO3_NO_PYTHON": "1",
     }
     for wanted, asked_for in ((python_env.MUJOCO, options.with_mujoco), (python_env.ROS2, options.with_ros2)):
         python = python_env.provision(wanted) if asked_for else python_env.ready(wanted)

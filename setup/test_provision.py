@@ -261,7 +261,8 @@ class FreshMachine(ProvisionCase):
         self.assertEqual({"lib/libtorch_cpu.so", "lib/libtorch.so", "include/a/b.h", "stamp.json"}, found)
         self.assertEqual([], os.listdir(os.path.join(self.cache, "downloads")))
         library = os.path.join(self.cache, self.ort.folder, "lib", "libonnxruntime.so")
-        self.assertEqual("export LIBTORCH=%s\nexport ORT_DYLIB_PATH=%s\n" % (self.torch_folder, library), out)
+        lines = "export LIBTORCH=%s\nexport ORT_DYLIB_PATH=%s\nexport PYO3_NO_PYTHON=1\n"
+        self.assertEqual(lines % (self.torch_folder, library), out)
         with open(os.path.join(self.checkout, ".cargo", "config.toml")) as file:
             self.assertIn('LIBTORCH = "%s"\n' % self.torch_folder, file.read())
 

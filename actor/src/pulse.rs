@@ -69,8 +69,8 @@ impl ActorLink for PulsedLink {
     }
 }
 
-/// Says [`ALIVE`] on `out` twice a second while the loop beats, and [`JOINED`] once, when that is raised, until
-/// `stop` is raised or nobody reads. Runs on a thread of its own; a process that stands still (SIGSTOP,
+/// Says [`ALIVE`] on `out` twice a second while the loop beats, and [`JOINED`] once, when that is raised,
+/// until `stop` is raised or nobody reads. Runs on a thread of its own; a process that stands still (SIGSTOP,
 /// swapping) says nothing either.
 pub fn say_alive(pulse: &Pulse, joined: &AtomicBool, stop: &StopFlag, mut out: impl Write) {
     let mut told = false;

@@ -33,9 +33,9 @@ impl Adam {
         }
     }
 
-    /// One step on `parameters` `[P]`, in place, with torch's order of operations: m = β₁m + (1−β₁)g, v = β₂v
-    /// + (1−β₂)g², p −= lr/(1−β₁ᵗ) · m / (√v/√(1−β₂ᵗ) + ε). `rates`: number of parameters and their learning
-    /// rate, part after part, P in all.
+    /// One step on `parameters` `[P]`, in place, with torch's order of operations: m = β₁m + (1−β₁)g,
+    /// v = β₂v + (1−β₂)g², p −= lr/(1−β₁ᵗ) · m / (√v/√(1−β₂ᵗ) + ε). `rates`: number of parameters and their
+    /// learning rate, part after part, P in all.
     pub fn step(&mut self, parameters: &Tensor, gradient: &Tensor, rates: &[(usize, f64)]) {
         debug_assert_eq!(
             rates.iter().map(|part| part.0).sum::<usize>(),

@@ -387,7 +387,7 @@ impl Store {
             quarantined,
             reports,
             generation: self.generation(),
-            read_only: self.trouble().map(|reason| clipped(reason)),
+            read_only: self.trouble().map(clipped),
         }
     }
 }

@@ -49,7 +49,8 @@ class Policy:
         """
         mine, theirs = self.metadata["contract"], envs.contract
         passed_over = ("robot_hash", "command")
-        differing = [key for key in theirs if key not in passed_over and mine.get(key) != theirs[key]]
+        # A file that is older than a key says nothing of it.
+        differing = [key for key in theirs if key not in passed_over and mine.get(key, theirs[key]) != theirs[key]]
         if differing:
             raise ValueError(
                 "%s was made for another task: %s differ; make the environments with the preset that it was trained with"

@@ -10,6 +10,7 @@ use caudata_task::reward::TERMS;
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
 use pyo3::types::PyDict;
 
 use crate::refused;
@@ -26,13 +27,16 @@ pub struct Environments {
 }
 
 impl Environments {
-    fn lock(&self) -> MutexGuard<'_, VecEnv> {
-        self.env.lock().unwrap_or_else(PoisonError::into_inner)
+    /// A thread that waits here lets Python go on: whoever has the environments may need it to hand them
+    /// back.
+    fn lock(&self, py: Python<'_>) -> MutexGuard<'_, VecEnv> {
+        let locked = self.env.lock_py_attached(py);
+        locked.unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Fills the signals with what is now, and `observations` `[N, D]` with the present ones.
     fn show(&self, py: Python<'_>, observations: &mut PyReadwriteArray2<'_, f32>) -> PyResult<()> {
-        let env = self.lock();
+        let env = self.lock(py);
         if let Some(signals) = &self.signals {
             let mut held = signals.hold(py)?;
             let mut into = slices(&mut held)?;
@@ -47,8 +51,9 @@ impl Environments {
 
 #[pymethods]
 impl Environments {
-    /// Environments as a preset, a TOML file and overrides (`key=value`) describe them, later ones winning; on
-    /// another robot than theirs where one is given. A robot's relative path is also looked for below `home`.
+    /// Environments as a preset, a TOML file and overrides (`key=value`) describe them, later ones winning;
+    /// on another robot than theirs where one is given. A robot's relative path is also looked for below
+    /// `home`.
     #[new]
     #[pyo3(signature = (lanes, seed, threads, home, robot=None, preset=None, file=None, overrides=Vec::new(),
         signals=false))]
@@ -89,27 +94,27 @@ impl Environments {
 
     /// Number of lanes N, of observation values D, of actions A.
     #[getter]
-    fn shape(&self) -> (usize, usize, usize) {
-        let env = self.lock();
+    fn shape(&self, py: Python<'_>) -> (usize, usize, usize) {
+        let env = self.lock(py);
         (env.lanes(), env.obs_dim(), env.act_dim())
     }
 
     /// What a policy for these environments must be made for, as JSON.
     #[getter]
-    fn contract(&self) -> PyResult<String> {
-        serde_json::to_string(self.lock().contract()).map_err(refused)
+    fn contract(&self, py: Python<'_>) -> PyResult<String> {
+        serde_json::to_string(self.lock(py).contract()).map_err(refused)
     }
 
     /// Hash of the contract, 64 hex digits.
     #[getter]
-    fn contract_hash(&self) -> String {
-        self.lock().contract().hash_hex()
+    fn contract_hash(&self, py: Python<'_>) -> String {
+        self.lock(py).contract().hash_hex()
     }
 
     /// Longest episode, control steps.
     #[getter]
-    fn episode_steps(&self) -> u32 {
-        self.lock().task().episode_steps
+    fn episode_steps(&self, py: Python<'_>) -> u32 {
+        self.lock(py).task().episode_steps
     }
 
     /// Names of the reward's terms.
@@ -138,8 +143,8 @@ impl Environments {
         seed: Option<u64>,
     ) -> PyResult<()> {
         match seed {
-            Some(seed) => *self.lock() = build(&self.config, &self.model, seed)?,
-            None => self.lock().reset_all().map_err(refused)?,
+            Some(seed) => *self.lock(py) = build(&self.config, &self.model, seed)?,
+            None => self.lock(py).reset_all().map_err(refused)?,
         }
         self.show(py, &mut observations)
     }
@@ -156,24 +161,24 @@ impl Environments {
         if !rest.is_empty() {
             return Err(PyValueError::new_err("a command has three numbers"));
         }
-        self.lock().hold_commands(rows).map_err(refused)?;
+        self.lock(py).hold_commands(rows).map_err(refused)?;
         self.show(py, &mut observations)
     }
 
-    /// Fills the signals and `observations` with what is now: after a step in which episodes ended, the starts of
-    /// the next ones.
+    /// Fills the signals and `observations` with what is now: after a step in which episodes ended, the
+    /// starts of the next ones.
     fn look(&self, py: Python<'_>, mut observations: PyReadwriteArray2<'_, f32>) -> PyResult<()> {
         self.show(py, &mut observations)
     }
 
     /// Tells how many environment steps were done in all; pushes and costs may grow with it.
-    fn set_progress(&self, env_steps_total: u64) {
-        self.lock().set_progress(env_steps_total);
+    fn set_progress(&self, py: Python<'_>, env_steps_total: u64) {
+        self.lock(py).set_progress(env_steps_total);
     }
 
-    /// One control step. `actions` `[N, A]`; what it gives is written into the other arrays, `[N, D]` and `[N]`.
-    /// A lane whose episode ends begins the next one in the same step. Returns the episodes that ended, `None` if
-    /// there are none. Signals are those of the step, before any lane began anew.
+    /// One control step. `actions` `[N, A]`; what it gives is written into the other arrays, `[N, D]` and
+    /// `[N]`. A lane whose episode ends begins the next one in the same step. Returns the episodes that
+    /// ended, `None` if there are none. Signals are those of the step, before any lane began anew.
     fn step<'py>(
         &self,
         py: Python<'py>,
@@ -192,9 +197,9 @@ impl Environments {
         let (actions, observations) = (actions.as_slice()?, observations.as_slice_mut()?);
         let (rewards, terminated) = (rewards.as_slice_mut()?, terminated.as_slice_mut()?);
         let truncated = truncated.as_slice_mut()?;
-        let mut env = self.lock();
+        let mut env = self.lock(py);
         let env = &mut *env;
-        let ended = py.detach(|| {
+        let ended: Result<_, String> = py.detach(|| {
             let lanes = env.lanes();
             let commands: Vec<[f32; 3]> = (0..lanes).map(|lane| env.command(lane)).collect();
             let output = env.step_seen(actions, |env| {
@@ -210,7 +215,7 @@ impl Environments {
             observations.copy_from_slice(env.observations());
             Ok(ended)
         });
-        let ended = ended.map_err(PyValueError::new_err::<String>)?;
+        let ended = ended.map_err(PyValueError::new_err)?;
         ended.map(|output| episodes(py, output)).transpose()
     }
 }
@@ -233,6 +238,9 @@ fn slices<'a>(held: &'a mut [numpy::PyReadwriteArrayDyn<'_, f32>]) -> PyResult<V
     Ok(held.iter_mut().map(slice).collect::<Result<_, _>>()?)
 }
 
+/// A figure of an episode.
+type Figure = fn(&EpisodeStats) -> f32;
+
 /// The episodes that ended as arrays, one row for each.
 fn episodes(py: Python<'_>, output: StepOutput) -> PyResult<Bound<'_, PyDict>> {
     let out = PyDict::new(py);
@@ -241,7 +249,7 @@ fn episodes(py: Python<'_>, output: StepOutput) -> PyResult<Bound<'_, PyDict>> {
     let steps: Vec<i64> = all.iter().map(|e| i64::from(e.steps)).collect();
     out.set_item("lane", PyArray1::from_vec(py, lanes))?;
     out.set_item("steps", PyArray1::from_vec(py, steps))?;
-    let figures: [(&str, fn(&EpisodeStats) -> f32); 7] = [
+    let figures: [(&str, Figure); 7] = [
         ("return", |e| e.return_sum),
         ("mean_speed_mps", |e| e.mean_speed_mps),
         ("mean_velocity_error_mps", |e| e.mean_velocity_error_mps),

@@ -1,5 +1,5 @@
-//! `caudata._caudata`, the compiled half of the Python package: environments and logs as NumPy arrays. The other
-//! half, `python/caudata`, gives them the forms that Python's libraries expect.
+//! `caudata._caudata`, the compiled half of the Python package: environments and logs as NumPy arrays. The
+//! other half, `python/caudata`, gives them the forms that Python's libraries expect.
 //!
 //! *Invariant:* links neither libtorch nor a network library, and loads no ONNX Runtime; arrays are filled in
 //! place, in the memory that Python sees.

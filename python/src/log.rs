@@ -9,18 +9,18 @@ use pyo3::types::PyDict;
 
 use crate::refused;
 
-/// A log folder: its circumstances as JSON, time (s), columns by signal (NaN where not sampled), notes of the
-/// reader.
-#[pyfunction]
-pub fn read_log<'py>(
-    py: Python<'py>,
-    folder: PathBuf,
-) -> PyResult<(
+/// Circumstances, time, columns, notes.
+type Columns<'py> = (
     String,
     Bound<'py, PyArray1<f64>>,
     Bound<'py, PyDict>,
     Vec<String>,
-)> {
+);
+
+/// A log folder: its circumstances as JSON, time (s), columns by signal (NaN where not sampled), notes of the
+/// reader.
+#[pyfunction]
+pub fn read_log<'py>(py: Python<'py>, folder: PathBuf) -> PyResult<Columns<'py>> {
     let log = py.detach(|| RunLog::read(&folder)).map_err(refused)?;
     let columns = PyDict::new(py);
     for signal in log.table.signals() {

@@ -21,8 +21,8 @@ enum Source {
 
 use Source::{Command, Phase, State as S, Truth as T};
 
-/// Name, source, and how many numbers belong together (3: the last axis is a vector). `python/caudata/_signals.py`
-/// says what each is.
+/// Name, source, and how many numbers belong together (3: the last axis is a vector).
+/// `python/caudata/_signals.py` says what each is.
 #[rustfmt::skip]
 const TABLE: [(&str, Source, usize); 24] = [
     ("command", Command, 1),

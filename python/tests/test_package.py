@@ -125,6 +125,7 @@ class Package(unittest.TestCase):
                 summary = mcap_summary(file)
             self.assertEqual(summary["/tf"][0], "tf2_msgs/msg/TFMessage")
             self.assertLessEqual(ROS_TOPICS, set(summary))
+            self.assertIn("<robot", summary["/robot_description"][1][0].data)
             back = os.path.join(folder, "back.csv")
             caudata.run("log", "convert", out, "--out", back)
             with open(back) as file:

@@ -159,7 +159,8 @@ fn folder(out: &Path, log: &Path, meta: Option<LogMeta>, table: &Table) -> Resul
     writer.finish().or_exit(ExitCode::IoError)
 }
 
-/// The robot of a log: its file is named by flag, or by the log; a robot's name stands for its file in `robots/`.
+/// The robot of a log: its file is named by flag, or by the log; a robot's name stands for its file in
+/// `robots/`.
 fn robot(
     args: &ConvertArgs,
     meta: Option<&LogMeta>,
@@ -202,8 +203,9 @@ fn mcap(args: &ConvertArgs, table: &Table, robot: Option<&RobotModel>) -> Result
         return write(None);
     };
     let frames = RefCell::new(Frames::new(robot, table)?);
+    let description = robot.to_urdf();
     write(Some(&Scene {
-        description: "",
+        description: &description,
         base: robot.links().first().map_or("base", |link| &link.name),
         frames: &|row| frames.borrow_mut().at(row),
     }))

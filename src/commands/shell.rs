@@ -1,4 +1,5 @@
-//! `caudata completions` and `caudata man`: what a shell and a reader of manuals want to know of the commands.
+//! `caudata completions` and `caudata man`: what a shell and a reader of manuals want to know of the
+//! commands.
 
 use std::io::Write;
 use std::path::PathBuf;

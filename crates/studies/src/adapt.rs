@@ -132,6 +132,9 @@ impl From<&Cause> for Named {
     }
 }
 
+/// Publishes the policy file at a path, and gives its version.
+pub type Publish<'a> = &'a dyn Fn(&Path) -> Result<u64, Failure>;
+
 /// Adapts as `plan` says, and leaves everything in its output folder. `publish` is called with a new policy
 /// that is better, and gives its version.
 ///
@@ -141,7 +144,7 @@ impl From<&Cause> for Named {
 pub fn adapt(
     plan: &Plan,
     mut steps: Steps<'_>,
-    publish: Option<&dyn Fn(&Path) -> Result<u64, Failure>>,
+    publish: Option<Publish<'_>>,
 ) -> Result<Adapted, Failure> {
     let policy = files::policy(&plan.policy)?;
     let flags = flags::or_beside(&plan.config, &plan.policy, "flat");

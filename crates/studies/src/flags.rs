@@ -75,8 +75,8 @@ pub fn or_beside(flags: &ConfigArgs, policy: &Path, preset: &str) -> ConfigArgs 
     or_preset(&flags, preset)
 }
 
-/// The presets in whose tasks a policy's numbers mean what they meant in training; the one that it was most likely
-/// trained with first.
+/// The presets in whose tasks a policy's numbers mean what they meant in training; the one that it was most
+/// likely trained with first.
 #[must_use]
 pub fn presets_for(contract: &PolicyContract) -> Vec<&'static str> {
     let differences = |preset: &&Preset| {

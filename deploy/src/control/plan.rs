@@ -108,8 +108,8 @@ pub struct Counts {
     /// Time that a policy was in charge, s of the robot's time.
     pub walked_s: f64,
     /// Sum of the commands over walking ticks, and their number.
-    pub(super) command_sum: [f64; COMMAND_DIM],
-    pub(crate) walking_ticks: u64,
+    pub(crate) command_sum: [f64; COMMAND_DIM],
+    pub(super) walking_ticks: u64,
     /// From waking to sent.
     pub tick_latency: Latencies,
     /// From due to woken.

@@ -48,7 +48,9 @@ pub fn choose(
             false => BUILT_WELL,
         };
         let angles = Angles::of(context, &context.fit.data);
-        let off = angles.residuals(&[of_search.terms.clone()])?.swap_remove(0);
+        let off = angles
+            .residuals(std::slice::from_ref(&of_search.terms))?
+            .swap_remove(0);
         let own: Vec<f64> = (0..off.len())
             .filter(|&a| angles.measured(a))
             .map(|a| mean_abs(&off[a]))

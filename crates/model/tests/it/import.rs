@@ -80,9 +80,15 @@ fn classes_welds_masses_and_a_named_pose_by_hand() {
         (BaseKind::Free, 2, 1)
     );
     // the mount is welded: 2 kg of box and 1000·4/3·π·0.05³ = 0.5236 kg of ball, 0.1 m below
+    let ball_kg = 1000.0 * 4.0 / 3.0 * std::f64::consts::PI * 0.05f64.powi(3);
     let base = &m.links()[0];
     near("mass", base.mass_kg, 2.5236, 1e-4);
-    near("centre", base.com_m[2], -0.1 * 0.523_599 / 2.523_599, 1e-6);
+    near(
+        "centre",
+        base.com_m[2],
+        -0.1 * ball_kg / (2.0 + ball_kg),
+        1e-6,
+    );
     let leg = &m.links()[1];
     near("leg at", leg.parent_from_link.pos_m[0], 0.01, 1e-15);
     near("leg at", leg.parent_from_link.pos_m[2], -0.1, 1e-15);
@@ -259,8 +265,8 @@ fn a_folder_of_models() {
     files.sort();
     for file in files {
         match import::import(&file, &ImportOptions::default()) {
-            Ok(made) => println!("loaded  {} ({} notes)", file.display(), made.notes.len()),
-            Err(error) => println!("REFUSED {}\n{error}", file.display()),
+            Ok(made) => eprintln!("loaded  {} ({} notes)", file.display(), made.notes.len()),
+            Err(error) => eprintln!("REFUSED {}\n{error}", file.display()),
         }
     }
 }

@@ -149,8 +149,9 @@ impl Authority {
         Ok(folder)
     }
 
-    /// Makes key and certificate of one process again, for the same role, name, hosts and number of days, if the one
-    /// that it has ends within `within`. Returns until when the process has one, and whether it is new.
+    /// Makes key and certificate of one process again, for the same role, name, hosts and number of days, if
+    /// the one that it has ends within `within`. Returns until when the process has one, and whether it is
+    /// new.
     ///
     /// # Errors
     /// As [`Self::issue`]; [`PkiError::File`] and [`PkiError::Content`] where there is none to renew.

@@ -4,6 +4,9 @@
 use caudata_evaluation::{Estimate, ScenarioResult};
 use serde::Serialize;
 
+/// A figure of a run.
+type Of<'a> = &'a dyn Fn(&Run) -> f64;
+
 /// Two-sided 95 % points of Student's distribution for 1, 2, … degrees of freedom; the last one for all more
 /// (it is a little too wide for them).
 const T_95: [f64; 10] = [
@@ -106,21 +109,21 @@ impl Figures {
         let episodes = runs.iter().map(|r| r.episodes).sum();
         Self {
             falls: Estimate::share(falls, episodes).into(),
-            ..Self::over(&|value| runs.iter().map(value).collect())
+            ..Self::over(|value| runs.iter().map(value).collect())
         }
     }
 
     /// What `runs` have less of than `others`, training by training: the same seed stands in the same place.
     pub fn less(runs: &[Run], others: &[Run]) -> Self {
-        Self::over(&|value| {
+        Self::over(|value| {
             let pairs = runs.iter().zip(others);
             pairs.map(|(r, o)| value(o) - value(r)).collect()
         })
     }
 
     /// Student's intervals of each figure of a run.
-    fn over(values: &dyn Fn(&dyn Fn(&Run) -> f64) -> Vec<f64>) -> Self {
-        let interval = |value: &dyn Fn(&Run) -> f64| Interval::of(&values(value));
+    fn over(values: impl Fn(Of<'_>) -> Vec<f64>) -> Self {
+        let interval = |value: Of<'_>| Interval::of(&values(value));
         Self {
             forward_mps: interval(&|r| r.off[0]),
             sideways_mps: interval(&|r| r.off[1]),
