@@ -2,17 +2,18 @@
 
 use std::collections::BTreeMap;
 
-use super::carried::Model;
 use super::request::Request;
 use super::state::Context;
 use crate::extension::{self, Extension, ExtensionEffect, ExtensionParameter};
+use crate::replay::Term;
 use crate::report::{Cause, Parameter};
 
-/// The extension that `carried` comes to, with `effects` for its terms, and frames that are lost.
+/// The extension that `terms` come to, with `effects` for what they say of themselves, and frames that are
+/// lost.
 pub fn extended(
     request: &Request,
     context: &Context,
-    carried: &Model,
+    terms: &[Term],
     effects: &[ExtensionEffect],
     losses: Option<&Cause>,
 ) -> Extension {
@@ -37,7 +38,7 @@ pub fn extended(
             .into_iter()
             .map(|(k, (sum, n))| (k, (sum / n as f64).sqrt()))
             .collect(),
-        lane: extension::lane(model, &context.replayer.with_given(&carried.state.terms)),
+        lane: extension::lane(model, &context.replayer.with_given(terms)),
     }
 }
 

@@ -7,6 +7,7 @@ use super::search::Found;
 use super::state::Context;
 use crate::effects::Effect;
 use crate::error::GapError;
+use crate::excitation::Excitation;
 use crate::excite::{self, DEFAULT_RATE_HZ};
 use crate::replay::{Data, SegmentOptions, Term, Variant};
 use crate::report::{Cause, LocalGap, NextExperiment, Verdict};
@@ -158,10 +159,16 @@ fn in_the_dark(
         with.push(Term {
             effect,
             values: effect.sizes(model, &place, middle),
-            place,
+            place: place.clone(),
         });
         let pair = [found.best.terms.clone(), with];
-        let made_for = |trial: &excite::Trial| trial.excites.iter().any(|e| e == effect.id);
+        // a trial after which it could not be seen either is no help
+        let made_for = |trial: &excite::Trial| {
+            let mut excited = Excitation::of(model, &[&as_run(trial)]);
+            excited.kinds.extend(&context.excitation.kinds);
+            let seen = || (effect.unseen)(&excited, &place).is_none();
+            trial.excites.iter().any(|e| e == effect.id) && seen()
+        };
         if let Some((trial, apart_rad)) = most_telling(context, request, &pair, made_for)? {
             return Ok(Some(told(effect, why, trial, apart_rad)));
         }

@@ -90,22 +90,18 @@ pub struct Evidence<'a> {
     pub unfinished: bool,
 }
 
-/// Draws the conclusion.
-pub fn conclude(
-    request: &Request,
-    context: &Context,
-    evidence: &Evidence<'_>,
-    runs: Vec<RunUse>,
-    split: Split,
-) -> Result<Diagnosis, GapError> {
-    let Evidence {
-        found,
-        named,
-        carried,
-        ..
-    } = *evidence;
+/// Causes and leads, strongest first, and what is doubtful about them.
+struct Told<'a> {
+    all: Vec<Cause>,
+    are_leads: Vec<bool>,
+    doubts: Doubts<'a>,
+    spread: Spread,
+    /// How sure one is of a cause that nothing denies.
+    undenied: f64,
+}
+
+fn told_of<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<Told<'a>, GapError> {
     let (base, best) = (&found.base, &found.best);
-    let model = &carried.state;
     let derivatives = context.derivatives(&best.terms)?;
     let spread = spread(context, best, &derivatives);
     let mut order: Vec<&Named> = named.iter().collect();
@@ -127,10 +123,41 @@ pub fn conclude(
         cause(context, best, n, &spread, trust)
     };
     let all = order.iter().zip(&are_leads).map(trusted);
-    let all: Vec<Cause> = all.collect::<Result<_, _>>()?;
+    Ok(Told {
+        all: all.collect::<Result<_, _>>()?,
+        are_leads,
+        doubts,
+        spread,
+        undenied,
+    })
+}
+
+/// Draws the conclusion.
+pub fn conclude(
+    request: &Request,
+    context: &Context,
+    evidence: &Evidence<'_>,
+    runs: Vec<RunUse>,
+    split: Split,
+) -> Result<Diagnosis, GapError> {
+    let Evidence {
+        found,
+        named,
+        carried,
+        ..
+    } = *evidence;
+    let (base, best) = (&found.base, &found.best);
+    let model = &carried.state;
+    let Told {
+        all,
+        are_leads,
+        doubts,
+        spread,
+        undenied,
+    } = told_of(context, found, named)?;
     let losses = (context.losses.as_ref()).map(|l| l.cause(undenied));
     let entries = carried.entries(context, &all);
-    let extension = extended(request, context, carried, &entries, losses.as_ref());
+    let extension = extended(request, context, &model.terms, &entries, losses.as_ref());
     let mut are_leads = are_leads.into_iter();
     let (leads, mut causes): (Vec<Cause>, Vec<Cause>) = all
         .into_iter()
@@ -145,14 +172,13 @@ pub fn conclude(
     let position_errors = evidence.tracking.errors(context, &model.terms)?;
     let listed = carried.listed(&entries);
     let first = words::first(verdict, &position_errors, evidence.unfinished);
-    let last = words::last(verdict, &listed, &local);
+    let last = words::last(&listed, &local);
     let summary = [first, told, last].concat();
     if !matches!(verdict, Verdict::PartlyExplained | Verdict::Unexplained) {
         unexplained.clear();
     }
     let cells = |on: &On| divergence(&context.holdout, on, context.seed);
     let extended_at_all = !model.terms.is_empty() || context.losses.is_some();
-    let floor = floors(context, &found.first, best.misfit());
     let mut plots = pictures::plots(context, found, model, named);
     plots.correlation = correlation(best, &spread);
     Ok(Diagnosis {
@@ -182,7 +208,7 @@ pub fn conclude(
                 &local,
             )?,
             local_gaps: local,
-            detection_floor: floor,
+            detection_floor: floors(context, &found.first, best.misfit()),
             data_faults: Vec::new(),
             causes,
             leads,

@@ -108,7 +108,7 @@ pub fn first(verdict: Verdict, errors: &[PositionError], unfinished: bool) -> St
 }
 
 /// What comes last: effects that are in the model without a name, and stretches that are far off.
-pub fn last(verdict: Verdict, model: &[Carried], local: &[LocalGap]) -> String {
+pub fn last(model: &[Carried], local: &[LocalGap]) -> String {
     let mut text = String::new();
     let unnamed = model.iter().filter(|c| !c.named).count();
     if unnamed > 0 {
@@ -116,7 +116,7 @@ pub fn last(verdict: Verdict, model: &[Carried], local: &[LocalGap]) -> String {
             " The extended model carries {unnamed} effect(s) that the runs support and whose names are no findings."
         ));
     }
-    if let Some(worst) = local.first().filter(|_| verdict != Verdict::Explained) {
+    if let Some(worst) = local.first() {
         text.push_str(&format!(
             " In run {} joint {} is {} rad off from {:.1} s to {:.1} s, {:.1} times what runs differ by.",
             worst.run, worst.joint, rounded(worst.rms_rad), worst.from_s, worst.to_s, worst.ratio

@@ -166,6 +166,7 @@ fn gain(body: &mut String, report: &Report, plots: Option<&Plots>) {
     if !report.gain.is_empty() {
         body.push_str(&figures::gains(report));
     }
+    body.push_str(&sections::position_errors(report));
     if waterfall.len() > 1 {
         body.push_str(&figures::waterfall(waterfall));
     }

@@ -428,3 +428,36 @@ pub fn cells(report: &Report) -> String {
     out.push_str("</tbody></table></div></details>");
     out
 }
+
+/// Errors of angles: of the robot as given, of standard models, and of the extended one.
+pub fn position_errors(report: &Report) -> String {
+    let Some(given) = report.position_errors.first() else {
+        return String::new();
+    };
+    let mut out = String::from(
+        "<p class=\"soft\">Mean absolute error of the angles over whole held-out runs, rad. Standard models are fitted to the same runs.</p><div class=\"card scroll\"><table><thead><tr><th>model</th><th>all joints</th>",
+    );
+    for joint in given.joints_rad.keys() {
+        let _ = write!(out, "<th>{}</th>", escape(joint));
+    }
+    out.push_str("</tr></thead><tbody>");
+    for e in &report.position_errors {
+        let _ = write!(
+            out,
+            "<tr><td>{}</td><td>{}</td>",
+            escape(&e.model),
+            number(e.mean_rad)
+        );
+        for joint in given.joints_rad.keys() {
+            let error = e
+                .joints_rad
+                .get(joint)
+                .copied()
+                .map_or(String::new(), number);
+            let _ = write!(out, "<td>{error}</td>");
+        }
+        out.push_str("</tr>");
+    }
+    out.push_str("</tbody></table></div>");
+    out
+}

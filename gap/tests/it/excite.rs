@@ -191,3 +191,17 @@ fn every_effect_of_the_catalogue_has_a_trial() {
         );
     }
 }
+
+#[test]
+fn a_run_that_names_a_trial_is_known_for_it() {
+    let known = [
+        ("holds_long_kp100_2", Some("holds_long")),
+        ("3-holds", Some("holds")),
+        ("scaffolds", None),
+        ("run 7: steps_medium, second day", Some("steps_medium")),
+        ("", None),
+    ];
+    for (text, trial) in known {
+        assert_eq!(caudata_gap::excite::names_in(text), trial, "{text}");
+    }
+}

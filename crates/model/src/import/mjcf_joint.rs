@@ -15,25 +15,8 @@ pub(super) fn read(
     robot: &mut Robot,
 ) {
     let label = e.label();
-    let free = e.tag == "freejoint" || e.get("type") == Some("free");
-    if free {
-        if robot.bodies[index].parent.is_some() {
-            let message = format!(
-                "{label}: a free joint belongs to the root body; move this body to the world"
-            );
-            context.remarks.refuse(e, message);
-        }
-        let drags = ["damping", "armature", "frictionloss"];
-        let dragged = drags
-            .iter()
-            .any(|k| e.get(k).is_some_and(|v| v.trim() != "0"));
-        if e.tag == "joint" && dragged {
-            let message = format!(
-                "{label}: damping, armature and friction of a free joint are not kept; MuJoCo has them (write <freejoint/>)"
-            );
-            context.remarks.note(e, message);
-        }
-        robot.free_base = true;
+    if e.tag == "freejoint" || e.get("type") == Some("free") {
+        free(context, e, index, robot);
         return;
     }
     let motion = match e.get("type").unwrap_or("hinge") {
@@ -96,6 +79,25 @@ pub(super) fn read(
         element: e.clone(),
     };
     robot.bodies[index].joints.push(joint);
+}
+
+/// The joint of a free base.
+fn free(context: &mut Context<'_>, e: &Element, index: usize, robot: &mut Robot) {
+    let label = e.label();
+    if robot.bodies[index].parent.is_some() {
+        let message =
+            format!("{label}: a free joint belongs to the root body; move this body to the world");
+        context.remarks.refuse(e, message);
+    }
+    let drags = ["damping", "armature", "frictionloss"];
+    let dragged = |key: &&str| e.get(key).is_some_and(|v| v.trim() != "0");
+    if e.tag == "joint" && drags.iter().any(dragged) {
+        let message = format!(
+            "{label}: damping, armature and friction of a free joint are not kept; MuJoCo has them (write <freejoint/>)"
+        );
+        context.remarks.note(e, message);
+    }
+    robot.free_base = true;
 }
 
 fn name(e: &Element, robot: &Robot) -> String {
