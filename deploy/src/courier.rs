@@ -231,7 +231,7 @@ impl Courier {
 mod tests {
     use super::*;
     use crate::testing::{model, policy_file};
-    use caudata_task::{ACT_DIM, PolicyContract, TaskConfig};
+    use caudata_task::{PolicyContract, TaskConfig};
 
     #[test]
     fn a_policy_that_observes_water_is_refused_where_nothing_tells() {
@@ -244,7 +244,7 @@ mod tests {
             spec.obs_mean.push(0.0);
             spec.obs_std.push(1.0);
             spec.layers[0].input = 98;
-            spec.layers[0].weight.resize(98 * ACT_DIM, 0.0);
+            spec.layers[0].weight.resize(98 * 16, 0.0);
         });
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("swims.onnx");

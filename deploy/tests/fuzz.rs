@@ -425,7 +425,7 @@ fn robot_link_message() {
     let hello = robot_link::RobotMessage::Hello(Box::new(robot_link::Hello {
         robot_name: "polymander".into(),
         robot_hash: [3; 32],
-        joint_names: std::array::from_fn(|i| format!("joint_{i}")),
+        joint_names: (0..16).map(|i| format!("joint_{i}")).collect(),
         control_period_s: 0.02,
     }));
     let seeds = vec![robot_link::encode(&hello)];

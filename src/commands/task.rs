@@ -67,7 +67,7 @@ fn terms() {
         let frame = part.frame(&["each foot".to_owned()]);
         vec![part.name().to_owned(), part.unit().to_owned(), frame]
     });
-    say::table(&["term", "unit", "values"], rows.into_iter());
+    say::table(&["term", "unit", "values"], rows);
     say::line("\nSignals for values of one's own (radians are pure numbers)");
     let rows = SIGNALS.iter().map(|signal| {
         let known = match signal.known {

@@ -109,7 +109,8 @@ impl Mirror {
             return Err(TaskError::term(
                 "task.observation",
                 "term",
-                "makes an observation whose mirror image is not known; leave symmetry off".to_owned(),
+                "makes an observation whose mirror image is not known; leave symmetry off"
+                    .to_owned(),
             ));
         }
         let mut observation = SignedPermutation::identity(layout.dim());

@@ -335,7 +335,7 @@ fn transition(speed_mps: f32) -> Vec<Scenario> {
             ..shore(THERE_AND_BACK, [0.0; 2], 0.0, Goal::ThereAndBack)
         },
     ];
-    all.extend(swim());
+    all.extend(swim(speed_mps));
     all
 }
 

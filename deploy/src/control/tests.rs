@@ -215,7 +215,7 @@ fn stands_up_walks_stands_and_lets_go() {
         .iter()
         .map(|q| *q as f32)
         .collect();
-    assert_eq!(robot.sent.last().unwrap().as_slice(), nominal);
+    assert_eq!(robot.sent.last().unwrap()[..], nominal);
     // Nowhere a jump: ramps move 0.01 rad per tick, and the gate allows 0.3.
     let steps = robot.sent.windows(2).map(|w| (w[1][9] - w[0][9]).abs());
     assert!(steps.fold(0.0, f32::max) < 0.1);
@@ -534,7 +534,7 @@ fn fault_47_a_silent_link_stops_then_stands_and_walks_on_when_it_is_back() {
     assert_eq!(result.unwrap(), Ended::Time);
     let model = model();
     let nominal: Vec<f32> = model.nominal_pos_rad().iter().map(|q| *q as f32).collect();
-    let stands = |tick: usize| sent[tick].as_slice() == nominal;
+    let stands = |tick: usize| sent[tick][..] == nominal;
     assert!(!stands(190) && !stands(240), "walks, then with speed 0");
     // 1 s (50 ticks) after the last command it goes back at 0.01 rad per tick and stands.
     assert!(stands(390), "stands");

@@ -87,7 +87,7 @@ impl ServoBus for Timed {
         self.at(|robot| robot.read(deadline))
     }
 
-    fn write(&mut self, targets_rad: &[f32; ACT_DIM]) -> Result<(), BusError> {
+    fn write(&mut self, targets_rad: &PerJoint) -> Result<(), BusError> {
         self.at(|robot| robot.write(targets_rad))?;
         self.sent.push(self.time.now());
         let now_us = self.time.now().as_micros() as u64;
@@ -261,7 +261,7 @@ fn watchdog(hang_after: Duration) -> Duration {
     let port = robot.bus_mut().port_mut();
     port.wait_us(hang_after.as_micros() as u64);
     let hung_us = port.now_us();
-    while (0..ACT_DIM).any(|joint| !emulated(&mut robot, joint).watchdog_fired()) {
+    while (0..16).any(|joint| !emulated(&mut robot, joint).watchdog_fired()) {
         robot.bus_mut().port_mut().wait_us(500);
     }
     Duration::from_micros(robot.bus_mut().port_mut().now_us() - hung_us)
@@ -360,7 +360,7 @@ fn table(tries: usize) -> String {
 
 #[test]
 fn what_safety_rests_on_comes_within_its_promise() {
-    eprintln!("{}", table(10));
+    eprintln!("{}", table(2));
 }
 
 #[test]

@@ -485,7 +485,7 @@ fn in_water_the_body_makes_a_wave_that_travels_to_the_tail() {
     // Turning to the left at 0.5 rad/s, each joint lags by 0.2·0.5 = 0.1 rad.
     let turning = RewardConfig {
         wave_turn_rad: 0.2,
-        ..config
+        ..config.clone()
     };
     let bent = wave.map(|q| q - 0.1);
     let to_the_left = RewardInput {

@@ -18,10 +18,10 @@ const VELOCITY: &str = "3/robot1/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01
 fn tick() -> Tick {
     Tick {
         time_s: 1.0,
-        pos_rad: std::array::from_fn(|i| 0.01 * i as f32),
-        vel_radps: [0.5; 16],
-        current_a: [0.25; 16],
-        target_rad: [0.0; 16],
+        pos_rad: std::array::from_fn::<f32, 16, _>(|i| 0.01 * i as f32).into(),
+        vel_radps: [0.5; 16].into(),
+        current_a: [0.25; 16].into(),
+        target_rad: [0.0; 16].into(),
         gyro_radps: [0.125, 0.0, -0.5],
         acc_mps2: [0.0, 0.0, 9.75],
         gravity: [0.0, 0.0, -1.0],

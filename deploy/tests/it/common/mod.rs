@@ -133,15 +133,15 @@ fn serve_robot(mut stream: TcpStream) {
     let hello = Hello {
         robot_name: model.name().to_owned(),
         robot_hash: model.hash(),
-        joint_names: std::array::from_fn(|i| names[i].to_owned()),
+        joint_names: names.into_iter().map(str::to_owned).collect(),
         control_period_s: 0.02,
     };
     let mut sensors = Sensors {
         tick: 0,
         time_s: 0.0,
-        joint_pos_rad: std::array::from_fn(|i| model.nominal_pos_rad()[i] as f32),
-        joint_vel_radps: [0.0; 16],
-        current_a: [0.0; 16],
+        joint_pos_rad: model.nominal_pos_rad().iter().map(|&q| q as f32).collect(),
+        joint_vel_radps: vec![0.0; 16],
+        current_a: vec![0.0; 16],
         supply_v: 12.0,
         gyro_radps: [0.0; 3],
         acc_mps2: [0.0, 0.0, 9.81],
@@ -150,7 +150,7 @@ fn serve_robot(mut stream: TcpStream) {
             pos_m: [0.0, 0.0, 0.1],
             quat_wxyz: [1.0, 0.0, 0.0, 0.0],
         }),
-        foot_contacts: Some([true; 4]),
+        foot_contacts: Some(0b1111),
         in_water: None,
     };
     let send = |stream: &mut TcpStream, message| {
@@ -166,9 +166,8 @@ fn serve_robot(mut stream: TcpStream) {
                 sensors.tick = command.tick;
                 sensors.time_s = 0.02 * command.tick as f64;
                 if command.torque_enabled {
-                    let before = sensors.joint_pos_rad;
-                    sensors.joint_vel_radps =
-                        std::array::from_fn(|i| (command.targets_rad[i] - before[i]) / 0.02);
+                    let moved = command.targets_rad.iter().zip(&sensors.joint_pos_rad);
+                    sensors.joint_vel_radps = moved.map(|(to, from)| (to - from) / 0.02).collect();
                     sensors.joint_pos_rad = command.targets_rad;
                 }
                 let x_m = 0.004 * command.tick as f32;
