@@ -11,7 +11,7 @@ use crate::effects::Layer;
 use crate::error::GapError;
 use crate::extension::{ExtensionEffect, ExtensionParameter};
 use crate::replay::Term;
-use crate::report::{Carried, Cause};
+use crate::report::{Carried, Cause, Parameter};
 
 /// What the model before names were sought must leave of the misfit that is left without what got no name.
 const SUPPORTED: f64 = 0.95;
@@ -29,8 +29,8 @@ pub struct Model {
     deviations: Vec<f64>,
 }
 
-/// Of the model that causes were named in, the one `before` they were, and the one that was built joint by
-/// joint, the one to carry.
+/// The one to carry: of the model that causes were named in, the one `before` they were, and the one that was
+/// built joint by joint.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].
@@ -107,7 +107,7 @@ impl Model {
                 let own = first..first + term.values.len();
                 first = own.end;
                 match cause_of(term, causes) {
-                    Some(cause) if self.deviations.is_empty() => super::extend::entry(cause),
+                    Some(cause) if self.deviations.is_empty() => entry(cause),
                     cause => unnamed(context, term, self.deviations.get(own), cause),
                 }
             })
@@ -177,5 +177,40 @@ fn unnamed(
             .map(|(name, p)| (name.clone(), range(p)))
             .collect(),
         parameters,
+    }
+}
+
+/// A cause as a robot file has it.
+pub fn entry(cause: &Cause) -> ExtensionEffect {
+    let randomise = cause
+        .parameters
+        .iter()
+        .map(|(name, p)| {
+            // what the fit leaves open, and half as much again for what was not recorded
+            let half = 0.75 * (p.ci_high - p.ci_low);
+            (name.clone(), [p.value - half, p.value + half])
+        })
+        .collect();
+    ExtensionEffect {
+        id: cause.effect.clone(),
+        location: cause.location.clone(),
+        confidence: cause.confidence,
+        alternatives: cause.alternatives.clone(),
+        elsewhere: cause.elsewhere.clone(),
+        evidence: cause.evidence.clone(),
+        parameters: (cause.parameters.iter())
+            .map(|(name, p)| (name.clone(), written(p)))
+            .collect(),
+        randomise,
+    }
+}
+
+fn written(p: &Parameter) -> ExtensionParameter {
+    ExtensionParameter {
+        value: p.value,
+        unit: p.unit.clone(),
+        ci_low: p.ci_low,
+        ci_high: p.ci_high,
+        at_bound: p.at_bound,
     }
 }

@@ -2,11 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use super::carried::Model;
+use super::carried::{Model, entry};
 use super::request::Request;
 use super::state::Context;
-use crate::extension::{self, Extension, ExtensionEffect, ExtensionParameter};
-use crate::report::{Cause, Parameter};
+use crate::extension::{self, Extension, ExtensionEffect};
+use crate::report::Cause;
 
 /// The extension that `carried` comes to, with `effects` for its terms, and frames that are lost.
 pub fn extended(
@@ -38,40 +38,5 @@ pub fn extended(
             .map(|(k, (sum, n))| (k, (sum / n as f64).sqrt()))
             .collect(),
         lane: extension::lane(model, &context.replayer.with_given(&carried.state.terms)),
-    }
-}
-
-/// A cause as a robot file has it.
-pub fn entry(cause: &Cause) -> ExtensionEffect {
-    let randomise = cause
-        .parameters
-        .iter()
-        .map(|(name, p)| {
-            // what the fit leaves open, and half as much again for what was not recorded
-            let half = 0.75 * (p.ci_high - p.ci_low);
-            (name.clone(), [p.value - half, p.value + half])
-        })
-        .collect();
-    ExtensionEffect {
-        id: cause.effect.clone(),
-        location: cause.location.clone(),
-        confidence: cause.confidence,
-        alternatives: cause.alternatives.clone(),
-        elsewhere: cause.elsewhere.clone(),
-        evidence: cause.evidence.clone(),
-        parameters: (cause.parameters.iter())
-            .map(|(name, p)| (name.clone(), written(p)))
-            .collect(),
-        randomise,
-    }
-}
-
-fn written(p: &Parameter) -> ExtensionParameter {
-    ExtensionParameter {
-        value: p.value,
-        unit: p.unit.clone(),
-        ci_low: p.ci_low,
-        ci_high: p.ci_high,
-        at_bound: p.at_bound,
     }
 }

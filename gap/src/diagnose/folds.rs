@@ -1,11 +1,11 @@
 //! Cross-validation on the runs that are fitted: what a model would say of a part of them that it was not
 //! fitted to.
 //!
-//! A part is a run (the mean of its repeats, which are never parted), or a third of its time. Leaving one
-//! out moves the parameters by what one step of Gauss–Newton says, so that all folds come out of a single
-//! set of derivatives: with A = Σ J_fᵀJ_f and b = Σ J_fᵀr_f over folds f, the parameters without fold f are off
-//! by (A − A_f + Λ)⁻¹·(b − b_f − Λ·θ), θ their distance from no effect and Λ the precision of a prior that is
-//! as wide as that distance: what only one fold has shown is not known without it. For linear models this is
+//! A part is a run (the mean of its repeats, which are never parted), or a third of its time. Leaving one out
+//! moves the parameters by what one step of Gauss–Newton says, so that all folds come out of a single set of
+//! derivatives: with A = Σ J_fᵀJ_f and b = Σ J_fᵀr_f over folds f, the parameters without fold f are off by
+//! (A − A_f + Λ)⁻¹·(b − b_f − Λ·θ), θ their distance from no effect and Λ the precision of a prior that is as
+//! wide as that distance: what only one fold has shown is not known without it. For linear models this is
 //! exact (D. M. Allen, The relationship between variable selection and data augmentation and a method for
 //! prediction, Technometrics 16, 1974).
 
@@ -17,7 +17,7 @@ use super::product::dot;
 use crate::replay::{Data, Piece};
 
 /// Parts of a run, where a run is more than one.
-const PARTS: usize = 3;
+const PARTS_OF_A_RUN: usize = 3;
 /// With so many runs models of angles leave out whole ones: what holds in other motions is asked for then.
 const MANY_RUNS: usize = 4;
 
@@ -39,26 +39,27 @@ pub struct Free {
 }
 
 impl Folds {
-    /// Of all samples of `data`, by thirds of each run: what shows in one run only can still prove itself there.
+    /// Folds of all samples of `data`, by thirds of each run: what shows in one run only can still prove
+    /// itself there.
     #[must_use]
     pub fn of(data: &Data) -> Self {
-        Self::of_channels(data, PARTS, |_| true).0
+        Self::of_channels(data, PARTS_OF_A_RUN, |_| true).0
     }
 
-    /// Of the samples of those channels that `keep` keeps, by runs where there are several, else by thirds of
-    /// them; as [`Self::of_channels`].
+    /// Folds of the samples of those channels that `keep` keeps, by runs where there are several, else by
+    /// thirds of them; as [`Self::of_channels`].
     #[must_use]
     pub fn of_runs(data: &Data, keep: impl Fn(&Piece) -> bool) -> (Self, Vec<Range<usize>>) {
         let parts = if data.trials.len() < MANY_RUNS {
-            PARTS
+            PARTS_OF_A_RUN
         } else {
             1
         };
         Self::of_channels(data, parts, keep)
     }
 
-    /// Of the samples of those channels that `keep` keeps, put one behind the other, and where they are in
-    /// the flat vector.
+    /// Folds of the samples of those channels that `keep` keeps, put one behind the other, and where they are
+    /// in the flat vector.
     #[must_use]
     fn of_channels(
         data: &Data,

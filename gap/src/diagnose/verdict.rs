@@ -90,22 +90,19 @@ pub struct Evidence<'a> {
     pub unfinished: bool,
 }
 
-/// Draws the conclusion.
-pub fn conclude(
-    request: &Request,
-    context: &Context,
-    evidence: &Evidence<'_>,
-    runs: Vec<RunUse>,
-    split: Split,
-) -> Result<Diagnosis, GapError> {
-    let Evidence {
-        found,
-        named,
-        carried,
-        ..
-    } = *evidence;
+/// Causes and leads together, what the model misses most without first.
+struct Names<'a> {
+    all: Vec<Cause>,
+    /// Which of them are leads.
+    are_leads: Vec<bool>,
+    doubts: Doubts<'a>,
+    /// Confidence in a name that nothing speaks against.
+    undenied: f64,
+    spread: Spread,
+}
+
+fn names<'a>(context: &Context, found: &'a Found, named: &[Named]) -> Result<Names<'a>, GapError> {
     let (base, best) = (&found.base, &found.best);
-    let model = &carried.state;
     let derivatives = context.derivatives(&best.terms)?;
     let spread = spread(context, best, &derivatives);
     let mut order: Vec<&Named> = named.iter().collect();
@@ -127,7 +124,33 @@ pub fn conclude(
         cause(context, best, n, &spread, trust)
     };
     let all = order.iter().zip(&are_leads).map(trusted);
-    let all: Vec<Cause> = all.collect::<Result<_, _>>()?;
+    Ok(Names {
+        all: all.collect::<Result<_, _>>()?,
+        are_leads,
+        doubts,
+        undenied,
+        spread,
+    })
+}
+
+/// Draws the conclusion.
+pub fn conclude(
+    request: &Request,
+    context: &Context,
+    evidence: &Evidence<'_>,
+    runs: Vec<RunUse>,
+    split: Split,
+) -> Result<Diagnosis, GapError> {
+    let (found, named, carried) = (evidence.found, evidence.named, evidence.carried);
+    let (base, best) = (&found.base, &found.best);
+    let model = &carried.state;
+    let Names {
+        all,
+        are_leads,
+        doubts,
+        undenied,
+        spread,
+    } = names(context, found, named)?;
     let losses = (context.losses.as_ref()).map(|l| l.cause(undenied));
     let entries = carried.entries(context, &all);
     let extension = extended(request, context, carried, &entries, losses.as_ref());
@@ -151,8 +174,6 @@ pub fn conclude(
         unexplained.clear();
     }
     let cells = |on: &On| divergence(&context.holdout, on, context.seed);
-    let extended_at_all = !model.terms.is_empty() || context.losses.is_some();
-    let floor = floors(context, &found.first, best.misfit());
     let mut plots = pictures::plots(context, found, model, named);
     plots.correlation = correlation(best, &spread);
     Ok(Diagnosis {
@@ -160,7 +181,7 @@ pub fn conclude(
             verdict,
             summary,
             divergence: cells(&base.holdout),
-            divergence_after: match extended_at_all {
+            divergence_after: match !model.terms.is_empty() || context.losses.is_some() {
                 true => cells(&model.holdout),
                 false => Vec::new(),
             },
@@ -182,7 +203,7 @@ pub fn conclude(
                 &local,
             )?,
             local_gaps: local,
-            detection_floor: floor,
+            detection_floor: floors(context, &found.first, best.misfit()),
             data_faults: Vec::new(),
             causes,
             leads,

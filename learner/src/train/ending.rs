@@ -17,6 +17,11 @@ const PUBLISH_PATIENCE: Duration = Duration::from_secs(10);
 const TENTHS_MIN: usize = 20;
 
 impl Run<'_> {
+    /// Who asked to stop, or that somebody did.
+    pub(super) fn stop_reason(&self) -> String {
+        self.stop.reason().unwrap_or_else(|| "stopped".to_owned())
+    }
+
     /// Saves, publishes the last policy, stops the actors, accounts for everything. Does all of it even where
     /// a part fails; answers the first failure. `healthy`: the loop ended as it should.
     pub(super) fn wind_down(

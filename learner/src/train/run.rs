@@ -497,8 +497,4 @@ impl Run<'_> {
             .pictures(&self.progress.history, self.collector.accounting());
         Ok(folder)
     }
-
-    fn stop_reason(&self) -> String {
-        self.stop.reason().unwrap_or_else(|| "stopped".to_owned())
-    }
 }
