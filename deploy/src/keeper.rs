@@ -271,21 +271,18 @@ impl Keeper {
     /// # Errors
     /// As [`Keeper::from_disk`].
     pub fn best(&self) -> Result<Option<PolicyRef>, DeployError> {
-        let on_disk = match self.is_torn() {
-            true => None,
-            false => self.from_disk()?,
-        };
-        let policy = on_disk.map(|verified| verified.policy);
-        Ok(policy.or_else(|| self.factory.clone()))
+        if self.is_torn() {
+            return Ok(self.factory.clone());
+        }
+        let on_disk = self.from_disk()?.map(|verified| verified.policy);
+        Ok(on_disk.or_else(|| self.factory.clone()))
     }
 
     /// The best policy that went through its trial on this robot, else the one that came with the program:
     /// neither needs a count on the disk.
     pub fn proved(&self) -> Option<PolicyRef> {
-        let last_good = match self.is_torn() {
-            true => None,
-            false => self.store().state().last_good.clone(),
-        };
+        let kept = |keeper: &Self| keeper.store().state().last_good.clone();
+        let last_good = if self.is_torn() { None } else { kept(self) };
         let runs = |policy: &PolicyRef| match self.read_back(policy) {
             Ok(_) => true,
             Err(error) => {

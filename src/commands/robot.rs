@@ -157,11 +157,11 @@ struct Summary<'a> {
     actuated: Vec<&'a str>,
     total_mass_kg: f64,
     supply_v: f64,
-    /// Of each actuated joint.
+    /// One per actuated joint.
     kp_nm_per_rad: Vec<f64>,
-    /// Of each actuated joint.
+    /// One per actuated joint.
     kd_nm_s_per_rad: Vec<f64>,
-    /// Of each actuated joint.
+    /// One per actuated joint.
     servos: Vec<&'a str>,
     feet: Vec<&'a str>,
     imu: Option<&'a str>,

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::TaskError;
 use crate::error::{checks, within};
 use crate::expression::Names;
+use crate::reward::TERMS;
 use crate::reward::own::{self, OwnCondition, Programs};
 
 /// Table `[task.termination]`: states that end an episode.
@@ -47,7 +48,7 @@ impl TerminationConfig {
             max_tilt_rad: tilt, "must be above 0 and at most π";
             com_height_m: height, "must be [min, max] within ±100 m";
         }?;
-        own::check(OWN_TABLE, self.own())
+        own::check(WHEN_TABLE, TERMS.iter().map(|term| term.name), self.own())
     }
 
     fn own(&self) -> impl Iterator<Item = (&str, &str)> {
@@ -61,11 +62,11 @@ impl TerminationConfig {
     /// # Errors
     /// [`TaskError::Term`] names the first that is wrong.
     pub fn programs(&self, names: Names<'_>) -> Result<Programs, TaskError> {
-        Programs::new(OWN_TABLE, self.own(), names)
+        Programs::new(WHEN_TABLE, self.own(), names)
     }
 }
 
-const OWN_TABLE: &str = "task.termination.when";
+const WHEN_TABLE: &str = "task.termination.when";
 
 /// Why an episode ended by failing. The numbers go over the wire, where 0 stands for the time limit: never
 /// renumber them.

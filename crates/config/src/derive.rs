@@ -121,60 +121,10 @@ fn write_layer(out: &mut String, name: &str, size: &Size) -> std::fmt::Result {
     let slower = 0.3 / speed;
     write!(
         out,
-        "\
-# What follows from the robot '{name}': {feet} feet, {mass:.2} kg, legs of {leg:.3} m, servos of {servo:.1} rad/s.
-
-[run]
-name = \"{name}\"
-
-[evaluation]
-command_mps = {speed}          # judged at this forward speed
-robot_command_mps = {speed}
-
-[evaluation.gates]
-speed_share = {speed_share}            # of the commanded speed
-power_w = {power}              # 1.6 times weight times speed
-slip_mps = {slip}              # a fifth of the speed
-clearance_m = {clearance}          # 0.6 of the swing height
-vibration_hz = {vibration}          # 4.5 strides
-duty_factor = {duty}
-posture = false             # its limits are the salamander's
-
-[task.action]
-scale = {scale}
-filter_alpha = {alpha}         # a low pass at 0.8 of the stride frequency: steps instead of vibration
-
-[task.phase]
-frequency_hz = [{hz_low}, {hz_high}]
-swing_height_m = {swing_m}       # a fifth of the leg
-
-[task.command]
-vx_mps = [{vx_low}, {vx_high}]
-vy_mps = [{vy_low}, {vy_high}]
-yaw_rate_radps = [-0.4, 0.4]
-
-[task.reward]
-lin_vel_sigma = {lin_vel_sigma}       # (m/s)²: standing under the command earns 14 %
-yaw_rate_sigma = 0.12
-phase_sigma = {phase_sigma}         # m²: 0.4 swing heights squared for each foot
-contact_force_n = {contact_n}      # 4 % of the weight
-trunk_force_n = {trunk_n}        # a fifth of the weight
-
-[task.reward.weights]
-phase = {phase_weight}
-power = {power_weight}           # as much of the reward at this weight and speed as in the preset quick
-slip = {slip_weight}
-action_rate = -0.05
-joint_acceleration = -3e-6
-orientation = -1.0
-trunk_contact = {trunk_weight}
-
-[task.termination]
-com_height_m = [{com_low}, {com_high}]
-
-[task.push]
-force_n = [0.0, {push_n}]        # 1.5 N per kg
-",
+        include_str!("robot_preset.toml.in"),
+        name = name,
+        speed = speed,
+        swing_m = swing_m,
         feet = size.feet,
         mass = size.mass_kg,
         leg = size.leg_m,
@@ -184,7 +134,11 @@ force_n = [0.0, {push_n}]        # 1.5 N per kg
         slip = round(0.2 * speed),
         clearance = round(0.6 * swing_m),
         vibration = round(4.5 * stride_hz),
-        duty = if size.feet <= 2 { "[0.0, 1.0]" } else { "[0.35, 0.75]" },
+        duty = if size.feet <= 2 {
+            "[0.0, 1.0]"
+        } else {
+            "[0.35, 0.75]"
+        },
         scale = if size.feet == 2 { 0.5 } else { 0.8 },
         alpha = round(1.0 - (-std::f64::consts::TAU * 0.8 * stride_hz * PERIOD_S).exp()),
         hz_low = round(0.95 * stride_hz),
@@ -201,7 +155,11 @@ force_n = [0.0, {push_n}]        # 1.5 N per kg
         power_weight = -round(2e-2 * (2.6 * GRAVITY_MPS2 * 0.3) / (weight_n * speed)),
         slip_weight = -round(2.0 * slower) * walks,
         trunk_weight = -5.0 * walks,
-        com_low = round(if size.feet == 0 { -0.1 } else { 0.55 * size.com_m }),
+        com_low = round(if size.feet == 0 {
+            -0.1
+        } else {
+            0.55 * size.com_m
+        }),
         com_high = round(3.0 * size.com_m + 0.2),
         push_n = round(1.5 * size.mass_kg),
     )

@@ -6,9 +6,9 @@ use caudata_task::action::ActionFilter;
 use caudata_task::command::{CommandState, along_course};
 use caudata_task::phase::{PhaseClock, PhaseConfig};
 use caudata_task::push::PushSchedule;
-use caudata_task::reward::PerTerm;
+use caudata_task::reward::{PerTerm, RewardInput};
 use caudata_task::termination::TerminationReason;
-use caudata_task::{ACTION_HISTORY, PerFoot, PerJoint, TaskConfig};
+use caudata_task::{ACTION_HISTORY, BodyPlan, JointTable, PerFoot, PerJoint, TaskConfig};
 use serde::{Deserialize, Serialize};
 
 use crate::measure::{Sensors, Truth};
@@ -193,5 +193,47 @@ impl Tally {
                 self.slip_mps += speed_of(v[0], v[1]);
             }
         }
+    }
+}
+
+/// What the reward of the step just done looks at.
+pub(crate) fn reward_input<'a>(
+    task: &TaskConfig,
+    joints: &'a JointTable,
+    body: &'a BodyPlan,
+    target_rad: &'a [f32],
+    lane: &'a Lane,
+    truth: &'a Truth,
+) -> RewardInput<'a> {
+    RewardInput {
+        joints,
+        dt_s: task.control_period_s as f32,
+        swing_height_m: task.phase.swing_height_m,
+        command: lane.command.value,
+        standing: lane.clock.standing(),
+        phase_rad: lane.phases_rad(),
+        off_course_rad: lane.command.off_course_rad(truth.heading_rad),
+        com_vel_mps: truth.com_vel_mps,
+        com_height_m: truth.com_height_m,
+        yaw_rate_radps: truth.yaw_rate_radps,
+        gyro_radps: truth.gyro_radps,
+        gravity: truth.gravity,
+        joint_pos_rad: &truth.joint_pos_rad,
+        joint_vel_radps: &truth.joint_vel_radps,
+        previous_joint_vel_radps: &lane.joint_vel_radps,
+        motor_torque_nm: &truth.motor_torque_nm,
+        mech_power_w: &truth.mech_power_w,
+        foot_height_m: &truth.foot_height_m,
+        foot_vel_mps: &truth.foot_vel_mps,
+        foot_force_n: &truth.foot_force_n,
+        trunk_force_n: truth.trunk_force_n,
+        submerged: truth.submerged,
+        afloat: truth.afloat,
+        on_ground: truth.on_ground,
+        in_leg: &body.in_leg,
+        swimming_rad: &body.swimming_rad,
+        target_rad,
+        action: &lane.actions[0],
+        previous_action: &lane.actions[1],
     }
 }

@@ -11,6 +11,7 @@
 //! a clock, a thread count or the order of a hash map.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+mod checks;
 mod error;
 mod lane;
 mod measure;

@@ -7,19 +7,17 @@ use caudata_random::{Key, Purpose, Stream};
 use caudata_sim::{Engine, State};
 use caudata_task::observation::{ObservationInput, Observer};
 use caudata_task::reward::own::{Programs, StateSignals};
-use caudata_task::reward::{self, PerTerm, RewardInput, TERM_COUNT};
+use caudata_task::reward::{self, PerTerm, TERM_COUNT};
 use caudata_task::termination::{self, TerminationInput, TerminationReason};
 use caudata_task::{BodyPlan, JointTable, ObservationLayout, PerFoot, PolicyContract, TaskConfig};
 
 use crate::EnvError;
-use crate::lane::Lane;
+use crate::checks::{check_actions, check_engine};
+use crate::lane::{Lane, reward_input};
 use crate::measure::{Reader, Sensors, Truth};
 use crate::output::{OutputBuffers, StepOutput};
 use crate::physics::PhysicsDraws;
 use crate::start::StartShift;
-
-/// How far the engine's control period may be from the task's, s.
-const CONTROL_PERIOD_TOLERANCE_S: f64 = 1e-9;
 
 /// Many environments of one task on one engine. `N` lanes, `D` observation values, `A` actions.
 pub struct VecEnv {
@@ -462,90 +460,5 @@ impl VecEnv {
             let newest = &mut out[slice.start..][..slice.width()];
             stream.add_bell_noise(newest, term.noise_std);
         }
-    }
-}
-
-/// What the reward of the step just done looks at.
-fn reward_input<'a>(
-    task: &TaskConfig,
-    joints: &'a JointTable,
-    body: &'a BodyPlan,
-    target_rad: &'a [f32],
-    lane: &'a Lane,
-    truth: &'a Truth,
-) -> RewardInput<'a> {
-    RewardInput {
-        joints,
-        dt_s: task.control_period_s as f32,
-        swing_height_m: task.phase.swing_height_m,
-        command: lane.command.value,
-        standing: lane.clock.standing(),
-        phase_rad: lane.phases_rad(),
-        off_course_rad: lane.command.off_course_rad(truth.heading_rad),
-        com_vel_mps: truth.com_vel_mps,
-        com_height_m: truth.com_height_m,
-        yaw_rate_radps: truth.yaw_rate_radps,
-        gyro_radps: truth.gyro_radps,
-        gravity: truth.gravity,
-        joint_pos_rad: &truth.joint_pos_rad,
-        joint_vel_radps: &truth.joint_vel_radps,
-        previous_joint_vel_radps: &lane.joint_vel_radps,
-        motor_torque_nm: &truth.motor_torque_nm,
-        mech_power_w: &truth.mech_power_w,
-        foot_height_m: &truth.foot_height_m,
-        foot_vel_mps: &truth.foot_vel_mps,
-        foot_force_n: &truth.foot_force_n,
-        trunk_force_n: truth.trunk_force_n,
-        submerged: truth.submerged,
-        afloat: truth.afloat,
-        on_ground: truth.on_ground,
-        in_leg: &body.in_leg,
-        swimming_rad: &body.swimming_rad,
-        target_rad,
-        action: &lane.actions[0],
-        previous_action: &lane.actions[1],
-    }
-}
-
-fn check_engine(
-    model: &RobotModel,
-    task: &TaskConfig,
-    engine: &dyn Engine,
-) -> Result<(), EnvError> {
-    if engine.lanes() == 0 {
-        return Err(EnvError::NoLanes);
-    }
-    if engine.model().hash() != model.hash() {
-        return Err(EnvError::OtherRobot {
-            task: model.name().to_owned(),
-            engine: engine.model().name().to_owned(),
-        });
-    }
-    let engine_s = engine.config().control_period_s();
-    if (engine_s - task.control_period_s).abs() > CONTROL_PERIOD_TOLERANCE_S {
-        return Err(EnvError::ControlPeriod {
-            task_s: task.control_period_s,
-            engine_s,
-        });
-    }
-    Ok(())
-}
-
-fn check_actions(actions: &[f32], lanes: usize, width: usize) -> Result<(), EnvError> {
-    let expected = lanes * width;
-    if actions.len() != expected {
-        return Err(EnvError::Shape {
-            what: "actions",
-            found: actions.len(),
-            expected,
-        });
-    }
-    match actions.iter().position(|a| !a.is_finite()) {
-        None => Ok(()),
-        Some(index) => Err(EnvError::Action {
-            lane: index / width,
-            action: index % width,
-            value: actions[index],
-        }),
     }
 }

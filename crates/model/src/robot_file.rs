@@ -99,13 +99,13 @@ pub(crate) struct Brushless {
     pub torque_constant_nm_per_a: f64,
     /// Turns of the rotor per turn of the joint.
     pub gear_ratio: f64,
-    /// Of the rotor about its own axis, kg·m².
+    /// Inertia of the rotor about its own axis, kg·m².
     pub rotor_inertia_kgm2: f64,
     /// Largest current, A.
     pub peak_current_a: f64,
-    /// Of the joint without load at `reference_supply_v`, rad/s.
+    /// Speed of the joint without load at `reference_supply_v`, rad/s.
     pub no_load_speed_radps: f64,
-    /// Of the joint, up to which the peak current can be had, rad/s; default two thirds of the above.
+    /// Speed of the joint up to which the peak current can be had, rad/s; default two thirds of the above.
     pub corner_speed_radps: Option<f64>,
     /// V.
     pub reference_supply_v: f64,

@@ -17,7 +17,7 @@ use super::product::dot;
 use crate::replay::{Data, Piece};
 
 /// Parts of a run, where a run is more than one.
-const PARTS: usize = 3;
+const PARTS_OF_A_RUN: usize = 3;
 /// With so many runs models of angles leave out whole ones: what holds in other motions is asked for then.
 const MANY_RUNS: usize = 4;
 
@@ -42,7 +42,7 @@ impl Folds {
     /// Of all samples of `data`, by thirds of each run: what shows in one run only can still prove itself there.
     #[must_use]
     pub fn of(data: &Data) -> Self {
-        Self::of_channels(data, PARTS, |_| true).0
+        Self::of_channels(data, PARTS_OF_A_RUN, |_| true).0
     }
 
     /// Of the samples of those channels that `keep` keeps, by runs where there are several, else by thirds of
@@ -50,7 +50,7 @@ impl Folds {
     #[must_use]
     pub fn of_runs(data: &Data, keep: impl Fn(&Piece) -> bool) -> (Self, Vec<Range<usize>>) {
         let parts = if data.trials.len() < MANY_RUNS {
-            PARTS
+            PARTS_OF_A_RUN
         } else {
             1
         };

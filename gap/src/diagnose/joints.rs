@@ -24,9 +24,9 @@ const TRIES: [f64; 3] = [0.1, 1.0, 12.0];
 /// Residuals from so many times the median on count linearly.
 const LINEAR_FROM: f64 = 2.0;
 /// Smallest residual that counts linearly, rad: an encoder's count.
-const LEAST_RAD: f64 = 1e-3;
+const COUNT_RAD: f64 = 1e-3;
 /// A fall of the loss by less than this share, at every joint, ends a fit.
-const ENOUGH: f64 = 2e-3;
+const SETTLED: f64 = 2e-3;
 
 /// A model of a robot, joint by joint.
 #[derive(Debug, Clone, Default)]
@@ -289,7 +289,7 @@ impl<'a> Angles<'a> {
                 best = Some((model.clone(), costs.clone(), linear.residual.clone()));
             }
             let settled = before.is_some_and(|b| {
-                let fell = |(was, is): (&f64, &f64)| (was - is) / was.max(1e-12) < ENOUGH;
+                let fell = |(was, is): (&f64, &f64)| (was - is) / was.max(1e-12) < SETTLED;
                 b.iter().zip(&costs).all(fell)
             });
             if settled || values(&model.variant()) == 0 {
@@ -467,7 +467,7 @@ pub fn scale(residual: &[f32]) -> f64 {
     let mut sorted: Vec<f32> = residual.iter().map(|r| r.abs()).collect();
     sorted.sort_by(f32::total_cmp);
     let median = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    (LINEAR_FROM * f64::from(median)).max(LEAST_RAD)
+    (LINEAR_FROM * f64::from(median)).max(COUNT_RAD)
 }
 
 /// Σ 2·s²·(√(1 + (r/s)²) − 1) of each joint: r² for small r, 2·s·|r| for large ones. `[A]`

@@ -9,7 +9,7 @@ use crate::report::LocalGap;
 use crate::trial::Kind;
 
 /// Length of a window, s.
-const WINDOW_S: f64 = 2.0;
+const LOCAL_WINDOW_S: f64 = 2.0;
 /// Mean square of a window, floors, that is a gap wherever else there is none: see
 /// `docs/reference/diagnosis-method.md` for what healthy robots have.
 const LOCAL: f64 = 6.0;
@@ -39,7 +39,7 @@ fn of_runs(judge: &Judge, on: &On) -> Vec<LocalGap> {
         for piece in segment.pieces.iter().filter(|p| p.kind == Kind::Position) {
             let mut from = piece.range.start;
             while from < piece.range.end {
-                let until_s = data.time_s[from] + WINDOW_S;
+                let until_s = data.time_s[from] + LOCAL_WINDOW_S;
                 let times = &data.time_s[from..piece.range.end];
                 let to = from + times.partition_point(|t| *t < until_s).max(1);
                 let n = (to - from) as f64;

@@ -146,7 +146,7 @@ pub fn diagnose(
 }
 
 /// Shares of the time there is after which fitting of angles, the search, and naming end.
-const SHARES: [f64; 3] = [0.4, 0.75, 0.9];
+const ENDS: [f64; 3] = [0.4, 0.75, 0.9];
 
 /// Fits, searches and names, in the time there is. Whether that was too short.
 fn explore(
@@ -171,7 +171,7 @@ fn explore(
         }
         other => other,
     };
-    let [fitting, searching, naming] = SHARES.map(end);
+    let [fitting, searching, naming] = ENDS.map(end);
     context.replayer.set_go_on(options.go_on.until(fitting));
     ended(tracking.fit_standard(context, progress))?;
     if gates::worst(context, &found.base) >= levels::NOTHING_LEFT {

@@ -140,12 +140,7 @@ pub fn conclude(
     runs: Vec<RunUse>,
     split: Split,
 ) -> Result<Diagnosis, GapError> {
-    let Evidence {
-        found,
-        named,
-        carried,
-        ..
-    } = *evidence;
+    let (found, named, carried) = (evidence.found, evidence.named, evidence.carried);
     let (base, best) = (&found.base, &found.best);
     let model = &carried.state;
     let Told {
@@ -178,7 +173,6 @@ pub fn conclude(
         unexplained.clear();
     }
     let cells = |on: &On| divergence(&context.holdout, on, context.seed);
-    let extended_at_all = !model.terms.is_empty() || context.losses.is_some();
     let mut plots = pictures::plots(context, found, model, named);
     plots.correlation = correlation(best, &spread);
     Ok(Diagnosis {
@@ -186,7 +180,7 @@ pub fn conclude(
             verdict,
             summary,
             divergence: cells(&base.holdout),
-            divergence_after: match extended_at_all {
+            divergence_after: match !model.terms.is_empty() || context.losses.is_some() {
                 true => cells(&model.holdout),
                 false => Vec::new(),
             },

@@ -27,6 +27,17 @@ struct Layer {
 /// Which parameters of a [`Layout`] an [`Mlp`] consists of: (weight, bias) per layer.
 pub type LayerIndices = Vec<(usize, usize)>;
 
+/// Which parameters of a [`Layout`] are whose.
+#[derive(Clone, Debug)]
+pub struct Indices {
+    /// The policy's layers.
+    pub policy: LayerIndices,
+    /// The value function's layers.
+    pub value: LayerIndices,
+    /// The policy's spread, before it is bounded.
+    pub raw_log_std: usize,
+}
+
 /// What the forward pass keeps for the backward pass.
 #[derive(Debug)]
 pub struct Tape {

@@ -20,7 +20,7 @@ use caudata_task::mirror::SignedPermutation;
 use tch::{Device, Kind, Tensor};
 
 use crate::LearnerError;
-use mlp::LayerIndices;
+use mlp::{Indices, LayerIndices};
 use symmetry::{Symmetry, sides};
 
 /// Gain of the policy's last layer: actions near zero at first, so that the noise explores around the nominal
@@ -147,13 +147,6 @@ pub struct ActorCritic {
     symmetry: Option<Symmetry>,
 }
 
-#[derive(Clone, Debug)]
-struct Indices {
-    policy: LayerIndices,
-    value: LayerIndices,
-    raw_log_std: usize,
-}
-
 impl ActorCritic {
     /// A network with fresh weights: orthogonal, gain √2 in hidden layers, 1 at the value, 0.01 at the
     /// actions; biases zero. The same seed gives the same weights, on every device and machine.
@@ -162,7 +155,10 @@ impl ActorCritic {
         let values = initial_values(&spec, &layout, &indices, seed);
         let flat = Tensor::from_slice(&values).to_device(device);
         let mirror = spec.mirror.as_ref();
-        let symmetry = mirror.map(|m| Symmetry::new(&spec, m, &layout, &indices, device));
+        let symmetry = mirror.map(|m| {
+            let sides = [&spec.policy_sides(m)[..], &spec.value_sides(m)[..]];
+            Symmetry::new(m, sides, &layout, &indices, device)
+        });
         Self::over(spec, layout, indices, flat, symmetry)
     }
 

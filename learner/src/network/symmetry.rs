@@ -16,8 +16,7 @@ use caudata_task::mirror::SignedPermutation;
 use tch::{Device, Tensor};
 
 use super::layout::Layout;
-use super::mlp::LayerIndices;
-use super::{Indices, NetworkSpec};
+use super::mlp::{Indices, LayerIndices};
 
 /// How far parameters that ought to be alike may be apart, as a share of their size (or of 1): rounding of a
 /// long training.
@@ -33,9 +32,10 @@ pub(super) struct Symmetry {
 }
 
 impl Symmetry {
+    /// `policy` and `value` are the mirror at the sides of their layers ([`sides`]).
     pub fn new(
-        spec: &NetworkSpec,
         mirror: &Mirror,
+        [policy, value]: [&[SignedPermutation]; 2],
         layout: &Layout,
         indices: &Indices,
         device: Device,
@@ -57,8 +57,8 @@ impl Symmetry {
                 }
             }
         };
-        place(&indices.policy, &spec.policy_sides(mirror));
-        place(&indices.value, &spec.value_sides(mirror));
+        place(&indices.policy, policy);
+        place(&indices.value, value);
         let raw = offset(indices.raw_log_std);
         for (i, from) in mirror.action.source.iter().enumerate() {
             all.source[raw + i] = raw + from;

@@ -17,6 +17,31 @@ const PUBLISH_PATIENCE: Duration = Duration::from_secs(10);
 const TENTHS_MIN: usize = 20;
 
 impl Run<'_> {
+    /// Writes a checkpoint; its folder.
+    pub(super) fn save(&mut self, checkpoint: &CheckpointState) -> Result<PathBuf, LearnerError> {
+        let _span = tracing::info_span!("checkpoint").entered();
+        let started = Instant::now();
+        let files = checkpoint
+            .to_files(self.ppo.net().layout())
+            .map_err(LearnerError::setting)?;
+        let folder = self.store.save(checkpoint.saved.iteration, &files)?;
+        self.reporter
+            .metrics
+            .checkpoint
+            .observe(started.elapsed().as_secs_f64());
+        let (path, iteration) = (folder.display().to_string(), checkpoint.saved.iteration);
+        self.reporter
+            .event(&Event::Checkpoint(Checkpoint { path, iteration }));
+        self.reporter
+            .pictures(&self.progress.history, self.collector.accounting());
+        Ok(folder)
+    }
+
+    /// Who asked to stop, or that somebody did.
+    pub(super) fn stop_reason(&self) -> String {
+        self.stop.reason().unwrap_or_else(|| "stopped".to_owned())
+    }
+
     /// Saves, publishes the last policy, stops the actors, accounts for everything. Does all of it even where
     /// a part fails; answers the first failure. `healthy`: the loop ended as it should.
     pub(super) fn wind_down(

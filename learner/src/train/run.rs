@@ -481,27 +481,4 @@ impl Run<'_> {
             actors,
         })
     }
-
-    pub(super) fn save(&mut self, checkpoint: &CheckpointState) -> Result<PathBuf, LearnerError> {
-        let _span = tracing::info_span!("checkpoint").entered();
-        let started = Instant::now();
-        let files = checkpoint
-            .to_files(self.ppo.net().layout())
-            .map_err(LearnerError::setting)?;
-        let folder = self.store.save(checkpoint.saved.iteration, &files)?;
-        self.reporter
-            .metrics
-            .checkpoint
-            .observe(started.elapsed().as_secs_f64());
-        let (path, iteration) = (folder.display().to_string(), checkpoint.saved.iteration);
-        self.reporter
-            .event(&Event::Checkpoint(Checkpoint { path, iteration }));
-        self.reporter
-            .pictures(&self.progress.history, self.collector.accounting());
-        Ok(folder)
-    }
-
-    fn stop_reason(&self) -> String {
-        self.stop.reason().unwrap_or_else(|| "stopped".to_owned())
-    }
 }

@@ -4,29 +4,18 @@
 //! a stack of values. Whole vectors are worked on at once, so that the cost of a step is shared by all joints
 //! or feet. A plain number takes whatever unit it needs.
 
+mod checker;
 mod parse;
 mod program;
 mod signal;
 mod unit;
 
 pub use program::{FUNCTIONS, FunctionInfo, Program, Source};
-pub use signal::{Known, SIGNALS, Shape, Signal, SignalInfo};
+pub use signal::{Known, Names, Reason, SIGNALS, Shape, Signal, SignalInfo};
 pub use unit::Unit;
 
+use checker::Checker;
 use parse::parse;
-use program::Checker;
-
-/// The parts of a robot that an expression may name.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Names<'a> {
-    /// Actuated joints, policy order.
-    pub joints: &'a [String],
-    /// Feet.
-    pub feet: &'a [String],
-}
-
-/// What is wrong with an expression, without its place.
-pub type Reason = String;
 
 /// Checks an expression as far as that goes without a robot: which joints and feet there are is not known
 /// then, everything else is. Its shape and unit (`None`: whatever is needed).

@@ -157,3 +157,15 @@ impl Signal {
         &SIGNALS[self as usize]
     }
 }
+
+/// The parts of a robot that an expression may name.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Names<'a> {
+    /// Actuated joints, policy order.
+    pub joints: &'a [String],
+    /// Feet.
+    pub feet: &'a [String],
+}
+
+/// What is wrong with an expression, without its place.
+pub type Reason = String;

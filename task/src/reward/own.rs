@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{RewardInput, TERM_COUNT, TERMS};
+use super::input::RewardInput;
 use crate::expression::{self, Names, Program, Shape, Signal, Source};
 use crate::observation::Truth;
 use crate::{PerFoot, TaskError};
@@ -33,12 +33,14 @@ pub struct OwnCondition {
     pub value: String,
 }
 
-/// Checks expressions without a robot: distinct names, one number each.
+/// Checks expressions without a robot: names that are distinct and not among `taken`, one number each.
 pub(crate) fn check<'a>(
     table: &'static str,
+    taken: impl Iterator<Item = &'a str>,
     terms: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<(), TaskError> {
-    let mut seen: Vec<&str> = TERMS.iter().map(|term| term.name).collect();
+    let mut seen: Vec<&str> = taken.collect();
+    let most = seen.len() + OWN_MAX;
     for (name, value) in terms {
         let wrong = |reason: String| Err(TaskError::term(table, name, reason));
         let word = |c: char| c.is_ascii_alphanumeric() || c == '_';
@@ -49,7 +51,7 @@ pub(crate) fn check<'a>(
             return wrong("has the name of another term".to_owned());
         }
         seen.push(name);
-        if seen.len() > TERM_COUNT + OWN_MAX {
+        if seen.len() > most {
             return wrong(format!("is one too many; at most {OWN_MAX}"));
         }
         match expression::check(value) {

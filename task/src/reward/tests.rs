@@ -4,6 +4,7 @@ use std::f32::consts::PI;
 
 use super::*;
 use crate::PerJoint;
+use crate::{COMMAND_DIM, JointTable, PerFoot};
 
 const ACT_DIM: usize = 16;
 const FEET: usize = 4;

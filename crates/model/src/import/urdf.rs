@@ -11,7 +11,7 @@ use crate::pose::{self, Pose};
 use crate::types::{JointMotion, Shape, Softness};
 
 /// Deepest chain of links.
-const DEPTH_LIMIT: usize = 128;
+const CHAIN_LIMIT: usize = 128;
 
 /// What a file cannot say itself.
 #[derive(Clone, Debug, Default)]
@@ -111,11 +111,11 @@ impl<'a> Reader<'a> {
                 .refuse(self.root, format!("there is no link `{name}`"));
             return;
         };
-        if depth > DEPTH_LIMIT {
+        if depth > CHAIN_LIMIT {
             self.remarks.refuse(
                 element,
                 format!(
-                    "{}: a chain of more than {DEPTH_LIMIT} links, or a loop",
+                    "{}: a chain of more than {CHAIN_LIMIT} links, or a loop",
                     element.label()
                 ),
             );

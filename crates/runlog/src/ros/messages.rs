@@ -246,13 +246,13 @@ plain! {
         position_m: [f64; 3],
         /// x, y, z, w.
         orientation_xyzw: [f64; 4],
-        /// Of the pose.
+        /// Covariance of the pose.
         pose_covariance: Covariance,
         /// In the child's frame, m/s.
         linear_mps: [f64; 3],
         /// In the child's frame, rad/s.
         angular_radps: [f64; 3],
-        /// Of the velocities.
+        /// Covariance of the velocities.
         twist_covariance: Covariance,
     }
 }
