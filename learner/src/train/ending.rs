@@ -1,14 +1,16 @@
 //! The end of a run: everything is saved, published, stopped and accounted for, and summed up in a last word.
 
-use std::time::Duration;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
-use caudata_telemetry::progress::{Event, Finished, MeanSe};
+use caudata_telemetry::progress::{Checkpoint, Event, Finished, MeanSe};
 use caudata_transport::{Control, PolicyUpdate};
 
 use super::collect::drain;
 use super::run::{LoopState, Run};
 use super::settings::{ledger_folder, torn_ledger};
 use crate::LearnerError;
+use crate::checkpoint::CheckpointState;
 use crate::report::ReturnSums;
 
 /// How long the last policy may take to reach the policy server.

@@ -128,6 +128,10 @@ fn write_section(
                 let doc = doc.replace('|', "\\|");
                 writeln!(rows, "| `{key}` | `{default}` | {doc} |").unwrap();
             }
+            // A table that is empty, or a list: it has no key to name a default of.
+            None if !structs.contains_key(kind.rsplit("::").next().unwrap()) => {
+                writeln!(rows, "| `{key}` | none | {doc} |").unwrap();
+            }
             None => inner.push((kind.rsplit("::").next().unwrap(), key)),
         }
     }
