@@ -29,8 +29,8 @@ pub struct Model {
     deviations: Vec<f64>,
 }
 
-/// Of the model that causes were named in, the one `before` they were, and the one that was built joint by
-/// joint, the one to carry.
+/// Which model to carry: the one that causes were named in, the one `before` they were, or the one that was
+/// built joint by joint.
 ///
 /// # Errors
 /// As [`crate::replay::Replayer::predict`].

@@ -39,14 +39,15 @@ pub struct Free {
 }
 
 impl Folds {
-    /// Of all samples of `data`, by thirds of each run: what shows in one run only can still prove itself there.
+    /// Parts all samples of `data` by thirds of each run: what shows in one run only can still prove itself
+    /// there.
     #[must_use]
     pub fn of(data: &Data) -> Self {
         Self::of_channels(data, PARTS_OF_A_RUN, |_| true).0
     }
 
-    /// Of the samples of those channels that `keep` keeps, by runs where there are several, else by thirds of
-    /// them; as [`Self::of_channels`].
+    /// Parts the samples of those channels that `keep` keeps, by runs where there are several, else by thirds
+    /// of them; as [`Self::of_channels`].
     #[must_use]
     pub fn of_runs(data: &Data, keep: impl Fn(&Piece) -> bool) -> (Self, Vec<Range<usize>>) {
         let parts = if data.trials.len() < MANY_RUNS {
@@ -57,7 +58,7 @@ impl Folds {
         Self::of_channels(data, parts, keep)
     }
 
-    /// Of the samples of those channels that `keep` keeps, put one behind the other, and where they are in
+    /// Parts the samples of those channels that `keep` keeps, put one behind the other, and says where they are in
     /// the flat vector.
     #[must_use]
     fn of_channels(

@@ -122,7 +122,7 @@ pub struct Linear {
 }
 
 impl<'a> Angles<'a> {
-    /// Of `data`.
+    /// The angles of the joints in `data`.
     #[must_use]
     pub fn of(context: &'a Context, data: &'a Data) -> Self {
         let joints = context.replayer.model().actuated().len();

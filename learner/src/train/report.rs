@@ -34,7 +34,7 @@ pub(super) struct IterationReport<'a> {
     pub iterations: u64,
     pub policy_version: u64,
     pub steps_total: u64,
-    /// Of the reward terms, in the order of all per-term arrays.
+    /// Names of the reward terms, in the order of all per-term arrays.
     pub term_names: &'a [String],
     pub batch_steps: usize,
     pub mean_step_reward: f64,

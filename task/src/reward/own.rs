@@ -128,7 +128,8 @@ pub struct StateSignals<'a> {
 }
 
 impl<'a> StateSignals<'a> {
-    /// Of what reward terms look at; feet with more than `contact_force_n` on them count as in contact.
+    /// The signals of what reward terms look at; feet with more than `contact_force_n` on them count as in
+    /// contact.
     pub fn new(input: &'a RewardInput<'a>, contact_force_n: f32) -> Self {
         let feet = input.foot_height_m.len();
         let foot_force_n = PerFoot::from_fn(feet, |foot| input.foot_force_n[foot][2]);
