@@ -24,15 +24,18 @@ def stage(root: str) -> None:
         built = os.path.join(TARGET, "release", name)
         if not os.path.exists(built):
             raise SetupError("%s is missing: `make build` makes it" % os.path.relpath(built))
-        packed = os.path.join(programs, name)
-        # Without the names of functions: half the size.
-        if subprocess.run(["strip", "-o", packed, built], stderr=subprocess.DEVNULL).returncode != 0:
-            shutil.copy2(built, packed)
+        copy_program(built, os.path.join(programs, name))
     for folder, patterns in _DATA:
         into = _empty(root, folder)
         for pattern in patterns:
             for path in glob.glob(os.path.join(CHECKOUT, folder, pattern)):
                 shutil.copy(path, into)
+
+
+def copy_program(built: str, packed: str) -> None:
+    """Without the names of functions: half the size."""
+    if subprocess.run(["strip", "-o", packed, built], stderr=subprocess.DEVNULL).returncode != 0:
+        shutil.copy2(built, packed)
 
 
 def _empty(root: str, name: str) -> str:

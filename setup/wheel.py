@@ -11,15 +11,14 @@ import os
 import shutil
 import subprocess
 import sys
-from typing import List, Optional
+from typing import List, Optional, Sequence, Type
 
 import stage
 from common import SetupError, pip_environment, say
 from stage import CHECKOUT, TARGET
 
-PACKAGE = os.path.join(CHECKOUT, "python", "caudata")
 WHEELS = os.path.join(TARGET, "wheels")
-MATURIN = "maturin==1.16.0"
+TOOLS = ("maturin==1.16.0", "wheel==0.45.1")
 # Readers of MCAP that are not ours.
 READERS = ("mcap==1.6.0", "mcap-ros2-support==0.6.0", "rosbags==0.11.9")
 # What the examples need beside the wheel: with CAUDATA_TEST_TRAINERS=1, since torch alone is gigabytes.
@@ -41,34 +40,43 @@ def main(arguments: Optional[List[str]] = None) -> int:
     except Left as reason:
         say("wheel: left out%s: %s" % (", and with it the tests in python/tests" if options.test else "", reason))
         return 0 if options.test else 1
+    except SetupError as error:
+        say("error: %s" % error)
+        return error.exit_code
 
 
 def build() -> str:
+    """Packs what cargo has built with the workspace; maturin says what the package is called and asks for."""
     if sys.version_info < (3, 10):
         raise Left("the package needs Python 3.10 or newer, this is %s" % sys.version.split()[0])
-    tools = environment("wheel-tools", [MATURIN])
-    carry()
+    module = os.path.join(TARGET, "release", "lib_caudata.so")
+    if not os.path.exists(module):
+        raise SetupError("%s is missing: `make build` makes it" % os.path.relpath(module))
+    tools = environment("wheel-tools", TOOLS)
+    layout = os.path.join(TARGET, "wheel")
+    shutil.rmtree(layout, ignore_errors=True)
+    package = os.path.join(layout, "caudata")
+    unwanted = shutil.ignore_patterns("__pycache__", "*.so")
+    shutil.copytree(os.path.join(CHECKOUT, "python", "caudata"), package, ignore=unwanted)
+    stage.copy_program(module, os.path.join(package, "_caudata.abi3.so"))
+    carry(package)
+    maturin = [os.path.join(tools, "bin", "maturin"), "pep517", "write-dist-info", "--metadata-directory", layout]
+    run(SetupError, *maturin, "--manifest-path", os.path.join(CHECKOUT, "python", "Cargo.toml"))
     shutil.rmtree(WHEELS, ignore_errors=True)
-    command = [os.path.join(tools, "bin", "maturin"), "build", "--release", "--locked", "--quiet", "--out", WHEELS]
-    command += ["--manifest-path", os.path.join(CHECKOUT, "python", "Cargo.toml"), "--target-dir", TARGET]
-    if subprocess.run(command, cwd=CHECKOUT).returncode != 0:
-        sys.exit("setup: error: maturin could not build the wheel; its messages are above")
+    os.makedirs(WHEELS)
+    run(SetupError, os.path.join(tools, "bin", "python"), "-m", "wheel", "pack", "--dest-dir", WHEELS, layout)
     return glob.glob(os.path.join(WHEELS, "*.whl"))[0]
 
 
-def carry() -> None:
-    """Puts what the wheel carries beside the code into the package's folder."""
-    try:
-        stage.stage(PACKAGE)
-    except SetupError as error:
-        raise Left(error)
-    folder = os.path.join(PACKAGE, "setup")
-    shutil.rmtree(folder, ignore_errors=True)
+def carry(package: str) -> None:
+    """Puts programs, robots, policies and the set-up into the package."""
+    stage.stage(package)
+    folder = os.path.join(package, "setup")
     os.mkdir(folder)
     for path in glob.glob(os.path.join(CHECKOUT, "setup", "*.py")):
         if not os.path.basename(path).startswith(("test_", "wheel", "dist", "lines", "stage")):
             shutil.copy(path, folder)
-    shutil.copy(os.path.join(PACKAGE, "_setup_main.py"), os.path.join(folder, "__main__.py"))
+    os.rename(os.path.join(package, "_setup_main.py"), os.path.join(folder, "__main__.py"))
 
 
 def test(wheel: str) -> int:
@@ -80,24 +88,24 @@ def test(wheel: str) -> int:
     return subprocess.run(command, cwd=CHECKOUT, env=clean).returncode
 
 
-def environment(name: str, packages: List[str]) -> str:
+def environment(name: str, packages: Sequence[str]) -> str:
     """A fresh virtual environment below target/ with these packages."""
     folder = os.path.join(TARGET, name)
     shutil.rmtree(folder, ignore_errors=True)
     # Without pip inside, because Debian keeps ensurepip in a package of its own; ours installs from outside.
-    run("making a virtual environment", sys.executable, "-m", "venv", "--without-pip", folder)
+    run(Left, sys.executable, "-m", "venv", "--without-pip", folder)
     python = os.path.join(folder, "bin", "python")
     pip = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--disable-pip-version-check"]
-    run("pip", *pip, "--only-binary=:all:", *packages)
+    run(Left, *pip, "--only-binary=:all:", *packages)
     return folder
 
 
-def run(what: str, *command: str) -> None:
+def run(failure: Type[Exception], *command: str) -> None:
     done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=pip_environment())
     if done.returncode != 0:
         lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
-        errors = [line for line in lines if line.startswith("ERROR")] or lines[-1:] or ["no message"]
-        raise Left("%s: %s" % (what, errors[-1]))
+        errors = [line for line in lines if line.lower().startswith("error")] or lines[-1:] or ["no message"]
+        raise failure("%s: %s" % (" ".join(command[:4]), errors[-1]))
 
 
 if __name__ == "__main__":
