@@ -359,11 +359,6 @@ fn table(tries: usize) -> String {
 }
 
 #[test]
-fn what_safety_rests_on_comes_within_its_promise() {
-    eprintln!("{}", table(2));
-}
-
-#[test]
 #[ignore = "minutes: make test-faults"]
 fn a_thousand_times_what_safety_rests_on_comes_within_its_promise() {
     eprintln!("{}", table(1000));
