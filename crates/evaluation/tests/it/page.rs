@@ -29,7 +29,8 @@ fn page() -> (String, Film) {
         both_engines: false,
     };
     let (result, outcomes) = evaluation.run(&|| true, &mut |_, _| {}).unwrap();
-    assert_eq!(result.scenarios.len(), 5);
+    // There and back, both beaches, swimming straight and to either side.
+    assert_eq!(result.scenarios.len(), 7);
     let page = report::page(&result, &outcomes, &model, &policy, &evaluation.settings).unwrap();
     (page, outcomes[0].film.clone().unwrap())
 }
