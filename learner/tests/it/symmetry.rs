@@ -78,11 +78,11 @@ fn apart(a: &[f32], b: &[f32]) -> f32 {
 }
 
 #[test]
-fn every_walking_preset_asks_for_it() {
+fn every_preset_of_the_salamander_asks_for_it() {
     for preset in PRESETS {
         let config = case(preset.name).config;
-        // the paper's networks are as printed
-        let expected = preset.name != "paper";
+        // The paper's networks are as printed; a robot of one's own may not be alike on both sides.
+        let expected = ["quick", "flat", "rough", "amphibious"].contains(&preset.name);
         assert_eq!(
             config.learner.network.symmetric, expected,
             "{}",

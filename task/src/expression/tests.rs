@@ -106,7 +106,7 @@ fn what_is_wrong_is_said() {
         ("(1", "not closed"),
         ("1 2", "from `2` on"),
         ("2 ^ 0.5", "a power that is not a whole number"),
-        ("a $ b", "no signal"),
+        ("a $ b", "from `$ b` on"),
         ("1 $ 2", "from `$ 2` on"),
     ] {
         let error = check(text).unwrap_err();

@@ -119,7 +119,7 @@ fn soft_kp(robot: &Path) -> f64 {
     let about = succeeds(&["robot", "check", text(robot), "--json"])
         .last_json()
         .unwrap();
-    SOFT * about["kp_nm_per_rad"].as_f64().unwrap()
+    SOFT * about["kp_nm_per_rad"][0].as_f64().unwrap()
 }
 
 #[test]
@@ -252,7 +252,7 @@ fn nothing_is_trained_for_a_robot_that_is_as_its_file_says() {
     let about = succeeds(&["robot", "check", text(&robot), "--json"])
         .last_json()
         .unwrap();
-    let kp = about["kp_nm_per_rad"].as_f64().unwrap();
+    let kp = about["kp_nm_per_rad"][0].as_f64().unwrap();
     let logs = folder.join("logs");
     for trial in ["chirp_medium", "steps_medium", "triangle_fast"] {
         // by the engine that diagnoses: what another engine does otherwise is a gap, and no concern of this

@@ -39,7 +39,16 @@ impl Server {
 
     /// On a port that stays open when the server stops: the next one goes on there.
     pub async fn on(port: &std::net::TcpListener, data: &Path) -> Self {
-        let store = Store::open(data, StoreLimits::default()).unwrap();
+        // The last call of the server before may hold the store for a moment after that has ended.
+        let mut opened = Store::open(data, StoreLimits::default());
+        for _ in 0..100 {
+            if opened.is_ok() {
+                break;
+            }
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+            opened = Store::open(data, StoreLimits::default());
+        }
+        let store = opened.unwrap();
         let port = port.try_clone().unwrap();
         port.set_nonblocking(true).unwrap();
         let listener = tokio::net::TcpListener::from_std(port).unwrap();
