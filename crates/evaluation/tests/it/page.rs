@@ -68,7 +68,7 @@ fn the_data_is_what_happened() {
     let (page, film) = page();
     assert!(page.len() < 1_500_000, "{} bytes", page.len());
     let data = data(&page);
-    assert_eq!(data["shown"].as_array().unwrap().len(), 5);
+    assert_eq!(data["shown"].as_array().unwrap().len(), 7);
     let shown = &data["shown"][0]["film"];
     // 4 s at 50 Hz, the last frame missing
     assert_eq!(shown["pose"]["rows"], 199);
