@@ -2,6 +2,7 @@
 
 use caudata_env::EnvError;
 use caudata_policy::PolicyError;
+use caudata_sim::SimError;
 use caudata_telemetry::{ExitCode, Failure};
 use caudata_transport::{SendError, TransportError};
 
@@ -84,6 +85,7 @@ impl ActorError {
             Self::Transport(_) => ExitCode::OsResource,
             Self::Ledger { source, .. } => ExitCode::of_io(source, true),
             Self::Snapshot(_) => ExitCode::CheckpointDamaged,
+            Self::Env(EnvError::Sim(SimError::Mujoco(_))) => ExitCode::Unavailable,
             Self::Env(_) | Self::NotFinite { .. } | Self::Inference(_) => ExitCode::Internal,
         }
     }

@@ -13,6 +13,8 @@ pub enum EngineKind {
     Batch,
     /// Rapier multibody joints, one world per lane.
     Rapier,
+    /// MuJoCo in a Python process beside, one model per lane.
+    Mujoco,
 }
 
 impl EngineKind {
@@ -22,6 +24,7 @@ impl EngineKind {
         match self {
             Self::Batch => "batch",
             Self::Rapier => "rapier",
+            Self::Mujoco => "mujoco",
         }
     }
 }
@@ -40,8 +43,9 @@ pub enum Precision {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EngineConfig {
-    /// The engine, `batch` or `rapier`. Default `batch`. `rapier` is the independent referee, about a hundred
-    /// times slower; it is tuned for `dt_s` = 0.004 and `substeps` = 5.
+    /// The engine, `batch`, `rapier` or `mujoco`. Default `batch`. The others are independent referees, some
+    /// hundred times slower: `rapier` is tuned for `dt_s` = 0.004 and `substeps` = 5; `mujoco` needs a Python
+    /// with MuJoCo, named by `CAUDATA_MUJOCO_PYTHON`.
     pub kind: EngineKind,
     /// Physics step, s, 0.0002..=0.01. Default 0.002: an open-loop trot then travels within 2 % of its
     /// small-step limit. Smaller is more accurate and proportionally slower; above about 5 ms foot contact

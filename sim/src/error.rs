@@ -28,6 +28,9 @@ pub enum SimError {
     /// The robot model has something this engine cannot simulate.
     #[error("robot model cannot be simulated: {0}")]
     Model(String),
+    /// MuJoCo, in its process, is missing, has ended, or does not simulate this.
+    #[error("engine mujoco: {0}")]
+    Mujoco(String),
     /// The robot file's extension names a parameter that does not exist.
     #[error(
         "robot file: extension.lane.`{path}` is no parameter of this robot; if a diagnosis of an earlier version wrote it, diagnose its logs again"

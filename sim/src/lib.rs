@@ -18,6 +18,7 @@ pub mod error;
 pub mod extension;
 mod mobility;
 pub mod momenta;
+pub mod mujoco;
 mod observe;
 pub mod params;
 pub mod per_lane;
@@ -79,5 +80,6 @@ pub fn build(
     match config.kind {
         EngineKind::Batch => engine!(batch::BatchEngine),
         EngineKind::Rapier => engine!(rapier::RapierEngine),
+        EngineKind::Mujoco => engine!(mujoco::MujocoEngine),
     }
 }

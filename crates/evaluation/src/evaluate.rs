@@ -29,8 +29,8 @@ pub struct Evaluation<'a> {
     pub suite: Suite,
     /// How long, how often.
     pub settings: Settings,
-    /// Whether to run everything on the other engine too.
-    pub both_engines: bool,
+    /// Another engine than the configuration's, to run everything on too.
+    pub referee: Option<EngineKind>,
 }
 
 impl Evaluation<'_> {
@@ -94,19 +94,16 @@ impl Evaluation<'_> {
             film: false,
             ..self.settings
         };
-        let chosen: Vec<&Scenario> = match (self.both_engines, self.suite) {
-            (true, _) => scenarios.iter().collect(),
-            (false, Suite::Acceptance) => {
+        let (kind, chosen) = match (self.referee, self.suite) {
+            (Some(kind), _) => (kind, scenarios),
+            (None, Suite::Acceptance) => {
                 settings.episodes = settings.episodes.min(REFEREE_EPISODES);
-                scenarios.iter().take(1).collect()
+                (EngineKind::Rapier, &scenarios[..1])
             }
-            (false, _) => return Ok(None),
+            (None, _) => return Ok(None),
         };
         let mut config = self.config.clone();
-        config.engine.kind = match config.engine.kind {
-            EngineKind::Batch => EngineKind::Rapier,
-            EngineKind::Rapier => EngineKind::Batch,
-        };
+        config.engine.kind = kind;
         let engine = config.engine.kind.name();
         let mut results = Vec::new();
         for scenario in chosen {

@@ -217,7 +217,7 @@ impl<'a> Steps<'a> {
                     episodes: test.episodes,
                     ..Settings::default()
                 },
-                both_engines: false,
+                referee: None,
             };
             let (result, _) = evaluation
                 .run(&|| !stop.is_set(), &mut |_, _| ())

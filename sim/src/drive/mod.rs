@@ -22,6 +22,7 @@ pub mod features;
 pub mod filter;
 pub mod friction;
 pub mod gear;
+pub(crate) mod lane;
 pub mod loop_delay;
 pub mod loss;
 mod of_lane;

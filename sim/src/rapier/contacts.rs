@@ -7,6 +7,7 @@ use rapier3d::prelude::*;
 use super::convert;
 use super::friction::Slide;
 use super::tags::{GROUND_TAG, TAIL_TAG, TRUNK_TAG, foot_of};
+use crate::State;
 
 /// Sums of contact impulses, N·s.
 #[derive(Debug, Default)]
@@ -50,6 +51,16 @@ impl ContactImpulses {
                 self.push_foot(foot, slide.force_n * dt_s);
             }
         }
+    }
+
+    /// Writes the means over a period.
+    pub fn write(&self, out: &mut State, period_s: f64) {
+        let mean = |sum: f64| (sum / period_s) as f32;
+        for (slot, &sum) in out.foot_force_n.iter_mut().zip(&self.feet_ns) {
+            *slot = mean(sum);
+        }
+        out.trunk_force_n[0] = mean(self.trunk_ns);
+        out.tail_force_n[0] = mean(self.tail_ns);
     }
 
     fn push_foot(&mut self, foot: usize, impulse_ns: Vector) {

@@ -3,12 +3,13 @@
 use caudata_model::pose::sub;
 use serde::{Deserialize, Serialize};
 
-use super::drive::{Drive, DriveMemory};
+use super::contacts::ContactImpulses;
 use super::friction::Owed;
 use super::robot::Robot;
 use super::shared::Shared;
 use super::water::{Water, WaterMemory};
 use crate::drive::ServoDrive;
+use crate::drive::lane::{DriveMemory, LaneDrive};
 use crate::observe::{self, Coordinates, LinkMass, Motion};
 use crate::{InitialState, LaneParams, SimError, State};
 
@@ -31,7 +32,9 @@ pub(super) struct Lane {
     pub memory: Memory,
     pub robot: Robot,
     masses: Vec<LinkMass>,
-    drive: Drive,
+    drive: LaneDrive,
+    /// In the current control period.
+    contacts: ContactImpulses,
     water: Option<Water>,
     at: Coordinates,
     motion: Motion,
@@ -48,7 +51,7 @@ impl Lane {
             init,
             &at,
         )?;
-        let memory = DriveMemory::new(shared, &params, init);
+        let memory = DriveMemory::new(&shared.model, &shared.config, &params, init);
         Self::at(shared, params, at, memory)
     }
 
@@ -73,7 +76,8 @@ impl Lane {
                 out: State::of(model, 1),
             },
             robot: Robot::new(shared, &params, &servos, &masses)?,
-            drive: Drive::new(shared, &params, &servos),
+            drive: LaneDrive::new(model, &shared.config, &params, &servos),
+            contacts: ContactImpulses::default(),
             water: Water::new(shared, &params, &masses),
             motion: Motion::default(),
             params,
@@ -103,7 +107,7 @@ impl Lane {
             owed_friction: Owed::default(),
             ..memory
         };
-        lane.memory.drive.fit(shared, &lane.params);
+        lane.memory.drive.fit(&shared.config, &lane.params);
         *self = lane;
         Ok(())
     }
@@ -123,22 +127,22 @@ impl Lane {
 
     /// Runs and reports one period; whether it ended in a sound state.
     fn run_period(&mut self, shared: &Shared, targets_rad: &[f32], wrench: &[f32]) -> bool {
-        let config = &shared.config;
-        self.drive
-            .begin(shared, &mut self.memory.drive, targets_rad);
+        let (model, config, stops) = (&*shared.model, &shared.config, &shared.stops);
+        let memory = &mut self.memory;
+        self.drive.begin(&mut memory.drive, targets_rad);
+        self.contacts.clear(model.feet().len());
         for substep in 0..config.substeps {
             let since_s = f64::from(substep) * config.dt_s;
             self.robot.clear_loads();
-            self.robot.push_link(shared.model.torso_link(), wrench);
-            self.drive
-                .load(shared, &mut self.robot, &mut self.memory.drive, since_s);
+            let (drive, robot) = (&mut self.drive, &mut self.robot);
+            robot.push_link(model.torso_link(), wrench);
+            drive.load(model, stops, robot, &mut memory.drive, since_s);
             if let Some(water) = &self.water {
-                water.load(&mut self.robot, &mut self.memory.water);
+                water.load(robot, &mut memory.water);
             }
-            self.robot
-                .step(&shared.grip, &mut self.memory.owed_friction);
-            self.drive
-                .account(shared, &self.robot, &mut self.memory.drive);
+            robot.step(&shared.grip, &mut memory.owed_friction);
+            drive.account(model, stops, robot, &mut memory.drive);
+            self.contacts.add(&robot.world, robot.slides());
             if !self.robot.is_sound(config) {
                 return false;
             }
@@ -149,7 +153,8 @@ impl Lane {
         };
         self.report_specific_force(shared, imu_vel);
         self.memory.imu_vel_mps = imu_vel;
-        self.drive
+        self.drive.write(&mut self.memory.out);
+        self.contacts
             .write(&mut self.memory.out, config.control_period_s());
         self.memory.out.is_finite()
     }

@@ -35,7 +35,6 @@
 
 mod contacts;
 mod convert;
-mod drive;
 mod friction;
 mod lane;
 mod robot;

@@ -9,6 +9,7 @@ use super::convert;
 use super::friction::{Friction, Grip, Owed, Skin, Slide};
 use super::shared::Shared;
 use super::world::{self, RobotHandles};
+use crate::drive::lane::{JointState, Joints};
 use crate::drive::{ImplicitTorque, ServoDrive};
 use crate::observe::{Coordinates, LinkMass};
 use crate::water::LinkMotion;
@@ -33,13 +34,6 @@ pub(super) struct Robot {
 struct Load {
     force_n: Vector,
     torque_nm: Vector,
-}
-
-/// A hinge's position and velocity, rad and rad/s (a slide's in m and m/s).
-#[derive(Clone, Copy, Default)]
-pub(super) struct JointState {
-    pub pos: f32,
-    pub vel: f32,
 }
 
 impl Robot {
@@ -139,16 +133,6 @@ impl Robot {
         }
     }
 
-    /// State of joint `j` (model order); `None` where it is locked.
-    pub fn joint(&self, j: usize) -> Option<JointState> {
-        let dof = self.handles.dofs[j].as_ref()?;
-        let multibody = self.multibody()?;
-        Some(JointState {
-            pos: multibody.link(dof.link)?.joint().coords()[dof.axis],
-            vel: multibody.generalized_velocity()[dof.assembly],
-        })
-    }
-
     /// Where link `link` (whose centre of mass is at `com_m` in its frame) is and how it moves; `None` for a
     /// body Rapier has lost.
     pub fn link_motion(&self, link: usize, com_m: [f32; 3]) -> Option<LinkMotion<f32>> {
@@ -184,46 +168,6 @@ impl Robot {
         let load = &mut self.loads[self.handles.links[link]];
         load.force_n += Vector::from_slice(&wrench[..3]);
         load.torque_nm += Vector::from_slice(&wrench[3..6]);
-    }
-
-    /// Loads joint `j` for the coming step (N·m, or N of a slide): spring and damper implicitly, the rest as
-    /// it is.
-    pub fn load_joint(&mut self, j: usize, torque: &ImplicitTorque<f32>) {
-        let Self {
-            world,
-            handles,
-            loads,
-            armature_kgm2,
-            ..
-        } = self;
-        let Some(dof) = handles.dofs[j] else { return };
-        let Some(multibody) = multibody_mut(world, handles) else {
-            return;
-        };
-        multibody.damping_mut()[dof.assembly] = torque.damping_nms_per_rad;
-        multibody.armature_mut()[dof.assembly] = armature_kgm2[j] + torque.inertia_kgm2;
-        let Some(link) = multibody.link_mut(dof.link) else {
-            return;
-        };
-        // Relaxed where the joint is now: what the spring gives there already is in the constant part.
-        let here = link.joint.coords()[dof.axis];
-        link.joint
-            .set_spring(dof.axis, torque.stiffness_nm_per_rad, here);
-        let frame = *link.local_to_world() * link.joint.data.local_frame2;
-        let along_axis = frame.rotation * Vector::X * torque.now_nm;
-        for (body, sign) in [(dof.child, 1.0), (dof.parent, -1.0)] {
-            if dof.is_hinge() {
-                loads[body].torque_nm += along_axis * sign;
-                continue;
-            }
-            // A force pair must act along one line, else it turns the robot.
-            let com = world
-                .bodies
-                .get(handles.bodies[body])
-                .map_or(frame.translation, |b| b.center_of_mass());
-            loads[body].force_n += along_axis * sign;
-            loads[body].torque_nm += (frame.translation - com).cross(along_axis * sign);
-        }
     }
 
     /// One physics step under the loads.
@@ -285,6 +229,56 @@ impl Robot {
             .multibody_joints
             .get(self.handles.multibody)
             .map(|(m, _)| m)
+    }
+}
+
+impl Joints for Robot {
+    fn joint(&self, j: usize) -> Option<JointState> {
+        let dof = self.handles.dofs[j].as_ref()?;
+        let multibody = self.multibody()?;
+        Some(JointState {
+            pos: multibody.link(dof.link)?.joint().coords()[dof.axis],
+            vel: multibody.generalized_velocity()[dof.assembly],
+        })
+    }
+
+    /// Spring and damper implicitly, the rest as it is.
+    fn load_joint(&mut self, j: usize, torque: &ImplicitTorque<f32>, _motor_nm: f32) {
+        let Self {
+            world,
+            handles,
+            loads,
+            armature_kgm2,
+            ..
+        } = self;
+        let Some(dof) = handles.dofs[j] else { return };
+        let Some(multibody) = multibody_mut(world, handles) else {
+            return;
+        };
+        multibody.damping_mut()[dof.assembly] = torque.damping_nms_per_rad;
+        multibody.armature_mut()[dof.assembly] = armature_kgm2[j] + torque.inertia_kgm2;
+        let Some(link) = multibody.link_mut(dof.link) else {
+            return;
+        };
+        // Relaxed where the joint is now: what the spring gives there already is in the constant part.
+        let here = link.joint.coords()[dof.axis];
+        link.joint
+            .set_spring(dof.axis, torque.stiffness_nm_per_rad, here);
+        let frame = *link.local_to_world() * link.joint.data.local_frame2;
+        let along_axis = frame.rotation * Vector::X * torque.now_nm;
+        for (body, sign) in [(dof.child, 1.0), (dof.parent, -1.0)] {
+            if dof.is_hinge() {
+                loads[body].torque_nm += along_axis * sign;
+                continue;
+            }
+            // A force pair must act along one line, else it turns the robot.
+            let com = world
+                .bodies
+                .get(handles.bodies[body])
+                .map_or(frame.translation, |b| b.center_of_mass());
+            loads[body].force_n += along_axis * sign;
+            loads[body].torque_nm += (frame.translation - com).cross(along_axis * sign);
+        }
     }
 }
 

@@ -33,7 +33,8 @@ pub struct EvalArgs {
     /// walk), acceptance (the project's targets; exit code 79 where one is missed)
     #[arg(long, default_value = "flat", value_parser = flags::suite_parser())]
     suite: Suite,
-    /// On which engine; without it, the one of the configuration
+    /// On which engine: the batch engine alone, or another after it, with how much of the speed is kept there. Without
+    /// it, the one of the configuration
     #[arg(long, value_enum)]
     engine: Option<Engines>,
     /// Episodes of each scenario; fewer give a wider confidence interval
@@ -75,10 +76,21 @@ fn seconds(text: &str) -> Result<f64, String> {
 enum Engines {
     /// Articulated bodies in vector lanes, as in training
     Batch,
-    /// Rapier multibody joints
+    /// Rapier multibody joints; a hundred times slower
     Rapier,
-    /// The batch engine, then Rapier (a hundred times slower), and how much of the speed is left there
-    Both,
+    /// MuJoCo, in the Python that CAUDATA_MUJOCO_PYTHON names; slower still
+    Mujoco,
+}
+
+impl Engines {
+    /// What runs beside the batch engine.
+    fn referee(self) -> Option<EngineKind> {
+        match self {
+            Self::Batch => None,
+            Self::Rapier => Some(EngineKind::Rapier),
+            Self::Mujoco => Some(EngineKind::Mujoco),
+        }
+    }
 }
 
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
@@ -89,10 +101,13 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     flags.set_robot(args.robot.as_deref());
     let flags = flags::or_beside(&flags, &args.policy, preset);
     let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
-    match args.engine {
-        Some(Engines::Batch | Engines::Both) => config.engine.kind = EngineKind::Batch,
-        Some(Engines::Rapier) => config.engine.kind = EngineKind::Rapier,
-        None => {}
+    if args.engine.is_some() {
+        config.engine.kind = EngineKind::Batch;
+    }
+    if args.engine == Some(Engines::Mujoco) {
+        // before an hour on the other engine
+        caudata_sim::mujoco::version()
+            .map_err(|why| Failure::message(ExitCode::Unavailable, format!("no MuJoCo: {why}")))?;
     }
     let model = Arc::new(files::robot(&config.robot_path())?);
     warn_of_differences(&config, &model, &policy, &fitting)?;
@@ -108,7 +123,7 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
             film: args.report.is_some(),
             ..Settings::default()
         },
-        both_engines: args.engine == Some(Engines::Both),
+        referee: args.engine.and_then(Engines::referee),
     };
     let go_on = || process.stop.reason().is_none();
     let mut show = |engine: &str, scenario: &ScenarioResult| {

@@ -23,14 +23,19 @@ pub fn print_end(result: &SuiteResult) {
             let Some(here) = result.scenario(&there.name) else {
                 continue;
             };
+            let kept = match here.vx_mps.mean.abs() > 1e-3 {
+                true => format!("{:.1} %", 100.0 * there.vx_mps.mean / here.vx_mps.mean),
+                false => "–".to_owned(),
+            };
             say::line(format!(
-                "{}: {:.3} m/s on {}, {:.3} m/s on {}: {:.1} % kept",
+                "{}: {:.3} m/s on {}, {:.3} m/s on {}: {kept} kept; falls {:.1} and {:.1} %",
                 there.name,
                 here.vx_mps.mean,
                 result.engine,
                 there.vx_mps.mean,
                 referee.engine,
-                100.0 * there.vx_mps.mean / here.vx_mps.mean
+                100.0 * here.fall_share.mean,
+                100.0 * there.fall_share.mean,
             ));
         }
     }

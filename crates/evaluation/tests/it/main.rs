@@ -1,7 +1,8 @@
-//! The page of an evaluation, and the shipped policies.
+//! The page of an evaluation, policies whose verdict is known, and another engine.
 
 #![allow(clippy::expect_used, clippy::panic, clippy::unwrap_used)]
 
 mod by_hand;
+mod engines;
 mod page;
 mod policies;

@@ -26,7 +26,7 @@ fn page() -> (String, Film) {
             film: true,
             ..Settings::default()
         },
-        both_engines: false,
+        referee: None,
     };
     let (result, outcomes) = evaluation.run(&|| true, &mut |_, _| {}).unwrap();
     // There and back, both beaches, swimming straight and to either side.

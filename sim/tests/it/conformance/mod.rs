@@ -19,7 +19,7 @@ mod water;
 use std::sync::Arc;
 
 use caudata_model::RobotModel;
-use caudata_sim::{Engine, EngineConfig, InitialState, TerrainConfig, build};
+use caudata_sim::{Engine, EngineConfig, EngineKind, InitialState, TerrainConfig, build};
 
 /// One engine on flat ground, one thread.
 fn engine(config: &EngineConfig, model: &Arc<RobotModel>, lanes: usize) -> Box<dyn Engine> {
@@ -66,12 +66,28 @@ fn near(what: &str, got: f64, want: f64, tolerance: f64) {
     );
 }
 
+/// Whether the engine is on this machine; says so where it is not.
+fn is_here(config: &EngineConfig) -> bool {
+    let absent = match config.kind {
+        EngineKind::Mujoco => caudata_sim::mujoco::version().err(),
+        EngineKind::Batch | EngineKind::Rapier => None,
+    };
+    if let Some(why) = &absent {
+        println!("skipped: {why}");
+    }
+    absent.is_none()
+}
+
 /// The suite for one engine configuration.
 macro_rules! conformance {
     ($engine:ident, $config:expr, [$($module:ident :: { $($test:ident),+ $(,)? }),+ $(,)?]) => {
         mod $engine {
             $(mod $module {
-                $(#[test] fn $test() { crate::conformance::$module::$test(&$config) })+
+                $(#[test] fn $test() {
+                    if crate::conformance::is_here(&$config) {
+                        crate::conformance::$module::$test(&$config)
+                    }
+                })+
             })+
         }
     };
@@ -179,6 +195,13 @@ suite!(
     batch_double,
     caudata_sim::EngineConfig {
         precision: caudata_sim::Precision::Double,
+        ..caudata_sim::EngineConfig::default()
+    }
+);
+suite!(
+    mujoco,
+    caudata_sim::EngineConfig {
+        kind: caudata_sim::EngineKind::Mujoco,
         ..caudata_sim::EngineConfig::default()
     }
 );

@@ -186,7 +186,7 @@ pub fn walks_like_mujoco(config: &EngineConfig) {
         0.2,
     );
     let (watts, within) = match config.kind {
-        EngineKind::Batch => (6.93, 0.4),
+        EngineKind::Batch | EngineKind::Mujoco => (6.93, 0.4),
         EngineKind::Rapier => (6.65, 0.3),
     };
     near("power", power, watts, within);

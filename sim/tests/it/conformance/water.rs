@@ -125,7 +125,7 @@ pub fn bobs_by_the_book(config: &EngineConfig) {
         let slack = match config.kind {
             EngineKind::Rapier if lane == 2 => 0.2,
             // 1.2 % found with the batch engine at its default step; why it is not less was not looked into
-            EngineKind::Rapier | EngineKind::Batch => 0.02,
+            _ => 0.02,
         };
         near("decay", decay, d, slack * d);
     }

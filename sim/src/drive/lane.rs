@@ -1,26 +1,41 @@
-//! What loads the joints of one lane: drive-lines, springs, friction, stops.
+//! What loads the joints of one lane, for engines that step lane by lane: drive-lines, springs, friction, stops.
 
-use caudata_model::JointKind;
+use caudata_model::{JointKind, RobotModel};
 use serde::{Deserialize, Serialize};
 
-use super::contacts::ContactImpulses;
-use super::robot::{JointState, Robot};
-use super::shared::Shared;
 use crate::drive::command::Scheduled;
 use crate::drive::loss::LossMemory;
 use crate::drive::passive::{self, StopAt};
 use crate::drive::step::{self, Driven, Step};
 use crate::drive::supply::{self, Bus, Supply};
 use crate::drive::{
-    CommandHistory, DriveFeatures, JointMemory, JointPassive, ServoDrive, WantedTorques, friction,
-    loop_memory_steps,
+    CommandHistory, DriveFeatures, ImplicitTorque, JointMemory, JointPassive, ServoDrive,
+    WantedTorques, friction, loop_memory_steps,
 };
 use crate::per_lane::PerLane;
-use crate::{CommandLoss, InitialState, LaneParams, State};
+use crate::stop::Stop;
+use crate::{CommandLoss, EngineConfig, InitialState, LaneParams, State};
+
+/// A hinge's position and velocity, rad and rad/s (a slide's in m and m/s).
+#[derive(Clone, Copy, Default)]
+pub(crate) struct JointState {
+    pub pos: f32,
+    pub vel: f32,
+}
+
+/// The joints of one robot, as an engine holds them.
+pub(crate) trait Joints {
+    /// State of joint `j` (model order); `None` where it is locked.
+    fn joint(&self, j: usize) -> Option<JointState>;
+
+    /// Loads joint `j` for the coming step (N·m, or N of a slide). `torque` is everything that acts on it;
+    /// `motor_nm` the servo's part, for an engine that has friction, springs and stops of its own.
+    fn load_joint(&mut self, j: usize, torque: &ImplicitTorque<f32>, motor_nm: f32);
+}
 
 /// What the drive-lines of one lane remember.
 #[derive(Clone, Serialize, Deserialize)]
-pub(super) struct DriveMemory {
+pub(crate) struct DriveMemory {
     /// Commands that may not have reached the servos yet.
     history: CommandHistory<f32>,
     loss: LossMemory,
@@ -37,33 +52,41 @@ pub(super) struct DriveMemory {
 
 impl DriveMemory {
     /// Nothing on its way, supply unloaded.
-    pub fn new(shared: &Shared, params: &LaneParams, init: &InitialState) -> Self {
+    pub fn new(
+        model: &RobotModel,
+        config: &EngineConfig,
+        params: &LaneParams,
+        init: &InitialState,
+    ) -> Self {
         let moving = init.joint_pos_rad.iter().zip(&init.joint_vel_radps);
         let mut new = Self {
-            history: CommandHistory::new(shared.config.control_period_s(), &init.joint_pos_rad),
+            history: CommandHistory::new(config.control_period_s(), &init.joint_pos_rad),
             loss: LossMemory::default(),
             servos: moving
                 .map(|(&q, &qd)| PerLane::splat(&JointMemory::rest(f64::from(q), f64::from(qd))))
                 .collect(),
-            wanted: WantedTorques::new(shared.model.actuated().len()),
-            bristle_rad: vec![0.0; shared.model.joints().len()],
-            free_radps2: vec![0.0; shared.model.joints().len()],
+            wanted: WantedTorques::new(model.actuated().len()),
+            bristle_rad: vec![0.0; model.joints().len()],
+            free_radps2: vec![0.0; model.joints().len()],
             bus_v: params.supply_v,
         };
-        new.fit(shared, params);
+        new.fit(config, params);
         new
     }
 
     /// Remembers from now on what a lane with parameters `params` needs.
-    pub fn fit(&mut self, shared: &Shared, params: &LaneParams) {
-        let steps = loop_memory_steps(params, shared.config.dt_s);
+    pub fn fit(&mut self, config: &EngineConfig, params: &LaneParams) {
+        let steps = loop_memory_steps(params, config.dt_s);
         self.wanted.set_steps(0, steps);
     }
 }
 
 /// Joint loads of one lane, and what they did within the current control period.
-pub(super) struct Drive {
-    features: DriveFeatures,
+pub(crate) struct LaneDrive {
+    /// Stages that some servo of the lane needs.
+    pub features: DriveFeatures,
+    dt_s: f64,
+    period_s: f64,
     loss: CommandLoss,
     step: Step<f32>,
     supply: Supply<f32>,
@@ -79,8 +102,6 @@ pub(super) struct Drive {
     torque_sum: Vec<f64>,
     /// Work per motor, J. `[A]`
     work_sum: Vec<f64>,
-    /// Contacts so far.
-    pub contacts: ContactImpulses,
 }
 
 /// A joint at the start of a physics step, and the drive it gets.
@@ -90,12 +111,18 @@ struct Started {
     driven: Option<Driven<f32>>,
 }
 
-impl Drive {
+impl LaneDrive {
     /// `servos`: one per actuated joint of this lane.
-    pub fn new(shared: &Shared, params: &LaneParams, servos: &[ServoDrive<f64>]) -> Self {
-        let model = &*shared.model;
-        let dt_s = shared.config.dt_s;
+    pub fn new(
+        model: &RobotModel,
+        config: &EngineConfig,
+        params: &LaneParams,
+        servos: &[ServoDrive<f64>],
+    ) -> Self {
+        let dt_s = config.dt_s;
         Self {
+            dt_s,
+            period_s: config.control_period_s(),
             features: servos
                 .iter()
                 .map(DriveFeatures::of)
@@ -112,15 +139,14 @@ impl Drive {
             started: vec![Started::default(); model.joints().len()],
             torque_sum: Vec::new(),
             work_sum: Vec::new(),
-            contacts: ContactImpulses::default(),
         }
     }
 
     /// Starts a control period with new commands.
-    pub fn begin(&mut self, shared: &Shared, memory: &mut DriveMemory, targets_rad: &[f32]) {
+    pub fn begin(&mut self, memory: &mut DriveMemory, targets_rad: &[f32]) {
         let lost = memory.loss.next(&self.loss);
         memory.history.push(targets_rad, lost);
-        let period_s = shared.config.control_period_s();
+        let period_s = self.period_s;
         self.scheduled.clear();
         self.scheduled.extend(
             (self.servos.iter().enumerate())
@@ -130,25 +156,25 @@ impl Drive {
             sum.clear();
             sum.resize(self.servos.len(), 0.0);
         }
-        self.contacts.clear(shared.model.feet().len());
     }
 
     /// Loads every joint for the physics step that starts `since_command_s` into the control period.
     pub fn load(
         &mut self,
-        shared: &Shared,
-        robot: &mut Robot,
+        model: &RobotModel,
+        stops: &[Stop],
+        robot: &mut impl Joints,
         memory: &mut DriveMemory,
         since_command_s: f64,
     ) {
         let bus = Bus::at(memory.bus_v);
         let mut current_a = 0.0;
         memory.wanted.begin_step();
-        for (j, model_joint) in shared.model.joints().iter().enumerate() {
+        for (j, model_joint) in model.joints().iter().enumerate() {
             let Some(at) = robot.joint(j) else { continue };
             let hinge = &self.passive[j];
             let stop = StopAt {
-                law: &shared.stops[j],
+                law: &stops[j],
                 free_radps2: memory.free_radps2[j],
             };
             let (torque, driven) = match model_joint.kind {
@@ -186,22 +212,28 @@ impl Drive {
                     None,
                 ),
             };
-            robot.load_joint(j, &torque);
+            robot.load_joint(j, &torque, driven.map_or(0.0, |d| d.motor_nm));
             self.started[j] = Started { at, driven };
         }
         memory.wanted.end_step();
         memory.bus_v = supply::settle_v(&self.supply, memory.bus_v, current_a);
     }
 
-    /// After the step: takes it into memory, sums motor torque, work and contacts.
-    pub fn account(&mut self, shared: &Shared, robot: &Robot, memory: &mut DriveMemory) {
-        for (j, model_joint) in shared.model.joints().iter().enumerate() {
+    /// After the step: takes it into memory, sums motor torque and work.
+    pub fn account(
+        &mut self,
+        model: &RobotModel,
+        stops: &[Stop],
+        robot: &impl Joints,
+        memory: &mut DriveMemory,
+    ) {
+        for (j, model_joint) in model.joints().iter().enumerate() {
             let Some(now) = robot.joint(j) else { continue };
             let Started { at, driven } = self.started[j];
             let hinge = &self.passive[j];
             let moved = now.pos - at.pos;
             let stop = StopAt {
-                law: &shared.stops[j],
+                law: &stops[j],
                 free_radps2: memory.free_radps2[j],
             };
             let acceleration = (now.vel - at.vel) * self.step.per_dt;
@@ -223,25 +255,21 @@ impl Drive {
                 at.vel,
                 now.vel,
             );
-            let impulse = f64::from(driven.motor_nm) * shared.config.dt_s;
+            let impulse = f64::from(driven.motor_nm) * self.dt_s;
             self.torque_sum[index] += impulse;
             // Mean speed, not way moved: an Euler step moves by its final speed, which would add τ²·dt²/2I.
             self.work_sum[index] += impulse * 0.5 * f64::from(driven.motor_radps + motor_radps);
         }
-        self.contacts.add(&robot.world, robot.slides());
     }
 
     /// Writes the means over the period.
-    pub fn write(&self, out: &mut State, period_s: f64) {
+    pub fn write(&self, out: &mut State) {
         let mean = |to: &mut [f32], from: &[f64]| {
             for (slot, sum) in to.iter_mut().zip(from) {
-                *slot = (sum / period_s) as f32;
+                *slot = (sum / self.period_s) as f32;
             }
         };
         mean(&mut out.motor_torque_nm, &self.torque_sum);
         mean(&mut out.mech_power_w, &self.work_sum);
-        mean(&mut out.foot_force_n, &self.contacts.feet_ns);
-        mean(&mut out.trunk_force_n, &[self.contacts.trunk_ns]);
-        mean(&mut out.tail_force_n, &[self.contacts.tail_ns]);
     }
 }
