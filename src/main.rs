@@ -42,6 +42,8 @@ enum Command {
     /// Make the certificates of a lab
     #[command(subcommand)]
     Pki(commands::cluster::pki::PkiCommand),
+    /// Drive a robot in the browser, under a policy
+    Play(commands::play::PlayArgs),
     /// Measure a policy in simulation
     Eval(commands::eval::EvalArgs),
     /// Print or check the configuration in effect
@@ -99,6 +101,7 @@ fn dispatch(command: &Command, process: &Process) -> Result<(), Failure> {
         Command::Actors(args) => commands::cluster::actors::run(args, process),
         Command::Status(args) => commands::cluster::status::run(args),
         Command::Pki(command) => commands::cluster::pki::run(command),
+        Command::Play(args) => commands::play::run(args, process),
         Command::Eval(args) => commands::eval::run(args, process),
         Command::Config(command) => commands::config::run(command),
         Command::Sim(command) => commands::sim::run(command, process),

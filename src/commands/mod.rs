@@ -17,6 +17,7 @@ mod gap_report;
 pub mod ground;
 pub mod lane_params;
 pub mod log;
+pub mod play;
 pub mod policy;
 mod policy_calls;
 pub mod policy_people;

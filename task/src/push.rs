@@ -84,6 +84,15 @@ impl PushSchedule {
         }
     }
 
+    /// Begins a push now, drawn or not: `force_n` (world x and y) for so many control steps.
+    pub fn begin(&mut self, force_n: [f32; 2], steps: u32) {
+        *self = Self {
+            wait_steps: 0,
+            push_steps: steps,
+            force_n,
+        };
+    }
+
     /// The force (N, world x and y) for the coming control step, scaled by `strength`; moves the schedule on.
     pub fn next_force(
         &mut self,
@@ -92,21 +101,21 @@ impl PushSchedule {
         control_period_s: f32,
         stream: &mut Stream,
     ) -> [f32; 2] {
-        if !config.enabled {
-            return [0.0; 2];
-        }
-        if self.wait_steps > 0 {
-            self.wait_steps -= 1;
-            return [0.0; 2];
-        }
         if self.push_steps == 0 {
+            if !config.enabled {
+                return [0.0; 2];
+            }
+            if self.wait_steps > 0 {
+                self.wait_steps -= 1;
+                return [0.0; 2];
+            }
             self.push_steps = draw_steps(config.duration_s, control_period_s, stream);
             let size = stream.uniform(config.force_n[0], config.force_n[1]);
             let (sin, cos) = stream.uniform(-PI, PI).sin_cos();
             self.force_n = [size * cos, size * sin];
         }
         self.push_steps -= 1;
-        if self.push_steps == 0 {
+        if self.push_steps == 0 && config.enabled {
             self.wait_steps = draw_steps(config.interval_s, control_period_s, stream);
         }
         self.force_n.map(|f| f * strength)
@@ -178,6 +187,14 @@ mod tests {
             ..PushConfig::default()
         };
         assert!(forces(&config, 1.0, 1000).iter().all(|f| *f == [0.0; 2]));
+        // but for a push from outside
+        let mut stream = Stream::new(Key::for_run(5), Purpose::Push);
+        let mut schedule = PushSchedule::draw(&config, 0.02, &mut stream);
+        schedule.begin([1.0, -2.0], 2);
+        let felt: Vec<_> = (0..4)
+            .map(|_| schedule.next_force(&config, 1.0, 0.02, &mut stream))
+            .collect();
+        assert_eq!(felt, [[1.0, -2.0], [1.0, -2.0], [0.0; 2], [0.0; 2]]);
     }
 
     #[test]

@@ -33,8 +33,8 @@ impl PhysicsDraws {
         }
     }
 
-    /// Sets `params` to the nominal robot changed by `draw`.
-    pub fn apply_draw(&mut self) {
+    /// Sets `params` to the nominal robot changed by `draw`, with these factors on the torques. `[A]`
+    pub fn apply_draw(&mut self, strengths: &[f32]) {
         let Self {
             nominal,
             params,
@@ -60,7 +60,7 @@ impl PhysicsDraws {
                 nominal.joint_damping_nms_per_rad[i] * draw.damping_scale[i];
             params.kp_nm_per_rad[i] = nominal.kp_nm_per_rad[i] * draw.kp_scale[i];
             params.kd_nms_per_rad[i] = nominal.kd_nms_per_rad[i] * draw.kd_scale[i];
-            params.torque_scale[i] = nominal.torque_scale[i] * draw.torque_scale;
+            params.torque_scale[i] = nominal.torque_scale[i] * draw.torque_scale * strengths[i];
         }
         params.supply_v = nominal.supply_v * draw.supply_scale;
         params.command_delay_s =

@@ -1,5 +1,5 @@
-//! Taking over from the draws: which command a lane follows, and where it starts. Evaluation needs both,
-//! training neither.
+//! Taking over from the draws: which command a lane follows, where it starts, what befalls it. Evaluation and
+//! the live page need that, training does not.
 
 use caudata_task::layout::Part;
 use caudata_task::observation::write_phase;
@@ -46,6 +46,32 @@ impl VecEnv {
         if !self.layout.range(Part::Phase).is_empty() {
             write_phase(&now.phases_rad(), &mut observation[newest(Part::Phase)..]);
         }
+    }
+
+    /// Pushes one lane's robot: a horizontal force on the torso, N, world, for this time from now on.
+    pub fn push(&mut self, lane: usize, force_n: [f32; 2], duration_s: f64) {
+        let steps = (duration_s / self.task.control_period_s).round() as u32;
+        self.lanes[lane].push.begin(force_n, steps);
+    }
+
+    /// Multiplies the torque of every actuated joint by its factor, in every lane from now on: 1 is the whole
+    /// joint, 0 a limp one. Not part of a snapshot. `[A]`
+    ///
+    /// # Errors
+    /// When there is not one factor per joint, or the engine refuses one.
+    pub fn set_joint_strengths(&mut self, strengths: &[f32]) -> Result<(), EnvError> {
+        if strengths.len() != self.act_dim() {
+            return Err(EnvError::Shape {
+                what: "joint strengths",
+                found: strengths.len(),
+                expected: self.act_dim(),
+            });
+        }
+        self.joint_strengths = strengths.to_vec();
+        for lane in 0..self.lanes.len() {
+            self.draw_robot(lane, self.lanes[lane].episode)?;
+        }
+        Ok(())
     }
 
     /// Starts every lane's present episode again, and from now on each one, with its drawn start shifted. Not

@@ -56,6 +56,8 @@ pub struct VecEnv {
     ended: Vec<usize>,
     /// The command that each lane follows for good; empty: commands are drawn. `[N]` or empty.
     pub(crate) held_commands: Vec<[f32; 3]>,
+    /// Factor on the torque of each actuated joint, in every lane. `[A]`
+    pub(crate) joint_strengths: Vec<f32>,
     /// Added to every drawn start.
     pub(crate) start_shift: StartShift,
 }
@@ -117,6 +119,7 @@ impl VecEnv {
             wrenches: vec![0.0; lanes * 6],
             ended: Vec::with_capacity(lanes),
             held_commands: Vec::new(),
+            joint_strengths: vec![1.0; joints.len()],
             start_shift: StartShift::default(),
             sees_truth: observer.check_sensed(&layout).is_err(),
             observer,
@@ -368,17 +371,7 @@ impl VecEnv {
         episode: u64,
         stagger: bool,
     ) -> Result<Lane, EnvError> {
-        let key = Key {
-            seed: self.seed,
-            actor: self.actor,
-            env: self.first_lane + lane as u64,
-            episode,
-        };
-        let mut physics_stream = Stream::new(key, Purpose::Randomisation);
-        self.physics
-            .draw
-            .redraw(&self.task.randomisation, &mut physics_stream);
-        self.physics.apply_draw();
+        let key = self.draw_robot(lane, episode)?;
         let mut reset_stream = Stream::new(key, Purpose::Reset);
         let start = caudata_task::reset::draw(
             &self.task.reset,
@@ -388,7 +381,6 @@ impl VecEnv {
         );
         let start = self.start_shift.apply(start);
         self.physics.apply_start(&start);
-        self.engine.set_params(lane, &self.physics.params)?;
         self.engine.reset(lane, &self.physics.init)?;
         let mut started = Lane::start(
             &self.task,
@@ -402,6 +394,22 @@ impl VecEnv {
         started.joint_vel_radps = start.joint_vel_radps;
         started.hold(&self.task.phase, self.held_commands.get(lane));
         Ok(started)
+    }
+
+    /// Makes the robot of a lane the one of an episode, whose key is returned.
+    pub(crate) fn draw_robot(&mut self, lane: usize, episode: u64) -> Result<Key, EnvError> {
+        let key = Key {
+            seed: self.seed,
+            actor: self.actor,
+            env: self.first_lane + lane as u64,
+            episode,
+        };
+        let mut physics_stream = Stream::new(key, Purpose::Randomisation);
+        let randomisation = &self.task.randomisation;
+        self.physics.draw.redraw(randomisation, &mut physics_stream);
+        self.physics.apply_draw(&self.joint_strengths);
+        self.engine.set_params(lane, &self.physics.params)?;
+        Ok(key)
     }
 
     pub(crate) fn observe_start(&mut self, lane: usize) -> Result<(), EnvError> {

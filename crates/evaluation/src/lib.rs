@@ -40,7 +40,7 @@ pub use gates::{Gate, GateReport, Limits, PostureLimits};
 pub use overlap::Shapes;
 pub use posture::{Posture, PostureResult};
 pub use result::{Referee, Row, ScenarioResult, SuiteResult};
-pub use run::{Outcome, Settings, run_scenario};
+pub use run::{Outcome, Settings, conditions, run_scenario};
 pub use scenario::{Corner, Goal, Leg, Order, Scenario, Start};
 pub use suite::{Suite, flat_name};
 pub use summary::{Summary, SummaryError, summary_path};

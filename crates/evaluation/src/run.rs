@@ -83,7 +83,7 @@ pub fn run_scenario(
     let episodes = (settings.episodes as usize).next_multiple_of(commands);
     let terrain = Terrain::generate(&scenario.terrain, settings.seed)
         .map_err(|error| EvaluationError::Env(error.into()))?;
-    let config = under(config, scenario, settings, terrain.water_level_m());
+    let config = conditions(config, scenario, settings, terrain.water_level_m());
     let shore = scenario.goal.and_then(|goal| Shore::of(&terrain, goal));
     let measure = Measure {
         settle_s: settings.settle_s,
@@ -158,8 +158,10 @@ fn judge(episodes: &[Episode], scenario: &Scenario, limits: &Limits) -> GateRepo
     GateReport::of(&gaits, &limits)
 }
 
-/// The training configuration under the scenario's conditions.
-fn under(
+/// The training configuration under the scenario's conditions; `surface_m` is the height of the water, if
+/// there is any.
+#[must_use]
+pub fn conditions(
     config: &Config,
     scenario: &Scenario,
     settings: &Settings,

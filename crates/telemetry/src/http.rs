@@ -4,13 +4,16 @@
 use std::collections::VecDeque;
 use std::io;
 use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use axum::Router;
+use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Notify;
 use tokio::task::AbortHandle;
 
 /// Connections served at once. One more ends the oldest of the host that has the most: whoever asks is
@@ -20,10 +23,44 @@ const CONNECTIONS_MAX: usize = 32;
 const PEER_CONNECTIONS_MAX: usize = 8;
 /// A request's headers must be there within this time.
 const HEADERS_MAX: Duration = Duration::from_secs(5);
-/// A connection is over within this time, its answer included.
+/// A connection is over within this time, its answer included, unless [`Connection::keep`] says otherwise.
 const CONNECTION_MAX: Duration = Duration::from_secs(20);
 /// Pause after the system refused a connection, for instance because the process has no file handle left.
 pub const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
+
+/// The connection that a request came by: an extension of every request.
+#[derive(Clone, Debug, Default)]
+pub struct Connection(Arc<Limit>);
+
+#[derive(Debug, Default)]
+struct Limit {
+    kept: AtomicBool,
+    cut: Notify,
+}
+
+impl Connection {
+    /// The answer is a stream without end, and has no time limit. Whoever writes it ends connections whose
+    /// reader does not keep up.
+    pub fn keep(&self) {
+        self.0.kept.store(true, Ordering::Relaxed);
+    }
+
+    /// Ends it at once, whatever it is about to write.
+    pub fn cut(&self) {
+        self.0.cut.notify_one();
+    }
+
+    /// Until its time is up, or it is cut.
+    async fn over(&self) {
+        tokio::select! {
+            () = self.0.cut.notified() => return,
+            () = tokio::time::sleep(CONNECTION_MAX) => {}
+        }
+        if self.0.kept.load(Ordering::Relaxed) {
+            self.0.cut.notified().await;
+        }
+    }
+}
 
 /// Connections at present, the oldest first.
 #[derive(Default)]
@@ -80,14 +117,19 @@ pub async fn serve_http(
 }
 
 async fn answer(stream: TcpStream, peer: SocketAddr, router: Router) {
+    let connection = Connection::default();
+    let router = router.layer(Extension(connection.clone()));
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEADERS_MAX)
         .keep_alive(false)
         .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router));
-    match tokio::time::timeout(CONNECTION_MAX, served).await {
-        Ok(Ok(())) => {}
-        Ok(Err(error)) => tracing::debug!(%peer, %error, "a request was not answered"),
-        Err(_) => tracing::debug!(%peer, "a request took too long"),
+    tokio::select! {
+        answered = served => {
+            if let Err(error) = answered {
+                tracing::debug!(%peer, %error, "a request was not answered");
+            }
+        }
+        () = connection.over() => tracing::debug!(%peer, "a connection took too long"),
     }
 }

@@ -1,4 +1,4 @@
-//! `/metrics` and `/healthz` over HTTP, on a thread of its own.
+//! HTTP on a thread of its own: `/metrics` and `/healthz`, and what else a process shows people.
 
 use std::io;
 use std::net::SocketAddr;
@@ -21,13 +21,69 @@ use crate::stop::StopFlag;
 
 const TEXT_FORMAT: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Serves the metrics of a process until dropped.
+/// Answers HTTP requests on a thread of its own until dropped.
 #[derive(Debug)]
-pub struct MetricsServer {
+pub struct HttpServer {
     addr: SocketAddr,
     shutdown: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
+
+impl HttpServer {
+    /// Binds `addr` (port 0: any free port) and answers with `router`. `name` is the thread's.
+    ///
+    /// # Errors
+    /// [`ServeError::InUse`] when the port is taken, [`ServeError::Io`] otherwise.
+    pub fn start(addr: SocketAddr, name: &'static str, router: Router) -> Result<Self, ServeError> {
+        let failed = |source: io::Error| match source.kind() {
+            io::ErrorKind::AddrInUse => ServeError::InUse(addr),
+            _ => ServeError::Io { addr, source },
+        };
+        let listener = std::net::TcpListener::bind(addr).map_err(failed)?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        let bound = listener.local_addr().map_err(failed)?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(failed)?;
+        let (shutdown, ended) = oneshot::channel::<()>();
+        let thread = std::thread::Builder::new()
+            .name(name.into())
+            .spawn(move || {
+                let served = runtime.block_on(async {
+                    let ended = async { _ = ended.await };
+                    serve_http(TcpListener::from_std(listener)?, router, ended).await
+                });
+                if let Err(error) = served {
+                    tracing::warn!(%error, "the endpoint for {name} ended");
+                }
+            })
+            .map_err(failed)?;
+        Ok(Self {
+            addr: bound,
+            shutdown: Some(shutdown),
+            thread: Some(thread),
+        })
+    }
+
+    /// The bound address.
+    pub fn addr(&self) -> SocketAddr {
+        self.addr
+    }
+}
+
+impl Drop for HttpServer {
+    fn drop(&mut self) {
+        drop(self.shutdown.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Serves the metrics of a process until dropped.
+#[derive(Debug)]
+pub struct MetricsServer(HttpServer);
 
 impl MetricsServer {
     /// Binds `addr` (port 0: any free port) and serves `metrics`. `/healthz` answers 200 until `stop` is
@@ -66,51 +122,14 @@ impl MetricsServer {
         stop: StopFlag,
         check: impl Fn() -> Option<String> + Send + Sync + 'static,
     ) -> Result<Self, ServeError> {
-        let failed = |source: io::Error| match source.kind() {
-            io::ErrorKind::AddrInUse => ServeError::InUse(addr),
-            _ => ServeError::Io { addr, source },
-        };
-        let listener = std::net::TcpListener::bind(addr).map_err(failed)?;
-        listener.set_nonblocking(true).map_err(failed)?;
-        let bound = listener.local_addr().map_err(failed)?;
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .map_err(failed)?;
-        let (shutdown, ended) = oneshot::channel::<()>();
-        let thread = std::thread::Builder::new()
-            .name("metrics".into())
-            .spawn(move || {
-                let served = runtime.block_on(async {
-                    let ended = async { _ = ended.await };
-                    let router = router(metrics, stop, Arc::new(check));
-                    serve_http(TcpListener::from_std(listener)?, router, ended).await
-                });
-                if let Err(error) = served {
-                    tracing::warn!(%error, "the metrics endpoint ended");
-                }
-            })
-            .map_err(failed)?;
-        tracing::info!(addr = %bound, "metrics at http://{bound}/metrics");
-        Ok(Self {
-            addr: bound,
-            shutdown: Some(shutdown),
-            thread: Some(thread),
-        })
+        let server = HttpServer::start(addr, "metrics", router(metrics, stop, Arc::new(check)))?;
+        tracing::info!(addr = %server.addr(), "metrics at http://{}/metrics", server.addr());
+        Ok(Self(server))
     }
 
     /// The bound address.
     pub fn addr(&self) -> SocketAddr {
-        self.addr
-    }
-}
-
-impl Drop for MetricsServer {
-    fn drop(&mut self) {
-        drop(self.shutdown.take());
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        self.0.addr()
     }
 }
 

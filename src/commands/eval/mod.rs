@@ -95,12 +95,7 @@ impl Engines {
 
 pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
     let policy = files::policy(&args.policy)?;
-    let fitting = flags::presets_for(&policy.metadata().contract);
-    let preset = fitting.first().copied().unwrap_or("quick");
-    let mut flags = args.config.clone();
-    flags.set_robot(args.robot.as_deref());
-    let flags = flags::or_beside(&flags, &args.policy, preset);
-    let mut config = flags.load().or_exit(ExitCode::BadConfig)?;
+    let (mut config, model) = task_of(&args.policy, &policy, &args.config, args.robot.as_deref())?;
     if args.engine.is_some() {
         config.engine.kind = EngineKind::Batch;
     }
@@ -109,8 +104,6 @@ pub fn run(args: &EvalArgs, process: &Process) -> Result<(), Failure> {
         caudata_sim::mujoco::version()
             .map_err(|why| Failure::message(ExitCode::Unavailable, format!("no MuJoCo: {why}")))?;
     }
-    let model = Arc::new(files::robot(&config.robot_path())?);
-    warn_of_differences(&config, &model, &policy, &fitting)?;
     let evaluation = Evaluation {
         config: &config,
         model: &model,
@@ -192,6 +185,28 @@ pub fn write_summary(policy: &Path, summary: &Summary) -> Result<(), Failure> {
     files::write_json(&summary_path(policy), summary)
 }
 
+/// The task and the robot of the policy in the file `path`: those of the flags, else of the config.toml beside
+/// it, else of the preset that it was trained with. Warns where they differ from its own.
+///
+/// # Errors
+/// When the policy does not run there, or the configuration or the robot is wrong.
+pub fn task_of(
+    path: &Path,
+    policy: &PolicyFile,
+    flags: &ConfigArgs,
+    robot: Option<&Path>,
+) -> Result<(Config, Arc<RobotModel>), Failure> {
+    let fitting = flags::presets_for(&policy.metadata().contract);
+    let preset = fitting.first().copied().unwrap_or("quick");
+    let mut flags = flags.clone();
+    flags.set_robot(robot);
+    let flags = flags::or_beside(&flags, path, preset);
+    let config = flags.load().or_exit(ExitCode::BadConfig)?;
+    let model = Arc::new(files::robot(&config.robot_path())?);
+    warn_of_differences(&config, &model, policy, &fitting)?;
+    Ok((config, model))
+}
+
 fn warn_of_differences(
     config: &Config,
     model: &RobotModel,
@@ -213,17 +228,19 @@ fn warn_of_differences(
     Ok(())
 }
 
-/// What a run is told about its policy when it ends: forward at its speed on flat ground.
+/// What a run is told about its policy when it ends: forward at its speed on flat ground. The page goes into
+/// the file `page`.
 pub fn evaluate(
     config: &Config,
     model: &Arc<RobotModel>,
     policy: &PolicyFile,
-    episodes: u32,
+    page: &Path,
     stop: &StopFlag,
-) -> Result<ScenarioResult, Failure> {
+) -> Result<SuiteResult, Failure> {
     let settings = Settings {
-        episodes,
+        episodes: config.evaluation.episodes,
         seed: config.run.seed,
+        film: true,
         ..Settings::default()
     };
     let speed_mps = config.evaluation.command_mps as f32;
@@ -231,24 +248,17 @@ pub fn evaluate(
     let go_on = || stop.reason().is_none();
     let outcome = run_scenario(config, model, policy, &scenario, &settings, &go_on)
         .map_err(|error| refused(error, stop))?;
-    Ok(outcome.result)
-}
-
-/// The summary of what a run was told about its policy when it ended.
-pub fn summary(
-    config: &Config,
-    model: &RobotModel,
-    policy: &PolicyFile,
-    result: &ScenarioResult,
-) -> Summary {
     let result = SuiteResult {
         suite: Suite::Flat,
         engine: config.engine.kind.name().into(),
         policy_version: policy.metadata().version,
         policy_sha256: policy.sha256_hex(),
-        scenarios: vec![result.clone()],
+        scenarios: vec![outcome.result.clone()],
         referee: None,
         acceptance: Vec::new(),
     };
-    Summary::of(&result, model.hash_hex(), config.run.seed)
+    let html =
+        report::page(&result, &[outcome], model, policy, &settings).or_exit(ExitCode::Internal)?;
+    files::write_whole(page, html.as_bytes())?;
+    Ok(result)
 }

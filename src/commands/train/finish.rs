@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use caudata_config::Config;
-use caudata_evaluation::ScenarioResult;
+use caudata_evaluation::{ScenarioResult, Summary};
 use caudata_model::RobotModel;
 use caudata_proto::registry::StreamName;
 use caudata_registry_client::RegistryClient;
@@ -20,6 +20,9 @@ use super::view::clock;
 use crate::commands::eval;
 use crate::commands::policy::{block_on, hex};
 use crate::say;
+
+/// Page of the evaluation, in the run folder.
+const EVALUATION: &str = "evaluation.html";
 
 /// What a run amounts to; `report.json`, and the last line with `--json`.
 #[derive(Debug, Serialize)]
@@ -103,14 +106,13 @@ pub fn evaluate(
         )?),
         false => None,
     };
-    let episodes = config.evaluation.episodes;
-    let evaluation = match episodes > 0 {
-        true => Some(eval::evaluate(config, &model, &policy, episodes, stop)?),
-        false => None,
-    };
-    if let Some(result) = &evaluation {
-        let summary = eval::summary(config, &model, &policy, result);
+    let mut evaluation = None;
+    if config.evaluation.episodes > 0 {
+        let page = folder.root().join(EVALUATION);
+        let result = eval::evaluate(config, &model, &policy, &page, stop)?;
+        let summary = Summary::of(&result, model.hash_hex(), config.run.seed);
         eval::write_summary(&folder.policy(), &summary)?;
+        evaluation = result.scenarios.into_iter().next();
     }
     let finished = outcome.finished.clone();
     let robot_hash = robot.as_ref().map(|robot| robot.policy_sha256.clone());
@@ -265,6 +267,9 @@ pub fn print(report: &Report) {
     }
     say::line(format!("curves   {}", report.path("curves")));
     say::line(format!("policy   {}", report.path("policy.onnx")));
+    if report.evaluation.is_some() {
+        say::line(format!("page     {}", report.path(EVALUATION)));
+    }
     if let Some(robot) = &report.robot {
         say::line(format!("log      {}", robot.log.display()));
     }

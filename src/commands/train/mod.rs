@@ -15,10 +15,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use caudata_config::{Config, ConfigArgs, Source, TransportKind};
+use caudata_live::{LivePage, Policy, Show};
+use caudata_model::RobotModel;
 use caudata_studies::files;
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Process};
 use clap::{Args, ValueEnum};
 
+use crate::commands::play::PageArgs;
 use crate::commands::robot::load as load_robot;
 use crate::say;
 pub use children::Programs;
@@ -53,6 +56,8 @@ pub struct TrainArgs {
     /// Events as JSON lines; the last line is the report
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    page: PageArgs,
     /// Without these flags the preset is `quick`; for another robot the one that is made for it, else `walk`
     #[command(flatten)]
     config: ConfigArgs,
@@ -105,12 +110,12 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
         },
         restart_learner: false,
     };
+    let page = live_page(args, &config, &model, &folder, &view);
     let supervisor = Supervisor::start(&programs, &config, &folder, &process.stop, view, plan);
     if supervisor.is_err() && resume == Resume::No {
         folder.disown();
     }
-    let supervisor = supervisor?;
-    let mut outcome = supervisor.watch()?;
+    let mut outcome = supervisor?.shown_on(page.as_ref()).watch()?;
     if outcome.finished.reason != "completed" {
         outcome.stop_server();
         return stopped_early(args, &folder, &outcome);
@@ -126,6 +131,31 @@ pub fn run(args: &TrainArgs, process: &Process) -> Result<(), Failure> {
         finish::print(&report);
     }
     report.verdict()
+}
+
+/// The page on which the newest policy walks; a training goes on without it.
+fn live_page(
+    args: &TrainArgs,
+    config: &Config,
+    model: &Arc<RobotModel>,
+    folder: &RunFolder,
+    view: &View,
+) -> Option<LivePage> {
+    let show = Show {
+        config: config.clone(),
+        model: Arc::clone(model),
+        policy: Policy::Newest(folder.policy()),
+    };
+    match args.page.serve(show) {
+        Ok(page) => {
+            view.note(&format!("live at {}", page.address()));
+            Some(page)
+        }
+        Err(failure) => {
+            view.warn(&format!("there is no live page: {failure}"));
+            None
+        }
+    }
 }
 
 /// The programs that a training needs.

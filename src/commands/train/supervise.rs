@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use caudata_actor::LedgerCount;
 use caudata_config::Config;
+use caudata_live::LivePage;
 use caudata_telemetry::progress::{Event, Finished};
 use caudata_telemetry::{ExitCode, Failure, FailureExt, Pulse, StopFlag};
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
@@ -54,6 +55,7 @@ pub struct Supervisor<'a> {
     folder: &'a RunFolder,
     stop: &'a StopFlag,
     view: View,
+    page: Option<&'a LivePage>,
     began: Instant,
     server: Process,
     server_addr: SocketAddr,
@@ -140,6 +142,7 @@ impl<'a> Supervisor<'a> {
             folder,
             stop,
             view,
+            page: None,
             began: Instant::now(),
             server,
             server_addr,
@@ -160,6 +163,11 @@ impl<'a> Supervisor<'a> {
             fatal: None,
             stopping_since: None,
         })
+    }
+
+    /// Shows iterations on a live page too.
+    pub fn shown_on(self, page: Option<&'a LivePage>) -> Self {
+        Self { page, ..self }
     }
 
     /// Watches until the learner has ended, then stops the actors. The policy server stays up for the
@@ -321,6 +329,9 @@ impl<'a> Supervisor<'a> {
             self.end_early(failure);
         }
         self.view.event(&event, line);
+        if let (Some(page), Event::Iteration(iteration)) = (self.page, &event) {
+            page.training(iteration);
+        }
         match event {
             Event::Started(started) => {
                 self.first_iteration = started.iteration;

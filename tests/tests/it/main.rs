@@ -11,6 +11,7 @@ mod adapt;
 mod chaos;
 mod faults_actors;
 mod gap_policies;
+mod live;
 mod refusals;
 mod siege;
 mod tidy;

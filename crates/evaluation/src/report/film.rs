@@ -20,10 +20,9 @@ pub struct FilmData {
     period_s: f64,
     fell: Option<&'static str>,
     ground: GroundScene,
-    /// Base position (3) and quaternion (4), then all joints.
+    /// As [`pose_row`].
     pose: Packed,
-    /// Commanded vx, vy, yaw rate; achieved; centre of mass (3); heading; power; foot heights (4); foot
-    /// forces (4); trunk and tail force.
+    /// As [`motion_row`].
     motion: Packed,
     /// Torque (16), then speed (16) of the actuated joints, every [`EFFORT_EVERY`] frames.
     effort: Packed,
@@ -35,26 +34,17 @@ impl FilmData {
     pub fn of(outcome: &Outcome) -> Option<Self> {
         let film = outcome.film.as_ref().filter(|f| !f.poses.is_empty())?;
         let frames = &film.trace.frames;
-        let motion = |f: &crate::Frame| -> Vec<f32> {
-            let mut row = f.command.to_vec();
-            row.extend(f.velocity_mps);
-            row.push(f.yaw_rate_radps);
-            row.extend(f.com_m);
-            row.push(f.heading_rad);
-            row.push(f.power_w.iter().map(|p| p.abs()).sum());
-            row.extend(f.foot_height_m);
-            row.extend(f.foot_force_n);
-            row.extend([f.trunk_force_n, f.tail_force_n]);
-            row
-        };
         let effort = |f: &crate::Frame| [&f.torque_nm[..], &f.joint_vel_radps[..]].concat();
         let thinned = frames.iter().step_by(EFFORT_EVERY);
         Some(Self {
             period_s: film.trace.period_s,
             fell: film.trace.fell,
-            ground: GroundScene::of(&outcome.terrain, film),
+            ground: GroundScene::around(
+                &outcome.terrain,
+                &frames.iter().map(|f| f.com_m).collect::<Vec<_>>(),
+            ),
             pose: Packed::of(&film.poses.iter().map(pose_row).collect::<Vec<_>>()),
-            motion: Packed::of(&frames.iter().map(motion).collect::<Vec<_>>()),
+            motion: Packed::of(&frames.iter().map(motion_row).collect::<Vec<_>>()),
             effort: Packed::of(&thinned.map(effort).collect::<Vec<_>>()),
         })
     }
@@ -66,7 +56,25 @@ impl FilmData {
     }
 }
 
-fn pose_row(pose: &crate::RobotPose) -> Vec<f32> {
+/// Commanded vx, vy, yaw rate; achieved; centre of mass (3); heading; power; height of each foot; force on each
+/// foot; trunk and tail force.
+#[must_use]
+pub fn motion_row(frame: &crate::Frame) -> Vec<f32> {
+    let mut row = frame.command.to_vec();
+    row.extend(frame.velocity_mps);
+    row.push(frame.yaw_rate_radps);
+    row.extend(frame.com_m);
+    row.push(frame.heading_rad);
+    row.push(frame.power_w.iter().map(|p| p.abs()).sum());
+    row.extend(frame.foot_height_m);
+    row.extend(frame.foot_force_n);
+    row.extend([frame.trunk_force_n, frame.tail_force_n]);
+    row
+}
+
+/// Base position (3) and quaternion (4), then all joints.
+#[must_use]
+pub fn pose_row(pose: &crate::RobotPose) -> Vec<f32> {
     let mut row = pose.base_pos_m.to_vec();
     row.extend(pose.base_quat_wxyz);
     row.extend(&pose.joint_pos_rad);

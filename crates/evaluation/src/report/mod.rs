@@ -1,7 +1,7 @@
 //! An evaluation as one page that is opened in a browser: tables, curves, and a replay in three dimensions.
 //!
 //! The page needs nothing but itself: style, script and data are inside, and it asks no network for anything.
-//! [`page`] is a pure function; the script is `page/*.js`, in the order of [`SCRIPT`].
+//! [`page`] is a pure function; the script is `page/*.js`, [`COMMON_SCRIPT`] first.
 
 mod film;
 mod pack;
@@ -11,22 +11,30 @@ use caudata_model::RobotModel;
 use caudata_policy::PolicyFile;
 use serde::Serialize;
 
-pub use film::{Curves, FilmData};
+pub use film::{Curves, FilmData, motion_row, pose_row};
 pub use pack::Packed;
-pub use scene::RobotScene;
+pub use scene::{GroundScene, RobotScene};
 
 use crate::{Envelope, Outcome, ScenarioResult, Settings, SuiteResult, suite};
 
-/// Parts of the script, in order; each adds to one object `caudata`.
-const SCRIPT: [&str; 6] = [
+/// What every page with a robot or a chart begins its script with, in order; each part adds to one object
+/// `caudata`: numbers, drawing, the scene, charts, and what text is made with.
+pub const COMMON_SCRIPT: [&str; 5] = [
     include_str!("page/core.js"),
     include_str!("page/render.js"),
+    include_str!("page/scene.js"),
+    include_str!("page/sheet.js"),
+    include_str!("page/text.js"),
+];
+/// What the page of an evaluation adds.
+const SCRIPT: [&str; 4] = [
     include_str!("page/replay.js"),
     include_str!("page/plots.js"),
     include_str!("page/tables.js"),
     include_str!("page/main.js"),
 ];
-const STYLE: &str = include_str!("page/style.css");
+/// How all pages look.
+pub const STYLE: &str = include_str!("page/style.css");
 const FRAME: &str = include_str!("page/page.html");
 
 /// Speeds that the paper reports for the robot at a 0.3 m/s command (Tian et al.), m/s.
@@ -125,7 +133,12 @@ pub fn page(
         result.policy_version,
         model.name()
     );
-    Ok(fill(&title, &data))
+    Ok(filled(&title, &data))
+}
+
+fn filled(title: &str, data: &str) -> String {
+    let script = [COMMON_SCRIPT.concat(), SCRIPT.concat()].concat();
+    fill(FRAME, STYLE, &script, title, data)
 }
 
 fn shown(outcome: &Outcome, settings: &Settings) -> Shown {
@@ -163,18 +176,19 @@ fn paper_row(row: &(&'static str, &str, f64), result: &SuiteResult) -> PaperRow 
     }
 }
 
-/// Puts style, script and data into the frame. `<` never appears in the data as itself: a name in it cannot
-/// close the element it is in.
-fn fill(title: &str, data: &str) -> String {
+/// Puts style, script, title and data into a frame. `<` never appears in the data as itself: a name in it
+/// cannot close the element it is in.
+#[must_use]
+pub fn fill(frame: &str, style: &str, script: &str, title: &str, data: &str) -> String {
     let escaped = data.replace('<', "\\u003c");
     let plain = title
         .replace('&', "&amp;")
         .replace('<', "&lt;")
         .replace('>', "&gt;");
-    FRAME
+    frame
         .replace("{{title}}", &plain)
-        .replace("{{style}}", STYLE)
-        .replace("{{script}}", &SCRIPT.concat())
+        .replace("{{style}}", style)
+        .replace("{{script}}", script)
         .replace("{{data}}", &escaped)
 }
 
@@ -184,7 +198,7 @@ mod tests {
 
     #[test]
     fn data_cannot_leave_its_element() {
-        let page = fill("a<b", r#"{"name":"</script><script>alert(1)"}"#);
+        let page = filled("a<b", r#"{"name":"</script><script>alert(1)"}"#);
         assert!(page.contains("a&lt;b"));
         assert!(page.contains(r"\u003c/script>\u003cscript>alert(1)"));
         assert!(!page.contains("{{"));
@@ -192,7 +206,7 @@ mod tests {
 
     #[test]
     fn the_page_asks_no_one_for_anything() {
-        let page = fill("t", "{}");
+        let page = filled("t", "{}");
         for outside in ["http://", "https://", "src=", "@import", "url(", "fetch("] {
             assert!(!page.contains(outside), "{outside}");
         }

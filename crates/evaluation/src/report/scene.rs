@@ -5,7 +5,6 @@ use caudata_sim::Terrain;
 use serde::Serialize;
 
 use super::pack::Packed;
-use crate::Film;
 
 /// Ground shown around the way of the robot, m.
 const MARGIN_M: f64 = 3.0;
@@ -167,19 +166,22 @@ struct GridScene {
 }
 
 impl GroundScene {
-    /// The ground within [`MARGIN_M`] of the film's way.
+    /// The ground within [`MARGIN_M`] of a way through these world points, m; all of it for none.
     #[must_use]
-    pub fn of(terrain: &Terrain, film: &Film) -> Self {
+    pub fn around(terrain: &Terrain, way_m: &[[f32; 3]]) -> Self {
         Self {
             water_m: terrain.water_level_m(),
             grid: terrain.grid().map(|grid| {
-                let way = |axis: usize| film.trace.frames.iter().map(move |f| f.com_m[axis]);
+                let way = |axis: usize| way_m.iter().map(move |at| at[axis]);
                 let half = grid.size_m() / 2.0;
                 let index = |x: f64| {
                     let at = (x + half) / grid.cell_m();
                     at.round().clamp(0.0, (grid.points() - 1) as f64) as usize
                 };
                 let range = |axis: usize| {
+                    if way_m.is_empty() {
+                        return [0, grid.points() - 1];
+                    }
                     let least = way(axis).fold(f32::INFINITY, f32::min);
                     let most = way(axis).fold(f32::NEG_INFINITY, f32::max);
                     [

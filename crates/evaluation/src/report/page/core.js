@@ -96,11 +96,28 @@ caudata.runs = (flags) => {
   return out;
 };
 
+// What the columns of a table of motion mean, by row.
+caudata.openMotion = (motion) => {
+  const feet = (motion.columns - 13) / 2;
+  return {
+    command: (r) => [0, 1, 2].map((c) => motion.at(r, c)),
+    achieved: (r) => [3, 4, 5].map((c) => motion.at(r, c)),
+    com: (r) => [6, 7, 8].map((c) => motion.at(r, c)),
+    heading: (r) => motion.at(r, 9),
+    power: (r) => motion.at(r, 10),
+    footHeight: (r, f) => motion.at(r, 11 + f),
+    footForce: (r, f) => motion.at(r, 11 + feet + f),
+    trunkForce: (r) => motion.at(r, 11 + 2 * feet),
+    tailForce: (r) => motion.at(r, 12 + 2 * feet),
+  };
+};
+
+caudata.openGround = ({ water_m, grid }) => ({ water: water_m, grid: grid && { ...grid, heights: caudata.unpack(grid.heights_m).values } });
+
 // A scenario's film, unpacked once.
 caudata.openFilm = (film) => {
   if (film.open) return film.open;
   const motion = caudata.unpack(film.motion);
-  const grid = film.ground.grid;
   film.open = {
     period: film.period_s,
     frames: film.pose.rows,
@@ -108,17 +125,8 @@ caudata.openFilm = (film) => {
     motion,
     effort: caudata.unpack(film.effort),
     fell: film.fell,
-    water: film.ground.water_m,
-    grid: grid && { ...grid, heights: caudata.unpack(grid.heights_m).values },
-    command: (r) => [0, 1, 2].map((c) => motion.at(r, c)),
-    achieved: (r) => [3, 4, 5].map((c) => motion.at(r, c)),
-    com: (r) => [6, 7, 8].map((c) => motion.at(r, c)),
-    heading: (r) => motion.at(r, 9),
-    power: (r) => motion.at(r, 10),
-    footHeight: (r, f) => motion.at(r, 11 + f),
-    footForce: (r, f) => motion.at(r, 15 + f),
-    trunkForce: (r) => motion.at(r, 19),
-    tailForce: (r) => motion.at(r, 20),
+    ...caudata.openGround(film.ground),
+    ...caudata.openMotion(motion),
   };
   return film.open;
 };

@@ -14,10 +14,6 @@ caudata.start = () => {
   let plots = null;
   const replay = new caudata.Replay(page.robot, page.foot_names, (frame, soon) => { if (plots) plots.at(frame, soon); });
   plots = new caudata.Plots(page, (frame) => { replay.play(false); replay.seek(frame); });
-  const dot = (color) => el("i", { style: `background: rgb(${color.map((x) => Math.round(255 * x)).join(",")})` });
-  const { COLORS } = caudata.Replay;
-  document.getElementById("legend").append(dot(COLORS.commanded), "commanded", dot(COLORS.achieved), "achieved", dot(COLORS.down), "foot on the ground", dot(COLORS.force), "force, 1 cm/N");
-
   const nav = document.getElementById("scenarios");
   const buttons = page.result.scenarios.map((s, i) => {
     const walks = caudata.walks(s);

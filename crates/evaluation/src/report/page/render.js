@@ -172,6 +172,8 @@ caudata.Renderer = class {
   // Throws where there is no WebGL 2.
   constructor(canvas) {
     this.canvas = canvas;
+    // Share of the screen's resolution; there are shadows only in the whole of it.
+    this.detail = 1;
     const gl = canvas.getContext("webgl2", { antialias: true, alpha: false });
     if (!gl) throw new Error("this browser offers no WebGL 2");
     this.gl = gl;
@@ -180,7 +182,7 @@ caudata.Renderer = class {
     this.depth = this.program(caudata.shaders.vertex, caudata.shaders.shadow);
     this.unit = {
       sphere: this.mesh(caudata.meshes.sphere()), cylinder: this.mesh(caudata.meshes.cylinder()),
-      box: this.mesh(caudata.meshes.box()), cone: this.mesh(caudata.meshes.cylinder(0.001)), plane: this.mesh(caudata.meshes.plane()),
+      box: this.mesh(caudata.meshes.box()), cone: this.mesh(caudata.meshes.cylinder(0.001)), plane: this.mesh(caudata.meshes.plane()), dot: this.mesh(caudata.meshes.sphere(3, 6)),
     };
     this.shadowTarget();
     gl.enable(gl.DEPTH_TEST);
@@ -237,7 +239,7 @@ caudata.Renderer = class {
 
   // Follows the size of the canvas on the screen.
   resize() {
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const ratio = Math.min(window.devicePixelRatio || 1, 2) * this.detail;
     const width = Math.max(1, Math.round(this.canvas.clientWidth * ratio)), height = Math.max(1, Math.round(this.canvas.clientHeight * ratio));
     if (this.canvas.width !== width || this.canvas.height !== height) { this.canvas.width = width; this.canvas.height = height; }
     return width / height;
@@ -261,14 +263,14 @@ caudata.Renderer = class {
     const aspect = this.resize();
     const from = caudata.add(camera.target, SUN.map((x) => 6 * x));
     const light = mat.mul(mat.ortho(1.7, 1, 12), mat.look(from, camera.target, [1, 0, 0]));
-    const view = mat.mul(mat.perspective(0.62, aspect, 0.03, 60), mat.look(camera.eye, camera.target, [0, 0, 1]));
+    const view = mat.mul(mat.perspective(caudata.Scene.FOV, aspect, 0.03, 60), mat.look(camera.eye, camera.target, [0, 0, 1]));
 
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.shadowFrame);
     gl.viewport(0, 0, SHADOW, SHADOW);
     gl.clear(gl.DEPTH_BUFFER_BIT);
     gl.useProgram(this.depth.program);
     gl.uniformMatrix4fv(this.depth.at.uView, false, light);
-    for (const item of items) if (!item.ground && !item.alpha && !item.glow) this.one(this.depth, item);
+    for (const item of items) if (this.detail === 1 && !item.ground && !item.alpha && !item.glow) this.one(this.depth, item);
 
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, this.canvas.width, this.canvas.height);

@@ -1,0 +1,113 @@
+//! The live page: one robot walks in a browser, and whoever looks drives it.
+//!
+//! [`LivePage`] serves one page that needs nothing from outside. A lane of the engine is stepped in real time
+//! while somebody looks, and at no other time; each step goes to every client as a server-sent event, and
+//! [`Order`]s come back. All clients see and drive the same robot.
+//!
+//! *Invariant:* nothing is answered without the token that [`LivePage::address`] holds; a client that does not
+//! keep up is cut off, and keeps nobody waiting.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod hub;
+mod order;
+mod performance;
+mod server;
+mod stage;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+use caudata_telemetry::progress::Iteration;
+use caudata_telemetry::{HttpServer, ServeError};
+
+pub use order::Order;
+pub use performance::{Policy, Show};
+pub use stage::Stage;
+
+use hub::Hub;
+
+/// Orders that may wait for the next step; more are refused.
+const ORDERS_WAITING_MAX: usize = 64;
+
+/// Why there is no live page.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveError {
+    /// Its address cannot be had.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// The system gives no random bytes, or no thread.
+    #[error("the live page cannot start: {0}")]
+    Io(#[from] std::io::Error),
+}
+
+/// Serves the page until dropped.
+#[derive(Debug)]
+pub struct LivePage {
+    server: HttpServer,
+    token: String,
+    hub: Arc<Hub>,
+    ended: Arc<AtomicBool>,
+    robot: Option<JoinHandle<()>>,
+}
+
+impl LivePage {
+    /// Serves `show` at `addr` (port 0: any free port).
+    ///
+    /// # Errors
+    /// When the address is taken, or the system refuses a thread.
+    pub fn start(addr: SocketAddr, show: Show) -> Result<Self, LiveError> {
+        let token = token()?;
+        let hub = Arc::new(Hub::default());
+        let (sender, orders) = crossbeam_channel::bounded(ORDERS_WAITING_MAX);
+        let router = server::router(show.title(), token.clone(), Arc::clone(&hub), sender);
+        let server = HttpServer::start(addr, "the live page", router)?;
+        let ended = Arc::new(AtomicBool::new(false));
+        let robot = {
+            let (hub, ended) = (Arc::clone(&hub), Arc::clone(&ended));
+            std::thread::Builder::new()
+                .name("live robot".into())
+                .spawn(move || performance::perform(&show, &hub, &orders, &ended))?
+        };
+        Ok(Self {
+            server,
+            token,
+            hub,
+            ended,
+            robot: Some(robot),
+        })
+    }
+
+    /// Where the page is, with the token that opens it.
+    pub fn address(&self) -> String {
+        format!("http://{}/?token={}", self.server.addr(), self.token)
+    }
+
+    /// Shows an iteration of training.
+    pub fn training(&self, iteration: &Iteration) {
+        self.hub.training(iteration);
+    }
+
+    /// Shows a line for people.
+    pub fn note(&self, text: &str) {
+        self.hub.say("note", &text);
+    }
+}
+
+impl Drop for LivePage {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        if let Some(robot) = self.robot.take() {
+            let _ = robot.join();
+        }
+    }
+}
+
+/// 128 random bits, hex.
+fn token() -> std::io::Result<String> {
+    use std::io::Read;
+    let mut bytes = [0; 16];
+    std::fs::File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+}

@@ -1,0 +1,287 @@
+//! The live page of the real program: by its protocol, and driven in a browser.
+
+mod browser;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::{Child, ChildStdout, Stdio};
+use std::time::{Duration, Instant};
+
+use caudata_tests::{command, skipped};
+use nix::sys::signal::Signal;
+use serde_json::{Value, json};
+
+use browser::Browser;
+
+/// Most bytes of the page.
+const PAGE_BYTES_MAX: usize = 1_500_000;
+
+/// A program that serves a live page.
+struct Served {
+    child: Child,
+    _output: BufReader<ChildStdout>,
+    /// `127.0.0.1:port`
+    host: String,
+    token: String,
+}
+
+impl Served {
+    /// Starts `caudata play` with these flags.
+    fn play(flags: &[&str]) -> Self {
+        let mut command = command("caudata", &["play"]).unwrap();
+        let mut child = command.args(flags).stdout(Stdio::piped()).spawn().unwrap();
+        let mut output = BufReader::new(child.stdout.take().unwrap());
+        let mut line = String::new();
+        output.read_line(&mut line).unwrap();
+        let address = line.split("http://").nth(1).expect("an address").trim();
+        let (host, token) = address.split_once("/?token=").expect("a token");
+        Self {
+            host: host.to_owned(),
+            token: token.to_owned(),
+            child,
+            _output: output,
+        }
+    }
+
+    fn address(&self) -> String {
+        format!("http://{}/?token={}", self.host, self.token)
+    }
+
+    /// Sends a request, with what belongs into its head, and gives the connection.
+    fn request(&self, line: &str, headers: &str, body: &str) -> TcpStream {
+        let mut stream = TcpStream::connect(&self.host).unwrap();
+        stream
+            .set_read_timeout(Some(Duration::from_secs(60)))
+            .unwrap();
+        let length = body.len();
+        write!(
+            stream,
+            "{line} HTTP/1.1\r\nHost: x\r\n{headers}Content-Length: {length}\r\n\r\n{body}"
+        )
+        .unwrap();
+        stream
+    }
+
+    /// The whole answer.
+    fn ask(&self, line: &str, headers: &str, body: &str) -> String {
+        let mut answer = String::new();
+        let mut stream = self.request(line, headers, body);
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    }
+
+    fn order(&self, order: &Value) -> String {
+        let token = format!("x-caudata-token: {}\r\n", self.token);
+        self.ask("POST /order", &token, &order.to_string())
+    }
+
+    fn events(&self) -> Events {
+        let line = format!("GET /events?token={}", self.token);
+        Events(BufReader::new(self.request(&line, "", "")))
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = caudata_tests::signal(&self.child, Signal::SIGTERM);
+        let _ = self.child.wait();
+    }
+}
+
+/// What a client is told.
+struct Events(BufReader<TcpStream>);
+
+impl Events {
+    /// The next event: its name, empty for a step, and its data.
+    fn next(&mut self) -> (String, Value) {
+        let mut name = String::new();
+        loop {
+            let mut line = String::new();
+            assert!(self.0.read_line(&mut line).unwrap() > 0, "the stream ended");
+            if let Some(event) = line.strip_prefix("event:") {
+                name = event.trim().to_owned();
+            }
+            if let Some(data) = line.strip_prefix("data:") {
+                return (name, serde_json::from_str(data).unwrap());
+            }
+        }
+    }
+
+    fn named(&mut self, wanted: &str) -> Value {
+        loop {
+            let (name, data) = self.next();
+            if name == wanted {
+                return data;
+            }
+        }
+    }
+
+    /// The base's place, m, after so many steps.
+    fn place(&mut self, steps: usize) -> [f64; 2] {
+        let mut row = Value::Null;
+        for _ in 0..steps {
+            row = self.named("");
+        }
+        [0, 1].map(|i| row[i].as_f64().unwrap())
+    }
+}
+
+#[test]
+fn a_stranger_sees_nothing_and_changes_nothing() {
+    let served = Served::play(&["policies/flat.onnx"]);
+    let wrong = "0".repeat(served.token.len());
+    let short = &served.token[1..];
+    for token in ["", &wrong, short] {
+        for line in [
+            format!("GET /?token={token}"),
+            format!("GET /events?token={token}"),
+            format!("POST /order?token={token}"),
+            format!("GET /else?token={token}"),
+        ] {
+            let answer = served.ask(&line, "", r#"{"do":"restart"}"#);
+            assert!(answer.starts_with("HTTP/1.1 403"), "{line}: {answer}");
+            assert!(!answer.contains("polymander"), "{line}: {answer}");
+        }
+    }
+    let page = served.ask(&format!("GET /?token={}", served.token), "", "");
+    assert!(page.starts_with("HTTP/1.1 200"), "{page}");
+    assert!(page.len() < PAGE_BYTES_MAX, "{} bytes", page.len());
+    for outside in ["http://", "https://", "src=", "@import", "url("] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+}
+
+#[test]
+fn the_robot_does_what_it_is_told() {
+    let served = Served::play(&["policies/flat.onnx"]);
+    let mut events = served.events();
+    let robot = events.named("robot");
+    assert_eq!(robot["joint_names"].as_array().unwrap().len(), 16);
+    assert_eq!(events.named("ground")["kind"], "flat");
+    let from = events.place(25);
+    let ordered = served.order(&json!({"do": "drive", "velocity": [0.3, 0.0, 0.0]}));
+    assert!(ordered.starts_with("HTTP/1.1 204"), "{ordered}");
+    let velocity = &events.named("told")["velocity"];
+    assert!(
+        (velocity[0].as_f64().unwrap() - 0.3).abs() < 1e-6,
+        "{velocity}"
+    );
+    // It heads +x; the first second is for starting.
+    let [x, _] = events.place(200);
+    assert!(
+        (0.6..1.4).contains(&(x - from[0])),
+        "{} m in 4 s",
+        x - from[0]
+    );
+
+    served.order(&json!({"do": "joint", "index": 9, "strength": 0.0}));
+    assert_eq!(events.named("told")["strengths"][9], 0.0);
+    served.order(&json!({"do": "terrain", "kind": "rough_easy"}));
+    let ground = events.named("ground");
+    assert_eq!(ground["kind"], "rough_easy");
+    assert!(ground["ground"]["grid"]["columns"].as_u64().unwrap() > 50);
+    let [x, y] = events.place(1);
+    assert!(x.hypot(y) < 0.5, "it starts again at {x}, {y}");
+    for refused in [
+        json!({"do": "fly"}),
+        json!({"do": "push", "velocity_mps": [9, 0]}),
+    ] {
+        let answer = served.order(&refused);
+        assert!(answer.starts_with("HTTP/1.1 400"), "{answer}");
+    }
+    let long = served.order(&json!({"do": "restart", "why": "x".repeat(2000)}));
+    assert!(long.starts_with("HTTP/1.1 413"), "{long}");
+}
+
+#[test]
+fn a_push_moves_it_and_a_client_that_does_not_read_is_cut_off() {
+    let served = Served::play(&["policies/flat.onnx"]);
+    let mut silent = served.events().0;
+    let mut events = served.events();
+    events.named("ground");
+    let [_, before] = events.place(50);
+    served.order(&json!({"do": "push", "velocity_mps": [0.0, 2.0]}));
+    let [_, after] = events.place(50);
+    assert!(after - before > 0.1, "pushed by {} m", after - before);
+    // What the system holds for the silent one is filled by grounds of 70 kB, each with its frames.
+    let begun = Instant::now();
+    let mut ended = false;
+    while !ended && begun.elapsed() < Duration::from_secs(60) {
+        served.order(&json!({"do": "terrain", "kind": "rough_hard"}));
+        events.place(2);
+        ended = silent.get_ref().peek(&mut [0]).is_err() || is_over(&served);
+    }
+    assert!(ended, "it still holds its place");
+    events.place(10);
+    let _ = silent.read(&mut [0]);
+}
+
+/// Whether the program has one connection left: that of the client that reads.
+fn is_over(served: &Served) -> bool {
+    let port = served.host.rsplit(':').next().unwrap();
+    let port = format!(":{:04X}", port.parse::<u16>().unwrap());
+    let table = std::fs::read_to_string("/proc/net/tcp").unwrap();
+    const ESTABLISHED: &str = "01";
+    let held = table.lines().filter(|line| {
+        let mut words = line.split_whitespace().skip(1);
+        words.next().is_some_and(|local| local.ends_with(&port))
+            && words.nth(1) == Some(ESTABLISHED)
+    });
+    held.count() <= 1
+}
+
+#[test]
+fn every_robot_that_ships_comes_onto_the_page() {
+    for robot in ["polymander", "quadruped", "biped", "hexapod", "snake"] {
+        let file = format!("robots/{robot}.robot.toml");
+        let served = Served::play(&["--robot", &file]);
+        let mut events = served.events();
+        assert!(
+            events.named("robot")["robot"]["links"].is_array(),
+            "{robot}"
+        );
+        events.place(10);
+    }
+    for policy in ["rough", "amphibious"] {
+        let served = Served::play(&[&format!("policies/{policy}.onnx")]);
+        served.events().place(10);
+    }
+}
+
+#[test]
+fn a_browser_drives_the_robot() {
+    let Some(mut browser) = Browser::start() else {
+        return skipped("there is no Chromium here");
+    };
+    let served = Served::play(&["policies/flat.onnx"]);
+    browser.open(&served.address());
+    browser.until("caudata.live && caudata.live.film && caudata.live.film.frames > 50");
+    let x = "caudata.live.film.com(caudata.live.film.frames - 1)[0]";
+    let from = browser.evaluate(x).as_f64().unwrap();
+    browser.key("keyDown", "w");
+    browser.until(&format!("{x} > {}", from + 0.4));
+    browser.key("keyUp", "w");
+    browser.until("caudata.live.drive.velocity[0] === 0");
+    browser.evaluate("document.querySelector('#joints button').click()");
+    browser.until("caudata.live.strengths[0] === 0.3");
+    // A push, by a click into the middle of the picture: the robot is there.
+    browser.until("caudata.live.seen || !document.getElementById('nogl').hidden");
+    if browser.evaluate("document.getElementById('nogl').hidden") == true {
+        browser.click("view");
+        browser.until("caudata.live.pushed");
+    }
+    browser.evaluate(
+        "{ const t = document.getElementById('terrain'); t.value = 'shore'; t.onchange(); }",
+    );
+    browser.until("caudata.live.film.water !== null && caudata.live.film.frames > 5");
+    // On a phone nothing sticks out.
+    browser.width(390);
+    browser.until("document.documentElement.scrollWidth <= 390");
+    assert_eq!(
+        browser.evaluate("document.documentElement.dataset.errors"),
+        "0"
+    );
+    browser.open(&format!("http://{}/", served.host));
+    browser
+        .until("document.body && document.body.textContent.includes('opens only at the address')");
+}
