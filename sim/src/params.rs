@@ -165,7 +165,7 @@ impl LaneParams {
             ("joint_armature_kgm2", &self.joint_armature_kgm2, a, 0.0, 10.0),
             ("joint_damping_nms_per_rad", &self.joint_damping_nms_per_rad, a, 0.0, 100.0),
             ("kp_nm_per_rad", &self.kp_nm_per_rad, a, 0.0, 10_000.0),
-            ("kd_nms_per_rad", &self.kd_nms_per_rad, a, 0.0, 100.0),
+            ("kd_nms_per_rad", &self.kd_nms_per_rad, a, 0.0, 10_000.0),
             ("torque_scale", &self.torque_scale, a, 0.0, 100.0),
             ("supply_v", &[self.supply_v], 1, 0.1, 1000.0),
             ("supply_resistance_ohm", &[self.supply_resistance_ohm], 1, 0.0, 100.0),

@@ -189,7 +189,10 @@ fn random_motion(model: &RobotModel, seed: u64, index: u64, fixed: bool) -> smoo
     let mut draw = |half: f32| f64::from(stream.uniform(-half, half));
     let quat: [f64; 4] = std::array::from_fn(|_| draw(1.0));
     let length = quat.iter().map(|c| c * c).sum::<f64>().sqrt().max(1e-3);
-    let world_from_base = if fixed {
+    let world_from_base = if model.base() == BaseKind::Fixed {
+        // where it is bolted is part of the model
+        Pose::IDENTITY
+    } else if fixed {
         model.links()[0].parent_from_link
     } else {
         Pose {

@@ -5,10 +5,21 @@ use std::path::{Path, PathBuf};
 
 use super::geometry::Solid;
 use super::tree::{Element, Remarks};
-use crate::pose::{cross, dot};
+use crate::pose::{cross, dot, norm, sub};
 
 /// Largest mesh file that is read, bytes.
 const MESH_LIMIT_BYTES: u64 = 64 * 1024 * 1024;
+
+/// How a mesh's volume is counted (attribute `inertia` of MuJoCo's `<mesh>`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Volumes {
+    /// MuJoCo's default: each triangle's tetrahedron counts as positive, from the middle of the surface and
+    /// then from the centre of mass that this gives. Too much where the mesh is hollow or not convex, but
+    /// something where it is not closed.
+    Legacy,
+    /// Signed: exact where the mesh is closed.
+    Exact,
+}
 
 /// What is kept of a mesh.
 #[derive(Clone, Copy, Debug)]
@@ -21,7 +32,7 @@ pub(super) struct Mesh {
 /// The meshes of a file, read when they are asked for.
 #[derive(Default)]
 pub(super) struct Meshes {
-    files: BTreeMap<String, (PathBuf, [f64; 3])>,
+    files: BTreeMap<String, (PathBuf, [f64; 3], Volumes)>,
     read: BTreeMap<String, Option<Mesh>>,
 }
 
@@ -57,7 +68,19 @@ impl Meshes {
             }
             let scale = scaled.array("scale", remarks).unwrap_or([1.0; 3]);
             let path = file.with_file_name("").join(folder).join(path);
-            files.insert(name, (path, scale));
+            let volumes = match mesh.get("inertia") {
+                None | Some("legacy") => Volumes::Legacy,
+                Some("exact") => Volumes::Exact,
+                Some(other) => {
+                    let what = format!(
+                        "{}: inertia=\"{other}\" is not read; counted as \"legacy\"",
+                        mesh.label()
+                    );
+                    remarks.note(mesh, what);
+                    Volumes::Legacy
+                }
+            };
+            files.insert(name, (path, scale, volumes));
         }
         Self {
             files,
@@ -67,7 +90,8 @@ impl Meshes {
 
     /// Names a file beside those of the assets.
     pub fn add(&mut self, name: &str, path: PathBuf, scale: [f64; 3]) {
-        self.files.insert(name.to_owned(), (path, scale));
+        self.files
+            .insert(name.to_owned(), (path, scale, Volumes::Exact));
     }
 
     /// A mesh by name; `None`: there is none, or it cannot be read.
@@ -78,7 +102,7 @@ impl Meshes {
         let mesh = self
             .files
             .get(name)
-            .and_then(|(path, scale)| load(path, *scale));
+            .and_then(|(path, scale, volumes)| load(path, *scale, *volumes));
         self.read.insert(name.to_owned(), mesh);
         mesh
     }
@@ -86,7 +110,7 @@ impl Meshes {
 
 type Triangle = [[f64; 3]; 3];
 
-fn load(path: &Path, scale: [f64; 3]) -> Option<Mesh> {
+fn load(path: &Path, scale: [f64; 3], volumes: Volumes) -> Option<Mesh> {
     let bytes = caudata_durable::read_at_most(path, MESH_LIMIT_BYTES).ok()?;
     let kind = path.extension()?.to_string_lossy().to_lowercase();
     let mut triangles = match kind.as_str() {
@@ -99,12 +123,52 @@ fn load(path: &Path, scale: [f64; 3]) -> Option<Mesh> {
             *x *= s;
         }
     }
-    measure(&triangles)
+    measure(&triangles, volumes)
 }
 
-/// Box and volume. The volume is that between the surface and a point, signed; a mesh that is not closed has
-/// the one it seems to have.
-fn measure(triangles: &[Triangle]) -> Option<Mesh> {
+/// Integrals over the tetrahedra that the triangles span with a point: volume, first and second moments about
+/// that point, for density 1.
+fn integrals(
+    triangles: &[Triangle],
+    from: [f64; 3],
+    volumes: Volumes,
+) -> (f64, [f64; 3], [[f64; 3]; 3]) {
+    let (mut volume, mut first, mut second) = (0.0, [0.0; 3], [[0.0; 3]; 3]);
+    for corners in triangles {
+        let [a, b, c] = corners.map(|corner| sub(corner, from));
+        // ∫ x xᵀ = V/20·(Σ vᵢvᵢᵀ + (Σ vᵢ)(Σ vᵢ)ᵀ)
+        let mut v = dot(a, cross(b, c)) / 6.0;
+        if volumes == Volumes::Legacy {
+            v = v.abs();
+        }
+        let sum = [0, 1, 2].map(|i| a[i] + b[i] + c[i]);
+        volume += v;
+        for r in 0..3 {
+            first[r] += v * sum[r] / 4.0;
+            for s in 0..3 {
+                let squares = a[r] * a[s] + b[r] * b[s] + c[r] * c[s];
+                second[r][s] += v / 20.0 * (squares + sum[r] * sum[s]);
+            }
+        }
+    }
+    (volume, first, second)
+}
+
+/// The middle of the surface, each triangle weighted by its area.
+fn surface_centre(triangles: &[Triangle]) -> [f64; 3] {
+    let (mut total, mut sum) = (0.0, [0.0; 3]);
+    for [a, b, c] in triangles {
+        let area = norm(cross(sub(*b, *a), sub(*c, *a)));
+        total += area;
+        for i in 0..3 {
+            sum[i] += area * (a[i] + b[i] + c[i]) / 3.0;
+        }
+    }
+    sum.map(|x| x / total.max(f64::MIN_POSITIVE))
+}
+
+/// Box and volume.
+fn measure(triangles: &[Triangle], volumes: Volumes) -> Option<Mesh> {
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for vertex in triangles.iter().flatten() {
         for i in 0..3 {
@@ -117,28 +181,16 @@ fn measure(triangles: &[Triangle]) -> Option<Mesh> {
     }
     let middle_m = [0, 1, 2].map(|i| 0.5 * (low[i] + high[i]));
     let half_size_m = [0, 1, 2].map(|i| 0.5 * (high[i] - low[i]));
-    let (mut volume, mut first, mut second) = (0.0, [0.0; 3], [[0.0; 3]; 3]);
-    for [a, b, c] in triangles {
-        // of the tetrahedron with the origin: ∫ x xᵀ = V/20·(Σ vᵢvᵢᵀ + (Σ vᵢ)(Σ vᵢ)ᵀ)
-        let v = dot(*a, cross(*b, *c)) / 6.0;
-        let sum = [0, 1, 2].map(|i| a[i] + b[i] + c[i]);
-        volume += v;
-        for r in 0..3 {
-            first[r] += v * sum[r] / 4.0;
-            for s in 0..3 {
-                let squares = a[r] * a[s] + b[r] * b[s] + c[r] * c[s];
-                second[r][s] += v / 20.0 * (squares + sum[r] * sum[s]);
-            }
-        }
-    }
+    let from = surface_centre(triangles);
+    let (volume, first, _) = integrals(triangles, from, volumes);
     if volume.abs() < 1e-15 {
         return None;
     }
-    let sign = volume.signum();
-    let centre_m = first.map(|x| x / volume);
-    let mut moments = [[0.0; 3]; 3];
-    let about = |r: usize, s: usize| sign * (second[r][s] - volume * centre_m[r] * centre_m[s]);
+    let centre_m = [0, 1, 2].map(|i| from[i] + first[i] / volume);
+    let (volume, _, second) = integrals(triangles, centre_m, volumes);
+    let about = |r: usize, s: usize| volume.signum() * second[r][s];
     let trace = about(0, 0) + about(1, 1) + about(2, 2);
+    let mut moments = [[0.0; 3]; 3];
     for r in 0..3 {
         for s in 0..3 {
             moments[r][s] = if r == s { trace } else { 0.0 } - about(r, s);
@@ -228,18 +280,55 @@ mod tests {
 
     #[test]
     fn a_box_as_a_mesh_has_the_box_s_volume_centre_and_moments() {
-        let mesh = measure(&obj(BOX).unwrap()).unwrap();
-        assert_eq!(
-            (mesh.middle_m, mesh.half_size_m),
-            ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
-        );
-        assert!((mesh.solid.volume_m3 - 48.0).abs() < 1e-9);
-        for i in 0..3 {
-            assert!((mesh.solid.centre_m[i] - mesh.middle_m[i]).abs() < 1e-9);
+        for volumes in [Volumes::Legacy, Volumes::Exact] {
+            let mesh = measure(&obj(BOX).unwrap(), volumes).unwrap();
+            assert_eq!(
+                (mesh.middle_m, mesh.half_size_m),
+                ([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
+            );
+            assert!((mesh.solid.volume_m3 - 48.0).abs() < 1e-9);
+            for i in 0..3 {
+                assert!((mesh.solid.centre_m[i] - mesh.middle_m[i]).abs() < 1e-9);
+            }
+            // V/12·(4² + 6²) = 208
+            assert!((mesh.solid.moments[0][0] - 208.0).abs() < 1e-6);
+            assert!(mesh.solid.moments[0][1].abs() < 1e-6);
         }
-        // V/12·(4² + 6²) = 208
-        assert!((mesh.solid.moments[0][0] - 208.0).abs() < 1e-6);
-        assert!(mesh.solid.moments[0][1].abs() < 1e-6);
+    }
+
+    /// A cube of 3 with a cube of 1 taken out of its middle: 26, and with each tetrahedron as positive 28.
+    #[test]
+    fn hollow_meshes_weigh_more_where_all_counts_as_positive() {
+        let cube = |low: f64, high: f64, first: usize| {
+            let mut text = String::new();
+            for z in [low, high] {
+                for (x, y) in [(low, low), (high, low), (high, high), (low, high)] {
+                    text += &format!("v {x} {y} {z}\n");
+                }
+            }
+            let faces = [
+                [1, 4, 3, 2],
+                [5, 6, 7, 8],
+                [1, 2, 6, 5],
+                [2, 3, 7, 6],
+                [3, 4, 8, 7],
+                [4, 1, 5, 8],
+            ];
+            for mut face in faces {
+                if first > 0 {
+                    face.reverse();
+                }
+                let [a, b, c, d] = face.map(|i| i + first);
+                text += &format!("f {a} {b} {c} {d}\n");
+            }
+            text
+        };
+        let hollow = obj(&(cube(0.0, 3.0, 0) + &cube(1.0, 2.0, 8))).unwrap();
+        for (volumes, volume_m3) in [(Volumes::Exact, 26.0), (Volumes::Legacy, 28.0)] {
+            let mesh = measure(&hollow, volumes).unwrap();
+            assert!((mesh.solid.volume_m3 - volume_m3).abs() < 1e-9);
+            assert!((mesh.solid.centre_m[0] - 1.5).abs() < 1e-9);
+        }
     }
 
     #[test]

@@ -92,6 +92,9 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     }
     merge_welded(robot);
     drop_empty_root(robot);
+    if root.tag == "mujoco" && root.all("actuator").next().is_none() {
+        drive_all(robot, root, remarks);
+    }
     limit_actuated(robot, remarks);
     for (i, body) in robot.bodies.iter_mut().enumerate() {
         if body.inertial.is_none_or(|i| i.mass_kg <= 0.0) {
@@ -111,9 +114,25 @@ pub(super) fn finish(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
     if robot.actuators.is_empty() {
         remarks.refuse(
             root,
-            "has no actuator on a joint; add <actuator><motor joint=\"…\"/></actuator>",
+            "has no actuator that drives a joint; add <actuator><motor joint=\"…\"/></actuator>",
         );
     }
+}
+
+/// An MJCF without actuators: its users add them in code. As in a URDF, each joint has a drive.
+fn drive_all(robot: &mut Robot, root: &Element, remarks: &mut Remarks) {
+    let joints = robot.bodies.iter().flat_map(|b| &b.joints);
+    let drive = |joint: &Joint| Actuator {
+        joint: joint.name.clone(),
+        gains: None,
+        force_limit: joint.force_limit,
+    };
+    robot.actuators = joints.map(drive).collect();
+    let count = robot.actuators.len();
+    remarks.note(
+        root,
+        format!("names no actuators; each of the {count} joints is given a drive"),
+    );
 }
 
 /// A body without a joint becomes part of its parent.

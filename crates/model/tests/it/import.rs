@@ -129,6 +129,23 @@ fn classes_welds_masses_and_a_named_pose_by_hand() {
 }
 
 #[test]
+fn without_any_actuator_every_joint_has_a_drive() {
+    let start = LEG.find("  <actuator>").unwrap();
+    let end = LEG.find("  <keyframe>").unwrap();
+    let made = read("bare.xml", &[&LEG[..start], &LEG[end..]].concat()).unwrap();
+    assert_eq!(model(&made).actuated().len(), 1);
+    let said = |note: &import::Remark| note.message.contains("names no actuators");
+    assert!(made.notes.iter().any(said), "{:?}", made.notes);
+    // A tendon's drive is not a joint's: no guess.
+    let tendon = [
+        &LEG[..start],
+        "<actuator><motor tendon=\"t\"/></actuator>",
+        &LEG[end..],
+    ];
+    assert!(read("tendon.xml", &tendon.concat()).is_err());
+}
+
+#[test]
 fn everything_that_is_refused_is_said_at_once_with_its_line() {
     let text = r#"<mujoco>
   <worldbody>
