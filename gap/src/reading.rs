@@ -1,7 +1,7 @@
 //! How a log becomes a [`Trial`].
 
 use caudata_model::RobotModel;
-use caudata_runlog::{Axis, QuatPart, Signal, Table};
+use caudata_runlog::{Axis, BaseHold, QuatPart, Signal, Table};
 
 use crate::error::GapError;
 use crate::trial::{Channel, Kind, Run, Steps, Trial, attitude_of, nearest_turn};
@@ -55,11 +55,11 @@ pub fn trial(model: &RobotModel, run: &Run) -> Result<Trial, GapError> {
         })
     });
     let enabled = |joint: &&str| steps(table, &Signal::Enabled((*joint).to_owned()));
-    let channels = channels(model, table);
+    let meta = &run.log.meta;
+    let channels = channels(model, table, meta.base);
     if !channels.iter().any(|c| c.kind == Kind::Position) {
         return Err(bad("has no `pos.<joint>` column with values".into()));
     }
-    let meta = &run.log.meta;
     let volt = channels.iter().find(|c| c.kind == Kind::Voltage);
     Ok(Trial {
         name: run.name.clone(),
@@ -138,12 +138,25 @@ fn open_voltage(volt_v: &[f64]) -> f64 {
     upper.iter().sum::<f64>() / upper.len().max(1) as f64
 }
 
-fn channels(model: &RobotModel, table: &Table) -> Vec<Channel> {
+/// Whether a diagnosis reads a signal of a run whose base is so held.
+#[must_use]
+pub fn is_read(signal: &Signal, base: BaseHold) -> bool {
+    match signal {
+        // of a held robot these say where the stand is, and nothing about the robot
+        Signal::BasePosition(_) | Signal::BaseVelocity(_) | Signal::BaseQuaternion(_) => {
+            base != BaseHold::Fixed
+        }
+        Signal::Temperature(_) | Signal::Duty(_) | Signal::Mocap(..) | Signal::Contact(_) => false,
+        _ => true,
+    }
+}
+
+fn channels(model: &RobotModel, table: &Table, base: BaseHold) -> Vec<Channel> {
     let time = table.time_s();
     let joints = model.actuated_names();
     let mut channels = Vec::new();
     let axis = |a: Axis| (a as usize, ["x", "y", "z"][a as usize].to_owned());
-    for signal in table.signals() {
+    for signal in table.signals().iter().filter(|s| is_read(s, base)) {
         let Some(column) = table.column(signal) else {
             continue;
         };
@@ -180,7 +193,8 @@ fn channels(model: &RobotModel, table: &Table) -> Vec<Channel> {
             push(&mut channels, kind, index, name, time, column);
         }
     }
-    if let Some(quaternions) = base_quaternions(table) {
+    let turns = is_read(&Signal::BaseQuaternion(QuatPart::W), base);
+    if let Some(quaternions) = base_quaternions(table).filter(|_| turns) {
         let names = ["gravity_x", "gravity_y", "yaw", "gravity_z"];
         let mut parts = [(); 4].map(|()| vec![None; time.len()]);
         let mut turned: Option<f64> = None;

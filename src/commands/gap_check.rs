@@ -65,6 +65,12 @@ fn print(checked: &Checked) {
         say::line("no fault found");
     }
     gap_report::faults(&checked.faults);
+    if !checked.not_used.is_empty() {
+        say::line("\nNot used by a diagnosis (and in how many of the runs):");
+        for (what, runs) in &checked.not_used {
+            say::line(format!("  {what} ({runs})"));
+        }
+    }
     if checked.cannot_tell.is_empty() {
         return;
     }

@@ -1,10 +1,10 @@
-//! Joint channels: sign, unit, order, stuck and doubled channels, and whether a reading comes before its
-//! cause.
+//! Joint channels: sign, unit, order, stuck and doubled channels.
 
 use caudata_runlog::Signal;
 
 use super::channels::{Channels, SLOW_S};
 use super::finding::{Finding, Run};
+use super::late::{LAG_RANGE_S, LONGEST_LAG_S, asks_much_rad};
 use super::series::{Together, best_lag, slope, smooth, together};
 
 /// A command that moves less than this (standard deviation of its slow part, rad) tells nothing.
@@ -13,10 +13,6 @@ const MOVES_RAD: f64 = 0.02;
 const RESTS_RADPS: f64 = 0.1;
 /// At least so long a stretch is judged, s.
 const LONG_ENOUGH_S: f64 = 1.0;
-/// Longest time from a command to its effect that any servo needs, s. More is a fault of the stamps.
-const LONGEST_LAG_S: f64 = 0.3;
-/// Lags that are looked at, s.
-const LAG_RANGE_S: f64 = 0.6;
 /// A joint may be read beyond its range by this factor and this angle (rad): stops yield, zeros are off.
 const BEYOND: (f64, f64) = (1.3, 0.2);
 /// A reading of which its command leaves less than this share follows it.
@@ -38,8 +34,6 @@ const LAG_STEP_S: f64 = 0.02;
 const RESOLVED_RAD: f64 = 0.004;
 /// A servo that is asked for this share of its torque at rest draws a current that shows.
 const PULLS: f64 = 0.05;
-/// An error that no servo leaves on both sides of a reading that does not change, rad.
-const STUCK_RAD: f64 = 0.15;
 
 pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
     let exchanged = order(run, joints, out);
@@ -52,7 +46,6 @@ pub(super) fn faults(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>)
         counts(run, joint, out);
     }
     doubled(joints, out);
-    cause_before_effect(run, joints, out);
 }
 
 /// The slow parts of command and position, where there is enough of both.
@@ -145,15 +138,14 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
         })
         .collect();
     let t = together(&error, &smooth(cur, run.grid.points(SLOW_S)), 0);
-    let unsigned = cur.iter().all(|i| i.is_nan() || *i >= 0.0);
-    if unsigned && cur.iter().any(|i| *i > 0.0) && pulls_both_ways(run, joint, &error) {
-        let detail = "is never negative although the servo pulls both ways: log it with its sign";
+    let asked: Vec<f64> = cmd.iter().zip(pos).map(|(u, q)| u - q).collect();
+    if let Some((kind, detail)) = one_sided(run, joint, cur, &asked) {
         let at = format!("cur.{}", joint.name);
-        return out.push(Finding::fatal("sign", at, detail.to_owned()));
+        return out.push(Finding::fatal(kind, at, detail));
     }
     // an error that hardly leaves its count, and a current that wanders meanwhile, tell nothing
     let told = t.first_sd > run.robot.servo(joint.index).encoder_lsb_rad();
-    if told && t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) && !unsigned {
+    if told && t.r < -0.7 && t.points >= run.grid.points(LONG_ENOUGH_S) {
         out.push(Finding::fatal(
             "sign",
             format!("cur.{}", joint.name),
@@ -165,15 +157,38 @@ fn sign(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     }
 }
 
-/// Whether what is left of the command at rest (rad) asks the servo for much torque one way and, as long, the
-/// other.
-fn pulls_both_ways(run: &Run<'_>, joint: &Channels, error_rad: &[f64]) -> bool {
+/// What is wrong with a current that is never negative, or always the same, although what is left of the
+/// command (rad) asks the servo for much torque one way and, as long, the other.
+fn one_sided(
+    run: &Run<'_>,
+    joint: &Channels,
+    cur: &[f64],
+    left_rad: &[f64],
+) -> Option<(&'static str, String)> {
     let servo = run.robot.servo(joint.index);
     let kp = (run.log.meta.gains(&joint.name).0).unwrap_or(run.robot.kp_nm_per_rad(joint.index));
-    let much = |x: f64| kp * x > PULLS * servo.tau_max_nm && x > 3.0 * servo.encoder_lsb_rad();
+    let idle_nm = servo.current_dead_band_a * servo.torque_per_current_nm_per_a;
+    let most_nm = (PULLS * servo.tau_max_nm).max(2.0 * idle_nm);
+    let much = |x: f64| kp * x > most_nm && x > 3.0 * servo.encoder_lsb_rad();
     let long = run.grid.points(LONG_ENOUGH_S);
-    let ways = [1.0, -1.0].map(|way| error_rad.iter().filter(|x| much(way * **x)).count());
-    ways.iter().all(|n| *n >= long)
+    let ways = [1.0, -1.0].map(|way| left_rad.iter().filter(|x| much(way * **x)).count());
+    if ways.iter().any(|n| *n < long) {
+        return None;
+    }
+    let known = || cur.iter().filter(|i| i.is_finite());
+    let first = known().next()?;
+    if known().all(|i| i == first) {
+        return Some((
+            "stuck",
+            format!(
+                "reads {first:.4} A in the whole run although the servo pulls both ways: is it read at all?"
+            ),
+        ));
+    }
+    let detail = "is never negative although the servo pulls both ways: log it with its sign";
+    known()
+        .all(|i| *i >= 0.0)
+        .then(|| ("sign", detail.to_owned()))
 }
 
 /// A reading that stays the same to the last bit while the command asks for both sides of it.
@@ -181,16 +196,7 @@ fn stuck(run: &Run<'_>, joint: &Channels, out: &mut Vec<Finding>) {
     let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {
         return;
     };
-    // A weak servo does not get through friction: what counts as an error goes with its gain.
-    let servo = run.robot.servo(joint.index);
-    let kp = run
-        .log
-        .meta
-        .gains(&joint.name)
-        .0
-        .unwrap_or(run.robot.kp_nm_per_rad(joint.index))
-        .max(1e-6);
-    let far = STUCK_RAD.max(0.3 * servo.tau_max_nm / kp);
+    let far = asks_much_rad(run, joint);
     let asked = cmd.iter().filter(|u| (*u - pos[0]).abs() > far).count();
     if pos.iter().all(|q| *q == pos[0]) && asked >= run.grid.points(LONG_ENOUGH_S) {
         let detail = format!(
@@ -430,50 +436,5 @@ fn doubled(joints: &[Channels], out: &mut Vec<Finding>) {
                 ));
             }
         }
-    }
-}
-
-/// A position that moves before its command was sent, or much later than any servo: stamps of two clocks.
-fn cause_before_effect(run: &Run<'_>, joints: &[Channels], out: &mut Vec<Finding>) {
-    let grid = &run.grid;
-    let fine = grid.points(0.04);
-    let most = grid.points(LAG_RANGE_S) as isize;
-    let rate = |x: &[f64]| slope(&smooth(x, fine), fine.div_ceil(2), grid.step_s);
-    let (mut leads, mut moving) = (Vec::new(), 0);
-    for joint in joints {
-        let (Some(cmd), Some(pos)) = (&joint.cmd, &joint.pos) else {
-            continue;
-        };
-        let (u, q) = (rate(cmd), rate(pos));
-        if together(&u, &q, 0).first_sd < 0.1 {
-            continue;
-        }
-        moving += 1;
-        let (lag, at_lag) = best_lag(&u, &q, -most..=most);
-        let lag_s = lag as f64 * grid.step_s;
-        // The best among the lags that a servo can have must be clearly worse: a periodic motion fits a
-        // period off, too.
-        let late = grid.points(LONGEST_LAG_S) as isize;
-        let possible = best_lag(&u, &q, 0..=late).1;
-        let impossible = lag_s < -(2.5 * grid.step_s).max(0.02) || lag_s > LONGEST_LAG_S;
-        if impossible && at_lag.r > 0.6 && at_lag.r > possible.r + 0.15 {
-            leads.push((joint.name.as_str(), lag_s, at_lag.r));
-        }
-    }
-    // stamps are wrong for all joints; a single one may swing on its own gain, a period off
-    if 2 * leads.len() <= moving {
-        return;
-    }
-    if let Some(&(name, lag_s, r)) = leads.iter().max_by(|a, b| a.2.total_cmp(&b.2)) {
-        let how = if lag_s < 0.0 { "before" } else { "after" };
-        out.push(Finding::fatal(
-            "stamps",
-            format!("pos.{name}"),
-            format!(
-                "moves {:.0} ms {how} its command (correlation {r:.2}; {} joint(s)): commands and readings were stamped by different clocks or shifted",
-                1e3 * lag_s.abs(),
-                leads.len()
-            ),
-        ));
     }
 }

@@ -10,6 +10,7 @@ mod channels;
 mod excites;
 mod finding;
 mod joints;
+mod late;
 mod parity;
 mod repeats;
 pub mod series;
@@ -57,6 +58,9 @@ pub struct Checked {
     pub repeats: Vec<Vec<String>>,
     /// Stretches that repeats do not show; a diagnosis leaves them out.
     pub odd_spans: Vec<OddSpan>,
+    /// What stands in the logs and no diagnosis reads, with the number of runs: columns, keys of `log.toml`,
+    /// topics.
+    pub not_used: BTreeMap<String, usize>,
     /// Effects that these runs cannot show, and what would.
     pub cannot_tell: BTreeMap<String, Blind>,
 }
@@ -142,6 +146,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
         if usable::usable(run, &joints, &mut found) {
             stamps::faults(run, &joints, &mut found);
             joints::faults(run, &joints, &mut found);
+            late::faults(run, &joints, &mut found);
             parity::faults(run, &joints, &mut found);
         }
         faults.extend(found.into_iter().map(|f| fault(&run.name, f)));
@@ -176,6 +181,7 @@ pub fn check(logs: &[(&str, &RunLog)], robot: &RobotModel) -> Checked {
         faults,
         repeats: groups.iter().map(names).collect(),
         odd_spans: odd,
+        not_used: usable::not_used(&runs),
         cannot_tell: blind(logs, &excitations, robot),
         runs: checks,
     }

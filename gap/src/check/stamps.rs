@@ -19,6 +19,13 @@ const BUNCHED: f64 = 0.2;
 /// So large a share of bunched rows is said.
 const BUNCHED_SHARE: f64 = 0.02;
 
+/// A step is a whole number of rows to this …
+const EVEN: f64 = 0.2;
+/// … where so many of the longer ones are, rows are missing; else they just come unevenly.
+const EVEN_SHARE: f64 = 0.8;
+/// Shares of rows that are missing from which on it is said, and is a fault.
+const LOST_SHARE: (f64, f64) = (0.02, 0.1);
+
 /// Time over which a speed is taken beside a gap, s.
 const BESIDE_S: f64 = 0.05;
 /// A gap says whether rows are missing only where the motion would have gone so far in it, rad.
@@ -90,6 +97,7 @@ format!(
             ),
 ));
     }
+    lost(time_s, median, out);
     let bunched = steps().filter(|&(_, step)| step < BUNCHED * median).count();
     if bunched as f64 > BUNCHED_SHARE * time_s.len() as f64 {
         out.push(Finding::fatal(
@@ -103,6 +111,34 @@ format!(
             ),
 ));
     }
+}
+
+/// Rows that are missing one by one, or a few at a time: where rows come evenly, longer steps are whole
+/// numbers of them. What was commanded in these rows is not known.
+fn lost(time_s: &[f64], median_s: f64, out: &mut Vec<Finding>) {
+    let steps = || time_s.windows(2).map(|w| (w[1] - w[0]) / median_s);
+    let longer: Vec<f64> = steps()
+        .filter(|n| *n > 1.5 && !(*n > GAP_STEPS && n * median_s > GAP_S))
+        .collect();
+    let even = longer.iter().filter(|n| (*n - n.round()).abs() < EVEN);
+    if (even.count() as f64) < EVEN_SHARE * longer.len() as f64 {
+        return;
+    }
+    let missing: f64 = longer.iter().map(|n| n.round() - 1.0).sum();
+    let share = missing / (time_s.len() as f64 + missing);
+    if share < LOST_SHARE.0 {
+        return;
+    }
+    let said = match share < LOST_SHARE.1 {
+        true => Finding::note,
+        false => Finding::fatal,
+    };
+    let detail = format!(
+        "{missing:.0} rows are missing ({:.0} %), in {} places: what was commanded in them is not known; log every command",
+        100.0 * share,
+        longer.len()
+    );
+    out.push(said("gap", "t".to_owned(), detail));
 }
 
 /// How many channels go on across the gap of `step_s` after `at_s` as if no time had passed; 0 where any

@@ -1,7 +1,10 @@
 //! Whether there is anything to check: the right robot, its joints, enough rows.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::channels::Channels;
 use super::finding::{Finding, Run};
+use crate::reading::is_read;
 
 /// A run shorter than this says nothing, s.
 const SHORTEST_RUN_S: f64 = 2.0;
@@ -60,12 +63,51 @@ fn misspelt(run: &Run<'_>, out: &mut Vec<Finding>) {
         end.map_or(key.clone(), |e| key[..key.len() - e.len()].to_owned())
     };
     for key in run.log.meta.settings.keys() {
-        let like = |k: &&&str| plain(k) == plain(key) && *k != key;
+        let like = |k: &&&str| *k != key && one_letter_off(&plain(k), &plain(key));
         if let Some(meant) = KEYS.iter().find(like) {
             let detail = format!("`{key}` is not read; write `{meant}`");
             out.push(Finding::fatal("meta", "log.toml".to_owned(), detail));
         }
     }
+}
+
+/// What no diagnosis reads, with the number of runs that have it.
+pub(super) fn not_used(runs: &[Run<'_>]) -> BTreeMap<String, usize> {
+    let mut out = BTreeMap::new();
+    for run in runs {
+        let table = &run.log.table;
+        let meta = &run.log.meta;
+        let unread = table.signals().iter().filter(|s| !is_read(s, meta.base));
+        // `base.pos.x` to `base.pos.z` are one thing
+        let of_signals = unread.map(|s| {
+            let name = s.to_string();
+            let axis = name.rsplit_once('.').filter(|(_, end)| end.len() == 1);
+            axis.map_or(name.clone(), |(all, _)| all.to_owned())
+        });
+        let keys = meta.settings.keys().filter(|k| !KEYS.contains(&k.as_str()));
+        let of_meta = keys.map(|k| format!("log.toml: {k}"));
+        let of_table = table.notes().iter().cloned();
+        let once: BTreeSet<String> = of_signals.chain(of_meta).chain(of_table).collect();
+        for what in once {
+            *out.entry(what).or_insert(0) += 1;
+        }
+    }
+    out
+}
+
+/// Whether two words are the same but for one letter that is another one, missing or too much. Of short words
+/// all letters count.
+fn one_letter_off(a: &str, b: &str) -> bool {
+    const SHORT: usize = 4;
+    let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
+    let longest = a.len().max(b.len());
+    if a == b || longest < SHORT || a.len().abs_diff(b.len()) > 1 {
+        return a == b;
+    }
+    let ahead = a.iter().zip(&b).take_while(|(x, y)| x == y).count();
+    let behind = (a.iter().rev()).zip(b.iter().rev());
+    let behind = behind.take_while(|(x, y)| x == y).count();
+    ahead + behind + 1 >= longest
 }
 
 /// Whether the log has commands and positions of this robot's joints, and of no others.

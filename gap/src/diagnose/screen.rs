@@ -4,9 +4,11 @@
 //! joint's channels are judged on their own. (Joints of a held robot hardly move each other; whoever passes
 //! is fitted in earnest afterwards.)
 
-use super::judge::{Judge, concerns};
 use std::borrow::Cow;
 
+use caudata_model::RobotModel;
+
+use super::judge::{Judge, concerns};
 use super::product::dot;
 use super::state::{Context, On, State, builds_up};
 use super::tracking::scaling;
@@ -160,6 +162,27 @@ impl Screened {
     }
 }
 
+/// Shares of `sizes` that a smooth effect may have instead: up to three times as much either way, as far as its
+/// bounds go. One that is nothing at its bound has one way.
+fn shares(
+    effect: &Effect,
+    model: &RobotModel,
+    place: &Place,
+    sizes: &[f64],
+    neutral: &[f64],
+) -> (f64, f64) {
+    let back = |i: usize| {
+        let (low, high) = effect.bounds(model, place, i);
+        match sizes[i] - neutral[i] {
+            up if up > 0.0 => (low - neutral[i]) / up,
+            down if down < 0.0 => (high - neutral[i]) / down,
+            _ => f64::NEG_INFINITY,
+        }
+    };
+    let low = scaling(effect).map(back).fold(-3.0, f64::max);
+    (if low < 0.0 { low } else { 0.05 }, 3.0)
+}
+
 fn judge(
     context: &Context,
     look: &Look<'_>,
@@ -195,17 +218,16 @@ fn judge(
         pdd -= qd * qd;
     }
     let pdd = pdd.max(0.01 * dd);
-    let (low, high) = if effect.hinge {
-        (0.4, 1.6)
-    } else {
-        (0.05, 3.0)
+    let sizes = effect.sizes(model, place, k);
+    let neutral = effect.neutral(model, place);
+    let (low, high) = match effect.hinge {
+        true => (0.4, 1.6),
+        false => shares(effect, model, place, &sizes, &neutral),
     };
     let share = (prd / pdd).clamp(low, high);
     let projected = (2.0 * share * prd - share * share * pdd) / n;
     let direct = (2.0 * rd - dd) / n;
     let gain = projected.max(direct);
-    let sizes = effect.sizes(model, place, k);
-    let neutral = effect.neutral(model, place);
     let start: Vec<f64> = if effect.hinge {
         sizes.clone()
     } else {

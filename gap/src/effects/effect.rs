@@ -90,7 +90,8 @@ pub struct Effect {
     pub domain: Domain,
     /// The first is its size, with those of the same unit (a centre of mass has three).
     pub parameters: &'static [ParameterSpec],
-    /// Sizes to try, one value per parameter, in units of the references.
+    /// Sizes to try, one value per parameter, in units of the references. What is smooth is tried the other way
+    /// round with them.
     pub grid: &'static [&'static [f64]],
     /// Whether its trace starts with a threshold (gap, stop, limit), so that a derivative at nothing says
     /// nothing.

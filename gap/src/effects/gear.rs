@@ -72,14 +72,15 @@ pub static GEAR_COMPLIANCE: Effect = Effect {
     ..OF_GEARS
 };
 
-/// Ripples that are tried: so many in a turn, each a quarter of its period on from the one before.
-const RIPPLES: [[f64; 3]; 40] = {
+/// Ripples that are tried: so many in a turn, each a quarter of its period on from the one before (what points
+/// the other way is a negative share of these).
+const RIPPLES: [[f64; 3]; 20] = {
     let per_turn = [4.0, 6.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0, 32.0];
-    let mut all = [[0.0; 3]; 40];
+    let mut all = [[0.0; 3]; 20];
     let mut k = 0;
     while k < all.len() {
-        let [sin, cos] = [[0.02, 0.0], [0.0, 0.02], [-0.02, 0.0], [0.0, -0.02]][k % 4];
-        all[k] = [sin, cos, per_turn[k / 4]];
+        let [sin, cos] = [[0.02, 0.0], [0.0, 0.02]][k % 2];
+        all[k] = [sin, cos, per_turn[k / 2]];
         k += 1;
     }
     all

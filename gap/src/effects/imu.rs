@@ -26,7 +26,7 @@ pub static IMU_TILT: Effect = Effect {
         parameter("roll_rad", "rad", 0.0, (-0.4, 0.4), 0.01, One),
         parameter("pitch_rad", "rad", 0.0, (-0.4, 0.4), 0.01, One),
     ],
-    grid: &[&[-0.05, 0.0], &[0.05, 0.0], &[0.0, -0.05], &[0.0, 0.05]],
+    grid: &[&[0.05, 0.0], &[0.0, 0.05]],
     apply: |plant, _, v| {
         plant.sensing.mounting.tilt_rad[0] += v[0] as f32;
         plant.sensing.mounting.tilt_rad[1] += v[1] as f32;
@@ -44,14 +44,7 @@ pub static GYRO_BIAS: Effect = Effect {
         parameter("y_radps", "rad/s", 0.0, (-0.5, 0.5), 0.01, One),
         parameter("z_radps", "rad/s", 0.0, (-0.5, 0.5), 0.01, One),
     ],
-    grid: &[
-        &[-0.03, 0.0, 0.0],
-        &[0.03, 0.0, 0.0],
-        &[0.0, -0.03, 0.0],
-        &[0.0, 0.03, 0.0],
-        &[0.0, 0.0, -0.03],
-        &[0.0, 0.0, 0.03],
-    ],
+    grid: &[&[0.03, 0.0, 0.0], &[0.0, 0.03, 0.0], &[0.0, 0.0, 0.03]],
     apply: |plant, _, v| {
         for (bias, v) in plant.sensing.bias.gyro_radps.iter_mut().zip(v) {
             *bias += *v as f32;
@@ -97,9 +90,7 @@ pub static MOCAP_FRAME: Effect = Effect {
     grid: &[
         &[0.01, 0.0, 0.0],
         &[0.03, 0.0, 0.0],
-        &[0.0, -0.05, 0.0],
         &[0.0, 0.05, 0.0],
-        &[0.0, 0.0, -0.01],
         &[0.0, 0.0, 0.01],
     ],
     apply: |plant, _, v| {

@@ -267,27 +267,83 @@ fn stuck_channels_are_found() {
 }
 
 #[test]
-fn a_current_without_its_sign_is_found() {
-    let robot = robot("polymander");
-    let log = &logs(&robot, "holds", &[3])[0];
-    let unsigned = changed(log, |s, _, _, v| match s {
-        Signal::Current(_) => v.map(f64::abs),
-        _ => v,
-    });
-    let checked = one(&robot, &unsigned);
-    let all = checked.faults.iter().filter(|f| f.kind == "sign").count();
-    assert!(all > 0, "{:#?}", checked.faults);
+fn a_current_without_its_sign_or_that_nobody_reads_is_found() {
+    for robot in ["polymander", "xl330_pendulum"].map(robot) {
+        let log = &logs(&robot, "holds", &[3])[0];
+        for (kind, put) in [("sign", f64::abs as fn(f64) -> f64), ("stuck", |_| 0.0)] {
+            let changed = changed(log, |s, _, _, v| match s {
+                Signal::Current(_) => v.map(put),
+                _ => v,
+            });
+            let checked = one(&robot, &changed);
+            let hits = checked.faults.iter().filter(|f| f.kind == kind).count();
+            assert!(hits > 0, "{kind}: {:#?}", checked.faults);
+        }
+    }
 }
 
 #[test]
-fn a_misspelt_key_is_found() {
+fn a_misspelt_key_is_found_and_one_that_nobody_reads_is_named() {
     let robot = robot("xl330_pendulum");
-    let mut log = logs(&robot, "holds", &[3]).remove(0);
-    let kp = Setting::Number(log.meta.kp.take().unwrap_or(1.0));
-    log.meta.settings.insert("Kp".to_owned(), kp);
-    let checked = one(&robot, &log);
-    found(&checked, "meta", "log.toml");
-    assert_eq!(checked.verdict, CheckVerdict::DataFault);
+    for (key, fault) in [("Kp", true), ("suply_v", true), ("kp_register", false)] {
+        let mut log = logs(&robot, "holds", &[3]).remove(0);
+        log.meta
+            .settings
+            .insert(key.to_owned(), Setting::Number(1.0));
+        let checked = one(&robot, &log);
+        assert_eq!(checked.verdict == CheckVerdict::DataFault, fault, "{key}");
+        if fault {
+            found(&checked, "meta", "log.toml");
+        }
+        assert_eq!(checked.not_used[&format!("log.toml: {key}")], 1);
+    }
+}
+
+/// The rows of a log that `keep` keeps.
+fn thinned(log: &RunLog, keep: impl Fn(usize) -> bool) -> RunLog {
+    let mut csv = TableWriter::new(Vec::new(), log.table.signals(), f64::INFINITY).unwrap();
+    for k in (0..log.table.len()).filter(|k| keep(*k)) {
+        csv.row(log.table.time_s()[k], &log.table.row(k).unwrap())
+            .unwrap();
+    }
+    RunLog {
+        meta: log.meta.clone(),
+        table: Table::parse("log.csv", csv.finish().unwrap().as_slice()).unwrap(),
+    }
+}
+
+#[test]
+fn rows_that_are_missing_one_by_one_are_counted() {
+    let robot = robot("xl330_pendulum");
+    let log = &logs(&robot, "chirp_medium", &[8])[0];
+    for (percent, verdict) in [(4, CheckVerdict::Ok), (15, CheckVerdict::DataFault)] {
+        // so many of a hundred, in no order
+        let checked = one(&robot, &thinned(log, |k| k * 37 % 100 >= percent));
+        found(&checked, "gap", "t");
+        assert_eq!(checked.verdict, verdict, "{:#?}", checked.faults);
+    }
+}
+
+#[test]
+fn readings_that_are_late_are_found() {
+    let robot = robot("xl330_pendulum");
+    let log = &logs(&robot, "steps_large", &[8])[0];
+    let late = |rows: usize| {
+        let signals = log.table.signals().to_vec();
+        rebuilt(log, &signals, |k, t| {
+            let read = log.table.row(k.saturating_sub(rows)).unwrap();
+            let sent = log.table.row(k).unwrap();
+            let cells = signals.iter().zip(read.iter().zip(&sent));
+            let of = |(s, (read, sent)): (&Signal, (&Option<f64>, &Option<f64>))| match s {
+                Signal::Command(_) => *sent,
+                _ => *read,
+            };
+            (t, cells.map(of).collect())
+        })
+    };
+    found(&one(&robot, &late(20)), "stamps", "pos.swing");
+    // 60 ms is a delay that a robot may have
+    assert!(one(&robot, &late(6)).faults.is_empty());
 }
 
 #[test]
@@ -320,18 +376,7 @@ fn wrong_stamps_are_found() {
         if trial == "chirp_medium" {
             found(&one(&robot, &set), "stamps", "t");
         }
-        let kept: Vec<usize> = (0..log.table.len())
-            .filter(|k| !(500..650).contains(k))
-            .collect();
-        let mut csv = TableWriter::new(Vec::new(), &signals, f64::INFINITY).unwrap();
-        for k in kept {
-            csv.row(log.table.time_s()[k], &row(k)).unwrap();
-        }
-        let hole = RunLog {
-            meta: log.meta.clone(),
-            table: Table::parse("log.csv", csv.finish().unwrap().as_slice()).unwrap(),
-        };
-        let checked = one(&robot, &hole);
+        let checked = one(&robot, &thinned(log, |k| !(500..650).contains(&k)));
         found(&checked, "gap", "t");
         assert_eq!(checked.verdict, CheckVerdict::Ok, "{:#?}", checked.faults);
         // readings 150 ms too early for their commands

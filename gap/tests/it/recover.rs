@@ -12,7 +12,7 @@ use caudata_gap::trial::Trial;
 use caudata_gap::{Diagnosis, GapError, GoOn, Options, Request, Role, Run, diagnose, extension};
 use caudata_model::RobotModel;
 use caudata_random::{Key, Purpose, Stream};
-use caudata_runlog::{BaseHold, LogMeta, RunLog, Signal, Table};
+use caudata_runlog::{Axis, BaseHold, LogMeta, QuatPart, RunLog, Signal, Table};
 use caudata_sim::batch::BatchEngine;
 use caudata_sim::{
     Engine, EngineConfig, InitialState, LaneParams, Precision, Terrain, TerrainConfig,
@@ -265,6 +265,53 @@ fn friction_is_named() {
     );
     let p = &d.report.causes[0].parameters["extra_nm"];
     assert!((p.value - 0.05).abs() < 0.008, "{p:?}");
+}
+
+#[test]
+fn a_ripple_is_found_wherever_it_begins() {
+    for quarter in 0..4 {
+        let begins_rad = std::f32::consts::FRAC_PI_2 * quarter as f32;
+        let mut request = request(0, &|p| {
+            p.joints[0].ripple_nm = 0.03;
+            p.joints[0].ripple_per_turn = 12.0;
+            p.joints[0].ripple_phase_rad = begins_rad;
+        });
+        request.options.only = vec!["cogging".to_owned()];
+        let diagnosis = diagnose(&request, &mut |_| {}).unwrap();
+        assert_eq!(names(&diagnosis), ["cogging"], "{quarter} quarters");
+        let of = |name: &str| diagnosis.report.causes[0].parameters[name].value;
+        // A·sin(n·q + φ) = A·cos φ·sin(n·q) + A·sin φ·cos(n·q)
+        let (sin, cos) = begins_rad.sin_cos();
+        for (found, truth) in [("sin_nm", 0.03 * cos), ("cos_nm", 0.03 * sin)] {
+            let off = of(found) - f64::from(truth);
+            assert!(
+                off.abs() < 0.006,
+                "{quarter} quarters: {found} {}",
+                of(found)
+            );
+        }
+    }
+}
+
+#[test]
+fn where_a_stand_is_says_nothing_about_the_robot() {
+    let (mut request, without) = run(0, &|_| {});
+    for run in &mut request.runs {
+        let mut signals = run.log.table.signals().to_vec();
+        signals.extend(Axis::ALL.map(Signal::BasePosition));
+        signals.extend(QuatPart::ALL.map(Signal::BaseQuaternion));
+        let table = run.log.table.clone();
+        run.log = common::rebuilt(&run.log, &signals, |k, t| {
+            let mut row = table.row(k).unwrap();
+            // in another corner of the hall, turned, half a metre above its floor
+            row.extend([1.0, -2.0, 0.5, 0.8, 0.0, 0.0, 0.6].map(Some));
+            (t, row)
+        });
+    }
+    let diagnosis = diagnose(&request, &mut |_| {}).unwrap();
+    assert_eq!(diagnosis.report.summary, without.report.summary);
+    assert_eq!(diagnosis.report.model, without.report.model);
+    assert_eq!(diagnosis.report.gain, without.report.gain);
 }
 
 #[test]

@@ -11,12 +11,21 @@ use crate::error::LogError;
 use crate::signal::{Axis, QuatPart, Signal};
 use crate::table::{MAX_COLUMNS, MAX_ROWS, Table, check_value};
 
+/// Topics for viewers, which say nothing that others do not.
+const PASSED_OVER: [&str; 5] = [
+    "/robot_description",
+    "/tf",
+    "/tf_static",
+    "/odom",
+    "/rosout",
+];
+
 /// Samples of one stamp.
 type Row = Vec<(Signal, f64)>;
 
 /// The rows of an MCAP file; `file` names it in errors and notes.
 ///
-/// Topics of other types are passed over. A file that ends in the middle gives what came before, with a note.
+/// Topics of other types are passed over, with a note unless they are known to say nothing. A file that ends in the middle gives what came before, with a note.
 ///
 /// # Errors
 /// [`LogError::Mcap`] for a file that is not MCAP or is damaged, or holds a message that is not what its type
@@ -31,6 +40,7 @@ pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
     let mut notes = Vec::new();
     let mut types: BTreeMap<u16, String> = BTreeMap::new();
     let mut channels: BTreeMap<u16, (String, String)> = BTreeMap::new();
+    let mut used: BTreeMap<u16, bool> = BTreeMap::new();
     let mut messages = 0usize;
     for record in records {
         let (channel, log_time_ns, data) = match record {
@@ -64,6 +74,8 @@ pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
         };
         let (header, row) = samples(kind, topic, &data)
             .map_err(|e| wrong(format!("message {messages} on {topic} ({kind}): {e}")))?;
+        let read = used.entry(channel).or_insert(false);
+        *read |= !row.is_empty();
         if row.is_empty() {
             continue;
         }
@@ -77,6 +89,13 @@ pub fn parse_mcap(file: &str, bytes: &[u8]) -> Result<Table, LogError> {
             return Err(wrong(format!("more than {MAX_ROWS} rows; split the log")));
         }
     }
+    let unread = used.iter().filter(|(_, read)| !**read);
+    notes.extend(
+        unread
+            .filter_map(|(id, _)| channels.get(id))
+            .filter(|(topic, _)| !PASSED_OVER.contains(&topic.as_str()))
+            .map(|(topic, kind)| format!("topic {topic} ({kind}) is not read")),
+    );
     table(rows, notes).map_err(wrong)
 }
 

@@ -154,7 +154,6 @@ fn the_delay_of_a_loop_is_no_delay_of_a_measurement() {
 }
 
 #[test]
-#[ignore = "known shortfall: choosing on fitted runs only names one of the two"]
 fn two_gains_that_look_alike_are_both_named() {
     let root = tempfile::tempdir().unwrap();
     let hidden = ["kp_error", "kd_error"];
