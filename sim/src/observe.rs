@@ -1,7 +1,7 @@
 //! From minimal coordinates to everything [`State`] reports. Engine-independent, in f64.
 
 use caudata_model::pose::{add, cross, dot, sub};
-use caudata_model::{BaseKind, JointMotion, Kinematics, ModelError, Pose, RobotModel};
+use caudata_model::{Ball, BaseKind, JointMotion, Kinematics, ModelError, Pose, RobotModel};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::{InitialState, LaneParams, SimError, State, Terrain};
@@ -208,16 +208,9 @@ pub(crate) fn write_kinematics(
         let ground = f64::from(terrain.height_m(p[0] as f32, p[1] as f32));
         put(&mut out.foot_pos_m, f, p);
         put(&mut out.foot_vel_mps, f, v);
-        let ball_z = |&at: &[f64; 3]| motion.point(foot.link, at).0[2];
-        let lowest = match foot.is_ball() {
-            true => p[2],
-            false => foot
-                .balls_m
-                .iter()
-                .map(ball_z)
-                .fold(f64::INFINITY, f64::min),
-        };
-        put(&mut out.foot_height_m, f, [lowest - foot.radius_m - ground]);
+        let low = |ball: &Ball| motion.point(foot.link, ball.centre_m).0[2] - ball.radius_m;
+        let lowest = foot.balls.iter().map(low).fold(f64::INFINITY, f64::min);
+        put(&mut out.foot_height_m, f, [lowest - ground]);
     }
 
     let (link, link_from_imu) = imu_place(model);

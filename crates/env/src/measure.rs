@@ -73,7 +73,7 @@ impl Reader {
         let (actuated, feet) = (model.actuated(), model.feet());
         Ok(Self {
             actuated: PerJoint::of(actuated),
-            foot_radius_m: PerFoot::from_fn(feet.len(), |i| feet[i].radius_m as f32),
+            foot_radius_m: PerFoot::from_fn(feet.len(), |i| feet[i].radius_m() as f32),
             foot_is_ball: PerFoot::from_fn(feet.len(), |i| feet[i].is_ball()),
             girdle_of: girdle_of(model)?,
             girdles_ahead_m: girdles_ahead_m(model)?,

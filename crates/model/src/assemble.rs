@@ -7,7 +7,7 @@ use crate::mjcf::MjModel;
 use crate::params::{BacklashParams, WaterParams};
 use crate::robot_file::{BaseWord, Checker, RobotFile};
 use crate::servos::Presets;
-use crate::types::{BaseKind, Foot, Joint, JointKind, Link, Site};
+use crate::types::{Ball, BaseKind, Foot, Joint, JointKind, Link, Site};
 
 /// Place of what is called `name` among the names of the MJCF.
 pub(crate) fn find<'a>(
@@ -276,50 +276,77 @@ pub(crate) fn feet(
     let mut out: Vec<Foot> = Vec::new();
     for entry in &file.feet {
         let at = format!("feet.{}", entry.name);
-        let found = links.iter().enumerate().find_map(|(l, link)| {
-            let g = link
-                .geoms
-                .iter()
-                .position(|g| g.name.as_ref() == Some(&entry.geom))?;
-            Some((l, g))
-        });
-        let Some((link, geom)) = found else {
-            return c.refuse(at, format!("there is no geom `{}` on a link", entry.geom));
+        let names = match (&entry.geom, &entry.geoms) {
+            (Some(geom), None) => std::slice::from_ref(geom),
+            (None, Some(geoms)) if !geoms.is_empty() => geoms,
+            _ => return c.refuse(at, "needs `geom`, or `geoms` with a list of shapes"),
         };
-        let g = &mut links[link].geoms[geom];
+        let foot = foot(c, at.clone(), names, links)?;
+        let again = |f: &Foot| f.name == entry.name || f.shares_a_shape(&foot);
+        if out.iter().any(again) {
+            return c.refuse(at, "is listed twice");
+        }
+        for &geom in &foot.geoms {
+            links[foot.link].geoms[geom].friction = file.contact.foot_friction;
+        }
+        out.push(Foot {
+            name: entry.name.clone(),
+            ..foot
+        });
+    }
+    Ok(out)
+}
+
+/// The foot that these shapes make up, without its name.
+fn foot(c: &Checker<'_>, at: String, names: &[String], links: &[Link]) -> Result<Foot, ModelError> {
+    let place = |name: &String| {
+        let on = |link: &Link| {
+            link.geoms
+                .iter()
+                .position(|g| g.name.as_ref() == Some(name))
+        };
+        let mut links = links.iter().enumerate();
+        links.find_map(|(l, link)| Some((l, on(link)?)))
+    };
+    let mut out = Foot {
+        name: String::new(),
+        link: 0,
+        geoms: Vec::new(),
+        centre_m: [0.0; 3],
+        balls: Vec::new(),
+    };
+    for name in names {
+        let Some((link, geom)) = place(name) else {
+            return c.refuse(at, format!("there is no geom `{name}` on a link"));
+        };
+        if !out.geoms.is_empty() && link != out.link {
+            return c.refuse(
+                at,
+                format!("geom `{name}` is on another link than the first"),
+            );
+        }
+        let g = &links[link].geoms[geom];
         let Some((balls, radius_m)) = g.shape.balls() else {
-            let message = format!("geom `{}` is no ball, box, capsule or cylinder", entry.geom);
+            let message = format!("geom `{name}` is no ball, box, capsule or cylinder");
             return c.refuse(at, message);
         };
         if !g.collides() {
-            return c.refuse(
-                at,
-                format!(
-                    "geom `{}` touches nothing (contype, conaffinity)",
-                    entry.geom
-                ),
-            );
+            let message = format!("geom `{name}` touches nothing (contype, conaffinity)");
+            return c.refuse(at, message);
         }
-        if out
-            .iter()
-            .any(|f| f.name == entry.name || (f.link, f.geom) == (link, geom))
-        {
+        if out.geoms.contains(&geom) {
             return c.refuse(at, "is listed twice");
         }
-        g.friction = file.contact.foot_friction;
-        let centre_m = g.link_from_geom.pos_m;
-        let balls_m = balls
-            .into_iter()
-            .map(|at| g.link_from_geom.point(at))
-            .collect();
-        out.push(Foot {
-            name: entry.name.clone(),
-            link,
-            geom,
-            centre_m,
-            balls_m,
+        out.link = link;
+        out.geoms.push(geom);
+        let share = 1.0 / names.len() as f64;
+        for (sum, pos) in out.centre_m.iter_mut().zip(g.link_from_geom.pos_m) {
+            *sum += share * pos;
+        }
+        out.balls.extend(balls.into_iter().map(|at| Ball {
+            centre_m: g.link_from_geom.point(at),
             radius_m,
-        });
+        }));
     }
     Ok(out)
 }

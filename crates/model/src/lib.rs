@@ -37,4 +37,6 @@ pub use params::{
 };
 pub use pose::Pose;
 pub use servos::servo_library;
-pub use types::{BaseKind, Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness};
+pub use types::{
+    Ball, BaseKind, Foot, Geom, Joint, JointKind, JointMotion, Link, Shape, Site, Softness,
+};

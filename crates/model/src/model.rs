@@ -182,6 +182,12 @@ impl RobotModel {
         self.feet.is_empty() || self.feet.iter().any(|foot| self.carries(link, foot.link))
     }
 
+    /// The foot that a shape belongs to: place `geom` of the geoms of `link`.
+    pub fn foot_of(&self, link: usize, geom: usize) -> Option<usize> {
+        let mut feet = self.feet.iter();
+        feet.position(|f| f.link == link && f.geoms.contains(&geom))
+    }
+
     /// The foot of the leg that `link` belongs to: every link beyond whose joint there is exactly one foot is
     /// part of a leg, the rest is trunk.
     pub fn leg_of(&self, link: usize) -> Option<usize> {

@@ -132,7 +132,9 @@ pub(crate) struct Variant {
 #[serde(deny_unknown_fields)]
 pub(crate) struct FootEntry {
     pub name: String,
-    pub geom: String,
+    pub geom: Option<String>,
+    /// Instead of `geom`: several shapes of one link.
+    pub geoms: Option<Vec<String>>,
 }
 
 #[derive(Deserialize)]

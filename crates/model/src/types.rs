@@ -283,26 +283,43 @@ pub struct Site {
     pub link_from_site: Pose,
 }
 
-/// A foot: the shape at the end of a leg that is to touch the ground.
+/// A ball on a link.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ball {
+    /// Centre, link frame, m.
+    pub centre_m: [f64; 3],
+    /// Radius, m.
+    pub radius_m: f64,
+}
+
+/// A foot: the shapes at the end of a leg that are to touch the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Foot {
     /// Leg name, for example `FL`.
     pub name: String,
-    /// Index of the link that carries the shape.
+    /// Index of the link that carries the shapes.
     pub link: usize,
-    /// Index of the shape in that link's `geoms`.
-    pub geom: usize,
-    /// Centre of the shape in the link frame, m.
+    /// Indices of the shapes in that link's `geoms`.
+    pub geoms: Vec<usize>,
+    /// Mean of the shapes' centres, link frame, m.
     pub centre_m: [f64; 3],
-    /// Centres of the balls that stand for the shape (see [`Shape::balls`]), link frame, m. A ball has one.
-    pub balls_m: Vec<[f64; 3]>,
-    /// Radius of these balls, m.
-    pub radius_m: f64,
+    /// The balls that stand for the shapes (see [`Shape::balls`]). A ball has one: itself.
+    pub balls: Vec<Ball>,
 }
 
 impl Foot {
     /// Whether the foot is a ball: its lowest point is then one radius below its centre, however it turns.
     pub fn is_ball(&self) -> bool {
-        self.balls_m.len() == 1
+        self.balls.len() == 1
+    }
+
+    /// Whether a shape belongs to both.
+    pub(crate) fn shares_a_shape(&self, other: &Self) -> bool {
+        self.link == other.link && self.geoms.iter().any(|g| other.geoms.contains(g))
+    }
+
+    /// Radius of the largest of its balls, m.
+    pub fn radius_m(&self) -> f64 {
+        self.balls.iter().map(|b| b.radius_m).fold(0.0, f64::max)
     }
 }

@@ -28,7 +28,7 @@ pub fn robot_items(
     for (l, (link, pose)) in model.links().iter().zip(&places.links).enumerate() {
         let has_shell = link.geoms.iter().any(|g| !g.collides());
         for (g, geom) in link.geoms.iter().enumerate() {
-            let foot = model.feet().iter().position(|f| f.link == l && f.geom == g);
+            let foot = model.foot_of(l, g);
             if has_shell && geom.collides() && foot.is_none() || geom.shape == Shape::Plane {
                 continue;
             }

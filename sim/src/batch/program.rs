@@ -9,7 +9,7 @@
 use std::ops::Range;
 
 use caudata_model::pose::{self, Pose};
-use caudata_model::{BaseKind, Foot, JointKind, JointMotion, RobotModel, Shape};
+use caudata_model::{Ball, BaseKind, Foot, JointKind, JointMotion, RobotModel, Shape};
 
 use super::place::{Part, Place};
 use super::rounded::{self, Core};
@@ -19,6 +19,9 @@ use crate::simd::Lanes;
 use crate::state::{self, FIELDS};
 use crate::stop::Stop;
 use crate::{EngineConfig, SimError};
+
+/// Balls of a part: centres in its node's frame, and radii, m.
+pub type Balls<R> = Vec<([<R as Lanes>::Elem; 3], <R as Lanes>::Elem)>;
 
 /// Most degrees of freedom (beyond a free base's six) that the engine takes.
 pub const MAX_JOINTS: usize = 256;
@@ -122,10 +125,8 @@ pub(super) struct Program<R: Lanes> {
     pub torso: usize,
     /// Foot centres.
     pub feet: Vec<Place<R>>,
-    /// Radii of the balls that stand for each foot, m.
-    pub foot_radius: Vec<R::Elem>,
-    /// Centres of these balls in the node's frame, m; empty for a foot that is a ball itself.
-    pub foot_balls: Vec<Vec<[R::Elem; 3]>>,
+    /// The balls that stand for each foot: centres in the node's frame, and radii, m.
+    pub foot_balls: Vec<Balls<R>>,
     /// IMU.
     pub imu: Place<R>,
     /// Hind and front end of the heading line.
@@ -181,7 +182,6 @@ impl<R: Lanes> Program<R> {
                 .iter()
                 .map(|f| foot_balls::<R>(f, &placed[f.link].1))
                 .collect(),
-            foot_radius: model.feet().iter().map(|f| R::elem(f.radius_m)).collect(),
             imu: model.imu_site().map_or_else(
                 || place(0, &Pose::IDENTITY),
                 |s| place(s.link, &s.link_from_site),
@@ -330,13 +330,11 @@ fn place<R: Lanes>(placed: &[(usize, Pose)], link: usize, link_from_place: &Pose
     }
 }
 
-/// The balls of a foot in its node's frame; none for a foot whose one ball has the foot's own centre.
-fn foot_balls<R: Lanes>(foot: &Foot, node_from_link: &Pose) -> Vec<[R::Elem; 3]> {
-    if foot.is_ball() {
-        return Vec::new();
-    }
-    let node = |&at: &[f64; 3]| node_from_link.point(at).map(R::elem);
-    foot.balls_m.iter().map(node).collect()
+/// The balls of a foot in its node's frame.
+fn foot_balls<R: Lanes>(foot: &Foot, node_from_link: &Pose) -> Balls<R> {
+    let place = |at| node_from_link.point(at).map(R::elem);
+    let ball = |ball: &Ball| (place(ball.centre_m), R::elem(ball.radius_m));
+    foot.balls.iter().map(ball).collect()
 }
 
 fn link_places<R: Lanes>(model: &RobotModel, placed: &[(usize, Pose)]) -> Vec<LinkPlace<R>> {
@@ -389,7 +387,7 @@ fn contact_points<R: Lanes>(
     let mut points = Vec::new();
     for (i, link) in model.links().iter().enumerate() {
         for (g, geom) in link.geoms.iter().enumerate().filter(|(_, g)| g.collides()) {
-            let foot = model.feet().iter().position(|f| f.link == i && f.geom == g);
+            let foot = model.foot_of(i, g);
             let (node, node_from_link) = placed[i];
             let node_from_geom = node_from_link.compose(&geom.link_from_geom);
             let (centres, radius) = geom.shape.balls().ok_or_else(|| {

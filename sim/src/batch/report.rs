@@ -290,8 +290,7 @@ fn put_feet<R: Lanes>(
         }
         let moving = frame.velocity(arm);
         w.out[vel + 3 * f..vel + 3 * f + 3].copy_from_slice(&moving);
-        let lowest = lowest(&program.foot_balls[f], frame, base[2], at[2]);
-        let mut gap = lowest - R::uniform(program.foot_radius[f]);
+        let mut gap = lowest(&program.foot_balls[f], frame, base[2]);
         if !shared.ground.is_flat() {
             gap -= shared.ground.sample(at[0], at[1]).height;
         }
@@ -299,13 +298,13 @@ fn put_feet<R: Lanes>(
     }
 }
 
-/// Height of the lowest of a foot's balls, `centre` where the foot is one ball, m.
+/// Height of the lowest point of a foot's balls, m.
 #[inline(always)]
-fn lowest<R: Lanes>(balls: &[[R::Elem; 3]], frame: &Frame<R>, base: R, centre: R) -> R {
-    let mut heights = balls.iter().map(|&at| base + frame.point(at)[2]);
-    let Some(first) = heights.next() else {
-        return centre;
-    };
+fn lowest<R: Lanes>(balls: &[([R::Elem; 3], R::Elem)], frame: &Frame<R>, base: R) -> R {
+    let mut heights = balls
+        .iter()
+        .map(|&(at, radius)| base + frame.point(at)[2] - R::uniform(radius));
+    let first = heights.next().unwrap_or(base);
     heights.fold(first, |lowest, z| lowest.min(z))
 }
 

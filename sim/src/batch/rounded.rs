@@ -125,7 +125,7 @@ fn candidates(model: &RobotModel, shells: bool) -> Vec<Candidate> {
     for (l, link) in model.links().iter().enumerate() {
         let has_shell = link.geoms.iter().any(|g| !g.collides());
         for (g, geom) in link.geoms.iter().enumerate() {
-            let foot = model.feet().iter().position(|f| f.link == l && f.geom == g);
+            let foot = model.foot_of(l, g);
             let shown = !has_shell || !geom.collides() || foot.is_some();
             if !(if shells { shown } else { geom.collides() }) {
                 continue;

@@ -103,8 +103,7 @@ impl Robot<'_> {
     fn geoms(&self, out: &mut String, l: usize) {
         let link = &self.model.links()[l];
         for (g, geom) in link.geoms.iter().enumerate().filter(|(_, g)| g.collides()) {
-            let mut feet = self.model.feet().iter();
-            let foot = feet.position(|f| (f.link, f.geom) == (l, g));
+            let foot = self.model.foot_of(l, g);
             let part = match foot {
                 Some(foot) => format!("f{foot}"),
                 None if self.model.carries_feet(l) => "t".to_owned(),

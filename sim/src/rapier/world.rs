@@ -321,11 +321,7 @@ impl Builder<'_> {
     }
 
     fn insert_geom(&mut self, link: usize, index: usize, geom: &Geom, body: RigidBodyHandle) {
-        let foot = self
-            .model
-            .feet()
-            .iter()
-            .position(|f| f.link == link && f.geom == index);
+        let foot = self.model.foot_of(link, index);
         let Some((shape, turn)) = collider_shape(geom.shape) else {
             return;
         };

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use caudata_env::VecEnv;
 use caudata_model::RobotModel;
-use caudata_sim::{EngineConfig, TerrainConfig};
+use caudata_sim::{EngineConfig, InitialState, TerrainConfig};
 use caudata_task::termination::TerminationReason;
 use caudata_task::{Mirror, TaskConfig};
 
@@ -60,6 +60,12 @@ const INERTIA: &str = "diaginertia=\"2e-4 2e-4 2e-4\"";
 
 impl Body {
     fn model(&self) -> Arc<RobotModel> {
+        let (robot, mjcf) = self.files();
+        Arc::new(RobotModel::from_bytes(self.name, robot.as_bytes(), mjcf.as_bytes()).unwrap())
+    }
+
+    /// Robot file and MJCF.
+    fn files(&self) -> (String, String) {
         let mut joints = Vec::new();
         let mut bodies = String::new();
         for (leg, x, y) in self.hips {
@@ -113,7 +119,7 @@ impl Body {
             self.name,
             names.join(", "),
         );
-        Arc::new(RobotModel::from_bytes(self.name, robot.as_bytes(), mjcf.as_bytes()).unwrap())
+        (robot, mjcf)
     }
 }
 
@@ -160,6 +166,62 @@ fn a_quadruped_of_twelve_joints() {
     // left and right legs change places; hips roll the other way
     assert_eq!(mirror.action.source[..6], [3, 4, 5, 0, 1, 2]);
     assert_eq!(mirror.action.sign[..3], [-1.0, 1.0, 1.0]);
+}
+
+/// A foot of a heel and a toe: both are the foot's, whose height is that of the lower one.
+#[test]
+fn a_foot_of_two_shapes() {
+    let (mut robot, mut mjcf) = QUADRUPED.files();
+    for leg in ["FL", "FR", "HL", "HR"] {
+        let foot =
+            format!("<geom name=\"{leg}_foot\" type=\"sphere\" size=\"0.015\" pos=\"0 0 -0.08\"/>");
+        let two = format!(
+            "<geom name=\"{leg}_heel\" type=\"sphere\" size=\"0.01\" pos=\"-0.02 0 -0.085\"/>\
+             <geom name=\"{leg}_toe\" type=\"box\" size=\"0.01 0.01 0.005\" pos=\"0.02 0 -0.09\"/>"
+        );
+        assert!(mjcf.contains(&foot));
+        mjcf = mjcf.replace(&foot, &two);
+        let (one, both) = (
+            format!("geom = \"{leg}_foot\""),
+            format!("geoms = [\"{leg}_heel\", \"{leg}_toe\"]"),
+        );
+        robot = robot.replace(&one, &both);
+    }
+    let read = |robot: &str| RobotModel::from_bytes("t", robot.as_bytes(), mjcf.as_bytes());
+    let model = Arc::new(read(&robot).unwrap());
+    let foot = &model.feet()[0];
+    assert_eq!((foot.geoms.len(), foot.balls.len()), (2, 9));
+    assert_eq!(foot.centre_m, [0.0, 0.0, -0.0875]);
+    assert_eq!(model.foot_of(foot.link, foot.geoms[1]), Some(0));
+    let (config, ground) = (EngineConfig::default(), TerrainConfig::default());
+    let mut engine = caudata_sim::build(Arc::clone(&model), 1, &config, &ground, 1, 1).unwrap();
+    engine.reset(0, &InitialState::nominal(&model)).unwrap();
+    for _ in 0..100 {
+        engine.step(&[0.0; 12], &[0.0; 6]).unwrap();
+    }
+    let state = engine.state();
+    let force_n: f32 = (0..4).map(|foot| state.foot_force_n[3 * foot + 2]).sum();
+    let weight_n = 9.81 * model.total_mass_kg() as f32;
+    assert!(
+        (force_n / weight_n - 1.0).abs() < 0.02,
+        "{force_n} {weight_n}"
+    );
+    assert!(
+        state.foot_height_m.iter().all(|h| h.abs() < 2e-3),
+        "{:?}",
+        state.foot_height_m
+    );
+    for (wrong, says) in [
+        ("[]", "needs `geom`"),
+        ("[\"FL_heel\", \"FR_toe\"]", "another link"),
+    ] {
+        let robot = robot.replace("[\"FL_heel\", \"FL_toe\"]", wrong);
+        let refused = read(&robot).unwrap_err().to_string();
+        assert!(
+            refused.contains("feet.FL") && refused.contains(says),
+            "{refused}"
+        );
+    }
 }
 
 #[test]

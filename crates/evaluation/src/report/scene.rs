@@ -89,7 +89,7 @@ impl RobotScene {
                     name: f.name.clone(),
                     link: f.link,
                     centre_m: f.centre_m,
-                    radius_m: f.radius_m,
+                    radius_m: f.radius_m(),
                 })
                 .collect(),
         }
@@ -99,8 +99,7 @@ impl RobotScene {
 fn link_scene(model: &RobotModel, index: usize, link: &Link) -> LinkScene {
     let has_shell = link.geoms.iter().any(|g| !g.collides());
     let geoms = link.geoms.iter().enumerate().filter_map(|(g, geom)| {
-        let is_foot = |f: &caudata_model::Foot| f.link == index && f.geom == g;
-        let foot = model.feet().iter().position(is_foot);
+        let foot = model.foot_of(index, g);
         let shown = foot.is_some() || !has_shell || !geom.collides();
         shown.then(|| geom_scene(geom, foot)).flatten()
     });

@@ -113,7 +113,7 @@ fn classes_welds_masses_and_a_named_pose_by_hand() {
         1e-15,
     );
     assert_eq!(m.feet().len(), 1);
-    assert_eq!(m.feet()[0].radius_m, 0.02);
+    assert_eq!(m.feet()[0].radius_m(), 0.02);
     // a share of 1 is held below 1, as MuJoCo holds it
     let toe = &m.links()[1].geoms[0];
     assert_eq!(toe.soft.solimp[1], 0.9999);

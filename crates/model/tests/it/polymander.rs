@@ -253,8 +253,8 @@ fn nothing_on_the_robot_collides_with_the_robot_and_everything_with_the_floor() 
         assert!(geoms[i + 1..].iter().all(|b| !a.collides_with(b)));
     }
     for f in m.feet() {
-        assert_eq!(m.links()[f.link].geoms[f.geom].friction, 0.8);
-        near("foot radius", f.radius_m, 0.019, 0.0);
+        assert_eq!(m.links()[f.link].geoms[f.geoms[0]].friction, 0.8);
+        near("foot radius", f.radius_m(), 0.019, 0.0);
     }
 }
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::common::robots;
-use caudata_model::{BaseKind, JointKind, Pose, RobotModel, pose};
+use caudata_model::{Ball, BaseKind, JointKind, Pose, RobotModel, pose};
 
 fn shipped() -> Vec<(PathBuf, RobotModel)> {
     let files = std::fs::read_dir(robots()).unwrap();
@@ -46,13 +46,14 @@ fn legged_robots_stand_on_their_feet_in_the_nominal_pose() {
         let places = model.kinematics(&Pose::IDENTITY, &pos).unwrap();
         let mut soles = Vec::new();
         for foot in model.feet() {
-            let at = |&ball: &[f64; 3]| places.links[foot.link].point(ball);
-            let mut lowest: Vec<[f64; 3]> = foot.balls_m.iter().map(at).collect();
-            lowest.sort_by(|a, b| a[2].total_cmp(&b[2]));
-            soles.push(lowest[0].map(|x| x)[2] - foot.radius_m);
+            let link = &places.links[foot.link];
+            let low = |ball: &Ball| link.point(ball.centre_m)[2] - ball.radius_m;
+            let mut lowest: Vec<f64> = foot.balls.iter().map(low).collect();
+            lowest.sort_by(f64::total_cmp);
+            soles.push(lowest[0]);
             // a sole lies flat: its four lower corners are at one height
             if lowest.len() == 8 {
-                assert!((lowest[3][2] - lowest[0][2]).abs() < 1e-9, "{name}");
+                assert!((lowest[3] - lowest[0]).abs() < 1e-9, "{name}");
             }
         }
         let spread = soles.iter().map(|z| (z - soles[0]).abs());
@@ -89,7 +90,7 @@ fn sizes_and_servos_are_those_of_the_description() {
     assert_eq!((biped.actuated().len(), biped.feet().len()), (14, 2));
     assert!((biped.total_mass_kg() - 0.8).abs() < 1e-9);
     assert_eq!(biped.servo_name(0), "xl330_m288");
-    assert!(!biped.feet()[0].is_ball() && biped.feet()[0].balls_m.len() == 8);
+    assert!(!biped.feet()[0].is_ball() && biped.feet()[0].balls.len() == 8);
 
     let hexapod = named("hexapod");
     assert_eq!((hexapod.actuated().len(), hexapod.feet().len()), (18, 6));

@@ -100,7 +100,11 @@ impl FakeEngine {
         state.com_vel_mps[lane * 3..][..3].copy_from_slice(&vel);
         for (foot, part) in self.model.feet().iter().enumerate() {
             let at = (lane * 4 + foot) * 3;
-            state.foot_pos_m[at..][..3].copy_from_slice(&[base[0], base[1], part.radius_m as f32]);
+            state.foot_pos_m[at..][..3].copy_from_slice(&[
+                base[0],
+                base[1],
+                part.radius_m() as f32,
+            ]);
             state.foot_vel_mps[at..][..3].copy_from_slice(&vel);
             state.foot_force_n[at..][..3].copy_from_slice(&[0.0, 0.0, 6.0]);
         }
