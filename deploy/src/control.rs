@@ -265,7 +265,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let wanted_command = self.wanted_command(&sensed);
         self.look_for_swap(&sensed, &wanted_command);
         let sent = self.gate.last_rad();
-        let wanted = if self.motion.stage() == Stage::Walk {
+        let wanted = if self.motion.stage().is_policys() {
             self.walk(&sensed, dt_s, wanted_command)
         } else {
             Some(sent)
@@ -359,11 +359,11 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             .is_some_and(|wanted| walked_s + margin_s >= wanted);
         if self.motion.stage() == Stage::Walk && self.walk_start_s.is_some() && over {
             self.ended.get_or_insert(Ended::Time);
-            self.motion.finish();
+            self.motion.halt();
         }
         if stop.is_set() {
             self.ended.get_or_insert(Ended::Signal);
-            self.motion.finish();
+            self.motion.halt();
         }
         // An IMU that gives no number says nothing about being upright: it counts as lying.
         let finite = |v: &[f32; 3]| v.iter().all(|x| x.is_finite());
@@ -376,7 +376,7 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
         let braking = matches!(stage, Stage::Damped | Stage::Off);
         if self.fallen_ticks >= FALLEN_TICKS && !braking {
             tracing::error!(gravity = ?sensed.gravity, ?stage, "the robot fell: stopping");
-            if stage == Stage::Walk {
+            if stage.is_policys() {
                 self.blame_a_fall();
             }
             self.ended = Some(Ended::Fallen);
@@ -388,6 +388,9 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
     /// 1 s. A dead-man's button that is let go of stands it at once; a kill brakes at once, whatever the
     /// policy does.
     fn wanted_command(&mut self, sensed: &Sensed) -> [f32; COMMAND_DIM] {
+        if self.motion.stage() == Stage::Halt {
+            return [0.0; COMMAND_DIM];
+        }
         let Some(link) = &mut self.link else {
             let start_s = self.walk_start_s.unwrap_or(sensed.servos.time_s);
             return self.plan.commands.at(sensed.servos.time_s - start_s);
@@ -442,15 +445,11 @@ impl<'a, R: Robot, C: Clock> ControlLoop<'a, R, C> {
             }
             None => *self.walk_start_s.insert(sensed.servos.time_s),
         };
-        self.counts.walked_s = sensed.servos.time_s - start_s + self.plan.period.as_secs_f64();
-        if let (Some(pos), Some(quat)) = (sensed.truth.base_pos_m, sensed.truth.base_quat_wxyz) {
-            self.counts.odometer.add(pos, quat, dt_s);
-        }
         let command = self.runner.trained_command(wanted);
-        for (sum, value) in self.counts.command_sum.iter_mut().zip(command) {
-            *sum += f64::from(value);
+        if self.motion.stage() == Stage::Walk {
+            self.counts.walked_s = sensed.servos.time_s - start_s + self.plan.period.as_secs_f64();
+            self.counts.walking(sensed, dt_s, &command);
         }
-        self.counts.walking_ticks += 1;
         let view = View {
             servos: &sensed.servos,
             gyro_radps: sensed.imu.gyro_radps,

@@ -1,11 +1,11 @@
 //! From limp to walking and back: soft start, blend into the policy, return to stand, damped stop.
 //!
 //! ```text
-//! Rise ──▶ Settle ──▶ Walk ──▶ Return ──▶ Rest ──▶ Off
+//! Rise ──▶ Settle ──▶ Walk ──▶ Halt ──▶ Return ──▶ Rest ──▶ Off
 //!                      ▲ └─ no command ─▶ Stand ──┘ (asked to stop)
 //!                      └──── command back ──┘
-//!   └────────┴── asked to stop ──▲                  ▲
-//!   any ── policy or body out of order ──▶ Damped ──┘
+//!   └────────┴──────── asked to stop ──────▲                  ▲
+//!   any ── policy or body out of order ──────────▶ Damped ────┘
 //! ```
 //! Pure: one call per control tick, time counts in ticks.
 
@@ -18,6 +18,9 @@ pub const RAMP_RADPS: f32 = 0.5;
 pub const SETTLE_S: f32 = 0.5;
 /// From the pose held to the policy's targets, s.
 pub const BLEND_S: f32 = 0.5;
+/// How long the policy is commanded to stand before the robot returns to the nominal pose, s: one that trots
+/// has two feet in the air, and falls over them when it is held where it is.
+pub const HALT_S: f32 = 1.0;
 /// How long the servos only brake before they go limp, s.
 pub const DAMPED_S: f32 = 1.0;
 
@@ -31,6 +34,8 @@ pub enum Stage {
     Settle,
     /// The policy decides.
     Walk,
+    /// The policy decides, commanded to stand.
+    Halt,
     /// In the nominal pose, ready to walk on.
     Stand,
     /// Back to the nominal pose.
@@ -41,6 +46,13 @@ pub enum Stage {
     Damped,
     /// Torque off; done.
     Off,
+}
+
+impl Stage {
+    /// Whether the policy decides.
+    pub fn is_policys(self) -> bool {
+        matches!(self, Self::Walk | Self::Halt)
+    }
 }
 
 /// The sequence of one run.
@@ -72,10 +84,19 @@ impl Motion {
         self.stage
     }
 
-    /// Asks to come to an end in order: stand, then torque off.
+    /// Asks to come to an end in order: let the policy stop, stand, then torque off.
+    pub fn halt(&mut self) {
+        match self.stage {
+            Stage::Walk => self.enter(Stage::Halt),
+            Stage::Halt => {}
+            _ => self.finish(),
+        }
+    }
+
+    /// Asks to come to an end in order without the policy: stand, then torque off.
     pub fn finish(&mut self) {
-        let upright = [Stage::Rise, Stage::Settle, Stage::Walk, Stage::Stand];
-        if upright.contains(&self.stage) {
+        let upright = [Stage::Rise, Stage::Settle, Stage::Stand];
+        if self.stage.is_policys() || upright.contains(&self.stage) {
             self.enter(Stage::Return);
         }
     }
@@ -110,7 +131,7 @@ impl Motion {
         self.blend_tick = 0;
     }
 
-    /// The targets of this tick. `policy_rad` counts in [`Stage::Walk`] only; `sent_rad` went out in the tick
+    /// The targets of this tick. `policy_rad` counts where the policy decides; `sent_rad` went out in the tick
     /// before (the measured pose before the first), `measured_rad` is the present pose.
     pub fn targets(
         &mut self,
@@ -129,6 +150,12 @@ impl Motion {
                 self.nominal_rad
             }
             Stage::Walk => self.blended(policy_rad),
+            Stage::Halt => {
+                if self.in_stage_for(HALT_S) {
+                    self.enter(Stage::Return);
+                }
+                self.blended(policy_rad)
+            }
             Stage::Stand => self.step_towards_nominal(sent_rad),
             Stage::Return => self.ramp(sent_rad, Stage::Rest),
             Stage::Rest => {
@@ -264,6 +291,19 @@ mod tests {
         assert_eq!(motion.stage(), Stage::Off);
         motion.finish();
         assert_eq!(motion.stage(), Stage::Off, "off is the end");
+    }
+
+    #[test]
+    fn a_policy_that_walks_stops_before_the_robot_stands() {
+        let mut motion = walking();
+        motion.halt();
+        let mut sent = ZERO;
+        motion.halt();
+        // 1 s are 50 ticks, in which the policy decides.
+        assert_eq!(run(&mut motion, &mut sent), 50);
+        assert_eq!((motion.stage(), sent), (Stage::Return, POLICY));
+        motion.halt();
+        assert_eq!(motion.stage(), Stage::Return);
     }
 
     #[test]

@@ -121,6 +121,17 @@ pub struct Counts {
 }
 
 impl Counts {
+    /// Adds a tick of walking, `dt_s` after the last one.
+    pub(super) fn walking(&mut self, sensed: &Sensed, dt_s: f64, command: &[f32; COMMAND_DIM]) {
+        if let (Some(pos), Some(quat)) = (sensed.truth.base_pos_m, sensed.truth.base_quat_wxyz) {
+            self.odometer.add(pos, quat, dt_s);
+        }
+        for (sum, &value) in self.command_sum.iter_mut().zip(command) {
+            *sum += f64::from(value);
+        }
+        self.walking_ticks += 1;
+    }
+
     /// Mean of the commands given.
     pub fn mean_command(&self) -> Velocity {
         let mean = |i: usize| rounded(self.command_sum[i] / self.walking_ticks.max(1) as f64);

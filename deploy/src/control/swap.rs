@@ -48,7 +48,7 @@ impl<R: Robot, C: Clock> ControlLoop<'_, R, C> {
             Stage::Stand => at_rest && (self.still_ticks >= STILL_TICKS || stood_long),
             Stage::Walk => self.still_ticks >= STILL_TICKS,
             // On its way to the end: the next run begins with it.
-            Stage::Return | Stage::Rest | Stage::Damped | Stage::Off => false,
+            Stage::Halt | Stage::Return | Stage::Rest | Stage::Damped | Stage::Off => false,
         };
         if safe {
             self.swap_policy(speed, wanted);
